@@ -1,0 +1,109 @@
+//! Estimators: the state of the vehicle from the samples received and the motor commands applied.
+//!
+//! Several run side by side in a bank (`bank.rs`); one of them is in the loop. None of them
+//! can tell whether an attack is on, nor see the truth.
+
+use arrayvec::ArrayVec;
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::{ids::SensorId, time::FlightTime};
+
+pub use plumbline_proto::v1::{Channel, EstimatorKind, Health};
+
+use crate::vehicle::{MotorCommand, SensorFrame};
+
+/// Most residuals one step can produce: four IMUs with nine channels, and every other sensor.
+pub const MAX_RESIDUALS: usize = 64;
+
+/// Innovation of one scalar measurement, kept per sensor instance and never merged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Residual {
+    /// The sensor.
+    pub sensor: SensorId,
+    /// Which of its scalars.
+    pub channel: Channel,
+    /// y − ŷ before the update, in the channel's unit.
+    pub innovation: f64,
+    /// One-sigma predicted for it.
+    pub sigma: f64,
+    /// |innovation| above this is rejected.
+    pub gate: f64,
+    /// Was it used?
+    pub accepted: bool,
+}
+
+impl Residual {
+    /// |innovation| / gate: above 1 is rejected.
+    pub fn ratio(&self) -> f64 {
+        self.innovation.abs() / self.gate
+    }
+}
+
+/// What an estimator knows after one step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Time of the frame it belongs to.
+    pub time: FlightTime,
+    /// Position in the world frame ENU, m.
+    pub position_enu_m: Vector3<f64>,
+    /// Velocity in the world frame ENU, m/s.
+    pub velocity_enu_mps: Vector3<f64>,
+    /// Attitude.
+    pub world_from_body: UnitQuaternion<f64>,
+    /// Angular rate in the body frame FLU, bias removed, rad/s.
+    pub body_rates_radps: Vector3<f64>,
+    /// Accelerometer bias, m/s².
+    pub accel_bias_mps2: Vector3<f64>,
+    /// Gyroscope bias, rad/s.
+    pub gyro_bias_radps: Vector3<f64>,
+    /// One-sigma of the position, m; zero when the estimator does not say.
+    pub position_sigma_m: Vector3<f64>,
+    /// One-sigma of the velocity, m/s.
+    pub velocity_sigma_mps: Vector3<f64>,
+    /// One-sigma of the attitude error about the world axes, rad.
+    pub attitude_sigma_rad: Vector3<f64>,
+    /// Is the horizontal position known (GNSS or motion capture lately)?
+    pub horizontal_known: bool,
+    /// Can it be trusted?
+    pub health: Health,
+    /// Residuals of the samples used in this step.
+    pub residuals: ArrayVec<Residual, MAX_RESIDUALS>,
+}
+
+impl Default for Estimate {
+    fn default() -> Self {
+        Self {
+            time: FlightTime::default(),
+            position_enu_m: Vector3::zeros(),
+            velocity_enu_mps: Vector3::zeros(),
+            world_from_body: UnitQuaternion::identity(),
+            body_rates_radps: Vector3::zeros(),
+            accel_bias_mps2: Vector3::zeros(),
+            gyro_bias_radps: Vector3::zeros(),
+            position_sigma_m: Vector3::zeros(),
+            velocity_sigma_mps: Vector3::zeros(),
+            attitude_sigma_rad: Vector3::zeros(),
+            horizontal_known: false,
+            health: Health::Initialising,
+            residuals: ArrayVec::new(),
+        }
+    }
+}
+
+/// An estimator that takes one frame at a time. A Kalman filter predicts and corrects inside
+/// `step`; a secure estimator slides its window.
+pub trait Estimator: Send {
+    /// Which one it is.
+    fn kind(&self) -> EstimatorKind;
+
+    /// Takes the samples received at this tick and the command applied since the last one.
+    ///
+    /// Never fails and never allocates: numerical trouble is reported as [`Health::Degraded`], and
+    /// samples that are not finite are skipped.
+    fn step(&mut self, received: &SensorFrame, applied: &MotorCommand) -> &Estimate;
+
+    /// The estimate of the last step.
+    fn estimate(&self) -> &Estimate;
+
+    /// Starts again from `estimate` (switching in flight without a bump).
+    fn reset_to(&mut self, estimate: &Estimate);
+}

@@ -1,0 +1,14 @@
+//! The agent: everything that runs on the vehicle.
+//!
+//! The DOWN lane, in flow order:
+//! ```text
+//! sense (raw ─► calibration) ─► attack ─► estimate ─► control ─► mix ─► actuate
+//!              └───────────────────────┴───────────┴──────────┴────────┴─► telemetry ─► log, link
+//! ```
+//! Start reading at `flight.rs`: `Flight::step` is the whole tick.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod control;
+pub mod estimate;
+pub mod vehicle;

@@ -1,0 +1,62 @@
+//! Two clocks that must not be mixed up.
+use std::fmt;
+use std::ops::{Add, Sub};
+use std::time::Duration;
+
+/// Microseconds since the agent's boot. The only time the flight code knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+pub struct FlightTime(pub u64);
+
+impl FlightTime {
+    /// From seconds since boot; negative and non-finite values become zero.
+    pub fn from_seconds(seconds: f64) -> Self {
+        Self((seconds * 1e6).round().max(0.0) as u64)
+    }
+
+    /// Seconds since boot.
+    pub fn as_seconds(self) -> f64 {
+        self.0 as f64 * 1e-6
+    }
+
+    /// Seconds from `earlier` to `self`; negative when `earlier` is later.
+    pub fn seconds_since(self, earlier: Self) -> f64 {
+        (self.0 as i128 - earlier.0 as i128) as f64 * 1e-6
+    }
+}
+
+impl Add<Duration> for FlightTime {
+    type Output = Self;
+    fn add(self, rhs: Duration) -> Self {
+        Self(self.0.saturating_add(rhs.as_micros() as u64))
+    }
+}
+
+impl Sub for FlightTime {
+    type Output = Duration;
+    /// Saturates at zero.
+    fn sub(self, rhs: Self) -> Duration {
+        Duration::from_micros(self.0.saturating_sub(rhs.0))
+    }
+}
+
+impl fmt::Display for FlightTime {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.6} s", self.as_seconds())
+    }
+}
+
+/// Microseconds since the Unix epoch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
+pub struct WallTime(pub u64);
+
+impl WallTime {
+    /// The wall time of `flight_time` for an agent that booted at `self`.
+    pub fn at(self, flight_time: FlightTime) -> Self {
+        Self(self.0.saturating_add(flight_time.0))
+    }
+
+    /// Nanoseconds since the epoch, as MCAP wants them.
+    pub fn as_nanos(self) -> u64 {
+        self.0.saturating_mul(1000)
+    }
+}
