@@ -1,0 +1,116 @@
+//! Agent sessions: datagrams in, commands out, gaps asked for.
+//!
+//! This file holds what the rest of the ground knows of the link: [`LinkEvent`] going up and
+//! [`CommandSender`] going down. The link itself is the only producer of the one and the only
+//! consumer of the other, so that tests stand in for an agent with two channels and no socket.
+
+use std::time::Instant;
+
+use bytes::Bytes;
+use plumbline_proto::v1;
+use tokio::sync::mpsc;
+
+/// Most commands waiting for the link. A full queue makes the sender wait: a command is never
+/// dropped silently.
+pub const COMMAND_QUEUE: usize = 64;
+
+/// What the link tells the ground. Within one agent the order is the order of arrival.
+#[derive(Debug)]
+pub enum LinkEvent {
+    /// An agent said hello, or came back. A new `boot_id` starts a new sequence count.
+    Connected {
+        /// Name of the agent, unique among the agents of this ground.
+        agent_id: String,
+        /// Changes with every start of the agent.
+        boot_id: u64,
+        /// Wall time (Unix) at the agent's flight time zero, µs, by the agent's clock.
+        boot_wall_time_us: u64,
+        /// Version of the agent.
+        version: String,
+        /// Way down to the agent, valid until its `Disconnected`.
+        commands: CommandSender,
+    },
+    /// One codec batch, header included, as the agent encoded it.
+    Batch {
+        /// Which agent.
+        agent_id: String,
+        /// The batch.
+        batch: Bytes,
+        /// When it was received.
+        received: Instant,
+        /// An answer to a backfill: belongs into the file, not into the live view.
+        backfill: bool,
+    },
+    /// The agent's onboard log does not hold this range (any more).
+    BackfillUnavailable {
+        /// Which agent.
+        agent_id: String,
+        /// The range, as it was asked for.
+        request: v1::BackfillRequest,
+    },
+    /// Measured state of the link, about 4 Hz.
+    Stats {
+        /// Which agent.
+        agent_id: String,
+        /// Round trip, ms.
+        round_trip_ms: f64,
+        /// Ground wall clock minus the agent's wall clock (boot wall time + flight time), µs.
+        clock_offset_us: f64,
+    },
+    /// The link is lost.
+    Disconnected {
+        /// Which agent.
+        agent_id: String,
+        /// Why, for people.
+        reason: String,
+    },
+}
+
+/// One thing to send down.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outgoing {
+    /// A numbered command.
+    Command(v1::Command),
+    /// "Send me these messages again."
+    Backfill(v1::BackfillRequest),
+}
+
+/// The link to this agent is gone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the link to the vehicle is closed")]
+pub struct LinkClosed;
+
+/// Way down to one agent: cheap to clone, waits while [`COMMAND_QUEUE`] commands are unsent.
+#[derive(Debug, Clone)]
+pub struct CommandSender {
+    queue: mpsc::Sender<Outgoing>,
+}
+
+impl CommandSender {
+    /// A sender, and the end the link (or a test's agent) reads from.
+    pub fn channel() -> (Self, mpsc::Receiver<Outgoing>) {
+        let (queue, outgoing) = mpsc::channel(COMMAND_QUEUE);
+        (Self { queue }, outgoing)
+    }
+
+    /// Hands a command to the link.
+    ///
+    /// # Errors
+    /// [`LinkClosed`] when the agent is gone.
+    pub async fn send(&self, command: v1::Command) -> Result<(), LinkClosed> {
+        self.queue.send(Outgoing::Command(command)).await.map_err(|_| LinkClosed)
+    }
+
+    /// Hands a backfill request to the link.
+    ///
+    /// # Errors
+    /// [`LinkClosed`] when the agent is gone.
+    pub async fn backfill(&self, request: v1::BackfillRequest) -> Result<(), LinkClosed> {
+        self.queue.send(Outgoing::Backfill(request)).await.map_err(|_| LinkClosed)
+    }
+
+    /// Is the link gone?
+    pub fn is_closed(&self) -> bool {
+        self.queue.is_closed()
+    }
+}
