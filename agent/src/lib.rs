@@ -10,6 +10,9 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod attack;
+pub mod command;
 pub mod control;
 pub mod estimate;
+pub mod event;
+pub mod flight;
 pub mod vehicle;

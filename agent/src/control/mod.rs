@@ -1,5 +1,8 @@
 //! Controllers: the wrench that brings the estimate to the setpoint.
 
+pub mod lqr_integral;
+pub mod step_response;
+
 use nalgebra::Vector3;
 
 use crate::estimate::Estimate;

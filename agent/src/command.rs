@@ -1,0 +1,71 @@
+//! What a ground may ask of the agent, in the agent's own types, and the answer.
+//!
+//! The link converts from the wire; [`crate::flight::Flight::apply`] decides, between ticks.
+//! Recording and replay controls belong to the runner and never reach the flight code.
+
+use plumbline_proto::ids::GainsRevision;
+
+use crate::attack::Schedule;
+use crate::control::lqr_integral::Weights;
+use crate::estimate::EstimatorKind;
+use crate::event::Text;
+
+pub use plumbline_proto::v1::Mode;
+
+/// One command.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command {
+    /// Start the motors, when every check passes.
+    Arm,
+    /// Stop the motors; refused in the air (land, or cut).
+    Disarm,
+    /// Stop the motors now, whatever the state, and latch: the vehicle falls.
+    CutMotors,
+    /// Free the latch of a cut; only disarmed and standing still.
+    ReleaseCut,
+    /// Change the flight mode.
+    SetMode(Mode),
+    /// Change the setpoint; fields left out keep their value.
+    Setpoint(SetpointChange),
+    /// Run this attack schedule, replacing the one before.
+    Attack(Schedule),
+    /// End every attack.
+    AbortAttacks,
+    /// Put this estimator in the loop.
+    SelectEstimator(EstimatorKind),
+    /// Solve, certify and use these weights.
+    PushGains {
+        /// Number given by the ground.
+        revision: GainsRevision,
+        /// LQR weights.
+        weights: Weights,
+    },
+}
+
+/// The fields of a setpoint to change.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SetpointChange {
+    /// Altitude above the floor, m.
+    pub altitude_m: Option<f64>,
+    /// East, m.
+    pub x_m: Option<f64>,
+    /// North, m.
+    pub y_m: Option<f64>,
+    /// Roll, rad; where the horizontal position is not controlled.
+    pub roll_rad: Option<f64>,
+    /// Pitch, rad; where the horizontal position is not controlled.
+    pub pitch_rad: Option<f64>,
+    /// Yaw, rad.
+    pub yaw_rad: Option<f64>,
+    /// Collective thrust as a fraction of the weight; stabilise mode only.
+    pub throttle: Option<f64>,
+}
+
+/// The answer to one command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ack {
+    /// Was it done?
+    pub accepted: bool,
+    /// What was done, or why not, with the offending value.
+    pub reason: Text,
+}

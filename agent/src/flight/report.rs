@@ -1,0 +1,106 @@
+//! What one tick and the flight as a whole have to say; telemetry turns these into messages.
+
+use arrayvec::ArrayVec;
+use nalgebra::SMatrix;
+use plumbline_proto::ids::GainsRevision;
+use plumbline_proto::time::FlightTime;
+
+use crate::command::Mode;
+use crate::control::step_response::StepResponse;
+use crate::control::{Setpoint, Wrench, lqr_integral::Weights};
+use crate::estimate::EstimatorKind;
+use crate::event::Text;
+use crate::vehicle::{MotorCommand, SensorFrame};
+
+pub use plumbline_proto::v1::Failsafe;
+
+/// Most pre-arm checks.
+pub const MAX_CHECKS: usize = 16;
+
+/// One tick. The estimates are read from [`super::Flight::estimates`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepReport {
+    /// The frame from before the attack: one recorded flight can be flown again under another one.
+    pub sensed: SensorFrame,
+    /// The frame the estimators saw.
+    pub received: SensorFrame,
+    /// Flight mode in this tick.
+    pub mode: Mode,
+    /// Are the motors allowed to turn?
+    pub armed: bool,
+    /// The setpoint after limits and rate limits, as used in this tick.
+    pub setpoint: Setpoint,
+    /// Wrench asked for by the controller; zero while disarmed.
+    pub wrench: Wrench,
+    /// Wrench the mixer could give.
+    pub given: Wrench,
+    /// Goes to `Vehicle::actuate`.
+    pub command: MotorCommand,
+    /// What the vehicle said it applied after the tick before.
+    pub applied: MotorCommand,
+    /// Could the mixer not give what was asked?
+    pub saturated: bool,
+    /// Integrators of x, y, z (m s) and yaw (rad s).
+    pub integrator: [f64; 4],
+    /// The response to the last altitude step, while it is measured: about 10 Hz and when it ends.
+    pub step_response: Option<StepResponse>,
+}
+
+/// One pre-arm check.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Check {
+    /// Short name.
+    pub name: &'static str,
+    /// Passed?
+    pub passed: bool,
+    /// Why it fails, or what was measured, with the value.
+    pub reason: Text,
+}
+
+/// The flight as a whole.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlightStatus {
+    /// Time of the last tick.
+    pub time: FlightTime,
+    /// Flight mode.
+    pub mode: Mode,
+    /// Are the motors allowed to turn?
+    pub armed: bool,
+    /// Is a motor cut latched?
+    pub cut_latched: bool,
+    /// Failsafe acting now.
+    pub failsafe: Failsafe,
+    /// Why it acts, with the value; empty when none does.
+    pub failsafe_reason: Text,
+    /// Pre-arm checks.
+    pub checks: ArrayVec<Check, MAX_CHECKS>,
+    /// Do they all pass?
+    pub ready_to_arm: bool,
+    /// Battery voltage, V; `None` when not measured.
+    pub battery_v: Option<f64>,
+    /// Charge left, 0 to 1, from the voltage; `None` when not measured.
+    pub battery_fraction: Option<f64>,
+    /// Estimator in the loop.
+    pub estimator_in_loop: EstimatorKind,
+    /// Deadline misses since boot, as told by the runner.
+    pub deadline_misses: u64,
+    /// Revision of the gains in use.
+    pub gains_revision: GainsRevision,
+}
+
+/// The gains in use.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GainsInUse {
+    /// Number given by the ground; 0 is the set the agent started with.
+    pub revision: GainsRevision,
+    /// SHA-256 of K's values, row-major, little-endian.
+    pub sha256: [u8; 32],
+    /// Name of the controller.
+    pub controller: &'static str,
+    /// The weights they come from.
+    pub weights: Weights,
+    /// u = −K x; rows thrust N, torque x y z N m; columns as in [`Weights::state`].
+    pub k: SMatrix<f64, 4, 16>,
+    /// Largest real part of the closed-loop poles, 1/s: negative is stable.
+    pub slowest_pole_per_s: f64,
+}
