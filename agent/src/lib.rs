@@ -15,4 +15,6 @@ pub mod control;
 pub mod estimate;
 pub mod event;
 pub mod flight;
+pub mod frames;
+pub mod model;
 pub mod vehicle;

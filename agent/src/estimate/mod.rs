@@ -3,6 +3,8 @@
 //! Several run side by side in a bank (`bank.rs`); one of them is in the loop. None of them
 //! can tell whether an attack is on, nor see the truth.
 
+pub mod kalman;
+
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{ids::SensorId, time::FlightTime};

@@ -1,0 +1,3 @@
+//! Equations shared by estimators, controllers and the simulator.
+
+pub mod measure;
