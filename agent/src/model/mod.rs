@@ -1,3 +1,11 @@
-//! Equations shared by estimators, controllers and the simulator.
+//! Equations shared by estimators, controllers and the simulator. World ENU, body FLU, SI, radians.
 
+pub mod airframe;
+pub mod battery;
+pub mod integrate;
 pub mod measure;
+pub mod motor;
+pub mod rigid_body;
+
+/// Standard gravity of the sources, m/s² ([Umasankar]).
+pub const GRAVITY_MPS2: f64 = 9.81;
