@@ -18,4 +18,5 @@ pub mod event;
 pub mod flight;
 pub mod frames;
 pub mod model;
+pub mod recordings;
 pub mod vehicle;

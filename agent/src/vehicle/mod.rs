@@ -3,8 +3,12 @@
 //! Everything is SI, calibrated, in the body frame FLU or the world frame ENU; NED, FRD and degrees
 //! stay inside the driver that speaks them.
 
+pub mod replay;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
+
+use crate::recordings::RecordedControl;
 
 /// Most sensors of one kind that a frame can carry.
 pub const MAX_IMUS: usize = 4;
@@ -143,6 +147,24 @@ pub struct Truth {
     pub ground_force_n: f64,
 }
 
+impl Truth {
+    /// Nothing known at `time`: vectors NaN, attitude level, forces zero.
+    pub fn unknown(time: FlightTime) -> Self {
+        let nan = Vector3::from_element(f64::NAN);
+        Self {
+            time,
+            position_enu_m: nan,
+            velocity_enu_mps: nan,
+            world_from_body: UnitQuaternion::identity(),
+            body_rates_radps: nan,
+            specific_force_mps2: nan,
+            rotor_speed_radps: [0.0; ROTORS],
+            string_tension_n: [0.0; 4],
+            ground_force_n: 0.0,
+        }
+    }
+}
+
 /// Why a vehicle can no longer be flown.
 #[derive(Debug, thiserror::Error)]
 pub enum VehicleError {
@@ -185,6 +207,11 @@ pub trait Vehicle: Send {
 
     /// True state of the frame last sensed, where it is known.
     fn truth(&self) -> Option<Truth> {
+        None
+    }
+
+    /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
+    fn recorded_control(&self) -> Option<RecordedControl> {
         None
     }
 }

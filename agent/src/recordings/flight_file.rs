@@ -1,0 +1,235 @@
+//! Our own flight files: MCAP with the messages of the downlink.
+//!
+//! Every `Control` message ends a tick, so a flight comes back in the very ticks it was flown in.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1};
+
+use super::timeline::{Builder, Item, Recording, Sample};
+use super::{Format, RecordedControl, RecordingError};
+use crate::control::Setpoint;
+use crate::vehicle::{
+    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand, Truth,
+};
+
+/// Reads the whole file; one that was cut short is read up to its last whole chunk.
+pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
+    let bytes = std::fs::read(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+    let mut reader =
+        Reader { path, builder: Builder::default(), unreadable: BTreeMap::new(), boot_us: None, at: FlightTime(0) };
+    let stream = mcap::MessageStream::new_with_options(&bytes, mcap::read::Options::IgnoreEndMagic.into())
+        .map_err(|e| RecordingError::malformed(path, e.to_string()))?;
+    for message in stream {
+        match message {
+            Ok(message) => reader.take(&message)?,
+            Err(error) => {
+                reader.builder.notes.push(format!("cut short or damaged: {error}; read up to there"));
+                break;
+            }
+        }
+    }
+    for (topic, count) in &reader.unreadable {
+        reader.builder.notes.push(format!("{count} messages of {topic} could not be read"));
+    }
+    // The file's times are wall time; the flight's are since boot.
+    reader.builder.shift(reader.boot_us.unwrap_or(0));
+    reader.builder.finish(path, Format::Plumbline)
+}
+
+struct Reader<'a> {
+    path: &'a Path,
+    builder: Builder,
+    unreadable: BTreeMap<String, usize>,
+    /// Wall time at flight time zero, µs.
+    boot_us: Option<u64>,
+    /// Wall time of the tick the message belongs to; a delayed sample was measured earlier.
+    at: FlightTime,
+}
+
+impl Reader<'_> {
+    fn take(&mut self, message: &mcap::Message<'_>) -> Result<(), RecordingError> {
+        let Some((kind, instance)) = Kind::from_topic(&message.channel.topic) else { return Ok(()) };
+        let index = usize::from(instance.saturating_sub(1));
+        self.at = FlightTime(message.log_time / 1000);
+        let taken = match kind {
+            Kind::Imu => self.sensor(index, &message.data, imu),
+            Kind::Height => self.sensor(index, &message.data, height),
+            Kind::Barometer => self.sensor(index, &message.data, barometer),
+            Kind::Gnss => self.sensor(index, &message.data, gnss),
+            Kind::MocapPose => self.sensor(index, &message.data, mocap_pose),
+            Kind::CameraRanges => self.sensor(index, &message.data, camera_ranges),
+            Kind::Truth => v1::Truth::decode(&*message.data).ok().and_then(|m| self.truth(&m)),
+            Kind::Control => v1::Control::decode(&*message.data).ok().and_then(|m| self.control(&m)),
+            Kind::Description => return self.description(&message.data),
+            _ => Some(()),
+        };
+        if taken.is_none() {
+            *self.unreadable.entry(message.channel.topic.clone()).or_default() += 1;
+        }
+        Ok(())
+    }
+
+    fn description(&mut self, bytes: &[u8]) -> Result<(), RecordingError> {
+        let Ok(message) = v1::Description::decode(bytes) else { return Ok(()) };
+        if message.schema != u32::from(plumbline_proto::SCHEMA) {
+            return Err(RecordingError::malformed(
+                self.path,
+                format!("schema {}, this build flies schema {} again", message.schema, plumbline_proto::SCHEMA),
+            ));
+        }
+        self.builder.airframe = Some(message.airframe);
+        self.builder.scenario = Some(message.scenario).filter(|s| !s.is_empty());
+        Ok(())
+    }
+
+    /// `convert` turns a message into the sample sensed and, where it differs, what was received.
+    fn sensor(&mut self, index: usize, bytes: &[u8], convert: Convert) -> Option<()> {
+        let (sensed, received) = convert(index, bytes)?;
+        self.builder.push(self.at, Item::Sensed(sensed));
+        if let Some((sensor, received)) = received {
+            self.builder.push(self.at, Item::Received(sensor, received));
+        }
+        Some(())
+    }
+
+    fn truth(&mut self, m: &v1::Truth) -> Option<()> {
+        let time = FlightTime(m.time_us);
+        let rotors = |values: &[f64]| std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0));
+        let truth = Truth {
+            time,
+            position_enu_m: vector(m.position_enu_m.as_ref()?),
+            velocity_enu_mps: vector(m.velocity_enu_mps.as_ref()?),
+            world_from_body: quaternion(m.world_from_body.as_ref()?)?,
+            body_rates_radps: vector(m.body_rates_radps.as_ref()?),
+            specific_force_mps2: vector(m.specific_force_mps2.as_ref()?),
+            rotor_speed_radps: rotors(&m.rotor_speed_radps),
+            string_tension_n: rotors(&m.string_tension_n),
+            ground_force_n: m.ground_force_n,
+        };
+        self.builder.push(self.at, Item::Truth(truth));
+        Some(())
+    }
+
+    fn control(&mut self, m: &v1::Control) -> Option<()> {
+        self.boot_us.get_or_insert(self.at.0.saturating_sub(m.time_us));
+        let s = m.setpoint.as_ref()?;
+        let value = |v: Option<f64>| v.unwrap_or(0.0);
+        let setpoint = Setpoint {
+            position_enu_m: Vector3::new(value(s.x_m), value(s.y_m), value(s.altitude_m)),
+            velocity_enu_mps: Vector3::zeros(),
+            roll_pitch_yaw_rad: Vector3::new(value(s.roll_rad), value(s.pitch_rad), value(s.yaw_rad)),
+            throttle: value(s.throttle),
+        };
+        let mut applied = MotorCommand::default();
+        for (slot, value) in applied.throttle.iter_mut().zip(&m.motor_applied) {
+            *slot = *value;
+        }
+        self.builder.push(self.at, Item::Applied(applied));
+        let control = RecordedControl { mode: m.mode(), armed: m.armed, setpoint };
+        self.builder.push(self.at, Item::Control(control));
+        if let Some(volts) = m.battery_v {
+            self.builder.push(self.at, Item::Battery(volts));
+        }
+        self.builder.push(self.at, Item::Tick);
+        Some(())
+    }
+}
+
+type Converted = (Sample, Option<(SensorId, Option<Sample>)>);
+type Convert = fn(usize, &[u8]) -> Option<Converted>;
+
+/// Sample sensed and received, from a message's parts.
+fn sample<R>(
+    time_us: u64,
+    reception: v1::Reception,
+    sensed: Option<R>,
+    received: Option<R>,
+    sensor: (v1::SensorKind, usize),
+    make: impl Fn(FlightTime, R) -> Option<Sample>,
+) -> Option<Converted> {
+    let time = FlightTime(time_us);
+    let id = SensorId::new(sensor.0, sensor.1 as u8 + 1);
+    let received = match reception {
+        v1::Reception::AsSensed => None,
+        v1::Reception::Altered => Some((id, Some(make(time, received?)?))),
+        v1::Reception::Dropped => Some((id, None)),
+    };
+    Some((make(time, sensed?)?, received))
+}
+
+fn imu(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::ImuSample::decode(bytes).ok()?;
+    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Imu, index), |time, r| {
+        let imu = ImuSample {
+            time,
+            gyro_radps: vector(r.gyro_radps.as_ref()?),
+            accel_mps2: vector(r.accel_mps2.as_ref()?),
+            mag_ut: r.mag_ut.as_ref().map(vector),
+            temperature_c: r.temperature_c,
+        };
+        Some(Sample::Imu(index, imu))
+    })
+}
+
+fn height(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::HeightSample::decode(bytes).ok()?;
+    let sensor = (v1::SensorKind::Height, index);
+    sample(m.time_us, m.reception(), Some(m.sensed_m), m.received_m, sensor, |time, height_m| {
+        Some(Sample::Height(index, HeightSample { time, height_m }))
+    })
+}
+
+fn barometer(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::BarometerSample::decode(bytes).ok()?;
+    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Barometer, index), |time, r| {
+        let sample = BarometerSample { time, pressure_pa: r.pressure_pa, temperature_c: r.temperature_c };
+        Some(Sample::Barometer(index, sample))
+    })
+}
+
+fn gnss(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::GnssSample::decode(bytes).ok()?;
+    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Gnss, index), |time, r| {
+        Some(Sample::Gnss(GnssSample {
+            time,
+            position_enu_m: vector(r.position_enu_m.as_ref()?),
+            velocity_enu_mps: vector(r.velocity_enu_mps.as_ref()?),
+            geodetic: [r.latitude_deg, r.longitude_deg, r.altitude_m],
+            horizontal_sigma_m: r.horizontal_sigma_m,
+            vertical_sigma_m: r.vertical_sigma_m,
+            satellites: r.satellites,
+        }))
+    })
+}
+
+fn mocap_pose(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::MocapPoseSample::decode(bytes).ok()?;
+    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::MocapPose, index), |time, r| {
+        Some(Sample::MocapPose(MocapPoseSample {
+            time,
+            position_enu_m: vector(r.position_enu_m.as_ref()?),
+            world_from_body: quaternion(r.world_from_body.as_ref()?)?,
+        }))
+    })
+}
+
+fn camera_ranges(index: usize, bytes: &[u8]) -> Option<Converted> {
+    let m = v1::CameraRangesSample::decode(bytes).ok()?;
+    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::CameraRanges, index), |time, r| {
+        let range_m = r.range_m.first_chunk().copied()?;
+        Some(Sample::CameraRanges(CameraRangesSample { time, range_m }))
+    })
+}
+
+fn vector(v: &v1::Vector3) -> Vector3<f64> {
+    Vector3::new(v.x, v.y, v.z)
+}
+
+/// The unit quaternion with exactly these components, so that a replay repeats every bit.
+fn quaternion(q: &v1::Quaternion) -> Option<UnitQuaternion<f64>> {
+    let q = Quaternion::new(q.w, q.x, q.y, q.z);
+    ((q.norm() - 1.0).abs() < 1e-6).then(|| UnitQuaternion::new_unchecked(q))
+}

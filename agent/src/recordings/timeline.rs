@@ -1,0 +1,218 @@
+//! Samples of a whole recording in time order, cut into ticks.
+
+use std::path::Path;
+
+use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
+
+use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo};
+use crate::vehicle::{
+    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand,
+    SensorFrame, Truth,
+};
+
+/// One sample, with the index of its instance (from 0).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Sample {
+    Imu(usize, ImuSample),
+    Height(usize, HeightSample),
+    Barometer(usize, BarometerSample),
+    Gnss(GnssSample),
+    MocapPose(MocapPoseSample),
+    CameraRanges(CameraRangesSample),
+}
+
+impl Sample {
+    fn sensor(&self) -> SensorId {
+        let (kind, index) = match self {
+            Sample::Imu(i, _) => (SensorKind::Imu, *i),
+            Sample::Height(i, _) => (SensorKind::Height, *i),
+            Sample::Barometer(i, _) => (SensorKind::Barometer, *i),
+            Sample::Gnss(_) => (SensorKind::Gnss, 0),
+            Sample::MocapPose(_) => (SensorKind::MocapPose, 0),
+            Sample::CameraRanges(_) => (SensorKind::CameraRanges, 0),
+        };
+        SensorId::new(kind, index as u8 + 1)
+    }
+
+    fn put(self, frame: &mut SensorFrame) {
+        match self {
+            Sample::Imu(i, s) => set(frame.imus.get_mut(i), s),
+            Sample::Height(i, s) => set(frame.heights.get_mut(i), s),
+            Sample::Barometer(i, s) => set(frame.barometers.get_mut(i), s),
+            Sample::Gnss(s) => frame.gnss = Some(s),
+            Sample::MocapPose(s) => frame.mocap_pose = Some(s),
+            Sample::CameraRanges(s) => frame.camera_ranges = Some(s),
+        }
+    }
+}
+
+fn set<S>(slot: Option<&mut Option<S>>, sample: S) {
+    if let Some(slot) = slot {
+        *slot = Some(sample);
+    }
+}
+
+/// Something a recording says at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Item {
+    Sensed(Sample),
+    /// What the estimators got instead; `None` with the sensor when it was withheld.
+    Received(SensorId, Option<Sample>),
+    Applied(MotorCommand),
+    Truth(Truth),
+    Control(RecordedControl),
+    Battery(f64),
+    /// Ends the tick: everything since the tick before belongs to it.
+    Tick,
+}
+
+/// A recording being played.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    info: RecordingInfo,
+    items: Vec<(FlightTime, Item)>,
+    next: usize,
+}
+
+/// Gathers the items of a recording in any order.
+#[derive(Debug, Default)]
+pub(super) struct Builder {
+    items: Vec<(FlightTime, Item)>,
+    pub airframe: Option<String>,
+    pub scenario: Option<String>,
+    pub notes: Vec<String>,
+}
+
+impl Builder {
+    pub fn push(&mut self, time: FlightTime, item: Item) {
+        self.items.push((time, item));
+    }
+
+    /// Makes every time `by_us` earlier.
+    pub fn shift(&mut self, by_us: u64) {
+        for (time, _) in &mut self.items {
+            time.0 = time.0.saturating_sub(by_us);
+        }
+    }
+
+    /// Sorts by time; items of one time keep the order in which they were pushed, ticks last.
+    ///
+    /// A tick at each sample of IMU 1 is added where the format has no ticks of its own.
+    pub fn finish(mut self, path: &Path, format: Format) -> Result<Recording, RecordingError> {
+        if !self.items.iter().any(|(_, item)| matches!(item, Item::Tick)) {
+            let imu_1 = |item: &Item| matches!(item, Item::Sensed(Sample::Imu(0, _)));
+            let ticks: Vec<_> =
+                self.items.iter().filter(|(_, item)| imu_1(item)).map(|(t, _)| (*t, Item::Tick)).collect();
+            self.items.extend(ticks);
+        }
+        self.items.sort_by_key(|(time, item)| (*time, matches!(item, Item::Tick)));
+        let mut ticks = self.items.iter().filter(|(_, item)| matches!(item, Item::Tick)).map(|(time, _)| *time);
+        let Some(first) = ticks.next() else {
+            return Err(RecordingError::malformed(path, "no sample of an IMU and no tick in it: nothing to fly"));
+        };
+        let (last, count) = ticks.fold((first, 1), |(_, n), time| (time, n + 1));
+        let duration_s = last.seconds_since(first);
+        let mut sensors: Vec<(SensorId, usize)> = Vec::new();
+        let mut has_truth = false;
+        for (_, item) in &self.items {
+            match item {
+                Item::Sensed(sample) => {
+                    let id = sample.sensor();
+                    match sensors.iter_mut().find(|(known, _)| *known == id) {
+                        Some((_, n)) => *n += 1,
+                        None => sensors.push((id, 1)),
+                    }
+                }
+                Item::Truth(_) => has_truth = true,
+                _ => {}
+            }
+        }
+        sensors.sort_by_key(|(id, _)| (id.kind as i32, id.instance));
+        let rate = |n: usize| if duration_s > 0.0 { n as f64 / duration_s } else { 0.0 };
+        let info = RecordingInfo {
+            source: path.to_owned(),
+            format,
+            span: (first, last),
+            ticks: count,
+            sensors: sensors.into_iter().map(|(id, n)| RecordedSensor { id, rate_hz: rate(n) }).collect(),
+            has_truth,
+            airframe: self.airframe,
+            scenario: self.scenario,
+            notes: self.notes,
+        };
+        Ok(Recording { info, items: self.items, next: 0 })
+    }
+}
+
+impl Recording {
+    /// What it holds.
+    pub fn info(&self) -> &RecordingInfo {
+        &self.info
+    }
+
+    /// Fraction played, 0 to 1.
+    pub fn progress(&self) -> f64 {
+        self.next as f64 / self.items.len().max(1) as f64
+    }
+
+    /// Starts again from the beginning.
+    pub fn rewind(&mut self) {
+        self.next = 0;
+    }
+
+    /// The next tick; `None` at the end. Samples that arrived between two ticks come with the later
+    /// one; of two samples of one sensor the later is kept.
+    pub fn next_tick(&mut self) -> Option<RecordedTick> {
+        let mut tick = RecordedTick::default();
+        while let Some((time, item)) = self.items.get(self.next).copied() {
+            self.next += 1;
+            match item {
+                Item::Sensed(sample) => {
+                    sample.put(&mut tick.sensed);
+                    if let Some(received) = &mut tick.received {
+                        sample.put(received);
+                    }
+                }
+                Item::Received(sensor, sample) => {
+                    let received = tick.received.get_or_insert(tick.sensed);
+                    match sample {
+                        Some(sample) => sample.put(received),
+                        None => withhold(received, sensor),
+                    }
+                }
+                Item::Applied(command) => tick.applied = Some(command),
+                Item::Truth(truth) => tick.truth = Some(truth),
+                Item::Control(control) => tick.control = Some(control),
+                Item::Battery(volts) => tick.sensed.battery_v = Some(volts),
+                Item::Tick => {
+                    tick.sensed.time = time;
+                    if let Some(received) = &mut tick.received {
+                        received.time = time;
+                        received.battery_v = tick.sensed.battery_v;
+                    }
+                    return Some(tick);
+                }
+            }
+        }
+        None
+    }
+}
+
+fn withhold(frame: &mut SensorFrame, sensor: SensorId) {
+    let index = usize::from(sensor.instance.saturating_sub(1));
+    match sensor.kind {
+        SensorKind::Imu => clear(frame.imus.get_mut(index)),
+        SensorKind::Height => clear(frame.heights.get_mut(index)),
+        SensorKind::Barometer => clear(frame.barometers.get_mut(index)),
+        SensorKind::Gnss => frame.gnss = None,
+        SensorKind::MocapPose => frame.mocap_pose = None,
+        SensorKind::CameraRanges => frame.camera_ranges = None,
+        SensorKind::Unspecified => {}
+    }
+}
+
+fn clear<S>(slot: Option<&mut Option<S>>) {
+    if let Some(slot) = slot {
+        *slot = None;
+    }
+}

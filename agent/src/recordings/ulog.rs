@@ -1,0 +1,373 @@
+//! PX4 ULog, versions 0 and 1: the container, and the topics that are sensors.
+//!
+//! Sensors: `sensor_combined` (IMU 1, FRD), `vehicle_magnetometer` (gauss; carried by the next IMU
+//! sample), `vehicle_air_data` or the older fields of `sensor_combined` (barometer),
+//! `vehicle_gps_position` (GNSS, about the first fix), `battery_status`, `actuator_outputs` (PWM µs).
+//! Truth: the `*_groundtruth` topics of the simulation. A file cut short is read up to the cut.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
+
+use super::timeline::{Builder, Item, Recording, Sample};
+use super::{Format, RecordingError};
+use crate::frames::{self, Enu, Flu, Frd, Ned};
+use crate::vehicle::{BarometerSample, GnssSample, ImuSample, MotorCommand, Truth};
+
+pub(super) const MAGIC: &[u8] = b"ULog\x01\x12\x35";
+
+/// µT in a gauss.
+const UT_PER_GAUSS: f64 = 100.0;
+
+#[derive(Debug, Clone, Copy)]
+enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "int8_t" | "char" => Scalar::I8,
+            "uint8_t" | "bool" => Scalar::U8,
+            "int16_t" => Scalar::I16,
+            "uint16_t" => Scalar::U16,
+            "int32_t" => Scalar::I32,
+            "uint32_t" => Scalar::U32,
+            "int64_t" => Scalar::I64,
+            "uint64_t" => Scalar::U64,
+            "float" => Scalar::F32,
+            "double" => Scalar::F64,
+            _ => return None,
+        })
+    }
+
+    fn size(self) -> usize {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::I64 | Scalar::U64 | Scalar::F64 => 8,
+        }
+    }
+
+    fn read(self, bytes: &[u8]) -> Option<f64> {
+        fn le<const N: usize>(bytes: &[u8]) -> Option<[u8; N]> {
+            bytes.first_chunk::<N>().copied()
+        }
+        Some(match self {
+            Scalar::I8 => f64::from(i8::from_le_bytes(le(bytes)?)),
+            Scalar::U8 => f64::from(u8::from_le_bytes(le(bytes)?)),
+            Scalar::I16 => f64::from(i16::from_le_bytes(le(bytes)?)),
+            Scalar::U16 => f64::from(u16::from_le_bytes(le(bytes)?)),
+            Scalar::I32 => f64::from(i32::from_le_bytes(le(bytes)?)),
+            Scalar::U32 => f64::from(u32::from_le_bytes(le(bytes)?)),
+            Scalar::I64 => i64::from_le_bytes(le(bytes)?) as f64,
+            Scalar::U64 => u64::from_le_bytes(le(bytes)?) as f64,
+            Scalar::F32 => f64::from(f32::from_le_bytes(le(bytes)?)),
+            Scalar::F64 => f64::from_le_bytes(le(bytes)?),
+        })
+    }
+}
+
+/// Fields of one message format that are plain numbers, by name (`output[3]` for arrays).
+type Layout = HashMap<String, (usize, Scalar)>;
+
+/// One data message of a subscribed topic.
+struct Message<'a> {
+    layout: &'a Layout,
+    data: &'a [u8],
+}
+
+impl Message<'_> {
+    fn get(&self, field: &str) -> Option<f64> {
+        let (offset, scalar) = self.layout.get(field)?;
+        scalar.read(self.data.get(*offset..)?)
+    }
+
+    fn vector(&self, fields: [&str; 3]) -> Option<Vector3<f64>> {
+        Some(Vector3::new(self.get(fields[0])?, self.get(fields[1])?, self.get(fields[2])?))
+    }
+
+    fn array(&self, field: &str) -> Option<Vector3<f64>> {
+        Some(Vector3::new(
+            self.get(&format!("{field}[0]"))?,
+            self.get(&format!("{field}[1]"))?,
+            self.get(&format!("{field}[2]"))?,
+        ))
+    }
+}
+
+pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
+    let bytes = std::fs::read(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+    read(path, &bytes)
+}
+
+fn read(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
+    let malformed = |reason: String| RecordingError::malformed(path, reason);
+    // Magic (7), version (1), start time (8).
+    let (header, mut rest) = bytes
+        .split_at_checked(16)
+        .ok_or_else(|| malformed(format!("{} bytes: shorter than a ULog header", bytes.len())))?;
+    if !header.starts_with(MAGIC) {
+        return Err(malformed("not a ULog file".into()));
+    }
+    let start_us = Scalar::U64.read(header.get(8..).unwrap_or_default()).unwrap_or_default() as u64;
+    let mut formats: HashMap<String, String> = HashMap::new();
+    let mut topics: HashMap<u16, (String, u8, Layout)> = HashMap::new();
+    let mut mapping = Mapping::new(start_us);
+    while let Some((&[s0, s1, kind], after)) = rest.split_first_chunk::<3>() {
+        let size = usize::from(u16::from_le_bytes([s0, s1]));
+        let Some((body, next)) = after.split_at_checked(size) else {
+            mapping.builder.notes.push("the file is cut short; read up to the cut".into());
+            break;
+        };
+        rest = next;
+        match kind {
+            b'F' => {
+                let text = String::from_utf8_lossy(body);
+                if let Some((name, fields)) = text.split_once(':') {
+                    formats.insert(name.to_owned(), fields.to_owned());
+                }
+            }
+            b'A' => {
+                if let Some((&[multi, i0, i1], name)) = body.split_first_chunk::<3>() {
+                    let name = String::from_utf8_lossy(name).into_owned();
+                    let layout = layout(&formats, &name).map_err(malformed)?;
+                    topics.insert(u16::from_le_bytes([i0, i1]), (name, multi, layout));
+                }
+            }
+            b'D' => {
+                if let Some((&[i0, i1], data)) = body.split_first_chunk::<2>()
+                    && let Some((name, multi, layout)) = topics.get(&u16::from_le_bytes([i0, i1]))
+                {
+                    mapping.take(name, *multi, &Message { layout, data });
+                }
+            }
+            _ => {}
+        }
+    }
+    mapping.builder.finish(path, Format::Px4Ulog)
+}
+
+/// Offsets of a format's numeric fields; nested formats count for their size.
+fn layout(formats: &HashMap<String, String>, name: &str) -> Result<Layout, String> {
+    let mut layout = Layout::new();
+    let mut offset = 0;
+    let fields = formats.get(name).ok_or_else(|| format!("topic {name:?} has no format"))?;
+    for field in fields.split(';').filter(|f| !f.is_empty()) {
+        let (type_text, field_name) =
+            field.split_once(' ').ok_or_else(|| format!("format {name}: field {field:?} has no name"))?;
+        let (base, count) = array_of(type_text)?;
+        match Scalar::parse(base) {
+            Some(scalar) => {
+                for i in 0..count {
+                    let key =
+                        if type_text.contains('[') { format!("{field_name}[{i}]") } else { field_name.to_owned() };
+                    layout.insert(key, (offset, scalar));
+                    offset += scalar.size();
+                }
+            }
+            None => offset += count * size_of_format(formats, base, 0)?,
+        }
+    }
+    Ok(layout)
+}
+
+fn array_of(type_text: &str) -> Result<(&str, usize), String> {
+    match type_text.split_once('[') {
+        None => Ok((type_text, 1)),
+        Some((base, rest)) => {
+            let count = rest.trim_end_matches(']').parse().map_err(|_| format!("array type {type_text:?}"))?;
+            Ok((base, count))
+        }
+    }
+}
+
+fn size_of_format(formats: &HashMap<String, String>, name: &str, depth: usize) -> Result<usize, String> {
+    if depth > 8 {
+        return Err(format!("format {name:?} nests deeper than 8"));
+    }
+    let fields = formats.get(name).ok_or_else(|| format!("unknown type {name:?}"))?;
+    let mut size = 0;
+    for field in fields.split(';').filter(|f| !f.is_empty()) {
+        let (base, count) = array_of(field.split(' ').next().unwrap_or_default())?;
+        size +=
+            count * Scalar::parse(base).map_or_else(|| size_of_format(formats, base, depth + 1), |s| Ok(s.size()))?;
+    }
+    Ok(size)
+}
+
+/// From topics to samples.
+struct Mapping {
+    builder: Builder,
+    start_us: u64,
+    mag_ut: Option<Vector3<f64>>,
+    last_mag_gauss: Option<Vector3<f64>>,
+    last_baro_m: f64,
+    origin: Option<[f64; 3]>,
+    truth: Option<Truth>,
+}
+
+impl Mapping {
+    fn new(start_us: u64) -> Self {
+        Self {
+            builder: Builder::default(),
+            start_us,
+            mag_ut: None,
+            last_mag_gauss: None,
+            last_baro_m: f64::NAN,
+            origin: None,
+            truth: None,
+        }
+    }
+
+    fn time(&self, message: &Message<'_>) -> Option<FlightTime> {
+        let stamp = message.get("timestamp")? as u64;
+        Some(FlightTime(stamp.saturating_sub(self.start_us)))
+    }
+
+    /// Other instances of a topic, and topics that are no sensors, are left out.
+    fn take(&mut self, topic: &str, multi_id: u8, message: &Message<'_>) {
+        let Some(time) = self.time(message) else { return };
+        if topic == "actuator_outputs" {
+            self.outputs(time, message);
+            return;
+        }
+        if multi_id != 0 {
+            return;
+        }
+        // A field that a version of PX4 does not have makes the sample absent, not wrong.
+        let _absent: Option<()> = match topic {
+            "sensor_combined" => self.imu(time, message),
+            "vehicle_magnetometer" => message.array("magnetometer_ga").map(|gauss| self.magnetometer(gauss)),
+            "vehicle_air_data" => self.barometer(
+                time,
+                message.get("baro_alt_meter"),
+                message.get("baro_pressure_pa"),
+                message.get("baro_temp_celcius"),
+            ),
+            "vehicle_gps_position" => self.gnss(time, message),
+            "battery_status" => message.get("voltage_v").map(|volts| self.builder.push(time, Item::Battery(volts))),
+            "vehicle_attitude_groundtruth" => self.true_attitude(time, message),
+            "vehicle_local_position_groundtruth" => self.true_position(time, message),
+            _ => None,
+        };
+    }
+
+    fn imu(&mut self, time: FlightTime, message: &Message<'_>) -> Option<()> {
+        // Before 2019 sensor_combined carried the magnetometer and the barometer too.
+        if let Some(gauss) = message.array("magnetometer_ga")
+            && self.last_mag_gauss != Some(gauss)
+        {
+            self.last_mag_gauss = Some(gauss);
+            self.magnetometer(gauss);
+        }
+        if let Some(altitude_m) = message.get("baro_alt_meter")
+            && altitude_m != self.last_baro_m
+        {
+            self.last_baro_m = altitude_m;
+            self.barometer(time, Some(altitude_m), None, message.get("baro_temp_celcius"));
+        }
+        let Flu(gyro_radps) = Frd(message.array("gyro_rad")?).into();
+        let Flu(accel_mps2) = Frd(message.array("accelerometer_m_s2")?).into();
+        let imu = ImuSample { time, gyro_radps, accel_mps2, mag_ut: self.mag_ut.take(), temperature_c: 25.0 };
+        self.builder.push(time, Item::Sensed(Sample::Imu(0, imu)));
+        Some(())
+    }
+
+    fn magnetometer(&mut self, gauss: Vector3<f64>) {
+        let Flu(field) = Frd(gauss * UT_PER_GAUSS).into();
+        self.mag_ut = Some(field);
+    }
+
+    fn barometer(
+        &mut self,
+        time: FlightTime,
+        altitude_m: Option<f64>,
+        pressure_pa: Option<f64>,
+        temperature_c: Option<f64>,
+    ) -> Option<()> {
+        // Inverse of the barometric formula ([Strategies], errata 10) where only altitude is logged.
+        let pressure_pa = pressure_pa.or(altitude_m.map(|h| 101_325.0 * (1.0 - h / 44_330.0).powf(5.255)))?;
+        let sample = BarometerSample { time, pressure_pa, temperature_c: temperature_c.unwrap_or(25.0) };
+        self.builder.push(time, Item::Sensed(Sample::Barometer(0, sample)));
+        Some(())
+    }
+
+    fn gnss(&mut self, time: FlightTime, message: &Message<'_>) -> Option<()> {
+        if message.get("fix_type")? < 3.0 {
+            return None;
+        }
+        // Degrees · 1e7 and mm until 2023, degrees and m after.
+        let (latitude_deg, longitude_deg, altitude_m) =
+            match (message.get("latitude_deg"), message.get("longitude_deg"), message.get("altitude_msl_m")) {
+                (Some(lat), Some(lon), Some(alt)) => (lat, lon, alt),
+                _ => (message.get("lat")? * 1e-7, message.get("lon")? * 1e-7, message.get("alt")? * 1e-3),
+            };
+        let here = [latitude_deg, longitude_deg, altitude_m];
+        let origin = *self.origin.get_or_insert(here);
+        let Enu(velocity_enu_mps) = Ned(message.vector(["vel_n_m_s", "vel_e_m_s", "vel_d_m_s"])?).into();
+        let fix = GnssSample {
+            time,
+            position_enu_m: local_enu_m(origin, here),
+            velocity_enu_mps,
+            geodetic: here,
+            horizontal_sigma_m: message.get("eph")?,
+            vertical_sigma_m: message.get("epv")?,
+            satellites: message.get("satellites_used")? as u32,
+        };
+        self.builder.push(time, Item::Sensed(Sample::Gnss(fix)));
+        Some(())
+    }
+
+    fn outputs(&mut self, time: FlightTime, message: &Message<'_>) -> Option<()> {
+        let mut command = MotorCommand::default();
+        for (i, throttle) in command.throttle.iter_mut().enumerate() {
+            let pwm_us = message.get(&format!("output[{i}]"))?;
+            *throttle = ((pwm_us - 1000.0) / 1000.0).clamp(0.0, 1.0);
+        }
+        self.builder.push(time, Item::Applied(command));
+        Some(())
+    }
+
+    fn true_attitude(&mut self, time: FlightTime, message: &Message<'_>) -> Option<()> {
+        let q = Quaternion::new(message.get("q[0]")?, message.get("q[1]")?, message.get("q[2]")?, message.get("q[3]")?);
+        let world_from_body = frames::enu_from_flu(UnitQuaternion::try_new(q, 1e-3)?);
+        let truth = Truth { time, world_from_body, ..self.truth.unwrap_or_else(|| Truth::unknown(time)) };
+        self.truth = Some(truth);
+        self.builder.push(time, Item::Truth(truth));
+        Some(())
+    }
+
+    fn true_position(&mut self, time: FlightTime, message: &Message<'_>) -> Option<()> {
+        let Enu(position_enu_m) = Ned(message.vector(["x", "y", "z"])?).into();
+        let Enu(velocity_enu_mps) = Ned(message.vector(["vx", "vy", "vz"])?).into();
+        // Attitude leads: position alone makes no truth.
+        self.truth = self.truth.map(|truth| Truth { time, position_enu_m, velocity_enu_mps, ..truth });
+        Some(())
+    }
+}
+
+/// Local tangent plane about `origin` (degrees, degrees, metres) with the radii of WGS 84 there.
+fn local_enu_m(origin: [f64; 3], here: [f64; 3]) -> Vector3<f64> {
+    const SEMI_MAJOR_M: f64 = 6_378_137.0;
+    const ECCENTRICITY_2: f64 = 6.694_379_990_14e-3;
+    let latitude = origin[0].to_radians();
+    let w2 = 1.0 - ECCENTRICITY_2 * latitude.sin().powi(2);
+    let meridian_m = SEMI_MAJOR_M * (1.0 - ECCENTRICITY_2) / w2.powf(1.5);
+    let prime_vertical_m = SEMI_MAJOR_M / w2.sqrt();
+    let north = (here[0] - origin[0]).to_radians() * meridian_m;
+    let east = (here[1] - origin[1]).to_radians() * prime_vertical_m * latitude.cos();
+    Vector3::new(east, north, here[2] - origin[2])
+}

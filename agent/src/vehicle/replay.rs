@@ -1,0 +1,64 @@
+//! A recording flown again: its samples come back, its motors are those of the recording.
+
+use super::{MotorCommand, SensorFrame, Truth, Vehicle, VehicleError};
+use crate::recordings::{RecordedControl, RecordedTick, Recording, RecordingInfo};
+
+/// Which of the recorded samples are flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Samples {
+    /// As the estimators received them then, attacks included.
+    #[default]
+    Received,
+    /// As they were sensed: clean, ready for another attack schedule.
+    Sensed,
+}
+
+/// A recording as a vehicle.
+#[derive(Debug)]
+pub struct ReplayVehicle {
+    recording: Recording,
+    samples: Samples,
+    tick: RecordedTick,
+    command: MotorCommand,
+}
+
+impl ReplayVehicle {
+    /// Flies `recording` from its first tick.
+    pub fn new(recording: Recording, samples: Samples) -> Self {
+        Self { recording, samples, tick: RecordedTick::default(), command: MotorCommand::default() }
+    }
+
+    /// What the recording holds.
+    pub fn info(&self) -> &RecordingInfo {
+        self.recording.info()
+    }
+
+    /// Fraction flown, 0 to 1.
+    pub fn progress(&self) -> f64 {
+        self.recording.progress()
+    }
+}
+
+impl Vehicle for ReplayVehicle {
+    fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
+        self.tick = self.recording.next_tick().ok_or(VehicleError::Finished(self.recording.info().span.1))?;
+        Ok(match (self.samples, self.tick.received) {
+            (Samples::Received, Some(received)) => received,
+            _ => self.tick.sensed,
+        })
+    }
+
+    /// The recorded command, whatever is asked; the last known one where this tick has none.
+    fn actuate(&mut self, _command: &MotorCommand) -> Result<MotorCommand, VehicleError> {
+        self.command = self.tick.applied.unwrap_or(self.command);
+        Ok(self.command)
+    }
+
+    fn truth(&self) -> Option<Truth> {
+        self.tick.truth
+    }
+
+    fn recorded_control(&self) -> Option<RecordedControl> {
+        self.tick.control
+    }
+}
