@@ -1,1 +1,6 @@
-//! Skeleton.
+//! The whole system through real processes and sockets, and the developer task runner.
+//!
+//! - [`xtask`]: what `cargo xtask …` does.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod xtask;

@@ -1,1 +1,5 @@
-fn main() {}
+//! `cargo xtask …`: see [`plumbline_tests::xtask`].
+
+fn main() -> std::process::ExitCode {
+    plumbline_tests::xtask::main()
+}
