@@ -4,6 +4,7 @@
 //! stay inside the driver that speaks them.
 
 pub mod replay;
+pub mod suite;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
