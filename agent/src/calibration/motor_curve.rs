@@ -6,10 +6,10 @@
 //! The line is measured at the battery's nominal voltage; a brushless motor's speed at a given command
 //! is proportional to the voltage, hence `voltage_ratio` = voltage / nominal voltage.
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 /// A motor's measured line, at nominal voltage.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorCurve {
     /// Speed just above command 0, rad/s.

@@ -14,7 +14,7 @@
 //! | d | `cg_below_rotors_m` | m; matters on a pivot rig only (ERRATA [Paternain] 4) |
 
 use nalgebra::{Matrix4, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use crate::calibration::motor_curve::MotorCurve;
 use crate::control::Wrench;
@@ -23,7 +23,7 @@ use crate::model::battery::BatteryPack;
 use crate::vehicle::ROTORS;
 
 /// Which way a rotor turns, seen from above.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Spin {
     /// Angular velocity along +z of the body; its reaction turns the body clockwise.
@@ -43,7 +43,7 @@ impl Spin {
 }
 
 /// One rotor; thrust along the body's +z.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rotor {
     /// Hub, from the centre of mass, body FLU, m.
@@ -53,7 +53,7 @@ pub struct Rotor {
 }
 
 /// A quadrotor as data. Build by name or from TOML; both are validated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Airframe {
     /// Short name, as used in scenarios.

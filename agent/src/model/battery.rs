@@ -4,7 +4,7 @@
 //! discharge curve of a LiPo cell. The current follows from the rotors' mechanical power:
 //! I = Σ b ω³ / (η V) + I₀. Assumes one temperature and a healthy pack.
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 /// Nominal voltage of one cell, V.
 pub const CELL_NOMINAL_V: f64 = 3.7;
@@ -17,7 +17,7 @@ const CELL_CURVE: [(f64, f64); 8] =
     [(0.0, 3.20), (0.05, 3.50), (0.10, 3.65), (0.20, 3.72), (0.40, 3.79), (0.60, 3.88), (0.80, 4.02), (1.0, 4.20)];
 
 /// What is printed on the pack, and its resistance.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BatteryPack {
     /// Cells in series.

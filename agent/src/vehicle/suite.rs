@@ -11,7 +11,7 @@
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use crate::vehicle::{CAMERAS, MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS};
 
@@ -21,7 +21,7 @@ pub const MAX_SENSORS: usize = MAX_IMUS + MAX_HEIGHTS + MAX_BAROMETERS + 3;
 pub const MAX_UNDER_WAY: usize = 32;
 
 /// When a sensor samples, and how much of it arrives. Present on every sensor.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Timing {
     /// Samples a second.
@@ -49,7 +49,7 @@ impl Timing {
 }
 
 /// One measured quantity: white noise, a bias that is constant but for a slow walk, resolution, range.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quality {
     /// White noise of one sample, one sigma.
@@ -92,7 +92,7 @@ impl Quality {
 }
 
 /// A 9-DOF inertial measurement unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Imu {
     /// For people.
@@ -114,7 +114,7 @@ pub struct Imu {
 }
 
 /// A laser height, looking down.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Height {
     /// For people.
@@ -138,7 +138,7 @@ fn default_tilt() -> f64 {
 }
 
 /// A barometer with its thermometer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Barometer {
     /// For people.
@@ -153,7 +153,7 @@ pub struct Barometer {
 }
 
 /// A GNSS receiver.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gnss {
     /// For people.
@@ -169,7 +169,7 @@ pub struct Gnss {
 }
 
 /// Motion-capture pose.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MocapPose {
     /// For people.
@@ -183,7 +183,7 @@ pub struct MocapPose {
 }
 
 /// Ranges to the motion-capture cameras ([Umasankar] Eq. 13).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraRanges {
     /// For people.
@@ -201,7 +201,7 @@ pub struct CameraRanges {
 }
 
 /// Every sensor of a vehicle. Instances count from 1 in each list.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suite {
     /// IMUs.
