@@ -1,6 +1,8 @@
 //! The whole system through real processes and sockets, and the developer task runner.
 //!
+//! - [`harness`]: start a ground and a vehicle, speak to them.
 //! - [`xtask`]: what `cargo xtask …` does.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod harness;
 pub mod xtask;

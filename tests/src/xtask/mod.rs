@@ -2,8 +2,14 @@
 //!
 //! Its own dependencies are few, so that a fresh clone spends its first minute on the product and not on its tools.
 
+mod browser;
 mod error;
+mod run;
+mod signals;
+mod tally;
+mod test;
 mod toolchain;
+mod tools;
 mod web;
 mod workspace;
 
@@ -12,7 +18,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 pub use error::XtaskError;
-pub use workspace::Workspace;
+pub use workspace::{Workspace, forget_cargo_run};
 
 /// `cargo xtask`: build, run, test and measure Plumbline.
 #[derive(Debug, Parser)]
@@ -24,6 +30,12 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Task {
+    /// Build everything, start the ground with a simulated quadrotor on strings (or a replay), print the address.
+    Run(run::Options),
+    /// Every check there is: format, clippy, all tests, the browser. Closing line: `N passed, N failed`.
+    Test(test::Options),
+    /// What CI runs: `test`.
+    Ci,
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
     Web(web::Options),
 }
@@ -32,10 +44,17 @@ enum Task {
 pub fn main() -> ExitCode {
     let Arguments { task } = Arguments::parse();
     let done = Workspace::find().and_then(|workspace| match task {
+        Task::Run(options) => run::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Test(options) => Ok(verdict(test::run(&workspace, &options))),
+        Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
     });
     done.unwrap_or_else(|error| {
         eprintln!("xtask: {error}");
         ExitCode::FAILURE
     })
+}
+
+fn verdict(good: bool) -> ExitCode {
+    if good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -1,0 +1,55 @@
+//! Where the product's binaries are.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+
+use crate::xtask::XtaskError;
+
+/// The two programs under test.
+#[derive(Debug, Clone)]
+pub struct Binaries {
+    /// `plumbline-agent`.
+    pub agent: PathBuf,
+    /// `plumbline-ground`.
+    pub ground: PathBuf,
+}
+
+impl Binaries {
+    /// In this folder, whether they are there yet or not.
+    pub fn inside(folder: &Path) -> Self {
+        let program = |name: &str| folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+        Self { agent: program("plumbline-agent"), ground: program("plumbline-ground") }
+    }
+
+    /// Those that belong to the running test: `PLUMBLINE_BINARIES`, or the folder above the test's own, built first.
+    ///
+    /// # Errors
+    /// The build failed.
+    pub fn for_tests() -> Result<Self, XtaskError> {
+        if let Some(folder) = std::env::var_os("PLUMBLINE_BINARIES") {
+            return Ok(Self::inside(Path::new(&folder)));
+        }
+        let test = std::env::current_exe().map_err(XtaskError::file("the running test"))?;
+        let folder = test.ancestors().nth(2).unwrap_or(Path::new(".")).to_path_buf();
+        static BUILT: OnceLock<bool> = OnceLock::new();
+        if *BUILT.get_or_init(|| build(&folder)) {
+            Ok(Self::inside(&folder))
+        } else {
+            Err(XtaskError::Other(format!("the binaries for {} could not be built", folder.display())))
+        }
+    }
+}
+
+/// Builds both in the profile whose folder this is.
+fn build(folder: &Path) -> bool {
+    let release = folder.file_name().is_some_and(|name| name == "release");
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo.current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null()).stdout(Stdio::null());
+    cargo.args(["build", "--quiet", "--bins", "--package", "plumbline-agent", "--package", "plumbline-ground"]);
+    if release {
+        cargo.arg("--release");
+    }
+    crate::xtask::forget_cargo_run(&mut cargo);
+    cargo.status().is_ok_and(|status| status.success())
+}

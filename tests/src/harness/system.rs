@@ -1,0 +1,236 @@
+//! A ground and a vehicle, paired with each other.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use super::{Api, Binaries, Process};
+use crate::xtask::XtaskError;
+
+/// Either program says what it listens on, or is in the list of vehicles, well within this.
+const START: Duration = Duration::from_secs(20);
+/// After Ctrl-C recordings are finished and connections closed within this.
+const STOP: Duration = Duration::from_secs(10);
+const POLL: Duration = Duration::from_millis(25);
+
+/// What flies.
+#[derive(Debug, Clone)]
+pub enum Vehicle {
+    /// The simulator under this scenario.
+    Simulated {
+        /// Scenario file (TOML).
+        scenario: PathBuf,
+    },
+    /// A recording, flown again.
+    Replayed {
+        /// The recording.
+        file: PathBuf,
+        /// Times real time.
+        speed: f64,
+    },
+}
+
+/// How to start a [`System`].
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The programs.
+    pub binaries: Binaries,
+    /// Folder for recordings, identities and the onboard log.
+    pub data: PathBuf,
+    /// Port of the page; 0 for any free one. The agents' port is free unless this one is given, and then the next.
+    pub port: u16,
+    /// Echo what both programs say.
+    pub echo: bool,
+}
+
+/// A running ground.
+#[derive(Debug)]
+pub struct Ground {
+    /// The process.
+    pub process: Process,
+    /// Its HTTP interface.
+    pub api: Api,
+    /// Where agents connect.
+    pub link: SocketAddr,
+    /// Folder of its link identity.
+    pub identity: PathBuf,
+}
+
+/// A running agent.
+#[derive(Debug)]
+pub struct Agent {
+    /// The process.
+    pub process: Process,
+    /// Its name.
+    pub id: String,
+    /// Folder of its link identity.
+    pub identity: PathBuf,
+}
+
+/// Ground and agent, paired.
+#[derive(Debug)]
+pub struct System {
+    /// The ground.
+    pub ground: Ground,
+    /// The agent.
+    pub agent: Agent,
+}
+
+impl System {
+    /// Starts both and waits until the ground lists the vehicle as connected.
+    ///
+    /// # Errors
+    /// Either did not start, or they did not find each other; with their last lines.
+    pub fn start(options: &Options, vehicle: &Vehicle) -> Result<Self, XtaskError> {
+        let ground = Ground::start(options)?;
+        let agent = Agent::start(options, "iris-1", vehicle, &ground)?;
+        Ok(Self { ground, agent })
+    }
+
+    /// The ground's HTTP interface.
+    pub fn api(&self) -> &Api {
+        &self.ground.api
+    }
+
+    /// Path of a route of our vehicle.
+    pub fn vehicle(&self, route: &str) -> String {
+        format!("/api/vehicles/{}/{route}", self.agent.id)
+    }
+
+    /// Ends both as Ctrl-C would, the vehicle first so that its recording is complete.
+    ///
+    /// # Errors
+    /// One of them had to be killed, or ended with an error.
+    pub fn stop(mut self) -> Result<(), XtaskError> {
+        let agent = end(&mut self.agent.process);
+        let ground = end(&mut self.ground.process);
+        agent.and(ground)
+    }
+}
+
+fn end(process: &mut Process) -> Result<(), XtaskError> {
+    let status = process.interrupt(STOP)?;
+    if status.success() {
+        Ok(())
+    } else {
+        let lines = process.last_lines(20);
+        Err(XtaskError::Other(format!("{} ended with {status} after Ctrl-C:\n{lines}", process.name)))
+    }
+}
+
+impl Ground {
+    /// Starts a ground and waits until it listens.
+    ///
+    /// # Errors
+    /// It did not start; with its last lines.
+    pub fn start(options: &Options) -> Result<Self, XtaskError> {
+        let identity = options.data.join("identity/ground");
+        let mut command = Command::new(&options.binaries.ground);
+        let link_port = if options.port == 0 { 0 } else { options.port + 1 };
+        command.arg("--listen").arg(format!("127.0.0.1:{}", options.port));
+        command.arg("--link").arg(format!("127.0.0.1:{link_port}"));
+        command.arg("--data").arg(options.data.join("ground")).arg("--identity").arg(&identity);
+        let mut process = Process::start("ground", command, options.echo)?;
+        let page = process.wait_for(START, |line| address_after(line, "http://"))?;
+        let link = process.wait_for(START, |line| address_after(line, "udp://"))?;
+        let api = Api { address: page, operator: "system-test".into() };
+        Ok(Self { process, api, link, identity })
+    }
+}
+
+impl Agent {
+    /// Starts an agent, pairs it with `ground`, and waits until the ground lists it as connected.
+    ///
+    /// # Errors
+    /// It did not start or did not connect; with its last lines.
+    pub fn start(options: &Options, id: &str, vehicle: &Vehicle, ground: &Ground) -> Result<Self, XtaskError> {
+        let identity = options.data.join("identity").join(id);
+        let mut command = Command::new(&options.binaries.agent);
+        match vehicle {
+            Vehicle::Simulated { scenario } => command.args(["--vehicle", "sim", "--scenario"]).arg(scenario),
+            Vehicle::Replayed { file, speed } => {
+                command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed.to_string())
+            }
+        };
+        command.arg("--id").arg(id).arg("--ground").arg(ground.link.to_string());
+        command.arg("--identity").arg(&identity).arg("--log").arg(options.data.join("agent").join(id));
+        let process = Process::start(id, command, options.echo)?;
+        let mut agent = Self { process, id: id.to_owned(), identity };
+        pair(&agent.identity, id, &ground.identity)?;
+        agent.wait_until_connected(&ground.api)?;
+        Ok(agent)
+    }
+
+    fn wait_until_connected(&mut self, api: &Api) -> Result<(), XtaskError> {
+        let listed = wait_until(START, || {
+            let vehicles = api.get_json("/api/vehicles").unwrap_or_default();
+            let mut vehicles = vehicles.as_array().cloned().unwrap_or_default().into_iter();
+            vehicles.any(|vehicle| vehicle["id"] == self.id.as_str() && vehicle["connected"] == true).then_some(())
+        });
+        listed.ok_or_else(|| {
+            let _ = self.process.wait_for(Duration::ZERO, |_| None::<()>);
+            let lines = self.process.last_lines(20);
+            XtaskError::Other(format!("{} is not connected after {START:?}; its last lines:\n{lines}", self.id))
+        })
+    }
+}
+
+/// `scheme` followed by an address, anywhere in the line.
+fn address_after(line: &str, scheme: &str) -> Option<SocketAddr> {
+    let rest = line.split(scheme).nth(1)?;
+    let end = rest.find(|c: char| !(c.is_ascii_hexdigit() || ".:[]".contains(c))).unwrap_or(rest.len());
+    rest.get(..end)?.parse().ok()
+}
+
+/// Asks again until there is an answer or `limit` has passed.
+pub fn wait_until<T>(limit: Duration, mut ask: impl FnMut() -> Option<T>) -> Option<T> {
+    let until = Instant::now() + limit;
+    loop {
+        let answer = ask();
+        if answer.is_some() || Instant::now() >= until {
+            return answer;
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Carries each side's fingerprint into the other's list of peers, as the README tells to do by hand.
+fn pair(agent: &Path, id: &str, ground: &Path) -> Result<(), XtaskError> {
+    trust(agent, &fingerprint(ground)?, "ground")?;
+    trust(ground, &fingerprint(agent)?, id)
+}
+
+/// Both programs make their identity when they start.
+fn fingerprint(identity: &Path) -> Result<String, XtaskError> {
+    let file = identity.join("fingerprint");
+    let read =
+        || std::fs::read_to_string(&file).ok().map(|text| text.trim().to_owned()).filter(|text| !text.is_empty());
+    wait_until(START, read).ok_or_else(|| XtaskError::Other(format!("{} has not appeared", file.display())))
+}
+
+fn trust(identity: &Path, fingerprint: &str, name: &str) -> Result<(), XtaskError> {
+    let file = identity.join("peers");
+    let mut peers = std::fs::read_to_string(&file).unwrap_or_default();
+    if peers.contains(fingerprint) {
+        return Ok(());
+    }
+    if !peers.is_empty() && !peers.ends_with('\n') {
+        peers.push('\n');
+    }
+    peers.push_str(&format!("{fingerprint} {name}\n"));
+    std::fs::write(&file, peers).map_err(XtaskError::file(&file))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_found_in_what_the_programs_say() {
+        let line = "2026-11-21T10:00:00Z INFO page at http://127.0.0.1:4747/ agents at udp://127.0.0.1:4748";
+        assert_eq!(address_after(line, "http://").unwrap().port(), 4747);
+        assert_eq!(address_after(line, "udp://").unwrap().port(), 4748);
+        assert!(address_after(line, "https://").is_none());
+    }
+}

@@ -1,0 +1,82 @@
+//! `cargo xtask run`: the whole product with a simulated quadrotor on strings, from nothing.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::{Workspace, XtaskError, signals, web};
+use crate::harness::{Binaries, System, SystemOptions, Vehicle};
+
+const POLL: Duration = Duration::from_millis(100);
+
+/// What to run.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Options {
+    /// Fly this recording again instead of simulating.
+    #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
+    pub replay: Option<PathBuf>,
+    /// Speed of the replay, times real time.
+    #[arg(long, default_value_t = 1.0, requires = "replay")]
+    pub speed: f64,
+    /// Scenario to simulate; the default is the quadrotor hanging on four strings.
+    #[arg(long, value_name = "FILE")]
+    pub scenario: Option<PathBuf>,
+    /// Port of the page; agents connect to the next one (UDP).
+    #[arg(long, default_value_t = 4747)]
+    pub port: u16,
+    /// Where flights, identities and onboard logs are kept.
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Build without optimisation: starts sooner after a change, flies slower.
+    #[arg(long)]
+    pub dev: bool,
+}
+
+/// Builds, starts, and stays until Ctrl-C or until one of the programs ends.
+///
+/// # Errors
+/// What could not be built or started, or which program ended by itself.
+pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
+    let vehicle = match (&options.replay, &options.scenario) {
+        (Some(file), _) => Vehicle::Replayed { file: absolute(file)?, speed: options.speed },
+        (None, Some(scenario)) => Vehicle::Simulated { scenario: absolute(scenario)? },
+        (None, None) => Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) },
+    };
+    web::run(workspace, &web::Options { dev: options.dev, wasm: None })?;
+    eprintln!("xtask: building ground and agent");
+    let profile = if options.dev { "dev" } else { "release" };
+    let folder = if options.dev { "debug" } else { "release" };
+    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
+    super::workspace::run(
+        workspace.cargo().args(["build", "--locked", "--bins", "--profile", profile]).args(packages),
+    )?;
+
+    signals::catch();
+    let data = options.data.clone().unwrap_or_else(|| workspace.root.join("data"));
+    let system_options = SystemOptions {
+        binaries: Binaries::inside(&workspace.target.join(folder)),
+        data,
+        port: options.port,
+        echo: true,
+    };
+    let mut system = System::start(&system_options, &vehicle)?;
+    println!("\n  Plumbline is at  http://{}\n  Ctrl-C stops everything.\n", system.api().address);
+    while !signals::interrupted() {
+        let ended = [&mut system.ground.process, &mut system.agent.process]
+            .into_iter()
+            .find_map(|process| process.ended().map(|status| (process.name.clone(), status)));
+        if let Some((name, status)) = ended {
+            let _ = system.stop();
+            return Err(XtaskError::Other(format!("{name} ended by itself with {status}")));
+        }
+        std::thread::sleep(POLL);
+    }
+    eprintln!("xtask: stopping");
+    system.stop()
+}
+
+/// The quadrotor hanging on four strings.
+pub const DEFAULT_SCENARIO: &str = "tests/scenarios/altitude_step.toml";
+
+fn absolute(file: &std::path::Path) -> Result<PathBuf, XtaskError> {
+    std::fs::canonicalize(file).map_err(XtaskError::file(file))
+}

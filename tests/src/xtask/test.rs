@@ -1,0 +1,111 @@
+//! `cargo xtask test`: every check there is, set up from nothing, with one closing line.
+
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+
+use super::tally::{CargoTestOutput, Tally};
+use super::{Workspace, XtaskError, browser, signals, tools, web, workspace};
+
+/// What to check.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct Options {
+    /// Leave the browser out.
+    #[arg(long)]
+    pub no_browser: bool,
+}
+
+/// Runs everything; a step that fails does not stop the others. True when all is well.
+pub fn run(workspace: &Workspace, options: &Options) -> bool {
+    signals::catch();
+    let mut tally = Tally::default();
+    steps(workspace, options, &mut tally);
+    if signals::interrupted() {
+        tally.add("interrupted", 0, 1);
+    }
+    tally.good()
+}
+
+fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
+    type Step<'a> = (&'a str, &'a mut dyn FnMut(&mut Tally));
+    let steps: [Step; 5] = [
+        ("format", &mut |tally| {
+            let format = || {
+                tools::rust_components(workspace)?;
+                workspace::run(workspace.cargo().args(["fmt", "--all", "--check"]))
+            };
+            tally.check("format", format());
+        }),
+        // First the page: the ground embeds it.
+        ("page", &mut |tally| {
+            tally.check("page ≤ 2 MB", web::run(workspace, &web::Options::default()));
+        }),
+        ("clippy", &mut |tally| {
+            let arguments = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
+            tally.check("clippy", workspace::run(workspace.cargo().args(arguments)));
+        }),
+        ("cargo test", &mut |tally| cargo_test(workspace, tally)),
+        ("browser", &mut |tally| {
+            if options.no_browser {
+                eprintln!("xtask: browser left out, as asked");
+            } else {
+                browser::test(workspace, tally);
+            }
+        }),
+    ];
+    for (name, step) in steps {
+        if signals::interrupted() {
+            return;
+        }
+        let started = std::time::Instant::now();
+        eprintln!("\nxtask: {name}");
+        step(tally);
+        eprintln!("xtask: {name} took {:.0} s", started.elapsed().as_secs_f64());
+    }
+}
+
+/// Unit, integration, system and documentation tests of all members.
+fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
+    // Binaries and tests in one build, so that nothing is compiled twice for other features.
+    let built = workspace::run(workspace.cargo().args(["build", "--workspace", "--all-targets", "--locked"]));
+    if tally.check("build", built).is_none() {
+        return;
+    }
+    let mut cargo = workspace.cargo();
+    cargo.args(["test", "--workspace", "--locked", "--no-fail-fast"]).stdout(Stdio::piped());
+    cargo.env("PLUMBLINE_BINARIES", workspace.target.join("debug"));
+    if let Some(python) = tally.check("python with mcap", tools::python(workspace)) {
+        cargo.env("PLUMBLINE_PYTHON", python);
+    }
+    let mut output = CargoTestOutput::default();
+    let ran = run_and_read(&mut cargo, |line| {
+        output.line(line);
+        println!("{line}");
+    });
+    match ran {
+        Ok(success) => output.finish(success),
+        Err(error) => {
+            tally.check::<(), _>("cargo test", Err(error));
+        }
+    }
+    if output.ignored > 0 {
+        eprintln!("xtask: {} tests ignored", output.ignored);
+    }
+    tally.add("cargo test", output.passed, output.failed);
+}
+
+/// Runs to the end, passing on each line of its standard output. True when it says success.
+pub fn run_and_read(command: &mut std::process::Command, mut read: impl FnMut(&str)) -> Result<bool, XtaskError> {
+    let line = workspace::command_line(command);
+    let start = |source| XtaskError::Start { command: line.clone(), source };
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().map_err(start)?;
+    if let Some(stdout) = child.stdout.take() {
+        let mut lines = BufReader::new(stdout);
+        let mut bytes = Vec::new();
+        // Tests may print anything: bytes that are no UTF-8 must not end the reading.
+        while lines.read_until(b'\n', &mut bytes).map_err(start)? > 0 {
+            read(String::from_utf8_lossy(&bytes).trim_end_matches('\n'));
+            bytes.clear();
+        }
+    }
+    Ok(child.wait().map_err(start)?.success())
+}

@@ -1,0 +1,120 @@
+//! Programs that are not Rust: found, or installed where that is allowed, or named.
+
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use super::workspace::{apt_install, may_install, on_path, run};
+use super::{Workspace, XtaskError};
+
+/// The version our browser script is written for; it drives any recent Chromium.
+const PLAYWRIGHT: &str = "playwright-core@1.56.1";
+/// Third-party readers of our flight files.
+const PYTHON_PACKAGES: [&str; 2] = ["mcap>=1.2", "mcap-protobuf-support>=0.5"];
+
+/// Runs quietly and says whether it worked.
+fn works(command: &mut Command) -> bool {
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
+}
+
+/// The first of `programs` on the path, installing `package` if none is.
+fn program(programs: &[&str], package: &str) -> Result<PathBuf, XtaskError> {
+    let find = || programs.iter().find_map(|program| on_path(program));
+    if let Some(found) = find() {
+        return Ok(found);
+    }
+    let missing =
+        || XtaskError::Missing { what: programs.join(" or "), how: format!("  sudo apt-get install {package}") };
+    if !may_install() {
+        return Err(missing());
+    }
+    apt_install(&[package])?;
+    find().ok_or_else(missing)
+}
+
+/// rustfmt and clippy of the calling toolchain.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn rust_components(workspace: &Workspace) -> Result<(), XtaskError> {
+    for (subcommand, component) in [("fmt", "rustfmt"), ("clippy", "clippy")] {
+        let present = || works(workspace.cargo().args([subcommand, "--version"]));
+        if !present() {
+            let _ = run(Command::new("rustup").args(["component", "add", component]));
+        }
+        if !present() {
+            let how = format!("  rustup component add {component}");
+            return Err(XtaskError::Missing { what: component.into(), how });
+        }
+    }
+    Ok(())
+}
+
+/// A Python that can read MCAP.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn python(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let reads = |python: &PathBuf| works(Command::new(python).args(["-c", "import mcap.reader"]));
+    let folder = workspace.target.join("tools/python");
+    let own = folder.join("bin/python");
+    if reads(&own) {
+        return Ok(own);
+    }
+    let system = program(&["python3"], "python3")?;
+    if reads(&system) {
+        return Ok(system);
+    }
+    eprintln!("xtask: a Python environment with {} in {}", PYTHON_PACKAGES.join(", "), folder.display());
+    let create = || run(Command::new(&system).args(["-m", "venv", "--clear"]).arg(&folder));
+    if create().is_err() {
+        if !may_install() {
+            let how = "  sudo apt-get install python3-venv".into();
+            return Err(XtaskError::Missing { what: "python3 -m venv".into(), how });
+        }
+        apt_install(&["python3-venv"])?;
+        create()?;
+    }
+    run(Command::new(&own).args(["-m", "pip", "install", "--quiet"]).args(PYTHON_PACKAGES))?;
+    Ok(own)
+}
+
+/// What drives the browser.
+#[derive(Debug)]
+pub struct BrowserTools {
+    /// Node.
+    pub node: PathBuf,
+    /// Chromium.
+    pub chromium: PathBuf,
+    /// The folder that holds `node_modules/playwright-core`.
+    pub modules: PathBuf,
+}
+
+/// Node, Chromium and playwright-core.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn browser(workspace: &Workspace) -> Result<BrowserTools, XtaskError> {
+    let chromium = program(&["chromium", "chromium-browser", "google-chrome"], "chromium")?;
+    let node = program(&["node", "nodejs"], "nodejs")?;
+    let modules = workspace.target.join("tools/node");
+    let wanted = PLAYWRIGHT.rsplit('@').next().unwrap_or_default();
+    let package = modules.join("node_modules/playwright-core/package.json");
+    let present = || {
+        let text = std::fs::read(&package).unwrap_or_default();
+        serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|package| package["version"] == wanted)
+    };
+    if !present() {
+        let npm = program(&["npm"], "npm")?;
+        eprintln!("xtask: {PLAYWRIGHT} into {}", modules.display());
+        std::fs::create_dir_all(&modules).map_err(XtaskError::file(&modules))?;
+        let mut install = Command::new(npm);
+        install.args(["install", "--no-save", "--no-package-lock", "--no-audit", "--no-fund", "--prefix"]);
+        run(install.arg(&modules).arg(PLAYWRIGHT).current_dir(&modules))?;
+    }
+    Ok(BrowserTools { node, chromium, modules })
+}
