@@ -17,6 +17,7 @@ pub mod estimate;
 pub mod event;
 pub mod flight;
 pub mod frames;
+pub mod linalg;
 pub mod model;
 pub mod recordings;
 pub mod vehicle;

