@@ -18,6 +18,7 @@ pub mod event;
 pub mod flight;
 pub mod frames;
 pub mod linalg;
+pub mod mix;
 pub mod model;
 pub mod recordings;
 pub mod vehicle;

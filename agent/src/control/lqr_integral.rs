@@ -1,4 +1,42 @@
-//! LQR with integrals of the tracking error.
+//! LQR with integrals of the tracking error ([Paternain] VI-B), anti-windup and error limiting
+//! ([Paternain] VII-B).
+//!
+//! u = [m g, 0, 0, 0] − K [x − x_ref; ∫e], e = [x, y, z, yaw] − reference (deviation from
+//! [Paternain] VI-B as ERRATA 8: the integrals are of the tracking error). Position and velocity
+//! errors are turned into the heading frame, so that one K serves every yaw (ERRATA [Umasankar] 6).
+//! Thrust is divided by cos(roll) cos(pitch): the vertical component is what K asks for.
+//!
+//! - Error limiting: position, velocity and yaw errors are limited before they meet K, and the
+//!   horizontal loop's torque to what holds [`TILT_FROM_POSITION_RAD`].
+//! - Anti-windup: an integral is frozen while what the mixer could not give would be asked for
+//!   even more, and limited to [`INTEGRAL_LIMIT`].
+//! - While the horizontal loop is open, gains designed without x and y are used.
+
+use nalgebra::{SVector, Vector2, Vector3};
+
+use super::gains::{Certified, Gain};
+use super::{Controller, Loops, Setpoint, Wrench};
+use crate::estimate::Estimate;
+use crate::frames::{roll_pitch_yaw, wrap_pi};
+use crate::model::airframe::Airframe;
+use crate::model::linearize::ix;
+
+/// States that are integrated, in order.
+pub const INTEGRALS: [usize; 4] = [ix::X, ix::Y, ix::Z, ix::YAW];
+/// Limits of the position errors x, y, z, m.
+const POSITION_ERROR_MAX_M: [f64; 3] = [1.0, 1.0, 0.5];
+/// Limits of the velocity errors, m/s.
+const VELOCITY_ERROR_MAX_MPS: [f64; 3] = [2.0, 2.0, 1.5];
+/// Limit of the yaw error, rad.
+const YAW_ERROR_MAX_RAD: f64 = 0.5;
+/// Largest tilt the horizontal loop may ask for, rad.
+const TILT_FROM_POSITION_RAD: f64 = 0.30;
+/// Limits of the integrals: m s, m s, m s, rad s.
+const INTEGRAL_LIMIT: [f64; 4] = [2.0, 2.0, 1.5, 1.0];
+/// Thrust is raised for tilt up to this (60°), no further.
+const COS_TILT_MIN: f64 = 0.5;
+/// A wrench counts as not given when it differs by this fraction of the weight, or N m.
+const SHORTFALL: f64 = 1e-3;
 
 /// Diagonal weights. State order: x y z vx vy vz roll pitch yaw p q r, then the integrals of
 /// x y z yaw. Input order: thrust (N), torque x y z (N m).
@@ -8,4 +46,269 @@ pub struct Weights {
     pub state: [f64; 16],
     /// > 0; 1/(largest acceptable use)².
     pub input: [f64; 4],
+}
+
+impl Weights {
+    /// Bryson's rule with the deviations below; the largest uses follow from mass and inertia, so
+    /// that vehicles of every size get the same bandwidth: 10° of roll or pitch may cost the torque
+    /// of a 9 rad/s loop, 20° of yaw that of a 3 rad/s one, 20 cm of altitude the thrust of a
+    /// 4 rad/s one.
+    pub fn for_airframe(airframe: &Airframe) -> Self {
+        const DEVIATION: [f64; 16] = [
+            1.0, 1.0, 0.20, // m
+            1.2, 1.2, 1.0, // m/s
+            0.175, 0.175, 0.35, // rad
+            3.0, 3.0, 2.0, // rad/s
+            3.0, 3.0, 0.40, 0.60, // m s, rad s
+        ];
+        let i = airframe.inertia_kgm2;
+        let largest_use = [
+            airframe.mass_kg * 4.0_f64.powi(2) * DEVIATION[ix::Z],
+            i.x * 9.0_f64.powi(2) * DEVIATION[ix::ROLL],
+            i.y * 9.0_f64.powi(2) * DEVIATION[ix::PITCH],
+            i.z * 3.0_f64.powi(2) * DEVIATION[ix::YAW],
+        ];
+        Self { state: DEVIATION.map(|d| d.powi(-2)), input: largest_use.map(|u| u.powi(-2)) }
+    }
+}
+
+/// The controller.
+#[derive(Debug, Clone)]
+pub struct LqrIntegral {
+    k: Gain,
+    k_attitude: Gain,
+    weight_n: f64,
+    /// ∫e: x and y in the world frame.
+    integral: [f64; 4],
+    /// What could not be given at the tick before: asked − given; thrust, torque x y z.
+    shortfall: [f64; 4],
+}
+
+impl LqrIntegral {
+    /// The name in reports.
+    pub const NAME: &str = "lqr_integral";
+
+    /// With `gains`, for a vehicle of this weight.
+    pub fn new(airframe: &Airframe, gains: &Certified) -> Self {
+        Self {
+            k: gains.k,
+            k_attitude: gains.k_attitude,
+            weight_n: airframe.weight_n(),
+            integral: [0.0; 4],
+            shortfall: [0.0; 4],
+        }
+    }
+
+    /// Uses `gains` from now on. Bumpless: z and yaw integrals are rescaled so that what they
+    /// contribute to thrust and torque stays as it was; x and y likewise.
+    pub fn use_gains(&mut self, gains: &Certified) {
+        let rows = [ix::TORQUE_Y, ix::TORQUE_X, ix::THRUST, ix::TORQUE_Z];
+        for (i, row) in rows.into_iter().enumerate() {
+            let (old, new) = (self.k[(row, 12 + i)], gains.k[(row, 12 + i)]);
+            let scaled = self.integral[i] * old / new;
+            if scaled.is_finite() {
+                self.integral[i] = scaled.clamp(-INTEGRAL_LIMIT[i], INTEGRAL_LIMIT[i]);
+            }
+        }
+        self.k = gains.k;
+        self.k_attitude = gains.k_attitude;
+    }
+}
+
+impl Controller for LqrIntegral {
+    fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench {
+        let angles = roll_pitch_yaw(&estimate.world_from_body);
+        let (sin, cos) = angles.z.sin_cos();
+        let heading = |v: Vector2<f64>| Vector2::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x);
+
+        let position = limited(estimate.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
+        let velocity = limited(estimate.velocity_enu_mps - setpoint.velocity_enu_mps, &VELOCITY_ERROR_MAX_MPS);
+        let yaw = wrap_pi(angles.z - setpoint.roll_pitch_yaw_rad.z).clamp(-YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
+        let k = if loops.horizontal { self.k } else { self.k_attitude };
+
+        self.integrate([position.x, position.y, position.z, yaw], &k, loops, dt_s);
+        let mut e = SVector::<f64, 16>::zeros();
+        if loops.horizontal {
+            for (at, v) in [
+                (ix::X, position.xy()),
+                (ix::VX, velocity.xy()),
+                (12, Vector2::new(self.integral[0], self.integral[1])),
+            ] {
+                let v = heading(v);
+                e[at] = v.x;
+                e[at + 1] = v.y;
+            }
+        }
+        let horizontal = -k * e;
+        e.fill(0.0);
+        e[ix::ROLL] = angles.x - setpoint.roll_pitch_yaw_rad.x;
+        e[ix::PITCH] = angles.y - setpoint.roll_pitch_yaw_rad.y;
+        e[ix::YAW] = yaw;
+        e.fixed_rows_mut::<3>(ix::P).copy_from(&estimate.body_rates_radps);
+        e[15] = self.integral[3];
+        if loops.altitude {
+            e[ix::Z] = position.z;
+            e[ix::VZ] = velocity.z;
+            e[14] = self.integral[2];
+        }
+        let u = -k * e;
+        // The horizontal loop may ask for the torque that holds this tilt, no more.
+        let roll_limit = (k[(ix::TORQUE_X, ix::ROLL)] * TILT_FROM_POSITION_RAD).abs();
+        let pitch_limit = (k[(ix::TORQUE_Y, ix::PITCH)] * TILT_FROM_POSITION_RAD).abs();
+        let torque = Vector3::new(
+            u[ix::TORQUE_X] + horizontal[ix::TORQUE_X].clamp(-roll_limit, roll_limit),
+            u[ix::TORQUE_Y] + horizontal[ix::TORQUE_Y].clamp(-pitch_limit, pitch_limit),
+            u[ix::TORQUE_Z],
+        );
+        let thrust_n = if loops.altitude {
+            (self.weight_n + u[ix::THRUST]) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
+        } else {
+            self.weight_n * setpoint.throttle
+        };
+        Wrench { thrust_n: thrust_n.max(0.0), torque_flu_nm: torque }
+    }
+
+    fn applied(&mut self, asked: &Wrench, given: &Wrench) {
+        let torque = asked.torque_flu_nm - given.torque_flu_nm;
+        self.shortfall = [asked.thrust_n - given.thrust_n, torque.x, torque.y, torque.z];
+    }
+
+    fn integrator(&self) -> [f64; 4] {
+        self.integral
+    }
+
+    fn reset(&mut self) {
+        self.integral = [0.0; 4];
+        self.shortfall = [0.0; 4];
+    }
+}
+
+impl LqrIntegral {
+    fn integrate(&mut self, errors: [f64; 4], k: &Gain, loops: Loops, dt_s: f64) {
+        let closed = [loops.horizontal, loops.horizontal, loops.altitude, true];
+        // Integrals of z and yaw act on one input each; those of x and y through both tilt torques.
+        let input = [None, None, Some(ix::THRUST), Some(ix::TORQUE_Z)];
+        let tilt_short = self.shortfall[ix::TORQUE_X].abs().max(self.shortfall[ix::TORQUE_Y].abs()) > SHORTFALL;
+        for i in 0..4 {
+            if !closed[i] {
+                continue;
+            }
+            let step = errors[i] * dt_s;
+            let frozen = match input[i] {
+                // −K ∫e: does this step ask for more of what could not be given?
+                Some(row) => {
+                    let shortfall = self.shortfall[row];
+                    let threshold = if row == ix::THRUST { SHORTFALL * self.weight_n } else { SHORTFALL };
+                    shortfall.abs() > threshold && -k[(row, 12 + i)] * step * shortfall > 0.0
+                }
+                None => tilt_short,
+            };
+            if !frozen && step.is_finite() {
+                self.integral[i] = (self.integral[i] + step).clamp(-INTEGRAL_LIMIT[i], INTEGRAL_LIMIT[i]);
+            }
+        }
+    }
+}
+
+fn limited(v: Vector3<f64>, limit: &[f64; 3]) -> Vector3<f64> {
+    Vector3::new(v.x.clamp(-limit[0], limit[0]), v.y.clamp(-limit[1], limit[1]), v.z.clamp(-limit[2], limit[2]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::gains::certify;
+    use crate::frames::from_roll_pitch_yaw;
+    use plumbline_proto::ids::GainsRevision;
+
+    const FULL: Loops = Loops { horizontal: true, altitude: true };
+
+    fn iris() -> (LqrIntegral, Airframe) {
+        let airframe = Airframe::iris();
+        let gains = certify(&airframe, 0.005, &Weights::for_airframe(&airframe), GainsRevision(0)).unwrap();
+        (LqrIntegral::new(&airframe, &gains), airframe)
+    }
+
+    fn at(x: f64, y: f64, yaw: f64) -> Estimate {
+        Estimate {
+            position_enu_m: Vector3::new(x, y, 1.0),
+            world_from_body: from_roll_pitch_yaw(&Vector3::new(0.0, 0.0, yaw)),
+            ..Estimate::default()
+        }
+    }
+
+    fn hold(yaw: f64) -> Setpoint {
+        Setpoint {
+            position_enu_m: Vector3::new(0.0, 0.0, 1.0),
+            roll_pitch_yaw_rad: Vector3::new(0.0, 0.0, yaw),
+            ..Setpoint::default()
+        }
+    }
+
+    #[test]
+    fn at_the_setpoint_it_carries_the_weight_and_nothing_else() {
+        let (mut controller, airframe) = iris();
+        let w = controller.control(&at(0.0, 0.0, 0.3), &hold(0.3), FULL, 0.005);
+        assert!((w.thrust_n - airframe.weight_n()).abs() < 1e-9 && w.torque_flu_nm.norm() < 1e-9, "{w:?}");
+    }
+
+    #[test]
+    fn the_response_turns_with_the_heading() {
+        // The same error ahead of the nose, whatever the yaw, gives the same pitch torque.
+        let ahead = |yaw: f64| {
+            let (mut controller, _) = iris();
+            controller.control(&at(-0.4 * yaw.cos(), -0.4 * yaw.sin(), yaw), &hold(yaw), FULL, 0.005).torque_flu_nm
+        };
+        let straight = ahead(0.0);
+        assert!(straight.y > 0.01 && straight.x.abs() < 1e-12, "target ahead: pitch (nose down in FLU) {straight}");
+        for yaw in [0.5, 2.0, -3.0] {
+            assert!((ahead(yaw) - straight).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn integrals_stop_while_the_mixer_cannot_give_more() {
+        let (mut controller, _) = iris();
+        let mut low = at(0.0, 0.0, 0.0);
+        low.position_enu_m.z = 0.6;
+        for _ in 0..200 {
+            let asked = controller.control(&low, &hold(0.0), FULL, 0.005);
+            let given = Wrench { thrust_n: asked.thrust_n - 1.0, ..asked };
+            controller.applied(&asked, &given);
+        }
+        let stuck = controller.integrator()[2];
+        assert!(stuck.abs() <= 0.4 * 0.005 + 1e-12, "wound up to {stuck}");
+        // Above the setpoint it unwinds even while saturated.
+        low.position_enu_m.z = 1.4;
+        controller.control(&low, &hold(0.0), FULL, 0.005);
+        assert!(controller.integrator()[2] > stuck);
+    }
+
+    #[test]
+    fn errors_are_limited_and_open_loops_ignored() {
+        let (mut controller, _) = iris();
+        let near = controller.control(&at(5.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        let far = controller.control(&at(5000.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        assert_eq!(near, far);
+        let attitude = Loops { horizontal: false, altitude: false };
+        let sp = Setpoint { throttle: 0.7, ..hold(0.0) };
+        let w = controller.control(&at(9.0, -9.0, 0.0), &sp, attitude, 0.005);
+        assert!(w.torque_flu_nm.norm() < 1e-12 && (w.thrust_n / 1.545 / 9.81 - 0.7).abs() < 1e-12);
+        assert_eq!(controller.integrator()[0], 0.0);
+    }
+
+    #[test]
+    fn new_gains_do_not_bump_the_trim() {
+        let (mut controller, airframe) = iris();
+        controller.integral = [0.2, -0.1, -0.3, 0.1];
+        let before = controller.control(&at(0.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        let mut weights = Weights::for_airframe(&airframe);
+        weights.state[14] *= 3.0;
+        weights.state[15] *= 0.5;
+        weights.input[0] *= 0.7;
+        controller.use_gains(&certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap());
+        let after = controller.control(&at(0.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        assert!((after.thrust_n - before.thrust_n).abs() < 1e-9);
+        assert!((after.torque_flu_nm - before.torque_flu_nm).norm() < 1e-9);
+    }
 }

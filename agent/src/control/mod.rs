@@ -1,6 +1,8 @@
 //! Controllers: the wrench that brings the estimate to the setpoint.
 
+pub mod gains;
 pub mod lqr_integral;
+pub mod setpoint;
 pub mod step_response;
 
 use nalgebra::Vector3;

@@ -3,6 +3,7 @@
 //! Several run side by side in a bank (`bank.rs`); one of them is in the loop. None of them
 //! can tell whether an attack is on, nor see the truth.
 
+pub mod bank;
 pub mod kalman;
 
 use arrayvec::ArrayVec;

@@ -176,7 +176,7 @@ fn pair(x: f64, y: f64, w: f64) -> [Complex; 2] {
 
 /// One double QR step on rows and columns l to last with shifts given by x, y, w.
 fn double_step(a: &mut DMatrix<f64>, l: usize, last: usize, x: f64, y: f64, w: f64) {
-    let (mut p, mut q, mut r) = (0.0, 0.0, 0.0);
+    let (mut p, mut q, mut r);
     // Two consecutive small subdiagonal elements let the sweep start lower.
     let mut m = last - 2;
     loop {

@@ -88,11 +88,8 @@ pub fn dare(
     let (p, iterations, residual) = dare_general(a, &g, q)?;
     let bt_p = b.transpose() * &p;
     let inner = symmetrised(&(r + &bt_p * b));
-    let k = inner
-        .clone()
-        .lu()
-        .solve(&(bt_p * a))
-        .ok_or_else(|| LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY })?;
+    let singular = LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY };
+    let k = inner.lu().solve(&(bt_p * a)).ok_or(singular)?;
     let poles = eigenvalues(&(a - b * &k))?;
     let value = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
     if value >= 1.0 {
@@ -133,7 +130,7 @@ pub fn care_general(
     let mut best: Option<(DMatrix<f64>, usize, f64)> = None;
     let mut error = LinalgError::NotConverged { what: "CARE", iterations: 0, change: f64::NAN, residual: f64::NAN };
     for factor in CAYLEY_FACTORS {
-        let attempt = cayley(a, &g, &q, factor * scale).and_then(|(a, g, h)| doubling("CARE", a, g, h));
+        let attempt = cayley(a, &g, &q, factor * scale).and_then(|[a, g, h]| doubling("CARE", a, g, h));
         match attempt {
             Ok((x, iterations)) => {
                 let (x, r) = refine(x, residual, correct);
@@ -252,12 +249,7 @@ fn regulator(
 }
 
 /// Cayley transform of the Hamiltonian into the first symplectic pair (Chu, Fan, Lin 2005, Eq. 2.6–2.9).
-fn cayley(
-    a: &DMatrix<f64>,
-    g: &DMatrix<f64>,
-    h: &DMatrix<f64>,
-    gamma: f64,
-) -> Result<(DMatrix<f64>, DMatrix<f64>, DMatrix<f64>), LinalgError> {
+fn cayley(a: &DMatrix<f64>, g: &DMatrix<f64>, h: &DMatrix<f64>, gamma: f64) -> Result<[DMatrix<f64>; 3], LinalgError> {
     let n = a.nrows();
     let identity = DMatrix::identity(n, n);
     let a_gamma_inverse = inverse("A - gamma I", &(a - &identity * gamma))?;
@@ -266,7 +258,7 @@ fn cayley(
     let a_0 = identity + w_inverse.transpose() * (2.0 * gamma);
     let g_0 = symmetrised(&(&a_gamma_inverse * g * &w_inverse * (2.0 * gamma)));
     let h_0 = symmetrised(&(&w_inverse * h * &a_gamma_inverse * (2.0 * gamma)));
-    Ok((a_0, g_0, h_0))
+    Ok([a_0, g_0, h_0])
 }
 
 /// Structure-preserving doubling (SDA): H → X.

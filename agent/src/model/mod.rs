@@ -2,10 +2,13 @@
 
 pub mod airframe;
 pub mod battery;
+pub mod discretize;
 pub mod integrate;
+pub mod linearize;
 pub mod measure;
 pub mod motor;
 pub mod rigid_body;
+pub mod trim;
 
 /// Standard gravity of the sources, m/s² ([Umasankar]).
 pub const GRAVITY_MPS2: f64 = 9.81;

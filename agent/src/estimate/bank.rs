@@ -1,0 +1,218 @@
+//! Estimators side by side, one of them in the loop, switched in flight without a bump.
+//!
+//! Every estimator sees every frame. When another one is put in the loop, the difference between
+//! the two is added to its estimate and dies away with [`BLEND_TIME_CONSTANT_S`]: no estimator is
+//! reset, so a lie that one believes is not handed on to the next for longer than that.
+
+use arrayvec::ArrayVec;
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::{Estimate, Estimator, EstimatorKind};
+use crate::vehicle::{MotorCommand, SensorFrame};
+
+/// Most estimators of one bank.
+pub const MAX_ESTIMATORS: usize = 8;
+/// Time constant with which a switch dies away, s.
+const BLEND_TIME_CONSTANT_S: f64 = 0.5;
+
+/// Why a bank cannot be built or an estimator not selected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum BankError {
+    /// No estimator.
+    #[error("no estimator is configured")]
+    Empty,
+    /// Too many.
+    #[error("{0} estimators are configured, at most {MAX_ESTIMATORS}")]
+    TooMany(usize),
+    /// Two of one kind.
+    #[error("estimator {0:?} is configured twice")]
+    Twice(EstimatorKind),
+    /// Not among those that run.
+    #[error("estimator {0:?} does not run on this vehicle")]
+    NotRunning(EstimatorKind),
+}
+
+/// The bank.
+pub struct Bank {
+    estimators: ArrayVec<Box<dyn Estimator>, MAX_ESTIMATORS>,
+    in_loop: usize,
+    estimate: Estimate,
+    offset: Offset,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Offset {
+    position_m: Vector3<f64>,
+    velocity_mps: Vector3<f64>,
+    attitude: UnitQuaternion<f64>,
+    rates_radps: Vector3<f64>,
+}
+
+const NO_OFFSET: fn() -> Offset = || Offset {
+    position_m: Vector3::zeros(),
+    velocity_mps: Vector3::zeros(),
+    attitude: UnitQuaternion::identity(),
+    rates_radps: Vector3::zeros(),
+};
+
+impl Bank {
+    /// `estimators` with the one of kind `in_loop` in the loop.
+    ///
+    /// # Errors
+    /// [`BankError`].
+    pub fn new(estimators: Vec<Box<dyn Estimator>>, in_loop: EstimatorKind) -> Result<Self, BankError> {
+        let count = estimators.len();
+        if count == 0 {
+            return Err(BankError::Empty);
+        }
+        if count > MAX_ESTIMATORS {
+            return Err(BankError::TooMany(count));
+        }
+        for (i, one) in estimators.iter().enumerate() {
+            if estimators.iter().take(i).any(|other| other.kind() == one.kind()) {
+                return Err(BankError::Twice(one.kind()));
+            }
+        }
+        let at = estimators.iter().position(|e| e.kind() == in_loop).ok_or(BankError::NotRunning(in_loop))?;
+        Ok(Self {
+            estimators: estimators.into_iter().collect(),
+            in_loop: at,
+            estimate: Estimate::default(),
+            offset: NO_OFFSET(),
+        })
+    }
+
+    /// Steps every estimator; the estimate in the loop.
+    pub fn step(&mut self, received: &SensorFrame, applied: &MotorCommand, dt_s: f64) -> &Estimate {
+        for estimator in &mut self.estimators {
+            estimator.step(received, applied);
+        }
+        let keep = (-dt_s / BLEND_TIME_CONSTANT_S).exp();
+        self.offset.position_m *= keep;
+        self.offset.velocity_mps *= keep;
+        self.offset.rates_radps *= keep;
+        self.offset.attitude = UnitQuaternion::from_scaled_axis(self.offset.attitude.scaled_axis() * keep);
+        if let Some(own) = self.estimators.get(self.in_loop) {
+            self.estimate.clone_from(own.estimate());
+            let o = &self.offset;
+            self.estimate.position_enu_m += o.position_m;
+            self.estimate.velocity_enu_mps += o.velocity_mps;
+            self.estimate.body_rates_radps += o.rates_radps;
+            self.estimate.world_from_body = o.attitude * self.estimate.world_from_body;
+        }
+        &self.estimate
+    }
+
+    /// The estimate in the loop, as the controller sees it.
+    pub fn in_loop(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    /// Kind of the estimator in the loop.
+    pub fn in_loop_kind(&self) -> EstimatorKind {
+        self.estimators.get(self.in_loop).map_or(EstimatorKind::Unspecified, |e| e.kind())
+    }
+
+    /// Every estimator's own estimate.
+    pub fn estimates(&self) -> impl Iterator<Item = (EstimatorKind, &Estimate)> {
+        self.estimators.iter().map(|e| (e.kind(), e.estimate()))
+    }
+
+    /// The own estimate of the estimator of `kind`.
+    pub fn estimate_of(&self, kind: EstimatorKind) -> Option<&Estimate> {
+        self.estimators.iter().find(|e| e.kind() == kind).map(|e| e.estimate())
+    }
+
+    /// Puts the estimator of `kind` in the loop, without a bump.
+    ///
+    /// # Errors
+    /// [`BankError::NotRunning`].
+    pub fn select(&mut self, kind: EstimatorKind) -> Result<(), BankError> {
+        let at = self.estimators.iter().position(|e| e.kind() == kind).ok_or(BankError::NotRunning(kind))?;
+        if at == self.in_loop {
+            return Ok(());
+        }
+        self.in_loop = at;
+        if let Some(own) = self.estimators.get(at) {
+            let (before, new) = (&self.estimate, own.estimate());
+            let offset = Offset {
+                position_m: before.position_enu_m - new.position_enu_m,
+                velocity_mps: before.velocity_enu_mps - new.velocity_enu_mps,
+                attitude: before.world_from_body * new.world_from_body.inverse(),
+                rates_radps: before.body_rates_radps - new.body_rates_radps,
+            };
+            let finite = offset.position_m.norm() + offset.velocity_mps.norm() + offset.rates_radps.norm();
+            self.offset = if finite.is_finite() { offset } else { NO_OFFSET() };
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Debug for Bank {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Bank").field("in_loop", &self.in_loop_kind()).field("count", &self.estimators.len()).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::Health;
+
+    struct Fixed(EstimatorKind, Estimate);
+
+    impl Estimator for Fixed {
+        fn kind(&self) -> EstimatorKind {
+            self.0
+        }
+        fn step(&mut self, _: &SensorFrame, _: &MotorCommand) -> &Estimate {
+            &self.1
+        }
+        fn estimate(&self) -> &Estimate {
+            &self.1
+        }
+        fn reset_to(&mut self, estimate: &Estimate) {
+            self.1 = estimate.clone();
+        }
+    }
+
+    fn fixed(kind: EstimatorKind, z: f64, yaw: f64) -> Box<dyn Estimator> {
+        let estimate = Estimate {
+            position_enu_m: Vector3::new(0.0, 0.0, z),
+            world_from_body: UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+            health: Health::Healthy,
+            ..Estimate::default()
+        };
+        Box::new(Fixed(kind, estimate))
+    }
+
+    #[test]
+    fn a_switch_makes_no_bump_and_dies_away() {
+        let both = vec![fixed(EstimatorKind::EkfBias, 1.0, 0.0), fixed(EstimatorKind::Primary, 1.3, 0.4)];
+        let mut bank = Bank::new(both, EstimatorKind::EkfBias).unwrap();
+        let (frame, command) = (SensorFrame::default(), MotorCommand::default());
+        let before = bank.step(&frame, &command, 0.005).clone();
+        bank.select(EstimatorKind::Primary).unwrap();
+        let after = bank.step(&frame, &command, 0.005).clone();
+        assert!((after.position_enu_m.z - before.position_enu_m.z).abs() < 0.3 * 0.011);
+        assert!(after.world_from_body.angle_to(&before.world_from_body) < 0.4 * 0.011);
+        for _ in 0..1000 {
+            bank.step(&frame, &command, 0.005);
+        }
+        assert!((bank.in_loop().position_enu_m.z - 1.3).abs() < 1e-4);
+        assert_eq!(bank.in_loop_kind(), EstimatorKind::Primary);
+        assert_eq!(bank.estimate_of(EstimatorKind::EkfBias).unwrap().position_enu_m.z, 1.0);
+    }
+
+    #[test]
+    fn impossible_banks_are_refused() {
+        let kind = EstimatorKind::EkfBias;
+        assert_eq!(Bank::new(vec![], kind).unwrap_err(), BankError::Empty);
+        assert_eq!(
+            Bank::new(vec![fixed(kind, 0.0, 0.0), fixed(kind, 0.0, 0.0)], kind).unwrap_err(),
+            BankError::Twice(kind)
+        );
+        let missing = EstimatorKind::Ukf;
+        assert_eq!(Bank::new(vec![fixed(kind, 0.0, 0.0)], missing).unwrap_err(), BankError::NotRunning(missing));
+    }
+}
