@@ -10,6 +10,8 @@ use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{ids::SensorId, time::FlightTime};
 
+pub mod secure;
+
 pub use plumbline_proto::v1::{Channel, EstimatorKind, Health};
 
 use crate::vehicle::{MotorCommand, SensorFrame};
