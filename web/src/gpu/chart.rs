@@ -1,0 +1,230 @@
+//! A chart: grid, spans, curves, gates, marks and cursor.
+
+use super::grid::{Plot, draw_cursor, draw_grid, draw_spans};
+use super::line::Column;
+use super::scene::{ChartView, Curve, Style};
+use super::shape::Shapes;
+use crate::model::axis::TimeAxis;
+use crate::model::decimate::{Decimated, Joined, decimate};
+
+/// Dots are drawn where samples are at least this far apart, CSS pixels.
+const DOT_SPACING_PX: f32 = 4.0;
+/// Dash and gap of a dashed curve, CSS pixels.
+const DASH_PX: [f32; 2] = [7.0, 4.0];
+
+/// Buffers kept between frames.
+#[derive(Debug, Default)]
+pub(crate) struct Scratch {
+    pub decimated: Decimated,
+    columns: Vec<Column>,
+    points: Vec<[f32; 2]>,
+}
+
+impl Style {
+    fn width_px(self) -> f32 {
+        match self {
+            Style::Strong => 1.75,
+            Style::Solid | Style::Step | Style::Dashed => 1.5,
+            Style::Thin | Style::Points => 1.0,
+        }
+    }
+}
+
+/// Draw a chart into its plot area.
+pub(crate) fn draw_chart(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &ChartView<'_>) {
+    let theme = &view.theme;
+    draw_grid(shapes, plot, view.time, Some(view.value), view.time_origin_s, theme);
+    draw_spans(shapes, plot, view.time, &view.spans);
+    for level in &view.levels {
+        let y = plot.y(view.value, level.value);
+        if level.dashed {
+            let y = y.round() + plot.hair() / 2.0;
+            let dash = [4.0 * plot.scale, 4.0 * plot.scale];
+            shapes.dashed([plot.left, y], [plot.right, y], plot.hair(), dash, level.color);
+        } else {
+            plot.across(shapes, y, level.color);
+        }
+    }
+    for curve in &view.curves {
+        draw_curve(shapes, scratch, plot, view, curve);
+    }
+    for mark in &view.marks {
+        plot.down_dashed(shapes, plot.x(view.time, mark.time_s), mark.color);
+    }
+    draw_cursor(shapes, plot, view.time, view.cursor_s, view.selection, theme);
+}
+
+fn draw_curve(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &ChartView<'_>, curve: &Curve<'_>) {
+    let columns = plot.width() as usize;
+    let joined = if curve.style == Style::Step { Joined::Held } else { Joined::Straight };
+    decimate(curve.series, view.time.start_s, view.time.end_s, columns, joined, &mut scratch.decimated);
+    let decimated = &scratch.decimated;
+    let width = (curve.style.width_px() * plot.scale).max(1.0);
+    let dots = curve.style == Style::Points && !decimated.envelope && sparse(decimated, plot);
+    for run in &decimated.runs {
+        let points = decimated.points.get(run.clone()).unwrap_or_default();
+        // A negative scale swaps the borders.
+        let y = |value: f32| plot.y(view.value, f64::from(value * curve.scale));
+        scratch.columns.clear();
+        scratch.columns.extend(points.iter().map(|point| {
+            let (a, b) = (y(point.low), y(point.high));
+            Column { x: plot.left + point.x, top: a.min(b), bottom: a.max(b) }
+        }));
+        let pieces = if curve.style == Style::Dashed {
+            dashes(&scratch.columns, view.time, plot)
+        } else {
+            vec![scratch.columns.clone()]
+        };
+        for piece in &pieces {
+            if decimated.envelope {
+                shapes.band(piece, width, curve.color);
+                continue;
+            }
+            scratch.points.clear();
+            scratch.points.extend(piece.iter().map(|column| [column.x, column.top]));
+            let line = if dots { curve.color.alpha(0.45) } else { curve.color };
+            shapes.polyline(&scratch.points, width, line);
+            if dots || scratch.points.len() == 1 {
+                for point in &scratch.points {
+                    shapes.disc(*point, (1.75 * plot.scale).max(1.0), curve.color);
+                }
+            }
+        }
+    }
+}
+
+/// Are samples far enough apart for dots?
+fn sparse(decimated: &Decimated, plot: Plot) -> bool {
+    let (Some(first), Some(last)) = (decimated.points.first(), decimated.points.last()) else { return false };
+    (last.x - first.x) / decimated.points.len() as f32 >= DOT_SPACING_PX * plot.scale
+}
+
+/// Cut a curve into dashes. The pattern hangs on absolute time, so that it scrolls with the curve.
+fn dashes(columns: &[Column], time: TimeAxis, plot: Plot) -> Vec<Vec<Column>> {
+    let [on, period] = [DASH_PX[0] * plot.scale, (DASH_PX[0] + DASH_PX[1]) * plot.scale];
+    let px_per_s = f64::from(plot.width()) / time.span_s();
+    let phase = (time.start_s * px_per_s).rem_euclid(f64::from(period)) as f32 - plot.left;
+    let mut pieces = Vec::new();
+    let mut piece: Vec<Column> = Vec::new();
+    let mut finish = |piece: &mut Vec<Column>| {
+        if piece.len() > 1 {
+            pieces.push(std::mem::take(piece));
+        }
+        piece.clear();
+    };
+    for pair in columns.windows(2) {
+        let &[a, b] = pair else { continue };
+        // Borders of dashes between a and b, in order; the segment is cut at each.
+        let (from, to) = (a.x + phase, b.x + phase);
+        let mut at = from;
+        let mut start = a;
+        while at <= to {
+            let within = at.rem_euclid(period);
+            let (visible, next) = if within < on { (true, at - within + on) } else { (false, at - within + period) };
+            let stop = next.min(to);
+            let end = between(a, b, if to > from { (stop - from) / (to - from) } else { 1.0 });
+            if visible {
+                if piece.is_empty() {
+                    piece.push(start);
+                }
+                piece.push(end);
+            }
+            if next > to {
+                break;
+            }
+            if visible {
+                finish(&mut piece);
+            }
+            // Always forward, whatever rounding does.
+            at = next.max(at + period * 1e-3);
+            start = end;
+        }
+    }
+    finish(&mut piece);
+    pieces
+}
+
+fn between(a: Column, b: Column, share: f32) -> Column {
+    let one = |a: f32, b: f32| a + (b - a) * share;
+    Column { x: one(a.x, b.x), top: one(a.top, b.top), bottom: one(a.bottom, b.bottom) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::color::{Color, Theme};
+    use crate::gpu::scene::Rect;
+    use crate::model::axis::ValueAxis;
+    use crate::model::series::Series;
+
+    const PLOT: Plot = Plot { left: 100.0, top: 50.0, right: 900.0, bottom: 550.0, scale: 1.0 };
+
+    fn drawn(series: &Series, style: Style, time: TimeAxis) -> Shapes {
+        let view =
+            ChartView::new(time, ValueAxis::new(0.0, 1.0), Theme::LIGHT).curve(series, Color::hex(0x123456), style);
+        let mut shapes = Shapes::default();
+        draw_chart(&mut shapes, &mut Scratch::default(), PLOT, &view);
+        shapes
+    }
+
+    /// Vertices of the curve alone.
+    fn curve_vertices(shapes: &Shapes) -> Vec<[f32; 2]> {
+        let color = Color::hex(0x123456).packed();
+        shapes.vertices().iter().filter(|v| v.color == color).map(|v| v.position).collect()
+    }
+
+    #[test]
+    fn a_flat_curve_lies_at_its_value_after_days_of_flight() {
+        let origin = 5.0e5;
+        let series = Series::from_samples((0..1000).map(|i| (origin + f64::from(i) * 0.01, 0.25)));
+        let shapes = drawn(&series, Style::Solid, TimeAxis::new(origin, origin + 9.99));
+        let vertices = curve_vertices(&shapes);
+        let y = 550.0 - 0.25 * 500.0;
+        assert!(vertices.len() > 500);
+        assert!(vertices.iter().all(|v| (v[1] - y).abs() <= 1.3), "{:?}", &vertices[..4]);
+        // Evenly spread: f32 times would fall into clumps.
+        let mut xs: Vec<_> = vertices.iter().map(|v| v[0]).collect();
+        xs.sort_by(f32::total_cmp);
+        xs.dedup();
+        assert!(xs.windows(2).all(|w| w[1] - w[0] < 1.1), "uneven columns");
+        assert!((xs[0] - 100.0).abs() < 1.0 && (xs[xs.len() - 1] - 900.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn a_hundred_thousand_samples_cost_two_vertices_per_column() {
+        let series = Series::from_samples((0..100_000).map(|i| (f64::from(i) * 0.001, (i % 10) as f32 * 0.1)));
+        let shapes = drawn(&series, Style::Solid, TimeAxis::new(0.0, 100.0));
+        let count = curve_vertices(&shapes).len();
+        assert!((1600..1620).contains(&count), "{count}");
+    }
+
+    #[test]
+    fn dashes_cover_their_share_and_scroll_with_the_curve() {
+        let series = Series::from_samples((0..400).map(|i| (f64::from(i) * 0.1, 0.5)));
+        let length = |start_s: f64| {
+            let time = TimeAxis::new(start_s, start_s + 20.0);
+            let plot = Plot::new(Rect::new(0.0, 0.0, 800.0, 100.0), 1.0);
+            let mut decimated = Decimated::default();
+            decimate(&series, time.start_s, time.end_s, 800, Joined::Straight, &mut decimated);
+            let columns: Vec<_> = decimated.points.iter().map(|p| Column { x: p.x, top: 50.0, bottom: 50.0 }).collect();
+            let pieces = dashes(&columns, time, plot);
+            let starts: Vec<f64> = pieces.iter().map(|p| time.time_s(f64::from(p[0].x) / 800.0)).collect();
+            let covered: f32 = pieces.iter().map(|p| p[p.len() - 1].x - p[0].x).sum();
+            (covered, starts)
+        };
+        let (covered, starts) = length(5.0);
+        assert!((covered / 800.0 - 7.0 / 11.0).abs() < 0.02, "{covered}");
+        let (_, later) = length(5.35);
+        // A dash begins at the same moment of flight in both windows.
+        let middle = starts[starts.len() / 2];
+        assert!(later.iter().any(|s| (s - middle).abs() < 2e-3), "{middle} not among {later:?}");
+    }
+
+    #[test]
+    fn a_lone_sample_is_a_dot() {
+        let series = Series::from_samples([(5.0, 0.5)]);
+        let vertices = curve_vertices(&drawn(&series, Style::Solid, TimeAxis::new(0.0, 10.0)));
+        assert!(!vertices.is_empty());
+        assert!(vertices.iter().all(|v| (v[0] - 500.0).abs() < 4.0 && (v[1] - 300.0).abs() < 4.0));
+    }
+}

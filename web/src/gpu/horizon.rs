@@ -1,0 +1,280 @@
+//! The artificial horizon: blue over brown, pitch ladder, roll scale, aircraft symbol.
+//!
+//! Screen angles: a right roll turns the horizon anticlockwise; a raised nose pushes it down. The
+//! scale of the pitch ladder is the same over the whole instrument. Numbers are page elements:
+//! [`ladder_labels`] says where.
+
+use super::color::{Color, Theme};
+use super::grid::Plot;
+use super::scene::{HorizonView, Rect};
+use super::shape::Shapes;
+
+/// Pitch shown from the middle to the nearer edge, rad.
+const HALF_VIEW_RAD: f32 = 0.48;
+/// Radius of the roll scale, shares of the shorter side.
+const ROLL_RADIUS: f32 = 0.43;
+/// Marks of the roll scale, degrees, and whether they are long.
+const ROLL_MARKS: [(f32, bool); 11] = [
+    (-60.0, true),
+    (-45.0, false),
+    (-30.0, true),
+    (-20.0, false),
+    (-10.0, false),
+    (0.0, true),
+    (10.0, false),
+    (20.0, false),
+    (30.0, true),
+    (45.0, false),
+    (60.0, true),
+];
+
+const WHITE: Color = Color::hex(0xffffff);
+const SYMBOL: Color = Color::hex(0xffc81e);
+const OUTLINE: Color = Color { r: 0, g: 0, b: 0, a: 150 };
+const DIRECTOR: Color = Color::hex(0xf09ad0);
+
+/// Attitude turned into the directions of the screen.
+#[derive(Debug, Clone, Copy)]
+struct Geometry {
+    centre: [f32; 2],
+    /// Along the horizon, to the right.
+    along: [f32; 2],
+    /// Towards the sky.
+    up: [f32; 2],
+    /// Nose above the horizon, rad.
+    nose_up_rad: f32,
+    px_per_rad: f32,
+    /// Shorter side.
+    size: f32,
+}
+
+impl Geometry {
+    fn new([left, top, right, bottom]: [f32; 4], view: &HorizonView) -> Self {
+        let (sin, cos) = view.roll_rad.sin_cos();
+        let size = (right - left).min(bottom - top);
+        Self {
+            centre: [(left + right) / 2.0, (top + bottom) / 2.0],
+            along: [cos, -sin],
+            up: [-sin, -cos],
+            nose_up_rad: -view.pitch_flu_rad,
+            px_per_rad: size / (2.0 * HALF_VIEW_RAD),
+            size,
+        }
+    }
+
+    /// The point `across` px right of the line of this pitch's middle.
+    fn at(&self, pitch_up_rad: f32, across: f32) -> [f32; 2] {
+        let rise = (pitch_up_rad - self.nose_up_rad) * self.px_per_rad;
+        [0, 1].map(|i| self.centre[i] + self.up[i] * rise + self.along[i] * across)
+    }
+
+    /// A point relative to the airframe, in shares of the size.
+    fn fixed(&self, x: f32, y: f32) -> [f32; 2] {
+        [self.centre[0] + x * self.size, self.centre[1] + y * self.size]
+    }
+
+    /// A point of the roll scale: angle from the top, clockwise.
+    fn on_scale(&self, angle_rad: f32, radius: f32) -> [f32; 2] {
+        let (sin, cos) = angle_rad.sin_cos();
+        self.fixed(sin * radius, -cos * radius)
+    }
+
+    /// Lines of the ladder: degrees above the horizon, and half their length in px. They fade out
+    /// of use before the roll scale.
+    fn ladder(&self) -> impl Iterator<Item = (i32, f32)> + '_ {
+        (-18..=18).map(|i| i * 5).filter(|degrees| *degrees != 0).filter_map(|degrees| {
+            let off_px = (degrees as f32).to_radians() - self.nose_up_rad;
+            let inside = (off_px * self.px_per_rad).abs() < 0.31 * self.size;
+            inside.then_some((degrees, self.size * if degrees % 10 == 0 { 0.13 } else { 0.06 }))
+        })
+    }
+}
+
+/// A number beside the pitch ladder, CSS pixels relative to the instrument's top left corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LadderLabel {
+    /// Degrees without sign, as on instruments: above and below tell themselves apart by colour.
+    pub degrees: i32,
+    /// Middle of the text.
+    pub x: f32,
+    /// Middle of the text.
+    pub y: f32,
+    /// Clockwise turn of the text, rad.
+    pub turn_rad: f32,
+}
+
+/// Where the numbers of the pitch ladder belong, both ends of each ten-degree line.
+pub fn ladder_labels(rect: Rect, view: &HorizonView) -> Vec<LadderLabel> {
+    if view.stale {
+        return Vec::new();
+    }
+    let geometry = Geometry::new([0.0, 0.0, rect.width, rect.height], view);
+    geometry
+        .ladder()
+        .filter(|(degrees, _)| degrees % 10 == 0)
+        .flat_map(|(degrees, half)| {
+            [-1.0, 1.0].map(|side| {
+                let [x, y] = geometry.at((degrees as f32).to_radians(), side * (half + 11.0));
+                LadderLabel { degrees: degrees.abs(), x, y, turn_rad: -view.roll_rad }
+            })
+        })
+        .collect()
+}
+
+/// Draw the instrument into its panel.
+pub(crate) fn draw_horizon(shapes: &mut Shapes, plot: Plot, view: &HorizonView) {
+    let geometry = Geometry::new(plot.edges(), view);
+    if view.stale {
+        shapes.rect(plot.edges(), view.theme.grid);
+        draw_scale(shapes, plot, &geometry, None, view.theme.axis);
+        draw_symbol(shapes, plot, &geometry, view.theme.axis, view.theme.plot);
+        return;
+    }
+    draw_world(shapes, plot, &geometry, &view.theme);
+    draw_ladder(shapes, plot, &geometry);
+    draw_scale(shapes, plot, &geometry, Some(view.roll_rad), WHITE);
+    if let Some((roll_rad, pitch_flu_rad)) = view.setpoint_rad {
+        // The bar shows where the symbol should go.
+        let (sin, cos) = (roll_rad - view.roll_rad).sin_cos();
+        let rise = (-pitch_flu_rad - geometry.nose_up_rad) * geometry.px_per_rad;
+        let [x, y] = [geometry.centre[0], geometry.centre[1] - rise];
+        let reach = 0.17 * geometry.size;
+        let ends = [[x - cos * reach, y - sin * reach], [x + cos * reach, y + sin * reach]];
+        shapes.line(ends[0], ends[1], 2.0 * plot.scale, DIRECTOR);
+    }
+    draw_symbol(shapes, plot, &geometry, SYMBOL, OUTLINE);
+}
+
+fn draw_world(shapes: &mut Shapes, plot: Plot, geometry: &Geometry, theme: &Theme) {
+    let reach = 3.0 * (plot.width() + plot.height());
+    let deep_rad = 0.7;
+    let (sky, earth) = (theme.sky, theme.earth);
+    let (bright, dim) = (sky.mix(WHITE, 0.28), sky.mix(Color::hex(0), 0.12));
+    let (near, far) = (earth.mix(WHITE, 0.10), earth.mix(Color::hex(0), 0.30));
+    // From the zenith down; each border spans the whole instrument.
+    let bands = [(4.0, dim), (deep_rad, dim), (0.0, bright), (0.0, near), (-deep_rad, far), (-4.0, far)];
+    shapes.lift();
+    for (pitch_rad, color) in bands {
+        shapes.vertex(geometry.at(pitch_rad, -reach), color, [0.0, 1.0]);
+        shapes.vertex(geometry.at(pitch_rad, reach), color, [0.0, 1.0]);
+    }
+    shapes.lift();
+    shapes.line(geometry.at(0.0, -reach), geometry.at(0.0, reach), 1.75 * plot.scale, WHITE);
+}
+
+fn draw_ladder(shapes: &mut Shapes, plot: Plot, geometry: &Geometry) {
+    let width = 1.25 * plot.scale;
+    let color = WHITE.alpha(0.92);
+    for (degrees, half) in geometry.ladder() {
+        let pitch_rad = (degrees as f32).to_radians();
+        let [a, b] = [geometry.at(pitch_rad, -half), geometry.at(pitch_rad, half)];
+        if degrees > 0 {
+            shapes.line(a, b, width, color);
+        } else {
+            shapes.dashed(a, b, width, [5.0 * plot.scale, 3.0 * plot.scale], color);
+        }
+        if degrees % 10 == 0 {
+            // Little hooks point to the horizon.
+            let towards = pitch_rad - f32::signum(degrees as f32) * 5.0 * plot.scale / geometry.px_per_rad;
+            shapes.line(a, geometry.at(towards, -half), width, color);
+            shapes.line(b, geometry.at(towards, half), width, color);
+        }
+    }
+}
+
+fn draw_scale(shapes: &mut Shapes, plot: Plot, geometry: &Geometry, roll_rad: Option<f32>, color: Color) {
+    let width = 1.25 * plot.scale;
+    let up = -std::f32::consts::FRAC_PI_2;
+    let reach = 60_f32.to_radians();
+    shapes.arc(geometry.centre, ROLL_RADIUS * geometry.size, up - reach, up + reach, width, color);
+    for (degrees, long) in ROLL_MARKS {
+        let angle_rad = degrees.to_radians();
+        let outer = ROLL_RADIUS + if long { 0.035 } else { 0.02 };
+        if degrees != 0.0 {
+            shapes.line(geometry.on_scale(angle_rad, ROLL_RADIUS), geometry.on_scale(angle_rad, outer), width, color);
+        }
+    }
+    let tip = ROLL_RADIUS;
+    shapes.convex(
+        &[geometry.on_scale(0.0, tip), geometry.on_scale(-0.06, tip + 0.04), geometry.on_scale(0.06, tip + 0.04)],
+        color,
+    );
+    if let Some(roll_rad) = roll_rad {
+        // The pointer keeps to the sky: a right roll moves it left.
+        let at = |turn: f32, radius: f32| geometry.on_scale(turn - roll_rad, radius);
+        let corners = [at(0.0, tip - 0.008), at(-0.065, tip - 0.052), at(0.065, tip - 0.052)];
+        shapes.convex(&corners, SYMBOL);
+        shapes.polyline(&[corners[0], corners[1], corners[2], corners[0]], plot.scale, OUTLINE);
+    }
+}
+
+fn draw_symbol(shapes: &mut Shapes, plot: Plot, geometry: &Geometry, color: Color, outline: Color) {
+    let wing = |side: f32| {
+        [geometry.fixed(0.30 * side, 0.0), geometry.fixed(0.12 * side, 0.0), geometry.fixed(0.12 * side, 0.035)]
+    };
+    let width = (0.014 * geometry.size).max(2.5 * plot.scale);
+    for (extra, color) in [(2.0 * plot.scale, outline), (0.0, color)] {
+        for side in [-1.0, 1.0] {
+            shapes.polyline(&wing(side), width + extra, color);
+        }
+        shapes.disc(geometry.centre, (width + extra) * 0.75, color);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EDGES: [f32; 4] = [0.0, 0.0, 200.0, 200.0];
+
+    fn view(roll_rad: f32, pitch_flu_rad: f32) -> HorizonView {
+        HorizonView { roll_rad, pitch_flu_rad, setpoint_rad: None, stale: false, theme: Theme::DARK }
+    }
+
+    #[test]
+    fn a_raised_nose_shows_more_sky() {
+        // FLU: nose up is negative pitch.
+        let geometry = Geometry::new(EDGES, &view(0.0, -0.1));
+        let [x, y] = geometry.at(0.0, 0.0);
+        assert!((x - 100.0).abs() < 1e-3 && y > 105.0, "horizon at {y}, below the middle");
+        let level = Geometry::new(EDGES, &view(0.0, 0.0)).at(0.0, 0.0);
+        assert_eq!(level, [100.0, 100.0]);
+    }
+
+    #[test]
+    fn a_right_roll_lifts_the_right_end_of_the_horizon() {
+        let geometry = Geometry::new(EDGES, &view(0.3, 0.0));
+        assert!(geometry.at(0.0, 50.0)[1] < 90.0);
+        assert!(geometry.at(0.0, -50.0)[1] > 110.0);
+        // The sky stays above while the roll is under a quarter turn, and is below when inverted.
+        assert!(geometry.at(0.2, 0.0)[1] < 100.0);
+        let inverted = Geometry::new(EDGES, &view(std::f32::consts::PI, 0.0));
+        assert!(inverted.at(0.2, 0.0)[1] > 100.0);
+    }
+
+    #[test]
+    fn labels_sit_beside_their_lines_inside_the_instrument() {
+        let rect = Rect::new(500.0, 300.0, 200.0, 200.0);
+        let labels = ladder_labels(rect, &view(0.2, 0.0));
+        assert_eq!(labels.iter().map(|l| l.degrees).collect::<Vec<_>>(), [10, 10, 10, 10]);
+        assert!(labels.iter().all(|l| (0.0..=200.0).contains(&l.x) && (0.0..=200.0).contains(&l.y)));
+        assert!(ladder_labels(rect, &HorizonView { stale: true, ..view(0.0, 0.0) }).is_empty());
+    }
+
+    #[test]
+    fn every_attitude_gives_finite_triangles() {
+        let plot = Plot { left: 0.0, top: 0.0, right: 200.0, bottom: 150.0, scale: 2.0 };
+        for roll in -8..=8 {
+            for pitch in -8..=8 {
+                let mut shapes = Shapes::default();
+                let setpoint_rad = Some((0.1, -0.1));
+                draw_horizon(
+                    &mut shapes,
+                    plot,
+                    &HorizonView { setpoint_rad, ..view(roll as f32 * 0.4, pitch as f32 * 0.2) },
+                );
+                assert!(shapes.vertices().iter().all(|v| v.position.iter().all(|p| p.is_finite())));
+            }
+        }
+    }
+}

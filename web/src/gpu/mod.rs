@@ -1,0 +1,26 @@
+//! Everything that is drawn: one wgpu canvas behind the page, WebGPU where present, else WebGL2.
+//!
+//! - [`scene`] says what can be drawn; plain data, tested natively.
+//! - [`Renderer`] owns the device and draws a list of panels per frame.
+//! - Two kinds of triangles do all the work: [`shape`] (flat, anti-aliased by coverage) for charts,
+//!   heat maps and the horizon; [`mesh`] (lit, depth-tested, multisampled) for the vehicle in space.
+//! - `chart`, `heatmap`, `horizon` and `attitude3d` turn one content each into those triangles.
+
+pub mod attitude3d;
+mod chart;
+pub mod color;
+mod context;
+mod error;
+mod grid;
+mod heatmap;
+pub mod horizon;
+mod image;
+mod line;
+mod mesh;
+pub mod scene;
+mod shape;
+
+pub use color::{Color, Theme};
+pub use context::{Backend, FrameOutcome, FrameStats, Renderer};
+pub use error::GpuError;
+pub use scene::*;
