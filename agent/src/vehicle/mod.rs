@@ -4,6 +4,7 @@
 //! stay inside the driver that speaks them.
 
 pub mod replay;
+pub mod sim;
 pub mod suite;
 
 use nalgebra::{UnitQuaternion, Vector3};

@@ -1,0 +1,204 @@
+//! What happens in a scripted flight, and when: commands, trajectories, pushes.
+//!
+//! A script speaks the agent's own [`Command`]s, so a scripted flight takes the same way as one flown from
+//! the page. Interactive runs ignore it.
+
+use nalgebra::Vector3;
+use plumbline_proto::time::FlightTime;
+
+use super::world::Push;
+use crate::command::{Command, SetpointChange};
+
+/// A path over time, as flown in [Umasankar] (hover, circle, sine) and a square.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// A circle through the start, to its north, counter-clockwise.
+    Circle {
+        /// m.
+        radius_m: f64,
+        /// Of one turn, s.
+        period_s: f64,
+    },
+    /// Eastward at constant speed, swinging north and south.
+    Sine {
+        /// m.
+        amplitude_m: f64,
+        /// Of one swing, s.
+        period_s: f64,
+        /// m/s.
+        speed_mps: f64,
+    },
+    /// A square with the start at its south-west corner, counter-clockwise at constant speed.
+    Square {
+        /// m.
+        side_m: f64,
+        /// Of one turn, s.
+        period_s: f64,
+    },
+    /// Up and down about the start.
+    Heave {
+        /// m.
+        amplitude_m: f64,
+        /// Of one swing, s.
+        period_s: f64,
+    },
+}
+
+impl Shape {
+    /// Displacement from the start after `t_s`, ENU, m.
+    pub fn displacement_m(&self, t_s: f64) -> Vector3<f64> {
+        let angle = |period_s: f64| std::f64::consts::TAU * t_s / period_s;
+        match *self {
+            Self::Circle { radius_m, period_s } => {
+                let a = angle(period_s);
+                Vector3::new(radius_m * a.sin(), radius_m * (1.0 - a.cos()), 0.0)
+            }
+            Self::Sine { amplitude_m, period_s, speed_mps } => {
+                Vector3::new(speed_mps * t_s, amplitude_m * angle(period_s).sin(), 0.0)
+            }
+            Self::Square { side_m, period_s } => {
+                let leg = 4.0 * (t_s / period_s).rem_euclid(1.0);
+                let along = |from: f64| side_m * (leg - from).clamp(0.0, 1.0);
+                Vector3::new(along(0.0) - along(2.0), along(1.0) - along(3.0), 0.0)
+            }
+            Self::Heave { amplitude_m, period_s } => Vector3::new(0.0, 0.0, amplitude_m * angle(period_s).sin()),
+        }
+    }
+}
+
+/// A shape flown for a while; it sets position and altitude at every tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trajectory {
+    /// When, s.
+    pub start_s: f64,
+    /// How long, s.
+    pub duration_s: f64,
+    /// From where, ENU, m.
+    pub from_enu_m: Vector3<f64>,
+    /// The path.
+    pub shape: Shape,
+}
+
+impl Trajectory {
+    /// The setpoint at `t_s` since boot, while it is flown.
+    pub fn setpoint(&self, t_s: f64) -> Option<SetpointChange> {
+        let since = t_s - self.start_s;
+        (since >= 0.0 && since <= self.duration_s).then(|| {
+            let p = self.from_enu_m + self.shape.displacement_m(since);
+            SetpointChange { x_m: Some(p.x), y_m: Some(p.y), altitude_m: Some(p.z), ..SetpointChange::default() }
+        })
+    }
+}
+
+/// One command at its time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// When, s.
+    pub at_s: f64,
+    /// What.
+    pub command: Command,
+}
+
+/// A hand on the vehicle for a while.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PushEvent {
+    /// When, s.
+    pub at_s: f64,
+    /// How long, s.
+    pub duration_s: f64,
+    /// What it does.
+    pub push: Push,
+}
+
+impl PushEvent {
+    fn covers(&self, t_s: f64) -> bool {
+        t_s >= self.at_s && t_s < self.at_s + self.duration_s
+    }
+}
+
+/// Everything that happens by itself.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Script {
+    /// Commands in the order of their times.
+    pub steps: Vec<Step>,
+    /// Trajectories.
+    pub trajectories: Vec<Trajectory>,
+    /// Pushes.
+    pub pushes: Vec<PushEvent>,
+}
+
+impl Script {
+    /// Calls `give` with every command due after `before` (from the start when `None`) and up to `now`.
+    /// A trajectory gives one setpoint for each call.
+    pub fn commands(&self, before: Option<FlightTime>, now: FlightTime, mut give: impl FnMut(&Command)) {
+        let due = |at_s: f64| {
+            let at = FlightTime::from_seconds(at_s);
+            at <= now && before.is_none_or(|before| at > before)
+        };
+        for step in self.steps.iter().filter(|s| due(s.at_s)) {
+            give(&step.command);
+        }
+        for setpoint in self.trajectories.iter().filter_map(|t| t.setpoint(now.as_seconds())) {
+            give(&Command::Setpoint(setpoint));
+        }
+    }
+
+    /// All pushes that act at `t_s` since boot, summed; of two held angles the later wins.
+    pub fn push(&self, t_s: f64) -> Push {
+        let mut total = Push::default();
+        for event in self.pushes.iter().filter(|event| event.covers(t_s)) {
+            total.force_enu_n += event.push.force_enu_n;
+            total.torque_flu_nm += event.push.torque_flu_nm;
+            total.deflect = event.push.deflect.or(total.deflect);
+        }
+        total
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shapes_start_at_their_start_and_close() {
+        for shape in [
+            Shape::Circle { radius_m: 1.0, period_s: 8.0 },
+            Shape::Square { side_m: 1.0, period_s: 8.0 },
+            Shape::Heave { amplitude_m: 1.0, period_s: 8.0 },
+        ] {
+            assert!(shape.displacement_m(0.0).norm() < 1e-12);
+            assert!(shape.displacement_m(8.0).norm() < 1e-9, "{shape:?}");
+        }
+        let square = Shape::Square { side_m: 2.0, period_s: 8.0 };
+        for (t, x, y) in [(1.0, 1.0, 0.0), (2.0, 2.0, 0.0), (3.0, 2.0, 1.0), (5.0, 1.0, 2.0), (7.0, 0.0, 1.0)] {
+            assert!((square.displacement_m(t) - Vector3::new(x, y, 0.0)).norm() < 1e-12, "at {t}");
+        }
+        let circle = Shape::Circle { radius_m: 1.5, period_s: 8.0 };
+        assert!((circle.displacement_m(4.0) - Vector3::new(0.0, 3.0, 0.0)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn each_command_is_given_exactly_once() {
+        let script = Script {
+            steps: [0.0, 0.5, 0.505, 1.0].map(|at_s| Step { at_s, command: Command::Arm }).to_vec(),
+            ..Script::default()
+        };
+        let mut given = 0;
+        let mut before = None;
+        for tick in 0..400 {
+            let now = FlightTime(tick * 5000);
+            script.commands(before, now, |_| given += 1);
+            before = Some(now);
+        }
+        assert_eq!(given, 4);
+    }
+
+    #[test]
+    fn pushes_add_up_while_they_last() {
+        let push = Push { torque_flu_nm: Vector3::x(), ..Push::default() };
+        let event = |at_s| PushEvent { at_s, duration_s: 1.0, push };
+        let script = Script { pushes: vec![event(1.0), event(1.5)], ..Script::default() };
+        let x = |t| script.push(t).torque_flu_nm.x;
+        assert_eq!([0.9, 1.0, 1.6, 2.2, 2.5].map(x), [0.0, 1.0, 2.0, 1.0, 0.0]);
+    }
+}
