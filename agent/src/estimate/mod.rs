@@ -4,7 +4,10 @@
 //! can tell whether an attack is on, nor see the truth.
 
 pub mod bank;
+pub mod ekf_bias;
+pub mod imu_vote;
 pub mod kalman;
+pub mod primary;
 
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};

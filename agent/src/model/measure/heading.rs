@@ -24,7 +24,7 @@ pub fn heading(state: &Kinematics, mag_body_ut: &Vector3<f64>, declination_rad: 
     let m = state.world_from_body * mag_body_ut;
     let h = m.x.hypot(m.y);
     // Dips steeper than 84° leave no usable direction.
-    if !(h > 0.1 * m.norm()) {
+    if h.is_nan() || h <= 0.1 * m.norm() {
         return None;
     }
     let reference = std::f64::consts::FRAC_PI_2 - declination_rad;
