@@ -1,5 +1,327 @@
 //! The heart: one tick, and the commands between ticks.
+//!
+//! [`Flight::step`] is the whole tick: no I/O, no clock, no allocation. What may happen between
+//! ticks is in `flight/orders.rs`, what the flight does by itself (modes, landing, failsafes) in
+//! `flight/guard.rs`.
 
+mod config;
+mod guard;
+mod orders;
 pub mod report;
+mod status;
 
+use arrayvec::ArrayVec;
+use plumbline_proto::ids::GainsRevision;
+use plumbline_proto::time::FlightTime;
+
+use crate::attack::{Injector, MAX_ATTACKS, Phase as AttackPhase, Progress};
+use crate::command::Mode;
+use crate::control::gains::{Certified, GainsError, certify};
+use crate::control::lqr_integral::LqrIntegral;
+use crate::control::setpoint::Profile;
+use crate::control::step_response::StepMeter;
+use crate::control::{Controller, Loops, Setpoint, Wrench};
+use crate::estimate::bank::{Bank, BankError};
+use crate::estimate::{Estimate, Estimator, EstimatorKind};
+use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
+use crate::failsafe::{Monitor, Watchdog};
+use crate::frames::roll_pitch_yaw;
+use crate::mix::{Mixed, Mixer};
+use crate::vehicle::{MotorCommand, SensorFrame};
+
+pub use config::{FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, GainsInUse, StepReport};
+
+/// Why a flight cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum FlightError {
+    /// The tick rate is outside 50 to 1000 Hz.
+    #[error("tick rate {0} Hz is outside 50 to 1000 Hz")]
+    TickRate(f64),
+    /// The estimators do not fit.
+    #[error(transparent)]
+    Bank(#[from] BankError),
+    /// The weights to start with do not give usable gains.
+    #[error("starting gains: {0}")]
+    Gains(#[from] GainsError),
+    /// The rotors cannot give every wrench.
+    #[error("airframe {0}: its rotors cannot give thrust and all three torques")]
+    Allocation(String),
+}
+
+/// How far along a flight is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Phase {
+    /// Motors idle (or off while disarmed), waiting for something to do.
+    Idle { since: FlightTime },
+    /// Under control.
+    Flying,
+    /// Down after a landing.
+    Landed { since: FlightTime },
+}
+
+/// One vehicle's flight code.
+#[derive(Debug)]
+pub struct Flight {
+    config: FlightConfig,
+    attacks: Injector,
+    watchdog: Watchdog,
+    monitor: Monitor,
+    bank: Bank,
+    controller: LqrIntegral,
+    gains: Certified,
+    mixer: Mixer,
+    profile: Profile,
+    /// What the operator asks for, within limits.
+    target: Setpoint,
+    mode: Mode,
+    phase: Phase,
+    failsafe: Failsafe,
+    failsafe_reason: Text,
+    cut_latched: bool,
+    /// Descending on attitude alone since.
+    blind_since: Option<FlightTime>,
+    /// Thrust and climb have looked like standing since.
+    quiet_since: Option<FlightTime>,
+    /// Thrust that hovers, learned in flight, N.
+    hover_thrust_n: f64,
+    meter: StepMeter,
+    meter_sent: FlightTime,
+    events: EventQueue,
+    attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
+    attack_changes: u64,
+    heartbeat: Option<FlightTime>,
+    battery_v: Option<f64>,
+    log_error: Option<Text>,
+    deadline_misses: u64,
+    ticked: Option<FlightTime>,
+    report: StepReport,
+}
+
+impl Flight {
+    /// A disarmed flight with these `estimators`.
+    ///
+    /// # Errors
+    /// [`FlightError`] naming what does not fit.
+    pub fn with_estimators(config: FlightConfig, estimators: Vec<Box<dyn Estimator>>) -> Result<Self, FlightError> {
+        if !(50.0..=1000.0).contains(&config.tick_rate_hz) {
+            return Err(FlightError::TickRate(config.tick_rate_hz));
+        }
+        let gains = certify(&config.airframe, 1.0 / config.tick_rate_hz, &config.weights, GainsRevision(0))?;
+        let weight_n = config.airframe.weight_n();
+        let mixer = Mixer::new(&config.airframe, config.rig.thrust_ceiling_n(weight_n))
+            .ok_or_else(|| FlightError::Allocation(config.airframe.name.clone()))?;
+        Ok(Self {
+            attacks: Injector::new(config.attack_bounds, config.attacks_enabled, &config.sensors),
+            watchdog: Watchdog::default(),
+            monitor: Monitor::new(config.failsafe),
+            bank: Bank::new(estimators, config.in_loop)?,
+            controller: LqrIntegral::new(&config.airframe, &gains),
+            gains,
+            mixer,
+            profile: Profile::default(),
+            target: Setpoint::default(),
+            mode: Mode::Disarmed,
+            phase: Phase::Idle { since: FlightTime(0) },
+            failsafe: Failsafe::None,
+            failsafe_reason: Text::new(),
+            cut_latched: false,
+            blind_since: None,
+            quiet_since: None,
+            hover_thrust_n: weight_n,
+            meter: StepMeter::default(),
+            meter_sent: FlightTime(0),
+            events: EventQueue::default(),
+            attack_phases: ArrayVec::new(),
+            attack_changes: 0,
+            heartbeat: None,
+            battery_v: None,
+            log_error: None,
+            deadline_misses: 0,
+            ticked: None,
+            report: StepReport { mode: Mode::Disarmed, ..StepReport::default() },
+            config,
+        })
+    }
+
+    /// One tick. `report.command` goes to `Vehicle::actuate`; what comes back to [`Flight::applied`].
+    pub fn step(&mut self, sensed: &SensorFrame) -> &StepReport {
+        let dt_s = self.tick(sensed);
+        let received = self.attacks.apply(sensed);
+        self.watchdog.step(sensed, dt_s);
+        self.bank.step(&received, &self.report.applied, dt_s);
+        self.guard(sensed.time);
+        let (wrench, mixed) = self.drive(dt_s);
+        self.controller.applied(&wrench, &mixed.given);
+        self.write_report(sensed, received, wrench, mixed);
+        &self.report
+    }
+
+    /// What the vehicle says it applied.
+    pub fn applied(&mut self, applied: MotorCommand) {
+        self.report.applied = applied;
+    }
+
+    /// An authenticated sign of life from the ground.
+    pub fn heartbeat(&mut self, now: FlightTime) {
+        self.heartbeat = Some(now);
+    }
+
+    /// The runner started a tick too late.
+    pub fn deadline_missed(&mut self, now: FlightTime) {
+        self.deadline_misses += 1;
+        self.monitor.deadline_missed(now);
+    }
+
+    /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
+    pub fn log_health(&mut self, error: Option<&str>) {
+        self.log_error = error.map(|e| text(format_args!("{e}")));
+    }
+
+    /// Hands over every event since the last call, oldest first.
+    pub fn drain_events(&mut self, take: impl FnMut(&Event)) {
+        self.events.drain(self.report.sensed.time, take);
+    }
+
+    /// Every estimator's own estimate.
+    pub fn estimates(&self) -> impl Iterator<Item = (EstimatorKind, &Estimate)> {
+        self.bank.estimates()
+    }
+
+    /// Kind of the estimator in the loop.
+    pub fn estimator_in_loop(&self) -> EstimatorKind {
+        self.bank.in_loop_kind()
+    }
+
+    /// The last tick.
+    pub fn report(&self) -> &StepReport {
+        &self.report
+    }
+
+    /// The configuration it was built from.
+    pub fn config(&self) -> &FlightConfig {
+        &self.config
+    }
+
+    /// Progress of the attack schedule.
+    pub fn attack_state(&self) -> &[Progress] {
+        self.attacks.state()
+    }
+
+    /// The attack injector, to read.
+    pub fn attacks(&self) -> &Injector {
+        &self.attacks
+    }
+
+    /// Time since the tick before, s; the nominal period at the first tick or after a jump.
+    fn tick(&mut self, sensed: &SensorFrame) -> f64 {
+        let nominal = 1.0 / self.config.tick_rate_hz;
+        let dt_s = self.ticked.map_or(nominal, |last| sensed.time.seconds_since(last));
+        self.ticked = Some(sensed.time);
+        let dt_s = if dt_s > 0.0 && dt_s < 10.0 * nominal { dt_s } else { nominal };
+        if let Some(v) = sensed.battery_v.filter(|v| v.is_finite()) {
+            self.battery_v = Some(v);
+        }
+        self.mixer.battery(sensed.battery_v, dt_s);
+        dt_s
+    }
+
+    /// Setpoint ─► controller ─► mixer, as the phase allows.
+    fn drive(&mut self, dt_s: f64) -> (Wrench, Mixed) {
+        let nothing = Mixed { command: MotorCommand::default(), given: Wrench::default(), saturated: false };
+        if !self.armed() {
+            self.follow_estimate();
+            return (Wrench::default(), nothing);
+        }
+        if self.phase != Phase::Flying {
+            self.follow_estimate();
+            return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
+        }
+        let limits = self.limits_now();
+        let target = self.target_now();
+        let setpoint = *self.profile.step(&target, &limits, dt_s);
+        let wrench = match self.blind_since {
+            None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
+            // Attitude from the watchdog; its yaw is zero, so the yaw error is too.
+            Some(_) => {
+                let estimate = Estimate {
+                    world_from_body: self.watchdog.attitude(),
+                    body_rates_radps: self.watchdog.rates_radps(),
+                    ..Estimate::default()
+                };
+                let level = Setpoint { throttle: self.blind_throttle(), ..Setpoint::default() };
+                self.controller.control(&estimate, &level, Loops::default(), dt_s)
+            }
+        };
+        let mixed = self.mixer.mix(&wrench);
+        self.learn_hover(&mixed, dt_s);
+        (wrench, mixed)
+    }
+
+    fn write_report(&mut self, sensed: &SensorFrame, received: SensorFrame, wrench: Wrench, mixed: Mixed) {
+        let now = sensed.time;
+        let setpoint = *self.profile.setpoint();
+        let altitude_m = self.bank.in_loop().position_enu_m.z;
+        let response = if self.phase == Phase::Flying && self.loops().altitude {
+            self.meter.update(now, altitude_m, setpoint.position_enu_m.z).copied()
+        } else {
+            None
+        };
+        let due = now.seconds_since(self.meter_sent) >= 0.1;
+        let response = response.filter(|r| due || r.finished);
+        if response.is_some() {
+            self.meter_sent = now;
+        }
+        self.report = StepReport {
+            sensed: *sensed,
+            received,
+            mode: self.mode,
+            armed: self.armed(),
+            setpoint,
+            wrench,
+            given: mixed.given,
+            command: mixed.command,
+            applied: self.report.applied,
+            saturated: mixed.saturated,
+            integrator: self.controller.integrator(),
+            step_response: response,
+        };
+    }
+
+    /// Are the motors allowed to turn?
+    fn armed(&self) -> bool {
+        !matches!(self.mode, Mode::Disarmed | Mode::Cut | Mode::Unspecified)
+    }
+
+    /// Which errors the loop closes now.
+    fn loops(&self) -> Loops {
+        let altitude = matches!(self.mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && self.blind_since.is_none();
+        let horizontal = altitude
+            && matches!(self.mode, Mode::Hold | Mode::Land)
+            && self.bank.in_loop().horizontal_known
+            && self.config.rig.can_lift();
+        Loops { horizontal, altitude }
+    }
+
+    /// While nothing is controlled the profile stays where the vehicle is, and integrators at zero.
+    fn follow_estimate(&mut self) {
+        self.controller.reset();
+        self.profile.restart(self.here());
+    }
+
+    /// Where the vehicle is, level, as a setpoint.
+    fn here(&self) -> Setpoint {
+        let estimate = self.bank.in_loop();
+        let yaw = roll_pitch_yaw(&estimate.world_from_body).z;
+        Setpoint {
+            position_enu_m: estimate.position_enu_m,
+            roll_pitch_yaw_rad: nalgebra::Vector3::new(0.0, 0.0, yaw),
+            throttle: self.report.given.thrust_n / self.config.airframe.weight_n(),
+            ..Setpoint::default()
+        }
+    }
+
+    fn event(&mut self, severity: Severity, kind: EventKind, text: Text) {
+        self.events.push(Event { time: self.ticked.unwrap_or_default(), severity, kind, text });
+    }
+}

@@ -15,6 +15,7 @@ pub mod command;
 pub mod control;
 pub mod estimate;
 pub mod event;
+pub mod failsafe;
 pub mod flight;
 pub mod frames;
 pub mod linalg;

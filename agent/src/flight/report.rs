@@ -17,8 +17,8 @@ pub use plumbline_proto::v1::Failsafe;
 /// Most pre-arm checks.
 pub const MAX_CHECKS: usize = 16;
 
-/// One tick. The estimates are read from [`super::Flight::estimates`].
-#[derive(Debug, Clone, PartialEq)]
+/// One tick; its time is that of the frame. Estimates are read from [`super::Flight::estimates`].
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct StepReport {
     /// The frame from before the attack: one recorded flight can be flown again under another one.
     pub sensed: SensorFrame,

@@ -1,0 +1,121 @@
+//! What a flight needs to know before it starts: plain data, built once by the configuration.
+
+use plumbline_proto::ids::SensorId;
+
+use crate::attack;
+use crate::control::lqr_integral::Weights;
+use crate::control::setpoint::Limits;
+use crate::estimate::EstimatorKind;
+use crate::failsafe::Settings;
+use crate::model::airframe::Airframe;
+
+/// Fraction of the weight that the motors may lift in the orientation test.
+const ORIENTATION_CEILING: f64 = 0.9;
+
+/// What holds the vehicle; decides what it may be asked to do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RigKind {
+    /// Nothing.
+    Free,
+    /// Turns about one axis only; cannot lift.
+    SingleAxis,
+    /// Hanging from strings with the thrust kept below lift-off ([Paternain] VIII-B).
+    StringsOrientation,
+    /// Hanging from strings, lifting itself within their reach ([Paternain] VIII-C).
+    StringsFlight {
+        /// Highest altitude at which the strings still catch gently, m.
+        reach_m: f64,
+    },
+    /// Tethered to the ground.
+    Tethered {
+        /// Length of the tether, m.
+        reach_m: f64,
+    },
+    /// Fixed on its stand; cannot lift.
+    OnStand,
+}
+
+impl RigKind {
+    /// May the vehicle lift itself?
+    pub fn can_lift(self) -> bool {
+        matches!(self, Self::Free | Self::StringsFlight { .. } | Self::Tethered { .. })
+    }
+
+    /// Does the rig catch a vehicle whose motors stop?
+    pub fn catches(self) -> bool {
+        !matches!(self, Self::Free | Self::Tethered { .. })
+    }
+
+    /// Most thrust allowed in total, N.
+    pub fn thrust_ceiling_n(self, weight_n: f64) -> f64 {
+        if self == Self::StringsOrientation { ORIENTATION_CEILING * weight_n } else { f64::INFINITY }
+    }
+
+    /// Highest altitude the rig allows, m.
+    pub fn altitude_max_m(self) -> f64 {
+        match self {
+            Self::StringsFlight { reach_m } | Self::Tethered { reach_m } => reach_m,
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Free => "free flight",
+            Self::SingleAxis => "single axis",
+            Self::StringsOrientation => "strings, orientation",
+            Self::StringsFlight { .. } => "strings, flight",
+            Self::Tethered { .. } => "tethered",
+            Self::OnStand => "on its stand",
+        }
+    }
+}
+
+/// Everything a [`super::Flight`] is built from.
+#[derive(Debug, Clone)]
+pub struct FlightConfig {
+    /// The vehicle.
+    pub airframe: Airframe,
+    /// What holds it.
+    pub rig: RigKind,
+    /// Control ticks a second, 50 to 1000.
+    pub tick_rate_hz: f64,
+    /// Limits of setpoints.
+    pub limits: Limits,
+    /// Weights of the gains to start with.
+    pub weights: Weights,
+    /// Estimator in the loop.
+    pub in_loop: EstimatorKind,
+    /// Sensors of the vehicle.
+    pub sensors: Vec<SensorId>,
+    /// Bounds of attacks.
+    pub attack_bounds: attack::Bounds,
+    /// May sensors be attacked at all?
+    pub attacks_enabled: bool,
+    /// Thresholds of the failsafes.
+    pub failsafe: Settings,
+}
+
+impl FlightConfig {
+    /// Defaults for `airframe` on `rig` with these sensors: 200 Hz, no attacks.
+    pub fn new(airframe: Airframe, rig: RigKind, sensors: Vec<SensorId>) -> Self {
+        Self {
+            weights: Weights::for_airframe(&airframe),
+            airframe,
+            rig,
+            tick_rate_hz: 200.0,
+            limits: Limits::default(),
+            in_loop: EstimatorKind::EkfBias,
+            sensors,
+            attack_bounds: attack::Bounds::default(),
+            attacks_enabled: false,
+            failsafe: Settings::default(),
+        }
+    }
+
+    /// Highest altitude setpoint: the limit, or the rig's where that is lower, m.
+    pub fn altitude_max_m(&self) -> f64 {
+        self.limits.altitude_max_m.min(self.rig.altitude_max_m())
+    }
+}

@@ -1,0 +1,326 @@
+//! What the flight does by itself in each tick: take-off, landing, time-outs, failsafes.
+
+use plumbline_proto::time::FlightTime;
+
+use super::{AttackPhase, Failsafe, Flight, Phase};
+use crate::command::Mode;
+use crate::control::setpoint::Limits;
+use crate::control::{Controller, Setpoint};
+use crate::estimate::Health;
+use crate::event::{EventKind, Severity, Text, text};
+use crate::failsafe::{Inputs, descent_limits, severity};
+use crate::mix::Mixed;
+
+/// A target this far above the vehicle is a take-off, m.
+const TAKEOFF_STEP_M: f64 = 0.05;
+/// Throttle that puts the loops to work in stabilise mode.
+const THROTTLE_ACTIVE: f64 = 0.1;
+/// Less thrust than this fraction of the weight, without moving, is standing (or hanging).
+const STANDING_THRUST: f64 = 0.6;
+/// Slower than this is not moving, m/s.
+const STANDING_SPEED_MPS: f64 = 0.15;
+/// Standing for this long is landed, s.
+const STANDING_S: f64 = 0.5;
+/// How far below the vehicle the profile of a landing may run, m.
+const LANDING_LEAD_M: f64 = 0.6;
+/// Thrust of a descent on attitude alone, of the hover thrust.
+const BLIND_THRUST: f64 = 0.96;
+/// The hover thrust is learned with this time constant, s.
+const HOVER_TIME_CONSTANT_S: f64 = 1.0;
+
+impl Flight {
+    /// Judges the state of the vehicle and changes mode and phase accordingly.
+    pub(super) fn guard(&mut self, now: FlightTime) {
+        self.watch_attacks();
+        let inputs = self.failsafe_inputs(now);
+        if inputs.link_age_s > self.config.failsafe.link_freeze_s && self.attacks.abort(now) > 0 {
+            let lost = text(format_args!("attacks aborted: no heartbeat for {:.2} s", inputs.link_age_s));
+            self.event(Severity::Warning, EventKind::Attack, lost);
+        }
+        if !self.armed() {
+            return;
+        }
+        let verdict = self.monitor.judge(&inputs);
+        self.heed(verdict, &inputs);
+        if self.armed() {
+            self.advance(now);
+        }
+    }
+
+    fn failsafe_inputs(&self, now: FlightTime) -> Inputs {
+        let estimate = self.bank.in_loop();
+        Inputs {
+            now,
+            flying: self.phase == Phase::Flying,
+            tilt_rad: self.watchdog.tilt_rad(),
+            rate_radps: self.watchdog.rates_radps().norm(),
+            raw_height_m: self.watchdog.height_m(),
+            altitude_m: estimate.position_enu_m.z,
+            lateral_m: estimate.horizontal_known.then(|| estimate.position_enu_m.xy().amax()),
+            degraded: estimate.health != Health::Healthy,
+            link_age_s: self.link_age_s(now),
+            altitude_max_m: self.config.altitude_max_m(),
+            lateral_max_m: self.config.limits.lateral_max_m,
+        }
+    }
+
+    /// Acts on the verdict when it is new and at least as severe as what acts already.
+    fn heed(&mut self, verdict: Failsafe, inputs: &Inputs) {
+        // A descent, once begun, lasts until the operator takes over or the motors stop.
+        let latched = severity(self.failsafe) >= severity(Failsafe::LinkDescend);
+        if verdict == self.failsafe || (latched && severity(verdict) <= severity(self.failsafe)) {
+            return;
+        }
+        if verdict == Failsafe::None {
+            self.clear_failsafe();
+            return;
+        }
+        let reason = self.monitor.reason(verdict, inputs);
+        let critical = severity(verdict) >= severity(Failsafe::LinkDescend);
+        self.event(if critical { Severity::Critical } else { Severity::Warning }, EventKind::Failsafe, reason);
+        (self.failsafe, self.failsafe_reason) = (verdict, reason);
+        match verdict {
+            Failsafe::None | Failsafe::DeadlineWarn | Failsafe::TakeoffTimeout => {}
+            Failsafe::LinkFreeze | Failsafe::BoxHold => self.freeze(),
+            Failsafe::LinkDescend | Failsafe::DeadlineDescend | Failsafe::BoxDescend => self.descend(),
+            Failsafe::EstimatorDescend => {
+                self.blind_since = Some(inputs.now);
+                self.descend();
+            }
+            Failsafe::TiltCut | Failsafe::RateCut | Failsafe::OperatorCut => self.cut(verdict, reason),
+        }
+    }
+
+    /// The failsafe's cause is gone, or the operator took over.
+    pub(super) fn clear_failsafe(&mut self) {
+        if self.failsafe != Failsafe::None {
+            let over = text(format_args!("over: {}", self.failsafe_reason));
+            self.event(Severity::Info, EventKind::Failsafe, over);
+        }
+        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
+        self.blind_since = None;
+    }
+
+    /// Stays where the profile is, inside the limits.
+    fn freeze(&mut self) {
+        let limits = self.config.limits;
+        let mut here = *self.profile.setpoint();
+        let p = &mut here.position_enu_m;
+        p.z = p.z.clamp(limits.altitude_min_m, self.config.altitude_max_m());
+        p.x = p.x.clamp(-limits.lateral_max_m, limits.lateral_max_m);
+        p.y = p.y.clamp(-limits.lateral_max_m, limits.lateral_max_m);
+        (here.roll_pitch_yaw_rad.x, here.roll_pitch_yaw_rad.y) = (0.0, 0.0);
+        self.target = here;
+    }
+
+    /// Lands from here; a vehicle that cannot lift just stops.
+    fn descend(&mut self) {
+        if self.phase != Phase::Flying || !self.config.rig.can_lift() {
+            let reason = self.failsafe_reason;
+            self.disarm(text(format_args!("disarmed: {reason}")));
+            return;
+        }
+        self.enter(Mode::Land);
+    }
+
+    /// Motors off, latched.
+    pub(super) fn cut(&mut self, failsafe: Failsafe, reason: Text) {
+        (self.failsafe, self.failsafe_reason) = (failsafe, reason);
+        self.cut_latched = true;
+        self.mode = Mode::Cut;
+        self.stop();
+        self.event(Severity::Critical, EventKind::Mode, text(format_args!("motors cut: {reason}")));
+    }
+
+    /// Motors off.
+    pub(super) fn disarm(&mut self, why: Text) {
+        self.mode = Mode::Disarmed;
+        self.stop();
+        self.event(Severity::Info, EventKind::Armed, why);
+    }
+
+    fn stop(&mut self) {
+        self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
+        self.quiet_since = None;
+        self.blind_since = None;
+        self.monitor.reset();
+        self.meter.reset();
+        self.controller.reset();
+    }
+
+    /// Changes the mode and captures where the vehicle is.
+    pub(super) fn enter(&mut self, mode: Mode) {
+        let flying = self.phase == Phase::Flying;
+        let here = self.here();
+        self.mode = mode;
+        self.target = here;
+        self.quiet_since = None;
+        if flying {
+            // From rest at the present place: the integrators keep what they carry.
+            self.profile.restart(here);
+        }
+        if !flying || mode != Mode::Stabilise {
+            self.target.throttle = 0.0;
+        }
+        let limits = self.config.limits;
+        if flying && matches!(mode, Mode::AltitudeHold | Mode::Hold) {
+            let p = &mut self.target.position_enu_m;
+            p.z = p.z.clamp(limits.altitude_min_m, self.config.altitude_max_m());
+            p.x = p.x.clamp(-limits.lateral_max_m, limits.lateral_max_m);
+            p.y = p.y.clamp(-limits.lateral_max_m, limits.lateral_max_m);
+        }
+        self.event(Severity::Info, EventKind::Mode, text(format_args!("mode {}", mode_name(mode))));
+    }
+
+    /// Take-off, landing and their time-outs.
+    fn advance(&mut self, now: FlightTime) {
+        let settings = self.config.failsafe;
+        match self.phase {
+            Phase::Idle { since } => {
+                if self.wants_to_fly() {
+                    self.controller.reset();
+                    self.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
+                    self.phase = Phase::Flying;
+                    self.quiet_since = None;
+                } else if now.seconds_since(since) > settings.takeoff_timeout_s {
+                    let why = text(format_args!("armed for {} s without take-off", settings.takeoff_timeout_s));
+                    (self.failsafe, self.failsafe_reason) = (Failsafe::TakeoffTimeout, why);
+                    self.event(Severity::Warning, EventKind::Failsafe, why);
+                    self.disarm(text(format_args!("disarmed: {why}")));
+                }
+            }
+            Phase::Flying => {
+                if self.mode == Mode::Hold && !self.bank.in_loop().horizontal_known {
+                    let lost = text(format_args!("horizontal position lost: altitude hold"));
+                    self.event(Severity::Warning, EventKind::Mode, lost);
+                    let target = self.target;
+                    self.enter(Mode::AltitudeHold);
+                    self.target.position_enu_m.z = target.position_enu_m.z;
+                }
+                let blind_over = self.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
+                if blind_over || self.standing(now) {
+                    if self.mode == Mode::Stabilise {
+                        self.phase = Phase::Idle { since: now };
+                    } else {
+                        self.phase = Phase::Landed { since: now };
+                        self.event(Severity::Info, EventKind::Mode, text(format_args!("landed")));
+                    }
+                }
+            }
+            Phase::Landed { since } => {
+                if now.seconds_since(since) > settings.landed_s {
+                    self.disarm(text(format_args!("disarmed: landed for {} s", settings.landed_s)));
+                }
+            }
+        }
+    }
+
+    fn wants_to_fly(&self) -> bool {
+        match self.mode {
+            Mode::Stabilise => self.target.throttle > THROTTLE_ACTIVE,
+            Mode::AltitudeHold | Mode::Hold => {
+                self.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
+            }
+            _ => false,
+        }
+    }
+
+    /// On the ground, or hanging, with nothing left to do: little thrust and no motion.
+    fn standing(&mut self, now: FlightTime) -> bool {
+        let down = match self.mode {
+            Mode::Land => self.blind_since.is_none(),
+            Mode::Stabilise => self.target.throttle < THROTTLE_ACTIVE,
+            _ => false,
+        };
+        let light = self.report.given.thrust_n < STANDING_THRUST * self.config.airframe.weight_n();
+        let still = self.bank.in_loop().velocity_enu_mps.z.abs() < STANDING_SPEED_MPS;
+        if !(down && light && still) {
+            self.quiet_since = None;
+            return false;
+        }
+        now.seconds_since(*self.quiet_since.get_or_insert(now)) > STANDING_S
+    }
+
+    /// Limits of the profile in this tick.
+    pub(super) fn limits_now(&self) -> Limits {
+        if self.mode == Mode::Land {
+            descent_limits(&self.config.limits, &self.config.failsafe)
+        } else {
+            self.config.limits
+        }
+    }
+
+    /// Where the profile is heading in this tick.
+    pub(super) fn target_now(&self) -> Setpoint {
+        let mut target = self.target;
+        if self.mode == Mode::Land {
+            // Down until something carries the vehicle; never far below it.
+            target.position_enu_m.z = self.bank.in_loop().position_enu_m.z - LANDING_LEAD_M;
+        }
+        target
+    }
+
+    /// Throttle of a descent on attitude alone.
+    pub(super) fn blind_throttle(&self) -> f64 {
+        BLIND_THRUST * self.hover_thrust_n / self.config.airframe.weight_n()
+    }
+
+    /// Learns what hovering takes while the altitude is held.
+    pub(super) fn learn_hover(&mut self, mixed: &Mixed, dt_s: f64) {
+        let estimate = self.bank.in_loop();
+        let steady = estimate.velocity_enu_mps.z.abs() < 0.2 && estimate.health == Health::Healthy;
+        if self.loops().altitude && self.mode != Mode::Land && steady && !mixed.saturated {
+            let lifted = mixed.given.thrust_n * self.watchdog.tilt_rad().cos();
+            let weight = self.config.airframe.weight_n();
+            self.hover_thrust_n += dt_s / HOVER_TIME_CONSTANT_S * (lifted - self.hover_thrust_n);
+            self.hover_thrust_n = self.hover_thrust_n.clamp(0.8 * weight, 1.25 * weight);
+        }
+    }
+
+    /// Time since the last heartbeat, s; infinite before the first.
+    pub(super) fn link_age_s(&self, now: FlightTime) -> f64 {
+        self.heartbeat.map_or(f64::INFINITY, |t| now.seconds_since(t))
+    }
+
+    /// Makes an event of every change of the attacks' progress.
+    fn watch_attacks(&mut self) {
+        if self.attacks.changes() == self.attack_changes {
+            return;
+        }
+        self.attack_changes = self.attacks.changes();
+        let mut changed = arrayvec::ArrayVec::<_, { super::MAX_ATTACKS }>::new();
+        for (i, progress) in self.attacks.state().iter().enumerate() {
+            if self.attack_phases.get(i) != Some(&progress.phase) {
+                changed.push(*progress);
+            }
+        }
+        self.attack_phases = self.attacks.state().iter().map(|p| p.phase).collect();
+        for p in changed {
+            let a = p.attack;
+            let phase = match p.phase {
+                AttackPhase::Accepted => "accepted",
+                AttackPhase::Active => "active",
+                AttackPhase::Done => "done",
+                AttackPhase::Aborted => "aborted",
+            };
+            let line = text(format_args!(
+                "attack {} on {}: {phase} ({:?} {} from {} s for {} s)",
+                a.id, a.sensor, a.kind, a.magnitude, a.start_s, a.duration_s
+            ));
+            self.event(Severity::Warning, EventKind::Attack, line);
+        }
+    }
+}
+
+/// For people and the log.
+pub(super) fn mode_name(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Unspecified => "unspecified",
+        Mode::Disarmed => "disarmed",
+        Mode::Stabilise => "stabilise",
+        Mode::AltitudeHold => "altitude hold",
+        Mode::Hold => "hold",
+        Mode::Land => "land",
+        Mode::Cut => "cut",
+    }
+}

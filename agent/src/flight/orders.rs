@@ -1,0 +1,265 @@
+//! Commands, carried out between ticks: checked, done whole, or refused with the offending value.
+
+#![allow(clippy::result_large_err, reason = "bounded text on the stack: commands do not allocate")]
+
+use plumbline_proto::ids::GainsRevision;
+use plumbline_proto::time::FlightTime;
+
+use super::guard::mode_name;
+use super::{Failsafe, Flight, Phase};
+use crate::attack::Schedule;
+use crate::command::{Ack, Command, Mode, SetpointChange};
+use crate::control::gains::{CHANGE_MAX, GainsError, certify};
+use crate::control::lqr_integral::Weights;
+use crate::estimate::{EstimatorKind, Health};
+use crate::event::{EventKind, Severity, Text, text};
+use crate::frames::wrap_pi;
+
+/// Body rate below which a vehicle stands still, rad/s (10 °/s).
+const STILL_RADPS: f64 = 0.175;
+
+/// A field of a setpoint: name, unit, new value, least, most, controlled in this mode?
+type Field = (&'static str, &'static str, Option<f64>, f64, f64, bool);
+/// What was done, or why not.
+type Outcome = Result<Text, Text>;
+
+impl Flight {
+    /// Carries out one command. `now` is the time of the last tick, or later.
+    pub fn apply(&mut self, command: &Command, now: FlightTime) -> Ack {
+        let outcome = match command {
+            Command::Arm => self.arm(now),
+            Command::Disarm => self.order_disarm(),
+            Command::CutMotors => self.order_cut(),
+            Command::ReleaseCut => self.release_cut(),
+            Command::SetMode(mode) => self.set_mode(*mode),
+            Command::Setpoint(change) => self.set_setpoint(change, now),
+            Command::Attack(schedule) => self.set_attacks(schedule, now),
+            Command::AbortAttacks => {
+                let aborted = self.attacks.abort(now);
+                Ok(text(format_args!("{aborted} attacks aborted")))
+            }
+            Command::SelectEstimator(kind) => self.select_estimator(*kind),
+            Command::PushGains { revision, weights } => self.push_gains(*revision, weights),
+        };
+        match outcome {
+            Ok(reason) => Ack { accepted: true, reason },
+            Err(reason) => Ack { accepted: false, reason },
+        }
+    }
+
+    fn arm(&mut self, now: FlightTime) -> Outcome {
+        if self.armed() {
+            return Err(text(format_args!("already armed, mode {}", mode_name(self.mode))));
+        }
+        let checks = self.checks(now);
+        if let Some(failed) = checks.iter().find(|c| !c.passed) {
+            let others = checks.iter().filter(|c| !c.passed).count() - 1;
+            return Err(match others {
+                0 => text(format_args!("{}: {}", failed.name, failed.reason)),
+                _ => text(format_args!("{}: {}; and {others} more checks fail", failed.name, failed.reason)),
+            });
+        }
+        self.monitor.reset();
+        self.meter.reset();
+        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
+        self.phase = Phase::Idle { since: self.ticked.unwrap_or(now) };
+        self.event(Severity::Info, EventKind::Armed, text(format_args!("armed, {}", self.config.rig.name())));
+        self.enter(Mode::Stabilise);
+        Ok(text(format_args!("armed, mode stabilise")))
+    }
+
+    fn order_disarm(&mut self) -> Outcome {
+        if !self.armed() {
+            return Ok(text(format_args!("already {}", mode_name(self.mode))));
+        }
+        if self.phase == Phase::Flying && !self.config.rig.catches() {
+            let z = self.bank.in_loop().position_enu_m.z;
+            return Err(text(format_args!("in the air at {z:.2} m: land first, or cut the motors")));
+        }
+        let done = text(format_args!("disarmed by the operator"));
+        self.disarm(done);
+        Ok(done)
+    }
+
+    fn order_cut(&mut self) -> Outcome {
+        let reason = text(format_args!("motors cut by the operator"));
+        if !self.cut_latched {
+            self.cut(Failsafe::OperatorCut, reason);
+        }
+        Ok(reason)
+    }
+
+    fn release_cut(&mut self) -> Outcome {
+        if !self.cut_latched {
+            return Err(text(format_args!("no cut is latched")));
+        }
+        let rate = self.watchdog.rates_radps().norm();
+        if rate > STILL_RADPS {
+            return Err(text(format_args!("still turning at {:.0} °/s, wait until it stands", rate.to_degrees())));
+        }
+        self.cut_latched = false;
+        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
+        let done = text(format_args!("cut released, disarmed"));
+        self.disarm(done);
+        Ok(done)
+    }
+
+    fn set_mode(&mut self, mode: Mode) -> Outcome {
+        match mode {
+            Mode::Disarmed => return self.order_disarm(),
+            Mode::Cut => return self.order_cut(),
+            Mode::Unspecified => return Err(text(format_args!("no mode given"))),
+            _ if !self.armed() => return Err(text(format_args!("{}: arm first", mode_name(self.mode)))),
+            _ => {}
+        }
+        if mode == self.mode {
+            return Ok(text(format_args!("mode is {} already", mode_name(mode))));
+        }
+        if mode != Mode::Stabilise && !self.config.rig.can_lift() {
+            let rig = self.config.rig.name();
+            return Err(text(format_args!("{rig}: no {}, only stabilise", mode_name(mode))));
+        }
+        let estimate = self.bank.in_loop();
+        if matches!(mode, Mode::AltitudeHold | Mode::Hold) && estimate.health != Health::Healthy {
+            return Err(text(format_args!("estimator {:?} is {:?}", self.bank.in_loop_kind(), estimate.health)));
+        }
+        if mode == Mode::Hold && !estimate.horizontal_known {
+            return Err(text(format_args!("hold needs the horizontal position, it is not known")));
+        }
+        if mode == Mode::Land && self.phase != Phase::Flying {
+            self.disarm(text(format_args!("disarmed: asked to land while on the ground")));
+            return Ok(text(format_args!("on the ground: disarmed")));
+        }
+        // The operator takes over from a failsafe; if its cause lasts, it acts again.
+        self.clear_failsafe();
+        if let Phase::Landed { .. } = self.phase {
+            self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
+        }
+        self.enter(mode);
+        Ok(text(format_args!("mode {}", mode_name(mode))))
+    }
+
+    fn set_setpoint(&mut self, change: &SetpointChange, now: FlightTime) -> Outcome {
+        if !self.armed() {
+            return Err(text(format_args!("{}: arm first", mode_name(self.mode))));
+        }
+        if self.mode == Mode::Land {
+            return Err(text(format_args!("landing: choose another mode first")));
+        }
+        if self.failsafe == Failsafe::LinkFreeze {
+            return Err(text(format_args!("{}", self.failsafe_reason)));
+        }
+        let limits = self.config.limits;
+        let altitude_modes = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
+        let fields: [Field; 7] = [
+            ("altitude", "m", change.altitude_m, limits.altitude_min_m, self.config.altitude_max_m(), altitude_modes),
+            ("x", "m", change.x_m, -limits.lateral_max_m, limits.lateral_max_m, self.mode == Mode::Hold),
+            ("y", "m", change.y_m, -limits.lateral_max_m, limits.lateral_max_m, self.mode == Mode::Hold),
+            ("roll", "rad", change.roll_rad, -limits.tilt_max_rad, limits.tilt_max_rad, self.mode != Mode::Hold),
+            ("pitch", "rad", change.pitch_rad, -limits.tilt_max_rad, limits.tilt_max_rad, self.mode != Mode::Hold),
+            ("yaw", "rad", change.yaw_rad, -std::f64::consts::TAU, std::f64::consts::TAU, true),
+            ("throttle", "of the weight", change.throttle, 0.0, limits.throttle_max, self.mode == Mode::Stabilise),
+        ];
+        if fields.iter().all(|f| f.2.is_none()) {
+            return Err(text(format_args!("the setpoint changes nothing")));
+        }
+        // Everything is checked before anything is changed.
+        for (name, unit, value, least, most, allowed) in fields {
+            let Some(value) = value else { continue };
+            if !value.is_finite() {
+                return Err(text(format_args!("{name} {value} is not a number")));
+            }
+            if value < least {
+                return Err(text(format_args!("{name} {value} {unit} below limit {least} {unit}")));
+            }
+            if value > most {
+                return Err(text(format_args!("{name} {value} {unit} above limit {most} {unit}")));
+            }
+            if !allowed {
+                return Err(text(format_args!("{name} is not controlled in mode {}", mode_name(self.mode))));
+            }
+        }
+        if let Some(z) = change.altitude_m {
+            let altitude_m = self.bank.in_loop().position_enu_m.z;
+            let from = if self.phase == Phase::Flying { self.target.position_enu_m.z } else { altitude_m };
+            self.meter.begin(now, from, z, altitude_m);
+            self.target.position_enu_m.z = z;
+        }
+        let target = &mut self.target;
+        let set = |field: &mut f64, value: Option<f64>| {
+            if let Some(value) = value {
+                *field = value;
+            }
+        };
+        set(&mut target.position_enu_m.x, change.x_m);
+        set(&mut target.position_enu_m.y, change.y_m);
+        set(&mut target.roll_pitch_yaw_rad.x, change.roll_rad);
+        set(&mut target.roll_pitch_yaw_rad.y, change.pitch_rad);
+        set(&mut target.roll_pitch_yaw_rad.z, change.yaw_rad.map(wrap_pi));
+        set(&mut target.throttle, change.throttle);
+        let mut done = Text::new();
+        for (name, unit, value, ..) in fields {
+            if let Some(value) = value {
+                let separator = if done.is_empty() { "" } else { ", " };
+                done = text(format_args!("{done}{separator}{name} {value} {unit}"));
+            }
+        }
+        self.event(Severity::Info, EventKind::Setpoint, done);
+        Ok(done)
+    }
+
+    fn set_attacks(&mut self, schedule: &Schedule, now: FlightTime) -> Outcome {
+        let age = self.link_age_s(now);
+        if age > self.config.failsafe.link_freeze_s {
+            return Err(text(format_args!("no heartbeat for {age:.2} s: no attacks without a link")));
+        }
+        self.attacks.upload(schedule, now).map_err(|e| text(format_args!("{e}")))?;
+        Ok(text(format_args!("schedule {} with {} attacks", schedule.id, schedule.attacks.len())))
+    }
+
+    fn select_estimator(&mut self, kind: EstimatorKind) -> Outcome {
+        let Some(estimate) = self.bank.estimate_of(kind) else {
+            return Err(text(format_args!("estimator {kind:?} does not run on this vehicle")));
+        };
+        if self.armed() && estimate.health != Health::Healthy {
+            return Err(text(format_args!(
+                "estimator {kind:?} is {:?}: not put in the loop while armed",
+                estimate.health
+            )));
+        }
+        self.bank.select(kind).map_err(|e| text(format_args!("{e}")))?;
+        let done = text(format_args!("estimator {kind:?} in the loop"));
+        self.event(Severity::Info, EventKind::Estimator, done);
+        Ok(done)
+    }
+
+    /// Solves and certifies in the calling thread (about a millisecond), then switches between ticks.
+    fn push_gains(&mut self, revision: GainsRevision, weights: &Weights) -> Outcome {
+        let period_s = 1.0 / self.config.tick_rate_hz;
+        let certified = certify(&self.config.airframe, period_s, weights, revision).and_then(|new| {
+            let (row, change) = new.change_from(&self.gains);
+            if self.armed() && change > CHANGE_MAX {
+                return Err(GainsError::Jump { row, change, limit: CHANGE_MAX });
+            }
+            Ok((new, row, change))
+        });
+        let (new, row, change) = match certified {
+            Ok(certified) => certified,
+            Err(error) => {
+                let refused = text(format_args!("gains {} refused: {error}", revision.0));
+                self.event(Severity::Warning, EventKind::Gains, refused);
+                return Err(refused);
+            }
+        };
+        self.controller.use_gains(&new);
+        let done = text(format_args!(
+            "gains {} in use: slowest pole {:.2} 1/s, largest change {:.0} % ({row})",
+            revision.0,
+            new.slowest_pole_per_s,
+            100.0 * change
+        ));
+        self.gains = new;
+        self.event(Severity::Info, EventKind::Gains, done);
+        Ok(done)
+    }
+}
