@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use nalgebra::DMatrix;
-use plumbline_agent::estimate::secure::{Program, compress::Compressed, conic::Conic, newton::Newton, newton::Settings};
+use plumbline_agent::estimate::secure::{
+    Program, compress::Compressed, conic::Conic, newton::Newton, newton::Settings,
+};
 
 #[derive(serde::Deserialize)]
 struct Windows {

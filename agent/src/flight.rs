@@ -21,7 +21,7 @@ use crate::control::lqr_integral::LqrIntegral;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
 use crate::control::{Controller, Loops, Setpoint, Wrench};
-use crate::estimate::bank::{Bank, BankError};
+use crate::estimate::bank::{Bank, BankError, build};
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::failsafe::{Monitor, Watchdog};
@@ -87,6 +87,7 @@ pub struct Flight {
     hover_thrust_n: f64,
     meter: StepMeter,
     meter_sent: FlightTime,
+    setpoint_told: FlightTime,
     events: EventQueue,
     attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
     attack_changes: u64,
@@ -99,7 +100,16 @@ pub struct Flight {
 }
 
 impl Flight {
-    /// A disarmed flight with these `estimators`.
+    /// A disarmed flight with the estimators of its configuration.
+    ///
+    /// # Errors
+    /// [`FlightError`] naming what does not fit.
+    pub fn new(config: FlightConfig) -> Result<Self, FlightError> {
+        let estimators = config.estimators.iter().map(|&kind| build(kind, &config.ekf)).collect::<Result<_, _>>()?;
+        Self::with_estimators(config, estimators)
+    }
+
+    /// A disarmed flight with these `estimators` (tests, experiments).
     ///
     /// # Errors
     /// [`FlightError`] naming what does not fit.
@@ -131,6 +141,7 @@ impl Flight {
             hover_thrust_n: weight_n,
             meter: StepMeter::default(),
             meter_sent: FlightTime(0),
+            setpoint_told: FlightTime(0),
             events: EventQueue::default(),
             attack_phases: ArrayVec::new(),
             attack_changes: 0,

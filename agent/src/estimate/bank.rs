@@ -7,6 +7,8 @@
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::ekf_bias::{EkfBias, EkfOptions};
+use super::primary::Primary;
 use super::{Estimate, Estimator, EstimatorKind};
 use crate::vehicle::{MotorCommand, SensorFrame};
 
@@ -27,9 +29,24 @@ pub enum BankError {
     /// Two of one kind.
     #[error("estimator {0:?} is configured twice")]
     Twice(EstimatorKind),
+    /// Not built (yet).
+    #[error("estimator {0:?} is not available")]
+    NotAvailable(EstimatorKind),
     /// Not among those that run.
     #[error("estimator {0:?} does not run on this vehicle")]
     NotRunning(EstimatorKind),
+}
+
+/// The estimator of `kind`, with the sigmas and gates of `options`.
+///
+/// # Errors
+/// [`BankError::NotAvailable`] for a kind that cannot be built.
+pub fn build(kind: EstimatorKind, options: &EkfOptions) -> Result<Box<dyn Estimator>, BankError> {
+    match kind {
+        EstimatorKind::EkfBias => Ok(Box::new(EkfBias::new(options.clone()))),
+        EstimatorKind::Primary => Ok(Box::new(Primary::new(options.clone()))),
+        other => Err(BankError::NotAvailable(other)),
+    }
 }
 
 /// The bank.

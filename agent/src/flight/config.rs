@@ -6,8 +6,12 @@ use crate::attack;
 use crate::control::lqr_integral::Weights;
 use crate::control::setpoint::Limits;
 use crate::estimate::EstimatorKind;
+use crate::estimate::ekf_bias::EkfOptions;
 use crate::failsafe::Settings;
 use crate::model::airframe::Airframe;
+use crate::vehicle::sim::rig::StringMode;
+use crate::vehicle::sim::{Rig, Scenario};
+use crate::vehicle::suite::Suite;
 
 /// Fraction of the weight that the motors may lift in the orientation test.
 const ORIENTATION_CEILING: f64 = 0.9;
@@ -31,19 +35,32 @@ pub enum RigKind {
         /// Length of the tether, m.
         reach_m: f64,
     },
-    /// Fixed on its stand; cannot lift.
+    /// On its stand: may take off and land there.
     OnStand,
 }
 
 impl RigKind {
+    /// The rig of a scenario.
+    pub fn of(rig: &Rig, airframe: &Airframe) -> Self {
+        let reach_m = rig.altitude_reach_m(airframe).1.unwrap_or(f64::INFINITY);
+        match rig {
+            Rig::Free(_) => Self::Free,
+            Rig::SingleAxis(_) => Self::SingleAxis,
+            Rig::HangingStrings(r) if r.mode == StringMode::Orientation => Self::StringsOrientation,
+            Rig::HangingStrings(_) => Self::StringsFlight { reach_m },
+            Rig::Tethered(_) => Self::Tethered { reach_m },
+            Rig::OnStand(_) => Self::OnStand,
+        }
+    }
+
     /// May the vehicle lift itself?
     pub fn can_lift(self) -> bool {
-        matches!(self, Self::Free | Self::StringsFlight { .. } | Self::Tethered { .. })
+        !matches!(self, Self::SingleAxis | Self::StringsOrientation)
     }
 
     /// Does the rig catch a vehicle whose motors stop?
     pub fn catches(self) -> bool {
-        !matches!(self, Self::Free | Self::Tethered { .. })
+        matches!(self, Self::SingleAxis | Self::StringsOrientation | Self::StringsFlight { .. })
     }
 
     /// Most thrust allowed in total, N.
@@ -85,8 +102,12 @@ pub struct FlightConfig {
     pub limits: Limits,
     /// Weights of the gains to start with.
     pub weights: Weights,
-    /// Estimator in the loop.
+    /// Estimators that run side by side.
+    pub estimators: Vec<EstimatorKind>,
+    /// The one in the loop.
     pub in_loop: EstimatorKind,
+    /// What the estimators assume of the sensors.
+    pub ekf: EkfOptions,
     /// Sensors of the vehicle.
     pub sensors: Vec<SensorId>,
     /// Bounds of attacks.
@@ -98,19 +119,32 @@ pub struct FlightConfig {
 }
 
 impl FlightConfig {
-    /// Defaults for `airframe` on `rig` with these sensors: 200 Hz, no attacks.
-    pub fn new(airframe: Airframe, rig: RigKind, sensors: Vec<SensorId>) -> Self {
+    /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, the bias EKF in the loop
+    /// with the primary estimate beside it, no attacks.
+    pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
         Self {
             weights: Weights::for_airframe(&airframe),
             airframe,
             rig,
             tick_rate_hz: 200.0,
             limits: Limits::default(),
+            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Primary],
             in_loop: EstimatorKind::EkfBias,
-            sensors,
+            ekf: EkfOptions::from(suite),
+            sensors: suite.descriptions().iter().map(|d| d.id).collect(),
             attack_bounds: attack::Bounds::default(),
             attacks_enabled: false,
             failsafe: Settings::default(),
+        }
+    }
+
+    /// The same for a simulated `scenario`: its airframe, rig, rate and sensors; attacks enabled.
+    pub fn for_scenario(scenario: &Scenario) -> Self {
+        let rig = RigKind::of(&scenario.rig, &scenario.airframe);
+        Self {
+            tick_rate_hz: scenario.tick_rate_hz,
+            attacks_enabled: true,
+            ..Self::new(scenario.airframe.clone(), rig, &scenario.suite)
         }
     }
 

@@ -20,6 +20,9 @@ const STILL_RADPS: f64 = 0.175;
 
 /// A field of a setpoint: name, unit, new value, least, most, controlled in this mode?
 type Field = (&'static str, &'static str, Option<f64>, f64, f64, bool);
+/// Setpoint events come at most this often, s.
+const SETPOINT_EVENT_S: f64 = 0.2;
+
 /// What was done, or why not.
 type Outcome = Result<Text, Text>;
 
@@ -204,7 +207,11 @@ impl Flight {
                 done = text(format_args!("{done}{separator}{name} {value} {unit}"));
             }
         }
-        self.event(Severity::Info, EventKind::Setpoint, done);
+        // A trajectory changes the setpoint at every tick: one event in a while says so.
+        if now.seconds_since(self.setpoint_told) > SETPOINT_EVENT_S {
+            self.setpoint_told = now;
+            self.event(Severity::Info, EventKind::Setpoint, done);
+        }
         Ok(done)
     }
 
