@@ -15,7 +15,7 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use crate::model::GRAVITY_MPS2;
 use crate::model::airframe::Airframe;
@@ -36,7 +36,7 @@ const FRICTION: f64 = 0.6;
 const FRICTION_SPEED_MPS: f64 = 0.02;
 
 /// An axis of the body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Axis {
     /// About body x.
@@ -59,7 +59,7 @@ impl Axis {
 }
 
 /// What a hanging-string test is for; the agent limits thrust or altitude accordingly.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StringMode {
     /// Thrust stays below lift-off: only the attitude is controlled ([Paternain] VIII-B).
@@ -70,7 +70,7 @@ pub enum StringMode {
 }
 
 /// Nothing holds the vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Free {
     /// Height of the centre of mass at the start, m; 0 stands it on its feet.
@@ -78,7 +78,7 @@ pub struct Free {
 }
 
 /// One rotation is left.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SingleAxis {
     /// The free axis.
@@ -103,7 +103,7 @@ fn pivot_friction() -> f64 {
 }
 
 /// Hanging from the ceiling.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HangingStrings {
     /// What the test is for.
@@ -143,7 +143,7 @@ impl Default for HangingStrings {
 }
 
 /// Tied to the floor.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Tethered {
     /// Length of the tether from floor to knot, m.
@@ -163,7 +163,7 @@ impl Default for Tethered {
 }
 
 /// On a platform it may take off from and land on.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OnStand {
     /// Height of the platform, m.
@@ -179,7 +179,7 @@ impl Default for OnStand {
 }
 
 /// A rig as a scenario writes it: `[rig.hanging_strings]`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Rig {
     /// Nothing holds it.

@@ -1,7 +1,7 @@
 //! The place where the vehicle flies: what GNSS, barometer, thermometer and magnetometer see of it.
 
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use crate::model::measure::barometer::{STANDARD_PRESSURE_PA, pressure_pa};
 
@@ -11,7 +11,7 @@ const SEMI_MAJOR_M: f64 = 6_378_137.0;
 const ECCENTRICITY_SQUARED: f64 = 6.694_379_990_141e-3;
 
 /// A laboratory somewhere on the Earth. The world's origin is its floor.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Site {
     /// Latitude of the origin, degrees.

@@ -20,7 +20,7 @@ use crate::vehicle::ROTORS;
 pub const SUB_STEP_S: f64 = 0.001_25;
 
 /// How far the world is from calm and exact.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Disturbance {
     /// White acceleration, m/s²/√Hz.
