@@ -5,9 +5,13 @@
 
 pub mod bank;
 pub mod ekf_bias;
+pub mod ekf_hybrid;
 pub mod imu_vote;
 pub mod kalman;
+pub mod mocap_recipe;
 pub mod primary;
+pub mod scalar_row;
+pub mod ukf;
 
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};

@@ -3,6 +3,7 @@
 pub mod airframe;
 pub mod battery;
 pub mod discretize;
+pub mod euler_body;
 pub mod integrate;
 pub mod linearize;
 pub mod measure;
