@@ -2,8 +2,10 @@
 //!
 //! Its own dependencies are few, so that a fresh clone spends its first minute on the product and not on its tools.
 
+mod bench;
 mod browser;
 mod error;
+mod reproduce;
 mod run;
 mod signals;
 mod tally;
@@ -34,6 +36,10 @@ enum Task {
     Run(run::Options),
     /// Every check there is: format, clippy, all tests, the browser. Closing line: `N passed, N failed`.
     Test(test::Options),
+    /// Measure what is promised: JSON lines.
+    Bench(bench::Options),
+    /// The sources' figures beside ours.
+    Reproduce(reproduce::Options),
     /// What CI runs: `test`.
     Ci,
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
@@ -46,6 +52,8 @@ pub fn main() -> ExitCode {
     let done = Workspace::find().and_then(|workspace| match task {
         Task::Run(options) => run::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Test(options) => Ok(verdict(test::run(&workspace, &options))),
+        Task::Bench(options) => bench::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Reproduce(options) => reproduce::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
     });

@@ -54,7 +54,7 @@ impl Bundle {
 /// Bundles the page, prints its size as one JSON line, and fails when it is too large.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<Bundle, XtaskError> {
     let started = Instant::now();
-    let bundle = bundle(workspace, options)?;
+    let bundle = build(workspace, options)?;
     let total = bundle.total();
     let line = json!({
         "bench": "page", "name": "compressed_total", "value": total, "unit": "B", "limit": SIZE_LIMIT_BYTES,
@@ -75,7 +75,11 @@ fn profile(options: &Options) -> &'static str {
     if options.dev { "wasm-dev" } else { "wasm-release" }
 }
 
-fn bundle(workspace: &Workspace, options: &Options) -> Result<Bundle, XtaskError> {
+/// Bundles the page; nothing is done when nothing changed.
+///
+/// # Errors
+/// No toolchain, a build error, or a placeholder that names nothing.
+pub fn build(workspace: &Workspace, options: &Options) -> Result<Bundle, XtaskError> {
     let wasm = compile(workspace, options)?;
     let module = read(&wasm)?;
     let sources = page_sources(&workspace.root.join("web"))?;

@@ -1,0 +1,68 @@
+//! A scripted scenario flown in this process, as fast as possible: the agent's own parts, no socket, no clock.
+#![allow(dead_code, reason = "each program uses its part")]
+
+use plumbline_agent::command::Command;
+use plumbline_agent::control::step_response::StepResponse;
+use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
+use plumbline_agent::vehicle::{SensorFrame, Truth, Vehicle};
+use plumbline_proto::time::FlightTime;
+
+/// A simulated flight that advances tick by tick.
+pub struct Headless {
+    pub scenario: Scenario,
+    pub vehicle: SimVehicle,
+    pub flight: Flight,
+    before: Option<FlightTime>,
+}
+
+/// What the caller sees of one tick.
+pub struct Tick {
+    pub time: FlightTime,
+    pub sensed: SensorFrame,
+    pub truth: Truth,
+    pub step: Option<StepResponse>,
+}
+
+impl Headless {
+    /// The scenario of that name in `tests/scenarios`, with the agent's default estimators.
+    pub fn start(name: &str) -> Self {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+        let text = std::fs::read_to_string(folder.join(name).with_extension("toml")).unwrap();
+        let scenario = Scenario::from_toml(&text).unwrap();
+        let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+        let vehicle = SimVehicle::new(&scenario).unwrap();
+        Self { scenario, vehicle, flight, before: None }
+    }
+
+    pub fn sense(&mut self) -> SensorFrame {
+        self.vehicle.sense().unwrap()
+    }
+
+    /// Everything of a tick after sensing, the scripted commands included.
+    pub fn fly(&mut self, sensed: &SensorFrame) -> Option<StepResponse> {
+        let now = sensed.time;
+        self.flight.heartbeat(now);
+        let report = self.flight.step(sensed);
+        let (command, step) = (report.command, report.step_response);
+        let applied = self.vehicle.actuate(&command).unwrap();
+        self.flight.applied(applied);
+        let (flight, before) = (&mut self.flight, self.before.replace(now));
+        self.scenario.script.commands(before, now, |command: &Command| {
+            let ack = flight.apply(command, now);
+            assert!(ack.accepted, "{command:?} at {now}: {}", ack.reason);
+        });
+        step
+    }
+
+    /// The whole scenario.
+    pub fn run(&mut self, mut each: impl FnMut(Tick)) {
+        let ticks = (self.scenario.duration_s * self.scenario.tick_rate_hz) as usize;
+        for _ in 0..ticks {
+            let sensed = self.sense();
+            let step = self.fly(&sensed);
+            let truth = self.vehicle.truth().unwrap();
+            each(Tick { time: sensed.time, sensed, truth, step });
+        }
+    }
+}

@@ -1,0 +1,180 @@
+// The everyday use, steps 2 to 5 of a new user, by role and label: what a screen reader can do, this can do.
+
+import { assert, complaints, countMcap, drawn, end, hold, launch, number, pixels, screenshots, step, until, url } from './support.mjs';
+
+const browser = await launch();
+const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true, colorScheme: 'light' });
+const page = await context.newPage();
+page.setDefaultTimeout(10_000);
+const errors = complaints(page);
+const region = (name) => page.getByRole('region', { name });
+const button = (name) => page.getByRole('button', { name });
+const readout = async (name) => number(await region('Readouts').getByRole('definition').nth(['roll', 'pitch', 'yaw', 'altitude'].indexOf(name) * 2).textContent());
+const shot = (name) => page.screenshot({ path: `${screenshots}/${name}.png` });
+
+await step(page, 'the vehicle is live within two seconds', async () => {
+  await page.goto(url, { waitUntil: 'commit' });
+  const opened = Date.now();
+  await until('a live altitude', async () => Number.isFinite(await readout('altitude')));
+  const ms = Date.now() - opened;
+  assert(ms <= 2000, `live after ${ms} ms`);
+  return { ms };
+});
+
+await step(page, 'the toolbar tells mode, arming, link, recording and battery', async () => {
+  const bar = page.getByRole('banner');
+  await until('link age and rate', async () => /\d+ ms · +\d+ Hz · /.test(await bar.getByLabel('Link').textContent()));
+  await until('battery', async () => number(await bar.getByLabel('Battery').textContent()) > 5);
+  assert(/disarmed/i.test(await bar.getByLabel('Arming').textContent()), 'not disarmed at first');
+  await bar.getByRole('button', { name: /Recording/ }).waitFor();
+  await bar.getByRole('button', { name: /CUT MOTORS/ }).waitFor();
+});
+
+await step(page, 'arm with a hold', async () => {
+  await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
+  await hold(button('Arm (hold)'));
+  await until('ARMED', async () => /ARMED/.test(await page.getByRole('banner').getByLabel('Arming').textContent()));
+  await until('REC', async () => /REC/.test(await page.getByRole('banner').getByRole('button', { name: /Recording/ }).textContent()));
+});
+
+await step(page, 'altitude hold', async () => {
+  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
+  await until('the mode', async () => /alt/i.test(await page.getByRole('banner').getByLabel('Mode').textContent()));
+});
+
+const setpoint = async () => number(await region('Setpoint').getByLabel('Altitude setpoint in use').textContent());
+const reach = async (metres) => {
+  await until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
+  await until(`altitude ${metres}`, async () => Math.abs((await readout('altitude')) - metres) < 0.05);
+};
+const stepText = async (from, to) => {
+  const marks = page.getByRole('list', { name: 'Step responses in view' }).getByRole('listitem');
+  const wanted = `${from.toFixed(2)} → ${to.toFixed(2)} m`;
+  return until(`metrics of ${wanted}`, async () => {
+    for (const text of await marks.allTextContents()) {
+      const found = /rise ([\d.]+) s · over ([\d.]+) % · settle ([\d.]+) s · error ([-−+]?\d+) mm/.exec(text);
+      if (text.includes(wanted) && found) return { rise: +found[1], over: +found[2], settle: +found[3], error: number(found[4]) };
+    }
+    return false;
+  });
+};
+
+await step(page, 'a preset button: 0.5 m', async () => {
+  await button('Altitude 0.5 m').click();
+  await reach(0.5);
+});
+
+await step(page, 'the exact field: 0.8 m, with its step metrics', async () => {
+  await page.getByLabel('Exact altitude in metres').fill('0.8');
+  await region('Setpoint').getByRole('button', { name: 'Set', exact: true }).click();
+  await reach(0.8);
+  const metrics = await stepText(0.5, 0.8);
+  assert(metrics.rise > 0 && metrics.settle >= metrics.rise && metrics.settle <= 4, JSON.stringify(metrics));
+  return metrics;
+});
+
+await step(page, 'a value outside the limits is refused with the value', async () => {
+  await page.getByLabel('Exact altitude in metres').fill('99');
+  await region('Setpoint').getByRole('button', { name: 'Set', exact: true }).click();
+  await page.getByText(/99/).first().waitFor();
+  assert(Math.abs((await setpoint()) - 0.8) < 1e-6, 'the setpoint moved');
+});
+
+await step(page, 'keys: up twice to 1.0 m', async () => {
+  await page.getByRole('heading', { name: 'Residuals' }).click();
+  await page.keyboard.press('ArrowUp');
+  await until('0.9', async () => Math.abs((await setpoint()) - 0.9) < 1e-6);
+  await page.keyboard.press('ArrowUp');
+  await reach(1.0);
+  return stepText(0.9, 1.0);
+});
+
+const charts = async (names) => {
+  const seen = [];
+  for (const name of names) {
+    for (const plot of await region(name).getByRole('img').all()) {
+      seen.push(await drawn(page, plot, `${name}: ${await plot.getAttribute('aria-label')}`));
+    }
+  }
+  assert(seen.length >= names.length, `only ${seen.length} pictures`);
+  return seen;
+};
+
+await step(page, 'charts, residuals and horizon are really drawn, and move', async () => {
+  const seen = await charts(['Altitude', 'Attitude', 'Residuals']);
+  const altitude = region('Altitude').getByRole('img').first();
+  const before = await pixels(page, altitude);
+  assert(before.blue > 0.0005, `no estimate-blue in the altitude chart: ${before.blue}`);
+  await until('the altitude chart to move', async () => (await pixels(page, altitude)).digest !== before.digest);
+  return seen;
+});
+
+await step(page, 'everything fits 1280×720 without scrolling', async () => {
+  const size = await page.evaluate(() => {
+    const e = document.scrollingElement;
+    return [e.scrollWidth, e.scrollHeight, innerWidth, innerHeight];
+  });
+  assert(size[0] <= size[2] && size[1] <= size[3], `${size[0]}×${size[1]} in ${size[2]}×${size[3]}`);
+});
+
+await step(page, 'schedule an attack: accepted, then active, residual beyond its gate', async () => {
+  const form = page.getByRole('form', { name: 'New attack' });
+  await form.getByLabel('sensor').selectOption({ label: 'height 2' });
+  await form.getByLabel('kind').selectOption({ label: 'bias' });
+  await form.getByLabel(/^magnitude/).fill('0.5');
+  await form.getByLabel(/^start/).fill('3');
+  await form.getByLabel(/^duration/).fill('10');
+  await form.getByRole('button', { name: 'Add' }).click();
+  await button('Schedule 1 attack').click();
+  const attacks = region('Attacks');
+  await until('accepted', async () => /accepted/i.test(await attacks.getByRole('listitem').first().textContent()));
+  await until('active', async () => /active/i.test(await attacks.getByRole('listitem').first().textContent()));
+  const row = region('Residuals').getByRole('listitem').filter({ has: page.getByRole('button', { name: 'Residuals of height 2' }) });
+  const ratio = await until('height 2 above 1', async () => {
+    const ratio = number((await row.textContent()).replace(/^\s*height 2/, ''));
+    return ratio > 1 ? ratio : false;
+  });
+  return { ratio };
+});
+
+await step(page, 'screenshots under attack: light, dark, tablet', async () => {
+  await shot('fly-light-1280x720');
+  await button('Dark theme').click();
+  await page.waitForTimeout(400);
+  await shot('fly-dark-1280x720');
+  await charts(['Altitude']);
+  await page.setViewportSize({ width: 820, height: 1180 });
+  await page.waitForTimeout(400);
+  await shot('fly-dark-tablet-820x1180');
+  await charts(['Altitude']);
+  await button('Dark theme').click();
+  await page.setViewportSize({ width: 1280, height: 720 });
+});
+
+await step(page, 'abort with one click', async () => {
+  await region('Attacks').getByRole('button', { name: 'Abort all' }).click();
+  await until('aborted', async () => /aborted/i.test(await region('Attacks').getByRole('listitem').first().textContent()));
+});
+
+await step(page, 'a reload loses nothing', async () => {
+  await page.reload({ waitUntil: 'commit' });
+  await until('a live altitude', async () => Number.isFinite(await readout('altitude')));
+  await stepText(0.9, 1.0);
+  await charts(['Altitude']);
+});
+
+await step(page, 'land by setpoint and disarm with a hold', async () => {
+  await button('Altitude 0.5 m').click();
+  await reach(0.5);
+  await hold(button('Disarm (hold)'));
+  await until('disarmed', async () => /disarmed/i.test(await page.getByRole('banner').getByLabel('Arming').textContent()));
+});
+
+// FLIGHTS
+
+await step(page, 'no complaint in the console', async () => {
+  assert(errors.length === 0, errors.join('\n'));
+});
+
+await browser.close();
+end();

@@ -1,0 +1,142 @@
+// What the browser scripts share: the browser, numbered steps, and eyes for pixels.
+
+import { createRequire } from 'node:module';
+import { spawnSync } from 'node:child_process';
+
+const need = (name) => {
+  const value = process.env[name];
+  if (!value) throw new Error(`${name} is not set; these scripts are run by cargo xtask`);
+  return value;
+};
+
+const { chromium } = createRequire(`${need('PLUMBLINE_MODULES')}/`)('playwright-core');
+
+export const url = need('PLUMBLINE_URL');
+export const screenshots = need('PLUMBLINE_SCREENSHOTS');
+
+// Headless Chromium draws WebGL2 in software without flags; root needs the sandbox off.
+export const launch = () =>
+  chromium.launch({ executablePath: need('PLUMBLINE_CHROMIUM'), args: ['--no-sandbox', '--disable-dev-shm-usage'] });
+
+let failures = 0;
+const MOST_FAILURES = 4;
+
+/** One step: a line of JSON for xtask. What it returns is told as a note. A page that is broken is left early. */
+export async function step(page, name, work) {
+  if (failures >= MOST_FAILURES) return undefined;
+  const begun = Date.now();
+  try {
+    const note = await work();
+    console.log(JSON.stringify({ step: name, ok: true, note, ms: Date.now() - begun }));
+    return note;
+  } catch (error) {
+    failures += 1;
+    const file = `${screenshots}/failed-${name.replace(/[^a-z0-9]+/gi, '-').slice(0, 60)}.png`;
+    await page.screenshot({ path: file }).catch(() => {});
+    console.log(JSON.stringify({ step: name, ok: false, error: `${error.message ?? error}\n(see ${file})` }));
+    return undefined;
+  }
+}
+
+/** The end of a script: tells xtask that it was reached. */
+export function end() {
+  console.log(JSON.stringify({ end: true }));
+  process.exit(failures === 0 ? 0 : 1);
+}
+
+export function assert(condition, message) {
+  if (!condition) throw new Error(message);
+}
+
+/** Asks until `check` gives something truthy; tells the last answer when it never does. */
+export async function until(what, check, limitMs = 20_000) {
+  const limit = Date.now() + limitMs;
+  let last;
+  while (Date.now() < limit) {
+    try {
+      last = await check();
+      if (last) return last;
+    } catch (error) {
+      last = error.message;
+    }
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+  throw new Error(`${what}: not within ${limitMs} ms (last: ${JSON.stringify(last)})`);
+}
+
+/** The number in a text such as "0.80 m", with a real minus or a hyphen; NaN when there is none. */
+export const number = (text) => {
+  const found = /[-−+]?\d+(\.\d+)?/.exec(text ?? '');
+  return found ? Number(found[0].replace('−', '-')) : NaN;
+};
+
+/** Holds a button as a finger would. */
+export async function hold(button) {
+  await button.scrollIntoViewIfNeeded();
+  await button.click({ delay: 1100 });
+}
+
+/**
+ * What an element shows, canvas behind it included: number of colours, share of the most common one, a digest.
+ * Counters can rise while nothing is drawn, so only pixels count.
+ */
+export async function pixels(page, locator) {
+  const box = await locator.boundingBox();
+  assert(box && box.width > 8 && box.height > 8, `nothing to look at: ${JSON.stringify(box)}`);
+  const png = (await page.screenshot({ clip: box })).toString('base64');
+  return page.evaluate(async (png) => {
+    const bytes = Uint8Array.from(atob(png), (c) => c.charCodeAt(0));
+    const image = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
+    const canvas = new OffscreenCanvas(image.width, image.height);
+    const context = canvas.getContext('2d');
+    context.drawImage(image, 0, 0);
+    const data = context.getImageData(0, 0, image.width, image.height).data;
+    const counts = new Map();
+    let digest = 0;
+    for (let i = 0; i < data.length; i += 4) {
+      const colour = (data[i] << 16) | (data[i + 1] << 8) | data[i + 2];
+      counts.set(colour, (counts.get(colour) ?? 0) + 1);
+      digest = (Math.imul(digest, 31) + colour) | 0;
+    }
+    const most = Math.max(...counts.values());
+    const near = (r, g, b) => {
+      let found = 0;
+      for (const [colour, count] of counts) {
+        const d = Math.abs((colour >> 16) - r) + Math.abs(((colour >> 8) & 255) - g) + Math.abs((colour & 255) - b);
+        if (d < 60) found += count;
+      }
+      return found / (data.length / 4);
+    };
+    return {
+      width: image.width, height: image.height, colours: counts.size, common: most / (data.length / 4), digest,
+      blue: near(0x00, 0x72, 0xb2), vermilion: near(0xd5, 0x5e, 0x00),
+    };
+  }, png);
+}
+
+/** Fails unless something is drawn there. */
+export async function drawn(page, locator, name) {
+  const seen = await until(`${name} to be drawn`, async () => {
+    const seen = await pixels(page, locator);
+    return seen.colours >= 4 && seen.common < 0.998 ? seen : false;
+  }, 8000);
+  return { name, colours: seen.colours, common: Number(seen.common.toFixed(4)), digest: seen.digest };
+}
+
+/** Topic → messages of a flight file, by the third-party Python reader. */
+export function countMcap(file) {
+  const script = new URL('./count.py', import.meta.url).pathname;
+  const ran = spawnSync(need('PLUMBLINE_PYTHON'), [script, file], { encoding: 'utf8', maxBuffer: 1 << 24 });
+  assert(ran.status === 0, `count.py: ${ran.stderr}`);
+  return JSON.parse(ran.stdout);
+}
+
+/** Counts what the browser complains about. */
+export function complaints(page) {
+  const all = [];
+  page.on('console', (message) => {
+    if (message.type() === 'error') all.push(message.text());
+  });
+  page.on('pageerror', (error) => all.push(`${error.name}: ${error.message}`));
+  return all;
+}

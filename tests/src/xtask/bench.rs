@@ -1,0 +1,65 @@
+//! `cargo xtask bench [NAME]`: every promised figure as one JSON line `{"bench", "name", "value", "unit", …}`.
+
+use std::process::Stdio;
+
+use super::{Workspace, XtaskError, browser, web, workspace};
+
+/// What to measure.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Options {
+    /// One of the benches; all of them without a name.
+    pub name: Option<String>,
+}
+
+/// Name, and the bench program in `tests/benches` or what xtask does itself.
+const BENCHES: [(&str, Bench); 6] = [
+    ("tick", Bench::Program("plumbline-tests", "tick")),
+    ("steps", Bench::Program("plumbline-tests", "steps")),
+    ("sse", Bench::Program("plumbline-agent", "sse")),
+    ("page", Bench::Page),
+    ("live", Bench::Program("plumbline-tests", "live_latency")),
+    ("charts", Bench::Charts),
+];
+
+#[derive(Debug, Clone, Copy)]
+enum Bench {
+    Page,
+    /// A package's bench program.
+    Program(&'static str, &'static str),
+    Charts,
+}
+
+/// Runs the named bench, or all; the lines go to standard output, everything else to standard error.
+///
+/// # Errors
+/// No such bench, or the first that could not be run.
+pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
+    let chosen: Vec<_> =
+        BENCHES.iter().filter(|(name, _)| options.name.as_deref().is_none_or(|wanted| wanted == *name)).collect();
+    if chosen.is_empty() {
+        let wanted = options.name.as_deref().unwrap_or_default();
+        let names = BENCHES.map(|(name, _)| name).join(", ");
+        return Err(XtaskError::Other(format!("no bench is called `{wanted}`; there are: {names}")));
+    }
+    let whole = chosen.iter().any(|(name, _)| ["live", "charts"].contains(name));
+    if whole {
+        // The page first: the ground embeds it.
+        web::build(workspace, &web::Options::default())?;
+        let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
+        workspace::run(workspace.cargo().args(["build", "--locked", "--release", "--bins"]).args(packages))?;
+    }
+    for (name, bench) in chosen {
+        eprintln!("xtask: bench {name}");
+        match bench {
+            Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
+            Bench::Charts => browser::bench(workspace)?,
+            Bench::Program(package, program) => {
+                let mut cargo = workspace.cargo();
+                cargo.args(["bench", "--locked", "--package", package, "--bench", program]);
+                cargo.env("PLUMBLINE_BINARIES", workspace.target.join("release"));
+                workspace::run(cargo.stdin(Stdio::null()))?;
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,40 @@
+//! The everyday use: a hanging-string test with altitude steps, through the real programs.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+use plumbline_proto::{Kind, v1};
+use serde_json::json;
+use support::{Rig, scenario};
+
+/// "Must reach" of the main job: 0.5 → 1.0 m on the strings.
+const SETTLING_LIMIT_S: f64 = 4.0;
+const OVERSHOOT_LIMIT_PERCENT: f64 = 15.0;
+/// The band of the settling time, and what the integral action must get inside.
+const BAND_M: f64 = 0.05;
+
+#[test]
+fn an_altitude_step_on_the_strings_settles_as_promised() {
+    // GIVEN the quadrotor on its strings, armed, holding 0.5 m
+    let rig = Rig::start(&scenario("altitude_step"));
+    let mut live = rig.live();
+    rig.fly_to(0.5);
+    live.step_response(0.5);
+    // WHEN the setpoint steps to 1.0 m
+    rig.command("POST", "setpoint", json!({ "altitude_m": 1.0 }));
+    let step = live.step_response(1.0);
+    // THEN it settles in time, with little overshoot, and stays there
+    let settling = step.settling_time_s.expect("settles");
+    assert!(settling <= SETTLING_LIMIT_S, "settles in {settling} s: {step:?}");
+    assert!(step.overshoot_percent <= OVERSHOOT_LIMIT_PERCENT, "overshoots {} %", step.overshoot_percent);
+    assert!(step.rise_time_s.is_some_and(|rise| rise > 0.0 && rise < settling), "{step:?}");
+    assert!(step.steady_error_m.is_some_and(|error| error.abs() < BAND_M), "{step:?}");
+    assert_eq!(step.band_m, BAND_M);
+    // AND what the meter says is what the truth did
+    let truth = live.until(support::PATIENCE, "truth", |frame| frame.message::<v1::Truth>(Kind::Truth));
+    let altitude = truth.position_enu_m.unwrap().z;
+    assert!((altitude - 1.0).abs() < 2.0 * BAND_M, "true altitude {altitude} m");
+    rig.disarm();
+    live.status("disarmed status", |status| !status.armed);
+    rig.stop();
+}

@@ -1,0 +1,125 @@
+//! What cannot work says so at once, with the offending value, and disturbs nobody.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use plumbline_tests::harness::{Agent, Process, Vehicle, wait_until};
+use support::{PATIENCE, Rig, options, scenario};
+
+/// Runs a program that must end by itself with an error; what it said.
+fn refused(name: &str, command: Command) -> String {
+    let mut process = Process::start(name, command, false).unwrap();
+    let begun = Instant::now();
+    let status = wait_until(PATIENCE, || process.ended());
+    assert!(status.is_some_and(|status| !status.success()), "{name} after {:?}: {status:?}", begun.elapsed());
+    let _ = process.interrupt(Duration::from_secs(1));
+    process.last_lines(50)
+}
+
+#[test]
+fn an_occupied_port_is_named() {
+    let rig = Rig::start(&scenario("altitude_step"));
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path());
+    let address = rig.api().address.to_string();
+    let mut page = Command::new(&options.binaries.ground);
+    page.args(["--listen", &address, "--agent-listen", "127.0.0.1:0", "--data"]).arg(folder.path());
+    let said = refused("second ground", page);
+    assert!(said.contains(&address), "{said}");
+    let link = rig.system().ground.link.to_string();
+    let mut agents = Command::new(&options.binaries.ground);
+    agents.args(["--listen", "127.0.0.1:0", "--agent-listen", &link, "--data"]).arg(folder.path());
+    let said = refused("third ground", agents);
+    assert!(said.contains(&link), "{said}");
+    rig.stop();
+}
+
+#[test]
+fn a_data_folder_that_is_a_file_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("not-a-folder");
+    std::fs::write(&file, b"").unwrap();
+    let mut ground = Command::new(options(folder.path()).binaries.ground);
+    ground.args(["--listen", "127.0.0.1:0", "--agent-listen", "127.0.0.1:0", "--data"]).arg(&file);
+    let said = refused("ground", ground);
+    assert!(said.contains("not-a-folder"), "{said}");
+}
+
+/// An agent that has nothing to fly, and no ground to tell.
+fn agent(folder: &Path, arguments: &[&str]) -> Command {
+    let mut agent = Command::new(options(folder).binaries.agent);
+    agent.args(arguments).args(["--ground", "127.0.0.1:9", "--data"]).arg(folder.join("agent"));
+    agent
+}
+
+#[test]
+fn a_file_that_is_no_recording_is_named_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("holiday.jpg");
+    std::fs::write(&file, b"\xff\xd8\xff\xe0 certainly no flight").unwrap();
+    let file = file.to_str().unwrap();
+    let said = refused("agent", agent(folder.path(), &["--vehicle", "replay", file]));
+    assert!(said.contains("holiday.jpg"), "{said}");
+    let said = refused("agent", agent(folder.path(), &["--vehicle", "replay", "/nowhere/at-all.mcap"]));
+    assert!(said.contains("/nowhere/at-all.mcap"), "{said}");
+}
+
+#[test]
+fn a_scenario_with_a_wrong_value_names_key_and_value() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("wrong.toml");
+    std::fs::write(&file, "name = \"wrong\"\ntick_rate_hz = 12\n").unwrap();
+    let file = file.to_str().unwrap();
+    let said = refused("agent", agent(folder.path(), &["--vehicle", "sim", "--scenario", file]));
+    assert!(said.contains("tick_rate_hz") && said.contains("12"), "{said}");
+}
+
+#[test]
+fn a_second_agent_of_the_same_name_is_refused_and_the_first_flies_on() {
+    // GIVEN a flying vehicle
+    let rig = Rig::start(&scenario("altitude_step"));
+    rig.fly_to(0.5);
+    let vehicles = || rig.api().get_json("/api/vehicles").unwrap();
+    let boot = vehicles()[0]["boot_id"].clone();
+    // WHEN another agent with its name, as well trusted, connects
+    let folder = tempfile::tempdir().unwrap();
+    let impostor =
+        Agent::start(&options(folder.path()), &rig.system().agent.id, &scenario("hover"), &rig.system().ground)
+            .unwrap();
+    let mut live = rig.live();
+    live.step_response(0.5);
+    // THEN the list still holds the first, armed and connected, and its recording is whole
+    let vehicles = vehicles();
+    assert_eq!(vehicles.as_array().unwrap().len(), 1, "{vehicles}");
+    assert_eq!(vehicles[0]["boot_id"], boot);
+    assert_eq!((&vehicles[0]["connected"], &vehicles[0]["armed"]), (&true.into(), &true.into()), "{vehicles}");
+    drop(impostor);
+    rig.disarm();
+    assert_eq!(rig.finished_flight()["missing"], 0);
+    rig.stop();
+}
+
+#[test]
+fn nobody_gets_in_unpaired() {
+    // GIVEN a ground with a paired vehicle
+    let rig = Rig::start(&scenario("altitude_step"));
+    // WHEN an agent it does not know knocks for two seconds
+    let folder = tempfile::tempdir().unwrap();
+    let mut stranger = Command::new(options(folder.path()).binaries.agent);
+    let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
+    stranger.args(["--vehicle", "sim", "--scenario"]).arg(scenario).args(["--id", "stranger", "--ground"]);
+    stranger.arg(rig.system().ground.link.to_string()).arg("--data").arg(folder.path());
+    let mut stranger = Process::start("stranger", stranger, false).unwrap();
+    let listed = wait_until(Duration::from_secs(2), || {
+        let vehicles = rig.api().get_json("/api/vehicles").unwrap();
+        vehicles.as_array().unwrap().iter().any(|vehicle| vehicle["id"] == "stranger").then_some(())
+    });
+    // THEN it never shows
+    assert!(listed.is_none());
+    assert!(stranger.ended().is_none(), "an agent keeps trying: {}", stranger.last_lines(10));
+    rig.stop();
+}

@@ -1,0 +1,122 @@
+//! Viewers: what they are told first, that they miss nothing, and that a stalled one is alone with it.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use plumbline_proto::{Kind, v1};
+use serde_json::json;
+use support::{Live, PATIENCE, Rig, scenario};
+
+#[test]
+fn a_viewer_learns_everything_in_its_first_two_seconds() {
+    let rig = Rig::start(&scenario("altitude_step"));
+    let opened = Instant::now();
+    let mut live = rig.live();
+    let mut waiting = BTreeSet::from([
+        Kind::Description,
+        Kind::Status,
+        Kind::Gains,
+        Kind::Attacks,
+        Kind::Estimate,
+        Kind::Residuals,
+        Kind::Control,
+        Kind::Height,
+        Kind::Imu,
+        Kind::Truth,
+        Kind::Link,
+        Kind::Recording,
+        Kind::Lease,
+    ]);
+    while !waiting.is_empty() {
+        let frame = live.next();
+        waiting.retain(|kind| !frame.is(*kind));
+        assert!(opened.elapsed() < Duration::from_secs(2), "still nothing of {waiting:?}");
+    }
+    rig.stop();
+}
+
+/// Sequence numbers seen in `span`, of frames the agent made.
+fn sequences(live: &mut Live, span: Duration) -> Vec<u64> {
+    // The snapshot comes first, in any order: begin with what is live.
+    let begin = Instant::now();
+    let mut seen = Vec::new();
+    while begin.elapsed() < span {
+        let frame = live.next();
+        if frame.sequence > 0 {
+            seen.push(frame.sequence);
+        }
+    }
+    let newest = seen.len() - seen.len() / 2;
+    seen.split_off(newest)
+}
+
+#[test]
+fn a_stalled_viewer_costs_the_others_and_the_recording_nothing() {
+    // GIVEN a flight with two viewers, one of whom never reads
+    let rig = Rig::start(&scenario("altitude_step"));
+    let _stalled = rig.live();
+    let mut live = rig.live();
+    rig.fly_to(0.5);
+    // WHEN a third viewer watches for a few seconds
+    let mut seen = sequences(&mut live, Duration::from_secs(6));
+    // THEN nothing is missing, doubled or late for it
+    seen.sort_unstable();
+    let span = seen.last().unwrap() - seen.first().unwrap() + 1;
+    seen.dedup();
+    assert_eq!(seen.len() as u64, span, "{} of {span} messages", seen.len());
+    assert!(span > 500, "only {span} messages in three seconds");
+    let link = live.until(PATIENCE, "link status", |frame| frame.message::<v1::LinkStatus>(Kind::Link));
+    assert!(link.age_ms < 200.0, "{link:?}");
+    // AND the recording is complete
+    rig.disarm();
+    assert_eq!(rig.finished_flight()["missing"], 0);
+    rig.stop();
+}
+
+#[test]
+fn a_page_of_another_origin_can_neither_watch_nor_write() {
+    let rig = Rig::start(&scenario("altitude_step"));
+    let address = rig.api().address;
+    for origin in ["http://evil.example", "null", "http://127.0.0.1:1"] {
+        let upgrade = format!(
+            "GET {} HTTP/1.1\r\nHost: {address}\r\nOrigin: {origin}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n",
+            rig.system().vehicle("live")
+        );
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(upgrade.as_bytes()).unwrap();
+        let mut answer = [0; 12];
+        stream.read_exact(&mut answer).unwrap();
+        assert_eq!(&answer, b"HTTP/1.1 403", "{origin}");
+        let arm = rig.system().vehicle("arm");
+        let reply = rig.api().request("POST", &arm, Some(b"{}"), &[("Origin", origin)]).unwrap();
+        assert_eq!(reply.status, 403, "{origin}: {}", reply.text());
+    }
+    rig.stop();
+}
+
+#[test]
+fn one_operator_at_a_time_and_the_cut_is_everybodys() {
+    // GIVEN an operator who took control by arming
+    let rig = Rig::start(&scenario("altitude_step"));
+    rig.fly_to(0.5);
+    let other = plumbline_tests::harness::Api { operator: "somebody-else".into(), ..rig.api().clone() };
+    // WHEN another one commands THEN it is refused, and nothing changed
+    let reply = other.send("POST", &rig.system().vehicle("setpoint"), &json!({ "altitude_m": 0.9 })).unwrap();
+    assert_eq!(reply.status, 423, "{}", reply.text());
+    // WHEN the other cuts the motors THEN they are cut, and stay cut
+    let mut live = rig.live();
+    let cut = other.send("POST", &rig.system().vehicle("cut"), &json!({})).unwrap();
+    assert_eq!(cut.status, 200, "{}", cut.text());
+    let status = live.status("latched cut", |status| status.cut_latched);
+    assert_eq!((status.mode(), status.armed), (v1::Mode::Cut, false));
+    let arm = rig.api().send("POST", &rig.system().vehicle("arm"), &json!({})).unwrap();
+    assert_eq!(arm.status, 409, "{}", arm.text());
+    rig.stop();
+}

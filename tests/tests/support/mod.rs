@@ -1,0 +1,206 @@
+//! What the system tests share: a system in a folder of its own, the live stream decoded, a hand on the controls.
+#![allow(dead_code, reason = "each test program uses its part")]
+
+use std::collections::VecDeque;
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use plumbline_proto::{Kind, Message, codec, v1};
+use plumbline_tests::harness::{Api, Binaries, System, SystemOptions, Vehicle, wait_until};
+use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{Message as WsMessage, WebSocket, client};
+
+/// Longest wait for anything that should happen promptly, on a machine that compiles beside us.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A scenario of `tests/scenarios`.
+pub fn scenario(name: &str) -> Vehicle {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+    Vehicle::Simulated { scenario: folder.join(name).with_extension("toml") }
+}
+
+/// Options of a system in `folder`, on free ports.
+pub fn options(folder: &Path) -> SystemOptions {
+    SystemOptions { binaries: Binaries::for_tests().unwrap(), data: folder.to_path_buf(), port: 0, echo: false }
+}
+
+/// A running system and the folder it may fill.
+pub struct Rig {
+    pub system: Option<System>,
+    pub folder: tempfile::TempDir,
+}
+
+impl Rig {
+    pub fn start(vehicle: &Vehicle) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let system = System::start(&options(folder.path()), vehicle).unwrap();
+        Self { system: Some(system), folder }
+    }
+
+    pub fn system(&self) -> &System {
+        self.system.as_ref().unwrap()
+    }
+
+    pub fn api(&self) -> &Api {
+        self.system().api()
+    }
+
+    pub fn live(&self) -> Live {
+        Live::connect(self.api(), &self.system().vehicle("live?history=0"))
+    }
+
+    /// A command that must be accepted.
+    pub fn command(&self, method: &str, route: &str, body: Value) -> Value {
+        let reply = self.api().command(method, &self.system().vehicle(route), &body).unwrap();
+        assert_eq!(reply["stage"], "accepted", "{method} {route} {body}: {reply}");
+        reply
+    }
+
+    /// Arms as soon as the checks let it.
+    pub fn arm(&self) {
+        let route = self.system().vehicle("arm");
+        let mut last = String::new();
+        let armed = wait_until(PATIENCE, || {
+            let reply = self.api().send("POST", &route, &json!({})).unwrap();
+            last = format!("{} {}", reply.status, reply.text());
+            (reply.status == 200).then_some(())
+        });
+        assert!(armed.is_some(), "not armed after {PATIENCE:?}: {last}");
+    }
+
+    /// Armed, in altitude hold, told to go to `altitude_m`.
+    pub fn fly_to(&self, altitude_m: f64) {
+        self.arm();
+        self.command("POST", "mode", json!({ "mode": "altitude_hold" }));
+        self.command("POST", "setpoint", json!({ "altitude_m": altitude_m }));
+    }
+
+    pub fn disarm(&self) {
+        self.command("POST", "disarm", json!({}));
+    }
+
+    /// The only flight in the list, once it is complete.
+    pub fn finished_flight(&self) -> Value {
+        let mut last = Value::Null;
+        let finished = wait_until(PATIENCE, || {
+            last = self.api().get_json("/api/flights").unwrap();
+            let flights = last["flights"].as_array().cloned().unwrap_or_default();
+            let [flight] = flights.as_slice() else { return None };
+            (flight["completeness"] == "complete").then(|| flight.clone())
+        });
+        finished.unwrap_or_else(|| panic!("no complete flight after {PATIENCE:?}: {last}"))
+    }
+
+    /// Stops both programs; either failing to stop cleanly fails the test.
+    pub fn stop(mut self) -> tempfile::TempDir {
+        self.system.take().unwrap().stop().unwrap();
+        self.folder
+    }
+}
+
+/// One frame of the live stream, owned.
+#[derive(Debug, Clone)]
+pub struct OwnedFrame {
+    pub kind: u16,
+    pub instance: u16,
+    pub sequence: u64,
+    pub time_us: u64,
+    pub payload: Vec<u8>,
+}
+
+impl OwnedFrame {
+    pub fn is(&self, kind: Kind) -> bool {
+        self.kind == kind.to_wire()
+    }
+
+    /// The message, if the frame is of that kind.
+    pub fn message<M: Message + Default>(&self, kind: Kind) -> Option<M> {
+        self.is(kind).then(|| M::decode(self.payload.as_slice()).unwrap())
+    }
+}
+
+/// A viewer.
+pub struct Live {
+    socket: WebSocket<TcpStream>,
+    frames: VecDeque<OwnedFrame>,
+}
+
+impl Live {
+    pub fn connect(api: &Api, path: &str) -> Self {
+        let stream = TcpStream::connect(api.address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut request = format!("ws://{}{path}", api.address).into_client_request().unwrap();
+        request.headers_mut().insert("origin", format!("http://{}", api.address).parse().unwrap());
+        let (socket, _) = client(request, stream).unwrap();
+        Self { socket, frames: VecDeque::new() }
+    }
+
+    /// The next frame; waits.
+    pub fn next(&mut self) -> OwnedFrame {
+        loop {
+            if let Some(frame) = self.frames.pop_front() {
+                return frame;
+            }
+            if let WsMessage::Binary(batch) = self.socket.read().unwrap() {
+                self.frames.extend(frames(&batch));
+            }
+        }
+    }
+
+    /// Waits for a frame that `wanted` turns into something; fails the test after `limit`.
+    pub fn until<T>(&mut self, limit: Duration, what: &str, mut wanted: impl FnMut(&OwnedFrame) -> Option<T>) -> T {
+        let until = Instant::now() + limit;
+        while Instant::now() < until {
+            if let Some(found) = wanted(&self.next()) {
+                return found;
+            }
+        }
+        panic!("no {what} within {limit:?}");
+    }
+
+    /// Waits for the end of the response to the step that ends at `to_m`.
+    pub fn step_response(&mut self, to_m: f64) -> v1::StepResponse {
+        self.until(Duration::from_secs(30), &format!("finished step to {to_m} m"), |frame| {
+            let step: v1::StepResponse = frame.message(Kind::StepResponse)?;
+            (step.finished && (step.to_m - to_m).abs() < 1e-9).then_some(step)
+        })
+    }
+
+    /// Waits for a status that satisfies.
+    pub fn status(&mut self, what: &str, wanted: impl Fn(&v1::Status) -> bool) -> v1::Status {
+        self.until(PATIENCE, what, |frame| frame.message(Kind::Status).filter(&wanted))
+    }
+}
+
+/// All frames of one batch; a malformed one fails the test.
+pub fn frames(batch: &[u8]) -> Vec<OwnedFrame> {
+    let own = |frame: Result<codec::Frame<'_>, _>| {
+        let codec::Frame { kind, instance, sequence, time_us, payload } = frame.unwrap();
+        OwnedFrame { kind, instance, sequence, time_us, payload: payload.to_vec() }
+    };
+    codec::decode_batch(batch).unwrap().map(own).collect()
+}
+
+/// Messages by topic in an MCAP file.
+pub fn mcap_counts(file: &[u8]) -> std::collections::BTreeMap<String, u64> {
+    let mut counts = std::collections::BTreeMap::new();
+    for message in mcap::MessageStream::new(file).unwrap() {
+        *counts.entry(message.unwrap().channel.topic.clone()).or_insert(0) += 1;
+    }
+    counts
+}
+
+/// The counts the API promises for a flight.
+pub fn promised_counts(flight: &Value) -> std::collections::BTreeMap<String, u64> {
+    let counts = flight["counts"].as_object().expect("counts");
+    counts.iter().map(|(topic, count)| (topic.clone(), count.as_u64().unwrap())).collect()
+}
+
+/// Folder with the shared data, where there is one.
+pub fn shared_data() -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let folder = std::env::var_os("PLUMBLINE_DATA").map_or(beside, PathBuf::from);
+    folder.join("data").is_dir().then_some(folder)
+}
