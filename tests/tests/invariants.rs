@@ -45,10 +45,12 @@ fn files() -> Vec<PathBuf> {
 /// Rust files under any of these files or folders, relative to the root.
 fn rust_files(under: &[&str]) -> Vec<PathBuf> {
     let inside = |file: &PathBuf| under.iter().any(|place| file.starts_with(place));
-    files().into_iter().filter(|file| file.extension().is_some_and(|e| e == "rs")).filter(inside).collect()
+    let test = |file: &PathBuf| file.file_name().is_some_and(|name| name == "tests.rs");
+    let rust = |file: &PathBuf| file.extension().is_some_and(|extension| extension == "rs");
+    files().into_iter().filter(rust).filter(inside).filter(|file| !test(file)).collect()
 }
 
-/// Lines of product code with their numbers: comments, and everything from `#[cfg(test)]` on `mod tests`, left out.
+/// Lines of product code with their numbers: comments, and everything from a `#[cfg(test)] mod … {` on, left out.
 fn code(file: &Path) -> Vec<(usize, String)> {
     let text = std::fs::read_to_string(root().join(file)).unwrap();
     let mut lines = Vec::new();
@@ -56,7 +58,7 @@ fn code(file: &Path) -> Vec<(usize, String)> {
     for (index, line) in text.lines().enumerate() {
         if line.trim() == "#[cfg(test)]" {
             testing = true;
-        } else if testing && line.starts_with("mod tests") && line.ends_with('{') {
+        } else if testing && line.contains("mod ") && line.ends_with('{') {
             break;
         } else {
             testing = false;
@@ -80,8 +82,18 @@ fn found(rooms: &[&str], words: &[&str]) -> Vec<String> {
     found
 }
 
+/// Places that may, each with its reason.
+const EXCEPTIONS: [(&str, &str); 2] = [
+    // An anytime deadline cannot be kept without looking at a clock; off unless asked for, so that replays are exact.
+    ("agent/src/estimate/secure/newton.rs", "`Instant`"),
+    // Solves problems from files for the comparison with the references; no part of a flight.
+    ("agent/src/estimate/secure/offline.rs", ""),
+];
+
 fn assert_nowhere(rooms: &[&str], words: &[&str], why: &str) {
-    let found = found(rooms, words);
+    let excused =
+        |place: &String| EXCEPTIONS.iter().any(|(file, word)| place.starts_with(file) && place.contains(word));
+    let found: Vec<_> = found(rooms, words).into_iter().filter(|place| !excused(place)).collect();
     assert!(found.is_empty(), "{why}:\n{}", found.join("\n"));
 }
 
