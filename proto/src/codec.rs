@@ -12,10 +12,7 @@
 //! The command connection carries length-delimited [`CommandFrame`]s: `length u32 | message`,
 //! read by [`Delimited`].
 
-use crate::{
-    DecodeError, Kind, SCHEMA,
-    v1::CommandFrame,
-};
+use crate::{DecodeError, Kind, SCHEMA, v1::CommandFrame};
 use prost::Message;
 
 /// First byte of every batch.
@@ -114,10 +111,9 @@ pub struct Frames<'a> {
 /// [`DecodeError::Magic`], [`DecodeError::Schema`] or [`DecodeError::Truncated`] for its header;
 /// errors of single frames come from the iterator.
 pub fn decode_batch(batch: &[u8]) -> Result<Frames<'_>, DecodeError> {
-    let (&[magic, schema], rest) = batch.split_first_chunk::<BATCH_HEADER>().ok_or(DecodeError::Truncated {
-        needed: BATCH_HEADER,
-        available: batch.len(),
-    })?;
+    let (&[magic, schema], rest) = batch
+        .split_first_chunk::<BATCH_HEADER>()
+        .ok_or(DecodeError::Truncated { needed: BATCH_HEADER, available: batch.len() })?;
     if magic != MAGIC {
         return Err(DecodeError::Magic { found: magic, expected: MAGIC });
     }
@@ -210,10 +206,8 @@ impl Delimited {
         let Some(body) = rest.get(..length) else {
             return Ok(None);
         };
-        let frame = CommandFrame::decode(body).map_err(|e| DecodeError::Malformed {
-            message: "plumbline.v1.CommandFrame",
-            reason: e.to_string(),
-        })?;
+        let frame = CommandFrame::decode(body)
+            .map_err(|e| DecodeError::Malformed { message: "plumbline.v1.CommandFrame", reason: e.to_string() })?;
         self.consumed += 4 + length;
         Ok(Some(frame))
     }
@@ -262,7 +256,10 @@ mod tests {
 
     #[test]
     fn wrong_magic_schema_and_lengths_are_named() {
-        assert_eq!(decode_batch(b"\x51\x01").unwrap_err().to_string(), "not a Plumbline batch: first byte 0x51, expected 0x50");
+        assert_eq!(
+            decode_batch(b"\x51\x01").unwrap_err().to_string(),
+            "not a Plumbline batch: first byte 0x51, expected 0x50"
+        );
         assert_eq!(decode_batch(&[MAGIC, 99]).unwrap_err(), DecodeError::Schema { found: 99, expected: SCHEMA });
         let mut batch = vec![MAGIC, SCHEMA];
         begin_frame(&mut batch, 1, 1, 1, 1, MAX_PAYLOAD + 1);
@@ -272,7 +269,8 @@ mod tests {
 
     #[test]
     fn delimited_frames_come_back_whatever_the_chunks() {
-        let frame = CommandFrame { body: Some(Body::Heartbeat(v1::Heartbeat { ground_time_us: 42, agent_time_us: None })) };
+        let frame =
+            CommandFrame { body: Some(Body::Heartbeat(v1::Heartbeat { ground_time_us: 42, agent_time_us: None })) };
         let mut bytes = Vec::new();
         encode_delimited(&mut bytes, &frame);
         encode_delimited(&mut bytes, &frame);

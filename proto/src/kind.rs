@@ -97,11 +97,7 @@ impl Kind {
 
     /// Topic of a flight file's channel: `/sensor/height/2`, `/status`.
     pub fn topic(self, instance: u16) -> String {
-        if self.has_instances() {
-            format!("{}/{instance}", self.base_topic())
-        } else {
-            self.base_topic().to_owned()
-        }
+        if self.has_instances() { format!("{}/{instance}", self.base_topic()) } else { self.base_topic().to_owned() }
     }
 
     /// Inverse of [`Kind::topic`].

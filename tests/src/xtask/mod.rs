@@ -38,6 +38,8 @@ enum Task {
     Test(test::Options),
     /// Measure what is promised: JSON lines.
     Bench(bench::Options),
+    /// Rewrite the committed expectations (wire snapshots) from what the code does now; the commit explains.
+    Bless,
     /// The sources' figures beside ours.
     Reproduce(reproduce::Options),
     /// What CI runs: `test`.
@@ -52,6 +54,7 @@ pub fn main() -> ExitCode {
     let done = Workspace::find().and_then(|workspace| match task {
         Task::Run(options) => run::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Test(options) => Ok(verdict(test::run(&workspace, &options))),
+        Task::Bless => bless(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Bench(options) => bench::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Reproduce(options) => reproduce::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
@@ -65,4 +68,10 @@ pub fn main() -> ExitCode {
 
 fn verdict(good: bool) -> ExitCode {
     if good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn bless(workspace: &Workspace) -> Result<(), XtaskError> {
+    let mut cargo = workspace.cargo();
+    cargo.args(["test", "--locked", "--package", "plumbline-proto", "--test", "wire_snapshots"]);
+    workspace::run(cargo.env("PLUMBLINE_BLESS", "1"))
 }
