@@ -1,5 +1,17 @@
 //! What the page knows, apart from how it looks. Pure: everything here is tested natively.
 
+pub mod api;
 pub mod axis;
+pub mod clock;
+pub mod curves;
 pub mod decimate;
+pub mod draft;
+pub mod format;
+pub mod instrument;
+pub mod listing;
+pub mod live;
+pub mod names;
+pub mod route;
 pub mod series;
+pub mod spans;
+pub mod topic;

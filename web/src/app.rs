@@ -1,0 +1,269 @@
+//! The page's state between ground and panels: which ground, which vehicle, which socket, which notices.
+//!
+//! [`App::update`] is pure: events in, effects out. What flies is in [`Live`]; the runtime that does
+//! the effects is `ctx.rs`, the drawing `paint.rs`.
+
+use std::collections::VecDeque;
+
+use crate::{
+    event::{Effect, Event, Failure, Tone},
+    model::{
+        api::{Ground, Vehicle},
+        live::Live,
+    },
+};
+
+/// Notices on screen; older ones go first.
+const MAX_NOTICES: usize = 5;
+/// First wait before a reconnect, ms; doubled up to [`LONGEST_WAIT_MS`].
+const FIRST_WAIT_MS: u32 = 250;
+/// Longest wait before a reconnect, ms.
+const LONGEST_WAIT_MS: u32 = 4000;
+/// History asked for on the first connection, s.
+pub const HISTORY_S: f64 = 60.0;
+
+/// State of the live socket.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Socket {
+    /// No vehicle chosen yet.
+    #[default]
+    Idle,
+    /// Opening for the first time, or again.
+    Opening,
+    /// Open.
+    Open,
+    /// Lost; waiting to try again.
+    Waiting,
+}
+
+/// What the page can say of the ground.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum GroundState {
+    /// Not asked yet.
+    #[default]
+    Unknown,
+    /// It answers.
+    Up(Ground),
+    /// It does not, and why.
+    Down(String),
+}
+
+/// A notice to the operator.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Notice {
+    /// Number, from 1.
+    pub number: u64,
+    /// How loud.
+    pub tone: Tone,
+    /// Text.
+    pub text: String,
+}
+
+/// State of the page, apart from what flies.
+#[derive(Debug, Default)]
+pub struct App {
+    /// The ground.
+    pub ground: GroundState,
+    /// Vehicles known to it; `None` before the first answer.
+    pub vehicles: Option<Vec<Vehicle>>,
+    /// Vehicle shown.
+    pub vehicle: Option<String>,
+    /// Vehicle shown before a reload, preferred when it is there.
+    pub remembered: Option<String>,
+    /// Live socket.
+    pub socket: Socket,
+    /// Notices.
+    pub notices: VecDeque<Notice>,
+    /// History to ask for, s: as long as the charts' window.
+    pub history_s: f64,
+    last_batch_ms: f64,
+    schema_told: bool,
+    wait_ms: u32,
+    notice_number: u64,
+}
+
+impl App {
+    /// A page that showed `remembered` before it was reloaded.
+    pub fn new(remembered: Option<String>) -> Self {
+        Self { remembered, history_s: HISTORY_S, wait_ms: FIRST_WAIT_MS, ..Self::default() }
+    }
+
+    /// The vehicle shown, as the ground lists it.
+    pub fn listed(&self) -> Option<&Vehicle> {
+        let id = self.vehicle.as_ref()?;
+        self.vehicles.as_ref()?.iter().find(|v| v.id == *id)
+    }
+
+    /// Takes one event into the state.
+    pub fn update(&mut self, live: &mut Live, event: Event) -> Vec<Effect> {
+        match event {
+            Event::Poll => vec![Effect::FetchState],
+            Event::Ground(Ok(ground)) => {
+                self.ground = GroundState::Up(ground);
+                Vec::new()
+            }
+            Event::Ground(Err(failure)) => {
+                self.ground = GroundState::Down(failure.text);
+                Vec::new()
+            }
+            Event::Vehicles(Ok(vehicles)) => {
+                self.vehicles = Some(vehicles);
+                self.choose_first(live)
+            }
+            Event::Vehicles(Err(failure)) => {
+                if failure.status == 0 {
+                    self.ground = GroundState::Down(failure.text);
+                }
+                Vec::new()
+            }
+            Event::Choose(id) => self.choose(live, id),
+            Event::SocketOpened => {
+                self.socket = Socket::Open;
+                self.wait_ms = FIRST_WAIT_MS;
+                live.connection_opened();
+                Vec::new()
+            }
+            Event::SocketClosed => {
+                self.socket = Socket::Waiting;
+                let wait = self.wait_ms;
+                self.wait_ms = (wait * 2).min(LONGEST_WAIT_MS);
+                vec![Effect::RetryIn(wait)]
+            }
+            Event::Reconnect => match (self.socket, self.vehicle.clone()) {
+                (Socket::Waiting, Some(id)) => {
+                    self.socket = Socket::Opening;
+                    vec![Effect::OpenSocket(id, self.history_s), Effect::FetchState]
+                }
+                _ => Vec::new(),
+            },
+            Event::Batch(bytes, local_ms) => self.batch(live, &bytes, local_ms),
+            Event::Answered(what, result) => self.answered(&what, result),
+            Event::Tell(tone, text) => self.tell(tone, text),
+            Event::Dismiss(number) => {
+                self.notices.retain(|n| n.number != number);
+                Vec::new()
+            }
+        }
+    }
+
+    fn choose_first(&mut self, live: &mut Live) -> Vec<Effect> {
+        let shown = self.vehicle.is_some();
+        let Some(vehicles) = self.vehicles.as_ref().filter(|_| !shown) else { return Vec::new() };
+        let remembered = vehicles.iter().find(|v| Some(&v.id) == self.remembered.as_ref());
+        let choice = remembered.or_else(|| vehicles.iter().find(|v| v.connected)).or_else(|| vehicles.first());
+        match choice.map(|v| v.id.clone()) {
+            Some(id) => self.choose(live, id),
+            None => Vec::new(),
+        }
+    }
+
+    fn choose(&mut self, live: &mut Live, id: String) -> Vec<Effect> {
+        if self.vehicle.as_ref() == Some(&id) {
+            return Vec::new();
+        }
+        *live = Live::default();
+        self.socket = Socket::Opening;
+        self.vehicle = Some(id.clone());
+        vec![Effect::Remember(id.clone()), Effect::OpenSocket(id, self.history_s)]
+    }
+
+    fn batch(&mut self, live: &mut Live, bytes: &[u8], local_ms: f64) -> Vec<Effect> {
+        self.last_batch_ms = local_ms;
+        match live.ingest(bytes, local_ms) {
+            Ok(()) => Vec::new(),
+            // Said once: a batch of another schema is followed by many more.
+            Err(error) if !self.schema_told => {
+                self.schema_told = true;
+                self.tell(Tone::Error, format!("Telemetry cannot be read: {error}. Reload the page after an update."))
+            }
+            Err(_) => Vec::new(),
+        }
+    }
+
+    fn answered(&mut self, what: &str, result: Result<crate::model::api::Answer, Failure>) -> Vec<Effect> {
+        match result {
+            Ok(answer) if answer.reason.is_empty() => self.tell(Tone::Done, format!("{what}: accepted")),
+            Ok(answer) => self.tell(Tone::Done, format!("{what}: {}", answer.reason)),
+            Err(failure) => self.tell(Tone::Error, format!("{what} refused: {}", failure.text)),
+        }
+    }
+
+    fn tell(&mut self, tone: Tone, text: String) -> Vec<Effect> {
+        // The same words again replace the older notice, instead of piling up.
+        self.notices.retain(|n| n.text != text);
+        self.notice_number += 1;
+        self.notices.push_back(Notice { number: self.notice_number, tone, text });
+        while self.notices.len() > MAX_NOTICES {
+            self.notices.pop_front();
+        }
+        let stay_ms = if tone == Tone::Error { 12_000 } else { 4000 };
+        vec![Effect::DismissIn(self.notice_number, stay_ms)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::api::Answer;
+
+    fn vehicle(id: &str, connected: bool) -> Vehicle {
+        Vehicle { id: id.into(), connected, ..Default::default() }
+    }
+
+    #[test]
+    fn the_first_connected_vehicle_is_shown_unless_another_was() {
+        let list = vec![vehicle("a", false), vehicle("b", true), vehicle("c", true)];
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        let effects = app.update(&mut live, Event::Vehicles(Ok(list.clone())));
+        assert_eq!(effects, [Effect::Remember("b".into()), Effect::OpenSocket("b".into(), 60.0)]);
+        let mut app = App::new(Some("c".into()));
+        app.update(&mut live, Event::Vehicles(Ok(list.clone())));
+        assert_eq!(app.vehicle.as_deref(), Some("c"));
+        // A later list changes nothing.
+        assert!(app.update(&mut live, Event::Vehicles(Ok(list))).is_empty());
+    }
+
+    #[test]
+    fn reconnects_wait_longer_each_time_and_start_over_after_success() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        app.update(&mut live, Event::Choose("a".into()));
+        let mut waits = Vec::new();
+        for _ in 0..7 {
+            waits.extend(app.update(&mut live, Event::SocketClosed));
+            assert!(matches!(app.update(&mut live, Event::Reconnect)[0], Effect::OpenSocket(_, _)));
+        }
+        let expected = [250, 500, 1000, 2000, 4000, 4000, 4000].map(Effect::RetryIn);
+        assert_eq!(waits, expected);
+        app.update(&mut live, Event::SocketOpened);
+        assert_eq!(app.update(&mut live, Event::SocketClosed), [Effect::RetryIn(250)]);
+    }
+
+    #[test]
+    fn refusals_keep_the_grounds_words_and_do_not_pile_up() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        for _ in 0..3 {
+            let failure = Failure { status: 409, text: "battery 13.1 V below 14.0 V".into() };
+            app.update(&mut live, Event::Answered("Arm".into(), Err(failure)));
+        }
+        assert_eq!(app.notices.len(), 1);
+        assert_eq!(app.notices[0].text, "Arm refused: battery 13.1 V below 14.0 V");
+        let done = app.update(&mut live, Event::Answered("Disarm".into(), Ok(Answer::default())));
+        assert_eq!(done, [Effect::DismissIn(4, 4000)]);
+        app.update(&mut live, Event::Dismiss(4));
+        assert_eq!(app.notices.len(), 1);
+    }
+
+    #[test]
+    fn a_foreign_schema_is_said_once() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        for _ in 0..10 {
+            app.update(&mut live, Event::Batch(vec![0x50, 99], 0.0));
+        }
+        assert_eq!(app.notices.len(), 1);
+        assert!(app.notices[0].text.contains("schema 99"));
+    }
+}

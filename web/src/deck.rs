@@ -1,0 +1,284 @@
+//! The charts of one page: they share one time axis, one cursor, one zoom.
+//!
+//! A chart is a place on the page ([`Slot`]) and a subject ([`Picture`]); `paint.rs` measures the
+//! place and draws the subject behind it. Labels are page elements fed by [`Labels`].
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use leptos::{html, prelude::*};
+
+use crate::{
+    ctx::Ctx,
+    model::{
+        axis::{Tick, TimeAxis, ValueAxis},
+        instrument::Instrument,
+        live::Live,
+    },
+    net, store,
+};
+
+/// Windows offered, s.
+pub const WINDOWS_S: [f64; 6] = [10.0, 30.0, 60.0, 120.0, 300.0, 600.0];
+
+/// What a chart shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Picture {
+    /// Setpoint, estimates, heights, truth.
+    Altitude,
+    /// Roll, pitch, yaw.
+    Attitude,
+    /// Rows of innovation ratios.
+    Heatmap,
+    /// Innovation and gate of every channel of one sensor instance.
+    Residual,
+    /// Motor commands.
+    Motors,
+    /// Time of a tick.
+    Ticks,
+    /// Altitudes of several flights.
+    Compare,
+    /// Artificial horizon.
+    Horizon,
+    /// The vehicle in space.
+    Space,
+}
+
+/// Labels of a chart's axes, for the page.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Labels {
+    /// Along the bottom.
+    pub time: Vec<Tick>,
+    /// Up the side.
+    pub value: Vec<Tick>,
+}
+
+/// A place on the page where something is drawn.
+#[derive(Clone)]
+pub struct Slot {
+    /// What.
+    pub picture: Picture,
+    /// Where.
+    pub node: NodeRef<html::Div>,
+    /// Its labels.
+    pub labels: RwSignal<Labels>,
+    /// Value axis of the frame before, so that it does not breathe.
+    pub axis: Rc<Cell<Option<ValueAxis>>>,
+}
+
+/// Where the charts get their data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// The vehicle flying now.
+    Live,
+    /// A recorded flight.
+    Recorded,
+}
+
+/// See the module documentation.
+#[derive(Clone, Copy)]
+pub struct Deck {
+    /// Live or recorded.
+    pub source: Source,
+    /// The data.
+    pub data: StoredValue<Live, LocalStorage>,
+    /// Length of the window, s.
+    pub window_s: RwSignal<f64>,
+    /// A stretch zoomed into, s of flight time.
+    pub zoom: RwSignal<Option<(f64, f64)>>,
+    /// Right edge where the charts stand still, s; data goes on being kept.
+    pub paused_at: RwSignal<Option<f64>>,
+    /// Time under the pointer, s.
+    pub cursor: RwSignal<Option<f64>>,
+    /// A stretch being dragged over.
+    pub selection: RwSignal<Option<(f64, f64)>>,
+    /// Sensor instance whose channels are charted, else all in rows.
+    pub residual: RwSignal<Option<(i32, u32)>>,
+    /// Estimator whose residuals are shown; 0: the one in the loop.
+    pub residuals_of: RwSignal<u16>,
+    /// Recorded flights: where the replay stands, s.
+    pub playhead: RwSignal<f64>,
+    /// Recorded flights: begin of the flight, s of flight time.
+    pub origin_s: RwSignal<f64>,
+    /// The vehicle in space instead of the horizon?
+    pub space: RwSignal<bool>,
+    /// View of the vehicle in space: azimuth, elevation, distance.
+    pub camera: RwSignal<(f32, f32, f32)>,
+    tick: RwSignal<u64>,
+    slots: StoredValue<Vec<Slot>, LocalStorage>,
+}
+
+impl Deck {
+    fn new(source: Source, data: StoredValue<Live, LocalStorage>, tick: RwSignal<u64>) -> Self {
+        let window_s = store::get("window_s").and_then(|t| t.parse().ok()).filter(|w| WINDOWS_S.contains(w));
+        Self {
+            source,
+            data,
+            window_s: RwSignal::new(window_s.unwrap_or(30.0)),
+            zoom: RwSignal::new(None),
+            paused_at: RwSignal::new(None),
+            cursor: RwSignal::new(None),
+            selection: RwSignal::new(None),
+            residual: RwSignal::new(None),
+            residuals_of: RwSignal::new(0),
+            playhead: RwSignal::new(0.0),
+            origin_s: RwSignal::new(0.0),
+            space: RwSignal::new(false),
+            camera: RwSignal::new((-2.55, 0.38, 1.0)),
+            tick,
+            slots: StoredValue::new_local(Vec::new()),
+        }
+    }
+
+    /// Charts of the live vehicle.
+    pub fn live(ctx: Ctx) -> Self {
+        Self::new(Source::Live, ctx.live, ctx.tick)
+    }
+
+    /// Charts of a recorded flight.
+    pub fn recorded(ctx: Ctx, flight: Live) -> Self {
+        let span = flight.curves.time_span_s().unwrap_or(0.0..0.0);
+        let deck = Self::new(Source::Recorded, StoredValue::new_local(flight), ctx.tick);
+        deck.origin_s.set(span.start);
+        deck.playhead.set(span.start);
+        deck.window_s.set((span.end - span.start).max(1.0));
+        deck
+    }
+
+    /// Reads the data; runs again ten times a second.
+    pub fn read<T>(self, read: impl FnOnce(&Live) -> T) -> T {
+        self.tick.track();
+        self.data.with_value(read)
+    }
+
+    /// Adds a chart for as long as the calling component lives.
+    pub fn slot(self, picture: Picture, node: NodeRef<html::Div>) -> RwSignal<Labels> {
+        let labels = RwSignal::new(Labels::default());
+        let slot = Slot { picture, node, labels, axis: Rc::new(Cell::new(None)) };
+        self.slots.update_value(|slots| slots.push(slot));
+        on_cleanup(move || {
+            self.slots.try_update_value(|slots| slots.retain(|s| s.labels != labels));
+        });
+        labels
+    }
+
+    /// The charts now on the page.
+    pub fn slots(self) -> Vec<Slot> {
+        self.slots.try_with_value(Clone::clone).unwrap_or_default()
+    }
+
+    /// The time axis, untracked.
+    pub fn axis(self, live: &Live) -> TimeAxis {
+        if let Some((start, end)) = self.zoom.get_untracked() {
+            return TimeAxis::new(start, end);
+        }
+        let window = self.window_s.get_untracked();
+        match self.source {
+            Source::Live => {
+                let edge = live.edge_us(net::now_ms()) * 1e-6;
+                TimeAxis::ending_at(self.paused_at.get_untracked().unwrap_or(edge), window)
+            }
+            Source::Recorded => {
+                let start = self.origin_s.get_untracked();
+                TimeAxis::new(start, start + window)
+            }
+        }
+    }
+
+    /// Time that labels count from, s: the moving edge while live, else the flight's begin.
+    pub fn label_origin_s(self, live: &Live, axis: TimeAxis) -> f64 {
+        match self.source {
+            Source::Recorded => self.origin_s.get_untracked(),
+            Source::Live if self.is_still() => {
+                live.status.get().filter(|s| s.flight_start_us > 0).map_or(0.0, |s| s.flight_start_us as f64 * 1e-6)
+            }
+            Source::Live => axis.end_s,
+        }
+    }
+
+    /// Do the charts stand still?
+    pub fn is_still(self) -> bool {
+        self.source == Source::Recorded
+            || self.paused_at.get_untracked().is_some()
+            || self.zoom.get_untracked().is_some()
+    }
+
+    /// Time that values beside the charts are read at: under the pointer, else the playhead, else `None`: newest.
+    pub fn reading_s(self) -> Option<f64> {
+        self.cursor.get().or_else(|| match self.source {
+            Source::Live => self.paused_at.get(),
+            Source::Recorded => Some(self.playhead.get()),
+        })
+    }
+
+    /// What the instruments show: newest while live, the playhead's values of a recorded flight.
+    pub fn instrument(self) -> Instrument {
+        self.tick.track();
+        match self.source {
+            Source::Live => self.data.with_value(|live| {
+                let now = live.clock.flight_now_us(net::now_ms()).unwrap_or(live.newest_us as f64);
+                Instrument::newest(live, now)
+            }),
+            Source::Recorded => {
+                let time = self.playhead.get();
+                self.data.with_value(|live| Instrument::at(live, time))
+            }
+        }
+    }
+
+    /// As [`Deck::instrument`], untracked, for animation frames.
+    pub fn instrument_now(self) -> Instrument {
+        untrack(|| self.instrument())
+    }
+
+    /// The estimator whose residuals are shown.
+    pub fn residual_estimator(self, live: &Live) -> u16 {
+        match self.residuals_of.get_untracked() {
+            0 => live.in_loop(),
+            chosen => chosen,
+        }
+    }
+
+    /// Stops or restarts the charts.
+    pub fn toggle_pause(self) {
+        let edge = self.data.with_value(|live| live.edge_us(net::now_ms()) * 1e-6);
+        self.paused_at.update(|p| *p = if p.is_some() { None } else { Some(edge) });
+        if self.paused_at.get_untracked().is_none() {
+            self.zoom.set(None);
+        }
+    }
+
+    /// Shows a stretch; anything under 20 ms is a click, not a drag.
+    pub fn zoom_to(self, from: f64, to: f64) {
+        let (start, end) = (from.min(to), from.max(to));
+        if end - start < 0.02 {
+            return;
+        }
+        if self.source == Source::Live && self.paused_at.get_untracked().is_none() {
+            self.toggle_pause();
+        }
+        self.zoom.set(Some((start, end)));
+    }
+
+    /// Back from a zoom, and back to the moving edge.
+    pub fn zoom_out(self) {
+        self.zoom.set(None);
+        if self.source == Source::Live {
+            self.paused_at.set(None);
+        }
+    }
+
+    /// Another window.
+    pub fn set_window(self, seconds: f64) {
+        self.window_s.set(seconds);
+        self.zoom.set(None);
+        if self.source == Source::Live {
+            store::set("window_s", &seconds.to_string());
+        }
+    }
+}
+
+/// The charts of the page around a component.
+pub fn deck() -> Deck {
+    expect_context()
+}

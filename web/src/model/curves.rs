@@ -1,0 +1,234 @@
+//! Every curve a chart can show, by name; each a [`Series`] over flight time in seconds.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use plumbline_proto::v1;
+
+use super::series::Series;
+
+/// Samples kept of a live curve: ten minutes at 200 Hz.
+pub const LIVE_SAMPLES: usize = 120_000;
+/// Samples kept of one curve of a recorded flight: over an hour at 200 Hz.
+const RECORDED_SAMPLES: usize = 1 << 20;
+/// A live curve breaks where samples are further apart than this, s.
+const GAP_S: f64 = 1.0;
+
+/// Degrees per radian.
+pub const DEGREES: f64 = 180.0 / std::f64::consts::PI;
+
+/// An axis of attitude.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Axis {
+    /// About the body's x.
+    Roll,
+    /// About y.
+    Pitch,
+    /// About z.
+    Yaw,
+}
+
+impl Axis {
+    /// All three.
+    pub const ALL: [Self; 3] = [Self::Roll, Self::Pitch, Self::Yaw];
+
+    /// "roll"
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Roll => "roll",
+            Self::Pitch => "pitch",
+            Self::Yaw => "yaw",
+        }
+    }
+}
+
+/// One scalar residual: estimator, sensor kind, instance, channel, by their numbers.
+pub type ResidualKey = (u16, i32, u32, i32);
+
+/// The name of a curve. Angles are in degrees, as on screen; all else SI.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Curve {
+    /// Altitude setpoint after limits, m.
+    SetpointAltitude,
+    /// Altitude of an estimator, m.
+    Altitude(u16),
+    /// Vertical speed of an estimator, m/s.
+    Climb(u16),
+    /// A laser height as the estimators received it, m.
+    Height(u16),
+    /// True altitude, m.
+    TruthAltitude,
+    /// An estimator's attitude, °.
+    Attitude(u16, Axis),
+    /// True attitude, °.
+    TruthAttitude(Axis),
+    /// A motor's command as applied, 0..1.
+    Motor(u8),
+    /// Innovation of one scalar, in its screen unit.
+    Innovation(ResidualKey),
+    /// Gate of one scalar, in its screen unit.
+    Gate(ResidualKey),
+    /// Innovation ratio of the worst channel of a sensor: estimator, kind, instance.
+    Worst(u16, i32, u32),
+    /// Work in a tick, median, µs.
+    TickMedian,
+    /// Work in a tick, 99th percentile, µs.
+    TickP99,
+    /// Jitter of the tick's start, 99th percentile, µs.
+    TickJitter,
+    /// Altitude of one of several flights compared, m.
+    Compared(u8),
+    /// Its setpoint, m.
+    ComparedSetpoint(u8),
+}
+
+/// The curves.
+#[derive(Debug)]
+pub struct Curves {
+    map: BTreeMap<Curve, Series>,
+    samples: usize,
+}
+
+impl Default for Curves {
+    fn default() -> Self {
+        Self { map: BTreeMap::new(), samples: LIVE_SAMPLES }
+    }
+}
+
+impl Curves {
+    /// For a recorded flight: everything is kept.
+    pub fn unbounded() -> Self {
+        Self { map: BTreeMap::new(), samples: RECORDED_SAMPLES }
+    }
+
+    /// Appends one sample. Samples that run backwards in time are left out.
+    pub fn push(&mut self, curve: Curve, time_us: u64, value: f64) {
+        let samples = self.samples;
+        self.map
+            .entry(curve)
+            .or_insert_with(|| Series::new(samples).with_max_gap(GAP_S))
+            .push(time_us as f64 * 1e-6, value as f32);
+    }
+
+    /// The curve, once it has a sample.
+    pub fn get(&self, curve: Curve) -> Option<&Series> {
+        self.map.get(&curve)
+    }
+
+    /// Samples held of a curve.
+    pub fn len(&self, curve: Curve) -> usize {
+        self.map.get(&curve).map_or(0, Series::len)
+    }
+
+    /// No curve at all?
+    pub fn is_empty(&self) -> bool {
+        self.map.is_empty()
+    }
+
+    /// All curves there are, in the order of their names.
+    pub fn names(&self) -> impl Iterator<Item = Curve> + '_ {
+        self.map.keys().copied()
+    }
+
+    /// Value of the newest sample at or before `time_s`.
+    pub fn value_at(&self, curve: Curve, time_s: f64) -> Option<f64> {
+        let (_, value) = self.map.get(&curve)?.at(time_s)?;
+        value.is_finite().then_some(f64::from(value))
+    }
+
+    /// First and last time of all curves.
+    pub fn time_span_s(&self) -> Option<Range<f64>> {
+        self.map.values().filter_map(Series::time_span_s).fold(None, |span: Option<Range<f64>>, (first, last)| {
+            Some(match span {
+                None => first..last,
+                Some(s) => s.start.min(first)..s.end.max(last),
+            })
+        })
+    }
+
+    /// One controller tick.
+    pub fn push_control(&mut self, control: &v1::Control) {
+        if let Some(altitude) = control.setpoint.as_ref().and_then(|s| s.altitude_m) {
+            self.push(Curve::SetpointAltitude, control.time_us, altitude);
+        }
+        for (i, applied) in control.motor_applied.iter().enumerate().take(8) {
+            self.push(Curve::Motor(i as u8), control.time_us, *applied);
+        }
+    }
+
+    /// One estimate of estimator `number`.
+    pub fn push_estimate(&mut self, number: u16, estimate: &v1::Estimate) {
+        let time = estimate.time_us;
+        if let Some(position) = &estimate.position_enu_m {
+            self.push(Curve::Altitude(number), time, position.z);
+        }
+        if let Some(velocity) = &estimate.velocity_enu_mps {
+            self.push(Curve::Climb(number), time, velocity.z);
+        }
+        if let Some(angles) = &estimate.roll_pitch_yaw_rad {
+            for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
+                self.push(Curve::Attitude(number, axis), time, value * DEGREES);
+            }
+        }
+    }
+
+    /// Truth.
+    pub fn push_truth(&mut self, truth: &v1::Truth) {
+        if let Some(position) = &truth.position_enu_m {
+            self.push(Curve::TruthAltitude, truth.time_us, position.z);
+        }
+        if let Some(angles) = &truth.roll_pitch_yaw_rad {
+            for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
+                self.push(Curve::TruthAttitude(axis), truth.time_us, value * DEGREES);
+            }
+        }
+    }
+
+    /// The residuals of estimator `number` in one tick.
+    pub fn push_residuals(&mut self, number: u16, message: &v1::Residuals) {
+        let mut worst: BTreeMap<(i32, u32), f64> = BTreeMap::new();
+        for residual in &message.residuals {
+            let key = (number, residual.sensor, residual.instance, residual.channel);
+            let factor = super::names::channel_unit(residual.channel()).1;
+            self.push(Curve::Innovation(key), message.time_us, residual.innovation * factor);
+            self.push(Curve::Gate(key), message.time_us, residual.gate * factor);
+            let ratio = worst.entry((residual.sensor, residual.instance)).or_insert(0.0);
+            *ratio = ratio.max(residual.ratio);
+        }
+        for ((sensor, instance), ratio) in worst {
+            self.push(Curve::Worst(number, sensor, instance), message.time_us, ratio);
+        }
+    }
+
+    /// The status of the agent.
+    pub fn push_status(&mut self, status: &v1::Status) {
+        self.push(Curve::TickMedian, status.time_us, status.tick_time_p50_us);
+        self.push(Curve::TickP99, status.time_us, status.tick_time_p99_us);
+        self.push(Curve::TickJitter, status.time_us, status.tick_jitter_p99_us);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_become_degrees_and_the_worst_channel_is_kept_per_instance() {
+        let mut curves = Curves::default();
+        let angles = v1::Vector3 { x: std::f64::consts::PI, y: 0.0, z: 0.0 };
+        curves.push_estimate(
+            1,
+            &v1::Estimate { time_us: 1_000_000, roll_pitch_yaw_rad: Some(angles), ..Default::default() },
+        );
+        assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 1.0), Some(180.0));
+        assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 0.9), None);
+        let residual = |channel, ratio| v1::Residual { sensor: 1, instance: 3, channel, ratio, ..Default::default() };
+        curves.push_residuals(
+            1,
+            &v1::Residuals { time_us: 5, estimator: 1, residuals: vec![residual(4, 0.5), residual(5, 0.75)] },
+        );
+        assert_eq!(curves.value_at(Curve::Worst(1, 1, 3), 1.0), Some(0.75));
+        let span = curves.time_span_s().unwrap();
+        assert!((span.start - 5e-6).abs() < 1e-9 && span.end == 1.0);
+    }
+}

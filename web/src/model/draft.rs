@@ -1,0 +1,220 @@
+//! A schedule of attacks being written: what the form says, checked before it leaves the page.
+
+use plumbline_proto::v1::{AttackChannel, AttackKind, Limits, SensorKind};
+
+use super::{api::AttackBody, format, names};
+
+/// One attack of the draft.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Draft {
+    /// Sensor attacked.
+    pub sensor: SensorKind,
+    /// Its instance.
+    pub instance: u32,
+    /// Channels covered.
+    pub channel: AttackChannel,
+    /// What is done.
+    pub kind: AttackKind,
+    /// Size; see [`magnitude_unit`].
+    pub magnitude: f64,
+    /// Begin after acceptance, s.
+    pub start_s: f64,
+    /// Length, s.
+    pub duration_s: f64,
+}
+
+impl Draft {
+    /// "height 2: bias +0.5 m, from +5 s for 10 s"
+    pub fn sentence(&self) -> String {
+        format!("{}, from +{} s for {} s", self.subject(), trimmed(self.start_s), trimmed(self.duration_s))
+    }
+
+    /// "height 2: bias +0.5 m"
+    pub fn subject(&self) -> String {
+        subject(self.sensor, self.instance, self.channel, self.kind, self.magnitude)
+    }
+
+    /// As the ground wants it; attacks of one schedule get different seeds.
+    pub fn body(&self, seed: u64) -> AttackBody {
+        AttackBody {
+            sensor: names::sensor_json(self.sensor),
+            instance: self.instance,
+            channel: names::attack_channel_json(self.channel),
+            kind: names::attack_kind_json(self.kind),
+            start_s: self.start_s,
+            duration_s: self.duration_s,
+            magnitude: self.magnitude,
+            seed,
+        }
+    }
+}
+
+/// "height 2: bias +0.5 m"
+pub fn subject(sensor: SensorKind, instance: u32, channel: AttackChannel, kind: AttackKind, magnitude: f64) -> String {
+    let what = match channel {
+        AttackChannel::All => String::new(),
+        other => format!(" {}", names::attack_channel(other)),
+    };
+    let mut text = format!("{}{what}: {}", names::instance(sensor, instance), names::attack_kind(kind));
+    if let Some(unit) = magnitude_unit(kind, sensor, channel) {
+        let signed = matches!(kind, AttackKind::Bias | AttackKind::Ramp);
+        let sign = if signed && magnitude > 0.0 { "+" } else { "" };
+        let number = trimmed(magnitude).replace('-', "\u{2212}");
+        text.push_str(&format!(" {sign}{number}"));
+        if !unit.is_empty() {
+            text.push_str(&format!(" {unit}"));
+        }
+    }
+    text
+}
+
+/// A number without needless zeros.
+fn trimmed(value: f64) -> String {
+    let text = format!("{value:.4}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// The unit of a channel of a sensor, as the agent takes it (SI).
+fn channel_unit(sensor: SensorKind, channel: AttackChannel) -> &'static str {
+    use AttackChannel::{Accel, AccelX, AccelY, AccelZ, All, Gyro, GyroX, GyroY, GyroZ, Mag};
+    match (sensor, channel) {
+        (SensorKind::Imu, Gyro | GyroX | GyroY | GyroZ) => "rad/s",
+        (SensorKind::Imu, Accel | AccelX | AccelY | AccelZ) => "m/s²",
+        (SensorKind::Imu, Mag) => "µT",
+        (SensorKind::Imu, All) => "SI",
+        (SensorKind::Barometer, _) => "Pa",
+        _ => "m",
+    }
+}
+
+/// Unit of the magnitude; `None` for kinds that have none.
+pub fn magnitude_unit(kind: AttackKind, sensor: SensorKind, channel: AttackChannel) -> Option<String> {
+    let unit = channel_unit(sensor, channel);
+    match kind {
+        AttackKind::Bias | AttackKind::Noise => Some(unit.to_owned()),
+        AttackKind::Ramp => Some(format!("{unit}/s")),
+        AttackKind::Scale => Some("×".to_owned()),
+        AttackKind::Replay | AttackKind::Delay => Some("s".to_owned()),
+        AttackKind::Dropout => Some("of samples".to_owned()),
+        AttackKind::Zero | AttackKind::Freeze | AttackKind::SignFlip | AttackKind::Unspecified => None,
+    }
+}
+
+/// The fields of the form, as typed.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs)]
+pub struct Form {
+    pub sensor: SensorKind,
+    pub instance: u32,
+    pub channel: AttackChannel,
+    pub kind: AttackKind,
+    pub magnitude: String,
+    pub start: String,
+    pub duration: String,
+}
+
+impl Default for Form {
+    fn default() -> Self {
+        Self {
+            sensor: SensorKind::Height,
+            instance: 2,
+            channel: AttackChannel::All,
+            kind: AttackKind::Bias,
+            magnitude: "0.5".to_owned(),
+            start: "5".to_owned(),
+            duration: "10".to_owned(),
+        }
+    }
+}
+
+impl Form {
+    /// The attack it describes.
+    ///
+    /// # Errors
+    /// What is wrong, with the value. The agent checks again, against its own bounds.
+    pub fn check(&self, limits: Option<&Limits>) -> Result<Draft, String> {
+        let number = |name: &str, text: &str| format::parse_number(text).map_err(|e| format!("{name}: {e}"));
+        let start_s = number("start", &self.start)?;
+        let duration_s = number("duration", &self.duration)?;
+        let needs_magnitude = magnitude_unit(self.kind, self.sensor, self.channel).is_some();
+        let magnitude = if needs_magnitude { number("magnitude", &self.magnitude)? } else { 0.0 };
+        if start_s < 0.0 {
+            return Err(format!("start: {start_s} s lies in the past"));
+        }
+        if duration_s <= 0.0 {
+            return Err(format!("duration: {duration_s} s is not positive"));
+        }
+        let longest = limits.map_or(0.0, |l| l.attack_max_duration_s);
+        if longest > 0.0 && duration_s > longest {
+            return Err(format!("duration: {duration_s} s above the vehicle's limit {longest} s"));
+        }
+        if self.kind == AttackKind::Dropout && !(0.0..=1.0).contains(&magnitude) {
+            return Err(format!("magnitude: {magnitude} is not a probability 0..1"));
+        }
+        if matches!(self.kind, AttackKind::Replay | AttackKind::Delay | AttackKind::Noise) && magnitude <= 0.0 {
+            return Err(format!("magnitude: {magnitude} is not positive"));
+        }
+        Ok(Draft {
+            sensor: self.sensor,
+            instance: self.instance,
+            channel: self.channel,
+            kind: self.kind,
+            magnitude,
+            start_s,
+            duration_s,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_example_of_the_issue() {
+        let draft = Form::default().check(None).unwrap();
+        assert_eq!(draft.sentence(), "height 2: bias +0.5 m, from +5 s for 10 s");
+        let body = serde_json::to_value(draft.body(1)).unwrap();
+        assert_eq!(
+            body,
+            serde_json::json!({"sensor":"height","instance":2,"channel":"all","kind":"bias","start_s":5.0,
+                "duration_s":10.0,"magnitude":0.5,"seed":1})
+        );
+    }
+
+    #[test]
+    fn every_mistake_is_named_with_its_value() {
+        let check = |change: fn(&mut Form)| {
+            let mut form = Form::default();
+            change(&mut form);
+            let limits = Limits { attack_max_duration_s: 60.0, ..Default::default() };
+            form.check(Some(&limits)).unwrap_err()
+        };
+        assert_eq!(check(|f| f.start = "-1".into()), "start: -1 s lies in the past");
+        assert_eq!(check(|f| f.duration = "0".into()), "duration: 0 s is not positive");
+        assert_eq!(check(|f| f.duration = "90".into()), "duration: 90 s above the vehicle's limit 60 s");
+        assert_eq!(check(|f| f.magnitude = "x".into()), "magnitude: \u{201c}x\u{201d} is not a number");
+        assert_eq!(
+            check(|f| {
+                f.kind = AttackKind::Dropout;
+                f.magnitude = "2".into()
+            }),
+            "magnitude: 2 is not a probability 0..1"
+        );
+    }
+
+    #[test]
+    fn kinds_without_magnitude_need_none() {
+        let form = Form { kind: AttackKind::Freeze, magnitude: "".into(), ..Form::default() };
+        assert_eq!(form.check(None).unwrap().subject(), "height 2: freeze");
+        let gyro = Form {
+            sensor: SensorKind::Imu,
+            instance: 1,
+            channel: AttackChannel::GyroX,
+            kind: AttackKind::Ramp,
+            magnitude: "-0.01".into(),
+            ..Form::default()
+        };
+        assert_eq!(gyro.check(None).unwrap().subject(), "IMU 1 gyro x: ramp \u{2212}0.01 rad/s/s");
+    }
+}

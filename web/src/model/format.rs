@@ -1,0 +1,137 @@
+//! Numbers as the page writes them: fixed width, unit, sign, true minus, and "—" where nothing is known.
+
+/// What stands where there is no value. Never 0.
+pub const NONE: &str = "—";
+
+/// `value` with `decimals` places and a typographic minus; "—" when it is not finite.
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return NONE.to_owned();
+    }
+    let text = format!("{value:.decimals$}");
+    match text.strip_prefix('-') {
+        // No "−0.00": a sign that means nothing.
+        Some(rest) if rest.chars().all(|c| c == '0' || c == '.') => rest.to_owned(),
+        Some(rest) => format!("\u{2212}{rest}"),
+        None => text,
+    }
+}
+
+/// As [`fixed`], with a plus sign for positive values.
+pub fn signed(value: f64, decimals: usize) -> String {
+    let text = fixed(value, decimals);
+    if value.is_finite() && !text.starts_with('\u{2212}') && text.chars().any(|c| ('1'..='9').contains(&c)) {
+        format!("+{text}")
+    } else {
+        text
+    }
+}
+
+/// [`fixed`] of a value that may be absent.
+pub fn maybe(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| NONE.to_owned(), |v| fixed(v, decimals))
+}
+
+/// A duration as `m:ss`, or `h:mm:ss` from one hour.
+pub fn clock(seconds: f64) -> String {
+    if !seconds.is_finite() {
+        return NONE.to_owned();
+    }
+    let total = seconds.max(0.0) as u64;
+    let (h, m, s) = (total / 3600, total / 60 % 60, total % 60);
+    if h > 0 { format!("{h}:{m:02}:{s:02}") } else { format!("{m}:{s:02}") }
+}
+
+/// An age, short: `85 ms`, `2.4 s`, `3 min`, `2 h`.
+pub fn age(seconds: f64) -> String {
+    match seconds {
+        s if !s.is_finite() => NONE.to_owned(),
+        s if s < 0.9995 => format!("{:.0} ms", s.max(0.0) * 1e3),
+        s if s < 60.0 => format!("{s:.1} s"),
+        s if s < 3600.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.0} h", s / 3600.0),
+    }
+}
+
+/// A size in bytes with a binary unit: `4.2 MiB`.
+pub fn bytes(count: f64) -> String {
+    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
+    if !count.is_finite() {
+        return NONE.to_owned();
+    }
+    let mut value = count.max(0.0);
+    let mut unit = UNITS[0];
+    for next in &UNITS[1..] {
+        if value < 1024.0 {
+            break;
+        }
+        value /= 1024.0;
+        unit = next;
+    }
+    if unit == "B" { format!("{value:.0} B") } else { format!("{value:.1} {unit}") }
+}
+
+/// A count with thin spaces between thousands.
+pub fn count(value: u64) -> String {
+    let digits = value.to_string();
+    let mut out = String::with_capacity(digits.len() + digits.len() / 3 * 3);
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push('\u{2009}');
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// Parses what a person types into a number field: a comma or a true minus is understood.
+///
+/// # Errors
+/// A sentence with the text as typed.
+pub fn parse_number(text: &str) -> Result<f64, String> {
+    let cleaned: String = text.trim().replace('\u{2212}', "-").replace(',', ".");
+    match cleaned.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ if cleaned.is_empty() => Err("a number is needed".to_owned()),
+        _ => Err(format!("\u{201c}{}\u{201d} is not a number", text.trim())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_their_width_and_never_lie() {
+        assert_eq!(fixed(0.8, 2), "0.80");
+        assert_eq!(fixed(-0.04, 1), "0.0");
+        assert_eq!(fixed(-1.26, 1), "\u{2212}1.3");
+        assert_eq!(fixed(f64::NAN, 2), NONE);
+        assert_eq!(signed(0.5, 1), "+0.5");
+        assert_eq!(signed(0.0, 1), "0.0");
+        assert_eq!(signed(-0.5, 1), "\u{2212}0.5");
+        assert_eq!(maybe(None, 2), NONE);
+    }
+
+    #[test]
+    fn durations_ages_sizes_and_counts() {
+        assert_eq!(clock(42.9), "0:42");
+        assert_eq!(clock(3723.0), "1:02:03");
+        assert_eq!(age(0.085), "85 ms");
+        assert_eq!(age(2.44), "2.4 s");
+        assert_eq!(age(7200.0), "2 h");
+        assert_eq!(bytes(512.0), "512 B");
+        assert_eq!(bytes(4.4e6), "4.2 MiB");
+        assert_eq!(count(1234567), "1\u{2009}234\u{2009}567");
+        assert_eq!(count(999), "999");
+    }
+
+    #[test]
+    fn typed_numbers() {
+        assert_eq!(parse_number(" 0,8 "), Ok(0.8));
+        assert_eq!(parse_number("\u{2212}1.5"), Ok(-1.5));
+        assert!(parse_number("").is_err());
+        assert!(parse_number("1e999").is_err());
+        assert_eq!(parse_number("abc").unwrap_err(), "\u{201c}abc\u{201d} is not a number");
+    }
+}

@@ -1,0 +1,131 @@
+//! Talking to the ground: one WebSocket and plain requests. Everything ends in an [`Event`].
+
+use serde::de::DeserializeOwned;
+use wasm_bindgen::{JsCast, JsValue, closure::Closure};
+use wasm_bindgen_futures::JsFuture;
+use web_sys::{BinaryType, MessageEvent, Request, RequestInit, Response, WebSocket};
+
+use crate::{
+    event::{Event, Failure},
+    model::api::failure_text,
+};
+
+/// Header that tells the ground which page sends a command.
+const OPERATOR: &str = "X-Plumbline-Operator";
+
+/// The browser's monotonic clock, ms.
+pub fn now_ms() -> f64 {
+    web_sys::window().and_then(|w| w.performance()).map_or(0.0, |p| p.now())
+}
+
+/// Seconds since the Unix epoch.
+pub fn unix_s() -> f64 {
+    js_sys::Date::now() * 1e-3
+}
+
+fn unreachable_ground() -> Failure {
+    Failure { status: 0, text: failure_text(0, "") }
+}
+
+async fn send(method: &str, url: &str, body: Option<String>, operator: &str) -> Result<Response, Failure> {
+    let init = RequestInit::new();
+    init.set_method(method);
+    if let Some(body) = &body {
+        init.set_body(&JsValue::from_str(body));
+    }
+    let request = Request::new_with_str_and_init(url, &init).map_err(|_| unreachable_ground())?;
+    let headers = request.headers();
+    if body.is_some() {
+        headers.set("Content-Type", "application/json").map_err(|_| unreachable_ground())?;
+    }
+    if !operator.is_empty() {
+        headers.set(OPERATOR, operator).map_err(|_| unreachable_ground())?;
+    }
+    let window = web_sys::window().ok_or_else(unreachable_ground)?;
+    let response = JsFuture::from(window.fetch_with_request(&request)).await.map_err(|_| unreachable_ground())?;
+    let response: Response = response.dyn_into().map_err(|_| unreachable_ground())?;
+    if response.ok() {
+        return Ok(response);
+    }
+    let status = response.status();
+    let text = text(&response).await.unwrap_or_default();
+    Err(Failure { status, text: failure_text(status, &text) })
+}
+
+async fn text(response: &Response) -> Result<String, Failure> {
+    let promise = response.text().map_err(|_| unreachable_ground())?;
+    let value = JsFuture::from(promise).await.map_err(|_| unreachable_ground())?;
+    Ok(value.as_string().unwrap_or_default())
+}
+
+/// One request whose answer is JSON (or nothing).
+///
+/// # Errors
+/// [`Failure`] with the ground's own words.
+pub async fn json<T: DeserializeOwned>(
+    method: &str,
+    url: &str,
+    body: Option<String>,
+    operator: &str,
+) -> Result<T, Failure> {
+    let response = send(method, url, body, operator).await?;
+    let text = text(&response).await?;
+    let text = if text.trim().is_empty() { "null" } else { &text };
+    serde_json::from_str(text)
+        .or_else(|error| serde_json::from_str("{}").map_err(|_| error))
+        .map_err(|error| Failure { status: 0, text: format!("{url} answered with something else: {error}") })
+}
+
+/// One request whose answer is bytes.
+///
+/// # Errors
+/// [`Failure`] with the ground's own words.
+pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
+    let response = send("GET", url, None, "").await?;
+    let promise = response.array_buffer().map_err(|_| unreachable_ground())?;
+    let buffer = JsFuture::from(promise).await.map_err(|_| unreachable_ground())?;
+    Ok(js_sys::Uint8Array::new(&buffer).to_vec())
+}
+
+/// The live socket. Closing it, or dropping it, ends its events.
+pub struct LiveSocket {
+    socket: WebSocket,
+    _message: Closure<dyn FnMut(MessageEvent)>,
+    _open: Closure<dyn FnMut()>,
+    _close: Closure<dyn FnMut()>,
+}
+
+impl LiveSocket {
+    /// Opens the socket of `vehicle`; `None` when the browser refuses at once.
+    pub fn open(vehicle: &str, history_s: f64, dispatch: impl Fn(Event) + Clone + 'static) -> Option<Self> {
+        let location = web_sys::window()?.location();
+        let scheme = if location.protocol().ok()? == "https:" { "wss" } else { "ws" };
+        let id = js_sys::encode_uri_component(vehicle);
+        let url = format!("{scheme}://{}/api/vehicles/{id}/live?history={history_s:.0}", location.host().ok()?);
+        let socket = WebSocket::new(&url).ok()?;
+        socket.set_binary_type(BinaryType::Arraybuffer);
+        let on = dispatch.clone();
+        let message = Closure::<dyn FnMut(MessageEvent)>::new(move |event: MessageEvent| {
+            if let Ok(buffer) = event.data().dyn_into::<js_sys::ArrayBuffer>() {
+                on(Event::Batch(js_sys::Uint8Array::new(&buffer).to_vec(), now_ms()));
+            }
+        });
+        let on = dispatch.clone();
+        let open = Closure::<dyn FnMut()>::new(move || on(Event::SocketOpened));
+        let close = Closure::<dyn FnMut()>::new(move || dispatch(Event::SocketClosed));
+        socket.set_onmessage(Some(message.as_ref().unchecked_ref()));
+        socket.set_onopen(Some(open.as_ref().unchecked_ref()));
+        socket.set_onclose(Some(close.as_ref().unchecked_ref()));
+        Some(Self { socket, _message: message, _open: open, _close: close })
+    }
+}
+
+impl Drop for LiveSocket {
+    fn drop(&mut self) {
+        self.socket.set_onmessage(None);
+        self.socket.set_onopen(None);
+        self.socket.set_onclose(None);
+        // Closing a socket that never opened is no error worth telling.
+        let _ = self.socket.close();
+    }
+}

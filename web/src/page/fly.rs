@@ -1,0 +1,120 @@
+//! Fly: the everyday screen.
+
+use leptos::prelude::*;
+
+use super::numbers::Numbers;
+use crate::{
+    app::{GroundState, Socket},
+    ctx::{Ctx, Graphics, ctx},
+    panel::{
+        arming::ArmingCard,
+        attacks::AttacksCard,
+        charts::{AltitudeChart, AttitudeChart},
+        estimator::EstimatorCard,
+        events::Events,
+        horizon::HorizonCard,
+        motors::MotorsAndTicks,
+        readouts::Readouts,
+        residuals::Residuals,
+        setpoint::SetpointCard,
+    },
+};
+
+/// What stands between the operator and a flying vehicle.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Obstacle {
+    Ground(String),
+    NoVehicle,
+    Disconnected(String),
+    NoData,
+}
+
+fn obstacle(ctx: Ctx) -> Option<Obstacle> {
+    let has_data = ctx.live(|live| live.newest_us > 0);
+    let link_down = ctx.live(|live| live.link.as_ref().is_some_and(|l| !l.connected));
+    ctx.app(|app| {
+        if let GroundState::Down(why) = &app.ground {
+            return Some(Obstacle::Ground(why.clone()));
+        }
+        match (&app.vehicles, &app.vehicle) {
+            (Some(all), None) if all.is_empty() => Some(Obstacle::NoVehicle),
+            (_, Some(id)) if link_down || app.listed().is_some_and(|v| !v.connected) => {
+                Some(Obstacle::Disconnected(id.clone()))
+            }
+            (_, Some(_)) if !has_data && app.socket == Socket::Open => Some(Obstacle::NoData),
+            (_, None) if app.vehicles.is_none() => None,
+            _ => None,
+        }
+    })
+}
+
+/// One line above the charts that says what is wrong and what to do.
+#[component]
+fn Banner() -> impl IntoView {
+    let ctx = ctx();
+    let state = Memo::new(move |_| obstacle(ctx));
+    let off = Memo::new(move |_| match ctx.graphics.get() {
+        Graphics::Off(why) => Some(why),
+        _ => None,
+    });
+    view! {
+        <div class="banners" role="status">
+            {move || state.get().map(|what| match what {
+                Obstacle::Ground(why) => view! {
+                    <p class="banner bad"><b>"No ground station."</b> {format!(" {why}. Start it with ")} <code>"plumbline-ground"</code> " (or everything at once with " <code>"cargo xtask run"</code> "). This page reconnects by itself."</p>
+                }.into_any(),
+                Obstacle::NoVehicle => view! {
+                    <p class="banner"><b>"No vehicle yet."</b> " Start a simulated one with " <code>"plumbline-agent --vehicle sim"</code> "; a real one connects by itself once it is paired. It appears here within two seconds."</p>
+                }.into_any(),
+                Obstacle::Disconnected(id) => view! {
+                    <p class="banner bad"><b>{format!("{id} is not connected.")}</b> " Values below are its last ones, and they are greyed. It reconnects by itself; a simulated one starts with " <code>"plumbline-agent --vehicle sim"</code> "."</p>
+                }.into_any(),
+                Obstacle::NoData => view! {
+                    <p class="banner"><b>"Connected, no telemetry yet."</b> " Waiting for the vehicle's first message."</p>
+                }.into_any(),
+            })}
+            {move || off.get().map(|why| view! {
+                <p class="banner"><b>"Numbers only:"</b> {format!(" this browser draws no WebGPU or WebGL2 ({why}). Everything still controls and cuts.")}</p>
+            })}
+        </div>
+    }
+}
+
+/// The Fly page.
+#[component]
+pub fn Fly() -> impl IntoView {
+    let ctx = ctx();
+    if let Some(deck) = ctx.live_deck.get_value() {
+        provide_context(deck);
+        ctx.deck.set(Some(deck));
+    }
+    let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
+    view! {
+        <main class="fly" id="main">
+            <Banner />
+            <div class="left">
+                <Show when=move || drawn.get()><HorizonCard /></Show>
+                <Readouts />
+            </div>
+            <div class="centre">
+                {move || if drawn.get() {
+                    view! {
+                        <AltitudeChart />
+                        <AttitudeChart />
+                        <Residuals />
+                        <MotorsAndTicks />
+                    }.into_any()
+                } else {
+                    view! { <Numbers /> }.into_any()
+                }}
+                <Events />
+            </div>
+            <div class="right">
+                <SetpointCard />
+                <ArmingCard />
+                <AttacksCard />
+                <EstimatorCard />
+            </div>
+        </main>
+    }
+}

@@ -1,0 +1,16 @@
+//! The pages: each arranges panels.
+
+mod compare;
+pub mod flight;
+pub mod flights;
+mod fly;
+mod help;
+mod numbers;
+mod setup;
+
+pub use compare::Compare;
+pub use flight::FlightPage;
+pub use flights::FlightsPage;
+pub use fly::Fly;
+pub use help::Help;
+pub use setup::Setup;

@@ -1,0 +1,153 @@
+//! Setup: the ground, the vehicle, its suite and limits, and how a real one is connected.
+
+use leptos::prelude::*;
+
+use crate::{
+    app::GroundState,
+    ctx::{Graphics, ctx},
+    model::{curves::DEGREES, format, names},
+};
+
+fn fact(name: &'static str, value: impl IntoView + 'static) -> impl IntoView {
+    view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> }
+}
+
+/// The Setup page.
+#[component]
+pub fn Setup() -> impl IntoView {
+    let ctx = ctx();
+    let ground = Memo::new(move |_| ctx.app(|app| app.ground.clone()));
+    let description = Memo::new(move |_| ctx.live(|live| live.description.get().cloned()));
+    let link = Memo::new(move |_| ctx.live(|live| live.link));
+    let graphics = move || match ctx.graphics.get() {
+        Graphics::Starting => "starting".to_owned(),
+        Graphics::On(what) => what,
+        Graphics::Off(why) => format!("numbers only: {why}"),
+    };
+    view! {
+        <main class="sheet" id="main">
+            <div class="sheet-head"><h1>"Setup"</h1></div>
+            <div class="setup-grid">
+                <section class="card facts" aria-label="Ground station">
+                    <header><h2>"Ground station"</h2></header>
+                    {move || match ground.get() {
+                        GroundState::Unknown => view! { <p class="quiet">"Asking…"</p> }.into_any(),
+                        GroundState::Down(why) => view! {
+                            <p class="bad">{format!("No answer: {why}.")}</p>
+                            <p>"Start it with " <code>"plumbline-ground"</code> "."</p>
+                        }.into_any(),
+                        GroundState::Up(g) => view! {
+                            <dl class="facts-list">
+                                {fact("version", g.version)}
+                                {fact("schema", g.schema.to_string())}
+                                {fact("up for", format::clock(g.uptime_s))}
+                                {fact("flights in", g.data_folder)}
+                                {fact("storage", format!("{} used by {} flights, {} free", format::bytes(g.storage.used_bytes), g.storage.flights, format::bytes(g.storage.free_bytes)))}
+                                {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
+                            </dl>
+                        }.into_any(),
+                    }}
+                </section>
+                <section class="card facts" aria-label="Page">
+                    <header><h2>"This page"</h2></header>
+                    <dl class="facts-list">
+                        {fact("version", env!("CARGO_PKG_VERSION"))}
+                        {fact("schema", plumbline_proto::SCHEMA.to_string())}
+                        {fact("graphics", graphics)}
+                        {fact("name for control", ctx.operator())}
+                        {fact("unreadable messages", move || ctx.live(|live| {
+                            if live.unreadable == 0 { "none".to_owned() } else { format!("{}: {}", format::count(live.unreadable), live.unreadable_reason) }
+                        }))}
+                    </dl>
+                </section>
+                <section class="card facts" aria-label="Link">
+                    <header><h2>"Link"</h2></header>
+                    {move || match link.get() {
+                        None => view! { <p class="quiet">"No vehicle has spoken yet."</p> }.into_any(),
+                        Some(l) => view! {
+                            <dl class="facts-list">
+                                {fact("connected", if l.connected { "yes" } else { "no" })}
+                                {fact("age of newest", format!("{} ms", format::fixed(l.age_ms, 1)))}
+                                {fact("round trip", format!("{} ms", format::fixed(l.round_trip_ms, 1)))}
+                                {fact("rate", format!("{} Hz", format::fixed(l.rate_hz, 0)))}
+                                {fact("loss", format!("{} %", format::fixed(l.loss_percent, 2)))}
+                                {fact("received", format::count(l.received))}
+                                {fact("missing, this flight", format::count(l.missing))}
+                                {fact("dropped for this page", format::count(l.viewer_dropped))}
+                            </dl>
+                        }.into_any(),
+                    }}
+                </section>
+                <section class="card facts" aria-label="Vehicle">
+                    <header><h2>"Vehicle"</h2></header>
+                    {move || match description.get() {
+                        None => view! { <p class="quiet">"No vehicle has described itself yet. Start a simulated one with " <code>"plumbline-agent --vehicle sim"</code> "."</p> }.into_any(),
+                        Some(d) => view! {
+                            <dl class="facts-list">
+                                {fact("id", d.agent_id.clone())}
+                                {fact("kind", d.vehicle.clone())}
+                                {fact("agent", d.agent_version.clone())}
+                                {fact("airframe", d.airframe.clone())}
+                                {fact("mass", format!("{} kg", format::fixed(d.mass_kg, 3)))}
+                                {fact("rig", d.rig.clone())}
+                                {fact("tick rate", format!("{} Hz", format::fixed(d.tick_rate_hz, 0)))}
+                                {fact("seed", d.seed.to_string())}
+                                {fact("estimators", d.estimators().map(names::estimator).collect::<Vec<_>>().join(", "))}
+                                {fact("attacks", if d.attacks_enabled { "enabled by its configuration" } else { "off" })}
+                                {(!d.source_file.is_empty()).then(|| fact("replays", d.source_file.clone()))}
+                            </dl>
+                            {(!d.scenario.is_empty()).then(|| view! {
+                                <details class="counts"><summary>"Scenario file"</summary><pre>{d.scenario.clone()}</pre></details>
+                            })}
+                        }.into_any(),
+                    }}
+                </section>
+                <section class="card facts" aria-label="Limits">
+                    <header><h2>"Limits"</h2><span class="quiet push">"enforced on the vehicle"</span></header>
+                    {move || match description.get().and_then(|d| d.limits) {
+                        None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
+                        Some(l) => view! {
+                            <dl class="facts-list">
+                                {fact("altitude", format!("{} … {} m", format::fixed(l.altitude_min_m, 2), format::fixed(l.altitude_max_m, 2)))}
+                                {fact("lateral", format!("{} m", format::fixed(l.lateral_max_m, 2)))}
+                                {fact("climb", format!("{} m/s", format::fixed(l.climb_max_mps, 2)))}
+                                {fact("descent", format!("{} m/s", format::fixed(l.descent_max_mps, 2)))}
+                                {fact("tilt", format!("{}°", format::fixed(l.tilt_max_rad * DEGREES, 1)))}
+                                {fact("thrust", format!("{} N", format::fixed(l.thrust_max_n, 1)))}
+                                {fact("longest attack", format!("{} s", format::fixed(l.attack_max_duration_s, 0)))}
+                            </dl>
+                        }.into_any(),
+                    }}
+                </section>
+                <section class="card facts" aria-label="Sensor suite">
+                    <header><h2>"Sensor suite"</h2></header>
+                    {move || match description.get().filter(|d| !d.sensors.is_empty()) {
+                        None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
+                        Some(d) => view! {
+                            <table class="dense">
+                                <thead><tr><th>"sensor"</th><th class="num">"rate"</th><th class="num">"sigma"</th><th></th></tr></thead>
+                                <tbody>{d.sensors.iter().map(|s| view! {
+                                    <tr>
+                                        <th scope="row">{if s.name.is_empty() { names::instance(s.kind(), s.instance) } else { s.name.clone() }}</th>
+                                        <td class="num">{format!("{} Hz", format::fixed(s.rate_hz, 0))}</td>
+                                        <td class="num">{format::fixed(s.sigma, 4)}</td>
+                                        <td>{s.unit.clone()}</td>
+                                    </tr>
+                                }).collect::<Vec<_>>()}</tbody>
+                            </table>
+                        }.into_any(),
+                    }}
+                </section>
+                <section class="card facts wide" aria-label="Connect a vehicle">
+                    <header><h2>"Connect a vehicle"</h2></header>
+                    <ol class="how">
+                        <li><b>"Simulated. "</b><code>"plumbline-agent --vehicle sim"</code>" flies the default hanging-string rig; a scenario file chooses another."</li>
+                        <li><b>"Recorded. "</b><code>"plumbline-agent --vehicle replay FILE"</code>" flies a recording again: one of ours, or PX4 ULog, BROAD, Phantom 4."</li>
+                        <li><b>"Real. "</b>"Run the agent on the vehicle's computer with the address of this ground station, and pair the two once: each keeps the other's certificate. An unpaired vehicle gets nothing."</li>
+                    </ol>
+                    <p class="quiet">"Whatever is pressed here, the vehicle enforces its own limits and failsafes: link loss freezes the setpoint after 0.5 s and descends after 2 s."</p>
+                </section>
+            </div>
+        </main>
+    }
+}

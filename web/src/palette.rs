@@ -1,0 +1,105 @@
+//! One colour for one thing, on every page: Okabe–Ito, safe for colour-blind eyes.
+//!
+//! The style sheet has the same colours under the names used here; dark pages lighten some of them.
+
+use crate::{gpu::Color, model::curves::Axis};
+
+/// A colour in both themes, and its name in the style sheet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ink {
+    light: Color,
+    dark: Color,
+    css: &'static str,
+}
+
+impl Ink {
+    const fn new(light: u32, dark: u32, css: &'static str) -> Self {
+        Self { light: Color::hex(light), dark: Color::hex(dark), css }
+    }
+
+    /// For the canvas.
+    pub const fn on(self, dark: bool) -> Color {
+        if dark { self.dark } else { self.light }
+    }
+
+    /// For the style sheet.
+    pub const fn css(self) -> &'static str {
+        self.css
+    }
+}
+
+/// Setpoint: neutral.
+pub const SETPOINT: Ink = Ink::new(0x1c2128, 0xe8ecf1, "var(--setpoint)");
+/// Estimate in the loop.
+pub const IN_LOOP: Ink = Ink::new(0x0072b2, 0x3d9fe0, "var(--in-loop)");
+/// Another estimator.
+pub const OTHER_1: Ink = Ink::new(0x009e73, 0x1fbf92, "var(--other-1)");
+/// A third.
+pub const OTHER_2: Ink = Ink::new(0xcc79a7, 0xdb93ba, "var(--other-2)");
+/// Raw sensor.
+pub const SENSOR_1: Ink = Ink::new(0xe69f00, 0xe69f00, "var(--sensor-1)");
+/// Raw sensor.
+pub const SENSOR_2: Ink = Ink::new(0x56b4e9, 0x56b4e9, "var(--sensor-2)");
+/// Raw sensor.
+pub const SENSOR_3: Ink = Ink::new(0xa89a1a, 0xd8cc3c, "var(--sensor-3)");
+/// Truth: dashed neutral.
+pub const TRUTH: Ink = Ink::new(0x6b7480, 0x98a2ae, "var(--truth)");
+/// Attacks, gates, rejection.
+pub const ATTACK: Ink = Ink::new(0xd55e00, 0xf07a1e, "var(--attack)");
+
+/// The colour of an estimator.
+pub fn estimator(number: u16, in_loop: u16) -> Ink {
+    if number == in_loop {
+        return IN_LOOP;
+    }
+    // Estimators keep their colour when another goes into the loop.
+    if number.is_multiple_of(2) { OTHER_1 } else { OTHER_2 }
+}
+
+/// See [`estimator`].
+pub fn estimator_css(number: u16, in_loop: u16) -> &'static str {
+    estimator(number, in_loop).css()
+}
+
+/// The colour of a sensor's instance.
+pub fn sensor(instance: u16) -> Ink {
+    [SENSOR_1, SENSOR_2, SENSOR_3, OTHER_2][usize::from(instance.saturating_sub(1)) % 4]
+}
+
+/// See [`sensor`].
+pub fn sensor_css(instance: u16) -> &'static str {
+    sensor(instance).css()
+}
+
+/// The colour of an axis of attitude.
+pub fn axis(axis: Axis) -> Ink {
+    match axis {
+        Axis::Roll => IN_LOOP,
+        Axis::Pitch => OTHER_1,
+        Axis::Yaw => OTHER_2,
+    }
+}
+
+/// See [`axis`].
+pub fn axis_css(of: Axis) -> &'static str {
+    axis(of).css()
+}
+
+/// Colour number `index` of a series of like things: flights compared, channels of one sensor.
+pub fn series(index: usize) -> Ink {
+    [IN_LOOP, SENSOR_1, OTHER_1, OTHER_2, SENSOR_2, SENSOR_3, TRUTH][index % 7]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_attack_never_looks_like_a_curve() {
+        for ink in (0..7).map(series).chain((1..6).map(sensor)) {
+            assert_ne!(ink.css(), ATTACK.css());
+        }
+        assert_eq!(estimator(3, 3), IN_LOOP);
+        assert_ne!(estimator(2, 3), estimator(1, 3));
+    }
+}

@@ -1,0 +1,19 @@
+//! Page controls: one file per card. They read through [`crate::ctx::Ctx`] and send commands; none draws curves.
+
+pub mod arming;
+pub mod attacks;
+pub mod charts;
+pub mod estimator;
+pub mod events;
+pub mod hold;
+pub mod horizon;
+pub mod legend;
+pub mod motors;
+pub mod notices;
+pub mod plot;
+pub mod readouts;
+pub mod residuals;
+pub mod setpoint;
+pub mod steps;
+pub mod timebar;
+pub mod toolbar;

@@ -1,0 +1,83 @@
+//! Motors and tick time, folded until wanted.
+
+use leptos::prelude::*;
+
+use super::{
+    legend::{Entry, Legend, Swatch},
+    plot::Plot,
+};
+use crate::{
+    deck::{Picture, deck},
+    model::{curves::Curve, format},
+    palette,
+};
+
+/// Motor commands over time, and how long a control tick takes.
+#[component]
+pub fn MotorsAndTicks() -> impl IntoView {
+    let deck = deck();
+    let open = RwSignal::new(false);
+    let motors = Memo::new(move |_| {
+        deck.read(|live| {
+            let names = live.curves.names().filter_map(|c| if let Curve::Motor(i) = c { Some(i) } else { None });
+            names
+                .map(|i| Entry {
+                    curve: Curve::Motor(i),
+                    name: format!("motor {}", i + 1),
+                    color: palette::series(usize::from(i)).css(),
+                    swatch: Swatch::Line,
+                })
+                .collect::<Vec<_>>()
+        })
+    });
+    let ticks = Signal::derive(|| {
+        vec![
+            Entry {
+                curve: Curve::TickMedian,
+                name: "median".into(),
+                color: palette::IN_LOOP.css(),
+                swatch: Swatch::Line,
+            },
+            Entry { curve: Curve::TickP99, name: "p99".into(), color: palette::SENSOR_1.css(), swatch: Swatch::Line },
+            Entry {
+                curve: Curve::TickJitter,
+                name: "jitter p99".into(),
+                color: palette::TRUTH.css(),
+                swatch: Swatch::Dashed,
+            },
+        ]
+    });
+    let summary = move || {
+        deck.read(|live| {
+            live.status.get().map_or_else(String::new, |s| {
+                format!(
+                    "tick {} µs median, {} µs p99 · {} Hz · {} missed",
+                    format::fixed(s.tick_time_p50_us, 0),
+                    format::fixed(s.tick_time_p99_us, 0),
+                    format::fixed(s.tick_rate_hz, 0),
+                    format::count(s.deadline_misses),
+                )
+            })
+        })
+    };
+    view! {
+        <details class="card chart motors" on:toggle:target=move |e| open.set(e.target().open())>
+            <summary>
+                <h2>"Motors and tick time"</h2>
+                <span class="num quiet">{summary}</span>
+            </summary>
+            <Show when=move || open.get()>
+                <div class="twin">
+                    <div class="half">
+                        <Legend entries=motors decimals=2 />
+                        <Plot picture=Picture::Motors label="Motor commands over time, 0 to 1" />
+                    </div>
+                    <div class="half">
+                        <Legend entries=ticks decimals=0 />
+                        <Plot picture=Picture::Ticks label="Time of a control tick over time, in microseconds" />
+                    </div>
+                </div>
+            </Show>
+        </details>
+    }
+}

@@ -1,0 +1,201 @@
+//! Residuals: a row per sensor instance, coloured by innovation / gate; a click opens its channels.
+
+use leptos::prelude::*;
+use plumbline_proto::v1::{Channel, EstimatorKind, SensorKind};
+
+use super::{
+    legend::{Entry, Legend, Swatch},
+    plot::Plot,
+};
+use crate::{
+    deck::{Picture, Source, deck},
+    model::{curves::Curve, format, names},
+    palette,
+};
+
+/// Ratio at which a residual is worth a look.
+const NOTICE: f64 = 0.5;
+/// Ratio at which it is close to rejection.
+const WARN: f64 = 0.8;
+
+fn level(ratio: Option<f64>) -> &'static str {
+    match ratio {
+        None => "none",
+        Some(r) if r > 1.0 => "rejected",
+        Some(r) if r > WARN => "high",
+        Some(r) if r > NOTICE => "raised",
+        Some(_) => "calm",
+    }
+}
+
+/// The residual card.
+#[component]
+pub fn Residuals() -> impl IntoView {
+    let deck = deck();
+    let estimator = Memo::new(move |_| {
+        deck.residuals_of.track();
+        deck.read(|live| deck.residual_estimator(live))
+    });
+    let offered = Memo::new(move |_| {
+        deck.read(|live| {
+            let mut numbers: Vec<u16> = live.residuals.keys().map(|key| key.0).collect();
+            numbers.dedup();
+            numbers
+        })
+    });
+    let name = |number: u16| names::estimator(EstimatorKind::try_from(i32::from(number)).unwrap_or_default());
+    view! {
+        <section class="card chart residuals" aria-label="Residuals">
+            <header>
+                <h2>"Residuals" <small>"innovation / gate"</small></h2>
+                {move || deck.residual.get().map(|(sensor, instance)| {
+                    let sensor = SensorKind::try_from(sensor).unwrap_or_default();
+                    view! {
+                        <button type="button" class="small" on:click=move |_| deck.residual.set(None)>"← all sensors"</button>
+                        <b class="which">{names::instance(sensor, instance)}</b>
+                    }
+                })}
+                <Show when=move || deck.residual.get().is_none()>
+                    <ul class="legend heat-key" aria-label="Colours">
+                        <li><span class="heat raised"></span>"0.5"</li>
+                        <li><span class="heat high"></span>"0.8"</li>
+                        <li><span class="heat rejected"></span>"1: rejected"</li>
+                    </ul>
+                </Show>
+                <Show when=move || { offered.get().len() > 1 }>
+                    <select
+                        class="small push"
+                        aria-label="Residuals of estimator"
+                        on:change:target=move |e| deck.residuals_of.set(e.target().value().parse().unwrap_or(0))
+                    >
+                        <option value="0" selected=move || deck.residuals_of.get() == 0>"in loop"</option>
+                        {move || offered.get().into_iter().map(|n| view! {
+                            <option value=n.to_string() selected=move || deck.residuals_of.get() == n>{name(n)}</option>
+                        }).collect::<Vec<_>>()}
+                    </select>
+                </Show>
+            </header>
+            {move || match deck.residual.get() {
+                Some((sensor, instance)) => view! { <Channels sensor instance estimator /> }.into_any(),
+                None => view! { <Rows estimator /> }.into_any(),
+            }}
+        </section>
+    }
+}
+
+/// All sensors, a row each.
+#[component]
+fn Rows(estimator: Memo<u16>) -> impl IntoView {
+    let deck = deck();
+    let rows = Memo::new(move |_| {
+        let estimator = estimator.get();
+        deck.read(|live| live.residual_rows(estimator))
+    });
+    let row = move |(sensor, instance): (i32, u32)| {
+        let kind = SensorKind::try_from(sensor).unwrap_or_default();
+        let name = names::instance(kind, instance);
+        let at = move || deck.reading_s();
+        let reading = Memo::new(move |_| {
+            let (number, at) = (estimator.get(), at());
+            deck.read(|live| match at {
+                Some(time) => {
+                    live.curves.value_at(Curve::Worst(number, sensor, instance), time).map(|r| (r, String::new()))
+                }
+                None => live.worst_residual(number, sensor, instance).map(|(r, _)| {
+                    let channel = if kind == SensorKind::Height { "" } else { names::channel(r.channel()) };
+                    (r.ratio, channel.to_owned())
+                }),
+            })
+        });
+        let ratio = move || reading.get().map(|(r, _)| r);
+        let open = move |_| deck.residual.set(Some((sensor, instance)));
+        let label = format!("Residuals of {name}");
+        view! {
+            <li class="res-row">
+                <button type="button" class="res-name" aria-label=label title="Show every channel with its gate" on:click=open>
+                    <span>{name}</span>
+                    <span class="res-channel">{move || reading.get().map(|(_, c)| c)}</span>
+                </button>
+                <span class=move || format!("res-value num {}", level(ratio()))>
+                    {move || format::maybe(ratio().map(|r| r.min(99.99)), 2)}
+                </span>
+            </li>
+        }
+    };
+    view! {
+        <div class="res-body">
+            <ul class="res-list" style=move || format!("--rows:{}", rows.get().len().max(1))>
+                <For each=move || rows.get() key=|r| *r children=row />
+            </ul>
+            <Plot
+                picture=Picture::Heatmap
+                values=false
+                label="Innovation ratio of each sensor over time; above 1 the measurement was rejected"
+            />
+            <Show when=move || rows.get().is_empty()>
+                <p class="empty">
+                    {if deck.source == Source::Live {
+                        "No residuals yet: they come with the estimator's first measurements."
+                    } else {
+                        "This recording holds no residuals."
+                    }}
+                </p>
+            </Show>
+        </div>
+    }
+}
+
+/// One sensor, a curve per channel.
+#[component]
+fn Channels(sensor: i32, instance: u32, estimator: Memo<u16>) -> impl IntoView {
+    let deck = deck();
+    let entries = Memo::new(move |_| {
+        let number = estimator.get();
+        deck.read(|live| {
+            let channels = live
+                .curves
+                .names()
+                .filter_map(|c| match c {
+                    Curve::Innovation(key) if (key.0, key.1, key.2) == (number, sensor, instance) => Some(key),
+                    _ => None,
+                })
+                .enumerate();
+            let mut entries = Vec::new();
+            for (i, key) in channels {
+                let channel = Channel::try_from(key.3).unwrap_or_default();
+                let (unit, _) = names::channel_unit(channel);
+                let color = palette::series(i).css();
+                entries.push(Entry {
+                    curve: Curve::Innovation(key),
+                    name: format!("{} {unit}", names::channel(channel)),
+                    color,
+                    swatch: Swatch::Line,
+                });
+                entries.push(Entry {
+                    curve: Curve::Gate(key),
+                    name: "gate ±".into(),
+                    color: "var(--attack)",
+                    swatch: Swatch::Dashed,
+                });
+            }
+            entries
+        })
+    });
+    view! {
+        <div class="res-channels">
+            <Legend entries decimals=3 />
+            <Plot picture=Picture::Residual label="Innovation of each channel over time, with its gate" />
+        </div>
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_change_at_half_at_four_fifths_and_at_rejection() {
+        let levels = [None, Some(0.5), Some(0.51), Some(0.81), Some(1.0), Some(1.01)].map(level);
+        assert_eq!(levels, ["none", "calm", "raised", "high", "high", "rejected"]);
+    }
+}

@@ -1,0 +1,226 @@
+//! The bar on top of every page: vehicle, mode, link, recording, battery, who controls, and the motor cut.
+
+use leptos::prelude::*;
+use plumbline_proto::v1::Mode;
+use serde_json::json;
+
+use crate::{
+    app::Socket,
+    ctx::{Ctx, ctx},
+    event::Event,
+    model::{format, names, route::Route},
+    store,
+};
+
+/// A link to another page that does not load it anew.
+#[component]
+pub fn Link(
+    /// Where to.
+    to: Route,
+    /// Is it where we are?
+    #[prop(optional, into)]
+    current: Signal<bool>,
+    /// What it says.
+    children: Children,
+) -> impl IntoView {
+    let ctx = ctx();
+    let href = to.path();
+    view! {
+        <a
+            href=href
+            aria-current=move || current.get().then_some("page")
+            on:click=move |e| {
+                // A new tab stays the browser's business.
+                if !(e.ctrl_key() || e.meta_key() || e.shift_key() || e.button() != 0) {
+                    e.prevent_default();
+                    ctx.go(to.clone());
+                }
+            }
+        >{children()}</a>
+    }
+}
+
+/// The link, in words: (text, class, explanation).
+fn link_state(ctx: Ctx) -> (String, &'static str, String) {
+    let socket = ctx.app(|app| app.socket);
+    if socket != Socket::Open {
+        let text = match socket {
+            Socket::Idle => "no vehicle",
+            Socket::Opening => "connecting",
+            _ => "ground lost",
+        };
+        return (
+            text.to_owned(),
+            if socket == Socket::Waiting { "bad" } else { "quiet" },
+            "Live connection to the ground station".into(),
+        );
+    }
+    ctx.live(|live| match &live.link {
+        Some(l) if !l.connected => {
+            (format!("link lost {}", format::age(l.age_ms * 1e-3)), "bad", "The vehicle is not connected to the ground station".to_owned())
+        }
+        Some(l) => {
+            let class = if l.age_ms > 500.0 || l.loss_percent > 10.0 {
+                "bad"
+            } else if l.age_ms > 100.0 || l.loss_percent > 1.0 {
+                "warn"
+            } else {
+                "good"
+            };
+            let text = format!(
+                "{:>3} ms · {:>3} Hz · {} %",
+                format::fixed(l.age_ms.min(9999.0), 0),
+                format::fixed(l.rate_hz, 0),
+                format::fixed(l.loss_percent, if l.loss_percent > 0.0 && l.loss_percent < 10.0 { 1 } else { 0 })
+            );
+            let more = format!(
+                "Age, rate and loss of telemetry. Round trip {} ms; {} received, {} missing; this page was too slow for {}",
+                format::fixed(l.round_trip_ms, 1),
+                format::count(l.received),
+                format::count(l.missing),
+                format::count(l.viewer_dropped)
+            );
+            (text, class, more)
+        }
+        None => ("waiting for data".to_owned(), "quiet", "No link status yet".to_owned()),
+    })
+}
+
+/// The recording, in words.
+fn recording_state(ctx: Ctx) -> (String, &'static str, String) {
+    ctx.live(|live| match &live.recording {
+        Some(r) if !r.error.is_empty() => ("REC failed".to_owned(), "bad", r.error.clone()),
+        Some(r) if r.recording => {
+            let whole =
+                if r.missing == 0 { "complete".to_owned() } else { format!("{} missing", format::count(r.missing)) };
+            let more =
+                format!("{}: {} messages, {}", r.flight_id, format::count(r.messages), format::bytes(r.bytes as f64));
+            (format!("REC {} {whole}", format::clock(r.duration_s)), "recording", more)
+        }
+        Some(_) => ("not recording".to_owned(), "quiet", "Arming starts a recording; R starts one by hand".to_owned()),
+        None => (format::NONE.to_owned(), "quiet", "No word from the recorder yet".to_owned()),
+    })
+}
+
+/// The toolbar.
+#[component]
+pub fn Toolbar() -> impl IntoView {
+    let ctx = ctx();
+    let at = move |route: Route| {
+        Signal::derive(move || ctx.route.with(|r| std::mem::discriminant(r) == std::mem::discriminant(&route)))
+    };
+    let in_flights =
+        Signal::derive(move || matches!(ctx.route.get(), Route::Flights | Route::Flight(_) | Route::Compare(_)));
+    let vehicles = Memo::new(move |_| {
+        ctx.app(|app| {
+            app.vehicles
+                .as_ref()
+                .map(|all| all.iter().map(|v| (v.id.clone(), v.connected)).collect::<Vec<_>>())
+                .unwrap_or_default()
+        })
+    });
+    let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
+    let armed = Memo::new(move |_| ctx.live(|live| live.status.get().map(|s| s.armed)));
+    let link = Memo::new(move |_| link_state(ctx));
+    let recording = Memo::new(move |_| recording_state(ctx));
+    let battery = Memo::new(move |_| {
+        ctx.live(|live| {
+            live.status
+                .get()
+                .filter(|s| s.battery_v > 0.0)
+                .map(|s| (format::fixed(s.battery_v, 1), (s.battery_fraction * 100.0).round()))
+        })
+    });
+    let holder = Memo::new(move |_| ctx.live(|live| live.lease.as_ref().map(|l| l.holder.clone()).unwrap_or_default()));
+    let mine = move || holder.get() == ctx.operator();
+    let lease = move |_| {
+        if mine() {
+            ctx.command("Release control", "DELETE", "lease", json!({}));
+        } else {
+            ctx.command("Take control", "PUT", "lease", json!({}));
+        }
+    };
+    let theme = move |_| {
+        ctx.dark.update(|d| *d = !*d);
+        store::set("theme", if ctx.dark.get_untracked() { "dark" } else { "light" });
+    };
+    view! {
+        <header class="toolbar" role="banner">
+            <Link to=Route::Fly><span class="brand">"Plumbline"</span></Link>
+            <nav aria-label="Pages">
+                <Link to=Route::Fly current=at(Route::Fly)>"Fly"</Link>
+                <Link to=Route::Flights current=in_flights>"Flights"</Link>
+                <Link to=Route::Setup current=at(Route::Setup)>"Setup"</Link>
+            </nav>
+            <select
+                class="vehicle"
+                aria-label="Vehicle"
+                on:change:target=move |e| ctx.dispatch(Event::Choose(e.target().value()))
+            >
+                {move || {
+                    let all = vehicles.get();
+                    if all.is_empty() {
+                        view! { <option>"no vehicle"</option> }.into_any()
+                    } else {
+                        all.into_iter().map(|(id, connected)| {
+                            let shown = id.clone();
+                            let text = if connected { id.clone() } else { format!("{id} (offline)") };
+                            view! { <option value=id selected=move || ctx.app(|a| a.vehicle.as_deref() == Some(shown.as_str()))>{text}</option> }
+                        }).collect::<Vec<_>>().into_any()
+                    }
+                }}
+            </select>
+            <span class="tag mode" aria-label="Mode">{move || names::mode(mode.get())}</span>
+            <span
+                class="tag armed-tag"
+                class:armed=move || armed.get() == Some(true)
+                role="status"
+                aria-label="Arming"
+            >{move || match armed.get() { Some(true) => "ARMED", Some(false) => "disarmed", None => format::NONE }}</span>
+            <span class=move || format!("tag link num {}", link.get().1) title=move || link.get().2 aria-label="Link">
+                <i class="dot" aria-hidden="true"></i>{move || link.get().0}
+            </span>
+            <button
+                type="button"
+                class=move || format!("tag rec num {}", recording.get().1)
+                title=move || format!("{} (R)", recording.get().2)
+                aria-label=move || format!("Recording: {}", recording.get().0)
+                on:click=move |_| ctx.toggle_recording()
+            >
+                <i class="dot" aria-hidden="true"></i>{move || recording.get().0}
+            </button>
+            <span
+                class="tag battery num"
+                class:bad=move || battery.get().is_some_and(|b| b.1 < 15.0)
+                class:warn=move || battery.get().is_some_and(|b| (15.0..30.0).contains(&b.1))
+                aria-label="Battery"
+                title="Battery voltage and charge"
+            >{move || battery.get().map_or_else(|| format::NONE.to_owned(), |(volts, percent)| format!("{volts} V · {percent:.0} %"))}</span>
+            <span class="spring"></span>
+            <button
+                type="button"
+                class="tag lease"
+                class:mine=mine
+                title=move || {
+                    let holder = holder.get();
+                    if holder.is_empty() { "Nobody controls; your first command takes control".to_owned() }
+                    else if mine() { "You control this vehicle; press to release".to_owned() }
+                    else { format!("{holder} controls; press to take over") }
+                }
+                on:click=lease
+            >{move || if mine() { "you control" } else if holder.get().is_empty() { "take control" } else { "view only" }}</button>
+            <button type="button" class="icon" aria-label="Keys and help" title="Keys (?)" on:click=move |_| ctx.help.set(true)>"?"</button>
+            <button
+                type="button"
+                class="icon"
+                aria-label="Dark theme"
+                aria-pressed=move || ctx.dark.get().to_string()
+                title="Light or dark"
+                on:click=theme
+            >"◐"</button>
+            <button type="button" class="cut" title="Ctrl+Shift+X. Latched: needs an explicit release." on:click=move |_| ctx.cut()>
+                "CUT MOTORS" <span>" – vehicle falls"</span>
+            </button>
+        </header>
+    }
+}
