@@ -209,6 +209,16 @@ impl Flight {
         &self.report
     }
 
+    /// Failsafe acting now.
+    pub fn failsafe(&self) -> Failsafe {
+        self.failsafe
+    }
+
+    /// Revision of the gains in use.
+    pub fn gains_revision(&self) -> GainsRevision {
+        self.gains.revision
+    }
+
     /// The configuration it was built from.
     pub fn config(&self) -> &FlightConfig {
         &self.config

@@ -19,6 +19,8 @@ pub mod failsafe;
 pub mod flight;
 pub mod frames;
 pub mod linalg;
+pub mod link;
+pub mod log;
 pub mod mix;
 pub mod model;
 pub mod recordings;

@@ -4,6 +4,14 @@
 //! [`CommandSender`] going down. The link itself is the only producer of the one and the only
 //! consumer of the other, so that tests stand in for an agent with two channels and no socket.
 
+pub mod clock;
+mod offset;
+mod registry;
+mod server;
+mod session;
+
+pub use server::{AgentLink, AgentLinkConfig, AgentLinkError, run};
+
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -114,3 +122,6 @@ impl CommandSender {
         self.queue.is_closed()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,247 @@
+//! Commands from the wire, turned into the agent's own types and checked for nonsense.
+//!
+//! Only form is checked here (known kinds, finite numbers, sizes); whether a command may be obeyed
+//! is decided by the flight code. What cannot be understood becomes [`Request::Refused`], so that
+//! the operator gets a numbered answer with the reason.
+
+use plumbline_proto::ids::{CommandId, GainsRevision, SensorId};
+use plumbline_proto::v1::{self, command::Body};
+
+use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
+use crate::command::{Command, SetpointChange};
+use crate::control::lqr_integral::Weights;
+
+/// A command with its number.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Inbound {
+    /// Number given by the ground; the answer repeats it.
+    pub id: CommandId,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// What is asked, and of whom.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Request {
+    /// For the flight code.
+    Flight(Command),
+    /// For the runner: start or stop a recording by hand.
+    Recording(bool),
+    /// For the runner: how a recorded flight is played.
+    Replay(ReplayRate),
+    /// Not understood.
+    Refused(String),
+}
+
+/// How time runs in a replay.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReplayRate {
+    /// Times real time; 0 stands still.
+    pub speed: f64,
+    /// Ticks to go while standing still.
+    pub step: u32,
+}
+
+/// Fastest replay, times real time.
+pub const REPLAY_SPEED_MAX: f64 = 1_000.0;
+
+/// Turns a command of the wire into one of ours.
+pub fn parse(command: v1::Command) -> Inbound {
+    let id = CommandId(command.command_id);
+    let request = match command.body {
+        Some(body) => request(body).unwrap_or_else(Request::Refused),
+        None => Request::Refused("the command is empty, or newer than this agent".to_owned()),
+    };
+    Inbound { id, request }
+}
+
+fn request(body: Body) -> Result<Request, String> {
+    Ok(Request::Flight(match body {
+        Body::Arm(_) => Command::Arm,
+        Body::Disarm(_) => Command::Disarm,
+        Body::CutMotors(_) => Command::CutMotors,
+        Body::ReleaseCut(_) => Command::ReleaseCut,
+        Body::SetMode(set) => match v1::Mode::try_from(set.mode) {
+            Ok(mode) if mode != v1::Mode::Unspecified => Command::SetMode(mode),
+            _ => return Err(format!("mode {} is not known", set.mode)),
+        },
+        Body::Setpoint(setpoint) => Command::Setpoint(setpoint_change(&setpoint)?),
+        Body::AttackSchedule(schedule) => Command::Attack(attack_schedule(&schedule)?),
+        Body::AbortAttacks(_) => Command::AbortAttacks,
+        Body::SelectEstimator(select) => match v1::EstimatorKind::try_from(select.estimator) {
+            Ok(kind) if kind != v1::EstimatorKind::Unspecified => Command::SelectEstimator(kind),
+            _ => return Err(format!("estimator {} is not known", select.estimator)),
+        },
+        Body::SetRecording(recording) => return Ok(Request::Recording(recording.on)),
+        Body::PushGains(push) => {
+            let weights = push.weights.unwrap_or_default();
+            Command::PushGains {
+                revision: GainsRevision(push.revision),
+                weights: Weights {
+                    state: exactly("state_weight", &weights.state_weight)?,
+                    input: exactly("input_weight", &weights.input_weight)?,
+                },
+            }
+        }
+        Body::SetReplay(replay) => {
+            let speed = finite("replay speed", replay.speed)?;
+            if !(0.0..=REPLAY_SPEED_MAX).contains(&speed) {
+                return Err(format!("replay speed {speed} is outside 0 to {REPLAY_SPEED_MAX}"));
+            }
+            return Ok(Request::Replay(ReplayRate { speed, step: replay.step }));
+        }
+    }))
+}
+
+fn setpoint_change(setpoint: &v1::Setpoint) -> Result<SetpointChange, String> {
+    let field = |name, value: Option<f64>| value.map(|value| finite(name, value)).transpose();
+    Ok(SetpointChange {
+        altitude_m: field("setpoint altitude_m", setpoint.altitude_m)?,
+        x_m: field("setpoint x_m", setpoint.x_m)?,
+        y_m: field("setpoint y_m", setpoint.y_m)?,
+        roll_rad: field("setpoint roll_rad", setpoint.roll_rad)?,
+        pitch_rad: field("setpoint pitch_rad", setpoint.pitch_rad)?,
+        yaw_rad: field("setpoint yaw_rad", setpoint.yaw_rad)?,
+        throttle: field("setpoint throttle", setpoint.throttle)?,
+    })
+}
+
+/// Turns a schedule of the wire into one of ours; bounds are the injector's business.
+///
+/// # Errors
+/// A text with the offending value.
+pub fn attack_schedule(schedule: &v1::AttackSchedule) -> Result<Schedule, String> {
+    if schedule.attacks.len() > MAX_ATTACKS {
+        return Err(format!("{} attacks in one schedule, at most {MAX_ATTACKS}", schedule.attacks.len()));
+    }
+    let attacks = schedule.attacks.iter().map(attack).collect::<Result<_, _>>()?;
+    Ok(Schedule { id: schedule.schedule_id, attacks })
+}
+
+fn attack(attack: &v1::Attack) -> Result<Attack, String> {
+    let id = attack.id;
+    let number = |name: &str, value| finite(&format!("attack {id}: {name}"), value);
+    let instance = u8::try_from(attack.instance)
+        .map_err(|_| format!("attack {id}: no sensor has instance {}", attack.instance))?;
+    Ok(Attack {
+        id,
+        sensor: match v1::SensorKind::try_from(attack.sensor) {
+            Ok(kind) if kind != v1::SensorKind::Unspecified => SensorId::new(kind, instance),
+            _ => return Err(format!("attack {id}: sensor kind {} is not known", attack.sensor)),
+        },
+        channel: v1::AttackChannel::try_from(attack.channel)
+            .map(channel)
+            .map_err(|_| format!("attack {id}: channel {} is not known", attack.channel))?,
+        kind: v1::AttackKind::try_from(attack.kind)
+            .ok()
+            .and_then(kind)
+            .ok_or_else(|| format!("attack {id}: kind {} is not known", attack.kind))?,
+        start_s: number("start_s", attack.start_s)?,
+        duration_s: number("duration_s", attack.duration_s)?,
+        magnitude: number("magnitude", attack.magnitude)?,
+        seed: attack.seed,
+    })
+}
+
+fn channel(channel: v1::AttackChannel) -> Channel {
+    use v1::AttackChannel as Wire;
+    match channel {
+        Wire::All => Channel::All,
+        Wire::Gyro => Channel::Gyro,
+        Wire::Accel => Channel::Accel,
+        Wire::Mag => Channel::Mag,
+        Wire::X => Channel::Axis(0),
+        Wire::Y => Channel::Axis(1),
+        Wire::Z => Channel::Axis(2),
+        Wire::GyroX => Channel::GyroAxis(0),
+        Wire::GyroY => Channel::GyroAxis(1),
+        Wire::GyroZ => Channel::GyroAxis(2),
+        Wire::AccelX => Channel::AccelAxis(0),
+        Wire::AccelY => Channel::AccelAxis(1),
+        Wire::AccelZ => Channel::AccelAxis(2),
+    }
+}
+
+fn kind(kind: v1::AttackKind) -> Option<Kind> {
+    use v1::AttackKind as Wire;
+    Some(match kind {
+        Wire::Unspecified => return None,
+        Wire::Zero => Kind::Zero,
+        Wire::Bias => Kind::Bias,
+        Wire::Ramp => Kind::Ramp,
+        Wire::Scale => Kind::Scale,
+        Wire::Noise => Kind::Noise,
+        Wire::Freeze => Kind::Freeze,
+        Wire::Replay => Kind::Replay,
+        Wire::Delay => Kind::Delay,
+        Wire::Dropout => Kind::Dropout,
+        Wire::SignFlip => Kind::SignFlip,
+    })
+}
+
+fn finite(name: &str, value: f64) -> Result<f64, String> {
+    if value.is_finite() { Ok(value) } else { Err(format!("{name} is {value}, a finite number is needed")) }
+}
+
+fn exactly<const N: usize>(name: &str, values: &[f64]) -> Result<[f64; N], String> {
+    let values: [f64; N] =
+        values.try_into().map_err(|_| format!("{name} has {} values, {N} are needed", values.len()))?;
+    values.iter().try_for_each(|value| finite(name, *value).map(|_| ()))?;
+    Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(body: Body) -> String {
+        match parse(v1::Command { command_id: 7, operator: "t".into(), body: Some(body) }) {
+            Inbound { id: CommandId(7), request: Request::Refused(reason) } => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_its_value() {
+        let setpoint = v1::Setpoint { altitude_m: Some(f64::NAN), ..Default::default() };
+        assert_eq!(refusal(Body::Setpoint(setpoint)), "setpoint altitude_m is NaN, a finite number is needed");
+        assert_eq!(refusal(Body::SetMode(v1::SetMode { mode: 99 })), "mode 99 is not known");
+        assert_eq!(
+            refusal(Body::SetReplay(v1::SetReplay { speed: -1.0, step: 0 })),
+            "replay speed -1 is outside 0 to 1000"
+        );
+        let weights = v1::LqrWeights { state_weight: vec![1.0; 15], input_weight: vec![1.0; 4] };
+        let push = v1::PushGains { revision: 3, weights: Some(weights) };
+        assert_eq!(refusal(Body::PushGains(push)), "state_weight has 15 values, 16 are needed");
+        let attack = v1::Attack { id: 4, sensor: 2, instance: 300, kind: 2, ..Default::default() };
+        let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack.clone()] };
+        assert_eq!(refusal(Body::AttackSchedule(schedule)), "attack 4: no sensor has instance 300");
+        let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack; MAX_ATTACKS + 1] };
+        assert_eq!(refusal(Body::AttackSchedule(schedule)), "33 attacks in one schedule, at most 32");
+        let empty = parse(v1::Command { command_id: 1, ..Default::default() });
+        assert!(matches!(empty.request, Request::Refused(_)));
+    }
+
+    #[test]
+    fn every_kind_and_channel_of_the_wire_is_understood() {
+        for number in 1..=10 {
+            let wire = v1::Attack {
+                id: 1,
+                sensor: v1::SensorKind::Height as i32,
+                instance: 2,
+                channel: v1::AttackChannel::All as i32,
+                kind: number,
+                start_s: 5.0,
+                duration_s: 10.0,
+                magnitude: 0.5,
+                seed: 1,
+            };
+            let ours = attack(&wire).unwrap();
+            assert_eq!(ours.sensor.to_string(), "height 2");
+            let name = v1::AttackKind::try_from(number).unwrap().as_str_name();
+            let ours = format!("{:?}", ours.kind).to_uppercase();
+            assert_eq!(name.trim_start_matches("ATTACK_KIND_").replace('_', ""), ours);
+        }
+        assert!((0..=12).all(|number| v1::AttackChannel::try_from(number).is_ok()));
+    }
+}

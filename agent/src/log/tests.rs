@@ -1,0 +1,140 @@
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use plumbline_proto::codec::encode_message;
+use plumbline_proto::v1::BackfillRequest;
+use rtrb::{Producer, RingBuffer};
+
+use super::*;
+use crate::link::backfill::Archive;
+
+fn config(folder: &Path) -> LogConfig {
+    LogConfig {
+        folder: folder.to_owned(),
+        max_bytes: DEFAULT_MAX_BYTES,
+        agent_id: "iris-1".into(),
+        boot_wall_time: WallTime(1_700_000_000_000_000),
+    }
+}
+
+fn mark(ring: &mut Producer<u8>, id: &str, sequence: u64, last: Option<u64>) {
+    let mark = v1::FlightMark {
+        time_us: sequence * 1000,
+        flight_id: id.into(),
+        first_sequence: sequence,
+        last_sequence: last,
+        reason: "test".into(),
+    };
+    let mut bytes = Vec::new();
+    encode_message(&mut bytes, Kind::Flight, 0, sequence, mark.time_us, &mark);
+    ring.push_entire_slice(&bytes).unwrap();
+}
+
+fn heights(ring: &mut Producer<u8>, sequences: std::ops::Range<u64>) {
+    for sequence in sequences {
+        let sample = v1::HeightSample { time_us: sequence * 1000, sensed_m: sequence as f64, ..Default::default() };
+        let mut bytes = Vec::new();
+        encode_message(&mut bytes, Kind::Height, 2, sequence, sample.time_us, &sample);
+        ring.push_entire_slice(&bytes).unwrap();
+    }
+}
+
+fn backfill(archive: &LogArchive, id: &str, first: u64, last: u64) -> Vec<(u64, u64, u16, u16)> {
+    let mut got = Vec::new();
+    let request = BackfillRequest { flight_id: id.into(), first_sequence: first, last_sequence: last };
+    archive
+        .read(&request, &mut |frame| {
+            got.push((frame.sequence, frame.time_us, frame.kind, frame.instance));
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    got
+}
+
+#[test]
+fn a_flight_is_kept_whole_and_can_be_asked_for_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut ring, consumer) = RingBuffer::new(RING_BYTES);
+    let log = spawn(config(folder.path()), consumer).unwrap();
+    let archive = log.archive();
+    // Sequences beyond 32 bits come back whole.
+    let first = (7 << 32) - 100;
+    heights(&mut ring, first - 10..first);
+    mark(&mut ring, "f-1", first, None);
+    heights(&mut ring, first + 1..first + 500);
+    // Still open: what is not flushed yet is waited for.
+    let got = backfill(&archive, "f-1", first + 300, first + 310);
+    let expected: Vec<_> = (first + 300..=first + 310).map(|s| (s, s * 1000, Kind::Height.to_wire(), 2)).collect();
+    assert_eq!(got, expected);
+    mark(&mut ring, "f-1", first + 500, Some(first + 500));
+    heights(&mut ring, first + 501..first + 600);
+    log.stop();
+    assert_eq!(backfill(&archive, "f-1", first, u64::MAX).len(), 501, "nothing from outside the flight");
+    assert!(backfill(&archive, "never-flown", 1, 10).is_empty());
+
+    let bytes = std::fs::read(folder.path().join("f-1.mcap")).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 501);
+    assert!(summary.schemas.values().any(|schema| schema.name == "plumbline.v1.HeightSample"));
+}
+
+#[test]
+fn what_was_flushed_survives_a_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut ring, consumer) = RingBuffer::new(RING_BYTES);
+    let log = spawn(config(folder.path()), consumer).unwrap();
+    mark(&mut ring, "f-1", 1, None);
+    heights(&mut ring, 2..1001);
+    let archive = log.archive();
+    assert_eq!(backfill(&archive, "f-1", 1, 1000).len(), 1000);
+    // A copy of the file as it is now is what a kill would leave.
+    let copy = tempfile::tempdir().unwrap();
+    std::fs::copy(folder.path().join("f-1.mcap"), copy.path().join("f-1.mcap")).unwrap();
+    let left = LogArchive::new(copy.path().to_owned(), Arc::default());
+    assert_eq!(backfill(&left, "f-1", 1, 2000).len(), 1000);
+    // Cut anywhere, it still reads up to the cut.
+    let bytes = std::fs::read(copy.path().join("f-1.mcap")).unwrap();
+    for cut in (0..bytes.len()).step_by(97) {
+        std::fs::write(copy.path().join("f-1.mcap"), &bytes[..cut]).unwrap();
+        let got = backfill(&left, "f-1", 1, 2000);
+        assert!(got.len() <= 1000);
+    }
+}
+
+#[test]
+fn the_oldest_flights_make_room_and_a_full_log_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    for n in 0..3 {
+        let path = folder.path().join(format!("old-{n}.mcap"));
+        std::fs::write(&path, vec![0; 400_000]).unwrap();
+        let age = std::time::SystemTime::now() - Duration::from_secs(100 - n);
+        std::fs::File::options().write(true).open(&path).unwrap().set_modified(age).unwrap();
+    }
+    let bounded = LogConfig { max_bytes: 1_000_000, ..config(folder.path()) };
+    let (_ring, consumer) = RingBuffer::new(1024);
+    let log = spawn(bounded.clone(), consumer).unwrap();
+    let left = |n: u32| folder.path().join(format!("old-{n}.mcap")).exists();
+    assert_eq!([left(0), left(1), left(2)], [false, true, true]);
+    assert_eq!(log.state().error(), None);
+    log.stop();
+    let open = folder.path().join("open.mcap");
+    std::fs::write(&open, vec![0; 2_000_000]).unwrap();
+    let error = writer::make_room(&bounded, Some(&open)).unwrap_err().to_string();
+    assert!(error.contains("no room") && open.exists(), "{error}");
+}
+
+#[test]
+fn an_unusable_folder_is_reported_and_stops_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    std::fs::write(&file, "in the way").unwrap();
+    let (mut ring, consumer) = RingBuffer::new(RING_BYTES);
+    let log = spawn(config(&file.join("log")), consumer).unwrap();
+    assert!(log.state().error().unwrap().contains("file"));
+    mark(&mut ring, "f-1", 1, None);
+    heights(&mut ring, 2..100);
+    let state = log.state().clone();
+    log.stop();
+    assert_eq!(state.messages.load(Ordering::Relaxed), 0);
+    assert!(state.error().is_some());
+}

@@ -1,0 +1,247 @@
+//! The listening end of the link.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use plumbline_agent::link::hello;
+use plumbline_agent::link::identity::{Identity, IdentityError};
+use plumbline_agent::link::tls::{self, Purpose};
+use plumbline_agent::link::transport::{self, CloseCode, FrameReader, FrameWriter};
+use plumbline_proto::SCHEMA;
+use plumbline_proto::v1::{Hello, command_frame::Body};
+use quinn::{Connection, Endpoint, Incoming, ServerConfig, VarInt};
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+
+use super::registry::{Registry, Who};
+use super::{LinkEvent, session};
+
+/// Connections that may be in their handshake or alive at once; more are turned away.
+pub const MAX_CONNECTIONS: usize = 64;
+
+/// What the listening end needs to know.
+#[derive(Debug, Clone)]
+pub struct AgentLinkConfig {
+    /// Where to listen; port 0 takes any that is free.
+    pub listen: SocketAddr,
+    /// Who we are and whom we trust.
+    pub identity: Identity,
+    /// Name of this ground.
+    pub ground_id: String,
+    /// Version of this ground.
+    pub version: String,
+    /// Schema spoken; [`plumbline_proto::SCHEMA`] outside of tests.
+    pub schema: u32,
+}
+
+impl AgentLinkConfig {
+    /// With this build's version and schema.
+    pub fn new(listen: SocketAddr, identity: Identity) -> Self {
+        Self {
+            listen,
+            identity,
+            ground_id: "ground".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            schema: u32::from(SCHEMA),
+        }
+    }
+}
+
+/// Why the link cannot listen.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentLinkError {
+    /// The address is not usable.
+    #[error("agent link: cannot listen on udp {address}: {source}")]
+    Bind {
+        /// Address asked for.
+        address: SocketAddr,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// The identity is not usable.
+    #[error("agent link: {0}")]
+    Identity(#[from] IdentityError),
+    /// The hub stopped listening.
+    #[error("agent link: nobody takes its events any more")]
+    HubGone,
+}
+
+/// A bound socket that does not serve yet.
+#[derive(Debug)]
+pub struct AgentLink {
+    endpoint: Endpoint,
+    config: AgentLinkConfig,
+    local: SocketAddr,
+}
+
+/// What every session shares.
+#[derive(Debug, Clone)]
+pub(super) struct Shared {
+    pub config: Arc<AgentLinkConfig>,
+    pub registry: Registry,
+    pub events: mpsc::Sender<LinkEvent>,
+    /// Batches given up because the hub was busy.
+    pub dropped: Arc<AtomicU64>,
+    /// Batches that were no batches.
+    pub malformed: Arc<AtomicU64>,
+}
+
+/// Listens for agents until `shutdown` completes.
+///
+/// # Errors
+/// [`AgentLinkError`] when the address or the identity is not usable, or the events have no taker.
+pub async fn run(
+    config: AgentLinkConfig,
+    events: mpsc::Sender<LinkEvent>,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), AgentLinkError> {
+    AgentLink::bind(config)?.run(events, shutdown).await
+}
+
+impl AgentLink {
+    /// Takes the socket; must be called within a tokio runtime.
+    ///
+    /// # Errors
+    /// [`AgentLinkError`] when the address or the identity is not usable.
+    pub fn bind(config: AgentLinkConfig) -> Result<Self, AgentLinkError> {
+        let mut server = ServerConfig::with_crypto(Arc::new(tls::server(&config.identity)?));
+        server.transport_config(transport::server()).max_incoming(MAX_CONNECTIONS);
+        let bind_error = |source| AgentLinkError::Bind { address: config.listen, source };
+        let endpoint = Endpoint::server(server, config.listen).map_err(bind_error)?;
+        let local = endpoint.local_addr().map_err(bind_error)?;
+        Ok(Self { endpoint, config, local })
+    }
+
+    /// Where it listens.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.local
+    }
+
+    /// Serves agents until `shutdown` completes, then says goodbye to them.
+    ///
+    /// # Errors
+    /// [`AgentLinkError::HubGone`] when the receiver of the events was dropped.
+    pub async fn run(
+        self,
+        events: mpsc::Sender<LinkEvent>,
+        shutdown: impl Future<Output = ()>,
+    ) -> Result<(), AgentLinkError> {
+        let Self { endpoint, config, local } = self;
+        tracing::info!(address = %local, fingerprint = %config.identity.fingerprint(), "waiting for agents");
+        let shared = Shared {
+            config: Arc::new(config),
+            registry: Registry::default(),
+            events: events.clone(),
+            dropped: Arc::default(),
+            malformed: Arc::default(),
+        };
+        let mut sessions = JoinSet::new();
+        let outcome = {
+            tokio::pin!(shutdown);
+            loop {
+                tokio::select! {
+                    () = &mut shutdown => break Ok(()),
+                    () = events.closed() => break Err(AgentLinkError::HubGone),
+                    incoming = endpoint.accept() => match incoming {
+                        Some(incoming) if sessions.len() < MAX_CONNECTIONS => {
+                            sessions.spawn(serve(incoming, shared.clone()));
+                        }
+                        Some(incoming) => incoming.refuse(),
+                        None => break Ok(()),
+                    },
+                    Some(ended) = sessions.join_next(), if !sessions.is_empty() => {
+                        if let Err(error) = ended {
+                            tracing::error!(%error, "an agent's session died");
+                        }
+                    }
+                }
+            }
+        };
+        endpoint.close(VarInt::from_u32(CloseCode::Shutdown as u32), b"the ground shuts down");
+        // Sessions end by themselves now, telling the hub; the socket stays for the goodbyes.
+        let farewell = async {
+            while sessions.join_next().await.is_some() {}
+            endpoint.wait_idle().await;
+        };
+        let _ = tokio::time::timeout(Duration::from_millis(500), farewell).await;
+        outcome
+    }
+}
+
+async fn serve(incoming: Incoming, shared: Shared) {
+    let peer = incoming.remote_address();
+    let connection = match incoming.accept() {
+        Ok(connecting) => connecting.await,
+        Err(error) => Err(error),
+    };
+    match connection {
+        Ok(connection) => {
+            if let Err(reason) = greet(connection, &shared).await {
+                tracing::warn!(%peer, reason, "agent refused");
+            }
+        }
+        // The identity counts and reports unpaired peers itself.
+        Err(error) => tracing::debug!(%peer, %error, "no connection"),
+    }
+}
+
+/// Checks who it is, answers, and serves the connection to its end.
+async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
+    let refuse = |code: CloseCode, reason: String| {
+        code.close(&connection, &reason);
+        Err(reason)
+    };
+    let (Some(purpose), Some(fingerprint)) = (Purpose::of(&connection), tls::peer_fingerprint(&connection)) else {
+        return refuse(CloseCode::Protocol, "the handshake names no purpose or no certificate".to_owned());
+    };
+    let (send, receive) = match tokio::time::timeout(hello::HELLO_TIMEOUT, connection.accept_bi()).await {
+        Ok(Ok(streams)) => streams,
+        Ok(Err(error)) => {
+            // An attempt that lost the race against another one of the same agent.
+            tracing::debug!(reason = transport::reason(&error), "left before hello");
+            return Ok(());
+        }
+        Err(_) => return refuse(CloseCode::Protocol, "no hello".to_owned()),
+    };
+    let mut reader = FrameReader::new(receive);
+    let mut writer = FrameWriter::new(send).priority(1);
+    let theirs = match hello::receive(&mut reader).await {
+        Ok(hello) => hello,
+        Err(error) => return refuse(CloseCode::Protocol, error.to_string()),
+    };
+    if let Err(error) = hello::check(&theirs) {
+        return refuse(CloseCode::Schema, error.to_string());
+    }
+    let who = Who { agent_id: theirs.id.clone(), boot_id: theirs.boot_id, fingerprint };
+    let mine = Hello {
+        schema: shared.config.schema,
+        id: shared.config.ground_id.clone(),
+        version: shared.config.version.clone(),
+        boot_id: 0,
+        boot_wall_time_us: 0,
+    };
+    match purpose {
+        Purpose::Commands => {
+            let claim = match shared.registry.claim(who, &connection).await {
+                Ok(claim) => claim,
+                Err(reason) => return refuse(CloseCode::Duplicate, reason),
+            };
+            writer.send(Body::Hello(mine)).await.map_err(|error| error.to_string())?;
+            session::commands(connection, reader, writer, theirs, claim, shared).await;
+        }
+        Purpose::Telemetry => {
+            if let Err(reason) = shared.registry.join(&who, &connection) {
+                return refuse(CloseCode::Protocol, reason);
+            }
+            writer.send(Body::Hello(mine)).await.map_err(|error| error.to_string())?;
+            session::telemetry(connection, &theirs.id, shared).await;
+        }
+    }
+    let dropped = shared.dropped.load(Ordering::Relaxed);
+    if dropped > 0 {
+        tracing::warn!(dropped, "batches given up since the start: the hub was busy");
+    }
+    Ok(())
+}

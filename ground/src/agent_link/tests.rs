@@ -1,0 +1,427 @@
+//! Both ends of the link on the loopback, port 0.
+
+use std::net::SocketAddr;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use plumbline_agent::command::Command;
+use plumbline_agent::link::backfill::{Archive, NoArchive};
+use plumbline_agent::link::clock::FlightClock;
+use plumbline_agent::link::identity::{self, Identity};
+use plumbline_agent::link::inbound::{Inbound, Request};
+use plumbline_agent::link::{INBOUND_QUEUE, LinkConfig, LinkHandle, LinkPorts, spawn};
+use plumbline_proto::codec::{Frame, decode_batch};
+use plumbline_proto::time::{FlightTime, WallTime};
+use plumbline_proto::{Kind, SCHEMA, v1};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+use super::*;
+
+/// Nothing on the loopback takes longer; only a failing test waits for it.
+const LONG: Duration = Duration::from_secs(10);
+
+struct Ground {
+    address: SocketAddr,
+    events: mpsc::Receiver<LinkEvent>,
+    stop: Option<oneshot::Sender<()>>,
+    task: JoinHandle<Result<(), AgentLinkError>>,
+}
+
+impl Ground {
+    fn start(identity: &Identity, listen: SocketAddr) -> Self {
+        let link = AgentLink::bind(AgentLinkConfig::new(listen, identity.clone())).unwrap();
+        let address = link.local_addr();
+        let (sender, events) = mpsc::channel(65_536);
+        let (stop, stopped) = oneshot::channel::<()>();
+        let task = tokio::spawn(link.run(sender, async {
+            let _ = stopped.await;
+        }));
+        Self { address, events, stop: Some(stop), task }
+    }
+
+    async fn next(&mut self) -> LinkEvent {
+        timeout(LONG, self.events.recv()).await.expect("an event in time").expect("the link runs")
+    }
+
+    /// The next event that is not telemetry or statistics.
+    async fn change(&mut self) -> LinkEvent {
+        loop {
+            match self.next().await {
+                LinkEvent::Stats { .. } | LinkEvent::Batch { .. } => {}
+                other => return other,
+            }
+        }
+    }
+
+    async fn connected(&mut self) -> (String, CommandSender) {
+        match self.change().await {
+            LinkEvent::Connected { agent_id, commands, .. } => (agent_id, commands),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn disconnected(&mut self) -> String {
+        match self.change().await {
+            LinkEvent::Disconnected { reason, .. } => reason,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn stop(mut self) {
+        self.stop.take().unwrap().send(()).unwrap();
+        self.task.await.unwrap().unwrap();
+    }
+}
+
+struct Agent {
+    link: LinkHandle,
+    telemetry: rtrb::Producer<u8>,
+    inbound: rtrb::Consumer<Inbound>,
+    sequence: u64,
+}
+
+impl Agent {
+    fn start(identity: &Identity, ground: SocketAddr, change: impl FnOnce(&mut LinkConfig)) -> Self {
+        Self::with_archive(identity, ground, Arc::new(NoArchive), change)
+    }
+
+    fn with_archive(
+        identity: &Identity,
+        ground: SocketAddr,
+        archive: Arc<dyn Archive>,
+        change: impl FnOnce(&mut LinkConfig),
+    ) -> Self {
+        let mut config = LinkConfig {
+            ground: ground.to_string(),
+            agent_id: "iris-1".to_owned(),
+            version: "test".to_owned(),
+            schema: u32::from(SCHEMA),
+            boot_id: 1,
+            boot_wall_time: WallTime(clock::wall_us(Instant::now())),
+            identity: identity.clone(),
+            telemetry_bytes_per_s: 1e6,
+            backfill_bytes_per_s: 1e6,
+        };
+        change(&mut config);
+        let (telemetry, consumer) = rtrb::RingBuffer::new(4 << 20);
+        let (producer, inbound) = rtrb::RingBuffer::new(INBOUND_QUEUE);
+        let clock = Arc::new(FlightClock::default());
+        clock.run(Instant::now(), FlightTime(0), 1.0);
+        let ports = LinkPorts { telemetry: consumer, inbound: producer, clock, archive };
+        Self { link: spawn(config, ports).unwrap(), telemetry, inbound, sequence: 0 }
+    }
+
+    /// Writes one frame as the flight thread would; `false` when the ring is full.
+    fn say(&mut self, kind: Kind, length: usize) -> bool {
+        let payload = vec![0; length];
+        let mut bytes = Vec::new();
+        let sequence = self.sequence + 1;
+        Frame { kind: kind.to_wire(), instance: 1, sequence, time_us: sequence, payload: &payload }.encode(&mut bytes);
+        let said = self.telemetry.push_entire_slice(&bytes).is_ok();
+        self.sequence += u64::from(said);
+        said
+    }
+
+    async fn connected(&self) {
+        let begun = Instant::now();
+        while !self.link.state().connected.load(Ordering::Acquire) {
+            assert!(begun.elapsed() < LONG, "{}", self.link.state().reason());
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    async fn refused(&self) -> String {
+        let begun = Instant::now();
+        while self.link.state().reason().is_empty() {
+            assert!(begun.elapsed() < LONG);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        self.link.state().reason()
+    }
+
+    async fn command(&mut self) -> Inbound {
+        let begun = Instant::now();
+        loop {
+            match self.inbound.pop() {
+                Ok(inbound) => return inbound,
+                Err(_) => assert!(begun.elapsed() < LONG, "no command came"),
+            }
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+}
+
+fn paired(folder: &Path) -> (Identity, Identity) {
+    let agent = identity::load_or_create(&folder.join("agent")).unwrap();
+    let ground = identity::load_or_create(&folder.join("ground")).unwrap();
+    identity::pair(&agent, &ground).unwrap();
+    (agent, ground)
+}
+
+fn any_port() -> SocketAddr {
+    "127.0.0.1:0".parse().unwrap()
+}
+
+fn sequences(batch: &[u8]) -> Vec<u64> {
+    decode_batch(batch).unwrap().map(|frame| frame.unwrap().sequence).collect()
+}
+
+fn arm(command_id: u64) -> v1::Command {
+    v1::Command { command_id, operator: "test".into(), body: Some(v1::command::Body::Arm(v1::Arm {})) }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn telemetry_comes_down_and_commands_go_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground) = paired(folder.path());
+    let mut ground = Ground::start(&ground, any_port());
+    let mut agent = Agent::start(&agent, ground.address, |_| {});
+    let (id, commands) = ground.connected().await;
+    assert_eq!(id, "iris-1");
+    agent.connected().await;
+
+    // Small, rare, and far larger than any datagram: all arrive, whichever way they take.
+    for (kind, length) in [(Kind::Control, 200), (Kind::Ack, 20), (Kind::Gains, 5_000), (Kind::Residuals, 300_000)] {
+        assert!(agent.say(kind, length));
+    }
+    let mut seen = Vec::new();
+    let mut stats = None;
+    while seen.len() < 4 || stats.is_none() {
+        match ground.next().await {
+            LinkEvent::Batch { agent_id, batch, backfill, .. } => {
+                assert_eq!((agent_id.as_str(), backfill), ("iris-1", false));
+                seen.extend(sequences(&batch));
+            }
+            LinkEvent::Stats { round_trip_ms, clock_offset_us, .. } => stats = Some((round_trip_ms, clock_offset_us)),
+            other => panic!("{other:?}"),
+        }
+    }
+    seen.sort_unstable();
+    assert_eq!(seen, [1, 2, 3, 4]);
+    let (round_trip_ms, clock_offset_us) = stats.unwrap();
+    // One machine, one clock: the offset is what scheduling leaves of it.
+    assert!(round_trip_ms < 1_000.0 && clock_offset_us.abs() < 50_000.0, "{round_trip_ms} ms, {clock_offset_us} µs");
+
+    commands.send(arm(7)).await.unwrap();
+    assert_eq!(agent.command().await.request, Request::Flight(Command::Arm));
+    assert!(agent.link.state().heartbeats.load(Ordering::Relaxed) > 0);
+
+    agent.link.stop();
+    assert_eq!(ground.disconnected().await, "the agent shuts down");
+    // The way down is closed with the link.
+    while commands.send(arm(8)).await.is_ok() {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn another_schema_is_refused_naming_both() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground) = paired(folder.path());
+    let mut ground = Ground::start(&ground, any_port());
+    let newer = Agent::start(&agent, ground.address, |config| config.schema = 9);
+    assert_eq!(newer.refused().await, "iris-1 speaks schema 9 (version test), this side speaks schema 1");
+    newer.link.stop();
+    // Nothing of it reached the hub; an agent of this schema is served.
+    let _agent = Agent::start(&agent, ground.address, |config| config.agent_id = "iris-2".into());
+    assert_eq!(ground.connected().await.0, "iris-2");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_unpaired_peer_gets_nothing_until_it_is_paired() {
+    let folder = tempfile::tempdir().unwrap();
+    let agent_identity = identity::load_or_create(&folder.path().join("agent")).unwrap();
+    let ground_identity = identity::load_or_create(&folder.path().join("ground")).unwrap();
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let agent = Agent::start(&agent_identity, ground.address, |_| {});
+
+    // The agent does not know the ground: it shows nothing of itself.
+    agent.refused().await;
+    assert!(agent_identity.refused() > 0);
+    assert_eq!(ground_identity.refused(), 0);
+    // The agent trusts the ground, the ground does not know the agent.
+    agent_identity.trust(ground_identity.fingerprint(), "ground").unwrap();
+    let begun = Instant::now();
+    while ground_identity.refused() == 0 {
+        assert!(begun.elapsed() < LONG);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert!(ground.events.try_recv().is_err(), "an unpaired agent reached the hub");
+    assert_eq!(agent.link.state().heartbeats.load(Ordering::Relaxed), 0);
+    // Paired by file, without a restart of either side.
+    ground_identity.trust(agent_identity.fingerprint(), "iris-1").unwrap();
+    ground.connected().await;
+    agent.connected().await;
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_agent_comes_back_after_a_restart_of_the_ground() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground_identity) = paired(folder.path());
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let address = ground.address;
+    let mut agent = Agent::start(&agent, address, |_| {});
+    ground.connected().await;
+    agent.connected().await;
+    ground.stop().await;
+    // The flight thread goes on; nothing blocks it while nobody listens.
+    for _ in 0..20_000 {
+        while !agent.say(Kind::Control, 200) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+    let mut ground = Ground::start(&ground_identity, address);
+    ground.connected().await;
+    let before = agent.link.state().connections.load(Ordering::Acquire);
+    agent.connected().await;
+    assert!(before <= 2 && agent.link.state().connections.load(Ordering::Acquire) == 2);
+    assert!(agent.say(Kind::Status, 10));
+    loop {
+        if let LinkEvent::Batch { batch, .. } = ground.next().await
+            && sequences(&batch).contains(&agent.sequence)
+        {
+            break;
+        }
+    }
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_agents_with_one_id() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground_identity) = paired(folder.path());
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let first = Agent::start(&agent, ground.address, |_| {});
+    ground.connected().await;
+    first.connected().await;
+    let second = Agent::start(&agent, ground.address, |config| config.boot_id = 2);
+    let reason = second.refused().await;
+    assert!(reason.contains("\"iris-1\" is already connected from 127.0.0.1"), "{reason}");
+    // Another name is welcome beside it.
+    let third = Agent::start(&agent, ground.address, |config| config.agent_id = "iris-3".into());
+    assert_eq!(ground.connected().await.0, "iris-3");
+    third.connected().await;
+    assert!(first.link.state().connected.load(Ordering::Acquire), "the first one is not disturbed");
+    // The name is free when the first one leaves.
+    first.link.stop();
+    assert_eq!(ground.disconnected().await, "the agent shuts down");
+    assert_eq!(ground.connected().await.0, "iris-1");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_is_held_to_the_cap_and_commands_pass() {
+    const CAP: f64 = 300e3;
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground) = paired(folder.path());
+    let mut ground = Ground::start(&ground, any_port());
+    let mut agent = Agent::start(&agent, ground.address, |config| config.telemetry_bytes_per_s = CAP);
+    let (_, commands) = ground.connected().await;
+    agent.connected().await;
+
+    // Ten times the cap for a second, from a thread like the flight thread.
+    let begun = Instant::now();
+    let flood = tokio::task::spawn_blocking(move || {
+        let mut refused = 0;
+        while begun.elapsed() < Duration::from_secs(1) {
+            for _ in 0..15 {
+                refused += u64::from(!agent.say(Kind::Control, 200));
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        (agent, refused)
+    });
+    // A flood of commands at the same time: twice what the queue holds, none is lost.
+    let many = 2 * INBOUND_QUEUE as u64;
+    let sending = tokio::spawn(async move {
+        for id in 1..=many {
+            commands.send(arm(id)).await.unwrap();
+        }
+    });
+    let (mut agent, refused) = timeout(LONG, flood).await.unwrap().unwrap();
+    assert_eq!(refused, 0, "the ring never filled: the link emptied it in time");
+    for id in 1..=many {
+        assert_eq!(agent.command().await.id.0, id);
+    }
+    sending.await.unwrap();
+
+    let elapsed = begun.elapsed().as_secs_f64();
+    let mut bytes = 0;
+    let mut messages = 0;
+    while let Ok(event) = ground.events.try_recv() {
+        if let LinkEvent::Batch { batch, .. } = event {
+            bytes += batch.len();
+            messages += sequences(&batch).len() as u64;
+        }
+    }
+    let rate = bytes as f64 / elapsed;
+    assert!(rate < 1.1 * CAP, "{rate} B/s received, the cap is {CAP}");
+    assert!(bytes as f64 > 0.5 * CAP, "{bytes} bytes received: the flood starved the link");
+    let state = agent.link.state();
+    let (sent, dropped) = (state.sent.load(Ordering::Relaxed), state.dropped.load(Ordering::Relaxed));
+    assert!(
+        dropped > 0 && messages <= sent && sent + dropped <= agent.sequence + sent,
+        "{sent} sent, {dropped} dropped"
+    );
+    assert!(dropped + messages <= agent.sequence, "{dropped} dropped and {messages} received of {}", agent.sequence);
+    ground.stop().await;
+}
+
+/// Frames 1..=1000 of flight "f", less 500..=509.
+struct Gappy;
+
+impl Archive for Gappy {
+    fn read(
+        &self,
+        request: &v1::BackfillRequest,
+        sink: &mut dyn FnMut(&Frame<'_>) -> ControlFlow<()>,
+    ) -> Result<(), String> {
+        assert_eq!(request.flight_id, "f");
+        for sequence in (1..=1000).filter(|sequence| !(500..510).contains(sequence)) {
+            let frame = Frame { kind: 20, instance: 0, sequence, time_us: sequence, payload: &[0; 400] };
+            if sink(&frame).is_break() {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn gaps_are_filled_from_the_onboard_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground) = paired(folder.path());
+    let mut ground = Ground::start(&ground, any_port());
+    let agent = Agent::with_archive(&agent, ground.address, Arc::new(Gappy), |_| {});
+    let (_, commands) = ground.connected().await;
+    agent.connected().await;
+    let request = v1::BackfillRequest { flight_id: "f".into(), first_sequence: 300, last_sequence: 1010 };
+    commands.backfill(request).await.unwrap();
+    let mut seen = Vec::new();
+    let mut missing = Vec::new();
+    while missing.len() < 2 {
+        match ground.next().await {
+            LinkEvent::Batch { batch, backfill, .. } => {
+                assert!(backfill);
+                seen.extend(sequences(&batch));
+            }
+            LinkEvent::BackfillUnavailable { request, .. } => {
+                missing.push((request.first_sequence, request.last_sequence));
+            }
+            LinkEvent::Stats { .. } => {}
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(missing, [(500, 509), (1001, 1010)]);
+    let expected: Vec<u64> = (300..500).chain(510..=1000).collect();
+    assert_eq!(seen, expected);
+    ground.stop().await;
+}
