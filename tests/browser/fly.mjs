@@ -1,5 +1,7 @@
 // The everyday use, steps 2 to 5 of a new user, by role and label: what a screen reader can do, this can do.
 
+import { readFileSync } from 'node:fs';
+
 import { assert, complaints, countMcap, drawn, end, hold, launch, number, pixels, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
@@ -170,7 +172,117 @@ await step(page, 'land by setpoint and disarm with a hold', async () => {
   await until('disarmed', async () => /disarmed/i.test(await page.getByRole('banner').getByLabel('Arming').textContent()));
 });
 
-// FLIGHTS
+let flight;
+await step(page, 'the flight is in the list, complete, with its steps and its attack', async () => {
+  await page.getByRole('navigation', { name: 'Pages' }).getByRole('link', { name: 'Flights' }).click();
+  const row = page.getByRole('row').filter({ hasText: 'complete' });
+  await row.first().waitFor({ timeout: 20_000 });
+  const list = (await (await page.request.get(`${url}/api/flights`)).json()).flights;
+  assert(list.length === 1, `${list.length} flights`);
+  [flight] = list;
+  assert(flight.missing === 0, `${flight.missing} messages missing`);
+  assert(flight.steps.length >= 4, `${flight.steps.length} steps`);
+  assert(flight.attacks.length === 1 && flight.attacks[0].phase === 'aborted', JSON.stringify(flight.attacks));
+  await shot('flights-light-1280x720');
+  return { messages: flight.messages, duration_s: flight.duration_s };
+});
+
+await step(page, 'open it: the same charts, drawn', async () => {
+  await page.getByRole('row').filter({ hasText: 'complete' }).getByRole('link').click();
+  await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+  const seen = await charts(['Altitude', 'Attitude', 'Residuals']);
+  await shot('flight-light-1280x720');
+  return seen;
+});
+
+const position = async () => Number(await page.getByRole('slider', { name: /Position in the flight/ }).getAttribute('aria-valuenow'));
+
+await step(page, 'scrub with pointer, arrows and Space', async () => {
+  const bar = page.getByRole('slider', { name: /Position in the flight/ });
+  const length = Number(await bar.getAttribute('aria-valuemax'));
+  const box = await bar.boundingBox();
+  await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+  await until('the middle', async () => Math.abs((await position()) - length / 2) < length * 0.02);
+  await page.getByRole('heading', { name: 'Residuals' }).click();
+  const before = await position();
+  await page.keyboard.press('ArrowRight');
+  await until('one second on', async () => Math.abs((await position()) - before - 1) < 0.11);
+  await page.keyboard.press('ArrowLeft');
+  await until('and back', async () => Math.abs((await position()) - before) < 0.11);
+  const altitude = await readout('altitude');
+  assert(Number.isFinite(altitude), 'no altitude at the play head');
+  await page.keyboard.press('Space');
+  await until('playing', async () => (await position()) > before + 0.5);
+  await page.keyboard.press('Space');
+  const paused = await position();
+  await page.waitForTimeout(300);
+  assert(Math.abs((await position()) - paused) < 0.11, 'it plays on after Space');
+  return { length, altitude };
+});
+
+const save = async (name) => {
+  const waiting = page.waitForEvent('download');
+  await page.getByRole('link', { name, exact: true }).click();
+  return (await waiting).path();
+};
+
+await step(page, 'the downloaded MCAP holds exactly the messages the API promises', async () => {
+  const counted = countMcap(await save('MCAP'));
+  const promised = (await (await page.request.get(`${url}/api/flights/${flight.id}`)).json()).counts;
+  const sorted = (counts) => JSON.stringify(Object.entries(counts).sort());
+  assert(sorted(counted) === sorted(promised), `file ${sorted(counted)}, API ${sorted(promised)}`);
+  return { topics: Object.keys(counted).length, messages: Object.values(counted).reduce((a, b) => a + b, 0) };
+});
+
+await step(page, 'the downloaded CSV has a header and a row per control tick at 100 Hz or less', async () => {
+  const lines = readFileSync(await save('CSV'), 'utf8').trimEnd().split('\n');
+  const columns = lines[0].split(',').length;
+  assert(columns > 10 && lines.every((line) => line.split(',').length === columns), 'ragged rows');
+  const rate = (lines.length - 1) / flight.duration_s;
+  assert(rate > 20 && rate <= 105, `${rate} rows a second`);
+  return { rows: lines.length - 1, columns };
+});
+
+await step(page, 'rename and annotate, kept after a reload', async () => {
+  const name = page.getByLabel('Name of the flight');
+  await name.fill('String test, height 2 attacked');
+  await name.press('Tab');
+  const notes = page.getByLabel('Notes', { exact: true }).and(page.locator('textarea'));
+  await notes.fill('first flight of the day');
+  await notes.press('Tab');
+  await until('the notes to be saved', async () => {
+    const kept = await (await page.request.get(`${url}/api/flights/${flight.id}`)).json();
+    return kept.name === 'String test, height 2 attacked' && kept.notes === 'first flight of the day';
+  });
+  await page.reload();
+  await until('the name', async () => (await name.inputValue()) === 'String test, height 2 attacked');
+});
+
+await step(page, 'dark screenshots of flight, flights and setup', async () => {
+  await button('Dark theme').click();
+  await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+  await charts(['Altitude']);
+  await shot('flight-dark-1280x720');
+  const nav = page.getByRole('navigation', { name: 'Pages' });
+  await nav.getByRole('link', { name: 'Setup' }).click();
+  await page.getByRole('region', { name: 'Ground station' }).getByText('schema').waitFor();
+  await shot('setup-dark-1280x720');
+  await nav.getByRole('link', { name: 'Flights' }).click();
+  await page.getByRole('link', { name: 'String test, height 2 attacked' }).waitFor();
+  await shot('flights-dark-1280x720');
+  await button('Dark theme').click();
+});
+
+await step(page, 'delete only with a hold', async () => {
+  await page.getByRole('link', { name: 'String test, height 2 attacked' }).click();
+  await button('Delete (hold)').click();
+  await page.waitForTimeout(300);
+  assert((await page.request.get(`${url}/api/flights/${flight.id}`)).status() === 200, 'a click deleted it');
+  await hold(button('Delete (hold)'));
+  await page.getByText('No flights yet').waitFor();
+  const gone = await page.request.get(`${url}/api/flights/${flight.id}`);
+  assert(gone.status() === 404, `still answered with ${gone.status()}`);
+});
 
 await step(page, 'no complaint in the console', async () => {
   assert(errors.length === 0, errors.join('\n'));

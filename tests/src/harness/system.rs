@@ -125,15 +125,17 @@ impl Ground {
     /// # Errors
     /// It did not start; with its last lines.
     pub fn start(options: &Options) -> Result<Self, XtaskError> {
-        let identity = options.data.join("identity/ground");
+        let data = options.data.join("ground");
+        let identity = data.join("identity");
         let mut command = Command::new(&options.binaries.ground);
         let link_port = if options.port == 0 { 0 } else { options.port + 1 };
         command.arg("--listen").arg(format!("127.0.0.1:{}", options.port));
-        command.arg("--link").arg(format!("127.0.0.1:{link_port}"));
-        command.arg("--data").arg(options.data.join("ground")).arg("--identity").arg(&identity);
+        command.arg("--agent-listen").arg(format!("127.0.0.1:{link_port}"));
+        command.arg("--data").arg(&data);
         let mut process = Process::start("ground", command, options.echo)?;
-        let page = process.wait_for(START, |line| address_after(line, "http://"))?;
-        let link = process.wait_for(START, |line| address_after(line, "udp://"))?;
+        let (page, link) = process.wait_for(START, |line| {
+            Some((address_after(line, "Plumbline is at http://")?, address_after(line, "agents: ")?))
+        })?;
         let api = Api { address: page, operator: "system-test".into() };
         Ok(Self { process, api, link, identity })
     }
@@ -145,16 +147,20 @@ impl Agent {
     /// # Errors
     /// It did not start or did not connect; with its last lines.
     pub fn start(options: &Options, id: &str, vehicle: &Vehicle, ground: &Ground) -> Result<Self, XtaskError> {
-        let identity = options.data.join("identity").join(id);
+        let data = options.data.join(id);
+        let identity = data.join("identity");
+        let config = data.join("agent.toml");
+        std::fs::create_dir_all(&data).map_err(XtaskError::file(&data))?;
+        let text = agent_toml(id, ground.link, &identity, &data.join("log"));
+        std::fs::write(&config, text).map_err(XtaskError::file(&config))?;
         let mut command = Command::new(&options.binaries.agent);
+        command.arg("--config").arg(&config);
         match vehicle {
             Vehicle::Simulated { scenario } => command.args(["--vehicle", "sim", "--scenario"]).arg(scenario),
             Vehicle::Replayed { file, speed } => {
                 command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed.to_string())
             }
         };
-        command.arg("--id").arg(id).arg("--ground").arg(ground.link.to_string());
-        command.arg("--identity").arg(&identity).arg("--log").arg(options.data.join("agent").join(id));
         let process = Process::start(id, command, options.echo)?;
         let mut agent = Self { process, id: id.to_owned(), identity };
         pair(&agent.identity, id, &ground.identity)?;
@@ -176,9 +182,20 @@ impl Agent {
     }
 }
 
-/// `scheme` followed by an address, anywhere in the line.
-fn address_after(line: &str, scheme: &str) -> Option<SocketAddr> {
-    let rest = line.split(scheme).nth(1)?;
+/// What a real vehicle's configuration would say.
+fn agent_toml(id: &str, ground: SocketAddr, identity: &Path, log: &Path) -> String {
+    // A JSON string is a TOML basic string.
+    let quoted = |path: &Path| serde_json::Value::from(path.display().to_string()).to_string();
+    format!(
+        "id = \"{id}\"\nground = \"{ground}\"\nidentity = {}\n\n[log]\nfolder = {}\n",
+        quoted(identity),
+        quoted(log)
+    )
+}
+
+/// The address that follows `lead`.
+fn address_after(line: &str, lead: &str) -> Option<SocketAddr> {
+    let rest = line.split(lead).nth(1)?;
     let end = rest.find(|c: char| !(c.is_ascii_hexdigit() || ".:[]".contains(c))).unwrap_or(rest.len());
     rest.get(..end)?.parse().ok()
 }
@@ -228,9 +245,9 @@ mod tests {
 
     #[test]
     fn addresses_are_found_in_what_the_programs_say() {
-        let line = "2026-11-21T10:00:00Z INFO page at http://127.0.0.1:4747/ agents at udp://127.0.0.1:4748";
+        let line = "Plumbline is at http://127.0.0.1:4747/ (agents: 127.0.0.1:4748, udp)";
         assert_eq!(address_after(line, "http://").unwrap().port(), 4747);
-        assert_eq!(address_after(line, "udp://").unwrap().port(), 4748);
+        assert_eq!(address_after(line, "agents: ").unwrap().port(), 4748);
         assert!(address_after(line, "https://").is_none());
     }
 }

@@ -1,0 +1,98 @@
+//! A flight file flown again goes through the same pipeline: the same every time, and as it was.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use plumbline_proto::{Kind, Message, v1};
+use plumbline_tests::harness::Vehicle;
+use support::{Live, Rig, scenario};
+
+/// The replay's estimator starts in mid-flight without knowing anything; after this it must know as much as it did then.
+const CONVERGENCE_S: f64 = 6.0;
+/// Altitude of the replay against the altitude estimated in flight, once converged: both within a few sigma of 1 cm.
+const ALTITUDE_TOLERANCE_M: f64 = 0.03;
+/// Roll and pitch likewise, 1°.
+const TILT_TOLERANCE_RAD: f64 = 0.0175;
+const SPEED: f64 = 4.0;
+
+type Estimates = BTreeMap<u64, v1::Estimate>;
+
+/// Estimates of the estimator in the loop, by flight time; how long they took to compute is not compared.
+fn keep(estimates: &mut Estimates, mut estimate: v1::Estimate) {
+    estimate.step_time_us = 0.0;
+    estimates.insert(estimate.time_us, estimate);
+}
+
+fn recorded(file: &[u8]) -> Estimates {
+    let mut estimates = Estimates::new();
+    for message in mcap::MessageStream::new(file).unwrap() {
+        let message = message.unwrap();
+        if message.channel.topic == "/estimate/1" {
+            keep(&mut estimates, v1::Estimate::decode(message.data.as_ref()).unwrap());
+        }
+    }
+    estimates
+}
+
+fn replayed(file: &Path, last_us: u64) -> Estimates {
+    let rig = Rig::start(&Vehicle::Replayed { file: file.to_path_buf(), speed: SPEED });
+    let mut live = Live::connect(rig.api(), &rig.system().vehicle("live?history=60"));
+    let mut estimates = Estimates::new();
+    live.until(Duration::from_secs(60), "the end of the replay", |frame| {
+        if frame.instance == 1
+            && let Some(estimate) = frame.message(Kind::Estimate)
+        {
+            keep(&mut estimates, estimate);
+        }
+        // The last tick may hold no estimate of its own.
+        (estimates.keys().next_back().is_some_and(|time| time + 100_000 >= last_us)).then_some(())
+    });
+    rig.stop();
+    estimates
+}
+
+#[test]
+fn a_flight_file_flown_again_gives_the_same_estimates() {
+    // GIVEN the file of a flight with a step in it
+    let rig = Rig::start(&scenario("altitude_step"));
+    let mut live = rig.live();
+    rig.fly_to(0.5);
+    live.step_response(0.5);
+    rig.command("POST", "setpoint", serde_json::json!({ "altitude_m": 0.8 }));
+    live.step_response(0.8);
+    rig.disarm();
+    let flight = rig.finished_flight();
+    let id = flight["id"].as_str().unwrap();
+    let bytes = rig.api().get(&format!("/api/flights/{id}/mcap")).unwrap().body;
+    let folder = rig.stop();
+    let file = folder.path().join("flight.mcap");
+    std::fs::write(&file, &bytes).unwrap();
+    let recorded = recorded(&bytes);
+    let (first_us, last_us) = (*recorded.keys().next().unwrap(), *recorded.keys().next_back().unwrap());
+    // WHEN it is flown again, twice
+    let once = replayed(&file, last_us);
+    let twice = replayed(&file, last_us);
+    // THEN both replays agree to the last bit
+    let common: Vec<_> = once.keys().filter(|time| twice.contains_key(time)).copied().collect();
+    assert!(common.len() * 10 >= once.len() * 9, "{} of {} estimates in both", common.len(), once.len());
+    for time in &common {
+        assert_eq!(once[time], twice[time], "at {time} µs");
+    }
+    // AND with what was estimated in flight, once the filter has found its feet
+    let from_us = first_us + (CONVERGENCE_S * 1e6) as u64;
+    let mut compared = 0;
+    for (time, then) in recorded.range(from_us..) {
+        let Some(now) = once.get(time) else { continue };
+        let (a, b) = (then.position_enu_m.unwrap(), now.position_enu_m.unwrap());
+        assert!((a.z - b.z).abs() < ALTITUDE_TOLERANCE_M, "at {time} µs: altitude {} then, {} now", a.z, b.z);
+        let (a, b) = (then.roll_pitch_yaw_rad.unwrap(), now.roll_pitch_yaw_rad.unwrap());
+        let tilt = (a.x - b.x).abs().max((a.y - b.y).abs());
+        assert!(tilt < TILT_TOLERANCE_RAD, "at {time} µs: {a:?} then, {b:?} now");
+        compared += 1;
+    }
+    assert!(compared > 200, "only {compared} estimates to compare");
+}
