@@ -66,7 +66,12 @@ impl Shape {
     }
 }
 
-/// A shape flown for a while; it sets position and altitude at every tick.
+/// A trajectory gives a setpoint this often, s: what a ground station would send.
+const TRAJECTORY_PERIOD_S: f64 = 0.05;
+/// A hand takes this long to bring the vehicle to its angle, s, or half of the push.
+const HAND_S: f64 = 0.25;
+
+/// A shape flown for a while; it sets position and altitude twenty times a second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trajectory {
     /// When, s.
@@ -129,7 +134,7 @@ pub struct Script {
 
 impl Script {
     /// Calls `give` with every command due after `before` (from the start when `None`) and up to `now`.
-    /// A trajectory gives one setpoint for each call.
+    /// A trajectory gives one setpoint when a twentieth of a second has begun since `before`.
     pub fn commands(&self, before: Option<FlightTime>, now: FlightTime, mut give: impl FnMut(&Command)) {
         let due = |at_s: f64| {
             let at = FlightTime::from_seconds(at_s);
@@ -138,18 +143,27 @@ impl Script {
         for step in self.steps.iter().filter(|s| due(s.at_s)) {
             give(&step.command);
         }
+        let slot = |t: FlightTime| (t.as_seconds() / TRAJECTORY_PERIOD_S + 1e-6).floor();
+        if before.is_some_and(|before| slot(before) == slot(now)) {
+            return;
+        }
         for setpoint in self.trajectories.iter().filter_map(|t| t.setpoint(now.as_seconds())) {
             give(&Command::Setpoint(setpoint));
         }
     }
 
-    /// All pushes that act at `t_s` since boot, summed; of two held angles the later wins.
+    /// All pushes that act at `t_s` since boot, summed; of two held angles the later wins. A hand moves
+    /// to its angle smoothly (a minimum-jerk path from level).
     pub fn push(&self, t_s: f64) -> Push {
         let mut total = Push::default();
         for event in self.pushes.iter().filter(|event| event.covers(t_s)) {
             total.force_enu_n += event.push.force_enu_n;
             total.torque_flu_nm += event.push.torque_flu_nm;
-            total.deflect = event.push.deflect.or(total.deflect);
+            if let Some((axis, angle)) = event.push.deflect {
+                let s = ((t_s - event.at_s) / HAND_S.min(0.5 * event.duration_s)).clamp(0.0, 1.0);
+                let share = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s);
+                total.deflect = Some((axis, share * angle));
+            }
         }
         total
     }
@@ -191,6 +205,28 @@ mod tests {
             before = Some(now);
         }
         assert_eq!(given, 4);
+    }
+
+    #[test]
+    fn a_trajectory_gives_twenty_setpoints_a_second() {
+        let shape = Shape::Heave { amplitude_m: 0.2, period_s: 2.0 };
+        let path = Trajectory { start_s: 1.0, duration_s: 2.0, from_enu_m: Vector3::z(), shape };
+        let script = Script { trajectories: vec![path], ..Script::default() };
+        let (mut given, mut before) = (0, None);
+        for tick in 0..1000 {
+            let now = FlightTime(tick * 5000);
+            script.commands(before, now, |_| given += 1);
+            before = Some(now);
+        }
+        assert_eq!(given, 41);
+    }
+
+    #[test]
+    fn a_hand_moves_smoothly_to_its_angle() {
+        let push = Push { deflect: Some((Vector3::x(), 0.4)), ..Push::default() };
+        let script = Script { pushes: vec![PushEvent { at_s: 1.0, duration_s: 1.0, push }], ..Script::default() };
+        let angle = |t| script.push(t).deflect.map(|d| d.1);
+        assert_eq!([0.9, 1.0, 1.125, 1.5, 2.5].map(angle), [None, Some(0.0), Some(0.2), Some(0.4), None]);
     }
 
     #[test]
