@@ -16,7 +16,8 @@ fn refused(name: &str, command: Command) -> String {
     let begun = Instant::now();
     let status = wait_until(PATIENCE, || process.ended());
     assert!(status.is_some_and(|status| !status.success()), "{name} after {:?}: {status:?}", begun.elapsed());
-    let _ = process.interrupt(Duration::from_secs(1));
+    // Until its outputs are closed: nothing it said is missed.
+    let _ = process.wait_for(PATIENCE, |_| None::<()>);
     process.last_lines(50)
 }
 
@@ -49,10 +50,16 @@ fn a_data_folder_that_is_a_file_is_named() {
     assert!(said.contains("not-a-folder"), "{said}");
 }
 
+/// Identity and log of an agent without a configuration file.
+fn keep_in(agent: &mut Command, folder: &Path) {
+    agent.arg("--identity").arg(folder.join("identity")).arg("--log").arg(folder.join("log"));
+}
+
 /// An agent that has nothing to fly, and no ground to tell.
 fn agent(folder: &Path, arguments: &[&str]) -> Command {
     let mut agent = Command::new(options(folder).binaries.agent);
-    agent.args(arguments).args(["--ground", "127.0.0.1:9", "--data"]).arg(folder.join("agent"));
+    agent.args(arguments).args(["--ground", "127.0.0.1:9"]);
+    keep_in(&mut agent, folder);
     agent
 }
 
@@ -112,7 +119,8 @@ fn nobody_gets_in_unpaired() {
     let mut stranger = Command::new(options(folder.path()).binaries.agent);
     let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
     stranger.args(["--vehicle", "sim", "--scenario"]).arg(scenario).args(["--id", "stranger", "--ground"]);
-    stranger.arg(rig.system().ground.link.to_string()).arg("--data").arg(folder.path());
+    stranger.arg(rig.system().ground.link.to_string());
+    keep_in(&mut stranger, folder.path());
     let mut stranger = Process::start("stranger", stranger, false).unwrap();
     let listed = wait_until(Duration::from_secs(2), || {
         let vehicles = rig.api().get_json("/api/vehicles").unwrap();

@@ -17,7 +17,7 @@ const CONVERGENCE_S: f64 = 6.0;
 const ALTITUDE_TOLERANCE_M: f64 = 0.03;
 /// Roll and pitch likewise, 1°.
 const TILT_TOLERANCE_RAD: f64 = 0.0175;
-const SPEED: f64 = 4.0;
+const SPEED: &str = "4";
 
 type Estimates = BTreeMap<u64, v1::Estimate>;
 
@@ -39,7 +39,7 @@ fn recorded(file: &[u8]) -> Estimates {
 }
 
 fn replayed(file: &Path, last_us: u64) -> Estimates {
-    let rig = Rig::start(&Vehicle::Replayed { file: file.to_path_buf(), speed: SPEED });
+    let rig = Rig::start(&Vehicle::Replayed { file: file.to_path_buf(), speed: SPEED.to_owned() });
     let mut live = Live::connect(rig.api(), &rig.system().vehicle("live?history=60"));
     let mut estimates = Estimates::new();
     live.until(Duration::from_secs(60), "the end of the replay", |frame| {

@@ -26,8 +26,8 @@ pub enum Vehicle {
     Replayed {
         /// The recording.
         file: PathBuf,
-        /// Times real time.
-        speed: f64,
+        /// Times real time; `0` begins standing still, `max` is as fast as possible.
+        speed: String,
     },
 }
 
@@ -158,7 +158,7 @@ impl Agent {
         match vehicle {
             Vehicle::Simulated { scenario } => command.args(["--vehicle", "sim", "--scenario"]).arg(scenario),
             Vehicle::Replayed { file, speed } => {
-                command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed.to_string())
+                command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed)
             }
         };
         let process = Process::start(id, command, options.echo)?;
@@ -175,7 +175,6 @@ impl Agent {
             vehicles.any(|vehicle| vehicle["id"] == self.id.as_str() && vehicle["connected"] == true).then_some(())
         });
         listed.ok_or_else(|| {
-            let _ = self.process.wait_for(Duration::ZERO, |_| None::<()>);
             let lines = self.process.last_lines(20);
             XtaskError::Other(format!("{} is not connected after {START:?}; its last lines:\n{lines}", self.id))
         })

@@ -14,9 +14,9 @@ pub struct Options {
     /// Fly this recording again instead of simulating.
     #[arg(long, value_name = "FILE", conflicts_with = "scenario")]
     pub replay: Option<PathBuf>,
-    /// Speed of the replay, times real time.
-    #[arg(long, default_value_t = 1.0, requires = "replay")]
-    pub speed: f64,
+    /// Speed of the replay, times real time; 0 begins standing still, `max` is as fast as possible.
+    #[arg(long, default_value = "1", requires = "replay")]
+    pub speed: String,
     /// Scenario to simulate; the default is the quadrotor hanging on four strings.
     #[arg(long, value_name = "FILE")]
     pub scenario: Option<PathBuf>,
@@ -37,7 +37,7 @@ pub struct Options {
 /// What could not be built or started, or which program ended by itself.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let vehicle = match (&options.replay, &options.scenario) {
-        (Some(file), _) => Vehicle::Replayed { file: absolute(file)?, speed: options.speed },
+        (Some(file), _) => Vehicle::Replayed { file: absolute(file)?, speed: options.speed.clone() },
         (None, Some(scenario)) => Vehicle::Simulated { scenario: absolute(scenario)? },
         (None, None) => Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) },
     };
