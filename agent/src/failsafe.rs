@@ -6,7 +6,7 @@
 //! | for 2 s | descend at 0.3 m/s, then disarm |
 //! | tilt > 60° for 0.3 s, or rate > 1000 °/s | cut, latched |
 //! | outside the box | hold at the edge, then descend |
-//! | estimator degraded for longer than `degraded_ticks` | descend on attitude alone |
+//! | estimator degraded for longer than `degraded_ticks` | descend on attitude alone (the watchdog's) |
 //! | K deadlines missed within a second | warn, then descend |
 //!
 //! Time-outs of take-off and landing, and the operator's cut, are in `flight.rs`. Tilt, rate and raw
@@ -41,7 +41,8 @@ pub struct Settings {
     pub box_margin_m: f64,
     /// Time at the edge before descending, s.
     pub box_hold_s: f64,
-    /// Ticks with a degraded estimator before descending on attitude alone.
+    /// Ticks with a degraded estimator before descending on attitude alone; five times as many while
+    /// the watchdog, which shares nothing with it, agrees on the attitude.
     pub degraded_ticks: u32,
     /// Deadline misses within a second that warn.
     pub deadline_warn: usize,
@@ -78,6 +79,8 @@ impl Default for Settings {
     }
 }
 
+/// How many times longer a degraded estimator flies on while the watchdog agrees with it.
+const CORROBORATED_PATIENCE: u32 = 5;
 /// Most deadline misses remembered.
 pub const MAX_MISSES: usize = 64;
 
@@ -156,6 +159,11 @@ impl Watchdog {
         self.up_flu.map_or(0.0, |up| up.z.clamp(-1.0, 1.0).acos())
     }
 
+    /// Angle between its vertical and that of `attitude`, rad; zero before the first sample.
+    pub fn disagreement_rad(&self, attitude: &UnitQuaternion<f64>) -> f64 {
+        self.up_flu.map_or(0.0, |up| up.angle(&(attitude.inverse() * Vector3::z())))
+    }
+
     /// Body rates, median over the IMUs, rad/s.
     pub fn rates_radps(&self) -> Vector3<f64> {
         self.rates_radps
@@ -215,6 +223,8 @@ pub struct Inputs {
     pub lateral_m: Option<f64>,
     /// Is the estimator in the loop degraded?
     pub degraded: bool,
+    /// Do estimator and watchdog agree on where up is?
+    pub corroborated: bool,
     /// Time since the last heartbeat, s; infinite before the first.
     pub link_age_s: f64,
     /// Highest altitude allowed, m.
@@ -264,7 +274,8 @@ impl Monitor {
             return Failsafe::TiltCut;
         }
         self.degraded_ticks = if i.degraded { self.degraded_ticks.saturating_add(1) } else { 0 };
-        if i.flying && self.degraded_ticks > s.degraded_ticks {
+        let patience = if i.corroborated { CORROBORATED_PATIENCE } else { 1 };
+        if i.flying && self.degraded_ticks > s.degraded_ticks.saturating_mul(patience) {
             return Failsafe::EstimatorDescend;
         }
         self.misses.retain(|t| i.now.seconds_since(*t) < 1.0);
@@ -390,6 +401,7 @@ mod tests {
             altitude_m: 1.0,
             lateral_m: None,
             degraded: false,
+            corroborated: false,
             link_age_s: 0.1,
             altitude_max_m: 2.0,
             lateral_max_m: 2.0,
@@ -435,6 +447,7 @@ mod tests {
         );
         expect(&first_seen(|_, i| i.lateral_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
         expect(&first_seen(|_, i| i.degraded = true), &[(Failsafe::EstimatorDescend, 0.2)]);
+        expect(&first_seen(|_, i| (i.degraded, i.corroborated) = (true, true)), &[(Failsafe::EstimatorDescend, 1.0)]);
         // A short tilt is forgiven.
         expect(&first_seen(|t, i| i.tilt_rad = if t < 0.28 { 1.2 } else { 0.0 }), &[]);
     }

@@ -125,7 +125,8 @@ pub fn certify(
     revision: GainsRevision,
 ) -> Result<Certified, GainsError> {
     check(weights)?;
-    let everything: Vec<usize> = (0..16).collect();
+    // An integral without weight is left out: no integral action there.
+    let everything: Vec<usize> = (0..16).filter(|&i| i < 12 || weights.state[i] > 0.0).collect();
     // Without x and y: their states, velocities and integrals.
     let attitude: Vec<usize> =
         everything.iter().copied().filter(|i| ![ix::X, ix::Y, ix::VX, ix::VY, 12, 13].contains(i)).collect();
@@ -277,11 +278,22 @@ mod tests {
         assert_eq!(refuse(&|w| w.state[2] = f64::NAN), "state weight 2 (z) is NaN: it must be 0 to 1e12");
         assert_eq!(refuse(&|w| w.input[0] = 0.0), "input weight 0 (thrust) is 0: it must be 1e-9 to 1e12");
         assert!(refuse(&|w| w.state[6] = -1.0).contains("state weight 6 (roll) is -1"));
-        // No weight on the integral of z: its pole stays at the origin.
-        assert!(refuse(&|w| w.state[14] = 0.0).starts_with("no gains: DARE"), "{}", refuse(&|w| w.state[14] = 0.0));
+        // No weight on z at all: nothing brings it back.
+        let lost = refuse(&|w| (w.state[2], w.state[14]) = (0.0, 0.0));
+        assert!(lost.starts_with("no gains: DARE") || lost.contains("decays at"), "{lost}");
         // So eager that the motors' lag makes the loop unstable.
         let eager = refuse(&|w| w.input = w.input.map(|v| v * 1e-6));
         assert!(eager.contains("motor lag"), "{eager}");
+    }
+
+    #[test]
+    fn an_integral_without_weight_is_off() {
+        let airframe = Airframe::iris();
+        let mut weights = Weights::for_airframe(&airframe);
+        weights.state[14] = 0.0;
+        let certified = certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap();
+        assert!(certified.k.column(14).amax() == 0.0 && certified.k.column(15).amax() > 0.0);
+        assert!(certified.slowest_pole_per_s < -0.1);
     }
 
     #[test]

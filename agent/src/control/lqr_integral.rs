@@ -9,7 +9,7 @@
 //! - Error limiting: position, velocity and yaw errors are limited before they meet K, and the
 //!   horizontal loop's torque to what holds [`TILT_FROM_POSITION_RAD`].
 //! - Anti-windup: an integral is frozen while what the mixer could not give would be asked for
-//!   even more, and limited to [`INTEGRAL_LIMIT`].
+//!   even more, and limited to [`INTEGRAL_LIMIT`]; that of yaw also while the error is large.
 //! - While the horizontal loop is open, gains designed without x and y are used.
 
 use nalgebra::{SVector, Vector2, Vector3};
@@ -29,6 +29,8 @@ const POSITION_ERROR_MAX_M: [f64; 3] = [1.0, 1.0, 0.5];
 const VELOCITY_ERROR_MAX_MPS: [f64; 3] = [2.0, 2.0, 1.5];
 /// Limit of the yaw error, rad.
 const YAW_ERROR_MAX_RAD: f64 = 0.5;
+/// Larger yaw errors are not integrated, rad: somebody holds the vehicle, or it is turning.
+const YAW_INTEGRATED_RAD: f64 = 0.2;
 /// Largest tilt the horizontal loop may ask for, rad.
 const TILT_FROM_POSITION_RAD: f64 = 0.30;
 /// Limits of the integrals: m s, m s, m s, rad s.
@@ -52,18 +54,19 @@ impl Weights {
     /// Bryson's rule with the deviations below; the largest uses follow from mass and inertia, so
     /// that vehicles of every size get the same bandwidth: 10° of roll or pitch may cost the torque
     /// of a 9 rad/s loop, 20° of yaw that of a 3 rad/s one, 20 cm of altitude the thrust of a
-    /// 4 rad/s one.
+    /// 6 rad/s one. Altitude is that stiff because on the string rig, without a horizontal sensor,
+    /// the vehicle drifts until a string pulls with a quarter of its weight.
     pub fn for_airframe(airframe: &Airframe) -> Self {
         const DEVIATION: [f64; 16] = [
             1.0, 1.0, 0.20, // m
-            1.2, 1.2, 1.0, // m/s
+            1.2, 1.2, 0.5, // m/s
             0.175, 0.175, 0.35, // rad
             3.0, 3.0, 2.0, // rad/s
-            3.0, 3.0, 0.40, 0.60, // m s, rad s
+            3.0, 3.0, 0.20, 1.50, // m s, rad s
         ];
         let i = airframe.inertia_kgm2;
         let largest_use = [
-            airframe.mass_kg * 4.0_f64.powi(2) * DEVIATION[ix::Z],
+            airframe.mass_kg * 6.0_f64.powi(2) * DEVIATION[ix::Z],
             i.x * 9.0_f64.powi(2) * DEVIATION[ix::ROLL],
             i.y * 9.0_f64.powi(2) * DEVIATION[ix::PITCH],
             i.z * 3.0_f64.powi(2) * DEVIATION[ix::YAW],
@@ -190,7 +193,7 @@ impl LqrIntegral {
         let input = [None, None, Some(ix::THRUST), Some(ix::TORQUE_Z)];
         let tilt_short = self.shortfall[ix::TORQUE_X].abs().max(self.shortfall[ix::TORQUE_Y].abs()) > SHORTFALL;
         for i in 0..4 {
-            if !closed[i] {
+            if !closed[i] || (INTEGRALS[i] == ix::YAW && errors[i].abs() > YAW_INTEGRATED_RAD) {
                 continue;
             }
             let step = errors[i] * dt_s;

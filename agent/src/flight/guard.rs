@@ -25,6 +25,8 @@ const STANDING_S: f64 = 0.5;
 const LANDING_LEAD_M: f64 = 0.6;
 /// Thrust of a descent on attitude alone, of the hover thrust.
 const BLIND_THRUST: f64 = 0.96;
+/// Estimator and watchdog agree within this angle, rad (8°).
+const AGREEMENT_RAD: f64 = 0.14;
 /// The hover thrust is learned with this time constant, s.
 const HOVER_TIME_CONSTANT_S: f64 = 1.0;
 
@@ -58,6 +60,7 @@ impl Flight {
             altitude_m: estimate.position_enu_m.z,
             lateral_m: estimate.horizontal_known.then(|| estimate.position_enu_m.xy().amax()),
             degraded: estimate.health != Health::Healthy,
+            corroborated: self.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD,
             link_age_s: self.link_age_s(now),
             altitude_max_m: self.config.altitude_max_m(),
             lateral_max_m: self.config.limits.lateral_max_m,

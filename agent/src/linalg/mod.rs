@@ -3,6 +3,7 @@
 //!
 //! Everything here is bounded: a solve that fails is a [`LinalgError`] with the figures that show why.
 
+mod compensated;
 mod eigen;
 mod expm;
 mod lyapunov;

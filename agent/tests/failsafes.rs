@@ -1,0 +1,245 @@
+//! DESIGN's failsafe table, row by row, through the simulator.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{Flown, scenario};
+use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
+use plumbline_agent::command::{Command, Mode, SetpointChange};
+use plumbline_agent::flight::{Failsafe, FlightConfig};
+use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+/// The string rig, hovering at 0.8 m at 12 s, without script from there.
+fn hovering() -> Flown {
+    hovering_with(|_| {})
+}
+
+fn hovering_with(change: impl FnOnce(&mut FlightConfig)) -> Flown {
+    let toml = scenario("altitude_step").replace("altitude_m = 0.5", "altitude_m = 0.8");
+    let mut scenario = Scenario::from_toml(&toml).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 6.0);
+    let mut config = FlightConfig::for_scenario(&scenario);
+    change(&mut config);
+    let mut flown = Flown::with_config(scenario, config);
+    flown.until(12.0);
+    let z = flown.last().truth.position_enu_m.z;
+    assert!((z - 0.8).abs() < 0.06, "hovers at {z}:\n{}", flown.log());
+    flown
+}
+
+fn setpoint(altitude_m: f64) -> Command {
+    Command::Setpoint(SetpointChange { altitude_m: Some(altitude_m), ..SetpointChange::default() })
+}
+
+fn bias_on(
+    kind: SensorKind,
+    instances: std::ops::RangeInclusive<u8>,
+    what: Kind,
+    channel: Channel,
+    magnitude: f64,
+) -> Command {
+    let attacks = instances
+        .map(|instance| Attack {
+            id: u32::from(instance),
+            sensor: SensorId::new(kind, instance),
+            channel,
+            kind: what,
+            start_s: 0.5,
+            duration_s: 60.0,
+            magnitude,
+            seed: 1,
+        })
+        .collect();
+    Command::Attack(Schedule { id: 1, attacks })
+}
+
+/// Landed on its strings, motors off.
+fn assert_down(f: &Flown) {
+    let last = f.last();
+    assert!(!last.report.armed, "still armed at {:.1} s:\n{}", last.t_s, f.log());
+    assert_eq!(last.report.command.throttle, [0.0; 4]);
+}
+
+#[test]
+fn link_loss_freezes_aborts_attacks_then_descends_and_disarms() {
+    let mut f = hovering();
+    assert!(f.command(bias_on(SensorKind::Height, 2..=2, Kind::Bias, Channel::All, 0.3)).accepted);
+    f.until(13.0);
+    assert!(f.flight.attacks().any_active());
+    f.link_lost_s = 13.0;
+    f.until(13.6);
+    assert_eq!(f.flight.status().failsafe, Failsafe::LinkFreeze, "{}", f.log());
+    assert!(!f.flight.attacks().any_active(), "attacks go on without a link");
+    let refused = f.command(setpoint(1.0));
+    assert!(!refused.accepted && refused.reason.contains("no heartbeat for 0."), "{}", refused.reason);
+    f.until(14.9);
+    assert_eq!(f.last().report.mode, Mode::AltitudeHold);
+    f.until(15.1);
+    let status = f.flight.status();
+    assert_eq!((status.mode, status.failsafe), (Mode::Land, Failsafe::LinkDescend), "{}", f.log());
+    let z = f.last().truth.position_enu_m.z;
+    f.until(16.1);
+    let sunk = z - f.last().truth.position_enu_m.z;
+    assert!((0.15..0.42).contains(&sunk), "sank {sunk:.2} m in a second, 0.3 expected");
+    f.until(22.0);
+    assert_down(&f);
+}
+
+#[test]
+fn a_returning_link_thaws_the_setpoint() {
+    let mut f = hovering();
+    f.link_lost_s = 12.0;
+    f.until(13.0);
+    assert_eq!(f.flight.status().failsafe, Failsafe::LinkFreeze);
+    f.link_lost_s = f64::INFINITY;
+    f.until(13.1);
+    assert_eq!(f.flight.status().failsafe, Failsafe::None);
+    assert!(f.command(setpoint(0.9)).accepted);
+}
+
+#[test]
+fn too_much_tilt_cuts_and_stays_cut_until_released() {
+    let toml = scenario("single_axis_roll")
+        .replace("angle_rad = 0.349", "angle_rad = 1.2")
+        .replace("duration_s = 0.4", "duration_s = 1.0");
+    let mut f = Flown::new(&toml);
+    f.until(9.2);
+    let status = f.flight.status();
+    assert_eq!((status.mode, status.failsafe, status.cut_latched), (Mode::Cut, Failsafe::TiltCut, true), "{}", f.log());
+    let cut_s = f.rows.iter().find(|r| r.report.mode == Mode::Cut).unwrap().t_s;
+    assert!((8.3..8.6).contains(&cut_s), "cut at {cut_s}");
+    assert!(!f.command(Command::Arm).accepted);
+    assert!(!f.command(Command::SetMode(Mode::Stabilise)).accepted);
+    // It swings like a pendulum for a while.
+    let swinging = f.command(Command::ReleaseCut);
+    assert!(!swinging.accepted && swinging.reason.contains("still turning at"), "{}", swinging.reason);
+    f.until(90.0);
+    let released = f.command(Command::ReleaseCut);
+    assert!(released.accepted, "{}", released.reason);
+    assert_eq!(f.flight.status().mode, Mode::Disarmed);
+}
+
+#[test]
+fn the_raw_heights_veto_an_estimate_that_is_led_astray() {
+    let mut f = hovering_with(|c| c.limits.altitude_max_m = 1.0);
+    // Every laser and the barometer sink slowly together: the estimator must follow, the vehicle climbs.
+    assert!(f.command(bias_on(SensorKind::Height, 1..=3, Kind::Ramp, Channel::All, -0.1)).accepted);
+    f.until(40.0);
+    let seen: Vec<_> = f.events.iter().map(|e| e.text.to_string()).collect();
+    assert!(seen.iter().any(|t| t.contains("holding at the edge")), "{}", f.log());
+    assert!(seen.iter().any(|t| t.contains("outside the box") && t.contains("descending")), "{}", f.log());
+    let highest = f.rows.iter().map(|r| r.truth.position_enu_m.z).fold(0.0, f64::max);
+    assert!(highest < 1.75, "climbs to {highest:.2} m");
+}
+
+#[test]
+fn an_estimator_without_imus_descends_on_the_watchdogs_attitude() {
+    let mut f = hovering();
+    assert!(f.command(bias_on(SensorKind::Imu, 1..=4, Kind::Dropout, Channel::All, 1.0)).accepted);
+    f.until(16.0);
+    assert!(f.events.iter().any(|e| e.text.contains("descending on attitude alone")), "no blind descent:\n{}", f.log());
+    let tilt = f.since(12.5).map(|r| plumbline_agent::frames::tilt_rad(&r.truth.world_from_body)).fold(0.0, f64::max);
+    assert!(tilt < 0.5, "tilts {:.0}° while descending", tilt.to_degrees());
+    f.until(26.0);
+    assert_down(&f);
+}
+
+#[test]
+fn missed_deadlines_warn_then_descend() {
+    let mut f = hovering();
+    (0..6).for_each(|_| f.flight.deadline_missed(f.vehicle.time()));
+    f.until(12.02);
+    assert_eq!(f.flight.status().failsafe, Failsafe::DeadlineWarn);
+    f.until(13.2);
+    assert_eq!(f.flight.status().failsafe, Failsafe::None);
+    (0..25).for_each(|_| f.flight.deadline_missed(f.vehicle.time()));
+    f.until(20.0);
+    assert!(f.events.iter().any(|e| e.text.contains("25 deadlines missed")), "{}", f.log());
+    assert_down(&f);
+}
+
+#[test]
+fn the_operators_cut_is_immediate_latched_and_needs_no_link() {
+    let mut f = hovering();
+    f.link_lost_s = 12.0;
+    f.until(12.1);
+    assert!(f.command(Command::CutMotors).accepted);
+    f.tick();
+    assert_eq!(f.last().report.command.throttle, [0.0; 4]);
+    assert!(f.flight.status().cut_latched);
+    // Swinging on its strings it is not released.
+    f.until(12.6);
+    let ack = f.command(Command::ReleaseCut);
+    assert!(ack.accepted || ack.reason.contains("still turning"), "{}", ack.reason);
+}
+
+#[test]
+fn armed_without_take_off_disarms_after_ten_seconds() {
+    let toml = scenario("altitude_step");
+    let mut scenario = Scenario::from_toml(&toml).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 3.5);
+    let config = FlightConfig::for_scenario(&scenario);
+    let mut f = Flown::with_config(scenario, config);
+    f.until(12.9);
+    assert!(f.last().report.armed, "{}", f.log());
+    f.until(13.1);
+    assert!(!f.last().report.armed);
+    assert_eq!(f.flight.status().failsafe, Failsafe::TakeoffTimeout);
+}
+
+#[test]
+fn orders_that_do_not_fit_are_refused_with_their_values() {
+    let mut f = hovering();
+    for (command, words) in [
+        (setpoint(f64::NAN), "altitude NaN is not a number"),
+        (setpoint(3.4), "altitude 3.4 m above limit 2 m"),
+        (setpoint(-0.1), "altitude -0.1 m below limit 0 m"),
+        (Command::SetMode(Mode::Hold), "horizontal position"),
+        (Command::Setpoint(SetpointChange::default()), "changes nothing"),
+        (
+            Command::Setpoint(SetpointChange { x_m: Some(0.1), ..SetpointChange::default() }),
+            "x is not controlled in mode altitude hold",
+        ),
+        (Command::Arm, "already armed"),
+        (Command::ReleaseCut, "no cut is latched"),
+        (Command::SelectEstimator(plumbline_agent::estimate::EstimatorKind::Ukf), "Ukf does not run"),
+    ] {
+        let ack = f.command(command.clone());
+        assert!(!ack.accepted && ack.reason.contains(words), "{command:?}: {}", ack.reason);
+    }
+    f.until(13.0);
+    let z = f.last().truth.position_enu_m.z;
+    assert!((z - 0.8).abs() < 0.06, "the flight goes on at {z}");
+}
+
+#[test]
+fn orientation_keeps_below_lift_off_and_refuses_altitude() {
+    let mut f = Flown::new(&scenario("string_yaw"));
+    f.until(5.0);
+    let ack = f.command(Command::SetMode(Mode::AltitudeHold));
+    assert!(!ack.accepted && ack.reason.contains("strings, orientation: no altitude hold"), "{}", ack.reason);
+    let push = SetpointChange { throttle: Some(1.4), ..SetpointChange::default() };
+    assert!(f.command(Command::Setpoint(push)).accepted);
+    f.until(9.0);
+    let z = f.last().truth.position_enu_m.z;
+    // The strings stretch by a centimetre under the weight.
+    assert!(z < 1.03, "lifted to {z}");
+}
+
+#[test]
+fn arming_names_every_check_that_fails() {
+    let mut f = Flown::new(&scenario("altitude_step"));
+    f.link_lost_s = 0.0;
+    f.until(2.9);
+    f.flight.log_health(Some("disk full: 0 bytes free"));
+    let ack = f.command(Command::Arm);
+    assert!(!ack.accepted && ack.reason.starts_with("link: last heartbeat inf s ago"), "{}", ack.reason);
+    assert!(ack.reason.contains("1 more"), "{}", ack.reason);
+    let status = f.flight.status();
+    assert!(!status.ready_to_arm);
+    let failing: Vec<_> = status.checks.iter().filter(|c| !c.passed).map(|c| (c.name, c.reason.as_str())).collect();
+    assert_eq!(failing.len(), 2, "{failing:?}");
+    assert_eq!(failing[1], ("log", "disk full: 0 bytes free"));
+}

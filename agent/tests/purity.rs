@@ -1,0 +1,103 @@
+//! The tick allocates nothing, and the same seed gives the same bits.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use common::{Flown, scenario};
+use plumbline_agent::vehicle::Vehicle;
+
+/// Counts what the calling thread allocates while told to.
+struct Counting;
+
+thread_local! {
+    static ARMED: Cell<bool> = const { Cell::new(false) };
+    static COUNT: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    if ARMED.try_with(Cell::get).unwrap_or(false) {
+        let _ = COUNT.try_with(|c| c.set(c.get() + 1));
+    }
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: as above.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: as above.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
+    let toml = scenario("altitude_step")
+        + &scenario("height_attack").split_once("[[attack]]").map_or(String::new(), |a| format!("[[attack]]{}", a.1));
+    let mut f = Flown::new(&toml);
+    let schedule = f.scenario.attacks.clone();
+    assert_eq!(schedule.attacks.len(), 1);
+    let (mut ticks, mut total) = (0, 0);
+    let mut before = None;
+    let mut uploaded = false;
+    while f.vehicle.time().as_seconds() < 47.0 {
+        let frame = f.vehicle.sense().unwrap();
+        f.flight.heartbeat(frame.time);
+        let script = f.scenario.script.clone();
+        script.commands(before, frame.time, |c| assert!(f.flight.apply(c, frame.time).accepted));
+        if !uploaded && frame.time.as_seconds() > 1.0 {
+            uploaded = true;
+            let ack = f.flight.apply(&plumbline_agent::command::Command::Attack(schedule.clone()), frame.time);
+            assert!(ack.accepted, "{}", ack.reason);
+        }
+        before = Some(frame.time);
+        COUNT.set(0);
+        ARMED.set(true);
+        let command = f.flight.step(&frame).command;
+        f.flight.applied(command);
+        f.flight.drain_events(|_| ());
+        ARMED.set(false);
+        total += COUNT.get();
+        ticks += 1;
+        f.vehicle.actuate(&command).unwrap();
+    }
+    assert!(ticks > 9000);
+    assert_eq!(total, 0, "{total} allocations in {ticks} ticks");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits_and_another_seed_does_not() {
+    let fly = |seed: u64| {
+        let toml = scenario("altitude_step").replace("seed = 1", &format!("seed = {seed}"));
+        let mut f = Flown::new(&toml);
+        f.until(20.0);
+        let bits: Vec<u64> = f
+            .rows
+            .iter()
+            .flat_map(|r| {
+                let truth = r.truth.position_enu_m.iter().chain(r.truth.body_rates_radps.iter()).copied();
+                let estimate = r.estimate.position_enu_m.iter().chain(r.estimate.accel_bias_mps2.iter()).copied();
+                truth.chain(estimate).chain(r.report.command.throttle).map(f64::to_bits).collect::<Vec<_>>()
+            })
+            .collect();
+        (bits, f.log())
+    };
+    let (a, log_a) = fly(7);
+    let (b, log_b) = fly(7);
+    assert!(a == b && log_a == log_b, "same seed, different flight");
+    assert!(a != fly(8).0, "another seed, the same flight");
+}
