@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Thrust may jump by this much of the weight when gains change in steady flight.
-const BUMP: f64 = 0.25;
+const BUMP: f64 = 0.08;
 
 fn push(f: &mut Flown, revision: u32, weights: Weights) -> plumbline_agent::command::Ack {
     f.command(Command::PushGains { revision: GainsRevision(revision), weights })

@@ -75,6 +75,15 @@ impl Weights {
     }
 }
 
+/// Time constant with which the difference between old and new gains dies away, s.
+const BLEND_TIME_CONSTANT_S: f64 = 0.3;
+
+/// Everything K is multiplied with in one tick: the horizontal loop's part, and the rest.
+struct Errors {
+    horizontal: SVector<f64, 16>,
+    rest: SVector<f64, 16>,
+}
+
 /// The controller.
 #[derive(Debug, Clone)]
 pub struct LqrIntegral {
@@ -85,6 +94,10 @@ pub struct LqrIntegral {
     integral: [f64; 4],
     /// What could not be given at the tick before: asked − given; thrust, torque x y z.
     shortfall: [f64; 4],
+    /// Gains and integrals replaced since the last tick.
+    replaced: Option<(Gain, Gain, [f64; 4])>,
+    /// Left over from the change of gains: added to u, dies away.
+    blend: SVector<f64, 4>,
 }
 
 impl LqrIntegral {
@@ -99,12 +112,16 @@ impl LqrIntegral {
             weight_n: airframe.weight_n(),
             integral: [0.0; 4],
             shortfall: [0.0; 4],
+            replaced: None,
+            blend: SVector::zeros(),
         }
     }
 
-    /// Uses `gains` from now on. Bumpless: z and yaw integrals are rescaled so that what they
-    /// contribute to thrust and torque stays as it was; x and y likewise.
+    /// Uses `gains` from the next tick on. Bumpless: the integrals are rescaled so that they go on
+    /// giving what they gave, and what still differs between old and new u dies away in
+    /// [`BLEND_TIME_CONSTANT_S`].
     pub fn use_gains(&mut self, gains: &Certified) {
+        self.replaced.get_or_insert((self.k, self.k_attitude, self.integral));
         let rows = [ix::TORQUE_Y, ix::TORQUE_X, ix::THRUST, ix::TORQUE_Z];
         for (i, row) in rows.into_iter().enumerate() {
             let (old, new) = (self.k[(row, 12 + i)], gains.k[(row, 12 + i)]);
@@ -121,54 +138,30 @@ impl LqrIntegral {
 impl Controller for LqrIntegral {
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench {
         let angles = roll_pitch_yaw(&estimate.world_from_body);
-        let (sin, cos) = angles.z.sin_cos();
-        let heading = |v: Vector2<f64>| Vector2::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x);
-
         let position = limited(estimate.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
         let velocity = limited(estimate.velocity_enu_mps - setpoint.velocity_enu_mps, &VELOCITY_ERROR_MAX_MPS);
         let yaw = wrap_pi(angles.z - setpoint.roll_pitch_yaw_rad.z).clamp(-YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
-        let k = if loops.horizontal { self.k } else { self.k_attitude };
+        let tilt = angles.xy() - setpoint.roll_pitch_yaw_rad.xy();
+        let rates = estimate.body_rates_radps;
+        let errors = |integral: &[f64; 4]| Errors::new(loops, angles.z, position, velocity, tilt, yaw, rates, integral);
 
+        // What the old gains would ask for now, less what the new ones do, dies away.
+        self.blend *= (-dt_s / BLEND_TIME_CONSTANT_S).exp();
+        if let Some((k, k_attitude, integral)) = self.replaced.take() {
+            let (old, new) = if loops.horizontal { (k, self.k) } else { (k_attitude, self.k_attitude) };
+            self.blend += errors(&integral).law(&old) - errors(&self.integral).law(&new);
+        }
+        let k = if loops.horizontal { self.k } else { self.k_attitude };
         self.integrate([position.x, position.y, position.z, yaw], &k, loops, dt_s);
-        let mut e = SVector::<f64, 16>::zeros();
-        if loops.horizontal {
-            for (at, v) in [
-                (ix::X, position.xy()),
-                (ix::VX, velocity.xy()),
-                (12, Vector2::new(self.integral[0], self.integral[1])),
-            ] {
-                let v = heading(v);
-                e[at] = v.x;
-                e[at + 1] = v.y;
-            }
-        }
-        let horizontal = -k * e;
-        e.fill(0.0);
-        e[ix::ROLL] = angles.x - setpoint.roll_pitch_yaw_rad.x;
-        e[ix::PITCH] = angles.y - setpoint.roll_pitch_yaw_rad.y;
-        e[ix::YAW] = yaw;
-        e.fixed_rows_mut::<3>(ix::P).copy_from(&estimate.body_rates_radps);
-        e[15] = self.integral[3];
-        if loops.altitude {
-            e[ix::Z] = position.z;
-            e[ix::VZ] = velocity.z;
-            e[14] = self.integral[2];
-        }
-        let u = -k * e;
-        // The horizontal loop may ask for the torque that holds this tilt, no more.
-        let roll_limit = (k[(ix::TORQUE_X, ix::ROLL)] * TILT_FROM_POSITION_RAD).abs();
-        let pitch_limit = (k[(ix::TORQUE_Y, ix::PITCH)] * TILT_FROM_POSITION_RAD).abs();
-        let torque = Vector3::new(
-            u[ix::TORQUE_X] + horizontal[ix::TORQUE_X].clamp(-roll_limit, roll_limit),
-            u[ix::TORQUE_Y] + horizontal[ix::TORQUE_Y].clamp(-pitch_limit, pitch_limit),
-            u[ix::TORQUE_Z],
-        );
+        let u = errors(&self.integral).law(&k) + self.blend;
+
         let thrust_n = if loops.altitude {
             (self.weight_n + u[ix::THRUST]) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
         } else {
             self.weight_n * setpoint.throttle
         };
-        Wrench { thrust_n: thrust_n.max(0.0), torque_flu_nm: torque }
+        let torque_flu_nm = Vector3::new(u[ix::TORQUE_X], u[ix::TORQUE_Y], u[ix::TORQUE_Z]);
+        Wrench { thrust_n: thrust_n.max(0.0), torque_flu_nm }
     }
 
     fn applied(&mut self, asked: &Wrench, given: &Wrench) {
@@ -183,6 +176,55 @@ impl Controller for LqrIntegral {
     fn reset(&mut self) {
         self.integral = [0.0; 4];
         self.shortfall = [0.0; 4];
+        self.replaced = None;
+        self.blend.fill(0.0);
+    }
+}
+
+impl Errors {
+    #[expect(clippy::too_many_arguments, reason = "one line of the state each")]
+    fn new(
+        loops: Loops,
+        heading_rad: f64,
+        position: Vector3<f64>,
+        velocity: Vector3<f64>,
+        tilt: Vector2<f64>,
+        yaw: f64,
+        rates: Vector3<f64>,
+        integral: &[f64; 4],
+    ) -> Self {
+        let (sin, cos) = heading_rad.sin_cos();
+        let mut horizontal = SVector::<f64, 16>::zeros();
+        if loops.horizontal {
+            let integral = Vector2::new(integral[0], integral[1]);
+            for (at, v) in [(ix::X, position.xy()), (ix::VX, velocity.xy()), (12, integral)] {
+                // Into the heading frame.
+                horizontal[at] = cos * v.x + sin * v.y;
+                horizontal[at + 1] = cos * v.y - sin * v.x;
+            }
+        }
+        let mut rest = SVector::<f64, 16>::zeros();
+        rest.fixed_rows_mut::<2>(ix::ROLL).copy_from(&tilt);
+        rest[ix::YAW] = yaw;
+        rest.fixed_rows_mut::<3>(ix::P).copy_from(&rates);
+        rest[15] = integral[3];
+        if loops.altitude {
+            rest[ix::Z] = position.z;
+            rest[ix::VZ] = velocity.z;
+            rest[14] = integral[2];
+        }
+        Self { horizontal, rest }
+    }
+
+    /// u = −K e, the horizontal loop limited to the torque that holds [`TILT_FROM_POSITION_RAD`].
+    fn law(&self, k: &Gain) -> SVector<f64, 4> {
+        let mut u = -(k * self.rest);
+        let horizontal = -(k * self.horizontal);
+        for (row, angle) in [(ix::TORQUE_X, ix::ROLL), (ix::TORQUE_Y, ix::PITCH)] {
+            let limit = (k[(row, angle)] * TILT_FROM_POSITION_RAD).abs();
+            u[row] += horizontal[row].clamp(-limit, limit);
+        }
+        u
     }
 }
 
@@ -311,7 +353,30 @@ mod tests {
         weights.input[0] *= 0.7;
         controller.use_gains(&certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap());
         let after = controller.control(&at(0.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        assert!(controller.blend.amax() < 1e-9, "the integrals carry the trim");
         assert!((after.thrust_n - before.thrust_n).abs() < 1e-9);
         assert!((after.torque_flu_nm - before.torque_flu_nm).norm() < 1e-9);
+    }
+
+    #[test]
+    fn new_gains_do_not_bump_a_transient_either() {
+        let (mut controller, airframe) = iris();
+        let mut off = at(0.2, -0.3, 0.4);
+        off.position_enu_m.z = 0.8;
+        off.velocity_enu_mps.z = 0.3;
+        let before = controller.control(&off, &hold(0.3), FULL, 0.0);
+        let mut weights = Weights::for_airframe(&airframe);
+        weights.state = weights.state.map(|w| w * 3.0);
+        let gains = certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap();
+        controller.use_gains(&gains);
+        let after = controller.control(&off, &hold(0.3), FULL, 0.0);
+        assert!((after.thrust_n - before.thrust_n).abs() < 1e-9);
+        assert!((after.torque_flu_nm - before.torque_flu_nm).norm() < 1e-9);
+        // It dies away: what remains is the new law.
+        controller.integral = [0.0; 4];
+        let late = (0..2000).map(|_| controller.control(&off, &hold(0.3), Loops::default(), 0.005)).last().unwrap();
+        controller.blend.fill(0.0);
+        let fresh = controller.control(&off, &hold(0.3), Loops::default(), 0.0);
+        assert!((late.torque_flu_nm - fresh.torque_flu_nm).norm() < 1e-9);
     }
 }
