@@ -70,9 +70,8 @@ pub async fn json<T: DeserializeOwned>(
 ) -> Result<T, Failure> {
     let response = send(method, url, body, operator).await?;
     let text = text(&response).await?;
-    let text = if text.trim().is_empty() { "null" } else { &text };
+    let text = if text.trim().is_empty() { "{}" } else { &text };
     serde_json::from_str(text)
-        .or_else(|error| serde_json::from_str("{}").map_err(|_| error))
         .map_err(|error| Failure { status: 0, text: format!("{url} answered with something else: {error}") })
 }
 

@@ -374,6 +374,9 @@ impl Frame {
         if slot.picture == Picture::Residual {
             view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
         }
+        if slot.picture == Picture::Altitude {
+            self.step_lines(live, axis, &mut view);
+        }
         for d in drawn {
             view = view.curve(d.series, d.color, d.style);
             if let Some(last) = view.curves.last_mut() {
@@ -381,6 +384,23 @@ impl Frame {
             }
         }
         Content::Chart(view)
+    }
+
+    /// The band the newest step in view must stay in, and the moment it did.
+    fn step_lines(&self, live: &Live, axis: TimeAxis, view: &mut ChartView<'_>) {
+        let newest = live.steps.iter().rev().find(|s| s.start_time_us as f64 * 1e-6 <= axis.end_s);
+        let Some(step) = newest.filter(|s| s.time_us as f64 * 1e-6 >= axis.start_s && s.band_m > 0.0) else { return };
+        let color = palette::OTHER_1.on(self.dark);
+        for side in [-1.0, 1.0] {
+            view.levels.push(LevelLine {
+                value: step.to_m + side * step.band_m,
+                color: color.alpha(0.55),
+                dashed: true,
+            });
+        }
+        if let Some(settled) = step.settling_time_s {
+            view.marks.push(Mark { time_s: step.start_time_us as f64 * 1e-6 + settled, color });
+        }
     }
 
     /// Warnings and worse, and changes of mode.

@@ -44,10 +44,10 @@ pub struct Vehicle {
     pub vehicle: String,
     /// Rig.
     pub rig: String,
-    /// Mode, as JSON names it.
-    pub mode: String,
-    /// Armed?
-    pub armed: bool,
+    /// Mode, as JSON names it; absent before the first status.
+    pub mode: Option<String>,
+    /// Armed? Absent before the first status.
+    pub armed: Option<bool>,
 }
 
 /// `GET /api/flights`.
@@ -189,6 +189,13 @@ mod tests {
         assert_eq!(flights.flights[0].title(), "a");
         assert_eq!(flights.flights[0].steps[0].rise_time_s, None);
         assert_eq!(flights.flights[0].counts["/estimate/1"], 1234);
+    }
+
+    #[test]
+    fn a_vehicle_that_has_said_nothing_yet_is_listed() {
+        let text = r#"[{"id":"iris-1","connected":true,"boot_id":1,"version":"","vehicle":"","rig":"","mode":null,"armed":null}]"#;
+        let vehicles: Vec<Vehicle> = serde_json::from_str(text).unwrap();
+        assert_eq!((vehicles[0].connected, vehicles[0].armed), (true, None));
     }
 
     #[test]

@@ -15,6 +15,7 @@ use crate::{
         horizon::HorizonCard,
         motors::MotorsAndTicks,
         readouts::Readouts,
+        replay::ReplayCard,
         residuals::Residuals,
         setpoint::SetpointCard,
     },
@@ -110,6 +111,7 @@ pub fn Fly() -> impl IntoView {
                 <Events />
             </div>
             <div class="right">
+                <ReplayCard />
                 <SetpointCard />
                 <ArmingCard />
                 <AttacksCard />

@@ -6,6 +6,7 @@ use leptos::{ev, html, prelude::*};
 
 use crate::{
     deck::{Picture, deck},
+    gpu::{HorizonView, Rect, Theme, horizon::ladder_labels},
     model::format,
 };
 
@@ -51,7 +52,41 @@ fn Horizon() -> impl IntoView {
             None => "No attitude yet".to_owned(),
         }
     };
-    view! { <div class="horizon plot" role="img" aria-label=label node_ref=node></div> }
+    view! {
+        <div class="horizon plot" role="img" aria-label=label node_ref=node>
+            <Ladder node />
+        </div>
+    }
+}
+
+/// The numbers beside the pitch ladder, where the canvas draws its rungs.
+#[component]
+fn Ladder(node: NodeRef<html::Div>) -> impl IntoView {
+    let deck = deck();
+    let labels = Memo::new(move |_| {
+        let instrument = deck.instrument();
+        let (Some([roll, pitch, _]), Some(node)) = (instrument.roll_pitch_yaw_deg, node.get()) else {
+            return Vec::new();
+        };
+        let view = HorizonView {
+            roll_rad: roll.to_radians() as f32,
+            pitch_flu_rad: pitch.to_radians() as f32,
+            setpoint_rad: None,
+            stale: instrument.stale,
+            theme: Theme::LIGHT,
+        };
+        let rect = Rect::new(0.0, 0.0, node.client_width() as f32, node.client_height() as f32);
+        ladder_labels(rect, &view)
+    });
+    view! {
+        <div class="ladder" aria-hidden="true">
+            {move || labels.get().into_iter().map(|l| view! {
+                <span style=format!(
+                    "left:{:.1}px;top:{:.1}px;transform:translate(-50%,0) rotate({:.2}rad)", l.x, l.y, l.turn_rad
+                )>{l.degrees}</span>
+            }).collect::<Vec<_>>()}
+        </div>
+    }
 }
 
 #[component]
@@ -161,7 +196,7 @@ fn Compass() -> impl IntoView {
     let centre = Memo::new(move |_| heading.get().map_or(0, |h| (h / 15.0).round() as i64 * 15));
     let labels = move || {
         let centre = centre.get();
-        (-9..=9).map(|i| {
+        (-12..=12).map(|i| {
             let degrees = centre + i * 15;
             let x = degrees as f64 * COMPASS_PX_PER_DEG;
             let major = degrees.rem_euclid(30) == 0;

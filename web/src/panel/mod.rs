@@ -12,6 +12,7 @@ pub mod motors;
 pub mod notices;
 pub mod plot;
 pub mod readouts;
+pub mod replay;
 pub mod residuals;
 pub mod setpoint;
 pub mod steps;

@@ -23,6 +23,14 @@ pub fn summary(step: &StepResponse) -> String {
     )
 }
 
+/// The parts of a summary, each kept on one line when the stretch is narrow.
+fn pieces(text: &str) -> Vec<impl IntoView + use<>> {
+    let parts: Vec<String> = text.split(" · ").map(str::to_owned).collect();
+    let last = parts.len().saturating_sub(1);
+    let tail = move |i: usize| if i < last { " · " } else { "" };
+    parts.into_iter().enumerate().map(|(i, part)| view! { <span class="num">{part}</span>{tail(i)} }).collect()
+}
+
 /// A step as placed on the chart.
 #[derive(Debug, Clone, PartialEq)]
 struct Placed {
@@ -81,7 +89,7 @@ pub fn StepMarks() -> impl IntoView {
                         <div class="step" role="listitem" style=style class:running=move || step.get().is_some_and(|s| s.running)>
                             <b class="num">{move || step.get().map(|s| s.from_to)}</b>
                             " "
-                            <span class="num">{move || step.get().map(|s| s.text)}</span>
+                            {move || step.get().map(|s| pieces(&s.text))}
                         </div>
                     }
                 }

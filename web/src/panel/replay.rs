@@ -1,0 +1,65 @@
+//! Controls of a replayed vehicle: faster, slower, one tick at a time. Only there when a recording flies.
+
+use leptos::prelude::*;
+use serde_json::json;
+
+use crate::{ctx::ctx, model::format};
+
+/// Speeds offered, times real time.
+const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+
+/// The replay card.
+#[component]
+pub fn ReplayCard() -> impl IntoView {
+    let ctx = ctx();
+    let replayed = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "replay")));
+    let file = Memo::new(move |_| {
+        ctx.live(|live| live.description.get().map(|d| d.source_file.rsplit('/').next().unwrap_or_default().to_owned()))
+    });
+    let speed = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(0.0, |s| s.replay_speed)));
+    let progress =
+        Memo::new(move |_| ctx.live(|live| live.status.get().map_or(0.0, |s| s.replay_progress.clamp(0.0, 1.0))));
+    let running = Memo::new(move |_| speed.get() > 0.0);
+    let resume = RwSignal::new(1.0);
+    let send = move |what: String, speed: f64, step: u32| {
+        ctx.command(what, "POST", "replay", json!({ "speed": speed, "step": step }))
+    };
+    let toggle = move |_| {
+        if speed.get_untracked() > 0.0 {
+            resume.set(speed.get_untracked());
+            send("Pause recording".into(), 0.0, 0);
+        } else {
+            send("Run recording".into(), resume.get_untracked(), 0);
+        }
+    };
+    let set_speed = move |text: String| {
+        if let Ok(wanted) = text.parse::<f64>() {
+            resume.set(wanted);
+            send(format!("Speed {wanted}×"), wanted, 0);
+        }
+    };
+    view! {
+        <Show when=move || replayed.get()>
+            <section class="card replay-card" aria-label="Recording flown again">
+                <header>
+                    <h2>"Recording"</h2>
+                    <span class="quiet one-line" title=move || file.get().unwrap_or_default()>{move || file.get()}</span>
+                    <span class="num push quiet">{move || format!("{} %", format::fixed(progress.get() * 100.0, 1))}</span>
+                </header>
+                <progress max="1" prop:value=progress aria-label="Progress of the recording"></progress>
+                <div class="row">
+                    <button type="button" aria-label=move || { if running.get() { "Pause recording" } else { "Run recording" } } on:click=toggle>
+                        {move || if running.get() { "❚❚" } else { "▶" }}
+                    </button>
+                    <select aria-label="Speed of the recording" on:change:target=move |e| set_speed(e.target().value())>
+                        {SPEEDS.into_iter().map(|s| view! {
+                            <option value=s.to_string() selected=move || (speed.get() - s).abs() < 1e-9>{format!("{s}×")}</option>
+                        }).collect::<Vec<_>>()}
+                    </select>
+                    <button type="button" disabled=running on:click=move |_| send("Step 1 tick".into(), 0.0, 1)>"+1 tick"</button>
+                    <button type="button" disabled=running on:click=move |_| send("Step 20 ticks".into(), 0.0, 20)>"+20"</button>
+                </div>
+            </section>
+        </Show>
+    }
+}
