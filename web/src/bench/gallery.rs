@@ -100,15 +100,24 @@ pub(super) fn run(stage: Stage, mut renderer: Renderer, dark: bool) {
     stage.each_frame(move |stage, now_ms| {
         let (width, height, ratio) = stage.size();
         renderer.resize(width, height, ratio);
-        let rotors = rotors();
-        let strings = [StringLine { anchor_enu_m: [0.0, 0.0, 2.6], attach_flu_m: [0.0, 0.0, 0.03], length_m: 1.9 }];
-        let panels = panels(&flight, &theme, &rotors, &strings, width as f32);
-        let outcome = renderer.frame(&theme, &panels);
+        let (rotors, strings) = (rotors(), strings());
+        let outcome = renderer.frame(&theme, &panels(&flight, &theme, &rotors, &strings, width as f32));
         if outcome == FrameOutcome::Drawn && now_ms > 500.0 {
             stage.say("gallery-drawn", "drawn");
         }
         outcome != FrameOutcome::Rebuild
     });
+}
+
+/// Hands the gallery's panels to a test.
+#[cfg(test)]
+pub(crate) fn with_panels(theme: &Theme, width: f32, use_them: impl FnOnce(&[Panel<'_>])) {
+    let (flight, rotors, strings) = (Flight::new(), rotors(), strings());
+    use_them(&panels(&flight, theme, &rotors, &strings, width));
+}
+
+fn strings() -> [StringLine; 1] {
+    [StringLine { anchor_enu_m: [0.0, 0.0, 2.6], attach_flu_m: [0.0, 0.0, 0.03], length_m: 1.9 }]
 }
 
 fn rotors() -> Vec<Rotor> {

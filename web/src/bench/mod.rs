@@ -6,7 +6,7 @@
 //! `#bench-result`. It reads the pixels back: a frame counter alone also rises on a white canvas.
 
 mod charts;
-mod gallery;
+pub(crate) mod gallery;
 mod pixels;
 mod stage;
 

@@ -1,10 +1,22 @@
 //! What is really on the canvas.
 
-use wasm_bindgen::JsCast;
-use web_sys::{CanvasRenderingContext2d, HtmlCanvasElement};
+use wasm_bindgen::prelude::wasm_bindgen;
+use wasm_bindgen::{JsCast, JsValue};
+use web_sys::{HtmlCanvasElement, ImageData};
 
 use super::stage::Stage;
 use crate::gpu::Color;
+
+#[wasm_bindgen]
+extern "C" {
+    /// The two calls needed of it; web-sys' whole binding would be compiled by every user of web-sys.
+    #[wasm_bindgen(js_name = CanvasRenderingContext2D)]
+    type Context2d;
+    #[wasm_bindgen(method, catch, js_name = drawImage)]
+    fn draw_image(this: &Context2d, source: &HtmlCanvasElement, x: f64, y: f64) -> Result<(), JsValue>;
+    #[wasm_bindgen(method, catch, js_name = getImageData)]
+    fn image_data(this: &Context2d, x: f64, y: f64, width: f64, height: f64) -> Result<ImageData, JsValue>;
+}
 
 /// A copy of part of the canvas: rows of r, g, b, a.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -20,9 +32,9 @@ impl Pixels {
         let copy: HtmlCanvasElement = stage.document.create_element("canvas").ok()?.dyn_into().ok()?;
         copy.set_width(width);
         copy.set_height(height);
-        let context: CanvasRenderingContext2d = copy.get_context("2d").ok()??.dyn_into().ok()?;
-        context.draw_image_with_html_canvas_element(&stage.canvas, 0.0, 0.0).ok()?;
-        let data = context.get_image_data(0.0, 0.0, f64::from(width), f64::from(height)).ok()?;
+        let context: Context2d = copy.get_context("2d").ok()??.dyn_into().ok()?;
+        context.draw_image(&stage.canvas, 0.0, 0.0).ok()?;
+        let data = context.image_data(0.0, 0.0, f64::from(width), f64::from(height)).ok()?;
         Some(Self { width: width as usize, bytes: data.data().0 })
     }
 

@@ -45,11 +45,11 @@ impl Eye {
         let reach = view.rotors.iter().map(|rotor| length(rotor.position_flu_m) + rotor.radius_m).fold(0.05, f32::max);
         let aspect = (width / height.max(1.0)).max(0.1);
         let tan = (FIELD_RAD / 2.0).tan();
-        let distance = 1.35 * reach * view.camera.zoom_out.clamp(0.3, 30.0) / (tan * aspect.min(1.0));
+        let distance = 1.5 * reach * view.camera.zoom_out.clamp(0.3, 30.0) / (tan * aspect.min(1.0));
         let elevation = view.camera.elevation_rad.clamp(0.03, 1.5);
         let (sin_az, cos_az) = view.camera.azimuth_rad.sin_cos();
         let (sin_el, cos_el) = elevation.sin_cos();
-        let target = [0.0, 0.0, -0.18 * reach];
+        let target = [0.0, 0.0, -0.25 * reach];
         let position = add(target, scaled([cos_az * cos_el, sin_az * cos_el, sin_el], distance));
         let forward = unit(sub(target, position));
         let right = unit(cross(forward, [0.0, 0.0, 1.0]));
@@ -285,15 +285,14 @@ impl Space {
     }
 }
 
-/// Colour of a rotor's command: pale at rest, blue at work, vermilion at its limit.
+/// Colour of a rotor's command: pale at rest, blue at work, vermilion at its limit; its bar tells how much.
 pub fn rotor_color(rotor: &Rotor, theme: &Theme) -> Color {
     let idle = if theme.dark { Color::hex(0x8a96a3) } else { Color::hex(0x9aa6b2) };
     let working = Color::hex(if theme.dark { 0x56b4e9 } else { 0x0072b2 });
     if rotor.saturated {
         return Color::hex(0xd55e00);
     }
-    let level = rotor.level.clamp(0.0, 1.0);
-    if level < 0.5 { idle.mix(working, level * 2.0) } else { working.mix(Color::hex(0xe69f00), (level - 0.5) * 2.0) }
+    idle.mix(working, rotor.level.clamp(0.0, 0.6) / 0.6)
 }
 
 #[cfg(test)]
@@ -343,7 +342,7 @@ mod tests {
                 assert!(x.abs() < 1.0 && y.abs() < 1.0 && (0.0..1.0).contains(&z), "{x} {y} {z}");
                 widest = widest.max(x.abs()).max(y.abs());
             }
-            assert!(widest > 0.25, "{widest}");
+            assert!(widest > 0.2, "{widest}");
         }
     }
 

@@ -17,6 +17,8 @@ pub mod horizon;
 mod image;
 mod line;
 mod mesh;
+#[cfg(test)]
+mod raster;
 pub mod scene;
 mod shape;
 
