@@ -240,6 +240,7 @@ impl Frame {
             spans: self.spans(live, axis),
             cursor_s: self.cursor(),
             highlighted: None,
+            time_origin_s: self.deck.label_origin_s(live, axis),
             theme: self.theme,
         }
     }

@@ -171,8 +171,15 @@ fn panels<'a>(
     angles.levels = vec![gate(6.0), gate(-6.0)];
     angles.spans = spans.clone();
     let rows = flight.ratios.iter().enumerate().map(|(i, ratio)| HeatRow { ratio, group_start: i % 3 == 0 });
-    let heat =
-        HeatmapView { time, rows: rows.collect(), spans, cursor_s: Some(24.0), highlighted: Some(1), theme: *theme };
+    let heat = HeatmapView {
+        time,
+        rows: rows.collect(),
+        spans,
+        cursor_s: Some(24.0),
+        highlighted: Some(1),
+        time_origin_s: 0.0,
+        theme: *theme,
+    };
     let horizon = HorizonView {
         roll_rad: 0.21,
         pitch_flu_rad: -0.09,

@@ -49,7 +49,7 @@ struct Bar {
 /// Draw the rows into their plot area.
 pub(crate) fn draw_heatmap(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &HeatmapView<'_>) {
     let theme = &view.theme;
-    draw_grid(shapes, plot, view.time, None, 0.0, theme);
+    draw_grid(shapes, plot, view.time, None, view.time_origin_s, theme);
     draw_spans(shapes, plot, view.time, &view.spans);
     let row_height = plot.height() / view.rows.len().max(1) as f32;
     for (i, row) in view.rows.iter().enumerate() {
@@ -138,6 +138,7 @@ mod tests {
             spans: Vec::new(),
             cursor_s: None,
             highlighted: None,
+            time_origin_s: 0.0,
             theme: Theme::LIGHT,
         };
         let mut shapes = Shapes::default();

@@ -178,6 +178,8 @@ pub struct HeatmapView<'a> {
     pub cursor_s: Option<f64>,
     /// Row under the pointer or chosen, framed.
     pub highlighted: Option<usize>,
+    /// Time the ticks count from; the same as given to [`TimeAxis::ticks`].
+    pub time_origin_s: f64,
     /// Colours of the page.
     pub theme: Theme,
 }
