@@ -12,6 +12,7 @@
 pub mod attack;
 pub mod calibration;
 pub mod command;
+pub mod config;
 pub mod control;
 pub mod estimate;
 pub mod event;
@@ -24,4 +25,6 @@ pub mod log;
 pub mod mix;
 pub mod model;
 pub mod recordings;
+pub mod runner;
+pub mod telemetry;
 pub mod vehicle;

@@ -14,7 +14,7 @@ mod writer;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -63,8 +63,8 @@ pub struct LogState {
     pub messages: AtomicU64,
     /// Last sequence that is in the file system; backfill waits for it.
     flushed: AtomicU64,
-    /// Is a flight open?
-    open: AtomicBool,
+    /// The flight that is written; named before its file appears.
+    current: Mutex<String>,
 }
 
 impl LogState {
@@ -76,6 +76,10 @@ impl LogState {
     /// Changes when [`LogState::error`] does; cheap to ask every tick.
     pub fn changes(&self) -> u64 {
         self.changes.load(Ordering::Acquire)
+    }
+
+    fn current(&self) -> MutexGuard<'_, String> {
+        self.current.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn report(&self, error: Option<String>) {
@@ -251,22 +255,22 @@ impl Log {
     }
 
     fn open(&mut self, mark: &v1::FlightMark) {
+        self.state.flushed.store(0, Ordering::Release);
+        mark.flight_id.clone_into(&mut self.state.current());
         let opened = writer::make_room(&self.config, None).and_then(|()| LogFile::create(&self.config, mark));
         match opened {
             Ok(file) => {
                 self.state.report(None);
-                self.state.flushed.store(0, Ordering::Release);
-                self.state.open.store(true, Ordering::Release);
                 self.file = Some(file);
             }
-            Err(error) => self.state.report(Some(error.to_string())),
+            Err(error) => self.fail(&error),
         }
     }
 
     fn close(&mut self) {
         self.with_file(LogFile::finish);
         self.file = None;
-        self.state.open.store(false, Ordering::Release);
+        self.state.current().clear();
     }
 
     fn keep_within_size(&mut self) {
@@ -288,7 +292,7 @@ impl Log {
 
     fn fail(&mut self, error: &LogError) {
         self.file = None;
-        self.state.open.store(false, Ordering::Release);
+        self.state.current().clear();
         self.state.report(Some(error.to_string()));
     }
 }

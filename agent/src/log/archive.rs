@@ -42,15 +42,18 @@ impl Archive for LogArchive {
         sink: &mut dyn FnMut(&Frame<'_>) -> ControlFlow<()>,
     ) -> Result<(), String> {
         let id = FlightId::new(request.flight_id.as_str()).map_err(|error| error.to_string())?;
-        // Young messages may still be in the writer's chunk.
+        let path = self.folder.join(format!("{id}.mcap"));
+        // Young messages may still be in the writer's chunk, a young flight still in its ring.
         let asked = Instant::now();
-        while self.state.open.load(Ordering::Acquire)
-            && self.state.flushed.load(Ordering::Acquire) < request.last_sequence
-            && asked.elapsed() < FLUSH_WAIT
-        {
+        while asked.elapsed() < FLUSH_WAIT {
+            let written = *self.state.current() == request.flight_id;
+            if !written && path.exists()
+                || written && self.state.flushed.load(Ordering::Acquire) >= request.last_sequence
+            {
+                break;
+            }
             std::thread::sleep(Duration::from_millis(20));
         }
-        let path = self.folder.join(format!("{id}.mcap"));
         match File::open(&path) {
             Ok(file) => read(file, &path, request, sink),
             // Rotated away, or never written: everything is unavailable.

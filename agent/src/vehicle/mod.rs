@@ -212,6 +212,11 @@ pub trait Vehicle: Send {
         None
     }
 
+    /// How much of a recording is flown, 0 to 1; `None` where there is no end.
+    fn progress(&self) -> Option<f64> {
+        None
+    }
+
     /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
     fn recorded_control(&self) -> Option<RecordedControl> {
         None

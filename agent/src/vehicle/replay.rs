@@ -33,10 +33,6 @@ impl ReplayVehicle {
         self.recording.info()
     }
 
-    /// Fraction flown, 0 to 1.
-    pub fn progress(&self) -> f64 {
-        self.recording.progress()
-    }
 }
 
 impl Vehicle for ReplayVehicle {
@@ -56,6 +52,10 @@ impl Vehicle for ReplayVehicle {
 
     fn truth(&self) -> Option<Truth> {
         self.tick.truth
+    }
+
+    fn progress(&self) -> Option<f64> {
+        Some(self.recording.progress())
     }
 
     fn recorded_control(&self) -> Option<RecordedControl> {

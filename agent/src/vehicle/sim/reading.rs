@@ -373,6 +373,20 @@ fn read_push(raw: &RawPush) -> Read<PushEvent> {
     })
 }
 
+/// Only the attacks of a file.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawAttacks {
+    attack: Vec<RawAttack>,
+}
+
+/// Reads a file that holds nothing but `[[attack]]` tables.
+pub(super) fn attacks_alone(text: &str) -> Read<Schedule> {
+    let raw: RawAttacks =
+        toml::from_str(text).map_err(|e| ScenarioError::Syntax(e.to_string().trim_end().to_owned()))?;
+    read_attacks(&raw.attack)
+}
+
 fn read_attacks(raw: &[RawAttack]) -> Read<Schedule> {
     let mut attacks = ArrayVec::new();
     for (index, a) in raw.iter().enumerate() {

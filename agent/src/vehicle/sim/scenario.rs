@@ -50,6 +50,15 @@ pub enum ScenarioError {
     Rig(#[from] RigError),
 }
 
+/// Reads an attack schedule: `[[attack]]` tables as in a scenario and nothing else. Bounds and sensors are
+/// checked when it is uploaded.
+///
+/// # Errors
+/// [`ScenarioError`], naming the key and its value.
+pub fn attacks_from_toml(text: &str) -> Result<Schedule, ScenarioError> {
+    super::reading::attacks_alone(text)
+}
+
 /// Departure from the rig's resting state.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]

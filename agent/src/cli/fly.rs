@@ -1,0 +1,309 @@
+//! Flying: vehicle, flight thread, log, link.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use arrayvec::ArrayVec;
+use plumbline_agent::config::AgentConfig;
+use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
+use plumbline_agent::link::backfill::Archive;
+use plumbline_agent::link::clock::FlightClock;
+use plumbline_agent::link::{self, INBOUND_QUEUE, LinkConfig, LinkPorts, identity};
+use plumbline_agent::log::{self, LogConfig, RING_BYTES};
+use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::recordings;
+use plumbline_agent::runner::pace::Pace;
+use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
+use plumbline_agent::vehicle::Vehicle;
+use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
+use plumbline_agent::vehicle::sim::script::Script;
+use plumbline_agent::vehicle::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
+use plumbline_agent::vehicle::suite::{Description, Suite};
+use plumbline_proto::SCHEMA;
+use plumbline_proto::time::{FlightTime, WallTime};
+
+use super::{FlyArguments, VehicleChoice};
+
+/// Bytes that may wait for the radio's thread: several seconds of a full suite.
+const LINK_RING_BYTES: usize = 2 << 20;
+
+type Failure = Box<dyn std::error::Error>;
+
+/// A vehicle and all that follows from it.
+struct Chosen {
+    vehicle: Box<dyn Vehicle>,
+    flight: FlightConfig,
+    kind: &'static str,
+    rig: String,
+    scenario: String,
+    seed: u64,
+    source_file: String,
+    sensors: ArrayVec<Description, { plumbline_agent::vehicle::suite::MAX_SENSORS }>,
+    script: Option<Script>,
+    end: Option<FlightTime>,
+}
+
+/// Flies until the end, Ctrl-C or SIGTERM.
+pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
+    let config = configuration(arguments)?;
+    let pace = pace(&arguments.speed)?;
+    let mut chosen = match arguments.vehicle {
+        VehicleChoice::Sim => simulated(arguments)?,
+        VehicleChoice::Replay => recorded(arguments, &config)?,
+        VehicleChoice::Hardware => {
+            return Err("no quadrotor is attached: this build flies sim and replay".into());
+        }
+    };
+    let frame_rate_hz = chosen.flight.tick_rate_hz;
+    config.apply(&mut chosen.flight)?;
+    // Frames come at the rate of the scenario or the recording, whatever the configuration says.
+    chosen.flight.tick_rate_hz = frame_rate_hz;
+    let attacks = match &arguments.attack_schedule {
+        Some(path) => Some(attacks_from_toml(&read(path)?).map_err(|e| format!("{}: {e}", path.display()))?),
+        None => None,
+    };
+    let flight = Flight::new(chosen.flight)?;
+
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH)?;
+    let boot_id = since_epoch.as_nanos() as u64 ^ u64::from(std::process::id());
+    let boot_wall_time = WallTime(since_epoch.as_micros() as u64);
+    let with_ground = !config.ground.is_empty();
+
+    let (log_ring, log_frames) = rtrb::RingBuffer::new(RING_BYTES);
+    let log = log::spawn(
+        LogConfig {
+            folder: config.log.folder.clone(),
+            max_bytes: config.log.max_mib << 20,
+            agent_id: config.id.clone(),
+            boot_wall_time,
+        },
+        log_frames,
+    )?;
+    let clock = Arc::new(FlightClock::default());
+    let (link_ring, link_frames) = rtrb::RingBuffer::new(LINK_RING_BYTES);
+    let (commands, inbound) = rtrb::RingBuffer::new(INBOUND_QUEUE);
+    let link = if with_ground {
+        let identity = identity::load_or_create(&config.identity)?;
+        tracing::info!(agent = config.id, ground = config.ground, fingerprint = %identity.fingerprint(), "link");
+        let archive: Arc<dyn Archive> = log.archive();
+        let ports = LinkPorts { telemetry: link_frames, inbound: commands, clock: clock.clone(), archive };
+        Some(link::spawn(
+            LinkConfig {
+                ground: config.ground.clone(),
+                agent_id: config.id.clone(),
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                schema: u32::from(SCHEMA),
+                boot_id,
+                boot_wall_time,
+                identity,
+                telemetry_bytes_per_s: config.link.telemetry_kb_per_s * 1e3,
+                backfill_bytes_per_s: config.link.backfill_kb_per_s * 1e3,
+            },
+            ports,
+        )?)
+    } else {
+        None
+    };
+
+    let identification = Identification {
+        agent_id: config.id.clone(),
+        boot_id,
+        boot_wall_time,
+        vehicle: chosen.kind,
+        rig: chosen.rig,
+        scenario: chosen.scenario,
+        seed: chosen.seed,
+        source_file: chosen.source_file,
+        sensors: chosen.sensors,
+    };
+    let replay = arguments.vehicle == VehicleChoice::Replay;
+    let radio = link.is_some().then(|| Outlet::new(link_ring));
+    let telemetry = Telemetry::new(identification, &flight, radio, Some(Outlet::new(log_ring)));
+    let options = RunnerOptions {
+        pace,
+        replay,
+        end: chosen.end,
+        own_operator: chosen.script.is_some() || (replay && !with_ground),
+        script: chosen.script,
+        attacks,
+        stay: replay && with_ground,
+        real_time: config.real_time && matches!(pace, Pace::Times(_)),
+    };
+    let ports = RunnerPorts {
+        inbound: Some(inbound),
+        link: link.as_ref().map(|link| link.state().clone()),
+        log: Some(log.state().clone()),
+        clock,
+    };
+
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_on_signal(stop.clone())?;
+    let vehicle = chosen.vehicle;
+    let flying = std::thread::Builder::new()
+        .name("flight".into())
+        .spawn(move || Runner::new(vehicle, flight, telemetry, options, ports).run(&stop))?;
+    let outcome = flying.join().map_err(|_| "the flight thread died")?;
+    // The log first: what the flight wrote last is on the disk when the link says goodbye.
+    log.stop();
+    if let Some(link) = link {
+        link.stop();
+    }
+    let summary = outcome?;
+    tracing::info!(
+        ticks = summary.ticks,
+        flown_s = summary.time.as_seconds(),
+        wall_s = summary.wall_s,
+        messages = summary.messages,
+        deadline_misses = summary.deadline_misses,
+        "ended"
+    );
+    Ok(())
+}
+
+fn configuration(arguments: &FlyArguments) -> Result<AgentConfig, Failure> {
+    let mut config = match &arguments.config {
+        Some(path) => AgentConfig::read(path)?,
+        None => AgentConfig::default(),
+    };
+    if let Some(ground) = &arguments.ground {
+        config.ground = if ground == "none" { String::new() } else { ground.clone() };
+    }
+    if let Some(id) = &arguments.id {
+        config.id.clone_from(id);
+    }
+    if let Some(identity) = &arguments.identity {
+        config.identity.clone_from(identity);
+    }
+    if let Some(folder) = &arguments.log {
+        config.log.folder.clone_from(folder);
+    }
+    if let Some(name) = &arguments.estimator {
+        config.estimators.in_loop = Some(name.clone());
+    }
+    config.validate()?;
+    Ok(config)
+}
+
+fn pace(speed: &str) -> Result<Pace, Failure> {
+    if speed == "max" {
+        return Ok(Pace::Free);
+    }
+    match speed.parse::<f64>() {
+        Ok(0.0) => Ok(Pace::Stepped),
+        Ok(times) if times > 0.0 && times <= link::inbound::REPLAY_SPEED_MAX => Ok(Pace::Times(times)),
+        _ => Err(format!("--speed {speed} is not 0 to {} or max", link::inbound::REPLAY_SPEED_MAX).into()),
+    }
+}
+
+fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
+    if let Some(file) = &arguments.file {
+        return Err(format!("{}: only --vehicle replay takes a file", file.display()).into());
+    }
+    let scenario = match &arguments.scenario {
+        Some(path) => Scenario::from_toml(&read(path)?).map_err(|e| format!("{}: {e}", path.display()))?,
+        None => Scenario::default_string_rig(),
+    };
+    Ok(Chosen {
+        vehicle: Box::new(SimVehicle::new(&scenario)?),
+        flight: FlightConfig::for_scenario(&scenario),
+        kind: "sim",
+        rig: scenario.rig.name().to_owned(),
+        scenario: scenario.text.clone(),
+        seed: scenario.seed,
+        source_file: String::new(),
+        sensors: scenario.suite.descriptions(),
+        script: arguments.script.then(|| scenario.script.clone()),
+        end: arguments.script.then(|| FlightTime::from_seconds(scenario.duration_s)),
+    })
+}
+
+fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Failure> {
+    let path = arguments.file.as_deref().ok_or("--vehicle replay needs a file")?;
+    let recording = recordings::open(path)?;
+    let info = recording.info().clone();
+    for note in &info.notes {
+        tracing::info!(file = %path.display(), note, "recording");
+    }
+    // Our own simulated flights bring their scenario: airframe, rig and suite are known.
+    let scenario = match &info.scenario {
+        Some(text) if !text.is_empty() => Some(Scenario::from_toml(text)?),
+        _ => None,
+    };
+    let mut flight = match &scenario {
+        Some(scenario) => FlightConfig::for_scenario(scenario),
+        None => {
+            let name = info.airframe.as_deref().unwrap_or(&config.airframe);
+            let airframe = Airframe::by_name(name).or_else(|_| Airframe::by_name(&config.airframe))?;
+            FlightConfig::new(airframe, RigKind::Free, &Suite::string_rig())
+        }
+    };
+    flight.attacks_enabled = true;
+    flight.sensors = info.sensors.iter().map(|sensor| sensor.id).collect();
+    let flown_s = info.span.1.seconds_since(info.span.0);
+    if scenario.is_none() && flown_s > 0.0 {
+        flight.tick_rate_hz = (info.ticks as f64 / flown_s).round().clamp(50.0, 1000.0);
+    }
+    let suite = scenario.as_ref().map(|scenario| scenario.suite.descriptions()).unwrap_or_default();
+    let sensors = info
+        .sensors
+        .iter()
+        .map(|sensor| {
+            let known = suite.iter().find(|described| described.id == sensor.id).cloned();
+            known.unwrap_or_else(|| Description {
+                id: sensor.id,
+                name: sensor.id.to_string(),
+                rate_hz: sensor.rate_hz,
+                sigma: 0.0,
+                unit: "",
+            })
+        })
+        .collect();
+    // Another schedule attacks the clean samples; otherwise the old attacks are seen again.
+    let samples = if arguments.attack_schedule.is_some() { Samples::Sensed } else { Samples::Received };
+    Ok(Chosen {
+        vehicle: Box::new(ReplayVehicle::new(recording, samples)),
+        flight,
+        kind: "replay",
+        rig: scenario.as_ref().map_or("recording", |scenario| scenario.rig.name()).to_owned(),
+        seed: scenario.as_ref().map_or(0, |scenario| scenario.seed),
+        scenario: info.scenario.unwrap_or_default(),
+        source_file: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+        sensors,
+        script: None,
+        end: None,
+    })
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()).into())
+}
+
+/// The first signal ends the flight in order, the second one at once.
+fn stop_on_signal(stop: Arc<AtomicBool>) -> Result<(), Failure> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            let (Ok(mut interrupt), Ok(mut terminate)) =
+                (signal(SignalKind::interrupt()), signal(SignalKind::terminate()))
+            else {
+                tracing::error!("signals cannot be heard; Ctrl-C will not end the flight in order");
+                return;
+            };
+            loop {
+                tokio::select! {
+                    _ = interrupt.recv() => {}
+                    _ = terminate.recv() => {}
+                }
+                if stop.swap(true, Ordering::AcqRel) {
+                    std::process::exit(130);
+                }
+                tracing::info!("stopping");
+            }
+        });
+    })?;
+    Ok(())
+}

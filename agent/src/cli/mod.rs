@@ -1,0 +1,85 @@
+//! The command line: flying is what happens without a subcommand; tools are subcommands, one file each.
+
+mod fly;
+mod identity;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand, ValueEnum};
+
+/// The onboard agent: sensors, estimation, control, attacks, log and link.
+#[derive(Debug, Parser)]
+#[command(version, args_conflicts_with_subcommands = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    tool: Option<Tool>,
+    #[command(flatten)]
+    fly: FlyArguments,
+}
+
+#[derive(Debug, Subcommand)]
+enum Tool {
+    /// Shows this agent's fingerprint; pairs it with a ground.
+    Identity(identity::IdentityArguments),
+}
+
+/// What can be flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum VehicleChoice {
+    /// The simulator.
+    Sim,
+    /// A recording: our own flight file, BROAD, Phantom 4, RotorPy or PX4 ULog.
+    Replay,
+    /// The quadrotor.
+    Hardware,
+}
+
+/// How to fly.
+#[derive(Debug, clap::Args)]
+struct FlyArguments {
+    /// Configuration file (TOML).
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// What to fly.
+    #[arg(long, value_enum, default_value = "sim")]
+    vehicle: VehicleChoice,
+    /// The recording to replay.
+    file: Option<PathBuf>,
+    /// Scenario of the simulator; altitude steps on the string rig when left out.
+    #[arg(long)]
+    scenario: Option<PathBuf>,
+    /// `host:port` of the ground; `none` flies without one.
+    #[arg(long)]
+    ground: Option<String>,
+    /// Name of this agent.
+    #[arg(long)]
+    id: Option<String>,
+    /// Folder of the link identity.
+    #[arg(long)]
+    identity: Option<PathBuf>,
+    /// Folder of the onboard log.
+    #[arg(long)]
+    log: Option<PathBuf>,
+    /// Times real time; 0 begins standing still (replay), `max` is as fast as possible.
+    #[arg(long, default_value = "1")]
+    speed: String,
+    /// Attacks to run: a TOML file of `[[attack]]` tables, onsets counted from the first heartbeat.
+    #[arg(long)]
+    attack_schedule: Option<PathBuf>,
+    /// Estimator in the loop.
+    #[arg(long)]
+    estimator: Option<String>,
+    /// Fly the scenario's own script and end with it.
+    #[arg(long)]
+    script: bool,
+}
+
+impl Arguments {
+    /// Does what is asked.
+    pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
+        match self.tool {
+            Some(Tool::Identity(arguments)) => arguments.run(),
+            None => fly::fly(&self.fly),
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! The flight thread: keeps the pace, passes commands between ticks, hands every tick on.
+//!
+//! ```text
+//! wait for the frame's time ─► commands ─► Flight::step ─► Vehicle::actuate ─► telemetry
+//! ```
+//! Time comes from [`SensorFrame::time`](crate::vehicle::SensorFrame) and nowhere else; the clock of
+//! the machine only decides when the next frame is asked for. Nothing in the loop waits for a lock
+//! that a slow thread could hold, for a disk or for the radio.
+
+pub mod pace;
+mod timing;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use plumbline_proto::time::FlightTime;
+use rtrb::Consumer;
+
+use crate::attack::Schedule;
+use crate::command::Command;
+use crate::event::{EventKind, Severity};
+use crate::flight::Flight;
+use crate::link::LinkState;
+use crate::link::clock::FlightClock;
+use crate::link::inbound::{Inbound, ReplayRate, Request};
+use crate::log::LogState;
+use crate::telemetry::{Around, Telemetry};
+use crate::vehicle::sim::script::Script;
+use crate::vehicle::{Vehicle, VehicleError};
+
+use pace::{Pace, Pacer};
+use timing::Timing;
+
+/// Most commands obeyed between two ticks.
+pub const COMMANDS_PER_TICK: usize = 16;
+/// How often commands are looked for while time stands still.
+const STANDSTILL: Duration = Duration::from_millis(5);
+/// How often a status is sent while time stands still.
+const STANDSTILL_STATUS: Duration = Duration::from_millis(100);
+/// Longest time given to stop the motors when the program ends.
+const DISARM_WAIT: Duration = Duration::from_secs(1);
+
+/// How the runner behaves.
+#[derive(Debug, Clone)]
+pub struct RunnerOptions {
+    /// How fast time runs.
+    pub pace: Pace,
+    /// The vehicle can be paused, stepped and sped up.
+    pub replay: bool,
+    /// Ends here, if anywhere.
+    pub end: Option<FlightTime>,
+    /// Commands given by themselves.
+    pub script: Option<Script>,
+    /// Run on the first tick on which somebody is there (a ground, or the program itself).
+    pub attacks: Option<Schedule>,
+    /// The program stands in for the ground: scripted flights, replays without a ground.
+    pub own_operator: bool,
+    /// Stay when the recording has ended, for somebody to look at.
+    pub stay: bool,
+    /// Ask for real-time priority.
+    pub real_time: bool,
+}
+
+/// Where the runner meets the link and the log.
+#[derive(Debug, Default)]
+pub struct RunnerPorts {
+    /// Commands.
+    pub inbound: Option<Consumer<Inbound>>,
+    /// State of the link.
+    pub link: Option<Arc<LinkState>>,
+    /// State of the log.
+    pub log: Option<Arc<LogState>>,
+    /// Flight time for others.
+    pub clock: Arc<FlightClock>,
+}
+
+/// How it went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summary {
+    /// Ticks flown.
+    pub ticks: u64,
+    /// Time of the last one.
+    pub time: FlightTime,
+    /// Messages made.
+    pub messages: u64,
+    /// Deadlines missed.
+    pub deadline_misses: u64,
+    /// Wall time it took, s.
+    pub wall_s: f64,
+}
+
+/// One flight thread.
+pub struct Runner {
+    vehicle: Box<dyn Vehicle>,
+    flight: Flight,
+    telemetry: Telemetry,
+    options: RunnerOptions,
+    ports: RunnerPorts,
+    pacer: Pacer,
+    timing: Timing,
+    heartbeats: u64,
+    log_changes: u64,
+    log_error: Option<String>,
+    scripted: Option<FlightTime>,
+    ended: bool,
+    ticks: u64,
+    deadline_misses: u64,
+}
+
+impl Runner {
+    /// Ready to fly.
+    pub fn new(
+        vehicle: Box<dyn Vehicle>,
+        flight: Flight,
+        telemetry: Telemetry,
+        options: RunnerOptions,
+        ports: RunnerPorts,
+    ) -> Self {
+        let tick_rate_hz = flight.config().tick_rate_hz;
+        Self {
+            pacer: Pacer::new(options.pace),
+            timing: Timing::new(tick_rate_hz),
+            vehicle,
+            flight,
+            telemetry,
+            options,
+            ports,
+            heartbeats: 0,
+            // Differs from every state, so that the first tick looks.
+            log_changes: u64::MAX,
+            log_error: None,
+            scripted: None,
+            ended: false,
+            ticks: 0,
+            deadline_misses: 0,
+        }
+    }
+
+    /// Flies until the end, the end of the recording, or `stop`; disarms and closes the flight.
+    ///
+    /// # Errors
+    /// [`VehicleError`] when the vehicle fails; the flight is closed all the same.
+    pub fn run(&mut self, stop: &AtomicBool) -> Result<Summary, VehicleError> {
+        if self.options.real_time {
+            pace::ask_for_real_time();
+        }
+        let begun = Instant::now();
+        let outcome = self.fly(stop);
+        let outcome = outcome.and_then(|()| self.disarm());
+        self.telemetry.shutdown(self.now());
+        self.ports.clock.stop();
+        outcome.map(|()| Summary {
+            ticks: self.ticks,
+            time: self.now(),
+            messages: self.telemetry.sequence(),
+            deadline_misses: self.deadline_misses,
+            wall_s: begun.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// The flight, to look at.
+    pub fn flight(&self) -> &Flight {
+        &self.flight
+    }
+
+    fn now(&self) -> FlightTime {
+        self.flight.report().sensed.time
+    }
+
+    fn fly(&mut self, stop: &AtomicBool) -> Result<(), VehicleError> {
+        while !stop.load(Ordering::Acquire) {
+            if self.ended || self.pacer.stands_still() {
+                self.stand_still(stop);
+                continue;
+            }
+            match self.tick() {
+                Ok(()) => {}
+                Err(VehicleError::Finished(time)) => {
+                    self.telemetry.event(
+                        self.now(),
+                        Severity::Info,
+                        EventKind::Recording,
+                        format_args!("the recording ends at {time}"),
+                    );
+                    if !self.options.stay {
+                        return Ok(());
+                    }
+                    self.ended = true;
+                }
+                Err(error) => return Err(error),
+            }
+            if self.options.end.is_some_and(|end| self.now() >= end) {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    fn tick(&mut self) -> Result<(), VehicleError> {
+        let frame = self.vehicle.sense()?;
+        let due = self.pacer.wait_for(frame.time, &self.ports.clock);
+        let started = Instant::now();
+        self.ports.clock.tick(frame.time);
+        self.commands(frame.time);
+        self.heartbeat(frame.time);
+        self.script(frame.time);
+        self.log_health();
+
+        let command = self.flight.step(&frame).command;
+        let applied = self.vehicle.actuate(&command)?;
+        self.flight.applied(applied);
+        let truth = self.vehicle.truth();
+        let around = around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state());
+        self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
+
+        self.ticks += 1;
+        if self.timing.tick(due, started, Instant::now()) && self.pacer.is_real_time() {
+            self.deadline_misses += 1;
+            self.flight.deadline_missed(frame.time);
+        }
+        Ok(())
+    }
+
+    /// Commands, but no time.
+    fn stand_still(&mut self, stop: &AtomicBool) {
+        let mut told = Instant::now();
+        while !stop.load(Ordering::Acquire) && (self.ended || self.pacer.stands_still()) {
+            self.commands(self.now());
+            self.log_health();
+            if told.elapsed() >= STANDSTILL_STATUS {
+                told = Instant::now();
+                let around = around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state());
+                self.telemetry.status_now(&self.flight, &around);
+            }
+            std::thread::sleep(STANDSTILL);
+        }
+    }
+
+    fn commands(&mut self, now: FlightTime) {
+        for _ in 0..COMMANDS_PER_TICK {
+            let Some(inbound) = self.ports.inbound.as_mut().and_then(|queue| queue.pop().ok()) else { return };
+            match inbound.request {
+                Request::Flight(command) => {
+                    let ack = self.flight.apply(&command, now);
+                    self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
+                }
+                Request::Recording(on) => {
+                    let armed = self.flight.report().armed;
+                    let (accepted, reason) = self.telemetry.record(now, on, armed);
+                    self.telemetry.ack(now, inbound.id, accepted, reason);
+                }
+                Request::Replay(rate) => {
+                    let (accepted, reason) = self.replay(rate);
+                    self.telemetry.ack(now, inbound.id, accepted, reason);
+                }
+                Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
+            }
+        }
+    }
+
+    fn replay(&mut self, rate: ReplayRate) -> (bool, &'static str) {
+        if !self.options.replay {
+            return (false, "only a recording can be paused, stepped or sped up");
+        }
+        if self.ended {
+            return (false, "the recording has ended");
+        }
+        self.pacer.set(if rate.speed > 0.0 { Pace::Times(rate.speed) } else { Pace::Stepped });
+        self.pacer.allow(rate.step);
+        (true, if rate.speed > 0.0 { "playing" } else { "standing" })
+    }
+
+    fn replay_state(&self) -> (f64, f64) {
+        if self.options.replay {
+            let speed = if self.ended { 0.0 } else { self.pacer.speed() };
+            (speed, self.vehicle.progress().unwrap_or(0.0))
+        } else {
+            (0.0, 0.0)
+        }
+    }
+
+    fn script(&mut self, now: FlightTime) {
+        let Some(script) = &self.options.script else { return };
+        let flight = &mut self.flight;
+        let telemetry = &mut self.telemetry;
+        script.commands(self.scripted, now, |command| {
+            let ack = flight.apply(command, now);
+            // A trajectory gives a setpoint every tick; only refusals are worth a line.
+            if !ack.accepted {
+                telemetry.event(now, Severity::Warning, EventKind::Warning, format_args!("script: {}", ack.reason));
+            }
+        });
+        self.scripted = Some(now);
+    }
+
+    fn heartbeat(&mut self, now: FlightTime) {
+        let heartbeats = self.ports.link.as_ref().map_or(0, |link| link.heartbeats.load(Ordering::Acquire));
+        if heartbeats == self.heartbeats && !self.options.own_operator {
+            return;
+        }
+        self.heartbeats = heartbeats;
+        self.flight.heartbeat(now);
+        // Attacks end on link loss, so they begin with the link.
+        if let Some(schedule) = self.options.attacks.take() {
+            let ack = self.flight.apply(&Command::Attack(schedule), now);
+            let severity = if ack.accepted { Severity::Info } else { Severity::Warning };
+            self.telemetry.event(now, severity, EventKind::Attack, format_args!("attack schedule: {}", ack.reason));
+        }
+    }
+
+    fn log_health(&mut self) {
+        if let Some(log) = &self.ports.log
+            && log.changes() != self.log_changes
+        {
+            self.log_changes = log.changes();
+            self.log_error = log.error();
+            self.flight.log_health(self.log_error.as_deref());
+        }
+    }
+
+    /// Stops the motors of a vehicle that is still armed, whatever it takes.
+    fn disarm(&mut self) -> Result<(), VehicleError> {
+        if !self.flight.report().armed {
+            return Ok(());
+        }
+        let now = self.now();
+        if !self.flight.apply(&Command::Disarm, now).accepted {
+            // In the air. The program ends: there is nobody left to fly it.
+            self.flight.apply(&Command::CutMotors, now);
+        }
+        let begun = Instant::now();
+        while self.flight.report().armed && begun.elapsed() < DISARM_WAIT {
+            match self.tick() {
+                Ok(()) => {}
+                Err(VehicleError::Finished(_)) => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+fn around<'a>(
+    timing: &Timing,
+    ports: &RunnerPorts,
+    log_error: Option<&'a str>,
+    (replay_speed, replay_progress): (f64, f64),
+) -> Around<'a> {
+    let link = ports.link.as_deref();
+    Around {
+        ticks: timing.stats(),
+        radio_dropped: link.map_or(0, |link| link.dropped.load(Ordering::Relaxed)),
+        log_error,
+        connections: link.map_or(0, |link| link.connections.load(Ordering::Acquire)),
+        replay_speed,
+        replay_progress,
+    }
+}

@@ -1,0 +1,176 @@
+//! When the next tick is due on the machine's clock.
+
+use std::time::{Duration, Instant};
+
+use plumbline_proto::time::FlightTime;
+
+use crate::link::clock::FlightClock;
+
+/// How fast flight time runs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    /// Times real time; 1 for a vehicle that is really there.
+    Times(f64),
+    /// As fast as possible.
+    Free,
+    /// Only so many ticks as were allowed.
+    Stepped,
+}
+
+/// A tick later than this begins a new count: catching up would fly in fast motion.
+const GIVE_UP: Duration = Duration::from_millis(200);
+
+/// Waits for ticks.
+#[derive(Debug)]
+pub struct Pacer {
+    pace: Pace,
+    anchor: Option<(Instant, FlightTime)>,
+    allowed: u32,
+}
+
+impl Pacer {
+    /// At this pace.
+    pub fn new(pace: Pace) -> Self {
+        Self { pace, anchor: None, allowed: 0 }
+    }
+
+    /// Changes the pace.
+    pub fn set(&mut self, pace: Pace) {
+        self.pace = pace;
+        self.anchor = None;
+    }
+
+    /// Lets `ticks` more pass while stepped.
+    pub fn allow(&mut self, ticks: u32) {
+        self.allowed = self.allowed.saturating_add(ticks);
+    }
+
+    /// Stepped, with nothing allowed?
+    pub fn stands_still(&self) -> bool {
+        self.pace == Pace::Stepped && self.allowed == 0
+    }
+
+    /// Do deadlines mean anything?
+    pub fn is_real_time(&self) -> bool {
+        self.pace == Pace::Times(1.0)
+    }
+
+    /// Times real time; 0 stepped, infinite as fast as possible.
+    pub fn speed(&self) -> f64 {
+        match self.pace {
+            Pace::Times(speed) => speed,
+            Pace::Free => f64::INFINITY,
+            Pace::Stepped => 0.0,
+        }
+    }
+
+    /// Waits until the tick of `time` is due; answers when that was. `None`: it was not waited for.
+    pub fn wait_for(&mut self, time: FlightTime, clock: &FlightClock) -> Option<Instant> {
+        let speed = match self.pace {
+            Pace::Times(speed) => speed,
+            Pace::Free => {
+                clock.stop();
+                return None;
+            }
+            Pace::Stepped => {
+                self.allowed = self.allowed.saturating_sub(1);
+                clock.stop();
+                return None;
+            }
+        };
+        let now = Instant::now();
+        let due = self.anchor.and_then(|(at, from)| {
+            let ahead = time.seconds_since(from) / speed;
+            let due = at.checked_add(Duration::try_from_secs_f64(ahead).ok()?)?;
+            (now.saturating_duration_since(due) < GIVE_UP).then_some(due)
+        });
+        let Some(due) = due else {
+            self.anchor = Some((now, time));
+            clock.run(now, time, speed);
+            return Some(now);
+        };
+        sleep_until(due);
+        Some(due)
+    }
+}
+
+/// Sleeps until `due` by the kernel's own timer: absolute, so that being interrupted adds nothing.
+pub fn sleep_until(due: Instant) {
+    loop {
+        let left = due.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return;
+        }
+        let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        // SAFETY: `now` is a valid place for the answer.
+        if unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) } != 0 {
+            std::thread::sleep(left);
+            continue;
+        }
+        let nanos = now.tv_nsec as u64 + u64::from(left.subsec_nanos());
+        let until = libc::timespec {
+            tv_sec: now.tv_sec + left.as_secs() as libc::time_t + (nanos / 1_000_000_000) as libc::time_t,
+            tv_nsec: (nanos % 1_000_000_000) as _,
+        };
+        // SAFETY: `until` is a valid time; nobody wants to know what is left of it.
+        unsafe {
+            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &raw const until, std::ptr::null_mut())
+        };
+    }
+}
+
+/// Asks for real-time priority and memory that stays; a refusal is reported and lived with.
+pub fn ask_for_real_time() {
+    let parameters = libc::sched_param { sched_priority: 50 };
+    // SAFETY: plain system calls; 0 is the calling thread.
+    let refused = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) } != 0;
+    if refused {
+        let error = std::io::Error::last_os_error();
+        tracing::warn!(%error, "no real-time priority for the flight thread; ticks may be late under load");
+        return;
+    }
+    // SAFETY: a plain system call.
+    if unsafe { libc::mlockall(libc::MCL_CURRENT) } != 0 {
+        tracing::warn!(error = %std::io::Error::last_os_error(), "memory is not locked; ticks may wait for a page");
+    }
+    tracing::info!("the flight thread has real-time priority");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_due_at_their_own_times() {
+        let clock = FlightClock::default();
+        let mut pacer = Pacer::new(Pace::Times(2.0));
+        let first = pacer.wait_for(FlightTime(1_000_000), &clock).unwrap();
+        let second = pacer.wait_for(FlightTime(1_040_000), &clock).unwrap();
+        assert_eq!(second - first, Duration::from_millis(20), "40 ms at twice real time");
+        assert!(Instant::now() >= second);
+        assert!(clock.now() >= FlightTime(1_040_000));
+    }
+
+    #[test]
+    fn a_long_delay_begins_a_new_count() {
+        let clock = FlightClock::default();
+        let mut pacer = Pacer::new(Pace::Times(1.0));
+        pacer.wait_for(FlightTime(0), &clock);
+        std::thread::sleep(GIVE_UP + Duration::from_millis(20));
+        let late = pacer.wait_for(FlightTime(5_000), &clock).unwrap();
+        let next = pacer.wait_for(FlightTime(10_000), &clock).unwrap();
+        assert_eq!(next - late, Duration::from_millis(5));
+    }
+
+    #[test]
+    fn stepping_passes_as_many_ticks_as_allowed() {
+        let clock = FlightClock::default();
+        let mut pacer = Pacer::new(Pace::Stepped);
+        assert!(pacer.stands_still());
+        pacer.allow(2);
+        assert_eq!(pacer.wait_for(FlightTime(0), &clock), None);
+        assert!(!pacer.stands_still());
+        pacer.wait_for(FlightTime(5_000), &clock);
+        assert!(pacer.stands_still());
+    }
+}

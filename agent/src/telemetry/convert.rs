@@ -1,0 +1,354 @@
+//! Our types into messages of the wire. Nothing here allocates but [`gains`].
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1;
+
+use crate::attack::{Attack, Channel, Injector, Kind, Phase, Progress};
+use crate::control::Setpoint;
+use crate::control::step_response::StepResponse;
+use crate::estimate::{Estimate, EstimatorKind, Residual};
+use crate::event::Event;
+use crate::flight::{FlightConfig, FlightStatus, GainsInUse, StepReport};
+use crate::frames::roll_pitch_yaw;
+use crate::vehicle::suite::Description as SensorDescription;
+use crate::vehicle::{
+    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, Truth,
+};
+
+/// Puts `text` into a string that keeps its memory.
+pub(super) fn set(into: &mut String, text: &str) {
+    into.clear();
+    into.push_str(text);
+}
+
+fn vector(v: &Vector3<f64>) -> Option<v1::Vector3> {
+    Some(v1::Vector3 { x: v.x, y: v.y, z: v.z })
+}
+
+fn quaternion(q: &UnitQuaternion<f64>) -> Option<v1::Quaternion> {
+    Some(v1::Quaternion { w: q.w, x: q.i, y: q.j, z: q.k })
+}
+
+/// How what was received relates to what was sensed; the received sample only where it differs.
+fn reception<S: PartialEq, R>(sensed: &S, received: Option<&S>, reading: impl Fn(&S) -> R) -> (i32, Option<R>) {
+    match received {
+        None => (v1::Reception::Dropped as i32, None),
+        Some(received) if received == sensed => (v1::Reception::AsSensed as i32, None),
+        Some(received) => (v1::Reception::Altered as i32, Some(reading(received))),
+    }
+}
+
+pub(super) fn imu(sensed: &ImuSample, received: Option<&ImuSample>) -> v1::ImuSample {
+    let reading = |s: &ImuSample| v1::ImuReading {
+        gyro_radps: vector(&s.gyro_radps),
+        accel_mps2: vector(&s.accel_mps2),
+        mag_ut: s.mag_ut.as_ref().and_then(vector),
+        temperature_c: s.temperature_c,
+    };
+    let (how, received) = reception(sensed, received, reading);
+    v1::ImuSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
+}
+
+pub(super) fn height(sensed: &HeightSample, received: Option<&HeightSample>) -> v1::HeightSample {
+    let (how, received_m) = reception(sensed, received, |s| s.height_m);
+    v1::HeightSample { time_us: sensed.time.0, reception: how, sensed_m: sensed.height_m, received_m }
+}
+
+pub(super) fn barometer(sensed: &BarometerSample, received: Option<&BarometerSample>) -> v1::BarometerSample {
+    let reading =
+        |s: &BarometerSample| v1::BarometerReading { pressure_pa: s.pressure_pa, temperature_c: s.temperature_c };
+    let (how, received) = reception(sensed, received, reading);
+    v1::BarometerSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
+}
+
+pub(super) fn gnss(sensed: &GnssSample, received: Option<&GnssSample>) -> v1::GnssSample {
+    let reading = |s: &GnssSample| {
+        let [latitude_deg, longitude_deg, altitude_m] = s.geodetic;
+        v1::GnssReading {
+            position_enu_m: vector(&s.position_enu_m),
+            velocity_enu_mps: vector(&s.velocity_enu_mps),
+            latitude_deg,
+            longitude_deg,
+            altitude_m,
+            horizontal_sigma_m: s.horizontal_sigma_m,
+            vertical_sigma_m: s.vertical_sigma_m,
+            satellites: s.satellites,
+        }
+    };
+    let (how, received) = reception(sensed, received, reading);
+    v1::GnssSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
+}
+
+pub(super) fn mocap_pose(sensed: &MocapPoseSample, received: Option<&MocapPoseSample>) -> v1::MocapPoseSample {
+    let reading = |s: &MocapPoseSample| v1::MocapPoseReading {
+        position_enu_m: vector(&s.position_enu_m),
+        world_from_body: quaternion(&s.world_from_body),
+    };
+    let (how, received) = reception(sensed, received, reading);
+    v1::MocapPoseSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
+}
+
+pub(super) fn camera_ranges(
+    into: &mut v1::CameraRangesSample,
+    sensed: &CameraRangesSample,
+    received: Option<&CameraRangesSample>,
+) {
+    let put = |reading: &mut v1::CameraRangesReading, s: &CameraRangesSample| {
+        reading.range_m.clear();
+        reading.range_m.extend_from_slice(&s.range_m);
+    };
+    into.time_us = sensed.time.0;
+    put(into.sensed.get_or_insert_default(), sensed);
+    match received {
+        Some(received) if received != sensed => {
+            into.set_reception(v1::Reception::Altered);
+            put(into.received.get_or_insert_default(), received);
+        }
+        other => {
+            let how = if other.is_some() { v1::Reception::AsSensed } else { v1::Reception::Dropped };
+            into.set_reception(how);
+            into.received = None;
+        }
+    }
+}
+
+pub(super) fn estimate(now: FlightTime, kind: EstimatorKind, estimate: &Estimate, in_loop: bool) -> v1::Estimate {
+    v1::Estimate {
+        time_us: now.0,
+        estimator: kind as i32,
+        in_loop,
+        health: estimate.health as i32,
+        position_enu_m: vector(&estimate.position_enu_m),
+        velocity_enu_mps: vector(&estimate.velocity_enu_mps),
+        world_from_body: quaternion(&estimate.world_from_body),
+        roll_pitch_yaw_rad: vector(&roll_pitch_yaw(&estimate.world_from_body)),
+        body_rates_radps: vector(&estimate.body_rates_radps),
+        accel_bias_mps2: vector(&estimate.accel_bias_mps2),
+        gyro_bias_radps: vector(&estimate.gyro_bias_radps),
+        position_sigma_m: vector(&estimate.position_sigma_m),
+        velocity_sigma_mps: vector(&estimate.velocity_sigma_mps),
+        attitude_sigma_rad: vector(&estimate.attitude_sigma_rad),
+        // The flight code has no clock; the whole tick's time is in the status.
+        step_time_us: 0.0,
+    }
+}
+
+pub(super) fn residual(residual: &Residual) -> v1::Residual {
+    v1::Residual {
+        sensor: residual.sensor.kind as i32,
+        instance: u32::from(residual.sensor.instance),
+        channel: residual.channel as i32,
+        innovation: residual.innovation,
+        sigma: residual.sigma,
+        gate: residual.gate,
+        ratio: residual.ratio(),
+        accepted: residual.accepted,
+    }
+}
+
+pub(super) fn truth(into: &mut v1::Truth, truth: &Truth) {
+    into.time_us = truth.time.0;
+    into.position_enu_m = vector(&truth.position_enu_m);
+    into.velocity_enu_mps = vector(&truth.velocity_enu_mps);
+    into.world_from_body = quaternion(&truth.world_from_body);
+    into.roll_pitch_yaw_rad = vector(&roll_pitch_yaw(&truth.world_from_body));
+    into.body_rates_radps = vector(&truth.body_rates_radps);
+    into.specific_force_mps2 = vector(&truth.specific_force_mps2);
+    values(&mut into.rotor_speed_radps, &truth.rotor_speed_radps);
+    values(&mut into.string_tension_n, &truth.string_tension_n);
+    into.ground_force_n = truth.ground_force_n;
+}
+
+fn values(into: &mut Vec<f64>, from: &[f64]) {
+    into.clear();
+    into.extend_from_slice(from);
+}
+
+pub(super) fn control(into: &mut v1::Control, report: &StepReport) {
+    into.time_us = report.sensed.time.0;
+    into.mode = report.mode as i32;
+    into.armed = report.armed;
+    into.setpoint = Some(setpoint(&report.setpoint));
+    into.thrust_n = report.wrench.thrust_n;
+    into.torque_flu_nm = vector(&report.wrench.torque_flu_nm);
+    values(&mut into.motor_command, &report.command.throttle);
+    values(&mut into.motor_applied, &report.applied.throttle);
+    into.saturated = report.saturated;
+    values(&mut into.integrator, &report.integrator);
+}
+
+fn setpoint(setpoint: &Setpoint) -> v1::Setpoint {
+    let (position, angles) = (setpoint.position_enu_m, setpoint.roll_pitch_yaw_rad);
+    v1::Setpoint {
+        altitude_m: Some(position.z),
+        x_m: Some(position.x),
+        y_m: Some(position.y),
+        roll_rad: Some(angles.x),
+        pitch_rad: Some(angles.y),
+        yaw_rad: Some(angles.z),
+        throttle: Some(setpoint.throttle),
+    }
+}
+
+pub(super) fn step_response(now: FlightTime, response: &StepResponse) -> v1::StepResponse {
+    v1::StepResponse {
+        time_us: now.0,
+        step: response.step,
+        start_time_us: response.start.0,
+        from_m: response.from_m,
+        to_m: response.to_m,
+        rise_time_s: response.rise_time_s,
+        overshoot_percent: response.overshoot_percent,
+        settling_time_s: response.settling_time_s,
+        band_m: response.band_m,
+        steady_error_m: response.steady_error_m,
+        finished: response.finished,
+        tracking_rms_m: response.tracking_rms_m,
+    }
+}
+
+pub(super) fn event(into: &mut v1::Event, event: &Event) {
+    into.time_us = event.time.0;
+    into.set_severity(event.severity);
+    set(&mut into.kind, event.kind.as_str());
+    set(&mut into.text, &event.text);
+}
+
+/// Fills what the flight knows; the rest is the runner's.
+pub(super) fn flight_status(into: &mut v1::Status, status: &FlightStatus) {
+    into.mode = status.mode as i32;
+    into.armed = status.armed;
+    into.cut_latched = status.cut_latched;
+    into.failsafe = status.failsafe as i32;
+    set(&mut into.failsafe_reason, &status.failsafe_reason);
+    into.checks.resize_with(status.checks.len(), v1::Check::default);
+    for (into, check) in into.checks.iter_mut().zip(&status.checks) {
+        set(&mut into.name, check.name);
+        into.passed = check.passed;
+        set(&mut into.reason, &check.reason);
+    }
+    into.ready_to_arm = status.ready_to_arm;
+    into.battery_v = status.battery_v.unwrap_or(0.0);
+    into.battery_fraction = status.battery_fraction.unwrap_or(0.0);
+    into.estimator_in_loop = status.estimator_in_loop as i32;
+    into.deadline_misses = status.deadline_misses;
+    into.gains_revision = status.gains_revision.0;
+}
+
+pub(super) fn gains(now: FlightTime, gains: &GainsInUse) -> v1::GainsInUse {
+    use std::fmt::Write;
+    let sha256 = gains.sha256.iter().fold(String::with_capacity(64), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    });
+    v1::GainsInUse {
+        time_us: now.0,
+        revision: gains.revision.0,
+        sha256,
+        controller: gains.controller.to_owned(),
+        weights: Some(v1::LqrWeights {
+            state_weight: gains.weights.state.to_vec(),
+            input_weight: gains.weights.input.to_vec(),
+        }),
+        k: Some(v1::Matrix {
+            rows: gains.k.nrows() as u32,
+            columns: gains.k.ncols() as u32,
+            // The wire is row-major, nalgebra column-major.
+            values: gains.k.transpose().as_slice().to_vec(),
+        }),
+        slowest_pole_per_s: gains.slowest_pole_per_s,
+    }
+}
+
+pub(super) fn attacks(into: &mut v1::AttackState, now: FlightTime, injector: &Injector) {
+    into.time_us = now.0;
+    into.enabled = injector.enabled();
+    into.schedule_id = injector.schedule_id();
+    into.attacks.clear();
+    into.attacks.extend(injector.state().iter().map(progress));
+}
+
+fn progress(progress: &Progress) -> v1::AttackProgress {
+    let phase = match progress.phase {
+        Phase::Accepted => v1::AttackPhase::Accepted,
+        Phase::Active => v1::AttackPhase::Active,
+        Phase::Done => v1::AttackPhase::Done,
+        Phase::Aborted => v1::AttackPhase::Aborted,
+    };
+    v1::AttackProgress {
+        attack: Some(attack(&progress.attack)),
+        phase: phase as i32,
+        accepted_time_us: progress.accepted.0,
+        active_time_us: progress.active.map(|time| time.0),
+        ended_time_us: progress.ended.map(|time| time.0),
+        altered_samples: progress.altered_samples,
+    }
+}
+
+fn attack(attack: &Attack) -> v1::Attack {
+    use v1::AttackChannel as Wire;
+    let channel = match attack.channel {
+        Channel::All => Wire::All,
+        Channel::Gyro => Wire::Gyro,
+        Channel::Accel => Wire::Accel,
+        Channel::Mag => Wire::Mag,
+        Channel::Axis(0) => Wire::X,
+        Channel::Axis(1) => Wire::Y,
+        Channel::Axis(_) => Wire::Z,
+        Channel::GyroAxis(0) => Wire::GyroX,
+        Channel::GyroAxis(1) => Wire::GyroY,
+        Channel::GyroAxis(_) => Wire::GyroZ,
+        Channel::AccelAxis(0) => Wire::AccelX,
+        Channel::AccelAxis(1) => Wire::AccelY,
+        Channel::AccelAxis(_) => Wire::AccelZ,
+    };
+    let kind = match attack.kind {
+        Kind::Zero => v1::AttackKind::Zero,
+        Kind::Bias => v1::AttackKind::Bias,
+        Kind::Ramp => v1::AttackKind::Ramp,
+        Kind::Scale => v1::AttackKind::Scale,
+        Kind::Noise => v1::AttackKind::Noise,
+        Kind::Freeze => v1::AttackKind::Freeze,
+        Kind::Replay => v1::AttackKind::Replay,
+        Kind::Delay => v1::AttackKind::Delay,
+        Kind::Dropout => v1::AttackKind::Dropout,
+        Kind::SignFlip => v1::AttackKind::SignFlip,
+    };
+    v1::Attack {
+        id: attack.id,
+        sensor: attack.sensor.kind as i32,
+        instance: u32::from(attack.sensor.instance),
+        channel: channel as i32,
+        kind: kind as i32,
+        start_s: attack.start_s,
+        duration_s: attack.duration_s,
+        magnitude: attack.magnitude,
+        seed: attack.seed,
+    }
+}
+
+pub(super) fn sensor_description(sensor: &SensorDescription) -> v1::SensorDescription {
+    v1::SensorDescription {
+        kind: sensor.id.kind as i32,
+        instance: u32::from(sensor.id.instance),
+        name: sensor.name.clone(),
+        rate_hz: sensor.rate_hz,
+        sigma: sensor.sigma,
+        unit: sensor.unit.to_owned(),
+    }
+}
+
+pub(super) fn limits(config: &FlightConfig) -> v1::Limits {
+    let limits = &config.limits;
+    v1::Limits {
+        altitude_min_m: limits.altitude_min_m,
+        altitude_max_m: config.altitude_max_m(),
+        lateral_max_m: limits.lateral_max_m,
+        climb_max_mps: limits.climb_max_mps,
+        descent_max_mps: limits.descent_max_mps,
+        tilt_max_rad: limits.tilt_max_rad,
+        thrust_max_n: config.airframe.max_thrust_n().min(config.rig.thrust_ceiling_n(config.airframe.weight_n())),
+        attack_max_duration_s: config.attack_bounds.duration_max_s,
+    }
+}
