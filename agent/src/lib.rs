@@ -24,6 +24,7 @@ pub mod link;
 pub mod log;
 pub mod mix;
 pub mod model;
+pub mod offline;
 pub mod recordings;
 pub mod runner;
 pub mod telemetry;

@@ -95,10 +95,10 @@ pub fn measurements(row: &LogRow) -> ArrayVec<ScalarRow, 7> {
             gate: f64::INFINITY,
         });
     }
-    for i in 0..3 {
+    for (i, channel) in ANGLES.into_iter().enumerate() {
         rows.push(ScalarRow {
             sensor: SensorId::new(SensorKind::Imu, 1),
-            channel: ANGLES[i],
+            channel,
             what: What::Angle(ix::ROLL + i),
             value: row.angle_rad[i],
             sigma: ANGLE_SIGMA_RAD,

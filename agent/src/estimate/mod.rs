@@ -3,12 +3,16 @@
 //! Several run side by side in a bank (`bank.rs`); one of them is in the loop. None of them
 //! can tell whether an attack is on, nor see the truth.
 
+pub mod attitude;
 pub mod bank;
 pub mod ekf_bias;
 pub mod ekf_hybrid;
 pub mod imu_vote;
 pub mod kalman;
+pub mod low_pass;
+pub mod lqe;
 pub mod mocap_recipe;
+pub mod point_mass;
 pub mod primary;
 pub mod scalar_row;
 pub mod ukf;

@@ -6,6 +6,7 @@
 
 mod broad;
 mod flight_file;
+pub mod mocap_log;
 mod phantom4;
 mod rotorpy;
 mod tables;

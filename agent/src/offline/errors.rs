@@ -1,0 +1,153 @@
+//! Errors against truth, where a recording carries it: root mean squares, as one JSON line.
+
+use std::path::Path;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use crate::estimate::{Estimate, Health};
+use crate::frames::{from_roll_pitch_yaw, wrap_pi};
+use crate::model::euler_body::{X, ix};
+use crate::vehicle::Truth;
+
+/// Sum of squares and how many.
+#[derive(Debug, Clone, Copy, Default)]
+struct Rms {
+    sum: f64,
+    count: u64,
+}
+
+impl Rms {
+    fn add(&mut self, error: f64) {
+        if error.is_finite() {
+            self.sum += error * error;
+            self.count += 1;
+        }
+    }
+
+    fn value(&self) -> Option<f64> {
+        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+    }
+}
+
+/// Errors of a run. Attitude errors as in BROAD: total angle, rotation about the vertical (heading), and
+/// what is left (inclination).
+#[derive(Debug, Clone)]
+pub struct Score {
+    estimator: String,
+    input: String,
+    ticks: u64,
+    initialised_s: Option<f64>,
+    position: Rms,
+    axes: [Rms; 3],
+    velocity: Rms,
+    total: Rms,
+    heading: Rms,
+    inclination: Rms,
+    accel_bias_mps2: Vector3<f64>,
+    gyro_bias_radps: Vector3<f64>,
+    finite: bool,
+    /// Does the estimator say where the vehicle is?
+    knows_position: bool,
+}
+
+impl Score {
+    pub(super) fn new(estimator: &str, input: &Path) -> Self {
+        Self {
+            estimator: estimator.to_owned(),
+            input: input.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
+            ticks: 0,
+            initialised_s: None,
+            position: Rms::default(),
+            axes: [Rms::default(); 3],
+            velocity: Rms::default(),
+            total: Rms::default(),
+            heading: Rms::default(),
+            inclination: Rms::default(),
+            accel_bias_mps2: Vector3::zeros(),
+            gyro_bias_radps: Vector3::zeros(),
+            finite: true,
+            knows_position: estimator != "attitude",
+        }
+    }
+
+    pub(super) fn add(&mut self, e: &Estimate, truth: Option<&Truth>) {
+        self.ticks += 1;
+        self.finite &= e.position_enu_m.iter().chain(e.world_from_body.coords.iter()).all(|x| x.is_finite());
+        self.accel_bias_mps2 = e.accel_bias_mps2;
+        self.gyro_bias_radps = e.gyro_bias_radps;
+        if e.health == Health::Initialising {
+            return;
+        }
+        self.initialised_s.get_or_insert(e.time.as_seconds());
+        let Some(truth) = truth else { return };
+        if self.knows_position {
+            self.add_position(&(e.position_enu_m - truth.position_enu_m));
+            self.velocity.add((e.velocity_enu_mps - truth.velocity_enu_mps).norm());
+        }
+        self.add_attitude(&e.world_from_body, &truth.world_from_body);
+    }
+
+    pub(super) fn add_twelve_states(&mut self, x: &X, truth: &X) {
+        self.ticks += 1;
+        self.finite &= x.iter().all(|v| v.is_finite());
+        let part = |x: &X, i: usize| Vector3::new(x[i], x[i + 1], x[i + 2]);
+        self.add_position(&(part(x, ix::X) - part(truth, ix::X)));
+        self.velocity.add((part(x, ix::VX) - part(truth, ix::VX)).norm());
+        let attitude = |x: &X| from_roll_pitch_yaw(&part(x, ix::ROLL));
+        self.add_attitude(&attitude(x), &attitude(truth));
+    }
+
+    fn add_position(&mut self, error: &Vector3<f64>) {
+        self.position.add(error.norm());
+        for (rms, e) in self.axes.iter_mut().zip(error.iter()) {
+            rms.add(*e);
+        }
+    }
+
+    fn add_attitude(&mut self, estimate: &UnitQuaternion<f64>, truth: &UnitQuaternion<f64>) {
+        let e = truth * estimate.inverse();
+        self.total.add(2.0 * e.imag().norm().atan2(e.w.abs()).to_degrees());
+        self.heading.add(wrap_pi(2.0 * e.k.atan2(e.w)).to_degrees());
+        self.inclination.add(2.0 * e.i.hypot(e.j).atan2(e.w.hypot(e.k)).to_degrees());
+    }
+
+    /// Total, heading and inclination errors, root mean square, degrees, where attitude has a truth.
+    pub fn attitude_deg(&self) -> Option<[f64; 3]> {
+        Some([self.total.value()?, self.heading.value()?, self.inclination.value()?])
+    }
+
+    /// Position error, root mean square, m.
+    pub fn position_m(&self) -> Option<f64> {
+        self.position.value()
+    }
+
+    /// Velocity error, root mean square, m/s.
+    pub fn velocity_mps(&self) -> Option<f64> {
+        self.velocity.value()
+    }
+
+    /// Accelerometer bias at the end, m/s².
+    pub fn accel_bias_mps2(&self) -> Vector3<f64> {
+        self.accel_bias_mps2
+    }
+
+    /// The score as one JSON line. Errors without truth are null.
+    pub fn to_json(&self) -> String {
+        serde_json::json!({
+            "estimate": self.input,
+            "estimator": self.estimator,
+            "ticks": self.ticks,
+            "finite": self.finite,
+            "initialised_s": self.initialised_s,
+            "position_rmse_m": self.position.value(),
+            "position_rmse_xyz_m": self.axes.map(|a| a.value()),
+            "velocity_rmse_mps": self.velocity.value(),
+            "total_rmse_deg": self.total.value(),
+            "heading_rmse_deg": self.heading.value(),
+            "inclination_rmse_deg": self.inclination.value(),
+            "accel_bias_mps2": self.accel_bias_mps2.as_slice(),
+            "gyro_bias_radps": self.gyro_bias_radps.as_slice(),
+        })
+        .to_string()
+    }
+}
