@@ -1,5 +1,94 @@
 //! The ground server: records flights, passes commands, serves the page.
+//!
+//! ```text
+//! agent_link ─► ingest ─┬─► hub ─► viewers (WebSocket)
+//!                       └─► recorder ─► flight files (MCAP), index (SQLite)
+//! api ─► commands ─► agent_link            (acknowledgements come back through ingest)
+//! ```
+//! Start reading at [`hub`]: it is the only fan-out. [`run`] puts the parts together.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod agent_link;
+mod api;
+pub mod attack_plan;
+pub mod commands;
+pub mod config;
+mod error;
+pub mod gains_book;
+pub mod hub;
+mod ingest;
+pub mod lease;
+pub mod names;
+pub mod recorder;
+mod sync;
+
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::serve::ListenerExt;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+
+pub use config::GroundConfig;
+pub use error::GroundError;
+
+use agent_link::LinkEvent;
+
+/// How long requests in progress may take to end at shutdown.
+const SHUTDOWN_GRACE: Duration = Duration::from_secs(5);
+
+/// Serves until `shutdown` completes, then finishes every open recording.
+///
+/// `link` is where the agents' events come from: [`agent_link`], or a test.
+///
+/// # Errors
+/// [`GroundError`] when the data folder cannot be used at all, or the listener fails.
+pub async fn run(
+    config: GroundConfig,
+    listener: TcpListener,
+    link: mpsc::Receiver<LinkEvent>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), GroundError> {
+    let address = listener.local_addr().map_err(GroundError::Listener)?;
+    let recorder = recorder::start(&config)?;
+    let hub = Arc::new(hub::Hub::default());
+    let commands = Arc::new(commands::Commands::default());
+    let leases = Arc::new(lease::Leases::default());
+    let gains = Arc::new(gains_book::GainsBook::open(&config.data_folder));
+    let (stop, stopped) = watch::channel(false);
+
+    let ingest = tokio::spawn(ingest::run(link, hub.clone(), commands.clone(), recorder.handle(), stopped.clone()));
+    let app = api::App::new(config, address, hub, commands, leases, gains, recorder.handle(), stopped.clone());
+    tokio::spawn(async move {
+        shutdown.await;
+        stop.send_replace(true);
+    });
+
+    let listener = listener.tap_io(|stream| {
+        // Telemetry is sent as it comes: waiting to fill a segment would only age it.
+        let _ = stream.set_nodelay(true);
+    });
+    let mut until = stopped.clone();
+    let server = axum::serve(listener, api::router(app)).with_graceful_shutdown(async move {
+        sync::stopping(&mut until).await;
+    });
+    let mut overdue = stopped.clone();
+    let served = tokio::select! {
+        served = server => served.map_err(GroundError::Serve),
+        // A download that never ends must not keep the recordings open.
+        () = async move {
+            sync::stopping(&mut overdue).await;
+            tokio::time::sleep(SHUTDOWN_GRACE).await;
+        } => Ok(()),
+    };
+    if ingest.await.is_err() {
+        tracing::error!("the ingest task panicked");
+    }
+    // The recorder finishes its files last: everything received before the stop is in them.
+    if tokio::task::spawn_blocking(move || recorder.finish()).await.is_err() {
+        tracing::error!("the recorder could not be finished");
+    }
+    served
+}

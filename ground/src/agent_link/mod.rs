@@ -117,6 +117,11 @@ impl CommandSender {
         self.queue.send(Outgoing::Backfill(request)).await.map_err(|_| LinkClosed)
     }
 
+    /// Hands a backfill request to the link when there is room; `false` asks to try again later.
+    pub fn try_backfill(&self, request: v1::BackfillRequest) -> bool {
+        self.queue.try_send(Outgoing::Backfill(request)).is_ok()
+    }
+
     /// Is the link gone?
     pub fn is_closed(&self) -> bool {
         self.queue.is_closed()

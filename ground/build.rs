@@ -1,0 +1,10 @@
+//! Makes an empty asset folder, so that a plain `cargo build` works before the page is built.
+use std::{env, fs, path::PathBuf};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let dist = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join("../web/dist");
+    fs::create_dir_all(&dist)?;
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed={}", dist.display());
+    Ok(())
+}

@@ -1,0 +1,29 @@
+//! `PUT` uploads a schedule whole; `DELETE` aborts what runs.
+
+use axum::extract::{Path, State};
+use plumbline_proto::Kind;
+use plumbline_proto::v1::{self, command};
+
+use super::App;
+use super::body::Body;
+use super::control::{Answer, send};
+use super::operator::Operator;
+use crate::attack_plan::AttackPlan;
+
+pub(crate) async fn upload(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(plan): Body<AttackPlan>,
+) -> Answer {
+    let description: Option<v1::Description> = app.hub.latest(&id, Kind::Description);
+    let suite = description.as_ref().map(|d| d.sensors.as_slice());
+    let running: Option<v1::AttackState> = app.hub.latest(&id, Kind::Attacks);
+    let schedule_id = running.map_or(0, |state| state.schedule_id).wrapping_add(1);
+    let schedule = plan.to_schedule(schedule_id, suite)?;
+    send(&app, &id, &who, command::Body::AttackSchedule(schedule)).await
+}
+
+pub(crate) async fn abort(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    send(&app, &id, &who, command::Body::AbortAttacks(v1::AbortAttacks {})).await
+}

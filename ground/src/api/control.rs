@@ -1,0 +1,134 @@
+//! Short commands: arm, disarm, cut, mode, estimator, recording, replay.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use plumbline_proto::v1::{self, command};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::App;
+use super::body::Body;
+use super::error::ApiError;
+use super::operator::Operator;
+use crate::names::JsonName;
+
+/// The answer to a command: 200 accepted, 409 rejected, the same body.
+pub(crate) type Answer = Result<(StatusCode, Json<Value>), ApiError>;
+
+/// The HTTP form of an acknowledgement.
+pub(crate) fn answer(ack: &v1::Ack) -> (StatusCode, Json<Value>) {
+    let accepted = ack.stage == v1::AckStage::Accepted as i32;
+    let status = if accepted { StatusCode::OK } else { StatusCode::CONFLICT };
+    let stage = v1::AckStage::json_name_of(ack.stage);
+    let mut body = json!({ "command_id": ack.command_id, "stage": stage, "reason": ack.reason });
+    if !accepted && let Some(body) = body.as_object_mut() {
+        body.insert("error".into(), ack.reason.clone().into());
+    }
+    (status, Json(body))
+}
+
+/// Sends `body` as the operator in control.
+pub(crate) async fn send(app: &App, id: &str, operator: &Operator, body: command::Body) -> Answer {
+    let sender = app.controlled(id, operator)?;
+    Ok(answer(&app.command(id, &sender, operator, body).await?))
+}
+
+pub(crate) async fn arm(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    send(&app, &id, &who, command::Body::Arm(v1::Arm {})).await
+}
+
+pub(crate) async fn disarm(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    send(&app, &id, &who, command::Body::Disarm(v1::Disarm {})).await
+}
+
+/// Open to everyone, whoever holds control.
+pub(crate) async fn cut(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    let sender = app.hub.commands(&id)?;
+    let ack = app.command(&id, &sender, &who, command::Body::CutMotors(v1::CutMotors {})).await?;
+    Ok(answer(&ack))
+}
+
+pub(crate) async fn release_cut(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    send(&app, &id, &who, command::Body::ReleaseCut(v1::ReleaseCut {})).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Mode {
+    mode: String,
+}
+
+pub(crate) async fn mode(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Mode>,
+) -> Answer {
+    let mode = v1::Mode::from_json_name(&asked.mode).map_err(ApiError::Invalid)?;
+    // Disarmed and cut are left and entered by their own commands, which say what they do.
+    if !matches!(mode, v1::Mode::Stabilise | v1::Mode::AltitudeHold | v1::Mode::Hold | v1::Mode::Land) {
+        let text = format!("mode {:?} cannot be asked for: stabilise, altitude_hold, hold or land", asked.mode);
+        return Err(ApiError::Invalid(text));
+    }
+    send(&app, &id, &who, command::Body::SetMode(v1::SetMode { mode: mode as i32 })).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Estimator {
+    estimator: String,
+}
+
+pub(crate) async fn estimator(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Estimator>,
+) -> Answer {
+    let kind = v1::EstimatorKind::from_json_name(&asked.estimator).map_err(ApiError::Invalid)?;
+    if kind == v1::EstimatorKind::Unspecified {
+        return Err(ApiError::Invalid(format!("estimator {:?} cannot fly", asked.estimator)));
+    }
+    let body = command::Body::SelectEstimator(v1::SelectEstimator { estimator: kind as i32 });
+    send(&app, &id, &who, body).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Recording {
+    on: bool,
+}
+
+pub(crate) async fn recording(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Recording>,
+) -> Answer {
+    send(&app, &id, &who, command::Body::SetRecording(v1::SetRecording { on: asked.on })).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Replay {
+    speed: f64,
+    #[serde(default)]
+    step: u32,
+}
+
+/// Fastest replay that can be asked for.
+const MAX_SPEED: f64 = 1000.0;
+
+pub(crate) async fn replay(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Replay>,
+) -> Answer {
+    if !asked.speed.is_finite() || !(0.0..=MAX_SPEED).contains(&asked.speed) {
+        return Err(ApiError::Invalid(format!("speed {} is outside 0 to {MAX_SPEED}", asked.speed)));
+    }
+    let body = command::Body::SetReplay(v1::SetReplay { speed: asked.speed, step: asked.step });
+    send(&app, &id, &who, body).await
+}

@@ -1,0 +1,96 @@
+//! The only place that knows status codes of failures.
+
+use axum::Json;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+
+use crate::attack_plan::PlanError;
+use crate::commands::CommandError;
+use crate::hub::VehicleError;
+use crate::lease::Held;
+use crate::recorder::RecordingError;
+
+/// A request that cannot be answered as asked: a kind, and a sentence with the offending value.
+#[derive(Debug)]
+pub(crate) enum ApiError {
+    NotFound(String),
+    Method(String),
+    /// Wrong Origin or Host.
+    Foreign(String),
+    TooLarge(String),
+    Invalid(String),
+    Held(Held),
+    Conflict(String),
+    Unavailable(String),
+    Unanswered(String),
+    Broken(String),
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let (status, text) = match self {
+            Self::NotFound(text) => (StatusCode::NOT_FOUND, text),
+            Self::Method(text) => (StatusCode::METHOD_NOT_ALLOWED, text),
+            Self::Foreign(text) => (StatusCode::FORBIDDEN, text),
+            Self::TooLarge(text) => (StatusCode::PAYLOAD_TOO_LARGE, text),
+            Self::Invalid(text) => (StatusCode::UNPROCESSABLE_ENTITY, text),
+            Self::Held(held) => {
+                let body = json!({ "error": held.to_string(), "holder": held.holder });
+                return (StatusCode::LOCKED, Json(body)).into_response();
+            }
+            Self::Conflict(text) => (StatusCode::CONFLICT, text),
+            Self::Unavailable(text) => (StatusCode::SERVICE_UNAVAILABLE, text),
+            Self::Unanswered(text) => (StatusCode::GATEWAY_TIMEOUT, text),
+            Self::Broken(text) => {
+                tracing::error!(error = %text, "request failed");
+                (StatusCode::INTERNAL_SERVER_ERROR, text)
+            }
+        };
+        (status, Json(json!({ "error": text }))).into_response()
+    }
+}
+
+impl From<VehicleError> for ApiError {
+    fn from(error: VehicleError) -> Self {
+        match error {
+            VehicleError::Unknown(_) => Self::NotFound(error.to_string()),
+            VehicleError::Disconnected(_) => Self::Unavailable(error.to_string()),
+        }
+    }
+}
+
+impl From<CommandError> for ApiError {
+    fn from(error: CommandError) -> Self {
+        match error {
+            CommandError::Disconnected | CommandError::Flooded(_) => Self::Unavailable(error.to_string()),
+            CommandError::TimedOut { .. } => Self::Unanswered(error.to_string()),
+        }
+    }
+}
+
+impl From<Held> for ApiError {
+    fn from(held: Held) -> Self {
+        Self::Held(held)
+    }
+}
+
+impl From<PlanError> for ApiError {
+    fn from(error: PlanError) -> Self {
+        Self::Invalid(error.to_string())
+    }
+}
+
+impl From<RecordingError> for ApiError {
+    fn from(error: RecordingError) -> Self {
+        match error {
+            RecordingError::Unknown(_) | RecordingError::NoTopic(_) => Self::NotFound(error.to_string()),
+            RecordingError::InProgress(_) => Self::Conflict(error.to_string()),
+            RecordingError::Invalid(_) => Self::Invalid(error.to_string()),
+            RecordingError::Stopped => Self::Unavailable(error.to_string()),
+            RecordingError::Io { .. } | RecordingError::Damaged { .. } | RecordingError::Index(_) => {
+                Self::Broken(error.to_string())
+            }
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! Who holds control: `GET`, `PUT` takes it, `DELETE` gives it back.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use serde_json::{Value, json};
+
+use super::App;
+use super::error::ApiError;
+use super::operator::Operator;
+use crate::hub::VehicleError;
+
+fn known(app: &App, id: &str) -> Result<(), ApiError> {
+    if app.hub.knows(id) { Ok(()) } else { Err(VehicleError::Unknown(id.to_owned()).into()) }
+}
+
+pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Value>, ApiError> {
+    known(&app, &id)?;
+    Ok(Json(json!({ "holder": app.leases.holder(&id) })))
+}
+
+pub(crate) async fn take(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+) -> Result<Json<Value>, ApiError> {
+    known(&app, &id)?;
+    let before = app.leases.take(&id, who.name());
+    if before.as_deref() != Some(who.name()) {
+        tracing::info!(vehicle = %id, operator = who.name(), from = ?before, "control taken");
+        app.show_lease(&id);
+    }
+    Ok(Json(json!({ "holder": who.name(), "taken_from": before.filter(|b| b != who.name()) })))
+}
+
+pub(crate) async fn release(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+) -> Result<Json<Value>, ApiError> {
+    known(&app, &id)?;
+    app.leases.release(&id, who.name())?;
+    app.show_lease(&id);
+    Ok(Json(json!({ "holder": null })))
+}

@@ -1,0 +1,60 @@
+//! `POST /api/vehicles/{id}/setpoint`. Absent fields keep their value.
+
+use axum::extract::{Path, State};
+use plumbline_proto::v1::{self, command};
+use serde::Deserialize;
+
+use super::App;
+use super::body::{Body, number};
+use super::control::{Answer, send};
+use super::error::ApiError;
+use super::operator::Operator;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Setpoint {
+    #[serde(default, deserialize_with = "number")]
+    altitude_m: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    x_m: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    y_m: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    roll_rad: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    pitch_rad: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    yaw_rad: Option<f64>,
+    #[serde(default, deserialize_with = "number")]
+    throttle: Option<f64>,
+}
+
+pub(crate) async fn set(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Setpoint>,
+) -> Answer {
+    let Setpoint { altitude_m, x_m, y_m, roll_rad, pitch_rad, yaw_rad, throttle } = asked;
+    let fields = [
+        ("altitude_m", altitude_m),
+        ("x_m", x_m),
+        ("y_m", y_m),
+        ("roll_rad", roll_rad),
+        ("pitch_rad", pitch_rad),
+        ("yaw_rad", yaw_rad),
+        ("throttle", throttle),
+    ];
+    if fields.iter().all(|(_, value)| value.is_none()) {
+        return Err(ApiError::Invalid("the setpoint has no field".into()));
+    }
+    for (name, value) in fields {
+        if let Some(value) = value
+            && !value.is_finite()
+        {
+            return Err(ApiError::Invalid(format!("{name} is {value}, a finite number is needed")));
+        }
+    }
+    let setpoint = v1::Setpoint { altitude_m, x_m, y_m, roll_rad, pitch_rad, yaw_rad, throttle };
+    send(&app, &id, &who, command::Body::Setpoint(setpoint)).await
+}

@@ -1,0 +1,156 @@
+//! Commands: numbered, sent, and waited for until the agent's acknowledgement comes back by the
+//! DOWN lane.
+
+use std::collections::HashMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use plumbline_proto::v1::{self, command::Body};
+use tokio::sync::oneshot;
+
+use crate::agent_link::CommandSender;
+use crate::sync::lock;
+
+/// Most commands waiting for acknowledgements, all vehicles together; more are refused.
+pub const MAX_WAITING: usize = 256;
+
+/// Why a command has no answer.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CommandError {
+    /// The link is down.
+    #[error("the vehicle is not connected")]
+    Disconnected,
+    /// The agent did not answer in time. It may still have carried the command out.
+    #[error("command {command_id} was not answered within {seconds} s; the vehicle may have carried it out")]
+    TimedOut {
+        /// The command.
+        command_id: u64,
+        /// How long it was waited for, s.
+        seconds: u64,
+    },
+    /// Too many commands are waiting.
+    #[error("{0} commands are waiting for answers, limit {MAX_WAITING}")]
+    Flooded(usize),
+}
+
+/// Numbers commands and matches acknowledgements.
+#[derive(Debug, Default)]
+pub struct Commands {
+    last_id: AtomicU64,
+    waiting: Mutex<HashMap<(String, u64), oneshot::Sender<v1::Ack>>>,
+}
+
+impl Commands {
+    /// Sends `body` to `vehicle` and waits for its acknowledgement.
+    ///
+    /// # Errors
+    /// [`CommandError`]. A rejection is not an error: it is an [`v1::Ack`].
+    pub async fn send(
+        &self,
+        vehicle: &str,
+        to: &CommandSender,
+        operator: &str,
+        body: Body,
+        timeout: Duration,
+    ) -> Result<v1::Ack, CommandError> {
+        let command_id = self.last_id.fetch_add(1, Ordering::Relaxed) + 1;
+        let key = (vehicle.to_owned(), command_id);
+        let answer = {
+            let mut waiting = lock(&self.waiting);
+            if waiting.len() >= MAX_WAITING {
+                return Err(CommandError::Flooded(waiting.len()));
+            }
+            let (sender, answer) = oneshot::channel();
+            waiting.insert(key.clone(), sender);
+            answer
+        };
+        // Also when this future is dropped (the client hung up), the entry goes.
+        let _entry = Entry { commands: self, key };
+        tracing::info!(vehicle, operator, command_id, command = name(&body), "command");
+        let command = v1::Command { command_id, operator: operator.to_owned(), body: Some(body) };
+        let exchange = async {
+            to.send(command).await.map_err(|_| CommandError::Disconnected)?;
+            answer.await.map_err(|_| CommandError::Disconnected)
+        };
+        match tokio::time::timeout(timeout, exchange).await {
+            Ok(answered) => answered,
+            Err(_) if to.is_closed() => Err(CommandError::Disconnected),
+            Err(_) => Err(CommandError::TimedOut { command_id, seconds: timeout.as_secs() }),
+        }
+    }
+
+    /// Hands an acknowledgement to whoever waits for it.
+    pub fn resolve(&self, vehicle: &str, ack: v1::Ack) {
+        if let Some(waiter) = lock(&self.waiting).remove(&(vehicle.to_owned(), ack.command_id)) {
+            // The waiter may have given up in this moment; the acknowledgement is recorded anyway.
+            let _ = waiter.send(ack);
+        }
+    }
+}
+
+struct Entry<'a> {
+    commands: &'a Commands,
+    key: (String, u64),
+}
+
+impl Drop for Entry<'_> {
+    fn drop(&mut self) {
+        lock(&self.commands.waiting).remove(&self.key);
+    }
+}
+
+/// Name of a command, for the log.
+fn name(body: &Body) -> &'static str {
+    match body {
+        Body::Arm(_) => "arm",
+        Body::Disarm(_) => "disarm",
+        Body::CutMotors(_) => "cut",
+        Body::ReleaseCut(_) => "release-cut",
+        Body::SetMode(_) => "mode",
+        Body::Setpoint(_) => "setpoint",
+        Body::AttackSchedule(_) => "attacks",
+        Body::AbortAttacks(_) => "abort-attacks",
+        Body::SelectEstimator(_) => "estimator",
+        Body::SetRecording(_) => "recording",
+        Body::PushGains(_) => "gains",
+        Body::SetReplay(_) => "replay",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::agent_link::Outgoing;
+
+    #[tokio::test]
+    async fn acks_find_their_command_and_only_that() {
+        let commands = Commands::default();
+        let (sender, mut outgoing) = CommandSender::channel();
+        let exchange = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), Duration::from_secs(5));
+        let agent = async {
+            let Some(Outgoing::Command(command)) = outgoing.recv().await else { panic!("no command") };
+            let ack = |id| v1::Ack { command_id: id, stage: v1::AckStage::Accepted as i32, ..Default::default() };
+            commands.resolve("b", ack(command.command_id));
+            commands.resolve("a", ack(command.command_id + 1));
+            assert_eq!(lock(&commands.waiting).len(), 1, "foreign acknowledgements change nothing");
+            commands.resolve("a", ack(command.command_id));
+        };
+        let (ack, ()) = tokio::join!(exchange, agent);
+        assert_eq!(ack.unwrap().command_id, 1);
+        assert!(lock(&commands.waiting).is_empty());
+    }
+
+    #[tokio::test]
+    async fn silence_and_a_lost_link_are_told_apart() {
+        let commands = Commands::default();
+        let (sender, outgoing) = CommandSender::channel();
+        let wait = Duration::from_millis(20);
+        let silence = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), wait).await;
+        assert!(matches!(silence, Err(CommandError::TimedOut { command_id: 1, .. })));
+        drop(outgoing);
+        let lost = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), wait).await;
+        assert_eq!(lost, Err(CommandError::Disconnected));
+        assert!(lock(&commands.waiting).is_empty());
+    }
+}

@@ -1,0 +1,38 @@
+//! What the ground is told at start.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Settings of one ground. [`GroundConfig::new`] gives the defaults.
+#[derive(Debug, Clone)]
+pub struct GroundConfig {
+    /// Flight files, index, gains book.
+    pub data_folder: PathBuf,
+    /// Host names (without port), beside `localhost` and IP addresses, under which the page may be
+    /// reached. A name that is not listed is refused: it could be rebound to this machine by anyone.
+    pub allowed_hosts: Vec<String>,
+    /// How long a command waits for its acknowledgement.
+    pub command_timeout: Duration,
+    /// Recording stops, loudly, when the data folder's disk has less than this left, bytes.
+    pub reserve_bytes: u64,
+    /// A message that has not come after this long is asked for again: late datagrams have arrived by
+    /// then and the agent has flushed its own log.
+    pub backfill_after: Duration,
+    /// A flight whose gaps do not shrink for this long after its end is closed as it is and
+    /// completed later, when the agent has the rest.
+    pub settle_after: Duration,
+}
+
+impl GroundConfig {
+    /// Defaults, recording into `data_folder`.
+    pub fn new(data_folder: impl Into<PathBuf>) -> Self {
+        Self {
+            data_folder: data_folder.into(),
+            allowed_hosts: Vec::new(),
+            command_timeout: Duration::from_secs(2),
+            reserve_bytes: 64 << 20,
+            backfill_after: Duration::from_millis(1500),
+            settle_after: Duration::from_secs(4),
+        }
+    }
+}

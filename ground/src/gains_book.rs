@@ -1,0 +1,211 @@
+//! Revisions of gains: who pushed what when, and what the agent said. Kept beside the flights.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use plumbline_proto::v1;
+use serde::{Deserialize, Serialize};
+
+use crate::sync::lock;
+
+/// Weights on states and inputs: see `LqrWeights` in the schema for their order and units.
+pub const STATES: usize = 16;
+/// Weights on inputs.
+pub const INPUTS: usize = 4;
+/// Most revisions kept per vehicle; the oldest go first.
+pub const MAX_REVISIONS: usize = 1000;
+
+/// Weights as JSON.
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Weights {
+    /// 16 values, ≥ 0.
+    pub state_weight: Vec<f64>,
+    /// 4 values, > 0.
+    pub input_weight: Vec<f64>,
+}
+
+impl Weights {
+    /// Checks shape and signs; whether they make a stable loop only the agent can say.
+    ///
+    /// # Errors
+    /// A sentence with the value.
+    pub fn check(&self) -> Result<v1::LqrWeights, String> {
+        let shape = |name: &str, values: &[f64], wanted: usize| {
+            if values.len() == wanted {
+                Ok(())
+            } else {
+                Err(format!("{name} has {} values, needs {wanted}", values.len()))
+            }
+        };
+        shape("state_weight", &self.state_weight, STATES)?;
+        shape("input_weight", &self.input_weight, INPUTS)?;
+        let bad = |v: &f64, low_ok: bool| !v.is_finite() || *v < 0.0 || (*v == 0.0 && !low_ok);
+        if let Some(i) = self.state_weight.iter().position(|v| bad(v, true)) {
+            return Err(format!("state_weight[{i}] is {:?}, it must be at least 0", self.state_weight.get(i)));
+        }
+        if let Some(i) = self.input_weight.iter().position(|v| bad(v, false)) {
+            return Err(format!("input_weight[{i}] is {:?}, it must be above 0", self.input_weight.get(i)));
+        }
+        Ok(v1::LqrWeights { state_weight: self.state_weight.clone(), input_weight: self.input_weight.clone() })
+    }
+}
+
+/// One push.
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+pub struct Revision {
+    /// From 1.
+    pub revision: u32,
+    /// What was pushed.
+    #[serde(flatten)]
+    pub weights: Weights,
+    /// Who pushed it.
+    pub operator: String,
+    /// When, µs since the Unix epoch.
+    pub pushed_unix_us: u64,
+    /// `accepted`, `rejected` or `unanswered`.
+    pub stage: String,
+    /// What the agent said.
+    pub reason: String,
+}
+
+/// All revisions of all vehicles.
+#[derive(Debug)]
+pub struct GainsBook {
+    folder: PathBuf,
+    books: Mutex<BTreeMap<String, Vec<Revision>>>,
+}
+
+impl GainsBook {
+    /// The book kept in `data_folder`. Books are read when first asked for.
+    pub fn open(data_folder: &Path) -> Self {
+        Self { folder: data_folder.join("gains"), books: Mutex::new(BTreeMap::new()) }
+    }
+
+    /// Revisions of `vehicle`, oldest first.
+    pub fn revisions(&self, vehicle: &str) -> Vec<Revision> {
+        self.with(vehicle, |book| book.clone())
+    }
+
+    /// Enters a push that is about to be sent and gives it a number above every known one.
+    pub fn begin(&self, vehicle: &str, in_use: u32, weights: Weights, operator: &str, pushed_unix_us: u64) -> u32 {
+        self.with(vehicle, |book| {
+            let last = book.iter().map(|r| r.revision).max().unwrap_or(0).max(in_use);
+            let revision = last.saturating_add(1);
+            book.push(Revision {
+                revision,
+                weights,
+                operator: operator.to_owned(),
+                pushed_unix_us,
+                stage: "unanswered".into(),
+                reason: String::new(),
+            });
+            let surplus = book.len().saturating_sub(MAX_REVISIONS);
+            book.drain(..surplus);
+            self.save(vehicle, book);
+            revision
+        })
+    }
+
+    /// Notes what became of a push.
+    pub fn answered(&self, vehicle: &str, revision: u32, stage: &str, reason: &str) {
+        self.with(vehicle, |book| {
+            if let Some(entry) = book.iter_mut().rev().find(|r| r.revision == revision) {
+                stage.clone_into(&mut entry.stage);
+                reason.clone_into(&mut entry.reason);
+            }
+            self.save(vehicle, book);
+        });
+    }
+
+    fn with<T>(&self, vehicle: &str, work: impl FnOnce(&mut Vec<Revision>) -> T) -> T {
+        let mut books = lock(&self.books);
+        let book = books.entry(vehicle.to_owned()).or_insert_with(|| self.load(vehicle));
+        work(book)
+    }
+
+    fn path(&self, vehicle: &str) -> PathBuf {
+        let safe = |c: char| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' };
+        self.folder.join(format!("{}.json", vehicle.chars().take(64).map(safe).collect::<String>()))
+    }
+
+    fn load(&self, vehicle: &str) -> Vec<Revision> {
+        let path = self.path(vehicle);
+        let Ok(text) = fs::read(&path) else { return Vec::new() };
+        match serde_json::from_slice(&text) {
+            Ok(book) => book,
+            Err(error) => {
+                let aside = path.with_extension("json.corrupt");
+                tracing::error!(path = %path.display(), %error, "gains book is damaged, set aside as *.corrupt");
+                let _ = fs::rename(&path, aside);
+                Vec::new()
+            }
+        }
+    }
+
+    fn save(&self, vehicle: &str, book: &[Revision]) {
+        if let Err(error) = write_atomically(&self.path(vehicle), &serde_json::to_vec_pretty(book).unwrap_or_default())
+        {
+            tracing::error!(vehicle, %error, "gains book cannot be written");
+        }
+    }
+}
+
+/// Writes a file so that a crash leaves the old or the new content, never a part.
+pub(crate) fn write_atomically(path: &Path, content: &[u8]) -> std::io::Result<()> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    let mut name = path.as_os_str().to_owned();
+    name.push(".tmp");
+    let temporary = PathBuf::from(name);
+    let mut file = fs::File::create(&temporary)?;
+    file.write_all(content)?;
+    file.sync_all()?;
+    fs::rename(&temporary, path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn weights() -> Weights {
+        Weights { state_weight: vec![1.0; STATES], input_weight: vec![0.1; INPUTS] }
+    }
+
+    #[test]
+    fn revisions_grow_and_survive_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let book = GainsBook::open(folder.path());
+        assert_eq!(book.begin("iris/1", 4, weights(), "ann", 10), 5);
+        assert_eq!(book.begin("iris/1", 0, weights(), "bob", 11), 6);
+        book.answered("iris/1", 5, "rejected", "slowest pole 0.2 1/s");
+        let again = GainsBook::open(folder.path()).revisions("iris/1");
+        assert_eq!(again.len(), 2);
+        assert_eq!((again[0].stage.as_str(), again[1].stage.as_str()), ("rejected", "unanswered"));
+    }
+
+    #[test]
+    fn a_damaged_book_is_set_aside() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("gains")).unwrap();
+        fs::write(folder.path().join("gains/v.json"), "{").unwrap();
+        let book = GainsBook::open(folder.path());
+        assert!(book.revisions("v").is_empty());
+        assert!(folder.path().join("gains/v.json.corrupt").exists());
+    }
+
+    #[test]
+    fn wrong_weights_are_named() {
+        let mut short = weights();
+        short.state_weight.pop();
+        assert_eq!(short.check().unwrap_err(), "state_weight has 15 values, needs 16");
+        let mut zero = weights();
+        zero.input_weight[2] = 0.0;
+        assert!(zero.check().unwrap_err().starts_with("input_weight[2]"));
+        assert!(weights().check().is_ok());
+    }
+}

@@ -1,0 +1,423 @@
+//! The only fan-out: what one vehicle sends reaches every viewer from here, and nowhere else.
+//!
+//! For each vehicle the hub keeps the latest message of every topic, a bounded history, and one
+//! bounded queue per viewer. Live frames are gathered for at most [`FLUSH_EVERY`] and then shared,
+//! reference-counted, with all viewers as one codec batch: twenty viewers cost twenty queue entries,
+//! not twenty copies. Nothing here waits for a viewer, a disk or an agent.
+
+mod health;
+mod history;
+mod viewer;
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, Weak};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::{DecodeError, Kind, Message, v1};
+
+use crate::agent_link::CommandSender;
+use crate::sync::{lock, wall_time_us};
+use health::Health;
+use history::History;
+pub use history::{MAX_BYTES as MAX_HISTORY_BYTES, MAX_SECONDS as MAX_HISTORY_SECONDS};
+pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};
+
+/// How long live frames are gathered into one WebSocket message. Per-message cost dominates the
+/// browser's decoding, and 10 ms is a third of the delay the page may have in total.
+pub const FLUSH_EVERY: Duration = Duration::from_millis(10);
+/// Gathered frames are flushed early beyond this many bytes.
+const FLUSH_BYTES: usize = 256 << 10;
+/// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
+const MAX_TOPICS: usize = 512;
+
+/// The latest messages, histories and viewers of all vehicles.
+#[derive(Debug, Default)]
+pub struct Hub {
+    vehicles: Mutex<BTreeMap<String, Vehicle>>,
+}
+
+#[derive(Debug)]
+struct Vehicle {
+    boot_id: u64,
+    boot_wall_time_us: u64,
+    version: String,
+    /// `None` while disconnected.
+    commands: Option<CommandSender>,
+    latest: BTreeMap<(u16, u16), Latest>,
+    history: History,
+    health: Health,
+    pending: Vec<u8>,
+    pending_messages: u32,
+    viewers: Vec<Weak<ViewerQueue>>,
+    malformed: u64,
+}
+
+#[derive(Debug)]
+struct Latest {
+    at: Instant,
+    frame: Vec<u8>,
+}
+
+/// What a list of vehicles shows.
+#[derive(Debug, Clone)]
+pub struct VehicleInfo {
+    /// Agent id.
+    pub id: String,
+    /// Is the link up?
+    pub connected: bool,
+    /// Boot of the agent.
+    pub boot_id: u64,
+    /// Version of the agent.
+    pub version: String,
+    /// Latest description.
+    pub description: Option<v1::Description>,
+    /// Latest status.
+    pub status: Option<v1::Status>,
+}
+
+/// Why a vehicle cannot be commanded.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum VehicleError {
+    /// No agent of this name was ever seen.
+    #[error("vehicle {0:?} is not known")]
+    Unknown(String),
+    /// The link is down.
+    #[error("vehicle {0:?} is not connected")]
+    Disconnected(String),
+}
+
+/// One viewer: what it is sent at once, then its queue.
+#[derive(Debug)]
+pub struct Viewer {
+    /// Latest messages, then history: to be sent before anything of `queue`.
+    pub backlog: Vec<Shared>,
+    /// Live batches.
+    pub queue: Arc<ViewerQueue>,
+}
+
+impl Hub {
+    /// An agent said hello. A new boot forgets the old one: its times and sequence numbers start again.
+    pub fn connected(&self, id: &str, boot_id: u64, boot_wall_time_us: u64, version: &str, commands: CommandSender) {
+        let now = Instant::now();
+        let mut vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.entry(id.to_owned()).or_insert_with(|| Vehicle::new(boot_id, now));
+        if vehicle.boot_id != boot_id {
+            vehicle.reboot(boot_id, now);
+        }
+        vehicle.boot_wall_time_us = boot_wall_time_us;
+        version.clone_into(&mut vehicle.version);
+        vehicle.commands = Some(commands);
+    }
+
+    /// The link to an agent is lost. What it said stays visible, with its age.
+    pub fn disconnected(&self, id: &str) {
+        if let Some(vehicle) = lock(&self.vehicles).get_mut(id) {
+            // A session that was replaced by a newer one must not close the newer one.
+            if vehicle.commands.as_ref().is_some_and(CommandSender::is_closed) {
+                vehicle.commands = None;
+            }
+        }
+    }
+
+    /// Round trip and clock offset, measured by the link.
+    pub fn stats(&self, id: &str, round_trip_ms: f64, clock_offset_us: f64) {
+        if let Some(vehicle) = lock(&self.vehicles).get_mut(id) {
+            vehicle.health.round_trip_ms = round_trip_ms;
+            vehicle.health.clock_offset_us = clock_offset_us;
+        }
+    }
+
+    /// Takes one live batch and returns the acknowledgements in it.
+    ///
+    /// # Errors
+    /// The first [`DecodeError`]; the frames before it are passed on.
+    pub fn batch(&self, id: &str, batch: &[u8]) -> Result<Vec<v1::Ack>, DecodeError> {
+        let now = Instant::now();
+        let mut acks = Vec::new();
+        let mut vehicles = lock(&self.vehicles);
+        let Some(vehicle) = vehicles.get_mut(id) else { return Ok(acks) };
+        vehicle.health.roll(now);
+        let frames = codec::decode_batch(batch).inspect_err(|_| vehicle.malformed += 1)?;
+        for frame in frames {
+            let frame = frame.inspect_err(|_| vehicle.malformed += 1)?;
+            if frame.known_kind().is_some_and(Kind::is_ground_made) {
+                // Only the ground speaks of leases, links and recordings.
+                vehicle.malformed += 1;
+                continue;
+            }
+            vehicle.health.observe(&frame);
+            if frame.known_kind() == Some(Kind::Ack) {
+                acks.extend(frame.message::<v1::Ack>());
+            }
+            vehicle.take(&frame, now);
+        }
+        Ok(acks)
+    }
+
+    /// Sends a message made by the ground to the viewers of `id`.
+    pub fn publish<M: Message>(&self, id: &str, kind: Kind, message: &M) {
+        if let Some(vehicle) = lock(&self.vehicles).get_mut(id) {
+            let payload = message.encode_to_vec();
+            let frame =
+                Frame { kind: kind.to_wire(), instance: 0, sequence: 0, time_us: wall_time_us(), payload: &payload };
+            vehicle.take(&frame, Instant::now());
+        }
+    }
+
+    /// Shares what was gathered with the viewers. Called every [`FLUSH_EVERY`].
+    pub fn flush(&self) {
+        let now = Instant::now();
+        for vehicle in lock(&self.vehicles).values_mut() {
+            vehicle.flush(now);
+        }
+    }
+
+    /// A new viewer of `id`: `history` back, then live, with no gap and no repetition between them.
+    ///
+    /// # Errors
+    /// [`VehicleError::Unknown`].
+    pub fn subscribe(&self, id: &str, history: Duration) -> Result<Viewer, VehicleError> {
+        let now = Instant::now();
+        let mut vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.get_mut(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
+        vehicle.flush(now);
+        let start = now.checked_sub(history.min(Duration::from_secs(MAX_HISTORY_SECONDS))).unwrap_or(now);
+        let (oldest, past) = vehicle.history.since(start);
+        let mut backlog = vec![vehicle.snapshot(oldest.unwrap_or(now))];
+        backlog.extend(past);
+        let queue = Arc::new(ViewerQueue::default());
+        vehicle.viewers.push(Arc::downgrade(&queue));
+        Ok(Viewer { backlog, queue })
+    }
+
+    /// The link as seen now; `missing` and `viewer_dropped` are for the caller to fill.
+    pub fn link_status(&self, id: &str) -> Option<v1::LinkStatus> {
+        let wall_time_us = wall_time_us();
+        let mut vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.get_mut(id)?;
+        vehicle.health.roll(Instant::now());
+        let health = &vehicle.health;
+        Some(v1::LinkStatus {
+            wall_time_us,
+            connected: vehicle.connected(),
+            age_ms: health.age_ms(vehicle.boot_wall_time_us, wall_time_us),
+            round_trip_ms: health.round_trip_ms,
+            clock_offset_us: health.clock_offset_us,
+            rate_hz: health.rate_hz(),
+            loss_percent: health.loss_percent(),
+            received: health.received,
+            missing: 0,
+            viewer_dropped: 0,
+        })
+    }
+
+    /// The way down to `id`.
+    ///
+    /// # Errors
+    /// [`VehicleError`] when it is unknown or not connected.
+    pub fn commands(&self, id: &str) -> Result<CommandSender, VehicleError> {
+        let vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.get(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
+        let live = vehicle.commands.as_ref().filter(|c| !c.is_closed());
+        live.cloned().ok_or_else(|| VehicleError::Disconnected(id.to_owned()))
+    }
+
+    /// The latest message of one topic, decoded.
+    pub fn latest<M: Message + Default>(&self, id: &str, kind: Kind) -> Option<M> {
+        lock(&self.vehicles).get(id)?.latest_message(kind)
+    }
+
+    /// Is this vehicle known?
+    pub fn knows(&self, id: &str) -> bool {
+        lock(&self.vehicles).contains_key(id)
+    }
+
+    /// Names of all vehicles seen.
+    pub fn ids(&self) -> Vec<String> {
+        lock(&self.vehicles).keys().cloned().collect()
+    }
+
+    /// All vehicles seen.
+    pub fn list(&self) -> Vec<VehicleInfo> {
+        let vehicles = lock(&self.vehicles);
+        let info = |(id, vehicle): (&String, &Vehicle)| VehicleInfo {
+            id: id.clone(),
+            connected: vehicle.connected(),
+            boot_id: vehicle.boot_id,
+            version: vehicle.version.clone(),
+            description: vehicle.latest_message(Kind::Description),
+            status: vehicle.latest_message(Kind::Status),
+        };
+        vehicles.iter().map(info).collect()
+    }
+}
+
+impl Vehicle {
+    fn new(boot_id: u64, now: Instant) -> Self {
+        Self {
+            boot_id,
+            boot_wall_time_us: 0,
+            version: String::new(),
+            commands: None,
+            latest: BTreeMap::new(),
+            history: History::default(),
+            health: Health::new(now),
+            pending: Vec::new(),
+            pending_messages: 0,
+            viewers: Vec::new(),
+            malformed: 0,
+        }
+    }
+
+    fn connected(&self) -> bool {
+        self.commands.as_ref().is_some_and(|c| !c.is_closed())
+    }
+
+    fn reboot(&mut self, boot_id: u64, now: Instant) {
+        self.flush(now);
+        self.boot_id = boot_id;
+        self.latest.retain(|(kind, _), _| Kind::from_wire(*kind).is_some_and(Kind::is_ground_made));
+        self.history.clear();
+        self.health = Health::new(now);
+    }
+
+    fn take(&mut self, frame: &Frame<'_>, now: Instant) {
+        let key = (frame.kind, frame.instance);
+        if self.latest.len() < MAX_TOPICS || self.latest.contains_key(&key) {
+            let latest = self.latest.entry(key).or_insert_with(|| Latest { at: now, frame: Vec::new() });
+            latest.at = now;
+            latest.frame.clear();
+            frame.encode(&mut latest.frame);
+        }
+        if self.pending.is_empty() {
+            codec::begin_batch(&mut self.pending);
+        }
+        frame.encode(&mut self.pending);
+        self.pending_messages += 1;
+        if self.pending.len() >= FLUSH_BYTES {
+            self.flush(now);
+        }
+    }
+
+    fn flush(&mut self, now: Instant) {
+        if self.pending.is_empty() {
+            return;
+        }
+        let shared = Shared { batch: Bytes::copy_from_slice(&self.pending), messages: self.pending_messages };
+        self.pending.clear();
+        self.pending_messages = 0;
+        self.viewers.retain(|viewer| match viewer.upgrade() {
+            Some(queue) => {
+                queue.push(shared.clone());
+                true
+            }
+            None => false,
+        });
+        self.history.push(now, shared);
+    }
+
+    /// The latest of every topic as one batch. States come always; samples only when the history,
+    /// which begins at `history_start`, does not hold them: nothing is plotted twice.
+    fn snapshot(&self, history_start: Instant) -> Shared {
+        let mut batch = Vec::new();
+        codec::begin_batch(&mut batch);
+        let mut messages = 0;
+        for ((kind, _), latest) in &self.latest {
+            let wanted = match Kind::from_wire(*kind) {
+                Some(Kind::Event | Kind::Ack) => false,
+                Some(
+                    Kind::Description
+                    | Kind::Gains
+                    | Kind::Status
+                    | Kind::Attacks
+                    | Kind::Flight
+                    | Kind::StepResponse
+                    | Kind::Recording
+                    | Kind::Lease
+                    | Kind::Link,
+                ) => true,
+                _ => latest.at < history_start,
+            };
+            if wanted {
+                batch.extend_from_slice(&latest.frame);
+                messages += 1;
+            }
+        }
+        Shared { batch: batch.into(), messages }
+    }
+
+    fn latest_message<M: Message + Default>(&self, kind: Kind) -> Option<M> {
+        let latest = self.latest.get(&(kind.to_wire(), 0))?;
+        codec::decode_frames(&latest.frame).next()?.ok()?.message().ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn batch(sequence: u64, kind: Kind) -> Vec<u8> {
+        let mut out = Vec::new();
+        codec::begin_batch(&mut out);
+        codec::encode_message(&mut out, kind, 0, sequence, sequence * 10, &v1::Control::default());
+        out
+    }
+
+    fn sequences(shared: &Shared) -> Vec<u64> {
+        codec::decode_batch(&shared.batch).unwrap().map(|f| f.unwrap().sequence).collect()
+    }
+
+    #[tokio::test]
+    async fn history_and_live_meet_without_gap_or_repetition() {
+        let hub = Hub::default();
+        hub.connected("a", 1, 0, "0", CommandSender::channel().0);
+        hub.batch("a", &batch(1, Kind::Control)).unwrap();
+        hub.flush();
+        hub.batch("a", &batch(2, Kind::Control)).unwrap();
+        let viewer = hub.subscribe("a", Duration::from_secs(60)).unwrap();
+        hub.batch("a", &batch(3, Kind::Control)).unwrap();
+        hub.flush();
+        let mut seen: Vec<u64> = viewer.backlog.iter().flat_map(sequences).collect();
+        seen.extend(sequences(&viewer.queue.next().await));
+        assert_eq!(seen, [1, 2, 3]);
+        let without = hub.subscribe("a", Duration::ZERO).unwrap();
+        let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
+        assert_eq!(first, [3], "without history the latest sample is in the snapshot");
+    }
+
+    #[test]
+    fn a_new_boot_forgets_the_old_one_and_a_stale_goodbye_is_ignored() {
+        let hub = Hub::default();
+        let (old, _old_end) = CommandSender::channel();
+        hub.connected("a", 1, 0, "0", old);
+        hub.batch("a", &batch(9, Kind::Control)).unwrap();
+        let (new, new_end) = CommandSender::channel();
+        hub.connected("a", 2, 0, "0", new);
+        hub.disconnected("a");
+        assert!(hub.commands("a").is_ok());
+        assert!(hub.subscribe("a", Duration::from_secs(9)).unwrap().backlog.iter().all(|s| s.messages == 0));
+        drop(new_end);
+        assert_eq!(hub.commands("a").unwrap_err(), VehicleError::Disconnected("a".into()));
+    }
+
+    #[test]
+    fn frames_before_an_error_are_kept_and_ground_kinds_are_refused() {
+        let hub = Hub::default();
+        hub.connected("a", 1, 0, "0", CommandSender::channel().0);
+        let mut bytes = batch(1, Kind::Control);
+        codec::encode_message(
+            &mut bytes,
+            Kind::Lease,
+            0,
+            2,
+            2,
+            &v1::ControlLease { wall_time_us: 1, holder: "x".into() },
+        );
+        bytes.extend_from_slice(&[1, 2, 3]);
+        assert!(matches!(hub.batch("a", &bytes), Err(DecodeError::Truncated { .. })));
+        assert!(hub.latest::<v1::Control>("a", Kind::Control).is_some());
+        assert!(hub.latest::<v1::ControlLease>("a", Kind::Lease).is_none());
+    }
+}

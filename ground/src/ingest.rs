@@ -1,0 +1,105 @@
+//! The one task that takes the agents' events, in order, and hands each to hub, recorder and
+//! commands. It never waits for any of them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use plumbline_proto::Kind;
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, MissedTickBehavior, interval};
+
+use crate::agent_link::LinkEvent;
+use crate::commands::Commands;
+use crate::hub::{FLUSH_EVERY, Hub};
+use crate::recorder::RecorderHandle;
+use crate::sync::{stopping, wall_time_us};
+
+/// How often the recording's state is sent to the page; the link's is made for each viewer.
+const STATUS_EVERY: Duration = Duration::from_millis(250);
+
+pub(crate) async fn run(
+    mut link: mpsc::Receiver<LinkEvent>,
+    hub: Arc<Hub>,
+    commands: Arc<Commands>,
+    recorder: RecorderHandle,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let mut flush = interval(FLUSH_EVERY);
+    flush.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut status = interval(STATUS_EVERY);
+    status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut complaints = Complaints::default();
+    let mut link_open = true;
+    loop {
+        tokio::select! {
+            event = link.recv(), if link_open => match event {
+                Some(event) => take(event, &hub, &commands, &recorder, &mut complaints),
+                None => link_open = false,
+            },
+            _ = flush.tick() => hub.flush(),
+            _ = status.tick() => publish_recordings(&hub, &recorder),
+            () = recorder.changed() => publish_recordings(&hub, &recorder),
+            () = stopping(&mut stopped) => break,
+        }
+    }
+    // What is already here is recorded before the files are finished.
+    while let Ok(event) = link.try_recv() {
+        take(event, &hub, &commands, &recorder, &mut complaints);
+    }
+    hub.flush();
+}
+
+fn take(event: LinkEvent, hub: &Hub, commands: &Commands, recorder: &RecorderHandle, complaints: &mut Complaints) {
+    match event {
+        LinkEvent::Connected { agent_id, boot_id, boot_wall_time_us, version, commands } => {
+            tracing::info!(%agent_id, boot_id, %version, "agent connected");
+            hub.connected(&agent_id, boot_id, boot_wall_time_us, &version, commands.clone());
+            recorder.connected(agent_id, boot_id, boot_wall_time_us, commands);
+        }
+        LinkEvent::Batch { agent_id, batch, received: _, backfill } => {
+            if !backfill {
+                match hub.batch(&agent_id, &batch) {
+                    Ok(acks) => acks.into_iter().for_each(|ack| commands.resolve(&agent_id, ack)),
+                    Err(error) => complaints.malformed(&agent_id, &error.to_string()),
+                }
+            }
+            recorder.batch(agent_id, batch, backfill);
+        }
+        LinkEvent::BackfillUnavailable { agent_id, request } => recorder.unavailable(agent_id, request),
+        LinkEvent::Stats { agent_id, round_trip_ms, clock_offset_us } => {
+            hub.stats(&agent_id, round_trip_ms, clock_offset_us);
+        }
+        LinkEvent::Disconnected { agent_id, reason } => {
+            tracing::warn!(%agent_id, %reason, "agent disconnected");
+            hub.disconnected(&agent_id);
+            recorder.disconnected(agent_id);
+        }
+    }
+}
+
+fn publish_recordings(hub: &Hub, recorder: &RecorderHandle) {
+    for id in hub.ids() {
+        let mut status = recorder.status(&id);
+        status.wall_time_us = wall_time_us();
+        hub.publish(&id, Kind::Recording, &status);
+    }
+}
+
+/// One log line a second about malformed batches, however many arrive.
+#[derive(Default)]
+struct Complaints {
+    last: Option<Instant>,
+    silent: u64,
+}
+
+impl Complaints {
+    fn malformed(&mut self, agent_id: &str, reason: &str) {
+        if self.last.is_some_and(|at| at.elapsed() < Duration::from_secs(1)) {
+            self.silent += 1;
+            return;
+        }
+        tracing::warn!(%agent_id, reason, not_logged = self.silent, "malformed batch");
+        self.last = Some(Instant::now());
+        self.silent = 0;
+    }
+}

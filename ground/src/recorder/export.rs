@@ -1,0 +1,254 @@
+//! Flights in other forms: CSV, and the codec batch that the page replays.
+
+use std::fs::File;
+use std::path::PathBuf;
+
+use mcap::McapResult;
+use plumbline_proto::Kind;
+use plumbline_proto::codec::{self, Frame};
+
+use super::RecordingError;
+use super::flatten::Table;
+use super::reader::FlightReader;
+
+/// Takes the output piece by piece; `false` ends the export (the client is gone).
+pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
+
+/// Size of one piece of output, bytes, about.
+const PIECE: usize = 64 << 10;
+/// The wide table has at most one row in this time, µs: 100 Hz.
+const ROW_EVERY_US: u64 = 10_000;
+
+enum Form {
+    Wide,
+    Topic(String),
+    Frames(Option<Vec<String>>),
+}
+
+/// An export that is known to be possible.
+pub struct Export {
+    reader: FlightReader,
+    form: Form,
+}
+
+impl Export {
+    /// One row per control tick, at most 100 Hz, with the latest of every sample topic beside it.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when the file cannot be read or has no `/control`.
+    pub fn wide(file: File) -> Result<Self, RecordingError> {
+        let reader = open(file)?;
+        let topic = Kind::Control.base_topic();
+        if !reader.channels().contains_key(topic) {
+            return Err(RecordingError::NoTopic(topic.to_owned()));
+        }
+        Ok(Self { reader, form: Form::Wide })
+    }
+
+    /// Every message of one topic.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when the file cannot be read or has no such topic.
+    pub fn topic(file: File, topic: &str) -> Result<Self, RecordingError> {
+        let reader = open(file)?;
+        match reader.channels().get(topic).and_then(|channel| Table::of(channel)) {
+            Some(_) => Ok(Self { reader, form: Form::Topic(topic.to_owned()) }),
+            None => Err(RecordingError::NoTopic(crate::names::clip(topic))),
+        }
+    }
+
+    /// The messages of some kinds (all when `None`) as one codec batch in the order of time.
+    /// Kinds are named by the last part of their topic: `estimate`, `imu`, `step`.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when the file cannot be read or a kind is not known.
+    pub fn frames(file: File, kinds: Option<&str>) -> Result<Self, RecordingError> {
+        let reader = open(file)?;
+        let topics = match kinds {
+            None => None,
+            Some(names) => {
+                let kinds = names.split(',').map(kind_of_name).collect::<Result<Vec<_>, _>>()?;
+                let wanted = |topic: &String| Kind::from_topic(topic).is_some_and(|(kind, _)| kinds.contains(&kind));
+                Some(reader.channels().into_keys().filter(wanted).collect())
+            }
+        };
+        Ok(Self { reader, form: Form::Frames(topics) })
+    }
+
+    /// Writes the export.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when the file turns out to be damaged.
+    pub fn write(mut self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
+        let written = match self.form {
+            Form::Wide => write_wide(&mut self.reader, sink),
+            Form::Topic(topic) => write_topic(&mut self.reader, &topic, sink),
+            Form::Frames(topics) => write_frames(&mut self.reader, topics.as_deref(), sink),
+        };
+        written.map_err(damaged)
+    }
+}
+
+fn open(file: File) -> Result<FlightReader, RecordingError> {
+    FlightReader::open(file).map_err(damaged)
+}
+
+fn damaged(error: mcap::McapError) -> RecordingError {
+    RecordingError::Damaged { path: PathBuf::from("flight file"), reason: error.to_string() }
+}
+
+fn kind_of_name(name: &str) -> Result<Kind, RecordingError> {
+    let known = Kind::ALL.iter().find(|kind| kind.base_topic().rsplit('/').next() == Some(name));
+    known.copied().ok_or_else(|| RecordingError::Invalid(format!("kind {:?} is not known", crate::names::clip(name))))
+}
+
+/// CSV rows gathered into pieces.
+struct Pieces<'s, 'f> {
+    csv: csv::Writer<Vec<u8>>,
+    sink: &'s mut Sink<'f>,
+}
+
+impl<'s, 'f> Pieces<'s, 'f> {
+    fn new(sink: &'s mut Sink<'f>) -> Self {
+        Self { csv: csv::WriterBuilder::new().buffer_capacity(PIECE).from_writer(Vec::new()), sink }
+    }
+
+    fn row<'r>(&mut self, cells: impl IntoIterator<Item = &'r str>) -> McapResult<bool> {
+        self.csv.write_record(cells).map_err(|e| mcap::McapError::Io(e.into()))?;
+        if self.csv.get_ref().len() < PIECE { Ok(true) } else { self.send() }
+    }
+
+    fn send(&mut self) -> McapResult<bool> {
+        self.csv.flush()?;
+        let full = std::mem::replace(&mut self.csv, csv::WriterBuilder::new().from_writer(Vec::new()));
+        let bytes = full.into_inner().map_err(|e| mcap::McapError::Io(std::io::Error::other(e.to_string())))?;
+        Ok(bytes.is_empty() || (self.sink)(bytes))
+    }
+}
+
+fn seconds(time_us: u64, start_us: u64) -> String {
+    format!("{:.6}", time_us.saturating_sub(start_us) as f64 * 1e-6)
+}
+
+fn write_topic(reader: &mut FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapResult<()> {
+    let topics = [topic.to_owned()];
+    let Some(mut table) = reader.channels().get(topic).and_then(|channel| Table::of(channel)) else { return Ok(()) };
+    reader.for_each(Some(&topics), |message| {
+        table.measure(message.payload);
+        Ok(true)
+    })?;
+    let header = table.header();
+    let mut out = Pieces::new(sink);
+    out.row(["time_s", "sequence"].into_iter().chain(header.iter().map(String::as_str)))?;
+    let start_us = reader.start_us();
+    reader.for_each(Some(&topics), |message| {
+        let (time, sequence) = (seconds(message.time_us, start_us), message.sequence.to_string());
+        for row in table.rows(message.payload) {
+            let cells = [time.as_str(), sequence.as_str()].into_iter().chain(row.iter().map(String::as_str));
+            if !out.row(cells)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    })?;
+    out.send().map(|_| ())
+}
+
+/// `/sensor/height/2` → `height_2`.
+fn prefix(topic: &str) -> String {
+    topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
+}
+
+fn write_wide(reader: &mut FlightReader, sink: &mut Sink<'_>) -> McapResult<()> {
+    struct Part {
+        topic: String,
+        table: Table,
+        latest: Option<Vec<u8>>,
+    }
+    let sampled = |topic: &str| {
+        let kind = Kind::from_topic(topic).map(|(kind, _)| kind);
+        matches!(
+            kind,
+            Some(
+                Kind::Control
+                    | Kind::Estimate
+                    | Kind::Truth
+                    | Kind::Imu
+                    | Kind::Height
+                    | Kind::Barometer
+                    | Kind::Gnss
+                    | Kind::MocapPose
+                    | Kind::CameraRanges
+            )
+        )
+    };
+    let mut parts: Vec<Part> = reader
+        .channels()
+        .values()
+        .filter(|channel| sampled(&channel.topic))
+        .filter_map(|channel| Some(Part { topic: channel.topic.clone(), table: Table::of(channel)?, latest: None }))
+        .filter(|part| !part.table.has_rows())
+        .collect();
+    // Control first, then by topic.
+    parts.sort_by_key(|part| (part.topic != Kind::Control.base_topic(), part.topic.clone()));
+    let topics: Vec<String> = parts.iter().map(|part| part.topic.clone()).collect();
+    reader.for_each(Some(&topics), |message| {
+        if let Some(part) = parts.iter_mut().find(|part| part.topic == message.channel.topic) {
+            part.table.measure(message.payload);
+        }
+        Ok(true)
+    })?;
+    let named = |part: &Part| {
+        let prefix = prefix(&part.topic);
+        part.table.header().into_iter().map(move |name| format!("{prefix}.{name}")).collect::<Vec<_>>()
+    };
+    let header: Vec<String> = parts.iter().flat_map(named).collect();
+    let mut out = Pieces::new(sink);
+    out.row(std::iter::once("time_s").chain(header.iter().map(String::as_str)))?;
+    let start_us = reader.start_us();
+    let mut last_bin = None;
+    reader.for_each(Some(&topics), |message| {
+        let Some(part) = parts.iter_mut().find(|part| part.topic == message.channel.topic) else { return Ok(true) };
+        part.latest.get_or_insert_default().clear();
+        part.latest.get_or_insert_default().extend_from_slice(message.payload);
+        let bin = Some(message.time_us / ROW_EVERY_US);
+        if message.channel.topic != Kind::Control.base_topic() || bin == last_bin {
+            return Ok(true);
+        }
+        last_bin = bin;
+        let mut cells = vec![seconds(message.time_us, start_us)];
+        for part in &parts {
+            let row = part.latest.as_ref().and_then(|latest| part.table.rows(latest).into_iter().next());
+            cells.extend(row.unwrap_or_else(|| vec![String::new(); part.table.header().len()]));
+        }
+        out.row(cells.iter().map(String::as_str))
+    })?;
+    out.send().map(|_| ())
+}
+
+fn write_frames(reader: &mut FlightReader, topics: Option<&[String]>, sink: &mut Sink<'_>) -> McapResult<()> {
+    let mut batch = Vec::with_capacity(PIECE + 4096);
+    codec::begin_batch(&mut batch);
+    reader.for_each(topics, |message| {
+        let (kind, instance) = match Kind::from_topic(&message.channel.topic) {
+            Some((kind, instance)) => (kind.to_wire(), instance),
+            None => match unknown(&message.channel.topic) {
+                Some(number) => number,
+                None => return Ok(true),
+            },
+        };
+        Frame { kind, instance, sequence: message.sequence, time_us: message.time_us, payload: message.payload }
+            .encode(&mut batch);
+        Ok(if batch.len() >= PIECE { sink(std::mem::take(&mut batch)) } else { true })
+    })?;
+    if !batch.is_empty() {
+        sink(batch);
+    }
+    Ok(())
+}
+
+/// Kind and instance of `/unknown/K/I`.
+fn unknown(topic: &str) -> Option<(u16, u16)> {
+    let (kind, instance) = topic.strip_prefix("/unknown/")?.split_once('/')?;
+    Some((kind.parse().ok()?, instance.parse().ok()?))
+}

@@ -1,0 +1,254 @@
+//! Any protobuf message as columns, from the descriptors embedded in the flight file: kinds and
+//! schemas newer than this build become tables as well.
+//!
+//! - A field is a column, named by its path: `setpoint.altitude_m`.
+//! - A repeated number is a column per element: `motor_command[0]`.
+//! - A repeated message (residuals, checks) is a row per element.
+//! - An absent field is an empty cell; an enum is its name.
+
+use mcap::Channel;
+use prost_reflect::{DescriptorPool, DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, Value};
+
+/// Messages nested deeper than this are left out: a schema may be recursive.
+const MAX_DEPTH: usize = 6;
+/// Most columns of one repeated field.
+const MAX_WIDTH: usize = 256;
+
+#[derive(Debug, Clone)]
+enum Column {
+    Scalar,
+    List { width: usize },
+    Nested(Vec<(FieldDescriptor, Column)>),
+    Rows(Vec<(FieldDescriptor, Column)>),
+}
+
+/// Turns messages of one type into rows of cells.
+#[derive(Debug, Clone)]
+pub(super) struct Table {
+    message: MessageDescriptor,
+    columns: Vec<(FieldDescriptor, Column)>,
+}
+
+impl Table {
+    /// The table for a channel; `None` when the file does not describe its messages.
+    pub(super) fn of(channel: &Channel<'_>) -> Option<Self> {
+        let schema = channel.schema.as_ref().filter(|s| s.encoding == "protobuf")?;
+        let pool = DescriptorPool::decode(schema.data.as_ref()).ok()?;
+        let message = pool.get_message_by_name(&schema.name)?;
+        let columns = columns(&message, 0);
+        Some(Self { message, columns })
+    }
+
+    /// Is there a row per element of a repeated message?
+    pub(super) fn has_rows(&self) -> bool {
+        self.columns.iter().any(|(_, column)| matches!(column, Column::Rows(_)))
+    }
+
+    /// Widens the columns of repeated numbers for this message.
+    pub(super) fn measure(&mut self, payload: &[u8]) {
+        if let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) {
+            measure(&mut self.columns, &message);
+        }
+    }
+
+    /// Names of the columns.
+    pub(super) fn header(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        header(&self.columns, "", &mut names);
+        names
+    }
+
+    /// The rows of one message; a message that cannot be decoded has none.
+    pub(super) fn rows(&self, payload: &[u8]) -> Vec<Vec<String>> {
+        let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) else { return Vec::new() };
+        let repeated = self.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
+        let count = repeated.map_or(1, |(field, _)| list(&message, field).len().max(1));
+        let row = |index| {
+            let mut cells = Vec::new();
+            row(&self.columns, Some(&message), index, &mut cells);
+            cells
+        };
+        (0..count).map(row).collect()
+    }
+}
+
+fn columns(message: &MessageDescriptor, depth: usize) -> Vec<(FieldDescriptor, Column)> {
+    let mut rows_taken = depth > 0;
+    let mut found = Vec::new();
+    for field in message.fields() {
+        let column = match (field.kind(), field.is_list()) {
+            _ if field.is_map() => continue,
+            (Kind::Message(_), _) if depth >= MAX_DEPTH => continue,
+            // One dimension of rows is a table; a second one is not.
+            (Kind::Message(_), true) if rows_taken => continue,
+            (Kind::Message(inner), true) => {
+                rows_taken = true;
+                Column::Rows(columns(&inner, depth + 1))
+            }
+            (Kind::Message(inner), false) => Column::Nested(columns(&inner, depth + 1)),
+            (_, true) => Column::List { width: 0 },
+            (_, false) => Column::Scalar,
+        };
+        found.push((field, column));
+    }
+    found
+}
+
+fn list(message: &DynamicMessage, field: &FieldDescriptor) -> Vec<Value> {
+    match message.get_field(field).as_ref() {
+        Value::List(values) => values.clone(),
+        _ => Vec::new(),
+    }
+}
+
+fn measure(columns: &mut [(FieldDescriptor, Column)], message: &DynamicMessage) {
+    for (field, column) in columns {
+        match column {
+            Column::Scalar => {}
+            Column::List { width } => *width = (*width).max(list(message, field).len().min(MAX_WIDTH)),
+            Column::Nested(inner) => {
+                if let Value::Message(nested) = message.get_field(field).as_ref() {
+                    measure(inner, nested);
+                }
+            }
+            Column::Rows(inner) => {
+                for value in list(message, field) {
+                    if let Value::Message(nested) = value {
+                        measure(inner, &nested);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn header(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<String>) {
+    for (field, column) in columns {
+        let name = format!("{prefix}{}", field.name());
+        match column {
+            Column::Scalar => names.push(name),
+            Column::List { width } => names.extend((0..*width).map(|i| format!("{name}[{i}]"))),
+            Column::Nested(inner) | Column::Rows(inner) => header(inner, &format!("{name}."), names),
+        }
+    }
+}
+
+fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, index: usize, cells: &mut Vec<String>) {
+    for (field, column) in columns {
+        // Without presence a missing field has its default; with presence it is absent.
+        let present = message.filter(|m| !field.supports_presence() || m.has_field(field));
+        match column {
+            Column::Scalar => {
+                cells.push(present.map_or_else(String::new, |m| cell(field, m.get_field(field).as_ref())))
+            }
+            Column::List { width } => {
+                let values = present.map(|m| list(m, field)).unwrap_or_default();
+                cells.extend((0..*width).map(|i| values.get(i).map_or_else(String::new, |v| cell(field, v))));
+            }
+            Column::Nested(inner) => match present.map(|m| m.get_field(field)).as_deref() {
+                Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
+                _ => row(inner, None, index, cells),
+            },
+            Column::Rows(inner) => match present.map(|m| list(m, field)).unwrap_or_default().get(index) {
+                Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
+                _ => row(inner, None, index, cells),
+            },
+        }
+    }
+}
+
+fn cell(field: &FieldDescriptor, value: &Value) -> String {
+    match value {
+        Value::Bool(v) => v.to_string(),
+        Value::I32(v) => v.to_string(),
+        Value::I64(v) => v.to_string(),
+        Value::U32(v) => v.to_string(),
+        Value::U64(v) => v.to_string(),
+        Value::F32(v) => v.to_string(),
+        Value::F64(v) => v.to_string(),
+        Value::String(v) => v.clone(),
+        Value::Bytes(v) => v.iter().map(|b| format!("{b:02x}")).collect(),
+        Value::EnumNumber(number) => match field.kind() {
+            Kind::Enum(names) => names.get_value(*number).map_or_else(
+                || number.to_string(),
+                |value| {
+                    let prefix = shout(names.name());
+                    value.name().strip_prefix(&prefix).unwrap_or(value.name()).to_ascii_lowercase()
+                },
+            ),
+            _ => number.to_string(),
+        },
+        Value::Message(_) | Value::List(_) | Value::Map(_) => String::new(),
+    }
+}
+
+/// `AttackKind` → `ATTACK_KIND_`.
+fn shout(name: &str) -> String {
+    let mut out = String::new();
+    for c in name.chars() {
+        if c.is_ascii_uppercase() && !out.is_empty() {
+            out.push('_');
+        }
+        out.push(c.to_ascii_uppercase());
+    }
+    out.push('_');
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_proto::{Message as _, descriptor::FILE_DESCRIPTOR_SET, v1};
+    use std::{borrow::Cow, sync::Arc};
+
+    fn table(message: &str) -> Table {
+        let schema = mcap::Schema {
+            id: 1,
+            name: format!("plumbline.v1.{message}"),
+            encoding: "protobuf".into(),
+            data: Cow::Borrowed(FILE_DESCRIPTOR_SET),
+        };
+        let channel = Channel {
+            id: 1,
+            topic: "/x".into(),
+            schema: Some(Arc::new(schema)),
+            message_encoding: "protobuf".into(),
+            metadata: Default::default(),
+        };
+        Table::of(&channel).unwrap()
+    }
+
+    #[test]
+    fn fields_lists_enums_and_absence() {
+        let mut table = table("Control");
+        let message = v1::Control {
+            time_us: 7,
+            mode: v1::Mode::AltitudeHold as i32,
+            setpoint: Some(v1::Setpoint { altitude_m: Some(0.8), ..Default::default() }),
+            motor_command: vec![0.5, 0.25],
+            ..Default::default()
+        }
+        .encode_to_vec();
+        table.measure(&message);
+        let header = table.header();
+        let row = &table.rows(&message)[0];
+        let get = |name: &str| row[header.iter().position(|h| h == name).unwrap_or_else(|| panic!("{name}"))].as_str();
+        assert_eq!(header.len(), row.len());
+        assert_eq!((get("time_us"), get("mode"), get("armed")), ("7", "altitude_hold", "false"));
+        assert_eq!((get("setpoint.altitude_m"), get("setpoint.x_m")), ("0.8", ""));
+        assert_eq!((get("motor_command[1]"), get("torque_flu_nm.x")), ("0.25", ""));
+    }
+
+    #[test]
+    fn a_repeated_message_is_a_row_each() {
+        let table = table("Residuals");
+        let residual = |instance| v1::Residual { instance, innovation: -0.5, ..Default::default() };
+        let message = v1::Residuals { time_us: 3, residuals: vec![residual(1), residual(2)], ..Default::default() }
+            .encode_to_vec();
+        let rows = table.rows(&message);
+        let instance = table.header().iter().position(|h| h == "residuals.instance").unwrap();
+        assert!(table.has_rows());
+        assert_eq!(rows.iter().map(|r| r[instance].as_str()).collect::<Vec<_>>(), ["1", "2"]);
+        assert_eq!(rows[1][0], "3", "the message's own fields repeat");
+    }
+}

@@ -1,0 +1,338 @@
+//! Records flights: the downlink written down.
+//!
+//! One thread of its own does all the writing, behind a queue bounded by [`MAX_QUEUED_BYTES`].
+//! Policy when the queue is full (a slow or stuck disk): the batch is not recorded, and because the
+//! recorder counts sequence numbers, it is a gap like any other and is asked back from the agent's
+//! own log. The hub never waits.
+
+mod asking;
+mod export;
+mod flatten;
+mod flight;
+mod identity;
+mod index;
+mod intervals;
+mod reader;
+mod repair;
+mod store;
+mod track;
+mod worker;
+mod writer;
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+use bytes::Bytes;
+use plumbline_proto::v1;
+use serde::Serialize;
+use tokio::sync::Notify;
+
+use crate::agent_link::CommandSender;
+use crate::config::GroundConfig;
+use crate::error::GroundError;
+use crate::sync::lock;
+pub use export::{Export, Sink};
+pub use flight::{Completeness, Flight, FlownAttack, Step};
+use index::FlightIndex;
+pub use intervals::IntervalSet;
+use store::RecordingStore;
+pub use store::{Labels, MAX_NAME, MAX_NOTES};
+
+/// Most messages waiting for the recorder.
+const MAX_QUEUED: usize = 16_384;
+/// Most bytes waiting for the recorder.
+pub const MAX_QUEUED_BYTES: usize = 64 << 20;
+
+/// Why a recording cannot be read or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// There is no such flight.
+    #[error("there is no flight {0:?}")]
+    Unknown(String),
+    /// The flight has no such topic.
+    #[error("the flight has no topic {0:?}")]
+    NoTopic(String),
+    /// It is being recorded.
+    #[error("flight {0:?} is being recorded")]
+    InProgress(String),
+    /// The request makes no sense.
+    #[error("{0}")]
+    Invalid(String),
+    /// The recorder is shutting down.
+    #[error("the recorder has stopped")]
+    Stopped,
+    /// The disk said no.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{path}: {reason}")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The index failed; it can be rebuilt from the files.
+    #[error("index of flights: {0}")]
+    Index(#[from] rusqlite::Error),
+}
+
+/// What the recordings take and leave.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Storage {
+    /// Size of all flight files, bytes.
+    pub used_bytes: u64,
+    /// Free on their disk, bytes.
+    pub free_bytes: u64,
+    /// Flights.
+    pub flights: u64,
+}
+
+/// What the recorder is told.
+#[derive(Debug)]
+enum Input {
+    Connected { agent_id: String, boot_id: u64, boot_wall_time_us: u64, commands: CommandSender },
+    Batch { agent_id: String, batch: Bytes, backfill: bool },
+    Unavailable { agent_id: String, request: v1::BackfillRequest },
+    Disconnected { agent_id: String },
+    Delete { id: String, answer: SyncSender<Result<(), RecordingError>> },
+    Finish,
+}
+
+/// What the recorder shows.
+#[derive(Debug, Default)]
+struct Shared {
+    status: Mutex<BTreeMap<String, v1::RecordingStatus>>,
+    error: Mutex<Option<String>>,
+    set_aside: Mutex<Vec<String>>,
+    queued_bytes: AtomicUsize,
+    /// Batches that found the queue full, since start.
+    refused: AtomicUsize,
+    /// What a crash left is repaired and the index is in line with the files.
+    ready: AtomicBool,
+    changed: Notify,
+}
+
+/// The running recorder.
+#[derive(Debug)]
+pub struct Recorder {
+    handle: RecorderHandle,
+    thread: JoinHandle<()>,
+    /// Held until the recorder is gone.
+    _folder: Option<File>,
+}
+
+/// How the rest of the ground reaches the recorder. Cheap to clone; no call waits for the disk
+/// unless it says so.
+#[derive(Debug, Clone)]
+pub struct RecorderHandle {
+    queue: SyncSender<Input>,
+    shared: Arc<Shared>,
+    store: RecordingStore,
+    index: Arc<FlightIndex>,
+}
+
+/// Starts the recorder's thread.
+///
+/// # Errors
+/// [`GroundError`] when another ground uses the data folder, or the thread or the index cannot start.
+/// A folder that cannot be written is no such error: it is shown, and flying goes on.
+pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
+    let folder = worker::lock_folder(&config.data_folder)?;
+    let (queue, inputs) = sync_channel(MAX_QUEUED);
+    let shared = Arc::new(Shared::default());
+    let store = RecordingStore::new(&config.data_folder);
+    let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
+    let index = Arc::new(index);
+    let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };
+    let worker = worker::Worker::new(config.clone(), store, index, shared);
+    let thread = std::thread::Builder::new()
+        .name("recorder".into())
+        .spawn(move || worker.run(&inputs))
+        .map_err(GroundError::Thread)?;
+    Ok(Recorder { handle, thread, _folder: folder })
+}
+
+impl Recorder {
+    /// A handle.
+    pub fn handle(&self) -> RecorderHandle {
+        self.handle.clone()
+    }
+
+    /// Finishes every open recording and ends the thread. Waits for the disk.
+    pub fn finish(self) {
+        let _ = self.handle.queue.send(Input::Finish);
+        if self.thread.join().is_err() {
+            tracing::error!("the recorder thread panicked");
+        }
+    }
+}
+
+impl RecorderHandle {
+    pub(crate) fn connected(&self, agent_id: String, boot_id: u64, boot_wall_time_us: u64, commands: CommandSender) {
+        self.put(Input::Connected { agent_id, boot_id, boot_wall_time_us, commands });
+    }
+
+    pub(crate) fn batch(&self, agent_id: String, batch: Bytes, backfill: bool) {
+        let length = batch.len();
+        if self.shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES {
+            self.shared.refused.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
+        if !self.put(Input::Batch { agent_id, batch, backfill }) {
+            self.shared.queued_bytes.fetch_sub(length, Ordering::Relaxed);
+        }
+    }
+
+    pub(crate) fn unavailable(&self, agent_id: String, request: v1::BackfillRequest) {
+        self.put(Input::Unavailable { agent_id, request });
+    }
+
+    pub(crate) fn disconnected(&self, agent_id: String) {
+        self.put(Input::Disconnected { agent_id });
+    }
+
+    fn put(&self, input: Input) -> bool {
+        match self.queue.try_send(input) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_)) => {
+                self.shared.refused.fetch_add(1, Ordering::Relaxed);
+                false
+            }
+            Err(TrySendError::Disconnected(_)) => false,
+        }
+    }
+
+    /// Waits for the state of a recording to change.
+    pub(crate) async fn changed(&self) {
+        self.shared.changed.notified().await;
+    }
+
+    /// State of the recording of one vehicle.
+    pub fn status(&self, agent_id: &str) -> v1::RecordingStatus {
+        let mut status = lock(&self.shared.status).get(agent_id).cloned().unwrap_or_default();
+        status.error = self.error().unwrap_or_default();
+        status
+    }
+
+    /// Why nothing can be recorded.
+    pub fn error(&self) -> Option<String> {
+        lock(&self.shared.error).clone()
+    }
+
+    /// Files that were damaged beyond repair, by name.
+    pub fn set_aside(&self) -> Vec<String> {
+        lock(&self.shared.set_aside).clone()
+    }
+
+    /// Is the start over: everything repaired and indexed?
+    pub fn ready(&self) -> bool {
+        self.shared.ready.load(Ordering::Acquire)
+    }
+
+    /// Batches that the recorder was too slow for, since start; they are asked for again.
+    pub fn refused(&self) -> usize {
+        self.shared.refused.load(Ordering::Relaxed)
+    }
+
+    /// Space taken and left. Asks the disk.
+    pub fn storage(&self) -> Storage {
+        let flights = self.store.list();
+        Storage {
+            used_bytes: flights.values().map(|files| self.store.size(files)).sum(),
+            free_bytes: free_bytes(self.store.folder()),
+            flights: flights.len() as u64,
+        }
+    }
+
+    /// All flights, newest first. Asks the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Index`].
+    pub fn flights(&self) -> Result<Vec<Flight>, RecordingError> {
+        Ok(self.index.list()?)
+    }
+
+    /// One flight. Asks the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Unknown`], [`RecordingError::Index`].
+    pub fn flight(&self, id: &str) -> Result<Flight, RecordingError> {
+        self.index.get(id)?.ok_or_else(|| RecordingError::Unknown(crate::names::clip(id)))
+    }
+
+    /// Changes name or notes of a flight. Writes to the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when there is no such flight, a text is too long, or the disk refuses.
+    pub fn label(&self, id: &str, name: Option<String>, notes: Option<String>) -> Result<Flight, RecordingError> {
+        let flight = self.flight(id)?;
+        let labels = Labels { name: name.unwrap_or(flight.name), notes: notes.unwrap_or(flight.notes) };
+        for (what, text, limit) in [("name", &labels.name, MAX_NAME), ("notes", &labels.notes, MAX_NOTES)] {
+            let length = text.chars().count();
+            if length > limit {
+                return Err(RecordingError::Invalid(format!("{what} has {length} characters, limit {limit}")));
+            }
+        }
+        self.store.label(id, &labels)?;
+        self.index.label(id, &labels)?;
+        self.flight(id)
+    }
+
+    /// Deletes a flight. Waits for the recorder and the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when there is no such flight, it is being recorded, or the disk refuses.
+    pub fn delete(&self, id: &str) -> Result<(), RecordingError> {
+        let (answer, answered) = sync_channel(1);
+        let input = Input::Delete { id: id.to_owned(), answer };
+        self.queue.send(input).map_err(|_| RecordingError::Stopped)?;
+        answered.recv().map_err(|_| RecordingError::Stopped)?
+    }
+
+    /// Opens a flight for reading: the finished file, or a snapshot of what was written so far.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when there is no such flight or it cannot be read.
+    pub fn open(&self, id: &str) -> Result<File, RecordingError> {
+        if plumbline_proto::ids::FlightId::new(id).is_err() {
+            return Err(RecordingError::Unknown(crate::names::clip(id)));
+        }
+        self.store.open(id)
+    }
+}
+
+/// What went wrong, with the system's own words where it was the system.
+fn explain(error: &mcap::McapError) -> String {
+    match error {
+        mcap::McapError::Io(source) => source.to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// Free space of the disk that holds `folder`, bytes; of its nearest parent where it does not exist.
+fn free_bytes(folder: &Path) -> u64 {
+    use std::os::unix::ffi::OsStrExt as _;
+    let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new("/"));
+    let Ok(path) = std::ffi::CString::new(existing.as_os_str().as_bytes()) else { return 0 };
+    let mut found = std::mem::MaybeUninit::<libc::statvfs>::zeroed();
+    // SAFETY: `path` is a C string and `found` is as large as the structure asked for.
+    let outcome = unsafe { libc::statvfs(path.as_ptr(), found.as_mut_ptr()) };
+    if outcome != 0 {
+        return 0;
+    }
+    // SAFETY: zero is a valid value of every field, and the call filled them in.
+    let found = unsafe { found.assume_init() };
+    found.f_bavail.saturating_mul(found.f_frsize)
+}

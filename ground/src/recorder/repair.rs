@@ -1,0 +1,186 @@
+//! Reads a flight file for what it holds, whatever state it is in.
+//!
+//! A file that ends in the middle (a crash, a power cut) gives every message up to its last whole
+//! chunk. A chunk whose checksum is wrong is left out and the rest is read. Nothing here panics or
+//! reads without bound, whatever the bytes.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufReader, Read as _, Seek as _, SeekFrom};
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::records::{MessageHeader, Record};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{Channel, MAGIC, McapError, McapResult, Schema};
+
+use super::identity::{BEGIN, END, Ending, Identity};
+
+/// Largest record read; a chunk of ours is about 1 MiB.
+const MAX_RECORD: usize = 256 << 20;
+/// Largest chunk unpacked.
+const MAX_CHUNK: u64 = 256 << 20;
+
+/// What is wrong with a file.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) enum Damage {
+    /// Nothing: it was finished and is whole.
+    #[default]
+    None,
+    /// It ends in the middle, as a crash leaves it.
+    Unfinished,
+    /// Bytes are not what was written.
+    Corrupt(String),
+}
+
+/// What a file says of itself, beside its messages.
+#[derive(Debug, Default)]
+pub(super) struct Scan {
+    pub(super) identity: Option<Identity>,
+    pub(super) ending: Option<Ending>,
+    pub(super) damage: Damage,
+    pub(super) messages: u64,
+}
+
+/// Passes every readable message of `path` to `each`, in file order.
+///
+/// # Errors
+/// Those of opening and reading the file, and those of `each`; damage is not an error.
+pub(super) fn scan(
+    path: &Path,
+    mut each: impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
+) -> McapResult<Scan> {
+    let file = File::open(path)?;
+    let mut found = Scan::default();
+    let mut channels = Channels::default();
+    let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(MAX_RECORD);
+    let mut source = BufReader::with_capacity(1 << 18, &file);
+    let mut reader = LinearReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        let record = match event {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
+                let got = source.read(reader.insert(need.min(MAX_RECORD)))?;
+                reader.notify_read(got);
+                continue;
+            }
+            Ok(LinearReadEvent::Record { opcode, data }) => mcap::parse_record(opcode, data),
+            Err(error) => Err(error),
+        };
+        let record = match record {
+            Ok(record) => record,
+            Err(McapError::UnexpectedEof) if !ends_with_magic(&file) => {
+                if found.damage == Damage::None {
+                    found.damage = Damage::Unfinished;
+                }
+                return Ok(found);
+            }
+            Err(error) => {
+                found.damage = Damage::Corrupt(error.to_string());
+                return Ok(found);
+            }
+        };
+        if let Record::Chunk { header, data } = record {
+            if header.uncompressed_size > MAX_CHUNK {
+                let text = format!("a chunk of {} bytes, limit {MAX_CHUNK}", header.uncompressed_size);
+                found.damage = Damage::Corrupt(text);
+                continue;
+            }
+            let start = header.message_start_time;
+            // Checksums are known only at the end of a chunk: nothing of it is used before.
+            match mcap::read::ChunkReader::new(header, &data).and_then(Iterator::collect::<McapResult<Vec<_>>>) {
+                Ok(records) => {
+                    for record in records {
+                        take(record, &mut channels, &mut found, &mut each)?;
+                    }
+                }
+                Err(error) => found.damage = Damage::Corrupt(format!("the chunk of {start} ns: {error}")),
+            }
+        } else {
+            take(record, &mut channels, &mut found, &mut each)?;
+        }
+    }
+    Ok(found)
+}
+
+/// The identity of a file, read from its first records only.
+pub(super) fn identity(path: &Path) -> Option<Identity> {
+    let mut reader = LinearReader::new_with_options(
+        LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(MAX_RECORD),
+    );
+    let mut source = BufReader::new(File::open(path).ok()?);
+    // Header, then our metadata: nothing of ours comes later.
+    let mut records = 0;
+    while let Some(Ok(event)) = reader.next_event() {
+        match event {
+            LinearReadEvent::ReadRequest(need) => {
+                let got = source.read(reader.insert(need.min(MAX_RECORD))).ok()?;
+                reader.notify_read(got);
+            }
+            LinearReadEvent::Record { opcode, data } => {
+                if let Ok(Record::Metadata(m)) = mcap::parse_record(opcode, data)
+                    && m.name == BEGIN
+                {
+                    return Some(Identity::from_metadata(&m.metadata));
+                }
+                records += 1;
+                if records > 4 {
+                    return None;
+                }
+            }
+        }
+    }
+    None
+}
+
+fn ends_with_magic(mut file: &File) -> bool {
+    let mut tail = [0; 8];
+    let end = -(MAGIC.len() as i64);
+    file.seek(SeekFrom::End(end)).is_ok() && file.read_exact(&mut tail).is_ok() && tail == *MAGIC
+}
+
+#[derive(Default)]
+struct Channels {
+    schemas: HashMap<u16, Arc<Schema<'static>>>,
+    channels: HashMap<u16, Arc<Channel<'static>>>,
+}
+
+fn take(
+    record: Record<'_>,
+    known: &mut Channels,
+    found: &mut Scan,
+    each: &mut impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
+) -> McapResult<()> {
+    match record {
+        Record::Schema { header, data } => {
+            let schema = Schema {
+                id: header.id,
+                name: header.name,
+                encoding: header.encoding,
+                data: Cow::Owned(data.into_owned()),
+            };
+            known.schemas.entry(schema.id).or_insert_with(|| Arc::new(schema));
+        }
+        Record::Channel(c) => {
+            let channel = Channel {
+                id: c.id,
+                topic: c.topic,
+                schema: known.schemas.get(&c.schema_id).cloned(),
+                message_encoding: c.message_encoding,
+                metadata: c.metadata,
+            };
+            known.channels.entry(channel.id).or_insert_with(|| Arc::new(channel));
+        }
+        Record::Message { header, data } => match known.channels.get(&header.channel_id) {
+            Some(channel) => {
+                found.messages += 1;
+                each(channel, &header, &data)?;
+            }
+            None => found.damage = Damage::Corrupt(format!("a message of unknown channel {}", header.channel_id)),
+        },
+        Record::Metadata(m) if m.name == BEGIN => found.identity = Some(Identity::from_metadata(&m.metadata)),
+        Record::Metadata(m) if m.name == END => found.ending = Some(Ending::from_metadata(&m.metadata)),
+        _ => {}
+    }
+    Ok(())
+}

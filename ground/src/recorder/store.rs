@@ -1,0 +1,405 @@
+//! The folder of flight files (the seam called `RecordingStore`).
+//!
+//! | file | what |
+//! |---|---|
+//! | `ID.mcap` | a finished flight |
+//! | `ID.001.part` … | being written, or left by a crash; merged into `ID.mcap` |
+//! | `ID.json` | name and notes, by people |
+//! | `*.tmp` | being made; never the only copy; removed at start |
+//! | `*.corrupt` | damaged; what could be read of it is in `ID.mcap` |
+//!
+//! A file is replaced only by renaming a complete and synced one over it, and parts are removed only
+//! after that: a crash in between merges once more, and messages are told apart by their sequence
+//! numbers.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mcap::McapResult;
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use plumbline_proto::ids::FlightId;
+use serde::{Deserialize, Serialize};
+
+use super::RecordingError;
+use super::flight::{Completeness, Flight, Learner};
+use super::identity::{Ending, Identity, widen};
+use super::intervals::IntervalSet;
+use super::repair::{self, Damage};
+use super::writer;
+use crate::gains_book::write_atomically;
+
+/// Longest name of a flight, characters.
+pub const MAX_NAME: usize = 200;
+/// Longest notes, characters.
+pub const MAX_NOTES: usize = 100_000;
+
+/// What people wrote about a flight.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Labels {
+    /// Name.
+    #[serde(default)]
+    pub name: String,
+    /// Notes.
+    #[serde(default)]
+    pub notes: String,
+}
+
+/// The folder.
+#[derive(Debug, Clone)]
+pub(super) struct RecordingStore {
+    folder: PathBuf,
+}
+
+/// The files of one flight.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Files {
+    pub(super) finished: Option<PathBuf>,
+    pub(super) parts: Vec<PathBuf>,
+}
+
+/// Everything that the files of a flight say.
+#[derive(Debug, Default)]
+pub(super) struct Reading {
+    pub(super) identity: Identity,
+    pub(super) ending: Option<Ending>,
+    pub(super) learner: Learner,
+    pub(super) have: IntervalSet,
+    pub(super) damage: Damage,
+}
+
+impl RecordingStore {
+    pub(super) fn new(data_folder: &Path) -> Self {
+        Self { folder: data_folder.join("flights") }
+    }
+
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Makes sure that the folder exists and can be written.
+    pub(super) fn probe(&self) -> Result<(), RecordingError> {
+        fs::create_dir_all(&self.folder).map_err(|e| self.io(&self.folder, e))?;
+        let probe = self.folder.join("probe.tmp");
+        fs::write(&probe, b"can be written").map_err(|e| self.io(&probe, e))?;
+        fs::remove_file(&probe).map_err(|e| self.io(&probe, e))
+    }
+
+    pub(super) fn finished_path(&self, id: &str) -> PathBuf {
+        self.folder.join(format!("{id}.mcap"))
+    }
+
+    /// A path for the next part of a flight.
+    pub(super) fn next_part(&self, id: &str) -> PathBuf {
+        let taken = self.files(id).parts;
+        let number =
+            |path: &PathBuf| path.file_stem().and_then(|s| s.to_str()?.rsplit('.').next()?.parse::<u32>().ok());
+        let next = taken.iter().filter_map(number).max().unwrap_or(0) + 1;
+        self.folder.join(format!("{id}.{next:03}.part"))
+    }
+
+    /// Every flight with files here.
+    pub(super) fn list(&self) -> BTreeMap<String, Files> {
+        let mut flights: BTreeMap<String, Files> = BTreeMap::new();
+        let Ok(entries) = fs::read_dir(&self.folder) else { return flights };
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let Some(name) = path.file_name().and_then(|n| n.to_str()).map(str::to_owned) else { continue };
+            if let Some(id) = name.strip_suffix(".mcap").filter(|id| FlightId::new(*id).is_ok()) {
+                flights.entry(id.to_owned()).or_default().finished = Some(path);
+            } else if let Some((id, _)) = name.strip_suffix(".part").and_then(|n| n.rsplit_once('.'))
+                && FlightId::new(id).is_ok()
+            {
+                flights.entry(id.to_owned()).or_default().parts.push(path);
+            }
+        }
+        flights.values_mut().for_each(|files| files.parts.sort());
+        flights
+    }
+
+    /// The files of one flight.
+    pub(super) fn files(&self, id: &str) -> Files {
+        self.list().remove(id).unwrap_or_default()
+    }
+
+    /// Removes what was being made when the ground ended.
+    pub(super) fn sweep(&self) {
+        let Ok(entries) = fs::read_dir(&self.folder) else { return };
+        for path in entries.flatten().map(|entry| entry.path()) {
+            if path.extension().is_some_and(|e| e == "tmp") {
+                let _ = fs::remove_file(path);
+            }
+        }
+    }
+
+    /// Names of the files set aside.
+    pub(super) fn set_aside(&self) -> Vec<String> {
+        let Ok(entries) = fs::read_dir(&self.folder) else { return Vec::new() };
+        let name = |entry: fs::DirEntry| entry.file_name().to_str().map(str::to_owned);
+        let mut names: Vec<_> = entries.flatten().filter_map(name).filter(|n| n.ends_with(".corrupt")).collect();
+        names.sort();
+        names
+    }
+
+    /// Reads all messages of a flight's files, each once, without writing.
+    pub(super) fn read(&self, files: &Files) -> Result<Reading, RecordingError> {
+        self.gather(files, |_, _, _| Ok(())).map(|(reading, _)| reading)
+    }
+
+    /// Merges everything there is of a flight, up to message `last`, into one finished file. Answers
+    /// what it holds.
+    pub(super) fn merge(&self, id: &str, last: Option<u64>) -> Result<Reading, RecordingError> {
+        let files = self.files(id);
+        let temporary = self.folder.join(format!("{id}.merge.tmp"));
+        let (reading, damaged) = self.write_merged(&files, id, last, &temporary)?;
+        let finished = self.finished_path(id);
+        if reading.learner.messages() == 0 {
+            fs::remove_file(&temporary).map_err(|e| self.io(&temporary, e))?;
+        } else {
+            for (path, _) in damaged.iter().filter(|(path, _)| *path == finished) {
+                // The original stays beside the repaired file; a link, so that no moment is without one.
+                let aside = aside(path);
+                let _ = fs::remove_file(&aside);
+                fs::hard_link(path, &aside).map_err(|e| self.io(path, e))?;
+            }
+            fs::rename(&temporary, &finished).map_err(|e| self.io(&finished, e))?;
+            self.sync_folder()?;
+        }
+        // A file that was finished once and gives nothing now is evidence: it is never removed.
+        let empty = files.finished.iter().filter(|_| reading.learner.messages() == 0);
+        for path in files.parts.iter().chain(empty) {
+            let damage = damaged.iter().find(|(damaged, _)| damaged == path).map(|(_, reason)| reason.as_str());
+            match damage.or((*path == finished).then_some("no message can be read")) {
+                Some(reason) => {
+                    tracing::error!(file = %path.display(), reason, "damaged, set aside as *.corrupt");
+                    fs::rename(path, aside(path)).map_err(|e| self.io(path, e))?;
+                }
+                None => fs::remove_file(path).map_err(|e| self.io(path, e))?,
+            }
+        }
+        Ok(reading)
+    }
+
+    /// Makes the only, finished part of a flight its file.
+    pub(super) fn promote(&self, id: &str, part: &Path) -> Result<(), RecordingError> {
+        let finished = self.finished_path(id);
+        fs::rename(part, &finished).map_err(|e| self.io(&finished, e))?;
+        self.sync_folder()
+    }
+
+    /// Opens a flight for reading: its finished file, or a snapshot of what was written so far.
+    pub(super) fn open(&self, id: &str) -> Result<File, RecordingError> {
+        let files = self.files(id);
+        match files.finished {
+            Some(path) if files.parts.is_empty() => File::open(&path).map_err(|e| self.io(&path, e)),
+            None if files.parts.is_empty() => Err(RecordingError::Unknown(id.to_owned())),
+            _ => {
+                static SNAPSHOTS: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+                let number = SNAPSHOTS.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                let path = self.folder.join(format!("{id}.snapshot-{number}.tmp"));
+                self.write_merged(&files, id, None, &path)?;
+                let file = File::open(&path).map_err(|e| self.io(&path, e));
+                let _ = fs::remove_file(&path);
+                file
+            }
+        }
+    }
+
+    /// Removes every file of a flight.
+    pub(super) fn delete(&self, id: &str) -> Result<(), RecordingError> {
+        let files = self.files(id);
+        for path in files.finished.iter().chain(&files.parts) {
+            fs::remove_file(path).map_err(|e| self.io(path, e))?;
+        }
+        let labels = self.folder.join(format!("{id}.json"));
+        match fs::remove_file(&labels) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(self.io(&labels, error)),
+            _ => self.sync_folder(),
+        }
+    }
+
+    /// Name and notes of a flight.
+    pub(super) fn labels(&self, id: &str) -> Labels {
+        let text = fs::read(self.folder.join(format!("{id}.json"))).unwrap_or_default();
+        serde_json::from_slice(&text).unwrap_or_default()
+    }
+
+    /// Keeps name and notes of a flight.
+    pub(super) fn label(&self, id: &str, labels: &Labels) -> Result<(), RecordingError> {
+        let path = self.folder.join(format!("{id}.json"));
+        let text = serde_json::to_vec_pretty(labels).unwrap_or_default();
+        write_atomically(&path, &text).map_err(|e| self.io(&path, e))
+    }
+
+    /// Size of a flight's files, bytes.
+    pub(super) fn size(&self, files: &Files) -> u64 {
+        let size = |path: &PathBuf| fs::metadata(path).map_or(0, |m| m.len());
+        files.finished.iter().chain(&files.parts).map(size).sum()
+    }
+
+    fn write_merged(
+        &self,
+        files: &Files,
+        id: &str,
+        last: Option<u64>,
+        path: &Path,
+    ) -> Result<(Reading, Vec<(PathBuf, String)>), RecordingError> {
+        let attempt = || -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
+            let mut identity = first_identity(files);
+            if identity.flight_id.is_empty() {
+                id.clone_into(&mut identity.flight_id);
+            }
+            let mut mcap = writer::options().create(NoSeek::new(BufWriter::new(File::create(path)?)))?;
+            mcap.write_metadata(&identity.to_metadata())?;
+            let mut channels: HashMap<String, u16> = HashMap::new();
+            let (reading, damaged) = gather(files, last, |channel, header, data| {
+                let channel_id = match channels.get(&channel.topic) {
+                    Some(id) => *id,
+                    None => {
+                        let schema = match &channel.schema {
+                            Some(s) => mcap.add_schema(&s.name, &s.encoding, &s.data)?,
+                            None => 0,
+                        };
+                        let id =
+                            mcap.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)?;
+                        channels.insert(channel.topic.clone(), id);
+                        id
+                    }
+                };
+                mcap.write_to_known_channel(&MessageHeader { channel_id, ..*header }, data)
+            })?;
+            mcap.write_metadata(&reading.ending().to_metadata())?;
+            writer::finish(mcap)?;
+            Ok((reading, damaged))
+        };
+        attempt().map_err(|e| damaged_file(path, e))
+    }
+
+    fn gather(
+        &self,
+        files: &Files,
+        each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
+    ) -> Result<(Reading, Vec<(PathBuf, String)>), RecordingError> {
+        gather(files, None, each).map_err(|e| damaged_file(&self.folder, e))
+    }
+
+    fn sync_folder(&self) -> Result<(), RecordingError> {
+        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(|e| self.io(&self.folder, e))
+    }
+
+    #[allow(clippy::unused_self)]
+    fn io(&self, path: &Path, source: std::io::Error) -> RecordingError {
+        RecordingError::Io { path: path.to_owned(), source }
+    }
+}
+
+impl Reading {
+    /// First and last sequence number of the flight, as far as known.
+    pub(super) fn range(&self) -> (Option<u64>, Option<u64>) {
+        let first = self.identity.first_sequence.or(self.learner.first_sequence).or(self.have.min());
+        (first, self.learner.last_sequence.or(self.ending.and_then(|e| e.last_sequence)))
+    }
+
+    /// Messages that are not there.
+    pub(super) fn missing(&self) -> u64 {
+        let (first, last) = self.range();
+        match (first, last.or(self.have.max())) {
+            (Some(first), Some(last)) => self.have.missing(first, last),
+            _ => 0,
+        }
+    }
+
+    /// What these files, by themselves, amount to.
+    pub(super) fn ending(&self) -> Ending {
+        let before = self.ending.unwrap_or_default();
+        let completeness = match self.range().1 {
+            Some(_) if self.missing() == 0 => Completeness::Complete,
+            _ if before.completeness == Completeness::Truncated => Completeness::Truncated,
+            _ => Completeness::Filling,
+        };
+        let live = self.learner.messages().saturating_sub(before.filled);
+        Ending { last_sequence: self.range().1, completeness, live, filled: before.filled }
+    }
+
+    /// The record of the flight.
+    pub(super) fn flight(&self, id: &str, labels: Labels, size_bytes: u64) -> Flight {
+        let ending = self.ending();
+        let (first_sequence, last_sequence) = self.range();
+        let mut flight = Flight {
+            id: id.to_owned(),
+            name: labels.name,
+            notes: labels.notes,
+            vehicle_id: self.identity.agent_id.clone(),
+            boot_id: self.identity.boot_id,
+            live: ending.live,
+            filled: ending.filled,
+            missing: self.missing(),
+            first_sequence,
+            last_sequence,
+            completeness: ending.completeness,
+            size_bytes,
+            ..Flight::default()
+        };
+        self.learner.describe(&mut flight, self.identity.boot_wall_time_us);
+        flight
+    }
+}
+
+fn aside(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".corrupt");
+    PathBuf::from(name)
+}
+
+fn damaged_file(path: &Path, error: mcap::McapError) -> RecordingError {
+    match error {
+        mcap::McapError::Io(source) => RecordingError::Io { path: path.to_owned(), source },
+        other => RecordingError::Damaged { path: path.to_owned(), reason: other.to_string() },
+    }
+}
+
+fn first_identity(files: &Files) -> Identity {
+    files.finished.iter().chain(&files.parts).find_map(|path| repair::identity(path)).unwrap_or_default()
+}
+
+/// Reads the files one after the other and passes on each message once.
+fn gather(
+    files: &Files,
+    last: Option<u64>,
+    mut each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
+) -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
+    let mut reading = Reading { identity: first_identity(files), ..Reading::default() };
+    let mut damaged = Vec::new();
+    let mut near = reading.identity.first_sequence;
+    let boot_us = reading.identity.boot_wall_time_us;
+    for path in files.finished.iter().chain(&files.parts) {
+        let (learner, have) = (&mut reading.learner, &mut reading.have);
+        let found = repair::scan(path, |channel, header, data| {
+            // Other writers' files number nothing: 0 is always new.
+            if header.sequence != 0 || near.is_some_and(|near| near > u64::from(u32::MAX)) {
+                let sequence = widen(header.sequence, *near.get_or_insert(u64::from(header.sequence)));
+                if last.is_some_and(|last| sequence > last) || have.insert(sequence, sequence) == 0 {
+                    return Ok(());
+                }
+            }
+            learner.observe(&channel.topic, (header.log_time / 1000).saturating_sub(boot_us), data);
+            each(channel, header, data)
+        })?;
+        if let Some(ending) = found.ending {
+            let before = reading.ending.unwrap_or_default();
+            reading.ending =
+                Some(Ending { filled: before.filled.max(ending.filled), live: before.live.max(ending.live), ..ending });
+        }
+        match found.damage {
+            Damage::Corrupt(reason) => {
+                damaged.push((path.clone(), reason.clone()));
+                reading.damage = Damage::Corrupt(reason);
+            }
+            Damage::Unfinished if reading.damage == Damage::None => reading.damage = Damage::Unfinished,
+            _ => {}
+        }
+    }
+    Ok((reading, damaged))
+}

@@ -1,0 +1,183 @@
+//! Writes one flight file, so that a crash at any moment costs at most the last flush.
+//!
+//! `NoSeek` and `disable_seeking`: a chunk is written whole or not at all, and nothing written is
+//! ever changed. Flushed every [`FLUSH_EVERY`], synced every [`SYNC_EVERY`].
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Compression, McapResult, WriteOptions};
+use plumbline_proto::codec::Frame;
+use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
+use plumbline_proto::time::{FlightTime, WallTime};
+
+use super::identity::Identity;
+
+/// Longest time a message waits in memory.
+pub const FLUSH_EVERY: Duration = Duration::from_millis(200);
+/// Longest time a written message waits for the disk.
+pub const SYNC_EVERY: Duration = Duration::from_millis(900);
+/// Chunks are cut early beyond this many bytes.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// The settings every flight file is written with.
+pub(super) fn options() -> WriteOptions {
+    WriteOptions::new()
+        .profile("plumbline")
+        .library(concat!("plumbline-ground/", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Zstd))
+        .compression_threads(0)
+        .chunk_size(Some(CHUNK_BYTES))
+        .disable_seeking(true)
+}
+
+/// An MCAP writer that never seeks.
+pub(super) type Mcap = mcap::Writer<NoSeek<BufWriter<File>>>;
+
+/// An open flight file.
+pub(super) struct FlightWriter {
+    mcap: Mcap,
+    /// The same file, for syncing.
+    file: File,
+    boot: WallTime,
+    channels: HashMap<(u16, u16), u16>,
+    flushed: Instant,
+    synced: Instant,
+    unflushed: bool,
+    unsynced: bool,
+}
+
+impl FlightWriter {
+    /// Creates `path`, which must not exist yet, with the identity of its flight in front.
+    pub(super) fn create(path: &Path, identity: &Identity) -> McapResult<Self> {
+        let file = File::options().write(true).create_new(true).open(path)?;
+        Self::on(file, identity)
+    }
+
+    fn on(file: File, identity: &Identity) -> McapResult<Self> {
+        let mut mcap = options().create(NoSeek::new(BufWriter::new(file.try_clone()?)))?;
+        mcap.write_metadata(&identity.to_metadata())?;
+        mcap.flush()?;
+        let now = Instant::now();
+        let boot = WallTime(identity.boot_wall_time_us);
+        Ok(Self {
+            mcap,
+            file,
+            boot,
+            channels: HashMap::new(),
+            flushed: now,
+            synced: now,
+            unflushed: false,
+            unsynced: true,
+        })
+    }
+
+    /// Adds one message. It is on its way to the disk after the next [`FlightWriter::flush`].
+    pub(super) fn write(&mut self, frame: &Frame<'_>, topic: &str) -> McapResult<()> {
+        let key = (frame.kind, frame.instance);
+        let channel_id = match self.channels.get(&key) {
+            Some(id) => *id,
+            None => {
+                let id = self.channel(frame, topic)?;
+                self.channels.insert(key, id);
+                id
+            }
+        };
+        let log_time = self.boot.at(FlightTime(frame.time_us)).as_nanos();
+        // The file holds the low 32 bits; the flight's first sequence number gives the rest back.
+        let sequence = frame.sequence as u32;
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        self.mcap.write_to_known_channel(&header, frame.payload)?;
+        self.unflushed = true;
+        Ok(())
+    }
+
+    fn channel(&mut self, frame: &Frame<'_>, topic: &str) -> McapResult<u16> {
+        let schema = match frame.known_kind() {
+            Some(kind) => self.mcap.add_schema(kind.message_name(), "protobuf", FILE_DESCRIPTOR_SET)?,
+            None => 0,
+        };
+        self.mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+    }
+
+    /// Is a flush due?
+    pub(super) fn due(&self, now: Instant) -> bool {
+        (self.unflushed && now.saturating_duration_since(self.flushed) >= FLUSH_EVERY)
+            || (self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY)
+    }
+
+    /// Ends the chunk and hands it to the system; syncs when that is due.
+    pub(super) fn flush(&mut self, now: Instant) -> McapResult<()> {
+        if self.unflushed {
+            self.mcap.flush()?;
+            self.unflushed = false;
+            self.unsynced = true;
+        }
+        self.flushed = now;
+        if self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY {
+            self.file.sync_data()?;
+            self.synced = now;
+            self.unsynced = false;
+        }
+        Ok(())
+    }
+
+    /// Bytes on disk.
+    pub(super) fn size(&self) -> u64 {
+        self.file.metadata().map_or(0, |m| m.len())
+    }
+
+    /// Writes the summary and syncs. The file is then whole.
+    pub(super) fn finish(mut self, end: &Metadata) -> McapResult<()> {
+        self.mcap.write_metadata(end)?;
+        finish(self.mcap)
+    }
+}
+
+/// Completes a file: summary, footer, everything on the disk.
+pub(super) fn finish(mut mcap: Mcap) -> McapResult<()> {
+    mcap.finish()?;
+    let file = mcap.into_inner().into_inner().into_inner().map_err(|e| e.into_error())?;
+    file.sync_all()?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_proto::Kind;
+
+    fn frame(sequence: u64) -> Frame<'static> {
+        Frame { kind: Kind::Event.to_wire(), instance: 0, sequence, time_us: sequence, payload: b"" }
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error_not_a_panic() {
+        let file = File::options().write(true).open("/dev/full").unwrap();
+        let error = FlightWriter::on(file, &Identity::default()).map(|_| ()).unwrap_err();
+        let text = super::super::explain(&error);
+        assert!(text.contains("No space left"), "{text}");
+    }
+
+    #[test]
+    fn what_was_flushed_is_in_the_file_without_a_finish() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f.part");
+        let mut writer = FlightWriter::create(&path, &Identity::default()).unwrap();
+        for n in 1..=10 {
+            writer.write(&frame(n), "/event").unwrap();
+        }
+        writer.flush(Instant::now()).unwrap();
+        writer.write(&frame(11), "/event").unwrap();
+        let crashed = std::fs::read(&path).unwrap();
+        let read = mcap::MessageStream::new_with_options(&crashed, mcap::read::Options::IgnoreEndMagic.into()).unwrap();
+        let sequences: Vec<u32> = read.map_while(Result::ok).map(|m| m.sequence).collect();
+        assert_eq!(sequences, (1..=10).collect::<Vec<_>>());
+        std::mem::forget(writer);
+    }
+}

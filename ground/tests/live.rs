@@ -1,0 +1,139 @@
+//! The live view: order, completeness, history, and viewers that stall.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::time::{Duration, Instant};
+
+use common::{Ground, Viewer};
+use plumbline_proto::{Kind, v1};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_sees_state_then_history_then_live_without_gap_or_repetition() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    for _ in 0..100 {
+        let tick = agent.tick();
+        agent.send(tick, false).await;
+    }
+    // Wait until the hub has it all: the newest sample is in a view without history.
+    let mut probe = ground.view("iris-1", 60).await;
+    while probe.next_of(Kind::Height).await.sequence != agent.sequence {}
+
+    let mut viewer = ground.view("iris-1", 60).await;
+    assert_eq!(viewer.next().await.kind, Some(Kind::Link));
+    assert_eq!(viewer.next_of(Kind::Description).await.message::<v1::Description>().rig, "strings");
+    let mut expected = 4; // control of the second tick; that of the first is read here
+    assert_eq!(viewer.next_of(Kind::Control).await.sequence, 2);
+    let tick = agent.tick();
+    agent.send(tick, false).await;
+    for _ in 0..100 {
+        let got = viewer.next_of(Kind::Control).await;
+        expected += 1;
+        assert_eq!(got.sequence, expected, "history, then live");
+        expected += 2;
+    }
+    let mut fresh = ground.view("iris-1", 0).await;
+    let first = fresh.next_of(Kind::Control).await;
+    assert_eq!(first.sequence, expected - 2, "without history: only the latest");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    let mut stalled = ground.view("iris-1", 0).await;
+    let first = agent.sequence + 1;
+    let messages = 4000_u64;
+    let mut readers = Vec::new();
+    for _ in 0..19 {
+        let viewer = ground.view("iris-1", 0).await;
+        readers.push(tokio::spawn(read_events(viewer, messages)));
+    }
+    // 4000 messages of 4 kB are 16 MB: more than the queue and the socket buffers of one viewer hold.
+    let text = "x".repeat(4000);
+    for n in 0..messages {
+        let event = v1::Event { time_us: n, kind: "warning".into(), text: text.clone(), severity: 1 };
+        agent.say(Kind::Event, 0, &event).await;
+        if n % 100 == 0 {
+            // 10 MB/s: far above a flight, and what nineteen unoptimised test clients can read.
+            tokio::time::sleep(Duration::from_millis(40)).await;
+        }
+    }
+    for reader in readers {
+        let sequences = tokio::time::timeout(Duration::from_secs(60), reader).await.unwrap().unwrap();
+        assert_eq!(sequences, (first..first + messages).collect::<Vec<_>>(), "complete and in order");
+    }
+    // The stalled one reads at last: it lost the oldest and is told how many.
+    let mut seen = 0;
+    let mut dropped = 0;
+    let mut newest = 0;
+    while newest < first + messages - 1 {
+        let got = stalled.next().await;
+        match got.kind {
+            Some(Kind::Event) => {
+                seen += 1;
+                newest = got.sequence;
+            }
+            Some(Kind::Link) => dropped = got.message::<v1::LinkStatus>().viewer_dropped,
+            _ => {}
+        }
+    }
+    while dropped == 0 {
+        dropped = stalled.next_of(Kind::Link).await.message::<v1::LinkStatus>().viewer_dropped;
+    }
+    assert!(seen < messages, "the test must stall a viewer to say anything");
+    // Ground-made messages in dropped batches count as well.
+    assert!(dropped >= messages - seen && dropped < messages - seen + 200, "{dropped} dropped, {seen} seen");
+    ground.stop().await;
+}
+
+async fn read_events(mut viewer: Viewer, wanted: u64) -> Vec<u64> {
+    let mut sequences = Vec::new();
+    while (sequences.len() as u64) < wanted {
+        sequences.push(viewer.next_of(Kind::Event).await.sequence);
+    }
+    sequences
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn malformed_batches_are_survived_and_unknown_kinds_passed_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    let mut viewer = ground.view("iris-1", 0).await;
+    let mut newer = Vec::new();
+    plumbline_proto::codec::begin_batch(&mut newer);
+    plumbline_proto::codec::Frame { kind: 999, instance: 3, sequence: 1, time_us: 1, payload: b"new" }
+        .encode(&mut newer);
+    for batch in [&b""[..], b"\x50", b"\x51\x01abc", b"\x50\x63", b"\x50\x01\x01\x00", &newer] {
+        let event = plumbline_ground::agent_link::LinkEvent::Batch {
+            agent_id: "iris-1".into(),
+            batch: bytes::Bytes::copy_from_slice(batch),
+            received: Instant::now(),
+            backfill: false,
+        };
+        ground.send(event).await;
+    }
+    agent.describe().await;
+    let mut unknown = None;
+    loop {
+        let got = viewer.next().await;
+        if got.kind.is_none() {
+            unknown = Some(got.payload.clone());
+        }
+        if got.kind == Some(Kind::Description) {
+            break;
+        }
+    }
+    assert_eq!(unknown.as_deref(), Some(&b"new"[..]));
+    ground.stop().await;
+}
