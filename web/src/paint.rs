@@ -34,6 +34,8 @@ const TIME_TICK_SPACING_PX: f64 = 90.0;
 
 /// Shortest altitude range shown, m.
 const ALTITUDE_SPAN_M: f64 = 0.5;
+/// Share of the altitude range left free on top for the figures of steps.
+const STEP_ROOM: f64 = 0.35;
 /// Shortest attitude range shown, °.
 const ATTITUDE_SPAN_DEG: f64 = 6.0;
 /// Rotors of the drawn vehicle (x-frame, front-left first), body FLU, m, and their radius.
@@ -127,6 +129,12 @@ fn frame(ctx: Ctx, renderer: &mut Renderer) -> FrameOutcome {
         renderer.frame(&theme, &panels)
     });
     outcome.unwrap_or(FrameOutcome::Skipped)
+}
+
+/// Is a step's response written on this stretch?
+fn step_in_view(live: &Live, axis: TimeAxis) -> bool {
+    let seconds = |us: u64| us as f64 * 1e-6;
+    live.steps.iter().any(|s| seconds(s.start_time_us) <= axis.end_s && seconds(s.time_us) >= axis.start_s)
 }
 
 /// Where a chart is, if any of it can be seen.
@@ -360,6 +368,10 @@ impl Frame {
                     let (a, b) = (f64::from(extent.min * d.scale), f64::from(extent.max * d.scale));
                     (low, high) = (low.min(a.min(b)), high.max(a.max(b)));
                 }
+            }
+            if slot.picture == Picture::Altitude && step_in_view(live, axis) {
+                // Room for the figures of the steps, written along the top.
+                high += STEP_ROOM * (high - low).max(0.0);
             }
             ValueAxis::fit(low, high, least_span, slot.axis.get())
         });

@@ -68,7 +68,7 @@ pub fn Numbers() -> impl IntoView {
             </table>
             <h2>"Residuals" <small>"worst channel of each sensor"</small></h2>
             <table>
-                <thead><tr><th>"sensor"</th><th>"channel"</th><th>"innovation"</th><th>"gate"</th><th>"ratio"</th><th></th></tr></thead>
+                <thead><tr><th>"sensor"</th><th>"channel"</th><th class="num">"innovation"</th><th class="num">"gate"</th><th class="num">"ratio"</th><th></th></tr></thead>
                 <tbody>{move || residuals().into_iter().map(|(s, c, v, g, r, ok)| view! {
                     <tr class:bad=!ok><th scope="row">{s}</th><td>{c}</td><td class="num">{v}</td><td class="num">{g}</td><td class="num">{r}</td><td>{if ok { "" } else { "rejected" }}</td></tr>
                 }).collect::<Vec<_>>()}</tbody>
@@ -76,7 +76,7 @@ pub fn Numbers() -> impl IntoView {
             <h2>"Steps"</h2>
             <table>
                 <tbody>{move || steps().into_iter().map(|(from, to, text)| view! {
-                    <tr><th scope="row" class="num">{format!("{} → {} m", format::fixed(from, 2), format::fixed(to, 2))}</th><td class="num">{text}</td></tr>
+                    <tr><th scope="row">{format!("{} → {} m", format::fixed(from, 2), format::fixed(to, 2))}</th><td class="num">{text}</td></tr>
                 }).collect::<Vec<_>>()}</tbody>
             </table>
         </section>

@@ -157,7 +157,7 @@ fn Tape() -> impl IntoView {
     };
     view! {
         <div class="tape" class:stale=stale aria-hidden="true">
-            <svg viewBox="0 -90 48 180" preserveAspectRatio="xMinYMid slice">
+            <svg viewBox="0 -200 48 400">
                 <g style=move || format!("transform:translateY({:.1}px)", altitude.get().unwrap_or(0.0) * TAPE_PX_PER_M)>
                     {labels}
                     {move || setpoint.get().map(|s| {
@@ -210,7 +210,7 @@ fn Compass() -> impl IntoView {
     };
     view! {
         <div class="compass" aria-hidden="true">
-            <svg viewBox="-110 0 220 22" preserveAspectRatio="xMidYMid slice">
+            <svg viewBox="-220 0 440 22">
                 <g style=move || format!("transform:translateX({:.1}px)", -heading.get().unwrap_or(0.0) * COMPASS_PX_PER_DEG)>{labels}</g>
                 <path class="lubber" d="M-5 0 h10 l-5 7 z" />
             </svg>
