@@ -78,8 +78,7 @@ async fn serve(arguments: Arguments) -> Result<(), String> {
     let folder = identity.unwrap_or_else(|| data.join("identity"));
     let identity = identity::load_or_create(&folder).map_err(|e| format!("identity: {e}"))?;
     let link = AgentLink::bind(AgentLinkConfig::new(agent_listen, identity)).map_err(|e| e.to_string())?;
-    println!("Plumbline is at http://{address}/");
-    println!("agents connect to udp://{}", link.local_addr());
+    println!("Plumbline is at http://{address}/ (agents: {}, udp)", link.local_addr());
 
     let mut config = GroundConfig::new(data);
     config.allowed_hosts = allow_hosts;
