@@ -14,6 +14,7 @@ pub mod calibration;
 pub mod command;
 pub mod config;
 pub mod control;
+pub mod design;
 pub mod estimate;
 pub mod event;
 pub mod failsafe;

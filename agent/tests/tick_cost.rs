@@ -39,3 +39,48 @@ fn tick_cost() {
         speed
     );
 }
+
+#[test]
+#[ignore = "a measurement"]
+fn riccati_cost() {
+    use nalgebra::DMatrix;
+    use plumbline_agent::control::gains::certify;
+    use plumbline_agent::control::lqr_integral::Weights;
+    use plumbline_agent::linalg::care;
+    use plumbline_agent::model::airframe::Airframe;
+    use plumbline_agent::model::linearize::hover;
+    use plumbline_proto::ids::GainsRevision;
+
+    let median = |mut run: Box<dyn FnMut()>| {
+        let mut times: Vec<f64> = (0..101)
+            .map(|_| {
+                let start = Instant::now();
+                run();
+                start.elapsed().as_secs_f64() * 1e6
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        times[50]
+    };
+    let airframe = Airframe::iris();
+    let linear = hover(&airframe);
+    for n in [12, 16] {
+        let mut a = DMatrix::zeros(n, n);
+        let mut b = DMatrix::zeros(n, 4);
+        a.view_mut((0, 0), (12, 12)).copy_from(&linear.a);
+        b.view_mut((0, 0), (12, 4)).copy_from(&linear.b);
+        for (i, state) in [0, 1, 2, 8].into_iter().enumerate().filter(|(i, _)| 12 + i < n) {
+            a[(12 + i, state)] = 1.0;
+        }
+        let (q, r) = (DMatrix::identity(n, n), DMatrix::identity(4, 4));
+        let time = median(Box::new(move || {
+            care(&a, &b, &q, &r).unwrap();
+        }));
+        println!("{{\"bench\":\"control\",\"name\":\"care_{n}\",\"value\":{time:.0},\"unit\":\"us\"}}");
+    }
+    let weights = Weights::for_airframe(&airframe);
+    let time = median(Box::new(move || {
+        certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap();
+    }));
+    println!("{{\"bench\":\"control\",\"name\":\"certify\",\"value\":{time:.0},\"unit\":\"us\"}}");
+}
