@@ -19,7 +19,7 @@ const MAX_NOTICES: usize = 5;
 const FIRST_WAIT_MS: u32 = 250;
 /// Longest wait before a reconnect, ms.
 const LONGEST_WAIT_MS: u32 = 4000;
-/// History asked for on the first connection, s.
+/// History asked for unless the page knows better, s.
 pub const HISTORY_S: f64 = 60.0;
 
 /// State of the live socket.

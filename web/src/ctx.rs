@@ -18,6 +18,10 @@ use crate::{
 
 /// Text is written this often.
 const TICK: Duration = Duration::from_millis(100);
+/// Least history asked for, s.
+const LEAST_HISTORY_S: f64 = 30.0;
+/// Most; the ground keeps no more.
+const MOST_HISTORY_S: f64 = 120.0;
 /// The ground is asked for its state this often.
 const POLL: Duration = Duration::from_millis(2000);
 
@@ -81,7 +85,11 @@ impl Ctx {
             operator: StoredValue::new(store::operator()),
             socket: StoredValue::new_local(None),
         };
-        ctx.live_deck.set_value(Some(Deck::live(ctx)));
+        let deck = Deck::live(ctx);
+        // History for the window shown and no more: decoding it delays the first live value.
+        let window_s = deck.window_s.get_untracked();
+        ctx.app.update_value(|app| app.history_s = window_s.clamp(LEAST_HISTORY_S, MOST_HISTORY_S));
+        ctx.live_deck.set_value(Some(deck));
         set_interval(move || ctx.tick.update(|n| *n += 1), TICK);
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
         ctx.dispatch(Event::Poll);
