@@ -285,6 +285,9 @@ await step(page, 'delete only with a hold', async () => {
 });
 
 await step(page, 'no complaint in the console', async () => {
+  // Chromium itself writes a line for each refused request: the 99 m that were refused on purpose.
+  const refusal = errors.findIndex((text) => text.includes('status of 409'));
+  if (refusal >= 0) errors.splice(refusal, 1);
   assert(errors.length === 0, errors.join('\n'));
 });
 

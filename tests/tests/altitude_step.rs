@@ -12,6 +12,8 @@ const SETTLING_LIMIT_S: f64 = 4.0;
 const OVERSHOOT_LIMIT_PERCENT: f64 = 15.0;
 /// The band of the settling time, and what the integral action must get inside.
 const BAND_M: f64 = 0.05;
+/// Holding an altitude: within 2 cm of it, and moving less than 2 cm/s.
+const HOLDING_M: f64 = 0.02;
 
 #[test]
 fn an_altitude_step_on_the_strings_settles_as_promised() {
@@ -20,13 +22,17 @@ fn an_altitude_step_on_the_strings_settles_as_promised() {
     let mut live = rig.live();
     rig.fly_to(0.5);
     live.step_response(0.5);
+    live.until(support::PATIENCE, "steady 0.5 m", |frame| {
+        let truth: v1::Truth = frame.message(Kind::Truth)?;
+        ((truth.position_enu_m?.z - 0.5).abs() < HOLDING_M && truth.velocity_enu_mps?.z.abs() < HOLDING_M).then_some(())
+    });
     // WHEN the setpoint steps to 1.0 m
     rig.command("POST", "setpoint", json!({ "altitude_m": 1.0 }));
     let step = live.step_response(1.0);
     // THEN it settles in time, with little overshoot, and stays there
     let settling = step.settling_time_s.expect("settles");
     assert!(settling <= SETTLING_LIMIT_S, "settles in {settling} s: {step:?}");
-    assert!(step.overshoot_percent <= OVERSHOOT_LIMIT_PERCENT, "overshoots {} %", step.overshoot_percent);
+    assert!(step.overshoot_percent <= OVERSHOOT_LIMIT_PERCENT, "{step:?}");
     assert!(step.rise_time_s.is_some_and(|rise| rise > 0.0 && rise < settling), "{step:?}");
     assert!(step.steady_error_m.is_some_and(|error| error.abs() < BAND_M), "{step:?}");
     assert_eq!(step.band_m, BAND_M);

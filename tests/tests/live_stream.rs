@@ -30,7 +30,6 @@ fn a_viewer_learns_everything_in_its_first_two_seconds() {
         Kind::Truth,
         Kind::Link,
         Kind::Recording,
-        Kind::Lease,
     ]);
     while !waiting.is_empty() {
         let frame = live.next();
@@ -106,12 +105,14 @@ fn one_operator_at_a_time_and_the_cut_is_everybodys() {
     // GIVEN an operator who took control by arming
     let rig = Rig::start(&scenario("altitude_step"));
     rig.fly_to(0.5);
+    let mut live = rig.live();
+    let lease = live.until(PATIENCE, "lease", |frame| frame.message::<v1::ControlLease>(Kind::Lease));
+    assert_eq!(lease.holder, rig.api().operator);
     let other = plumbline_tests::harness::Api { operator: "somebody-else".into(), ..rig.api().clone() };
     // WHEN another one commands THEN it is refused, and nothing changed
     let reply = other.send("POST", &rig.system().vehicle("setpoint"), &json!({ "altitude_m": 0.9 })).unwrap();
     assert_eq!(reply.status, 423, "{}", reply.text());
     // WHEN the other cuts the motors THEN they are cut, and stay cut
-    let mut live = rig.live();
     let cut = other.send("POST", &rig.system().vehicle("cut"), &json!({})).unwrap();
     assert_eq!(cut.status, 200, "{}", cut.text());
     let status = live.status("latched cut", |status| status.cut_latched);

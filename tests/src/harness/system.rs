@@ -133,9 +133,8 @@ impl Ground {
         command.arg("--agent-listen").arg(format!("127.0.0.1:{link_port}"));
         command.arg("--data").arg(&data);
         let mut process = Process::start("ground", command, options.echo)?;
-        let (page, link) = process.wait_for(START, |line| {
-            Some((address_after(line, "Plumbline is at http://")?, address_after(line, "agents: ")?))
-        })?;
+        let page = process.wait_for(START, |line| address_after(line, "Plumbline is at http://"))?;
+        let link = process.wait_for(START, |line| address_after(line, "agents connect to udp://"))?;
         let api = Api { address: page, operator: "system-test".into() };
         Ok(Self { process, api, link, identity })
     }
@@ -213,8 +212,9 @@ pub fn wait_until<T>(limit: Duration, mut ask: impl FnMut() -> Option<T>) -> Opt
 
 /// Carries each side's fingerprint into the other's list of peers, as the README tells to do by hand.
 fn pair(agent: &Path, id: &str, ground: &Path) -> Result<(), XtaskError> {
-    trust(agent, &fingerprint(ground)?, "ground")?;
-    trust(ground, &fingerprint(agent)?, id)
+    let (of_agent, of_ground) = (fingerprint(agent)?, fingerprint(ground)?);
+    trust(agent, &of_ground, "ground")?;
+    trust(ground, &of_agent, id)
 }
 
 /// Both programs make their identity when they start.
@@ -244,9 +244,9 @@ mod tests {
 
     #[test]
     fn addresses_are_found_in_what_the_programs_say() {
-        let line = "Plumbline is at http://127.0.0.1:4747/ (agents: 127.0.0.1:4748, udp)";
+        let line = "Plumbline is at http://127.0.0.1:4747/";
         assert_eq!(address_after(line, "http://").unwrap().port(), 4747);
-        assert_eq!(address_after(line, "agents: ").unwrap().port(), 4748);
+        assert_eq!(address_after("agents connect to udp://[::1]:4748", "udp://").unwrap().port(), 4748);
         assert!(address_after(line, "https://").is_none());
     }
 }

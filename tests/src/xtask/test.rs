@@ -12,6 +12,9 @@ pub struct Options {
     /// Leave the browser out.
     #[arg(long)]
     pub no_browser: bool,
+    /// Only this step, on what is already built: format, page, clippy, cargo-test or browser.
+    #[arg(long, value_name = "STEP", value_parser = ["format", "page", "clippy", "cargo-test", "browser"])]
+    pub only: Option<String>,
 }
 
 /// Runs everything; a step that fails does not stop the others. True when all is well.
@@ -43,7 +46,7 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             let arguments = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
             tally.check("clippy", workspace::run(workspace.cargo().args(arguments)));
         }),
-        ("cargo test", &mut |tally| cargo_test(workspace, tally)),
+        ("cargo-test", &mut |tally| cargo_test(workspace, tally)),
         ("browser", &mut |tally| {
             if options.no_browser {
                 eprintln!("xtask: browser left out, as asked");
@@ -53,6 +56,9 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
         }),
     ];
     for (name, step) in steps {
+        if options.only.as_deref().is_some_and(|only| only != name) {
+            continue;
+        }
         if signals::interrupted() {
             return;
         }

@@ -35,7 +35,7 @@ pub struct Rig {
 impl Rig {
     pub fn start(vehicle: &Vehicle) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let system = System::start(&options(folder.path()), vehicle).unwrap();
+        let system = System::start(&options(folder.path()), vehicle).unwrap_or_else(|error| panic!("{error}"));
         Self { system: Some(system), folder }
     }
 
@@ -95,7 +95,7 @@ impl Rig {
 
     /// Stops both programs; either failing to stop cleanly fails the test.
     pub fn stop(mut self) -> tempfile::TempDir {
-        self.system.take().unwrap().stop().unwrap();
+        self.system.take().unwrap().stop().unwrap_or_else(|error| panic!("{error}"));
         self.folder
     }
 }
