@@ -7,7 +7,9 @@
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::attitude::{Attitude, AttitudeOptions};
 use super::ekf_bias::{EkfBias, EkfOptions};
+use super::point_mass::PointMassEstimator;
 use super::primary::Primary;
 use super::{Estimate, Estimator, EstimatorKind};
 use crate::vehicle::{MotorCommand, SensorFrame};
@@ -45,7 +47,19 @@ pub fn build(kind: EstimatorKind, options: &EkfOptions) -> Result<Box<dyn Estima
     match kind {
         EstimatorKind::EkfBias => Ok(Box::new(EkfBias::new(options.clone()))),
         EstimatorKind::Primary => Ok(Box::new(Primary::new(options.clone()))),
+        EstimatorKind::PointMass => Ok(Box::new(PointMassEstimator::new(options.clone(), attitude_options(options)))),
+        EstimatorKind::Attitude => Ok(Box::new(Attitude::new(attitude_options(options)))),
         other => Err(BankError::NotAvailable(other)),
+    }
+}
+
+/// The attitude filter's part of `options`.
+fn attitude_options(options: &EkfOptions) -> AttitudeOptions {
+    AttitudeOptions {
+        declination_rad: options.declination_rad,
+        gyro_vote: options.gyro_vote,
+        accel_vote: options.accel_vote,
+        ..AttitudeOptions::default()
     }
 }
 
