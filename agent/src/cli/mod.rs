@@ -1,11 +1,16 @@
 //! The command line: flying is what happens without a subcommand; tools are subcommands, one file each.
 
+mod decode;
+mod estimate;
 mod fly;
 mod identity;
+mod riccati;
 
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand, ValueEnum};
+use plumbline_agent::design::Equation;
+use plumbline_agent::offline::EstimateArgs;
 
 /// The onboard agent: sensors, estimation, control, attacks, log and link.
 #[derive(Debug, Parser)]
@@ -21,6 +26,14 @@ pub struct Arguments {
 enum Tool {
     /// Shows this agent's fingerprint; pairs it with a ground.
     Identity(identity::IdentityArguments),
+    /// Runs an estimator over a recording: estimates as CSV, errors against the truth as one JSON line.
+    Estimate(EstimateArgs),
+    /// Solves continuous-time Riccati equations, one JSON line per case.
+    Care(riccati::RiccatiArguments),
+    /// Solves discrete-time Riccati equations, one JSON line per case.
+    Dare(riccati::RiccatiArguments),
+    /// Decodes windows of attacked samples, one JSON line per case.
+    Decode(decode::DecodeArguments),
 }
 
 /// What can be flown.
@@ -79,6 +92,10 @@ impl Arguments {
     pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
         match self.tool {
             Some(Tool::Identity(arguments)) => arguments.run(),
+            Some(Tool::Estimate(arguments)) => estimate::estimate(&arguments),
+            Some(Tool::Care(arguments)) => arguments.run(Equation::Care),
+            Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
+            Some(Tool::Decode(arguments)) => arguments.run(),
             None => fly::fly(&self.fly),
         }
     }

@@ -1,5 +1,5 @@
 //! Flies scenarios through the simulator: GIVEN a scenario WHEN it is flown THEN `check` looks at it.
-#![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_agent::command::{Ack, Command};
 use plumbline_agent::control::step_response::StepResponse;

@@ -1,0 +1,118 @@
+//! The subcommands as a user calls them: JSON lines on stdout, errors on stderr with exit code 1.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn agent(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_plumbline-agent")).args(arguments).env("RUST_LOG", "warn").output().unwrap()
+}
+
+fn lines(output: &Output) -> Vec<Value> {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = std::str::from_utf8(&output.stdout).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// A file of the shared references, or `None` where they are absent.
+fn shared(file: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("PLUMBLINE_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let path = root.join(file);
+    if !path.exists() {
+        println!("skipped: {} is absent", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+fn entries(matrix: &Value) -> Vec<f64> {
+    matrix.as_array().unwrap().iter().flat_map(|row| row.as_array().unwrap()).map(|x| x.as_f64().unwrap()).collect()
+}
+
+#[test]
+fn riccati_cases_agree_with_the_reference() {
+    let folder = tempfile::tempdir().unwrap();
+    for file in ["reference/riccati_iris_hover.json", "reference/riccati_random.json"] {
+        let Some(path) = shared(file) else { return };
+        let all: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        for equation in ["care", "dare"] {
+            let cases: Vec<&Value> =
+                all["cases"].as_array().unwrap().iter().filter(|case| case["kind"] == equation).collect();
+            assert!(cases.len() >= 15, "{file} {equation}: {} cases", cases.len());
+            let input = folder.path().join("cases.json");
+            std::fs::write(&input, serde_json::json!({ "cases": cases }).to_string()).unwrap();
+            let answers = lines(&agent(&[equation, "--input", input.to_str().unwrap()]));
+            assert_eq!(answers.len(), cases.len());
+            for (case, answer) in cases.iter().zip(&answers) {
+                let (expected, found) = (entries(&case["P"]), entries(&answer["P"]));
+                let norm = expected.iter().map(|x| x * x).sum::<f64>().sqrt();
+                let error = expected.iter().zip(&found).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt() / norm;
+                // What a good solver in double reaches, as the reference says.
+                let tolerance = (30.0 * case["scipy_rel_err_vs_ref"].as_f64().unwrap_or(0.0)).max(1e-9);
+                assert!(error <= tolerance, "{file} {}: P is off by {error:.1e} of its norm", case["name"]);
+            }
+        }
+    }
+}
+
+#[test]
+fn windows_decode_to_the_reference_optimum() {
+    let Some(path) = shared("reference/sse_windows.json") else { return };
+    let reference: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    let cases = reference["cases"].as_array().unwrap();
+    for program in ["l2", "l1"] {
+        for engine in ["newton", "clarabel"] {
+            let arguments = ["decode", "--input", path.to_str().unwrap(), "--program", program, "--engine", engine];
+            let answers = lines(&agent(&arguments));
+            assert_eq!(answers.len(), cases.len());
+            for (case, answer) in cases.iter().zip(&answers) {
+                let expected = case[format!("{program}_objective")].as_f64().unwrap();
+                let found = answer["objective"].as_f64().unwrap_or(f64::NAN);
+                assert!(
+                    (found - expected).abs() <= 1e-6 * expected.abs(),
+                    "{program} {engine}: {answer} for {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn an_estimate_prints_its_score_and_writes_its_table() {
+    let Some(path) = shared("data/px4_ulog/sample_logging_tagged_and_default_params.ulg") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("out.csv");
+    let arguments = ["--input", path.to_str().unwrap(), "--output", table.to_str().unwrap()];
+    let scores = lines(&agent(&[&["estimate", "--estimator", "ekf-bias"][..], &arguments].concat()));
+    assert_eq!((scores.len(), scores[0]["ticks"].as_u64()), (1, Some(2028)), "{scores:?}");
+    assert!(scores[0]["inclination_rmse_deg"].as_f64().unwrap() < 1.0, "{}", scores[0]);
+    assert_eq!(std::fs::read_to_string(table).unwrap().lines().count(), 2029);
+}
+
+#[test]
+fn what_cannot_be_done_is_told_on_stderr_with_exit_code_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = folder.path().join("letter.txt");
+    std::fs::write(&text, "Dear sensors,\n").unwrap();
+    let text = text.to_str().unwrap();
+    let log = folder.path().join("log");
+    let log = log.to_str().unwrap();
+    for (arguments, expected) in [
+        (&["care", "--input", text][..], "not JSON"),
+        (&["dare", "--input", "absent.json"], "absent.json"),
+        (&["decode", "--input", text], "letter.txt"),
+        (&["estimate", "--input", text, "--estimator", "ekf-bias", "--output", text], "begins with \"Dear sensors,\""),
+        (&["--vehicle", "replay", text, "--ground", "none", "--log", log], "supported are Plumbline flight files"),
+        (&["--vehicle", "replay", "absent.mcap", "--ground", "none", "--log", log], "absent.mcap"),
+        (&["--vehicle", "replay", "--ground", "none", "--log", log], "needs a file"),
+    ] {
+        let output = agent(arguments);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {told}");
+        assert!(told.contains(expected), "{arguments:?}: {told}");
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+    }
+}
