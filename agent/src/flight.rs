@@ -157,8 +157,14 @@ impl Flight {
 
     /// One tick. `report.command` goes to `Vehicle::actuate`; what comes back to [`Flight::applied`].
     pub fn step(&mut self, sensed: &SensorFrame) -> &StepReport {
+        self.step_received(sensed, sensed)
+    }
+
+    /// One tick of a recording whose estimators `received` something else than was `sensed`; attacks of this
+    /// flight come on top.
+    pub fn step_received(&mut self, sensed: &SensorFrame, received: &SensorFrame) -> &StepReport {
         let dt_s = self.tick(sensed);
-        let received = self.attacks.apply(sensed);
+        let received = self.attacks.apply(received);
         self.watchdog.step(sensed, dt_s);
         self.bank.step(&received, &self.report.applied, dt_s);
         self.guard(sensed.time);
@@ -192,6 +198,17 @@ impl Flight {
     /// Hands over every event since the last call, oldest first.
     pub fn drain_events(&mut self, take: impl FnMut(&Event)) {
         self.events.drain(self.report.sensed.time, take);
+    }
+
+    /// Lets every estimator's step be timed with `stopwatch`, a count of nanoseconds: the flight code has no
+    /// clock of its own, and nothing it does depends on this one.
+    pub fn time_steps_with(&mut self, stopwatch: fn() -> u64) {
+        self.bank.time_steps_with(stopwatch);
+    }
+
+    /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed.
+    pub fn step_time_us(&self, kind: EstimatorKind) -> f64 {
+        self.bank.step_time_us(kind)
     }
 
     /// Every estimator's own estimate.

@@ -10,8 +10,8 @@
 pub mod pace;
 mod timing;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
 use plumbline_proto::time::FlightTime;
@@ -25,6 +25,7 @@ use crate::link::LinkState;
 use crate::link::clock::FlightClock;
 use crate::link::inbound::{Inbound, ReplayRate, Request};
 use crate::log::LogState;
+use crate::recordings::RecordedControl;
 use crate::telemetry::{Around, Telemetry};
 use crate::vehicle::sim::script::Script;
 use crate::vehicle::{Vehicle, VehicleError};
@@ -38,6 +39,11 @@ pub const COMMANDS_PER_TICK: usize = 16;
 const STANDSTILL: Duration = Duration::from_millis(5);
 /// How often a status is sent while time stands still.
 const STANDSTILL_STATUS: Duration = Duration::from_millis(100);
+/// At full speed the flight waits for the log while its ring takes less than this: what no clock drives
+/// need not lose messages to a slow disk.
+const LOG_ROOM_BYTES: usize = 256 << 10;
+/// Longest wait for the log in one tick; a disk that is slower than this has failed.
+const LOG_WAIT: Duration = Duration::from_secs(2);
 /// Longest time given to stop the motors when the program ends.
 const DISARM_WAIT: Duration = Duration::from_secs(1);
 
@@ -54,7 +60,8 @@ pub struct RunnerOptions {
     pub script: Option<Script>,
     /// Run on the first tick on which somebody is there (a ground, or the program itself).
     pub attacks: Option<Schedule>,
-    /// The program stands in for the ground: scripted flights, replays without a ground.
+    /// The program stands in for the ground: scripted flights, replays without a ground. Such a replay is
+    /// recorded from its first tick, as it would have no other effect.
     pub own_operator: bool,
     /// Stay when the recording has ended, for somebody to look at.
     pub stay: bool,
@@ -112,12 +119,13 @@ impl Runner {
     /// Ready to fly.
     pub fn new(
         vehicle: Box<dyn Vehicle>,
-        flight: Flight,
+        mut flight: Flight,
         telemetry: Telemetry,
         options: RunnerOptions,
         ports: RunnerPorts,
     ) -> Self {
         let tick_rate_hz = flight.config().tick_rate_hz;
+        flight.time_steps_with(stopwatch);
         Self {
             pacer: Pacer::new(options.pace),
             timing: Timing::new(tick_rate_hz),
@@ -207,9 +215,14 @@ impl Runner {
         self.script(frame.time);
         self.log_health();
 
-        let command = self.flight.step(&frame).command;
+        let received = self.vehicle.recorded_reception();
+        let command = self.flight.step_received(&frame, received.as_ref().unwrap_or(&frame)).command;
         let applied = self.vehicle.actuate(&command)?;
         self.flight.applied(applied);
+        if self.ticks == 0 && self.options.replay && self.options.own_operator {
+            self.telemetry.record(frame.time, true, false);
+        }
+        self.wait_for_log();
         let truth = self.vehicle.truth();
         let around = around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state());
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
@@ -220,6 +233,17 @@ impl Runner {
             self.flight.deadline_missed(frame.time);
         }
         Ok(())
+    }
+
+    /// Only as fast as possible is fast enough to overrun the log.
+    fn wait_for_log(&self) {
+        if !self.pacer.is_free() {
+            return;
+        }
+        let begun = Instant::now();
+        while self.telemetry.log_room().is_some_and(|room| room < LOG_ROOM_BYTES) && begun.elapsed() < LOG_WAIT {
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 
     /// Commands, but no time.
@@ -241,6 +265,10 @@ impl Runner {
         for _ in 0..COMMANDS_PER_TICK {
             let Some(inbound) = self.ports.inbound.as_mut().and_then(|queue| queue.pop().ok()) else { return };
             match inbound.request {
+                Request::Flight(command) if self.options.replay && controls(&command) => {
+                    let reason = "a recording is flown: its motors and setpoints are those of then";
+                    self.telemetry.ack(now, inbound.id, false, reason);
+                }
                 Request::Flight(command) => {
                     let ack = self.flight.apply(&command, now);
                     self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
@@ -271,13 +299,12 @@ impl Runner {
         (true, if rate.speed > 0.0 { "playing" } else { "standing" })
     }
 
-    fn replay_state(&self) -> (f64, f64) {
-        if self.options.replay {
-            let speed = if self.ended { 0.0 } else { self.pacer.speed() };
-            (speed, self.vehicle.progress().unwrap_or(0.0))
-        } else {
-            (0.0, 0.0)
-        }
+    fn replay_state(&self) -> Option<ReplayState> {
+        self.options.replay.then(|| ReplayState {
+            speed: if self.ended { 0.0 } else { self.pacer.speed() },
+            progress: self.vehicle.progress().unwrap_or(0.0),
+            recorded: self.vehicle.recorded_control(),
+        })
     }
 
     fn script(&mut self, now: FlightTime) {
@@ -341,11 +368,30 @@ impl Runner {
     }
 }
 
+/// Would the command move something? A recording's motors cannot be.
+fn controls(command: &Command) -> bool {
+    !matches!(command, Command::Attack(_) | Command::AbortAttacks | Command::SelectEstimator(_))
+}
+
+/// Nanoseconds since the first call.
+fn stopwatch() -> u64 {
+    static START: LazyLock<Instant> = LazyLock::new(Instant::now);
+    START.elapsed().as_nanos() as u64
+}
+
+/// Where a replay stands.
+#[derive(Debug, Clone, Copy)]
+struct ReplayState {
+    speed: f64,
+    progress: f64,
+    recorded: Option<RecordedControl>,
+}
+
 fn around<'a>(
     timing: &Timing,
     ports: &RunnerPorts,
     log_error: Option<&'a str>,
-    (replay_speed, replay_progress): (f64, f64),
+    replay: Option<ReplayState>,
 ) -> Around<'a> {
     let link = ports.link.as_deref();
     Around {
@@ -353,7 +399,9 @@ fn around<'a>(
         radio_dropped: link.map_or(0, |link| link.dropped.load(Ordering::Relaxed)),
         log_error,
         connections: link.map_or(0, |link| link.connections.load(Ordering::Acquire)),
-        replay_speed,
-        replay_progress,
+        replay_speed: replay.map_or(0.0, |replay| replay.speed),
+        replay_progress: replay.map_or(0.0, |replay| replay.progress),
+        replay: replay.is_some(),
+        recorded: replay.and_then(|replay| replay.recorded),
     }
 }

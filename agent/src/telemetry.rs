@@ -28,6 +28,7 @@ use plumbline_proto::{Kind, SCHEMA, v1};
 use crate::estimate::{Estimate, EstimatorKind};
 use crate::event::{Event, EventKind, Severity, text};
 use crate::flight::Flight;
+use crate::recordings::RecordedControl;
 use crate::vehicle::suite::{Description as SensorDescription, MAX_SENSORS};
 use crate::vehicle::{SensorFrame, Truth};
 
@@ -96,6 +97,10 @@ pub struct Around<'a> {
     pub replay_speed: f64,
     /// Replay only: 0 to 1.
     pub replay_progress: f64,
+    /// A recording is flown: nothing can be armed.
+    pub replay: bool,
+    /// Replay only: what the recorded flight did in this tick, where the recording knows.
+    pub recorded: Option<RecordedControl>,
 }
 
 /// Turns ticks into messages.
@@ -179,14 +184,15 @@ impl Telemetry {
 
         self.sensors(&flight.report().sensed, &flight.report().received);
         self.estimates(flight, now);
-        self.control(flight);
+        self.control(flight, around.recorded.as_ref());
         if let Some(truth) = truth
             && due(&mut self.due.truth, now, TRUTH_S)
         {
             convert::truth(&mut self.kept.truth, truth);
             self.outlets.send(Kind::Truth, 0, now, &self.kept.truth);
         }
-        if let Some(response) = &flight.report().step_response {
+        let step_response = around.recorded.as_ref().map_or(&flight.report().step_response, |then| &then.step_response);
+        if let Some(response) = step_response {
             self.outlets.send(Kind::StepResponse, 0, now, &convert::step_response(now, response));
         }
         self.slow(flight, now, around);
@@ -264,6 +270,11 @@ impl Telemetry {
         &self.recording
     }
 
+    /// Bytes that the ring of the log still takes; `None` where nothing is being logged.
+    pub fn log_room(&self) -> Option<usize> {
+        self.outlets.log_room()
+    }
+
     /// Messages refused by the rings: of the radio, of the log.
     pub fn refused(&self) -> (u64, u64) {
         self.outlets.refused()
@@ -328,7 +339,7 @@ impl Telemetry {
                     Kind::Estimate,
                     instance,
                     now,
-                    &convert::estimate(now, kind, estimate, kind == in_loop),
+                    &convert::estimate(now, kind, estimate, kind == in_loop, flight.step_time_us(kind)),
                 );
             }
             self.residuals(kind, estimate, now, kind == in_loop || others);
@@ -354,9 +365,9 @@ impl Telemetry {
         }
     }
 
-    fn control(&mut self, flight: &Flight) {
+    fn control(&mut self, flight: &Flight, recorded: Option<&RecordedControl>) {
         let report = flight.report();
-        convert::control(&mut self.kept.control, report);
+        convert::control(&mut self.kept.control, report, recorded);
         self.outlets.send(Kind::Control, 0, report.sensed.time, &self.kept.control);
     }
 
@@ -380,9 +391,10 @@ impl Telemetry {
             self.outlets.send(Kind::Attacks, 0, now, &self.kept.attacks);
         }
         let report = flight.report();
+        let (mode, armed) = around.recorded.map_or((report.mode, report.armed), |then| (then.mode, then.armed));
         let key = (
-            report.mode,
-            report.armed,
+            mode,
+            armed,
             flight.failsafe(),
             self.recording.is_open(),
             flight.estimator_in_loop(),
@@ -399,6 +411,9 @@ impl Telemetry {
         let (link_refused, log_refused) = self.outlets.refused();
         let status = &mut self.kept.status;
         convert::flight_status(status, &flight.status());
+        if around.replay {
+            convert::replay_status(status, around.recorded.as_ref());
+        }
         status.time_us = now.0;
         convert::set(&mut status.flight_id, self.recording.flight_id());
         status.flight_start_us = self.recording.start().map_or(0, |start| start.0);

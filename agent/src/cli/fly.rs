@@ -7,6 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
 use plumbline_agent::config::AgentConfig;
+use plumbline_agent::estimate::ekf_bias::EkfOptions;
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::backfill::Archive;
 use plumbline_agent::link::clock::FlightClock;
@@ -24,6 +25,7 @@ use plumbline_agent::vehicle::sim::{Scenario, SimVehicle, scenario::attacks_from
 use plumbline_agent::vehicle::suite::{Description, Suite};
 use plumbline_proto::SCHEMA;
 use plumbline_proto::time::{FlightTime, WallTime};
+use plumbline_proto::v1::SensorKind;
 
 use super::{FlyArguments, VehicleChoice};
 
@@ -229,15 +231,17 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     }
     // Our own simulated flights bring their scenario: airframe, rig and suite are known.
     let scenario = match &info.scenario {
-        Some(text) if !text.is_empty() => Some(Scenario::from_toml(text)?),
+        Some(text) if !text.is_empty() => {
+            Some(Scenario::from_toml(text).map_err(|e| format!("{}: its scenario: {e}", path.display()))?)
+        }
         _ => None,
     };
     let mut flight = match &scenario {
         Some(scenario) => FlightConfig::for_scenario(scenario),
         None => {
-            let name = info.airframe.as_deref().unwrap_or(&config.airframe);
-            let airframe = Airframe::by_name(name).or_else(|_| Airframe::by_name(&config.airframe))?;
-            FlightConfig::new(airframe, RigKind::Free, &Suite::string_rig())
+            let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
+            // Nothing is known of its sensors: one set of assumptions for all, as in `estimate`.
+            FlightConfig { ekf: EkfOptions::default(), ..FlightConfig::new(airframe, RigKind::Free, &Suite::empty()) }
         }
     };
     flight.attacks_enabled = true;
@@ -256,8 +260,9 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
                 id: sensor.id,
                 name: sensor.id.to_string(),
                 rate_hz: sensor.rate_hz,
+                // Not part of any of these formats.
                 sigma: 0.0,
-                unit: "",
+                unit: first_channel_unit(sensor.id.kind),
             })
         })
         .collect();
@@ -275,6 +280,29 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         script: None,
         end: None,
     })
+}
+
+/// The airframe that a recording names. One that is not known is taken as the configured one, and says so:
+/// nothing of a recording is controlled with it.
+fn airframe_of(recorded: Option<&str>, configured: &str) -> Result<Airframe, Failure> {
+    const TAKEN: &str = ", taken as ";
+    let recorded = recorded.map(|name| name.split(TAKEN).next().unwrap_or(name));
+    if let Some(known) = recorded.and_then(|name| Airframe::by_name(name).ok()) {
+        return Ok(known);
+    }
+    let mut airframe = Airframe::by_name(configured)?;
+    airframe.name = format!("{}{TAKEN}{configured}", recorded.unwrap_or("unknown airframe"));
+    Ok(airframe)
+}
+
+/// Unit of a sensor's first channel, as in [`Description`].
+fn first_channel_unit(kind: SensorKind) -> &'static str {
+    match kind {
+        SensorKind::Imu => "rad/s",
+        SensorKind::Barometer => "Pa",
+        SensorKind::Height | SensorKind::Gnss | SensorKind::MocapPose | SensorKind::CameraRanges => "m",
+        SensorKind::Unspecified => "",
+    }
 }
 
 fn read(path: &Path) -> Result<String, Failure> {

@@ -23,7 +23,7 @@ use crate::estimate::ukf::Ukf;
 use crate::estimate::{Estimator, EstimatorKind};
 use crate::model::euler_body::{EulerBody, M, X};
 use crate::recordings::{self, Format, RecordingError, mocap_log};
-use crate::vehicle::SensorFrame;
+use crate::vehicle::{MotorCommand, SensorFrame};
 
 /// Arguments of `plumbline-agent estimate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -205,10 +205,13 @@ fn run_recording(
     };
     let mut output = Output::create(&args.output, false)?;
     let mut score = Score::new(&args.estimator, &args.input);
+    // Applied in one tick, known to the estimator in the next.
+    let mut applied = MotorCommand::default();
     while let Some(tick) = recording.next_tick() {
         let mut frame = tick.received.unwrap_or(tick.sensed);
         selection.apply(&mut frame);
-        let estimate = estimator.step(&frame, &tick.applied.unwrap_or_default());
+        let estimate = estimator.step(&frame, &applied);
+        applied = tick.applied.unwrap_or(applied);
         output.estimate(estimate)?;
         score.add(estimate, tick.truth.as_ref());
     }

@@ -10,7 +10,8 @@ use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1};
 
 use super::timeline::{Builder, Item, Recording, Sample};
 use super::{Format, RecordedControl, RecordingError};
-use crate::control::Setpoint;
+use crate::control::step_response::StepResponse;
+use crate::control::{Setpoint, Wrench};
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand, Truth,
 };
@@ -63,6 +64,7 @@ impl Reader<'_> {
             Kind::CameraRanges => self.sensor(index, &message.data, camera_ranges),
             Kind::Truth => v1::Truth::decode(&*message.data).ok().and_then(|m| self.truth(&m)),
             Kind::Control => v1::Control::decode(&*message.data).ok().and_then(|m| self.control(&m)),
+            Kind::StepResponse => v1::StepResponse::decode(&*message.data).ok().map(|m| self.step_response(&m)),
             Kind::Description => return self.description(&message.data),
             _ => Some(()),
         };
@@ -113,6 +115,23 @@ impl Reader<'_> {
         Some(())
     }
 
+    fn step_response(&mut self, m: &v1::StepResponse) {
+        let response = StepResponse {
+            step: m.step,
+            start: FlightTime(m.start_time_us),
+            from_m: m.from_m,
+            to_m: m.to_m,
+            rise_time_s: m.rise_time_s,
+            overshoot_percent: m.overshoot_percent,
+            settling_time_s: m.settling_time_s,
+            band_m: m.band_m,
+            steady_error_m: m.steady_error_m,
+            finished: m.finished,
+            tracking_rms_m: m.tracking_rms_m,
+        };
+        self.builder.push(self.at, Item::StepResponse(response));
+    }
+
     fn control(&mut self, m: &v1::Control) -> Option<()> {
         self.boot_us.get_or_insert(self.at.0.saturating_sub(m.time_us));
         let s = m.setpoint.as_ref()?;
@@ -123,12 +142,22 @@ impl Reader<'_> {
             roll_pitch_yaw_rad: Vector3::new(value(s.roll_rad), value(s.pitch_rad), value(s.yaw_rad)),
             throttle: value(s.throttle),
         };
-        let mut applied = MotorCommand::default();
-        for (slot, value) in applied.throttle.iter_mut().zip(&m.motor_applied) {
-            *slot = *value;
-        }
-        self.builder.push(self.at, Item::Applied(applied));
-        let control = RecordedControl { mode: m.mode(), armed: m.armed, setpoint };
+        let motors = |values: &[f64]| MotorCommand { throttle: values.first_chunk().copied().unwrap_or_default() };
+        self.builder.push(self.at, Item::Applied(motors(&m.motor_applied)));
+        let control = RecordedControl {
+            mode: m.mode(),
+            armed: m.armed,
+            setpoint,
+            wrench: Wrench {
+                thrust_n: m.thrust_n,
+                torque_flu_nm: m.torque_flu_nm.as_ref().map(vector).unwrap_or_default(),
+            },
+            command: motors(&m.motor_command),
+            saturated: m.saturated,
+            integrator: m.integrator.first_chunk().copied().unwrap_or_default(),
+            // Comes as a message of its own.
+            step_response: None,
+        };
         self.builder.push(self.at, Item::Control(control));
         if let Some(volts) = m.battery_v {
             self.builder.push(self.at, Item::Battery(volts));

@@ -19,7 +19,7 @@ use plumbline_proto::{ids::SensorId, time::FlightTime};
 
 use crate::{
     command::Mode,
-    control::Setpoint,
+    control::{Setpoint, Wrench, step_response::StepResponse},
     vehicle::{MotorCommand, SensorFrame, Truth},
 };
 
@@ -41,8 +41,8 @@ pub struct RecordedTick {
     pub control: Option<RecordedControl>,
 }
 
-/// What the recorded flight was told to do.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// What the recorded flight was told to do, and did about it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RecordedControl {
     /// Flight mode.
     pub mode: Mode,
@@ -50,6 +50,16 @@ pub struct RecordedControl {
     pub armed: bool,
     /// Setpoint in use.
     pub setpoint: Setpoint,
+    /// Wrench asked for by the controller.
+    pub wrench: Wrench,
+    /// Motor command asked for.
+    pub command: MotorCommand,
+    /// Could the mixer not give what was asked?
+    pub saturated: bool,
+    /// Integrators of x, y, z (m s) and yaw (rad s).
+    pub integrator: [f64; 4],
+    /// Response to the last altitude step, where it was told in this tick.
+    pub step_response: Option<StepResponse>,
 }
 
 /// A sensor of a recording.

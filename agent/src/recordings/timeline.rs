@@ -5,6 +5,7 @@ use std::path::Path;
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
 use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo};
+use crate::control::step_response::StepResponse;
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand,
     SensorFrame, Truth,
@@ -61,6 +62,7 @@ pub(super) enum Item {
     Applied(MotorCommand),
     Truth(Truth),
     Control(RecordedControl),
+    StepResponse(StepResponse),
     Battery(f64),
     /// Ends the tick: everything since the tick before belongs to it.
     Tick,
@@ -164,6 +166,7 @@ impl Recording {
     /// one; of two samples of one sensor the later is kept.
     pub fn next_tick(&mut self) -> Option<RecordedTick> {
         let mut tick = RecordedTick::default();
+        let mut step_response = None;
         while let Some((time, item)) = self.items.get(self.next).copied() {
             self.next += 1;
             match item {
@@ -183,9 +186,13 @@ impl Recording {
                 Item::Applied(command) => tick.applied = Some(command),
                 Item::Truth(truth) => tick.truth = Some(truth),
                 Item::Control(control) => tick.control = Some(control),
+                Item::StepResponse(response) => step_response = Some(response),
                 Item::Battery(volts) => tick.sensed.battery_v = Some(volts),
                 Item::Tick => {
                     tick.sensed.time = time;
+                    if let Some(control) = &mut tick.control {
+                        control.step_response = step_response;
+                    }
                     if let Some(received) = &mut tick.received {
                         received.time = time;
                         received.battery_v = tick.sensed.battery_v;

@@ -50,6 +50,11 @@ impl Pacer {
         self.pace == Pace::Stepped && self.allowed == 0
     }
 
+    /// As fast as possible?
+    pub fn is_free(&self) -> bool {
+        self.pace == Pace::Free
+    }
+
     /// Do deadlines mean anything?
     pub fn is_real_time(&self) -> bool {
         self.pace == Pace::Times(1.0)

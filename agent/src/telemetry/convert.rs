@@ -11,6 +11,7 @@ use crate::estimate::{Estimate, EstimatorKind, Residual};
 use crate::event::Event;
 use crate::flight::{FlightConfig, FlightStatus, GainsInUse, StepReport};
 use crate::frames::roll_pitch_yaw;
+use crate::recordings::RecordedControl;
 use crate::vehicle::suite::Description as SensorDescription;
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, Truth,
@@ -113,7 +114,13 @@ pub(super) fn camera_ranges(
     }
 }
 
-pub(super) fn estimate(now: FlightTime, kind: EstimatorKind, estimate: &Estimate, in_loop: bool) -> v1::Estimate {
+pub(super) fn estimate(
+    now: FlightTime,
+    kind: EstimatorKind,
+    estimate: &Estimate,
+    in_loop: bool,
+    step_time_us: f64,
+) -> v1::Estimate {
     v1::Estimate {
         time_us: now.0,
         estimator: kind as i32,
@@ -129,8 +136,7 @@ pub(super) fn estimate(now: FlightTime, kind: EstimatorKind, estimate: &Estimate
         position_sigma_m: vector(&estimate.position_sigma_m),
         velocity_sigma_mps: vector(&estimate.velocity_sigma_mps),
         attitude_sigma_rad: vector(&estimate.attitude_sigma_rad),
-        // The flight code has no clock; the whole tick's time is in the status.
-        step_time_us: 0.0,
+        step_time_us,
     }
 }
 
@@ -165,17 +171,30 @@ fn values(into: &mut Vec<f64>, from: &[f64]) {
     into.extend_from_slice(from);
 }
 
-pub(super) fn control(into: &mut v1::Control, report: &StepReport) {
+/// `recorded` is what a recording did then: shown in the place of a flight that only watches.
+pub(super) fn control(into: &mut v1::Control, report: &StepReport, recorded: Option<&RecordedControl>) {
+    let now = RecordedControl {
+        mode: report.mode,
+        armed: report.armed,
+        setpoint: report.setpoint,
+        wrench: report.wrench,
+        command: report.command,
+        saturated: report.saturated,
+        integrator: report.integrator,
+        step_response: report.step_response,
+    };
+    let shown = recorded.unwrap_or(&now);
     into.time_us = report.sensed.time.0;
-    into.mode = report.mode as i32;
-    into.armed = report.armed;
-    into.setpoint = Some(setpoint(&report.setpoint));
-    into.thrust_n = report.wrench.thrust_n;
-    into.torque_flu_nm = vector(&report.wrench.torque_flu_nm);
-    values(&mut into.motor_command, &report.command.throttle);
+    into.mode = shown.mode as i32;
+    into.armed = shown.armed;
+    into.setpoint = Some(setpoint(&shown.setpoint));
+    into.thrust_n = shown.wrench.thrust_n;
+    into.torque_flu_nm = vector(&shown.wrench.torque_flu_nm);
+    values(&mut into.motor_command, &shown.command.throttle);
     values(&mut into.motor_applied, &report.applied.throttle);
-    into.saturated = report.saturated;
-    values(&mut into.integrator, &report.integrator);
+    into.saturated = shown.saturated;
+    values(&mut into.integrator, &shown.integrator);
+    into.battery_v = report.sensed.battery_v;
 }
 
 fn setpoint(setpoint: &Setpoint) -> v1::Setpoint {
@@ -234,6 +253,21 @@ pub(super) fn flight_status(into: &mut v1::Status, status: &FlightStatus) {
     into.estimator_in_loop = status.estimator_in_loop as i32;
     into.deadline_misses = status.deadline_misses;
     into.gains_revision = status.gains_revision.0;
+}
+
+/// A recording cannot be armed, whatever its samples look like; its mode is the one of then.
+pub(super) fn replay_status(into: &mut v1::Status, recorded: Option<&RecordedControl>) {
+    if let Some(then) = recorded {
+        into.mode = then.mode as i32;
+        into.armed = then.armed;
+    }
+    into.ready_to_arm = false;
+    into.checks.resize_with(1, v1::Check::default);
+    if let Some(check) = into.checks.first_mut() {
+        set(&mut check.name, "recording");
+        check.passed = false;
+        set(&mut check.reason, "a recording is flown: its motors are those of then");
+    }
 }
 
 pub(super) fn gains(now: FlightTime, gains: &GainsInUse) -> v1::GainsInUse {

@@ -62,6 +62,11 @@ impl Outlets {
         self.sequence
     }
 
+    /// Bytes that the ring of the log still takes; `None` where nothing is being logged.
+    pub(super) fn log_room(&self) -> Option<usize> {
+        self.log.as_ref().filter(|_| self.recording).map(|log| log.ring.slots())
+    }
+
     /// Messages refused by each ring: radio, log.
     pub(super) fn refused(&self) -> (u64, u64) {
         let of = |outlet: &Option<Outlet>| outlet.as_ref().map_or(0, |outlet| outlet.refused);

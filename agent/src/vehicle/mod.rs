@@ -217,6 +217,12 @@ pub trait Vehicle: Send {
         None
     }
 
+    /// What the estimators received of the frame last sensed, when it comes from a recording in which that
+    /// differs from what was sensed: the attacks of then are seen again.
+    fn recorded_reception(&self) -> Option<SensorFrame> {
+        None
+    }
+
     /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
     fn recorded_control(&self) -> Option<RecordedControl> {
         None

@@ -32,16 +32,12 @@ impl ReplayVehicle {
     pub fn info(&self) -> &RecordingInfo {
         self.recording.info()
     }
-
 }
 
 impl Vehicle for ReplayVehicle {
     fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
         self.tick = self.recording.next_tick().ok_or(VehicleError::Finished(self.recording.info().span.1))?;
-        Ok(match (self.samples, self.tick.received) {
-            (Samples::Received, Some(received)) => received,
-            _ => self.tick.sensed,
-        })
+        Ok(self.tick.sensed)
     }
 
     /// The recorded command, whatever is asked; the last known one where this tick has none.
@@ -56,6 +52,10 @@ impl Vehicle for ReplayVehicle {
 
     fn progress(&self) -> Option<f64> {
         Some(self.recording.progress())
+    }
+
+    fn recorded_reception(&self) -> Option<SensorFrame> {
+        self.tick.received.filter(|_| self.samples == Samples::Received)
     }
 
     fn recorded_control(&self) -> Option<RecordedControl> {
