@@ -9,6 +9,7 @@ use super::{Check, Flight, FlightStatus, GainsInUse, RigKind};
 use crate::control::lqr_integral::LqrIntegral;
 use crate::estimate::Health;
 use crate::event::{Text, text};
+use crate::model::motor;
 
 /// Most tilt at arming, rad (15°); on a single axis the vehicle may lean as far as that lets it.
 const TILT_MAX_RAD: f64 = 0.262;
@@ -118,7 +119,12 @@ impl Flight {
         }
     }
 
+    /// Charge left (0..1): the voltage with the sag of what the motors draw taken out.
     fn charge(&self, voltage_v: f64) -> f64 {
-        self.config.airframe.battery.charge_from_voltage(voltage_v, 0.0)
+        let airframe = &self.config.airframe;
+        let ratio = voltage_v / airframe.battery.nominal_v();
+        let speeds = motor::steady_speed(airframe, &self.report.applied.throttle, ratio);
+        let power_w = airframe.drag_torque_coefficient_nms2 * speeds.iter().map(|w| w * w * w).sum::<f64>();
+        airframe.battery.charge_from_voltage(voltage_v, airframe.battery.current_a(power_w, voltage_v))
     }
 }

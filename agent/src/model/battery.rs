@@ -44,6 +44,12 @@ impl BatteryPack {
         f64::from(self.cells) * interpolate(charge, CELL_CURVE.iter().copied())
     }
 
+    /// Current drawn at `voltage_v` while the rotors take `mechanical_power_w`, A.
+    pub fn current_a(&self, mechanical_power_w: f64, voltage_v: f64) -> f64 {
+        let power_w = mechanical_power_w.max(0.0) / EFFICIENCY + ELECTRONICS_A * self.nominal_v();
+        if voltage_v > 0.0 { power_w / voltage_v } else { 0.0 }
+    }
+
     /// Charge left (0..1) as read from the voltage with `current_a` flowing (0 when unknown).
     pub fn charge_from_voltage(&self, voltage_v: f64, current_a: f64) -> f64 {
         let cell_v = (voltage_v + self.internal_resistance_ohm * current_a) / f64::from(self.cells);
@@ -75,7 +81,7 @@ impl Battery {
         // V = V₀ − R P / V: the larger root; past the power the pack can give, the half-voltage point.
         let root = (open_v * open_v - 4.0 * r * power_w).max(0.0).sqrt();
         self.voltage_v = 0.5 * (open_v + root);
-        self.current_a = if self.voltage_v > 0.0 { power_w / self.voltage_v } else { 0.0 };
+        self.current_a = self.pack.current_a(mechanical_power_w, self.voltage_v);
         let used = self.current_a * dt_s / (3600.0 * self.pack.capacity_ah);
         self.charge = (self.charge - used).max(0.0);
     }
@@ -121,6 +127,17 @@ mod tests {
     use super::*;
 
     const PACK: BatteryPack = BatteryPack::lipo(3, 5.1, 0.015);
+
+    #[test]
+    fn charge_is_read_through_the_sag() {
+        for (charge, power_w) in [(0.9, 0.0), (0.9, 150.0), (0.5, 150.0), (0.3, 60.0)] {
+            let mut battery = Battery::new(PACK, charge);
+            battery.draw(power_w, 0.005);
+            let current_a = PACK.current_a(power_w, battery.voltage_v());
+            let read = PACK.charge_from_voltage(battery.voltage_v(), current_a);
+            assert!((read - charge).abs() < 1e-4, "{charge} under {power_w} W reads {read}");
+        }
+    }
 
     #[test]
     fn sags_under_load_and_recovers() {

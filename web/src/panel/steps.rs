@@ -89,7 +89,7 @@ pub fn StepMarks() -> impl IntoView {
                         <div class="step" role="listitem" style=style class:running=move || step.get().is_some_and(|s| s.running)>
                             <b class="num">{move || step.get().map(|s| s.from_to)}</b>
                             " "
-                            {move || step.get().map(|s| pieces(&s.text))}
+                            <span class="figures">{move || step.get().map(|s| pieces(&s.text))}</span>
                         </div>
                     }
                 }
