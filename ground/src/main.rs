@@ -1,5 +1,6 @@
 //! `plumbline-ground`: arguments, sockets, shutdown.
 
+use std::io::IsTerminal as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -60,7 +61,10 @@ fn fail(text: &str) -> ExitCode {
 fn start_log(json: bool) {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal());
     if json {
         log.json().init();
     } else {
@@ -78,7 +82,8 @@ async fn serve(arguments: Arguments) -> Result<(), String> {
     let folder = identity.unwrap_or_else(|| data.join("identity"));
     let identity = identity::load_or_create(&folder).map_err(|e| format!("identity: {e}"))?;
     let link = AgentLink::bind(AgentLinkConfig::new(agent_listen, identity)).map_err(|e| e.to_string())?;
-    println!("Plumbline is at http://{address}/ (agents: {}, udp)", link.local_addr());
+    println!("Plumbline is at http://{address}/");
+    println!("agents connect to udp://{}", link.local_addr());
 
     let mut config = GroundConfig::new(data);
     config.allowed_hosts = allow_hosts;

@@ -3,7 +3,7 @@
 import { assert, complaints, end, launch, pixels, step, until, url } from './support.mjs';
 
 const browser = await launch();
-const page = await browser.newPage({ viewport: { width: 1000, height: 700 } });
+const page = await browser.newPage({ viewport: { width: 800, height: 500 } });
 const errors = complaints(page);
 
 await step(page, 'charts: 8 × 100 000 points', async () => {

@@ -160,9 +160,9 @@ impl Agent {
                 command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed)
             }
         };
+        pair(&options.binaries.agent, &identity, id, &ground.identity)?;
         let process = Process::start(id, command, options.echo)?;
         let mut agent = Self { process, id: id.to_owned(), identity };
-        pair(&agent.identity, id, &ground.identity)?;
         agent.wait_until_connected(&ground.api)?;
         Ok(agent)
     }
@@ -210,14 +210,21 @@ pub fn wait_until<T>(limit: Duration, mut ask: impl FnMut() -> Option<T>) -> Opt
     }
 }
 
-/// Carries each side's fingerprint into the other's list of peers, as the README tells to do by hand.
-fn pair(agent: &Path, id: &str, ground: &Path) -> Result<(), XtaskError> {
-    let (of_agent, of_ground) = (fingerprint(agent)?, fingerprint(ground)?);
-    trust(agent, &of_ground, "ground")?;
-    trust(ground, &of_agent, id)
+/// Carries each side's fingerprint into the other's list of peers, as the README tells to do by hand:
+/// before the agent starts, so that its first knock is answered.
+fn pair(program: &Path, agent: &Path, id: &str, ground: &Path) -> Result<(), XtaskError> {
+    let of_ground = fingerprint(ground)?;
+    let mut command = Command::new(program);
+    command.arg("identity").arg("--identity").arg(agent).args(["--trust", &of_ground]);
+    let output = command.output().map_err(XtaskError::file(program))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        return Err(XtaskError::Other(format!("the agent's identity could not be made: {said}")));
+    }
+    trust(ground, &fingerprint(agent)?, id)
 }
 
-/// Both programs make their identity when they start.
+/// The ground makes its identity when it starts.
 fn fingerprint(identity: &Path) -> Result<String, XtaskError> {
     let file = identity.join("fingerprint");
     let read =

@@ -53,6 +53,11 @@ pub fn age(seconds: f64) -> String {
     }
 }
 
+/// "1 flight", "3 flights"
+pub fn count(n: u64, noun: &str) -> String {
+    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
+}
+
 /// A size in bytes with a binary unit: `4.2 MiB`.
 pub fn bytes(count: f64) -> String {
     const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];

@@ -50,8 +50,8 @@ pub fn FlightsPage() -> impl IntoView {
         answer.with(|a| {
             a.as_ref().and_then(|a| a.as_ref().ok()).map(|f| {
                 format!(
-                    "{} flights, {} used, {} free",
-                    f.flights.len(),
+                    "{}, {} used, {} free",
+                    format::count(f.flights.len() as u64, "flight"),
                     format::bytes(f.storage.used_bytes),
                     format::bytes(f.storage.free_bytes)
                 )
