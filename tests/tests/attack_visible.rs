@@ -33,7 +33,7 @@ fn an_attack_is_accepted_seen_active_crosses_its_gate_and_is_aborted() {
     let phase = |frame: &support::OwnedFrame, wanted: v1::AttackPhase| {
         let state: v1::AttackState = frame.message(Kind::Attacks)?;
         let progress = state.attacks.first()?;
-        (progress.phase() == wanted).then(|| progress.clone())
+        (progress.phase() == wanted).then_some(*progress)
     };
     let accepted = live.until(SECONDS_20, "accepted attack", |frame| phase(frame, v1::AttackPhase::Accepted));
     assert_eq!((accepted.active_time_us, accepted.altered_samples), (None, 0));

@@ -54,7 +54,7 @@ pub fn age(seconds: f64) -> String {
 }
 
 /// "1 flight", "3 flights"
-pub fn count(n: u64, noun: &str) -> String {
+pub fn plural(n: u64, noun: &str) -> String {
     if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
 }
 

@@ -51,7 +51,7 @@ pub fn FlightsPage() -> impl IntoView {
             a.as_ref().and_then(|a| a.as_ref().ok()).map(|f| {
                 format!(
                     "{}, {} used, {} free",
-                    format::count(f.flights.len() as u64, "flight"),
+                    format::plural(f.flights.len() as u64, "flight"),
                     format::bytes(f.storage.used_bytes),
                     format::bytes(f.storage.free_bytes)
                 )

@@ -42,7 +42,7 @@ pub fn Setup() -> impl IntoView {
                                 {fact("schema", g.schema.to_string())}
                                 {fact("up for", format::clock(g.uptime_s))}
                                 {fact("flights in", g.data_folder)}
-                                {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::count(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
+                                {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::plural(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
                                 {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
                             </dl>
                         }.into_any(),
