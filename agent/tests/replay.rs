@@ -204,9 +204,7 @@ fn recordings_of_others_show_their_own_sensors_and_their_estimators_start() {
         let first = *told.estimates.keys().next().unwrap();
         let healthy = |e: &v1::Estimate| e.health() == v1::Health::Healthy;
         let started = told.estimates.iter().find(|(_, all)| all.get(&1).is_some_and(healthy)).map(|(t, _)| t - first);
-        // Vibration of several m/s² on every IMU of the Phantom: its votes are not trusted.
-        let trusted = !file.starts_with("phantom4");
-        assert!(!trusted || started.is_some_and(|us| us < 2_500_000), "{file}: healthy after {started:?} µs");
+        assert!(started.is_some_and(|us| us < 2_500_000), "{file}: healthy after {started:?} µs");
         let finite = |e: &v1::Estimate| {
             let (p, a) = (e.position_enu_m.unwrap(), e.roll_pitch_yaw_rad.unwrap());
             [p.x, p.y, p.z, a.x, a.y, a.z].iter().all(|v| v.is_finite())

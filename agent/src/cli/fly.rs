@@ -7,7 +7,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
 use plumbline_agent::config::AgentConfig;
-use plumbline_agent::estimate::ekf_bias::EkfOptions;
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::backfill::Archive;
 use plumbline_agent::link::clock::FlightClock;
@@ -240,8 +239,8 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         Some(scenario) => FlightConfig::for_scenario(scenario),
         None => {
             let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
-            // Nothing is known of its sensors: one set of assumptions for all, as in `estimate`.
-            FlightConfig { ekf: EkfOptions::default(), ..FlightConfig::new(airframe, RigKind::Free, &Suite::empty()) }
+            // Nothing is said of its sensors: the assumptions of `estimate`.
+            FlightConfig { ekf: info.ekf_options(), ..FlightConfig::new(airframe, RigKind::Free, &Suite::empty()) }
         }
     };
     flight.attacks_enabled = true;

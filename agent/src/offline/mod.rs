@@ -14,7 +14,7 @@ pub use errors::Score;
 use output::Output;
 
 use crate::estimate::attitude::{Attitude, AttitudeOptions};
-use crate::estimate::ekf_bias::{EkfBias, EkfOptions};
+use crate::estimate::ekf_bias::EkfBias;
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
 use crate::estimate::point_mass::PointMassEstimator;
@@ -187,9 +187,14 @@ fn run_recording(
     mut recording: recordings::Recording,
 ) -> Result<Score, OfflineError> {
     let selection = Selection::new(&args.sensors)?;
-    // One set of options for every recording: nothing is tuned to a file.
-    let options = EkfOptions::default();
-    let attitude = AttitudeOptions { use_mag: selection.mag, ..AttitudeOptions::default() };
+    // One rule for every recording: nothing is tuned to a file.
+    let options = recording.info().ekf_options();
+    let attitude = AttitudeOptions {
+        use_mag: selection.mag,
+        gyro_vote: options.gyro_vote,
+        accel_vote: options.accel_vote,
+        ..AttitudeOptions::default()
+    };
     let mut estimator: Box<dyn Estimator> = match kind {
         EstimatorKind::EkfBias => Box::new(EkfBias::new(options)),
         EstimatorKind::Primary => Box::new(Primary::new(options)),

@@ -7,6 +7,7 @@
 mod broad;
 mod flight_file;
 pub mod mocap_log;
+mod noise;
 mod phantom4;
 mod rotorpy;
 mod tables;
@@ -15,11 +16,12 @@ mod ulog;
 
 use std::path::{Path, PathBuf};
 
-use plumbline_proto::{ids::SensorId, time::FlightTime};
+use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
 use crate::{
     command::Mode,
     control::{Setpoint, Wrench, step_response::StepResponse},
+    estimate::ekf_bias::EkfOptions,
     vehicle::{MotorCommand, SensorFrame, Truth},
 };
 
@@ -71,6 +73,15 @@ pub struct RecordedSensor {
     pub rate_hz: f64,
 }
 
+/// Noise of a recording's IMUs, vibration included.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ImuNoise {
+    /// One-sigma of one gyroscope sample, rad/s.
+    pub gyro_sigma_radps: f64,
+    /// One-sigma of one accelerometer sample, m/s².
+    pub accel_sigma_mps2: f64,
+}
+
 /// What a recording holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingInfo {
@@ -84,6 +95,8 @@ pub struct RecordingInfo {
     pub ticks: usize,
     /// Sensors with at least one sample.
     pub sensors: Vec<RecordedSensor>,
+    /// Noise of the worst of its IMUs; `None` where there is too little to tell.
+    pub imu_noise: Option<ImuNoise>,
     /// Does it carry truth?
     pub has_truth: bool,
     /// Name of the airframe, where the file says.
@@ -92,6 +105,29 @@ pub struct RecordingInfo {
     pub scenario: Option<String>,
     /// Things a user should know: rows skipped, sensors left out.
     pub notes: Vec<String>,
+}
+
+impl RecordingInfo {
+    /// What estimators assume of its sensors: the defaults, unless its own samples are noisier than that (IMUs
+    /// of a motor frame vibrate by several m/s²). The same rule for every file.
+    pub fn ekf_options(&self) -> EkfOptions {
+        let mut options = EkfOptions::default();
+        let imus = self.sensors.iter().filter(|sensor| sensor.id.kind == SensorKind::Imu);
+        let rate_hz = imus.map(|imu| imu.rate_hz).fold(f64::INFINITY, f64::min);
+        let Some(noise) = self.imu_noise.filter(|_| rate_hz.is_finite() && rate_hz > 0.0) else { return options };
+        let period_s = 1.0 / rate_hz;
+        for (density, vote, sigma) in [
+            (&mut options.gyro_noise_density, &mut options.gyro_vote, noise.gyro_sigma_radps),
+            (&mut options.accel_noise_density, &mut options.accel_vote, noise.accel_sigma_mps2),
+        ] {
+            vote.memory_s = vote.memory_s.max(1.25 * period_s);
+            if sigma > vote.sigma {
+                vote.sigma = sigma;
+                *density = density.max(sigma * period_s.sqrt());
+            }
+        }
+        options
+    }
 }
 
 /// Formats that can be read.

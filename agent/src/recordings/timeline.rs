@@ -4,7 +4,7 @@ use std::path::Path;
 
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
-use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo};
+use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo, noise};
 use crate::control::step_response::StepResponse;
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand,
@@ -137,6 +137,7 @@ impl Builder {
             span: (first, last),
             ticks: count,
             sensors: sensors.into_iter().map(|(id, n)| RecordedSensor { id, rate_hz: rate(n) }).collect(),
+            imu_noise: noise::of(self.items.iter().map(|(_, item)| item)),
             has_truth,
             airframe: self.airframe,
             scenario: self.scenario,
