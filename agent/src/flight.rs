@@ -83,6 +83,10 @@ pub struct Flight {
     blind_since: Option<FlightTime>,
     /// Thrust and climb have looked like standing since.
     quiet_since: Option<FlightTime>,
+    /// Close to where it took off, not turning, since.
+    low_since: Option<FlightTime>,
+    /// Raw height where it took off, m.
+    takeoff_height_m: Option<f64>,
     /// Thrust that hovers, learned in flight, N.
     hover_thrust_n: f64,
     meter: StepMeter,
@@ -138,6 +142,8 @@ impl Flight {
             cut_latched: false,
             blind_since: None,
             quiet_since: None,
+            low_since: None,
+            takeoff_height_m: None,
             hover_thrust_n: weight_n,
             meter: StepMeter::default(),
             meter_sent: FlightTime(0),

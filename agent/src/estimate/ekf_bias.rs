@@ -256,13 +256,14 @@ impl EkfBias {
         Some(Inertial { time: frame.time, gyro_radps: gyro.value, accel_mps2: accel.value })
     }
 
-    /// Angular acceleration: the rate of change of the gyroscopes, smoothed over 20 ms.
+    /// Angular acceleration: the rate of change of the gyroscopes, smoothed over 5 ms: later it would lag
+    /// behind, and accelerometers away from the centre would contradict each other, whenever a turn begins.
     fn watch_turning(&mut self, now: FlightTime, gyro_radps: &Vector3<f64>) {
         if let Some(before) = &self.inertial {
             let dt_s = now.seconds_since(before.time);
             if dt_s > 0.0 && dt_s < 0.1 {
                 let turning = (gyro_radps - before.gyro_radps) / dt_s;
-                self.turning_radps2 += (turning - self.turning_radps2) * (dt_s / (0.02 + dt_s));
+                self.turning_radps2 += (turning - self.turning_radps2) * (dt_s / (0.005 + dt_s));
             } else {
                 self.turning_radps2 = Vector3::zeros();
             }

@@ -11,6 +11,10 @@
 //! heading, seconds later, and on the string rig horizontally not at all; the vote sees it in the same
 //! sample, at a hundredth of the work of four filters.
 //!
+//! A shock (touch-down) changes everything within a tick, and where units sample in turns the fresh ones
+//! then contradict the last samples of the others. Fresh samples that agree with one another have moved
+//! together: they alone are asked, for as long as shocks last. Contradictions that stay are none.
+//!
 //! The constant difference of an IMU from the others (its bias) is learned slowly and removed first:
 //! otherwise the consensus would jump by a quarter of a bias whenever an IMU drops out. What can be learned
 //! is bounded, so a slow ramp ends at its gate as well.
@@ -19,7 +23,7 @@
 //! |---|---|---|
 //! | σ | noise of one sample | rad/s, m/s² |
 //! | d | learned deviation of an instance from the consensus | rad/s, m/s² |
-//! | ċ | rate of change of the consensus: widens the gate of samples taken at different times | /s |
+//! | ċ | how fast the quantity changes, by the fresh: widens the gate of samples of different times | /s |
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
@@ -32,6 +36,10 @@ use crate::vehicle::{MAX_IMUS, SensorFrame};
 
 /// Samples after which the prior spread between instances no longer widens the gate by half of σ.
 const SAMPLES_TO_KNOW: f64 = 50.0;
+
+/// Fresh samples may contradict those of the tick before for this long, s: a shock and its ringing. Pairs
+/// that lie together are believed no longer than this either.
+const SHOCK_S: f64 = 0.1;
 
 /// What the vote assumes of one quantity (gyroscope or accelerometer).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,8 +80,10 @@ pub struct Vote {
     deviation: [Vector3<f64>; MAX_IMUS],
     seen: [u32; MAX_IMUS],
     out_until: [Option<FlightTime>; MAX_IMUS],
-    consensus: Option<(FlightTime, Vector3<f64>)>,
+    settled: Option<FlightTime>,
     slope: f64,
+    /// For how long fresh samples have contradicted those of the ticks before, s.
+    shock_s: f64,
 }
 
 /// One instance in the vote.
@@ -97,8 +107,9 @@ impl Vote {
             deviation: [Vector3::zeros(); MAX_IMUS],
             seen: [0; MAX_IMUS],
             out_until: [None; MAX_IMUS],
-            consensus: None,
+            settled: None,
             slope: 0.0,
+            shock_s: 0.0,
         }
     }
 
@@ -112,9 +123,17 @@ impl Vote {
     ) -> Option<Consensus> {
         let o = self.options;
         let mut ballots: ArrayVec<Ballot, MAX_IMUS> = ArrayVec::new();
+        let (mut change, mut changed) = (Vector3::zeros(), 0.0);
+        let mut period_s = 0.0_f64;
         for (index, sample) in samples.iter().enumerate() {
             let fresh = sample.filter(|v| v.iter().all(|x| x.is_finite()));
             if let Some(value) = fresh {
+                // An instance is compared with itself: between instances a lie would look like motion.
+                if let Some((time, before)) = self.latest[index].filter(|_| !self.is_out(index, now)) {
+                    change += value - before;
+                    changed += 1.0;
+                    period_s = period_s.max(now.seconds_since(time));
+                }
                 self.latest[index] = Some((now, value));
             }
             if let Some((time, value)) = self.latest[index] {
@@ -125,6 +144,9 @@ impl Vote {
                 }
             }
         }
+        if changed > 0.0 {
+            self.learn_slope(now, (change / changed).amax(), period_s);
+        }
         let n = ballots.len();
         if !ballots.iter().any(|b| b.fresh) {
             return None;
@@ -132,22 +154,29 @@ impl Vote {
         if n == 1 {
             return Some(self.settle(now, ballots[0].value, 1, true));
         }
-        let centre = Vector3::from_fn(|axis, _| median(ballots.iter().map(|b| b.value[axis])));
-        let oldest_s = ballots.iter().map(|b| b.age_s).fold(0.0, f64::max);
+        let mut centre = centre_of(ballots.iter());
+        let mut moved = self.slope * ballots.iter().map(|b| b.age_s).fold(0.0, f64::max);
+        if self.is_shock(now, &ballots, &centre, moved) {
+            // The stale ones saw another motion: they neither vote nor are blamed.
+            ballots.retain(|b| b.fresh);
+            centre = centre_of(ballots.iter());
+            moved = 0.0;
+        }
+        let n = ballots.len();
 
+        let inside = |b: &Ballot| (b.value - centre).amax() <= o.gate * self.sigma_of(b.index, n, moved);
+        // Two that lie together can accuse; where all contradict each other, nobody is to blame.
+        let majority = ballots.iter().filter(|b| inside(b)).count() >= 2;
         for ballot in &mut ballots {
             let i = ballot.index;
-            let known = SAMPLES_TO_KNOW / (SAMPLES_TO_KNOW + f64::from(self.seen[i]));
-            let moved = self.slope * oldest_s;
-            let variance = o.sigma * o.sigma * (1.0 + 1.0 / n as f64) + (o.spread * known).powi(2) + moved * moved;
-            let sigma = variance.sqrt();
+            let sigma = self.sigma_of(i, n, moved);
             let gate = o.gate * sigma;
             let innovation = ballot.value - centre;
             let inside = innovation.iter().all(|x| x.abs() <= gate);
-            if !inside && ballot.fresh {
+            if !inside && ballot.fresh && majority {
                 self.out_until[i] = Some(FlightTime(now.0.saturating_add((o.hold_off_s * 1e6) as u64)));
             }
-            ballot.accepted = inside && self.out_until[i].is_none_or(|until| now >= until);
+            ballot.accepted = inside && !self.is_out(i, now);
             if ballot.fresh {
                 for axis in 0..3 {
                     let _ = residuals.try_push(Residual {
@@ -166,7 +195,9 @@ impl Vote {
         // Two that differ leave no majority; of three or four, two in agreement are one.
         let trusted = agreeing >= 2;
         if agreeing == 0 {
-            return Some(self.settle(now, centre, n, false));
+            let unblamed = ballots.iter().filter(|b| b.fresh && !self.is_out(b.index, now));
+            let value = if unblamed.clone().count() > 0 { centre_of(unblamed) } else { centre };
+            return Some(self.settle(now, value, n, false));
         }
         self.learn(&ballots, &centre, agreeing);
         // The fresh ones, or those of a tick ago where all the fresh ones lie.
@@ -177,19 +208,50 @@ impl Vote {
         Some(self.settle(now, value, used, trusted))
     }
 
-    /// Remembers the consensus and how fast it changes.
+    /// Has this instance been out of its gate lately?
+    fn is_out(&self, index: usize, now: FlightTime) -> bool {
+        self.out_until[index].is_some_and(|until| now < until)
+    }
+
+    /// One-sigma of the deviation of instance `i` among `n`, with `moved` between their samples.
+    fn sigma_of(&self, i: usize, n: usize, moved: f64) -> f64 {
+        let o = &self.options;
+        let known = SAMPLES_TO_KNOW / (SAMPLES_TO_KNOW + f64::from(self.seen[i]));
+        (o.sigma * o.sigma * (1.0 + 1.0 / n as f64) + (o.spread * known).powi(2) + moved * moved).sqrt()
+    }
+
+    /// Do the fresh samples contradict the stale ones, but not one another, and not for too long?
+    fn is_shock(&mut self, now: FlightTime, ballots: &[Ballot], centre: &Vector3<f64>, moved: f64) -> bool {
+        let outside = |b: &Ballot, centre: &Vector3<f64>, n: usize, moved: f64| {
+            (b.value - centre).amax() > self.options.gate * self.sigma_of(b.index, n, moved)
+        };
+        let fresh = || ballots.iter().filter(|b| b.fresh && !self.is_out(b.index, now));
+        let n = fresh().count();
+        let contradicted = n < ballots.len() && fresh().any(|b| outside(b, centre, ballots.len(), moved));
+        let own = centre_of(fresh());
+        let together = n >= 2 && fresh().all(|b| !outside(b, &own, n, 0.0));
+        let dt_s = self.settled.map_or(0.0, |time| now.seconds_since(time).clamp(0.0, self.options.memory_s));
+        let shock = contradicted && together;
+        // Leaks, so that a contradiction that flickers counts as well.
+        self.shock_s = (self.shock_s + if shock { dt_s } else { -0.5 * dt_s }).clamp(0.0, 2.0 * SHOCK_S);
+        shock && self.shock_s <= SHOCK_S
+    }
+
+    /// Remembers the consensus.
     fn settle(&mut self, now: FlightTime, value: Vector3<f64>, used: usize, trusted: bool) -> Consensus {
-        if let Some((time, before)) = self.consensus {
-            let dt_s = now.seconds_since(time);
-            if dt_s > 0.0 {
-                // Over about 25 ms, so that it measures motion rather than noise.
-                let slope = (value - before).amax() / dt_s.max(1e-3);
-                let slope = (slope - 2.0 * self.options.sigma / dt_s.max(1e-3)).max(0.0);
-                self.slope += (slope - self.slope) * (dt_s / 0.025).min(1.0);
-            }
-        }
-        self.consensus = Some((now, value));
+        self.settled = Some(now);
         Consensus { value, used, trusted }
+    }
+
+    /// `change` within one period of an instance, on average over the fresh. Instances that sample in turns
+    /// lie half a period apart, and all of the change may have come within that half.
+    fn learn_slope(&mut self, now: FlightTime, change: f64, period_s: f64) {
+        let dt_s = self.settled.map_or(0.0, |time| now.seconds_since(time));
+        if period_s > 0.0 && dt_s > 0.0 {
+            let slope = (change - 2.0 * self.options.sigma).max(0.0) / (0.5 * period_s);
+            // Over about 25 ms, so that it measures motion rather than noise.
+            self.slope += (slope - self.slope) * (dt_s / 0.025).min(1.0);
+        }
     }
 
     /// Moves the learned deviations towards what is seen, about the median: about the mean, a slow ramp of
@@ -207,6 +269,11 @@ impl Vote {
             self.deviation[i] = (self.deviation[i] + gain * (ballot.value - centre)).map(|x| x.clamp(-limit, limit));
         }
     }
+}
+
+/// Median of every axis.
+fn centre_of<'a>(ballots: impl Iterator<Item = &'a Ballot> + Clone) -> Vector3<f64> {
+    Vector3::from_fn(|axis, _| median(ballots.clone().map(|b| b.value[axis])))
 }
 
 /// Median of one to four values (of two or four, the mean of the middle two).
@@ -326,6 +393,63 @@ mod tests {
                 assert!(liar.ratio() > 1.0 && !liar.accepted);
             }
         }
+    }
+
+    /// IMUs 1, 3 on even ticks and 2, 4 on odd ones, with `extra(k, i)` on the x axis.
+    fn in_turns(v: &mut Vote, k: u64, extra: impl Fn(u64, usize) -> f64) -> Consensus {
+        let mut samples = [None; 4];
+        for (i, sample) in samples.iter_mut().enumerate().filter(|(i, _)| k % 2 == *i as u64 % 2) {
+            *sample = Some(Vector3::new(extra(k, i), 0.0, 9.81) + noise(k as usize, i));
+        }
+        v.vote(FlightTime(k * 5000), &samples, &mut ArrayVec::new()).unwrap()
+    }
+
+    #[test]
+    fn a_shock_that_all_feel_blames_nobody_and_is_believed_at_once() {
+        let mut v = vote();
+        // A touch-down: 30 m/s² in one tick, gone in the next, ringing for 20 ms more.
+        let shock = |k: u64, _| match k {
+            1000 => 30.0,
+            1001 => -6.0,
+            1002..=1005 => 4.0 - 8.0 * (k % 2) as f64,
+            _ => 0.0,
+        };
+        for k in 0..1400 {
+            let c = in_turns(&mut v, k, shock);
+            assert!(c.trusted && c.used == 2, "{c:?} at {k}");
+            assert!((c.value.x - shock(k, 0)).abs() < 0.15, "{c:?} at {k}");
+        }
+        assert!(v.out_until.iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn a_liar_is_blamed_in_a_shock_as_well() {
+        let mut v = vote();
+        for k in 0..1400 {
+            let c = in_turns(
+                &mut v,
+                k,
+                |k, i| if k == 1000 { 30.0 } else { 0.0 } + if i == 1 && k > 900 { 2.0 } else { 0.0 },
+            );
+            if k > 901 {
+                // Just after the shock one IMU stands against the samples of the tick before.
+                assert!(c.trusted || k == 1001, "{c:?} at {k}");
+                let expected = if k == 1000 { 30.0 } else { 0.0 };
+                assert!((c.value.x - expected).abs() < 0.2, "{c:?} at {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_pair_that_lies_together_is_not_trusted_after_a_shocks_time() {
+        let mut v = vote();
+        let mut trusted_ticks = 0;
+        for k in 0..2000 {
+            let c = in_turns(&mut v, k, |k, i| if k >= 1000 && i % 2 == 0 { 3.0 } else { 0.0 });
+            trusted_ticks += u64::from(k >= 1000 && c.trusted);
+            assert!(k < 1000 + 40 || !c.trusted, "{c:?} at {k}");
+        }
+        assert!(trusted_ticks <= 25, "{trusted_ticks}");
     }
 
     #[test]

@@ -85,10 +85,10 @@ pub fn measurements(row: &LogRow) -> ArrayVec<ScalarRow, 7> {
     const RANGES: [Channel; 4] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
     const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
     let mut rows = ArrayVec::new();
-    for i in 0..4 {
+    for (i, channel) in RANGES.into_iter().enumerate() {
         rows.push(ScalarRow {
             sensor: SensorId::new(SensorKind::CameraRanges, 1),
-            channel: RANGES[i],
+            channel,
             what: What::Range(CAMERAS_ENU_M[i]),
             value: row.range_m[i],
             sigma: RANGE_SIGMA_M[i],

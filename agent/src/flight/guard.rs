@@ -21,6 +21,12 @@ const STANDING_THRUST: f64 = 0.6;
 const STANDING_SPEED_MPS: f64 = 0.15;
 /// Standing for this long is landed, s.
 const STANDING_S: f64 = 0.5;
+/// Raw heights within this of where it took off, m …
+const TOUCHING_M: f64 = 0.05;
+/// … turning slower than this, rad/s …
+const TOUCHING_RADPS: f64 = 0.2;
+/// … for this long, s, is landed too, whatever estimator and thrust say.
+const TOUCHING_S: f64 = 1.0;
 /// How far below the vehicle the profile of a landing may run, m.
 const LANDING_LEAD_M: f64 = 0.6;
 /// Thrust of a descent on attitude alone, of the hover thrust.
@@ -144,8 +150,7 @@ impl Flight {
 
     fn stop(&mut self) {
         self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
-        self.quiet_since = None;
-        self.blind_since = None;
+        (self.quiet_since, self.low_since, self.blind_since) = (None, None, None);
         self.monitor.reset();
         self.meter.reset();
         self.controller.reset();
@@ -157,7 +162,7 @@ impl Flight {
         let here = self.here();
         self.mode = mode;
         self.target = here;
-        self.quiet_since = None;
+        (self.quiet_since, self.low_since) = (None, None);
         if flying {
             // From rest at the present place: the integrators keep what they carry.
             self.profile.restart(here);
@@ -184,7 +189,8 @@ impl Flight {
                     self.controller.reset();
                     self.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
                     self.phase = Phase::Flying;
-                    self.quiet_since = None;
+                    self.takeoff_height_m = self.watchdog.height_m();
+                    (self.quiet_since, self.low_since) = (None, None);
                 } else if now.seconds_since(since) > settings.takeoff_timeout_s {
                     let why = text(format_args!("armed for {} s without take-off", settings.takeoff_timeout_s));
                     (self.failsafe, self.failsafe_reason) = (Failsafe::TakeoffTimeout, why);
@@ -201,7 +207,8 @@ impl Flight {
                     self.target.position_enu_m.z = target.position_enu_m.z;
                 }
                 let blind_over = self.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
-                if blind_over || self.standing(now) {
+                let (standing, touching) = (self.standing(now), self.touching(now));
+                if blind_over || standing || touching {
                     if self.mode == Mode::Stabilise {
                         self.phase = Phase::Idle { since: now };
                     } else {
@@ -242,6 +249,19 @@ impl Flight {
             return false;
         }
         now.seconds_since(*self.quiet_since.get_or_insert(now)) > STANDING_S
+    }
+
+    /// Back where it took off by the raw heights, and quiet: down, whatever the estimator believes.
+    fn touching(&mut self, now: FlightTime) -> bool {
+        let low = match (self.watchdog.height_m(), self.takeoff_height_m) {
+            (Some(height_m), Some(takeoff_m)) => height_m < takeoff_m + TOUCHING_M,
+            _ => false,
+        };
+        if self.mode != Mode::Land || !low || self.watchdog.rates_radps().norm() > TOUCHING_RADPS {
+            self.low_since = None;
+            return false;
+        }
+        now.seconds_since(*self.low_since.get_or_insert(now)) > TOUCHING_S
     }
 
     /// Limits of the profile in this tick.
