@@ -3,10 +3,8 @@
 //! The link converts from the wire; [`crate::flight::Flight::apply`] decides, between ticks.
 //! Recording and replay controls belong to the runner and never reach the flight code.
 
-use plumbline_proto::ids::GainsRevision;
-
 use crate::attack::Schedule;
-use crate::control::lqr_integral::Weights;
+use crate::control::gains::Certified;
 use crate::estimate::EstimatorKind;
 use crate::event::Text;
 
@@ -34,13 +32,9 @@ pub enum Command {
     AbortAttacks,
     /// Put this estimator in the loop.
     SelectEstimator(EstimatorKind),
-    /// Solve, certify and use these weights.
-    PushGains {
-        /// Number given by the ground.
-        revision: GainsRevision,
-        /// LQR weights.
-        weights: Weights,
-    },
+    /// Use these gains. They were certified elsewhere ([`crate::control::gains::certify`] takes
+    /// milliseconds); what depends on the gains in use is checked here.
+    UseGains(Certified),
 }
 
 /// The fields of a setpoint to change.

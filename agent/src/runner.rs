@@ -1,12 +1,13 @@
 //! The flight thread: keeps the pace, passes commands between ticks, hands every tick on.
 //!
 //! ```text
-//! wait for the frame's time ─► commands ─► Flight::step ─► Vehicle::actuate ─► telemetry
+//! wait for the frame's time ─► commands, certified gains ─► Flight::step ─► Vehicle::actuate ─► telemetry
 //! ```
 //! Time comes from [`SensorFrame::time`](crate::vehicle::SensorFrame) and nowhere else; the clock of
 //! the machine only decides when the next frame is asked for. Nothing in the loop waits for a lock
 //! that a slow thread could hold, for a disk or for the radio.
 
+pub mod certifier;
 pub mod pace;
 mod timing;
 
@@ -19,6 +20,7 @@ use rtrb::Consumer;
 
 use crate::attack::Schedule;
 use crate::command::Command;
+use crate::control::gains::refusal;
 use crate::event::{EventKind, Severity};
 use crate::flight::Flight;
 use crate::link::LinkState;
@@ -30,6 +32,7 @@ use crate::telemetry::{Around, Telemetry};
 use crate::vehicle::sim::script::Script;
 use crate::vehicle::{Vehicle, VehicleError};
 
+use certifier::{Answer, Certifier};
 use pace::{Pace, Pacer};
 use timing::Timing;
 
@@ -104,6 +107,7 @@ pub struct Runner {
     telemetry: Telemetry,
     options: RunnerOptions,
     ports: RunnerPorts,
+    certifier: Option<Certifier>,
     pacer: Pacer,
     timing: Timing,
     heartbeats: u64,
@@ -126,7 +130,12 @@ impl Runner {
     ) -> Self {
         let tick_rate_hz = flight.config().tick_rate_hz;
         flight.time_steps_with(stopwatch);
+        // Before real-time priority is asked for: the thread would inherit it.
+        let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz)
+            .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
+            .ok();
         Self {
+            certifier,
             pacer: Pacer::new(options.pace),
             timing: Timing::new(tick_rate_hz),
             vehicle,
@@ -211,6 +220,7 @@ impl Runner {
         let started = Instant::now();
         self.ports.clock.tick(frame.time);
         self.commands(frame.time);
+        self.certified(frame.time);
         self.heartbeat(frame.time);
         self.script(frame.time);
         self.log_health();
@@ -251,6 +261,7 @@ impl Runner {
         let mut told = Instant::now();
         while !stop.load(Ordering::Acquire) && (self.ended || self.pacer.stands_still()) {
             self.commands(self.now());
+            self.certified(self.now());
             self.log_health();
             if told.elapsed() >= STANDSTILL_STATUS {
                 told = Instant::now();
@@ -273,6 +284,16 @@ impl Runner {
                     let ack = self.flight.apply(&command, now);
                     self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
                 }
+                Request::Gains { revision, weights } => {
+                    // Answered when they are in use, or refused.
+                    let asked = match &mut self.certifier {
+                        Some(certifier) => certifier.ask(inbound.id, revision, &weights),
+                        None => Err("gains cannot be certified: no thread for it"),
+                    };
+                    if let Err(reason) = asked {
+                        self.telemetry.ack(now, inbound.id, false, reason);
+                    }
+                }
                 Request::Recording(on) => {
                     let armed = self.flight.report().armed;
                     let (accepted, reason) = self.telemetry.record(now, on, armed);
@@ -284,6 +305,24 @@ impl Runner {
                 }
                 Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
             }
+        }
+    }
+
+    /// Gains that have been examined since the last tick.
+    fn certified(&mut self, now: FlightTime) {
+        while let Some(Answer { id, revision, outcome }) = self.certifier.as_mut().and_then(Certifier::answer) {
+            let (accepted, reason) = match outcome {
+                Ok(gains) => {
+                    let ack = self.flight.apply(&Command::UseGains(gains), now);
+                    (ack.accepted, ack.reason)
+                }
+                Err(error) => {
+                    let reason = refusal(revision, &error);
+                    self.telemetry.event(now, Severity::Warning, EventKind::Gains, format_args!("{reason}"));
+                    (false, reason)
+                }
+            };
+            self.telemetry.ack(now, id, accepted, &reason);
         }
     }
 

@@ -25,9 +25,11 @@ use plumbline_proto::ids::CommandId;
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
 
+use crate::attack::MAX_ATTACKS;
 use crate::estimate::{Estimate, EstimatorKind};
-use crate::event::{Event, EventKind, Severity, text};
+use crate::event::{Event, EventKind, Severity, Text, text};
 use crate::flight::Flight;
+use crate::flight::report::MAX_CHECKS;
 use crate::recordings::RecordedControl;
 use crate::vehicle::suite::{Description as SensorDescription, MAX_SENSORS};
 use crate::vehicle::{SensorFrame, Truth};
@@ -39,6 +41,8 @@ pub use recording::Recording;
 /// Residuals of one message: as many as fit into a datagram.
 pub const RESIDUALS_PER_MESSAGE: usize = 20;
 
+/// Motors, strings, integrators, cameras: no list of a tick is longer.
+const MAX_ROTORS_AND_STRINGS: usize = 8;
 const OTHER_ESTIMATES_S: f64 = 0.04;
 const TRUTH_S: f64 = 0.01;
 const STATUS_S: f64 = 0.1;
@@ -132,7 +136,7 @@ struct Due {
 type StatusKey = (v1::Mode, bool, v1::Failsafe, bool, EstimatorKind, bool);
 
 /// Messages that own memory, kept from tick to tick.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Kept {
     control: v1::Control,
     residuals: v1::Residuals,
@@ -140,8 +144,53 @@ struct Kept {
     truth: v1::Truth,
     status: v1::Status,
     attacks: v1::AttackState,
+    gains: v1::GainsInUse,
     event: v1::Event,
     ack: v1::Ack,
+}
+
+impl Kept {
+    /// With room for the longest text and list, so that no tick allocates.
+    fn with_room() -> Self {
+        let text = || String::with_capacity(Text::new().capacity());
+        let four = || Vec::with_capacity(MAX_ROTORS_AND_STRINGS);
+        let range = || Some(v1::CameraRangesReading { range_m: four() });
+        let matrix = || Some(v1::Matrix { values: Vec::with_capacity(64), ..v1::Matrix::default() });
+        let weights = v1::LqrWeights { state_weight: Vec::with_capacity(16), input_weight: Vec::with_capacity(4) };
+        let check = || v1::Check { name: text(), passed: false, reason: text() };
+        Self {
+            control: v1::Control {
+                motor_command: four(),
+                motor_applied: four(),
+                integrator: four(),
+                ..v1::Control::default()
+            },
+            residuals: v1::Residuals {
+                residuals: Vec::with_capacity(RESIDUALS_PER_MESSAGE),
+                ..v1::Residuals::default()
+            },
+            ranges: v1::CameraRangesSample { sensed: range(), received: range(), ..v1::CameraRangesSample::default() },
+            truth: v1::Truth { rotor_speed_radps: four(), string_tension_n: four(), ..v1::Truth::default() },
+            status: v1::Status {
+                failsafe_reason: text(),
+                checks: (0..MAX_CHECKS).map(|_| check()).collect(),
+                flight_id: text(),
+                log_error: text(),
+                ..v1::Status::default()
+            },
+            attacks: v1::AttackState { attacks: Vec::with_capacity(MAX_ATTACKS), ..v1::AttackState::default() },
+            gains: v1::GainsInUse {
+                sha256: text(),
+                controller: text(),
+                weights: Some(weights),
+                k: matrix(),
+                k_attitude: matrix(),
+                ..v1::GainsInUse::default()
+            },
+            event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
+            ack: v1::Ack { reason: text(), ..v1::Ack::default() },
+        }
+    }
 }
 
 fn due(last: &mut Option<FlightTime>, now: FlightTime, period_s: f64) -> bool {
@@ -160,7 +209,7 @@ impl Telemetry {
         Self {
             outlets: Outlets::new(link, log),
             recording,
-            kept: Kept::default(),
+            kept: Kept::with_room(),
             description: describe(&identification, flight),
             due: Due::default(),
             connections: 0,
@@ -380,8 +429,8 @@ impl Telemetry {
         if self.gains_revision != Some(revision) || due(&mut self.due.gains, now, GAINS_S) {
             self.gains_revision = Some(revision);
             self.due.gains = Some(now);
-            // Allocates, which is why it is rare.
-            self.outlets.send(Kind::Gains, 0, now, &convert::gains(now, &flight.gains_in_use()));
+            convert::gains(&mut self.kept.gains, now, &flight.gains_in_use());
+            self.outlets.send(Kind::Gains, 0, now, &self.kept.gains);
         }
         let attacks = flight.attacks();
         if self.attack_changes != attacks.changes() || due(&mut self.due.attacks, now, ATTACKS_S) {

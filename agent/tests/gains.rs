@@ -4,7 +4,8 @@
 mod common;
 
 use common::{Flown, scenario};
-use plumbline_agent::command::Command;
+use plumbline_agent::command::{Ack, Command};
+use plumbline_agent::control::gains::{certify, refusal};
 use plumbline_agent::control::lqr_integral::Weights;
 use plumbline_proto::ids::GainsRevision;
 use rand::{RngExt, SeedableRng};
@@ -13,8 +14,14 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 /// Thrust may jump by this much of the weight when gains change in steady flight.
 const BUMP: f64 = 0.08;
 
-fn push(f: &mut Flown, revision: u32, weights: Weights) -> plumbline_agent::command::Ack {
-    f.command(Command::PushGains { revision: GainsRevision(revision), weights })
+/// What the runner does with a push, in one thread: certify, then use between ticks.
+fn push(f: &mut Flown, revision: u32, weights: Weights) -> Ack {
+    let config = f.flight.config();
+    let revision = GainsRevision(revision);
+    match certify(&config.airframe, 1.0 / config.tick_rate_hz, &weights, revision) {
+        Ok(gains) => f.command(Command::UseGains(gains)),
+        Err(error) => Ack { accepted: false, reason: refusal(revision, &error) },
+    }
 }
 
 #[test]

@@ -7,7 +7,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use common::{Flown, scenario};
+use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
+use plumbline_proto::time::WallTime;
 
 /// Counts what the calling thread allocates while told to.
 struct Counting;
@@ -51,7 +53,8 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
     let mut f = Flown::new(&toml);
     let schedule = f.scenario.attacks.clone();
     assert_eq!(schedule.attacks.len(), 1);
-    let (mut ticks, mut total) = (0, 0);
+    let mut radio = telemetry_of(&f, 32 << 20);
+    let (mut ticks, mut total, mut told) = (0, 0, 0);
     let mut before = None;
     let mut uploaded = false;
     while f.vehicle.time().as_seconds() < 47.0 {
@@ -69,14 +72,42 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
         ARMED.set(true);
         let command = f.flight.step(&frame).command;
         f.flight.applied(command);
-        f.flight.drain_events(|_| ());
         ARMED.set(false);
         total += COUNT.get();
+        let truth = f.vehicle.truth();
+        COUNT.set(0);
+        ARMED.set(true);
+        radio.0.tick(&mut f.flight, truth.as_ref(), &Around::default());
+        ARMED.set(false);
+        told += COUNT.get();
+        // The thread of the radio does this.
+        let waiting = radio.1.slots();
+        radio.1.read_chunk(waiting).unwrap().commit_all();
         ticks += 1;
         f.vehicle.actuate(&command).unwrap();
     }
     assert!(ticks > 9000);
     assert_eq!(total, 0, "{total} allocations in {ticks} ticks");
+    assert_eq!(told, 0, "{told} allocations of telemetry in {ticks} ticks");
+    assert_eq!(radio.0.refused(), (0, 0));
+    assert!(radio.0.sequence() > 5 * ticks, "{} messages", radio.0.sequence());
+}
+
+/// Telemetry into a ring as wide as `bytes`, and the far end of it.
+fn telemetry_of(f: &Flown, bytes: usize) -> (Telemetry, rtrb::Consumer<u8>) {
+    let identification = Identification {
+        agent_id: "iris-1".into(),
+        boot_id: 0xabcd,
+        boot_wall_time: WallTime(1_795_262_400_000_000),
+        vehicle: "sim",
+        rig: f.scenario.rig.name().into(),
+        scenario: f.scenario.text.clone(),
+        seed: f.scenario.seed,
+        source_file: String::new(),
+        sensors: f.scenario.suite.descriptions(),
+    };
+    let (ring, far_end) = rtrb::RingBuffer::new(bytes);
+    (Telemetry::new(identification, &f.flight, Some(Outlet::new(ring)), None), far_end)
 }
 
 #[test]

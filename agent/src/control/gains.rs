@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, SMatrix};
 use plumbline_proto::ids::GainsRevision;
 use sha2::{Digest, Sha256};
 
+use crate::event::{Text, text};
 use crate::linalg::{LinalgError, dare, eigenvalues};
 use crate::model::airframe::Airframe;
 use crate::model::discretize::{sampled_cost, zero_order_hold};
@@ -35,6 +36,8 @@ pub const CHANGE_MAX: f64 = 4.0;
 pub struct Certified {
     /// Number given by the ground; 0 is the set the agent started with.
     pub revision: GainsRevision,
+    /// Period of the ticks they were sampled for, s.
+    pub period_s: f64,
     /// The weights they come from.
     pub weights: Weights,
     /// With the horizontal loop closed.
@@ -44,7 +47,8 @@ pub struct Certified {
     /// Largest real part of the poles of the sampled loop, motors' lag and one tick of delay
     /// included, as ln|z|/T, 1/s.
     pub slowest_pole_per_s: f64,
-    /// SHA-256 of K's values, row-major, little-endian.
+    /// SHA-256 of K's values, then those of `k_attitude`, each row-major, little-endian: every number
+    /// that the controller multiplies with.
     pub sha256: [u8; 32],
 }
 
@@ -80,6 +84,14 @@ pub enum GainsError {
         /// The limit.
         limit: f64,
     },
+    /// Certified for ticks of another length.
+    #[error("certified for ticks of {certified_s} s, these are {period_s} s")]
+    Period {
+        /// What they were sampled for, s.
+        certified_s: f64,
+        /// Ticks of this flight, s.
+        period_s: f64,
+    },
     /// Too far from the gains in use to switch in flight.
     #[error("{row} gains change by {change:.1} times those in use, at most {limit} while armed")]
     Jump {
@@ -114,7 +126,14 @@ pub const STATE_NAMES: [&str; 16] = [
 /// Names of the inputs, in order.
 pub const INPUT_NAMES: [&str; 4] = ["thrust", "torque x", "torque y", "torque z"];
 
+/// What the operator and the log are told of gains that were refused.
+pub fn refusal(revision: GainsRevision, error: &GainsError) -> Text {
+    text(format_args!("gains {} refused: {error}", revision.0))
+}
+
 /// Checks `weights`, solves for `airframe` at `period_s`, examines the loop.
+///
+/// Pure, allocates, and takes milliseconds: never on the flight thread.
 ///
 /// # Errors
 /// [`GainsError`] with the offending value.
@@ -133,13 +152,13 @@ pub fn certify(
     let (k, pole) = solve(airframe, period_s, weights, &everything, "position")?;
     let (k_attitude, attitude_pole) = solve(airframe, period_s, weights, &attitude, "attitude")?;
     let mut hash = Sha256::new();
-    for row in 0..4 {
-        for column in 0..16 {
-            hash.update(k[(row, column)].to_le_bytes());
-        }
+    // The columns of the transpose are the rows.
+    for value in k.transpose().iter().chain(k_attitude.transpose().iter()) {
+        hash.update(value.to_le_bytes());
     }
     Ok(Certified {
         revision,
+        period_s,
         weights: *weights,
         k,
         k_attitude,
@@ -303,6 +322,14 @@ mod tests {
         let a = certify(&airframe, 0.005, &weights, GainsRevision(0)).unwrap();
         let again = certify(&airframe, 0.005, &weights, GainsRevision(3)).unwrap();
         assert_eq!(a.sha256, again.sha256);
+        // Anybody can compute it from the two matrices as they go over the wire.
+        let mut hash = Sha256::new();
+        for k in [&a.k, &a.k_attitude] {
+            for row in 0..4 {
+                (0..16).for_each(|column| hash.update(k[(row, column)].to_le_bytes()));
+            }
+        }
+        assert_eq!(a.sha256, <[u8; 32]>::from(hash.finalize()));
         let mut more = weights;
         more.state[2] *= 4.0;
         let b = certify(&airframe, 0.005, &more, GainsRevision(1)).unwrap();

@@ -2,15 +2,13 @@
 
 #![allow(clippy::result_large_err, reason = "bounded text on the stack: commands do not allocate")]
 
-use plumbline_proto::ids::GainsRevision;
 use plumbline_proto::time::FlightTime;
 
 use super::guard::mode_name;
 use super::{Failsafe, Flight, Phase};
 use crate::attack::Schedule;
 use crate::command::{Ack, Command, Mode, SetpointChange};
-use crate::control::gains::{CHANGE_MAX, GainsError, certify};
-use crate::control::lqr_integral::Weights;
+use crate::control::gains::{CHANGE_MAX, Certified, GainsError, refusal};
 use crate::estimate::{EstimatorKind, Health};
 use crate::event::{EventKind, Severity, Text, text};
 use crate::frames::wrap_pi;
@@ -42,7 +40,7 @@ impl Flight {
                 Ok(text(format_args!("{aborted} attacks aborted")))
             }
             Command::SelectEstimator(kind) => self.select_estimator(*kind),
-            Command::PushGains { revision, weights } => self.push_gains(*revision, weights),
+            Command::UseGains(gains) => self.use_gains(gains),
         };
         match outcome {
             Ok(reason) => Ack { accepted: true, reason },
@@ -240,33 +238,30 @@ impl Flight {
         Ok(done)
     }
 
-    /// Solves and certifies in the calling thread (20 ms measured in the dev profile on a busy machine:
-    /// several ticks), then switches between ticks.
-    fn push_gains(&mut self, revision: GainsRevision, weights: &Weights) -> Outcome {
+    /// Switches between ticks. Nothing is solved here: a comparison with the gains in use, and copies.
+    fn use_gains(&mut self, new: &Certified) -> Outcome {
+        let (row, change) = new.change_from(&self.gains);
         let period_s = 1.0 / self.config.tick_rate_hz;
-        let certified = certify(&self.config.airframe, period_s, weights, revision).and_then(|new| {
-            let (row, change) = new.change_from(&self.gains);
-            if self.armed() && change > CHANGE_MAX {
-                return Err(GainsError::Jump { row, change, limit: CHANGE_MAX });
-            }
-            Ok((new, row, change))
-        });
-        let (new, row, change) = match certified {
-            Ok(certified) => certified,
-            Err(error) => {
-                let refused = text(format_args!("gains {} refused: {error}", revision.0));
-                self.event(Severity::Warning, EventKind::Gains, refused);
-                return Err(refused);
-            }
+        let error = if (new.period_s - period_s).abs() > 1e-9 {
+            Some(GainsError::Period { certified_s: new.period_s, period_s })
+        } else if self.armed() && change > CHANGE_MAX {
+            Some(GainsError::Jump { row, change, limit: CHANGE_MAX })
+        } else {
+            None
         };
-        self.controller.use_gains(&new);
+        if let Some(error) = error {
+            let refused = refusal(new.revision, &error);
+            self.event(Severity::Warning, EventKind::Gains, refused);
+            return Err(refused);
+        }
+        self.controller.use_gains(new);
         let done = text(format_args!(
             "gains {} in use: slowest pole {:.2} 1/s, largest change {:.0} % ({row})",
-            revision.0,
+            new.revision.0,
             new.slowest_pole_per_s,
             100.0 * change
         ));
-        self.gains = new;
+        self.gains = new.clone();
         self.event(Severity::Info, EventKind::Gains, done);
         Ok(done)
     }

@@ -93,7 +93,7 @@ pub struct FlightStatus {
 pub struct GainsInUse {
     /// Number given by the ground; 0 is the set the agent started with.
     pub revision: GainsRevision,
-    /// SHA-256 of K's values, row-major, little-endian.
+    /// SHA-256 of the values of `k`, then of `k_attitude`, row-major, little-endian.
     pub sha256: [u8; 32],
     /// Name of the controller.
     pub controller: &'static str,
@@ -101,6 +101,8 @@ pub struct GainsInUse {
     pub weights: Weights,
     /// u = −K x; rows thrust N, torque x y z N m; columns as in [`Weights::state`].
     pub k: SMatrix<f64, 4, 16>,
+    /// The same while the horizontal position is not controlled; its columns are zero.
+    pub k_attitude: SMatrix<f64, 4, 16>,
     /// Largest real part of the closed-loop poles, 1/s: negative is stable.
     pub slowest_pole_per_s: f64,
 }

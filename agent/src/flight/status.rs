@@ -115,6 +115,7 @@ impl Flight {
             controller: LqrIntegral::NAME,
             weights: self.gains.weights,
             k: self.gains.k,
+            k_attitude: self.gains.k_attitude,
             slowest_pole_per_s: self.gains.slowest_pole_per_s,
         }
     }

@@ -8,7 +8,7 @@
 //! Lin, A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations,
 //! Linear Algebra Appl. 396 (2005). The doubling is followed by at most three Newton corrections
 //! (a Lyapunov or Stein equation in the closed loop), each kept only when it lowers the residual.
-//! Where a regulator's residual is still above 1e-15 (modes hardly controllable, R over many
+//! Where a regulator's residual is still above 1e-13 (modes hardly controllable, R over many
 //! decades) the residual is computed in twice the working precision and in a form that depends on K
 //! only to second order, AᵀX + XA + Q − KᵀBᵀX − XBK + KᵀRK, and the corrections go on.
 //! Independent cross-check for the CARE: [`care_by_sign`], the scaled matrix sign function of the
@@ -34,7 +34,7 @@ const MAX_SIGN_ITERATIONS: usize = 100;
 /// A relative residual below this needs no further parameter of the Cayley transform.
 const GOOD_RESIDUAL: f64 = 1e-14;
 /// Regulators with a larger relative residual are corrected in twice the working precision.
-const POLISH_ABOVE: f64 = 1e-15;
+const POLISH_ABOVE: f64 = 1e-13;
 /// Such corrections at most.
 const MAX_POLISH: usize = 12;
 /// A relative residual above this is no solution.

@@ -29,6 +29,13 @@ pub struct Inbound {
 pub enum Request {
     /// For the flight code.
     Flight(Command),
+    /// For the runner: solve and certify these weights away from the flight thread, then use them.
+    Gains {
+        /// Number given by the ground.
+        revision: GainsRevision,
+        /// LQR weights.
+        weights: Weights,
+    },
     /// For the runner: start or stop a recording by hand.
     Recording(bool),
     /// For the runner: how a recorded flight is played.
@@ -79,13 +86,13 @@ fn request(body: Body) -> Result<Request, String> {
         Body::SetRecording(recording) => return Ok(Request::Recording(recording.on)),
         Body::PushGains(push) => {
             let weights = push.weights.unwrap_or_default();
-            Command::PushGains {
+            return Ok(Request::Gains {
                 revision: GainsRevision(push.revision),
                 weights: Weights {
                     state: exactly("state_weight", &weights.state_weight)?,
                     input: exactly("input_weight", &weights.input_weight)?,
                 },
-            }
+            });
         }
         Body::SetReplay(replay) => {
             let speed = finite("replay speed", replay.speed)?;

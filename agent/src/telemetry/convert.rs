@@ -1,4 +1,4 @@
-//! Our types into messages of the wire. Nothing here allocates but [`gains`].
+//! Our types into messages of the wire. Nothing here allocates: what owns memory is kept, with room for the longest.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
@@ -270,29 +270,25 @@ pub(super) fn replay_status(into: &mut v1::Status, recorded: Option<&RecordedCon
     }
 }
 
-pub(super) fn gains(now: FlightTime, gains: &GainsInUse) -> v1::GainsInUse {
+pub(super) fn gains(into: &mut v1::GainsInUse, now: FlightTime, gains: &GainsInUse) {
     use std::fmt::Write;
-    let sha256 = gains.sha256.iter().fold(String::with_capacity(64), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    });
-    v1::GainsInUse {
-        time_us: now.0,
-        revision: gains.revision.0,
-        sha256,
-        controller: gains.controller.to_owned(),
-        weights: Some(v1::LqrWeights {
-            state_weight: gains.weights.state.to_vec(),
-            input_weight: gains.weights.input.to_vec(),
-        }),
-        k: Some(v1::Matrix {
-            rows: gains.k.nrows() as u32,
-            columns: gains.k.ncols() as u32,
-            // The wire is row-major, nalgebra column-major.
-            values: gains.k.transpose().as_slice().to_vec(),
-        }),
-        slowest_pole_per_s: gains.slowest_pole_per_s,
+    into.time_us = now.0;
+    into.revision = gains.revision.0;
+    into.sha256.clear();
+    for byte in gains.sha256 {
+        let _ = write!(into.sha256, "{byte:02x}");
     }
+    set(&mut into.controller, gains.controller);
+    let weights = into.weights.get_or_insert_default();
+    values(&mut weights.state_weight, &gains.weights.state);
+    values(&mut weights.input_weight, &gains.weights.input);
+    for (into, k) in [(&mut into.k, &gains.k), (&mut into.k_attitude, &gains.k_attitude)] {
+        let into = into.get_or_insert_default();
+        (into.rows, into.columns) = (k.nrows() as u32, k.ncols() as u32);
+        // The wire is row-major, nalgebra column-major.
+        values(&mut into.values, k.transpose().as_slice());
+    }
+    into.slowest_pole_per_s = gains.slowest_pole_per_s;
 }
 
 pub(super) fn attacks(into: &mut v1::AttackState, now: FlightTime, injector: &Injector) {

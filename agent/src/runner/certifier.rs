@@ -1,0 +1,148 @@
+//! Gains are solved and examined here, on a thread of its own: milliseconds that no tick may wait for.
+//!
+//! The flight thread hands weights over and later finds the answer; both queues are bounded and neither
+//! side of them waits for the other. A push that finds the queue full is refused.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use plumbline_proto::ids::{CommandId, GainsRevision};
+use rtrb::{Consumer, Producer, PushError, RingBuffer};
+
+use crate::control::gains::{Certified, GainsError, certify};
+use crate::control::lqr_integral::Weights;
+use crate::model::airframe::Airframe;
+
+/// Pushes that may wait; one more is being worked on.
+pub const WAITING: usize = 4;
+/// How often the worker looks whether an answer fits, should the flight thread not fetch them.
+const RETRY: Duration = Duration::from_millis(1);
+
+/// Weights to examine.
+#[derive(Debug)]
+struct Question {
+    id: CommandId,
+    revision: GainsRevision,
+    weights: Weights,
+}
+
+/// What came of a push.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answer {
+    /// The command to acknowledge.
+    pub id: CommandId,
+    /// Number given by the ground.
+    pub revision: GainsRevision,
+    /// The gains, or why not.
+    pub outcome: Result<Certified, GainsError>,
+}
+
+/// The flight thread's end.
+#[derive(Debug)]
+pub struct Certifier {
+    questions: Producer<Question>,
+    answers: Consumer<Answer>,
+    stop: Arc<AtomicBool>,
+    worker: Option<JoinHandle<()>>,
+}
+
+impl Certifier {
+    /// Starts the thread, for gains of `airframe` at ticks of `period_s`.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub fn start(airframe: &Airframe, period_s: f64) -> io::Result<Self> {
+        let (questions, mut asked) = RingBuffer::<Question>::new(WAITING);
+        let (mut answered, answers) = RingBuffer::new(WAITING);
+        let stop = Arc::new(AtomicBool::new(false));
+        let (airframe, stopped) = (airframe.clone(), stop.clone());
+        let work = move || {
+            while !stopped.load(Ordering::Acquire) {
+                let Ok(Question { id, revision, weights }) = asked.pop() else {
+                    // An `unpark` since the look into the queue is not lost: `park` then returns at once.
+                    std::thread::park();
+                    continue;
+                };
+                let mut answer = Answer { id, revision, outcome: certify(&airframe, period_s, &weights, revision) };
+                while let Err(PushError::Full(back)) = answered.push(answer) {
+                    if stopped.load(Ordering::Acquire) {
+                        return;
+                    }
+                    answer = back;
+                    std::thread::park_timeout(RETRY);
+                }
+            }
+        };
+        let worker = std::thread::Builder::new().name("certifier".into()).spawn(work)?;
+        Ok(Self { questions, answers, stop, worker: Some(worker) })
+    }
+
+    /// Hands weights over; the answer comes later under the same `id`. Does not wait.
+    ///
+    /// # Errors
+    /// Why it is refused: too many are waiting.
+    pub fn ask(&mut self, id: CommandId, revision: GainsRevision, weights: &Weights) -> Result<(), &'static str> {
+        self.questions
+            .push(Question { id, revision, weights: *weights })
+            .map_err(|_| "4 pushes of gains are waiting to be certified: try again")?;
+        if let Some(worker) = &self.worker {
+            worker.thread().unpark();
+        }
+        Ok(())
+    }
+
+    /// The next answer, if one is ready. Does not wait.
+    pub fn answer(&mut self) -> Option<Answer> {
+        self.answers.pop().ok()
+    }
+}
+
+impl Drop for Certifier {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(worker) = self.worker.take() {
+            worker.thread().unpark();
+            let _ = worker.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Instant;
+
+    fn wait(certifier: &mut Certifier) -> Answer {
+        let begun = Instant::now();
+        loop {
+            if let Some(answer) = certifier.answer() {
+                return answer;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(30), "no answer");
+            std::thread::sleep(RETRY);
+        }
+    }
+
+    #[test]
+    fn answers_come_in_order_and_a_full_queue_refuses() {
+        let airframe = Airframe::iris();
+        let weights = Weights::for_airframe(&airframe);
+        let mut bad = weights;
+        bad.state[2] = -1.0;
+        let mut certifier = Certifier::start(&airframe, 0.005).unwrap();
+        certifier.ask(CommandId(7), GainsRevision(1), &weights).unwrap();
+        certifier.ask(CommandId(8), GainsRevision(2), &bad).unwrap();
+        let first = wait(&mut certifier);
+        assert_eq!((first.id, first.outcome.unwrap().revision), (CommandId(7), GainsRevision(1)));
+        let second = wait(&mut certifier);
+        assert!(second.outcome.unwrap_err().to_string().contains("state weight 2 (z) is -1"));
+        // Far more than fit: some are refused, every other one is answered, and stopping does not hang.
+        let taken = (0..100).filter(|n| certifier.ask(CommandId(*n), GainsRevision(3), &weights).is_ok()).count();
+        assert!((WAITING..100).contains(&taken), "{taken} taken");
+        assert!((0..taken).all(|_| wait(&mut certifier).outcome.is_ok()));
+        let _ = certifier.ask(CommandId(1), GainsRevision(4), &weights);
+    }
+}

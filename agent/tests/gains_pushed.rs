@@ -1,0 +1,110 @@
+//! GIVEN weights that come over the link WHEN the runner gets them THEN they are certified beside the
+//! flight and acknowledged once in use, or refused; commands behind them do not wait.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use plumbline_agent::command::Command;
+use plumbline_agent::control::lqr_integral::Weights;
+use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::link::inbound::{Inbound, Request};
+use plumbline_agent::runner::pace::Pace;
+use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
+use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
+use plumbline_proto::codec::decode_frames;
+use plumbline_proto::ids::{CommandId, GainsRevision};
+use plumbline_proto::time::WallTime;
+use plumbline_proto::{Kind, v1};
+
+#[test]
+fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
+    let scenario = Scenario::bare();
+    let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+    let good = Weights::for_airframe(&flight.config().airframe);
+    let before = flight.gains_in_use().sha256;
+    let identification = Identification {
+        agent_id: "iris-1".into(),
+        boot_id: 7,
+        boot_wall_time: WallTime(1_795_262_400_000_000),
+        vehicle: "sim",
+        rig: scenario.rig.name().into(),
+        scenario: scenario.text.clone(),
+        seed: scenario.seed,
+        source_file: String::new(),
+        sensors: scenario.suite.descriptions(),
+    };
+    let (ring, mut radio) = rtrb::RingBuffer::new(64 << 20);
+    let telemetry = Telemetry::new(identification, &flight, Some(Outlet::new(ring)), None);
+    let options = RunnerOptions {
+        pace: Pace::Times(1.0),
+        replay: false,
+        end: None,
+        script: None,
+        attacks: None,
+        own_operator: true,
+        stay: false,
+        real_time: false,
+    };
+    let (mut commands, inbound) = rtrb::RingBuffer::new(16);
+    let ports = RunnerPorts { inbound: Some(inbound), ..RunnerPorts::default() };
+    let (mut better, mut bad) = (good, good);
+    better.state[2] *= 2.0;
+    bad.input[1] = -3.0;
+    let pushes = [
+        (1, Request::Gains { revision: GainsRevision(5), weights: better }),
+        (2, Request::Gains { revision: GainsRevision(6), weights: bad }),
+        (3, Request::Flight(Command::AbortAttacks)),
+    ];
+    for (id, request) in pushes {
+        commands.push(Inbound { id: CommandId(id), request }).unwrap();
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = stop.clone();
+    let flying = std::thread::spawn(move || {
+        let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
+        let mut runner = Runner::new(vehicle, flight, telemetry, options, ports);
+        runner.run(&stopped).unwrap();
+        runner.flight().gains_in_use()
+    });
+
+    let (mut bytes, mut acks, begun) = (Vec::new(), Vec::new(), Instant::now());
+    while acks.len() < 3 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "{acks:?}");
+        std::thread::sleep(Duration::from_millis(5));
+        let chunk = radio.read_chunk(radio.slots()).unwrap();
+        let (first, second) = chunk.as_slices();
+        bytes.extend_from_slice(first);
+        bytes.extend_from_slice(second);
+        chunk.commit_all();
+        acks = decode_frames(&bytes)
+            .map(Result::unwrap)
+            .filter(|frame| frame.known_kind() == Some(Kind::Ack))
+            .map(|frame| frame.message::<v1::Ack>().unwrap())
+            .collect();
+    }
+    stop.store(true, Ordering::Release);
+    let in_use = flying.join().unwrap();
+
+    let of = |id| acks.iter().find(|ack| ack.command_id == id).unwrap();
+    assert_eq!(acks[0].command_id, 3, "the command behind the pushes waits for them");
+    assert_eq!(of(1).stage(), v1::AckStage::Accepted);
+    assert!(of(1).reason.starts_with("gains 5 in use"), "{}", of(1).reason);
+    assert_eq!(of(2).stage(), v1::AckStage::Rejected);
+    assert!(of(2).reason.contains("input weight 1 (torque x) is -3"), "{}", of(2).reason);
+    assert_eq!(in_use.revision, GainsRevision(5));
+    assert_ne!(in_use.sha256, before);
+    // The ground sees both matrices, and the hash over them.
+    let frames: Vec<_> = decode_frames(&bytes).map(Result::unwrap).collect();
+    let gains = frames.iter().rev().find(|frame| frame.known_kind() == Some(Kind::Gains)).unwrap();
+    let gains: v1::GainsInUse = gains.message().unwrap();
+    let mut hash = <sha2::Sha256 as sha2::Digest>::new();
+    for value in gains.k.unwrap().values.iter().chain(&gains.k_attitude.unwrap().values) {
+        sha2::Digest::update(&mut hash, value.to_le_bytes());
+    }
+    let hash: [u8; 32] = sha2::Digest::finalize(hash).into();
+    assert_eq!((gains.revision, gains.sha256), (5, hash.iter().map(|b| format!("{b:02x}")).collect::<String>()));
+    assert_eq!(hash, in_use.sha256);
+}
