@@ -113,7 +113,15 @@ impl Ground {
 
     pub async fn view(&self, vehicle: &str, history: u32) -> Viewer {
         let url = format!("ws://{}/api/vehicles/{vehicle}/live?history={history}", self.address);
-        Viewer::connect(&url, None).await.unwrap()
+        // The agent's connection may still be on its way to the hub: unknown until then.
+        let start = Instant::now();
+        loop {
+            match Viewer::connect(&url, None).await {
+                Ok(viewer) => return viewer,
+                Err(error) => assert!(start.elapsed() < PATIENCE, "{url}: {error}"),
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
     }
 }
 
