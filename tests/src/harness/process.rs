@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(port.unwrap(), 1);
         let error = process.wait_for(POLL * 100, |line| (line == "never said").then_some(())).unwrap_err().to_string();
         assert!(error.contains("it ended") && error.contains("oops"), "{error}");
-        assert_eq!(process.interrupt(POLL).unwrap().code(), Some(3));
+        assert_eq!(process.interrupt(POLL * 100).unwrap().code(), Some(3));
     }
 
     #[test]
