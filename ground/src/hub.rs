@@ -334,6 +334,7 @@ impl Vehicle {
                     | Kind::Attacks
                     | Kind::Flight
                     | Kind::StepResponse
+                    | Kind::Secure
                     | Kind::Recording
                     | Kind::Lease
                     | Kind::Link,

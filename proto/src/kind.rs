@@ -48,6 +48,8 @@ kinds! {
     Residuals = 11, "/residuals", "Residuals";
     /// Truth, from the simulator or a recording that carries it.
     Truth = 12, "/truth", "Truth";
+    /// The secure estimator's own account: attacked set, margins, certificate.
+    Secure = 13, "/secure", "SecureStatus";
     /// Setpoint, wrench and motors of one tick.
     Control = 20, "/control", "Control";
     /// Response to a setpoint step.
