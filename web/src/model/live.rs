@@ -210,7 +210,8 @@ impl Live {
             | Kind::Barometer
             | Kind::Gnss
             | Kind::MocapPose
-            | Kind::CameraRanges => {}
+            | Kind::CameraRanges
+            | Kind::Secure => {}
         }
         Ok(())
     }
