@@ -21,7 +21,7 @@ use crate::control::lqr_integral::LqrIntegral;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
 use crate::control::{Controller, Loops, Setpoint, Wrench};
-use crate::estimate::bank::{Bank, BankError, build};
+use crate::estimate::bank::{Assumptions, Bank, BankError, build};
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::failsafe::{Monitor, Watchdog};
@@ -109,7 +109,8 @@ impl Flight {
     /// # Errors
     /// [`FlightError`] naming what does not fit.
     pub fn new(config: FlightConfig) -> Result<Self, FlightError> {
-        let estimators = config.estimators.iter().map(|&kind| build(kind, &config.ekf)).collect::<Result<_, _>>()?;
+        let assumed = Assumptions { airframe: &config.airframe, sensors: &config.ekf };
+        let estimators = config.estimators.iter().map(|&kind| build(kind, &assumed)).collect::<Result<_, _>>()?;
         Self::with_estimators(config, estimators)
     }
 

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use plumbline_agent::recordings::shared;
 use plumbline_proto::{Kind, Message, v1};
 
 /// Flies without a ground, as fast as possible; the one file that it writes into `folder`.
@@ -177,8 +178,6 @@ fn a_replay_of_a_replay_is_the_same_again() {
 
 #[test]
 fn recordings_of_others_show_their_own_sensors_and_their_estimators_start() {
-    let root = std::env::var_os("PLUMBLINE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
     let four_imus = ["gnss 1", "imu 1", "imu 2", "imu 3", "imu 4"];
     for (file, sensors, truth) in [
         ("broad_imu_mocap/11_undisturbed_slow_translation_B.csv.gz", &["imu 1"][..], true),
@@ -187,11 +186,7 @@ fn recordings_of_others_show_their_own_sensors_and_their_estimators_start() {
         ("px4_ulog/test_ulog.ulg", &["barometer 1", "gnss 1", "imu 1"], false),
         ("rotorpy_sim/hummingbird_lissajous.csv.gz", &["imu 1", "mocap pose 1"], true),
     ] {
-        let path = root.join("data").join(file);
-        if !path.exists() {
-            println!("skipped: {} is absent", path.display());
-            continue;
-        }
+        let Some(path) = shared(&format!("data/{file}")) else { continue };
         let folder = tempfile::tempdir().unwrap();
         let told = fly(folder.path(), &["--vehicle", "replay", path.to_str().unwrap()]);
         assert_eq!(told.sensors.iter().collect::<Vec<_>>(), sensors, "{file}");

@@ -1,9 +1,9 @@
 //! The subcommands as a user calls them: JSON lines on stdout, errors on stderr with exit code 1.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use plumbline_agent::recordings::shared;
 use serde_json::Value;
 
 fn agent(arguments: &[&str]) -> Output {
@@ -14,18 +14,6 @@ fn lines(output: &Output) -> Vec<Value> {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = std::str::from_utf8(&output.stdout).unwrap();
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
-}
-
-/// A file of the shared references, or `None` where they are absent.
-fn shared(file: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = root.join(file);
-    if !path.exists() {
-        println!("skipped: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
 }
 
 fn entries(matrix: &Value) -> Vec<f64> {

@@ -400,6 +400,7 @@ pub struct Attitude {
     gyro_vote: Vote,
     accel_vote: Vote,
     last: Option<FlightTime>,
+    force_mps2: Vector3<f64>,
     fields: [Option<Vector3<f64>>; MAX_IMUS],
     trusted: bool,
     age_s: f64,
@@ -419,11 +420,17 @@ impl Attitude {
             gyro_vote: Vote::new(options.gyro_vote, [Channel::GyroX, Channel::GyroY, Channel::GyroZ]),
             accel_vote: Vote::new(options.accel_vote, [Channel::AccelX, Channel::AccelY, Channel::AccelZ]),
             last: None,
+            force_mps2: Vector3::zeros(),
             fields: [None; MAX_IMUS],
             trusted: true,
             age_s: 0.0,
             estimate: Estimate::default(),
         }
+    }
+
+    /// The last consensus of the accelerometers, m/s² in the body frame, and its time; `None` before the first.
+    pub fn specific_force_mps2(&self) -> Option<(FlightTime, Vector3<f64>)> {
+        self.last.map(|time| (time, self.force_mps2))
     }
 
     /// The filter inside.
@@ -452,6 +459,7 @@ impl Estimator for Attitude {
         if let (Some(gyro), Some(accel)) = (gyro, accel) {
             let dt_s = self.last.map_or(0.0, |t| now.seconds_since(t)).clamp(0.0, 0.2);
             self.last = Some(now);
+            self.force_mps2 = accel.value;
             self.age_s += dt_s;
             self.trusted = gyro.trusted && accel.trusted;
             let wanted = |i: usize| self.filter.options.imu.is_none_or(|only| only == i);

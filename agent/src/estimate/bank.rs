@@ -9,9 +9,13 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::attitude::{Attitude, AttitudeOptions};
 use super::ekf_bias::{EkfBias, EkfOptions};
+use super::ekf_hybrid::EkfHybrid;
 use super::point_mass::PointMassEstimator;
 use super::primary::Primary;
+use super::twelve_state::TwelveStateEstimator;
+use super::ukf::Ukf;
 use super::{Estimate, Estimator, EstimatorKind};
+use crate::model::airframe::Airframe;
 use crate::vehicle::{MotorCommand, SensorFrame};
 
 /// Most estimators of one bank.
@@ -39,18 +43,31 @@ pub enum BankError {
     NotRunning(EstimatorKind),
 }
 
-/// The estimator of `kind`, with the sigmas and gates of `options`.
+/// What an estimator may assume of the vehicle it runs on.
+#[derive(Debug, Clone, Copy)]
+pub struct Assumptions<'a> {
+    /// The vehicle; matters to those that know what the motors do.
+    pub airframe: &'a Airframe,
+    /// Sigmas, gates and places of its sensors.
+    pub sensors: &'a EkfOptions,
+}
+
+/// The estimator of `kind` for a vehicle as assumed.
 ///
 /// # Errors
 /// [`BankError::NotAvailable`] for a kind that cannot be built.
-pub fn build(kind: EstimatorKind, options: &EkfOptions) -> Result<Box<dyn Estimator>, BankError> {
-    match kind {
-        EstimatorKind::EkfBias => Ok(Box::new(EkfBias::new(options.clone()))),
-        EstimatorKind::Primary => Ok(Box::new(Primary::new(options.clone()))),
-        EstimatorKind::PointMass => Ok(Box::new(PointMassEstimator::new(options.clone(), attitude_options(options)))),
-        EstimatorKind::Attitude => Ok(Box::new(Attitude::new(attitude_options(options)))),
-        other => Err(BankError::NotAvailable(other)),
-    }
+pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estimator>, BankError> {
+    let (airframe, options) = (assumed.airframe, assumed.sensors.clone());
+    let attitude = attitude_options(&options);
+    Ok(match kind {
+        EstimatorKind::EkfBias => Box::new(EkfBias::new(options)),
+        EstimatorKind::Primary => Box::new(Primary::new(options)),
+        EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, options, attitude)),
+        EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, options, attitude)),
+        EstimatorKind::PointMass => Box::new(PointMassEstimator::new(options, attitude)),
+        EstimatorKind::Attitude => Box::new(Attitude::new(attitude)),
+        other => return Err(BankError::NotAvailable(other)),
+    })
 }
 
 /// The attitude filter's part of `options`.
@@ -278,12 +295,13 @@ mod tests {
 
     #[test]
     fn what_can_be_configured_is_built_and_the_rest_is_refused() {
-        let options = EkfOptions::default();
+        let (airframe, options) = (Airframe::iris(), EkfOptions::default());
+        let assumed = Assumptions { airframe: &airframe, sensors: &options };
         use EstimatorKind as K;
-        for kind in [K::EkfBias, K::Primary, K::PointMass, K::Attitude] {
-            assert_eq!(build(kind, &options).unwrap().kind(), kind);
+        for kind in [K::EkfBias, K::Primary, K::EkfHybrid, K::Ukf, K::PointMass, K::Attitude] {
+            assert_eq!(build(kind, &assumed).unwrap().kind(), kind);
         }
-        assert_eq!(build(K::Unspecified, &options).err(), Some(BankError::NotAvailable(K::Unspecified)));
+        assert_eq!(build(K::Unspecified, &assumed).err(), Some(BankError::NotAvailable(K::Unspecified)));
     }
 
     #[test]

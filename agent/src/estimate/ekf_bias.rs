@@ -38,6 +38,7 @@ use self::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use self::align::{Aligned, Alignment};
 use self::covariance::{Covariance, ErrorState, Noise, ix};
 use self::history::History;
+use super::consistency::{self, Nees};
 use super::imu_vote::{self, Vote};
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health};
 use crate::model::measure::Kinematics;
@@ -495,6 +496,11 @@ impl Estimator for EkfBias {
         self.now = Some(estimate.time.max(self.now.unwrap_or_default()));
         self.estimate = estimate.clone();
         self.estimate.residuals.clear();
+    }
+
+    fn nees(&self, truth: &Kinematics) -> Option<Nees> {
+        let error = consistency::error(truth, &self.state.kinematics);
+        consistency::nees(&error, &self.p.fixed_view::<9, 9>(0, 0).into_owned())
     }
 }
 

@@ -58,20 +58,12 @@ pub fn discrete(
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
 
     const TOLERANCE: f64 = 1e-8;
 
     fn reference(name: &str) -> Option<serde_json::Value> {
-        let root = std::env::var_os("PLUMBLINE_DATA")
-            .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), std::path::PathBuf::from);
-        let file = root.join("reference").join(name);
-        let Ok(text) = std::fs::read_to_string(&file) else {
-            println!("skipped: {} is absent", file.display());
-            return None;
-        };
+        let text = std::fs::read_to_string(crate::recordings::shared(&format!("reference/{name}"))?).unwrap();
         Some(serde_json::from_str(&text).unwrap())
     }
 

@@ -11,7 +11,7 @@ use super::ekf_hybrid::EkfHybrid;
 use super::scalar_row::{ScalarRow, What};
 use super::ukf::Ukf;
 use super::{MAX_RESIDUALS, Residual};
-use crate::model::euler_body::{U, X, ix, process_noise};
+use crate::model::euler_body::{M, U, X, ix, process_noise};
 
 /// Rows a second.
 pub const LOG_RATE_HZ: usize = 120;
@@ -49,34 +49,34 @@ pub struct LogRow {
 /// A filter that can run the recipe.
 pub trait TwelveState {
     /// Propagates one step.
-    fn predict(&mut self, u: &U, h: f64, q: &crate::model::euler_body::M);
+    fn predict(&mut self, u: &U, h: f64, q: &M);
     /// Corrects with the rows of one instant.
     fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>);
-    /// The state now.
-    fn state(&self) -> X;
+    /// State and covariance now.
+    fn moments(&self) -> (X, M);
 }
 
 impl TwelveState for EkfHybrid {
-    fn predict(&mut self, u: &U, h: f64, q: &crate::model::euler_body::M) {
+    fn predict(&mut self, u: &U, h: f64, q: &M) {
         EkfHybrid::predict(self, u, h, q);
     }
     fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
         EkfHybrid::correct(self, rows, residuals);
     }
-    fn state(&self) -> X {
-        self.x
+    fn moments(&self) -> (X, M) {
+        (self.x, self.p)
     }
 }
 
 impl TwelveState for Ukf {
-    fn predict(&mut self, u: &U, h: f64, q: &crate::model::euler_body::M) {
+    fn predict(&mut self, u: &U, h: f64, q: &M) {
         Ukf::predict(self, u, h, q);
     }
     fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
         Ukf::correct(self, rows, residuals);
     }
-    fn state(&self) -> X {
-        self.mean()
+    fn moments(&self) -> (X, M) {
+        Ukf::moments(self)
     }
 }
 
@@ -108,9 +108,9 @@ pub fn measurements(row: &LogRow) -> ArrayVec<ScalarRow, 7> {
     rows
 }
 
-/// Runs `filter` over `log` with measurements at `rate_hz`; the state after each row but the first is given
-/// to `each`.
-pub fn run_each(log: &[LogRow], rate_hz: usize, filter: &mut impl TwelveState, mut each: impl FnMut(&LogRow, &X)) {
+/// Runs `filter` over `log` with measurements at `rate_hz`; state and covariance after each row but the first are
+/// given to `each`.
+pub fn run_each(log: &[LogRow], rate_hz: usize, filter: &mut impl TwelveState, mut each: impl FnMut(&LogRow, &X, &M)) {
     let every = LOG_RATE_HZ / rate_hz.clamp(1, LOG_RATE_HZ);
     let h = 1.0 / LOG_RATE_HZ as f64;
     let q = process_noise(PROCESS_DENSITY.0, PROCESS_DENSITY.1, h);
@@ -121,21 +121,22 @@ pub fn run_each(log: &[LogRow], rate_hz: usize, filter: &mut impl TwelveState, m
             residuals.clear();
             filter.correct(&measurements(&pair[1]), &mut residuals);
         }
-        each(&pair[1], &filter.state());
+        let (x, p) = filter.moments();
+        each(&pair[1], &x, &p);
     }
 }
 
 #[cfg(test)]
-pub(crate) use golden::{Golden, PATHS, run, worst};
+pub(crate) use golden::{Golden, check, run};
 
 #[cfg(test)]
 mod golden {
-    use std::path::{Path, PathBuf};
+    use std::path::PathBuf;
 
     use super::*;
 
     /// Paths of the reference logs.
-    pub(crate) const PATHS: [&str; 3] = ["hover", "circle", "sine"];
+    const PATHS: [&str; 3] = ["hover", "circle", "sine"];
 
     /// The folder of the references, and the estimates in it.
     pub(crate) struct Golden {
@@ -146,34 +147,16 @@ mod golden {
     impl Golden {
         /// `None`, and a word about it, where the references are absent.
         pub(crate) fn load() -> Option<Self> {
-            let root = std::env::var_os("PLUMBLINE_DATA")
-                .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-            let folder = root.join("reference");
-            let Ok(text) = std::fs::read_to_string(folder.join("mocap_filter_golden.json")) else {
-                println!("skipped: {} is absent", folder.join("mocap_filter_golden.json").display());
-                return None;
-            };
+            let folder = crate::recordings::shared("reference")?;
+            let text = std::fs::read_to_string(folder.join("mocap_filter_golden.json")).unwrap();
             Some(Self { folder, json: serde_json::from_str(&text).unwrap() })
         }
 
         pub(crate) fn log(&self, path: &str) -> Vec<LogRow> {
-            let file = self.folder.join(format!("mocap_log_{path}.csv"));
-            let mut reader = csv::Reader::from_path(file).unwrap();
-            let row = |record: csv::StringRecord| {
-                let v: Vec<f64> = record.iter().map(|x| x.parse().unwrap()).collect();
-                LogRow {
-                    time_s: v[0],
-                    input: U::new(v[1], v[2], v[3], v[4]),
-                    truth: X::from_column_slice(&v[5..17]),
-                    position_m: Vector3::new(v[5], v[6], v[7]),
-                    range_m: [v[17], v[18], v[19], v[20]],
-                    angle_rad: [v[21], v[22], v[23]],
-                }
-            };
-            reader.records().map(|r| row(r.unwrap())).collect()
+            crate::recordings::mocap_log::read(&self.folder.join(format!("mocap_log_{path}.csv"))).unwrap()
         }
 
-        pub(crate) fn estimates(&self, rate: usize, path: &str, filter: &str) -> Vec<X> {
+        fn estimates(&self, rate: usize, path: &str, filter: &str) -> Vec<X> {
             let list = self.json["rates"][rate.to_string()][path][filter].as_array().unwrap();
             list.iter().map(|x| X::from_iterator(x.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()))).collect()
         }
@@ -183,7 +166,7 @@ mod golden {
     pub(crate) fn run(log: &[LogRow], rate: usize, filter: &mut impl TwelveState) -> Vec<X> {
         let mut found = Vec::new();
         let mut k = 0;
-        run_each(log, rate, filter, |_, x| {
+        run_each(log, rate, filter, |_, x, _| {
             k += 1;
             if k % LOG_RATE_HZ == 0 {
                 found.push(*x);
@@ -192,8 +175,23 @@ mod golden {
         found
     }
 
+    /// `filter`, made anew for each, over the three logs at 120, 12 and 1 Hz against the estimates of the
+    /// independent reference called `name` (it agrees with its own check to 6e-8 m; the logs have 9 digits).
+    pub(crate) fn check<F: TwelveState>(name: &str, filter: impl Fn() -> F) {
+        const TOLERANCE: f64 = 1e-6;
+        let Some(golden) = Golden::load() else { return };
+        for rate in [120usize, 12, 1] {
+            for path in PATHS {
+                let found = run(&golden.log(path), rate, &mut filter());
+                let worst = worst(&found, &golden.estimates(rate, path, name));
+                println!("{name} {path} at {rate} Hz: largest difference {worst:.1e}");
+                assert!(worst < TOLERANCE, "{name} {path} at {rate} Hz: {worst}");
+            }
+        }
+    }
+
     /// Largest difference of any state, angles wrapped.
-    pub(crate) fn worst(found: &[X], expected: &[X]) -> f64 {
+    fn worst(found: &[X], expected: &[X]) -> f64 {
         assert_eq!(found.len(), expected.len());
         let difference = |(a, b): (&X, &X)| {
             let mut d = a - b;

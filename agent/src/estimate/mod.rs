@@ -5,6 +5,7 @@
 
 pub mod attitude;
 pub mod bank;
+pub mod consistency;
 pub mod ekf_bias;
 pub mod ekf_hybrid;
 pub mod imu_vote;
@@ -15,6 +16,7 @@ pub mod mocap_recipe;
 pub mod point_mass;
 pub mod primary;
 pub mod scalar_row;
+pub mod twelve_state;
 pub mod ukf;
 
 use arrayvec::ArrayVec;
@@ -25,6 +27,7 @@ pub mod secure;
 
 pub use plumbline_proto::v1::{Channel, EstimatorKind, Health};
 
+use crate::model::measure::Kinematics;
 use crate::vehicle::{MotorCommand, SensorFrame};
 
 /// Most residuals one step can produce: four IMUs with nine channels, and every other sensor.
@@ -85,6 +88,17 @@ pub struct Estimate {
     pub residuals: ArrayVec<Residual, MAX_RESIDUALS>,
 }
 
+impl Estimate {
+    /// Position, velocity, attitude.
+    pub fn kinematics(&self) -> Kinematics {
+        Kinematics {
+            position_enu_m: self.position_enu_m,
+            velocity_enu_mps: self.velocity_enu_mps,
+            world_from_body: self.world_from_body,
+        }
+    }
+}
+
 impl Default for Estimate {
     fn default() -> Self {
         Self {
@@ -122,4 +136,10 @@ pub trait Estimator: Send {
 
     /// Starts again from `estimate` (switching in flight without a bump).
     fn reset_to(&mut self, estimate: &Estimate);
+
+    /// How far from `truth` for the covariance it claims; `None` for estimators without one. For tests and
+    /// offline scores: nothing in flight knows the truth.
+    fn nees(&self, _truth: &Kinematics) -> Option<consistency::Nees> {
+        None
+    }
 }

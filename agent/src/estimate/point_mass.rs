@@ -301,20 +301,12 @@ impl Estimator for PointMassEstimator {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
     use crate::vehicle::{HeightSample, ImuSample};
 
     #[test]
     fn equals_the_independent_reference() {
-        let root = std::env::var_os("PLUMBLINE_DATA")
-            .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), std::path::PathBuf::from);
-        let file = root.join("reference/point_mass_kf.csv");
-        if !file.exists() {
-            println!("skipped: {} is absent", file.display());
-            return;
-        }
+        let Some(file) = crate::recordings::shared("reference/point_mass_kf.csv") else { return };
         let mut filter = PointMass::new(E::zeros(), M::identity(), 1.0);
         let sigmas = [3.0, 3.0, 0.5, 0.2, 0.2, 0.2];
         let places = [0, 1, 2, 6, 7, 8];

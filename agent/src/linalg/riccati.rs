@@ -452,16 +452,9 @@ fn accept(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::PathBuf;
 
     fn cases(file: &str) -> Option<Vec<serde_json::Value>> {
-        let folder = std::env::var_os("PLUMBLINE_DATA")
-            .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-        let path = folder.join("reference").join(file);
-        let Ok(text) = std::fs::read_to_string(&path) else {
-            eprintln!("skipped: {} is absent", path.display());
-            return None;
-        };
+        let text = std::fs::read_to_string(crate::recordings::shared(&format!("reference/{file}"))?).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
         Some(json["cases"].as_array().unwrap().clone())
     }

@@ -3,29 +3,27 @@
 use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::Channel;
 
-use crate::estimate::{Estimate, Health};
+use crate::estimate::consistency::{Consistency, Mean, Nees};
+use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
-use crate::model::euler_body::{X, ix};
+use crate::model::euler_body::{M, X, ix};
+use crate::model::measure::Kinematics;
 use crate::vehicle::Truth;
 
-/// Sum of squares and how many.
+/// Root of a running mean of squares.
 #[derive(Debug, Clone, Copy, Default)]
-struct Rms {
-    sum: f64,
-    count: u64,
-}
+struct Rms(Mean);
 
 impl Rms {
     fn add(&mut self, error: f64) {
-        if error.is_finite() {
-            self.sum += error * error;
-            self.count += 1;
-        }
+        self.0.push(error * error);
     }
 
     fn value(&self) -> Option<f64> {
-        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+        self.0.value().map(f64::sqrt)
     }
 }
 
@@ -46,12 +44,20 @@ pub struct Score {
     accel_bias_mps2: Vector3<f64>,
     gyro_bias_radps: Vector3<f64>,
     finite: bool,
-    /// Does the estimator say where the vehicle is?
-    knows_position: bool,
+    /// Can the estimator tell where the vehicle is horizontally, and how high, from the sensors it has?
+    known: Known,
+    consistency: Consistency,
+}
+
+/// What the sensors in use say of the place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Known {
+    pub horizontal: bool,
+    pub vertical: bool,
 }
 
 impl Score {
-    pub(super) fn new(estimator: &str, input: &Path) -> Self {
+    pub(super) fn new(estimator: &str, input: &Path, known: Known) -> Self {
         Self {
             estimator: estimator.to_owned(),
             input: input.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
@@ -66,28 +72,40 @@ impl Score {
             accel_bias_mps2: Vector3::zeros(),
             gyro_bias_radps: Vector3::zeros(),
             finite: true,
-            knows_position: estimator != "attitude",
+            known,
+            consistency: Consistency::default(),
         }
     }
 
-    pub(super) fn add(&mut self, e: &Estimate, truth: Option<&Truth>) {
+    pub(super) fn add(&mut self, estimator: &dyn Estimator, truth: Option<&Truth>) {
+        let e = estimator.estimate();
         self.ticks += 1;
         self.finite &= e.position_enu_m.iter().chain(e.world_from_body.coords.iter()).all(|x| x.is_finite());
         self.accel_bias_mps2 = e.accel_bias_mps2;
         self.gyro_bias_radps = e.gyro_bias_radps;
+        self.consistency.push(&e.residuals);
         if e.health == Health::Initialising {
             return;
         }
         self.initialised_s.get_or_insert(e.time.as_seconds());
         let Some(truth) = truth else { return };
-        if self.knows_position {
-            self.add_position(&(e.position_enu_m - truth.position_enu_m));
-            self.velocity.add((e.velocity_enu_mps - truth.velocity_enu_mps).norm());
-        }
+        let unknown = |known: bool| if known { 0.0 } else { f64::NAN };
+        let (h, v) = (unknown(self.known.horizontal), unknown(self.known.vertical));
+        let knowable = Vector3::new(h, h, v);
+        let state = Kinematics {
+            position_enu_m: truth.position_enu_m + knowable,
+            velocity_enu_mps: truth.velocity_enu_mps + knowable,
+            world_from_body: truth.world_from_body,
+        };
+        self.add_position(&(e.position_enu_m - state.position_enu_m));
+        self.velocity.add((e.velocity_enu_mps - state.velocity_enu_mps).norm());
         self.add_attitude(&e.world_from_body, &truth.world_from_body);
+        if let Some(nees) = estimator.nees(&state) {
+            self.consistency.push_nees(nees);
+        }
     }
 
-    pub(super) fn add_twelve_states(&mut self, x: &X, truth: &X) {
+    pub(super) fn add_twelve_states(&mut self, x: &X, p: &M, truth: &X) {
         self.ticks += 1;
         self.finite &= x.iter().all(|v| v.is_finite());
         let part = |x: &X, i: usize| Vector3::new(x[i], x[i + 1], x[i + 2]);
@@ -95,6 +113,11 @@ impl Score {
         self.velocity.add((part(x, ix::VX) - part(truth, ix::VX)).norm());
         let attitude = |x: &X| from_roll_pitch_yaw(&part(x, ix::ROLL));
         self.add_attitude(&attitude(x), &attitude(truth));
+        let mut error = truth - x;
+        (ix::ROLL..=ix::YAW).for_each(|i| error[i] = wrap_pi(error[i]));
+        if let Some(cholesky) = p.cholesky() {
+            self.consistency.push_nees(Nees { value: error.dot(&cholesky.solve(&error)), states: error.len() });
+        }
     }
 
     fn add_position(&mut self, error: &Vector3<f64>) {
@@ -131,8 +154,18 @@ impl Score {
         self.accel_bias_mps2
     }
 
+    /// Mean NEES and its expectation, where the estimator has a covariance and the recording a truth.
+    pub fn nees(&self) -> Option<(f64, usize)> {
+        self.consistency.nees()
+    }
+
     /// The score as one JSON line. Errors without truth are null.
     pub fn to_json(&self) -> String {
+        let nis = |(sensor, channel, mean): (SensorId, Channel, Mean)| {
+            let channel = channel.as_str_name().trim_start_matches("CHANNEL_").to_lowercase();
+            (format!("{sensor} {channel}"), serde_json::json!(mean.value()))
+        };
+        let nis: serde_json::Map<_, _> = self.consistency.nis().map(nis).collect();
         serde_json::json!({
             "estimate": self.input,
             "estimator": self.estimator,
@@ -145,6 +178,9 @@ impl Score {
             "total_rmse_deg": self.total.value(),
             "heading_rmse_deg": self.heading.value(),
             "inclination_rmse_deg": self.inclination.value(),
+            "nees": self.nees().map(|n| n.0),
+            "nees_states": self.nees().map(|n| n.1),
+            "nis": nis,
             "accel_bias_mps2": self.accel_bias_mps2.as_slice(),
             "gyro_bias_radps": self.gyro_bias_radps.as_slice(),
         })

@@ -10,19 +10,19 @@ mod output;
 
 use std::path::PathBuf;
 
+use errors::Known;
 pub use errors::Score;
 use output::Output;
+use plumbline_proto::v1::SensorKind;
 
-use crate::estimate::attitude::{Attitude, AttitudeOptions};
-use crate::estimate::ekf_bias::EkfBias;
+use crate::estimate::EstimatorKind;
+use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
-use crate::estimate::point_mass::PointMassEstimator;
-use crate::estimate::primary::Primary;
 use crate::estimate::ukf::Ukf;
-use crate::estimate::{Estimator, EstimatorKind};
+use crate::model::airframe::Airframe;
 use crate::model::euler_body::{EulerBody, M, X};
-use crate::recordings::{self, Format, RecordingError, mocap_log};
+use crate::recordings::{self, Format, Phantom4Options, RecordingError, RecordingInfo, mocap_log};
 use crate::vehicle::{MotorCommand, SensorFrame};
 
 /// Arguments of `plumbline-agent estimate`.
@@ -34,16 +34,25 @@ pub struct EstimateArgs {
     /// plumbline, broad, phantom4, rotorpy, px4-ulog or mocap-log; judged by the content when left out.
     #[arg(long)]
     pub format: Option<String>,
-    /// ekf-bias, primary, ekf-hybrid, ukf, point-mass or attitude.
+    /// ekf-bias, primary, ekf-hybrid, ukf, point-mass, attitude or secure.
     #[arg(long)]
     pub estimator: String,
     /// Sensors to use, separated by commas: imu, mag, height, barometer, gnss, mocap-pose, camera-ranges. All
-    /// when left out; `imu` alone leaves its magnetometer out.
+    /// when left out; the IMU is always needed, and without `mag` its magnetometer is left out.
     #[arg(long, value_delimiter = ',')]
     pub sensors: Vec<String>,
-    /// Measurements a second of a mocap-log; a divisor of 120.
-    #[arg(long, default_value_t = LOG_RATE_HZ)]
-    pub rate: usize,
+    /// Measurements a second of a mocap-log, a divisor of 120; all of them when left out.
+    #[arg(long)]
+    pub rate: Option<usize>,
+    /// Fixes a second made of the RTK of a Phantom 4 flight, at most its 10; all of them when left out.
+    #[arg(long)]
+    pub gnss_rate: Option<f64>,
+    /// One-sigma of the noise added to each axis of those fixes, m; none when left out.
+    #[arg(long)]
+    pub gnss_noise: Option<f64>,
+    /// Seed of that noise.
+    #[arg(long)]
+    pub seed: Option<u64>,
     /// CSV to write.
     #[arg(long)]
     pub output: PathBuf,
@@ -86,7 +95,49 @@ const ESTIMATORS: &[(&str, EstimatorKind)] = &[
     ("ukf", EstimatorKind::Ukf),
     ("point-mass", EstimatorKind::PointMass),
     ("attitude", EstimatorKind::Attitude),
+    ("secure", EstimatorKind::Secure),
 ];
+
+impl EstimateArgs {
+    /// `--argument value` that cannot be used.
+    fn bad(argument: &'static str, value: impl ToString, reason: impl Into<String>) -> OfflineError {
+        OfflineError::Argument { argument, value: value.to_string(), reason: reason.into() }
+    }
+
+    /// `--rate` is a mocap-log's; the GNSS arguments are a Phantom 4's.
+    fn refuse_misplaced(&self, format: &str) -> Result<(), OfflineError> {
+        let only = |wanted: &str| format!("is for --format {wanted} only; this is {format}");
+        if let Some(rate) = self.rate.filter(|_| format != MOCAP_LOG) {
+            return Err(Self::bad("rate", rate, only(MOCAP_LOG)));
+        }
+        if format == Format::Phantom4.name() {
+            return Ok(());
+        }
+        let wanted = Format::Phantom4.name();
+        match (self.gnss_rate, self.gnss_noise, self.seed) {
+            (Some(rate), ..) => Err(Self::bad("gnss-rate", rate, only(wanted))),
+            (_, Some(noise), _) => Err(Self::bad("gnss-noise", noise, only(wanted))),
+            (.., Some(seed)) => Err(Self::bad("seed", seed, only(wanted))),
+            _ => Ok(()),
+        }
+    }
+
+    fn phantom4_options(&self) -> Result<Phantom4Options, OfflineError> {
+        let default = Phantom4Options::default();
+        if let Some(rate) = self.gnss_rate.filter(|r| !(*r > 0.0 && *r <= default.gnss_rate_hz)) {
+            let reason = format!("not above 0 and at most {} Hz", default.gnss_rate_hz);
+            return Err(Self::bad("gnss-rate", rate, reason));
+        }
+        if let Some(noise) = self.gnss_noise.filter(|n| !(0.0..=100.0).contains(n)) {
+            return Err(Self::bad("gnss-noise", noise, "not 0 to 100 m"));
+        }
+        Ok(Phantom4Options {
+            gnss_rate_hz: self.gnss_rate.unwrap_or(default.gnss_rate_hz),
+            gnss_noise_m: self.gnss_noise.unwrap_or(default.gnss_noise_m),
+            seed: self.seed.unwrap_or(default.seed),
+        })
+    }
+}
 
 /// Runs the command; the score is also printed as one JSON line by the caller.
 ///
@@ -94,31 +145,27 @@ const ESTIMATORS: &[(&str, EstimatorKind)] = &[
 /// [`OfflineError`], with the offending value.
 pub fn run(args: &EstimateArgs) -> Result<Score, OfflineError> {
     let names: Vec<&str> = ESTIMATORS.iter().map(|(name, _)| *name).collect();
-    let kind = ESTIMATORS.iter().find(|(name, _)| *name == args.estimator).map(|(_, kind)| *kind).ok_or_else(|| {
-        OfflineError::Argument {
-            argument: "estimator",
-            value: args.estimator.clone(),
-            reason: format!("not one of {}", names.join(", ")),
-        }
-    })?;
-    let is_log = |text: &str| text == MOCAP_LOG;
-    if args.format.as_deref().map_or_else(|| looks_like_mocap_log(args), is_log) {
+    let kind =
+        ESTIMATORS.iter().find(|(name, _)| *name == args.estimator).map(|(_, kind)| *kind).ok_or_else(|| {
+            EstimateArgs::bad("estimator", &args.estimator, format!("not one of {}", names.join(", ")))
+        })?;
+    if args.format.as_deref().map_or_else(|| looks_like_mocap_log(args), |text| text == MOCAP_LOG) {
+        args.refuse_misplaced(MOCAP_LOG)?;
         return run_log(args, kind);
     }
-    let recording = match args.format.as_deref() {
-        None => recordings::open(&args.input)?,
+    let format = match args.format.as_deref() {
+        None => Format::detect(&args.input)?,
         Some(text) => {
-            let format = Format::ALL.iter().find(|(name, _)| *name == text).map(|(_, format)| *format);
-            let known: Vec<&str> = Format::ALL.iter().map(|(name, _)| *name).collect();
-            recordings::open_as(
-                &args.input,
-                format.ok_or_else(|| OfflineError::Argument {
-                    argument: "format",
-                    value: text.to_owned(),
-                    reason: format!("not one of {}, {MOCAP_LOG}", known.join(", ")),
-                })?,
-            )?
+            Format::ALL.iter().find(|(name, _)| *name == text).map(|(_, format)| *format).ok_or_else(|| {
+                let known: Vec<&str> = Format::ALL.iter().map(|(name, _)| *name).collect();
+                EstimateArgs::bad("format", text, format!("not one of {}, {MOCAP_LOG}", known.join(", ")))
+            })?
         }
+    };
+    args.refuse_misplaced(format.name())?;
+    let recording = match format {
+        Format::Phantom4 => recordings::open_phantom4(&args.input, args.phantom4_options()?)?,
+        other => recordings::open_as(&args.input, other)?,
     };
     run_recording(args, kind, recording)
 }
@@ -141,12 +188,37 @@ struct Selection {
     camera_ranges: bool,
 }
 
+/// Sensors by their name on the command line; the magnetometer is part of an IMU.
+const SENSORS: [(&str, SensorKind); 7] = [
+    ("imu", SensorKind::Imu),
+    ("mag", SensorKind::Imu),
+    ("height", SensorKind::Height),
+    ("barometer", SensorKind::Barometer),
+    ("gnss", SensorKind::Gnss),
+    ("mocap-pose", SensorKind::MocapPose),
+    ("camera-ranges", SensorKind::CameraRanges),
+];
+
 impl Selection {
-    fn new(names: &[String]) -> Result<Self, OfflineError> {
-        const KNOWN: [&str; 7] = ["imu", "mag", "height", "barometer", "gnss", "mocap-pose", "camera-ranges"];
-        if let Some(bad) = names.iter().find(|name| !KNOWN.contains(&name.as_str())) {
-            let reason = format!("not one of {}", KNOWN.join(", "));
-            return Err(OfflineError::Argument { argument: "sensors", value: bad.clone(), reason });
+    fn new(names: &[String], info: &RecordingInfo) -> Result<Self, OfflineError> {
+        let has = |kind: SensorKind| info.sensors.iter().any(|sensor| sensor.id.kind == kind);
+        for name in names {
+            let known: Vec<&str> = SENSORS.iter().map(|(name, _)| *name).collect();
+            let (_, kind) = SENSORS
+                .iter()
+                .find(|(known, _)| known == name)
+                .ok_or_else(|| EstimateArgs::bad("sensors", name, format!("not one of {}", known.join(", "))))?;
+            if !has(*kind) {
+                let there: Vec<String> = info.sensors.iter().map(|sensor| sensor.id.to_string()).collect();
+                let reason = format!("the recording has only {}", there.join(", "));
+                return Err(EstimateArgs::bad("sensors", name, reason));
+            }
+        }
+        if !has(SensorKind::Imu) {
+            return Err(EstimateArgs::bad("input", info.source.display(), "no IMU in it: no estimator can start"));
+        }
+        if !names.is_empty() && !names.iter().any(|name| name == "imu") {
+            return Err(EstimateArgs::bad("sensors", names.join(","), "without imu no estimator can start"));
         }
         let on = |name: &str| names.is_empty() || names.iter().any(|n| n == name);
         Ok(Self {
@@ -157,6 +229,16 @@ impl Selection {
             mocap_pose: on("mocap-pose"),
             camera_ranges: on("camera-ranges"),
         })
+    }
+
+    /// What of the place these sensors of a recording tell.
+    fn known(&self, info: &RecordingInfo) -> Known {
+        let has = |on: bool, kind: SensorKind| on && info.sensors.iter().any(|sensor| sensor.id.kind == kind);
+        let horizontal = has(self.gnss, SensorKind::Gnss)
+            || has(self.mocap_pose, SensorKind::MocapPose)
+            || has(self.camera_ranges, SensorKind::CameraRanges);
+        let vertical = horizontal || has(self.height, SensorKind::Height) || has(self.barometer, SensorKind::Barometer);
+        Known { horizontal, vertical }
     }
 
     fn apply(&self, frame: &mut SensorFrame) {
@@ -186,70 +268,65 @@ fn run_recording(
     kind: EstimatorKind,
     mut recording: recordings::Recording,
 ) -> Result<Score, OfflineError> {
-    let selection = Selection::new(&args.sensors)?;
+    let info = recording.info();
+    let selection = Selection::new(&args.sensors, info)?;
     // One rule for every recording: nothing is tuned to a file.
-    let options = recording.info().ekf_options();
-    let attitude = AttitudeOptions {
-        use_mag: selection.mag,
-        gyro_vote: options.gyro_vote,
-        accel_vote: options.accel_vote,
-        ..AttitudeOptions::default()
+    let options = info.ekf_options();
+    // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
+    let airframe =
+        info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);
+    let known = match kind {
+        EstimatorKind::Attitude => Known { horizontal: false, vertical: false },
+        _ => selection.known(info),
     };
-    let mut estimator: Box<dyn Estimator> = match kind {
-        EstimatorKind::EkfBias => Box::new(EkfBias::new(options)),
-        EstimatorKind::Primary => Box::new(Primary::new(options)),
-        EstimatorKind::PointMass => Box::new(PointMassEstimator::new(options, attitude)),
-        EstimatorKind::Attitude => Box::new(Attitude::new(attitude)),
-        _ => {
-            return Err(OfflineError::Argument {
-                argument: "estimator",
-                value: args.estimator.clone(),
-                reason: format!("needs motor inputs: it takes --format {MOCAP_LOG} only"),
-            });
-        }
-    };
+    let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
+        .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
     let mut output = Output::create(&args.output, false)?;
-    let mut score = Score::new(&args.estimator, &args.input);
+    let mut score = Score::new(&args.estimator, &args.input, known);
     // Applied in one tick, known to the estimator in the next.
     let mut applied = MotorCommand::default();
     while let Some(tick) = recording.next_tick() {
         let mut frame = tick.received.unwrap_or(tick.sensed);
         selection.apply(&mut frame);
-        let estimate = estimator.step(&frame, &applied);
+        output.estimate(estimator.step(&frame, &applied))?;
         applied = tick.applied.unwrap_or(applied);
-        output.estimate(estimate)?;
-        score.add(estimate, tick.truth.as_ref());
+        score.add(estimator.as_ref(), tick.truth.as_ref());
     }
     output.finish()?;
     Ok(score)
 }
 
 fn run_log(args: &EstimateArgs, kind: EstimatorKind) -> Result<Score, OfflineError> {
-    if args.rate == 0 || !LOG_RATE_HZ.is_multiple_of(args.rate) {
-        let reason = format!("does not divide the {LOG_RATE_HZ} rows a second");
-        return Err(OfflineError::Argument { argument: "rate", value: args.rate.to_string(), reason });
+    let rate = args.rate.unwrap_or(LOG_RATE_HZ);
+    if rate == 0 || !LOG_RATE_HZ.is_multiple_of(rate) {
+        return Err(EstimateArgs::bad("rate", rate, format!("does not divide the {LOG_RATE_HZ} rows a second")));
+    }
+    if let Some(sensor) = args.sensors.iter().find(|name| !["camera-ranges", "imu"].contains(&name.as_str())) {
+        let reason = format!("the recipe of {MOCAP_LOG} takes its camera-ranges and the angles of its imu, together");
+        return Err(EstimateArgs::bad("sensors", sensor, reason));
     }
     let log = mocap_log::read(&args.input)?;
     // The recipe's start: the origin, known to 1 mm and 1 mrad.
     let (body, x, p) = (EulerBody::iris(), X::zeros(), M::identity() * 1e-6);
     let mut output = Output::create(&args.output, true)?;
-    let mut score = Score::new(&args.estimator, &args.input);
+    let mut score = Score::new(&args.estimator, &args.input, Known { horizontal: true, vertical: true });
     let mut failed = None;
-    let each = |row: &LogRow, x: &X| {
+    let each = |row: &LogRow, x: &X, p: &M| {
         if failed.is_none() {
             failed = output.twelve_states(row.time_s, x).err();
         }
-        score.add_twelve_states(x, &row.truth);
+        score.add_twelve_states(x, p, &row.truth);
     };
     match kind {
-        EstimatorKind::EkfHybrid => run_each(&log, args.rate, &mut EkfHybrid::new(body, x, p), each),
-        EstimatorKind::Ukf => run_each(&log, args.rate, &mut Ukf::new(body, x, p), each),
+        EstimatorKind::EkfHybrid => run_each(&log, rate, &mut EkfHybrid::new(body, x, p), each),
+        EstimatorKind::Ukf => run_each(&log, rate, &mut Ukf::new(body, x, p), each),
         _ => {
-            return Err(OfflineError::Argument {
-                argument: "estimator",
-                value: args.estimator.clone(),
-                reason: format!("{MOCAP_LOG} has no raw IMU samples: only ekf-hybrid and ukf take it"),
-            });
+            // Thrust and torque are known in it, but nothing was measured by an accelerometer or a gyroscope.
+            let reason = format!(
+                "works from accelerometer and gyroscope samples, and {MOCAP_LOG} has none, only motor inputs, ranges \
+                 and angles: ekf-hybrid and ukf take it"
+            );
+            return Err(EstimateArgs::bad("estimator", &args.estimator, reason));
         }
     }
     if let Some(error) = failed {

@@ -1,30 +1,28 @@
 //! The command over public recordings; skipped, and said so, where they are absent.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::*;
+use crate::recordings::shared;
 
-fn shared(file: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("PLUMBLINE_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = root.join(file);
-    if !path.exists() {
-        println!("skipped: {} is absent", path.display());
-        return None;
-    }
-    Some(path)
-}
-
-fn estimate(input: &Path, estimator: &str, sensors: &[&str], rate: usize) -> (Score, Vec<Vec<f64>>) {
-    let folder = tempfile::tempdir().unwrap();
-    let args = EstimateArgs {
+fn arguments(input: &Path, estimator: &str, folder: &Path) -> EstimateArgs {
+    EstimateArgs {
         input: input.to_owned(),
         format: None,
         estimator: estimator.into(),
-        sensors: sensors.iter().map(|s| (*s).to_owned()).collect(),
-        rate,
-        output: folder.path().join("out.csv"),
-    };
+        sensors: Vec::new(),
+        rate: None,
+        gnss_rate: None,
+        gnss_noise: None,
+        seed: None,
+        output: folder.join("out.csv"),
+    }
+}
+
+fn estimate(input: &Path, estimator: &str, change: impl FnOnce(&mut EstimateArgs)) -> (Score, Vec<Vec<f64>>) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut args = arguments(input, estimator, folder.path());
+    change(&mut args);
     let score = run(&args).unwrap();
     println!("{}", score.to_json());
     let mut reader = csv::Reader::from_path(&args.output).unwrap();
@@ -45,7 +43,7 @@ fn broad(sensors: &[&str]) -> Option<[f64; 3]> {
     let mut mean = [0.0; 3];
     for trial in TRIALS {
         let path = shared(&format!("data/broad_imu_mocap/{trial}.csv.gz"))?;
-        let (score, _) = estimate(&path, "attitude", sensors, 120);
+        let (score, _) = estimate(&path, "attitude", |a| a.sensors = sensors.iter().map(|s| (*s).to_owned()).collect());
         for (m, e) in mean.iter_mut().zip(score.attitude_deg().unwrap()) {
             *m += e / TRIALS.len() as f64;
         }
@@ -71,7 +69,7 @@ fn broad_without_magnetometer_keeps_inclination() {
 #[test]
 fn rotorpy_bias_inclination_and_velocity() {
     let Some(path) = shared("data/rotorpy_sim/hummingbird_lissajous.csv.gz") else { return };
-    let (score, rows) = estimate(&path, "ekf-bias", &[], 120);
+    let (score, rows) = estimate(&path, "ekf-bias", |_| {});
     let error = (score.accel_bias_mps2() - nalgebra::Vector3::new(0.12, -0.08, 0.15)).amax();
     println!("RotorPy: accelerometer bias error {error:.3} m/s² at 30 s");
     assert!(error < 0.03);
@@ -88,7 +86,7 @@ fn mocap_log_gives_the_reference_estimates() {
     };
     let golden: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
     for estimator in ["ekf-hybrid", "ukf"] {
-        let (_, rows) = estimate(&log, estimator, &[], 12);
+        let (_, rows) = estimate(&log, estimator, |a| a.rate = Some(12));
         assert_eq!(rows[0].len(), 20);
         let list = &golden["rates"]["12"]["circle"][if estimator == "ukf" { "ukf" } else { "ekf" }];
         for (k, expected) in list.as_array().unwrap().iter().enumerate() {
@@ -107,21 +105,15 @@ fn bad_arguments_are_named_with_their_value() {
     let log = folder.path().join("log.csv");
     std::fs::write(&log, "t,T,tx,ty,tz\n0,1,2,3,4\n").unwrap();
     let check = |change: &dyn Fn(&mut EstimateArgs), expected: &str| {
-        let mut args = EstimateArgs {
-            input: log.clone(),
-            format: None,
-            estimator: "ukf".into(),
-            sensors: Vec::new(),
-            rate: 120,
-            output: folder.path().join("out.csv"),
-        };
+        let mut args = arguments(&log, "ukf", folder.path());
         change(&mut args);
         let error = run(&args).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     };
     check(&|a| a.estimator = "magic".into(), "--estimator magic: not one of ekf-bias");
-    check(&|a| a.rate = 7, "--rate 7: does not divide");
+    check(&|a| a.rate = Some(7), "--rate 7: does not divide");
     check(&|a| a.format = Some("csv".into()), "--format csv: not one of plumbline");
+    check(&|a| a.gnss_rate = Some(1.0), "--gnss-rate 1: is for --format phantom4 only; this is mocap-log");
     check(&|_| {}, "no column \"x\"");
     check(&|a| a.input = folder.path().join("absent"), "absent");
 }

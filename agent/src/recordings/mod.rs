@@ -10,6 +10,7 @@ pub mod mocap_log;
 mod noise;
 mod phantom4;
 mod rotorpy;
+mod shared;
 mod tables;
 mod timeline;
 mod ulog;
@@ -26,6 +27,7 @@ use crate::{
 };
 
 pub use phantom4::Phantom4Options;
+pub use shared::{VARIABLE as SHARED_VARIABLE, shared};
 pub use timeline::Recording;
 
 /// One tick of a recording.
@@ -274,14 +276,7 @@ mod tests {
 
     /// A file of the public recordings, or `None` where they are absent.
     fn public(file: &str) -> Option<PathBuf> {
-        let root = std::env::var_os("PLUMBLINE_DATA")
-            .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-        let path = root.join("data").join(file);
-        if !path.exists() {
-            println!("skipped: {} is absent", path.display());
-            return None;
-        }
-        Some(path)
+        shared(&format!("data/{file}"))
     }
 
     fn ticks(mut recording: Recording) -> Vec<RecordedTick> {

@@ -198,7 +198,8 @@ impl EkfBias {
     fn aid_camera_ranges(&mut self, frame: &SensorFrame) {
         let Some(sample) = frame.camera_ranges else { return };
         if self.horizontal_lost(frame.time)
-            && let Some(position) = self.trilaterate(&sample.range_m)
+            && let Some(position) =
+                camera_range::trilaterate(&self.options.cameras_enu_m, &sample.range_m, &self.options.camera_sigma_m)
         {
             self.reset_horizontal(frame.time, &position, 0.1);
         }
@@ -464,30 +465,6 @@ impl EkfBias {
             self.p[(v, v)] += if axis == 2 { 0.25 } else { 4.0 };
         }
         self.horizontal.note(now, true);
-    }
-
-    /// Position from four ranges by Gauss–Newton, from the middle of the floor; `None` when it does not
-    /// settle.
-    fn trilaterate(&self, ranges: &[f64; CAMERAS]) -> Option<Vector3<f64>> {
-        let cameras = &self.options.cameras_enu_m;
-        let mut p = cameras.iter().sum::<Vector3<f64>>() / CAMERAS as f64;
-        p.z = 1.0;
-        for _ in 0..20 {
-            let mut information = nalgebra::Matrix3::zeros();
-            let mut right = Vector3::zeros();
-            for ((range, camera), sigma) in ranges.iter().zip(cameras).zip(&self.options.camera_sigma_m) {
-                let (predicted, gradient) = camera_range::predict(&p, camera);
-                let w = 1.0 / (sigma * sigma);
-                information += gradient * gradient.transpose() * w;
-                right += gradient * (range - predicted) * w;
-            }
-            let step = information.cholesky()?.solve(&right);
-            p += step;
-            if step.norm() < 1e-6 {
-                return finite(&p).then_some(p);
-            }
-        }
-        None
     }
 }
 
