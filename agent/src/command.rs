@@ -5,6 +5,7 @@
 
 use crate::attack::Schedule;
 use crate::control::gains::Certified;
+use crate::control::trajectory::Trajectory;
 use crate::estimate::EstimatorKind;
 use crate::event::Text;
 
@@ -26,6 +27,8 @@ pub enum Command {
     SetMode(Mode),
     /// Change the setpoint; fields left out keep their value.
     Setpoint(SetpointChange),
+    /// Fly this path from where the setpoint is; `None` stops one.
+    Trajectory(Option<Trajectory>),
     /// Run this attack schedule, replacing the one before.
     Attack(Schedule),
     /// End every attack.

@@ -302,8 +302,8 @@ impl AgentConfig {
             }
         }
         if let Some(weights) = &self.weights {
-            flight.weights.state = weights.state;
-            flight.weights.input = weights.input;
+            flight.design.weights.state = weights.state;
+            flight.design.weights.input = weights.input;
         }
         Ok(())
     }

@@ -1,12 +1,17 @@
-//! Control design from files: Riccati cases in, one JSON line per case out.
+//! Control design on the ground: designs from files, previews, Riccati cases.
 //!
-//! A case is an object with `name` and the matrices `A`, `B`, `Q`, `R`, row-major nested lists; a file
+//! A Riccati case is an object with `name` and the matrices `A`, `B`, `Q`, `R`, row-major nested lists; a file
 //! holds one case or `{"cases": [...]}`. A case that cannot be solved gives a line with `error`; the
 //! others are solved all the same.
+
+pub mod file;
+pub mod preview;
+pub mod response;
 
 use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
 
+use crate::control::gains::GainsError;
 use crate::linalg::{RiccatiSolution, care, dare};
 
 /// Which equation.
@@ -18,7 +23,7 @@ pub enum Equation {
     Dare,
 }
 
-/// Why a file holds no cases.
+/// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum DesignError {
     /// Not JSON.
@@ -27,6 +32,20 @@ pub enum DesignError {
     /// JSON, but no case.
     #[error("expected one case or {{\"cases\": [...]}}, found {0}")]
     NoCases(&'static str),
+    /// JSON, but no design.
+    #[error("expected an object with a design")]
+    NoDesign,
+    /// A field of a design is wrong.
+    #[error("{name} {problem}")]
+    Field {
+        /// Where.
+        name: String,
+        /// What is wrong, with the value.
+        problem: String,
+    },
+    /// Nothing solves it, or a value is out of its range.
+    #[error(transparent)]
+    Gains(#[from] GainsError),
 }
 
 /// Largest dimension accepted: far above any vehicle, far below what would take minutes.

@@ -7,6 +7,7 @@
 mod config;
 mod guard;
 mod orders;
+mod path;
 pub mod report;
 mod status;
 
@@ -16,11 +17,11 @@ use plumbline_proto::time::FlightTime;
 
 use crate::attack::{Injector, MAX_ATTACKS, Phase as AttackPhase, Progress};
 use crate::command::Mode;
-use crate::control::gains::{Certified, GainsError, certify};
-use crate::control::lqr_integral::LqrIntegral;
+use crate::control::gains::{Certified, Examiner, GainsError};
+use crate::control::in_loop::InLoop;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
-use crate::control::{Controller, Loops, Setpoint, Wrench};
+use crate::control::{Loops, Setpoint, Wrench};
 use crate::estimate::bank::{Assumptions, Bank, BankError, build};
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
@@ -29,8 +30,10 @@ use crate::frames::roll_pitch_yaw;
 use crate::mix::{Mixed, Mixer};
 use crate::vehicle::{MotorCommand, SensorFrame};
 
+use path::Path;
+
 pub use config::{FlightConfig, RigKind};
-pub use report::{Check, Failsafe, FlightStatus, GainsInUse, StepReport};
+pub use report::{Check, Failsafe, FlightStatus, StepReport};
 
 /// Why a flight cannot be set up.
 #[derive(Debug, thiserror::Error)]
@@ -68,12 +71,13 @@ pub struct Flight {
     watchdog: Watchdog,
     monitor: Monitor,
     bank: Bank,
-    controller: LqrIntegral,
+    controller: InLoop,
     gains: Certified,
     mixer: Mixer,
     profile: Profile,
     /// What the operator asks for, within limits.
     target: Setpoint,
+    path: Option<Path>,
     mode: Mode,
     phase: Phase,
     failsafe: Failsafe,
@@ -122,7 +126,8 @@ impl Flight {
         if !(50.0..=1000.0).contains(&config.tick_rate_hz) {
             return Err(FlightError::TickRate(config.tick_rate_hz));
         }
-        let gains = certify(&config.airframe, 1.0 / config.tick_rate_hz, &config.weights, GainsRevision(0))?;
+        let examiner = Examiner::new(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)?;
+        let gains = examiner.certify(&config.design, GainsRevision(0))?;
         let weight_n = config.airframe.weight_n();
         let mixer = Mixer::new(&config.airframe, config.rig.thrust_ceiling_n(weight_n))
             .ok_or_else(|| FlightError::Allocation(config.airframe.name.clone()))?;
@@ -131,11 +136,12 @@ impl Flight {
             watchdog: Watchdog::default(),
             monitor: Monitor::new(config.failsafe),
             bank: Bank::new(estimators, config.in_loop)?,
-            controller: LqrIntegral::new(&config.airframe, &gains),
+            controller: InLoop::new(gains.law.clone()),
             gains,
             mixer,
             profile: Profile::default(),
             target: Setpoint::default(),
+            path: None,
             mode: Mode::Disarmed,
             phase: Phase::Idle { since: FlightTime(0) },
             failsafe: Failsafe::None,
@@ -282,9 +288,7 @@ impl Flight {
             self.follow_estimate();
             return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
         }
-        let limits = self.limits_now();
-        let target = self.target_now();
-        let setpoint = *self.profile.step(&target, &limits, dt_s);
+        let setpoint = self.setpoint_now(dt_s);
         let wrench = match self.blind_since {
             None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
             // Attitude from the watchdog; its yaw is zero, so the yaw error is too.

@@ -131,7 +131,7 @@ impl Runner {
         let tick_rate_hz = flight.config().tick_rate_hz;
         flight.time_steps_with(stopwatch);
         // Before real-time priority is asked for: the thread would inherit it.
-        let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz)
+        let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz, flight.config().margins)
             .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
             .ok();
         Self {
@@ -284,10 +284,10 @@ impl Runner {
                     let ack = self.flight.apply(&command, now);
                     self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
                 }
-                Request::Gains { revision, weights } => {
+                Request::Gains { revision, proposal } => {
                     // Answered when they are in use, or refused.
                     let asked = match &mut self.certifier {
-                        Some(certifier) => certifier.ask(inbound.id, revision, &weights),
+                        Some(certifier) => certifier.ask(inbound.id, revision, &proposal),
                         None => Err("gains cannot be certified: no thread for it"),
                     };
                     if let Err(reason) = asked {

@@ -26,6 +26,8 @@ use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
 
 use crate::attack::MAX_ATTACKS;
+use crate::control::gains::Certified;
+use crate::control::tuning::MAX_PARAMETERS;
 use crate::estimate::{Estimate, EstimatorKind};
 use crate::event::{Event, EventKind, Severity, Text, text};
 use crate::flight::Flight;
@@ -185,12 +187,22 @@ impl Kept {
                 weights: Some(weights),
                 k: matrix(),
                 k_attitude: matrix(),
+                parameters: (0..MAX_PARAMETERS).map(|_| v1::Parameter { name: text(), value: 0.0 }).collect(),
+                margins: (0..4).map(|_| v1::LoopMargins { input: text(), ..v1::LoopMargins::default() }).collect(),
+                margin_policy: text(),
                 ..v1::GainsInUse::default()
             },
             event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
             ack: v1::Ack { reason: text(), ..v1::Ack::default() },
         }
     }
+}
+
+/// Gains as they go over the wire, for whoever examines them on the ground.
+pub fn gains_message(gains: &Certified) -> v1::GainsInUse {
+    let mut message = v1::GainsInUse::default();
+    convert::gains(&mut message, FlightTime(0), gains);
+    message
 }
 
 fn due(last: &mut Option<FlightTime>, now: FlightTime, period_s: f64) -> bool {
@@ -429,7 +441,7 @@ impl Telemetry {
         if self.gains_revision != Some(revision) || due(&mut self.due.gains, now, GAINS_S) {
             self.gains_revision = Some(revision);
             self.due.gains = Some(now);
-            convert::gains(&mut self.kept.gains, now, &flight.gains_in_use());
+            convert::gains(&mut self.kept.gains, now, flight.gains_in_use());
             self.outlets.send(Kind::Gains, 0, now, &self.kept.gains);
         }
         let attacks = flight.attacks();

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use plumbline_agent::command::Command;
 use plumbline_agent::control::lqr_integral::Weights;
+use plumbline_agent::control::tuning::Proposal;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::runner::pace::Pace;
@@ -54,8 +55,8 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
     better.state[2] *= 2.0;
     bad.input[1] = -3.0;
     let pushes = [
-        (1, Request::Gains { revision: GainsRevision(5), weights: better }),
-        (2, Request::Gains { revision: GainsRevision(6), weights: bad }),
+        (1, Request::Gains { revision: GainsRevision(5), proposal: Proposal::from_weights(better) }),
+        (2, Request::Gains { revision: GainsRevision(6), proposal: Proposal::from_weights(bad) }),
         (3, Request::Flight(Command::AbortAttacks)),
     ];
     for (id, request) in pushes {
@@ -67,7 +68,7 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
         let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
         let mut runner = Runner::new(vehicle, flight, telemetry, options, ports);
         runner.run(&stopped).unwrap();
-        runner.flight().gains_in_use()
+        runner.flight().gains_in_use().clone()
     });
 
     let (mut bytes, mut acks, begun) = (Vec::new(), Vec::new(), Instant::now());

@@ -46,6 +46,7 @@ fn riccati_cost() {
     use nalgebra::DMatrix;
     use plumbline_agent::control::gains::certify;
     use plumbline_agent::control::lqr_integral::Weights;
+    use plumbline_agent::control::tuning::Design;
     use plumbline_agent::linalg::care;
     use plumbline_agent::model::airframe::Airframe;
     use plumbline_agent::model::linearize::hover;
@@ -78,9 +79,9 @@ fn riccati_cost() {
         }));
         println!("{{\"bench\":\"control\",\"name\":\"care_{n}\",\"value\":{time:.0},\"unit\":\"us\"}}");
     }
-    let weights = Weights::for_airframe(&airframe);
+    let design = Design::from_weights(Weights::for_airframe(&airframe));
     let time = median(Box::new(move || {
-        certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap();
+        certify(&airframe, 0.005, &design, GainsRevision(1)).unwrap();
     }));
     println!("{{\"bench\":\"control\",\"name\":\"certify\",\"value\":{time:.0},\"unit\":\"us\"}}");
 }

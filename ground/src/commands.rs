@@ -115,6 +115,7 @@ fn name(body: &Body) -> &'static str {
         Body::SetRecording(_) => "recording",
         Body::PushGains(_) => "gains",
         Body::SetReplay(_) => "replay",
+        Body::SetTrajectory(_) => "trajectory",
     }
 }
 

@@ -6,62 +6,19 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use plumbline_proto::v1;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 use crate::sync::lock;
 
-/// Weights on states and inputs: see `LqrWeights` in the schema for their order and units.
-pub const STATES: usize = 16;
-/// Weights on inputs.
-pub const INPUTS: usize = 4;
 /// Most revisions kept per vehicle; the oldest go first.
 pub const MAX_REVISIONS: usize = 1000;
-
-/// Weights as JSON.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Weights {
-    /// 16 values, ≥ 0.
-    pub state_weight: Vec<f64>,
-    /// 4 values, > 0.
-    pub input_weight: Vec<f64>,
-}
-
-impl Weights {
-    /// Checks shape and signs; whether they make a stable loop only the agent can say.
-    ///
-    /// # Errors
-    /// A sentence with the value.
-    pub fn check(&self) -> Result<v1::LqrWeights, String> {
-        let shape = |name: &str, values: &[f64], wanted: usize| {
-            if values.len() == wanted {
-                Ok(())
-            } else {
-                Err(format!("{name} has {} values, needs {wanted}", values.len()))
-            }
-        };
-        shape("state_weight", &self.state_weight, STATES)?;
-        shape("input_weight", &self.input_weight, INPUTS)?;
-        let bad = |v: &f64, low_ok: bool| !v.is_finite() || *v < 0.0 || (*v == 0.0 && !low_ok);
-        if let Some(i) = self.state_weight.iter().position(|v| bad(v, true)) {
-            return Err(format!("state_weight[{i}] is {:?}, it must be at least 0", self.state_weight.get(i)));
-        }
-        if let Some(i) = self.input_weight.iter().position(|v| bad(v, false)) {
-            return Err(format!("input_weight[{i}] is {:?}, it must be above 0", self.input_weight.get(i)));
-        }
-        Ok(v1::LqrWeights { state_weight: self.state_weight.clone(), input_weight: self.input_weight.clone() })
-    }
-}
 
 /// One push.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Revision {
     /// From 1.
     pub revision: u32,
-    /// What was pushed.
-    #[serde(flatten)]
-    pub weights: Weights,
     /// Who pushed it.
     pub operator: String,
     /// When, µs since the Unix epoch.
@@ -70,6 +27,10 @@ pub struct Revision {
     pub stage: String,
     /// What the agent said.
     pub reason: String,
+    /// What was pushed: a design as the agent reads it (`controller`, `state_weight`, `input_weight`,
+    /// `parameters`, `k`, `k_attitude`).
+    #[serde(flatten)]
+    pub design: Map<String, Value>,
 }
 
 /// All revisions of all vehicles.
@@ -90,14 +51,38 @@ impl GainsBook {
         self.with(vehicle, |book| book.clone())
     }
 
+    /// The revision to go back to: number `wanted`, or without one the last accepted before `in_use`.
+    ///
+    /// # Errors
+    /// A sentence: there is none.
+    pub fn earlier(&self, vehicle: &str, wanted: Option<u32>, in_use: u32) -> Result<Revision, String> {
+        self.with(vehicle, |book| {
+            let found = match wanted {
+                Some(number) => book.iter().find(|r| r.revision == number),
+                None => book.iter().rev().find(|r| r.revision < in_use && r.stage == "accepted"),
+            };
+            found.cloned().ok_or_else(|| match wanted {
+                Some(number) => format!("there is no revision {number} of {vehicle}"),
+                None => format!("no accepted revision before {in_use} of {vehicle}"),
+            })
+        })
+    }
+
     /// Enters a push that is about to be sent and gives it a number above every known one.
-    pub fn begin(&self, vehicle: &str, in_use: u32, weights: Weights, operator: &str, pushed_unix_us: u64) -> u32 {
+    pub fn begin(
+        &self,
+        vehicle: &str,
+        in_use: u32,
+        design: Map<String, Value>,
+        operator: &str,
+        pushed_unix_us: u64,
+    ) -> u32 {
         self.with(vehicle, |book| {
             let last = book.iter().map(|r| r.revision).max().unwrap_or(0).max(in_use);
             let revision = last.saturating_add(1);
             book.push(Revision {
                 revision,
-                weights,
+                design,
                 operator: operator.to_owned(),
                 pushed_unix_us,
                 stage: "unanswered".into(),
@@ -172,16 +157,17 @@ pub(crate) fn write_atomically(path: &Path, content: &[u8]) -> std::io::Result<(
 mod tests {
     use super::*;
 
-    fn weights() -> Weights {
-        Weights { state_weight: vec![1.0; STATES], input_weight: vec![0.1; INPUTS] }
+    fn design() -> Map<String, Value> {
+        let json = serde_json::json!({ "state_weight": vec![1.0; 16], "input_weight": vec![0.1; 4] });
+        json.as_object().unwrap().clone()
     }
 
     #[test]
     fn revisions_grow_and_survive_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         let book = GainsBook::open(folder.path());
-        assert_eq!(book.begin("iris/1", 4, weights(), "ann", 10), 5);
-        assert_eq!(book.begin("iris/1", 0, weights(), "bob", 11), 6);
+        assert_eq!(book.begin("iris/1", 4, design(), "ann", 10), 5);
+        assert_eq!(book.begin("iris/1", 0, design(), "bob", 11), 6);
         book.answered("iris/1", 5, "rejected", "slowest pole 0.2 1/s");
         let again = GainsBook::open(folder.path()).revisions("iris/1");
         assert_eq!(again.len(), 2);
@@ -199,13 +185,16 @@ mod tests {
     }
 
     #[test]
-    fn wrong_weights_are_named() {
-        let mut short = weights();
-        short.state_weight.pop();
-        assert_eq!(short.check().unwrap_err(), "state_weight has 15 values, needs 16");
-        let mut zero = weights();
-        zero.input_weight[2] = 0.0;
-        assert!(zero.check().unwrap_err().starts_with("input_weight[2]"));
-        assert!(weights().check().is_ok());
+    fn the_way_back_is_the_last_accepted_or_the_one_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let book = GainsBook::open(folder.path());
+        for stage in ["accepted", "rejected", "accepted"] {
+            let number = book.begin("v", 0, design(), "ann", 10);
+            book.answered("v", number, stage, "");
+        }
+        assert_eq!(book.earlier("v", None, 3).unwrap().revision, 1);
+        assert_eq!(book.earlier("v", Some(2), 3).unwrap().design, design());
+        assert_eq!(book.earlier("v", None, 1).unwrap_err(), "no accepted revision before 1 of v");
+        assert_eq!(book.earlier("v", Some(9), 1).unwrap_err(), "there is no revision 9 of v");
     }
 }

@@ -71,6 +71,7 @@ json_names! {
     EstimatorKind, "ESTIMATOR_KIND_", "estimator";
     AckStage, "ACK_STAGE_", "stage";
     Failsafe, "FAILSAFE_", "failsafe";
+    TrajectoryShape, "TRAJECTORY_SHAPE_", "shape";
 }
 
 #[cfg(test)]

@@ -78,7 +78,17 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
         ("POST", "replay", r#"{"speed":0.0,"step":3}"#, Body::SetReplay(v1::SetReplay { speed: 0.0, step: 3 })),
         ("PUT", "attacks", plan, Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack] })),
         ("DELETE", "attacks", "", Body::AbortAttacks(v1::AbortAttacks {})),
-        ("PUT", "gains", &weights, Body::PushGains(v1::PushGains { revision: 1, weights: Some(lqr) })),
+        (
+            "PUT",
+            "gains",
+            &weights,
+            Body::PushGains(v1::PushGains {
+                revision: 1,
+                weights: Some(lqr),
+                controller: v1::ControllerKind::LqrIntegral as i32,
+                ..Default::default()
+            }),
+        ),
     ];
     for (method, resource, body, wanted) in expected {
         let path = format!("/api/vehicles/iris-1/{resource}");

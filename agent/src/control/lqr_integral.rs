@@ -12,14 +12,16 @@
 //!   even more, and limited to [`INTEGRAL_LIMIT`]; that of yaw also while the error is large.
 //! - While the horizontal loop is open, gains designed without x and y are used.
 
-use nalgebra::{SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, SVector, Vector2, Vector3};
 
-use super::gains::{Certified, Gain};
-use super::{Controller, Loops, Setpoint, Wrench};
+use super::gains::Gain;
+use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
+use crate::model::GRAVITY_MPS2;
 use crate::model::airframe::Airframe;
 use crate::model::linearize::ix;
+use crate::model::state_space::StateSpace;
 
 /// States that are integrated, in order.
 pub const INTEGRALS: [usize; 4] = [ix::X, ix::Y, ix::Z, ix::YAW];
@@ -75,9 +77,6 @@ impl Weights {
     }
 }
 
-/// Time constant with which the difference between old and new gains dies away, s.
-const BLEND_TIME_CONSTANT_S: f64 = 0.3;
-
 /// Everything K is multiplied with in one tick: the horizontal loop's part, and the rest.
 struct Errors {
     horizontal: SVector<f64, 16>,
@@ -85,7 +84,7 @@ struct Errors {
 }
 
 /// The controller.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LqrIntegral {
     k: Gain,
     k_attitude: Gain,
@@ -94,48 +93,50 @@ pub struct LqrIntegral {
     integral: [f64; 4],
     /// What could not be given at the tick before: asked − given; thrust, torque x y z.
     shortfall: [f64; 4],
-    /// Gains and integrals replaced since the last tick.
-    replaced: Option<(Gain, Gain, [f64; 4])>,
-    /// Left over from the change of gains: added to u, dies away.
-    blend: SVector<f64, 4>,
+    /// Taken over where there is no integral to carry it.
+    held: Trim,
 }
 
 impl LqrIntegral {
-    /// The name in reports.
-    pub const NAME: &str = "lqr_integral";
-
-    /// With `gains`, for a vehicle of this weight.
-    pub fn new(airframe: &Airframe, gains: &Certified) -> Self {
+    /// With `k`, and `k_attitude` while the horizontal loop is open, for a vehicle of this weight.
+    pub fn new(airframe: &Airframe, k: Gain, k_attitude: Gain) -> Self {
         Self {
-            k: gains.k,
-            k_attitude: gains.k_attitude,
+            k,
+            k_attitude,
             weight_n: airframe.weight_n(),
             integral: [0.0; 4],
             shortfall: [0.0; 4],
-            replaced: None,
-            blend: SVector::zeros(),
+            held: Trim::default(),
         }
     }
 
-    /// Uses `gains` from the next tick on. Bumpless: the integrals are rescaled so that they go on
-    /// giving what they gave, and what still differs between old and new u dies away in
-    /// [`BLEND_TIME_CONSTANT_S`].
-    pub fn use_gains(&mut self, gains: &Certified) {
-        self.replaced.get_or_insert((self.k, self.k_attitude, self.integral));
-        let rows = [ix::TORQUE_Y, ix::TORQUE_X, ix::THRUST, ix::TORQUE_Z];
-        for (i, row) in rows.into_iter().enumerate() {
-            let (old, new) = (self.k[(row, 12 + i)], gains.k[(row, 12 + i)]);
-            let scaled = self.integral[i] * old / new;
-            if scaled.is_finite() {
-                self.integral[i] = scaled.clamp(-INTEGRAL_LIMIT[i], INTEGRAL_LIMIT[i]);
-            }
-        }
-        self.k = gains.k;
-        self.k_attitude = gains.k_attitude;
+    /// K with the horizontal loop closed, and without it.
+    pub fn gains(&self) -> [&Gain; 2] {
+        [&self.k, &self.k_attitude]
+    }
+
+    /// The law for small errors at ticks of `period_s`. Its states are the integrals that have a gain.
+    pub fn linear(&self, period_s: f64, horizontal: bool) -> StateSpace {
+        let k = if horizontal { &self.k } else { &self.k_attitude };
+        let used: Vec<usize> = (0..4).filter(|&i| k.column(12 + i).amax() > 0.0).collect();
+        let n = used.len();
+        let summed = DMatrix::from_fn(n, 12, |r, c| if INTEGRALS[used[r]] == c { period_s } else { 0.0 });
+        let c = DMatrix::from_fn(4, n, |row, i| -k[(row, 12 + used[i])]);
+        // The integral of a tick counts in that tick already.
+        let d = DMatrix::from_fn(4, 12, |row, column| -k[(row, column)]) + &c * &summed;
+        StateSpace { a: DMatrix::identity(n, n), b: summed, c, d }
     }
 }
 
+/// Input on which each integral acts.
+const ROWS: [usize; 4] = [ix::TORQUE_Y, ix::TORQUE_X, ix::THRUST, ix::TORQUE_Z];
+
 impl Controller for LqrIntegral {
+    fn kind(&self) -> ControllerKind {
+        let integral = self.k.columns(12, 4).amax().max(self.k_attitude.columns(12, 4).amax()) > 0.0;
+        if integral { ControllerKind::LqrIntegral } else { ControllerKind::Lqr }
+    }
+
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench {
         let angles = roll_pitch_yaw(&estimate.world_from_body);
         let position = limited(estimate.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
@@ -143,17 +144,19 @@ impl Controller for LqrIntegral {
         let yaw = wrap_pi(angles.z - setpoint.roll_pitch_yaw_rad.z).clamp(-YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
         let tilt = angles.xy() - setpoint.roll_pitch_yaw_rad.xy();
         let rates = estimate.body_rates_radps;
-        let errors = |integral: &[f64; 4]| Errors::new(loops, angles.z, position, velocity, tilt, yaw, rates, integral);
-
-        // What the old gains would ask for now, less what the new ones do, dies away.
-        self.blend *= (-dt_s / BLEND_TIME_CONSTANT_S).exp();
-        if let Some((k, k_attitude, integral)) = self.replaced.take() {
-            let (old, new) = if loops.horizontal { (k, self.k) } else { (k_attitude, self.k_attitude) };
-            self.blend += errors(&integral).law(&old) - errors(&self.integral).law(&new);
-        }
         let k = if loops.horizontal { self.k } else { self.k_attitude };
         self.integrate([position.x, position.y, position.z, yaw], &k, loops, dt_s);
-        let u = errors(&self.integral).law(&k) + self.blend;
+        let errors = Errors::new(loops, angles.z, position, velocity, tilt, yaw, rates, &self.integral);
+        let mut u = errors.law(&k);
+        u[ix::THRUST] += self.held.thrust_n;
+        u[ix::TORQUE_Z] += self.held.yaw_torque_nm;
+        if loops.horizontal {
+            // The tilt that gives the acceleration, in the heading frame.
+            let (sin, cos) = angles.z.sin_cos();
+            let a = self.held.acceleration_mps2 / GRAVITY_MPS2;
+            u[ix::TORQUE_Y] += k[(ix::TORQUE_Y, ix::PITCH)] * (cos * a.x + sin * a.y);
+            u[ix::TORQUE_X] -= k[(ix::TORQUE_X, ix::ROLL)] * (cos * a.y - sin * a.x);
+        }
 
         let thrust_n = if loops.altitude {
             (self.weight_n + u[ix::THRUST]) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
@@ -176,8 +179,46 @@ impl Controller for LqrIntegral {
     fn reset(&mut self) {
         self.integral = [0.0; 4];
         self.shortfall = [0.0; 4];
-        self.replaced = None;
-        self.blend.fill(0.0);
+        self.held = Trim::default();
+    }
+
+    fn trim(&self) -> Trim {
+        let given = |i: usize| -self.k[(ROWS[i], 12 + i)] * self.integral[i];
+        // Torque that an angle answers with K: the tilt it settles at.
+        let tilt = |i: usize, angle: usize| {
+            let stiffness = self.k[(ROWS[i], angle)];
+            if stiffness == 0.0 { 0.0 } else { given(i) / stiffness }
+        };
+        Trim {
+            thrust_n: given(2) + self.held.thrust_n,
+            acceleration_mps2: Vector2::new(tilt(0, ix::PITCH), -tilt(1, ix::ROLL)) * GRAVITY_MPS2
+                + self.held.acceleration_mps2,
+            yaw_torque_nm: given(3) + self.held.yaw_torque_nm,
+        }
+    }
+
+    fn take_over(&mut self, trim: &Trim) {
+        let tilt = trim.acceleration_mps2 / GRAVITY_MPS2;
+        let wanted = [
+            self.k[(ix::TORQUE_Y, ix::PITCH)] * tilt.x,
+            -self.k[(ix::TORQUE_X, ix::ROLL)] * tilt.y,
+            trim.thrust_n,
+            trim.yaw_torque_nm,
+        ];
+        self.held = *trim;
+        for i in 0..4 {
+            let integral = -wanted[i] / self.k[(ROWS[i], 12 + i)];
+            self.integral[i] = 0.0;
+            if integral.is_finite() {
+                self.integral[i] = integral.clamp(-INTEGRAL_LIMIT[i], INTEGRAL_LIMIT[i]);
+                match i {
+                    0 => self.held.acceleration_mps2.x = 0.0,
+                    1 => self.held.acceleration_mps2.y = 0.0,
+                    2 => self.held.thrust_n = 0.0,
+                    _ => self.held.yaw_torque_nm = 0.0,
+                }
+            }
+        }
     }
 }
 
@@ -262,16 +303,15 @@ fn limited(v: Vector3<f64>, limit: &[f64; 3]) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::gains::certify;
+    use crate::control::gains::lqr_gains;
     use crate::frames::from_roll_pitch_yaw;
-    use plumbline_proto::ids::GainsRevision;
 
     const FULL: Loops = Loops { horizontal: true, altitude: true };
 
     fn iris() -> (LqrIntegral, Airframe) {
         let airframe = Airframe::iris();
-        let gains = certify(&airframe, 0.005, &Weights::for_airframe(&airframe), GainsRevision(0)).unwrap();
-        (LqrIntegral::new(&airframe, &gains), airframe)
+        let [k, k_attitude] = lqr_gains(&airframe, 0.005, &Weights::for_airframe(&airframe)).unwrap();
+        (LqrIntegral::new(&airframe, k, k_attitude), airframe)
     }
 
     fn at(x: f64, y: f64, yaw: f64) -> Estimate {
@@ -343,40 +383,25 @@ mod tests {
     }
 
     #[test]
-    fn new_gains_do_not_bump_the_trim() {
+    fn what_it_learned_is_handed_on_whole() {
         let (mut controller, airframe) = iris();
         controller.integral = [0.2, -0.1, -0.3, 0.1];
-        let before = controller.control(&at(0.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
+        let trim = controller.trim();
+        let before = controller.control(&at(0.0, 0.0, 0.7), &hold(0.7), FULL, 0.0);
         let mut weights = Weights::for_airframe(&airframe);
         weights.state[14] *= 3.0;
-        weights.state[15] *= 0.5;
+        weights.state[15] = 0.0;
         weights.input[0] *= 0.7;
-        controller.use_gains(&certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap());
-        let after = controller.control(&at(0.0, 0.0, 0.0), &hold(0.0), FULL, 0.0);
-        assert!(controller.blend.amax() < 1e-9, "the integrals carry the trim");
+        let [k, k_attitude] = lqr_gains(&airframe, 0.005, &weights).unwrap();
+        let mut next = LqrIntegral::new(&airframe, k, k_attitude);
+        next.take_over(&trim);
+        let after = next.control(&at(0.0, 0.0, 0.7), &hold(0.7), FULL, 0.0);
         assert!((after.thrust_n - before.thrust_n).abs() < 1e-9);
-        assert!((after.torque_flu_nm - before.torque_flu_nm).norm() < 1e-9);
-    }
-
-    #[test]
-    fn new_gains_do_not_bump_a_transient_either() {
-        let (mut controller, airframe) = iris();
-        let mut off = at(0.2, -0.3, 0.4);
-        off.position_enu_m.z = 0.8;
-        off.velocity_enu_mps.z = 0.3;
-        let before = controller.control(&off, &hold(0.3), FULL, 0.0);
-        let mut weights = Weights::for_airframe(&airframe);
-        weights.state = weights.state.map(|w| w * 3.0);
-        let gains = certify(&airframe, 0.005, &weights, GainsRevision(1)).unwrap();
-        controller.use_gains(&gains);
-        let after = controller.control(&off, &hold(0.3), FULL, 0.0);
-        assert!((after.thrust_n - before.thrust_n).abs() < 1e-9);
-        assert!((after.torque_flu_nm - before.torque_flu_nm).norm() < 1e-9);
-        // It dies away: what remains is the new law.
-        controller.integral = [0.0; 4];
-        let late = (0..2000).map(|_| controller.control(&off, &hold(0.3), Loops::default(), 0.005)).last().unwrap();
-        controller.blend.fill(0.0);
-        let fresh = controller.control(&off, &hold(0.3), Loops::default(), 0.0);
-        assert!((late.torque_flu_nm - fresh.torque_flu_nm).norm() < 1e-9);
+        assert!((after.torque_flu_nm.z - before.torque_flu_nm.z).abs() < 1e-9, "without an integral it is held");
+        let back = next.trim();
+        assert!(
+            (back.thrust_n - trim.thrust_n).abs() < 1e-12 && (back.yaw_torque_nm - trim.yaw_torque_nm).abs() < 1e-12
+        );
+        assert!((back.acceleration_mps2 - trim.acceleration_mps2).norm() < 1e-12);
     }
 }

@@ -1,11 +1,20 @@
 //! Controllers: the wrench that brings the estimate to the setpoint.
 
 pub mod gains;
+pub mod in_loop;
+pub mod law;
 pub mod lqr_integral;
+pub mod margins;
+pub mod pid;
+pub mod policy;
 pub mod setpoint;
 pub mod step_response;
+pub mod trajectory;
+pub mod tuning;
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
+
+pub use plumbline_proto::v1::ControllerKind;
 
 use crate::estimate::Estimate;
 
@@ -40,8 +49,29 @@ pub struct Loops {
     pub altitude: bool,
 }
 
+/// What a controller has learned to give in the steady state, beyond the weight: handed on when another
+/// one takes over.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trim {
+    /// N.
+    pub thrust_n: f64,
+    /// Against wind, world frame, m/s².
+    pub acceleration_mps2: Vector2<f64>,
+    /// N m.
+    pub yaw_torque_nm: f64,
+}
+
+impl Default for Trim {
+    fn default() -> Self {
+        Self { thrust_n: 0.0, acceleration_mps2: Vector2::zeros(), yaw_torque_nm: 0.0 }
+    }
+}
+
 /// A controller that can be put in the loop.
 pub trait Controller: Send {
+    /// Which one it is.
+    fn kind(&self) -> ControllerKind;
+
     /// The wrench for this tick. Never allocates. `dt_s` since the call before.
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench;
 
@@ -53,4 +83,10 @@ pub trait Controller: Send {
 
     /// Clears the integrators and any filter.
     fn reset(&mut self);
+
+    /// What it has learned to give.
+    fn trim(&self) -> Trim;
+
+    /// Goes on from what the controller before it had learned to give.
+    fn take_over(&mut self, trim: &Trim);
 }

@@ -71,6 +71,12 @@ impl Profile {
         self.now = Setpoint { velocity_enu_mps: Vector3::zeros(), ..setpoint };
     }
 
+    /// Goes along with a path that is continuous by itself.
+    pub fn follow(&mut self, setpoint: Setpoint) -> &Setpoint {
+        self.now = setpoint;
+        &self.now
+    }
+
     /// One tick towards `target`.
     pub fn step(&mut self, target: &Setpoint, limits: &Limits, dt_s: f64) -> &Setpoint {
         let bounds = [

@@ -3,8 +3,10 @@
 use plumbline_proto::ids::SensorId;
 
 use crate::attack;
-use crate::control::lqr_integral::Weights;
+use crate::control::ControllerKind;
+use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
+use crate::control::tuning::Design;
 use crate::estimate::EstimatorKind;
 use crate::estimate::ekf_bias::EkfOptions;
 use crate::failsafe::Settings;
@@ -100,8 +102,10 @@ pub struct FlightConfig {
     pub tick_rate_hz: f64,
     /// Limits of setpoints.
     pub limits: Limits,
-    /// Weights of the gains to start with.
-    pub weights: Weights,
+    /// The controller to start with.
+    pub design: Design,
+    /// What gains must forgive before they fly.
+    pub margins: MarginPolicy,
     /// Estimators that run side by side.
     pub estimators: Vec<EstimatorKind>,
     /// The one in the loop.
@@ -123,7 +127,8 @@ impl FlightConfig {
     /// with the primary estimate beside it, no attacks.
     pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
         Self {
-            weights: Weights::for_airframe(&airframe),
+            design: Design::new(ControllerKind::LqrIntegral, &airframe),
+            margins: MarginPolicy::default(),
             airframe,
             rig,
             tick_rate_hz: 200.0,

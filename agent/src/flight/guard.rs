@@ -4,8 +4,8 @@ use plumbline_proto::time::FlightTime;
 
 use super::{AttackPhase, Failsafe, Flight, Phase};
 use crate::command::Mode;
+use crate::control::Setpoint;
 use crate::control::setpoint::Limits;
-use crate::control::{Controller, Setpoint};
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, Text, text};
 use crate::failsafe::{Inputs, descent_limits, severity};
@@ -112,6 +112,7 @@ impl Flight {
 
     /// Stays where the profile is, inside the limits.
     fn freeze(&mut self) {
+        self.path = None;
         let limits = self.config.limits;
         let mut here = *self.profile.setpoint();
         let p = &mut here.position_enu_m;
@@ -151,6 +152,7 @@ impl Flight {
     fn stop(&mut self) {
         self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
         (self.quiet_since, self.low_since, self.blind_since) = (None, None, None);
+        self.path = None;
         self.monitor.reset();
         self.meter.reset();
         self.controller.reset();
@@ -160,6 +162,7 @@ impl Flight {
     pub(super) fn enter(&mut self, mode: Mode) {
         let flying = self.phase == Phase::Flying;
         let here = self.here();
+        self.path = None;
         self.mode = mode;
         self.target = here;
         (self.quiet_since, self.low_since) = (None, None);

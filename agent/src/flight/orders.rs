@@ -8,7 +8,7 @@ use super::guard::mode_name;
 use super::{Failsafe, Flight, Phase};
 use crate::attack::Schedule;
 use crate::command::{Ack, Command, Mode, SetpointChange};
-use crate::control::gains::{CHANGE_MAX, Certified, GainsError, refusal};
+use crate::control::gains::{Certified, GainsError, refusal};
 use crate::estimate::{EstimatorKind, Health};
 use crate::event::{EventKind, Severity, Text, text};
 use crate::frames::wrap_pi;
@@ -34,6 +34,7 @@ impl Flight {
             Command::ReleaseCut => self.release_cut(),
             Command::SetMode(mode) => self.set_mode(*mode),
             Command::Setpoint(change) => self.set_setpoint(change, now),
+            Command::Trajectory(trajectory) => self.set_trajectory(trajectory.as_ref(), now),
             Command::Attack(schedule) => self.set_attacks(schedule, now),
             Command::AbortAttacks => {
                 let aborted = self.attacks.abort(now);
@@ -180,6 +181,9 @@ impl Flight {
                 return Err(text(format_args!("{name} is not controlled in mode {}", mode_name(self.mode))));
             }
         }
+        if change.altitude_m.is_some() || change.x_m.is_some() || change.y_m.is_some() {
+            self.end_path();
+        }
         if let Some(z) = change.altitude_m {
             let altitude_m = self.bank.in_loop().position_enu_m.z;
             let from = if self.phase == Phase::Flying { self.target.position_enu_m.z } else { altitude_m };
@@ -240,12 +244,13 @@ impl Flight {
 
     /// Switches between ticks. Nothing is solved here: a comparison with the gains in use, and copies.
     fn use_gains(&mut self, new: &Certified) -> Outcome {
-        let (row, change) = new.change_from(&self.gains);
+        let (row, change) = new.change_from(&self.gains).unwrap_or(("no row of K", 0.0));
         let period_s = 1.0 / self.config.tick_rate_hz;
+        let limit = self.config.margins.change_max;
         let error = if (new.period_s - period_s).abs() > 1e-9 {
             Some(GainsError::Period { certified_s: new.period_s, period_s })
-        } else if self.armed() && change > CHANGE_MAX {
-            Some(GainsError::Jump { row, change, limit: CHANGE_MAX })
+        } else if self.armed() && change > limit {
+            Some(GainsError::Jump { row, change, limit })
         } else {
             None
         };
@@ -254,11 +259,12 @@ impl Flight {
             self.event(Severity::Warning, EventKind::Gains, refused);
             return Err(refused);
         }
-        self.controller.use_gains(new);
+        self.controller.replace(&new.law);
         let done = text(format_args!(
-            "gains {} in use: slowest pole {:.2} 1/s, largest change {:.0} % ({row})",
+            "gains {} in use ({}): slowest pole {:.2} 1/s, largest change {:.0} % ({row})",
             new.revision.0,
-            new.slowest_pole_per_s,
+            new.controller(),
+            new.margins.slowest_pole_per_s,
             100.0 * change
         ));
         self.gains = new.clone();

@@ -1,13 +1,12 @@
 //! What one tick and the flight as a whole have to say; telemetry turns these into messages.
 
 use arrayvec::ArrayVec;
-use nalgebra::SMatrix;
 use plumbline_proto::ids::GainsRevision;
 use plumbline_proto::time::FlightTime;
 
 use crate::command::Mode;
 use crate::control::step_response::StepResponse;
-use crate::control::{Setpoint, Wrench, lqr_integral::Weights};
+use crate::control::{Setpoint, Wrench};
 use crate::estimate::EstimatorKind;
 use crate::event::Text;
 use crate::vehicle::{MotorCommand, SensorFrame};
@@ -86,23 +85,4 @@ pub struct FlightStatus {
     pub deadline_misses: u64,
     /// Revision of the gains in use.
     pub gains_revision: GainsRevision,
-}
-
-/// The gains in use.
-#[derive(Debug, Clone, PartialEq)]
-pub struct GainsInUse {
-    /// Number given by the ground; 0 is the set the agent started with.
-    pub revision: GainsRevision,
-    /// SHA-256 of the values of `k`, then of `k_attitude`, row-major, little-endian.
-    pub sha256: [u8; 32],
-    /// Name of the controller.
-    pub controller: &'static str,
-    /// The weights they come from.
-    pub weights: Weights,
-    /// u = −K x; rows thrust N, torque x y z N m; columns as in [`Weights::state`].
-    pub k: SMatrix<f64, 4, 16>,
-    /// The same while the horizontal position is not controlled; its columns are zero.
-    pub k_attitude: SMatrix<f64, 4, 16>,
-    /// Largest real part of the closed-loop poles, 1/s: negative is stable.
-    pub slowest_pole_per_s: f64,
 }

@@ -5,8 +5,8 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::report::MAX_CHECKS;
-use super::{Check, Flight, FlightStatus, GainsInUse, RigKind};
-use crate::control::lqr_integral::LqrIntegral;
+use super::{Check, Flight, FlightStatus, RigKind};
+use crate::control::gains::Certified;
 use crate::estimate::Health;
 use crate::event::{Text, text};
 use crate::model::motor;
@@ -108,16 +108,8 @@ impl Flight {
     }
 
     /// The gains in use.
-    pub fn gains_in_use(&self) -> GainsInUse {
-        GainsInUse {
-            revision: self.gains.revision,
-            sha256: self.gains.sha256,
-            controller: LqrIntegral::NAME,
-            weights: self.gains.weights,
-            k: self.gains.k,
-            k_attitude: self.gains.k_attitude,
-            slowest_pole_per_s: self.gains.slowest_pole_per_s,
-        }
+    pub fn gains_in_use(&self) -> &Certified {
+        &self.gains
     }
 
     /// Charge left (0..1): the voltage with the sag of what the motors draw taken out.

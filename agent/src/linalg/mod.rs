@@ -6,6 +6,7 @@
 mod compensated;
 mod eigen;
 mod expm;
+mod hinf_norm;
 mod lyapunov;
 mod riccati;
 
@@ -13,8 +14,9 @@ use nalgebra::DMatrix;
 
 pub use eigen::{Complex, eigenvalues};
 pub use expm::expm;
+pub use hinf_norm::{hinf_norm, largest_singular_value};
 pub use lyapunov::{lyapunov, stein};
-pub use riccati::{RiccatiSolution, care, care_by_sign, care_general, dare, dare_general};
+pub use riccati::{RiccatiSolution, care, care_by_sign, care_general, care_indefinite, dare, dare_general};
 
 /// Why a solve failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

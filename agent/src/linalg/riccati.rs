@@ -68,24 +68,10 @@ pub fn care(
     q: &DMatrix<f64>,
     r: &DMatrix<f64>,
 ) -> Result<RiccatiSolution, LinalgError> {
-    let r_factor = regulator(a, b, r)?;
-    let g = symmetrised(&(b * r_factor.solve(&b.transpose())));
-    let q = symmetric("Q", q, a.nrows())?;
-    let (p, iterations, residual) = care_start(a, &g, &q)?;
-    let gain = |x: &DMatrix<f64>| r_factor.solve(&(b.transpose() * x));
-    let correct = |x: &DMatrix<f64>| {
-        let k = gain(x);
-        let defect = care_defect(a, b, &q, r, x, &k);
-        Some((lyapunov(&(a - b * k), &defect.0).ok()?, defect.1))
-    };
-    let (p, residual) = accept("CARE", polish(p, residual, correct), iterations)?;
-    let k = gain(&p);
-    let poles = eigenvalues(&(a - b * &k))?;
-    let value = poles.iter().map(|p| p.re).fold(f64::NEG_INFINITY, f64::max);
-    if value >= 0.0 {
-        return Err(LinalgError::NotStabilising { what: "CARE", measure: "largest real part", value });
-    }
-    Ok(RiccatiSolution { p, k, poles, residual, iterations })
+    regulator(
+        "CARE",
+        Regulator { a, b, q, r, start: care_start, gain: care_gain, defect: care_defect, linear: lyapunov },
+    )
 }
 
 /// Discrete-time regulator: minimises Σ xᵀQx + uᵀRu, x₊ = Ax + Bu. A may be singular.
@@ -98,27 +84,66 @@ pub fn dare(
     q: &DMatrix<f64>,
     r: &DMatrix<f64>,
 ) -> Result<RiccatiSolution, LinalgError> {
-    let r_factor = regulator(a, b, r)?;
-    let g = symmetrised(&(b * r_factor.solve(&b.transpose())));
+    regulator("DARE", Regulator { a, b, q, r, start: dare_start, gain: dare_gain, defect: dare_defect, linear: stein })
+}
+
+type Matrix = DMatrix<f64>;
+/// X, iterations and relative residual from A, G, Q.
+type Started = Result<(Matrix, usize, f64), LinalgError>;
+
+/// A regulator's data and what differs between continuous and sampled time.
+struct Regulator<'a> {
+    a: &'a Matrix,
+    b: &'a Matrix,
+    q: &'a Matrix,
+    r: &'a Matrix,
+    /// Doubling and plain corrections.
+    start: fn(&Matrix, &Matrix, &Matrix) -> Started,
+    /// K from A, B, R, its factor and X.
+    gain: fn(&Matrix, &Matrix, &Matrix, &Factor, &Matrix) -> Option<Matrix>,
+    /// What is left of the equation, and relatively, from A, B, Q, R, X, K.
+    defect: fn(&Matrix, &Matrix, &Matrix, &Matrix, &Matrix, &Matrix) -> (Matrix, f64),
+    /// The linear equation of a Newton correction.
+    linear: fn(&Matrix, &Matrix) -> Result<Matrix, LinalgError>,
+}
+
+type Factor = Cholesky<f64, nalgebra::Dyn>;
+
+fn regulator(what: &'static str, data: Regulator<'_>) -> Result<RiccatiSolution, LinalgError> {
+    let Regulator { a, b, q, r, start, gain, defect, linear } = data;
+    let factor = checked(a, b, r)?;
+    let g = symmetrised(&(b * factor.solve(&b.transpose())));
     let q = symmetric("Q", q, a.nrows())?;
-    let (p, iterations, residual) = dare_start(a, &g, &q)?;
-    let gain = |x: &DMatrix<f64>| {
-        let bt_x = b.transpose() * x;
-        symmetrised(&(r + &bt_x * b)).lu().solve(&(bt_x * a))
+    let (p, iterations, residual) = start(a, &g, &q)?;
+    let correct = |x: &Matrix| {
+        let k = gain(a, b, r, &factor, x)?;
+        let (left, relative) = defect(a, b, &q, r, x, &k);
+        Some((linear(&(a - b * k), &left).ok()?, relative))
     };
-    let correct = |x: &DMatrix<f64>| {
-        let k = gain(x)?;
-        let defect = dare_defect(a, b, &q, r, x, &k);
-        Some((stein(&(a - b * k), &defect.0).ok()?, defect.1))
-    };
-    let (p, residual) = accept("DARE", polish(p, residual, correct), iterations)?;
-    let k = gain(&p).ok_or(LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY })?;
+    let (p, residual) = accept(what, polish(p, residual, correct), iterations)?;
+    let singular = LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY };
+    let k = gain(a, b, r, &factor, &p).ok_or(singular)?;
     let poles = eigenvalues(&(a - b * &k))?;
-    let value = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
-    if value >= 1.0 {
-        return Err(LinalgError::NotStabilising { what: "DARE", measure: "spectral radius", value });
+    let (measure, value, limit) = if what == "CARE" {
+        ("largest real part", poles.iter().map(|p| p.re).fold(f64::NEG_INFINITY, f64::max), 0.0)
+    } else {
+        ("spectral radius", poles.iter().map(|p| p.norm()).fold(0.0, f64::max), 1.0)
+    };
+    if value.is_nan() || value >= limit {
+        return Err(LinalgError::NotStabilising { what, measure, value });
     }
     Ok(RiccatiSolution { p, k, poles, residual, iterations })
+}
+
+/// R⁻¹BᵀX.
+fn care_gain(_: &Matrix, b: &Matrix, _: &Matrix, factor: &Factor, x: &Matrix) -> Option<Matrix> {
+    Some(factor.solve(&(b.transpose() * x)))
+}
+
+/// (R + BᵀXB)⁻¹BᵀXA.
+fn dare_gain(a: &Matrix, b: &Matrix, r: &Matrix, _: &Factor, x: &Matrix) -> Option<Matrix> {
+    let bt_x = b.transpose() * x;
+    symmetrised(&(r + &bt_x * b)).lu().solve(&(bt_x * a))
 }
 
 /// Stabilising solution of AᵀX + XA − XGX + Q = 0, its doublings and relative residual. G and Q
@@ -127,15 +152,29 @@ pub fn dare(
 /// # Errors
 /// When shapes do not fit, entries are not finite, or no parameter of the Cayley transform leads
 /// to convergence.
-pub fn care_general(
-    a: &DMatrix<f64>,
-    g: &DMatrix<f64>,
-    q: &DMatrix<f64>,
-) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
+pub fn care_general(a: &Matrix, g: &Matrix, q: &Matrix) -> Started {
+    general("CARE", a, g, q, care_start)
+}
+
+/// Stabilising solution of X = AᵀX(I + GX)⁻¹A + Q, its doublings and relative residual.
+///
+/// # Errors
+/// When shapes do not fit, entries are not finite, or the doubling does not converge.
+pub fn dare_general(a: &Matrix, g: &Matrix, q: &Matrix) -> Started {
+    general("DARE", a, g, q, dare_start)
+}
+
+fn general(
+    what: &'static str,
+    a: &Matrix,
+    g: &Matrix,
+    q: &Matrix,
+    start: fn(&Matrix, &Matrix, &Matrix) -> Started,
+) -> Started {
     let n = a.nrows();
     check("A", a, n, n)?;
-    let (x, iterations, residual) = care_start(a, &symmetric("G", g, n)?, &symmetric("Q", q, n)?)?;
-    let (x, residual) = accept("CARE", (x, residual), iterations)?;
+    let (x, iterations, residual) = start(a, &symmetric("G", g, n)?, &symmetric("Q", q, n)?)?;
+    let (x, residual) = accept(what, (x, residual), iterations)?;
     Ok((x, iterations, residual))
 }
 
@@ -145,24 +184,14 @@ fn care_start(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<(D
     // Scale of the Hamiltonian [[A, −G], [−Q, −Aᵀ]] after its off-diagonal blocks are balanced.
     let scale = (a.norm_squared() + g.norm() * q.norm()).sqrt() / (n.max(1) as f64).sqrt();
     let scale = if scale > 0.0 { scale } else { 1.0 };
-    let residual = |x: &DMatrix<f64>| {
-        let (linear, quadratic) = (a.transpose() * x, x * g * x);
-        let terms = 2.0 * linear.norm() + quadratic.norm() + q.norm();
-        (&linear + linear.transpose() - quadratic + q).norm() / terms.max(f64::MIN_POSITIVE)
-    };
-    let correct = |x: &DMatrix<f64>| {
-        let closed = a - g * x;
-        let linear = a.transpose() * x;
-        let defect = &linear + linear.transpose() - x * g * x + q;
-        Some(symmetrised(&(x + lyapunov(&closed, &symmetrised(&defect)).ok()?)))
-    };
+    let equation = Continuous { a, g, q };
     let mut best: Option<(DMatrix<f64>, usize, f64)> = None;
     let mut error = LinalgError::NotConverged { what: "CARE", iterations: 0, change: f64::NAN, residual: f64::NAN };
     for factor in CAYLEY_FACTORS {
         let attempt = cayley(a, g, q, factor * scale).and_then(|[a, g, h]| doubling("CARE", a, g, h));
         match attempt {
             Ok((x, iterations)) => {
-                let (x, r) = refine(x, residual, correct);
+                let (x, r) = refine(x, &equation);
                 if best.as_ref().is_none_or(|b| r < b.2) {
                     best = Some((x, iterations, r));
                 }
@@ -176,35 +205,10 @@ fn care_start(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<(D
     best.ok_or(error)
 }
 
-/// Stabilising solution of X = AᵀX(I + GX)⁻¹A + Q, its doublings and relative residual.
-///
-/// # Errors
-/// When shapes do not fit, entries are not finite, or the doubling does not converge.
-pub fn dare_general(
-    a: &DMatrix<f64>,
-    g: &DMatrix<f64>,
-    q: &DMatrix<f64>,
-) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
-    let n = a.nrows();
-    check("A", a, n, n)?;
-    let (x, iterations, residual) = dare_start(a, &symmetric("G", g, n)?, &symmetric("Q", q, n)?)?;
-    let (x, residual) = accept("DARE", (x, residual), iterations)?;
-    Ok((x, iterations, residual))
-}
-
 /// What doubling and plain corrections reach.
 fn dare_start(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
-    let n = a.nrows();
     let (x, iterations) = doubling("DARE", a.clone(), g.clone(), q.clone())?;
-    let identity = DMatrix::<f64>::identity(n, n);
-    // The closed loop is (I + GX)⁻¹A.
-    let closed = |x: &DMatrix<f64>| (&identity + g * x).lu().solve(a);
-    let defect = |x: &DMatrix<f64>| closed(x).map(|closed| symmetrised(&(a.transpose() * x * closed + q - x)));
-    let residual = |x: &DMatrix<f64>| {
-        defect(x).map_or(f64::INFINITY, |d| d.norm() / (2.0 * x.norm() + q.norm()).max(f64::MIN_POSITIVE))
-    };
-    let correct = |x: &DMatrix<f64>| Some(symmetrised(&(x + stein(&closed(x)?, &defect(x)?).ok()?)));
-    let (x, r) = refine(x, residual, correct);
+    let (x, r) = refine(x, &Sampled { a, g, q });
     Ok((x, iterations, r))
 }
 
@@ -266,12 +270,25 @@ pub fn care_by_sign(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Res
         .ok_or(LinalgError::Singular { what: "basis of the stable subspace", condition: f64::INFINITY })
 }
 
+/// Stabilising solution of AᵀX + XA − XGX + Q = 0 with G and Q symmetric, possibly indefinite, by the matrix
+/// sign and at most [`MAX_CORRECTIONS`] Newton corrections: the equation of H∞ synthesis, where the parameter
+/// of a Cayley transform may meet a pole.
+///
+/// # Errors
+/// As [`care_by_sign`], and when A − GX is not stable or the residual is large: there is no stabilising solution.
+pub fn care_indefinite(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<DMatrix<f64>, LinalgError> {
+    let x = care_by_sign(a, g, q)?;
+    let equation = Continuous { a, g, q };
+    let (x, residual) = refine(x, &equation);
+    let value = eigenvalues(&(a - g * &x))?.iter().map(|p| p.re).fold(f64::NEG_INFINITY, f64::max);
+    if value.is_nan() || value >= 0.0 {
+        return Err(LinalgError::NotStabilising { what: "CARE", measure: "largest real part", value });
+    }
+    Ok(accept("CARE", (x, residual), MAX_SIGN_ITERATIONS)?.0)
+}
+
 /// Checks a regulator's data; the Cholesky factor of R.
-fn regulator(
-    a: &DMatrix<f64>,
-    b: &DMatrix<f64>,
-    r: &DMatrix<f64>,
-) -> Result<Cholesky<f64, nalgebra::Dyn>, LinalgError> {
+fn checked(a: &Matrix, b: &Matrix, r: &Matrix) -> Result<Factor, LinalgError> {
     let n = a.nrows();
     check("A", a, n, n)?;
     check("B", b, n, b.ncols())?;
@@ -326,23 +343,74 @@ fn doubling(
     Err(LinalgError::NotConverged { what, iterations: MAX_DOUBLINGS, change, residual: f64::NAN })
 }
 
+/// A Riccati equation as a Newton iteration sees it.
+trait Equation {
+    /// What is left of the equation at X, and its norm over that of its terms.
+    fn residual(&self, x: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)>;
+    /// The correction that what is left asks for, by the linear equation of the closed loop at X.
+    fn correction(&self, x: &DMatrix<f64>, left: &DMatrix<f64>) -> Option<DMatrix<f64>>;
+}
+
+/// AᵀX + XA − XGX + Q = 0; the closed loop is A − GX.
+struct Continuous<'a> {
+    a: &'a DMatrix<f64>,
+    g: &'a DMatrix<f64>,
+    q: &'a DMatrix<f64>,
+}
+
+/// AᵀX(I + GX)⁻¹A + Q − X = 0; the closed loop is (I + GX)⁻¹A.
+struct Sampled<'a> {
+    a: &'a DMatrix<f64>,
+    g: &'a DMatrix<f64>,
+    q: &'a DMatrix<f64>,
+}
+
+impl Equation for Continuous<'_> {
+    fn residual(&self, x: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
+        let (linear, quadratic) = (self.a.transpose() * x, x * self.g * x);
+        let terms = 2.0 * linear.norm() + quadratic.norm() + self.q.norm();
+        let left = symmetrised(&(&linear + linear.transpose() - quadratic + self.q));
+        let relative = left.norm() / terms.max(f64::MIN_POSITIVE);
+        Some((left, relative))
+    }
+
+    fn correction(&self, x: &DMatrix<f64>, left: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        lyapunov(&(self.a - self.g * x), left).ok()
+    }
+}
+
+impl Sampled<'_> {
+    fn closed(&self, x: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        (DMatrix::identity(x.nrows(), x.nrows()) + self.g * x).lu().solve(self.a)
+    }
+}
+
+impl Equation for Sampled<'_> {
+    fn residual(&self, x: &DMatrix<f64>) -> Option<(DMatrix<f64>, f64)> {
+        let left = symmetrised(&(self.a.transpose() * x * self.closed(x)? + self.q - x));
+        let relative = left.norm() / (2.0 * x.norm() + self.q.norm()).max(f64::MIN_POSITIVE);
+        Some((left, relative))
+    }
+
+    fn correction(&self, x: &DMatrix<f64>, left: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        stein(&self.closed(x)?, left).ok()
+    }
+}
+
 /// Newton corrections, each kept only when it lowers the residual.
-fn refine(
-    mut x: DMatrix<f64>,
-    residual: impl Fn(&DMatrix<f64>) -> f64,
-    correct: impl Fn(&DMatrix<f64>) -> Option<DMatrix<f64>>,
-) -> (DMatrix<f64>, f64) {
-    let mut r = residual(&x);
+fn refine(mut x: DMatrix<f64>, equation: &impl Equation) -> (DMatrix<f64>, f64) {
+    let Some((mut left, mut r)) = equation.residual(&x) else { return (x, f64::INFINITY) };
     for _ in 0..MAX_CORRECTIONS {
         if r <= 4.0 * f64::EPSILON {
             break;
         }
-        let Some(next) = correct(&x) else { break };
-        let next_r = residual(&next);
+        let Some(step) = equation.correction(&x, &left) else { break };
+        let next = symmetrised(&(&x + step));
+        let Some((next_left, next_r)) = equation.residual(&next) else { break };
         if next_r.is_nan() || next_r >= r {
             break;
         }
-        (x, r) = (next, next_r);
+        (x, left, r) = (next, next_left, next_r);
     }
     (x, r)
 }

@@ -9,7 +9,11 @@ use plumbline_proto::v1::{self, command::Body};
 
 use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
 use crate::command::{Command, SetpointChange};
+use crate::control::ControllerKind;
+use crate::control::gains::Gain;
 use crate::control::lqr_integral::Weights;
+use crate::control::trajectory::{MAX_ALTITUDES, Shape, Trajectory};
+use crate::control::tuning::Proposal;
 
 /// A command with its number.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,12 +33,12 @@ pub struct Inbound {
 pub enum Request {
     /// For the flight code.
     Flight(Command),
-    /// For the runner: solve and certify these weights away from the flight thread, then use them.
+    /// For the runner: solve and certify this design away from the flight thread, then use it.
     Gains {
         /// Number given by the ground.
         revision: GainsRevision,
-        /// LQR weights.
-        weights: Weights,
+        /// What is asked for.
+        proposal: Proposal,
     },
     /// For the runner: start or stop a recording by hand.
     Recording(bool),
@@ -85,15 +89,10 @@ fn request(body: Body) -> Result<Request, String> {
         },
         Body::SetRecording(recording) => return Ok(Request::Recording(recording.on)),
         Body::PushGains(push) => {
-            let weights = push.weights.unwrap_or_default();
-            return Ok(Request::Gains {
-                revision: GainsRevision(push.revision),
-                weights: Weights {
-                    state: exactly("state_weight", &weights.state_weight)?,
-                    input: exactly("input_weight", &weights.input_weight)?,
-                },
-            });
+            let revision = GainsRevision(push.revision);
+            return Ok(Request::Gains { revision, proposal: proposal(&push)? });
         }
+        Body::SetTrajectory(set) => Command::Trajectory(trajectory(&set)?),
         Body::SetReplay(replay) => {
             let speed = finite("replay speed", replay.speed)?;
             if !(0.0..=REPLAY_SPEED_MAX).contains(&speed) {
@@ -102,6 +101,63 @@ fn request(body: Body) -> Result<Request, String> {
             return Ok(Request::Replay(ReplayRate { speed, step: replay.step }));
         }
     }))
+}
+
+/// A design on the wire in our own types: form and finiteness only.
+fn proposal(push: &v1::PushGains) -> Result<Proposal, String> {
+    let kind = match v1::ControllerKind::try_from(push.controller) {
+        // What a ground from before other controllers sends.
+        Ok(ControllerKind::Unspecified) => ControllerKind::LqrIntegral,
+        Ok(kind) => kind,
+        Err(_) => return Err(format!("controller {} is not known", push.controller)),
+    };
+    let mut proposal = Proposal::new(kind);
+    if let Some(weights) = &push.weights {
+        proposal.weights = Some(Weights {
+            state: exactly("state_weight", &weights.state_weight)?,
+            input: exactly("input_weight", &weights.input_weight)?,
+        });
+    }
+    for parameter in &push.parameters {
+        proposal.parameter(&parameter.name, finite(&parameter.name, parameter.value)?)?;
+    }
+    proposal.k = match (&push.k, &push.k_attitude) {
+        (None, None) => None,
+        (Some(k), Some(k_attitude)) => Some([gain("k", k)?, gain("k_attitude", k_attitude)?]),
+        (Some(_), None) => return Err("k without k_attitude".to_owned()),
+        (None, Some(_)) => return Err("k_attitude without k".to_owned()),
+    };
+    Ok(proposal)
+}
+
+fn gain(name: &str, matrix: &v1::Matrix) -> Result<Gain, String> {
+    if (matrix.rows, matrix.columns) != (4, 16) {
+        return Err(format!("{name} is {} x {}, 4 x 16 is needed", matrix.rows, matrix.columns));
+    }
+    Ok(Gain::from_row_slice(&exactly::<64>(name, &matrix.values)?))
+}
+
+/// A path on the wire in our own types; limits are the flight code's business.
+fn trajectory(set: &v1::SetTrajectory) -> Result<Option<Trajectory>, String> {
+    use v1::TrajectoryShape as Wire;
+    let wire = Wire::try_from(set.shape).map_err(|_| format!("trajectory shape {} is not known", set.shape))?;
+    let period_s = finite("period_s", set.period_s)?;
+    let size_m = finite("size_m", set.size_m)?;
+    let speed_mps = finite("speed_mps", set.speed_mps)?;
+    let shape = match wire {
+        Wire::Unspecified => return Ok(None),
+        Wire::Altitudes => {
+            let altitude_m = set.altitude_m.iter().map(|z| finite("altitude_m", *z)).collect::<Result<Vec<_>, _>>()?;
+            let many = format!("{} altitudes, at most {MAX_ALTITUDES}", altitude_m.len());
+            let altitude_m = altitude_m.as_slice().try_into().map_err(|_| many)?;
+            return Ok(Some(Trajectory::Altitudes { altitude_m, hold_s: finite("hold_s", set.hold_s)? }));
+        }
+        Wire::Circle => Shape::Circle { radius_m: size_m, period_s },
+        Wire::Sine => Shape::Sine { amplitude_m: size_m, period_s, speed_mps },
+        Wire::Square => Shape::Square { side_m: size_m, period_s },
+        Wire::Heave => Shape::Heave { amplitude_m: size_m, period_s },
+    };
+    Ok(Some(Trajectory::Shape { shape, duration_s: finite("duration_s", set.duration_s)? }))
 }
 
 fn setpoint_change(setpoint: &v1::Setpoint) -> Result<SetpointChange, String> {
@@ -222,8 +278,16 @@ mod tests {
             "replay speed -1 is outside 0 to 1000"
         );
         let weights = v1::LqrWeights { state_weight: vec![1.0; 15], input_weight: vec![1.0; 4] };
-        let push = v1::PushGains { revision: 3, weights: Some(weights) };
+        let push = v1::PushGains { revision: 3, weights: Some(weights), ..Default::default() };
         assert_eq!(refusal(Body::PushGains(push)), "state_weight has 15 values, 16 are needed");
+        let push = v1::PushGains { controller: 77, ..Default::default() };
+        assert_eq!(refusal(Body::PushGains(push)), "controller 77 is not known");
+        let flat = v1::Matrix { rows: 1, columns: 64, values: vec![0.0; 64] };
+        let push = v1::PushGains { k: Some(flat.clone()), k_attitude: Some(flat), ..Default::default() };
+        assert_eq!(refusal(Body::PushGains(push)), "k is 1 x 64, 4 x 16 is needed");
+        let infinite = v1::Parameter { name: "tilt_p".into(), value: f64::INFINITY };
+        let push = v1::PushGains { parameters: vec![infinite], ..Default::default() };
+        assert_eq!(refusal(Body::PushGains(push)), "tilt_p is inf, a finite number is needed");
         let attack = v1::Attack { id: 4, sensor: 2, instance: 300, kind: 2, ..Default::default() };
         let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack] };
         assert_eq!(refusal(Body::AttackSchedule(schedule)), "attack 4: no sensor has instance 300");

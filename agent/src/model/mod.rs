@@ -9,6 +9,7 @@ pub mod linearize;
 pub mod measure;
 pub mod motor;
 pub mod rigid_body;
+pub mod state_space;
 pub mod trim;
 
 /// Standard gravity of the sources, m/s² ([Umasankar]).

@@ -1,6 +1,6 @@
 //! Gains are solved and examined here, on a thread of its own: milliseconds that no tick may wait for.
 //!
-//! The flight thread hands weights over and later finds the answer; both queues are bounded and neither
+//! The flight thread hands a design over and later finds the answer; both queues are bounded and neither
 //! side of them waits for the other. A push that finds the queue full is refused.
 
 use std::io;
@@ -12,8 +12,9 @@ use std::time::Duration;
 use plumbline_proto::ids::{CommandId, GainsRevision};
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 
-use crate::control::gains::{Certified, GainsError, certify};
-use crate::control::lqr_integral::Weights;
+use crate::control::gains::{Certified, Examiner, GainsError};
+use crate::control::policy::MarginPolicy;
+use crate::control::tuning::Proposal;
 use crate::model::airframe::Airframe;
 
 /// Pushes that may wait; one more is being worked on.
@@ -21,12 +22,12 @@ pub const WAITING: usize = 4;
 /// How often the worker looks whether an answer fits, should the flight thread not fetch them.
 const RETRY: Duration = Duration::from_millis(1);
 
-/// Weights to examine.
+/// A design to examine.
 #[derive(Debug)]
 struct Question {
     id: CommandId,
     revision: GainsRevision,
-    weights: Weights,
+    proposal: Proposal,
 }
 
 /// What came of a push.
@@ -50,23 +51,28 @@ pub struct Certifier {
 }
 
 impl Certifier {
-    /// Starts the thread, for gains of `airframe` at ticks of `period_s`.
+    /// Starts the thread, for gains of `airframe` at ticks of `period_s` by `policy`.
     ///
     /// # Errors
     /// When no thread can be started.
-    pub fn start(airframe: &Airframe, period_s: f64) -> io::Result<Self> {
+    pub fn start(airframe: &Airframe, period_s: f64, policy: MarginPolicy) -> io::Result<Self> {
         let (questions, mut asked) = RingBuffer::<Question>::new(WAITING);
         let (mut answered, answers) = RingBuffer::new(WAITING);
         let stop = Arc::new(AtomicBool::new(false));
         let (airframe, stopped) = (airframe.clone(), stop.clone());
         let work = move || {
+            let examiner = Examiner::new(&airframe, period_s, policy);
             while !stopped.load(Ordering::Acquire) {
-                let Ok(Question { id, revision, weights }) = asked.pop() else {
+                let Ok(Question { id, revision, proposal }) = asked.pop() else {
                     // An `unpark` since the look into the queue is not lost: `park` then returns at once.
                     std::thread::park();
                     continue;
                 };
-                let mut answer = Answer { id, revision, outcome: certify(&airframe, period_s, &weights, revision) };
+                let outcome = examiner.as_ref().map_err(GainsError::clone).and_then(|examiner| {
+                    let design = proposal.complete(&airframe)?;
+                    examiner.certify(&design, revision)
+                });
+                let mut answer = Answer { id, revision, outcome };
                 while let Err(PushError::Full(back)) = answered.push(answer) {
                     if stopped.load(Ordering::Acquire) {
                         return;
@@ -80,13 +86,13 @@ impl Certifier {
         Ok(Self { questions, answers, stop, worker: Some(worker) })
     }
 
-    /// Hands weights over; the answer comes later under the same `id`. Does not wait.
+    /// Hands a design over; the answer comes later under the same `id`. Does not wait.
     ///
     /// # Errors
     /// Why it is refused: too many are waiting.
-    pub fn ask(&mut self, id: CommandId, revision: GainsRevision, weights: &Weights) -> Result<(), &'static str> {
+    pub fn ask(&mut self, id: CommandId, revision: GainsRevision, proposal: &Proposal) -> Result<(), &'static str> {
         self.questions
-            .push(Question { id, revision, weights: *weights })
+            .push(Question { id, revision, proposal: proposal.clone() })
             .map_err(|_| "4 pushes of gains are waiting to be certified: try again")?;
         if let Some(worker) = &self.worker {
             worker.thread().unpark();
@@ -113,6 +119,8 @@ impl Drop for Certifier {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::ControllerKind;
+    use crate::control::lqr_integral::Weights;
     use std::time::Instant;
 
     fn wait(certifier: &mut Certifier) -> Answer {
@@ -129,10 +137,11 @@ mod tests {
     #[test]
     fn answers_come_in_order_and_a_full_queue_refuses() {
         let airframe = Airframe::iris();
-        let weights = Weights::for_airframe(&airframe);
-        let mut bad = weights;
+        let weights = Proposal::new(ControllerKind::LqrIntegral);
+        let mut bad = Weights::for_airframe(&airframe);
         bad.state[2] = -1.0;
-        let mut certifier = Certifier::start(&airframe, 0.005).unwrap();
+        let bad = Proposal::from_weights(bad);
+        let mut certifier = Certifier::start(&airframe, 0.005, MarginPolicy::default()).unwrap();
         certifier.ask(CommandId(7), GainsRevision(1), &weights).unwrap();
         certifier.ask(CommandId(8), GainsRevision(2), &bad).unwrap();
         let first = wait(&mut certifier);

@@ -5,11 +5,14 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1;
 
 use crate::attack::{Attack, Channel, Injector, Kind, Phase, Progress};
+use crate::control::Controller;
 use crate::control::Setpoint;
+use crate::control::gains::{Certified, INPUT_NAMES};
 use crate::control::step_response::StepResponse;
+use crate::control::tuning::parameters;
 use crate::estimate::{Estimate, EstimatorKind, Residual};
 use crate::event::Event;
-use crate::flight::{FlightConfig, FlightStatus, GainsInUse, StepReport};
+use crate::flight::{FlightConfig, FlightStatus, StepReport};
 use crate::frames::roll_pitch_yaw;
 use crate::recordings::RecordedControl;
 use crate::vehicle::suite::Description as SensorDescription;
@@ -270,7 +273,7 @@ pub(super) fn replay_status(into: &mut v1::Status, recorded: Option<&RecordedCon
     }
 }
 
-pub(super) fn gains(into: &mut v1::GainsInUse, now: FlightTime, gains: &GainsInUse) {
+pub(super) fn gains(into: &mut v1::GainsInUse, now: FlightTime, gains: &Certified) {
     use std::fmt::Write;
     into.time_us = now.0;
     into.revision = gains.revision.0;
@@ -278,17 +281,38 @@ pub(super) fn gains(into: &mut v1::GainsInUse, now: FlightTime, gains: &GainsInU
     for byte in gains.sha256 {
         let _ = write!(into.sha256, "{byte:02x}");
     }
-    set(&mut into.controller, gains.controller);
+    set(&mut into.controller, gains.controller());
+    into.kind = gains.law.kind() as i32;
     let weights = into.weights.get_or_insert_default();
-    values(&mut weights.state_weight, &gains.weights.state);
-    values(&mut weights.input_weight, &gains.weights.input);
-    for (into, k) in [(&mut into.k, &gains.k), (&mut into.k_attitude, &gains.k_attitude)] {
+    // A K given outright comes from no weights.
+    let of = if gains.design.k.is_none() { Some(&gains.design.weights) } else { None };
+    values(&mut weights.state_weight, of.map_or(&[], |w| &w.state));
+    values(&mut weights.input_weight, of.map_or(&[], |w| &w.input));
+    let k = gains.law.gains();
+    for (into, k) in [&mut into.k, &mut into.k_attitude].into_iter().zip([k.map(|k| k[0]), k.map(|k| k[1])]) {
         let into = into.get_or_insert_default();
-        (into.rows, into.columns) = (k.nrows() as u32, k.ncols() as u32);
+        (into.rows, into.columns) = k.map_or((0, 0), |k| (k.nrows() as u32, k.ncols() as u32));
         // The wire is row-major, nalgebra column-major.
-        values(&mut into.values, k.transpose().as_slice());
+        values(&mut into.values, k.map(|k| k.transpose()).as_ref().map_or(&[], |k| k.as_slice()));
     }
-    into.slowest_pole_per_s = gains.slowest_pole_per_s;
+    into.slowest_pole_per_s = gains.margins.slowest_pole_per_s;
+    let table = parameters(gains.design.kind);
+    into.parameters.resize_with(table.len(), v1::Parameter::default);
+    for ((into, parameter), value) in into.parameters.iter_mut().zip(table).zip(&gains.design.parameters) {
+        set(&mut into.name, parameter.name);
+        into.value = *value;
+    }
+    into.margins.resize_with(INPUT_NAMES.len(), v1::LoopMargins::default);
+    for ((into, name), found) in into.margins.iter_mut().zip(INPUT_NAMES).zip(&gains.margins.loops) {
+        set(&mut into.input, name);
+        into.gain_up = found.gain_up;
+        into.gain_down = found.gain_down;
+        into.phase_rad = found.phase_rad;
+        into.delay_s = found.delay_s;
+        into.crossover_radps = found.crossover_radps;
+        into.peak_sensitivity = found.peak_sensitivity;
+    }
+    set(&mut into.margin_policy, gains.policy.name);
 }
 
 pub(super) fn attacks(into: &mut v1::AttackState, now: FlightTime, injector: &Injector) {

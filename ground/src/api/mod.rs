@@ -4,6 +4,7 @@ mod assets;
 mod attacks;
 mod body;
 mod control;
+mod design;
 mod error;
 mod flights;
 mod gains;
@@ -13,6 +14,7 @@ mod lease;
 mod live;
 mod operator;
 mod setpoint;
+mod trajectory;
 mod vehicles;
 
 use std::net::SocketAddr;
@@ -39,6 +41,8 @@ use operator::Operator;
 
 /// Largest body of a request. A plan of 64 attacks is about 10 kB.
 const MAX_BODY: usize = 256 << 10;
+/// Previews of designs computed at a time; more wait.
+const PREVIEWS: usize = 2;
 /// Most viewers, all vehicles together; more are answered 503.
 const MAX_VIEWERS: usize = 256;
 
@@ -56,6 +60,7 @@ pub(crate) struct Inner {
     gains: Arc<GainsBook>,
     recorder: RecorderHandle,
     viewers: Arc<Semaphore>,
+    previews: Semaphore,
     stopped: watch::Receiver<bool>,
 }
 
@@ -80,7 +85,20 @@ impl App {
     ) -> Self {
         let viewers = Arc::new(Semaphore::new(MAX_VIEWERS));
         let started = Instant::now();
-        Self(Arc::new(Inner { config, address, started, hub, commands, leases, gains, recorder, viewers, stopped }))
+        let previews = Semaphore::new(PREVIEWS);
+        Self(Arc::new(Inner {
+            config,
+            address,
+            started,
+            hub,
+            commands,
+            leases,
+            gains,
+            recorder,
+            viewers,
+            previews,
+            stopped,
+        }))
     }
 
     /// The way down to `vehicle`, for `operator`, who now holds control of it.
@@ -125,7 +143,10 @@ pub(crate) fn router(app: App) -> Router {
         .route("/replay", post(control::replay))
         .route("/setpoint", post(setpoint::set))
         .route("/attacks", put(attacks::upload).delete(attacks::abort))
+        .route("/trajectory", post(trajectory::fly).delete(trajectory::stop))
         .route("/gains", get(gains::show).put(gains::push))
+        .route("/gains/export", get(gains::download))
+        .route("/gains/revert", post(gains::revert))
         .route("/lease", get(lease::show).put(lease::take).delete(lease::release));
     let flight = Router::new()
         .route("/", get(flights::show).patch(flights::annotate).delete(flights::delete))
@@ -135,6 +156,8 @@ pub(crate) fn router(app: App) -> Router {
     Router::new()
         .route("/api/ground", get(ground::show))
         .route("/api/vehicles", get(vehicles::list))
+        .route("/api/v1/design/preview", post(design::preview))
+        .route("/api/v1/design/controllers", get(design::controllers))
         .nest("/api/vehicles/{id}", vehicle)
         .route("/api/flights", get(flights::list))
         .nest("/api/flights/{id}", flight)

@@ -8,63 +8,7 @@ use plumbline_proto::time::FlightTime;
 
 use super::world::Push;
 use crate::command::{Command, SetpointChange};
-
-/// A path over time, as flown in [Umasankar] (hover, circle, sine) and a square.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Shape {
-    /// A circle through the start, to its north, counter-clockwise.
-    Circle {
-        /// m.
-        radius_m: f64,
-        /// Of one turn, s.
-        period_s: f64,
-    },
-    /// Eastward at constant speed, swinging north and south.
-    Sine {
-        /// m.
-        amplitude_m: f64,
-        /// Of one swing, s.
-        period_s: f64,
-        /// m/s.
-        speed_mps: f64,
-    },
-    /// A square with the start at its south-west corner, counter-clockwise at constant speed.
-    Square {
-        /// m.
-        side_m: f64,
-        /// Of one turn, s.
-        period_s: f64,
-    },
-    /// Up and down about the start.
-    Heave {
-        /// m.
-        amplitude_m: f64,
-        /// Of one swing, s.
-        period_s: f64,
-    },
-}
-
-impl Shape {
-    /// Displacement from the start after `t_s`, ENU, m.
-    pub fn displacement_m(&self, t_s: f64) -> Vector3<f64> {
-        let angle = |period_s: f64| std::f64::consts::TAU * t_s / period_s;
-        match *self {
-            Self::Circle { radius_m, period_s } => {
-                let a = angle(period_s);
-                Vector3::new(radius_m * a.sin(), radius_m * (1.0 - a.cos()), 0.0)
-            }
-            Self::Sine { amplitude_m, period_s, speed_mps } => {
-                Vector3::new(speed_mps * t_s, amplitude_m * angle(period_s).sin(), 0.0)
-            }
-            Self::Square { side_m, period_s } => {
-                let leg = 4.0 * (t_s / period_s).rem_euclid(1.0);
-                let along = |from: f64| side_m * (leg - from).clamp(0.0, 1.0);
-                Vector3::new(along(0.0) - along(2.0), along(1.0) - along(3.0), 0.0)
-            }
-            Self::Heave { amplitude_m, period_s } => Vector3::new(0.0, 0.0, amplitude_m * angle(period_s).sin()),
-        }
-    }
-}
+pub use crate::control::trajectory::Shape;
 
 /// A trajectory gives a setpoint this often, s: what a ground station would send.
 const TRAJECTORY_PERIOD_S: f64 = 0.05;
@@ -172,24 +116,6 @@ impl Script {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn shapes_start_at_their_start_and_close() {
-        for shape in [
-            Shape::Circle { radius_m: 1.0, period_s: 8.0 },
-            Shape::Square { side_m: 1.0, period_s: 8.0 },
-            Shape::Heave { amplitude_m: 1.0, period_s: 8.0 },
-        ] {
-            assert!(shape.displacement_m(0.0).norm() < 1e-12);
-            assert!(shape.displacement_m(8.0).norm() < 1e-9, "{shape:?}");
-        }
-        let square = Shape::Square { side_m: 2.0, period_s: 8.0 };
-        for (t, x, y) in [(1.0, 1.0, 0.0), (2.0, 2.0, 0.0), (3.0, 2.0, 1.0), (5.0, 1.0, 2.0), (7.0, 0.0, 1.0)] {
-            assert!((square.displacement_m(t) - Vector3::new(x, y, 0.0)).norm() < 1e-12, "at {t}");
-        }
-        let circle = Shape::Circle { radius_m: 1.5, period_s: 8.0 };
-        assert!((circle.displacement_m(4.0) - Vector3::new(0.0, 3.0, 0.0)).norm() < 1e-12);
-    }
 
     #[test]
     fn each_command_is_given_exactly_once() {

@@ -1,0 +1,67 @@
+//! `POST /api/v1/design/preview[?vehicle=ID]`: what a design would do; question and answer as in
+//! `plumbline_agent::design::preview`. With a vehicle, its airframe, tick rate, margin policy and K in use stand in for what
+//! the question leaves out. `GET /api/v1/design/controllers[?airframe=NAME|vehicle=ID]`: every controller with
+//! its parameters and defaults. The agent's library answers; nothing is sent to a vehicle.
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use plumbline_agent::control::gains::Gain;
+use plumbline_agent::control::policy::MarginPolicy;
+use plumbline_agent::design::preview::{Around, controllers_json, preview_json};
+use plumbline_proto::Kind;
+use plumbline_proto::v1;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::App;
+use super::body::Raw;
+use super::error::ApiError;
+use crate::hub::VehicleError;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct For {
+    vehicle: Option<String>,
+    airframe: Option<String>,
+}
+
+type Asked = Result<Query<For>, QueryRejection>;
+
+/// What is known of the vehicle asked about.
+fn around(app: &App, asked: Asked) -> Result<Around, ApiError> {
+    let Query(asked) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
+    let mut around = Around::default();
+    if let Some(id) = asked.vehicle {
+        if !app.hub.knows(&id) {
+            return Err(VehicleError::Unknown(id).into());
+        }
+        if let Some(description) = app.hub.latest::<v1::Description>(&id, Kind::Description) {
+            around.airframe = description.airframe;
+            around.tick_rate_hz = description.tick_rate_hz;
+        }
+        let gains: Option<v1::GainsInUse> = app.hub.latest(&id, Kind::Gains);
+        if let Some(policy) = gains.as_ref().and_then(|gains| MarginPolicy::by_name(&gains.margin_policy)) {
+            around.policy = policy;
+        }
+        let k = gains.and_then(|gains| gains.k).filter(|k| k.values.len() == 64);
+        around.in_use = k.map(|k| Gain::from_row_slice(&k.values));
+    }
+    if let Some(airframe) = asked.airframe {
+        around.airframe = airframe;
+    }
+    Ok(around)
+}
+
+pub(crate) async fn preview(State(app): State<App>, asked: Asked, body: Raw) -> Result<Json<Value>, ApiError> {
+    let around = around(&app, asked)?;
+    // A preview is tens of milliseconds of computing: not on the threads that answer everybody.
+    let _turn = app.previews.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
+    let work = move || preview_json(body.json(), &around);
+    let done = tokio::task::spawn_blocking(work).await.map_err(|e| ApiError::Broken(e.to_string()))?;
+    Ok(Json(done?))
+}
+
+pub(crate) async fn controllers(State(app): State<App>, asked: Asked) -> Result<Json<Value>, ApiError> {
+    Ok(Json(controllers_json(&around(&app, asked)?.airframe)?))
+}
