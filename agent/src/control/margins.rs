@@ -243,7 +243,7 @@ pub(crate) fn margins(
         found.peak_sensitivity =
             peak(&sensitivity, |s| Ok(s[(i, i)].norm()), |w| invert(&(at(w)? + Matrix4::identity())))?;
     }
-    let whole = peak(&sensitivity, |s| largest_singular_value(s), |w| invert(&(at(w)? + Matrix4::identity())))?;
+    let whole = peak(&sensitivity, largest_singular_value, |w| invert(&(at(w)? + Matrix4::identity())))?;
     Ok((loops, whole))
 }
 

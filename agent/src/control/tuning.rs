@@ -155,17 +155,10 @@ impl Design {
     ///
     /// # Errors
     /// [`GainsError::UnknownParameter`]; the value is checked by [`Design::check`].
-    pub fn set(&mut self, name: &str, value: f64) -> Result<(), GainsError> {
-        let place = parameters(self.kind).iter().position(|p| p.name == name);
-        match place.and_then(|i| self.parameters.get_mut(i)) {
-            Some(parameter) => *parameter = value,
-            None => {
-                return Err(GainsError::UnknownParameter {
-                    controller: kind_name(self.kind),
-                    name: crate::event::text(format_args!("{name}")),
-                });
-            }
-        }
+    pub fn set(&mut self, name: &ArrayString<MAX_NAME>, value: f64) -> Result<(), GainsError> {
+        let place = parameters(self.kind).iter().position(|p| p.name == name.as_str());
+        let unknown = GainsError::UnknownParameter { controller: kind_name(self.kind), name: *name };
+        *place.and_then(|i| self.parameters.get_mut(i)).ok_or(unknown)? = value;
         Ok(())
     }
 

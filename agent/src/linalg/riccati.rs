@@ -91,6 +91,9 @@ type Matrix = DMatrix<f64>;
 /// X, iterations and relative residual from A, G, Q.
 type Started = Result<(Matrix, usize, f64), LinalgError>;
 
+/// What is left of an equation, and relatively, from A, B, Q, R, X, K.
+type Defect = fn(&Matrix, &Matrix, &Matrix, &Matrix, &Matrix, &Matrix) -> (Matrix, f64);
+
 /// A regulator's data and what differs between continuous and sampled time.
 struct Regulator<'a> {
     a: &'a Matrix,
@@ -101,8 +104,8 @@ struct Regulator<'a> {
     start: fn(&Matrix, &Matrix, &Matrix) -> Started,
     /// K from A, B, R, its factor and X.
     gain: fn(&Matrix, &Matrix, &Matrix, &Factor, &Matrix) -> Option<Matrix>,
-    /// What is left of the equation, and relatively, from A, B, Q, R, X, K.
-    defect: fn(&Matrix, &Matrix, &Matrix, &Matrix, &Matrix, &Matrix) -> (Matrix, f64),
+    /// What is left.
+    defect: Defect,
     /// The linear equation of a Newton correction.
     linear: fn(&Matrix, &Matrix) -> Result<Matrix, LinalgError>,
 }

@@ -1,6 +1,8 @@
 //! Why gains are refused, with the numbers.
 
-use crate::event::Text;
+use arrayvec::ArrayString;
+
+use crate::control::tuning::MAX_NAME;
 use crate::linalg::LinalgError;
 
 /// Why gains are refused.
@@ -40,7 +42,7 @@ pub enum GainsError {
         /// The controller.
         controller: &'static str,
         /// The name given.
-        name: Text,
+        name: ArrayString<MAX_NAME>,
     },
     /// The controller is not one that flies.
     #[error("controller {controller} cannot fly")]
