@@ -312,7 +312,7 @@ impl Flight {
         let setpoint = *self.profile.setpoint();
         let altitude_m = self.bank.in_loop().position_enu_m.z;
         let response = if self.phase == Phase::Flying && self.loops().altitude {
-            self.meter.update(now, altitude_m, setpoint.position_enu_m.z).copied()
+            self.meter.update(now, altitude_m, setpoint.position_enu_m.z)
         } else {
             None
         };

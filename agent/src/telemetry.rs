@@ -33,6 +33,7 @@ use crate::event::{Event, EventKind, Severity, Text, text};
 use crate::flight::Flight;
 use crate::flight::report::MAX_CHECKS;
 use crate::recordings::RecordedControl;
+use crate::vehicle::sim::rig::{Line, MAX_STRINGS};
 use crate::vehicle::suite::{Description as SensorDescription, MAX_SENSORS};
 use crate::vehicle::{SensorFrame, Truth};
 
@@ -73,6 +74,8 @@ pub struct Identification {
     pub source_file: String,
     /// The sensors.
     pub sensors: ArrayVec<SensorDescription, MAX_SENSORS>,
+    /// The strings of the rig.
+    pub strings: ArrayVec<Line, MAX_STRINGS>,
 }
 
 /// How the ticks keep their time, over the last second.
@@ -515,6 +518,8 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         attacks_enabled: config.attacks_enabled,
         boot_wall_time_us: identification.boot_wall_time.0,
         source_file: identification.source_file.clone(),
+        rotors: config.airframe.rotors.iter().map(convert::rotor_description).collect(),
+        strings: identification.strings.iter().map(convert::string_description).collect(),
     }
 }
 

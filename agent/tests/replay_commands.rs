@@ -51,6 +51,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         seed: 0,
         source_file: "rest.csv".into(),
         sensors: ArrayVec::new(),
+        strings: ArrayVec::new(),
     };
     let requests = [
         (Request::Flight(Command::Arm), false),

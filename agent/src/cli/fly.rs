@@ -19,6 +19,7 @@ use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
+use plumbline_agent::vehicle::sim::rig::{Line, MAX_STRINGS};
 use plumbline_agent::vehicle::sim::script::Script;
 use plumbline_agent::vehicle::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
 use plumbline_agent::vehicle::suite::{Description, Suite};
@@ -43,6 +44,7 @@ struct Chosen {
     seed: u64,
     source_file: String,
     sensors: ArrayVec<Description, { plumbline_agent::vehicle::suite::MAX_SENSORS }>,
+    strings: ArrayVec<Line, MAX_STRINGS>,
     script: Option<Script>,
     end: Option<FlightTime>,
 }
@@ -119,6 +121,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         seed: chosen.seed,
         source_file: chosen.source_file,
         sensors: chosen.sensors,
+        strings: chosen.strings,
     };
     let replay = arguments.vehicle == VehicleChoice::Replay;
     let radio = link.is_some().then(|| Outlet::new(link_ring));
@@ -216,6 +219,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
         seed: scenario.seed,
         source_file: String::new(),
         sensors: scenario.suite.descriptions(),
+        strings: scenario.rig.lines(&scenario.airframe),
         script: arguments.script.then(|| scenario.script.clone()),
         end: arguments.script.then(|| FlightTime::from_seconds(scenario.duration_s)),
     })
@@ -276,6 +280,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         scenario: info.scenario.unwrap_or_default(),
         source_file: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
         sensors,
+        strings: scenario.map(|scenario| scenario.rig.lines(&scenario.airframe)).unwrap_or_default(),
         script: None,
         end: None,
     })

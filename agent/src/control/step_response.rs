@@ -8,6 +8,11 @@
 //! - steady error: mean of z − to over the last second;
 //! - tracking: root mean square of z minus the profiled setpoint, since the step.
 //!
+//! A step that is replaced while z is still outside the band is *interrupted*: told once more, as it
+//! stood. The next one is measured from its own change of the setpoint. Where z is then already past
+//! 10 % no rise time is told, and what lies beyond the target counts as overshoot only after z has been
+//! on the near side: both belong to the step before.
+//!
 //! Bound: [`BINS`] bins of 0.1 s for the steady error, whatever the tick rate; nothing allocates.
 
 use plumbline_proto::time::FlightTime;
@@ -46,6 +51,8 @@ pub struct StepResponse {
     pub steady_error_m: Option<f64>,
     /// Is the measurement over?
     pub finished: bool,
+    /// Another step began before the altitude was inside the band.
+    pub interrupted: bool,
     /// Root mean square of z minus the profiled setpoint since the step, m.
     pub tracking_rms_m: f64,
 }
@@ -54,6 +61,8 @@ pub struct StepResponse {
 #[derive(Debug, Default)]
 pub struct StepMeter {
     current: Option<Measurement>,
+    /// Ended by the step in `current`, not told yet.
+    replaced: Option<StepResponse>,
     steps: u32,
 }
 
@@ -62,6 +71,10 @@ struct Measurement {
     response: StepResponse,
     last: (FlightTime, f64),
     passed_10: Option<f64>,
+    /// Was z past 10 % when the step began?
+    begun_past_10: bool,
+    /// Has z been on the near side of the target?
+    near_side: bool,
     outside_until_s: f64,
     squared_error_sum: f64,
     samples: u64,
@@ -77,6 +90,12 @@ impl StepMeter {
             return;
         }
         self.steps += 1;
+        self.replaced = self.current.as_ref().map(|m| m.response).filter(|r| !r.finished).map(|r| StepResponse {
+            finished: true,
+            interrupted: r.settling_time_s.is_none(),
+            ..r
+        });
+        let progress = (altitude_m - from_m) / (to_m - from_m);
         self.current = Some(Measurement {
             response: StepResponse {
                 step: self.steps,
@@ -89,10 +108,13 @@ impl StepMeter {
                 band_m: BAND_M.max(0.05 * size).min(0.5 * size),
                 steady_error_m: None,
                 finished: false,
+                interrupted: false,
                 tracking_rms_m: 0.0,
             },
             last: (time, altitude_m),
             passed_10: None,
+            begun_past_10: progress > 0.1,
+            near_side: progress <= 1.0,
             outside_until_s: 0.0,
             squared_error_sum: 0.0,
             samples: 0,
@@ -111,11 +133,11 @@ impl StepMeter {
     }
 
     /// Takes the altitude and the profiled setpoint of one tick; `Some` while a step is measured,
-    /// and once more when it ends.
-    pub fn update(&mut self, time: FlightTime, altitude_m: f64, profiled_m: f64) -> Option<&StepResponse> {
+    /// and once more when it ends, by itself or by the next step.
+    pub fn update(&mut self, time: FlightTime, altitude_m: f64, profiled_m: f64) -> Option<StepResponse> {
         let m = self.current.as_mut().filter(|m| !m.response.finished)?;
         m.take(time, altitude_m, profiled_m);
-        Some(&m.response)
+        Some(self.replaced.take().unwrap_or(m.response))
     }
 }
 
@@ -133,13 +155,16 @@ impl Measurement {
                 if before < level { before_s + (level - before) / (now - before) * (t - before_s) } else { before_s }
             })
         };
-        if self.passed_10.is_none() {
+        if self.passed_10.is_none() && !self.begun_past_10 {
             self.passed_10 = passage(0.1);
         }
         if let (Some(low), None) = (self.passed_10, r.rise_time_s) {
             r.rise_time_s = passage(0.9).map(|high| high - low);
         }
-        r.overshoot_percent = r.overshoot_percent.max(100.0 * (now - 1.0));
+        self.near_side |= now <= 1.0;
+        if self.near_side {
+            r.overshoot_percent = r.overshoot_percent.max(100.0 * (now - 1.0));
+        }
 
         let error = z - r.to_m;
         if error.abs() > r.band_m {
@@ -230,5 +255,45 @@ mod tests {
         meter.begin(FlightTime(0), 0.5, 0.8, 0.5);
         meter.begin(FlightTime(9), 0.8, 1.0, 0.6);
         assert_eq!(meter.response().unwrap().step, 2);
+    }
+
+    #[test]
+    fn an_interrupted_step_is_told_and_lends_nothing_to_the_next() {
+        let mut meter = StepMeter::default();
+        let second = |s: f64| FlightTime::from_seconds(s);
+        meter.begin(second(0.0), 1.0, 0.5, 1.0);
+        meter.update(second(0.5), 0.8, 0.7);
+        // Back up while z is at 0.8: past 10 %, and soon beyond nothing.
+        meter.begin(second(0.6), 0.5, 1.0, 0.8);
+        let first = meter.update(second(0.61), 0.8, 0.7).unwrap();
+        assert!((first.step, first.finished, first.interrupted) == (1, true, true), "{first:?}");
+        let mut last = first;
+        for k in 1..=500 {
+            let t = f64::from(k) * 0.01;
+            last = meter.update(second(0.61 + t), 1.0 - 0.2 * (-4.0 * t).exp(), 1.0).unwrap_or(last);
+        }
+        assert!((last.step, last.finished, last.interrupted) == (2, true, false), "{last:?}");
+        assert_eq!((last.rise_time_s, last.overshoot_percent), (None, 0.0));
+        // 0.2 e^(−4t) enters ±0.05 at t = ln(4)/4.
+        assert!((last.settling_time_s.unwrap() - (0.01 + 4.0_f64.ln() / 4.0)).abs() < 0.011, "{last:?}");
+
+        // Down from 1.2 towards 0.5, then 1.0: what was above 1.0 is no overshoot of this step.
+        let mut meter = StepMeter::default();
+        meter.begin(second(0.0), 1.2, 0.5, 1.2);
+        meter.begin(second(0.1), 0.5, 1.0, 1.2);
+        for k in 1..=600 {
+            meter.update(second(0.1 + f64::from(k) * 0.01), 1.0 + 0.2 * (-f64::from(k) * 0.05).exp(), 1.0);
+        }
+        assert_eq!(meter.response().unwrap().overshoot_percent, 0.0);
+    }
+
+    #[test]
+    fn a_step_replaced_inside_the_band_was_not_interrupted() {
+        let mut meter = StepMeter::default();
+        meter.begin(FlightTime(0), 0.5, 0.8, 0.5);
+        meter.update(FlightTime::from_seconds(1.0), 0.79, 0.8);
+        meter.begin(FlightTime::from_seconds(2.0), 0.8, 1.0, 0.8);
+        let first = meter.update(FlightTime::from_seconds(2.01), 0.8, 0.8).unwrap();
+        assert!(first.finished && !first.interrupted && first.settling_time_s.is_some(), "{first:?}");
     }
 }

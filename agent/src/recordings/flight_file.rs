@@ -128,6 +128,7 @@ impl Reader<'_> {
             steady_error_m: m.steady_error_m,
             finished: m.finished,
             tracking_rms_m: m.tracking_rms_m,
+            interrupted: m.interrupted,
         };
         self.builder.push(self.at, Item::StepResponse(response));
     }
@@ -135,7 +136,7 @@ impl Reader<'_> {
     fn control(&mut self, m: &v1::Control) -> Option<()> {
         self.boot_us.get_or_insert(self.at.0.saturating_sub(m.time_us));
         let s = m.setpoint.as_ref()?;
-        let value = |v: Option<f64>| v.unwrap_or(0.0);
+        let value = |v: Option<f64>| v.unwrap_or(f64::NAN);
         let setpoint = Setpoint {
             position_enu_m: Vector3::new(value(s.x_m), value(s.y_m), value(s.altitude_m)),
             velocity_enu_mps: Vector3::zeros(),
@@ -157,6 +158,7 @@ impl Reader<'_> {
             integrator: m.integrator.first_chunk().copied().unwrap_or_default(),
             // Comes as a message of its own.
             step_response: None,
+            motors_known: true,
         };
         self.builder.push(self.at, Item::Control(control));
         if let Some(volts) = m.battery_v {

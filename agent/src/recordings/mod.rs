@@ -17,6 +17,7 @@ mod ulog;
 
 use std::path::{Path, PathBuf};
 
+use nalgebra::Vector3;
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
 use crate::{
@@ -52,7 +53,7 @@ pub struct RecordedControl {
     pub mode: Mode,
     /// Were the motors allowed to turn?
     pub armed: bool,
-    /// Setpoint in use.
+    /// Setpoint in use; NaN where the recording does not say.
     pub setpoint: Setpoint,
     /// Wrench asked for by the controller.
     pub wrench: Wrench,
@@ -64,6 +65,21 @@ pub struct RecordedControl {
     pub integrator: [f64; 4],
     /// Response to the last altitude step, where it was told in this tick.
     pub step_response: Option<StepResponse>,
+    /// Does the recording carry motor commands at all?
+    pub motors_known: bool,
+}
+
+impl RecordedControl {
+    /// Of a recording that holds sensors only.
+    pub fn unknown() -> Self {
+        let setpoint = Setpoint {
+            position_enu_m: Vector3::repeat(f64::NAN),
+            velocity_enu_mps: Vector3::zeros(),
+            roll_pitch_yaw_rad: Vector3::repeat(f64::NAN),
+            throttle: f64::NAN,
+        };
+        Self { mode: Mode::Unspecified, setpoint, ..Self::default() }
+    }
 }
 
 /// A sensor of a recording.
@@ -101,6 +117,8 @@ pub struct RecordingInfo {
     pub imu_noise: Option<ImuNoise>,
     /// Does it carry truth?
     pub has_truth: bool,
+    /// Does it carry motor commands?
+    pub has_motors: bool,
     /// Name of the airframe, where the file says.
     pub airframe: Option<String>,
     /// Scenario of a simulated flight, TOML.
@@ -271,7 +289,6 @@ pub fn open_phantom4(path: &Path, options: Phantom4Options) -> Result<Recording,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
     use std::io::Write as _;
 
     /// A file of the public recordings, or `None` where they are absent.

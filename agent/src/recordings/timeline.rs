@@ -115,7 +115,7 @@ impl Builder {
         let (last, count) = ticks.fold((first, 1), |(_, n), time| (time, n + 1));
         let duration_s = last.seconds_since(first);
         let mut sensors: Vec<(SensorId, usize)> = Vec::new();
-        let mut has_truth = false;
+        let (mut has_truth, mut has_motors) = (false, false);
         for (_, item) in &self.items {
             match item {
                 Item::Sensed(sample) => {
@@ -126,6 +126,7 @@ impl Builder {
                     }
                 }
                 Item::Truth(_) => has_truth = true,
+                Item::Applied(_) => has_motors = true,
                 _ => {}
             }
         }
@@ -139,6 +140,7 @@ impl Builder {
             sensors: sensors.into_iter().map(|(id, n)| RecordedSensor { id, rate_hz: rate(n) }).collect(),
             imu_noise: noise::of(self.items.iter().map(|(_, item)| item)),
             has_truth,
+            has_motors,
             airframe: self.airframe,
             scenario: self.scenario,
             notes: self.notes,

@@ -14,7 +14,9 @@ use crate::estimate::{Estimate, EstimatorKind, Residual};
 use crate::event::Event;
 use crate::flight::{FlightConfig, FlightStatus, StepReport};
 use crate::frames::roll_pitch_yaw;
+use crate::model::airframe::{Rotor, Spin};
 use crate::recordings::RecordedControl;
+use crate::vehicle::sim::rig::Line;
 use crate::vehicle::suite::Description as SensorDescription;
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, Truth,
@@ -185,6 +187,7 @@ pub(super) fn control(into: &mut v1::Control, report: &StepReport, recorded: Opt
         saturated: report.saturated,
         integrator: report.integrator,
         step_response: report.step_response,
+        motors_known: true,
     };
     let shown = recorded.unwrap_or(&now);
     into.time_us = report.sensed.time.0;
@@ -193,8 +196,9 @@ pub(super) fn control(into: &mut v1::Control, report: &StepReport, recorded: Opt
     into.setpoint = Some(setpoint(&shown.setpoint));
     into.thrust_n = shown.wrench.thrust_n;
     into.torque_flu_nm = vector(&shown.wrench.torque_flu_nm);
-    values(&mut into.motor_command, &shown.command.throttle);
-    values(&mut into.motor_applied, &report.applied.throttle);
+    for (into, motors) in [(&mut into.motor_command, &shown.command), (&mut into.motor_applied, &report.applied)] {
+        values(into, if shown.motors_known { &motors.throttle } else { &[] });
+    }
     into.saturated = shown.saturated;
     values(&mut into.integrator, &shown.integrator);
     into.battery_v = report.sensed.battery_v;
@@ -202,14 +206,16 @@ pub(super) fn control(into: &mut v1::Control, report: &StepReport, recorded: Opt
 
 fn setpoint(setpoint: &Setpoint) -> v1::Setpoint {
     let (position, angles) = (setpoint.position_enu_m, setpoint.roll_pitch_yaw_rad);
+    // A recording made elsewhere does not know everything.
+    let known = |value: f64| value.is_finite().then_some(value);
     v1::Setpoint {
-        altitude_m: Some(position.z),
-        x_m: Some(position.x),
-        y_m: Some(position.y),
-        roll_rad: Some(angles.x),
-        pitch_rad: Some(angles.y),
-        yaw_rad: Some(angles.z),
-        throttle: Some(setpoint.throttle),
+        altitude_m: known(position.z),
+        x_m: known(position.x),
+        y_m: known(position.y),
+        roll_rad: known(angles.x),
+        pitch_rad: known(angles.y),
+        yaw_rad: known(angles.z),
+        throttle: known(setpoint.throttle),
     }
 }
 
@@ -227,6 +233,7 @@ pub(super) fn step_response(now: FlightTime, response: &StepResponse) -> v1::Ste
         steady_error_m: response.steady_error_m,
         finished: response.finished,
         tracking_rms_m: response.tracking_rms_m,
+        interrupted: response.interrupted,
     }
 }
 
@@ -379,6 +386,21 @@ fn attack(attack: &Attack) -> v1::Attack {
         duration_s: attack.duration_s,
         magnitude: attack.magnitude,
         seed: attack.seed,
+    }
+}
+
+pub(super) fn rotor_description(rotor: &Rotor) -> v1::RotorDescription {
+    v1::RotorDescription {
+        position_flu_m: vector(&rotor.position_flu_m),
+        counter_clockwise: rotor.spin == Spin::CounterClockwise,
+    }
+}
+
+pub(super) fn string_description(line: &Line) -> v1::StringDescription {
+    v1::StringDescription {
+        hook_enu_m: vector(&line.hook_enu_m),
+        knot_flu_m: vector(&line.knot_flu_m),
+        rest_length_m: line.rest_length_m,
     }
 }
 

@@ -29,6 +29,7 @@ impl Bench {
             seed: scenario.seed,
             source_file: String::new(),
             sensors: scenario.suite.descriptions(),
+            strings: scenario.rig.lines(&scenario.airframe),
         };
         let (link_ring, link) = RingBuffer::new(link_bytes);
         let (log_ring, log) = RingBuffer::new(8 << 20);

@@ -58,7 +58,12 @@ impl Vehicle for ReplayVehicle {
         self.tick.received.filter(|_| self.samples == Samples::Received)
     }
 
+    /// Always told: what a recording does not know is unknown, and not what the watching flight would do.
     fn recorded_control(&self) -> Option<RecordedControl> {
-        self.tick.control
+        let control = self.tick.control.unwrap_or_else(RecordedControl::unknown);
+        let motors_known = self.recording.info().has_motors;
+        // Formats with motors but without orders: what was applied is what was asked for.
+        let command = if self.tick.control.is_some_and(|c| c.motors_known) { control.command } else { self.command };
+        Some(RecordedControl { motors_known, command, ..control })
     }
 }

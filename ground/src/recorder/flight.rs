@@ -40,6 +40,9 @@ pub struct Step {
     pub settling_time_s: Option<f64>,
     /// Mean error of the last second, m.
     pub steady_error_m: Option<f64>,
+    /// The next step began before this one was inside the band.
+    #[serde(default)]
+    pub interrupted: bool,
 }
 
 /// One attack of a flight; `start_s` counts from the start of the flight.
@@ -246,6 +249,7 @@ impl Learner {
             overshoot_percent: m.overshoot_percent,
             settling_time_s: m.settling_time_s,
             steady_error_m: m.steady_error_m,
+            interrupted: m.interrupted,
         };
         flight.steps = self.steps.values().map(step).collect();
         let flown = |progress: &v1::AttackProgress| {

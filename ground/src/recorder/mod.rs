@@ -57,6 +57,9 @@ pub enum RecordingError {
     /// The flight has no such topic.
     #[error("the flight has no topic {0:?}")]
     NoTopic(String),
+    /// The ground has just started and is still putting its index in line with the files.
+    #[error("the index of flights is not ready yet, try again in a moment")]
+    NotReady,
     /// It is being recorded.
     #[error("flight {0:?} is being recorded")]
     InProgress(String),
@@ -267,9 +270,12 @@ impl RecorderHandle {
     /// One flight. Asks the disk.
     ///
     /// # Errors
-    /// [`RecordingError::Unknown`], [`RecordingError::Index`].
+    /// [`RecordingError::Unknown`], [`RecordingError::NotReady`], [`RecordingError::Index`].
     pub fn flight(&self, id: &str) -> Result<Flight, RecordingError> {
-        self.index.get(id)?.ok_or_else(|| RecordingError::Unknown(crate::names::clip(id)))
+        // Asked before the index: one that is ready lacks nothing.
+        let ready = self.ready();
+        let unknown = || if ready { RecordingError::Unknown(crate::names::clip(id)) } else { RecordingError::NotReady };
+        self.index.get(id)?.ok_or_else(unknown)
     }
 
     /// Changes name or notes of a flight. Writes to the disk.
@@ -277,6 +283,10 @@ impl RecorderHandle {
     /// # Errors
     /// [`RecordingError`] when there is no such flight, a text is too long, or the disk refuses.
     pub fn label(&self, id: &str, name: Option<String>, notes: Option<String>) -> Result<Flight, RecordingError> {
+        // The start sweeps the folder: a label being written then would vanish with it.
+        if !self.ready() {
+            return Err(RecordingError::NotReady);
+        }
         let flight = self.flight(id)?;
         let labels = Labels { name: name.unwrap_or(flight.name), notes: notes.unwrap_or(flight.notes) };
         for (what, text, limit) in [("name", &labels.name, MAX_NAME), ("notes", &labels.notes, MAX_NOTES)] {

@@ -232,6 +232,11 @@ impl Rig {
         }
     }
 
+    /// Its strings, tether included, made for `airframe`.
+    pub fn lines(&self, airframe: &Airframe) -> ArrayVec<Line, MAX_STRINGS> {
+        Mounted::new(self, airframe).lines
+    }
+
     /// Checks every value; the first bad one is named.
     ///
     /// # Errors
