@@ -86,6 +86,8 @@ await step(page, 'keys: up twice to 1.0 m', async () => {
   await page.getByRole('heading', { name: 'Residuals' }).click();
   await page.keyboard.press('ArrowUp');
   await until('0.9', async () => Math.abs((await setpoint()) - 0.9) < 1e-6);
+  // A step that begins while the one before still moves has no rise time of its own.
+  await page.waitForTimeout(2500);
   await page.keyboard.press('ArrowUp');
   await reach(1.0);
   return stepText(0.9, 1.0);
@@ -156,6 +158,49 @@ await step(page, 'screenshots under attack: light, dark, tablet', async () => {
 await step(page, 'abort with one click', async () => {
   await region('Attacks').getByRole('button', { name: 'Abort all' }).click();
   await until('aborted', async () => /aborted/i.test(await region('Attacks').getByRole('listitem').first().textContent()));
+});
+
+await step(page, 'turned to portrait, the canvas is painted to its last row', async () => {
+  await page.setViewportSize({ width: 1080, height: 810 });
+  await page.waitForTimeout(300);
+  await page.setViewportSize({ width: 810, height: 1080 });
+  // The plot that reaches into the strip as high as the toolbar at the very bottom.
+  const plots = await page.locator('.plot').all();
+  const boxes = await Promise.all(plots.map((plot) => plot.boundingBox()));
+  const lowest = boxes.findIndex((box) => box && box.y < 1060 && box.y + box.height > 1040);
+  assert(lowest >= 0, `no plot at the bottom: ${JSON.stringify(boxes)}`);
+  const bottom = (box) => ({ x: box.x + 2, y: 1040, width: box.width - 4, height: Math.min(box.y + box.height, 1080) - 1042 });
+  const seen = await until('the strip at the bottom', async () => {
+    const seen = await pixels(page, plots[lowest], bottom);
+    return seen.page < 0.5 ? seen : false;
+  }, 3000);
+  await shot('fly-light-portrait-810x1080');
+  await page.setViewportSize({ width: 1280, height: 720 });
+  return { page: seen.page };
+});
+
+await step(page, 'a lost graphics context is said, and everything is drawn again', async () => {
+  await page.evaluate(() => {
+    const canvas = document.querySelector('canvas.behind');
+    globalThis.plumblineLoss = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
+    globalThis.plumblineLoss.loseContext();
+  });
+  await page.getByText('Charts are gone for the moment').waitFor();
+  const altitude = region('Altitude').getByRole('img').first();
+  assert((await pixels(page, altitude)).page > 0.8, 'the chart is still there');
+  assert(Number.isFinite(await readout('altitude')), 'the numbers are gone too');
+  await page.evaluate(() => globalThis.plumblineLoss.restoreContext());
+  await page.getByText('Charts are gone for the moment').waitFor({ state: 'detached' });
+  return charts(['Altitude', 'Attitude', 'Residuals']);
+});
+
+await step(page, 'the vehicle in space hangs on its strings', async () => {
+  const swap = region('Attitude instrument').getByRole('button', { name: '3D view' });
+  await swap.click();
+  const seen = await drawn(page, region('Attitude instrument').getByRole('img').first(), 'the vehicle in space');
+  await shot('fly-light-3d');
+  await swap.click();
+  return seen;
 });
 
 await step(page, 'a reload loses nothing', async () => {

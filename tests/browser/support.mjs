@@ -77,11 +77,13 @@ export async function hold(button) {
 }
 
 /**
- * What an element shows, canvas behind it included: number of colours, share of the most common one, a digest.
+ * What an element (or a part of its box) shows, canvas behind it included: number of colours, share of the most common
+ * one, of some colours, of the bare page where nothing is drawn; a digest.
  * Counters can rise while nothing is drawn, so only pixels count.
  */
-export async function pixels(page, locator) {
-  const box = await locator.boundingBox();
+export async function pixels(page, locator, part = (box) => box) {
+  const whole = await locator.boundingBox();
+  const box = whole && part(whole);
   assert(box && box.width > 8 && box.height > 8, `nothing to look at: ${JSON.stringify(box)}`);
   const png = (await page.screenshot({ clip: box })).toString('base64');
   return page.evaluate(async (png) => {
@@ -110,6 +112,7 @@ export async function pixels(page, locator) {
     return {
       width: image.width, height: image.height, colours: counts.size, common: most / (data.length / 4), digest,
       blue: near(0x00, 0x72, 0xb2), vermilion: near(0xd5, 0x5e, 0x00),
+      page: (counts.get(0xf3f4f6) ?? 0) / (data.length / 4),
     };
   }, png);
 }

@@ -33,6 +33,8 @@ pub enum Graphics {
     Starting,
     /// Drawing, on this backend.
     On(String),
+    /// The browser took the canvas away; it usually gives it back within seconds.
+    Lost,
     /// Not possible, and why: numbers only.
     Off(String),
 }

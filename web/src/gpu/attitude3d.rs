@@ -8,6 +8,8 @@ use super::mesh::{Frame, Mesh, Vec3, View, add, cross, dot, length, scaled, sub,
 use super::scene::{Attitude3dView, Pose, Rotor, StringLine};
 
 /// Vertical field of view, rad.
+/// Size of a vehicle of which no rotor is known, m.
+const BARE_M: f32 = 0.25;
 const FIELD_RAD: f32 = 0.60;
 /// Nearest and farthest distance seen, m.
 const NEAR_FAR_M: [f32; 2] = [0.03, 80.0];
@@ -214,7 +216,7 @@ impl Space {
         let dark = if theme.dark { Color::hex(0x76808c) } else { Color::hex(0x2f3740) };
         let paint = |color: Color| if view.stale { color.mix(theme.axis, 0.85) } else { color };
         let arm = view.rotors.iter().map(|rotor| length(rotor.position_flu_m)).fold(0.05, f32::max);
-        let unit_m = arm;
+        let unit_m = if view.rotors.is_empty() { BARE_M } else { arm };
         // Hull, battery and a nose.
         let [hx, hy, hz] = [0.30, 0.20, 0.055].map(|share| share * unit_m);
         self.solid.cuboid(&frame, [0.0; 3], [hx, hy, hz], paint(shell));

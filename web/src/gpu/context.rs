@@ -39,8 +39,10 @@ pub enum Backend {
 pub enum FrameOutcome {
     /// It is on the canvas.
     Drawn,
-    /// Nothing could be drawn this time (hidden, busy, or the context is lost); try again next time.
+    /// Nothing could be drawn this time (hidden, busy); try again next time.
     Skipped,
+    /// The context is lost; try again until it is restored.
+    Lost,
     /// The device is gone for good and a new one can be had: drop this renderer and make another.
     Rebuild,
 }
@@ -318,7 +320,7 @@ impl Renderer {
     /// Draw these panels, and nothing else, on a canvas of the theme's page colour.
     pub fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
         if self.watch.lost.get() {
-            return if self.watch.restored.get() { FrameOutcome::Rebuild } else { FrameOutcome::Skipped };
+            return if self.watch.restored.get() { FrameOutcome::Rebuild } else { FrameOutcome::Lost };
         }
         if self.device_lost.load(Ordering::Relaxed) {
             return FrameOutcome::Rebuild;

@@ -25,4 +25,5 @@ mod shape;
 pub use color::{Color, Theme};
 pub use context::{Backend, FrameOutcome, FrameStats, Renderer};
 pub use error::GpuError;
+pub use grid::{TIME_TICK_SPACING_PX, VALUE_TICK_SPACING_PX};
 pub use scene::*;

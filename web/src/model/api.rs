@@ -105,6 +105,7 @@ pub struct Step {
     pub overshoot_percent: Option<f64>,
     pub settling_time_s: Option<f64>,
     pub steady_error_m: Option<f64>,
+    pub interrupted: bool,
 }
 
 /// One attack of a flight.

@@ -72,7 +72,7 @@ pub fn decimate(series: &Series, start_s: f64, end_s: f64, columns: usize, joine
     let to = (series.upper_bound(end_s) + 1).min(series.end());
     out.envelope = (to - from) as f64 > DENSE * columns as f64;
     if out.envelope {
-        envelope(series, from..to, start_s, column_s, out);
+        envelope(series, from..to, start_s, column_s, columns, out);
     } else {
         samples(series, from..to, start_s, column_s, joined, out);
     }
@@ -103,7 +103,10 @@ fn samples(series: &Series, range: Range<u64>, start_s: f64, column_s: f64, join
     out.close(run);
 }
 
-fn envelope(series: &Series, range: Range<u64>, start_s: f64, column_s: f64, out: &mut Decimated) {
+fn envelope(series: &Series, range: Range<u64>, start_s: f64, column_s: f64, columns: usize, out: &mut Decimated) {
+    // What lies outside the window by more than a column is not filled in.
+    let leftmost = (start_s / column_s).floor() - 1.0;
+    let rightmost = leftmost + columns as f64 + 3.0;
     let mut run = 0;
     // Newest sample of the column before, if it may be joined to.
     let mut previous: Option<(f64, f32)> = None;
@@ -130,7 +133,11 @@ fn envelope(series: &Series, range: Range<u64>, start_s: f64, column_s: f64, out
             previous = None;
         }
         if !extent.is_empty() {
-            let joined = join(extent, previous);
+            let mut before = previous;
+            if let (Some(from), Some(to)) = (previous, first) {
+                before = Some(bridge(from, to, leftmost..column.min(rightmost), start_s, column_s, out));
+            }
+            let joined = join(extent, before);
             let x = ((column + 0.5) * column_s - start_s) / column_s;
             out.points.push(Point { x: x as f32, low: joined.min, high: joined.max });
             previous = last;
@@ -139,6 +146,38 @@ fn envelope(series: &Series, range: Range<u64>, start_s: f64, column_s: f64, out
         column += 1.0;
     }
     out.close(run);
+}
+
+/// Fills those `columns` that hold no sample between `from` and `to` with the straight line
+/// between them, each with its own stretch: one column that took the whole jump would become a filled wedge.
+/// Returns what the next column is joined to.
+fn bridge(
+    from: (f64, f32),
+    to: (f64, f32),
+    columns: Range<f64>,
+    start_s: f64,
+    column_s: f64,
+    out: &mut Decimated,
+) -> (f64, f32) {
+    let at = |time_s: f64| {
+        let share = ((time_s - from.0) / (to.0 - from.0).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        (time_s, from.1 + (to.1 - from.1) * share as f32)
+    };
+    let mut before = from;
+    let mut empty = (from.0 / column_s).floor() + 1.0;
+    if empty < columns.start {
+        empty = columns.start;
+        before = at(empty * column_s);
+    }
+    while empty < columns.end {
+        let edge = at((empty + 1.0) * column_s);
+        let extent = Extent::EMPTY.with(before.1).with(edge.1);
+        let x = ((empty + 0.5) * column_s - start_s) / column_s;
+        out.points.push(Point { x: x as f32, low: extent.min, high: extent.max });
+        before = edge;
+        empty += 1.0;
+    }
+    before
 }
 
 /// The segment from the column before is drawn in this column.
@@ -187,6 +226,24 @@ mod tests {
                 Point { x: x as f32, low: extent.min, high: extent.max }
             })
             .collect()
+    }
+
+    #[test]
+    fn a_stretch_without_samples_is_a_line_and_no_wedge() {
+        // 200 Hz for 2 s at 0, nothing for 0.5 s, 200 Hz at 1: 80 columns of 62.5 ms.
+        let mut series = Series::new(10_000);
+        for i in 0..400 {
+            series.push(f64::from(i) * 0.005, 0.0);
+        }
+        for i in 500..900 {
+            series.push(f64::from(i) * 0.005, 1.0);
+        }
+        let drawn = decimated(&series, 0.0, 5.0, Joined::Straight);
+        assert!(drawn.envelope && drawn.runs.len() == 1);
+        assert!(drawn.points.windows(2).all(|p| (p[1].x - p[0].x - 1.0).abs() < 1e-3), "columns are left out");
+        let widest = drawn.points.iter().map(|p| p.high - p.low).fold(0.0, f32::max);
+        // 1 over eight columns.
+        assert!(widest < 0.3, "{widest}");
     }
 
     #[test]

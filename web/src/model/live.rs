@@ -258,6 +258,11 @@ impl Live {
         }
     }
 
+    /// Is a recording flown again?
+    pub fn is_replay(&self) -> bool {
+        self.description.get().is_some_and(|d| d.vehicle == "replay")
+    }
+
     /// The estimator in the loop, by its number; 0 when nothing says.
     pub fn in_loop(&self) -> u16 {
         if let Some(status) = self.status.get()

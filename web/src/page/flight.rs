@@ -391,8 +391,14 @@ fn StepTable(steps: Vec<Step>) -> impl IntoView {
                         <td class="num">{format!("{}→{}", format::fixed(s.from_m, 1), format::fixed(s.to_m, 1))}</td>
                         <td class="num">{seconds(s.rise_time_s)}</td>
                         <td class="num">{format::maybe(s.overshoot_percent, 1)}</td>
-                        <td class="num">{seconds(s.settling_time_s)}</td>
-                        <td class="num">{s.steady_error_m.map_or_else(|| NONE.to_owned(), |e| format::signed(e * 1e3, 0))}</td>
+                        {if s.interrupted {
+                            view! { <td class="quiet" colspan="2" title="The next step began before this one was inside the band">"interrupted"</td> }.into_any()
+                        } else {
+                            view! {
+                                <td class="num">{seconds(s.settling_time_s)}</td>
+                                <td class="num">{s.steady_error_m.map_or_else(|| NONE.to_owned(), |e| format::signed(e * 1e3, 0))}</td>
+                            }.into_any()
+                        }}
                     </tr>
                 }).collect::<Vec<_>>()}
             </tbody>

@@ -58,6 +58,7 @@ fn Banner() -> impl IntoView {
         Graphics::Off(why) => Some(why),
         _ => None,
     });
+    let lost = Memo::new(move |_| ctx.graphics.get() == Graphics::Lost);
     view! {
         <div class="banners" role="status">
             {move || state.get().map(|what| match what {
@@ -73,6 +74,9 @@ fn Banner() -> impl IntoView {
                 Obstacle::NoData => view! {
                     <p class="banner"><b>"Connected, no telemetry yet."</b> " Waiting for the vehicle's first message."</p>
                 }.into_any(),
+            })}
+            {move || lost.get().then(|| view! {
+                <p class="banner"><b>"Charts are gone for the moment:"</b> " the browser took the graphics away. They come back by themselves; numbers and controls work."</p>
             })}
             {move || off.get().map(|why| view! {
                 <p class="banner"><b>"Numbers only:"</b> {format!(" this browser draws no WebGPU or WebGL2 ({why}). Everything still controls and cuts.")}</p>

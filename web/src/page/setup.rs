@@ -22,6 +22,7 @@ pub fn Setup() -> impl IntoView {
     let graphics = move || match ctx.graphics.get() {
         Graphics::Starting => "starting".to_owned(),
         Graphics::On(what) => what,
+        Graphics::Lost => "taken away by the browser, coming back".to_owned(),
         Graphics::Off(why) => format!("numbers only: {why}"),
     };
     view! {

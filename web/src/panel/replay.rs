@@ -12,7 +12,7 @@ const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 #[component]
 pub fn ReplayCard() -> impl IntoView {
     let ctx = ctx();
-    let replayed = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "replay")));
+    let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
     let file = Memo::new(move |_| {
         ctx.live(|live| live.description.get().map(|d| d.source_file.rsplit('/').next().unwrap_or_default().to_owned()))
     });
@@ -20,6 +20,7 @@ pub fn ReplayCard() -> impl IntoView {
     let progress =
         Memo::new(move |_| ctx.live(|live| live.status.get().map_or(0.0, |s| s.replay_progress.clamp(0.0, 1.0))));
     let running = Memo::new(move |_| speed.get() > 0.0);
+    let ended = Memo::new(move |_| !running.get() && progress.get() >= 1.0);
     let resume = RwSignal::new(1.0);
     let send = move |what: String, speed: f64, step: u32| {
         ctx.command(what, "POST", "replay", json!({ "speed": speed, "step": step }))
@@ -44,7 +45,7 @@ pub fn ReplayCard() -> impl IntoView {
                 <header>
                     <h2>"Recording"</h2>
                     <span class="quiet one-line" title=move || file.get().unwrap_or_default()>{move || file.get()}</span>
-                    <span class="num push quiet">{move || format!("{} %", format::fixed(progress.get() * 100.0, 1))}</span>
+                    <span class="num push quiet no-wrap">{move || format!("{} %", format::fixed(progress.get() * 100.0, 1))}</span>
                 </header>
                 <progress max="1" prop:value=progress aria-label="Progress of the recording"></progress>
                 <div class="row">
@@ -57,8 +58,15 @@ pub fn ReplayCard() -> impl IntoView {
                         }).collect::<Vec<_>>()}
                     </select>
                     <button type="button" disabled=running on:click=move |_| send("Step 1 tick".into(), 0.0, 1)>"+1 tick"</button>
-                    <button type="button" disabled=running on:click=move |_| send("Step 20 ticks".into(), 0.0, 20)>"+20"</button>
+                    <button type="button" disabled=running aria-label="+20 ticks" on:click=move |_| send("Step 20 ticks".into(), 0.0, 20)>"+20"</button>
                 </div>
+                <p class="quiet">
+                    {move || if ended.get() {
+                        "End of the recording. Started again, it flies from its begin."
+                    } else {
+                        "Mode, setpoint and motors are those of then; estimators and attacks are yours to change."
+                    }}
+                </p>
             </section>
         </Show>
     }

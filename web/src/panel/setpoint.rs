@@ -20,6 +20,7 @@ pub const STEP_M: f64 = 0.1;
 pub fn SetpointCard() -> impl IntoView {
     let ctx = ctx();
     let typed = RwSignal::new(String::new());
+    let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
     let in_use = Memo::new(move |_| {
         ctx.live(|live| live.control.get().and_then(|c| c.setpoint.as_ref()).and_then(|s| s.altitude_m))
     });
@@ -43,115 +44,90 @@ pub fn SetpointCard() -> impl IntoView {
                 <h2>"Setpoint"</h2>
                 <output class="big num" aria-label="Altitude setpoint in use">{move || format::maybe(in_use.get(), 2)} <small>"m"</small></output>
             </header>
-            <div class="buttons steps-row">
-                <button type="button" aria-label="Altitude down 0.1 m" title="Down 0.1 m (↓)" on:click=move |_| ctx.step_altitude(-STEP_M)>"−0.1"</button>
-                <button type="button" aria-label="Altitude up 0.1 m" title="Up 0.1 m (↑)" on:click=move |_| ctx.step_altitude(STEP_M)>"+0.1"</button>
-                {PRESETS_M.into_iter().map(|p| view! {
-                    <button
-                        type="button"
-                        class="num"
-                        aria-label=format!("Altitude {p:.1} m")
-                        aria-pressed=move || in_use.get().is_some_and(|s| (s - p).abs() < 1e-6).to_string()
-                        on:click=move |_| ctx.set_altitude(p)
-                    >{format!("{p:.1}")}</button>
-                }).collect::<Vec<_>>()}
-            </div>
-            <form class="exact" on:submit=set>
-                <input
-                    type="text"
-                    inputmode="decimal"
-                    autocomplete="off"
-                    aria-label="Exact altitude in metres"
-                    placeholder=move || limits.get().map_or_else(|| "exact, m".to_owned(), |(low, high)| {
-                        format!("{} – {} m", format::fixed(low, 2), format::fixed(high, 2))
-                    })
-                    prop:value=typed
-                    on:input:target=move |e| typed.set(e.target().value())
-                />
-                <button type="submit">"Set"</button>
-            </form>
-            {move || match mode.get() {
-                Mode::Hold => view! { <Position /> }.into_any(),
-                Mode::Stabilise => view! { <Attitude /> }.into_any(),
-                _ => ().into_any(),
-            }}
+            <Show when=move || !replayed.get()>
+                <div class="buttons steps-row">
+                    <button type="button" aria-label="Altitude down 0.1 m" title="Down 0.1 m (↓)" on:click=move |_| ctx.step_altitude(-STEP_M)>"−0.1"</button>
+                    <button type="button" aria-label="Altitude up 0.1 m" title="Up 0.1 m (↑)" on:click=move |_| ctx.step_altitude(STEP_M)>"+0.1"</button>
+                    {PRESETS_M.into_iter().map(|p| view! {
+                        <button
+                            type="button"
+                            class="num"
+                            aria-label=format!("Altitude {p:.1} m")
+                            aria-pressed=move || in_use.get().is_some_and(|s| (s - p).abs() < 1e-6).to_string()
+                            on:click=move |_| ctx.set_altitude(p)
+                        >{format!("{p:.1}")}</button>
+                    }).collect::<Vec<_>>()}
+                </div>
+                <form class="exact" on:submit=set>
+                    <input
+                        type="text"
+                        inputmode="decimal"
+                        autocomplete="off"
+                        aria-label="Exact altitude in metres"
+                        placeholder=move || limits.get().map_or_else(|| "exact, m".to_owned(), |(low, high)| {
+                            format!("{} – {} m", format::fixed(low, 2), format::fixed(high, 2))
+                        })
+                        prop:value=typed
+                        on:input:target=move |e| typed.set(e.target().value())
+                    />
+                    <button type="submit">"Set"</button>
+                </form>
+                {move || match mode.get() {
+                    Mode::Hold => view! { <Fields name="Position" entries=&POSITION /> }.into_any(),
+                    Mode::Stabilise => view! { <Fields name="Attitude" entries=&ATTITUDE /> }.into_any(),
+                    _ => ().into_any(),
+                }}
+            </Show>
         </section>
     }
 }
 
-/// A small number field with its own unit.
-#[component]
-fn Field(label: &'static str, unit: &'static str, value: RwSignal<String>) -> impl IntoView {
-    view! {
-        <label class="field">
-            <span>{label} <small>{unit}</small></span>
-            <input type="text" inputmode="decimal" autocomplete="off" prop:value=value on:input:target=move |e| value.set(e.target().value()) />
-        </label>
-    }
-}
+/// A number that the setpoint of a mode takes: name on the page, unit there, name on the wire, wire units of one.
+type Entry = (&'static str, &'static str, &'static str, f64);
+
+/// Position and yaw, in hold.
+const POSITION: [Entry; 3] =
+    [("east", "m", "x_m", 1.0), ("north", "m", "y_m", 1.0), ("yaw", "°", "yaw_rad", 1.0 / DEGREES)];
+/// Attitude and thrust, in stabilise.
+const ATTITUDE: [Entry; 3] = [
+    ("roll", "°", "roll_rad", 1.0 / DEGREES),
+    ("pitch", "°", "pitch_rad", 1.0 / DEGREES),
+    ("thrust", "% weight", "throttle", 0.01),
+];
 
 /// The given fields as JSON; empty ones keep their value on the vehicle.
-fn body(fields: &[(&str, String, f64)]) -> Result<serde_json::Value, String> {
+fn body(entries: &[Entry], texts: &[String]) -> Result<serde_json::Value, String> {
     let mut out = serde_json::Map::new();
-    for (name, text, factor) in fields {
+    for ((_, _, key, factor), text) in entries.iter().zip(texts) {
         if !text.trim().is_empty() {
-            let value = format::parse_number(text)?;
-            out.insert((*name).to_owned(), json!(value * factor));
+            out.insert((*key).to_owned(), json!(format::parse_number(text)? * factor));
         }
     }
     if out.is_empty() { Err("no value is given".to_owned()) } else { Ok(out.into()) }
 }
 
-/// Position and yaw, in hold.
+/// A row of number fields, sent together.
 #[component]
-fn Position() -> impl IntoView {
+fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
     let ctx = ctx();
-    let (x, y, yaw) = (RwSignal::new(String::new()), RwSignal::new(String::new()), RwSignal::new(String::new()));
+    let texts: Vec<RwSignal<String>> = entries.iter().map(|_| RwSignal::new(String::new())).collect();
+    let typed = texts.clone();
     let send = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
-        let fields = [
-            ("x_m", x.get_untracked(), 1.0),
-            ("y_m", y.get_untracked(), 1.0),
-            ("yaw_rad", yaw.get_untracked(), 1.0 / DEGREES),
-        ];
-        match body(&fields) {
-            Ok(body) => ctx.command("Position", "POST", "setpoint", body),
-            Err(error) => ctx.tell(Tone::Error, format!("Position: {error}")),
+        let texts: Vec<String> = typed.iter().map(|text| text.get_untracked()).collect();
+        match body(entries, &texts) {
+            Ok(body) => ctx.command(name, "POST", "setpoint", body),
+            Err(error) => ctx.tell(Tone::Error, format!("{name}: {error}")),
         }
     };
     view! {
-        <form class="fields" on:submit=send>
-            <Field label="east" unit="m" value=x />
-            <Field label="north" unit="m" value=y />
-            <Field label="yaw" unit="°" value=yaw />
-            <button type="submit">"Go"</button>
-        </form>
-    }
-}
-
-/// Attitude and thrust, in stabilise.
-#[component]
-fn Attitude() -> impl IntoView {
-    let ctx = ctx();
-    let (roll, pitch, throttle) =
-        (RwSignal::new(String::new()), RwSignal::new(String::new()), RwSignal::new(String::new()));
-    let send = move |e: leptos::ev::SubmitEvent| {
-        e.prevent_default();
-        let fields = [
-            ("roll_rad", roll.get_untracked(), 1.0 / DEGREES),
-            ("pitch_rad", pitch.get_untracked(), 1.0 / DEGREES),
-            ("throttle", throttle.get_untracked(), 0.01),
-        ];
-        match body(&fields) {
-            Ok(body) => ctx.command("Attitude", "POST", "setpoint", body),
-            Err(error) => ctx.tell(Tone::Error, format!("Attitude: {error}")),
-        }
-    };
-    view! {
-        <form class="fields" on:submit=send>
-            <Field label="roll" unit="°" value=roll />
-            <Field label="pitch" unit="°" value=pitch />
-            <Field label="thrust" unit="% weight" value=throttle />
+        <form class="fields" aria-label=name on:submit=send>
+            {entries.iter().zip(texts).map(|((label, unit, ..), text)| view! {
+                <label class="field">
+                    <span>{*label} " " <small>{*unit}</small></span>
+                    <input type="text" inputmode="decimal" autocomplete="off" prop:value=text on:input:target=move |e| text.set(e.target().value()) />
+                </label>
+            }).collect::<Vec<_>>()}
             <button type="submit">"Go"</button>
         </form>
     }
@@ -163,16 +139,12 @@ mod tests {
 
     #[test]
     fn empty_fields_keep_their_value_and_degrees_become_radians() {
-        let fields = [
-            ("x_m", "1,5".to_owned(), 1.0),
-            ("y_m", " ".to_owned(), 1.0),
-            ("yaw_rad", "180".to_owned(), 1.0 / DEGREES),
-        ];
-        let value = body(&fields).unwrap();
+        let texts = ["1,5", " ", "180"].map(str::to_owned);
+        let value = body(&POSITION, &texts).unwrap();
         assert_eq!(value["x_m"], 1.5);
         assert!(value.get("y_m").is_none());
         assert!((value["yaw_rad"].as_f64().unwrap() - std::f64::consts::PI).abs() < 1e-12);
-        assert!(body(&[("x_m", String::new(), 1.0)]).is_err());
-        assert!(body(&[("x_m", "a".to_owned(), 1.0)]).unwrap_err().contains('a'));
+        assert!(body(&POSITION, &[const { String::new() }; 3]).is_err());
+        assert!(body(&ATTITUDE, &["a".to_owned()]).unwrap_err().contains('a'));
     }
 }

@@ -11,13 +11,16 @@ use crate::{
     },
 };
 
-/// "rise 0.42 s · over 3 % · settle 1.1 s · error +2 mm"
+/// "rise 0.42 s · over 3 % · settle 1.1 s · error +2 mm"; what the next step cut short says so.
 pub fn summary(step: &StepResponse) -> String {
     let seconds = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |s| format!("{} s", format::fixed(s, 2)));
+    let rise = seconds(step.rise_time_s);
+    if step.interrupted {
+        return format!("rise {rise} · over {} % · interrupted", format::fixed(step.overshoot_percent, 1));
+    }
     let error = step.steady_error_m.map_or_else(|| NONE.to_owned(), |e| format!("{} mm", format::signed(e * 1e3, 0)));
     format!(
-        "rise {} · over {} % · settle {} · error {error}",
-        seconds(step.rise_time_s),
+        "rise {rise} · over {} % · settle {} · error {error}",
         format::fixed(step.overshoot_percent, 1),
         seconds(step.settling_time_s),
     )
@@ -118,6 +121,8 @@ mod tests {
     #[test]
     fn a_step_is_read_in_one_line() {
         assert_eq!(summary(&step(0.0)), "rise 0.42 s · over 3.0 % · settle — · error \u{2212}2 mm");
+        let cut_short = StepResponse { interrupted: true, ..step(0.0) };
+        assert_eq!(summary(&cut_short), "rise 0.42 s · over 3.0 % · interrupted");
     }
 
     #[test]

@@ -1,0 +1,309 @@
+//! What each chart shows in one frame: data and colours, no device.
+
+use plumbline_proto::v1::{AttackPhase, Severity};
+
+use super::space::Body;
+use crate::{
+    deck::{Deck, Labels, Picture, Slot},
+    gpu::{
+        ChartView, Content, HeatRow, HeatmapView, HorizonView, LevelLine, Mark, Rect, Span, Style,
+        TIME_TICK_SPACING_PX, Theme, VALUE_TICK_SPACING_PX,
+    },
+    model::{
+        axis::{TimeAxis, ValueAxis},
+        curves::{Axis, Curve, DEGREES},
+        instrument::Instrument,
+        live::Live,
+        series::Series,
+    },
+    palette,
+};
+use leptos::prelude::*;
+
+/// Shortest altitude range shown, m.
+const ALTITUDE_SPAN_M: f64 = 0.5;
+/// Share of the altitude range left free on top for the figures of steps.
+const STEP_ROOM: f64 = 0.35;
+/// Shortest attitude range shown, °.
+const ATTITUDE_SPAN_DEG: f64 = 6.0;
+
+/// Is a step's response written on this stretch?
+fn step_in_view(live: &Live, axis: TimeAxis) -> bool {
+    let seconds = |us: u64| us as f64 * 1e-6;
+    live.steps.iter().any(|s| seconds(s.start_time_us) <= axis.end_s && seconds(s.time_us) >= axis.start_s)
+}
+
+/// What all charts of one frame share.
+pub(super) struct Frame {
+    pub deck: Deck,
+    pub dark: bool,
+    pub theme: Theme,
+}
+
+impl Frame {
+    pub(super) fn content<'a>(
+        &self,
+        slot: &Slot,
+        rect: Rect,
+        live: &'a Live,
+        axis: TimeAxis,
+        instrument: &Instrument,
+        body: &'a Body,
+    ) -> Option<Content<'a>> {
+        match slot.picture {
+            Picture::Horizon => Some(Content::Horizon(self.horizon(instrument))),
+            Picture::Space => Some(Content::Attitude3d(self.space(live, instrument, body))),
+            Picture::Heatmap => {
+                let origin = self.deck.label_origin_s(live, axis);
+                self.label(slot, rect, axis, None, origin);
+                Some(Content::Heatmap(self.heatmap(live, axis)))
+            }
+            Picture::Altitude => Some(self.chart(slot, rect, live, axis, self.altitude(live), ALTITUDE_SPAN_M, None)),
+            Picture::Compare => Some(self.chart(slot, rect, live, axis, self.compared(live), ALTITUDE_SPAN_M, None)),
+            Picture::Attitude => Some(self.chart(slot, rect, live, axis, self.attitude(live), ATTITUDE_SPAN_DEG, None)),
+            Picture::Residual => Some(self.chart(slot, rect, live, axis, self.residual(live), 1e-3, None)),
+            Picture::Motors => {
+                Some(self.chart(slot, rect, live, axis, self.motors(live), 1.0, Some(ValueAxis::new(-0.02, 1.02))))
+            }
+            Picture::Ticks => Some(self.chart(slot, rect, live, axis, self.ticks(live), 20.0, None)),
+        }
+    }
+
+    fn horizon(&self, instrument: &Instrument) -> HorizonView {
+        let [roll, pitch, _] = instrument.roll_pitch_yaw_deg.unwrap_or_default();
+        HorizonView {
+            roll_rad: (roll / DEGREES) as f32,
+            pitch_flu_rad: (pitch / DEGREES) as f32,
+            setpoint_rad: None,
+            stale: instrument.stale,
+            theme: self.theme,
+        }
+    }
+
+    fn heatmap<'a>(&self, live: &'a Live, axis: TimeAxis) -> HeatmapView<'a> {
+        let estimator = self.deck.residual_estimator(live);
+        let mut kind_before = None;
+        let rows = live
+            .residual_rows(estimator)
+            .into_iter()
+            .filter_map(|(sensor, instance)| {
+                let ratio = live.curves.get(Curve::Worst(estimator, sensor, instance))?;
+                let group_start = kind_before.replace(sensor).is_some_and(|before| before != sensor);
+                Some(HeatRow { ratio, group_start })
+            })
+            .collect();
+        HeatmapView {
+            time: axis,
+            rows,
+            spans: self.spans(live, axis),
+            cursor_s: self.cursor(),
+            highlighted: None,
+            time_origin_s: self.deck.label_origin_s(live, axis),
+            theme: self.theme,
+        }
+    }
+
+    /// The cursor, or where a replay stands.
+    fn cursor(&self) -> Option<f64> {
+        let playhead = (self.deck.source == crate::deck::Source::Recorded).then(|| self.deck.playhead.get_untracked());
+        self.deck.cursor.get_untracked().or(playhead)
+    }
+
+    fn spans(&self, live: &Live, axis: TimeAxis) -> Vec<Span> {
+        live.spans
+            .between(axis.start_s, axis.end_s)
+            .map(|s| Span {
+                start_s: s.start_s,
+                end_s: s.end_s,
+                color: palette::ATTACK.on(self.dark),
+                planned: s.phase == AttackPhase::Accepted,
+            })
+            .collect()
+    }
+
+    fn altitude<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let in_loop = live.in_loop();
+        let mut out = Vec::new();
+        // Raw sensors lie below, the estimate in the loop on top.
+        for curve in live.curves.names() {
+            if let Curve::Height(instance) = curve {
+                out.extend(self.drawn(live, curve, palette::sensor(instance), Style::Thin));
+            }
+        }
+        out.extend(self.drawn(live, Curve::TruthAltitude, palette::TRUTH, Style::Dashed));
+        for curve in live.curves.names() {
+            if let Curve::Altitude(number) = curve
+                && number != in_loop
+            {
+                out.extend(self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid));
+            }
+        }
+        out.extend(self.drawn(live, Curve::SetpointAltitude, palette::SETPOINT, Style::Step));
+        out.extend(self.drawn(live, Curve::Altitude(in_loop), palette::IN_LOOP, Style::Strong));
+        out
+    }
+
+    fn attitude<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let in_loop = live.in_loop();
+        let truth = Axis::ALL
+            .into_iter()
+            .filter_map(|a| self.drawn(live, Curve::TruthAttitude(a), palette::TRUTH, Style::Dashed));
+        let own = Axis::ALL
+            .into_iter()
+            .filter_map(|a| self.drawn(live, Curve::Attitude(in_loop, a), palette::axis(a), Style::Solid));
+        truth.chain(own).collect()
+    }
+
+    fn residual<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let Some((sensor, instance)) = self.deck.residual.get_untracked() else { return Vec::new() };
+        let estimator = self.deck.residual_estimator(live);
+        let keys = live.curves.names().filter_map(|c| match c {
+            Curve::Innovation(key) if (key.0, key.1, key.2) == (estimator, sensor, instance) => Some(key),
+            _ => None,
+        });
+        let mut out = Vec::new();
+        for (i, key) in keys.enumerate() {
+            let gate = self.drawn(live, Curve::Gate(key), palette::ATTACK, Style::Dashed);
+            out.extend(gate.map(|g| Drawn { scale: -1.0, ..g }));
+            out.extend(gate);
+            out.extend(self.drawn(live, Curve::Innovation(key), palette::series(i), Style::Solid));
+        }
+        out
+    }
+
+    fn compared<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let ink = |i: u8| palette::series(usize::from(i));
+        let setpoints = (0..16).filter_map(|i| self.drawn(live, Curve::ComparedSetpoint(i), ink(i), Style::Dashed));
+        let altitudes = (0..16).filter_map(|i| self.drawn(live, Curve::Compared(i), ink(i), Style::Solid));
+        setpoints.chain(altitudes).collect()
+    }
+
+    fn motors<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        (0..8)
+            .filter_map(|i| self.drawn(live, Curve::Motor(i), palette::series(usize::from(i)), Style::Solid))
+            .collect()
+    }
+
+    fn ticks<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        [
+            (Curve::TickJitter, palette::TRUTH, Style::Dashed),
+            (Curve::TickMedian, palette::IN_LOOP, Style::Solid),
+            (Curve::TickP99, palette::SENSOR_1, Style::Solid),
+        ]
+        .into_iter()
+        .filter_map(|(curve, ink, style)| self.drawn(live, curve, ink, style))
+        .collect()
+    }
+
+    fn drawn<'a>(&self, live: &'a Live, curve: Curve, ink: palette::Ink, style: Style) -> Option<Drawn<'a>> {
+        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0 })
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn chart<'a>(
+        &self,
+        slot: &Slot,
+        rect: Rect,
+        live: &'a Live,
+        axis: TimeAxis,
+        drawn: Vec<Drawn<'a>>,
+        least_span: f64,
+        fixed: Option<ValueAxis>,
+    ) -> Content<'a> {
+        let value = fixed.unwrap_or_else(|| {
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            for d in &drawn {
+                let extent = d.series.extent_between(axis.start_s, axis.end_s);
+                if !extent.is_empty() {
+                    let (a, b) = (f64::from(extent.min * d.scale), f64::from(extent.max * d.scale));
+                    (low, high) = (low.min(a.min(b)), high.max(a.max(b)));
+                }
+            }
+            if slot.picture == Picture::Altitude && step_in_view(live, axis) {
+                // Room for the figures of the steps, written along the top.
+                high += STEP_ROOM * (high - low).max(0.0);
+            }
+            ValueAxis::fit(low, high, least_span, slot.axis.get())
+        });
+        slot.axis.set(Some(value));
+        let origin = self.deck.label_origin_s(live, axis);
+        self.label(slot, rect, axis, Some(value), origin);
+        let mut view = ChartView::new(axis, value, self.theme);
+        view.time_origin_s = origin;
+        view.cursor_s = self.cursor();
+        view.selection = self.deck.selection.get_untracked();
+        view.spans = self.spans(live, axis);
+        view.marks = self.marks(live, axis);
+        if slot.picture == Picture::Residual {
+            view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
+        }
+        if slot.picture == Picture::Altitude {
+            self.step_lines(live, axis, &mut view);
+        }
+        for d in drawn {
+            view = view.curve(d.series, d.color, d.style);
+            if let Some(last) = view.curves.last_mut() {
+                last.scale = d.scale;
+            }
+        }
+        Content::Chart(view)
+    }
+
+    /// The band the newest step in view must stay in, and the moment it did.
+    fn step_lines(&self, live: &Live, axis: TimeAxis, view: &mut ChartView<'_>) {
+        let newest = live.steps.iter().rev().find(|s| s.start_time_us as f64 * 1e-6 <= axis.end_s);
+        let Some(step) = newest.filter(|s| s.time_us as f64 * 1e-6 >= axis.start_s && s.band_m > 0.0) else { return };
+        let color = palette::OTHER_1.on(self.dark);
+        for side in [-1.0, 1.0] {
+            view.levels.push(LevelLine {
+                value: step.to_m + side * step.band_m,
+                color: color.alpha(0.55),
+                dashed: true,
+            });
+        }
+        if let Some(settled) = step.settling_time_s {
+            view.marks.push(Mark { time_s: step.start_time_us as f64 * 1e-6 + settled, color });
+        }
+    }
+
+    /// Warnings and worse, and changes of mode.
+    fn marks(&self, live: &Live, axis: TimeAxis) -> Vec<Mark> {
+        live.events
+            .iter()
+            .filter(|e| {
+                let loud = matches!(e.severity(), Severity::Warning | Severity::Critical);
+                loud || matches!(e.kind.as_str(), "mode" | "armed" | "failsafe")
+            })
+            .map(|e| Mark {
+                time_s: e.time_us as f64 * 1e-6,
+                color: if e.severity() == Severity::Critical { palette::ATTACK.on(self.dark) } else { self.theme.axis },
+            })
+            .filter(|m| m.time_s >= axis.start_s && m.time_s <= axis.end_s)
+            .collect()
+    }
+
+    /// Writes the labels of a chart, if they changed.
+    fn label(&self, slot: &Slot, rect: Rect, axis: TimeAxis, value: Option<ValueAxis>, origin_s: f64) {
+        let time = axis.ticks(f64::from(rect.width), TIME_TICK_SPACING_PX, origin_s);
+        let values = value.map(|v| v.ticks(f64::from(rect.height), VALUE_TICK_SPACING_PX)).unwrap_or_default();
+        let same = slot.labels.with_untracked(|old| {
+            let near = |a: &[crate::model::axis::Tick], b: &[crate::model::axis::Tick]| {
+                a.len() == b.len()
+                    && a.iter().zip(b).all(|(x, y)| x.label == y.label && (x.fraction - y.fraction).abs() < 5e-4)
+            };
+            near(&old.time, &time) && near(&old.value, &values)
+        });
+        if !same {
+            slot.labels.set(Labels { time, value: values });
+        }
+    }
+}
+
+/// One curve to draw.
+#[derive(Clone, Copy)]
+struct Drawn<'a> {
+    series: &'a Series,
+    color: crate::gpu::Color,
+    style: Style,
+    scale: f32,
+}
