@@ -9,7 +9,7 @@
 //! (beyond the accuracies they quote) and are chosen here.
 
 use arrayvec::ArrayVec;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
 use serde::Deserialize;
 
@@ -111,6 +111,38 @@ pub struct Imu {
     /// Magnetic field, µT; absent on a 6-DOF unit.
     #[serde(default)]
     pub mag: Option<Quality>,
+    /// What a calibration would remove; none by default.
+    #[serde(default)]
+    pub distortion: Distortion,
+}
+
+/// How an uncalibrated IMU distorts: reading = matrix · truth (rows), in its own axes, plus the errors of its
+/// [`Quality`].
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Distortion {
+    /// Scale and misalignment of the gyroscope.
+    pub gyro: [[f64; 3]; 3],
+    /// Scale and misalignment of the accelerometer.
+    pub accel: [[f64; 3]; 3],
+    /// Soft iron.
+    pub mag: [[f64; 3]; 3],
+    /// Hard iron, µT.
+    pub hard_iron_ut: [f64; 3],
+}
+
+impl Default for Distortion {
+    fn default() -> Self {
+        let identity = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        Self { gyro: identity, accel: identity, mag: identity, hard_iron_ut: [0.0; 3] }
+    }
+}
+
+impl Distortion {
+    /// The rows as a matrix.
+    pub fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {
+        Matrix3::from_fn(|i, j| rows[i][j])
+    }
 }
 
 /// A laser height, looking down.
@@ -363,6 +395,7 @@ impl Suite {
                 range: 2500.0,
                 gate_sigmas: 5.0,
             }),
+            distortion: Distortion::default(),
         }
     }
 
@@ -503,6 +536,13 @@ impl Suite {
             check.quality(&key, "accel", &s.accel)?;
             if let Some(mag) = &s.mag {
                 check.quality(&key, "mag", mag)?;
+            }
+            let d = &s.distortion;
+            for value in d.gyro.iter().chain(&d.accel).chain(&d.mag).flatten() {
+                check.within(&key, "distortion", *value, -2.0, 2.0, "an entry within ±2")?;
+            }
+            for value in &d.hard_iron_ut {
+                check.within(&key, "distortion.hard_iron_ut", *value, -500.0, 500.0, "within ±500 µT")?;
             }
         }
         for (i, s) in self.heights.iter().enumerate() {

@@ -15,7 +15,7 @@ use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
 use crate::command::{Command, Mode, SetpointChange};
 use crate::estimate::EstimatorKind;
 use crate::model::airframe::Airframe;
-use crate::vehicle::suite::{PRESETS, Quality, Suite, Timing};
+use crate::vehicle::suite::{Distortion, PRESETS, Quality, Suite, Timing};
 
 /// A scenario as written.
 #[derive(Debug, Deserialize)]
@@ -93,6 +93,8 @@ struct RawSensor {
     noise_scale: Option<f64>,
     /// Multiplies every bias and its walk.
     bias_scale: Option<f64>,
+    /// What a calibration of an IMU would remove.
+    distortion: Option<Distortion>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -292,6 +294,7 @@ fn change_sensor(suite: &mut Suite, change: &RawSensor) -> Read<()> {
                 quality(&mut s.gyro);
                 quality(&mut s.accel);
                 s.mag.iter_mut().for_each(quality);
+                s.distortion = change.distortion.unwrap_or(s.distortion);
             }
         }
         SensorKind::Height => {

@@ -5,7 +5,7 @@
 //! (mounting angles, lever of a laser) is removed here; what they cannot know stays in.
 
 use arrayvec::ArrayVec;
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
 use super::noise::{ScalarError, Stream};
@@ -124,6 +124,16 @@ struct Imu {
     gyro: [ScalarError; 3],
     accel: [ScalarError; 3],
     mag: Option<[ScalarError; 3]>,
+    distort: Distort,
+}
+
+/// [`suite::Distortion`] as matrices.
+#[derive(Debug, Clone, Copy)]
+struct Distort {
+    gyro: Matrix3<f64>,
+    accel: Matrix3<f64>,
+    mag: Matrix3<f64>,
+    hard_iron_ut: Vector3<f64>,
 }
 
 #[derive(Debug, Clone)]
@@ -188,6 +198,12 @@ impl Sensors {
                 gyro: triple(s.gyro, &s.timing, &mut clock.stream),
                 accel: triple(s.accel, &s.timing, &mut clock.stream),
                 mag: s.mag.map(|q| triple(q, &s.timing, &mut clock.stream)),
+                distort: Distort {
+                    gyro: suite::Distortion::matrix(&s.distortion.gyro),
+                    accel: suite::Distortion::matrix(&s.distortion.accel),
+                    mag: suite::Distortion::matrix(&s.distortion.mag),
+                    hard_iron_ut: Vector3::from(s.distortion.hard_iron_ut),
+                },
                 clock,
             }
         };
@@ -247,7 +263,7 @@ impl Sensors {
         let w = x.body_rates_radps;
 
         for (imu, slot) in self.imus.iter_mut().zip(&mut frame.imus) {
-            let Imu { clock, position_flu_m, body_from_sensor, gyro, accel, mag } = imu;
+            let Imu { clock, position_flu_m, body_from_sensor, gyro, accel, mag, distort } = imu;
             *slot = clock.tick(time, outages, |stream| {
                 // At r from the centre of mass: a + α × r + ω × (ω × r).
                 let r = &*position_flu_m;
@@ -255,11 +271,12 @@ impl Sensors {
                     + world.angular_acceleration_radps2().cross(r)
                     + w.cross(&w.cross(r));
                 let sensor_from_body = body_from_sensor.inverse();
-                let gyro = read3(gyro, &(sensor_from_body * w), stream);
-                let accel = read3(accel, &(sensor_from_body * force), stream);
+                let gyro = read3(gyro, &(distort.gyro * (sensor_from_body * w)), stream);
+                let accel = read3(accel, &(distort.accel * (sensor_from_body * force)), stream);
                 let mag_ut = mag.as_mut().map(|errors| {
                     let field = rotate(&q.conjugate(), &site.magnetic_field_enu_ut);
-                    *body_from_sensor * read3(errors, &(sensor_from_body * field), stream)
+                    let seen = distort.mag * (sensor_from_body * field) + distort.hard_iron_ut;
+                    *body_from_sensor * read3(errors, &seen, stream)
                 });
                 Some(ImuSample {
                     time,
