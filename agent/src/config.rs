@@ -63,6 +63,8 @@ pub struct AgentConfig {
     pub attacks: Attacks,
     /// Estimators.
     pub estimators: Estimators,
+    /// Calibration files, applied to every frame sensed and to the airframe.
+    pub calibrations: Vec<PathBuf>,
     /// Weights of the gains to start with.
     pub weights: Option<Weights>,
     /// Onboard log.
@@ -159,6 +161,7 @@ impl Default for AgentConfig {
             limits: Limits::default(),
             attacks: Attacks::default(),
             estimators: Estimators::default(),
+            calibrations: Vec::new(),
             weights: None,
             log: Log::default(),
             link: Link::default(),

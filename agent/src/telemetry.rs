@@ -40,6 +40,7 @@ use crate::vehicle::{SensorFrame, Truth};
 pub use outlet::Outlet;
 use outlet::Outlets;
 pub use recording::Recording;
+pub(crate) use recording::civil;
 
 /// Residuals of one message: as many as fit into a datagram.
 pub const RESIDUALS_PER_MESSAGE: usize = 20;

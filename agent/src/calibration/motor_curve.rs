@@ -8,6 +8,9 @@
 
 use serde::Deserialize;
 
+use super::{CalibrationError, CalibrationFile, Kind};
+use crate::calibration::file::{Plot, Series};
+
 /// A motor's measured line, at nominal voltage.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -18,52 +21,14 @@ pub struct MotorCurve {
     pub slope_radps: f64,
 }
 
-/// Why no line can be fitted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FitError {
-    /// A line needs two points.
-    #[error("{0} points are too few for a line, 2 are needed")]
-    TooFewPoints(usize),
-    /// Every point has the same command.
-    #[error("all commands are {0}, the slope is unknown")]
-    SameCommand(f64),
-    /// A point is not finite.
-    #[error("point {index} is not finite: command {command}, speed {speed_radps} rad/s")]
-    NotFinite {
-        /// Which point, from 0.
-        index: usize,
-        /// Its command.
-        command: f64,
-        /// Its speed, rad/s.
-        speed_radps: f64,
-    },
-}
+/// Points for a line with a residual.
+const POINTS_MIN: usize = 3;
+/// Least span of the commands.
+const SPAN_MIN: f64 = 0.2;
+/// Largest residual, as a fraction of the fastest speed.
+const RESIDUAL_MAX: f64 = 0.1;
 
 impl MotorCurve {
-    /// Least-squares line through `(command 0..1, speed rad/s)` points ([Clinic] Fig. 27).
-    ///
-    /// # Errors
-    /// When the points do not define a line.
-    pub fn fit(points: &[(f64, f64)]) -> Result<Self, FitError> {
-        if let Some((index, &(command, speed_radps))) =
-            points.iter().enumerate().find(|(_, (c, s))| !c.is_finite() || !s.is_finite())
-        {
-            return Err(FitError::NotFinite { index, command, speed_radps });
-        }
-        let Some(&(first, _)) = points.first().filter(|_| points.len() >= 2) else {
-            return Err(FitError::TooFewPoints(points.len()));
-        };
-        let n = points.len() as f64;
-        let mean_command = points.iter().map(|p| p.0).sum::<f64>() / n;
-        let mean_speed = points.iter().map(|p| p.1).sum::<f64>() / n;
-        let spread: f64 = points.iter().map(|p| (p.0 - mean_command).powi(2)).sum();
-        if spread <= 0.0 {
-            return Err(FitError::SameCommand(first));
-        }
-        let slope_radps = points.iter().map(|p| (p.0 - mean_command) * (p.1 - mean_speed)).sum::<f64>() / spread;
-        Ok(Self { offset_radps: mean_speed - slope_radps * mean_command, slope_radps })
-    }
-
     /// Steady speed for `command` (clipped to 0..1), rad/s. 0 stands still.
     pub fn speed_radps(&self, command: f64, voltage_ratio: f64) -> f64 {
         if command > 0.0 {
@@ -86,6 +51,95 @@ impl MotorCurve {
     pub fn full_speed_radps(&self) -> f64 {
         self.speed_radps(1.0, 1.0)
     }
+}
+
+/// Least-squares line through `(command 0..1, speed rad/s)` points, all taken at nominal voltage ([Clinic] Fig. 27).
+///
+/// # Errors
+/// [`CalibrationError`]: a value that is not finite or out of range, too few points, commands too near to each
+/// other, a slope that is not positive, points that lie on no line.
+pub fn motor_curve(points: &[(f64, f64)]) -> Result<CalibrationFile, CalibrationError> {
+    for (index, &(command, speed)) in points.iter().enumerate() {
+        for (channel, value) in [("command", command), ("speed", speed)] {
+            if !value.is_finite() {
+                return Err(CalibrationError::NotFinite { channel, index, value });
+            }
+        }
+        if !(0.0..=1.0).contains(&command) {
+            let what = format!("command of point {index}");
+            return Err(CalibrationError::Value { what, value: command, expected: "0 to 1" });
+        }
+        if speed < 0.0 {
+            let what = format!("speed of point {index}");
+            return Err(CalibrationError::Value { what, value: speed, expected: "0 or above" });
+        }
+    }
+    // A motor that stands still is not on its line.
+    let running: Vec<(f64, f64)> = points.iter().copied().filter(|(c, s)| *c > 0.0 && *s > 0.0).collect();
+    if running.len() < POINTS_MIN {
+        let what = "points of a turning motor";
+        return Err(CalibrationError::TooFew { what, found: running.len(), needed: POINTS_MIN });
+    }
+    let commands = running.iter().map(|p| p.0);
+    let span = commands.clone().fold(0.0, f64::max) - commands.fold(1.0, f64::min);
+    if span < SPAN_MIN {
+        let what = "span of the commands";
+        return Err(CalibrationError::TooSmall { what, found: span, needed: SPAN_MIN, unit: "" });
+    }
+    let n = running.len() as f64;
+    let mean_command = running.iter().map(|p| p.0).sum::<f64>() / n;
+    let mean_speed = running.iter().map(|p| p.1).sum::<f64>() / n;
+    let spread: f64 = running.iter().map(|p| (p.0 - mean_command).powi(2)).sum();
+    let slope = running.iter().map(|p| (p.0 - mean_command) * (p.1 - mean_speed)).sum::<f64>() / spread;
+    let curve = MotorCurve { offset_radps: mean_speed - slope * mean_command, slope_radps: slope };
+    let line = |c: f64| curve.offset_radps + slope * c;
+    let left = running.iter().map(|(c, s)| (s - line(*c)).powi(2)).sum::<f64>();
+    let rms = (left / n).sqrt();
+    let fastest = running.iter().map(|p| p.1).fold(0.0, f64::max);
+    if slope <= 0.0 {
+        let what = "slope (rad/s)".to_owned();
+        return Err(CalibrationError::Value { what, value: slope, expected: "above 0" });
+    }
+    if rms > RESIDUAL_MAX * fastest {
+        return Err(CalibrationError::BadFit { found: rms, limit: RESIDUAL_MAX * fastest, unit: "rad/s" });
+    }
+    let variance = left / (n - 2.0);
+    let (slope_variance, cross) = (variance / spread, -variance * mean_command / spread);
+    let offset_variance = variance / n + mean_command.powi(2) * slope_variance;
+    let mut file = CalibrationFile::new(Kind::MotorCurve, running.len(), rms, "rad/s");
+    file.push("offset", curve.offset_radps, Some(offset_variance.sqrt()), "rad/s");
+    file.push("slope", slope, Some(slope_variance.sqrt()), "rad/s");
+    file.covariance = vec![vec![offset_variance, cross], vec![cross, slope_variance]];
+    let squared = |w: f64| w * w;
+    file.picture.push(Plot {
+        title: "Motor".into(),
+        x: "command".into(),
+        y: "speed, rad/s".into(),
+        log: false,
+        series: vec![
+            Series::new("measured", false, running.iter().map(|(c, s)| [*c, *s])),
+            Series::new("fit", true, [[0.0, line(0.0)], [1.0, line(1.0)]]),
+        ],
+    });
+    file.picture.push(Plot {
+        title: "Motor, as thrust sees it".into(),
+        x: "command".into(),
+        y: "speed squared, rad²/s²".into(),
+        log: false,
+        series: vec![
+            Series::new("measured", false, running.iter().map(|(c, s)| [*c, squared(*s)])),
+            Series::new("fit", true, (0..=50).map(|k| f64::from(k) / 50.0).map(|c| [c, squared(line(c))])),
+        ],
+    });
+    Ok(file)
+}
+
+/// The curve of a file.
+///
+/// # Errors
+/// [`CalibrationError::File`] where a parameter is missing.
+pub fn motor_curve_of(file: &CalibrationFile) -> Result<MotorCurve, CalibrationError> {
+    Ok(MotorCurve { offset_radps: file.value("offset")?, slope_radps: file.value("slope")? })
 }
 
 /// A command that keeps a motor turning at the foot of its line.
@@ -113,12 +167,16 @@ mod tests {
 
     #[test]
     fn fit_finds_the_line_and_names_bad_points() {
-        let points: Vec<_> = (1..=8).map(|i| f64::from(i) / 10.0).map(|c| (c, 100.0 + 1000.0 * c)).collect();
-        let fitted = MotorCurve::fit(&points).unwrap();
+        let mut points: Vec<_> = (1..=8).map(|i| f64::from(i) / 10.0).map(|c| (c, 100.0 + 1000.0 * c)).collect();
+        points.push((0.0, 0.0));
+        let fitted = motor_curve_of(&motor_curve(&points).unwrap()).unwrap();
         assert!((fitted.offset_radps - 100.0).abs() < 1e-9 && (fitted.slope_radps - 1000.0).abs() < 1e-9);
-        assert_eq!(MotorCurve::fit(&[(0.5, 1.0)]), Err(FitError::TooFewPoints(1)));
-        assert_eq!(MotorCurve::fit(&[(0.5, 1.0), (0.5, 2.0)]), Err(FitError::SameCommand(0.5)));
-        let text = MotorCurve::fit(&[(0.5, 1.0), (0.6, f64::NAN)]).unwrap_err().to_string();
-        assert!(text.contains("point 1") && text.contains("NaN"), "{text}");
+        let text = |points: &[(f64, f64)]| motor_curve(points).unwrap_err().to_string();
+        assert!(text(&[(0.5, 1.0)]).contains("1 points of a turning motor"));
+        assert!(text(&[(0.5, 1.0), (0.5, 2.0), (0.5, 3.0)]).contains("span of the commands is 0.000"));
+        assert_eq!(text(&[(0.5, 1.0), (0.6, f64::NAN)]), "sample 1: speed is NaN, not a finite number");
+        assert!(text(&[(1.5, 1.0)]).contains("command of point 0 is 1.5, not 0 to 1"));
+        assert!(text(&[(0.1, 900.0), (0.5, 500.0), (0.9, 100.0)]).contains("slope (rad/s) is -"));
+        assert!(text(&[(0.1, 10.0), (0.5, 900.0), (0.9, 100.0)]).contains("the model does not fit"));
     }
 }

@@ -13,11 +13,13 @@ use plumbline_agent::link::clock::FlightClock;
 use plumbline_agent::link::{self, INBOUND_QUEUE, LinkConfig, LinkPorts, identity};
 use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::offline::calibrate;
 use plumbline_agent::recordings;
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
+use plumbline_agent::vehicle::calibrated::CalibratedVehicle;
 use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
 use plumbline_agent::vehicle::sim::rig::{Line, MAX_STRINGS};
 use plumbline_agent::vehicle::sim::script::Script;
@@ -62,6 +64,11 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     };
     let frame_rate_hz = chosen.flight.tick_rate_hz;
     config.apply(&mut chosen.flight)?;
+    if !config.calibrations.is_empty() {
+        let calibration = calibrate::load(&config.calibrations)?;
+        calibration.apply_to_airframe(&mut chosen.flight.airframe);
+        chosen.vehicle = Box::new(CalibratedVehicle::new(chosen.vehicle, calibration));
+    }
     // Frames come at the rate of the scenario or the recording, whatever the configuration says.
     chosen.flight.tick_rate_hz = frame_rate_hz;
     let attacks = match &arguments.attack_schedule {

@@ -1,5 +1,6 @@
 //! The command line: flying is what happens without a subcommand; tools are subcommands, one file each.
 
+mod calibrate;
 mod decode;
 mod estimate;
 mod fly;
@@ -28,6 +29,8 @@ enum Tool {
     Identity(identity::IdentityArguments),
     /// Runs an estimator over a recording: estimates as CSV, errors against the truth as one JSON line.
     Estimate(EstimateArgs),
+    /// Fits a calibration to a recording or a table: JSON file, and its summary as one JSON line.
+    Calibrate(calibrate::CalibrateArguments),
     /// Solves continuous-time Riccati equations, one JSON line per case.
     Care(riccati::RiccatiArguments),
     /// Solves discrete-time Riccati equations, one JSON line per case.
@@ -93,6 +96,7 @@ impl Arguments {
         match self.tool {
             Some(Tool::Identity(arguments)) => arguments.run(),
             Some(Tool::Estimate(arguments)) => estimate::estimate(&arguments),
+            Some(Tool::Calibrate(arguments)) => arguments.run(),
             Some(Tool::Care(arguments)) => arguments.run(Equation::Care),
             Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
             Some(Tool::Decode(arguments)) => arguments.run(),

@@ -6,6 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::Channel;
 
+use crate::calibration::applied::FieldReport;
 use crate::estimate::consistency::{Consistency, Mean, Nees};
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
@@ -47,6 +48,8 @@ pub struct Score {
     /// Can the estimator tell where the vehicle is horizontally, and how high, from the sensors it has?
     known: Known,
     consistency: Consistency,
+    /// How calibrated magnetometers fared.
+    pub(super) fields: Vec<FieldReport>,
 }
 
 /// What the sensors in use say of the place.
@@ -74,6 +77,7 @@ impl Score {
             finite: true,
             known,
             consistency: Consistency::default(),
+            fields: Vec::new(),
         }
     }
 
@@ -166,6 +170,16 @@ impl Score {
             (format!("{sensor} {channel}"), serde_json::json!(mean.value()))
         };
         let nis: serde_json::Map<_, _> = self.consistency.nis().map(nis).collect();
+        let field = |f: &FieldReport| {
+            serde_json::json!({
+                "imu": f.imu,
+                "fits": f.fits,
+                "refits": f.refits,
+                "withheld": f.withheld,
+                "samples": f.samples,
+                "hard_iron_since_ut": f.hard_iron_since_ut.as_slice(),
+            })
+        };
         serde_json::json!({
             "estimate": self.input,
             "estimator": self.estimator,
@@ -183,6 +197,7 @@ impl Score {
             "nis": nis,
             "accel_bias_mps2": self.accel_bias_mps2.as_slice(),
             "gyro_bias_radps": self.gyro_bias_radps.as_slice(),
+            "magnetometer_calibration": self.fields.iter().map(field).collect::<Vec<_>>(),
         })
         .to_string()
     }

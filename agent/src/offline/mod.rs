@@ -5,8 +5,10 @@
 //! ```
 //! The same estimators as in flight, stepped tick by tick; nothing is smoothed and truth is only scored.
 
+pub mod calibrate;
 mod errors;
 mod output;
+mod table;
 
 use std::path::PathBuf;
 
@@ -53,6 +55,9 @@ pub struct EstimateArgs {
     /// Seed of that noise.
     #[arg(long)]
     pub seed: Option<u64>,
+    /// Calibration file to apply to every frame; may be given several times.
+    #[arg(long)]
+    pub calibration: Vec<PathBuf>,
     /// CSV to write.
     #[arg(long)]
     pub output: PathBuf,
@@ -64,6 +69,9 @@ pub enum OfflineError {
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    /// A calibration file.
+    #[error(transparent)]
+    Calibration(#[from] calibrate::CalibrateError),
     /// An argument.
     #[error("--{argument} {value}: {reason}")]
     Argument {
@@ -107,6 +115,10 @@ impl EstimateArgs {
     /// `--rate` is a mocap-log's; the GNSS arguments are a Phantom 4's.
     fn refuse_misplaced(&self, format: &str) -> Result<(), OfflineError> {
         let only = |wanted: &str| format!("is for --format {wanted} only; this is {format}");
+        if let Some(file) = self.calibration.first().filter(|_| format == MOCAP_LOG) {
+            let reason = format!("{MOCAP_LOG} has no raw samples to calibrate");
+            return Err(Self::bad("calibration", file.display(), reason));
+        }
         if let Some(rate) = self.rate.filter(|_| format != MOCAP_LOG) {
             return Err(Self::bad("rate", rate, only(MOCAP_LOG)));
         }
@@ -270,6 +282,7 @@ fn run_recording(
 ) -> Result<Score, OfflineError> {
     let info = recording.info();
     let selection = Selection::new(&args.sensors, info)?;
+    let mut calibration = calibrate::load(&args.calibration)?;
     // One rule for every recording: nothing is tuned to a file.
     let options = info.ekf_options();
     // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
@@ -287,12 +300,14 @@ fn run_recording(
     let mut applied = MotorCommand::default();
     while let Some(tick) = recording.next_tick() {
         let mut frame = tick.received.unwrap_or(tick.sensed);
+        calibration.apply(&mut frame);
         selection.apply(&mut frame);
         output.estimate(estimator.step(&frame, &applied))?;
         applied = tick.applied.unwrap_or(applied);
         score.add(estimator.as_ref(), tick.truth.as_ref());
     }
     output.finish()?;
+    score.fields = calibration.fields().collect();
     Ok(score)
 }
 
@@ -337,4 +352,4 @@ fn run_log(args: &EstimateArgs, kind: EstimatorKind) -> Result<Score, OfflineErr
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::*;
 use crate::recordings::shared;
 
-fn arguments(input: &Path, estimator: &str, folder: &Path) -> EstimateArgs {
+pub(crate) fn arguments(input: &Path, estimator: &str, folder: &Path) -> EstimateArgs {
     EstimateArgs {
         input: input.to_owned(),
         format: None,
@@ -15,6 +15,7 @@ fn arguments(input: &Path, estimator: &str, folder: &Path) -> EstimateArgs {
         gnss_rate: None,
         gnss_noise: None,
         seed: None,
+        calibration: Vec::new(),
         output: folder.join("out.csv"),
     }
 }

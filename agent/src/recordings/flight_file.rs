@@ -19,9 +19,14 @@ use crate::vehicle::{
 /// Reads the whole file; one that was cut short is read up to its last whole chunk.
 pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
     let bytes = std::fs::read(path).map_err(|source| RecordingError::Io { path: path.to_owned(), source })?;
+    read(&bytes, path)
+}
+
+/// The same of a file in memory; `path` is its name in messages.
+pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Recording, RecordingError> {
     let mut reader =
         Reader { path, builder: Builder::default(), unreadable: BTreeMap::new(), boot_us: None, at: FlightTime(0) };
-    let stream = mcap::MessageStream::new_with_options(&bytes, mcap::read::Options::IgnoreEndMagic.into())
+    let stream = mcap::MessageStream::new_with_options(bytes, mcap::read::Options::IgnoreEndMagic.into())
         .map_err(|e| RecordingError::malformed(path, e.to_string()))?;
     for message in stream {
         match message {

@@ -256,6 +256,14 @@ impl RecordingError {
     }
 }
 
+/// The text of a file that is no recording, gzip undone.
+///
+/// # Errors
+/// [`RecordingError::Io`].
+pub fn text(path: &Path) -> Result<Box<dyn std::io::Read>, RecordingError> {
+    tables::reader(path)
+}
+
 /// Opens a recording, its format judged by its content.
 ///
 /// # Errors
@@ -276,6 +284,14 @@ pub fn open_as(path: &Path, format: Format) -> Result<Recording, RecordingError>
         Format::Rotorpy => rotorpy::open(path),
         Format::Px4Ulog => ulog::open(path),
     }
+}
+
+/// Reads one of our own flight files that is in memory; `name` is its name in messages.
+///
+/// # Errors
+/// [`RecordingError`].
+pub fn open_flight(bytes: &[u8], name: &Path) -> Result<Recording, RecordingError> {
+    flight_file::read(bytes, name)
 }
 
 /// Opens a Phantom 4 folder with its GNSS thinned and noised.

@@ -108,7 +108,7 @@ impl Recording {
 
 /// Year, month, day and hour, minute, second (UTC) of a Unix time.
 /// Days to date after Howard Hinnant, "chrono-compatible low-level date algorithms".
-fn civil(unix_s: u64) -> ((u64, u64, u64), (u64, u64, u64)) {
+pub(crate) fn civil(unix_s: u64) -> ((u64, u64, u64), (u64, u64, u64)) {
     let (days, second) = (unix_s / 86_400, unix_s % 86_400);
     let z = days + 719_468;
     let (era, doe) = (z / 146_097, z % 146_097);

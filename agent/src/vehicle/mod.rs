@@ -3,6 +3,7 @@
 //! Everything is SI, calibrated, in the body frame FLU or the world frame ENU; NED, FRD and degrees
 //! stay inside the driver that speaks them.
 
+pub mod calibrated;
 pub mod replay;
 pub mod sim;
 pub mod suite;
