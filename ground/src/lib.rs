@@ -12,6 +12,7 @@
 pub mod agent_link;
 mod api;
 pub mod attack_plan;
+pub mod calibrations;
 pub mod commands;
 pub mod config;
 mod error;

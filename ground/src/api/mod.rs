@@ -3,6 +3,7 @@
 mod assets;
 mod attacks;
 mod body;
+mod calibrations;
 mod control;
 mod design;
 mod error;
@@ -161,6 +162,11 @@ pub(crate) fn router(app: App) -> Router {
         .nest("/api/vehicles/{id}", vehicle)
         .route("/api/flights", get(flights::list))
         .nest("/api/flights/{id}", flight)
+        .route(
+            "/api/v1/calibrations",
+            get(calibrations::list).post(calibrations::create).layer(DefaultBodyLimit::max(calibrations::MAX_TABLE)),
+        )
+        .route("/api/v1/calibrations/{id}", get(calibrations::show))
         .route("/api/{*rest}", axum::routing::any(unknown))
         .fallback(assets::serve)
         .method_not_allowed_fallback(method_not_allowed)
