@@ -5,7 +5,7 @@
 
 mod headless;
 
-use headless::Headless;
+use headless::{Headless, paternain};
 use serde_json::json;
 
 fn main() {
@@ -60,32 +60,15 @@ fn altitude_step() {
 
 /// 0 → 1 m in free flight: [Paternain] VIII-C overshot by a metre; ours by 0.2 m at most.
 fn take_off() {
-    let mut flown = Headless::start("takeoff");
-    let mut highest: f64 = 0.0;
-    let mut last = 0.0;
-    flown.run(|tick| {
-        highest = highest.max(tick.truth.position_enu_m.z);
-        last = tick.truth.position_enu_m.z;
-    });
-    line("take_off_overshoot", Some((highest - 1.0).max(0.0)), "m", 0.2, "truth; [Paternain] VIII-C: 1 m");
-    line("take_off_final_error", Some((last - 1.0).abs()), "m", 0.05, "truth");
+    let answer = paternain::take_off();
+    line("take_off_overshoot", Some(answer.overshoot), "m", 0.2, "truth; [Paternain] VIII-C: 1 m");
+    line("take_off_final_error", Some(answer.final_error), "m", 0.05, "truth");
 }
 
 /// [Paternain] VIII-A: held at 20° for 0.4 s and let go; back in 0.4 s, at most 4° beyond.
 fn roll() {
-    let mut flown = Headless::start("single_axis_roll");
-    let released = flown.scenario.script.pushes.iter().map(|push| push.at_s + push.duration_s).fold(0.0, f64::max);
-    let mut angles = Vec::new();
-    flown.run(|tick| {
-        let (roll, _, _) = tick.truth.world_from_body.euler_angles();
-        angles.push((tick.time.as_seconds() - released, roll.to_degrees()));
-    });
-    let after = || angles.iter().filter(|(t, _)| *t >= 0.0);
-    let from = after().next().map_or(f64::NAN, |(_, angle)| *angle);
-    let first = |fraction: f64| after().find(|(_, angle)| angle / from <= fraction).map(|(t, _)| *t);
-    let rise = first(0.1).zip(first(0.9)).map(|(low, high)| low - high);
-    let beyond = after().map(|(_, angle)| -angle * from.signum()).fold(0.0, f64::max);
-    line("roll_held", Some(from), "deg", 20.0, "truth");
-    line("roll_rise", rise, "s", 0.4, "truth; [Paternain] VIII-A");
-    line("roll_overshoot", Some(beyond), "deg", 4.0, "truth; [Paternain] VIII-A");
+    let answer = paternain::roll();
+    line("roll_held", Some(answer.from), "deg", 20.0, "truth");
+    line("roll_rise", answer.rise_s, "s", 0.4, "truth; [Paternain] VIII-A");
+    line("roll_overshoot", Some(answer.overshoot), "deg", 4.0, "truth; [Paternain] VIII-A");
 }

@@ -1,8 +1,11 @@
 //! A scripted scenario flown in this process, as fast as possible: the agent's own parts, no socket, no clock.
 #![allow(dead_code, reason = "each program uses its part")]
 
+pub mod paternain;
+
 use plumbline_agent::command::Command;
 use plumbline_agent::control::step_response::StepResponse;
+use plumbline_agent::estimate::Estimate;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_agent::vehicle::{SensorFrame, Truth, Vehicle};
@@ -17,10 +20,12 @@ pub struct Headless {
 }
 
 /// What the caller sees of one tick.
-pub struct Tick {
+pub struct Tick<'a> {
     pub time: FlightTime,
     pub sensed: SensorFrame,
     pub truth: Truth,
+    /// Of the estimator in the loop.
+    pub estimate: &'a Estimate,
     pub step: Option<StepResponse>,
 }
 
@@ -56,13 +61,15 @@ impl Headless {
     }
 
     /// The whole scenario.
-    pub fn run(&mut self, mut each: impl FnMut(Tick)) {
+    pub fn run(&mut self, mut each: impl FnMut(Tick<'_>)) {
         let ticks = (self.scenario.duration_s * self.scenario.tick_rate_hz) as usize;
         for _ in 0..ticks {
             let sensed = self.sense();
             let step = self.fly(&sensed);
             let truth = self.vehicle.truth().unwrap();
-            each(Tick { time: sensed.time, sensed, truth, step });
+            let kind = self.flight.estimator_in_loop();
+            let (_, estimate) = self.flight.estimates().find(|(known, _)| *known == kind).unwrap();
+            each(Tick { time: sensed.time, sensed, truth, estimate, step });
         }
     }
 }

@@ -9,17 +9,23 @@ pub struct Options {
     pub source: Option<String>,
 }
 
-/// Source, what of it can be run today and by which bench, and what comes with later work.
-const SOURCES: [(&str, &[&str], &str); 4] = [
-    (
-        "paternain",
-        &["steps"],
-        "VIII-A roll disturbance and VIII-C take-off are in `steps`; VIII-B yaw on strings comes with the controllers",
-    ),
-    ("umasankar", &[], "Tables 3 and 4 (position error against camera rate) come with the experiment runner"),
+/// Source, its programs, and what comes with later work.
+const SOURCES: [(&str, &[Program], &str); 4] = [
+    ("paternain", &[(TESTS, "paternain")], "VIII: the three experiments; report in target/reproduce/paternain"),
+    ("umasankar", &[(TESTS, "umasankar")], "Tables 3 to 5; report in target/reproduce/umasankar"),
     ("strategies", &[], "LQG and H-infinity trajectories come with the controllers"),
-    ("clinic", &["sse"], "decoder times are in `sse`; Table 1 in closed loop comes with secure estimation in the loop"),
+    (
+        "clinic",
+        &[("plumbline-agent", "sse")],
+        "decoder times are in `sse`; Table 1 in closed loop comes with secure estimation in the loop",
+    ),
 ];
+
+/// A bench program: package and name.
+type Program = (&'static str, &'static str);
+
+/// The package of the campaigns.
+const TESTS: &str = "plumbline-tests";
 
 /// Runs what there is and names what there is not.
 ///
@@ -33,10 +39,10 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         let names = SOURCES.map(|(name, ..)| name).join(", ");
         return Err(XtaskError::Other(format!("no source is called `{source}`; there are: {names}")));
     }
-    for (name, benches, note) in chosen {
+    for (name, programs, note) in chosen {
         eprintln!("[{name}] {note}");
-        for bench in *benches {
-            bench::run(workspace, &bench::Options { name: Some((*bench).to_owned()) })?;
+        for (package, program) in *programs {
+            bench::program(workspace, package, program)?;
         }
     }
     Ok(())
