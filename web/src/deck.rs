@@ -32,6 +32,8 @@ pub enum Picture {
     Heatmap,
     /// Innovation and gate of every channel of one sensor instance.
     Residual,
+    /// How suspect the secure estimator finds each sensor.
+    Suspicion,
     /// Motor commands.
     Motors,
     /// Time of a tick.
@@ -96,6 +98,8 @@ pub struct Deck {
     pub residual: RwSignal<Option<(i32, u32)>>,
     /// Estimator whose residuals are shown; 0: the one in the loop.
     pub residuals_of: RwSignal<u16>,
+    /// The secure estimator's sensors instead of the residuals?
+    pub secure: RwSignal<bool>,
     /// Recorded flights: where the replay stands, s.
     pub playhead: RwSignal<f64>,
     /// Recorded flights: begin of the flight, s of flight time.
@@ -121,6 +125,7 @@ impl Deck {
             selection: RwSignal::new(None),
             residual: RwSignal::new(None),
             residuals_of: RwSignal::new(0),
+            secure: RwSignal::new(false),
             playhead: RwSignal::new(0.0),
             origin_s: RwSignal::new(0.0),
             space: RwSignal::new(false),

@@ -13,7 +13,7 @@ pub const KEYS: [(&str, &str); 9] = [
     ("R", "start or stop a recording"),
     ("A", "attacks: go to the form"),
     ("← →", "recorded flight: back or on by 1 s, with Shift 10 s"),
-    ("1 2 3", "Fly, Flights, Setup"),
+    ("1 … 5", "Fly, Flights, Tune, Calibrate, Setup"),
     ("Esc", "close; leave a zoom or a residual"),
     ("?", "this list"),
 ];
@@ -65,7 +65,9 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
         "a" | "A" if flying => ctx.attacks_focus.update(|n| *n += 1),
         "1" => ctx.go(Route::Fly),
         "2" => ctx.go(Route::Flights),
-        "3" => ctx.go(Route::Setup),
+        "3" => ctx.go(Route::Tune),
+        "4" => ctx.go(Route::Calibrate),
+        "5" => ctx.go(Route::Setup),
         "?" => ctx.help.set(true),
         "Escape" => match deck {
             Some(deck) if deck.zoom.get_untracked().is_some() => deck.zoom_out(),

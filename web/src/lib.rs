@@ -72,6 +72,8 @@ fn Root() -> impl IntoView {
                 Route::Flights => view! { <page::FlightsPage /> }.into_any(),
                 Route::Flight(id) => view! { <page::FlightPage id=id /> }.into_any(),
                 Route::Compare(ids) => view! { <page::Compare ids=ids /> }.into_any(),
+                Route::Tune => view! { <page::Tune /> }.into_any(),
+                Route::Calibrate => view! { <page::Calibrate /> }.into_any(),
                 Route::Setup => view! { <page::Setup /> }.into_any(),
                 Route::Unknown(path) => view! {
                     <main id="main" class="sheet"><h1>"No such page"</h1><p>{format!("{path} names no page. ")}<panel::toolbar::Link to=Route::Fly>"Fly"</panel::toolbar::Link></p></main>

@@ -70,6 +70,8 @@ pub enum Curve {
     Gate(ResidualKey),
     /// Innovation ratio of the worst channel of a sensor: estimator, kind, instance.
     Worst(u16, i32, u32),
+    /// How suspect the secure estimator finds a sensor (kind, instance): statistic / limit, above 1 once flagged.
+    Suspicion(i32, u32),
     /// Work in a tick, median, µs.
     TickMedian,
     /// Work in a tick, 99th percentile, µs.
@@ -200,12 +202,28 @@ impl Curves {
         }
     }
 
+    /// The secure estimator's account of its sensors.
+    pub fn push_secure(&mut self, status: &v1::SecureStatus) {
+        for s in &status.sensors {
+            let ratio = if s.present { suspicion(s) } else { f64::NAN };
+            self.push(Curve::Suspicion(s.sensor, s.instance), status.time_us, ratio);
+        }
+    }
+
     /// The status of the agent.
     pub fn push_status(&mut self, status: &v1::Status) {
         self.push(Curve::TickMedian, status.time_us, status.tick_time_p50_us);
         self.push(Curve::TickP99, status.time_us, status.tick_time_p99_us);
         self.push(Curve::TickJitter, status.time_us, status.tick_jitter_p99_us);
     }
+}
+
+/// The larger of a sensor's two statistics over its limit. Flagged is always above 1: hysteresis keeps a sensor
+/// out while its statistics are already small. Not flagged never is: one window above its limit flags nobody.
+pub fn suspicion(sensor: &v1::SecureSensor) -> f64 {
+    const ABOVE: f64 = 1.01;
+    let ratio = sensor.window_ratio.max(sensor.drift_ratio);
+    if sensor.flagged { ratio.max(ABOVE) } else { ratio.min(1.0) }
 }
 
 #[cfg(test)]
@@ -228,6 +246,19 @@ mod tests {
             &v1::Residuals { time_us: 5, estimator: 1, residuals: vec![residual(4, 0.5), residual(5, 0.75)] },
         );
         assert_eq!(curves.value_at(Curve::Worst(1, 1, 3), 1.0), Some(0.75));
+        let flagged = v1::SecureSensor {
+            sensor: 2,
+            instance: 1,
+            present: true,
+            flagged: true,
+            window_ratio: 0.2,
+            ..Default::default()
+        };
+        let spike = v1::SecureSensor { instance: 2, flagged: false, drift_ratio: 1.7, ..flagged };
+        let gone = v1::SecureSensor { instance: 3, present: false, ..flagged };
+        curves.push_secure(&v1::SecureStatus { time_us: 5, sensors: vec![flagged, spike, gone], ..Default::default() });
+        let at = |instance| curves.value_at(Curve::Suspicion(2, instance), 1.0);
+        assert!(at(1).is_some_and(|r| r > 1.0) && at(2) == Some(1.0) && at(3).is_none());
         let span = curves.time_span_s().unwrap();
         assert!((span.start - 5e-6).abs() < 1e-9 && span.end == 1.0);
     }

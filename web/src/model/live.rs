@@ -31,6 +31,8 @@ pub struct Live {
     pub status: Topic<v1::Status>,
     /// Gains in use.
     pub gains: Topic<v1::GainsInUse>,
+    /// The secure estimator's account of itself.
+    pub secure: Topic<v1::SecureStatus>,
     /// The attack schedule.
     pub attacks: Topic<v1::AttackState>,
     /// Newest tick of the controller.
@@ -195,6 +197,13 @@ impl Live {
                     }
                 }
             }
+            Kind::Secure => {
+                let status: v1::SecureStatus = frame.message()?;
+                if self.extends_curve(frame) {
+                    self.curves.push_secure(&status);
+                }
+                self.secure.set(status, frame.time_us);
+            }
             Kind::Link => {
                 let link: v1::LinkStatus = frame.message()?;
                 if self.newest_us > 0 {
@@ -210,8 +219,7 @@ impl Live {
             | Kind::Barometer
             | Kind::Gnss
             | Kind::MocapPose
-            | Kind::CameraRanges
-            | Kind::Secure => {}
+            | Kind::CameraRanges => {}
         }
         Ok(())
     }
@@ -279,6 +287,17 @@ impl Live {
         self.estimates.get(&self.in_loop())
     }
 
+    /// The sensor instances that the secure estimator judges, in the suite's order.
+    pub fn suspicion_rows(&self) -> Vec<(i32, u32)> {
+        let judged = self.curves.names().filter_map(|c| match c {
+            Curve::Suspicion(sensor, instance) => Some((sensor, instance)),
+            _ => None,
+        });
+        let mut rows: Vec<(i32, u32)> = judged.collect();
+        rows.sort_by_key(suite_order);
+        rows
+    }
+
     /// The sensor instances that have residuals under `estimator`, in the suite's order.
     pub fn residual_rows(&self, estimator: u16) -> Vec<(i32, u32)> {
         let mut rows: Vec<(i32, u32)> = Vec::new();
@@ -287,16 +306,7 @@ impl Live {
                 rows.push((*sensor, *instance));
             }
         }
-        // Heights first: they are what altitude tests watch; then IMUs, then the rest.
-        rows.sort_by_key(|(sensor, instance)| {
-            let rank = match v1::SensorKind::try_from(*sensor) {
-                Ok(v1::SensorKind::Height) => 0,
-                Ok(v1::SensorKind::Imu) => 1,
-                Ok(v1::SensorKind::Barometer) => 2,
-                _ => 3,
-            };
-            (rank, *sensor, *instance)
-        });
+        rows.sort_by_key(suite_order);
         rows
     }
 
@@ -339,6 +349,17 @@ pub fn append<M: Message>(batch: &mut Vec<u8>, kind: Kind, instance: u16, sequen
         codec::begin_batch(batch);
     }
     codec::encode_message(batch, kind, instance, sequence, time_us, message);
+}
+
+/// Heights first: they are what altitude tests watch; then IMUs, then the rest.
+fn suite_order((sensor, instance): &(i32, u32)) -> (u8, i32, u32) {
+    let rank = match v1::SensorKind::try_from(*sensor) {
+        Ok(v1::SensorKind::Height) => 0,
+        Ok(v1::SensorKind::Imu) => 1,
+        Ok(v1::SensorKind::Barometer) => 2,
+        _ => 3,
+    };
+    (rank, *sensor, *instance)
 }
 
 #[cfg(test)]

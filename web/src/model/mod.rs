@@ -2,6 +2,7 @@
 
 pub mod api;
 pub mod axis;
+pub mod calibration;
 pub mod clock;
 pub mod curves;
 pub mod decimate;
@@ -15,3 +16,4 @@ pub mod route;
 pub mod series;
 pub mod spans;
 pub mod topic;
+pub mod tuning;

@@ -12,6 +12,10 @@ pub enum Route {
     Flight(String),
     /// Several recorded flights, overlaid.
     Compare(Vec<String>),
+    /// Controllers designed, previewed, pushed.
+    Tune,
+    /// Sensors and motors calibrated.
+    Calibrate,
     /// Ground, vehicle, suite, limits.
     Setup,
     /// No such page.
@@ -29,6 +33,8 @@ impl Route {
                 Self::Compare(id.split(',').filter(|p| !p.is_empty()).map(str::to_owned).collect())
             }
             ["flights", id] => Self::Flight((*id).to_owned()),
+            ["tune"] => Self::Tune,
+            ["calibrate"] => Self::Calibrate,
             ["setup"] => Self::Setup,
             _ => Self::Unknown(path.to_owned()),
         }
@@ -41,6 +47,8 @@ impl Route {
             Self::Flights => "/flights".to_owned(),
             Self::Flight(id) => format!("/flights/{id}"),
             Self::Compare(ids) => format!("/flights/{}", ids.join(",")),
+            Self::Tune => "/tune".to_owned(),
+            Self::Calibrate => "/calibrate".to_owned(),
             Self::Setup => "/setup".to_owned(),
             Self::Unknown(path) => path.clone(),
         }
@@ -53,6 +61,8 @@ impl Route {
             Self::Flights => "Flights – Plumbline",
             Self::Flight(_) => "Flight – Plumbline",
             Self::Compare(_) => "Compare flights – Plumbline",
+            Self::Tune => "Tune – Plumbline",
+            Self::Calibrate => "Calibrate – Plumbline",
             Self::Setup => "Setup – Plumbline",
             Self::Unknown(_) => "Not found – Plumbline",
         }
@@ -70,6 +80,8 @@ mod tests {
             Route::Flights,
             Route::Flight("20261121T120000-iris-1-0001".into()),
             Route::Compare(vec!["a".into(), "b".into()]),
+            Route::Tune,
+            Route::Calibrate,
             Route::Setup,
         ];
         for route in routes {

@@ -16,7 +16,7 @@ use crate::{
         motors::MotorsAndTicks,
         readouts::Readouts,
         replay::ReplayCard,
-        residuals::Residuals,
+        residuals::Evidence,
         setpoint::SetpointCard,
     },
 };
@@ -106,7 +106,7 @@ pub fn Fly() -> impl IntoView {
                     view! {
                         <AltitudeChart />
                         <AttitudeChart />
-                        <Residuals />
+                        <Evidence />
                         <MotorsAndTicks />
                     }.into_any()
                 } else {

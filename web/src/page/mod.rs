@@ -1,5 +1,6 @@
 //! The pages: each arranges panels.
 
+mod calibrate;
 mod compare;
 pub mod flight;
 pub mod flights;
@@ -7,10 +8,13 @@ mod fly;
 mod help;
 mod numbers;
 mod setup;
+mod tune;
 
+pub use calibrate::Calibrate;
 pub use compare::Compare;
 pub use flight::FlightPage;
 pub use flights::FlightsPage;
 pub use fly::Fly;
 pub use help::Help;
 pub use setup::Setup;
+pub use tune::Tune;

@@ -53,10 +53,10 @@ impl Frame {
         match slot.picture {
             Picture::Horizon => Some(Content::Horizon(self.horizon(instrument))),
             Picture::Space => Some(Content::Attitude3d(self.space(live, instrument, body))),
-            Picture::Heatmap => {
+            Picture::Heatmap | Picture::Suspicion => {
                 let origin = self.deck.label_origin_s(live, axis);
                 self.label(slot, rect, axis, None, origin);
-                Some(Content::Heatmap(self.heatmap(live, axis)))
+                Some(Content::Heatmap(self.heatmap(slot.picture, live, axis)))
             }
             Picture::Altitude => Some(self.chart(slot, rect, live, axis, self.altitude(live), ALTITUDE_SPAN_M, None)),
             Picture::Compare => Some(self.chart(slot, rect, live, axis, self.compared(live), ALTITUDE_SPAN_M, None)),
@@ -80,14 +80,16 @@ impl Frame {
         }
     }
 
-    fn heatmap<'a>(&self, live: &'a Live, axis: TimeAxis) -> HeatmapView<'a> {
+    fn heatmap<'a>(&self, picture: Picture, live: &'a Live, axis: TimeAxis) -> HeatmapView<'a> {
         let estimator = self.deck.residual_estimator(live);
+        let suspicion = picture == Picture::Suspicion;
+        let sensors = if suspicion { live.suspicion_rows() } else { live.residual_rows(estimator) };
         let mut kind_before = None;
-        let rows = live
-            .residual_rows(estimator)
+        let rows = sensors
             .into_iter()
             .filter_map(|(sensor, instance)| {
-                let ratio = live.curves.get(Curve::Worst(estimator, sensor, instance))?;
+                let worst = Curve::Worst(estimator, sensor, instance);
+                let ratio = live.curves.get(if suspicion { Curve::Suspicion(sensor, instance) } else { worst })?;
                 let group_start = kind_before.replace(sensor).is_some_and(|before| before != sensor);
                 Some(HeatRow { ratio, group_start })
             })

@@ -6,6 +6,7 @@ use plumbline_proto::v1::{Channel, EstimatorKind, SensorKind};
 use super::{
     legend::{Entry, Legend, Swatch},
     plot::Plot,
+    secure::{SecureCard, SecureSwitch},
 };
 use crate::{
     deck::{Picture, Source, deck},
@@ -28,9 +29,25 @@ fn level(ratio: Option<f64>) -> &'static str {
     }
 }
 
+/// Residuals, or the secure estimator's account, in one place. It opens by itself when the secure estimator
+/// takes the loop.
+#[component]
+pub fn Evidence() -> impl IntoView {
+    let deck = deck();
+    let secure = Memo::new(move |_| deck.read(|live| i32::from(live.in_loop()) == EstimatorKind::Secure as i32));
+    Effect::new(move |before: Option<bool>| {
+        let now = secure.get();
+        if before.is_some_and(|before| before != now) {
+            deck.secure.set(now);
+        }
+        now
+    });
+    move || if deck.secure.get() { view! { <SecureCard /> }.into_any() } else { view! { <Residuals /> }.into_any() }
+}
+
 /// The residual card.
 #[component]
-pub fn Residuals() -> impl IntoView {
+fn Residuals() -> impl IntoView {
     let deck = deck();
     let estimator = Memo::new(move |_| {
         deck.residuals_of.track();
@@ -62,9 +79,10 @@ pub fn Residuals() -> impl IntoView {
                         <li><span class="heat rejected"></span>"1: rejected"</li>
                     </ul>
                 </Show>
+                <span class="push"><SecureSwitch /></span>
                 <Show when=move || { offered.get().len() > 1 }>
                     <select
-                        class="small push"
+                        class="small"
                         aria-label="Residuals of estimator"
                         on:change:target=move |e| deck.residuals_of.set(e.target().value().parse().unwrap_or(0))
                     >

@@ -1,0 +1,201 @@
+//! Calibrations as the ground fits and keeps them, and how each kind is done well.
+
+use serde::Deserialize;
+
+/// A kind of calibration: name on the wire, title, the data it needs, guidance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Kind {
+    /// Name on the wire.
+    pub name: &'static str,
+    /// Title on the page.
+    pub title: &'static str,
+    /// Can a recorded flight be its data?
+    pub from_flight: bool,
+    /// What to do, one step after the other.
+    pub guidance: &'static [&'static str],
+}
+
+/// Every kind.
+pub const KINDS: [Kind; 8] = [
+    Kind {
+        name: "accelerometer",
+        title: "Accelerometer",
+        from_flight: true,
+        guidance: &[
+            "Record (R) while the vehicle rests, motors off.",
+            "Put it down in at least nine different poses: each side, both ends, upside down, and some in between.",
+            "Hold each pose still for two seconds or more. Scale, misalignment and bias come out of gravity alone.",
+        ],
+    },
+    Kind {
+        name: "gyroscope",
+        title: "Gyroscope",
+        from_flight: true,
+        guidance: &[
+            "Use the same recording of poses: the turns between two rests are what is compared.",
+            "Turn briskly, about every axis, and rest again each time.",
+            "Choose a fitted accelerometer first: it says how far each turn went.",
+        ],
+    },
+    Kind {
+        name: "magnetometer",
+        title: "Magnetometer",
+        from_flight: true,
+        guidance: &[
+            "Record away from steel and cables, motors off.",
+            "Turn the vehicle about all its axes until every side has looked up and down, for half a minute.",
+            "Hard iron is the centre of the ellipsoid, soft iron its shape: afterwards the points lie on a sphere.",
+        ],
+    },
+    Kind {
+        name: "thermal",
+        title: "Temperature",
+        from_flight: true,
+        guidance: &[
+            "Record at rest from cold until the temperature stands still; ten minutes or more.",
+            "Nothing may move: what changes is then the sensors' own drift.",
+        ],
+    },
+    Kind {
+        name: "motor-curve",
+        title: "Motor curve",
+        from_flight: false,
+        guidance: &[
+            "On a stand with a tachometer: command each motor from low to high in ten steps, wait for the speed to settle.",
+            "Table with the columns command (0 to 1) and rpm, or speed_radps.",
+        ],
+    },
+    Kind {
+        name: "thrust",
+        title: "Thrust and torque",
+        from_flight: false,
+        guidance: &[
+            "On a thrust stand: speed, thrust and, where measured, torque, for ten speeds or more.",
+            "Table with the columns rpm and thrust_n, and torque_nm; a wind-tunnel table of a propeller works too.",
+        ],
+    },
+    Kind {
+        name: "mass",
+        title: "Mass and inertia",
+        from_flight: false,
+        guidance: &[
+            "Weigh the vehicle with its battery.",
+            "For inertia hang it on two strings and time the swing about each axis; the columns are in the table's help.",
+        ],
+    },
+    Kind {
+        name: "allan",
+        title: "IMU noise (Allan)",
+        from_flight: true,
+        guidance: &[
+            "Record at rest, motors off, on something solid; the longer the better, an hour shows the bias instability.",
+            "White noise is the slope −½ at one second, bias instability the flat bottom.",
+        ],
+    },
+];
+
+/// One fitted number.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Parameter {
+    pub name: String,
+    pub value: f64,
+    pub sigma: Option<f64>,
+    pub unit: String,
+}
+
+/// What is left after the fit.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Residual {
+    pub value: Option<f64>,
+    pub unit: String,
+}
+
+/// Points of a picture.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Series {
+    pub name: String,
+    pub line: bool,
+    pub points: Vec<[Option<f64>; 2]>,
+}
+
+/// A picture of the fit.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Picture {
+    pub title: String,
+    pub x: String,
+    pub y: String,
+    pub log: bool,
+    pub series: Vec<Series>,
+}
+
+/// A calibration; lists leave picture and parameters' covariance out.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Calibration {
+    pub id: String,
+    pub kind: String,
+    pub date: String,
+    pub input: String,
+    pub sensor: Option<u32>,
+    pub samples: u64,
+    pub residual: Residual,
+    pub parameters: Vec<Parameter>,
+    pub notes: Vec<String>,
+    pub picture: Vec<Picture>,
+}
+
+/// `GET /api/v1/calibrations`.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Calibrations {
+    pub calibrations: Vec<Calibration>,
+}
+
+/// At most this many points of a series are drawn.
+const MOST_POINTS: usize = 600;
+
+/// The points to draw: thinned, and as powers of ten where the axes are logarithmic.
+pub fn drawn(series: &Series, log: bool) -> Vec<[f64; 2]> {
+    let every = series.points.len().div_ceil(MOST_POINTS).max(1);
+    let place = |v: Option<f64>| match v {
+        Some(v) if log => v.log10(),
+        Some(v) => v,
+        None => f64::NAN,
+    };
+    series.points.iter().step_by(every).map(|[x, y]| [place(*x), place(*y)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_is_read_and_its_picture_thinned() {
+        let text = r#"{"id":"m-1","kind":"magnetometer","date":"2026-01-31T12:00:00Z","input":"f1","sensor":1,"span_s":[5.0,60.0],
+            "samples":1109,"residual":{"value":0.6,"unit":"µT"},
+            "parameters":[{"name":"hard_x","value":-1.4,"sigma":0.3,"unit":"µT"}],"covariance":[[1.0]],"notes":["14 of 18"],
+            "picture":[{"title":"Field","x":"µT","y":"µT","log":true,"series":[{"name":"before","line":false,"points":[[10.0,100.0],[null,1.0]]}]}]}"#;
+        let read: Calibration = serde_json::from_str(text).unwrap();
+        assert_eq!((read.parameters[0].sigma, read.residual.value), (Some(0.3), Some(0.6)));
+        let points = drawn(&read.picture[0].series[0], true);
+        assert_eq!(points[0], [1.0, 2.0]);
+        assert!(points[1][0].is_nan());
+        let many = Series { points: vec![[Some(1.0), Some(1.0)]; 100_000], ..Series::default() };
+        assert!(drawn(&many, false).len() <= MOST_POINTS);
+    }
+
+    #[test]
+    fn every_kind_says_what_to_do() {
+        assert!(KINDS.iter().all(|k| !k.guidance.is_empty() && k.guidance.iter().all(|g| g.ends_with('.'))));
+    }
+}

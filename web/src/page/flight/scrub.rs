@@ -1,0 +1,131 @@
+//! Play, speed, position and event marks of a recorded flight.
+
+use std::time::Duration;
+
+use leptos::{ev, html, prelude::*};
+
+use crate::{deck::Deck, net};
+
+/// Playback speeds.
+const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+
+/// Play, speed, position, event marks.
+#[component]
+pub(super) fn Scrub(deck: Deck) -> impl IntoView {
+    let playing = RwSignal::new(false);
+    let speed = RwSignal::new(1.0);
+    let bar = NodeRef::<html::Div>::new();
+    let (begin, end) = deck
+        .data
+        .with_value(|live| live.curves.time_span_s().map_or((0.0, 1.0), |s| (s.start, s.end.max(s.start + 0.001))));
+    let length = end - begin;
+    let last = StoredValue::new(net::now_ms());
+    let step = move || {
+        let now = net::now_ms();
+        let passed = (now - last.get_value()) * 1e-3;
+        last.set_value(now);
+        if !playing.get_untracked() {
+            return;
+        }
+        let next = deck.playhead.get_untracked() + passed * speed.get_untracked();
+        deck.playhead.set(next.min(end));
+        if next >= end {
+            playing.set(false);
+        }
+    };
+    if let Ok(timer) = set_interval_with_handle(step, Duration::from_millis(33)) {
+        on_cleanup(move || timer.clear());
+    }
+    let toggle = move || {
+        if !playing.get_untracked() && deck.playhead.get_untracked() >= end - 1e-6 {
+            deck.playhead.set(begin);
+        }
+        playing.update(|p| *p = !*p);
+    };
+    let seek = move |delta: f64| deck.playhead.update(|t| *t = (*t + delta).clamp(begin, end));
+    let keys = window_event_listener(ev::keydown, move |e| {
+        use wasm_bindgen::JsCast;
+        let tag =
+            e.target().and_then(|t| t.dyn_into::<web_sys::Element>().ok()).map(|t| t.tag_name()).unwrap_or_default();
+        if matches!(tag.as_str(), "INPUT" | "TEXTAREA" | "SELECT") || e.ctrl_key() || e.alt_key() || e.meta_key() {
+            return;
+        }
+        let far = if e.shift_key() { 10.0 } else { 1.0 };
+        match e.key().as_str() {
+            " " if !matches!(tag.as_str(), "BUTTON" | "A" | "SUMMARY") => toggle(),
+            "ArrowLeft" => seek(-far),
+            "ArrowRight" => seek(far),
+            "Home" => deck.playhead.set(begin),
+            "End" => deck.playhead.set(end),
+            _ => return,
+        }
+        e.prevent_default();
+    });
+    on_cleanup(move || keys.remove());
+    let go_to = move |e: &ev::PointerEvent| {
+        let Some(bar) = bar.get_untracked() else { return };
+        let rect = bar.get_bounding_client_rect();
+        let fraction = ((f64::from(e.client_x()) - rect.left()) / rect.width().max(1.0)).clamp(0.0, 1.0);
+        deck.playhead.set(begin + fraction * length);
+    };
+    let percent = move |time: f64| (time - begin) / length * 100.0;
+    let marks = deck.data.with_value(|live| {
+        let events = live.events.iter().map(|e| (e.time_us as f64 * 1e-6, e.kind.clone(), e.text.clone()));
+        events.filter(|(t, _, _)| *t >= begin && *t <= end).collect::<Vec<_>>()
+    });
+    let spans = deck.data.with_value(|live| {
+        live.spans.iter().filter(|s| s.seen).map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
+    });
+    view! {
+        <div class="card scrub" role="group" aria-label="Replay">
+            <button type="button" class="play" aria-label=move || if playing.get() { "Pause replay" } else { "Play replay" } title="Space" on:click=move |_| toggle()>
+                {move || if playing.get() { "❚❚" } else { "▶" }}
+            </button>
+            <select class="small" aria-label="Replay speed" on:change:target=move |e| speed.set(e.target().value().parse().unwrap_or(1.0))>
+                {SPEEDS.into_iter().map(|s| view! { <option value=s.to_string() selected=move || speed.get() == s>{format!("{s}×")}</option> }).collect::<Vec<_>>()}
+            </select>
+            <output class="num">{move || format!("{} / {}", tenths(deck.playhead.get() - begin), tenths(length))}</output>
+            <div
+                class="scrub-bar"
+                node_ref=bar
+                role="slider"
+                tabindex="0"
+                aria-label="Position in the flight, in seconds"
+                aria-valuemin="0"
+                aria-valuemax=format!("{length:.1}")
+                aria-valuenow=move || format!("{:.1}", deck.playhead.get() - begin)
+                on:pointerdown=move |e| {
+                    if let Some(bar) = bar.get_untracked() {
+                        let _ = bar.set_pointer_capture(e.pointer_id());
+                    }
+                    go_to(&e);
+                }
+                on:pointermove=move |e| if e.buttons() == 1 { go_to(&e) }
+            >
+                {spans.into_iter().map(|(a, b)| view! {
+                    <i class="scrub-attack" style=format!("left:{:.2}%;width:{:.2}%", percent(a), (percent(b) - percent(a)).max(0.3))></i>
+                }).collect::<Vec<_>>()}
+                {marks.into_iter().map(|(time, kind, text)| view! {
+                    <i class=format!("scrub-mark {kind}") style=format!("left:{:.2}%", percent(time)) title=text></i>
+                }).collect::<Vec<_>>()}
+                <b class="scrub-head" style=move || format!("left:{:.2}%", percent(deck.playhead.get()))></b>
+            </div>
+        </div>
+    }
+}
+
+/// `m:ss.t`
+fn tenths(seconds: f64) -> String {
+    let tenth = (seconds.max(0.0) * 10.0).round() as u64;
+    format!("{}:{:02}.{}", tenth / 600, tenth / 10 % 60, tenth % 10)
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn positions_have_tenths() {
+        assert_eq!(super::tenths(62.34), "1:02.3");
+        assert_eq!(super::tenths(-1.0), "0:00.0");
+        assert_eq!(super::tenths(59.97), "1:00.0");
+    }
+}

@@ -1,0 +1,212 @@
+//! Tune: a controller designed with deviations, previewed by the agent's own library, pushed, and measured.
+
+mod book;
+mod editor;
+mod outlook;
+
+use std::time::Duration;
+
+use leptos::{leptos_dom::helpers::TimeoutHandle, prelude::*};
+use serde_json::json;
+
+use crate::{
+    ctx::{Ctx, ctx},
+    event::{Failure, Tone},
+    model::tuning::{Draft, GainsBook, Kind, Kinds, Preview},
+    net,
+};
+use book::Book;
+use editor::Editor;
+use outlook::{Loops, Responses};
+
+/// A preview is asked for when the design has stood still this long.
+const SETTLE: Duration = Duration::from_millis(250);
+/// Steps are previewed this long, s.
+const DURATION_S: f64 = 6.0;
+/// Altitude step previewed while none was measured, m.
+const STEP_M: f64 = 0.5;
+
+/// What the parts of the page share.
+#[derive(Clone, Copy)]
+struct Bench {
+    ctx: Ctx,
+    /// Controllers there are.
+    kinds: RwSignal<Vec<Kind>>,
+    /// The design being made.
+    draft: RwSignal<Option<Draft>>,
+    /// What the vehicle says of its gains.
+    book: RwSignal<GainsBook>,
+    /// Answer to the newest question that was answered.
+    preview: RwSignal<Option<Result<Preview, String>>>,
+    /// Does it belong to the design as it is now?
+    fresh: RwSignal<bool>,
+    asked: StoredValue<u64>,
+}
+
+impl Bench {
+    fn vehicle(self) -> Option<String> {
+        self.ctx.app.with_value(|app| app.vehicle.clone())
+    }
+
+    /// Path and query part that names the vehicle.
+    fn vehicle_path(self) -> Option<String> {
+        self.vehicle().map(|id| String::from(js_sys::encode_uri_component(&id)))
+    }
+
+    /// Controllers with the defaults of this vehicle, then what is in use; the draft begins as that.
+    fn load(self) {
+        let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
+        leptos::task::spawn_local(async move {
+            let mut kinds = net::json::<Kinds>("GET", &format!("/api/v1/design/controllers{query}"), None, "").await;
+            if kinds.is_err() {
+                // A vehicle that has not described itself yet: the default airframe.
+                kinds = net::json("GET", "/api/v1/design/controllers", None, "").await;
+            }
+            match kinds {
+                Ok(kinds) => {
+                    let _ = self.kinds.try_set(kinds.controllers);
+                }
+                Err(failure) => {
+                    let _ = self.preview.try_set(Some(Err(failure.text)));
+                    return;
+                }
+            }
+            self.reload_book().await;
+            if self.draft.try_with_untracked(Option::is_none) == Some(true) {
+                self.take_in_use();
+            }
+        });
+    }
+
+    async fn reload_book(self) {
+        let Some(id) = self.vehicle_path() else { return };
+        if let Ok(book) = net::json::<GainsBook>("GET", &format!("/api/vehicles/{id}/gains"), None, "").await {
+            let _ = self.book.try_set(book);
+        }
+    }
+
+    /// The draft becomes what is in use, or the defaults where nothing is known.
+    fn take_in_use(self) {
+        let design = self.book.try_with_untracked(GainsBook::design).flatten();
+        let kinds = self.kinds.try_get_untracked().unwrap_or_default();
+        let made = design.and_then(|design| Draft::from_json(&design, &kinds).ok());
+        let _ = self.draft.try_set(made.or_else(|| kinds.first().map(Draft::default_of)));
+    }
+
+    /// The kind of the draft.
+    fn kind(self) -> Option<Kind> {
+        let name = self.draft.with(|d| d.as_ref().map(|d| d.controller.clone()))?;
+        self.kinds.with(|all| all.iter().find(|k| k.controller == name).cloned())
+    }
+
+    /// Changes the draft.
+    fn change(self, change: impl FnOnce(&mut Draft)) {
+        self.draft.update(|draft| {
+            if let Some(draft) = draft {
+                change(draft);
+            }
+        });
+    }
+
+    /// Asks what the draft would do.
+    fn ask(self) {
+        let Some(draft) = self.draft.get_untracked() else { return };
+        let number = self.asked.get_value() + 1;
+        self.asked.set_value(number);
+        let mut body = draft.to_json();
+        body["duration_s"] = json!(DURATION_S);
+        body["step"] = json!({ "z_m": self.measured_size().unwrap_or(STEP_M), "yaw_rad": 0.35 });
+        let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
+        leptos::task::spawn_local(async move {
+            let url = format!("/api/v1/design/preview{query}");
+            let answer = net::json::<Preview>("POST", &url, Some(body.to_string()), "").await;
+            // An older question's answer says nothing about the draft of now.
+            if self.asked.try_get_value() != Some(number) {
+                return;
+            }
+            let _ = self.preview.try_set(Some(answer.map_err(|failure| failure.text)));
+            let _ = self.fresh.try_set(true);
+        });
+    }
+
+    /// Size of the newest altitude step measured in this flight, m.
+    fn measured_size(self) -> Option<f64> {
+        self.ctx.live.with_value(|live| live.steps.back().map(|s| s.to_m - s.from_m)).filter(|s| s.abs() >= 0.05)
+    }
+
+    /// Sends a request about the gains of this vehicle; afterwards the book is read again.
+    fn send(self, what: String, method: &'static str, action: &'static str, body: serde_json::Value) {
+        let Some(id) = self.vehicle_path() else {
+            self.ctx.tell(Tone::Error, format!("{what}: no vehicle is connected"));
+            return;
+        };
+        let operator = self.ctx.operator();
+        leptos::task::spawn_local(async move {
+            let url = format!("/api/vehicles/{id}/{action}");
+            let answer: Result<crate::model::api::Answer, Failure> =
+                net::json(method, &url, Some(body.to_string()), &operator).await;
+            let done = answer.is_ok();
+            self.ctx.dispatch(crate::event::Event::Answered(what, answer));
+            self.reload_book().await;
+            if done {
+                // The change against what is in use is another now.
+                self.ask();
+            }
+        });
+    }
+}
+
+/// The Tune page.
+#[component]
+pub fn Tune() -> impl IntoView {
+    let ctx = ctx();
+    let bench = Bench {
+        ctx,
+        kinds: RwSignal::new(Vec::new()),
+        draft: RwSignal::new(None),
+        book: RwSignal::new(GainsBook::default()),
+        preview: RwSignal::new(None),
+        fresh: RwSignal::new(false),
+        asked: StoredValue::new(0),
+    };
+    provide_context(bench);
+    // Another vehicle is another design.
+    let vehicle = Memo::new(move |_| ctx.app(|app| app.vehicle.clone()));
+    Effect::new(move |_| {
+        vehicle.track();
+        bench.draft.set(None);
+        bench.load();
+    });
+    let waiting = StoredValue::new(None::<TimeoutHandle>);
+    Effect::new(move |_| {
+        bench.draft.track();
+        bench.fresh.set(false);
+        if let Some(handle) = waiting.get_value() {
+            handle.clear();
+        }
+        waiting.set_value(set_timeout_with_handle(move || bench.ask(), SETTLE).ok());
+    });
+    on_cleanup(move || {
+        if let Some(Some(handle)) = waiting.try_get_value() {
+            handle.clear();
+        }
+    });
+    // Gains change without this page too: another operator, a refusal, a restart.
+    let revision = Memo::new(move |_| ctx.live(|live| live.gains.get().map(|g| (g.revision, g.sha256.clone()))));
+    Effect::new(move |before: Option<()>| {
+        revision.track();
+        if before.is_some() {
+            leptos::task::spawn_local(bench.reload_book());
+        }
+    });
+    view! {
+        <main class="tune" id="main">
+            <Editor />
+            <div class="tune-centre">
+                <Responses />
+                <Loops />
+            </div>
+            <Book />
+        </main>
+    }
+}

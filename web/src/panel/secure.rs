@@ -1,0 +1,223 @@
+//! The secure estimator's account: attacked set over time, margins, certificate, audit, tracking error.
+//!
+//! It stands in the place of the residuals, on the same time axis. [Clinic] Table 1 is the limit it is judged
+//! by: tracking error under attack at most 1.2 e*, e* being the error of the same flight without attack.
+
+use leptos::prelude::*;
+use plumbline_proto::v1::{self, DecoderStatus, FlagReason, SecureFallback, SensorKind};
+
+use super::plot::Plot;
+use crate::{
+    deck::{Deck, Picture, Source, deck},
+    model::{
+        curves::{Curve, suspicion},
+        format::{self, NONE},
+        names,
+    },
+};
+
+/// [Clinic] Table 1: largest e / e* that still counts as recovered.
+const RATIO_LIMIT: f64 = 1.2;
+/// A gap above this is no certificate any more.
+const GAP_GOOD: f64 = 1e-6;
+
+/// Residuals or the secure estimator's sensors; only there when it runs.
+#[component]
+pub fn SecureSwitch() -> impl IntoView {
+    let deck = deck();
+    let runs = Memo::new(move |_| deck.read(|live| live.secure.get().is_some()));
+    view! {
+        <Show when=move || runs.get()>
+            <button
+                type="button"
+                class="small"
+                aria-pressed=move || deck.secure.get().to_string()
+                title="Attacked set, margins and certificate of the secure estimator"
+                on:click=move |_| deck.secure.update(|s| *s = !*s)
+            >"Secure"</button>
+        </Show>
+    }
+}
+
+fn kind(sensor: i32) -> SensorKind {
+    SensorKind::try_from(sensor).unwrap_or_default()
+}
+
+/// Why a sensor is flagged, in a word or two.
+fn reason(reason: FlagReason) -> &'static str {
+    match reason {
+        FlagReason::None => "",
+        FlagReason::Window => "in the window",
+        FlagReason::Drift => "drifting",
+        FlagReason::Stuck => "stuck",
+    }
+}
+
+fn status(status: DecoderStatus) -> (&'static str, &'static str) {
+    match status {
+        DecoderStatus::Unspecified => ("quiet", NONE),
+        DecoderStatus::Filling => ("quiet", "window filling"),
+        DecoderStatus::Solved => ("good", "solved"),
+        DecoderStatus::MaxIterations => ("warn", "iteration limit"),
+        DecoderStatus::MaxTime => ("warn", "deadline came first"),
+        DecoderStatus::Stalled => ("warn", "no further decrease"),
+        DecoderStatus::Unobservable => ("bad", "not observable"),
+        DecoderStatus::OutsideModel => ("bad", "outside the linear model"),
+    }
+}
+
+fn fallback(fallback: SecureFallback) -> &'static str {
+    match fallback {
+        SecureFallback::None => "",
+        SecureFallback::Anytime => "last iterate used",
+        SecureFallback::PreviousSet => "attacked set of before",
+        SecureFallback::Prediction => "prediction only",
+    }
+}
+
+/// One figure of the certificate: name, value, class, explanation.
+type Figure = (&'static str, String, &'static str, &'static str);
+
+/// e / e*, once both are known.
+fn ratio(s: &v1::SecureStatus) -> Option<f64> {
+    let (e, reference) = (s.tracking_error_m?, s.reference_error_m?);
+    (reference > 0.0).then(|| e / reference)
+}
+
+fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
+    let (class, said) = status(s.status());
+    let extra = fallback(s.fallback());
+    let decoder = if extra.is_empty() { said.to_owned() } else { format!("{said}, {extra}") };
+    let millimetres =
+        |v: Option<f64>| v.map_or_else(|| NONE.to_owned(), |v| format!("{} mm", format::fixed(v * 1e3, 1)));
+    let ratio = ratio(s);
+    let force = s.disturbance_enu_n.map_or_else(|| NONE.to_owned(), |f| format!("{} N up", format::signed(f.z, 2)));
+    let audit = s.audit_difference.map_or_else(|| NONE.to_owned(), |d| format!("{d:.0e}"));
+    vec![
+        ("decoder", decoder, class, "How the last window ended"),
+        (
+            "gap",
+            format!("{:.0e}", s.gap),
+            if s.gap <= GAP_GOOD { "good" } else { "warn" },
+            "Certified: how far from optimal at most. It certifies optimality, not truth",
+        ),
+        (
+            "solved in",
+            format!("{} µs, {} it.", format::fixed(s.solve_time_us, 0), s.iterations),
+            "",
+            "Decoding and identification, with Newton iterations",
+        ),
+        (
+            "audit",
+            audit,
+            if s.audit_difference.is_none_or(|d| d < 1e-4) { "" } else { "bad" },
+            "Relative difference to Clarabel on the same window, once a second",
+        ),
+        ("e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
+        ("e*", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
+        (
+            "e / e*",
+            format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),
+            if ratio.is_none_or(|r| r <= RATIO_LIMIT) { "good" } else { "bad" },
+            "[Clinic] Table 1: at most 1.2 under attack",
+        ),
+        (
+            "height bound",
+            s.height_bound_m.map_or_else(|| "no promise".to_owned(), |b| format!("±{} mm", format::fixed(b * 1e3, 0))),
+            "",
+            "Error bound of the decoded height, where theory gives one",
+        ),
+        ("disturbance", force, "", "Force that neither motors nor gravity explain: strings, ground, wind"),
+        ("resets", s.resets.to_string(), "", "Filter resets to the decoder since boot"),
+    ]
+}
+
+/// The secure card.
+#[component]
+pub fn SecureCard() -> impl IntoView {
+    let deck = deck();
+    let newest = Memo::new(move |_| deck.read(|live| live.secure.get().cloned()));
+    let margins = move || {
+        newest.get().map(|s| s.margins).unwrap_or_default().into_iter().map(|m| {
+            let class = if m.margin > 0 { "good" } else { "bad" };
+            let text = format!("{} {} − 2·{} = {}", names::sensor(kind(m.sensor)), m.present, m.flagged, m.margin);
+            view! { <li class=format!("num {class}") title="Margin: present − 2 · flagged; 0 or less promises nothing">{text}</li> }
+        }).collect::<Vec<_>>()
+    };
+    view! {
+        <section class="card chart residuals secure" aria-label="Secure estimation">
+            <header>
+                <h2>"Attacked set"</h2>
+                <ul class="legend heat-key" aria-label="Colours">
+                    <li><span class="heat raised"></span>"suspect"</li>
+                    <li><span class="heat rejected"></span>"flagged: not used"</li>
+                </ul>
+                <ul class="legend margins" aria-label="Margins">{margins}</ul>
+                <SecureSwitch />
+            </header>
+            <div class="res-body">
+                <Sensors deck newest />
+                <Plot picture=Picture::Suspicion values=false label="Suspicion of each sensor over time; above 1 it is flagged and not used" />
+                <dl class="secure-figures">
+                    {move || newest.get().map(|s| figures(&s)).unwrap_or_default().into_iter().map(|(name, value, class, why)| view! {
+                        <div title=why><dt>{name}</dt><dd class=format!("num {class}")>{value}</dd></div>
+                    }).collect::<Vec<_>>()}
+                </dl>
+                <Show when=move || newest.get().is_none()>
+                    <p class="empty">"The secure estimator does not run here. Choose it under Estimator: it decodes, flags who lies and filters the rest."</p>
+                </Show>
+            </div>
+        </section>
+    }
+}
+
+/// A row per sensor: name, why it is flagged, how suspect it is.
+#[component]
+fn Sensors(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl IntoView {
+    let rows = Memo::new(move |_| deck.read(|live| live.suspicion_rows()));
+    let row = move |(sensor, instance): (i32, u32)| {
+        let now = Memo::new(move |_| {
+            newest.get().and_then(|s| s.sensors.into_iter().find(|x| (x.sensor, x.instance) == (sensor, instance)))
+        });
+        let ratio = Memo::new(move |_| match deck.reading_s() {
+            Some(time) => deck.read(|live| live.curves.value_at(Curve::Suspicion(sensor, instance), time)),
+            None => now.get().filter(|s| s.present).map(|s| suspicion(&s)),
+        });
+        let flagged = move || ratio.get().is_some_and(|r| r > 1.0);
+        let why = move || match now.get() {
+            Some(s) if deck.source == Source::Live && s.flagged => reason(s.reason()),
+            Some(s) if deck.source == Source::Live && !s.present => "absent",
+            _ => "",
+        };
+        view! {
+            <li class="res-row">
+                <span class="res-name"><span>{names::instance(kind(sensor), instance)}</span><span class="res-channel">{why}</span></span>
+                <span class="res-value num" class:rejected=flagged class:none=move || ratio.get().is_none()>
+                    {move || format::maybe(ratio.get().map(|r| r.min(99.99)), 2)}
+                </span>
+            </li>
+        }
+    };
+    view! {
+        <ul class="res-list" style=move || format!("--rows:{}", rows.get().len().max(1))>
+            <For each=move || rows.get() key=|r| *r children=row />
+        </ul>
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ratio_needs_both_errors_and_is_judged_by_table_1() {
+        let mut s = v1::SecureStatus { tracking_error_m: Some(0.03), ..Default::default() };
+        assert_eq!(ratio(&s), None);
+        s.reference_error_m = Some(0.02);
+        let found = figures(&s).into_iter().find(|f| f.0 == "e / e*").unwrap();
+        assert_eq!((found.1.as_str(), found.2), ("1.50 of 1.2", "bad"));
+        s.set_status(DecoderStatus::MaxTime);
+        s.set_fallback(SecureFallback::Anytime);
+        assert_eq!(figures(&s)[0].1, "deadline came first, last iterate used");
+    }
+}
