@@ -81,6 +81,22 @@ fn an_estimate_prints_its_score_and_writes_its_table() {
 }
 
 #[test]
+fn a_calibration_is_written_and_summed_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (table, json) = (folder.path().join("bench.csv"), folder.path().join("motor.json"));
+    std::fs::write(&table, "command,rpm\n0.2,2000\n0.4,3200\n0.6,4400\n0.9,6200\n").unwrap();
+    let (input, output) = (table.to_str().unwrap(), json.to_str().unwrap());
+    let told = lines(&agent(&["calibrate", "motor-curve", "--input", input, "--output", output]));
+    assert_eq!((told.len(), told[0]["kind"].as_str()), (1, Some("motor-curve")), "{told:?}");
+    let file: Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
+    assert_eq!(file["parameters"], told[0]["parameters"]);
+    assert!(file["date"].as_str().unwrap().ends_with('Z') && file["picture"].as_array().unwrap().len() == 2);
+    // 6000 rev/min from command 0 to 1.
+    let slope = file["parameters"][1]["value"].as_f64().unwrap();
+    assert!((slope - 6000.0 * std::f64::consts::TAU / 60.0).abs() < 1e-6, "{slope}");
+}
+
+#[test]
 fn what_cannot_be_done_is_told_on_stderr_with_exit_code_1() {
     let folder = tempfile::tempdir().unwrap();
     let text = folder.path().join("letter.txt");
@@ -93,6 +109,8 @@ fn what_cannot_be_done_is_told_on_stderr_with_exit_code_1() {
         (&["dare", "--input", "absent.json"], "absent.json"),
         (&["decode", "--input", text], "letter.txt"),
         (&["estimate", "--input", text, "--estimator", "ekf-bias", "--output", text], "begins with \"Dear sensors,\""),
+        (&["calibrate", "thrust", "--input", text, "--output", log], "letter.txt: no column speed_radps or rpm"),
+        (&["calibrate", "allan", "--input", "absent.csv", "--output", log], "absent.csv"),
         (&["--vehicle", "replay", text, "--ground", "none", "--log", log], "supported are Plumbline flight files"),
         (&["--vehicle", "replay", "absent.mcap", "--ground", "none", "--log", log], "absent.mcap"),
         (&["--vehicle", "replay", "--ground", "none", "--log", log], "needs a file"),
