@@ -4,6 +4,8 @@
 //! |---|---|
 //! | no authenticated heartbeat for 0.5 s | freeze the setpoint, abort attacks |
 //! | for 2 s | descend at 0.3 m/s, then disarm |
+//! | no sign of the operator, once given, for 3 s | freeze the setpoint, abort attacks |
+//! | for 10 s | descend, then disarm |
 //! | tilt > 60° for 0.3 s, or rate > 1000 °/s | cut, latched |
 //! | outside the box | hold at the edge, then descend |
 //! | estimator degraded for longer than `degraded_ticks` | descend on attitude alone (the watchdog's) |
@@ -31,6 +33,10 @@ pub struct Settings {
     pub link_freeze_s: f64,
     /// For this long: descend, s.
     pub link_descend_s: f64,
+    /// Without a sign of the operator, once given, for this long the setpoint freezes, s: longer than a reload.
+    pub operator_freeze_s: f64,
+    /// For this long: descend, s.
+    pub operator_descend_s: f64,
     /// Tilt that cuts the motors, rad.
     pub tilt_cut_rad: f64,
     /// After this long, s.
@@ -63,6 +69,8 @@ impl Default for Settings {
         Self {
             link_freeze_s: 0.5,
             link_descend_s: 2.0,
+            operator_freeze_s: 3.0,
+            operator_descend_s: 10.0,
             tilt_cut_rad: 60.0_f64.to_radians(),
             tilt_cut_s: 0.3,
             rate_cut_radps: 1000.0_f64.to_radians(),
@@ -227,6 +235,8 @@ pub struct Inputs {
     pub corroborated: bool,
     /// Time since the last heartbeat, s; infinite before the first.
     pub link_age_s: f64,
+    /// Time since the last sign of the operator, s; zero where none was ever given.
+    pub operator_age_s: f64,
     /// Highest altitude allowed, m.
     pub altitude_max_m: f64,
     /// Largest lateral distance allowed, m.
@@ -285,6 +295,9 @@ impl Monitor {
         if i.link_age_s > s.link_descend_s {
             return Failsafe::LinkDescend;
         }
+        if i.operator_age_s > s.operator_descend_s {
+            return Failsafe::OperatorDescend;
+        }
         // The raw heights have a veto beside the estimate.
         let altitude = i.raw_height_m.map_or(i.altitude_m, |raw| raw.max(i.altitude_m));
         let outside = i.flying
@@ -296,6 +309,9 @@ impl Monitor {
         }
         if i.link_age_s > s.link_freeze_s {
             return Failsafe::LinkFreeze;
+        }
+        if i.operator_age_s > s.operator_freeze_s {
+            return Failsafe::OperatorFreeze;
         }
         if outside {
             return Failsafe::BoxHold;
@@ -318,6 +334,14 @@ impl Monitor {
             Failsafe::LinkDescend => text(format_args!(
                 "no heartbeat for {:.2} s (limit {} s): descending at {} m/s",
                 i.link_age_s, s.link_descend_s, s.descend_mps
+            )),
+            Failsafe::OperatorFreeze => text(format_args!(
+                "no sign of the operator's page for {:.1} s (limit {} s): setpoint frozen, attacks aborted",
+                i.operator_age_s, s.operator_freeze_s
+            )),
+            Failsafe::OperatorDescend => text(format_args!(
+                "no sign of the operator's page for {:.1} s (limit {} s): descending at {} m/s",
+                i.operator_age_s, s.operator_descend_s, s.descend_mps
             )),
             Failsafe::TiltCut => text(format_args!(
                 "tilt {:.0}° above {:.0}° for {} s: motors cut",
@@ -373,8 +397,8 @@ pub fn severity(failsafe: Failsafe) -> u8 {
         Failsafe::None => 0,
         Failsafe::DeadlineWarn => 1,
         Failsafe::BoxHold => 2,
-        Failsafe::LinkFreeze => 3,
-        Failsafe::BoxDescend | Failsafe::LinkDescend | Failsafe::DeadlineDescend => 4,
+        Failsafe::LinkFreeze | Failsafe::OperatorFreeze => 3,
+        Failsafe::BoxDescend | Failsafe::LinkDescend | Failsafe::OperatorDescend | Failsafe::DeadlineDescend => 4,
         Failsafe::EstimatorDescend => 5,
         Failsafe::TakeoffTimeout => 6,
         Failsafe::RateCut | Failsafe::TiltCut | Failsafe::OperatorCut => 7,
@@ -403,6 +427,7 @@ mod tests {
             degraded: false,
             corroborated: false,
             link_age_s: 0.1,
+            operator_age_s: 0.0,
             altitude_max_m: 2.0,
             lateral_max_m: 2.0,
         }
@@ -436,6 +461,10 @@ mod tests {
     #[test]
     fn every_row_of_the_table_comes_at_its_time() {
         expect(&first_seen(|t, i| i.link_age_s = t), &[(Failsafe::LinkFreeze, 0.5), (Failsafe::LinkDescend, 2.0)]);
+        expect(
+            &first_seen(|t, i| i.operator_age_s = 4.0 * t),
+            &[(Failsafe::OperatorFreeze, 0.75), (Failsafe::OperatorDescend, 2.5)],
+        );
         expect(&first_seen(|_, i| i.tilt_rad = 61.0_f64.to_radians()), &[(Failsafe::TiltCut, 0.3)]);
         expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
         expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);

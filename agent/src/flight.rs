@@ -100,6 +100,8 @@ pub struct Flight {
     attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
     attack_changes: u64,
     heartbeat: Option<FlightTime>,
+    /// Last sign of life of the operator; `None` while none was given since the motors stood.
+    operator: Option<FlightTime>,
     battery_v: Option<f64>,
     log_error: Option<Text>,
     deadline_misses: u64,
@@ -159,6 +161,7 @@ impl Flight {
             attack_phases: ArrayVec::new(),
             attack_changes: 0,
             heartbeat: None,
+            operator: None,
             battery_v: None,
             log_error: None,
             deadline_misses: 0,
@@ -195,6 +198,11 @@ impl Flight {
     /// An authenticated sign of life from the ground.
     pub fn heartbeat(&mut self, now: FlightTime) {
         self.heartbeat = Some(now);
+    }
+
+    /// The operator's page answered the challenge of `at`. Once there is a sign of life, it must go on while armed.
+    pub fn operator_alive(&mut self, at: FlightTime) {
+        self.operator = self.operator.max(Some(at));
     }
 
     /// The runner started a tick too late.

@@ -5,11 +5,15 @@
 //! Settings against crashes: no seeking, chunks closed and flushed every [`FLUSH_PERIOD`], synced to
 //! the disk every [`SYNC_PERIOD`]. A killed agent loses at most the last flush.
 //!
-//! The folder stays below its configured size: the oldest finished flights go first. A full or
+//! The folder stays below its configured size: finished flights go, those that the ground has confirmed to hold
+//! first, the oldest of each first. What a killed agent left is finished at the next start. A full or
 //! broken disk ends the file, is reported ([`LogState::error`]) and never stops the flight; the next
 //! flight tries again.
 
 mod archive;
+mod chunk;
+mod repair;
+mod sync;
 mod writer;
 
 use std::path::PathBuf;
@@ -24,6 +28,8 @@ use plumbline_proto::{Kind, v1};
 use rtrb::Consumer;
 
 pub use archive::LogArchive;
+pub use chunk::{MAX_RECORD, chunk_records};
+pub use sync::Syncer;
 use writer::LogFile;
 
 /// A chunk is closed and handed to the system at least this often.
@@ -131,6 +137,7 @@ pub struct LogHandle {
     archive: Arc<LogArchive>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    repair: Option<JoinHandle<()>>,
 }
 
 impl LogHandle {
@@ -151,10 +158,10 @@ impl LogHandle {
 
     fn end(&mut self) {
         self.stop.store(true, Ordering::Release);
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the log thread died");
+        for thread in [self.thread.take(), self.repair.take()].into_iter().flatten() {
+            if thread.join().is_err() {
+                tracing::error!("a thread of the log died");
+            }
         }
     }
 }
@@ -175,14 +182,25 @@ pub fn spawn(config: LogConfig, ring: Consumer<u8>) -> Result<LogHandle, LogErro
     let stop = Arc::new(AtomicBool::new(false));
     let archive = Arc::new(LogArchive::new(config.folder.clone(), state.clone()));
     let io = |source| LogError::Io { path: config.folder.clone(), source };
-    let usable = std::fs::create_dir_all(&config.folder).map_err(io).and_then(|()| writer::make_room(&config, None));
+    let usable = writer::probe(&config);
     state.report(usable.err().map(|error| error.to_string()));
-    let mut log = Log { config: config.clone(), state: state.clone(), file: None, buffer: Vec::new() };
+    // Found before the first flight begins: none of them is being written.
+    let left = repair::unfinished(&config.folder);
+    let repair = match left.is_empty() {
+        true => None,
+        false => {
+            let repair = std::thread::Builder::new().name("log-repair".into());
+            Some(repair.spawn(move || repair::finish_all(&left)).map_err(io)?)
+        }
+    };
+    let syncer = Syncer::start().map_err(io)?;
+    let mut log =
+        Log { config: config.clone(), state: state.clone(), file: None, buffer: Vec::new(), syncer, in_flight: false };
     let thread = {
         let stop = stop.clone();
         std::thread::Builder::new().name("log".into()).spawn(move || log.run(ring, &stop)).map_err(io)?
     };
-    Ok(LogHandle { state, archive, stop, thread: Some(thread) })
+    Ok(LogHandle { state, archive, stop, thread: Some(thread), repair })
 }
 
 struct Log {
@@ -190,6 +208,9 @@ struct Log {
     state: Arc<LogState>,
     file: Option<LogFile>,
     buffer: Vec<u8>,
+    syncer: Syncer,
+    /// Between its marks, written or not.
+    in_flight: bool,
 }
 
 impl Log {
@@ -206,8 +227,10 @@ impl Log {
             }
             if synced.elapsed() >= SYNC_PERIOD {
                 synced = Instant::now();
-                self.with_file(LogFile::sync);
+                let syncer = self.syncer.clone();
+                self.with_file(|file| file.sync(&syncer));
                 self.keep_within_size();
+                self.look_again();
             }
             if last {
                 self.close();
@@ -243,6 +266,7 @@ impl Log {
         };
         if let Some(mark) = mark.as_ref().filter(|mark| mark.last_sequence.is_none()) {
             self.close();
+            self.in_flight = true;
             self.open(mark);
         }
         self.with_file(|file| file.write(frame));
@@ -250,6 +274,7 @@ impl Log {
             self.state.messages.fetch_add(1, Ordering::Relaxed);
         }
         if mark.is_some_and(|mark| mark.last_sequence.is_some()) {
+            self.in_flight = false;
             self.close();
         }
     }
@@ -278,6 +303,15 @@ impl Log {
             && let Err(error) = writer::make_room(&self.config, Some(file.path()))
         {
             self.fail(&error);
+        }
+    }
+
+    /// After a failure, and after the flight that it cost: can the next one be written? Without this a disk that has room again would keep the vehicle
+    /// on the ground.
+    fn look_again(&mut self) {
+        if !self.in_flight && self.file.is_none() && self.state.error().is_some() && writer::probe(&self.config).is_ok()
+        {
+            self.state.report(None);
         }
     }
 

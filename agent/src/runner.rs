@@ -8,6 +8,7 @@
 //! that a slow thread could hold, for a disk or for the radio.
 
 pub mod certifier;
+pub mod challenge;
 pub mod pace;
 mod timing;
 
@@ -33,6 +34,7 @@ use crate::vehicle::sim::script::Script;
 use crate::vehicle::{Vehicle, VehicleError};
 
 use certifier::{Answer, Certifier};
+use challenge::Challenges;
 use pace::{Pace, Pacer};
 use timing::Timing;
 
@@ -111,6 +113,8 @@ pub struct Runner {
     pacer: Pacer,
     timing: Timing,
     heartbeats: u64,
+    challenges: Challenges,
+    answered: u64,
     log_changes: u64,
     log_error: Option<String>,
     scripted: Option<FlightTime>,
@@ -144,6 +148,8 @@ impl Runner {
             options,
             ports,
             heartbeats: 0,
+            challenges: Challenges::default(),
+            answered: 0,
             // Differs from every state, so that the first tick looks.
             log_changes: u64::MAX,
             log_error: None,
@@ -234,7 +240,10 @@ impl Runner {
         }
         self.wait_for_log();
         let truth = self.vehicle.truth();
-        let around = around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state());
+        let around = Around {
+            challenge: self.challenges.current(frame.time),
+            ..around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state())
+        };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
 
         self.ticks += 1;
@@ -361,6 +370,13 @@ impl Runner {
     }
 
     fn heartbeat(&mut self, now: FlightTime) {
+        let answered = self.ports.link.as_ref().map_or(0, |link| link.answered.load(Ordering::Acquire));
+        if answered != self.answered {
+            self.answered = answered;
+            if let Some(at) = self.challenges.answered(answered) {
+                self.flight.operator_alive(at);
+            }
+        }
         let heartbeats = self.ports.link.as_ref().map_or(0, |link| link.heartbeats.load(Ordering::Acquire));
         if heartbeats == self.heartbeats && !self.options.own_operator {
             return;
@@ -438,6 +454,7 @@ fn around<'a>(
         radio_dropped: link.map_or(0, |link| link.dropped.load(Ordering::Relaxed)),
         log_error,
         connections: link.map_or(0, |link| link.connections.load(Ordering::Acquire)),
+        challenge: 0,
         replay_speed: replay.map_or(0.0, |replay| replay.speed),
         replay_progress: replay.map_or(0.0, |replay| replay.progress),
         replay: replay.is_some(),

@@ -103,6 +103,8 @@ pub struct Around<'a> {
     pub log_error: Option<&'a str>,
     /// Sessions of the link so far; a new one is told everything.
     pub connections: u64,
+    /// What the operator's page has to answer.
+    pub challenge: u64,
     /// Replay only: times real time, 0 while standing.
     pub replay_speed: f64,
     /// Replay only: 0 to 1.
@@ -493,6 +495,7 @@ impl Telemetry {
         status.tick_time_p99_us = around.ticks.work_p99_us;
         status.tick_jitter_p99_us = around.ticks.jitter_p99_us;
         status.telemetry_dropped = link_refused + around.radio_dropped;
+        status.challenge = around.challenge;
         status.replay_speed = around.replay_speed;
         status.replay_progress = around.replay_progress;
         self.outlets.send(Kind::Status, 0, now, status);

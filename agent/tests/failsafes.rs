@@ -88,6 +88,51 @@ fn link_loss_freezes_aborts_attacks_then_descends_and_disarms() {
 }
 
 #[test]
+fn an_operator_whose_page_falls_silent_is_waited_for_then_the_vehicle_lands() {
+    let mut f = hovering();
+    // A flight by script never had a page: nobody is missed.
+    assert_eq!(f.flight.status().failsafe, Failsafe::None);
+    (f.operator_from_s, f.operator_lost_s) = (12.0, 14.0);
+    f.until(13.0);
+    assert!(f.command(bias_on(SensorKind::Height, 2..=2, Kind::Bias, Channel::All, 0.3)).accepted);
+    f.until(16.9);
+    assert!(f.flight.attacks().any_active(), "a reload of the page disturbs nothing");
+    f.until(17.1);
+    assert_eq!(f.flight.status().failsafe, Failsafe::OperatorFreeze, "{}", f.log());
+    assert!(!f.flight.attacks().any_active());
+    // The page is back: thawed.
+    (f.operator_from_s, f.operator_lost_s) = (17.1, 17.5);
+    f.until(17.5);
+    assert_eq!(f.flight.status().failsafe, Failsafe::None);
+    // A command is a sign as well.
+    f.until(20.0);
+    assert!(f.command(setpoint(0.7)).accepted);
+    f.until(22.9);
+    assert_eq!(f.flight.status().failsafe, Failsafe::None, "{}", f.log());
+    f.until(30.2);
+    assert_eq!(f.flight.status().mode, Mode::Land, "{}", f.log());
+    f.until(36.0);
+    assert_down(&f);
+}
+
+#[test]
+fn spinning_too_fast_cuts_at_once_and_stays_cut() {
+    // GIVEN one axis free, and a kick that no control could stop in time
+    let toml = scenario("single_axis_roll")
+        .replace("axis = \"roll\"\nangle_rad = 0.349", "torque_flu_nm = [6, 0, 0]")
+        .replace("duration_s = 0.4", "duration_s = 0.15");
+    let mut f = Flown::new(&toml);
+    f.until(9.2);
+    let status = f.flight.status();
+    assert_eq!((status.mode, status.failsafe, status.cut_latched), (Mode::Cut, Failsafe::RateCut, true), "{}", f.log());
+    let cut = f.rows.iter().find(|r| r.report.mode == Mode::Cut).unwrap();
+    let rate_dps = cut.truth.body_rates_radps.norm().to_degrees();
+    assert!(rate_dps > 900.0, "cut at {rate_dps:.0} °/s");
+    assert_eq!(f.last().report.command.throttle, [0.0; 4]);
+    assert!(!f.command(Command::Arm).accepted);
+}
+
+#[test]
 fn a_returning_link_thaws_the_setpoint() {
     let mut f = hovering();
     f.link_lost_s = 12.0;

@@ -1,7 +1,10 @@
 //! What the ground is told at start.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
+
+use plumbline_agent::link::identity::Identity;
 
 /// Settings of one ground. [`GroundConfig::new`] gives the defaults.
 #[derive(Debug, Clone)]
@@ -11,6 +14,12 @@ pub struct GroundConfig {
     /// Host names (without port), beside `localhost` and IP addresses, under which the page may be
     /// reached. A name that is not listed is refused: it could be rebound to this machine by anyone.
     pub allowed_hosts: Vec<String>,
+    /// Identity of the link, so that the page can pair agents and show who was refused.
+    pub link_identity: Option<Identity>,
+    /// TLS of page and API; needed on every address but the loopback.
+    pub tls: Option<Arc<rustls::ServerConfig>>,
+    /// Control of a vehicle is given up when its holder does nothing and shows no sign of life for this long.
+    pub lease_idle: Duration,
     /// How long a command waits for its acknowledgement.
     pub command_timeout: Duration,
     /// Recording stops, loudly, when the data folder's disk has less than this left, bytes.
@@ -29,6 +38,9 @@ impl GroundConfig {
         Self {
             data_folder: data_folder.into(),
             allowed_hosts: Vec::new(),
+            link_identity: None,
+            tls: None,
+            lease_idle: Duration::from_secs(60),
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,
             backfill_after: Duration::from_millis(1500),

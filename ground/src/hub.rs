@@ -29,6 +29,8 @@ pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};
 pub const FLUSH_EVERY: Duration = Duration::from_millis(10);
 /// Gathered frames are flushed early beyond this many bytes.
 const FLUSH_BYTES: usize = 256 << 10;
+/// A vehicle that says nothing for this long is shown as not connected, whatever its connection may yet become.
+pub const SILENT_AFTER: Duration = Duration::from_secs(2);
 /// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
 const MAX_TOPICS: usize = 512;
 
@@ -45,6 +47,8 @@ struct Vehicle {
     version: String,
     /// `None` while disconnected.
     commands: Option<CommandSender>,
+    /// When anything came from it last.
+    heard: Instant,
     latest: BTreeMap<(u16, u16), Latest>,
     history: History,
     health: Health,
@@ -109,6 +113,7 @@ impl Hub {
         vehicle.boot_wall_time_us = boot_wall_time_us;
         version.clone_into(&mut vehicle.version);
         vehicle.commands = Some(commands);
+        vehicle.heard = now;
     }
 
     /// The link to an agent is lost. What it said stays visible, with its age.
@@ -124,6 +129,7 @@ impl Hub {
     /// Round trip and clock offset, measured by the link.
     pub fn stats(&self, id: &str, round_trip_ms: f64, clock_offset_us: f64) {
         if let Some(vehicle) = lock(&self.vehicles).get_mut(id) {
+            vehicle.heard = Instant::now();
             vehicle.health.round_trip_ms = round_trip_ms;
             vehicle.health.clock_offset_us = clock_offset_us;
         }
@@ -138,6 +144,7 @@ impl Hub {
         let mut acks = Vec::new();
         let mut vehicles = lock(&self.vehicles);
         let Some(vehicle) = vehicles.get_mut(id) else { return Ok(acks) };
+        vehicle.heard = now;
         vehicle.health.roll(now);
         let frames = codec::decode_batch(batch).inspect_err(|_| vehicle.malformed += 1)?;
         for frame in frames {
@@ -261,6 +268,7 @@ impl Vehicle {
             boot_wall_time_us: 0,
             version: String::new(),
             commands: None,
+            heard: now,
             latest: BTreeMap::new(),
             history: History::default(),
             health: Health::new(now),
@@ -272,7 +280,7 @@ impl Vehicle {
     }
 
     fn connected(&self) -> bool {
-        self.commands.as_ref().is_some_and(|c| !c.is_closed())
+        self.commands.as_ref().is_some_and(|c| !c.is_closed()) && self.heard.elapsed() < SILENT_AFTER
     }
 
     fn reboot(&mut self, boot_id: u64, now: Instant) {
@@ -414,7 +422,7 @@ mod tests {
             0,
             2,
             2,
-            &v1::ControlLease { wall_time_us: 1, holder: "x".into() },
+            &v1::ControlLease { wall_time_us: 1, holder: "x".into(), ..Default::default() },
         );
         bytes.extend_from_slice(&[1, 2, 3]);
         assert!(matches!(hub.batch("a", &bytes), Err(DecodeError::Truncated { .. })));

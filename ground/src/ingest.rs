@@ -4,26 +4,32 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use plumbline_proto::Kind;
+use plumbline_proto::{Kind, v1};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use crate::agent_link::LinkEvent;
 use crate::commands::Commands;
 use crate::hub::{FLUSH_EVERY, Hub};
+use crate::lease::Leases;
 use crate::recorder::RecorderHandle;
 use crate::sync::{stopping, wall_time_us};
 
 /// How often the recording's state is sent to the page; the link's is made for each viewer.
 const STATUS_EVERY: Duration = Duration::from_millis(250);
 
-pub(crate) async fn run(
-    mut link: mpsc::Receiver<LinkEvent>,
-    hub: Arc<Hub>,
-    commands: Arc<Commands>,
-    recorder: RecorderHandle,
-    mut stopped: watch::Receiver<bool>,
-) {
+/// What the events are handed to.
+pub(crate) struct Ground {
+    pub(crate) hub: Arc<Hub>,
+    pub(crate) commands: Arc<Commands>,
+    pub(crate) leases: Arc<Leases>,
+    pub(crate) recorder: RecorderHandle,
+    /// Control unused for this long is given up.
+    pub(crate) lease_idle: Duration,
+}
+
+pub(crate) async fn run(mut link: mpsc::Receiver<LinkEvent>, ground: Ground, mut stopped: watch::Receiver<bool>) {
+    let Ground { hub, commands, leases, recorder, lease_idle } = ground;
     let mut flush = interval(FLUSH_EVERY);
     flush.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut status = interval(STATUS_EVERY);
@@ -37,7 +43,13 @@ pub(crate) async fn run(
                 None => link_open = false,
             },
             _ = flush.tick() => hub.flush(),
-            _ = status.tick() => publish_recordings(&hub, &recorder),
+            _ = status.tick() => {
+                publish_recordings(&hub, &recorder);
+                for (vehicle, holder) in leases.expire(lease_idle) {
+                    tracing::info!(%vehicle, %holder, "control given up: unused");
+                    publish_lease(&hub, &leases, &vehicle, "");
+                }
+            }
             () = recorder.changed() => publish_recordings(&hub, &recorder),
             () = stopping(&mut stopped) => break,
         }
@@ -75,6 +87,13 @@ fn take(event: LinkEvent, hub: &Hub, commands: &Commands, recorder: &RecorderHan
             recorder.disconnected(agent_id);
         }
     }
+}
+
+/// Tells every viewer who holds control of `vehicle`, and who lost it to them.
+pub(crate) fn publish_lease(hub: &Hub, leases: &Leases, vehicle: &str, taken_from: &str) {
+    let holder = leases.holder(vehicle).unwrap_or_default();
+    let lease = v1::ControlLease { wall_time_us: wall_time_us(), holder, taken_from: taken_from.to_owned() };
+    hub.publish(vehicle, Kind::Lease, &lease);
 }
 
 fn publish_recordings(hub: &Hub, recorder: &RecorderHandle) {

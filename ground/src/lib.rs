@@ -12,15 +12,18 @@
 pub mod agent_link;
 mod api;
 pub mod attack_plan;
+pub mod audit;
 pub mod calibrations;
 pub mod commands;
 pub mod config;
 mod error;
+pub mod front;
 pub mod gains_book;
 pub mod hub;
 mod ingest;
 pub mod lease;
 pub mod names;
+pub mod people;
 pub mod recorder;
 mod sync;
 
@@ -28,10 +31,10 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::serve::ListenerExt;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 
+pub use api::access_table;
 pub use config::GroundConfig;
 pub use error::GroundError;
 
@@ -45,7 +48,8 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(5);
 /// `link` is where the agents' events come from: [`agent_link`], or a test.
 ///
 /// # Errors
-/// [`GroundError`] when the data folder cannot be used at all, or the listener fails.
+/// [`GroundError`] when the data folder cannot be used at all, the listener fails, or a network is to be served without
+/// TLS or without an account.
 pub async fn run(
     config: GroundConfig,
     listener: TcpListener,
@@ -53,28 +57,49 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), GroundError> {
     let address = listener.local_addr().map_err(GroundError::Listener)?;
+    let people = people::People::open(&config.data_folder, address);
+    if !address.ip().is_loopback() {
+        if config.tls.is_none() {
+            return Err(GroundError::NoTls { address });
+        }
+        if people.accounts().all()?.is_empty() {
+            return Err(GroundError::NoAccounts { address });
+        }
+    }
     let recorder = recorder::start(&config)?;
+    let audit = audit::Audit::open(&config.data_folder).map_err(GroundError::Thread)?;
     let hub = Arc::new(hub::Hub::default());
     let commands = Arc::new(commands::Commands::default());
     let leases = Arc::new(lease::Leases::default());
     let gains = Arc::new(gains_book::GainsBook::open(&config.data_folder));
     let (stop, stopped) = watch::channel(false);
 
-    let ingest = tokio::spawn(ingest::run(link, hub.clone(), commands.clone(), recorder.handle(), stopped.clone()));
-    let app = api::App::new(config, address, hub, commands, leases, gains, recorder.handle(), stopped.clone());
+    let front = front::Front::new(listener, config.tls.clone()).map_err(GroundError::Listener)?;
+    let idle = config.lease_idle;
+    let app = api::App::new(api::Parts {
+        config,
+        address,
+        hub: hub.clone(),
+        commands: commands.clone(),
+        leases: leases.clone(),
+        gains,
+        people,
+        audit,
+        recorder: recorder.handle(),
+        stopped: stopped.clone(),
+    });
+    let ground = ingest::Ground { hub, commands, leases, recorder: recorder.handle(), lease_idle: idle };
+    let ingest = tokio::spawn(ingest::run(link, ground, stopped.clone()));
     tokio::spawn(async move {
         shutdown.await;
         stop.send_replace(true);
     });
 
-    let listener = listener.tap_io(|stream| {
-        // Telemetry is sent as it comes: waiting to fill a segment would only age it.
-        let _ = stream.set_nodelay(true);
-    });
     let mut until = stopped.clone();
-    let server = axum::serve(listener, api::router(app)).with_graceful_shutdown(async move {
-        sync::stopping(&mut until).await;
-    });
+    let server = axum::serve(front, api::router(app).into_make_service_with_connect_info::<front::Peer>())
+        .with_graceful_shutdown(async move {
+            sync::stopping(&mut until).await;
+        });
     let mut overdue = stopped.clone();
     let served = tokio::select! {
         served = server => served.map_err(GroundError::Serve),

@@ -127,7 +127,7 @@ async fn a_flight_that_ended_out_of_reach_is_completed_when_the_agent_is_back() 
     let last = agent.end("f1", first);
     // Out of reach the recording stays open: for all the ground knows, the flight goes on.
     tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(ground.json("/api/flights/f1").await["completeness"], "recording");
+    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "recording").await;
     agent.reconnect(ground.link.clone()).await;
     agent.status("", 0).await;
     let talk = async {
@@ -142,8 +142,10 @@ async fn a_flight_that_ended_out_of_reach_is_completed_when_the_agent_is_back() 
             _ = beats.tick() => {
                 agent.time_us += 200_000;
                 agent.status("", 0).await;
-                while let Ok(plumbline_ground::agent_link::Outgoing::Backfill(request)) = agent.outgoing.try_recv() {
-                    agent.backfill(&request).await;
+                while let Ok(outgoing) = agent.outgoing.try_recv() {
+                    if let plumbline_ground::agent_link::Outgoing::Backfill(request) = outgoing {
+                        agent.backfill(&request).await;
+                    }
                 }
             }
         }

@@ -12,7 +12,11 @@ use crate::{
     app::App,
     deck::Deck,
     event::{Effect, Event, Failure, Tone},
-    model::{api::Answer, live::Live, route::Route},
+    model::{
+        api::{Answer, Session},
+        live::Live,
+        route::Route,
+    },
     net, store,
 };
 
@@ -94,7 +98,13 @@ impl Ctx {
         ctx.live_deck.set_value(Some(deck));
         set_interval(move || ctx.tick.update(|n| *n += 1), TICK);
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
-        ctx.dispatch(Event::Poll);
+        leptos::task::spawn_local(async move {
+            // The account is the operator's name where there is one; the first socket is opened after it is known.
+            if let Ok(Session { name: Some(name) }) = net::json("GET", "/api/session", None, "").await {
+                ctx.operator.set_value(name);
+            }
+            ctx.dispatch(Event::Poll);
+        });
         ctx
     }
 
@@ -122,7 +132,9 @@ impl Ctx {
             }
             Effect::OpenSocket(id, history_s) => {
                 self.socket.set_value(None);
-                let socket = net::LiveSocket::open(&id, history_s, move |event| self.dispatch(event));
+                let socket = self
+                    .operator
+                    .with_value(|who| net::LiveSocket::open(&id, who, history_s, move |event| self.dispatch(event)));
                 if socket.is_none() {
                     self.dispatch(Event::SocketClosed);
                 }

@@ -7,7 +7,7 @@ use web_sys::{BinaryType, MessageEvent, Request, RequestInit, Response, WebSocke
 
 use crate::{
     event::{Event, Failure},
-    model::api::failure_text,
+    model::{api::failure_text, liveness},
 };
 
 /// Header that tells the ground which page sends a command.
@@ -48,6 +48,10 @@ async fn send(method: &str, url: &str, body: Option<String>, operator: &str) -> 
         return Ok(response);
     }
     let status = response.status();
+    if status == 401 {
+        // The session is over: the ground's own form begins another and comes back here.
+        let _ = window.location().set_href("/login");
+    }
     let text = text(&response).await.unwrap_or_default();
     Err(Failure { status, text: failure_text(status, &text) })
 }
@@ -95,18 +99,31 @@ pub struct LiveSocket {
 }
 
 impl LiveSocket {
-    /// Opens the socket of `vehicle`; `None` when the browser refuses at once.
-    pub fn open(vehicle: &str, history_s: f64, dispatch: impl Fn(Event) + Clone + 'static) -> Option<Self> {
+    /// Opens the socket of `vehicle`, as `operator`; `None` when the browser refuses at once. Whoever is in control shows
+    /// by it that the page runs: see [`liveness`].
+    pub fn open(
+        vehicle: &str,
+        operator: &str,
+        history_s: f64,
+        dispatch: impl Fn(Event) + Clone + 'static,
+    ) -> Option<Self> {
         let location = web_sys::window()?.location();
         let scheme = if location.protocol().ok()? == "https:" { "wss" } else { "ws" };
         let id = js_sys::encode_uri_component(vehicle);
-        let url = format!("{scheme}://{}/api/vehicles/{id}/live?history={history_s:.0}", location.host().ok()?);
+        let who = js_sys::encode_uri_component(operator);
+        let host = location.host().ok()?;
+        let url = format!("{scheme}://{host}/api/vehicles/{id}/live?history={history_s:.0}&operator={who}");
         let socket = WebSocket::new(&url).ok()?;
         socket.set_binary_type(BinaryType::Arraybuffer);
-        let on = dispatch.clone();
+        let (on, back) = (dispatch.clone(), socket.clone());
         let message = Closure::<dyn FnMut(MessageEvent)>::new(move |event: MessageEvent| {
             if let Ok(buffer) = event.data().dyn_into::<js_sys::ArrayBuffer>() {
-                on(Event::Batch(js_sys::Uint8Array::new(&buffer).to_vec(), now_ms()));
+                let batch = js_sys::Uint8Array::new(&buffer).to_vec();
+                if let Some(answer) = liveness::answer(&batch) {
+                    // Not heard: the next one follows in a tenth of a second.
+                    let _ = back.send_with_u8_array(&answer);
+                }
+                on(Event::Batch(batch, now_ms()));
             }
         });
         let on = dispatch.clone();

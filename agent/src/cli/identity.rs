@@ -1,8 +1,15 @@
-//! `plumbline-agent identity`: first contact by hand.
+//! `plumbline-agent identity` and `plumbline-agent pair`: whom this agent trusts.
 
+use std::net::ToSocketAddrs;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use plumbline_agent::link::identity::{Fingerprint, load_or_create};
+use plumbline_agent::config::AgentConfig;
+use plumbline_agent::link::identity::{Fingerprint, load_or_create, rotate};
+use plumbline_agent::link::pairing::{self, Code, PairingError};
+
+/// Time between two attempts to pair, while the code is carried to the ground.
+const AGAIN: Duration = Duration::from_secs(2);
 
 #[derive(Debug, clap::Args)]
 pub struct IdentityArguments {
@@ -15,15 +22,79 @@ pub struct IdentityArguments {
     /// Name to remember it by.
     #[arg(long, default_value = "ground")]
     name: String,
+    /// Trust the ground of this name or fingerprint no more.
+    #[arg(long, value_name = "NAME")]
+    revoke: Option<String>,
+    /// Make a new certificate and key: the ground must be paired anew.
+    #[arg(long)]
+    rotate: bool,
 }
 
 impl IdentityArguments {
     pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
-        let identity = load_or_create(&self.identity)?;
+        let identity = if self.rotate { rotate(&self.identity)? } else { load_or_create(&self.identity)? };
         if let Some(fingerprint) = &self.trust {
             identity.trust(Fingerprint::parse(fingerprint)?, &self.name)?;
         }
+        if let Some(peer) = &self.revoke
+            && identity.revoke(peer)? == 0
+        {
+            return Err(format!("no peer is called {peer:?}").into());
+        }
         println!("{}", identity.fingerprint());
         Ok(())
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub struct PairArguments {
+    /// Configuration file (TOML): id, ground and identity are taken from it.
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// Ground to pair with, `host:port`.
+    #[arg(long)]
+    ground: Option<String>,
+    /// Name of this agent.
+    #[arg(long)]
+    id: Option<String>,
+    /// Folder of the identity.
+    #[arg(long)]
+    identity: Option<PathBuf>,
+}
+
+impl PairArguments {
+    pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
+        let config = match &self.config {
+            Some(path) => AgentConfig::read(path)?,
+            None => AgentConfig::default(),
+        };
+        let id = self.id.unwrap_or(config.id);
+        let ground = self.ground.unwrap_or(config.ground);
+        let identity = load_or_create(&self.identity.unwrap_or(config.identity))?;
+        let code = Code::random()?;
+        println!("pairing code: {code}");
+        println!("On the ground, within {} minutes:  plumbline-ground pair {code}", pairing::VALID.as_secs() / 60);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let begun = Instant::now();
+        let mut told = String::new();
+        while begun.elapsed() < pairing::VALID {
+            let address = ground.to_socket_addrs()?.next().ok_or_else(|| format!("{ground:?} has no address"))?;
+            match runtime.block_on(pairing::meet(address, &identity, &id, &code)) {
+                Ok(fingerprint) => {
+                    println!("paired with the ground {fingerprint}");
+                    return Ok(());
+                }
+                Err(PairingError::Identity(error)) => return Err(error.into()),
+                Err(error) => {
+                    let text = error.to_string();
+                    if text != told {
+                        eprintln!("waiting: {text}");
+                        told = text;
+                    }
+                }
+            }
+            std::thread::sleep(AGAIN);
+        }
+        Err("nobody entered the code in time".into())
     }
 }

@@ -27,6 +27,8 @@ pub struct Arguments {
 enum Tool {
     /// Shows this agent's fingerprint; pairs it with a ground.
     Identity(identity::IdentityArguments),
+    /// Pairs this agent with a ground by a short code.
+    Pair(identity::PairArguments),
     /// Runs an estimator over a recording: estimates as CSV, errors against the truth as one JSON line.
     Estimate(EstimateArgs),
     /// Fits a calibration to a recording or a table: JSON file, and its summary as one JSON line.
@@ -95,6 +97,7 @@ impl Arguments {
     pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
         match self.tool {
             Some(Tool::Identity(arguments)) => arguments.run(),
+            Some(Tool::Pair(arguments)) => arguments.run(),
             Some(Tool::Estimate(arguments)) => estimate::estimate(&arguments),
             Some(Tool::Calibrate(arguments)) => arguments.run(),
             Some(Tool::Care(arguments)) => arguments.run(Equation::Care),

@@ -41,8 +41,15 @@ impl Flight {
     pub(super) fn guard(&mut self, now: FlightTime) {
         self.watch_attacks();
         let inputs = self.failsafe_inputs(now);
-        if inputs.link_age_s > self.config.failsafe.link_freeze_s && self.attacks.abort(now) > 0 {
-            let lost = text(format_args!("attacks aborted: no heartbeat for {:.2} s", inputs.link_age_s));
+        let unlinked = inputs.link_age_s > self.config.failsafe.link_freeze_s;
+        let unattended = inputs.operator_age_s > self.config.failsafe.operator_freeze_s;
+        if (unlinked || unattended) && self.attacks.abort(now) > 0 {
+            let lost = match unlinked {
+                true => text(format_args!("attacks aborted: no heartbeat for {:.2} s", inputs.link_age_s)),
+                false => {
+                    text(format_args!("attacks aborted: no sign of the operator for {:.1} s", inputs.operator_age_s))
+                }
+            };
             self.event(Severity::Warning, EventKind::Attack, lost);
         }
         if !self.armed() {
@@ -68,6 +75,7 @@ impl Flight {
             degraded: estimate.health != Health::Healthy,
             corroborated: self.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD,
             link_age_s: self.link_age_s(now),
+            operator_age_s: self.operator.map_or(0.0, |t| now.seconds_since(t)),
             altitude_max_m: self.config.altitude_max_m(),
             lateral_max_m: self.config.limits.lateral_max_m,
         }
@@ -90,8 +98,10 @@ impl Flight {
         (self.failsafe, self.failsafe_reason) = (verdict, reason);
         match verdict {
             Failsafe::None | Failsafe::DeadlineWarn | Failsafe::TakeoffTimeout => {}
-            Failsafe::LinkFreeze | Failsafe::BoxHold => self.freeze(),
-            Failsafe::LinkDescend | Failsafe::DeadlineDescend | Failsafe::BoxDescend => self.descend(),
+            Failsafe::LinkFreeze | Failsafe::OperatorFreeze | Failsafe::BoxHold => self.freeze(),
+            Failsafe::LinkDescend | Failsafe::OperatorDescend | Failsafe::DeadlineDescend | Failsafe::BoxDescend => {
+                self.descend()
+            }
             Failsafe::EstimatorDescend => {
                 self.blind_since = Some(inputs.now);
                 self.descend();
@@ -151,6 +161,7 @@ impl Flight {
 
     fn stop(&mut self) {
         self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
+        self.operator = None;
         (self.quiet_since, self.low_since, self.blind_since) = (None, None, None);
         self.path = None;
         self.monitor.reset();

@@ -27,6 +27,10 @@ type Outcome = Result<Text, Text>;
 impl Flight {
     /// Carries out one command. `now` is the time of the last tick, or later.
     pub fn apply(&mut self, command: &Command, now: FlightTime) -> Ack {
+        // Who commands is there, page or not.
+        if self.operator.is_some() {
+            self.operator_alive(now);
+        }
         let outcome = match command {
             Command::Arm => self.arm(now),
             Command::Disarm => self.order_disarm(),

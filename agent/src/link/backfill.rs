@@ -1,11 +1,12 @@
 //! Answers "send me these messages again" from the onboard log.
 //!
 //! Each answer is one stream: the request repeated, then batches, then the ranges the log does not
-//! hold (any more). Answers are given one after the other and held beneath a rate, so that live
-//! telemetry keeps the radio.
+//! hold (any more). Answers are given one after the other and held beneath live telemetry
+//! ([`Headroom`]), which keeps the radio.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use plumbline_proto::codec::{Frame, begin_batch};
@@ -13,13 +14,15 @@ use plumbline_proto::v1::{BackfillRequest, command_frame::Body};
 use quinn::Connection;
 use tokio::sync::mpsc;
 
+use super::LinkState;
+use super::headroom::{Headroom, PERIOD, Signs};
 use super::rate::Rate;
 use super::transport::{FrameWriter, StreamError};
 
 /// Requests that wait; a newer one beyond them is dropped and asked again by the ground.
 pub const WAITING_REQUESTS: usize = 64;
-/// Bytes of one batch of an answer.
-const BATCH_BYTES: usize = 32 * 1024;
+/// Bytes of one batch of an answer: a few packets, so that live ones are never far behind.
+const BATCH_BYTES: usize = 8 * 1024;
 /// Batches read ahead of the radio.
 const BATCHES_AHEAD: usize = 4;
 
@@ -34,6 +37,11 @@ pub trait Archive: Send + Sync {
         request: &BackfillRequest,
         sink: &mut dyn FnMut(&Frame<'_>) -> ControlFlow<()>,
     ) -> Result<(), String>;
+
+    /// The ground holds the whole of this flight: it may go before others. May write files.
+    fn kept(&self, flight_id: &str) {
+        let _ = flight_id;
+    }
 }
 
 /// No log: every range is unavailable.
@@ -47,21 +55,42 @@ impl Archive for NoArchive {
 }
 
 enum Piece {
-    Batch(Vec<u8>),
+    Batch(Vec<u8>, u64),
     Missing(u64, u64),
+}
+
+/// How live telemetry fares, beneath which answers are held.
+pub(super) struct Beneath<'a> {
+    pub(super) telemetry: &'a Connection,
+    pub(super) state: &'a LinkState,
+    /// What the radio carries in all, bytes a second.
+    pub(super) total: f64,
+    /// Most for backfill, bytes a second.
+    pub(super) cap: f64,
+}
+
+impl Beneath<'_> {
+    fn signs(&self) -> Signs {
+        Signs {
+            live_bytes: self.state.sent_bytes.load(Ordering::Relaxed),
+            dropped: self.state.dropped.load(Ordering::Relaxed),
+            round_trip_s: self.telemetry.rtt().as_secs_f64(),
+        }
+    }
 }
 
 /// Answers requests until the connection ends.
 ///
 /// # Errors
 /// [`StreamError`] when the connection breaks.
-pub async fn answer(
+pub(super) async fn answer(
     connection: &Connection,
     mut requests: mpsc::Receiver<BackfillRequest>,
     archive: Arc<dyn Archive>,
-    bytes_per_second: f64,
+    live: &Beneath<'_>,
 ) -> Result<(), StreamError> {
-    let mut rate = Rate::new(bytes_per_second, BATCH_BYTES as f64, Instant::now());
+    let mut headroom = Headroom::new(live.total, live.cap, live.signs(), Instant::now());
+    let mut rate = Rate::new(headroom.rate(), BATCH_BYTES as f64, Instant::now());
     while let Some(request) = requests.recv().await {
         let mut writer = FrameWriter::new(connection.open_uni().await?).priority(-1);
         writer.send(Body::Backfill(request.clone())).await?;
@@ -72,11 +101,19 @@ pub async fn answer(
         };
         while let Some(piece) = ready.recv().await {
             match piece {
-                Piece::Batch(batch) => {
-                    let wait = rate.wait_s(batch.len(), Instant::now());
-                    tokio::time::sleep(std::time::Duration::from_secs_f64(wait)).await;
-                    rate.take(batch.len(), Instant::now());
+                Piece::Batch(batch, messages) => {
+                    loop {
+                        let now = Instant::now();
+                        rate.set(headroom.update(live.signs(), now));
+                        if rate.take(batch.len(), now) {
+                            break;
+                        }
+                        // Looks again within a period: the room may have changed.
+                        let wait = rate.wait_s(batch.len(), now).clamp(0.001, PERIOD.as_secs_f64());
+                        tokio::time::sleep(std::time::Duration::from_secs_f64(wait)).await;
+                    }
                     writer.send(Body::Frames(batch)).await?;
+                    live.state.backfilled.fetch_add(messages, Ordering::Relaxed);
                 }
                 Piece::Missing(first_sequence, last_sequence) => {
                     let missing =
@@ -100,6 +137,7 @@ pub async fn answer(
 /// Cuts the archive's answer into batches and names what is missing in between.
 fn read(archive: &dyn Archive, request: &BackfillRequest, pieces: &mpsc::Sender<Piece>) -> Result<(), String> {
     let mut batch = Vec::new();
+    let mut messages = 0;
     let mut next = request.first_sequence;
     let mut gone = false;
     let outcome = archive.read(request, &mut |frame| {
@@ -114,13 +152,15 @@ fn read(archive: &dyn Archive, request: &BackfillRequest, pieces: &mpsc::Sender<
             begin_batch(&mut batch);
         }
         frame.encode(&mut batch);
+        messages += 1;
         if batch.len() >= BATCH_BYTES {
-            gone |= pieces.blocking_send(Piece::Batch(std::mem::take(&mut batch))).is_err();
+            let full = Piece::Batch(std::mem::take(&mut batch), std::mem::take(&mut messages));
+            gone |= pieces.blocking_send(full).is_err();
         }
         if gone { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     if !batch.is_empty() {
-        gone |= pieces.blocking_send(Piece::Batch(batch)).is_err();
+        gone |= pieces.blocking_send(Piece::Batch(batch, messages)).is_err();
     }
     // A log that could not be read is no statement about what it holds.
     if outcome.is_ok() && !gone && next <= request.last_sequence {

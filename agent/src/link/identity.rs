@@ -43,6 +43,11 @@ impl Fingerprint {
         Self(Sha256::digest(certificate.as_ref()).into())
     }
 
+    /// The digest itself.
+    pub fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
     /// From 64 hexadecimal digits, with or without `sha256:` in front.
     ///
     /// # Errors
@@ -171,6 +176,22 @@ pub fn load_or_create(folder: &Path) -> Result<Identity, IdentityError> {
     })
 }
 
+/// Gives the identity in `folder` a new certificate and key. Every peer must be paired anew; the old ones stay beside
+/// the new as `*.old`.
+///
+/// # Errors
+/// [`IdentityError`] when a file cannot be moved or made.
+pub fn rotate(folder: &Path) -> Result<Identity, IdentityError> {
+    for name in ["key.pem", "cert.pem"] {
+        let path = folder.join(name);
+        match fs::rename(&path, folder.join(format!("{name}.old"))) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(io_error(&path)(error)),
+            _ => {}
+        }
+    }
+    load_or_create(folder)
+}
+
 /// Makes two sides trust each other: first contact on one machine.
 ///
 /// # Errors
@@ -184,6 +205,15 @@ impl Identity {
     /// Of this side's certificate.
     pub fn fingerprint(&self) -> Fingerprint {
         self.inner.fingerprint
+    }
+
+    /// A secret of this identity for the purpose `label`: the same after a restart, unknown to anyone else.
+    pub fn secret(&self, label: &str) -> [u8; 32] {
+        let mut hash = Sha256::new_with_prefix(b"plumbline ");
+        hash.update(label.as_bytes());
+        hash.update([0]);
+        hash.update(self.inner.key.secret_der());
+        hash.finalize().into()
     }
 
     /// Where it is kept.
@@ -217,6 +247,39 @@ impl Identity {
         Ok(())
     }
 
+    /// Ends the trust in the peers of this name or fingerprint: their connections are closed within a second, and they
+    /// find no new ones. Answers how many there were.
+    ///
+    /// # Errors
+    /// [`IdentityError`] when the file cannot be read or written.
+    pub fn revoke(&self, name_or_fingerprint: &str) -> Result<usize, IdentityError> {
+        let mut peers = self.peers();
+        let known = read_peers(&self.inner.folder)?;
+        let wanted = Fingerprint::parse(name_or_fingerprint).ok();
+        let meant = |peer: &Fingerprint, name: &str| wanted == Some(*peer) || name == name_or_fingerprint;
+        let revoked: Vec<_> = known.iter().filter(|(peer, name)| meant(peer, name)).map(|(peer, _)| *peer).collect();
+        if revoked.is_empty() {
+            return Ok(0);
+        }
+        let path = peers_path(&self.inner.folder);
+        let text = fs::read_to_string(&path).map_err(io_error(&path))?;
+        let stays = |line: &&str| {
+            let digits = line.split_whitespace().next().unwrap_or_default();
+            Fingerprint::parse(digits).map_or(true, |peer| !revoked.contains(&peer))
+        };
+        let left: String = text.lines().filter(stays).map(|line| format!("{line}\n")).collect();
+        write_new(&path, left.as_bytes(), 0o600)?;
+        peers.names = read_peers(&self.inner.folder)?;
+        Ok(revoked.len())
+    }
+
+    /// Completes when `peer` is trusted no more.
+    pub async fn revoked(&self, peer: Fingerprint) {
+        while self.peer(peer).is_some() {
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        }
+    }
+
     /// The name given to this peer, `None` when it is not trusted. An unknown peer makes us look
     /// into the file again.
     pub fn peer(&self, peer: Fingerprint) -> Option<String> {
@@ -245,14 +308,19 @@ impl Identity {
         if self.peer(fingerprint).is_some() {
             return Ok(fingerprint);
         }
+        self.refuse(fingerprint);
+        Err(fingerprint)
+    }
+
+    /// Counts and reports a peer that is not trusted.
+    pub fn refuse(&self, fingerprint: Fingerprint) {
         let refused = self.inner.refused.fetch_add(1, Ordering::Relaxed);
         if refused < 10 || refused.is_multiple_of(100) {
             tracing::warn!(
                 %fingerprint, refused = refused + 1, peers = %peers_path(&self.inner.folder).display(),
-                "unpaired peer refused; add its fingerprint to the peers file to pair it"
+                "unpaired peer refused; pair it by its code, or add its fingerprint to the peers file"
             );
         }
-        Err(fingerprint)
     }
 
     pub(super) fn certificate(&self) -> CertificateDer<'static> {
@@ -314,7 +382,7 @@ fn read_peers(folder: &Path) -> Result<HashMap<Fingerprint, String>, IdentityErr
 }
 
 /// Writes beside the target, then renames: a crash leaves the old file or the new one.
-fn write_new(path: &Path, bytes: &[u8], mode: u32) -> Result<(), IdentityError> {
+pub(super) fn write_new(path: &Path, bytes: &[u8], mode: u32) -> Result<(), IdentityError> {
     use std::os::unix::fs::OpenOptionsExt;
     let temporary = path.with_extension(format!("tmp{}", std::process::id()));
     let write = || -> io::Result<()> {
@@ -366,6 +434,14 @@ mod tests {
         fs::write(folder.path().join("peers"), "").unwrap();
         std::thread::sleep(Duration::from_millis(110));
         assert_eq!(me.peer(peer), None, "a line taken out ends the trust");
+        me.trust(peer, "bench").unwrap();
+        me.trust(Fingerprint([8; 32]), "rig").unwrap();
+        assert_eq!((me.revoke("nobody").unwrap(), me.revoke("bench").unwrap()), (0, 1));
+        assert_eq!((me.peer(peer), me.peer(Fingerprint([8; 32])).as_deref()), (None, Some("rig")));
+        assert_eq!(me.revoke(&Fingerprint([8; 32]).to_string()).unwrap(), 1);
+        let before = me.fingerprint();
+        let after = rotate(folder.path()).unwrap().fingerprint();
+        assert!(before != after && load_or_create(folder.path()).unwrap().fingerprint() == after);
     }
 
     #[test]

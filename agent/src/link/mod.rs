@@ -22,9 +22,12 @@ use tokio::sync::watch;
 pub mod backfill;
 pub mod clock;
 mod connect;
+pub mod headroom;
 pub mod hello;
 pub mod identity;
 pub mod inbound;
+pub mod lateness;
+pub mod pairing;
 mod pump;
 pub mod rate;
 mod session;
@@ -41,7 +44,7 @@ use inbound::Inbound;
 pub const INBOUND_QUEUE: usize = 64;
 /// Default telemetry cap, bytes a second.
 pub const TELEMETRY_BYTES_PER_S: f64 = 1.5e6;
-/// Default rate of backfill, bytes a second.
+/// Default cap of backfill, bytes a second.
 pub const BACKFILL_BYTES_PER_S: f64 = 500e3;
 
 /// Longest wait between two sessions that end before they begin.
@@ -64,9 +67,9 @@ pub struct LinkConfig {
     pub boot_wall_time: WallTime,
     /// Who we are and whom we trust.
     pub identity: Identity,
-    /// Telemetry cap, bytes a second.
+    /// What the radio carries: cap of live telemetry, and of both together, bytes a second.
     pub telemetry_bytes_per_s: f64,
-    /// Backfill, bytes a second.
+    /// Most for backfill, which gets what live telemetry leaves, bytes a second.
     pub backfill_bytes_per_s: f64,
 }
 
@@ -91,12 +94,18 @@ pub struct LinkState {
     pub connections: AtomicU64,
     /// Authenticated heartbeats since the start.
     pub heartbeats: AtomicU64,
+    /// The last challenge that the operator's page has answered.
+    pub answered: AtomicU64,
     /// Messages handed to the radio.
     pub sent: AtomicU64,
     /// Bytes handed to the radio.
     pub sent_bytes: AtomicU64,
     /// Messages given up while connected.
     pub dropped: AtomicU64,
+    /// Messages sent again from the onboard log.
+    pub backfilled: AtomicU64,
+    /// Commands refused because they came too late.
+    pub late: AtomicU64,
     reason: Mutex<String>,
 }
 

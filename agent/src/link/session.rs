@@ -10,12 +10,13 @@ use quinn::{ClientConfig, Connection, Endpoint};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::backfill::{self, WAITING_REQUESTS};
-use super::inbound;
+use super::backfill::{self, Beneath, WAITING_REQUESTS};
+use super::inbound::{self, Inbound, Request};
+use super::lateness::{COMMAND_MAX_AGE_S, Lateness, never_too_late};
 use super::pump::RELIABLE_BATCHES;
 use super::tls::{self, Purpose};
 use super::transport::{self, CloseCode, FrameReader, FrameWriter, StreamError};
-use super::{Link, LinkError, connect, hello};
+use super::{Link, LinkError, LinkState, connect, hello};
 
 /// How often the ring is emptied.
 const PUMP_PERIOD: Duration = Duration::from_millis(2);
@@ -155,7 +156,13 @@ async fn talk(
     let state = link.state.clone();
     let clock = link.clock.clone();
     let archive = link.archive.clone();
-    let backfill_rate = link.config.backfill_bytes_per_s;
+    let identity = link.config.identity.clone();
+    let beneath = Beneath {
+        telemetry,
+        state: &state,
+        total: link.config.telemetry_bytes_per_s,
+        cap: link.config.backfill_bytes_per_s,
+    };
     let Link { pump, inbound: queue, .. } = link;
 
     let pumping = async {
@@ -176,15 +183,17 @@ async fn talk(
         Ok::<(), StreamError>(())
     };
     let listening = async {
+        let mut lateness = Lateness::new(Instant::now());
         while let Some(body) = reader.next().await? {
             match body {
                 Body::Heartbeat(Heartbeat { ground_time_us, .. }) => {
+                    lateness.heartbeat(ground_time_us, Instant::now());
                     state.heartbeats.fetch_add(1, Ordering::Release);
                     let agent_time_us = Some(clock.now().0);
                     writer.send(Body::Heartbeat(Heartbeat { ground_time_us, agent_time_us })).await?;
                 }
                 Body::Command(command) => {
-                    let mut request = inbound::parse(command);
+                    let mut request = in_time(inbound::parse(command), lateness.command_s(Instant::now()), &state);
                     // The flight thread empties the queue every tick: wait for it, lose nothing.
                     while let Err(rtrb::PushError::Full(back)) = queue.push(request) {
                         request = back;
@@ -196,7 +205,12 @@ async fn talk(
                         tracing::warn!(waiting = WAITING_REQUESTS, "too many backfill requests, the newest is dropped");
                     }
                 }
-                Body::Hello(_) | Body::Frames(_) | Body::BackfillUnavailable(_) => {
+                Body::OperatorAlive(alive) => state.answered.store(alive.challenge, Ordering::Release),
+                Body::FlightKept(kept) => {
+                    let archive = archive.clone();
+                    tokio::task::spawn_blocking(move || archive.kept(&kept.flight_id));
+                }
+                Body::Hello(_) | Body::Frames(_) | Body::BackfillUnavailable(_) | Body::PairingProof(_) => {
                     let found = "a message that only an agent sends".to_owned();
                     return Err(StreamError::Unexpected { expected: "a command", found });
                 }
@@ -204,7 +218,14 @@ async fn talk(
         }
         Ok::<(), StreamError>(())
     };
-    let answering = backfill::answer(commands, waiting, archive, backfill_rate);
+    let answering = backfill::answer(commands, waiting, archive.clone(), &beneath);
+
+    let revoked = async {
+        match tls::peer_fingerprint(commands) {
+            Some(peer) => identity.revoked(peer).await,
+            None => std::future::pending().await,
+        }
+    };
 
     // An orderly end of any of them means that the peer has left.
     let left = || "the ground has left".to_owned();
@@ -214,7 +235,44 @@ async fn talk(
         outcome = reliable_sending => ended(outcome),
         outcome = listening => ended(outcome),
         outcome = answering => ended(outcome),
+        () = revoked => "the ground is trusted no more".to_owned(),
         error = commands.closed() => transport::reason(&error),
         error = telemetry.closed() => transport::reason(&error),
+    }
+}
+
+/// Refuses a command that a fade has held up for `late_s`, unless it is right at any time.
+fn in_time(inbound: Inbound, late_s: f64, state: &LinkState) -> Inbound {
+    let harmless = match &inbound.request {
+        Request::Flight(command) => never_too_late(command),
+        Request::Refused(_) => true,
+        Request::Gains { .. } | Request::Recording(_) | Request::Replay(_) => false,
+    };
+    if harmless || late_s <= COMMAND_MAX_AGE_S {
+        return inbound;
+    }
+    state.late.fetch_add(1, Ordering::Relaxed);
+    let reason =
+        format!("it was {late_s:.1} s on its way (limit {COMMAND_MAX_AGE_S} s): the link had failed; send it again");
+    Inbound { id: inbound.id, request: Request::Refused(reason) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+    use plumbline_proto::ids::CommandId;
+
+    #[test]
+    fn late_commands_are_refused_but_those_that_end_something() {
+        let state = LinkState::default();
+        let flight = |command| Inbound { id: CommandId(1), request: Request::Flight(command) };
+        assert_eq!(in_time(flight(Command::Arm), 0.9, &state), flight(Command::Arm));
+        match in_time(flight(Command::Arm), 3.0, &state).request {
+            Request::Refused(reason) => assert!(reason.starts_with("it was 3.0 s on its way"), "{reason}"),
+            other => panic!("{other:?}"),
+        }
+        assert_eq!(in_time(flight(Command::CutMotors), 3.0, &state), flight(Command::CutMotors));
+        assert_eq!(state.late.load(Ordering::Relaxed), 1);
     }
 }

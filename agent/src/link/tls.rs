@@ -17,6 +17,7 @@ use rustls::server::danger::{ClientCertVerified, ClientCertVerifier};
 use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, Error, SignatureScheme};
 
 use super::identity::{Fingerprint, Identity, IdentityError};
+use super::pairing;
 
 /// Name in every certificate; trust does not depend on it.
 pub const SERVER_NAME: &str = "plumbline";
@@ -28,7 +29,11 @@ pub enum Purpose {
     Telemetry,
     /// Reliable streams both ways.
     Commands,
+    /// First contact by a code ([`super::pairing`]).
+    Pairing,
 }
+
+const PURPOSES: [Purpose; 3] = [Purpose::Telemetry, Purpose::Commands, Purpose::Pairing];
 
 impl Purpose {
     /// The protocol name in the handshake.
@@ -36,6 +41,7 @@ impl Purpose {
         match self {
             Purpose::Telemetry => b"plumbline-telemetry",
             Purpose::Commands => b"plumbline-commands",
+            Purpose::Pairing => b"plumbline-pairing",
         }
     }
 
@@ -43,7 +49,7 @@ impl Purpose {
     pub fn of(connection: &quinn::Connection) -> Option<Self> {
         let data = connection.handshake_data()?.downcast::<quinn::crypto::rustls::HandshakeData>().ok()?;
         let name = data.protocol?;
-        [Purpose::Telemetry, Purpose::Commands].into_iter().find(|purpose| purpose.alpn() == name)
+        PURPOSES.into_iter().find(|purpose| purpose.alpn() == name)
     }
 }
 
@@ -59,14 +65,15 @@ pub fn peer_fingerprint(connection: &quinn::Connection) -> Option<Fingerprint> {
 /// [`IdentityError::Tls`] when the certificate or the key is not usable.
 pub fn server(identity: &Identity) -> Result<QuicServerConfig, IdentityError> {
     let provider = Arc::new(ring::default_provider());
-    let pinned = Arc::new(Pinned { identity: identity.clone(), provider: provider.clone() });
+    let strangers = Strangers::WhilePairing;
+    let pinned = Arc::new(Pinned { identity: identity.clone(), provider: provider.clone(), strangers });
     let mut config = rustls::ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&rustls::version::TLS13])
         .map_err(refused(identity))?
         .with_client_cert_verifier(pinned)
         .with_single_cert(vec![identity.certificate()], identity.key())
         .map_err(refused(identity))?;
-    config.alpn_protocols = vec![Purpose::Telemetry.alpn().to_vec(), Purpose::Commands.alpn().to_vec()];
+    config.alpn_protocols = PURPOSES.iter().map(|purpose| purpose.alpn().to_vec()).collect();
     config.session_storage = Arc::new(NoServerSessionStorage {});
     config.send_tls13_tickets = 0;
     config.max_early_data_size = 0;
@@ -79,7 +86,8 @@ pub fn server(identity: &Identity) -> Result<QuicServerConfig, IdentityError> {
 /// [`IdentityError::Tls`] when the certificate or the key is not usable.
 pub fn client(identity: &Identity, purpose: Purpose) -> Result<QuicClientConfig, IdentityError> {
     let provider = Arc::new(ring::default_provider());
-    let pinned = Arc::new(Pinned { identity: identity.clone(), provider: provider.clone() });
+    let strangers = if purpose == Purpose::Pairing { Strangers::Always } else { Strangers::Never };
+    let pinned = Arc::new(Pinned { identity: identity.clone(), provider: provider.clone(), strangers });
     let mut config = rustls::ClientConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&rustls::version::TLS13])
         .map_err(refused(identity))?
@@ -97,20 +105,66 @@ fn refused(identity: &Identity) -> impl Fn(Error) -> IdentityError + '_ {
     |error| IdentityError::Tls { path: identity.folder().to_owned(), reason: error.to_string() }
 }
 
+/// May a certificate that nobody knows pass the handshake?
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Strangers {
+    Never,
+    /// While a pairing code is waiting. What the connection is for is not known yet: whoever accepts it must refuse
+    /// strangers all but pairing.
+    WhilePairing,
+    Always,
+}
+
 /// Accepts the certificates an identity trusts; proof of the key is checked as TLS wants it.
 #[derive(Debug)]
 struct Pinned {
     identity: Identity,
     provider: Arc<CryptoProvider>,
+    strangers: Strangers,
 }
 
 impl Pinned {
     fn check(&self, certificate: &CertificateDer<'_>) -> Result<(), Error> {
+        let welcome = match self.strangers {
+            Strangers::Never => false,
+            Strangers::WhilePairing => pairing::waiting(self.identity.folder()).is_some(),
+            Strangers::Always => true,
+        };
+        if welcome {
+            return Ok(());
+        }
         self.identity
             .check(certificate)
             .map(|_| ())
             .map_err(|_| Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
     }
+}
+
+/// The proof of the key, which both traits ask for in the same words.
+macro_rules! proof_of_the_key {
+    () => {
+        fn verify_tls12_signature(
+            &self,
+            message: &[u8],
+            cert: &CertificateDer<'_>,
+            dss: &DigitallySignedStruct,
+        ) -> Result<HandshakeSignatureValid, Error> {
+            verify_tls12_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
+        }
+
+        fn verify_tls13_signature(
+            &self,
+            message: &[u8],
+            cert: &CertificateDer<'_>,
+            dss: &DigitallySignedStruct,
+        ) -> Result<HandshakeSignatureValid, Error> {
+            verify_tls13_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
+        }
+
+        fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+            self.provider.signature_verification_algorithms.supported_schemes()
+        }
+    };
 }
 
 impl ServerCertVerifier for Pinned {
@@ -125,27 +179,7 @@ impl ServerCertVerifier for Pinned {
         self.check(end_entity).map(|()| ServerCertVerified::assertion())
     }
 
-    fn verify_tls12_signature(
-        &self,
-        message: &[u8],
-        cert: &CertificateDer<'_>,
-        dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls12_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
-    }
-
-    fn verify_tls13_signature(
-        &self,
-        message: &[u8],
-        cert: &CertificateDer<'_>,
-        dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls13_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
-    }
-
-    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider.signature_verification_algorithms.supported_schemes()
-    }
+    proof_of_the_key!();
 }
 
 impl ClientCertVerifier for Pinned {
@@ -162,25 +196,5 @@ impl ClientCertVerifier for Pinned {
         self.check(end_entity).map(|()| ClientCertVerified::assertion())
     }
 
-    fn verify_tls12_signature(
-        &self,
-        message: &[u8],
-        cert: &CertificateDer<'_>,
-        dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls12_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
-    }
-
-    fn verify_tls13_signature(
-        &self,
-        message: &[u8],
-        cert: &CertificateDer<'_>,
-        dss: &DigitallySignedStruct,
-    ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls13_signature(message, cert, dss, &self.provider.signature_verification_algorithms)
-    }
-
-    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider.signature_verification_algorithms.supported_schemes()
-    }
+    proof_of_the_key!();
 }

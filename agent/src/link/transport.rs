@@ -12,8 +12,11 @@ use quinn::{Connection, ConnectionError, IdleTimeout, RecvStream, SendStream, Tr
 use super::tls::Purpose;
 use super::window::FixedWindowFactory;
 
-/// Silence after which a connection is lost for good.
-pub const IDLE_TIMEOUT_MS: u32 = 2_000;
+/// Silence after which a connection is lost for good. Longer than a fade, so that sending goes on through it
+/// and the first packet after it arrives at once; nothing waits for it: failsafes have their own times, a
+/// restarted ground says at once that it knows the connection no more, and what comes late is refused
+/// ([`super::lateness`]).
+pub const IDLE_TIMEOUT_MS: u32 = 8_000;
 /// Largest datagram, batch header included: fits every path of 1200 bytes.
 pub const MAX_DATAGRAM: usize = 1_100;
 /// Datagrams waiting inside QUIC; the oldest give way.
@@ -80,7 +83,7 @@ pub fn client(purpose: Purpose, rate_bytes_per_s: f64) -> Arc<TransportConfig> {
                 .mtu_discovery_config(None)
                 .congestion_controller_factory(Arc::new(FixedWindowFactory(window)));
         }
-        Purpose::Commands => {
+        Purpose::Commands | Purpose::Pairing => {
             config.datagram_receive_buffer_size(None).congestion_controller_factory(Arc::new(CubicConfig::default()));
         }
     }

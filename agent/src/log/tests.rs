@@ -71,6 +71,12 @@ fn a_flight_is_kept_whole_and_can_be_asked_for_again() {
     log.stop();
     assert_eq!(backfill(&archive, "f-1", first, u64::MAX).len(), 501, "nothing from outside the flight");
     assert!(backfill(&archive, "never-flown", 1, 10).is_empty());
+    // Asked for in any order: what is known of the file from before changes nothing.
+    for (from, to) in [(490, 495), (0, 5), (300, 310), (200, 499), (499, 800)] {
+        let expected = LogArchive::new(folder.path().to_owned(), Arc::default());
+        let fresh = backfill(&expected, "f-1", first + from, first + to);
+        assert_eq!(backfill(&archive, "f-1", first + from, first + to), fresh, "{from}..={to}");
+    }
 
     let bytes = std::fs::read(folder.path().join("f-1.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
@@ -101,12 +107,17 @@ fn what_was_flushed_survives_a_kill() {
     }
 }
 
+/// Ends as a finished file does.
+fn finished(length: usize) -> Vec<u8> {
+    [&vec![0; length][..], mcap::MAGIC].concat()
+}
+
 #[test]
 fn the_oldest_flights_make_room_and_a_full_log_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     for n in 0..3 {
         let path = folder.path().join(format!("old-{n}.mcap"));
-        std::fs::write(&path, vec![0; 400_000]).unwrap();
+        std::fs::write(&path, finished(400_000)).unwrap();
         let age = std::time::SystemTime::now() - Duration::from_secs(100 - n);
         std::fs::File::options().write(true).open(&path).unwrap().set_modified(age).unwrap();
     }
@@ -117,6 +128,15 @@ fn the_oldest_flights_make_room_and_a_full_log_is_reported() {
     assert_eq!([left(0), left(1), left(2)], [false, true, true]);
     assert_eq!(log.state().error(), None);
     log.stop();
+    // What the ground holds goes before what only this vehicle has, however young.
+    let archive = LogArchive::new(folder.path().to_owned(), Arc::default());
+    std::fs::write(folder.path().join("new.mcap"), finished(400_000)).unwrap();
+    archive.kept("new");
+    archive.kept("never-flown");
+    assert!(!folder.path().join("never-flown.kept").exists());
+    writer::make_room(&bounded, None).unwrap();
+    assert!(!folder.path().join("new.mcap").exists() && !folder.path().join("new.kept").exists());
+    assert_eq!([left(1), left(2)], [true, true]);
     let open = folder.path().join("open.mcap");
     std::fs::write(&open, vec![0; 2_000_000]).unwrap();
     let error = writer::make_room(&bounded, Some(&open)).unwrap_err().to_string();
@@ -134,7 +154,48 @@ fn an_unusable_folder_is_reported_and_stops_nothing() {
     mark(&mut ring, "f-1", 1, None);
     heights(&mut ring, 2..100);
     let state = log.state().clone();
-    log.stop();
-    assert_eq!(state.messages.load(Ordering::Relaxed), 0);
+    let begun = Instant::now();
+    while state.messages.load(Ordering::Relaxed) == 0 && state.error().is_some() && begun.elapsed() < 2 * SYNC_PERIOD {
+        std::thread::sleep(POLL_PERIOD);
+    }
+    assert!(state.messages.load(Ordering::Relaxed) == 0 && state.error().is_some());
+    // The folder becomes usable: this flight is not logged any more, the next one may begin.
+    std::fs::remove_file(&file).unwrap();
+    std::thread::sleep(SYNC_PERIOD);
     assert!(state.error().is_some());
+    mark(&mut ring, "f-1", 100, Some(100));
+    let begun = Instant::now();
+    while state.error().is_some() {
+        assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", state.error());
+        std::thread::sleep(POLL_PERIOD);
+    }
+    log.stop();
+}
+
+#[test]
+fn what_a_killed_agent_left_is_finished_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut ring, consumer) = RingBuffer::new(RING_BYTES);
+    let log = spawn(config(folder.path()), consumer).unwrap();
+    mark(&mut ring, "f-1", 7_000_000_000, None);
+    heights(&mut ring, 7_000_000_001..7_000_001_000);
+    assert_eq!(backfill(&log.archive(), "f-1", 7_000_000_000, 7_000_000_999).len(), 1000);
+    // A copy is what a kill would leave; beside it a file that was not even begun, and a half-made repair.
+    let killed = tempfile::tempdir().unwrap();
+    std::fs::copy(folder.path().join("f-1.mcap"), killed.path().join("f-1.mcap")).unwrap();
+    std::fs::write(killed.path().join("f-0.mcap"), b"\x89MC").unwrap();
+    std::fs::write(killed.path().join("f-9.mcap.tmp"), b"half").unwrap();
+    let left = repair::unfinished(killed.path());
+    assert_eq!(left.len(), 2, "{left:?}");
+    repair::finish_all(&left);
+    let bytes = std::fs::read(killed.path().join("f-1.mcap")).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 1000);
+    assert!(repair::unfinished(killed.path()).is_empty());
+    let archive = LogArchive::new(killed.path().to_owned(), Arc::default());
+    assert_eq!(
+        backfill(&archive, "f-1", 7_000_000_500, 7_000_000_600),
+        backfill(&log.archive(), "f-1", 7_000_000_500, 7_000_000_600)
+    );
+    assert!(killed.path().join("f-0.mcap.corrupt").exists() && !killed.path().join("f-9.mcap.tmp").exists());
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use mcap::records::MessageHeader;
 use mcap::write::{Metadata, NoSeek};
@@ -13,7 +14,7 @@ use plumbline_proto::ids::FlightId;
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::v1;
 
-use super::{LogConfig, LogError, MIN_FREE_BYTES};
+use super::{LogConfig, LogError, MIN_FREE_BYTES, Syncer};
 
 /// Bytes of a chunk before compression; the flush period usually ends it earlier.
 const CHUNK_BYTES: u64 = 512 << 10;
@@ -25,7 +26,7 @@ pub(super) const METADATA: &str = "plumbline";
 pub(super) struct LogFile {
     path: PathBuf,
     writer: Writer<NoSeek<File>>,
-    file: File,
+    file: Arc<File>,
     channels: HashMap<(u16, u16), u16>,
     schemas: HashMap<u16, u16>,
     boot_wall_time: WallTime,
@@ -37,7 +38,20 @@ impl LogFile {
     pub(super) fn create(config: &LogConfig, mark: &v1::FlightMark) -> Result<Self, LogError> {
         let id = FlightId::new(mark.flight_id.as_str())
             .map_err(|error| LogError::Full { path: config.folder.clone(), reason: error.to_string() })?;
-        let path = config.folder.join(format!("{id}.mcap"));
+        let metadata = BTreeMap::from([
+            ("flight_id".to_owned(), mark.flight_id.clone()),
+            ("agent_id".to_owned(), config.agent_id.clone()),
+            ("agent_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("schema".to_owned(), plumbline_proto::SCHEMA.to_string()),
+            ("first_sequence".to_owned(), mark.first_sequence.to_string()),
+            ("boot_wall_time_us".to_owned(), config.boot_wall_time.0.to_string()),
+        ]);
+        Self::create_at(config.folder.join(format!("{id}.mcap")), metadata)
+    }
+
+    /// A new file at `path` that says this of itself.
+    pub(super) fn create_at(path: PathBuf, metadata: BTreeMap<String, String>) -> Result<Self, LogError> {
+        let boot_wall_time = metadata.get("boot_wall_time_us").and_then(|text| text.parse().ok()).unwrap_or_default();
         let io = |source| LogError::Io { path: path.clone(), source };
         // `create_new`: a flight is never written over another one.
         let file = File::options().write(true).create_new(true).open(&path).map_err(io)?;
@@ -55,21 +69,13 @@ impl LogFile {
         let mut log = Self {
             path,
             writer,
-            file: second,
+            file: Arc::new(second),
             channels: HashMap::new(),
             schemas: HashMap::new(),
-            boot_wall_time: config.boot_wall_time,
+            boot_wall_time: WallTime(boot_wall_time),
             written: 0,
             flushed: 0,
         };
-        let metadata = BTreeMap::from([
-            ("flight_id".to_owned(), mark.flight_id.clone()),
-            ("agent_id".to_owned(), config.agent_id.clone()),
-            ("agent_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-            ("schema".to_owned(), plumbline_proto::SCHEMA.to_string()),
-            ("first_sequence".to_owned(), mark.first_sequence.to_string()),
-            ("boot_wall_time_us".to_owned(), config.boot_wall_time.0.to_string()),
-        ]);
         log.writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).map_err(mcap_error(&log.path))?;
         Ok(log)
     }
@@ -99,9 +105,10 @@ impl LogFile {
         Ok(())
     }
 
-    pub(super) fn sync(&mut self) -> Result<(), LogError> {
+    /// Flushes, and has the file synced by `syncer`.
+    pub(super) fn sync(&mut self, syncer: &Syncer) -> Result<(), LogError> {
         self.flush()?;
-        self.file.sync_data().map_err(|source| LogError::Io { path: self.path.clone(), source })
+        syncer.sync(&self.file).map_err(|source| LogError::Io { path: self.path.clone(), source })
     }
 
     pub(super) fn finish(&mut self) -> Result<(), LogError> {
@@ -143,7 +150,22 @@ fn mcap_error(path: &Path) -> impl FnOnce(mcap::McapError) -> LogError + '_ {
     }
 }
 
-/// Deletes the oldest finished flights until the folder is below its bound and the disk has some
+/// Could a flight be begun now?
+pub(super) fn probe(config: &LogConfig) -> Result<(), LogError> {
+    fs::create_dir_all(&config.folder).map_err(|source| LogError::Io { path: config.folder.clone(), source })?;
+    make_room(config, None)?;
+    let path = config.folder.join("probe.tmp");
+    let io = |source| LogError::Io { path: path.clone(), source };
+    fs::write(&path, b"can be written").map_err(io)?;
+    fs::remove_file(&path).map_err(io)
+}
+
+/// Stands beside a flight that the ground holds, too.
+pub(super) fn kept_mark(path: &Path) -> PathBuf {
+    path.with_extension("kept")
+}
+
+/// Deletes finished flights, those that the ground holds first and the oldest of each first, until the folder is below its bound and the disk has some
 /// space left. `open` is never deleted.
 pub(super) fn make_room(config: &LogConfig, open: Option<&Path>) -> Result<(), LogError> {
     let folder = &config.folder;
@@ -151,18 +173,20 @@ pub(super) fn make_room(config: &LogConfig, open: Option<&Path>) -> Result<(), L
     let mut flights = Vec::new();
     for entry in fs::read_dir(folder).map_err(io)? {
         let path = entry.map_err(io)?.path();
-        if path.extension().is_some_and(|extension| extension == "mcap") {
+        // What was set aside takes room as well, and goes like any other.
+        if path.extension().is_some_and(|extension| extension == "mcap" || extension == "corrupt") {
             let meta = fs::metadata(&path).map_err(io)?;
-            flights.push((meta.modified().map_err(io)?, meta.len(), path));
+            let kept = kept_mark(&path).exists();
+            flights.push((!kept, meta.modified().map_err(io)?, meta.len(), path));
         }
     }
     flights.sort();
-    let mut used: u64 = flights.iter().map(|(_, bytes, _)| bytes).sum();
-    let mut oldest = flights.iter().filter(|(_, _, path)| Some(path.as_path()) != open);
+    let mut used: u64 = flights.iter().map(|(_, _, bytes, _)| bytes).sum();
+    let mut oldest = flights.iter().filter(|(.., path)| Some(path.as_path()) != open);
     // A new flight begins with some room to grow; an open one may fill the bound.
     let bound = if open.is_some() { config.max_bytes } else { config.max_bytes - config.max_bytes / 10 };
     while used > bound || free_bytes(folder).is_some_and(|free| free < MIN_FREE_BYTES) {
-        let Some((_, bytes, path)) = oldest.next() else {
+        let Some((only_here, _, bytes, path)) = oldest.next() else {
             let free = free_bytes(folder).map_or_else(|| "unknown".to_owned(), |free| (free >> 20).to_string());
             let reason = format!(
                 "no room: {} MiB used of {} MiB, {free} MiB free on the disk, at least {} needed",
@@ -172,8 +196,13 @@ pub(super) fn make_room(config: &LogConfig, open: Option<&Path>) -> Result<(), L
             );
             return Err(LogError::Full { path: folder.clone(), reason });
         };
-        tracing::info!(flight = %path.display(), bytes, "oldest flight deleted to make room");
+        if *only_here {
+            tracing::warn!(flight = %path.display(), bytes, "deleted to make room: no ground is known to hold it");
+        } else {
+            tracing::info!(flight = %path.display(), bytes, "deleted to make room: the ground holds it");
+        }
         fs::remove_file(path).map_err(|source| LogError::Io { path: path.clone(), source })?;
+        let _ = fs::remove_file(kept_mark(path));
         used -= bytes;
     }
     Ok(())

@@ -2,9 +2,12 @@
 //!
 //! Every `Control` message ends a tick, so a flight comes back in the very ticks it was flown in.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+use mcap::McapError;
+use mcap::records::Record;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1};
 
@@ -26,15 +29,12 @@ pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
 pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Recording, RecordingError> {
     let mut reader =
         Reader { path, builder: Builder::default(), unreadable: BTreeMap::new(), boot_us: None, at: FlightTime(0) };
-    let stream = mcap::MessageStream::new_with_options(bytes, mcap::read::Options::IgnoreEndMagic.into())
-        .map_err(|e| RecordingError::malformed(path, e.to_string()))?;
-    for message in stream {
-        match message {
-            Ok(message) => reader.take(&message)?,
-            Err(error) => {
+    if let Err(error) = reader.read(bytes) {
+        match error {
+            Failure::File(error) => {
                 reader.builder.notes.push(format!("cut short or damaged: {error}; read up to there"));
-                break;
             }
+            Failure::Refused(error) => return Err(error),
         }
     }
     for (topic, count) in &reader.unreadable {
@@ -43,6 +43,27 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Recording, RecordingErro
     // The file's times are wall time; the flight's are since boot.
     reader.builder.shift(reader.boot_us.unwrap_or(0));
     reader.builder.finish(path, Format::Plumbline)
+}
+
+/// Why reading ended early.
+enum Failure {
+    /// The file is cut short or damaged.
+    File(McapError),
+    /// It is of no use.
+    Refused(RecordingError),
+}
+
+impl From<McapError> for Failure {
+    fn from(error: McapError) -> Self {
+        Self::File(error)
+    }
+}
+
+/// One message of the file.
+struct Logged<'a> {
+    topic: &'a str,
+    log_time: u64,
+    data: &'a [u8],
 }
 
 struct Reader<'a> {
@@ -56,25 +77,59 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn take(&mut self, message: &mcap::Message<'_>) -> Result<(), RecordingError> {
-        let Some((kind, instance)) = Kind::from_topic(&message.channel.topic) else { return Ok(()) };
+    /// Passes every message to [`Reader::take`]; lengths are bounded, whatever the bytes claim.
+    fn read(&mut self, mut bytes: &[u8]) -> Result<(), Failure> {
+        let options =
+            LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(crate::log::MAX_RECORD);
+        let mut linear = LinearReader::new_with_options(options);
+        let mut topics: HashMap<u16, String> = HashMap::new();
+        let mut began = false;
+        while let Some(event) = linear.next_event() {
+            match event {
+                Ok(LinearReadEvent::ReadRequest(need)) => {
+                    let (now, later) = bytes.split_at(need.min(bytes.len()));
+                    linear.insert(now.len()).copy_from_slice(now);
+                    linear.notify_read(now.len());
+                    bytes = later;
+                }
+                Ok(LinearReadEvent::Record { opcode, data }) => {
+                    began = true;
+                    match mcap::parse_record(opcode, data)? {
+                        Record::Channel(channel) => drop(topics.insert(channel.id, channel.topic)),
+                        Record::Message { header, data } => {
+                            let Some(topic) = topics.get(&header.channel_id) else { continue };
+                            let logged = Logged { topic, log_time: header.log_time, data: &data };
+                            self.take(&logged).map_err(Failure::Refused)?;
+                        }
+                        _ => {}
+                    }
+                }
+                Err(error) if began => return Err(error.into()),
+                Err(error) => return Err(Failure::Refused(RecordingError::malformed(self.path, error.to_string()))),
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, message: &Logged<'_>) -> Result<(), RecordingError> {
+        let Some((kind, instance)) = Kind::from_topic(message.topic) else { return Ok(()) };
         let index = usize::from(instance.saturating_sub(1));
         self.at = FlightTime(message.log_time / 1000);
         let taken = match kind {
-            Kind::Imu => self.sensor(index, &message.data, imu),
-            Kind::Height => self.sensor(index, &message.data, height),
-            Kind::Barometer => self.sensor(index, &message.data, barometer),
-            Kind::Gnss => self.sensor(index, &message.data, gnss),
-            Kind::MocapPose => self.sensor(index, &message.data, mocap_pose),
-            Kind::CameraRanges => self.sensor(index, &message.data, camera_ranges),
-            Kind::Truth => v1::Truth::decode(&*message.data).ok().and_then(|m| self.truth(&m)),
-            Kind::Control => v1::Control::decode(&*message.data).ok().and_then(|m| self.control(&m)),
-            Kind::StepResponse => v1::StepResponse::decode(&*message.data).ok().map(|m| self.step_response(&m)),
-            Kind::Description => return self.description(&message.data),
+            Kind::Imu => self.sensor(index, message.data, imu),
+            Kind::Height => self.sensor(index, message.data, height),
+            Kind::Barometer => self.sensor(index, message.data, barometer),
+            Kind::Gnss => self.sensor(index, message.data, gnss),
+            Kind::MocapPose => self.sensor(index, message.data, mocap_pose),
+            Kind::CameraRanges => self.sensor(index, message.data, camera_ranges),
+            Kind::Truth => v1::Truth::decode(message.data).ok().and_then(|m| self.truth(&m)),
+            Kind::Control => v1::Control::decode(message.data).ok().and_then(|m| self.control(&m)),
+            Kind::StepResponse => v1::StepResponse::decode(message.data).ok().map(|m| self.step_response(&m)),
+            Kind::Description => return self.description(message.data),
             _ => Some(()),
         };
         if taken.is_none() {
-            *self.unreadable.entry(message.channel.topic.clone()).or_default() += 1;
+            *self.unreadable.entry(message.topic.to_owned()).or_default() += 1;
         }
         Ok(())
     }

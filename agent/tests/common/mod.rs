@@ -21,6 +21,10 @@ pub struct Flown {
     pub steps: Vec<StepResponse>,
     /// Heartbeats stop here.
     pub link_lost_s: f64,
+    /// The operator's page answers from here …
+    pub operator_from_s: f64,
+    /// … to here.
+    pub operator_lost_s: f64,
 }
 
 /// One tick of it.
@@ -49,6 +53,8 @@ impl Flown {
             acks: Vec::new(),
             steps: Vec::new(),
             link_lost_s: f64::INFINITY,
+            operator_from_s: f64::INFINITY,
+            operator_lost_s: f64::INFINITY,
         }
     }
 
@@ -68,6 +74,9 @@ impl Flown {
         let before = self.rows.last().map(|r| r.report.sensed.time);
         if frame.time.as_seconds() < self.link_lost_s {
             self.flight.heartbeat(frame.time);
+        }
+        if (self.operator_from_s..self.operator_lost_s).contains(&frame.time.as_seconds()) {
+            self.flight.operator_alive(frame.time);
         }
         let script = self.scenario.script.clone();
         script.commands(before, frame.time, |c| {

@@ -81,6 +81,10 @@ pub enum Outgoing {
     Command(v1::Command),
     /// "Send me these messages again."
     Backfill(v1::BackfillRequest),
+    /// "The operator's page answered this challenge."
+    OperatorAlive(u64),
+    /// "This flight is whole here."
+    FlightKept(String),
 }
 
 /// The link to this agent is gone.
@@ -120,6 +124,16 @@ impl CommandSender {
     /// Hands a backfill request to the link when there is room; `false` asks to try again later.
     pub fn try_backfill(&self, request: v1::BackfillRequest) -> bool {
         self.queue.try_send(Outgoing::Backfill(request)).is_ok()
+    }
+
+    /// Passes on a sign of life when there is room; the next one follows within a tenth of a second.
+    pub fn try_operator_alive(&self, challenge: u64) -> bool {
+        self.queue.try_send(Outgoing::OperatorAlive(challenge)).is_ok()
+    }
+
+    /// Tells the agent that a flight is whole here, when there is room; it is told again after every reconnection.
+    pub fn try_flight_kept(&self, flight_id: &str) -> bool {
+        self.queue.try_send(Outgoing::FlightKept(flight_id.to_owned())).is_ok()
     }
 
     /// Is the link gone?

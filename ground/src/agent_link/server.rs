@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use plumbline_agent::link::hello;
 use plumbline_agent::link::identity::{Identity, IdentityError};
 use plumbline_agent::link::tls::{self, Purpose};
 use plumbline_agent::link::transport::{self, CloseCode, FrameReader, FrameWriter};
+use plumbline_agent::link::{hello, pairing};
 use plumbline_proto::SCHEMA;
 use plumbline_proto::v1::{Hello, command_frame::Body};
 use quinn::{Connection, Endpoint, Incoming, ServerConfig, VarInt};
@@ -109,7 +109,9 @@ impl AgentLink {
         let mut server = ServerConfig::with_crypto(Arc::new(tls::server(&config.identity)?));
         server.transport_config(transport::server()).max_incoming(MAX_CONNECTIONS);
         let bind_error = |source| AgentLinkError::Bind { address: config.listen, source };
-        let endpoint = Endpoint::server(server, config.listen).map_err(bind_error)?;
+        let socket = std::net::UdpSocket::bind(config.listen).map_err(bind_error)?;
+        let runtime = Arc::new(quinn::TokioRuntime);
+        let endpoint = Endpoint::new(endpoint(&config.identity), Some(server), socket, runtime).map_err(bind_error)?;
         let local = endpoint.local_addr().map_err(bind_error)?;
         Ok(Self { endpoint, config, local })
     }
@@ -170,6 +172,17 @@ impl AgentLink {
     }
 }
 
+/// Settings by which a restarted ground knows connections of its former self for what they are, and tells the
+/// agent so at its first packet (a stateless reset) instead of leaving it to silence.
+fn endpoint(identity: &Identity) -> quinn::EndpointConfig {
+    let reset = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, &identity.secret("stateless reset"));
+    let mut config = quinn::EndpointConfig::new(Arc::new(reset));
+    let [a, b, c, d, e, f, g, h, ..] = identity.secret("connection ids");
+    let key = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+    config.cid_generator(move || Box::new(quinn_proto::HashedConnectionIdGenerator::from_key(key)));
+    config
+}
+
 async fn serve(incoming: Incoming, shared: Shared) {
     let peer = incoming.remote_address();
     let connection = match incoming.accept() {
@@ -196,6 +209,21 @@ async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
     let (Some(purpose), Some(fingerprint)) = (Purpose::of(&connection), tls::peer_fingerprint(&connection)) else {
         return refuse(CloseCode::Protocol, "the handshake names no purpose or no certificate".to_owned());
     };
+    let identity = &shared.config.identity;
+    if purpose == Purpose::Pairing {
+        return match pairing::serve(&connection, identity, &shared.config.ground_id).await {
+            Ok(name) => {
+                tracing::warn!(agent = name, %fingerprint, "paired");
+                Ok(())
+            }
+            Err(error) => refuse(CloseCode::Protocol, error.to_string()),
+        };
+    }
+    // While a pairing code waits, strangers pass the handshake; for anything but pairing they get nothing.
+    if identity.peer(fingerprint).is_none() {
+        identity.refuse(fingerprint);
+        return refuse(CloseCode::Protocol, "not paired".to_owned());
+    }
     let (send, receive) = match tokio::time::timeout(hello::HELLO_TIMEOUT, connection.accept_bi()).await {
         Ok(Ok(streams)) => streams,
         Ok(Err(error)) => {
@@ -229,8 +257,9 @@ async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
                 Err(reason) => return refuse(CloseCode::Duplicate, reason),
             };
             writer.send(Body::Hello(mine)).await.map_err(|error| error.to_string())?;
-            session::commands(connection, reader, writer, theirs, claim, shared).await;
+            session::commands(connection, reader, writer, theirs, claim, fingerprint, shared).await;
         }
+        Purpose::Pairing => {}
         Purpose::Telemetry => {
             if let Err(reason) = shared.registry.join(&who, &connection) {
                 return refuse(CloseCode::Protocol, reason);

@@ -4,9 +4,10 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use plumbline_agent::link::identity::Fingerprint;
 use plumbline_agent::link::transport::{self, CloseCode, FrameReader, FrameWriter, HEARTBEAT_PERIOD, StreamError};
 use plumbline_proto::codec::decode_batch;
-use plumbline_proto::v1::{Heartbeat, Hello, command_frame::Body};
+use plumbline_proto::v1::{self, Heartbeat, Hello, command_frame::Body};
 use quinn::{Connection, RecvStream};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
@@ -29,6 +30,7 @@ pub(super) async fn commands(
     writer: FrameWriter,
     hello: Hello,
     claim: Claim,
+    fingerprint: Fingerprint,
     shared: &Shared,
 ) {
     let agent_id = hello.id.clone();
@@ -46,6 +48,7 @@ pub(super) async fn commands(
     }
     let ended = tokio::select! {
         error = connection.closed() => transport::reason(&error),
+        () = shared.config.identity.revoked(fingerprint) => "the agent is trusted no more".to_owned(),
         outcome = sending(writer, outgoing) => explain(outcome, &connection),
         outcome = listening(reader, &hello, &claim, shared) => explain(outcome, &connection),
         outcome = streams(&connection, &agent_id, shared) => explain(outcome, &connection),
@@ -80,6 +83,8 @@ async fn sending(mut writer: FrameWriter, mut outgoing: mpsc::Receiver<Outgoing>
             next = outgoing.recv(), if open => match next {
                 Some(Outgoing::Command(command)) => Body::Command(command),
                 Some(Outgoing::Backfill(request)) => Body::Backfill(request),
+                Some(Outgoing::OperatorAlive(challenge)) => Body::OperatorAlive(v1::OperatorAlive { challenge }),
+                Some(Outgoing::FlightKept(flight_id)) => Body::FlightKept(v1::FlightKept { flight_id }),
                 // The hub keeps no way down; the agent is still heard.
                 None => { open = false; continue; }
             },
@@ -152,7 +157,12 @@ async fn stream_of_batches(stream: RecvStream, agent_id: String, shared: Shared)
             Body::BackfillUnavailable(request) => {
                 LinkEvent::BackfillUnavailable { agent_id: agent_id.clone(), request }
             }
-            Body::Hello(_) | Body::Command(_) | Body::Heartbeat(_) => {
+            Body::Hello(_)
+            | Body::Command(_)
+            | Body::Heartbeat(_)
+            | Body::OperatorAlive(_)
+            | Body::FlightKept(_)
+            | Body::PairingProof(_) => {
                 let found = "a message of another stream".to_owned();
                 return Err(StreamError::Unexpected { expected: "frames", found });
             }

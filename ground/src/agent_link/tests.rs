@@ -425,3 +425,47 @@ async fn gaps_are_filled_from_the_onboard_log() {
     assert_eq!(seen, expected);
     ground.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_short_code_pairs_once_and_a_wrong_one_never() {
+    use plumbline_agent::link::pairing::{ATTEMPTS, Code, expect, meet};
+    let folder = tempfile::tempdir().unwrap();
+    let agent = identity::load_or_create(&folder.path().join("agent")).unwrap();
+    let ground_identity = identity::load_or_create(&folder.path().join("ground")).unwrap();
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let code = Code::random().unwrap();
+    // GIVEN no code at the ground THEN the agent does not even pass the handshake
+    assert!(meet(ground.address, &agent, "iris-1", &code).await.is_err());
+    assert_eq!((ground_identity.refused(), agent.peer(ground_identity.fingerprint())), (1, None));
+    // GIVEN a code WHEN an agent guesses THEN it is refused, and the code is soon worth nothing
+    expect(ground_identity.folder(), &code).unwrap();
+    for _ in 0..ATTEMPTS - 1 {
+        let error = meet(ground.address, &agent, "iris-1", &Code::random().unwrap()).await.unwrap_err().to_string();
+        assert!(error.contains("does not know this code"), "{error}");
+    }
+    // A stranger that does not pair gets nothing, although a code waits.
+    let stranger = Agent::start(&agent, ground.address, |_| {});
+    stranger.refused().await;
+    stranger.link.stop();
+    assert!(ground.events.try_recv().is_err());
+    // WHEN the right one comes THEN both trust each other, and the code is spent
+    let met = meet(ground.address, &agent, "iris-1", &code).await.unwrap();
+    assert_eq!(met, ground_identity.fingerprint());
+    assert_eq!(agent.peer(met).as_deref(), Some("ground"));
+    assert_eq!(ground_identity.peer(agent.fingerprint()).as_deref(), Some("iris-1"));
+    let second = identity::load_or_create(&folder.path().join("second")).unwrap();
+    assert!(meet(ground.address, &second, "iris-2", &code).await.is_err());
+    let flying = Agent::start(&agent, ground.address, |_| {});
+    ground.connected().await;
+    flying.connected().await;
+    // WHEN it is revoked THEN its session ends, and it finds no other
+    let refused = ground_identity.refused();
+    assert_eq!(ground_identity.revoke("iris-1").unwrap(), 1);
+    assert_eq!(ground.disconnected().await, "the agent is trusted no more");
+    let begun = Instant::now();
+    while ground_identity.refused() == refused {
+        assert!(begun.elapsed() < LONG);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    ground.stop().await;
+}

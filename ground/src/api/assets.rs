@@ -8,10 +8,13 @@ use std::borrow::Cow;
 use std::io::Read as _;
 
 use axum::body::Body;
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use rust_embed::RustEmbed;
 
+use super::App;
+use super::access::token;
 use super::error::ApiError;
 
 #[derive(RustEmbed)]
@@ -31,12 +34,17 @@ const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Plumbline</ti
 <p>or <code>cargo xtask run</code>, which does both and starts a simulated quadrotor.</p>\
 <p>The API: <a href=/api/ground>/api/ground</a>, <a href=/api/vehicles>/api/vehicles</a>, <a href=/api/flights>/api/flights</a>.</p>";
 
-pub(crate) async fn serve(method: Method, uri: Uri, headers: HeaderMap) -> Response {
+/// Anything that is no route: the page and its files. The files are nobody's secret; the page itself sends people
+/// without a session to sign in.
+pub(crate) async fn serve(State(app): State<App>, method: Method, uri: Uri, headers: HeaderMap) -> Response {
     if !matches!(method, Method::GET | Method::HEAD) {
         return ApiError::Method(format!("{} has no {method}", crate::names::clip(uri.path()))).into_response();
     }
     let path = uri.path().trim_matches('/');
     let page = PAGES.contains(&path) || path.strip_prefix("flights/").is_some_and(|id| !id.contains('/'));
+    if page && app.people.person(token(&headers).as_ref()).is_none() {
+        return Redirect::to("/login").into_response();
+    }
     let name = if page { "index.html" } else { path };
     match find(name, accepts_brotli(&headers)) {
         Ok(Some(asset)) => respond(name, asset, &headers),

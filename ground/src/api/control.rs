@@ -34,7 +34,11 @@ pub(crate) async fn send(app: &App, id: &str, operator: &Operator, body: command
     Ok(answer(&app.command(id, &sender, operator, body).await?))
 }
 
+/// A flight that cannot be recorded is not begun; one that goes on is not disturbed.
 pub(crate) async fn arm(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
+    if let Some(error) = app.recorder.error() {
+        return Err(ApiError::Conflict(format!("recording: {error}")));
+    }
     send(&app, &id, &who, command::Body::Arm(v1::Arm {})).await
 }
 

@@ -1,7 +1,7 @@
 //! The only place that knows status codes of failures.
 
 use axum::Json;
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::json;
 
@@ -16,7 +16,11 @@ use crate::recorder::RecordingError;
 pub(crate) enum ApiError {
     NotFound(String),
     Method(String),
-    /// Wrong Origin or Host.
+    /// Nobody is signed in.
+    SignIn(String),
+    /// Too many attempts; how long to wait, s.
+    Throttled(u64, String),
+    /// Wrong Origin or Host, or a role that may not.
     Foreign(String),
     TooLarge(String),
     Invalid(String),
@@ -27,18 +31,18 @@ pub(crate) enum ApiError {
     Broken(String),
 }
 
-impl IntoResponse for ApiError {
-    fn into_response(self) -> Response {
-        let (status, text) = match self {
+impl ApiError {
+    /// Status code and text, where the body is nothing more.
+    pub(crate) fn status_and_text(self) -> (StatusCode, String) {
+        match self {
             Self::NotFound(text) => (StatusCode::NOT_FOUND, text),
             Self::Method(text) => (StatusCode::METHOD_NOT_ALLOWED, text),
+            Self::SignIn(text) => (StatusCode::UNAUTHORIZED, text),
+            Self::Throttled(_, text) => (StatusCode::TOO_MANY_REQUESTS, text),
             Self::Foreign(text) => (StatusCode::FORBIDDEN, text),
             Self::TooLarge(text) => (StatusCode::PAYLOAD_TOO_LARGE, text),
             Self::Invalid(text) => (StatusCode::UNPROCESSABLE_ENTITY, text),
-            Self::Held(held) => {
-                let body = json!({ "error": held.to_string(), "holder": held.holder });
-                return (StatusCode::LOCKED, Json(body)).into_response();
-            }
+            Self::Held(held) => (StatusCode::LOCKED, held.to_string()),
             Self::Conflict(text) => (StatusCode::CONFLICT, text),
             Self::Unavailable(text) => (StatusCode::SERVICE_UNAVAILABLE, text),
             Self::Unanswered(text) => (StatusCode::GATEWAY_TIMEOUT, text),
@@ -46,8 +50,22 @@ impl IntoResponse for ApiError {
                 tracing::error!(error = %text, "request failed");
                 (StatusCode::INTERNAL_SERVER_ERROR, text)
             }
+        }
+    }
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        if let Self::Held(held) = self {
+            let body = json!({ "error": held.to_string(), "holder": held.holder });
+            return (StatusCode::LOCKED, Json(body)).into_response();
+        }
+        let wait = match &self {
+            Self::Throttled(seconds, _) => Some([(header::RETRY_AFTER, seconds.to_string())]),
+            _ => None,
         };
-        (status, Json(json!({ "error": text }))).into_response()
+        let (status, text) = self.status_and_text();
+        (status, wait.map(axum::response::AppendHeaders), Json(json!({ "error": text }))).into_response()
     }
 }
 

@@ -2,11 +2,12 @@
 //!
 //! - `Host` must be an IP address, `localhost`, or a configured name. A foreign page that rebinds
 //!   its own name to this machine is refused, because its name is not one of these.
-//! - `Origin`, which browsers send with every WebSocket and every writing request, must be that
-//!   same host. Its absence means no browser: a script on this machine.
+//! - `Origin`, which browsers send with every WebSocket, every writing request and every request of a
+//!   foreign page, must be that same host, by TLS where TLS is on. Its absence means no foreign page; what a
+//!   session changes needs it (see [`super::access`]).
 
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -14,7 +15,7 @@ use super::App;
 use super::error::ApiError;
 
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
-    let host = match check(&app, request.method(), request.uri(), request.headers()) {
+    let host = match check(&app, request.uri(), request.headers()) {
         Ok(host) => host,
         Err(error) => {
             tracing::warn!(method = %request.method(), path = request.uri().path(), ?error, "refused");
@@ -22,11 +23,11 @@ pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) 
         }
     };
     let mut response = next.run(request).await;
-    secure(response.headers_mut(), &host);
+    secure(response.headers_mut(), &host, app.secure());
     response
 }
 
-fn check(app: &App, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> {
+fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> {
     let mut hosts = headers.get_all(header::HOST).iter();
     let host = match (hosts.next(), hosts.next()) {
         (Some(host), None) => host.to_str().ok(),
@@ -37,9 +38,7 @@ fn check(app: &App, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<S
     if !known_host(host, &app.config.allowed_hosts) {
         return Err(ApiError::Foreign(format!("host {host:?} is not served here")));
     }
-    let writing = !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
-    let upgrade = headers.contains_key(header::UPGRADE);
-    if (writing || upgrade) && !own_origin(headers, host) {
+    if !own_origin(headers, host, app.secure()) {
         let origin = headers.get(header::ORIGIN);
         return Err(ApiError::Foreign(format!("origin {origin:?} is not this ground's page")));
     }
@@ -57,24 +56,25 @@ fn known_host(host: &str, allowed: &[String]) -> bool {
 }
 
 /// Is there no Origin, or exactly one that names this host?
-fn own_origin(headers: &HeaderMap, host: &str) -> bool {
+fn own_origin(headers: &HeaderMap, host: &str, secure: bool) -> bool {
     let mut origins = headers.get_all(header::ORIGIN).iter();
     match (origins.next(), origins.next()) {
         (None, _) => true,
         (Some(origin), None) => origin.to_str().is_ok_and(|origin| {
-            let rest = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+            let rest = origin.strip_prefix(if secure { "https://" } else { "http://" });
             rest.is_some_and(|rest| rest.eq_ignore_ascii_case(host))
         }),
         _ => false,
     }
 }
 
-fn secure(headers: &mut HeaderMap, host: &str) {
+fn secure(headers: &mut HeaderMap, host: &str, tls: bool) {
+    let socket = if tls { "wss" } else { "ws" };
     // 'wasm-unsafe-eval' lets WebAssembly compile and nothing else; style attributes are set by the
     // page's framework; some browsers do not count ws: as 'self'.
     let policy = format!(
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
-         img-src 'self' data: blob:; font-src 'self'; connect-src 'self' ws://{host} wss://{host}; \
+         img-src 'self' data: blob:; font-src 'self'; connect-src 'self' {socket}://{host}; \
          worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
     );
     if let Ok(policy) = HeaderValue::from_str(&policy) {
@@ -85,6 +85,9 @@ fn secure(headers: &mut HeaderMap, host: &str) {
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("same-origin"));
     headers.insert("cross-origin-opener-policy", HeaderValue::from_static("same-origin"));
     headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
+    if tls {
+        headers.insert(header::STRICT_TRANSPORT_SECURITY, HeaderValue::from_static("max-age=31536000"));
+    }
     headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
 }
 
@@ -110,7 +113,7 @@ mod tests {
             for value in values {
                 headers.append(header::ORIGIN, HeaderValue::from_static(value));
             }
-            own_origin(&headers, "127.0.0.1:4747")
+            own_origin(&headers, "127.0.0.1:4747", false)
         };
         assert!(origin(&[]));
         assert!(origin(&["http://127.0.0.1:4747"]));

@@ -27,7 +27,7 @@ pub(crate) async fn take(
     let before = app.leases.take(&id, who.name());
     if before.as_deref() != Some(who.name()) {
         tracing::info!(vehicle = %id, operator = who.name(), from = ?before, "control taken");
-        app.show_lease(&id);
+        app.show_lease(&id, before.as_deref().unwrap_or_default());
     }
     Ok(Json(json!({ "holder": who.name(), "taken_from": before.filter(|b| b != who.name()) })))
 }
@@ -39,6 +39,6 @@ pub(crate) async fn release(
 ) -> Result<Json<Value>, ApiError> {
     known(&app, &id)?;
     app.leases.release(&id, who.name())?;
-    app.show_lease(&id);
+    app.show_lease(&id, "");
     Ok(Json(json!({ "holder": null })))
 }

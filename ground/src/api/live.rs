@@ -12,12 +12,13 @@ use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Path, Query, State};
 use axum::response::Response;
-use plumbline_proto::{Kind, codec};
+use plumbline_proto::{Kind, Message as _, codec, v1};
 use serde::Deserialize;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::App;
 use super::error::ApiError;
+use super::operator::Operator;
 use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue};
 use crate::sync::stopping;
 
@@ -25,19 +26,22 @@ use crate::sync::stopping;
 const STALLED: Duration = Duration::from_secs(30);
 /// How often the state of the link is sent.
 const LINK_EVERY: Duration = Duration::from_millis(250);
-/// Viewers have nothing to say.
+/// Viewers have nothing to say but that they are there.
 const MAX_INCOMING: usize = 4096;
 
 #[derive(Deserialize)]
 pub(crate) struct Asked {
     #[serde(default)]
     history: f64,
+    /// What the page calls itself, where nobody signs in: a browser sends no headers of ours here.
+    operator: Option<String>,
 }
 
 pub(crate) async fn live(
     State(app): State<App>,
     Path(id): Path<String>,
     Query(asked): Query<Asked>,
+    who: Operator,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
     if !asked.history.is_finite() || asked.history < 0.0 {
@@ -51,13 +55,14 @@ pub(crate) async fn live(
     }
     Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |socket| async move {
         let _permit = permit;
+        let who = if app.people.sign_in_needed() { who.0 } else { asked.operator.unwrap_or(who.0) };
         if let Ok(viewer) = app.hub.subscribe(&id, history) {
-            serve(&app, &id, viewer, socket).await;
+            serve(&app, &id, &who, viewer, socket).await;
         }
     }))
 }
 
-async fn serve(app: &App, id: &str, viewer: Viewer, mut socket: WebSocket) {
+async fn serve(app: &App, id: &str, who: &str, viewer: Viewer, mut socket: WebSocket) {
     let Viewer { backlog, queue } = viewer;
     if !send(&mut socket, link_batch(app, id, &queue)).await {
         return;
@@ -76,6 +81,10 @@ async fn serve(app: &App, id: &str, viewer: Viewer, mut socket: WebSocket) {
             _ = link.tick() => link_batch(app, id, &queue),
             incoming = socket.recv() => match incoming {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+                Some(Ok(Message::Binary(bytes))) => {
+                    alive(app, id, who, &bytes);
+                    continue;
+                }
                 Some(Ok(_)) => continue,
             },
             () = stopping(&mut stopped) => {
@@ -86,6 +95,16 @@ async fn serve(app: &App, id: &str, viewer: Viewer, mut socket: WebSocket) {
         if !send(&mut socket, batch).await {
             return;
         }
+    }
+}
+
+/// Passes on the sign of life of the operator in control; what else a viewer may say is ignored.
+fn alive(app: &App, id: &str, who: &str, bytes: &[u8]) {
+    if let Ok(alive) = v1::OperatorAlive::decode(bytes)
+        && app.leases.alive(id, who)
+        && let Ok(commands) = app.hub.commands(id)
+    {
+        commands.try_operator_alive(alive.challenge);
     }
 }
 

@@ -1,7 +1,12 @@
 //! The HTTP API: one file per resource. Handlers translate; decisions live elsewhere.
+//!
+//! Every route stands in one table, [`routes`], with what it needs; the router is built from it, and so is the test of who
+//! may do what. A route that is not in the table does not exist.
 
+mod access;
 mod assets;
 mod attacks;
+mod audit;
 mod body;
 mod calibrations;
 mod control;
@@ -14,6 +19,8 @@ mod guard;
 mod lease;
 mod live;
 mod operator;
+mod pairing;
+mod session;
 mod setpoint;
 mod trajectory;
 mod vehicles;
@@ -25,18 +32,20 @@ use std::time::Instant;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
-use axum::routing::{get, post, put};
+use axum::routing::MethodRouter;
 use plumbline_proto::v1::{self, command};
 use tokio::sync::{Semaphore, watch};
 
 use crate::agent_link::CommandSender;
+use crate::audit::Audit;
 use crate::commands::Commands;
 use crate::config::GroundConfig;
 use crate::gains_book::GainsBook;
 use crate::hub::Hub;
+use crate::ingest::publish_lease;
 use crate::lease::Leases;
+use crate::people::{Access, People};
 use crate::recorder::RecorderHandle;
-use crate::sync::wall_time_us;
 use error::ApiError;
 use operator::Operator;
 
@@ -51,18 +60,32 @@ const MAX_VIEWERS: usize = 256;
 #[derive(Clone)]
 pub(crate) struct App(Arc<Inner>);
 
+/// What the API is made of.
+pub(crate) struct Parts {
+    pub(crate) config: GroundConfig,
+    pub(crate) address: SocketAddr,
+    pub(crate) hub: Arc<Hub>,
+    pub(crate) commands: Arc<Commands>,
+    pub(crate) leases: Arc<Leases>,
+    pub(crate) gains: Arc<GainsBook>,
+    pub(crate) people: People,
+    pub(crate) audit: Audit,
+    pub(crate) recorder: RecorderHandle,
+    pub(crate) stopped: watch::Receiver<bool>,
+}
+
 pub(crate) struct Inner {
-    config: GroundConfig,
-    address: SocketAddr,
+    parts: Parts,
     started: Instant,
-    hub: Arc<Hub>,
-    commands: Arc<Commands>,
-    leases: Arc<Leases>,
-    gains: Arc<GainsBook>,
-    recorder: RecorderHandle,
     viewers: Arc<Semaphore>,
     previews: Semaphore,
-    stopped: watch::Receiver<bool>,
+}
+
+impl std::ops::Deref for Inner {
+    type Target = Parts;
+    fn deref(&self) -> &Parts {
+        &self.parts
+    }
 }
 
 impl std::ops::Deref for App {
@@ -73,40 +96,21 @@ impl std::ops::Deref for App {
 }
 
 impl App {
-    #[allow(clippy::too_many_arguments)]
-    pub(crate) fn new(
-        config: GroundConfig,
-        address: SocketAddr,
-        hub: Arc<Hub>,
-        commands: Arc<Commands>,
-        leases: Arc<Leases>,
-        gains: Arc<GainsBook>,
-        recorder: RecorderHandle,
-        stopped: watch::Receiver<bool>,
-    ) -> Self {
+    pub(crate) fn new(parts: Parts) -> Self {
         let viewers = Arc::new(Semaphore::new(MAX_VIEWERS));
-        let started = Instant::now();
-        let previews = Semaphore::new(PREVIEWS);
-        Self(Arc::new(Inner {
-            config,
-            address,
-            started,
-            hub,
-            commands,
-            leases,
-            gains,
-            recorder,
-            viewers,
-            previews,
-            stopped,
-        }))
+        Self(Arc::new(Inner { parts, started: Instant::now(), viewers, previews: Semaphore::new(PREVIEWS) }))
+    }
+
+    /// Is the page served by TLS?
+    fn secure(&self) -> bool {
+        self.config.tls.is_some()
     }
 
     /// The way down to `vehicle`, for `operator`, who now holds control of it.
     fn controlled(&self, vehicle: &str, operator: &Operator) -> Result<CommandSender, ApiError> {
         let sender = self.hub.commands(vehicle)?;
         if self.leases.claim(vehicle, operator.name())? {
-            self.show_lease(vehicle);
+            self.show_lease(vehicle, "");
         }
         Ok(sender)
     }
@@ -123,50 +127,95 @@ impl App {
         Ok(self.commands.send(vehicle, to, operator.name(), body, timeout).await?)
     }
 
-    /// Tells every viewer who holds control.
-    fn show_lease(&self, vehicle: &str) {
-        let holder = self.leases.holder(vehicle).unwrap_or_default();
-        let lease = v1::ControlLease { wall_time_us: wall_time_us(), holder };
-        self.hub.publish(vehicle, plumbline_proto::Kind::Lease, &lease);
+    /// Tells every viewer who holds control, and who lost it to them.
+    fn show_lease(&self, vehicle: &str, taken_from: &str) {
+        publish_lease(&self.hub, &self.leases, vehicle, taken_from);
     }
 }
 
+/// One route.
+struct Route {
+    method: &'static str,
+    path: &'static str,
+    need: Access,
+    handler: MethodRouter<App>,
+    /// Largest body.
+    limit: usize,
+}
+
+macro_rules! table {
+    ($($method:ident $path:literal $need:ident $handler:path $(, $limit:expr)?;)*) => {
+        vec![$(Route {
+            method: stringify!($method),
+            path: $path,
+            need: Access::$need,
+            handler: axum::routing::$method($handler),
+            limit: [MAX_BODY $(, $limit)?].into_iter().max().unwrap_or(MAX_BODY),
+        }),*]
+    };
+}
+
+/// Every route, and what it needs.
+fn routes() -> Vec<Route> {
+    table! {
+        get    "/login"                              Open    session::page;
+        post   "/login"                              Open    session::page_in;
+        post   "/logout"                             Open    session::page_out;
+        get    "/api/session"                        Open    session::show;
+        post   "/api/session"                        Open    session::begin;
+        delete "/api/session"                        Open    session::end;
+        get    "/api/audit"                          Admin   audit::show;
+        post   "/api/pairing"                        Admin   pairing::begin;
+        get    "/api/ground"                         View    ground::show;
+        get    "/api/vehicles"                       View    vehicles::list;
+        get    "/api/vehicles/{id}/live"             View    live::live;
+        post   "/api/vehicles/{id}/cut"              Operate control::cut;
+        post   "/api/vehicles/{id}/arm"              Operate control::arm;
+        post   "/api/vehicles/{id}/disarm"           Operate control::disarm;
+        post   "/api/vehicles/{id}/release-cut"      Operate control::release_cut;
+        post   "/api/vehicles/{id}/mode"             Operate control::mode;
+        post   "/api/vehicles/{id}/estimator"        Operate control::estimator;
+        post   "/api/vehicles/{id}/recording"        Operate control::recording;
+        post   "/api/vehicles/{id}/replay"           Operate control::replay;
+        post   "/api/vehicles/{id}/setpoint"         Operate setpoint::set;
+        put    "/api/vehicles/{id}/attacks"          Attack  attacks::upload;
+        delete "/api/vehicles/{id}/attacks"          Operate attacks::abort;
+        get    "/api/vehicles/{id}/gains"            View    gains::show;
+        put    "/api/vehicles/{id}/gains"            Operate gains::push;
+        get    "/api/vehicles/{id}/gains/export"     View    gains::download;
+        post   "/api/vehicles/{id}/gains/revert"     Operate gains::revert;
+        post   "/api/vehicles/{id}/trajectory"       Operate trajectory::fly;
+        delete "/api/vehicles/{id}/trajectory"       Operate trajectory::stop;
+        get    "/api/vehicles/{id}/lease"            View    lease::show;
+        put    "/api/vehicles/{id}/lease"            Operate lease::take;
+        delete "/api/vehicles/{id}/lease"            Operate lease::release;
+        post   "/api/v1/design/preview"              View    design::preview;
+        get    "/api/v1/design/controllers"          View    design::controllers;
+        get    "/api/v1/calibrations"                View    calibrations::list;
+        post   "/api/v1/calibrations"                Operate calibrations::create, calibrations::MAX_TABLE;
+        get    "/api/v1/calibrations/{id}"           View    calibrations::show;
+        get    "/api/flights"                        View    flights::list;
+        get    "/api/flights/{id}"                   View    flights::show;
+        patch  "/api/flights/{id}"                   Operate flights::annotate;
+        delete "/api/flights/{id}"                   Admin   flights::delete;
+        get    "/api/flights/{id}/mcap"              View    flights::mcap;
+        get    "/api/flights/{id}/csv"               View    flights::csv;
+        get    "/api/flights/{id}/frames"            View    flights::frames;
+    }
+}
+
+/// Method, path and need of every route, for tests and for people.
+pub fn access_table() -> Vec<(&'static str, &'static str, Access)> {
+    routes().into_iter().map(|route| (route.method, route.path, route.need)).collect()
+}
+
 pub(crate) fn router(app: App) -> Router {
-    let vehicle = Router::new()
-        .route("/live", get(live::live))
-        .route("/arm", post(control::arm))
-        .route("/disarm", post(control::disarm))
-        .route("/cut", post(control::cut))
-        .route("/release-cut", post(control::release_cut))
-        .route("/mode", post(control::mode))
-        .route("/estimator", post(control::estimator))
-        .route("/recording", post(control::recording))
-        .route("/replay", post(control::replay))
-        .route("/setpoint", post(setpoint::set))
-        .route("/attacks", put(attacks::upload).delete(attacks::abort))
-        .route("/trajectory", post(trajectory::fly).delete(trajectory::stop))
-        .route("/gains", get(gains::show).put(gains::push))
-        .route("/gains/export", get(gains::download))
-        .route("/gains/revert", post(gains::revert))
-        .route("/lease", get(lease::show).put(lease::take).delete(lease::release));
-    let flight = Router::new()
-        .route("/", get(flights::show).patch(flights::annotate).delete(flights::delete))
-        .route("/mcap", get(flights::mcap))
-        .route("/csv", get(flights::csv))
-        .route("/frames", get(flights::frames));
-    Router::new()
-        .route("/api/ground", get(ground::show))
-        .route("/api/vehicles", get(vehicles::list))
-        .route("/api/v1/design/preview", post(design::preview))
-        .route("/api/v1/design/controllers", get(design::controllers))
-        .nest("/api/vehicles/{id}", vehicle)
-        .route("/api/flights", get(flights::list))
-        .nest("/api/flights/{id}", flight)
-        .route(
-            "/api/v1/calibrations",
-            get(calibrations::list).post(calibrations::create).layer(DefaultBodyLimit::max(calibrations::MAX_TABLE)),
-        )
-        .route("/api/v1/calibrations/{id}", get(calibrations::show))
+    let mut router = Router::new();
+    for Route { path, need, handler, limit, .. } in routes() {
+        let admit = from_fn_with_state((app.clone(), need, limit), access::admit);
+        router = router.route(path, handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(admit));
+    }
+    router
         .route("/api/{*rest}", axum::routing::any(unknown))
         .fallback(assets::serve)
         .method_not_allowed_fallback(method_not_allowed)

@@ -158,7 +158,8 @@ pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
     let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
     let index = Arc::new(index);
     let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };
-    let worker = worker::Worker::new(config.clone(), store, index, shared);
+    let syncer = plumbline_agent::log::Syncer::start().map_err(GroundError::Thread)?;
+    let worker = worker::Worker::new(config.clone(), store, index, shared, syncer);
     let thread = std::thread::Builder::new()
         .name("recorder".into())
         .spawn(move || worker.run(&inputs))
@@ -321,6 +322,33 @@ impl RecorderHandle {
         }
         self.store.open(id)
     }
+}
+
+/// What one file of a flight holds.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Inspection {
+    /// Messages that can be read.
+    pub messages: u64,
+    /// Flight it belongs to; empty when it does not say.
+    pub flight_id: String,
+    /// What is wrong with it.
+    pub damage: Option<String>,
+}
+
+/// Reads a file as the repair at start does, finished or not, without changing it.
+///
+/// # Errors
+/// The file cannot be opened or read; damage is no error.
+pub fn inspect(path: &Path) -> Result<Inspection, RecordingError> {
+    let scan = repair::scan(path, |_, _, _| Ok(()))
+        .map_err(|error| RecordingError::Damaged { path: path.to_owned(), reason: explain(&error) })?;
+    let damage = match scan.damage {
+        repair::Damage::None => None,
+        repair::Damage::Unfinished => Some("it ends in the middle, as a crash leaves it".to_owned()),
+        repair::Damage::Corrupt(reason) => Some(reason),
+    };
+    let flight_id = scan.identity.map_or_else(String::new, |identity| identity.flight_id);
+    Ok(Inspection { messages: scan.messages, flight_id, damage })
 }
 
 /// What went wrong, with the system's own words where it was the system.

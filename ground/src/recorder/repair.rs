@@ -11,16 +11,13 @@ use std::io::{BufReader, Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 use std::sync::Arc;
 
-use mcap::records::{MessageHeader, Record};
+use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Channel, MAGIC, McapError, McapResult, Schema};
 
-use super::identity::{BEGIN, END, Ending, Identity};
+use plumbline_agent::log::{MAX_RECORD, chunk_records};
 
-/// Largest record read; a chunk of ours is about 1 MiB.
-const MAX_RECORD: usize = 256 << 20;
-/// Largest chunk unpacked.
-const MAX_CHUNK: u64 = 256 << 20;
+use super::identity::{BEGIN, END, Ending, Identity};
 
 /// What is wrong with a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -64,11 +61,27 @@ pub(super) fn scan(
                 reader.notify_read(got);
                 continue;
             }
+            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => {
+                // Checksums are known only at the end of a chunk: nothing of it is used before.
+                let mut records = Vec::new();
+                match chunk_records(data, |record| {
+                    records.push(record.into_owned());
+                    Ok(true)
+                }) {
+                    Ok(()) => {
+                        for record in records {
+                            take(record, &mut channels, &mut found, &mut each)?;
+                        }
+                    }
+                    Err(error) => found.damage = Damage::Corrupt(format!("{}: {error}", chunk_name(data))),
+                }
+                continue;
+            }
             Ok(LinearReadEvent::Record { opcode, data }) => mcap::parse_record(opcode, data),
             Err(error) => Err(error),
         };
-        let record = match record {
-            Ok(record) => record,
+        match record {
+            Ok(record) => take(record, &mut channels, &mut found, &mut each)?,
             Err(McapError::UnexpectedEof) if !ends_with_magic(&file) => {
                 if found.damage == Damage::None {
                     found.damage = Damage::Unfinished;
@@ -79,28 +92,15 @@ pub(super) fn scan(
                 found.damage = Damage::Corrupt(error.to_string());
                 return Ok(found);
             }
-        };
-        if let Record::Chunk { header, data } = record {
-            if header.uncompressed_size > MAX_CHUNK {
-                let text = format!("a chunk of {} bytes, limit {MAX_CHUNK}", header.uncompressed_size);
-                found.damage = Damage::Corrupt(text);
-                continue;
-            }
-            let start = header.message_start_time;
-            // Checksums are known only at the end of a chunk: nothing of it is used before.
-            match mcap::read::ChunkReader::new(header, &data).and_then(Iterator::collect::<McapResult<Vec<_>>>) {
-                Ok(records) => {
-                    for record in records {
-                        take(record, &mut channels, &mut found, &mut each)?;
-                    }
-                }
-                Err(error) => found.damage = Damage::Corrupt(format!("the chunk of {start} ns: {error}")),
-            }
-        } else {
-            take(record, &mut channels, &mut found, &mut each)?;
         }
     }
     Ok(found)
+}
+
+/// For messages: the chunk, by the time it begins with.
+fn chunk_name(data: &[u8]) -> String {
+    let start = data.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+    format!("the chunk of {start} ns")
 }
 
 /// The identity of a file, read from its first records only.

@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use plumbline_agent::log::Syncer;
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::ids::FlightId;
 use plumbline_proto::{Kind, v1};
@@ -34,6 +35,8 @@ const RENEW_EVERY: Duration = Duration::from_secs(1);
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 /// A flight that the agent's status contradicts for this long is over.
 const CONTRADICTED_FOR: Duration = Duration::from_secs(2);
+/// Flights that an agent is told again are whole here, when it connects.
+const TOLD_AGAIN: usize = 16;
 /// Live messages kept, for flights whose beginning is announced a little late.
 const RECENT: Duration = Duration::from_secs(3);
 const RECENT_BYTES: usize = 8 << 20;
@@ -49,6 +52,7 @@ pub(super) struct Worker {
     ticked: Instant,
     renewed: Option<Instant>,
     free_bytes: u64,
+    syncer: Syncer,
 }
 
 struct Agent {
@@ -70,6 +74,7 @@ impl Worker {
         store: RecordingStore,
         index: Arc<FlightIndex>,
         shared: Arc<Shared>,
+        syncer: Syncer,
     ) -> Self {
         Self {
             config,
@@ -82,6 +87,7 @@ impl Worker {
             ticked: Instant::now(),
             renewed: None,
             free_bytes: 0,
+            syncer,
         }
     }
 
@@ -209,6 +215,11 @@ impl Worker {
         let waiting =
             self.index.list().unwrap_or_default().into_iter().filter(unfinished).map(|f| (now, f.id)).collect();
         let asking = Asking::new(waiting, now);
+        // The newest that fit into the queue: older ones were told before, or are gone from the onboard log.
+        let whole = |f: &super::Flight| f.vehicle_id == agent_id && f.completeness == Completeness::Complete;
+        for flight in self.index.list().unwrap_or_default().iter().filter(|f| whole(f)).take(TOLD_AGAIN) {
+            commands.try_flight_kept(&flight.id);
+        }
         match self.agents.get_mut(agent_id) {
             Some(agent) if agent.boot_id == boot_id => {
                 agent.commands = Some(commands);
@@ -436,7 +447,8 @@ impl Worker {
             if free < self.config.reserve_bytes {
                 return Err(low_space(self.store.folder(), free, self.config.reserve_bytes));
             }
-            FlightWriter::create(&path, &track.identity).map_err(|e| format!("{}: {}", path.display(), explain(&e)))
+            FlightWriter::create(&path, &track.identity, &self.syncer)
+                .map_err(|e| format!("{}: {}", path.display(), explain(&e)))
         });
         match created {
             Ok(writer) => {
@@ -561,6 +573,11 @@ impl Worker {
             let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
             tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
             self.indexed(self.index.put(&flight, stamp));
+            if completeness == Completeness::Complete
+                && let Some(commands) = self.agents.get(&agent_id).and_then(|agent| agent.commands.as_ref())
+            {
+                commands.try_flight_kept(id);
+            }
             if completeness == Completeness::Filling
                 && let Some(agent) = self.agents.get_mut(&agent_id)
             {

@@ -1,17 +1,20 @@
 //! Writes one flight file, so that a crash at any moment costs at most the last flush.
 //!
 //! `NoSeek` and `disable_seeking`: a chunk is written whole or not at all, and nothing written is
-//! ever changed. Flushed every [`FLUSH_EVERY`], synced every [`SYNC_EVERY`].
+//! ever changed. Flushed every [`FLUSH_EVERY`], synced every [`SYNC_EVERY`] by another thread: a slow disk delays no
+//! flush.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, McapResult, WriteOptions};
+use plumbline_agent::log::Syncer;
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::time::{FlightTime, WallTime};
@@ -43,7 +46,8 @@ pub(super) type Mcap = mcap::Writer<NoSeek<BufWriter<File>>>;
 pub(super) struct FlightWriter {
     mcap: Mcap,
     /// The same file, for syncing.
-    file: File,
+    file: Arc<File>,
+    syncer: Syncer,
     boot: WallTime,
     channels: HashMap<(u16, u16), u16>,
     flushed: Instant,
@@ -54,12 +58,12 @@ pub(super) struct FlightWriter {
 
 impl FlightWriter {
     /// Creates `path`, which must not exist yet, with the identity of its flight in front.
-    pub(super) fn create(path: &Path, identity: &Identity) -> McapResult<Self> {
+    pub(super) fn create(path: &Path, identity: &Identity, syncer: &Syncer) -> McapResult<Self> {
         let file = File::options().write(true).create_new(true).open(path)?;
-        Self::on(file, identity)
+        Self::on(file, identity, syncer)
     }
 
-    fn on(file: File, identity: &Identity) -> McapResult<Self> {
+    fn on(file: File, identity: &Identity, syncer: &Syncer) -> McapResult<Self> {
         let mut mcap = options().create(NoSeek::new(BufWriter::new(file.try_clone()?)))?;
         mcap.write_metadata(&identity.to_metadata())?;
         mcap.flush()?;
@@ -67,7 +71,8 @@ impl FlightWriter {
         let boot = WallTime(identity.boot_wall_time_us);
         Ok(Self {
             mcap,
-            file,
+            file: Arc::new(file),
+            syncer: syncer.clone(),
             boot,
             channels: HashMap::new(),
             flushed: now,
@@ -120,7 +125,7 @@ impl FlightWriter {
         }
         self.flushed = now;
         if self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY {
-            self.file.sync_data()?;
+            self.syncer.sync(&self.file)?;
             self.synced = now;
             self.unsynced = false;
         }
@@ -159,7 +164,7 @@ mod tests {
     #[test]
     fn a_full_disk_is_an_error_not_a_panic() {
         let file = File::options().write(true).open("/dev/full").unwrap();
-        let error = FlightWriter::on(file, &Identity::default()).map(|_| ()).unwrap_err();
+        let error = FlightWriter::on(file, &Identity::default(), &Syncer::start().unwrap()).map(|_| ()).unwrap_err();
         let text = super::super::explain(&error);
         assert!(text.contains("No space left"), "{text}");
     }
@@ -168,7 +173,7 @@ mod tests {
     fn what_was_flushed_is_in_the_file_without_a_finish() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("f.part");
-        let mut writer = FlightWriter::create(&path, &Identity::default()).unwrap();
+        let mut writer = FlightWriter::create(&path, &Identity::default(), &Syncer::start().unwrap()).unwrap();
         for n in 1..=10 {
             writer.write(&frame(n), "/event").unwrap();
         }

@@ -40,7 +40,11 @@ impl Ground {
     }
 
     pub async fn start_with(config: GroundConfig) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        Self::start_on(config, "127.0.0.1:0").await
+    }
+
+    pub async fn start_on(config: GroundConfig, address: &str) -> Self {
+        let listener = TcpListener::bind(address).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (link, events) = mpsc::channel(4096);
         let (stop, stopped) = oneshot::channel::<()>();
@@ -132,7 +136,7 @@ pub struct Response {
 }
 
 impl Response {
-    fn parse(raw: &[u8]) -> Self {
+    pub fn parse(raw: &[u8]) -> Self {
         let end = raw.windows(4).position(|w| w == b"\r\n\r\n").expect("an HTTP answer");
         let head = String::from_utf8(raw[..end].to_vec()).unwrap();
         let status = head.split(' ').nth(1).unwrap().parse().unwrap();
@@ -176,6 +180,32 @@ fn unchunk(mut body: &[u8]) -> Vec<u8> {
     }
 }
 
+/// Sends a request and reads to the end.
+pub async fn exchange(
+    stream: &mut (impl tokio::io::AsyncRead + tokio::io::AsyncWrite + Unpin),
+    request: &str,
+) -> Vec<u8> {
+    let _ = stream.write_all(request.as_bytes()).await;
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer).await;
+    answer
+}
+
+/// A connection by TLS that trusts exactly `certificate`.
+pub async fn tls(ground: &Ground, certificate: &Path) -> tokio_rustls::client::TlsStream<TcpStream> {
+    use rustls::pki_types::{CertificateDer, pem::PemObject as _};
+    let mut roots = rustls::RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_file(certificate).unwrap()).unwrap();
+    let config = rustls::ClientConfig::builder_with_provider(rustls::crypto::ring::default_provider().into())
+        .with_safe_default_protocol_versions()
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    let stream = TcpStream::connect(("127.0.0.1", ground.address.port())).await.unwrap();
+    let connector = tokio_rustls::TlsConnector::from(std::sync::Arc::new(config));
+    connector.connect("localhost".try_into().unwrap(), stream).await.unwrap()
+}
+
 /// One message as a viewer or a test sees it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Got {
@@ -217,7 +247,14 @@ pub struct Viewer {
 
 impl Viewer {
     pub async fn connect(url: &str, origin: Option<&str>) -> Result<Self, tungstenite::Error> {
+        Self::connect_as(url, origin, None).await
+    }
+
+    pub async fn connect_as(url: &str, origin: Option<&str>, cookie: Option<&str>) -> Result<Self, tungstenite::Error> {
         let mut request = url.into_client_request()?;
+        if let Some(cookie) = cookie {
+            request.headers_mut().insert("cookie", cookie.parse().unwrap());
+        }
         if let Some(origin) = origin {
             request.headers_mut().insert("origin", origin.parse().unwrap());
         }
@@ -429,6 +466,7 @@ impl Agent {
             match outgoing.expect("an open link") {
                 Outgoing::Command(command) => return command,
                 Outgoing::Backfill(request) => self.backfill(&request).await,
+                Outgoing::OperatorAlive(_) | Outgoing::FlightKept(_) => {}
             }
         }
     }

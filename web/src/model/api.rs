@@ -20,6 +20,14 @@ pub struct Ground {
     pub recording_error: Option<String>,
 }
 
+/// `GET /api/session`.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+pub struct Session {
+    /// Account that is signed in; `None` where none is needed.
+    pub name: Option<String>,
+}
+
 /// Storage of the ground.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default)]

@@ -11,6 +11,7 @@ pub mod format;
 pub mod instrument;
 pub mod listing;
 pub mod live;
+pub mod liveness;
 pub mod names;
 pub mod route;
 pub mod series;

@@ -138,6 +138,8 @@ pub fn failsafe(failsafe: Failsafe) -> &'static str {
         Failsafe::None => "",
         Failsafe::LinkFreeze => "Link lost: setpoint frozen",
         Failsafe::LinkDescend => "Link lost: descending",
+        Failsafe::OperatorFreeze => "No sign of the operator: setpoint frozen",
+        Failsafe::OperatorDescend => "No sign of the operator: descending",
         Failsafe::TiltCut => "Tilt: motors cut",
         Failsafe::RateCut => "Rate: motors cut",
         Failsafe::BoxHold => "Box: held at its edge",

@@ -1,0 +1,29 @@
+//! `POST /api/pairing`: the code that an agent shows.
+
+use axum::extract::State;
+use axum::http::StatusCode;
+use plumbline_agent::link::pairing::{Code, PairingError, expect};
+use serde::Deserialize;
+
+use super::App;
+use super::body::Body;
+use super::error::ApiError;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Asked {
+    code: String,
+}
+
+pub(crate) async fn begin(State(app): State<App>, Body(asked): Body<Asked>) -> Result<StatusCode, ApiError> {
+    let Some(identity) = &app.config.link_identity else {
+        return Err(ApiError::Unavailable("this ground has no link to agents".into()));
+    };
+    let code = Code::parse(&asked.code).map_err(|error| ApiError::Invalid(error.to_string()))?;
+    let folder = identity.folder().to_owned();
+    let expected = tokio::task::spawn_blocking(move || expect(&folder, &code)).await;
+    match expected.unwrap_or(Err(PairingError::System)) {
+        Ok(()) => Ok(StatusCode::ACCEPTED),
+        Err(error) => Err(ApiError::Broken(error.to_string())),
+    }
+}

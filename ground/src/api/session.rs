@@ -1,0 +1,202 @@
+//! Signing in and out: JSON for pages and scripts, and a plain form that works before the page is loaded.
+
+use std::net::IpAddr;
+
+use axum::Json;
+use axum::extract::connect_info::ConnectInfo;
+use axum::extract::{FromRequestParts, State};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{Html, IntoResponse, Redirect, Response};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::App;
+use super::access::token;
+use super::body::Body;
+use super::error::ApiError;
+use crate::audit::Deed;
+use crate::front::Peer;
+use crate::people::{COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
+use crate::sync::wall_time_us;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Credentials {
+    name: String,
+    password: String,
+}
+
+/// Address of the client, where it is known.
+pub(crate) struct From(Option<IpAddr>);
+
+impl<S: Sync> FromRequestParts<S> for From {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        Ok(Self(parts.extensions.get::<ConnectInfo<Peer>>().map(|info| info.0.0.ip())))
+    }
+}
+
+pub(crate) async fn show(State(app): State<App>, headers: HeaderMap) -> Json<Value> {
+    let person = app.people.person(token(&headers).as_ref());
+    Json(json!({
+        "sign_in_needed": app.people.sign_in_needed(),
+        "signed_in": person.is_some(),
+        "name": person.as_ref().and_then(|person| person.account.clone()),
+        "role": person.map(|person| person.role),
+    }))
+}
+
+pub(crate) async fn begin(
+    State(app): State<App>,
+    from: From,
+    Body(credentials): Body<Credentials>,
+) -> Result<Response, ApiError> {
+    let (token, person) = sign_in(&app, &from, credentials).await?;
+    let body = Json(json!({ "name": person.account, "role": person.role }));
+    Ok((StatusCode::OK, cookie(&app, token.as_str(), SESSION_LONGEST_S), body).into_response())
+}
+
+pub(crate) async fn end(State(app): State<App>, headers: HeaderMap) -> Response {
+    if let Some(token) = token(&headers) {
+        app.people.sign_out(&token);
+    }
+    (StatusCode::NO_CONTENT, cookie(&app, "", 0)).into_response()
+}
+
+/// The form, for people without a session; with one, the way out.
+pub(crate) async fn page(State(app): State<App>, headers: HeaderMap) -> Response {
+    match app.people.person(token(&headers).as_ref()) {
+        Some(Person { account: None, .. }) => Redirect::to("/").into_response(),
+        Some(Person { account: Some(name), role }) => Html(form_out(&name, role.name())).into_response(),
+        None => Html(form_in("")).into_response(),
+    }
+}
+
+pub(crate) async fn page_in(State(app): State<App>, from: From, body: axum::body::Bytes) -> Response {
+    let field = |wanted: &str| {
+        let mut fields = body.split(|byte| *byte == b'&').filter_map(|pair| {
+            let at = pair.iter().position(|byte| *byte == b'=')?;
+            Some((pair.get(..at)?, pair.get(at + 1..)?))
+        });
+        fields.find(|(name, _)| *name == wanted.as_bytes()).map_or_else(String::new, |(_, value)| unescape(value))
+    };
+    let credentials = Credentials { name: field("name"), password: field("password") };
+    match sign_in(&app, &from, credentials).await {
+        Ok((token, _)) => (cookie(&app, token.as_str(), SESSION_LONGEST_S), Redirect::to("/")).into_response(),
+        Err(error) => {
+            let (status, text) = error.status_and_text();
+            (status, Html(form_in(&text))).into_response()
+        }
+    }
+}
+
+pub(crate) async fn page_out(State(app): State<App>, headers: HeaderMap) -> Response {
+    if let Some(token) = token(&headers) {
+        app.people.sign_out(&token);
+    }
+    (cookie(&app, "", 0), Redirect::to("/login")).into_response()
+}
+
+async fn sign_in(app: &App, from: &From, credentials: Credentials) -> Result<(Token, Person), ApiError> {
+    let Credentials { name, password } = credentials;
+    let outcome = app.people.sign_in(from.0, &name, password).await;
+    app.audit.record(Deed {
+        unix_us: wall_time_us(),
+        who: crate::names::clip(&name),
+        role: outcome.as_ref().map_or("nobody", |(_, person)| person.role.name()),
+        from: from.0.map_or_else(String::new, |from| from.to_string()),
+        method: "POST".into(),
+        path: "/api/session".into(),
+        body: String::new(),
+        status: if outcome.is_ok() { 200 } else { 401 },
+    });
+    outcome.map_err(|error| match error {
+        SignInError::Wrong => ApiError::SignIn(error.to_string()),
+        SignInError::Throttled(seconds) => ApiError::Throttled(seconds, error.to_string()),
+        SignInError::Busy => ApiError::Throttled(1, error.to_string()),
+        SignInError::Broken(_) => ApiError::Broken(error.to_string()),
+    })
+}
+
+fn cookie(app: &App, value: &str, seconds: u64) -> HeaderMap {
+    let secure = if app.secure() { "; Secure" } else { "" };
+    let line = format!("{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}");
+    let mut headers = HeaderMap::new();
+    if let Ok(line) = HeaderValue::from_str(&line) {
+        headers.insert(header::SET_COOKIE, line);
+    }
+    headers
+}
+
+const STYLE: &str = "<style>:root{color-scheme:light dark}body{font:16px system-ui;max-width:22em;margin:12vh auto;padding:0 1em}\
+label{display:block;margin:1em 0}input{display:block;width:100%;box-sizing:border-box;font:inherit;padding:.5em;margin-top:.25em}\
+button{font:inherit;padding:.5em 1.5em}[role=alert]{color:#c33}</style>";
+
+fn document(title: &str, body: &str) -> String {
+    format!(
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content=\"width=device-width\">\
+         <title>{title} – Plumbline</title>{STYLE}<h1>Plumbline</h1>{body}</html>"
+    )
+}
+
+fn form_in(trouble: &str) -> String {
+    let trouble = if trouble.is_empty() { String::new() } else { format!("<p role=alert>{}</p>", escape(trouble)) };
+    document(
+        "Sign in",
+        &format!(
+            "{trouble}<form method=post action=/login>\
+             <label>Name<input name=name autocomplete=username required autofocus></label>\
+             <label>Password<input name=password type=password autocomplete=current-password required></label>\
+             <button>Sign in</button></form>"
+        ),
+    )
+}
+
+fn form_out(name: &str, role: &str) -> String {
+    document(
+        "Sign out",
+        &format!(
+            "<p>Signed in as <b>{}</b>, {role}. <a href=/>To the page</a></p>\
+             <form method=post action=/logout><button>Sign out</button></form>",
+            escape(name)
+        ),
+    )
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// One value of a form: `+` is a space, `%41` is `A`.
+fn unescape(value: &[u8]) -> String {
+    let mut bytes = Vec::with_capacity(value.len());
+    let mut rest = value.iter().copied();
+    while let Some(byte) = rest.next() {
+        bytes.push(match byte {
+            b'+' => b' ',
+            b'%' => {
+                let digits = [rest.next(), rest.next()].map(|d| d.and_then(|d| char::from(d).to_digit(16)));
+                match digits {
+                    [Some(high), Some(low)] => (high * 16 + low) as u8,
+                    _ => b'?',
+                }
+            }
+            other => other,
+        });
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn form_values_are_unescaped_and_names_are_escaped() {
+        assert_eq!(unescape(b"a+b%26c%C3%A9"), "a b&cé");
+        assert_eq!(unescape(b"%4"), "?");
+        assert!(form_in("<script>").contains("&lt;script&gt;"));
+    }
+}

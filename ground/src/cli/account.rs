@@ -1,0 +1,80 @@
+//! `plumbline-ground account add|list|remove|password`.
+
+use std::io::{BufRead as _, IsTerminal as _};
+
+use clap::Subcommand;
+use plumbline_ground::people::{Accounts, Role};
+
+use super::DataFolder;
+
+/// What to do with which accounts. Changes count at once, also for a ground that runs.
+#[derive(Debug, clap::Args)]
+pub struct AccountArguments {
+    #[command(subcommand)]
+    deed: Deed,
+}
+
+#[derive(Debug, Subcommand)]
+enum Deed {
+    /// Makes an account; the password is asked for, or read from standard input.
+    Add {
+        /// Name to sign in with.
+        name: String,
+        /// What it may do.
+        #[arg(long, value_enum)]
+        role: Role,
+        #[command(flatten)]
+        data: DataFolder,
+    },
+    /// Lists all accounts.
+    List {
+        #[command(flatten)]
+        data: DataFolder,
+    },
+    /// Removes an account and ends its sessions.
+    Remove {
+        /// Its name.
+        name: String,
+        #[command(flatten)]
+        data: DataFolder,
+    },
+    /// Gives an account another password and ends its sessions.
+    Password {
+        /// Its name.
+        name: String,
+        #[command(flatten)]
+        data: DataFolder,
+    },
+}
+
+/// Does it.
+///
+/// # Errors
+/// A sentence for people.
+pub fn run(arguments: AccountArguments) -> Result<(), String> {
+    let of = |folder: &DataFolder| Accounts::of(&folder.data);
+    match arguments.deed {
+        Deed::Add { name, role, data } => of(&data).add(&name, role, &password()?),
+        Deed::Remove { name, data } => of(&data).remove(&name),
+        Deed::Password { name, data } => of(&data).set_password(&name, &password()?),
+        Deed::List { data } => of(&data).all().map(|accounts| {
+            accounts.iter().for_each(|account| println!("{:<24} {}", account.name, account.role.name()));
+        }),
+    }
+    .map_err(|error| error.to_string())
+}
+
+/// Asked for twice at a terminal; otherwise the first line of standard input.
+fn password() -> Result<String, String> {
+    if !std::io::stdin().is_terminal() {
+        let mut line = String::new();
+        std::io::stdin().lock().read_line(&mut line).map_err(|error| format!("standard input: {error}"))?;
+        return Ok(line.trim_end_matches(['\r', '\n']).to_owned());
+    }
+    let ask = |what| rpassword::prompt_password(what).map_err(|error| format!("terminal: {error}"));
+    let first = ask("Password: ")?;
+    if ask("Once more: ")? != first {
+        return Err("the two passwords differ".into());
+    }
+    Ok(first)
+}

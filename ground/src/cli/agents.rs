@@ -1,0 +1,86 @@
+//! `plumbline-ground pair` and `plumbline-ground identity`: which agents this ground trusts.
+
+use std::path::PathBuf;
+
+use plumbline_agent::link::identity::{Fingerprint, load_or_create, rotate};
+use plumbline_agent::link::pairing::{self, Code};
+
+use super::DataFolder;
+
+/// Where the identity of the link is kept.
+#[derive(Debug, clap::Args)]
+pub struct IdentityFolder {
+    #[command(flatten)]
+    data: DataFolder,
+    /// Folder of this ground's certificate and of the agents it trusts [default: DATA/identity].
+    #[arg(long)]
+    identity: Option<PathBuf>,
+}
+
+impl IdentityFolder {
+    fn path(&self) -> PathBuf {
+        self.identity.clone().unwrap_or_else(|| self.data.data.join("identity"))
+    }
+}
+
+/// The code that an agent shows.
+#[derive(Debug, clap::Args)]
+pub struct PairArguments {
+    /// What `plumbline-agent pair` printed.
+    code: String,
+    #[command(flatten)]
+    folder: IdentityFolder,
+}
+
+/// Lets the running ground accept the agent that knows the code.
+///
+/// # Errors
+/// A sentence for people.
+pub fn pair(arguments: &PairArguments) -> Result<(), String> {
+    let folder = arguments.folder.path();
+    let identity = load_or_create(&folder).map_err(|error| error.to_string())?;
+    let code = Code::parse(&arguments.code).map_err(|error| error.to_string())?;
+    pairing::expect(identity.folder(), &code).map_err(|error| error.to_string())?;
+    println!("the running ground accepts the agent with this code for {} minutes", pairing::VALID.as_secs() / 60);
+    Ok(())
+}
+
+/// Whom to trust.
+#[derive(Debug, clap::Args)]
+pub struct IdentityArguments {
+    #[command(flatten)]
+    folder: IdentityFolder,
+    /// Trust the agent with this fingerprint.
+    #[arg(long, requires = "name")]
+    trust: Option<String>,
+    /// Name to remember it by.
+    #[arg(long)]
+    name: Option<String>,
+    /// Trust the agent of this name or fingerprint no more; its connection ends within a second.
+    #[arg(long, value_name = "NAME")]
+    revoke: Option<String>,
+    /// Make a new certificate and key: every agent must be paired anew, after the ground was started again.
+    #[arg(long)]
+    rotate: bool,
+}
+
+/// Changes the trust and prints this ground's fingerprint.
+///
+/// # Errors
+/// A sentence for people.
+pub fn identity(arguments: &IdentityArguments) -> Result<(), String> {
+    let folder = arguments.folder.path();
+    let identity = if arguments.rotate { rotate(&folder) } else { load_or_create(&folder) };
+    let identity = identity.map_err(|error| error.to_string())?;
+    if let (Some(fingerprint), Some(name)) = (&arguments.trust, &arguments.name) {
+        let fingerprint = Fingerprint::parse(fingerprint).map_err(|error| error.to_string())?;
+        identity.trust(fingerprint, name).map_err(|error| error.to_string())?;
+    }
+    if let Some(peer) = &arguments.revoke
+        && identity.revoke(peer).map_err(|error| error.to_string())? == 0
+    {
+        return Err(format!("no agent is called {peer:?}"));
+    }
+    println!("{}", identity.fingerprint());
+    Ok(())
+}

@@ -1,0 +1,56 @@
+//! The command line: serving is what happens without a subcommand; tools are subcommands, one file each.
+
+mod account;
+mod agents;
+mod check;
+mod serve;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand};
+
+/// The ground server of Plumbline: records flights, passes commands, serves the page.
+#[derive(Debug, Parser)]
+#[command(name = "plumbline-ground", version, args_conflicts_with_subcommands = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    tool: Option<Tool>,
+    #[command(flatten)]
+    serve: serve::ServeArguments,
+}
+
+#[derive(Debug, Subcommand)]
+enum Tool {
+    /// Makes and changes the accounts that people sign in with.
+    Account(account::AccountArguments),
+    /// Says whether flight files are whole; one JSON line for each.
+    Check(check::CheckArguments),
+    /// Pairs the agent that shows this code.
+    Pair(agents::PairArguments),
+    /// Shows this ground's fingerprint; trusts or revokes agents.
+    Identity(agents::IdentityArguments),
+}
+
+/// Where the ground keeps everything.
+#[derive(Debug, Clone, clap::Args)]
+pub struct DataFolder {
+    /// Folder of flight files, index, gains book, identities, accounts and audit log.
+    #[arg(long = "data", value_name = "DIR", default_value = "./data")]
+    data: PathBuf,
+}
+
+impl Arguments {
+    /// Does what is asked.
+    ///
+    /// # Errors
+    /// A sentence for people.
+    pub fn run(self) -> Result<(), String> {
+        match self.tool {
+            Some(Tool::Account(arguments)) => account::run(arguments),
+            Some(Tool::Check(arguments)) => check::run(&arguments),
+            Some(Tool::Pair(arguments)) => agents::pair(&arguments),
+            Some(Tool::Identity(arguments)) => agents::identity(&arguments),
+            None => serve::run(self.serve),
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Accounts: `people/accounts.json`, passwords as Argon2id hashes, read again whenever it changes.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use std::time::SystemTime;
+
+use argon2::Argon2;
+use argon2::password_hash::{PasswordHash, PasswordHasher, PasswordVerifier, SaltString};
+use ring::rand::{SecureRandom as _, SystemRandom};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::Role;
+use crate::gains_book::write_atomically;
+use crate::sync::lock;
+
+/// Longest name.
+pub(super) const MAX_NAME: usize = 64;
+/// Shortest password, characters.
+pub const MIN_PASSWORD: usize = 10;
+/// Longest password, bytes.
+const MAX_PASSWORD: usize = 1024;
+/// Most accounts.
+const MAX_ACCOUNTS: usize = 1000;
+
+/// One account.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Account {
+    /// Who.
+    pub name: String,
+    /// What they may do.
+    pub role: Role,
+    /// Argon2id, in the PHC string format.
+    password: String,
+}
+
+impl Account {
+    /// Changes with the password; says nothing about it.
+    pub(super) fn stamp(&self) -> String {
+        let digest = Sha256::digest(self.password.as_bytes());
+        digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// Why accounts cannot be used or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum AccountError {
+    /// The file cannot be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is not what it should be.
+    #[error("{path}: {reason}")]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Not a name.
+    #[error("{0:?} is no name: 1 to {MAX_NAME} letters, digits, '.', '-' or '_' are needed")]
+    Name(String),
+    /// Taken.
+    #[error("there is an account {0:?} already")]
+    Exists(String),
+    /// Not there.
+    #[error("there is no account {0:?}")]
+    Unknown(String),
+    /// Too short or too long.
+    #[error("the password has {0} characters: at least {MIN_PASSWORD} are needed, {MAX_PASSWORD} bytes at most")]
+    Password(usize),
+    /// The system gives no random numbers.
+    #[error("the system gives no random numbers")]
+    Random,
+    /// Too many.
+    #[error("there are {MAX_ACCOUNTS} accounts already")]
+    Full,
+}
+
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    accounts: Vec<Account>,
+}
+
+type Stamp = Option<(SystemTime, u64)>;
+
+/// The accounts of a folder.
+#[derive(Debug)]
+pub struct Accounts {
+    path: PathBuf,
+    read: Mutex<Option<(Stamp, Arc<Vec<Account>>)>>,
+}
+
+impl Accounts {
+    /// The accounts of a ground's data folder.
+    pub fn of(data_folder: &Path) -> Self {
+        Self::in_folder(&data_folder.join("people"))
+    }
+
+    pub(super) fn in_folder(folder: &Path) -> Self {
+        Self { path: folder.join("accounts.json"), read: Mutex::new(None) }
+    }
+
+    fn stamp(&self) -> Result<Stamp, AccountError> {
+        match fs::metadata(&self.path) {
+            Ok(meta) => Ok(Some((meta.modified().unwrap_or(SystemTime::UNIX_EPOCH), meta.len()))),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(source) => Err(AccountError::Io { path: self.path.clone(), source }),
+        }
+    }
+
+    /// All accounts; none where there is no file.
+    ///
+    /// # Errors
+    /// [`AccountError`] when the file cannot be read or makes no sense.
+    pub fn all(&self) -> Result<Arc<Vec<Account>>, AccountError> {
+        let stamp = self.stamp()?;
+        let mut read = lock(&self.read);
+        if let Some((known, accounts)) = &*read
+            && *known == stamp
+        {
+            return Ok(accounts.clone());
+        }
+        let file = match stamp {
+            None => File::default(),
+            Some(_) => {
+                let text =
+                    fs::read(&self.path).map_err(|source| AccountError::Io { path: self.path.clone(), source })?;
+                serde_json::from_slice(&text)
+                    .map_err(|e| AccountError::Malformed { path: self.path.clone(), reason: e.to_string() })?
+            }
+        };
+        let accounts = Arc::new(file.accounts);
+        *read = Some((stamp, accounts.clone()));
+        Ok(accounts)
+    }
+
+    /// Adds an account.
+    ///
+    /// # Errors
+    /// [`AccountError`].
+    pub fn add(&self, name: &str, role: Role, password: &str) -> Result<(), AccountError> {
+        let good = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+        if name.is_empty() || name.len() > MAX_NAME || !name.chars().all(good) {
+            return Err(AccountError::Name(crate::names::clip(name)));
+        }
+        let mut accounts = self.all()?.to_vec();
+        if accounts.iter().any(|account| account.name == name) {
+            return Err(AccountError::Exists(name.to_owned()));
+        }
+        if accounts.len() >= MAX_ACCOUNTS {
+            return Err(AccountError::Full);
+        }
+        accounts.push(Account { name: name.to_owned(), role, password: hash(password)? });
+        self.write(accounts)
+    }
+
+    /// Removes an account; its sessions end.
+    ///
+    /// # Errors
+    /// [`AccountError`].
+    pub fn remove(&self, name: &str) -> Result<(), AccountError> {
+        let mut accounts = self.all()?.to_vec();
+        let before = accounts.len();
+        accounts.retain(|account| account.name != name);
+        if accounts.len() == before {
+            return Err(AccountError::Unknown(crate::names::clip(name)));
+        }
+        self.write(accounts)
+    }
+
+    /// Gives an account another password; its sessions end.
+    ///
+    /// # Errors
+    /// [`AccountError`].
+    pub fn set_password(&self, name: &str, password: &str) -> Result<(), AccountError> {
+        let mut accounts = self.all()?.to_vec();
+        let account = accounts.iter_mut().find(|account| account.name == name);
+        account.ok_or_else(|| AccountError::Unknown(crate::names::clip(name)))?.password = hash(password)?;
+        self.write(accounts)
+    }
+
+    fn write(&self, accounts: Vec<Account>) -> Result<(), AccountError> {
+        let text = serde_json::to_vec_pretty(&File { accounts })
+            .map_err(|e| AccountError::Malformed { path: self.path.clone(), reason: e.to_string() })?;
+        write_private(&self.path, &text).map_err(|source| AccountError::Io { path: self.path.clone(), source })?;
+        *lock(&self.read) = None;
+        Ok(())
+    }
+}
+
+/// Writes a file into a folder that only its owner may enter.
+pub(super) fn write_private(path: &Path, text: &[u8]) -> io::Result<()> {
+    use std::os::unix::fs::DirBuilderExt as _;
+    if let Some(folder) = path.parent() {
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    }
+    write_atomically(path, text)
+}
+
+fn hash(password: &str) -> Result<String, AccountError> {
+    let length = password.chars().count();
+    if length < MIN_PASSWORD || password.len() > MAX_PASSWORD {
+        return Err(AccountError::Password(length));
+    }
+    let mut bytes = [0; 16];
+    SystemRandom::new().fill(&mut bytes).map_err(|_| AccountError::Random)?;
+    // Neither fails for a salt of this length and the default parameters.
+    let salt = SaltString::encode_b64(&bytes).map_err(|_| AccountError::Random)?;
+    let hash = Argon2::default().hash_password(password.as_bytes(), &salt);
+    Ok(hash.map_err(|_| AccountError::Password(length))?.to_string())
+}
+
+/// The account, when the password is its. Takes as long when there is no such account.
+pub(super) fn verify(account: Option<Account>, password: &str) -> Option<Account> {
+    const NOBODY: &str =
+        "$argon2id$v=19$m=19456,t=2,p=1$AAAAAAAAAAAAAAAAAAAAAA$AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA";
+    let kept = account.as_ref().map_or(NOBODY, |account| account.password.as_str());
+    let right =
+        PasswordHash::new(kept).is_ok_and(|kept| Argon2::default().verify_password(password.as_bytes(), &kept).is_ok());
+    account.filter(|_| right && password.len() <= MAX_PASSWORD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn accounts_are_checked_and_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let accounts = Accounts::of(folder.path());
+        assert!(accounts.all().unwrap().is_empty());
+        assert_eq!(
+            accounts.add("ann", Role::Admin, "short").unwrap_err().to_string(),
+            "the password has 5 characters: at least 10 are needed, 1024 bytes at most"
+        );
+        assert!(accounts.add("ann smith", Role::Admin, "long enough, surely").is_err());
+        accounts.add("ann", Role::Admin, "long enough, surely").unwrap();
+        assert!(matches!(accounts.add("ann", Role::Viewer, "long enough, surely"), Err(AccountError::Exists(_))));
+        let kept = fs::read_to_string(folder.path().join("people/accounts.json")).unwrap();
+        assert!(kept.contains("$argon2id$") && !kept.contains("surely"));
+        // Another process changes the file.
+        Accounts::of(folder.path()).remove("ann").unwrap();
+        assert!(accounts.all().unwrap().is_empty());
+        assert!(matches!(accounts.remove("ann"), Err(AccountError::Unknown(_))));
+    }
+}

@@ -1,0 +1,72 @@
+//! Counts failures: so many within so long, then none are heard until the time is over.
+
+use std::collections::HashMap;
+use std::hash::Hash;
+use std::time::{Duration, Instant};
+
+/// Most keys remembered; when full, those whose time is nearly over go first.
+const MAX_KEYS: usize = 4096;
+
+/// Failures by key.
+#[derive(Debug)]
+pub(super) struct Throttle<K> {
+    allowed: u32,
+    within: Duration,
+    failures: HashMap<K, (u32, Instant)>,
+}
+
+impl<K: Eq + Hash + Clone> Throttle<K> {
+    pub(super) fn new(allowed: u32, within: Duration) -> Self {
+        Self { allowed, within, failures: HashMap::new() }
+    }
+
+    /// How long `key` has to wait, if it has to.
+    pub(super) fn wait(&self, key: &K, now: Instant) -> Option<Duration> {
+        let (count, since) = self.failures.get(key)?;
+        let left = self.within.saturating_sub(now.saturating_duration_since(*since));
+        (*count >= self.allowed && !left.is_zero()).then_some(left)
+    }
+
+    pub(super) fn failed(&mut self, key: K, now: Instant) {
+        if self.failures.len() >= MAX_KEYS && !self.failures.contains_key(&key) {
+            let within = self.within;
+            self.failures.retain(|_, (_, since)| now.saturating_duration_since(*since) < within);
+            if self.failures.len() >= MAX_KEYS
+                && let Some(oldest) = self.failures.iter().min_by_key(|(_, (_, since))| *since).map(|(k, _)| k.clone())
+            {
+                self.failures.remove(&oldest);
+            }
+        }
+        let entry = self.failures.entry(key).or_insert((0, now));
+        if now.saturating_duration_since(entry.1) >= self.within {
+            *entry = (0, now);
+        }
+        entry.0 += 1;
+    }
+
+    pub(super) fn forgive(&mut self, key: &K) {
+        self.failures.remove(key);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn failures_count_within_their_time_and_memory_is_bounded() {
+        let start = Instant::now();
+        let at = |s| start + Duration::from_secs(s);
+        let mut throttle = Throttle::new(2, Duration::from_secs(60));
+        throttle.failed(7, at(0));
+        assert_eq!(throttle.wait(&7, at(1)), None);
+        throttle.failed(7, at(1));
+        assert_eq!(throttle.wait(&7, at(2)), Some(Duration::from_secs(58)));
+        assert_eq!(throttle.wait(&8, at(2)), None);
+        assert_eq!(throttle.wait(&7, at(61)), None);
+        throttle.failed(7, at(61));
+        assert_eq!(throttle.wait(&7, at(61)), None, "counted anew");
+        (0..100_000).for_each(|key| throttle.failed(key, at(62)));
+        assert!(throttle.failures.len() <= MAX_KEYS);
+    }
+}
