@@ -6,9 +6,11 @@
 pub mod binaries;
 pub mod http;
 pub mod process;
+pub mod radio;
 pub mod system;
 
 pub use binaries::Binaries;
 pub use http::{Api, Reply};
 pub use process::Process;
+pub use radio::{Faults, Radio};
 pub use system::{Agent, Ground, Options as SystemOptions, System, Vehicle, wait_until};

@@ -167,7 +167,11 @@ impl Agent {
         Ok(agent)
     }
 
-    fn wait_until_connected(&mut self, api: &Api) -> Result<(), XtaskError> {
+    /// Waits until `api`'s ground lists it as connected.
+    ///
+    /// # Errors
+    /// It does not; with its last lines.
+    pub fn wait_until_connected(&mut self, api: &Api) -> Result<(), XtaskError> {
         let listed = wait_until(START, || {
             let vehicles = api.get_json("/api/vehicles").unwrap_or_default();
             let mut vehicles = vehicles.as_array().cloned().unwrap_or_default().into_iter();

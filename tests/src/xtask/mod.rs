@@ -4,6 +4,7 @@
 
 mod bench;
 mod browser;
+mod chaos;
 mod error;
 mod reproduce;
 mod run;
@@ -42,6 +43,12 @@ enum Task {
     Bless,
     /// The sources' figures beside ours.
     Reproduce(reproduce::Options),
+    /// Faults on purpose: what is promised of link and recordings, as JSON lines.
+    Chaos(chaos::Options),
+    /// Many viewers for long: memory, missed ticks, a complete recording, as JSON lines.
+    Soak(chaos::SoakOptions),
+    /// Every decoder against damaged input, each for so many minutes, as JSON lines.
+    Fuzz(chaos::FuzzOptions),
     /// What CI runs: `test`.
     Ci,
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
@@ -57,6 +64,9 @@ pub fn main() -> ExitCode {
         Task::Bless => bless(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Bench(options) => bench::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Reproduce(options) => reproduce::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Chaos(options) => chaos::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Soak(options) => chaos::soak(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Fuzz(options) => chaos::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
     });

@@ -139,12 +139,19 @@ impl Live {
 
     /// The next frame; waits.
     pub fn next(&mut self) -> OwnedFrame {
+        self.try_next().expect("an open socket")
+    }
+
+    /// The next frame; waits. `None` when the socket has ended.
+    pub fn try_next(&mut self) -> Option<OwnedFrame> {
         loop {
             if let Some(frame) = self.frames.pop_front() {
-                return frame;
+                return Some(frame);
             }
-            if let WsMessage::Binary(batch) = self.socket.read().unwrap() {
-                self.frames.extend(frames(&batch));
+            match self.socket.read().ok()? {
+                WsMessage::Binary(batch) => self.frames.extend(frames(&batch)),
+                WsMessage::Close(_) => return None,
+                _ => {}
             }
         }
     }

@@ -1,0 +1,143 @@
+//! Hours in minutes: one agent at 200 Hz, twenty viewers of which five stall and five reconnect all the time.
+//!
+//! Memory of ground and agent is read from the kernel once a second: after a warm-up in which the bounded histories fill,
+//! it must not grow. The recording must be complete, and no tick missed that a quiet machine would not miss.
+//! `PLUMBLINE_MINUTES` of it.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "chaos/figures.rs"]
+mod figures;
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use figures::{Figures, quantile, setting};
+use plumbline_proto::{Kind, v1};
+use plumbline_tests::harness::{System, wait_until};
+use serde_json::json;
+use support::{Live, PATIENCE, options, scenario};
+
+const READERS: usize = 10;
+const STALLED: usize = 5;
+const RECONNECTING: usize = 5;
+/// The hub keeps two minutes of history for viewers that come; until then its memory grows as it should.
+const WARM_UP: Duration = Duration::from_secs(130);
+/// Growth that is no leak: allocator and page cache of the index.
+const GROWTH_MAX_MIB_PER_HOUR: f64 = 24.0;
+
+/// Resident memory of a process, MiB.
+fn resident_mib(id: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or("0");
+    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+}
+
+/// Least-squares slope of (s, MiB), MiB per hour.
+fn slope_per_hour(points: &[(f64, f64)]) -> f64 {
+    let n = points.len() as f64;
+    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+    let covariance: f64 = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum();
+    let variance: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
+    3600.0 * covariance / variance
+}
+
+fn main() -> std::process::ExitCode {
+    let minutes = setting("PLUMBLINE_MINUTES", 10);
+    let mut figures = Figures::new("soak", setting("PLUMBLINE_SEED", 1));
+    let folder = tempfile::tempdir().unwrap();
+    let system = System::start(&options(folder.path()), &scenario("altitude_step")).unwrap();
+    let command = |route: &str, body| system.api().send("POST", &system.vehicle(route), &body).unwrap().status == 200;
+    assert!(command("recording", json!({ "on": true })));
+    wait_until(PATIENCE, || command("arm", json!({})).then_some(())).expect("armed");
+    assert!(command("mode", json!({ "mode": "altitude_hold" })));
+    assert!(command("setpoint", json!({ "altitude_m": 0.5 })));
+
+    let ended = Arc::new(AtomicBool::new(false));
+    let (misses, reconnects) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+    let view = |history: u32| Live::connect(system.api(), &system.vehicle(&format!("live?history={history}")));
+    let mut threads = Vec::new();
+    for _ in 0..READERS {
+        let (mut live, ended, misses) = (view(0), ended.clone(), misses.clone());
+        threads.push(std::thread::spawn(move || {
+            while !ended.load(Ordering::Relaxed) {
+                let Some(frame) = live.try_next() else { return };
+                if let Some(status) = frame.message::<v1::Status>(Kind::Status) {
+                    misses.store(status.deadline_misses, Ordering::Relaxed);
+                }
+            }
+        }));
+    }
+    let api = system.api().clone();
+    for n in 0..RECONNECTING {
+        let (api, ended, path) = (api.clone(), ended.clone(), system.vehicle("live?history=60"));
+        let reconnects = reconnects.clone();
+        threads.push(std::thread::spawn(move || {
+            while !ended.load(Ordering::Relaxed) {
+                let mut live = Live::connect(&api, &path);
+                let until = Instant::now() + Duration::from_millis(700 + 300 * n as u64);
+                while Instant::now() < until && live.try_next().is_some() {}
+                reconnects.fetch_add(1, Ordering::Relaxed);
+            }
+        }));
+    }
+    // They never read; the ground closes them after a while, and they come back.
+    let mut stalled: Vec<Live> = (0..STALLED).map(|_| view(0)).collect();
+
+    let begun = Instant::now();
+    let (mut ground, mut agent) = (Vec::new(), Vec::new());
+    let mut misses_warm = None;
+    while begun.elapsed() < Duration::from_secs(60 * minutes).max(WARM_UP + Duration::from_secs(30)) {
+        std::thread::sleep(Duration::from_secs(1));
+        let t = begun.elapsed();
+        if t.as_secs().is_multiple_of(45) {
+            stalled = (0..STALLED).map(|_| view(0)).collect();
+        }
+        if t > WARM_UP {
+            misses_warm.get_or_insert(misses.load(Ordering::Relaxed));
+            ground.push((t.as_secs_f64(), resident_mib(system.ground.process.id())));
+            agent.push((t.as_secs_f64(), resident_mib(system.agent.process.id())));
+        }
+    }
+    drop(stalled);
+    ended.store(true, Ordering::Relaxed);
+    threads.into_iter().for_each(|thread| thread.join().unwrap());
+    let spread = json!({ "minutes": minutes, "viewers": READERS + STALLED + RECONNECTING, "stalled": STALLED,
+        "reconnects": reconnects.load(Ordering::Relaxed) });
+    for (name, points) in [("ground", &ground), ("agent", &agent)] {
+        let mut sizes: Vec<f64> = points.iter().map(|p| p.1).collect();
+        figures.tell(
+            &format!("{name}_memory"),
+            quantile(&mut sizes, 0.5),
+            "MiB",
+            json!({ "least": quantile(&mut sizes, 0.0), "most": quantile(&mut sizes, 1.0) }),
+        );
+        // A slope over a few minutes says nothing about an hour: the limit is on what was seen to grow.
+        let grown = slope_per_hour(points) / 60.0 * (points.len() as f64 / 60.0);
+        let limit = GROWTH_MAX_MIB_PER_HOUR * (points.len() as f64 / 3600.0).max(0.25);
+        figures.at_most(&format!("{name}_growth"), grown, limit, "MiB", spread.clone());
+    }
+    let missed = misses.load(Ordering::Relaxed) - misses_warm.unwrap_or_default();
+    let ticks = 200.0 * ground.len() as f64;
+    figures.tell("deadline_misses", missed as f64, "ticks", json!({ "of": ticks }));
+    command("disarm", json!({}));
+    command("recording", json!({ "on": false }));
+    let complete = wait_until(Duration::from_secs(120), || {
+        let flights = system.api().get_json("/api/flights").ok()?;
+        let flight = flights["flights"].get(0)?.clone();
+        (flight["completeness"] == "complete").then_some(flight)
+    });
+    let flight = complete.unwrap_or_default();
+    figures.at_most(
+        "missing",
+        flight["missing"].as_f64().unwrap_or(f64::NAN),
+        0.0,
+        "messages",
+        json!({ "messages": flight["messages"], "filled": flight["filled"], "duration_s": flight["duration_s"],
+            "size_bytes": flight["size_bytes"] }),
+    );
+    system.stop().unwrap();
+    figures.finish()
+}

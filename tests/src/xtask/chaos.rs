@@ -1,0 +1,124 @@
+//! `cargo xtask chaos CAMPAIGN`: the promises of the link and the recordings under faults, one JSON line a figure.
+
+use std::process::Stdio;
+
+use super::{Workspace, XtaskError, tools, workspace};
+
+/// Which faults, and how many.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Options {
+    /// What goes wrong.
+    pub campaign: Campaign,
+    /// Chooses the accidents.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How often ground or agent is killed (kill).
+    #[arg(long, default_value_t = 20)]
+    pub rounds: u64,
+    /// Length of each phase, s (link).
+    #[arg(long, default_value_t = 15)]
+    pub seconds: u64,
+    /// Build without optimisation: starts sooner after a change.
+    #[arg(long)]
+    pub dev: bool,
+}
+
+/// The campaigns, each a program in `tests/campaigns`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Campaign {
+    /// A bad radio: loss, bursts, reordering, fades.
+    Link,
+    /// Ground and agent killed in flight.
+    Kill,
+    /// Full and read-only data folders.
+    Disk,
+    /// The flight thread's timing beside a dead ground, a full link, a slow disk.
+    Jitter,
+}
+
+impl Campaign {
+    fn program(self) -> &'static str {
+        match self {
+            Campaign::Link => "chaos_link",
+            Campaign::Kill => "chaos_kill",
+            Campaign::Disk => "chaos_disk",
+            Campaign::Jitter => "chaos_jitter",
+        }
+    }
+}
+
+/// Builds the programs and runs the campaign.
+///
+/// # Errors
+/// What could not be built, or a promise that was broken.
+pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
+    let settings = [
+        ("PLUMBLINE_SEED", options.seed),
+        ("PLUMBLINE_ROUNDS", options.rounds),
+        ("PLUMBLINE_SECONDS", options.seconds),
+    ];
+    program(workspace, options.campaign.program(), options.dev, &settings)
+}
+
+/// How long to soak.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SoakOptions {
+    /// Length, min.
+    #[arg(long, default_value_t = 10)]
+    pub minutes: u64,
+    /// Build without optimisation: starts sooner after a change.
+    #[arg(long)]
+    pub dev: bool,
+}
+
+/// Builds the programs and soaks them.
+///
+/// # Errors
+/// What could not be built, or a promise that was broken.
+pub fn soak(workspace: &Workspace, options: &SoakOptions) -> Result<(), XtaskError> {
+    program(workspace, "soak", options.dev, &[("PLUMBLINE_MINUTES", options.minutes)])
+}
+
+/// How long to fuzz.
+#[derive(Debug, Clone, clap::Args)]
+pub struct FuzzOptions {
+    /// Time for each decoder, min; they run beside each other.
+    #[arg(long, default_value_t = 10.0)]
+    pub minutes: f64,
+    /// Chooses the damage.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Build without optimisation.
+    #[arg(long)]
+    pub dev: bool,
+}
+
+/// Fuzzes every decoder.
+///
+/// # Errors
+/// A decoder failed; its input is kept in `target/fuzz`.
+pub fn fuzz(workspace: &Workspace, options: &FuzzOptions) -> Result<(), XtaskError> {
+    let mut cargo = workspace.cargo();
+    cargo.args(["test", "--locked", "--package", "plumbline-tests", "--test", "fuzz"]);
+    cargo.args(if options.dev { &[][..] } else { &["--release"][..] }).args(["--", "--nocapture"]);
+    cargo.env("PLUMBLINE_FUZZ_MINUTES", options.minutes.to_string()).env("PLUMBLINE_SEED", options.seed.to_string());
+    workspace::run(cargo.stdin(Stdio::null()))
+}
+
+/// Builds ground and agent, then builds and runs a campaign with these settings.
+fn program(workspace: &Workspace, name: &str, dev: bool, settings: &[(&str, u64)]) -> Result<(), XtaskError> {
+    let (profile, folder) = if dev { ("dev", "debug") } else { ("release", "release") };
+    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
+    workspace::run(workspace.cargo().args(["build", "--locked", "--bins", "--profile", profile]).args(packages))?;
+    let mut cargo = workspace.cargo();
+    cargo.args(["bench", "--locked", "--package", "plumbline-tests", "--bench", name]);
+    cargo.args(["--profile", if dev { "dev" } else { "bench" }]).stdin(Stdio::null());
+    cargo.env("PLUMBLINE_BINARIES", workspace.target.join(folder));
+    if let Ok(python) = tools::python(workspace) {
+        cargo.env("PLUMBLINE_PYTHON", python);
+    }
+    settings.iter().for_each(|(key, value)| {
+        cargo.env(key, value.to_string());
+    });
+    workspace::run(&mut cargo)
+}

@@ -1,0 +1,26 @@
+//! The fast part of `cargo xtask chaos kill`: a few kills, each file whole afterwards.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../campaigns/chaos/files.rs"]
+mod files;
+#[path = "../campaigns/chaos/kill.rs"]
+mod kill;
+mod support;
+
+use plumbline_tests::harness::SystemOptions;
+
+/// A flush, and what a machine that compiles beside us adds to it.
+const TAIL_MAX_MS: f64 = 1_500.0;
+
+#[test]
+fn a_kill_costs_no_more_than_the_last_flush() {
+    // GIVEN a flight WHEN ground or agent is killed, four times
+    let folder = tempfile::tempdir().unwrap();
+    let options = SystemOptions { port: kill::free_port(), ..support::options(folder.path()) };
+    let tally = kill::run(&options, 4, 7);
+    // THEN files, index and the third-party reader agree, and what was flushed is there
+    assert!(tally.faults.is_empty(), "{:#?}", tally.faults);
+    assert!(tally.ground_kills > 0 && tally.agent_kills > 0, "{tally:?}");
+    let most = tally.ground_tails_ms.iter().chain(&tally.agent_tails_ms).fold(0.0_f64, |most, tail| most.max(*tail));
+    assert!(most <= TAIL_MAX_MS, "{tally:?}");
+}

@@ -1,0 +1,389 @@
+//! Every decoder against damaged input: no panic, no endless work, no unbounded memory.
+//!
+//! Valid input is made here, by the product's own encoders where there are any, and damaged at random: bits, lengths,
+//! ends, repeated and moved pieces, numbers that are none. Half a second for each decoder in the test suite;
+//! `cargo xtask fuzz --minutes N` gives each of them so many minutes. A failure prints the seed and keeps the input in
+//! `target/fuzz`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use plumbline_agent::design::file::DesignFile;
+use plumbline_agent::link::inbound;
+use plumbline_agent::recordings;
+use plumbline_agent::vehicle::Vehicle;
+use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
+use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_ground::attack_plan::AttackPlan;
+use plumbline_proto::codec::{self, Delimited};
+use plumbline_proto::{Kind, Message as _, v1};
+use plumbline_tests::harness::radio::Chance;
+
+/// What all decoders together may ever take, MiB: the largest bound of one is that of an MCAP chunk (256 MiB).
+const MEMORY_MAX_MIB: f64 = 512.0;
+/// What one input of a few kilobytes may take of time, on a machine that compiles beside us.
+const TIME_MAX: Duration = Duration::from_secs(10);
+const SHORT: Duration = Duration::from_millis(500);
+/// Memory is looked at once in so many inputs.
+const LOOK_EVERY: u64 = 256;
+
+/// Most memory that this process ever held, MiB. What is reserved and never touched does not count: the MCAP reader
+/// reserves what a length field claims before it finds the record shorter.
+fn peak_mib() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0");
+    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+}
+
+/// Pieces that decoders stumble over.
+const STUMBLING: &[&[u8]] = &[
+    b"NaN",
+    b"inf",
+    b"-1e999",
+    b"1e-400",
+    b"",
+    b",,,,",
+    b"\"",
+    b"\xff\xff\xff\xff",
+    b"\0\0\0\0\0\0\0\0",
+    b"null",
+    b"99999999999999999999999",
+    b"[[[[[[[[[[",
+    b"{",
+    b"\r\n",
+    b"\x7f\xff\xff\xff\xff\xff\xff\xff",
+    b"-0",
+    b"e",
+];
+
+fn below(chance: &mut Chance, end: usize) -> usize {
+    (chance.number() % end.max(1) as u64) as usize
+}
+
+fn damage(chance: &mut Chance, seeds: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = seeds[below(chance, seeds.len())].clone();
+    for _ in 0..=below(chance, 6) {
+        let at = below(chance, bytes.len() + 1);
+        let length = below(chance, 1 + bytes.len() - at).min(1 << below(chance, 10));
+        match below(chance, 9) {
+            0 | 1 if at < bytes.len() => bytes[at] ^= 1 << below(chance, 8),
+            2 if at < bytes.len() => bytes[at] = chance.number() as u8,
+            3 => bytes.truncate(at),
+            4 => drop(bytes.drain(at..at + length)),
+            5 => {
+                let piece = bytes[at..at + length].to_vec();
+                let to = below(chance, bytes.len() + 1);
+                bytes.splice(to..to, piece);
+            }
+            6 => {
+                let piece = STUMBLING[below(chance, STUMBLING.len())];
+                let end = (at + length.min(12)).min(bytes.len());
+                bytes.splice(at..end, piece.iter().copied());
+            }
+            7 => {
+                // A length or a number, somewhere in the middle.
+                let wide = 1 << (1 + below(chance, 3));
+                let extreme = [0, 1, u64::MAX, u64::MAX >> 1, 1 << 31, 1 << 32, chance.number()][below(chance, 7)];
+                for (byte, new) in bytes.iter_mut().skip(at).take(wide).zip(extreme.to_le_bytes()) {
+                    *byte = new;
+                }
+            }
+            _ => {
+                let other = &seeds[below(chance, seeds.len())];
+                let from = below(chance, other.len() + 1);
+                bytes.truncate(at);
+                bytes.extend_from_slice(&other[from..]);
+            }
+        }
+        bytes.truncate(1 << 16);
+    }
+    bytes
+}
+
+/// Runs `decoder` on damaged `seeds` for as long as is asked.
+fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
+    // What is valid passes: else nothing but the first check would be tried.
+    seeds.iter().for_each(|valid| decoder(valid));
+    let minutes: f64 = std::env::var("PLUMBLINE_FUZZ_MINUTES").map_or(0.0, |text| text.parse().unwrap());
+    let seed: u64 = std::env::var("PLUMBLINE_SEED").map_or(1, |text| text.parse().unwrap());
+    let span = if minutes > 0.0 { Duration::from_secs_f64(60.0 * minutes) } else { SHORT };
+    let mut chance = Chance(seed);
+    let begun = Instant::now();
+    let (mut inputs, mut slowest) = (0_u64, Duration::ZERO);
+    while begun.elapsed() < span {
+        let input = damage(&mut chance, seeds);
+        let started = Instant::now();
+        let outcome = catch_unwind(AssertUnwindSafe(|| decoder(&input)));
+        let took = started.elapsed();
+        inputs += 1;
+        slowest = slowest.max(took);
+        let peak = if inputs.is_multiple_of(LOOK_EVERY) { peak_mib() } else { 0.0 };
+        if outcome.is_err() || took > TIME_MAX || peak > MEMORY_MAX_MIB {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/fuzz");
+            std::fs::create_dir_all(&folder).unwrap();
+            let kept = folder.join(format!("{name}-{seed}-{inputs}"));
+            std::fs::write(&kept, &input).unwrap();
+            let panicked = outcome.is_err();
+            panic!("{name}: seed {seed}, input {inputs}: panic {panicked}, {took:?}, {peak:.0} MiB; kept as {kept:?}");
+        }
+    }
+    println!(
+        "{{\"fuzz\":\"{name}\",\"name\":\"inputs\",\"value\":{inputs},\"unit\":\"inputs\",\"seed\":{seed},\
+         \"seconds\":{:.1},\"slowest_ms\":{:.3},\"process_peak_mib\":{:.0}}}",
+        begun.elapsed().as_secs_f64(),
+        slowest.as_secs_f64() * 1e3,
+        peak_mib()
+    );
+}
+
+/// A file that decoders which want one read each input from.
+struct Scratch {
+    folder: tempfile::TempDir,
+}
+
+impl Scratch {
+    fn new() -> Self {
+        // In memory where there is such a folder: the disk is not what is tested.
+        let memory = Path::new("/dev/shm");
+        let folder = if memory.is_dir() { tempfile::tempdir_in(memory) } else { tempfile::tempdir() };
+        Self { folder: folder.unwrap() }
+    }
+
+    fn with(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = self.folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+}
+
+fn batch() -> Vec<u8> {
+    let mut out = Vec::new();
+    codec::begin_batch(&mut out);
+    let status =
+        v1::Status { time_us: 5, flight_id: "f-1".into(), failsafe_reason: "none".into(), ..Default::default() };
+    codec::encode_message(&mut out, Kind::Status, 0, 1, 5, &status);
+    let control = v1::Control { time_us: 6, ..Default::default() };
+    codec::encode_message(&mut out, Kind::Control, 0, 2, 6, &control);
+    let mark = v1::FlightMark { time_us: 7, flight_id: "f-1".into(), first_sequence: 1, ..Default::default() };
+    codec::encode_message(&mut out, Kind::Flight, 0, 3, 7, &mark);
+    out
+}
+
+#[test]
+fn fuzz_wire_codec() {
+    fuzz("wire_codec", &[batch()], |input| {
+        for frames in codec::decode_batch(input).into_iter().chain([codec::decode_frames(input)]) {
+            for frame in frames.map_while(Result::ok) {
+                let _ = frame.message::<v1::Status>();
+                let _ = frame.message::<v1::Control>();
+                let mut again = Vec::new();
+                frame.encode(&mut again);
+                assert_eq!(again.len(), frame.encoded_len());
+            }
+        }
+    });
+}
+
+#[test]
+fn fuzz_command_stream() {
+    let bodies = [
+        v1::command_frame::Body::Heartbeat(v1::Heartbeat { ground_time_us: 7, agent_time_us: Some(8) }),
+        v1::command_frame::Body::Frames(batch()),
+        v1::command_frame::Body::Command(v1::Command {
+            command_id: 3,
+            operator: "ann".into(),
+            body: Some(v1::command::Body::Setpoint(v1::Setpoint { altitude_m: Some(0.5), ..Default::default() })),
+        }),
+    ];
+    let mut seed = Vec::new();
+    for body in bodies {
+        codec::encode_delimited(&mut seed, &v1::CommandFrame { body: Some(body) });
+    }
+    fuzz("command_stream", &[seed], |input| {
+        let mut stream = Delimited::default();
+        for piece in input.chunks(37) {
+            stream.push(piece);
+            while let Ok(Some(frame)) = stream.next_frame() {
+                if let Some(v1::command_frame::Body::Command(command)) = frame.body {
+                    inbound::parse(command);
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn fuzz_commands() {
+    let attack =
+        v1::Attack { id: 1, sensor: 2, instance: 2, kind: 2, start_s: 1.0, duration_s: 2.0, ..Default::default() };
+    let weights = v1::LqrWeights { state_weight: vec![1.0; 16], input_weight: vec![1.0; 4] };
+    let bodies = [
+        v1::command::Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack; 3] }),
+        v1::command::Body::PushGains(v1::PushGains { revision: 2, weights: Some(weights), ..Default::default() }),
+        v1::command::Body::SetMode(v1::SetMode { mode: 3 }),
+        v1::command::Body::SetReplay(v1::SetReplay { speed: 1.0, step: 0 }),
+    ];
+    let seeds: Vec<_> = bodies
+        .into_iter()
+        .map(|body| v1::Command { command_id: 1, operator: "t".into(), body: Some(body) }.encode_to_vec())
+        .collect();
+    fuzz("commands", &seeds, |input| {
+        if let Ok(command) = v1::Command::decode(input) {
+            inbound::parse(command);
+        }
+    });
+}
+
+/// A small flight file: finished, and as a crash leaves it.
+fn flight_files() -> Vec<Vec<u8>> {
+    let mut out = std::io::Cursor::new(Vec::new());
+    {
+        let mut writer = mcap::WriteOptions::new().chunk_size(Some(512)).create(&mut out).unwrap();
+        let metadata = BTreeMap::from([
+            ("flight_id".to_owned(), "f-1".to_owned()),
+            ("agent_id".to_owned(), "iris-1".to_owned()),
+            ("first_sequence".to_owned(), "1".to_owned()),
+            ("boot_wall_time_us".to_owned(), "1000".to_owned()),
+        ]);
+        writer.write_metadata(&mcap::records::Metadata { name: "plumbline".into(), metadata }).unwrap();
+        let schema = writer.add_schema("plumbline.v1.HeightSample", "protobuf", b"descriptor").unwrap();
+        let channel = writer.add_channel(schema, "/sensor/height/1", "protobuf", &BTreeMap::new()).unwrap();
+        for sequence in 1..60_u32 {
+            let sample = v1::HeightSample { time_us: u64::from(sequence), sensed_m: 0.5, ..Default::default() };
+            let header = mcap::records::MessageHeader {
+                channel_id: channel,
+                sequence,
+                log_time: u64::from(sequence) * 1_000_000,
+                publish_time: 0,
+            };
+            writer.write_to_known_channel(&header, &sample.encode_to_vec()).unwrap();
+        }
+        writer.flush().unwrap();
+        writer.finish().unwrap();
+    }
+    let finished = out.into_inner();
+    let unfinished = finished[..finished.len() / 2].to_vec();
+    vec![finished, unfinished]
+}
+
+#[test]
+fn fuzz_flight_file_repair() {
+    let scratch = Scratch::new();
+    fuzz("flight_file_repair", &flight_files(), |input| {
+        let path = scratch.with("f-1.001.part", input);
+        let _ = plumbline_ground::recorder::inspect(&path);
+    });
+}
+
+/// Opens and replays at most so many ticks.
+fn replay(path: &Path) {
+    if let Ok(recording) = recordings::open(path) {
+        let mut vehicle = ReplayVehicle::new(recording, Samples::Received);
+        for _ in 0..500 {
+            if vehicle.sense().is_err() {
+                break;
+            }
+        }
+    }
+}
+
+#[test]
+fn fuzz_flight_file_replay() {
+    let scratch = Scratch::new();
+    fuzz("flight_file_replay", &flight_files(), |input| replay(&scratch.with("f.mcap", input)));
+}
+
+fn table(header: &str, row: impl Fn(usize, usize) -> f64) -> Vec<u8> {
+    let columns = header.split(',').count();
+    let mut text = format!("{header}\n");
+    for line in 0..40 {
+        let cells: Vec<_> = (0..columns).map(|column| row(line, column).to_string()).collect();
+        text += &(cells.join(",") + "\n");
+    }
+    text.into_bytes()
+}
+
+#[test]
+fn fuzz_recordings_of_others() {
+    let broad = "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT,ref_qw,ref_qx,ref_qy,ref_qz,\
+                 ref_px_m,ref_py_m,ref_pz_m,movement";
+    let rotorpy = "t_s,ax,ay,az,gx,gy,gz,mocap_x,mocap_y,mocap_z,mocap_qx,mocap_qy,mocap_qz,mocap_qw,true_x,true_y,\
+                   true_z,true_vx,true_vy,true_vz,true_qx,true_qy,true_qz,true_qw,true_wx,true_wy,true_wz,\
+                   rotor1_rad_s,rotor2_rad_s,rotor3_rad_s,rotor4_rad_s";
+    let cell = |line: usize, column: usize| if column == 0 { line as f64 * 0.005 } else { 0.5 + column as f64 * 0.1 };
+    let seeds = [table(broad, cell), table(rotorpy, cell), ulog()];
+    let scratch = Scratch::new();
+    fuzz("recordings", &seeds, |input| replay(&scratch.with("recording", input)));
+}
+
+#[test]
+fn fuzz_mocap_log() {
+    let header = "t,T,tx,ty,tz,x,y,z,vx,vy,vz,phi,theta,psi,p,q,r,r1,r2,r3,r4,m_phi,m_theta,m_psi";
+    let cell = |line: usize, column: usize| if column == 0 { line as f64 * 0.01 } else { 0.1 * column as f64 };
+    let scratch = Scratch::new();
+    fuzz("mocap_log", &[table(header, cell)], |input| {
+        let _ = recordings::mocap_log::read(&scratch.with("log.csv", input));
+    });
+}
+
+/// A ULog with one topic that is a sensor.
+fn ulog() -> Vec<u8> {
+    fn message(out: &mut Vec<u8>, kind: u8, body: &[u8]) {
+        out.extend_from_slice(&(body.len() as u16).to_le_bytes());
+        out.push(kind);
+        out.extend_from_slice(body);
+    }
+    let mut out = b"ULog\x01\x12\x35\x01".to_vec();
+    out.extend_from_slice(&1_000_u64.to_le_bytes());
+    message(&mut out, b'B', &[0; 40]);
+    message(&mut out, b'F', b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;");
+    message(&mut out, b'A', b"\0\x01\0sensor_combined");
+    for tick in 0..60_u64 {
+        let mut body = vec![1, 0];
+        body.extend_from_slice(&(1_000 + 4_000 * tick).to_le_bytes());
+        for value in [0.01_f32, 0.02, 0.03, 0.1, 0.2, -9.8] {
+            body.extend_from_slice(&value.to_le_bytes());
+        }
+        message(&mut out, b'D', &body);
+    }
+    out
+}
+
+#[test]
+fn fuzz_plans_and_gains() {
+    let attack = |kind: &str| {
+        serde_json::json!({ "sensor": "height", "instance": 2, "channel": "all", "kind": kind, "start_s": 1.0,
+            "duration_s": 5.0, "magnitude": 0.3, "seed": 1 })
+    };
+    let plan = serde_json::json!({ "attacks": [attack("bias"), attack("replay")] }).to_string().into_bytes();
+    let gains =
+        serde_json::json!({ "state_weight": vec![1.0; 16], "input_weight": vec![0.5; 4] }).to_string().into_bytes();
+    assert!(serde_json::from_slice::<AttackPlan>(&plan).unwrap().to_schedule(1, None).is_ok());
+    assert!(DesignFile::from_json(&gains).is_ok());
+    fuzz("plans_and_gains", &[plan, gains], |input| {
+        if let Ok(plan) = serde_json::from_slice::<AttackPlan>(input)
+            && let Ok(schedule) = plan.to_schedule(1, None)
+        {
+            let finite = schedule.attacks.iter().all(|a| a.start_s.is_finite() && a.magnitude.is_finite());
+            assert!(finite, "a plan that is no number passed: {schedule:?}");
+        }
+        let _ = DesignFile::from_json(input);
+    });
+}
+
+#[test]
+fn fuzz_scenarios_and_configurations() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+    let mut seeds: Vec<Vec<u8>> =
+        std::fs::read_dir(folder).unwrap().map(|entry| std::fs::read(entry.unwrap().path()).unwrap()).collect();
+    seeds.push(b"id = \"iris-1\"\nground = \"127.0.0.1:4748\"\n[log]\nmax_mib = 100\n".to_vec());
+    let scratch = Scratch::new();
+    fuzz("scenarios", &seeds, |input| {
+        let text = String::from_utf8_lossy(input);
+        let _ = Scenario::from_toml(&text);
+        let _ = plumbline_agent::config::AgentConfig::read(&scratch.with("agent.toml", input));
+    });
+}
