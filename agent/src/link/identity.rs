@@ -162,7 +162,11 @@ pub fn load_or_create(folder: &Path) -> Result<Identity, IdentityError> {
     let key = PrivateKeyDer::from_pem_file(&key_path)
         .map_err(|e| IdentityError::Malformed { path: key_path, reason: e.to_string() })?;
     let fingerprint = Fingerprint::of(&certificate);
-    write_new(&folder.join("fingerprint"), format!("{fingerprint}\n").as_bytes(), 0o644)?;
+    let (shown, text) = (folder.join("fingerprint"), format!("{fingerprint}\n"));
+    // Only when it differs: an identity is of use on a disk that cannot be written, too.
+    if fs::read_to_string(&shown).ok().as_deref() != Some(text.as_str()) {
+        write_new(&shown, text.as_bytes(), 0o644)?;
+    }
     let peers = Peers { names: read_peers(folder)?, read: Instant::now() };
     Ok(Identity {
         inner: Arc::new(Inner {
