@@ -38,6 +38,8 @@ async fn send(method: &str, url: &str, body: Option<String>, operator: &str) -> 
     if body.is_some() {
         headers.set("Content-Type", "application/json").map_err(|_| unreachable_ground())?;
     }
+    // With a session the ground wants this header with whatever is not a GET: no foreign page can set it.
+    let operator = if operator.is_empty() && method != "GET" { "page" } else { operator };
     if !operator.is_empty() {
         headers.set(OPERATOR, operator).map_err(|_| unreachable_ground())?;
     }
