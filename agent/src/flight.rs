@@ -23,6 +23,7 @@ use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
 use crate::control::{Loops, Setpoint, Wrench};
 use crate::estimate::bank::{Assumptions, Bank, BankError, build};
+use crate::estimate::secure::flying::Secure;
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::failsafe::{Monitor, Watchdog};
@@ -225,6 +226,16 @@ impl Flight {
     /// clock of its own, and nothing it does depends on this one.
     pub fn time_steps_with(&mut self, stopwatch: fn() -> u64) {
         self.bank.time_steps_with(stopwatch);
+    }
+
+    /// Limits what an estimator may take, µs, where it can give up early; see [`Bank::limit_steps`].
+    pub fn limit_steps(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        self.bank.limit_steps(stopwatch, limit_us);
+    }
+
+    /// The secure estimator, where it runs.
+    pub fn secure(&self) -> Option<&Secure> {
+        self.bank.secure()
     }
 
     /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed.

@@ -7,6 +7,7 @@
 //! the machine only decides when the next frame is asked for. Nothing in the loop waits for a lock
 //! that a slow thread could hold, for a disk or for the radio.
 
+pub mod auditor;
 pub mod certifier;
 pub mod challenge;
 pub mod pace;
@@ -22,6 +23,7 @@ use rtrb::Consumer;
 use crate::attack::Schedule;
 use crate::command::Command;
 use crate::control::gains::refusal;
+use crate::estimate::secure::flying::DEADLINE_US;
 use crate::event::{EventKind, Severity};
 use crate::flight::Flight;
 use crate::link::LinkState;
@@ -33,6 +35,7 @@ use crate::telemetry::{Around, Telemetry};
 use crate::vehicle::sim::script::Script;
 use crate::vehicle::{Vehicle, VehicleError};
 
+use auditor::Auditor;
 use certifier::{Answer, Certifier};
 use challenge::Challenges;
 use pace::{Pace, Pacer};
@@ -110,6 +113,7 @@ pub struct Runner {
     options: RunnerOptions,
     ports: RunnerPorts,
     certifier: Option<Certifier>,
+    auditor: Option<Auditor>,
     pacer: Pacer,
     timing: Timing,
     heartbeats: u64,
@@ -138,7 +142,15 @@ impl Runner {
         let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz, flight.config().margins)
             .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
             .ok();
+        let auditor = flight.secure().and_then(|_| {
+            Auditor::start().inspect_err(|error| tracing::error!(%error, "the decoder is not audited")).ok()
+        });
+        // Only real time has deadlines: everything else must repeat bit by bit.
+        if options.pace == Pace::Times(1.0) {
+            flight.limit_steps(stopwatch, Some(DEADLINE_US));
+        }
         Self {
+            auditor,
             certifier,
             pacer: Pacer::new(options.pace),
             timing: Timing::new(tick_rate_hz),
@@ -240,8 +252,13 @@ impl Runner {
         }
         self.wait_for_log();
         let truth = self.vehicle.truth();
+        let audit = match (&mut self.auditor, self.flight.secure()) {
+            (Some(auditor), Some(secure)) => auditor.tick(frame.time, secure),
+            _ => None,
+        };
         let around = Around {
             challenge: self.challenges.current(frame.time),
+            audit,
             ..around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state())
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
@@ -459,5 +476,6 @@ fn around<'a>(
         replay_progress: replay.map_or(0.0, |replay| replay.progress),
         replay: replay.is_some(),
         recorded: replay.and_then(|replay| replay.recorded),
+        audit: None,
     }
 }

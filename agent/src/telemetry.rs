@@ -9,6 +9,7 @@
 //! |---|---|
 //! | sensors, estimate and residuals in the loop, control | every tick they exist in |
 //! | other estimates | 25 Hz; their residuals with them, those of slow sensors at once |
+//! | secure | with every window decoded (25 Hz) |
 //! | truth | 100 Hz |
 //! | step response, events, acknowledgements | as they happen |
 //! | status | 10 Hz and on change |
@@ -19,6 +20,7 @@
 mod convert;
 mod outlet;
 mod recording;
+mod secure;
 
 use arrayvec::ArrayVec;
 use plumbline_proto::ids::CommandId;
@@ -41,6 +43,7 @@ pub use outlet::Outlet;
 use outlet::Outlets;
 pub use recording::Recording;
 pub(crate) use recording::civil;
+use secure::Tracking;
 
 /// Residuals of one message: as many as fit into a datagram.
 pub const RESIDUALS_PER_MESSAGE: usize = 20;
@@ -113,6 +116,17 @@ pub struct Around<'a> {
     pub replay: bool,
     /// Replay only: what the recorded flight did in this tick, where the recording knows.
     pub recorded: Option<RecordedControl>,
+    /// What the audit of the flying decoder said last.
+    pub audit: Option<Audit>,
+}
+
+/// A decoded window, solved again by Clarabel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Audit {
+    /// Time of the window.
+    pub time: FlightTime,
+    /// |flying − Clarabel| / Clarabel, of the objective.
+    pub difference: f64,
 }
 
 /// Turns ticks into messages.
@@ -127,6 +141,8 @@ pub struct Telemetry {
     attack_changes: u64,
     gains_revision: Option<u32>,
     status_key: Option<StatusKey>,
+    tracking: Tracking,
+    windows: u64,
 }
 
 /// When each slow topic was sent last.
@@ -155,6 +171,7 @@ struct Kept {
     gains: v1::GainsInUse,
     event: v1::Event,
     ack: v1::Ack,
+    secure: v1::SecureStatus,
 }
 
 impl Kept {
@@ -200,6 +217,7 @@ impl Kept {
             },
             event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
             ack: v1::Ack { reason: text(), ..v1::Ack::default() },
+            secure: secure::with_room(),
         }
     }
 }
@@ -234,6 +252,8 @@ impl Telemetry {
             attack_changes: 0,
             gains_revision: None,
             status_key: None,
+            tracking: Tracking::default(),
+            windows: 0,
         }
     }
 
@@ -251,6 +271,7 @@ impl Telemetry {
 
         self.sensors(&flight.report().sensed, &flight.report().received);
         self.estimates(flight, now);
+        self.secure(flight, now, around);
         self.control(flight, around.recorded.as_ref());
         if let Some(truth) = truth
             && due(&mut self.due.truth, now, TRUTH_S)
@@ -429,6 +450,17 @@ impl Telemetry {
         }
         if !message.residuals.is_empty() {
             self.outlets.send(Kind::Residuals, kind as u16, now, message);
+        }
+    }
+
+    /// With every window decoded.
+    fn secure(&mut self, flight: &Flight, now: FlightTime, around: &Around<'_>) {
+        let Some(secure) = flight.secure() else { return };
+        self.tracking.tick(flight, secure, around.recorded.as_ref());
+        if self.windows != secure.window().count {
+            self.windows = secure.window().count;
+            secure::fill(&mut self.kept.secure, now, secure, &self.tracking, around.audit);
+            self.outlets.send(Kind::Secure, 0, now, &self.kept.secure);
         }
     }
 

@@ -83,9 +83,7 @@ fn found(rooms: &[&str], words: &[&str]) -> Vec<String> {
 }
 
 /// Places that may, each with its reason.
-const EXCEPTIONS: [(&str, &str); 2] = [
-    // An anytime deadline cannot be kept without looking at a clock; off unless asked for, so that replays are exact.
-    ("agent/src/estimate/secure/newton.rs", "`Instant`"),
+const EXCEPTIONS: [(&str, &str); 1] = [
     // Solves problems from files for the comparison with the references; no part of a flight.
     ("agent/src/estimate/secure/offline.rs", ""),
 ];

@@ -5,6 +5,7 @@ mod decode;
 mod estimate;
 mod fly;
 mod identity;
+mod observability;
 mod riccati;
 
 use std::path::PathBuf;
@@ -39,6 +40,8 @@ enum Tool {
     Dare(riccati::RiccatiArguments),
     /// Decodes windows of attacked samples, one JSON line per case.
     Decode(decode::DecodeArguments),
+    /// What a sensor suite can promise: rank, sparse observability, correctable attacks, binding state (JSON).
+    Observability(observability::ObservabilityArguments),
 }
 
 /// What can be flown.
@@ -103,6 +106,7 @@ impl Arguments {
             Some(Tool::Care(arguments)) => arguments.run(Equation::Care),
             Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
             Some(Tool::Decode(arguments)) => arguments.run(),
+            Some(Tool::Observability(arguments)) => arguments.run(),
             None => fly::fly(&self.fly),
         }
     }

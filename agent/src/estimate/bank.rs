@@ -12,6 +12,7 @@ use super::ekf_bias::{EkfBias, EkfOptions};
 use super::ekf_hybrid::EkfHybrid;
 use super::point_mass::PointMassEstimator;
 use super::primary::Primary;
+use super::secure::flying::Secure;
 use super::twelve_state::TwelveStateEstimator;
 use super::ukf::Ukf;
 use super::{Estimate, Estimator, EstimatorKind};
@@ -66,6 +67,9 @@ pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estim
         EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, options, attitude)),
         EstimatorKind::PointMass => Box::new(PointMassEstimator::new(options, attitude)),
         EstimatorKind::Attitude => Box::new(Attitude::new(attitude)),
+        EstimatorKind::Secure => {
+            Box::new(Secure::new(options, airframe).map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
+        }
         other => return Err(BankError::NotAvailable(other)),
     })
 }
@@ -139,6 +143,17 @@ impl Bank {
     /// Times every step with `stopwatch`, a count of nanoseconds. It never changes an estimate.
     pub fn time_steps_with(&mut self, stopwatch: fn() -> u64) {
         self.stopwatch = Some(stopwatch);
+    }
+
+    /// Gives estimators that can give up early their limit, µs, by `stopwatch`. In simulations and replays that
+    /// must repeat bit by bit there is none.
+    pub fn limit_steps(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        self.estimators.iter_mut().for_each(|estimator| estimator.time_with(stopwatch, limit_us));
+    }
+
+    /// The secure estimator, where it runs.
+    pub fn secure(&self) -> Option<&Secure> {
+        self.estimators.iter().find_map(|estimator| estimator.secure())
     }
 
     /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed or does not run.

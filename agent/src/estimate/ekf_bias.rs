@@ -130,6 +130,7 @@ pub struct EkfBias {
     heights_since: Option<FlightTime>,
     last_height: [Option<(FlightTime, f64)>; MAX_HEIGHTS],
     corrected_z: f64,
+    corrected_vz: f64,
     last_heading: [Option<FlightTime>; MAX_IMUS],
     field_ut: [Option<f64>; MAX_IMUS],
     yaw_known: bool,
@@ -180,6 +181,7 @@ impl EkfBias {
             heights_since: None,
             last_height: [None; MAX_HEIGHTS],
             corrected_z: 0.0,
+            corrected_vz: 0.0,
             last_heading: [None; MAX_IMUS],
             field_ut: [None; MAX_IMUS],
             yaw_known: false,
@@ -194,6 +196,17 @@ impl EkfBias {
     /// For consistency tests (NEES) and plots.
     pub fn covariance(&self) -> &nalgebra::SMatrix<f64, 17, 17> {
         &self.p
+    }
+
+    /// Sums of all corrections of height (m) and climb (m/s) so far: what lies between its path and the one that
+    /// the IMUs alone would have given.
+    pub fn vertical_corrections(&self) -> (f64, f64) {
+        (self.corrected_z, self.corrected_vz)
+    }
+
+    /// Specific force at the last IMU sample, biases removed, body FLU, m/s²; `None` before the first.
+    pub fn specific_force_mps2(&self) -> Option<Vector3<f64>> {
+        self.inertial.map(|i| i.accel_mps2 - self.state.accel_bias_mps2)
     }
 
     /// The options in use.
@@ -220,6 +233,7 @@ impl EkfBias {
             *offset += dx[ix::BAROMETER + i];
         }
         self.corrected_z += position.z;
+        self.corrected_vz += velocity.z;
         self.history.corrected(&position, &velocity, &attitude);
     }
 

@@ -142,4 +142,14 @@ pub trait Estimator: Send {
     fn nees(&self, _truth: &Kinematics) -> Option<consistency::Nees> {
         None
     }
+
+    /// The secure estimator behind the trait, for its own account.
+    fn secure(&self) -> Option<&secure::flying::Secure> {
+        None
+    }
+
+    /// Gives an estimator that can give up early a stopwatch (ns) and, in real time, a limit.
+    fn time_with(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        let _ = (stopwatch, limit_us);
+    }
 }

@@ -124,7 +124,7 @@ pub struct FlightConfig {
 
 impl FlightConfig {
     /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, the bias EKF in the loop
-    /// with the primary estimate beside it, no attacks.
+    /// with the primary estimate and the secure estimator beside it, no attacks.
     pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
         Self {
             design: Design::new(ControllerKind::LqrIntegral, &airframe),
@@ -133,7 +133,7 @@ impl FlightConfig {
             rig,
             tick_rate_hz: 200.0,
             limits: Limits::default(),
-            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Primary],
+            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Primary, EstimatorKind::Secure],
             in_loop: EstimatorKind::EkfBias,
             ekf: EkfOptions::from(suite),
             sensors: suite.descriptions().iter().map(|d| d.id).collect(),

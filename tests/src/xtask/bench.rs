@@ -53,19 +53,22 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         match bench {
             Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
             Bench::Charts => browser::bench(workspace)?,
-            Bench::Program(package, name) => program(workspace, package, name)?,
+            Bench::Program(package, name) => program(workspace, package, name, &[])?,
         }
     }
     Ok(())
 }
 
-/// Builds and runs one of a package's bench programs; what it prints is the result.
+/// Runs a package's program without a harness, in release, with `arguments`.
 ///
 /// # Errors
 /// It could not be built, or failed.
-pub fn program(workspace: &Workspace, package: &str, name: &str) -> Result<(), XtaskError> {
+pub fn program(workspace: &Workspace, package: &str, name: &str, arguments: &[&str]) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
     cargo.args(["bench", "--locked", "--package", package, "--bench", name]);
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("release"));
+    if !arguments.is_empty() {
+        cargo.arg("--").args(arguments);
+    }
     workspace::run(cargo.stdin(Stdio::null()))
 }

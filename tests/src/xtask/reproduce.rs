@@ -7,6 +7,9 @@ use super::{Workspace, XtaskError, bench};
 pub struct Options {
     /// `paternain`, `umasankar`, `strategies` or `clinic`; all of them without a name.
     pub source: Option<String>,
+    /// Fewer seeds and trials, where a program knows it.
+    #[arg(long)]
+    pub quick: bool,
 }
 
 /// Source, its programs, and what comes with later work.
@@ -16,8 +19,8 @@ const SOURCES: [(&str, &[Program], &str); 4] = [
     ("strategies", &[], "LQG and H-infinity trajectories come with the controllers"),
     (
         "clinic",
-        &[("plumbline-agent", "sse")],
-        "decoder times are in `sse`; Table 1 in closed loop comes with secure estimation in the loop",
+        &[("plumbline-agent", "sse"), (TESTS, "clinic")],
+        "decoder times; Figures 8 to 13, Table 1 in closed loop, four real IMUs; report in target/reproduce/clinic",
     ),
 ];
 
@@ -39,10 +42,11 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         let names = SOURCES.map(|(name, ..)| name).join(", ");
         return Err(XtaskError::Other(format!("no source is called `{source}`; there are: {names}")));
     }
+    let arguments: &[&str] = if options.quick { &["--quick"] } else { &[] };
     for (name, programs, note) in chosen {
         eprintln!("[{name}] {note}");
         for (package, program) in *programs {
-            bench::program(workspace, package, program)?;
+            bench::program(workspace, package, program, arguments)?;
         }
     }
     Ok(())

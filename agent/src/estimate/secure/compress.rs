@@ -31,6 +31,8 @@ struct Term {
 #[derive(Debug, Clone)]
 pub struct Compressed<const N: usize> {
     terms: Vec<Term>,
+    /// The first so many are in use; the others keep their memory for later.
+    active: usize,
     samples: usize,
     /// Cholesky factor of ΣRᵢᵀRᵢ, for the least-squares start and the dual projection.
     gram: nalgebra::Cholesky<f64, nalgebra::Const<N>>,
@@ -68,8 +70,67 @@ impl<const N: usize> Compressed<N> {
             }
             samples += phi.nrows();
         }
+        let active = terms.len();
+        let mut compressed = Self { terms, active, samples, gram: identity()? };
+        compressed.settle()?;
+        Ok(compressed)
+    }
+
+    /// Room for `terms` terms of at most `samples` samples each, none in it: for windows whose samples come and go.
+    ///
+    /// # Errors
+    /// Never, for any N.
+    pub(super) fn with_room(terms: usize, samples: usize) -> Result<Self, SecureError> {
+        let rank = samples.min(N);
+        let empty = || Term {
+            support: Vec::with_capacity(N),
+            rows: Vec::with_capacity(rank * N),
+            rank: 0,
+            samples: (0, 0),
+            q: Vec::with_capacity(samples * rank),
+        };
+        Ok(Self { terms: (0..terms).map(|_| empty()).collect(), active: 0, samples: 0, gram: identity()? })
+    }
+
+    /// Takes every term out.
+    pub(super) fn clear(&mut self) {
+        self.active = 0;
+        self.samples = 0;
+    }
+
+    /// Adds a term of `count` samples: `rows` is R (rank × support, row-major), `q` is Q (count × rank,
+    /// column-major). Allocates only beyond the room made; a term too many is refused.
+    pub(super) fn push(&mut self, support: &[usize], rows: &[f64], q: &[f64], rank: usize, count: usize) -> bool {
+        let Some(term) = self.terms.get_mut(self.active) else { return false };
+        term.support.clear();
+        term.support.extend_from_slice(support);
+        term.rows.clear();
+        term.rows.extend_from_slice(rows);
+        term.q.clear();
+        term.q.extend_from_slice(q);
+        term.rank = rank;
+        term.samples = (self.samples, count);
+        self.samples += count;
+        self.active += 1;
+        true
+    }
+
+    /// The same terms as `other`, in the memory that is there.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        self.clear();
+        for term in other.terms.iter().take(other.active) {
+            self.push(&term.support, &term.rows, &term.q, term.rank, term.samples.1);
+        }
+        self.gram = other.gram;
+    }
+
+    /// To be called after the last [`Self::push`]: factors ΣRᵢᵀRᵢ.
+    ///
+    /// # Errors
+    /// [`SecureError::Unobservable`] naming the state at the smallest pivot.
+    pub(super) fn settle(&mut self) -> Result<(), SecureError> {
         let mut gram = SMatrix::<f64, N, N>::zeros();
-        for term in &terms {
+        for term in self.terms.iter().take(self.active) {
             for row in term.rows.chunks_exact(term.support.len().max(1)) {
                 for (a, va) in term.support.iter().zip(row) {
                     for (b, vb) in term.support.iter().zip(row) {
@@ -89,7 +150,8 @@ impl<const N: usize> Compressed<N> {
                 return Err(unobservable(pivots[state], state));
             }
         }
-        Ok(Self { terms, samples, gram: factor })
+        self.gram = factor;
+        Ok(())
     }
 
     fn sensor_term(sensor: usize, phi: &DMatrix<f64>, first: usize) -> Result<Term, SecureError> {
@@ -133,16 +195,16 @@ impl<const N: usize> Compressed<N> {
 
     /// Terms of the objective.
     pub fn terms(&self) -> usize {
-        self.terms.len()
+        self.active
     }
 
     /// Rows of the compressed problem.
     pub fn rows(&self) -> usize {
-        self.terms.iter().map(|t| t.rank).sum()
+        self.terms.iter().take(self.active).map(|t| t.rank).sum()
     }
 
     pub(super) fn term_rows(&self) -> impl Iterator<Item = TermRows<'_>> {
-        self.terms.iter().map(|t| TermRows { support: &t.support, rows: &t.rows, rank: t.rank })
+        self.terms.iter().take(self.active).map(|t| TermRows { support: &t.support, rows: &t.rows, rank: t.rank })
     }
 
     /// Solves (ΣRᵢᵀRᵢ) x = v in place.
@@ -160,7 +222,7 @@ impl<const N: usize> Compressed<N> {
             return Err(SecureError::Shape { what, found: window.len(), expected: self.samples });
         }
         let mut b = b.iter_mut();
-        for (sensor, (term, c)) in self.terms.iter().zip(c).enumerate() {
+        for (sensor, (term, c)) in self.terms.iter().take(self.active).zip(c).enumerate() {
             let (first, count) = term.samples;
             let y = window.get(first..first + count).unwrap_or_default();
             // One pass finds every NaN and infinity: only they make this sum not finite.
@@ -200,6 +262,12 @@ impl<const N: usize> Compressed<N> {
         }
         Ok(())
     }
+}
+
+/// Factor of the identity: a place to keep a factor before there is one.
+fn identity<const N: usize>() -> Result<nalgebra::Cholesky<f64, nalgebra::Const<N>>, SecureError> {
+    let unobservable = SecureError::Unobservable { pivot: 0.0, largest: 0.0, state: 0 };
+    SMatrix::<f64, N, N>::identity().cholesky().ok_or(unobservable)
 }
 
 /// Longest window of one sensor, samples.

@@ -11,14 +11,23 @@
 //! | Yᵢ | whitened outputs of sensor i | T |
 //! | Φᵢ | whitened observability rows of sensor i | T × N |
 //!
+//! Before flight: [`suite`] says what the sensors can promise. In flight: [`flying`] is the estimator `secure`; [`window`] holds the last T slots, [`identify`] finds the
+//! attacked set, [`gated`] is the filter on what is clean.
+//!
 //! [`compress`] makes the problem small without changing it, [`newton`] solves it with a certificate,
 //! [`conic`] solves the same programs with Clarabel, as reference and audit; [`offline`] decodes
 //! windows from a file.
 
 pub mod compress;
 pub mod conic;
+pub mod flying;
+pub mod gated;
+pub mod identify;
+pub mod inertial;
 pub mod newton;
 pub mod offline;
+pub mod suite;
+pub mod window;
 
 use std::fmt;
 
@@ -117,6 +126,25 @@ pub enum SecureError {
         sensor: usize,
         /// Relative error.
         error: f64,
+    },
+    /// A window without slots, or with too many.
+    #[error("a window of {slots} slots: 1 to {most} are possible")]
+    Slots {
+        /// Asked for.
+        slots: usize,
+        /// Most.
+        most: usize,
+    },
+    /// The transition over one slot has no inverse.
+    #[error("the model's transition has no inverse: a window cannot be anchored at its end")]
+    Transition,
+    /// A row without (finite, positive) noise cannot be whitened.
+    #[error("row {row}: whitening is singular with a sigma of {sigma}")]
+    Whitening {
+        /// Row, from 0.
+        row: usize,
+        /// Its sigma.
+        sigma: f64,
     },
     /// The conic solver gave up.
     #[error("Clarabel: {0}")]

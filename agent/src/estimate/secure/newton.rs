@@ -12,8 +12,6 @@
 //!
 //! Nothing is allocated after [`Newton::new`].
 
-use std::time::Instant;
-
 use nalgebra::{SMatrix, SVector};
 
 use super::compress::Compressed;
@@ -28,13 +26,28 @@ pub struct Settings {
     pub tolerance_abs: f64,
     /// Most iterations.
     pub max_iterations: u32,
-    /// Most wall-clock time, µs; `None` for no limit (tests, offline).
-    pub deadline_us: Option<u64>,
+    /// Most time; `None` for no limit (tests, offline, simulations that must repeat bit by bit).
+    pub deadline: Option<Deadline>,
+}
+
+/// When to give up, by a clock from outside: estimators have none.
+#[derive(Debug, Clone, Copy)]
+pub struct Deadline {
+    /// Counts nanoseconds.
+    pub stopwatch: fn() -> u64,
+    /// After this long, µs.
+    pub limit_us: u64,
+}
+
+impl PartialEq for Deadline {
+    fn eq(&self, other: &Self) -> bool {
+        self.limit_us == other.limit_us && std::ptr::fn_addr_eq(self.stopwatch, other.stopwatch)
+    }
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { tolerance: 1e-8, tolerance_abs: 1e-9, max_iterations: 60, deadline_us: None }
+        Self { tolerance: 1e-8, tolerance_abs: 1e-9, max_iterations: 60, deadline: None }
     }
 }
 
@@ -53,7 +66,11 @@ pub struct Newton<const N: usize> {
 impl<const N: usize> Newton<N> {
     /// Memory for problems as large as `compressed`.
     pub fn new(compressed: &Compressed<N>, settings: Settings) -> Self {
-        let (rows, terms) = (compressed.rows(), compressed.terms());
+        Self::with_room(compressed.rows(), compressed.terms(), settings)
+    }
+
+    /// Memory for problems of up to so many rows and terms.
+    pub fn with_room(rows: usize, terms: usize, settings: Settings) -> Self {
         Self {
             settings,
             b: vec![0.0; rows],
@@ -63,6 +80,16 @@ impl<const N: usize> Newton<N> {
             trial: vec![0.0; rows],
             s: vec![0.0; terms],
         }
+    }
+
+    /// Changes when to stop.
+    pub fn settle_for(&mut self, settings: Settings) {
+        self.settings = settings;
+    }
+
+    /// The settings in use.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
     }
 
     /// Decodes one window: the samples of all sensors one after the other. `start` is a guess (the
@@ -76,18 +103,21 @@ impl<const N: usize> Newton<N> {
         window: &[f64],
         start: Option<&SVector<f64, N>>,
     ) -> Result<Decoded<N>, SecureError> {
-        let begun = self.settings.deadline_us.map(|limit| (Instant::now(), limit));
+        let begun = self.settings.deadline.map(|d| (d, (d.stopwatch)()));
+        let terms = problem.terms();
         problem.right_hand_side(window, &mut self.b, &mut self.c)?;
         let mut x = match start {
             Some(x) if x.iter().all(|v| v.is_finite()) => *x,
             _ => self.least_squares(problem),
         };
-        let terms = self.c.len() as f64;
+        // Memory may be larger than this problem.
+        let c = self.c.get(..terms).unwrap_or_default();
+        let terms = terms as f64;
         residual(problem, &self.b, &x, &mut self.r);
-        let mut objective = self.objective(problem, 0.0);
+        let mut objective = norms(problem, &self.r, &self.c, 0.0, &mut self.s);
         // Kinks are rounded at first to a hundredth of a mean term; windows with noise need none of it.
         let mean = objective / terms;
-        let mut mu = if self.c.iter().all(|c| *c > 1e-3 * mean) { 0.0 } else { 0.1 * mean };
+        let mut mu = if c.iter().all(|c| *c > 1e-3 * mean) { 0.0 } else { 0.1 * mean };
         self.multipliers_from_residual(problem, mu);
         let mut best = Decoded { x, objective, lower_bound: 0.0, iterations: 0, status: Status::MaxIterations };
         let mut stalls = 0;
@@ -112,7 +142,7 @@ impl<const N: usize> Newton<N> {
                 best.status = Status::Solved;
                 break;
             }
-            if begun.is_some_and(|(t, limit)| t.elapsed().as_micros() as u64 >= limit) {
+            if begun.is_some_and(|(d, t)| (d.stopwatch)().saturating_sub(t) >= 1000 * d.limit_us) {
                 best.status = Status::MaxTime;
                 break;
             }

@@ -1,0 +1,735 @@
+//! The estimator `secure`: window, decoder, identification, and the filter on what is clean.
+//!
+//! Every tick the filter takes the samples of the sensors that are not flagged. Every slot (40 ms: [Clinic]
+//! asks for 25 Hz) the window takes one value of each sensor, is decoded, and the attacked set is judged.
+//!
+//! The window's state is the deviation from the filter's own path as its IMUs alone would have continued it,
+//! at the window's end, in the frame of the present heading: x y z of [Clinic]'s ten states and the mean
+//! deviation of the accelerometers. Values are counted from that path, so the forced response (thrust,
+//! strings, ground) is removed by measurement; the model of the deviations is linear about the trim.
+//!
+//! | state | what | sees it |
+//! |---|---|---|
+//! | z, v_z | height, climb, m, m/s | heights, barometers |
+//! | v_x, v_y | m/s, heading frame | v̇_x = g pitch, v̇_y = −g roll; the filter's own σ |
+//! | roll, pitch, yaw | rad | magnetometers (yaw); the filter's own σ |
+//! | p, q, r | rad/s | gyroscopes |
+//! | a_x a_y a_z | mean error of the accelerometers, m/s² | accelerometers |
+//!
+//! Valid up to [`TILT_MAX_RAD`] and [`RATE_MAX_RADPS`]. Beyond, nothing is decoded: status
+//! `OUTSIDE_MODEL`, health degraded, and the filter (nonlinear, with its own gates) flies on with the
+//! attacked set of before. Fallbacks of a decode that came too late: the anytime iterate with its certified
+//! gap, then the attacked set of before.
+
+use nalgebra::{SMatrix, SVector};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+pub use plumbline_proto::v1::{DecoderStatus, SecureFallback};
+
+use super::compress::Compressed;
+use super::gated::Gated;
+use super::identify::{Cusum, Evidence, Identifier, Stuck, Z_999, chi_square, stuck_limit};
+use super::inertial::Inertial;
+use super::newton::{Deadline, Settings};
+use super::window::{Model, Row, Window};
+use super::{Decoded, SecureError, Status};
+use crate::estimate::ekf_bias::EkfOptions;
+use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
+use crate::frames::tilt_rad;
+use crate::model::airframe::Airframe;
+use crate::model::measure::barometer::pressure_altitude_m;
+use crate::model::measure::{Kinematics, heading};
+use crate::vehicle::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS, MotorCommand, SensorFrame};
+
+/// States of the window.
+pub const STATES: usize = 13;
+/// Indices of the window's states: those of [Clinic] 3.1 in order, then the accelerometers' mean error.
+pub mod ix {
+    /// Height, m.
+    pub const Z: usize = 0;
+    /// m/s, heading frame.
+    pub const VX: usize = 1;
+    /// m/s, heading frame.
+    pub const VY: usize = 2;
+    /// m/s.
+    pub const VZ: usize = 3;
+    /// rad.
+    pub const ROLL: usize = 4;
+    /// rad.
+    pub const PITCH: usize = 5;
+    /// rad.
+    pub const YAW: usize = 6;
+    /// rad/s; q and r follow.
+    pub const P: usize = 7;
+    /// m/s²; y and z follow.
+    pub const AX: usize = 10;
+}
+
+/// Length of a slot, s.
+pub const SLOT_S: f64 = 0.04;
+/// Slots of the window ([Clinic]: T = 10).
+pub const SLOTS: usize = 10;
+/// Beyond this tilt the window's model is not valid.
+pub const TILT_MAX_RAD: f64 = 0.7;
+/// Beyond this rate the attitude turns too far within a window.
+pub const RATE_MAX_RADPS: f64 = 4.0;
+/// Windows during which deviations are only learned: 2 s.
+const LEARNING: u32 = 50;
+/// Time constant with which learned deviations follow, s.
+const LEARNED_S: f64 = 20.0;
+/// A learned deviation is at most so many times what may stay unlearned (β).
+const LEARNED_LIMIT: f64 = 6.0;
+/// After a flag the loop flies on other sensors, and what the rest of them differ by (ripple of the loop at
+/// their sampling rate) is learned anew during so many windows: 1 s.
+const RELEARNING: u32 = 25;
+/// Deviations this many slots old still take part in a median: sensors may sample in turns.
+const RECENT_SLOTS: u64 = 4;
+/// σ of a deviation from a median of three, in sigmas of one value.
+const CUSUM_SIGMAS: f64 = 1.25;
+/// Height decoded further than this from the filter …
+const RESET_M: f64 = 0.06;
+/// … in so many windows in a row resets the filter to it: 0.6 s.
+const RESET_WINDOWS: u32 = 15;
+/// Without a stopwatch nothing is late; with one, a decode may take this long, µs.
+pub const DEADLINE_US: u64 = 1000;
+/// An iterate whose certified gap is larger than this identifies nobody.
+const GAP_USABLE: f64 = 1e-2;
+/// Gap at which the flying decoder stops.
+const GAP: f64 = 1e-6;
+/// A gap in time longer than this empties the window, s.
+const LONGEST_GAP_S: f64 = 0.5;
+
+const ROWS_OF_IMU: usize = 7;
+const HEIGHT: usize = 0;
+const BAROMETER: usize = MAX_HEIGHTS;
+const IMU: usize = MAX_HEIGHTS + MAX_BAROMETERS;
+const SENSORS: usize = IMU + ROWS_OF_IMU * MAX_IMUS;
+
+/// What the last window said.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowReport {
+    /// Time of its end.
+    pub time: FlightTime,
+    /// How it ended.
+    pub status: DecoderStatus,
+    /// What was fallen back on.
+    pub fallback: SecureFallback,
+    /// Objective.
+    pub objective: f64,
+    /// Certified bound below it.
+    pub lower_bound: f64,
+    /// Iterations.
+    pub iterations: u32,
+    /// Decode and identify, µs; zero without a stopwatch.
+    pub solve_time_us: f64,
+    /// Decoded height, m.
+    pub height_m: f64,
+    /// Windows decoded so far: changes with each.
+    pub count: u64,
+}
+
+/// A window to be solved again by somebody else.
+#[derive(Debug, Clone)]
+pub struct AuditCase {
+    /// Its time.
+    pub time: FlightTime,
+    /// The problem.
+    pub problem: Compressed<STATES>,
+    /// Its samples.
+    pub samples: Vec<f64>,
+    /// Objective that flew.
+    pub objective: f64,
+}
+
+/// Sums of one slot.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    total: f64,
+    samples: u32,
+}
+
+impl Sum {
+    fn add(&mut self, value: f64) {
+        if value.is_finite() {
+            self.total += value;
+            self.samples += 1;
+        }
+    }
+
+    fn take(&mut self) -> Option<f64> {
+        let mean = (self.samples > 0).then(|| self.total / f64::from(self.samples));
+        *self = Self::default();
+        mean
+    }
+}
+
+/// The estimator. See the module.
+pub struct Secure {
+    options: EkfOptions,
+    gated: Gated,
+    window: Window<STATES>,
+    identifier: Identifier,
+    inertial: Inertial,
+    estimate: Estimate,
+    report: WindowReport,
+
+    now: Option<FlightTime>,
+    slot: u64,
+    /// Corrections of the filter already taken into the window, and where its own path is from the filter's.
+    corrections: (f64, f64),
+    path: (f64, f64),
+    slots: [Sum; SENSORS],
+    /// σ and β of each sensor's row.
+    sigma: [(f64, f64); SENSORS],
+    learned: [f64; SENSORS],
+    value: [Option<f64>; SENSORS],
+    /// Slot and value of the last deviation from what the sensor should read, the learned one removed.
+    deviation: [Option<(u64, f64)>; SENSORS],
+    cusum: [Cusum; SENSORS],
+    stuck_imu: [Stuck<6>; MAX_IMUS],
+    stuck_height: [Stuck<1>; MAX_HEIGHTS],
+    stuck: [u32; MAX_IMUS + MAX_HEIGHTS],
+    windows: u32,
+    /// Windows until which deviations of IMUs are learned anew, and how many flags there were.
+    relearn_until: u32,
+    flags: usize,
+    apart: u32,
+    resets: u32,
+    last: Option<SVector<f64, STATES>>,
+    stopwatch: Option<fn() -> u64>,
+}
+
+impl Secure {
+    /// Nothing known yet.
+    ///
+    /// # Errors
+    /// Options without noise, which cannot be whitened.
+    pub fn new(options: EkfOptions, airframe: &Airframe) -> Result<Self, SecureError> {
+        let sigma = sigmas(&options);
+        let settings = Settings { tolerance: GAP, ..Settings::default() };
+        let kinds: [usize; SENSORS] = std::array::from_fn(kind_of);
+        let window = Window::new(&model(&options, &sigma), &rows(&sigma), &kinds, SLOTS, settings)?;
+        Ok(Self {
+            window,
+            gated: Gated::new(options.clone(), airframe),
+            identifier: Identifier::default(),
+            inertial: Inertial::new(&options),
+            estimate: Estimate::default(),
+            report: WindowReport {
+                time: FlightTime::default(),
+                status: DecoderStatus::Filling,
+                fallback: SecureFallback::None,
+                objective: 0.0,
+                lower_bound: 0.0,
+                iterations: 0,
+                solve_time_us: 0.0,
+                height_m: 0.0,
+                count: 0,
+            },
+            now: None,
+            slot: 0,
+            corrections: (0.0, 0.0),
+            path: (0.0, 0.0),
+            slots: [Sum::default(); SENSORS],
+            sigma,
+            learned: [0.0; SENSORS],
+            value: [None; SENSORS],
+            deviation: [None; SENSORS],
+            cusum: [Cusum::default(); SENSORS],
+            stuck_imu: [Stuck::default(); MAX_IMUS],
+            stuck_height: [Stuck::default(); MAX_HEIGHTS],
+            stuck: [0; MAX_IMUS + MAX_HEIGHTS],
+            windows: 0,
+            relearn_until: 0,
+            flags: 0,
+            apart: 0,
+            resets: 0,
+            last: None,
+            stopwatch: None,
+            options,
+        })
+    }
+
+    /// The last window.
+    pub fn window(&self) -> &WindowReport {
+        &self.report
+    }
+
+    /// The attacked set.
+    pub fn identifier(&self) -> &Identifier {
+        &self.identifier
+    }
+
+    /// Force that neither thrust nor gravity explains, ENU, N.
+    pub fn disturbance_enu_n(&self) -> nalgebra::Vector3<f64> {
+        self.gated.disturbance_enu_n()
+    }
+
+    /// Filter resets to the decoder so far.
+    pub fn resets(&self) -> u32 {
+        self.resets
+    }
+
+    /// Error bound of the decoded height, m; `None` where the theory promises nothing.
+    ///
+    /// Of m values of which q are arbitrary, the point of least total distance lies within
+    /// 2(m − q)/(m − 2q) times the radius of the honest ones (Minsker 2015, Lemma 2.1); the radius is taken
+    /// at 99.9 %. Without a majority (m ≤ 2q), or with two heights only, nothing is promised.
+    pub fn height_bound_m(&self) -> Option<f64> {
+        let margin = self.identifier.margin(SensorKind::Height);
+        let decoded = matches!(self.report.status, DecoderStatus::Solved | DecoderStatus::MaxIterations);
+        // Flagged ones are left out of the decode; one more unseen liar is allowed for.
+        let m = margin.present - margin.flagged.min(margin.present);
+        let unseen = usize::from(margin.flagged == 0);
+        if !decoded || self.identifier.contradicted() || m <= 2 * unseen || margin.margin() <= 0 {
+            return None;
+        }
+        let (sigma, bias) = self.sigma[HEIGHT];
+        let values = (0..MAX_HEIGHTS).map(|i| self.window.count(HEIGHT + i)).filter(|n| *n > 0).min()?;
+        let radius = Z_999 * (sigma * sigma / values as f64 + bias * bias).sqrt();
+        Some(2.0 * (m - unseen) as f64 / (m - 2 * unseen) as f64 * radius)
+    }
+
+    /// Memory for [`Self::audit`].
+    ///
+    /// # Errors
+    /// Never for this number of states.
+    pub fn audit_case() -> Result<AuditCase, SecureError> {
+        Ok(AuditCase {
+            time: FlightTime::default(),
+            problem: Compressed::with_room(SENSORS + STATES, SLOTS + 1)?,
+            samples: Vec::with_capacity(SENSORS * (SLOTS + 1) + 2 * STATES),
+            objective: 0.0,
+        })
+    }
+
+    /// Copies the last window into `case`, for somebody with time; false when none was decoded. Allocates
+    /// nothing.
+    pub fn audit(&self, case: &mut AuditCase) -> bool {
+        if self.report.status != DecoderStatus::Solved {
+            return false;
+        }
+        let (problem, samples) = self.window.problem();
+        case.problem.copy_from(problem);
+        case.samples.clear();
+        case.samples.extend_from_slice(samples);
+        case.time = self.report.time;
+        case.objective = self.report.objective;
+        true
+    }
+
+    /// Samples of this tick into the sums of their slot.
+    fn gather(&mut self, frame: &SensorFrame) {
+        let now = frame.time;
+        let identifier = &mut self.identifier;
+        for (i, imu) in frame.imus.iter().enumerate() {
+            let Some(imu) = imu else { continue };
+            identifier.saw(SensorId::new(SensorKind::Imu, i as u8 + 1), now);
+            let (w, f) = (imu.gyro_radps, imu.accel_mps2);
+            self.stuck[i] = self.stuck_imu[i].take([w.x, w.y, w.z, f.x, f.y, f.z]);
+            if let Some(mag) = imu.mag_ut.filter(|m| m.iter().all(|v| v.is_finite())) {
+                let e = self.gated.estimate();
+                let state = Kinematics {
+                    position_enu_m: e.position_enu_m,
+                    velocity_enu_mps: e.velocity_enu_mps,
+                    world_from_body: e.world_from_body,
+                };
+                if let Some(heading) = heading::heading(&state, &mag, self.options.declination_rad) {
+                    self.slots[IMU + ROWS_OF_IMU * i + 6].add(heading.row.innovation);
+                }
+            }
+        }
+        self.inertial.take(frame);
+        // The filter's path without its corrections since the slot began.
+        let z = self.gated.estimate().position_enu_m.z - self.path.0;
+        for (i, height) in frame.heights.iter().enumerate() {
+            let Some(height) = height else { continue };
+            identifier.saw(SensorId::new(SensorKind::Height, i as u8 + 1), now);
+            self.stuck[MAX_IMUS + i] = self.stuck_height[i].take([height.height_m]);
+            self.slots[HEIGHT + i].add(height.height_m - z);
+        }
+        for (i, barometer) in frame.barometers.iter().enumerate() {
+            let Some(barometer) = barometer else { continue };
+            identifier.saw(SensorId::new(SensorKind::Barometer, i as u8 + 1), now);
+            let altitude = pressure_altitude_m(barometer.pressure_pa, self.options.reference_pressure_pa);
+            self.slots[BAROMETER + i].add(altitude - z);
+        }
+    }
+
+    /// The filter's path without its corrections moves on.
+    fn follow(&mut self, dt_s: f64) {
+        let corrections = self.gated.vertical_corrections();
+        let (dz, dv) = (corrections.0 - self.corrections.0, corrections.1 - self.corrections.1);
+        self.corrections = corrections;
+        self.path.0 += self.path.1 * dt_s + dz;
+        self.path.1 += dv;
+    }
+
+    /// The slot is over: its means go into the window, which is decoded and judged.
+    fn close(&mut self, now: FlightTime) {
+        let begun = self.stopwatch.map(|read| read());
+        self.window.advance(None);
+        for (i, deviation) in self.inertial.deviations().into_iter().enumerate() {
+            for (k, slot) in self.slots.iter_mut().skip(IMU + ROWS_OF_IMU * i).take(6).enumerate() {
+                *slot = Sum::default();
+                slot.add(deviation.and_then(|d| d.get(k).copied()).unwrap_or(f64::NAN));
+            }
+        }
+        self.inertial.begin(now);
+        for sensor in 0..SENSORS {
+            self.value[sensor] = self.slots[sensor].take();
+        }
+        self.learn();
+        for sensor in 0..SENSORS {
+            if let Some(value) = self.value[sensor] {
+                self.window.put(sensor, value - self.learned[sensor]);
+            }
+        }
+        // From now on deviations are counted from the filter's present path.
+        let mut by = SVector::<f64, STATES>::zeros();
+        (by[ix::Z], by[ix::VZ]) = self.path;
+        self.window.rebase(&by);
+        self.path = (0.0, 0.0);
+
+        self.report.time = now;
+        self.report.count += 1;
+        self.report.fallback = SecureFallback::None;
+        let estimate = self.gated.estimate();
+        let turning = estimate.body_rates_radps.norm() > RATE_MAX_RADPS;
+        if estimate.health == Health::Initialising || !self.window.is_ready() {
+            self.report.status = DecoderStatus::Filling;
+        } else if tilt_rad(&estimate.world_from_body) > TILT_MAX_RAD || turning {
+            self.fall_back(DecoderStatus::OutsideModel);
+        } else {
+            self.decode(now);
+        }
+        if let (Some(read), Some(begun)) = (self.stopwatch, begun) {
+            self.report.solve_time_us = read().saturating_sub(begun) as f64 * 1e-3;
+        }
+    }
+
+    fn fall_back(&mut self, status: DecoderStatus) {
+        self.report.status = status;
+        self.report.fallback = SecureFallback::PreviousSet;
+        self.last = None;
+        self.apart = 0;
+    }
+
+    fn decode(&mut self, now: FlightTime) {
+        let e = self.gated.estimate();
+        let (v, a) = (e.velocity_sigma_mps, e.attitude_sigma_rad);
+        // A vehicle without heights and barometers still has IMUs to judge.
+        let vertical = (HEIGHT..IMU).any(|sensor| self.window.count(sensor) > 0);
+        let prior = [
+            (ix::Z, if vertical { f64::INFINITY } else { e.position_sigma_m.z.clamp(0.05, 10.0) }),
+            (ix::VX, v.x.clamp(0.05, 5.0)),
+            (ix::VY, v.y.clamp(0.05, 5.0)),
+            (ix::VZ, 2.0),
+            (ix::ROLL, a.x.clamp(0.005, 1.0)),
+            (ix::PITCH, a.y.clamp(0.005, 1.0)),
+            (ix::YAW, 0.5),
+            (ix::P, 2.0),
+            (ix::P + 1, 2.0),
+            (ix::P + 2, 2.0),
+            (ix::AX, 10.0),
+            (ix::AX + 1, 10.0),
+            (ix::AX + 2, 10.0),
+        ];
+        let identifier = &self.identifier;
+        let decoded = self.window.decode(|sensor| identifier.is_flagged(device_of(sensor)), &prior, self.last.as_ref());
+        let Ok(Decoded { x, objective, lower_bound, iterations, status }) = decoded else {
+            return self.fall_back(DecoderStatus::Unobservable);
+        };
+        self.last = Some(x);
+        self.report.objective = objective;
+        self.report.lower_bound = lower_bound;
+        self.report.iterations = iterations;
+        self.report.height_m = e.position_enu_m.z + x[ix::Z];
+        self.report.status = match status {
+            Status::Solved => DecoderStatus::Solved,
+            Status::MaxIterations => DecoderStatus::MaxIterations,
+            Status::MaxTime => DecoderStatus::MaxTime,
+            Status::Stalled => DecoderStatus::Stalled,
+        };
+        if status != Status::Solved {
+            self.report.fallback = SecureFallback::Anytime;
+            if objective - lower_bound > GAP_USABLE * objective {
+                self.report.fallback = SecureFallback::PreviousSet;
+                return;
+            }
+        }
+        self.windows = self.windows.saturating_add(1);
+        self.judge(now);
+        self.keep_together(&x);
+    }
+
+    fn judge(&mut self, now: FlightTime) {
+        let Self { window, cusum, stuck, identifier, options, windows, .. } = self;
+        let imu_stuck = stuck_limit(options.gyro_vote.sigma, 0.5 * options.gyro_vote.sigma);
+        let height_stuck = stuck_limit(options.height_sigma_m, 1e-3);
+        // A group of which none moves is not stuck: it is logged twice, or silent.
+        let moving = |part: std::ops::Range<usize>| stuck.get(part).unwrap_or_default().contains(&0);
+        let (imus_move, heights_move) = (moving(0..MAX_IMUS), moving(MAX_IMUS..MAX_IMUS + MAX_HEIGHTS));
+        identifier.judge(now, *windows < LEARNING, |id| {
+            let i = usize::from(id.instance.saturating_sub(1));
+            let (sensors, is_stuck) = match id.kind {
+                SensorKind::Imu => {
+                    let first = IMU + ROWS_OF_IMU * i;
+                    (first..first + ROWS_OF_IMU, imus_move && stuck.get(i).is_some_and(|n| *n >= imu_stuck))
+                }
+                SensorKind::Height => (
+                    HEIGHT + i..HEIGHT + i + 1,
+                    heights_move && stuck.get(MAX_IMUS + i).is_some_and(|n| *n >= height_stuck),
+                ),
+                _ => (BAROMETER + i..BAROMETER + i + 1, false),
+            };
+            let mut evidence = Evidence { stuck: is_stuck, ..Evidence::default() };
+            for sensor in sensors {
+                let statistic = window.statistic(sensor);
+                if statistic.values > 0 {
+                    let ratio = statistic.square / chi_square(statistic.values, Z_999);
+                    evidence.window_ratio = evidence.window_ratio.max(ratio);
+                }
+                evidence.drift_ratio = evidence.drift_ratio.max(cusum.get(sensor).map_or(0.0, Cusum::ratio));
+            }
+            evidence
+        });
+        let flags = self.identifier.margin(SensorKind::Imu).flagged;
+        if flags != self.flags {
+            self.flags = flags;
+            self.relearn_until = self.windows.saturating_add(RELEARNING);
+            self.cusum.iter_mut().skip(IMU).for_each(|cusum| *cusum = Cusum::default());
+        }
+    }
+
+    /// Constant deviations are learned and slow ones summed up, both from the median of the instances.
+    fn learn(&mut self) {
+        for sensor in 0..SENSORS {
+            let Some(value) = self.value[sensor] else { continue };
+            let reference = if sensor < IMU { self.path.0 } else { 0.0 };
+            self.deviation[sensor] = Some((self.slot, value - reference - self.learned[sensor]));
+        }
+        for row in 0..ROWS_OF_IMU {
+            self.compare(&std::array::from_fn::<_, MAX_IMUS, _>(|i| IMU + ROWS_OF_IMU * i + row));
+        }
+        self.compare(&std::array::from_fn::<_, MAX_HEIGHTS, _>(|i| HEIGHT + i));
+        // A barometer's offset wanders without bound.
+        for sensor in BAROMETER..IMU {
+            let Some((_, deviation)) = self.deviation[sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
+            let learning = self.windows < LEARNING;
+            if learning || !self.identifier.is_suspect(device_of(sensor)) {
+                self.learned[sensor] += if learning { 0.3 } else { SLOT_S / LEARNED_S } * deviation;
+            }
+        }
+    }
+
+    /// `members` measure the same thing, some of them in turns.
+    fn compare(&mut self, members: &[usize]) {
+        let mut sorted: arrayvec::ArrayVec<f64, { MAX_IMUS + MAX_HEIGHTS }> = arrayvec::ArrayVec::new();
+        for sensor in members {
+            let recent = self.deviation[*sensor].filter(|(slot, _)| self.slot.saturating_sub(*slot) < RECENT_SLOTS);
+            if let Some((_, deviation)) = recent.filter(|_| !self.identifier.is_flagged(device_of(*sensor))) {
+                let _ = sorted.try_push(deviation);
+            }
+        }
+        sorted.sort_unstable_by(f64::total_cmp);
+        let n = sorted.len();
+        let Some((low, high)) = sorted.get(n.saturating_sub(1) / 2).zip(sorted.get(n / 2)) else { return };
+        let median = 0.5 * (low + high);
+        let imus = members.first().is_some_and(|sensor| *sensor >= IMU);
+        let learning = self.windows < LEARNING || (imus && self.windows < self.relearn_until);
+        for sensor in members {
+            let Some((_, deviation)) = self.deviation[*sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
+            let deviation = deviation - median;
+            let (sigma, bias) = self.sigma[*sensor];
+            // Two can contradict each other, but not outvote.
+            if !learning && n >= 3 {
+                self.cusum[*sensor].take(deviation / (CUSUM_SIGMAS * sigma.hypot(0.5 * bias)));
+            }
+            let device = device_of(*sensor);
+            if !self.identifier.is_flagged(device) && (learning || !self.identifier.is_suspect(device)) {
+                let gain = if learning { 0.1 } else { SLOT_S / LEARNED_S };
+                let limit = LEARNED_LIMIT * bias;
+                self.learned[*sensor] = (self.learned[*sensor] + gain * deviation).clamp(-limit, limit);
+            }
+        }
+    }
+
+    /// The reset rule: a filter that stays away from a decoder which has a majority is moved to it.
+    fn keep_together(&mut self, x: &SVector<f64, STATES>) {
+        let promised = self.height_bound_m();
+        let limit = promised.map_or(f64::INFINITY, |bound| bound.max(RESET_M));
+        self.apart = if x[ix::Z].abs() > limit { self.apart + 1 } else { 0 };
+        if self.apart >= RESET_WINDOWS {
+            self.apart = 0;
+            self.resets += 1;
+            let mut to = self.gated.estimate().clone();
+            to.position_enu_m.z += x[ix::Z];
+            to.velocity_enu_mps.z += x[ix::VZ];
+            to.position_sigma_m.z = promised.unwrap_or(0.1);
+            to.velocity_sigma_mps.z = 0.2;
+            self.gated.reset_to(&to);
+            self.start_over();
+        }
+    }
+
+    /// The window and what is counted from the filter's path; flags stay.
+    fn start_over(&mut self) {
+        self.window.clear();
+        self.slots = [Sum::default(); SENSORS];
+        self.inertial.begin(self.now.unwrap_or_default());
+        self.path = (0.0, 0.0);
+        self.corrections = self.gated.vertical_corrections();
+        self.last = None;
+        self.apart = 0;
+        self.report.status = DecoderStatus::Filling;
+    }
+
+    fn publish(&mut self, received: &SensorFrame) {
+        self.estimate.clone_from(self.gated.estimate());
+        // Who is left out is shown as well.
+        let e = &mut self.estimate;
+        for (i, height) in received.heights.iter().enumerate() {
+            let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
+            if let Some(height) = height.filter(|_| self.identifier.is_flagged(sensor)) {
+                let sigma = self.options.height_sigma_m.hypot(e.position_sigma_m.z);
+                let _ = e.residuals.try_push(Residual {
+                    sensor,
+                    channel: Channel::Height,
+                    innovation: height.height_m - e.position_enu_m.z,
+                    sigma,
+                    gate: self.options.gates.height * sigma,
+                    accepted: false,
+                });
+            }
+        }
+        let outside = self.report.status == DecoderStatus::OutsideModel;
+        if e.health == Health::Healthy && (outside || self.identifier.contradicted()) {
+            e.health = Health::Degraded;
+        }
+        if self.gated.estimate().health == Health::Degraded && received.imus.iter().all(Option::is_none) {
+            self.report.fallback = SecureFallback::Prediction;
+        }
+    }
+}
+
+impl Estimator for Secure {
+    fn kind(&self) -> EstimatorKind {
+        EstimatorKind::Secure
+    }
+
+    fn step(&mut self, received: &SensorFrame, applied: &MotorCommand) -> &Estimate {
+        let now = received.time;
+        let dt_s = self.now.map_or(0.0, |last| now.seconds_since(last));
+        if !(0.0..=LONGEST_GAP_S).contains(&dt_s) {
+            // Time went backwards, or stood: what is in the window belongs to another flight.
+            self.start_over();
+        }
+        let dt_s = dt_s.clamp(0.0, LONGEST_GAP_S);
+        self.now = Some(now);
+        let slot = (now.as_seconds() / SLOT_S + 1e-6) as u64;
+        if slot != self.slot {
+            self.slot = slot;
+            self.close(now);
+        }
+        self.gated.step(received, applied, &self.identifier, dt_s);
+        self.follow(dt_s);
+        self.gather(received);
+        self.publish(received);
+        &self.estimate
+    }
+
+    fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    fn reset_to(&mut self, estimate: &Estimate) {
+        self.gated.reset_to(estimate);
+        self.estimate = self.gated.estimate().clone();
+        self.start_over();
+    }
+
+    fn secure(&self) -> Option<&Secure> {
+        Some(self)
+    }
+
+    fn time_with(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        self.stopwatch = Some(stopwatch);
+        let deadline = limit_us.map(|limit_us| Deadline { stopwatch, limit_us });
+        let settings = Settings { deadline, ..*self.window.newton().settings() };
+        self.window.newton().settle_for(settings);
+    }
+}
+
+/// The sensor that a row of the window belongs to.
+fn device_of(sensor: usize) -> SensorId {
+    let (kind, index) = match sensor {
+        s if s < BAROMETER => (SensorKind::Height, s - HEIGHT),
+        s if s < IMU => (SensorKind::Barometer, s - BAROMETER),
+        s => (SensorKind::Imu, (s - IMU) / ROWS_OF_IMU),
+    };
+    SensorId::new(kind, index as u8 + 1)
+}
+
+/// Which of [`rows`] a sensor has: one for each quantity.
+fn kind_of(sensor: usize) -> usize {
+    match sensor {
+        s if s < BAROMETER => 0,
+        s if s < IMU => 1,
+        s => 2 + (s - IMU) % ROWS_OF_IMU,
+    }
+}
+
+/// σ of one slot's value and β of each sensor.
+fn sigmas(options: &EkfOptions) -> [(f64, f64); SENSORS] {
+    // A vote's memory is 1.25 periods of an IMU.
+    let samples = |memory_s: f64| (SLOT_S / (memory_s / 1.25).clamp(1e-3, SLOT_S)).max(1.0);
+    let (gyro, accel) = (&options.gyro_vote, &options.accel_vote);
+    let height = options.height_sigma_m.max(1e-3);
+    let barometer = options.barometer_sigma_m.max(0.01);
+    std::array::from_fn(|sensor| match kind_of(sensor) {
+        0 => (height, 0.25 * height),
+        1 => (barometer, 0.5 * barometer),
+        2..5 => (gyro.sigma.max(1e-4) / samples(gyro.memory_s).sqrt(), gyro.spread / 2.0),
+        5..8 => (accel.sigma.max(1e-3) / samples(accel.memory_s).sqrt(), accel.spread / 2.0),
+        _ => (options.heading_floor_rad.max(1e-3), options.heading_floor_rad.max(1e-3)),
+    })
+}
+
+/// One row for each quantity.
+fn rows(sigma: &[(f64, f64); SENSORS]) -> [Row<STATES>; 2 + ROWS_OF_IMU] {
+    let seen = [ix::Z, ix::Z, ix::P, ix::P + 1, ix::P + 2, ix::AX, ix::AX + 1, ix::AX + 2, ix::YAW];
+    std::array::from_fn(|kind| {
+        let sensor = (0..SENSORS).find(|s| kind_of(*s) == kind).unwrap_or_default();
+        let mut c = SVector::zeros();
+        c[seen[kind]] = 1.0;
+        Row { c, sigma: sigma[sensor].0, bias_sigma: sigma[sensor].1 }
+    })
+}
+
+/// Deviations about the trim over one slot, exact: F⁴ = 0.
+fn model(options: &EkfOptions, sigma: &[(f64, f64); SENSORS]) -> Model<STATES> {
+    let mut f = SMatrix::<f64, STATES, STATES>::zeros();
+    f[(ix::Z, ix::VZ)] = 1.0;
+    f[(ix::VX, ix::PITCH)] = options.gravity_mps2;
+    f[(ix::VY, ix::ROLL)] = -options.gravity_mps2;
+    for k in 0..3 {
+        f[(ix::ROLL + k, ix::P + k)] = 1.0;
+    }
+    let f = f * SLOT_S;
+    let a = SMatrix::identity() + f + f * f * 0.5 + f * f * f * (1.0 / 6.0);
+    let mut q = SVector::<f64, STATES>::zeros();
+    // The IMUs' path over a slot: a quarter of a bias, vibration, and what turns between samples.
+    let climb = 0.25 * options.accel_bias_prior_mps2 * SLOT_S + options.accel_noise_density * SLOT_S.sqrt();
+    q[ix::Z] = (0.2e-3f64).powi(2);
+    q[ix::VZ] = climb * climb;
+    for (state, sigma) in [(ix::VX, 0.02), (ix::VY, 0.02), (ix::ROLL, 1e-3), (ix::PITCH, 1e-3), (ix::YAW, 1e-3)] {
+        q[state] = sigma * sigma;
+    }
+    for k in 0..3 {
+        q[ix::P + k] = (0.3 * sigma[IMU].0).powi(2);
+        q[ix::AX + k] = (0.3 * sigma[IMU + 3].0).powi(2);
+    }
+    Model { a, q: SMatrix::from_diagonal(&q) }
+}

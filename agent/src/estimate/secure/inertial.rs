@@ -1,0 +1,238 @@
+//! Each IMU against the others: what enters the window of the secure estimator.
+//!
+//! Over a slot every IMU has a mean, its accelerometer's lever arm removed. IMUs that sample in turns saw the
+//! motion at other times: a mean is moved to the middle of all of them with the slope of the motion (the
+//! median of the IMUs' own slopes). What is left after the median of all is the deviation: a minority moves
+//! neither slope nor median, however large its lie.
+//!
+//! Where the motion is rough (touch-down, ringing strings) a slope does not tell it all: the rougher, the less
+//! differences count, down to nothing. How rough it is says the median of what each IMU changed against
+//! itself: a minority can neither claim a shock nor hide one.
+
+use arrayvec::ArrayVec;
+use nalgebra::Vector3;
+use plumbline_proto::time::FlightTime;
+
+use crate::estimate::ekf_bias::EkfOptions;
+use crate::vehicle::{MAX_IMUS, SensorFrame};
+
+/// Roughness (change from sample to sample over that of noise alone) up to which nothing is discounted.
+const SMOOTH: f64 = 1.3;
+/// What roughness beyond it costs.
+const ROUGH_COST: f64 = 1.5;
+/// A slot discounted by more than this says nothing.
+const LARGEST_DISCOUNT: f64 = 10.0;
+/// Scale and mounting of honest IMUs differ by this fraction: a sample in motion counts less.
+const SCALE_SPREAD: f64 = 0.02;
+/// Time constant of the angular acceleration, s.
+const TURNING_S: f64 = 0.005;
+
+/// Slot mean of one IMU less the median of all: gyroscope x y z (rad/s), accelerometer x y z (m/s²); NaN for a
+/// quantity of which the motion was too rough.
+pub type Deviation = [f64; 6];
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Unit {
+    latest: Option<(FlightTime, [f64; 6])>,
+    first: Option<(f64, [f64; 6])>,
+    last: Option<(f64, [f64; 6])>,
+    sum: [f64; 6],
+    times_s: f64,
+    samples: u32,
+    /// Σ of squared changes of gyroscope and accelerometer since the sample before, and how many.
+    change: [f64; 2],
+    changes: u32,
+}
+
+/// The IMUs of a vehicle.
+#[derive(Debug, Clone)]
+pub struct Inertial {
+    units: [Unit; MAX_IMUS],
+    place_flu_m: [Vector3<f64>; MAX_IMUS],
+    sigma: [f64; 2],
+    memory_s: f64,
+    began: FlightTime,
+    rate: Option<(FlightTime, Vector3<f64>)>,
+    turning_radps2: Vector3<f64>,
+}
+
+impl Inertial {
+    /// IMUs as `options` describe them.
+    pub fn new(options: &EkfOptions) -> Self {
+        Self {
+            units: [Unit::default(); MAX_IMUS],
+            place_flu_m: options.imu_position_flu_m,
+            sigma: [options.gyro_vote.sigma, options.accel_vote.sigma],
+            memory_s: options.gyro_vote.memory_s.max(options.accel_vote.memory_s),
+            began: FlightTime::default(),
+            rate: None,
+            turning_radps2: Vector3::zeros(),
+        }
+    }
+
+    /// Takes the samples of a tick.
+    pub fn take(&mut self, frame: &SensorFrame) {
+        let now = frame.time;
+        let turning = self.turning_radps2;
+        let rate = self.rate.map_or_else(Vector3::zeros, |(_, w)| w);
+        for ((unit, imu), place) in self.units.iter_mut().zip(&frame.imus).zip(&self.place_flu_m) {
+            let Some(imu) = imu else { continue };
+            // An accelerometer at r feels ω̇ × r + ω × (ω × r) on top of the centre's specific force.
+            let accel = imu.accel_mps2 - turning.cross(place) - rate.cross(&rate.cross(place));
+            let (w, f) = (imu.gyro_radps, accel);
+            let sample = [w.x, w.y, w.z, f.x, f.y, f.z];
+            if !sample.iter().all(|v| v.is_finite()) {
+                continue;
+            }
+            if let Some((time, before)) = unit.latest
+                && now.seconds_since(time) <= 2.0 * self.memory_s
+            {
+                for quantity in 0..2 {
+                    let change = (0..3).map(|a| (sample[3 * quantity + a] - before[3 * quantity + a]).powi(2));
+                    unit.change[quantity] += change.sum::<f64>() / 3.0;
+                }
+                unit.changes += 1;
+            }
+            let at_s = now.seconds_since(self.began);
+            unit.latest = Some((now, sample));
+            unit.first = unit.first.or(Some((at_s, sample)));
+            unit.last = Some((at_s, sample));
+            unit.sum.iter_mut().zip(sample).for_each(|(sum, v)| *sum += v);
+            unit.times_s += at_s;
+            unit.samples += 1;
+        }
+        let fresh = |u: &&Unit| u.latest.is_some_and(|(time, _)| now.seconds_since(time) <= self.memory_s);
+        let of = |axis: usize| {
+            median(self.units.iter().filter(fresh).filter_map(|u| u.latest.map(|(_, sample)| sample[axis])))
+        };
+        let rate = Vector3::new(of(0), of(1), of(2));
+        if rate.iter().all(|v| v.is_finite()) {
+            self.turn(now, &rate);
+        }
+    }
+
+    /// The deviations of the slot.
+    pub fn deviations(&self) -> [Option<Deviation>; MAX_IMUS] {
+        let filled = || self.units.iter().filter(|u| u.samples > 0);
+        let count = filled().count().max(1) as f64;
+        let middle_s = filled().map(|u| u.times_s / f64::from(u.samples)).sum::<f64>() / count;
+        let mut out = [None; MAX_IMUS];
+        let mut means = [[f64::NAN; 6]; MAX_IMUS];
+        for axis in 0..6 {
+            let slope = |u: &Unit| {
+                let ((from_s, from), (to_s, to)) = (u.first?, u.last?);
+                (to_s > from_s).then(|| (to[axis] - from[axis]) / (to_s - from_s))
+            };
+            let slope = median(filled().filter_map(slope));
+            let slope = if slope.is_finite() { slope } else { 0.0 };
+            for (mean, unit) in means.iter_mut().zip(&self.units).filter(|(_, u)| u.samples > 0) {
+                let n = f64::from(unit.samples);
+                mean[axis] = unit.sum[axis] / n - slope * (unit.times_s / n - middle_s);
+            }
+        }
+        for quantity in 0..2 {
+            let less = self.discount(quantity, &means);
+            for axis in 3 * quantity..3 * quantity + 3 {
+                let centre = median(means.iter().map(|m| m[axis]).filter(|v| v.is_finite()));
+                for ((out, mean), unit) in out.iter_mut().zip(&means).zip(&self.units) {
+                    if unit.samples > 0 {
+                        out.get_or_insert([f64::NAN; 6])[axis] = (mean[axis] - centre) / less;
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// Begins a new slot.
+    pub fn begin(&mut self, now: FlightTime) {
+        self.began = now;
+        for unit in &mut self.units {
+            *unit = Unit { latest: unit.latest, ..Unit::default() };
+        }
+    }
+
+    /// By how much differences of a quantity count less in this slot; NaN for not at all.
+    fn discount(&self, quantity: usize, means: &[[f64; 6]; MAX_IMUS]) -> f64 {
+        let sigma = self.sigma[quantity];
+        let rough = self.units.iter().filter(|u| u.changes > 0);
+        let rough = median(
+            rough.map(|u| (u.change[quantity] / f64::from(u.changes)).sqrt() / (std::f64::consts::SQRT_2 * sigma)),
+        );
+        let part = 3 * quantity;
+        let size = |m: &[f64; 6]| (part..part + 3).map(|a| m[a] * m[a]).sum::<f64>().sqrt();
+        let size = median(means.iter().map(size).filter(|v| v.is_finite()));
+        // A resting accelerometer reads g: its scale is part of what is learned as its bias.
+        let motion = if quantity == 0 { size } else { (size - 9.81).abs() };
+        let rough = ROUGH_COST * (rough.max(SMOOTH) - SMOOTH);
+        let less = (SCALE_SPREAD * motion / sigma).hypot(1.0).hypot(rough);
+        if less > LARGEST_DISCOUNT { f64::NAN } else { less }
+    }
+
+    fn turn(&mut self, now: FlightTime, rate: &Vector3<f64>) {
+        if let Some((time, before)) = self.rate {
+            let dt_s = now.seconds_since(time);
+            if dt_s > 0.0 && dt_s < 0.1 {
+                let turning = (rate - before) / dt_s;
+                self.turning_radps2 += (turning - self.turning_radps2) * (dt_s / (TURNING_S + dt_s));
+            } else {
+                self.turning_radps2 = Vector3::zeros();
+            }
+        }
+        self.rate = Some((now, *rate));
+    }
+}
+
+/// Median; NaN of nothing.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: ArrayVec<f64, MAX_IMUS> = values.take(MAX_IMUS).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let n = sorted.len();
+    if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::vehicle::ImuSample;
+
+    fn frame(k: u64, value: impl Fn(usize) -> f64) -> SensorFrame {
+        let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
+        for (i, imu) in frame.imus.iter_mut().enumerate().take(4).filter(|(i, _)| k % 2 == *i as u64 % 2) {
+            *imu = Some(ImuSample {
+                time: FlightTime(k * 5000),
+                gyro_radps: Vector3::zeros(),
+                accel_mps2: Vector3::new(value(i), 0.0, 9.81),
+                mag_ut: None,
+                temperature_c: 20.0,
+            });
+        }
+        frame
+    }
+
+    #[test]
+    fn a_liar_stands_apart_in_a_motion_that_all_share() {
+        let mut inertial = Inertial::new(&EkfOptions::default());
+        inertial.begin(FlightTime(0));
+        // All feel a ramp, each at its own times.
+        for k in 0..8 {
+            inertial.take(&frame(k, |i| 0.01 * k as f64 + if i == 1 { 1.0 } else { 0.0 }));
+        }
+        let x = inertial.deviations().map(|d| d.unwrap()[3]);
+        // Up to the discount of a motion that differs from rest.
+        assert!((x[1] - 1.0).abs() < 1e-3 && [0, 2, 3].iter().all(|i| x[*i].abs() < 1e-3), "{x:?}");
+    }
+
+    #[test]
+    fn half_of_them_make_a_shock_and_one_does_not() {
+        let run = |shock: fn(u64, usize) -> bool| {
+            let mut inertial = Inertial::new(&EkfOptions::default());
+            for k in 0..8 {
+                inertial.take(&frame(k, |i| if shock(k, i) { 30.0 } else { 0.0 }));
+            }
+            inertial.deviations()[1].unwrap()[3]
+        };
+        assert!(run(|k, _| k == 4 || k == 5).is_nan());
+        assert!(run(|k, i| k >= 4 && i == 0).is_finite());
+    }
+}

@@ -1,0 +1,104 @@
+//! The flying decoder's answer, solved again by Clarabel once a second on a thread of its own.
+//!
+//! Cases travel in memory that is made once and comes back with the answer: the flight thread copies a window,
+//! never waits and never allocates. While no case is free, that second is not audited.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use plumbline_proto::time::FlightTime;
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use crate::estimate::secure::conic::Conic;
+use crate::estimate::secure::flying::{AuditCase, Secure};
+use crate::telemetry::Audit;
+
+/// Cases under way.
+const CASES: usize = 2;
+/// Time between audits, s.
+const PERIOD_S: f64 = 1.0;
+
+/// The flight thread's end.
+#[derive(Debug)]
+pub struct Auditor {
+    cases: Producer<AuditCase>,
+    answers: Consumer<(AuditCase, Option<Audit>)>,
+    /// Never more than were made: no memory is asked for.
+    free: Vec<AuditCase>,
+    asked: Option<FlightTime>,
+    last: Option<Audit>,
+    stop: Arc<AtomicBool>,
+    worker: Option<JoinHandle<()>>,
+}
+
+impl Auditor {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// When no thread can be started, or there is no memory for a case.
+    pub fn start() -> io::Result<Self> {
+        let mut free = Vec::with_capacity(CASES);
+        for _ in 0..CASES {
+            free.push(Secure::audit_case().map_err(io::Error::other)?);
+        }
+        let (cases, mut asked) = RingBuffer::<AuditCase>::new(CASES);
+        let (mut answered, answers) = RingBuffer::new(CASES);
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let work = move || {
+            while !stopped.load(Ordering::Acquire) {
+                let Ok(case) = asked.pop() else {
+                    std::thread::park();
+                    continue;
+                };
+                let audit = solve(&case);
+                // There is room: no more cases exist than fit.
+                let _ = answered.push((case, audit));
+            }
+        };
+        let worker = std::thread::Builder::new().name("auditor".into()).spawn(work)?;
+        Ok(Self { cases, answers, free, asked: None, last: None, stop, worker: Some(worker) })
+    }
+
+    /// Takes back what is answered and, once a second, hands over the last window. Does not wait.
+    pub fn tick(&mut self, now: FlightTime, secure: &Secure) -> Option<Audit> {
+        while let Ok((case, audit)) = self.answers.pop() {
+            self.free.push(case);
+            self.last = audit.or(self.last);
+        }
+        let due = self.asked.is_none_or(|asked| now < asked || now.seconds_since(asked) >= PERIOD_S);
+        if due && let Some(mut case) = self.free.pop() {
+            if secure.audit(&mut case) {
+                self.asked = Some(now);
+                if let Err(rtrb::PushError::Full(case)) = self.cases.push(case) {
+                    self.free.push(case);
+                } else if let Some(worker) = &self.worker {
+                    worker.thread().unpark();
+                }
+            } else {
+                self.free.push(case);
+            }
+        }
+        self.last
+    }
+}
+
+impl Drop for Auditor {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(worker) = self.worker.take() {
+            worker.thread().unpark();
+            let _ = worker.join();
+        }
+    }
+}
+
+fn solve(case: &AuditCase) -> Option<Audit> {
+    let mut conic = Conic::new(&case.problem).inspect_err(|error| tracing::warn!(%error, "audit")).ok()?;
+    let decoded =
+        conic.decode(&case.problem, &case.samples).inspect_err(|error| tracing::warn!(%error, "audit")).ok()?;
+    let difference = (case.objective - decoded.objective).abs() / decoded.objective.abs().max(f64::MIN_POSITIVE);
+    Some(Audit { time: case.time, difference })
+}
