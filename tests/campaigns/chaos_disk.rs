@@ -218,6 +218,8 @@ fn main() -> std::process::ExitCode {
             "s",
             json!({ "error": watch.recording_error() }),
         );
+        let ready = || system.api().get_json("/api/flights").is_ok_and(|list| list["ready"] == true).then_some(());
+        wait_until(PATIENCE, ready).expect("every file looked at");
         let listed = system.api().get_json("/api/flights").unwrap()["flights"].as_array().map_or(0, Vec::len);
         figures.at_least("ground_read_only_flights_served", listed as f64, 2.0, "flights", json!({}));
         let noticed = watch.until(|status| !status.log_healthy);
