@@ -28,6 +28,7 @@ mod history;
 mod options;
 #[cfg(test)]
 mod tests;
+mod yaw;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
@@ -40,6 +41,7 @@ use self::covariance::{Covariance, ErrorState, Noise, ix};
 use self::history::History;
 use super::consistency::{self, Nees};
 use super::imu_vote::{self, Vote};
+use super::yaw_mixture::YawMixture;
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health};
 use crate::model::measure::Kinematics;
 use crate::vehicle::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS, MotorCommand, SensorFrame};
@@ -133,7 +135,9 @@ pub struct EkfBias {
     corrected_vz: f64,
     last_heading: [Option<FlightTime>; MAX_IMUS],
     field_ut: [Option<f64>; MAX_IMUS],
+    /// Told by a magnetometer or motion capture.
     yaw_known: bool,
+    mixture: YawMixture,
     idle_last: Option<FlightTime>,
     anchor: Vector3<f64>,
     rest_s: f64,
@@ -185,6 +189,7 @@ impl EkfBias {
             last_heading: [None; MAX_IMUS],
             field_ut: [None; MAX_IMUS],
             yaw_known: false,
+            mixture: YawMixture::new(),
             idle_last: None,
             anchor: Vector3::zeros(),
             rest_s: 0.0,
@@ -322,7 +327,9 @@ impl EkfBias {
         }
         self.aligned = true;
         self.vertical = Since::default();
-        self.horizontal = Since::default();
+        if self.yaw_known || self.mixture.horizontal().is_none() {
+            self.horizontal = Since::default();
+        }
         self.heights = Since::default();
         self.heights_since = None;
         self.barometer_known = [false; MAX_BAROMETERS];
@@ -440,11 +447,14 @@ impl Estimator for EkfBias {
 
         let previous = self.inertial;
         let current = self.vote(received);
+        let since = previous.map_or(0.0, |p| now.seconds_since(p.time));
+        self.feed_mixture(received, current.as_ref(), since);
         if !self.aligned {
             if let Some(inertial) = current {
                 let dt_s = previous.map_or(0.0, |p| inertial.time.seconds_since(p.time));
                 self.inertial = Some(inertial);
                 self.align(received, dt_s, &inertial);
+                self.follow_mixture();
             }
             self.publish(now);
             return &self.estimate;
@@ -464,6 +474,7 @@ impl Estimator for EkfBias {
         }
         self.history.push(now, &self.state.kinematics);
         self.aid(received);
+        self.follow_mixture();
         self.aid_idle(now);
 
         let good = self.state.kinematics.position_enu_m.iter().all(|x| x.is_finite())

@@ -18,6 +18,7 @@ pub mod primary;
 pub mod scalar_row;
 pub mod twelve_state;
 pub mod ukf;
+pub mod yaw_mixture;
 
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};

@@ -14,8 +14,8 @@
 //! - The gyroscopes measure p, q, r (bias taken off); the source has them inside its attitude alone.
 //! - The three angles are those of the attitude filter (`attitude.rs`) with the 5 mrad of the recipe: tilt
 //!   straight from an accelerometer is wrong on anything that accelerates. Motion-capture attitude, where
-//!   there is one, takes their place; yaw is left out where there is neither a magnetometer nor a pose, but
-//!   a position that shows it.
+//!   there is one, takes their place. With GNSS and neither of a magnetometer and a pose, yaw and everything
+//!   horizontal are those of a mixture over yaw, as in `ekf_bias`.
 //! - Where cameras are missing: motion-capture pose, laser heights, GNSS, or a barometer from its first
 //!   reading. Where nothing tells the horizontal position it stays put as it does in `ekf_bias`.
 //!
@@ -35,6 +35,7 @@ use super::ekf_hybrid::EkfHybrid;
 use super::mocap_recipe::{ANGLE_SIGMA_RAD, TwelveState};
 use super::scalar_row::{MAX_ROWS, ScalarRow, What};
 use super::ukf::Ukf;
+use super::yaw_mixture::YawMixture;
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
@@ -177,6 +178,7 @@ pub struct TwelveStateEstimator<F> {
     axes: [Told; 3],
     pose_seen: Option<FlightTime>,
     field_seen: bool,
+    mixture: YawMixture,
     heights_present: bool,
     barometer_origin_m: Option<f64>,
     anchor: Vector3<f64>,
@@ -207,6 +209,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             axes: [Told::default(); 3],
             pose_seen: None,
             field_seen: false,
+            mixture: YawMixture::new(),
             heights_present: false,
             barometer_origin_m: None,
             anchor: Vector3::zeros(),
@@ -321,10 +324,9 @@ impl<F: Filter> TwelveStateEstimator<F> {
         if self.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
             return;
         }
-        let horizontal = self.axes[0].within(frame.time, MEMORY_S);
         let angles = roll_pitch_yaw(&attitude);
         let noise = Noise { sigma: ANGLE_SIGMA_RAD, gate: f64::INFINITY };
-        for i in 0..if self.field_seen || !horizontal { 3 } else { 2 } {
+        for i in 0..3 {
             self.take(SensorKind::Imu, 1, ANGLES[i], (What::Angle(ix::ROLL + i), angles[i]), noise);
         }
     }
@@ -367,9 +369,10 @@ impl<F: Filter> TwelveStateEstimator<F> {
             self.recover(frame.time, 2, height_m, noise.sigma);
             self.take(SensorKind::Height, i + 1, Channel::Height, (What::State(ix::Z), height_m), noise);
         }
+        let yaw_told = self.yaw_told();
         if let Some(sample) = frame.gnss {
             let place = sample.position_enu_m + late(sample.time);
-            for axis in 0..3 {
+            for axis in if yaw_told { 0..3 } else { 2..3 } {
                 let sigma = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
                 let sigma = if sigma.is_finite() { sigma.max(self.options.gnss_floor_m) } else { 10.0 };
                 let noise = Noise { sigma, gate: gates.gnss };
@@ -393,6 +396,49 @@ impl<F: Filter> TwelveStateEstimator<F> {
                 self.take(SensorKind::Barometer, 1, Channel::PressureAltitude, row, noise);
             }
         }
+    }
+
+    /// Does anything but position fixes tell the yaw?
+    fn yaw_told(&self) -> bool {
+        self.field_seen || self.pose_seen.is_some()
+    }
+
+    /// Shows the mixture what arrived, from the first sample on.
+    fn feed_mixture(&mut self, frame: &SensorFrame, force: Option<Vector3<f64>>) {
+        if self.yaw_told() {
+            return;
+        }
+        let now = frame.time;
+        if let Some(force) = force {
+            let since = self.force.map_or(0.0, |(before, _)| now.seconds_since(before)).clamp(0.0, 0.2);
+            let gyro = self.attitude.estimate().body_rates_radps + self.attitude.estimate().gyro_bias_radps;
+            self.mixture.push(since, &gyro, &force);
+        }
+        let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
+        let sigma = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
+        self.mixture.take(now, &sample, sigma, self.options.gnss_velocity_sigma_mps);
+        (0..2).for_each(|axis| self.axes[axis].note(now, true));
+    }
+
+    /// Takes yaw, tilt and everything horizontal from the mixture where nothing else tells the yaw.
+    fn follow_mixture(&mut self) {
+        let Some(found) = self.mixture.horizontal().filter(|_| !self.yaw_told()) else { return };
+        let (mut x, mut p) = self.filter.moments();
+        let angles = roll_pitch_yaw(&self.mixture.world_from_body());
+        let mut set = |i: usize, value: f64, variance: f64| {
+            x[i] = value;
+            p.row_mut(i).fill(0.0);
+            p.column_mut(i).fill(0.0);
+            p[(i, i)] = variance;
+        };
+        for axis in 0..2 {
+            set(ix::X + axis, found.position_m[axis], found.position_variance[axis]);
+            set(ix::VX + axis, found.velocity_mps[axis], found.velocity_variance[axis]);
+            set(ix::ROLL + axis, angles[axis], START_SIGMA[2].powi(2));
+        }
+        let yaw_sigma = found.yaw_sigma_rad.min(self.options.unknown_yaw_sigma_rad);
+        set(ix::YAW, angles.z, yaw_sigma * yaw_sigma);
+        self.filter.restart(x, p);
     }
 
     /// Moves to `value` on `axis` where nothing has been accepted for long, or ever.
@@ -519,6 +565,7 @@ impl<F: Filter> Estimator for TwelveStateEstimator<F> {
         // Rows of the attitude filter's own innovations: each IMU against the others, and the heading.
         self.estimate.residuals.extend(self.attitude.estimate().residuals.iter().copied());
         let fresh = self.attitude.specific_force_mps2().filter(|(time, _)| *time == now);
+        self.feed_mixture(received, fresh.map(|(_, force)| force));
         let wrench = self.rotors.push(applied, received.battery_v, dt_s);
         let action = self.action(now, &wrench);
         self.force = fresh.or(self.force);
@@ -539,6 +586,7 @@ impl<F: Filter> Estimator for TwelveStateEstimator<F> {
         self.take_positions(received);
         self.flush();
         self.take_idle(now);
+        self.follow_mixture();
         let sound = self.tidy();
         self.publish(now, sound);
         &self.estimate

@@ -49,10 +49,10 @@ impl Ukf {
     /// Propagates by `h` seconds under the held input `u`; `q` is the process noise of such a step.
     /// Alg. 2, lines 7–12.
     pub fn predict(&mut self, u: &impl Input, h: f64, q: &M) {
-        if !self.predicting {
+        let first = !self.predicting;
+        if first {
             self.points = sigma_points(&self.x, &self.p);
             self.centre = self.x;
-            self.q = M::zeros();
             self.predicting = true;
         }
         let action = u.action(&self.body);
@@ -60,8 +60,12 @@ impl Ukf {
             *point = self.body.step(point, &action, h);
         }
         let next = self.body.step(&self.centre, &action, h);
-        let phi = self.body.transition(&self.centre, &next, &action, h);
-        self.q = kalman::predict(&self.q, &phi, q);
+        self.q = if first {
+            *q
+        } else {
+            let phi = self.body.transition(&self.centre, &next, &action, h);
+            kalman::predict(&self.q, &phi, q)
+        };
         self.centre = next;
     }
 

@@ -158,19 +158,30 @@ impl EkfBias {
         }
     }
 
+    /// The one-sigma believed of a position that claims `claimed_m`.
+    pub(super) fn gnss_sigma_m(&self, claimed_m: f64) -> f64 {
+        if claimed_m.is_finite() { claimed_m.max(self.options.gnss_floor_m) } else { 10.0 }
+    }
+
     fn aid_gnss(&mut self, frame: &SensorFrame) {
         let Some(sample) = frame.gnss else { return };
         if !finite(&sample.position_enu_m) {
             return;
         }
         let gate = self.options.gates.gnss;
-        let floor = self.options.gnss_floor_m;
-        let sigma = |s: f64| if s.is_finite() { s.max(floor) } else { 10.0 };
-        let (horizontal, vertical) = (sigma(sample.horizontal_sigma_m), sigma(sample.vertical_sigma_m));
+        let horizontal = self.gnss_sigma_m(sample.horizontal_sigma_m);
+        let vertical = self.gnss_sigma_m(sample.vertical_sigma_m);
         let velocity_sigma = self.options.gnss_velocity_sigma_mps;
-        self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal);
+        // Horizontally the mixture has had it already where nothing else tells the yaw.
+        let yaw_known = self.yaw_known;
+        if yaw_known {
+            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal);
+        } else if !self.vertical.ever() {
+            self.shift(Vector3::new(0.0, 0.0, sample.position_enu_m.z - self.state.kinematics.position_enu_m.z));
+            forget(&mut self.p, ix::POSITION + 2, vertical * vertical);
+        }
         let mut used = [false; 3];
-        for axis in 0..3 {
+        for axis in if yaw_known { 0..3 } else { 2..3 } {
             // GNSS altitude is not height above this floor: only where no laser or barometer says more.
             if axis == 2 && self.heights.within(frame.time, VERTICAL_MEMORY_S) {
                 continue;
@@ -180,7 +191,7 @@ impl EkfBias {
             let row = measure::gnss::position(&past, axis, sample.position_enu_m[axis]);
             used[axis] = self.correct(&Scalar::new(SensorKind::Gnss, 1, XYZ[axis], row, s, gate, delay_s));
         }
-        for (axis, channel) in VELOCITY.into_iter().enumerate() {
+        for (axis, channel) in VELOCITY.into_iter().enumerate().skip(if yaw_known { 0 } else { 2 }) {
             let (past, delay_s) = self.past(sample.time, frame.time);
             let v = sample.velocity_enu_mps[axis];
             if v.is_finite() {
@@ -189,7 +200,9 @@ impl EkfBias {
                 self.correct(&s);
             }
         }
-        self.horizontal.note(frame.time, used[0] && used[1]);
+        if yaw_known {
+            self.horizontal.note(frame.time, used[0] && used[1]);
+        }
         if used[2] {
             self.vertical.note(frame.time, true);
         }

@@ -620,3 +620,38 @@ fn timing() {
         k += 1;
     });
 }
+
+#[test]
+fn without_magnetometer_fixes_once_a_second_show_place_and_yaw() {
+    // GIVEN a vehicle first heard of in mid-flight, at a yaw nobody knows, WHEN there is nothing but an IMU and a fix
+    // of 0.5 m once a second, THEN the place is known from the first second on and the yaw within twenty.
+    // Up to a second after a fix of 0.5 m on each axis, at 2.7 m/s: at first with the velocity of one or two fixes.
+    const PLACE_M: f64 = 5.0;
+    const PLACE_SETTLED_M: f64 = 2.5;
+    const YAW_RAD: f64 = 0.35;
+    for (seed, start_s) in [(1, 0.0), (2, 3.1), (3, 7.7), (4, 11.0)] {
+        let mut world = World::new(Motion { position_m: 3.0, tilt_rad: 0.2, yaw_radps: 0.3 }, seed);
+        world.tick = (start_s * RATE_HZ) as u64;
+        let mut filter = EkfBias::new(EkfOptions::default());
+        let mut yaw_error = f64::NAN;
+        for k in 0..(25.0 * RATE_HZ) as usize {
+            let (mut frame, truth) = world.frame(false);
+            if k.is_multiple_of(RATE_HZ as usize) {
+                world.gnss(&mut frame, &truth, 0.5);
+                frame.gnss.as_mut().unwrap().velocity_enu_mps = Vector3::repeat(f64::NAN);
+            }
+            let e = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
+            if k > (1.2 * RATE_HZ) as usize {
+                let off = (e.position_enu_m - truth.position_enu_m).norm();
+                let limit = if k < (10.0 * RATE_HZ) as usize { PLACE_M } else { PLACE_SETTLED_M };
+                assert!(off < limit, "seed {seed}: {off:.2} m off at {:.1} s", k as f64 / RATE_HZ);
+                assert!(e.horizontal_known && e.health != Health::Initialising);
+            }
+            let turned = truth.world_from_body * e.world_from_body.inverse();
+            yaw_error = crate::frames::wrap_pi(2.0 * turned.k.atan2(turned.w)).abs();
+        }
+        println!("seed {seed}: yaw {:.1}° off after 25 s", yaw_error.to_degrees());
+        assert!(yaw_error < YAW_RAD, "seed {seed}: {yaw_error} rad off");
+        assert!(filter.estimate().attitude_sigma_rad.z < YAW_RAD);
+    }
+}
