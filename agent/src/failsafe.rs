@@ -20,7 +20,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
 use crate::control::setpoint::Limits;
+use crate::estimate::attitude::{AttitudeFilter, AttitudeOptions};
 use crate::event::{Text, text};
+use crate::frames::tilt_rad;
 use crate::model::GRAVITY_MPS2;
 use crate::vehicle::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
 
@@ -92,31 +94,32 @@ const CORROBORATED_PATIENCE: u32 = 5;
 /// Most deadline misses remembered.
 pub const MAX_MISSES: usize = 64;
 
-/// Tilt, rate and height straight from the sensors: the median over instances, one gyroscope
-/// integration, no estimator.
+/// Tilt, rate and height straight from the sensors: the median over instances, an attitude filter of its own
+/// (`estimate/attitude.rs`, without magnetometer), no estimator.
+///
+/// It shares no sample under attack: it sees the frames from before the injector, where every attack of this project
+/// happens. Of an IMU that really lies the median of the others is what counts.
 #[derive(Debug, Clone)]
 pub struct Watchdog {
-    /// World z seen from the body; `None` before the first IMU sample.
-    up_flu: Option<Vector3<f64>>,
+    filter: AttitudeFilter,
     rates_radps: Vector3<f64>,
-    accel_mps2: Vector3<f64>,
+    since_imu_s: f64,
     imu_time: Option<FlightTime>,
     heights: [Option<(FlightTime, f64)>; MAX_HEIGHTS],
 }
 
-/// Pull of the accelerometer on the integrated tilt, 1/s.
-const ACCEL_PULL_PER_S: f64 = 0.3;
-/// Accelerometers further from 1 g than this fraction do not pull.
-const ACCEL_TRUST: f64 = 0.2;
 /// Heights older than this are forgotten, s.
 const HEIGHT_MAX_AGE_S: f64 = 0.5;
+
+/// Specific forces further from 1 g than this fraction say nothing of the vertical.
+const ACCEL_TRUST: f64 = 0.2;
 
 impl Default for Watchdog {
     fn default() -> Self {
         Self {
-            up_flu: None,
+            filter: AttitudeFilter::new(AttitudeOptions { use_mag: false, ..AttitudeOptions::default() }),
             rates_radps: Vector3::zeros(),
-            accel_mps2: Vector3::zeros(),
+            since_imu_s: 0.0,
             imu_time: None,
             heights: [None; MAX_HEIGHTS],
         }
@@ -138,19 +141,14 @@ impl Watchdog {
             let [x, y, z] = parts.map(|p| median(&p));
             Some(Vector3::new(x?, y?, z?))
         };
+        self.since_imu_s += dt_s;
         if let (Some(gyro), Some(accel)) = (vector(gyro), vector(accel)) {
-            (self.rates_radps, self.accel_mps2, self.imu_time) = (gyro, accel, Some(sensed.time));
-        }
-        if self.imu_time.is_some() {
-            let size = self.accel_mps2.norm();
-            let measured = self.accel_mps2 / size.max(1e-9);
-            let up = self.up_flu.unwrap_or(measured);
-            // A fixed direction seen from a turning body.
-            let mut up = up + up.cross(&self.rates_radps) * dt_s;
-            if (size / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST {
-                up += (measured - up) * (ACCEL_PULL_PER_S * dt_s);
-            }
-            self.up_flu = up.try_normalize(1e-9);
+            let since_s = if self.imu_time.is_some() { self.since_imu_s } else { 0.0 };
+            // In a flip the thrust is along body z and far from 1 g: the gyroscope alone is right then.
+            let near_1_g = (accel.norm() / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST;
+            let force = if near_1_g { accel } else { Vector3::zeros() };
+            self.filter.push(since_s, &gyro, &force, None);
+            (self.rates_radps, self.imu_time, self.since_imu_s) = (gyro, Some(sensed.time), 0.0);
         }
         for (kept, new) in self.heights.iter_mut().zip(&sensed.heights) {
             if let Some(new) = new.filter(|h| h.height_m.is_finite()) {
@@ -164,12 +162,20 @@ impl Watchdog {
 
     /// Angle between body z and the vertical, rad; zero before the first sample.
     pub fn tilt_rad(&self) -> f64 {
-        self.up_flu.map_or(0.0, |up| up.z.clamp(-1.0, 1.0).acos())
+        tilt_rad(&self.filter.world_from_body())
     }
 
     /// Angle between its vertical and that of `attitude`, rad; zero before the first sample.
     pub fn disagreement_rad(&self, attitude: &UnitQuaternion<f64>) -> f64 {
-        self.up_flu.map_or(0.0, |up| up.angle(&(attitude.inverse() * Vector3::z())))
+        if self.imu_time.is_none() {
+            return 0.0;
+        }
+        self.up_flu().angle(&(attitude.inverse() * Vector3::z()))
+    }
+
+    /// World z seen from the body.
+    fn up_flu(&self) -> Vector3<f64> {
+        self.filter.world_from_body().inverse() * Vector3::z()
     }
 
     /// Body rates, median over the IMUs, rad/s.
@@ -179,7 +185,7 @@ impl Watchdog {
 
     /// Attitude with yaw zero, for a descent without estimator.
     pub fn attitude(&self) -> UnitQuaternion<f64> {
-        let up = self.up_flu.unwrap_or(Vector3::z());
+        let up = self.up_flu();
         UnitQuaternion::from_euler_angles(up.y.atan2(up.z), (-up.x).clamp(-1.0, 1.0).asin(), 0.0)
     }
 
