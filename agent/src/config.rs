@@ -10,6 +10,8 @@ use serde::Deserialize;
 
 use crate::estimate::EstimatorKind;
 use crate::flight::FlightConfig;
+use crate::model::declination::{DeclinationError, day, declination_rad};
+use crate::model::measure::gnss::Geodetic;
 use crate::{link, log};
 
 /// Slowest and fastest flight loop, Hz.
@@ -29,6 +31,9 @@ pub enum ConfigError {
     /// Not TOML, an unknown key, or a value of the wrong type; the message shows the line.
     #[error("configuration: {0}")]
     Syntax(String),
+    /// No declination for this place or day.
+    #[error("configuration: site: {0}")]
+    Site(#[from] DeclinationError),
     /// A value is out of its range.
     #[error("configuration: {key} = {value} is not {expected}")]
     Value {
@@ -67,6 +72,8 @@ pub struct AgentConfig {
     pub calibrations: Vec<PathBuf>,
     /// Weights of the gains to start with.
     pub weights: Option<Weights>,
+    /// Where and when it flies, for the magnetic declination; left out, yaw counts from magnetic north.
+    pub site: Option<Site>,
     /// Onboard log.
     pub log: Log,
     /// Radio.
@@ -129,6 +136,28 @@ pub struct Weights {
     pub input: [f64; 4],
 }
 
+/// A place and a day: the World Magnetic Model gives the declination there.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Site {
+    /// Latitude, degrees, north positive.
+    pub latitude_deg: f64,
+    /// Longitude, degrees, east positive.
+    pub longitude_deg: f64,
+    /// Altitude, m.
+    #[serde(default)]
+    pub altitude_m: f64,
+    /// Day, as 2026-11-21; the declination changes by about a tenth of a degree a year.
+    pub date: String,
+}
+
+impl Site {
+    fn declination_rad(&self) -> Result<f64, DeclinationError> {
+        let place = Geodetic::from_degrees(self.latitude_deg, self.longitude_deg, self.altitude_m);
+        declination_rad(&place, day(&self.date)?)
+    }
+}
+
 /// The onboard log.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -163,6 +192,7 @@ impl Default for AgentConfig {
             estimators: Estimators::default(),
             calibrations: Vec::new(),
             weights: None,
+            site: None,
             log: Log::default(),
             link: Link::default(),
         }
@@ -263,6 +293,9 @@ impl AgentConfig {
         {
             return bad("limits.altitude_min_m", min.to_string(), "below limits.altitude_max_m");
         }
+        if let Some(site) = &self.site {
+            site.declination_rad()?;
+        }
         for name in self.estimators.run.iter().flatten() {
             estimator("estimators.run", name)?;
         }
@@ -304,6 +337,9 @@ impl AgentConfig {
                 flight.estimators.insert(0, flight.in_loop);
             }
         }
+        if let Some(site) = &self.site {
+            flight.ekf.declination_rad = site.declination_rad()?;
+        }
         if let Some(weights) = &self.weights {
             flight.design.weights.state = weights.state;
             flight.design.weights.input = weights.input;
@@ -323,7 +359,8 @@ mod tests {
     fn what_is_set_reaches_the_flight_and_the_rest_keeps_its_default() {
         let config = AgentConfig::from_toml(
             "id = \"clinic-2\"\ntick_rate_hz = 400\n[limits]\naltitude_max_m = 1.5\n[attacks]\nenabled = true\n\
-             [estimators]\nrun = [\"primary\", \"ekf_bias\"]\nin_loop = \"ekf_bias\"\n[log]\nmax_mib = 100\n",
+             [estimators]\nrun = [\"primary\", \"ekf_bias\"]\nin_loop = \"ekf_bias\"\n[log]\nmax_mib = 100\n\
+             [site]\nlatitude_deg = 4.6\nlongitude_deg = -74.1\naltitude_m = 2600\ndate = \"2026-11-21\"\n",
         )
         .unwrap();
         let mut flight = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::string_rig());
@@ -332,6 +369,8 @@ mod tests {
         assert_eq!((flight.tick_rate_hz, flight.limits.altitude_max_m), (400.0, 1.5));
         assert_eq!(flight.limits.lateral_max_m, before.lateral_max_m);
         assert!(flight.attacks_enabled);
+        // Bogotá: about 8° west.
+        assert!((flight.ekf.declination_rad.to_degrees() + 7.9).abs() < 1.0, "{}", flight.ekf.declination_rad);
         assert_eq!(flight.estimators, [EstimatorKind::Primary, EstimatorKind::EkfBias]);
         assert_eq!((config.id.as_str(), config.log.max_mib), ("clinic-2", 100));
         assert_eq!(AgentConfig::from_toml("").unwrap(), AgentConfig::default());
@@ -349,6 +388,8 @@ mod tests {
             ("[limits]\naltitude_min_m = 2\naltitude_max_m = 1", "limits.altitude_min_m = 2"),
             ("[estimators]\nin_loop = \"oracle\"", "estimators.in_loop = \"oracle\""),
             ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
+            ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
+            ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),
             ("[log]\nmax_mib = 1", "log.max_mib = 1"),
         ] {
             let message = AgentConfig::from_toml(text).unwrap_err().to_string();

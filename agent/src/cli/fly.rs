@@ -219,7 +219,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
     };
     Ok(Chosen {
         vehicle: Box::new(SimVehicle::new(&scenario)?),
-        flight: FlightConfig::for_scenario(&scenario),
+        flight: FlightConfig::for_scenario(&scenario).with_every_estimator(),
         kind: "sim",
         rig: scenario.rig.name().to_owned(),
         scenario: scenario.text.clone(),
@@ -247,7 +247,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         _ => None,
     };
     let mut flight = match &scenario {
-        Some(scenario) => FlightConfig::for_scenario(scenario),
+        Some(scenario) => FlightConfig::for_scenario(scenario).with_every_estimator(),
         None => {
             let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
             // Nothing is said of its sensors: the assumptions of `estimate`.

@@ -44,6 +44,17 @@ pub enum BankError {
     NotRunning(EstimatorKind),
 }
 
+/// Every kind of estimator.
+pub const EVERY_KIND: [EstimatorKind; 7] = [
+    EstimatorKind::EkfBias,
+    EstimatorKind::Primary,
+    EstimatorKind::EkfHybrid,
+    EstimatorKind::Ukf,
+    EstimatorKind::PointMass,
+    EstimatorKind::Attitude,
+    EstimatorKind::Secure,
+];
+
 /// What an estimator may assume of the vehicle it runs on.
 #[derive(Debug, Clone, Copy)]
 pub struct Assumptions<'a> {

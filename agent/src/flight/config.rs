@@ -8,6 +8,7 @@ use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
 use crate::control::tuning::Design;
 use crate::estimate::EstimatorKind;
+use crate::estimate::bank::{Assumptions, EVERY_KIND, build};
 use crate::estimate::ekf_bias::EkfOptions;
 use crate::failsafe::Settings;
 use crate::model::airframe::Airframe;
@@ -146,11 +147,25 @@ impl FlightConfig {
     /// The same for a simulated `scenario`: its airframe, rig, rate and sensors; attacks enabled.
     pub fn for_scenario(scenario: &Scenario) -> Self {
         let rig = RigKind::of(&scenario.rig, &scenario.airframe);
-        Self {
+        let mut config = Self {
             tick_rate_hz: scenario.tick_rate_hz,
             attacks_enabled: true,
             ..Self::new(scenario.airframe.clone(), rig, &scenario.suite)
-        }
+        };
+        // Known of a place, as a map would say it.
+        config.ekf.declination_rad = scenario.site.declination_rad();
+        config
+    }
+
+    /// With every estimator there is running side by side, for a vehicle that can spare the time: the simulator and
+    /// replays of its flights. The one in the loop stays.
+    pub fn with_every_estimator(mut self) -> Self {
+        let assumed = Assumptions { airframe: &self.airframe, sensors: &self.ekf };
+        let mut kinds = vec![self.in_loop];
+        let built = |kind: &EstimatorKind| build(*kind, &assumed).is_ok();
+        kinds.extend(EVERY_KIND.into_iter().filter(|kind| *kind != self.in_loop).filter(built));
+        self.estimators = kinds;
+        self
     }
 
     /// Highest altitude setpoint: the limit, or the rig's where that is lower, m.

@@ -2,6 +2,7 @@
 
 pub mod airframe;
 pub mod battery;
+pub mod declination;
 pub mod discretize;
 pub mod euler_body;
 pub mod integrate;
