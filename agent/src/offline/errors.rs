@@ -50,7 +50,24 @@ pub struct Score {
     consistency: Consistency,
     /// How calibrated magnetometers fared.
     pub(super) fields: Vec<FieldReport>,
+    trace: Vec<ErrorSample>,
 }
+
+/// Errors at one time; `None` where there is no truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ErrorSample {
+    /// Time, s.
+    pub time_s: f64,
+    /// Position error, m.
+    pub position_m: Option<f64>,
+    /// Heading error, degrees.
+    pub heading_deg: f64,
+    /// Inclination error, degrees.
+    pub inclination_deg: f64,
+}
+
+/// At most one sample of the trace in this time, s.
+const TRACE_PERIOD_S: f64 = 0.1;
 
 /// What the sensors in use say of the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,6 +95,7 @@ impl Score {
             known,
             consistency: Consistency::default(),
             fields: Vec::new(),
+            trace: Vec::new(),
         }
     }
 
@@ -103,7 +121,12 @@ impl Score {
         };
         self.add_position(&(e.position_enu_m - state.position_enu_m));
         self.velocity.add((e.velocity_enu_mps - state.velocity_enu_mps).norm());
-        self.add_attitude(&e.world_from_body, &truth.world_from_body);
+        let [_, heading_deg, inclination_deg] = self.add_attitude(&e.world_from_body, &truth.world_from_body);
+        let position_m = Some((e.position_enu_m - state.position_enu_m).norm()).filter(|m| m.is_finite());
+        let time_s = e.time.as_seconds();
+        if self.trace.last().is_none_or(|last| time_s - last.time_s >= TRACE_PERIOD_S) {
+            self.trace.push(ErrorSample { time_s, position_m, heading_deg, inclination_deg });
+        }
         if let Some(nees) = estimator.nees(&state) {
             self.consistency.push_nees(nees);
         }
@@ -131,11 +154,26 @@ impl Score {
         }
     }
 
-    fn add_attitude(&mut self, estimate: &UnitQuaternion<f64>, truth: &UnitQuaternion<f64>) {
+    /// Total, heading and inclination errors, degrees.
+    fn add_attitude(&mut self, estimate: &UnitQuaternion<f64>, truth: &UnitQuaternion<f64>) -> [f64; 3] {
         let e = truth * estimate.inverse();
-        self.total.add(2.0 * e.imag().norm().atan2(e.w.abs()).to_degrees());
-        self.heading.add(wrap_pi(2.0 * e.k.atan2(e.w)).to_degrees());
-        self.inclination.add(2.0 * e.i.hypot(e.j).atan2(e.w.hypot(e.k)).to_degrees());
+        let total = 2.0 * e.imag().norm().atan2(e.w.abs()).to_degrees();
+        let heading = wrap_pi(2.0 * e.k.atan2(e.w)).to_degrees();
+        let inclination = 2.0 * e.i.hypot(e.j).atan2(e.w.hypot(e.k)).to_degrees();
+        self.total.add(total);
+        self.heading.add(heading);
+        self.inclination.add(inclination);
+        [total, heading, inclination]
+    }
+
+    /// Errors over time, at most ten a second.
+    pub fn trace(&self) -> &[ErrorSample] {
+        &self.trace
+    }
+
+    /// When the estimator was first more than initialising, s.
+    pub fn initialised_s(&self) -> Option<f64> {
+        self.initialised_s
     }
 
     /// Total, heading and inclination errors, root mean square, degrees, where attitude has a truth.

@@ -10,10 +10,10 @@ mod errors;
 mod output;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use errors::Known;
-pub use errors::Score;
+pub use errors::{ErrorSample, Score};
 use output::Output;
 use plumbline_proto::v1::SensorKind;
 
@@ -61,6 +61,24 @@ pub struct EstimateArgs {
     /// CSV to write.
     #[arg(long)]
     pub output: PathBuf,
+}
+
+impl EstimateArgs {
+    /// All sensors of `input`, its format judged by its content.
+    pub fn new(input: &Path, estimator: &str, output: &Path) -> Self {
+        Self {
+            input: input.to_owned(),
+            format: None,
+            estimator: estimator.to_owned(),
+            sensors: Vec::new(),
+            rate: None,
+            gnss_rate: None,
+            gnss_noise: None,
+            seed: None,
+            calibration: Vec::new(),
+            output: output.to_owned(),
+        }
+    }
 }
 
 /// Why a recording could not be estimated.

@@ -6,18 +6,7 @@ use super::*;
 use crate::recordings::shared;
 
 pub(crate) fn arguments(input: &Path, estimator: &str, folder: &Path) -> EstimateArgs {
-    EstimateArgs {
-        input: input.to_owned(),
-        format: None,
-        estimator: estimator.into(),
-        sensors: Vec::new(),
-        rate: None,
-        gnss_rate: None,
-        gnss_noise: None,
-        seed: None,
-        calibration: Vec::new(),
-        output: folder.join("out.csv"),
-    }
+    EstimateArgs::new(input, estimator, &folder.join("out.csv"))
 }
 
 fn estimate(input: &Path, estimator: &str, change: impl FnOnce(&mut EstimateArgs)) -> (Score, Vec<Vec<f64>>) {

@@ -6,6 +6,7 @@ mod bench;
 mod browser;
 mod chaos;
 mod error;
+mod evaluate;
 mod reproduce;
 mod run;
 mod signals;
@@ -49,6 +50,8 @@ enum Task {
     Soak(chaos::SoakOptions),
     /// Every decoder against damaged input, each for so many minutes, as JSON lines.
     Fuzz(chaos::FuzzOptions),
+    /// Estimators and calibrations against references, recordings, peers and sources: JSON lines and a report.
+    Evaluate,
     /// What CI runs: `test`.
     Ci,
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
@@ -67,6 +70,7 @@ pub fn main() -> ExitCode {
         Task::Chaos(options) => chaos::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Soak(options) => chaos::soak(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Fuzz(options) => chaos::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Evaluate => evaluate::run(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
     });

@@ -9,7 +9,20 @@ use super::{Workspace, XtaskError};
 /// The version our browser script is written for; it drives any recent Chromium.
 const PLAYWRIGHT: &str = "playwright-core@1.56.1";
 /// Third-party readers of our flight files.
-const PYTHON_PACKAGES: [&str; 2] = ["mcap>=1.2", "mcap-protobuf-support>=0.5"];
+const READERS: PythonTools =
+    PythonTools { folder: "python", module: "mcap.reader", packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5"] };
+/// The peer of `bench estimate`.
+const FILTERPY: PythonTools =
+    PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"] };
+
+/// Packages in a Python environment of their own.
+struct PythonTools {
+    /// Under `target/tools`.
+    folder: &'static str,
+    /// Can be imported when they are there.
+    module: &'static str,
+    packages: &'static [&'static str],
+}
 
 /// Runs quietly and says whether it worked.
 fn works(command: &mut Command) -> bool {
@@ -59,8 +72,21 @@ pub fn rust_components(workspace: &Workspace) -> Result<(), XtaskError> {
 /// # Errors
 /// What is missing and how to get it.
 pub fn python(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
-    let reads = |python: &PathBuf| works(Command::new(python).args(["-c", "import mcap.reader"]));
-    let folder = workspace.target.join("tools/python");
+    python_with(workspace, &READERS)
+}
+
+/// A Python with filterpy.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn filterpy(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    python_with(workspace, &FILTERPY)
+}
+
+fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, XtaskError> {
+    let import = format!("import {}", tools.module);
+    let reads = |python: &PathBuf| works(Command::new(python).args(["-c", &import]));
+    let folder = workspace.target.join("tools").join(tools.folder);
     let own = folder.join("bin/python");
     if reads(&own) {
         return Ok(own);
@@ -69,7 +95,7 @@ pub fn python(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     if reads(&system) {
         return Ok(system);
     }
-    eprintln!("xtask: a Python environment with {} in {}", PYTHON_PACKAGES.join(", "), folder.display());
+    eprintln!("xtask: a Python environment with {} in {}", tools.packages.join(", "), folder.display());
     let create = || run(Command::new(&system).args(["-m", "venv", "--clear"]).arg(&folder));
     if create().is_err() {
         if !may_install() {
@@ -79,7 +105,7 @@ pub fn python(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
         apt_install(&["python3-venv"])?;
         create()?;
     }
-    run(Command::new(&own).args(["-m", "pip", "install", "--quiet"]).args(PYTHON_PACKAGES))?;
+    run(Command::new(&own).args(["-m", "pip", "install", "--quiet"]).args(tools.packages))?;
     Ok(own)
 }
 
