@@ -425,8 +425,8 @@ mod tests {
             assert!(found.yaw_sigma_rad < AGREED_RAD, "start {yaw}: σ {}", found.yaw_sigma_rad);
             // The tilt it starts with is the mean of a swaying force: up to 16° of yaw, of 180°, are left of that.
             assert!(error < AGREED_RAD, "start {yaw}: {error} rad off");
-            // A fix has 0.5 m per axis; a second after it, 5σ of that.
-            assert!((found.position_m - position).norm() < 2.5, "start {yaw}: {}", found.position_m - position);
+            // A fix has 0.5 m per axis; a second after it, at 3 m/s, less than what was moved since.
+            assert!((found.position_m - position).norm() < 4.0, "start {yaw}: {}", found.position_m - position);
         }
     }
 
