@@ -14,7 +14,7 @@ pub fn run(workspace: &Workspace) -> Result<(), XtaskError> {
     bench::program(workspace, "plumbline-tests", "evaluate", &[])?;
     bench::run(workspace, &bench::Options { name: Some("estimate".into()) })?;
     for source in SOURCES {
-        reproduce::run(workspace, &reproduce::Options { source: Some(source.into()) })?;
+        reproduce::run(workspace, &reproduce::Options { source: Some(source.into()), quick: false })?;
     }
     Ok(())
 }
