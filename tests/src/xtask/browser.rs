@@ -10,20 +10,37 @@ use super::test::run_and_read;
 use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
-/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, counts its steps.
+/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, counts its steps; then the
+/// same with a recording flown again and `replay.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
+    let outcome = replay(workspace, tally);
+    tally.check("browser: a replay starts and stops cleanly", outcome);
+}
+
+/// Records the scripted flight without a ground, as fast as it goes, and flies it again.
+fn replay(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+    let options = options(workspace, "debug", "browser-replay")?;
+    let log = options.data.join("recorded");
+    let mut agent = Command::new(&options.binaries.agent);
+    agent.args(["--vehicle", "sim", "--script", "--ground", "none", "--speed", "max", "--scenario"]);
+    agent.arg(workspace.root.join(DEFAULT_SCENARIO)).arg("--log").arg(&log);
+    agent.arg("--identity").arg(options.data.join("recorder"));
+    super::workspace::run(&mut agent)?;
+    let files = std::fs::read_dir(&log).map_err(XtaskError::file(&log))?.flatten().map(|entry| entry.path());
+    let flights = files.filter(|path| path.extension().is_some_and(|e| e == "mcap"));
+    let file =
+        flights.max().ok_or_else(|| XtaskError::Other(format!("no flight was recorded in {}", log.display())))?;
+    let system = System::start(&options, &Vehicle::Replayed { file, speed: "1".into() })?;
+    let read = run_script(&mut script(workspace, "replay.mjs", system.api())?, tally);
+    let stopped = system.stop();
+    read.and(stopped)
 }
 
 fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let python = tools::python(workspace)?;
-    let data = workspace.target.join("browser-test");
-    if data.exists() {
-        std::fs::remove_dir_all(&data).map_err(XtaskError::file(&data))?;
-    }
-    let options =
-        SystemOptions { binaries: Binaries::inside(&workspace.target.join("debug")), data, port: 0, echo: false };
+    let options = options(workspace, "debug", "browser-test")?;
     let vehicle = Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) };
     let system = System::start(&options, &vehicle)?;
     let mut script = script(workspace, "fly.mjs", system.api())?;
