@@ -233,7 +233,7 @@ await step(page, 'tune: a deviation is changed, previewed, pushed in flight, and
   await page.getByLabel('altitude, m', { exact: true }).fill('-3');
   await page.keyboard.press('Tab');
   await page.getByText(/it must be above 0/).waitFor();
-  await page.getByLabel('altitude slider').press('ArrowRight');
+  await page.getByLabel('altitude slider', { exact: true }).press('ArrowRight');
   await until('another preview', async () => /certified|refused/i.test(await verdict.textContent()));
   await button('Push to the vehicle').click();
   await until('revision 2 in use', async () => /revision 2/.test(await inUse.textContent()));
@@ -247,7 +247,7 @@ await step(page, 'tune: a deviation is changed, previewed, pushed in flight, and
 
 await step(page, 'calibrate: guidance, and a fit that is refused with its reason', async () => {
   await page_of('Calibrate');
-  await page.getByLabel('What').selectOption({ label: 'Thrust and torque' });
+  await page.getByLabel('What', { exact: true }).selectOption({ label: 'Thrust and torque' });
   await page.getByText(/thrust stand/).waitFor();
   const rows = (count) => ['rpm,thrust_n', ...Array.from({ length: count }, (_, i) => `${2000 + 500 * i},${1.6e-5 * ((2000 + 500 * i) * Math.PI / 30) ** 2}`)].join('\n');
   const open = (text) => page.locator('input[type=file]').setInputFiles({ name: 'bench.csv', mimeType: 'text/csv', buffer: Buffer.from(text) });

@@ -68,6 +68,7 @@ impl Bench {
                 }
                 Err(failure) => {
                     let _ = self.preview.try_set(Some(Err(failure.text)));
+                    let _ = self.fresh.try_set(true);
                     return;
                 }
             }
