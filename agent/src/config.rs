@@ -3,11 +3,17 @@
 //! Every key has a default; unknown keys and values out of range are errors that name the key and
 //! its value. What is set here limits what any ground may ask for.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+use arrayvec::ArrayString;
 
 use plumbline_proto::ids::FlightId;
 use serde::Deserialize;
 
+use crate::control::ControllerKind;
+use crate::control::policy::MarginPolicy;
+use crate::control::tuning::{Design, kind_by_name};
 use crate::estimate::EstimatorKind;
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
@@ -74,6 +80,10 @@ pub struct AgentConfig {
     pub weights: Option<Weights>,
     /// Where and when it flies, for the magnetic declination; left out, yaw counts from magnetic north.
     pub site: Option<Site>,
+    /// The controller to start with.
+    pub controller: Controller,
+    /// What gains must forgive before they fly.
+    pub margins: Margins,
     /// Onboard log.
     pub log: Log,
     /// Radio.
@@ -158,6 +168,70 @@ impl Site {
     }
 }
 
+/// The controller to start with.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Controller {
+    /// `lqr_integral`, `lqr`, `lqg`, `hinf` or `pid`.
+    pub kind: Option<String>,
+    /// Its parameters by name.
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// A named margin policy, and what of it is changed.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Margins {
+    /// `standard`, `careful` or `experimental`.
+    pub policy: Option<String>,
+    /// Least factor by which the gain of each loop may rise.
+    pub gain_up_min: Option<f64>,
+    /// Largest factor to which it may have to fall.
+    pub gain_down_max: Option<f64>,
+    /// Least phase margin, rad.
+    pub phase_min_rad: Option<f64>,
+    /// Least delay margin, s.
+    pub delay_min_s: Option<f64>,
+    /// Largest sensitivity.
+    pub sensitivity_max: Option<f64>,
+    /// The slowest pole, 1/s (negative).
+    pub slowest_pole_per_s: Option<f64>,
+    /// Largest change of a row of K while armed, of the one in use.
+    pub change_max: Option<f64>,
+    /// Largest share of the motors' room that a unit step may ask for.
+    pub unit_step_max: Option<f64>,
+}
+
+impl Margins {
+    fn policy(&self) -> Result<MarginPolicy, ConfigError> {
+        let name = self.policy.as_deref().unwrap_or(MarginPolicy::STANDARD.name);
+        let mut policy = MarginPolicy::by_name(name).ok_or_else(|| ConfigError::Value {
+            key: "margins.policy".to_owned(),
+            value: format!("{name:?}"),
+            expected: "standard, careful or experimental",
+        })?;
+        let named = policy;
+        for (into, value) in [
+            (&mut policy.gain_up_min, self.gain_up_min),
+            (&mut policy.gain_down_max, self.gain_down_max),
+            (&mut policy.phase_min_rad, self.phase_min_rad),
+            (&mut policy.delay_min_s, self.delay_min_s),
+            (&mut policy.sensitivity_max, self.sensitivity_max),
+            (&mut policy.slowest_pole_per_s, self.slowest_pole_per_s),
+            (&mut policy.change_max, self.change_max),
+            (&mut policy.unit_step_max, self.unit_step_max),
+        ] {
+            if let Some(value) = value {
+                *into = value;
+            }
+        }
+        if policy != named {
+            policy.name = "custom";
+        }
+        Ok(policy)
+    }
+}
+
 /// The onboard log.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -193,6 +267,8 @@ impl Default for AgentConfig {
             calibrations: Vec::new(),
             weights: None,
             site: None,
+            controller: Controller::default(),
+            margins: Margins::default(),
             log: Log::default(),
             link: Link::default(),
         }
@@ -273,6 +349,14 @@ impl AgentConfig {
             ("limits.descent_max_mps", limits.descent_max_mps, 0.01, 10.0, "0.01 to 10 m/s"),
             ("limits.tilt_max_rad", limits.tilt_max_rad, 0.0, 1.0, "0 to 1 rad"),
             ("limits.throttle_max", limits.throttle_max, 0.0, 4.0, "0 to 4"),
+            ("margins.gain_up_min", self.margins.gain_up_min, 1.0, 100.0, "1 to 100"),
+            ("margins.gain_down_max", self.margins.gain_down_max, 0.0, 1.0, "0 to 1"),
+            ("margins.phase_min_rad", self.margins.phase_min_rad, 0.0, 1.5, "0 to 1.5 rad"),
+            ("margins.delay_min_s", self.margins.delay_min_s, 0.0, 1.0, "0 to 1 s"),
+            ("margins.sensitivity_max", self.margins.sensitivity_max, 1.0, 100.0, "1 to 100"),
+            ("margins.slowest_pole_per_s", self.margins.slowest_pole_per_s, -100.0, 0.0, "-100 to 0 1/s"),
+            ("margins.change_max", self.margins.change_max, 0.0, 1e6, "0 to 1e6"),
+            ("margins.unit_step_max", self.margins.unit_step_max, 0.0, 1e6, "0 to 1e6"),
             ("attacks.duration_max_s", attacks.duration_max_s, 0.001, 3600.0, "0.001 to 3600 s"),
             ("attacks.length_max_m", attacks.length_max_m, 0.0, 100.0, "0 to 100 m"),
             ("attacks.rate_max_radps", attacks.rate_max_radps, 0.0, 100.0, "0 to 100 rad/s"),
@@ -296,6 +380,8 @@ impl AgentConfig {
         if let Some(site) = &self.site {
             site.declination_rad()?;
         }
+        self.margins.policy()?;
+        self.controller.kind.as_deref().map_or(Ok(()), |kind| controller(kind).map(|_| ()))?;
         for name in self.estimators.run.iter().flatten() {
             estimator("estimators.run", name)?;
         }
@@ -340,12 +426,33 @@ impl AgentConfig {
         if let Some(site) = &self.site {
             flight.ekf.declination_rad = site.declination_rad()?;
         }
+        flight.margins = self.margins.policy()?;
+        if let Some(kind) = &self.controller.kind {
+            flight.design = Design::new(controller(kind)?, &flight.airframe);
+        }
+        for (name, value) in &self.controller.parameters {
+            let bad = || ConfigError::Value {
+                key: format!("controller.parameters.{name}"),
+                value: value.to_string(),
+                expected: "a parameter of this controller",
+            };
+            let short = ArrayString::from(name).map_err(|_| bad())?;
+            flight.design.set(&short, *value).map_err(|_| bad())?;
+        }
         if let Some(weights) = &self.weights {
             flight.design.weights.state = weights.state;
             flight.design.weights.input = weights.input;
         }
         Ok(())
     }
+}
+
+fn controller(name: &str) -> Result<ControllerKind, ConfigError> {
+    kind_by_name(name).ok_or_else(|| ConfigError::Value {
+        key: "controller.kind".to_owned(),
+        value: format!("{name:?}"),
+        expected: "lqr_integral, lqr, lqg, hinf or pid",
+    })
 }
 
 #[cfg(test)]
@@ -390,6 +497,9 @@ mod tests {
             ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
             ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
             ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),
+            ("[controller]\nkind = \"magic\"", "controller.kind = \"magic\""),
+            ("[margins]\npolicy = \"none\"", "margins.policy = \"none\""),
+            ("[margins]\nphase_min_rad = 2", "margins.phase_min_rad = 2"),
             ("[log]\nmax_mib = 1", "log.max_mib = 1"),
         ] {
             let message = AgentConfig::from_toml(text).unwrap_err().to_string();

@@ -122,3 +122,42 @@ fn what_cannot_be_done_is_told_on_stderr_with_exit_code_1() {
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
 }
+
+#[test]
+fn designs_become_certified_gains_that_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("gains.json");
+    let output = output.to_str().unwrap();
+    let design = |controller: &str, more: &[&str]| {
+        let arguments = ["design", "--airframe", "iris", "--controller", controller, "--output", output];
+        agent(&[&arguments[..], more].concat())
+    };
+    for controller in ["lqr", "lqi", "lqg", "hinf", "pid"] {
+        let done = design(controller, &[]);
+        assert!(done.status.success(), "{controller}: {}", String::from_utf8_lossy(&done.stderr));
+        let first: Value = serde_json::from_str(&std::fs::read_to_string(output).unwrap()).unwrap();
+        assert_eq!(first["certificate"]["policy"], "standard");
+        // What was written is a design itself.
+        let again = folder.path().join("again.json");
+        std::fs::copy(output, &again).unwrap();
+        let done = design(controller, &["--weights", again.to_str().unwrap()]);
+        assert!(done.status.success(), "{controller}: {}", String::from_utf8_lossy(&done.stderr));
+        let second: Value = serde_json::from_str(&std::fs::read_to_string(output).unwrap()).unwrap();
+        assert_eq!(first["certificate"]["sha256"], second["certificate"]["sha256"], "{controller}");
+    }
+    let weights = folder.path().join("weights.json");
+    for (controller, text, mentions) in [
+        ("magic", "{}", "\"magic\" is not known"),
+        ("pid", r#"{"parameters": {"tilt_p": -1}}"#, "tilt_p is -1"),
+        ("pid", r#"{"parameters": {"tolt_p": 1}}"#, "tolt_p"),
+        ("lqr", r#"{"state_weight": [1, 2], "input_weight": [1, 1, 1, 1]}"#, "state_weight has 2 values"),
+        ("lqr", r#"{"controller": "pid"}"#, "the weights are for controller \"pid\""),
+        ("lqi", r#"{"colour": 1}"#, "colour"),
+        ("pid", r#"{"parameters": {"tilt_p": 49, "tilt_rate_p": 99}}"#, "decays at 14.791 1/s"),
+    ] {
+        std::fs::write(&weights, text).unwrap();
+        let done = design(controller, &["--weights", weights.to_str().unwrap()]);
+        let stderr = String::from_utf8_lossy(&done.stderr);
+        assert!(!done.status.success() && stderr.contains(mentions), "{text}: {stderr}");
+    }
+}

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod decode;
+mod design;
 mod estimate;
 mod fly;
 mod identity;
@@ -34,6 +35,8 @@ enum Tool {
     Estimate(EstimateArgs),
     /// Fits a calibration to a recording or a table: JSON file, and its summary as one JSON line.
     Calibrate(calibrate::CalibrateArguments),
+    /// Designs a controller: weights in, certified gains out.
+    Design(design::DesignArguments),
     /// Solves continuous-time Riccati equations, one JSON line per case.
     Care(riccati::RiccatiArguments),
     /// Solves discrete-time Riccati equations, one JSON line per case.
@@ -103,6 +106,7 @@ impl Arguments {
             Some(Tool::Pair(arguments)) => arguments.run(),
             Some(Tool::Estimate(arguments)) => estimate::estimate(&arguments),
             Some(Tool::Calibrate(arguments)) => arguments.run(),
+            Some(Tool::Design(arguments)) => arguments.run(),
             Some(Tool::Care(arguments)) => arguments.run(Equation::Care),
             Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
             Some(Tool::Decode(arguments)) => arguments.run(),

@@ -1,6 +1,8 @@
 //! The controllers as one value: what a certification makes, a push carries and the loop flies.
 
 use super::gains::Gain;
+use super::hinf::Hinf;
+use super::lqg::Lqg;
 use super::lqr_integral::LqrIntegral;
 use super::pid::Pid;
 use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
@@ -13,6 +15,10 @@ use crate::model::state_space::StateSpace;
 pub enum Law {
     /// LQR, with or without integrals.
     StateFeedback(LqrIntegral),
+    /// LQR behind a Kalman filter.
+    Lqg(Lqg),
+    /// Mixed sensitivity.
+    Hinf(Hinf),
     /// Cascaded PID.
     Pid(Pid),
 }
@@ -21,6 +27,8 @@ impl Law {
     fn get(&self) -> &dyn Controller {
         match self {
             Self::StateFeedback(law) => law,
+            Self::Lqg(law) => law,
+            Self::Hinf(law) => law,
             Self::Pid(law) => law,
         }
     }
@@ -28,6 +36,8 @@ impl Law {
     fn get_mut(&mut self) -> &mut dyn Controller {
         match self {
             Self::StateFeedback(law) => law,
+            Self::Lqg(law) => law,
+            Self::Hinf(law) => law,
             Self::Pid(law) => law,
         }
     }
@@ -36,6 +46,8 @@ impl Law {
     pub fn linear(&self, period_s: f64, horizontal: bool) -> StateSpace {
         match self {
             Self::StateFeedback(law) => law.linear(period_s, horizontal),
+            Self::Lqg(law) => law.linear(horizontal),
+            Self::Hinf(law) => law.linear(horizontal),
             Self::Pid(law) => law.linear(period_s, horizontal),
         }
     }
@@ -44,7 +56,8 @@ impl Law {
     pub fn gains(&self) -> Option<[&Gain; 2]> {
         match self {
             Self::StateFeedback(law) => Some(law.gains()),
-            Self::Pid(_) => None,
+            Self::Lqg(law) => Some(law.gains()),
+            Self::Hinf(_) | Self::Pid(_) => None,
         }
     }
 
@@ -56,6 +69,8 @@ impl Law {
                 // The columns of the transpose are the rows.
                 law.gains().iter().for_each(|k| k.transpose().iter().for_each(|v| take(*v)));
             }
+            Self::Lqg(law) => law.each_value(take),
+            Self::Hinf(law) => law.each_value(take),
             Self::Pid(law) => law.values().into_iter().for_each(take),
         }
     }

@@ -193,7 +193,7 @@ fn closed_loop(plant: &Sampled, law: &StateSpace, delayed: bool) -> DMatrix<f64>
 ///
 /// # Errors
 /// What `at` reports.
-pub(crate) fn margins(
+pub fn margins(
     grid: &[(f64, Matrix4<Complex>)],
     at: impl Fn(f64) -> Result<Matrix4<Complex>, LinalgError>,
 ) -> Result<([LoopMargins; INPUTS], f64), LinalgError> {

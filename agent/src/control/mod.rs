@@ -1,14 +1,17 @@
 //! Controllers: the wrench that brings the estimate to the setpoint.
 
 pub mod gains;
+pub mod hinf;
 pub mod in_loop;
 pub mod law;
+pub mod lqg;
 pub mod lqr_integral;
 pub mod margins;
 pub mod pid;
 pub mod policy;
 pub mod setpoint;
 pub mod step_response;
+pub mod structure;
 pub mod trajectory;
 pub mod tuning;
 

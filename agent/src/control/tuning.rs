@@ -11,7 +11,7 @@ use arrayvec::{ArrayString, ArrayVec};
 
 use super::gains::{Gain, GainsError};
 use super::lqr_integral::Weights;
-use super::{ControllerKind, pid};
+use super::{ControllerKind, hinf, lqg, pid};
 use crate::model::airframe::Airframe;
 
 /// Longest name of a parameter.
@@ -38,8 +38,14 @@ impl Parameter {
     }
 }
 
-/// Every kind that can be put in the loop.
-pub const KINDS: [ControllerKind; 3] = [ControllerKind::LqrIntegral, ControllerKind::Lqr, ControllerKind::Pid];
+/// Kinds that are put in the loop. H∞ is designed, examined and previewed, but in the simulator's own flights its
+/// yaw ran away: it is refused until that is understood.
+pub const FLOWN: [ControllerKind; 4] =
+    [ControllerKind::LqrIntegral, ControllerKind::Lqr, ControllerKind::Lqg, ControllerKind::Pid];
+
+/// Every kind that can be designed.
+pub const KINDS: [ControllerKind; 5] =
+    [ControllerKind::LqrIntegral, ControllerKind::Lqr, ControllerKind::Lqg, ControllerKind::Hinf, ControllerKind::Pid];
 
 /// The name in files, messages and commands.
 pub fn kind_name(kind: ControllerKind) -> &'static str {
@@ -62,6 +68,8 @@ pub fn kind_by_name(name: &str) -> Option<ControllerKind> {
 /// Parameters of `kind` beyond the weights, in the order of [`Design::parameters`].
 pub fn parameters(kind: ControllerKind) -> &'static [Parameter] {
     match kind {
+        ControllerKind::Lqg => &lqg::PARAMETERS,
+        ControllerKind::Hinf => &hinf::PARAMETERS,
         ControllerKind::Pid => &pid::PARAMETERS,
         _ => &[],
     }
@@ -140,6 +148,8 @@ impl Design {
     /// `kind` with every default for `airframe`.
     pub fn new(kind: ControllerKind, airframe: &Airframe) -> Self {
         let defaults: &[f64] = match kind {
+            ControllerKind::Lqg => &lqg::DEFAULTS,
+            ControllerKind::Hinf => &hinf::DEFAULTS,
             ControllerKind::Pid => &pid::DEFAULTS,
             _ => &[],
         };

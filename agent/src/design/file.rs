@@ -15,7 +15,7 @@
 //! - `k`, `k_attitude`: gains outright (`lqr`, `lqr_integral`), used where there are no weights.
 //!
 //! Gains written by [`export`] are a design with what came of it: `format`, `airframe`, `tick_rate_hz`,
-//! `units` (of every list), `certificate` (poles, margins, policy, hash). Reading one back takes the design and
+//! `units` (of every list), `certificate` (slowest pole, margins, policy, hash). Reading one back takes the design and
 //! leaves the rest: the agent solves and examines again.
 //!
 //! Strict: unknown keys, wrong lengths and numbers that are not finite are errors with name and value.

@@ -401,7 +401,10 @@ mod tests {
 
     #[test]
     fn wrong_numbers_are_named() {
-        assert_eq!(refused(r#"{"controller": "magic"}"#), "controller \"magic\" is not known: lqr_integral, lqr, pid");
+        assert_eq!(
+            refused(r#"{"controller": "magic"}"#),
+            "controller \"magic\" is not known: lqr_integral, lqr, lqg, hinf, pid"
+        );
         assert_eq!(
             refused(r#"{"state_weight": [1], "input_weight": [1,1,1,1]}"#),
             "state_weight has 1 values, 16 are needed"

@@ -601,10 +601,126 @@ mod tests {
         let (x, _, _) =
             care_general(&nalgebra::dmatrix![-1.0], &nalgebra::dmatrix![g], &nalgebra::dmatrix![1.0]).unwrap();
         assert!((x[(0, 0)] - (-1.0 + (1.0_f64 + g).sqrt()) / g).abs() < 1e-14);
+        // The matrix sign's way gives the same.
+        let (a, g_, q) = (nalgebra::dmatrix![-1.0], nalgebra::dmatrix![g], nalgebra::dmatrix![1.0]);
+        assert!((care_indefinite(&a, &g_, &q).unwrap() - &x).amax() < 1e-13);
         // G < 0 with a real stabilising solution: A − GX < 0.
         let (x, _, _) =
             care_general(&nalgebra::dmatrix![-1.0], &nalgebra::dmatrix![-0.5], &nalgebra::dmatrix![1.0]).unwrap();
         assert!((-2.0 * x[(0, 0)] + 0.5 * x[(0, 0)].powi(2) + 1.0).abs() < 1e-13 && -1.0 + 0.5 * x[(0, 0)] < 0.0);
+    }
+
+    /// Seeded numbers in −1..1.
+    fn random(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        }
+    }
+
+    /// A problem of `kind` with n states and m inputs.
+    fn problem(kind: &str, n: usize, m: usize, seed: u64) -> [DMatrix<f64>; 4] {
+        let mut next = random(seed);
+        let mut full = |r: usize, c: usize| DMatrix::from_fn(r, c, |_, _| next());
+        let (mut a, mut b) = (full(n, n), full(n, m));
+        let (root, scale) = (full(n, n), full(m, 1));
+        let mut q = &root * root.transpose() + DMatrix::identity(n, n) * 0.1;
+        let mut r = DMatrix::identity(m, m);
+        match kind {
+            "stiff" => (0..n).for_each(|i| a.row_mut(i).scale_mut(10.0_f64.powf(3.0 * i as f64 / n as f64))),
+            "low_rank" => {
+                // Seen through one output only; what is not seen is stable.
+                a = &a * 0.3 - DMatrix::identity(n, n) * 0.8;
+                let c = root.rows(0, 1).into_owned();
+                q = c.transpose() * c;
+            }
+            "zero_rows" => {
+                a = &a * 0.3 - DMatrix::identity(n, n) * 0.8;
+                (0..n).filter(|i| i % 2 == 1).for_each(|i| {
+                    q.row_mut(i).fill(0.0);
+                    q.column_mut(i).fill(0.0);
+                });
+            }
+            "ill_r" => (0..m).for_each(|i| r[(i, i)] = 10.0_f64.powf(4.0 * scale[i])),
+            "marginal" => {
+                a = DMatrix::from_fn(n, n, |r, c| if c == r + 1 { 1.0 } else { 0.0 });
+                b = DMatrix::from_fn(n, m, |r, c| if r + 1 == n && c == 0 { 1.0 } else { 0.0 });
+            }
+            "singular_a" => {
+                a.row_mut(n - 1).fill(0.0);
+                a.column_mut(0).fill(0.0);
+            }
+            "repeated" => {
+                a = DMatrix::from_fn(n, n, |r, c| {
+                    if r == c {
+                        0.7
+                    } else if c == r + 1 && r % 2 == 0 {
+                        1.0
+                    } else {
+                        0.0
+                    }
+                });
+                b = DMatrix::identity(n, n);
+                r = DMatrix::identity(n, n);
+            }
+            "near_uncontrollable" => {
+                a = DMatrix::from_fn(n, n, |r, c| {
+                    if r == c { if r == 0 { 1.2 } else { -0.5 / (r as f64 + 1.0) } } else { 0.0 }
+                });
+                b.row_mut(0).fill(1e-4);
+            }
+            _ => {}
+        }
+        [a, b, q, r]
+    }
+
+    /// Of what is left of the equation, relative to its terms; the reference's own rule.
+    const RESIDUAL: f64 = 1e-10;
+
+    #[test]
+    fn random_problems_of_every_kind_and_size_are_solved() {
+        let kinds = [
+            "generic",
+            "stiff",
+            "low_rank",
+            "zero_rows",
+            "ill_r",
+            "marginal",
+            "singular_a",
+            "repeated",
+            "near_uncontrollable",
+        ];
+        let mut failures = Vec::new();
+        for kind in kinds {
+            for n in [1, 2, 3, 5, 8, 12, 16, 20] {
+                for seed in 0..4 {
+                    let m = 1 + (seed as usize % n.min(4));
+                    // A chain this long, sampled or not, is beyond double precision.
+                    if kind == "marginal" && n > 12 {
+                        continue;
+                    }
+                    let [a, b, q, r] = problem(kind, n, m, 1000 * n as u64 + seed);
+                    // Sampled vehicles do not run away by more than this in one tick.
+                    let radius = eigenvalues(&a).unwrap().iter().map(|e| e.norm()).fold(0.0, f64::max);
+                    let sampled = if radius > 1.2 { &a * (1.2 / radius) } else { a.clone() };
+                    for (what, solved) in [("care", care(&a, &b, &q, &r)), ("dare", dare(&sampled, &b, &q, &r))] {
+                        let name = format!("{what} {kind} n = {n}, m = {m}, seed {seed}");
+                        match solved {
+                            Ok(s) => {
+                                let negative = s.p.clone().symmetric_eigenvalues().min() < -1e-8 * s.p.norm();
+                                let residual = s.residual;
+                                if residual.is_nan() || residual > RESIDUAL || negative {
+                                    failures.push(format!("{name}: residual {residual:.1e}, negative {negative}"));
+                                }
+                            }
+                            Err(error) => failures.push(format!("{name}: {error}")),
+                        }
+                    }
+                }
+            }
+        }
+        assert!(failures.is_empty(), "{}:\n{}", failures.len(), failures.join("\n"));
     }
 
     #[test]

@@ -4,7 +4,9 @@
 pub mod paternain;
 
 use plumbline_agent::command::Command;
+use plumbline_agent::control::ControllerKind;
 use plumbline_agent::control::step_response::StepResponse;
+use plumbline_agent::control::tuning::Design;
 use plumbline_agent::estimate::Estimate;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
@@ -30,12 +32,19 @@ pub struct Tick<'a> {
 }
 
 impl Headless {
-    /// The scenario of that name in `tests/scenarios`, with the agent's default estimators.
+    /// The scenario of that name in `tests/scenarios`, with the agent's default estimators and controller.
     pub fn start(name: &str) -> Self {
+        Self::start_with(name, ControllerKind::LqrIntegral)
+    }
+
+    /// The same with another controller, at its defaults.
+    pub fn start_with(name: &str, controller: ControllerKind) -> Self {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
         let text = std::fs::read_to_string(folder.join(name).with_extension("toml")).unwrap();
         let scenario = Scenario::from_toml(&text).unwrap();
-        let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+        let config = FlightConfig::for_scenario(&scenario);
+        let design = Design::new(controller, &scenario.airframe);
+        let flight = Flight::new(FlightConfig { design, ..config }).unwrap();
         let vehicle = SimVehicle::new(&scenario).unwrap();
         Self { scenario, vehicle, flight, before: None }
     }
@@ -58,6 +67,11 @@ impl Headless {
             assert!(ack.accepted, "{command:?} at {now}: {}", ack.reason);
         });
         step
+    }
+
+    /// The true state.
+    pub fn truth(&mut self) -> Truth {
+        self.vehicle.truth().unwrap()
     }
 
     /// The whole scenario.

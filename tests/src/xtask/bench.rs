@@ -12,7 +12,8 @@ pub struct Options {
 }
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
-const BENCHES: [(&str, Bench); 7] = [
+const BENCHES: [(&str, Bench); 8] = [
+    ("control", Bench::Program("plumbline-tests", "control")),
     ("tick", Bench::Program("plumbline-tests", "tick")),
     ("steps", Bench::Program("plumbline-tests", "steps")),
     ("sse", Bench::Program("plumbline-agent", "sse")),

@@ -16,7 +16,11 @@ pub struct Options {
 const SOURCES: [(&str, &[Program], &str); 4] = [
     ("paternain", &[(TESTS, "paternain")], "VIII: the three experiments; report in target/reproduce/paternain"),
     ("umasankar", &[(TESTS, "umasankar")], "Tables 3 to 5; report in target/reproduce/umasankar"),
-    ("strategies", &[], "LQG and H-infinity trajectories come with the controllers"),
+    (
+        "strategies",
+        &[(TESTS, "strategies")],
+        "LQG, H-infinity and every controller on the same flights; report in target/reproduce/strategies",
+    ),
     (
         "clinic",
         &[("plumbline-agent", "sse"), (TESTS, "clinic")],

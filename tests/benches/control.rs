@@ -1,0 +1,304 @@
+//! What control costs: Riccati equations, H∞ synthesis, certification, one tick of each controller; beside them the
+//! same cases by scipy and slycot, and pushes by the thousand. Prints JSON lines.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod headless;
+
+use std::hint::black_box;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command as Process, Stdio};
+use std::time::Instant;
+
+use headless::Headless;
+use nalgebra::DMatrix;
+use plumbline_agent::command::Command;
+use plumbline_agent::control::gains::{Examiner, Gain};
+use plumbline_agent::control::hinf::strategies::{ChannelWeights, controllers, whole_plant};
+use plumbline_agent::control::hinf::synthesis::optimal_gamma;
+use plumbline_agent::control::hinf::weights::{Generalised, mixed_sensitivity};
+use plumbline_agent::control::lqr_integral::Weights;
+use plumbline_agent::control::policy::MarginPolicy;
+use plumbline_agent::control::tuning::{Design, KINDS, kind_name};
+use plumbline_agent::control::{Controller as _, Loops, Setpoint};
+use plumbline_agent::estimate::Estimate;
+use plumbline_agent::linalg::{care, dare};
+use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::model::discretize::zero_order_hold;
+use plumbline_agent::model::linearize::hover;
+use plumbline_proto::ids::GainsRevision;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use serde_json::{Value, json};
+
+/// Thrust may jump by this part of the weight when good gains replace others in flight.
+const BUMP: f64 = 0.08;
+/// Random bad and good pushes.
+const BAD: u32 = 10_000;
+const GOOD: u32 = 1_000;
+
+fn line(name: &str, value: f64, unit: &str, limit: Option<f64>) {
+    println!(
+        "{}",
+        json!({ "bench": "control", "name": name, "value": (value * 1e3).round() / 1e3, "unit": unit, "limit": limit })
+    );
+}
+
+fn median_us(runs: usize, mut run: impl FnMut()) -> f64 {
+    let mut times: Vec<f64> = (0..runs)
+        .map(|_| {
+            let start = Instant::now();
+            run();
+            start.elapsed().as_secs_f64() * 1e6
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[runs / 2]
+}
+
+struct Case {
+    name: &'static str,
+    continuous: bool,
+    matrices: [DMatrix<f64>; 4],
+    limit_us: Option<f64>,
+}
+
+/// The hovering Iris with 12 states, with the four integrals, and both sampled at 100 Hz.
+fn riccati_cases(airframe: &Airframe) -> Vec<Case> {
+    let linear = hover(airframe);
+    let weights = Weights::for_airframe(airframe);
+    let mut cases = Vec::new();
+    for (n, names, limit_us) in [(12, ["care_12", "dare_12"], 300.0), (16, ["care_16", "dare_16"], 600.0)] {
+        let mut a = DMatrix::zeros(n, n);
+        let mut b = DMatrix::zeros(n, 4);
+        a.view_mut((0, 0), (12, 12)).copy_from(&linear.a);
+        b.view_mut((0, 0), (12, 4)).copy_from(&linear.b);
+        for (i, state) in [0, 1, 2, 8].into_iter().enumerate().filter(|(i, _)| 12 + i < n) {
+            a[(12 + i, state)] = 1.0;
+        }
+        let q = DMatrix::from_fn(n, n, |r, c| if r == c { weights.state[r] } else { 0.0 });
+        let r = DMatrix::from_fn(4, 4, |r, c| if r == c { weights.input[r] } else { 0.0 });
+        let sampled = zero_order_hold(&a, &b, 0.01).unwrap();
+        let continuous = [a, b, q.clone(), r.clone()];
+        cases.push(Case { name: names[0], continuous: true, matrices: continuous, limit_us: Some(limit_us) });
+        let sampled = [sampled.a, sampled.b, q, r];
+        cases.push(Case { name: names[1], continuous: false, matrices: sampled, limit_us: None });
+    }
+    cases
+}
+
+fn main() {
+    let iris = Airframe::iris();
+    let cases = riccati_cases(&iris);
+    for case in &cases {
+        let [a, b, q, r] = &case.matrices;
+        let solve = if case.continuous { care } else { dare };
+        let time = median_us(301, || {
+            black_box(solve(a, b, q, r).unwrap());
+        });
+        line(case.name, time, "us", case.limit_us);
+    }
+
+    let weights = [ChannelWeights::printed(0.1); 4];
+    let time = median_us(11, || {
+        black_box(controllers(&iris, &weights, 1.001, 1e-6).unwrap());
+    });
+    line("hinf_synthesis", time / 1e3, "ms", Some(200.0));
+    let plant = whole_plant(&iris);
+    let problem = mixed_sensitivity(&plant, &weights.map(|w| w.performance), &weights.map(|w| w.effort), 0.1);
+    let time = median_us(3, || {
+        black_box(optimal_gamma(&problem, 1e-6).unwrap());
+    });
+    line("hinf_gamma_of_all_20_states", time / 1e3, "ms", None);
+
+    let examiner = Examiner::new(&iris, 0.005, MarginPolicy::default()).unwrap();
+    for kind in KINDS {
+        let design = Design::new(kind, &iris);
+        let time = median_us(11, || {
+            black_box(examiner.certify(&design, GainsRevision(1)).unwrap());
+        });
+        line(&format!("certify_{}", kind_name(kind)), time / 1e3, "ms", None);
+        let mut law = examiner.solve(&design).unwrap();
+        let estimate = Estimate { position_enu_m: nalgebra::Vector3::new(0.1, -0.2, 0.9), ..Estimate::default() };
+        let setpoint = Setpoint { position_enu_m: nalgebra::Vector3::z(), ..Setpoint::default() };
+        let loops = Loops { horizontal: true, altitude: true };
+        // A thousand at a time: one is shorter than the clock is fine.
+        let time = median_us(101, || {
+            for _ in 0..1000 {
+                let wrench = law.control(black_box(&estimate), black_box(&setpoint), loops, 0.005);
+                law.applied(&wrench, &wrench);
+                black_box(wrench);
+            }
+        });
+        line(&format!("tick_{}", kind_name(kind)), time / 1e3, "us", Some(2.0));
+    }
+
+    python(&cases, &problem);
+    pushes();
+}
+
+fn rows(m: &DMatrix<f64>) -> Value {
+    m.row_iter().map(|r| r.iter().copied().collect::<Vec<_>>()).collect::<Vec<_>>().into()
+}
+
+fn skipped(reason: &str) {
+    println!("{}", json!({ "bench": "control", "name": "python", "skipped": reason }));
+}
+
+/// Python with the packages, kept in `target/tools/python-control`; made when absent.
+fn environment() -> Result<PathBuf, String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("target/tools/python-control");
+    let python = folder.join("bin/python");
+    let run = |command: &mut Process, what: &str| {
+        let done = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        match done {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(format!("{what}: {status}")),
+            Err(error) => Err(format!("{what}: {error}")),
+        }
+    };
+    if !python.exists() {
+        run(Process::new("python3").args(["-m", "venv"]).arg(&folder), "python3 -m venv")?;
+    }
+    let has = |package: &str| run(Process::new(&python).args(["-c", &format!("import {package}")]), package).is_ok();
+    for package in ["numpy", "scipy", "slycot"] {
+        if !has(package) {
+            let pip = ["-m", "pip", "install", "--quiet", "--only-binary=:all:", package];
+            // Without slycot, scipy is compared all the same: the script says what is missing.
+            let done = run(Process::new(&python).args(pip), &format!("pip install {package}"));
+            if package != "slycot" {
+                done?;
+            }
+        }
+    }
+    Ok(python)
+}
+
+fn python(cases: &[Case], problem: &Generalised) {
+    let python = match environment() {
+        Ok(python) => python,
+        Err(reason) => return skipped(&reason),
+    };
+    let riccati: Vec<Value> = cases
+        .iter()
+        .map(|case| {
+            let [a, b, q, r] = &case.matrices;
+            let kind = if case.continuous { "care" } else { "dare" };
+            json!({ "name": case.name, "kind": kind, "A": rows(a), "B": rows(b), "Q": rows(q), "R": rows(r) })
+        })
+        .collect();
+    let Generalised { a, b1, b2, c1, c2, d11, d12, d21 } = problem;
+    let hinf = json!({
+        "gamma": 4.0, "A": rows(a), "B1": rows(b1), "B2": rows(b2), "C1": rows(c1), "C2": rows(c2),
+        "D11": rows(d11), "D12": rows(d12), "D21": rows(d21),
+    });
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/control.py");
+    let started = Process::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let mut child = match started {
+        Ok(child) => child,
+        Err(error) => return skipped(&error.to_string()),
+    };
+    let text = json!({ "riccati": riccati, "hinf": hinf }).to_string();
+    let _ = child.stdin.take().unwrap().write_all(text.as_bytes());
+    let output = child.wait_with_output().unwrap();
+    for text in String::from_utf8_lossy(&output.stdout).lines() {
+        let mut value: Value = serde_json::from_str(text).unwrap();
+        value["bench"] = "control".into();
+        println!("{value}");
+    }
+    if !output.status.success() {
+        skipped(&format!("the script ended with {}", output.status));
+    }
+}
+
+/// Ten thousand bad designs refused, a thousand good ones applied, one after the other in one flight.
+fn pushes() {
+    let mut flown = Headless::start("altitude_step");
+    flown.scenario.script.steps.retain(|step| step.at_s < 6.0);
+    let rate = flown.scenario.tick_rate_hz;
+    let tick = |flown: &mut Headless, ticks: usize| {
+        for _ in 0..ticks {
+            let sensed = flown.sense();
+            flown.fly(&sensed);
+        }
+    };
+    tick(&mut flown, (12.0 * rate) as usize);
+    let config = flown.flight.config().clone();
+    let examiner = Examiner::new(&config.airframe, 1.0 / rate, config.margins).unwrap();
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(11);
+    let good = config.design.weights;
+    let k: [Gain; 2] = flown.flight.gains_in_use().law.gains().map(|[k, attitude]| [*k, *attitude]).unwrap();
+    let before = flown.flight.gains_in_use().sha256;
+    let mut applied = 0;
+    for n in 0..BAD {
+        let mut design = Design::from_weights(good);
+        match n % 5 {
+            // Malformed weights.
+            0 => {
+                let bad = [f64::NAN, f64::INFINITY, -1.0, -1e-300, 1e13][rng.random_range(0..5)];
+                match rng.random_range(0..20) {
+                    i @ 0..16 => design.weights.state[i] = bad,
+                    i => design.weights.input[i - 16] = bad,
+                }
+            }
+            // Malformed K.
+            1 => {
+                let mut spoiled = k;
+                let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e7][rng.random_range(0..4)];
+                spoiled[rng.random_range(0..2)][(rng.random_range(0..4), rng.random_range(0..16))] = bad;
+                design.k = Some(spoiled);
+            }
+            // Destabilising K: one loop with the wrong sign.
+            2 => {
+                let mut spoiled = k;
+                let row = rng.random_range(0..4);
+                let factor = -rng.random_range(0.05..5.0);
+                spoiled.iter_mut().for_each(|k| k.row_mut(row).scale_mut(factor));
+                design.k = Some(spoiled);
+            }
+            // Far too loud for lag and delay.
+            3 => {
+                let mut spoiled = k;
+                let factor = rng.random_range(30.0..300.0);
+                spoiled.iter_mut().for_each(|k| *k *= factor);
+                design.k = Some(spoiled);
+            }
+            // Weights that ask for it.
+            _ => {
+                let eager = 10.0_f64.powf(rng.random_range(-12.0..-6.0));
+                design.weights.input = design.weights.input.map(|w| (w * eager).max(1e-9));
+                design.weights.state = design.weights.state.map(|w| (w / eager).min(1e12));
+            }
+        }
+        if let Ok(gains) = examiner.certify(&design, GainsRevision(n + 1)) {
+            let now = flown.flight.report().sensed.time;
+            applied += u32::from(flown.flight.apply(&Command::UseGains(gains), now).accepted);
+        }
+        if n % 20 == 0 {
+            tick(&mut flown, 1);
+        }
+    }
+    line("bad_pushes", f64::from(BAD), "pushes", None);
+    line("bad_pushes_applied", f64::from(applied), "pushes", Some(0.0));
+    assert_eq!(before, flown.flight.gains_in_use().sha256, "a refused push changed the gains");
+
+    let (mut applied, mut worst, mut lost) = (0, 0.0_f64, 0);
+    for n in 0..GOOD {
+        let mut design = Design::from_weights(good);
+        let mut spread = || 4.0_f64.powf(rng.random_range(-1.0..1.0));
+        design.weights.state = design.weights.state.map(|w| w * spread());
+        design.weights.input = design.weights.input.map(|w| w * spread());
+        let gains = examiner.certify(&design, GainsRevision(BAD + n + 1)).expect("a good design is certified");
+        let thrust_n = flown.flight.report().given.thrust_n;
+        let now = flown.flight.report().sensed.time;
+        applied += u32::from(flown.flight.apply(&Command::UseGains(gains), now).accepted);
+        tick(&mut flown, 1);
+        worst = worst.max((flown.flight.report().given.thrust_n - thrust_n).abs() / config.airframe.weight_n());
+        tick(&mut flown, (0.1 * rate) as usize);
+        let z = flown.truth().position_enu_m.z;
+        lost += u32::from(!z.is_finite() || (z - 0.5).abs() > 0.3 || !flown.flight.report().armed);
+    }
+    line("good_pushes_applied", f64::from(applied), "pushes", Some(f64::from(GOOD)));
+    line("good_pushes_largest_bump", worst, "of the weight", Some(BUMP));
+    line("good_pushes_that_lost_the_altitude", f64::from(lost), "pushes", Some(0.0));
+}

@@ -1,0 +1,358 @@
+//! `cargo xtask reproduce strategies`: the control chapter of [Strategies] with its mistakes put right, and every
+//! controller of the agent on the same flights.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../benches/headless/mod.rs"]
+mod headless;
+
+use headless::Headless;
+use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
+use plumbline_agent::command::Command;
+use plumbline_agent::control::ControllerKind;
+use plumbline_agent::control::hinf::reduction::balance;
+use plumbline_agent::control::hinf::strategies::{self, CHANNELS, ChannelWeights, INPUT, tracking, whole_plant};
+use plumbline_agent::control::hinf::weights::{Weight, mixed_sensitivity};
+use plumbline_agent::control::lqg::{OUTPUTS, Replica};
+use plumbline_agent::control::margins::{LoopMargins, margins};
+use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
+use plumbline_agent::control::tuning::{FLOWN, kind_name};
+use plumbline_agent::linalg::{Complex, hinf_norm};
+use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::model::discretize::zero_order_hold;
+use plumbline_agent::model::state_space::StateSpace;
+use plumbline_tests::report::{Plot, Report, Series};
+use serde_json::json;
+
+type Done<T> = Result<T, Box<dyn std::error::Error>>;
+
+fn main() -> Done<()> {
+    let mut report =
+        Report::open("reproduce", "strategies", "Control strategies: LQG, H-infinity, and all controllers in flight")?;
+    lqg(&mut report)?;
+    hinf(&mut report)?;
+    flights(&mut report)?;
+    report.finish()?;
+    Ok(())
+}
+
+/// Unit step of input `channel` answered at output `channel`: (t, y).
+fn step(system: &StateSpace, channel: usize, until_s: f64, dt_s: f64) -> Vec<(f64, f64)> {
+    let held = zero_order_hold(&system.a, &system.b, dt_s).unwrap();
+    let mut x = DVector::zeros(system.order());
+    (0..=(until_s / dt_s) as usize)
+        .map(|k| {
+            let y = (&system.c * &x)[channel] + system.d[(channel, channel)];
+            x = &held.a * &x + held.b.column(channel);
+            (k as f64 * dt_s, y)
+        })
+        .collect()
+}
+
+fn overshoot_percent(curve: &[(f64, f64)]) -> f64 {
+    let last = curve.last().map_or(1.0, |p| p.1);
+    100.0 * (curve.iter().map(|p| p.1 / last).fold(0.0, f64::max) - 1.0)
+}
+
+fn at_inputs(plant: &StateSpace, controller: &StateSpace) -> ([LoopMargins; 4], f64) {
+    let at = |w: f64| {
+        let s = Complex::new(0.0, w);
+        let l = -(controller.response(s)? * plant.response(s)?);
+        Ok(Matrix4::from_fn(|r, c| l[(r, c)]))
+    };
+    let grid: Vec<_> = (0..600).map(|i| 0.01 * 1.02_f64.powi(i)).map(|w| (w, at(w).unwrap())).collect();
+    margins(&grid, at).unwrap()
+}
+
+fn degrees(rad: f64) -> String {
+    format!("{:.1}", rad.to_degrees())
+}
+
+fn lqg(report: &mut Report) -> Done<()> {
+    report.heading("LQG");
+    report.paragraph(
+        "Q = C'C, R = 0.7 I, Qe = BB', Re = 0.9 I as printed. The reference gain is v = -(C (A+BF)^-1 B)^-1; as printed, \
+         with FeC in it, the outputs would go 25.7 (x, y) and 3.8 (z, yaw) times too far. The loop is \
+         [A, BF; -FeC, A+BF+FeC].",
+    );
+    let iris = Airframe::iris();
+    let lqg = Replica::printed(&iris)?;
+    let c = lqg.plant.c.clone();
+    let (v, literal) = (lqg.reference_gain(&c)?, lqg.literal_reference_gain(&c)?);
+    let closed = lqg.closed_loop(Some(&v));
+    let driven = lqg.closed_loop(None);
+    let mut plot = Plot::new("LQG, unit steps with v", "t, s", "output over reference");
+    let mut other = Plot::new("LQG, the reference subtracted from the measurement", "t, s", "output over reference");
+    for (i, name) in CHANNELS.into_iter().enumerate() {
+        let (with_v, without) = (step(&closed, i, 10.0, 0.02), step(&driven, i, 14.0, 0.02));
+        report.value(
+            &format!("lqg/overshoot/{name}"),
+            overshoot_percent(&with_v),
+            "%",
+            json!({ "how": "u = F x + v r" }),
+        );
+        report.value(&format!("lqg/overshoot_error_driven/{name}"), overshoot_percent(&without), "%", json!({}));
+        plot = plot.with(Series::line(name, with_v));
+        other = other.with(Series::line(name, without));
+    }
+    report.figure("lqg_steps", "Steps of each reference; no steady error.", &plot)?;
+    report.figure("lqg_error_driven", "The same controller without v: it works, and overshoots far.", &other)?;
+    let gain = |v: &DMatrix<f64>| lqg.closed_loop(Some(v)).response(Complex::new(0.0, 0.0)).map(|y| y.map(|z| z.re));
+    let (right, wrong) = (gain(&v)?, gain(&literal)?);
+    for (i, name) in CHANNELS.into_iter().enumerate() {
+        report.value(&format!("lqg/steady_gain/{name}"), right[(i, i)], "1", json!({ "literal_v": wrong[(i, i)] }));
+    }
+    let nine = StateSpace {
+        c: DMatrix::from_fn(9, 12, |r, c| if OUTPUTS[r] == c { 1.0 } else { 0.0 }),
+        d: DMatrix::zeros(9, 4),
+        ..lqg.plant.clone()
+    };
+    let (acceleration, turn) = (0.3_f64.powi(2), 1.0);
+    let qe = DMatrix::from_fn(12, 12, |r, c| match r {
+        _ if r != c => 0.0,
+        3..=5 => acceleration,
+        9..=11 => turn,
+        _ => 0.0,
+    });
+    let re = DMatrix::from_fn(9, 9, |r, c| if r == c { [4e-6, 2.5e-7, 1e-6][r / 3] } else { 0.0 });
+    let safe = Replica::new(nine, &(c.transpose() * &c), &(DMatrix::<f64>::identity(4, 4) * 0.7), &qe, &re)?;
+    let mut rows = Vec::new();
+    for (outputs, design) in [("four, as printed", &lqg), ("nine, as flown", &safe)] {
+        let (loops, whole) = at_inputs(&design.plant, &design.controller());
+        report.value(
+            &format!("lqg/peak_sensitivity/{}", outputs.replace(", ", "_").replace(' ', "_")),
+            whole,
+            "1",
+            json!({}),
+        );
+        for (i, name) in CHANNELS.into_iter().enumerate() {
+            let m = &loops[INPUT[i]];
+            rows.push(vec![
+                outputs.into(),
+                name.into(),
+                degrees(m.phase_rad),
+                format!("{:.2}", m.gain_up),
+                format!("{:.2}", m.gain_down),
+                format!("{:.1}", 1e3 * m.delay_s),
+                format!("{:.2}", m.peak_sensitivity),
+            ]);
+        }
+    }
+    report.table(
+        "lqg_margins",
+        "Margins of each loop, motors without lag: why the design as printed does not fly.",
+        &["outputs", "channel", "phase, deg", "gain up", "gain down", "delay, ms", "peak of S"],
+        &rows,
+    )?;
+    Ok(())
+}
+
+fn hinf(report: &mut Report) -> Done<()> {
+    report.heading("H-infinity");
+    report.paragraph(
+        "As printed the problem is ill-posed: the plant's poles at zero are on the axis and nothing enters at its input. \
+         A disturbance of size epsilon does. Truncating the last four balanced states, as the source does, makes the \
+         loop unstable; residualising the fastest pole of each channel keeps it.",
+    );
+    let iris = Airframe::iris();
+    let plant = whole_plant(&iris);
+    let seed = |epsilon| [ChannelWeights::printed(epsilon); 4];
+    let weights = |wb, ku, kh, pk, epsilon| ChannelWeights {
+        performance: Weight::performance(wb, 2.0, 1e-3),
+        effort: Weight::effort(ku, kh, pk),
+        epsilon,
+    };
+    let horizontal = weights(0.2, 1.0, 0.1, 200.0, 1e-3);
+    let better = [horizontal, horizontal, weights(0.7, 15.0, 0.5, 100.0, 0.05), weights(0.8, 0.5, 0.03, 100.0, 0.003)];
+    let mut rows = Vec::new();
+    let mut plot = Plot::new("H-infinity, unit steps of x", "t, s", "x over reference");
+    for (name, weights) in [("epsilon 0.1", seed(0.1)), ("epsilon 0.01", seed(0.01)), ("better weights", better)] {
+        let (full, reduced, gammas) = strategies::controllers(&iris, &weights, 1.001, 1e-9)?;
+        let stem = name.replace(' ', "_");
+        for (channel, gamma) in CHANNELS.into_iter().zip(gammas) {
+            report.value(&format!("hinf/gamma_opt/{stem}/{channel}"), gamma, "1", json!({}));
+        }
+        let balanced = balance(&full)?;
+        let truncated = balanced.truncated(16);
+        for (what, controller) in [("full", &full), ("residualised", &reduced), ("truncated", &truncated)] {
+            let loop_ = tracking(&plant, controller);
+            let slowest = loop_.slowest()?;
+            report.value(&format!("hinf/slowest_pole/{stem}/{what}_{}", controller.order()), slowest, "1/s", json!({}));
+            let mut cells =
+                vec![name.to_string(), what.to_string(), controller.order().to_string(), format!("{slowest:.4}")];
+            if slowest < 0.0 {
+                let negative = StateSpace { b: -&controller.b, d: -&controller.d, ..controller.clone() };
+                let (loops, peak) = at_inputs(&plant, &negative);
+                let x = step(&loop_, 0, 20.0, 0.01);
+                cells.extend([
+                    degrees(loops[INPUT[0]].phase_rad),
+                    format!("{peak:.3}"),
+                    format!("{:.0}", overshoot_percent(&x)),
+                ]);
+                plot = plot.with(Series::line(&format!("{name}, {what} {}", controller.order()), x));
+            } else {
+                cells.extend(["unstable".into(), String::new(), String::new()]);
+            }
+            rows.push(cells);
+        }
+        let problem = mixed_sensitivity(
+            &plant,
+            &weights.map(|w| w.performance),
+            &weights.map(|w| w.effort),
+            // One size for all inputs: that of x (the norm below is of the source's weights only).
+            weights[0].epsilon,
+        );
+        if name != "better weights" {
+            let closed = problem.closed(&full);
+            let (norm, _) = hinf_norm(&closed.a, &closed.b, &closed.c, &closed.d, 1e-8)?;
+            report.value(&format!("hinf/norm/{stem}"), norm, "1", json!({}));
+        }
+        let values = balanced.values.iter().enumerate().map(|(i, v)| (i as f64 + 1.0, *v)).collect();
+        let hankel = Plot::new(&format!("Hankel singular values, {name}"), "state", "value")
+            .with(Series::points("full controller", values))
+            .axes(plumbline_tests::report::Axis::Linear, plumbline_tests::report::Axis::Log);
+        report.figure(&format!("hankel_{stem}"), "The last four are small, and still cannot be dropped.", &hankel)?;
+    }
+    report.table(
+        "hinf_orders",
+        "Controllers of 20 and 16 states around the plant.",
+        &[
+            "weights",
+            "controller",
+            "order",
+            "slowest pole, 1/s",
+            "phase margin of x, deg",
+            "peak of S",
+            "overshoot of x, %",
+        ],
+        &rows,
+    )?;
+    report.figure("hinf_steps", "Raw unit steps: the vehicle is never given one.", &plot)?;
+    Ok(())
+}
+
+/// A flight's figures and curve.
+struct Angle {
+    rise_s: Option<f64>,
+    beyond: f64,
+    curve: Vec<(f64, f64)>,
+}
+
+/// Held at an angle and let go.
+fn released(name: &str, kind: ControllerKind, angle: impl Fn(Vector3<f64>) -> f64) -> Angle {
+    let mut flown = Headless::start_with(name, kind);
+    let released = flown.scenario.script.pushes.iter().map(|push| push.at_s + push.duration_s).fold(0.0, f64::max);
+    let mut curve = Vec::new();
+    flown.run(|tick| {
+        let (roll, pitch, yaw) = tick.truth.world_from_body.euler_angles();
+        curve.push((tick.time.as_seconds() - released, angle(Vector3::new(roll, pitch, yaw)).to_degrees()));
+    });
+    let after: Vec<(f64, f64)> = curve.iter().copied().filter(|(t, _)| *t >= 0.0).collect();
+    let from = after.first().map_or(f64::NAN, |p| p.1);
+    let first = |part: f64| after.iter().find(|(_, a)| a / from <= part).map(|p| p.0);
+    let rise_s = first(0.1).zip(first(0.9)).map(|(low, high)| low - high);
+    let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
+    curve.retain(|(t, _)| (-0.5..4.0).contains(t));
+    Angle { rise_s, beyond, curve }
+}
+
+/// Root mean square of the distance to the path, m, and the track.
+fn follow(name: &str, kind: ControllerKind) -> (f64, Vec<(f64, f64)>) {
+    let mut flown = Headless::start_with(name, kind);
+    let planned = flown.scenario.script.trajectories.remove(0);
+    let mut start = None;
+    let (mut sum, mut count, mut track) = (0.0, 0.0_f64, Vec::new());
+    let ticks = ((planned.start_s + planned.duration_s) * flown.scenario.tick_rate_hz) as usize;
+    let mut from = Vector3::zeros();
+    for _ in 0..ticks {
+        let sensed = flown.sense();
+        let now = sensed.time.as_seconds();
+        flown.fly(&sensed);
+        if now >= planned.start_s && start.is_none() {
+            from = flown.flight.report().setpoint.position_enu_m;
+            let path = Trajectory::Shape { shape: planned.shape, duration_s: planned.duration_s };
+            let ack = flown.flight.apply(&Command::Trajectory(Some(path)), sensed.time);
+            assert!(ack.accepted, "{name}: {}", ack.reason);
+            start = Some(now);
+        }
+        if let Some(start) = start {
+            let truth = flown.truth().position_enu_m;
+            let shape: Shape = planned.shape;
+            sum += (truth - moment(&shape, &from, now - start).position_enu_m).norm_squared();
+            count += 1.0;
+            track.push((truth.x, truth.y));
+        }
+    }
+    ((sum / count.max(1.0)).sqrt(), track)
+}
+
+fn flights(report: &mut Report) -> Done<()> {
+    report.heading("Every controller in flight");
+    report.paragraph(
+        "The simulator with its sensors' noise, the agent's own estimator, motors' lag and delay. Every controller with its \
+         default design, certified by the standard policy. Paths are fed forward and compared with the true position.",
+    );
+    let mut rows = Vec::new();
+    let blank = |title: &str, unit: &str| Plot::new(title, "t, s", unit);
+    let mut rolls = blank("Roll let go at 20 degrees", "roll, deg");
+    let mut yaws = blank("Yaw on one string let go at 0.5 rad", "yaw, deg");
+    let mut climbs = blank("Take-off to 1 m", "z, m");
+    let mut tracks =
+        [Plot::new("Circle", "x, m", "y, m"), Plot::new("Sine", "x, m", "y, m"), Plot::new("Square", "x, m", "y, m")];
+    for kind in FLOWN {
+        let name = kind_name(kind);
+        let roll = released("single_axis_roll", kind, |a| a.x);
+        let yaw = released("string_yaw", kind, |a| a.z);
+        let mut flown = Headless::start_with("takeoff", kind);
+        let mut climb = Vec::new();
+        flown.run(|tick| climb.push((tick.time.as_seconds(), tick.truth.position_enu_m.z)));
+        let over = climb.iter().map(|p| p.1 - 1.0).fold(0.0, f64::max);
+        let yaw_percent = 100.0 * yaw.beyond.to_radians() / 0.5;
+        let rise = |r: Option<f64>| r.unwrap_or(f64::NAN);
+        report.value(&format!("flight/roll_rise/{name}"), rise(roll.rise_s), "s", json!({ "limit": 0.4 }));
+        report.value(&format!("flight/roll_overshoot/{name}"), roll.beyond, "deg", json!({ "limit": 4.0 }));
+        report.value(&format!("flight/yaw_rise/{name}"), rise(yaw.rise_s), "s", json!({ "limit": 1.6 }));
+        report.value(&format!("flight/yaw_overshoot/{name}"), yaw_percent, "%", json!({ "limit": 13.0 }));
+        report.value(&format!("flight/take_off_overshoot/{name}"), over, "m", json!({ "limit": 0.1 }));
+        let mut cells = vec![
+            name.to_string(),
+            format!("{:.3}", rise(roll.rise_s)),
+            format!("{:.2}", roll.beyond),
+            format!("{:.3}", rise(yaw.rise_s)),
+            format!("{yaw_percent:.1}"),
+            format!("{over:.3}"),
+        ];
+        for (plot, path) in tracks.iter_mut().zip(["circle", "sine", "square"]) {
+            let (rmse, track) = follow(path, kind);
+            report.value(&format!("flight/{path}_rmse/{name}"), rmse, "m", json!({}));
+            cells.push(format!("{rmse:.3}"));
+            *plot = plot.clone().with(Series::line(name, track));
+        }
+        rows.push(cells);
+        rolls = rolls.with(Series::line(name, roll.curve));
+        yaws = yaws.with(Series::line(name, yaw.curve));
+        climbs = climbs.with(Series::line(name, climb));
+    }
+    report.table(
+        "controllers",
+        "Limits: roll 0.4 s and 4 deg, yaw 1.6 s and 13 %, take-off 0.1 m.",
+        &[
+            "controller",
+            "roll rise, s",
+            "roll overshoot, deg",
+            "yaw rise, s",
+            "yaw overshoot, %",
+            "take-off overshoot, m",
+            "circle RMSE, m",
+            "sine RMSE, m",
+            "square RMSE, m",
+        ],
+        &rows,
+    )?;
+    report.figure("roll", "Single-axis rig, held at 20 degrees for 0.4 s.", &rolls)?;
+    report.figure("yaw", "One string, held at 0.5 rad for 1.2 s.", &yaws)?;
+    report.figure("take_off", "Free flight; the limit is 1.1 m.", &climbs)?;
+    for (plot, stem) in tracks.iter().zip(["circle", "sine", "square"]) {
+        report.figure(stem, "True positions.", plot)?;
+    }
+    Ok(())
+}
