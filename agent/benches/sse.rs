@@ -1,27 +1,43 @@
-//! `cargo xtask bench sse`: the decoders on the reference windows, one thread, one run; JSON lines.
+//! `cargo xtask bench sse`: the decoders on the reference windows and the whole secure tick on a simulated flight; one
+//! thread, one run, JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Duration;
 
-use nalgebra::DMatrix;
+use plumbline_agent::estimate::secure::flying::Secure;
+use plumbline_agent::estimate::secure::offline::Windows;
 use plumbline_agent::estimate::secure::{
     Program, compress::Compressed, conic::Conic, newton::Newton, newton::Settings,
 };
+use plumbline_agent::estimate::{Estimator, EstimatorKind};
+use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
+use plumbline_agent::vehicle::{MotorCommand, SensorFrame, Vehicle};
 
-#[derive(serde::Deserialize)]
-struct Windows {
-    #[serde(rename = "Phi")]
-    phi: Vec<Vec<Vec<f64>>>,
-    cases: Vec<Window>,
+struct Counting;
+
+thread_local!(static ALLOCATIONS: Cell<u64> = const { Cell::new(0) });
+
+// SAFETY: hands every request to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
 }
 
-#[derive(serde::Deserialize)]
-struct Window {
-    #[serde(rename = "Y")]
-    y: Vec<Vec<f64>>,
-}
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// CPU time of this thread.
 fn cpu_time() -> Duration {
@@ -32,67 +48,195 @@ fn cpu_time() -> Duration {
     Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
 }
 
+fn timed(run: impl FnOnce()) -> f64 {
+    let begun = cpu_time();
+    run();
+    (cpu_time() - begun).as_secs_f64() * 1e6
+}
+
 /// Times `run` on every window, `rounds` times; microseconds, sorted.
 fn measure(windows: &[Vec<f64>], rounds: usize, mut run: impl FnMut(&[f64])) -> Vec<f64> {
     windows.iter().for_each(|w| run(w));
-    let mut times: Vec<f64> = (0..rounds)
-        .flat_map(|_| windows)
-        .map(|window| {
-            let begun = cpu_time();
-            run(black_box(window));
-            (cpu_time() - begun).as_secs_f64() * 1e6
-        })
-        .collect();
+    let mut times: Vec<f64> =
+        (0..rounds).flat_map(|_| windows).map(|window| timed(|| run(black_box(window)))).collect();
     times.sort_by(f64::total_cmp);
     times
 }
 
-fn print(name: &str, times: &[f64], ratio: f64) {
-    let at = |q: f64| times[((times.len() - 1) as f64 * q) as usize];
-    let line = serde_json::json!({
-        "bench": "sse", "name": name, "unit": "us", "value": at(0.5), "median": at(0.5), "p99": at(0.99),
-        "samples": times.len(), "ratio_to_newton": ratio,
+fn at(times: &[f64], q: f64) -> f64 {
+    times[((times.len() - 1) as f64 * q) as usize]
+}
+
+fn print(name: &str, times: &[f64], ratio: Option<f64>, more: serde_json::Value) {
+    let mut line = serde_json::json!({
+        "bench": "sse", "name": name, "unit": "us", "value": at(times, 0.5), "median": at(times, 0.5),
+        "p99": at(times, 0.99), "samples": times.len(), "ratio_to_newton": ratio,
     });
+    if let (Some(line), serde_json::Value::Object(more)) = (line.as_object_mut(), more) {
+        line.extend(more);
+    }
     println!("{line}");
+}
+
+fn skipped(name: &str, reason: &str) {
+    println!("{}", serde_json::json!({ "bench": "sse", "name": name, "skipped": reason }));
 }
 
 fn main() {
     let root = std::env::var_os("PLUMBLINE_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
     let path = root.join("reference/sse_windows.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        println!("{}", serde_json::json!({ "bench": "sse", "skipped": format!("{} is absent", path.display()) }));
-        return;
-    };
-    let file: Windows = serde_json::from_str(&text).unwrap();
-    let phi: Vec<_> = file.phi.iter().map(|r| DMatrix::from_fn(r.len(), 10, |i, j| r[i][j])).collect();
-    let windows: Vec<Vec<f64>> = file.cases.into_iter().map(|c| c.y.concat()).collect();
+    match Windows::read(&path) {
+        Ok(file) => decoders(&file, &path),
+        Err(error) => skipped("decoders", &error.to_string()),
+    }
+    secure_tick();
+}
 
+fn decoders(file: &Windows, path: &Path) {
+    let phi = file.matrices::<10>().unwrap();
+    let windows: Vec<Vec<f64>> = file.cases.iter().map(|c| c.y.concat()).collect();
+    let none = || serde_json::json!({});
     let problem = Compressed::<10>::new(&phi, Program::L2).unwrap();
     // The flying tolerance; the tests use the tighter default.
     let settings = Settings { tolerance: 1e-6, ..Settings::default() };
     let mut newton = Newton::new(&problem, settings);
+    let before = ALLOCATIONS.get();
     let times = measure(&windows, 400, |w| {
         black_box(newton.decode(&problem, w, None).unwrap());
     });
-    let median = times[times.len() / 2];
-    print("newton l2, cold start", &times, 1.0);
+    // `measure` itself allocates its list.
+    let allocations = ALLOCATIONS.get() - before;
+    let median = at(&times, 0.5);
+    let per_solve = allocations as f64 / times.len() as f64;
+    print(
+        "newton l2, cold start",
+        &times,
+        Some(1.0),
+        serde_json::json!({ "allocations_per_solve": per_solve.floor() }),
+    );
+    let ratio = |times: &[f64]| Some(at(times, 0.5) / median);
 
     let mut conic = Conic::new(&problem).unwrap();
     let times = measure(&windows, 20, |w| {
         black_box(conic.decode(&problem, w).unwrap());
     });
-    print("clarabel l2, compressed cones, update_b", &times, times[times.len() / 2] / median);
+    print("clarabel l2, compressed cones, update_b", &times, ratio(&times), none());
+
+    let whole = Compressed::<10>::uncompressed(&phi).unwrap();
+    let times = measure(&windows, 5, |w| {
+        black_box(Conic::new(&whole).unwrap().decode(&whole, w).unwrap());
+    });
+    print("clarabel l2, naive", &times, ratio(&times), none());
 
     let problem = Compressed::<10>::new(&phi, Program::L1).unwrap();
     let mut newton = Newton::new(&problem, settings);
     let times = measure(&windows, 40, |w| {
         black_box(newton.decode(&problem, w, None).unwrap());
     });
-    print("newton l1, cold start", &times, times[times.len() / 2] / median);
+    print("newton l1, cold start", &times, ratio(&times), none());
     let mut conic = Conic::new(&problem).unwrap();
     let times = measure(&windows, 5, |w| {
         black_box(conic.decode(&problem, w).unwrap());
     });
-    print("clarabel l1, update_b", &times, times[times.len() / 2] / median);
+    print("clarabel l1, update_b", &times, ratio(&times), none());
+
+    match cvxpy(path) {
+        Ok(times) => print("python cvxpy l2, parametrised, Clarabel", &times, ratio(&times), none()),
+        Err(reason) => skipped("python cvxpy l2", &reason),
+    }
+}
+
+/// Solves the same windows in cvxpy, with Y a parameter of one problem; process CPU time, µs, sorted.
+const CVXPY: &str = "
+import json, sys, time
+import cvxpy as cp, numpy as np
+d = json.load(open(sys.argv[1]))
+phi = [np.array(p) for p in d['Phi']]
+x = cp.Variable(phi[0].shape[1])
+ys = [cp.Parameter(p.shape[0]) for p in phi]
+problem = cp.Problem(cp.Minimize(sum(cp.norm(y - p @ x) for y, p in zip(ys, phi))))
+times = []
+for k in range(2):
+    for case in d['cases']:
+        for y, value in zip(ys, case['Y']):
+            y.value = np.array(value)
+        begun = time.process_time()
+        problem.solve(solver=cp.CLARABEL)
+        if k: times.append((time.process_time() - begun) * 1e6)
+print(json.dumps(sorted(times)))
+";
+
+/// In a virtual environment of its own under `target/tools`, made on first use.
+fn cvxpy(windows: &Path) -> Result<Vec<f64>, String> {
+    let tools = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../target"), PathBuf::from)
+        .join("tools/cvxpy");
+    let python = tools.join("bin/python");
+    let run = |program: &Path, arguments: &[&str]| -> Result<Vec<u8>, String> {
+        let out = Command::new(program).args(arguments).output().map_err(|e| format!("{}: {e}", program.display()))?;
+        let last = |text: &[u8]| String::from_utf8_lossy(text).lines().last().unwrap_or_default().to_owned();
+        if out.status.success() { Ok(out.stdout) } else { Err(last(&out.stderr)) }
+    };
+    let has_it = python.is_file() && run(&python, &["-c", "import cvxpy"]).is_ok();
+    if !has_it {
+        std::fs::create_dir_all(&tools).map_err(|e| e.to_string())?;
+        run(Path::new("python3"), &["-m", "venv", &tools.to_string_lossy()])?;
+        run(&python, &["-m", "pip", "install", "--quiet", "cvxpy", "clarabel"])?;
+    }
+    let out = run(&python, &["-c", CVXPY, &windows.to_string_lossy()])?;
+    serde_json::from_slice(&out).map_err(|e| e.to_string())
+}
+
+/// The whole tick of the secure estimator: decode, identify, filter, on the frames of a simulated flight in
+/// which one height and one IMU lie.
+fn secure_tick() {
+    let text = "name = \"bench\"\nduration_s = 40\n\
+        [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
+        [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 0.8\n\
+        [[attack]]\nsensor = \"height\"\ninstance = 2\nkind = \"bias\"\nstart_s = 15\nduration_s = 10\nmagnitude = 0.5\n\
+        [[attack]]\nsensor = \"imu\"\ninstance = 2\nchannel = \"accel\"\nkind = \"bias\"\nstart_s = 15\nduration_s = 10\n\
+        magnitude = 2\n";
+    let scenario = Scenario::from_toml(text).unwrap();
+    let mut config = FlightConfig::for_scenario(&scenario);
+    config.estimators = vec![EstimatorKind::Secure];
+    config.in_loop = EstimatorKind::Secure;
+    let (airframe, options) = (config.airframe.clone(), config.ekf.clone());
+    let mut vehicle = SimVehicle::new(&scenario).unwrap();
+    let mut flight = Flight::new(config).unwrap();
+    let mut frames: Vec<(SensorFrame, MotorCommand)> = Vec::new();
+    let mut before = None;
+    let mut applied = MotorCommand::default();
+    for _ in 0..(scenario.duration_s * scenario.tick_rate_hz) as usize {
+        let frame = vehicle.sense().unwrap();
+        flight.heartbeat(frame.time);
+        scenario.script.commands(before, frame.time, |c| {
+            let _ = flight.apply(c, frame.time);
+        });
+        before = Some(frame.time);
+        let report = flight.step(&frame);
+        frames.push((report.received, applied));
+        applied = vehicle.actuate(&report.command).unwrap();
+        flight.applied(applied);
+    }
+    let mut secure = Secure::new(options, &airframe).unwrap();
+    let (mut all, mut decoding) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
+    let mut windows = 0;
+    let before = ALLOCATIONS.get();
+    for (frame, applied) in &frames {
+        let took = timed(|| {
+            black_box(secure.step(frame, applied));
+        });
+        all.push(took);
+        if secure.window().count != windows {
+            windows = secure.window().count;
+            decoding.push(took);
+        }
+    }
+    let allocations = ALLOCATIONS.get() - before;
+    all.sort_by(f64::total_cmp);
+    decoding.sort_by(f64::total_cmp);
+    let more = serde_json::json!({ "allocations": allocations });
+    print("secure tick that decodes: decode, identify, filter", &decoding, None, more.clone());
+    print("secure tick, all", &all, None, more);
 }

@@ -159,5 +159,25 @@ fn designs_become_certified_gains_that_read_back() {
         let done = design(controller, &["--weights", weights.to_str().unwrap()]);
         let stderr = String::from_utf8_lossy(&done.stderr);
         assert!(!done.status.success() && stderr.contains(mentions), "{text}: {stderr}");
+
+fn a_suite_is_judged_before_it_flies() {
+    let report = |arguments: &[&str]| -> Value {
+        let output = agent(&[&["observability"], arguments].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let clinic = report(&["--suite", "clinic"]);
+    let figures = ["rows", "rank", "correctable_attacks"].map(|name| clinic[name].as_u64().unwrap());
+    assert_eq!((figures, clinic["binding_state"].as_str().unwrap()), ([38, 10, 0], "z"));
+    assert_eq!(report(&["--suite", "clinic-3"])["correctable_attacks"], 1);
+    assert_eq!(report(&["--suite", "default", "--trim", "circle:2,1.5"])["rank"], 10);
+    for (arguments, expected) in [
+        (["--suite", "umasankar"], "does not observe z"),
+        (["--suite", "nowhere.toml"], "nowhere.toml: neither a file nor one of"),
+        (["--trim", "loop:3"], "--trim loop:3: not hover"),
+    ] {
+        let output = agent(&[&["observability"], &arguments[..]].concat());
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && message.contains(expected), "{message}");
     }
 }

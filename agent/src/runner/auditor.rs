@@ -102,3 +102,33 @@ fn solve(case: &AuditCase) -> Option<Audit> {
     let difference = (case.objective - decoded.objective).abs() / decoded.objective.abs().max(f64::MIN_POSITIVE);
     Some(Audit { time: case.time, difference })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flight::{Flight, FlightConfig};
+    use crate::vehicle::Vehicle;
+    use crate::vehicle::sim::{Scenario, SimVehicle};
+    use std::time::{Duration, Instant};
+
+    /// Newton stops at a gap of 1e-6, Clarabel is tighter.
+    const DIFFERENCE_MAX: f64 = 2e-6;
+
+    #[test]
+    fn clarabel_agrees_with_what_flew() {
+        let scenario = Scenario::bare();
+        let mut vehicle = SimVehicle::new(&scenario).unwrap();
+        let mut flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+        let mut auditor = Auditor::start().unwrap();
+        let begun = Instant::now();
+        loop {
+            let frame = vehicle.sense().unwrap();
+            flight.step(&frame);
+            if let Some(audit) = auditor.tick(frame.time, flight.secure().unwrap()) {
+                assert!(audit.difference < DIFFERENCE_MAX, "{audit:?}");
+                break;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(30), "no audit");
+        }
+    }
+}

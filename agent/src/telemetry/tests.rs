@@ -82,6 +82,7 @@ fn a_second_of_ticks_has_every_topic_at_its_rate() {
     assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::EkfBias as u16), 200);
     assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::Primary as u16), 25);
     assert_eq!(count(&frames, Kind::Truth, 0), 100);
+    assert_eq!(count(&frames, Kind::Secure, 0), 25, "with every window");
     assert!((10..=12).contains(&count(&frames, Kind::Status, 0)));
     assert!((1..=2).contains(&count(&frames, Kind::Attacks, 0)));
     assert!(count(&frames, Kind::Description, 0) <= 1);

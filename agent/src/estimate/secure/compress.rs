@@ -76,6 +76,26 @@ impl<const N: usize> Compressed<N> {
         Ok(compressed)
     }
 
+    /// The same problem as it stands, every sample a row: what a solver without the compression has to do. For
+    /// comparisons.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn uncompressed(phi: &[DMatrix<f64>]) -> Result<Self, SecureError> {
+        // The checks are those of the compressed one.
+        Self::new(phi, Program::L2)?;
+        let samples = phi.iter().map(DMatrix::nrows).max().unwrap_or_default();
+        let mut problem = Self::with_room(phi.len(), samples)?;
+        let all: Vec<usize> = (0..N).collect();
+        for phi in phi {
+            let t = phi.nrows();
+            let q = DMatrix::<f64>::identity(t, t);
+            problem.push(&all, phi.transpose().as_slice(), q.as_slice(), t, t);
+        }
+        problem.settle()?;
+        Ok(problem)
+    }
+
     /// Room for `terms` terms of at most `samples` samples each, none in it: for windows whose samples come and go.
     ///
     /// # Errors

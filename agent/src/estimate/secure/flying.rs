@@ -29,12 +29,13 @@ pub use plumbline_proto::v1::{DecoderStatus, SecureFallback};
 
 use super::compress::Compressed;
 use super::gated::Gated;
-use super::identify::{Cusum, Evidence, Identifier, Stuck, Z_999, chi_square, stuck_limit};
+use super::identify::{CERTAIN, Cusum, Evidence, Identifier, Stuck, Z_999, chi_square, stuck_limit};
 use super::inertial::Inertial;
 use super::newton::{Deadline, Settings};
 use super::window::{Model, Row, Window};
 use super::{Decoded, SecureError, Status};
 use crate::estimate::ekf_bias::EkfOptions;
+use crate::estimate::imu_vote::VoteOptions;
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
 use crate::frames::tilt_rad;
 use crate::model::airframe::Airframe;
@@ -78,8 +79,6 @@ pub const RATE_MAX_RADPS: f64 = 4.0;
 const LEARNING: u32 = 50;
 /// Time constant with which learned deviations follow, s.
 const LEARNED_S: f64 = 20.0;
-/// A learned deviation is at most so many times what may stay unlearned (β).
-const LEARNED_LIMIT: f64 = 6.0;
 /// After a flag the loop flies on other sensors, and what the rest of them differ by (ripple of the loop at
 /// their sampling rate) is learned anew during so many windows: 1 s.
 const RELEARNING: u32 = 25;
@@ -180,8 +179,7 @@ pub struct Secure {
     corrections: (f64, f64),
     path: (f64, f64),
     slots: [Sum; SENSORS],
-    /// σ and β of each sensor's row.
-    sigma: [(f64, f64); SENSORS],
+    sigma: [Sigma; SENSORS],
     learned: [f64; SENSORS],
     value: [Option<f64>; SENSORS],
     /// Slot and value of the last deviation from what the sensor should read, the learned one removed.
@@ -285,7 +283,7 @@ impl Secure {
         if !decoded || self.identifier.contradicted() || m <= 2 * unseen || margin.margin() <= 0 {
             return None;
         }
-        let (sigma, bias) = self.sigma[HEIGHT];
+        let Sigma { sigma, bias, .. } = self.sigma[HEIGHT];
         let values = (0..MAX_HEIGHTS).map(|i| self.window.count(HEIGHT + i)).filter(|n| *n > 0).min()?;
         let radius = Z_999 * (sigma * sigma / values as f64 + bias * bias).sqrt();
         Some(2.0 * (m - unseen) as f64 / (m - 2 * unseen) as f64 * radius)
@@ -465,7 +463,8 @@ impl Secure {
     }
 
     fn judge(&mut self, now: FlightTime) {
-        let Self { window, cusum, stuck, identifier, options, windows, .. } = self;
+        let Self { window, cusum, stuck, identifier, options, windows, relearn_until, .. } = self;
+        let relearning = *windows < *relearn_until;
         let imu_stuck = stuck_limit(options.gyro_vote.sigma, 0.5 * options.gyro_vote.sigma);
         let height_stuck = stuck_limit(options.height_sigma_m, 1e-3);
         // A group of which none moves is not stuck: it is logged twice, or silent.
@@ -492,6 +491,10 @@ impl Secure {
                     evidence.window_ratio = evidence.window_ratio.max(ratio);
                 }
                 evidence.drift_ratio = evidence.drift_ratio.max(cusum.get(sensor).map_or(0.0, Cusum::ratio));
+            }
+            if relearning && id.kind == SensorKind::Imu {
+                // What is in the window was counted from what had been learned before: only what is certain counts.
+                evidence.window_ratio /= CERTAIN;
             }
             evidence
         });
@@ -542,7 +545,7 @@ impl Secure {
         for sensor in members {
             let Some((_, deviation)) = self.deviation[*sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
             let deviation = deviation - median;
-            let (sigma, bias) = self.sigma[*sensor];
+            let Sigma { sigma, bias, limit } = self.sigma[*sensor];
             // Two can contradict each other, but not outvote.
             if !learning && n >= 3 {
                 self.cusum[*sensor].take(deviation / (CUSUM_SIGMAS * sigma.hypot(0.5 * bias)));
@@ -550,7 +553,6 @@ impl Secure {
             let device = device_of(*sensor);
             if !self.identifier.is_flagged(device) && (learning || !self.identifier.is_suspect(device)) {
                 let gain = if learning { 0.1 } else { SLOT_S / LEARNED_S };
-                let limit = LEARNED_LIMIT * bias;
                 self.learned[*sensor] = (self.learned[*sensor] + gain * deviation).clamp(-limit, limit);
             }
         }
@@ -681,35 +683,51 @@ fn kind_of(sensor: usize) -> usize {
     }
 }
 
-/// σ of one slot's value and β of each sensor.
-fn sigmas(options: &EkfOptions) -> [(f64, f64); SENSORS] {
+/// What is assumed of one sensor's value in a slot.
+#[derive(Debug, Clone, Copy)]
+struct Sigma {
+    /// Noise.
+    sigma: f64,
+    /// Constant deviation that stays unlearned: β of its row.
+    bias: f64,
+    /// Largest deviation that is learned.
+    limit: f64,
+}
+
+fn sigmas(options: &EkfOptions) -> [Sigma; SENSORS] {
     // A vote's memory is 1.25 periods of an IMU.
     let samples = |memory_s: f64| (SLOT_S / (memory_s / 1.25).clamp(1e-3, SLOT_S)).max(1.0);
-    let (gyro, accel) = (&options.gyro_vote, &options.accel_vote);
+    // IMUs that sample in turns see the ripple of the loop at their own phase: as much as honest units spread.
+    let imu = |vote: &VoteOptions, least: f64| Sigma {
+        sigma: vote.sigma.max(least) / samples(vote.memory_s).sqrt(),
+        bias: vote.spread,
+        limit: 3.0 * vote.spread,
+    };
     let height = options.height_sigma_m.max(1e-3);
     let barometer = options.barometer_sigma_m.max(0.01);
+    let heading = options.heading_floor_rad.max(1e-3);
     std::array::from_fn(|sensor| match kind_of(sensor) {
-        0 => (height, 0.25 * height),
-        1 => (barometer, 0.5 * barometer),
-        2..5 => (gyro.sigma.max(1e-4) / samples(gyro.memory_s).sqrt(), gyro.spread / 2.0),
-        5..8 => (accel.sigma.max(1e-3) / samples(accel.memory_s).sqrt(), accel.spread / 2.0),
-        _ => (options.heading_floor_rad.max(1e-3), options.heading_floor_rad.max(1e-3)),
+        0 => Sigma { sigma: height, bias: 0.25 * height, limit: 2.0 * height },
+        1 => Sigma { sigma: barometer, bias: 0.5 * barometer, limit: f64::INFINITY },
+        2..5 => imu(&options.gyro_vote, 1e-4),
+        5..8 => imu(&options.accel_vote, 1e-3),
+        _ => Sigma { sigma: heading, bias: heading, limit: 6.0 * heading },
     })
 }
 
 /// One row for each quantity.
-fn rows(sigma: &[(f64, f64); SENSORS]) -> [Row<STATES>; 2 + ROWS_OF_IMU] {
+fn rows(sigma: &[Sigma; SENSORS]) -> [Row<STATES>; 2 + ROWS_OF_IMU] {
     let seen = [ix::Z, ix::Z, ix::P, ix::P + 1, ix::P + 2, ix::AX, ix::AX + 1, ix::AX + 2, ix::YAW];
     std::array::from_fn(|kind| {
         let sensor = (0..SENSORS).find(|s| kind_of(*s) == kind).unwrap_or_default();
         let mut c = SVector::zeros();
         c[seen[kind]] = 1.0;
-        Row { c, sigma: sigma[sensor].0, bias_sigma: sigma[sensor].1 }
+        Row { c, sigma: sigma[sensor].sigma, bias_sigma: sigma[sensor].bias }
     })
 }
 
 /// Deviations about the trim over one slot, exact: F⁴ = 0.
-fn model(options: &EkfOptions, sigma: &[(f64, f64); SENSORS]) -> Model<STATES> {
+fn model(options: &EkfOptions, sigma: &[Sigma; SENSORS]) -> Model<STATES> {
     let mut f = SMatrix::<f64, STATES, STATES>::zeros();
     f[(ix::Z, ix::VZ)] = 1.0;
     f[(ix::VX, ix::PITCH)] = options.gravity_mps2;
@@ -728,8 +746,111 @@ fn model(options: &EkfOptions, sigma: &[(f64, f64); SENSORS]) -> Model<STATES> {
         q[state] = sigma * sigma;
     }
     for k in 0..3 {
-        q[ix::P + k] = (0.3 * sigma[IMU].0).powi(2);
-        q[ix::AX + k] = (0.3 * sigma[IMU + 3].0).powi(2);
+        q[ix::P + k] = (0.3 * sigma[IMU].sigma).powi(2);
+        q[ix::AX + k] = (0.3 * sigma[IMU + 3].sigma).powi(2);
     }
     Model { a, q: SMatrix::from_diagonal(&q) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::vehicle::{HeightSample, ImuSample};
+    use nalgebra::Vector3;
+
+    /// Bounded pseudo-noise of unit variance.
+    fn noise(k: u64, i: u64) -> f64 {
+        1.414 * ((k * 7919 + i * 104_729) as f64 * 0.618).sin()
+    }
+
+    /// A vehicle at rest at 0.5 m: four IMUs, and heights that read `heights[i]` more.
+    fn frame(k: u64, heights: &[f64]) -> SensorFrame {
+        let time = FlightTime(k * 5000);
+        let mut frame = SensorFrame { time, ..SensorFrame::default() };
+        for (i, imu) in frame.imus.iter_mut().enumerate().take(4).filter(|(i, _)| k % 2 == *i as u64 % 2) {
+            let n = |a: u64| noise(k, 10 * i as u64 + a);
+            *imu = Some(ImuSample {
+                time,
+                gyro_radps: Vector3::new(n(0), n(1), n(2)) * 0.003,
+                accel_mps2: Vector3::new(n(3) * 0.05, n(4) * 0.05, 9.81 + n(5) * 0.05),
+                mag_ut: Some(Vector3::new(0.0, 20.0, -40.0)),
+                temperature_c: 20.0,
+            });
+        }
+        for (i, (slot, more)) in frame.heights.iter_mut().zip(heights).enumerate() {
+            if k % 20 == 7 * i as u64 {
+                *slot = Some(HeightSample { time, height_m: 0.5 + more + 0.005 * noise(k, 50 + i as u64) });
+            }
+        }
+        frame
+    }
+
+    fn secure() -> Secure {
+        Secure::new(EkfOptions::default(), &Airframe::iris()).unwrap()
+    }
+
+    fn fly(secure: &mut Secure, from_s: f64, to_s: f64, heights: &[f64]) {
+        for k in (from_s * 200.0) as u64..(to_s * 200.0) as u64 {
+            secure.step(&frame(k, heights), &MotorCommand::default());
+        }
+    }
+
+    #[test]
+    fn at_rest_it_decodes_the_height_with_a_bound_and_flags_nobody() {
+        let mut s = secure();
+        fly(&mut s, 0.0, 8.0, &[0.0; 3]);
+        assert_eq!(s.window().status, DecoderStatus::Solved);
+        assert!((s.window().height_m - 0.5).abs() < s.height_bound_m().unwrap(), "{:?}", s.window());
+        assert!(s.window().objective - s.window().lower_bound <= 2.0 * GAP * s.window().objective);
+        assert!(s.identifier().devices().iter().all(|d| d.flagged.is_none()));
+        assert_eq!(s.estimate().health, Health::Healthy);
+        assert_eq!(s.identifier().margin(SensorKind::Height).margin(), 3);
+    }
+
+    #[test]
+    fn a_lie_is_flagged_and_the_promise_shrinks_to_what_is_left() {
+        let mut s = secure();
+        fly(&mut s, 0.0, 6.0, &[0.0; 3]);
+        fly(&mut s, 6.0, 8.0, &[0.0, 0.3, 0.0]);
+        assert!(s.identifier().is_flagged(SensorId::new(SensorKind::Height, 2)));
+        assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.02, "{}", s.estimate().position_enu_m.z);
+        assert_eq!(s.identifier().margin(SensorKind::Height).margin(), 1);
+        // A second liar: nothing is promised any more.
+        fly(&mut s, 8.0, 10.0, &[0.4, 0.3, 0.0]);
+        assert!(s.height_bound_m().is_none(), "{:?}", s.identifier().devices());
+    }
+
+    #[test]
+    fn two_heights_that_contradict_each_other_promise_nothing_and_are_told() {
+        let mut s = secure();
+        fly(&mut s, 0.0, 6.0, &[0.0; 2]);
+        assert!(s.height_bound_m().is_none(), "two heights guarantee nothing");
+        fly(&mut s, 6.0, 9.0, &[0.0, 0.1]);
+        let flagged = s.identifier().margin(SensorKind::Height).flagged;
+        assert!(flagged <= 1, "{:?}", s.identifier().devices());
+        assert!(s.height_bound_m().is_none());
+    }
+
+    #[test]
+    fn garbage_gaps_and_time_running_backwards_never_panic_nor_poison_the_estimate() {
+        let mut s = secure();
+        fly(&mut s, 0.0, 5.0, &[0.0; 3]);
+        for k in 1000..1100 {
+            let mut bad = frame(k, &[f64::NAN, f64::INFINITY, -1e300]);
+            bad.imus.iter_mut().flatten().for_each(|imu| imu.gyro_radps.x = f64::NAN);
+            s.step(&bad, &MotorCommand { throttle: [f64::NAN; 4] });
+        }
+        assert!(s.estimate().position_enu_m.iter().all(|v| v.is_finite()));
+        assert!(s.disturbance_enu_n().iter().all(|v| v.is_finite()));
+        fly(&mut s, 2.0, 2.1, &[0.0; 3]);
+        assert_eq!(s.window().status, DecoderStatus::Filling, "time went backwards: another flight's window is void");
+        for k in 0..200 {
+            let empty = SensorFrame { time: FlightTime(3_000_000 + k * 5000), ..SensorFrame::default() };
+            s.step(&empty, &MotorCommand::default());
+        }
+        assert_eq!(s.estimate().health, Health::Degraded);
+        assert_eq!(s.window().fallback, SecureFallback::Prediction);
+        let never = secure().step(&SensorFrame::default(), &MotorCommand::default()).health;
+        assert_eq!(never, Health::Initialising);
+    }
 }

@@ -25,7 +25,7 @@ pub const MAX_DEVICES: usize = MAX_IMUS + MAX_HEIGHTS + MAX_BAROMETERS;
 /// first is left in the last.
 const CONFIRM: u32 = 10;
 /// Ratio to the 99.9 % limit above which two windows in a row flag.
-const CERTAIN: f64 = 3.0;
+pub const CERTAIN: f64 = 3.0;
 /// Windows in a row within every limit after which a flag falls: 2 s.
 const CALM: u32 = 50;
 /// Worse than the next of a group without a majority by this factor, a sensor is flagged all the same.

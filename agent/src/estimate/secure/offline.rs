@@ -47,17 +47,50 @@ pub enum OfflineError {
     Secure(#[from] SecureError),
 }
 
-#[derive(serde::Deserialize)]
-struct Windows {
+/// A file of windows.
+#[derive(Debug, Clone, serde::Deserialize)]
+pub struct Windows {
+    /// One T × N matrix per sensor.
     #[serde(rename = "Phi")]
-    phi: Vec<Vec<Vec<f64>>>,
-    cases: Vec<Window>,
+    pub phi: Vec<Vec<Vec<f64>>>,
+    /// The windows.
+    pub cases: Vec<Case>,
 }
 
-#[derive(serde::Deserialize)]
-struct Window {
+/// One window.
+#[derive(Debug, Clone, serde::Deserialize)]
+pub struct Case {
+    /// T samples per sensor.
     #[serde(rename = "Y")]
-    y: Vec<Vec<f64>>,
+    pub y: Vec<Vec<f64>>,
+}
+
+impl Windows {
+    /// Reads `input`.
+    ///
+    /// # Errors
+    /// [`OfflineError`] when it cannot be read or is not the JSON described above.
+    pub fn read(input: &Path) -> Result<Self, OfflineError> {
+        let what = input.display().to_string();
+        let text = std::fs::read_to_string(input).map_err(|source| OfflineError::Io { what: what.clone(), source })?;
+        serde_json::from_str(&text).map_err(|source| OfflineError::Json { what, source })
+    }
+
+    /// Φ of every sensor for N states.
+    ///
+    /// # Errors
+    /// [`OfflineError::Shape`] naming the row.
+    pub fn matrices<const N: usize>(&self) -> Result<Vec<DMatrix<f64>>, OfflineError> {
+        let mut phi = Vec::with_capacity(self.phi.len());
+        for (sensor, rows) in self.phi.iter().enumerate() {
+            if let Some((t, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != N) {
+                let found = row.len();
+                return Err(OfflineError::Shape(format!("Phi[{sensor}][{t}] has {found} entries, {N} are needed")));
+            }
+            phi.push(DMatrix::from_row_iterator(rows.len(), N, rows.iter().flatten().copied()));
+        }
+        Ok(phi)
+    }
 }
 
 /// Decodes every case of `input`.
@@ -65,9 +98,7 @@ struct Window {
 /// # Errors
 /// [`OfflineError`] for the file as a whole; a case that fails prints a line with `error`.
 pub fn run(input: &Path, program: Program, engine: Engine, out: &mut dyn Write) -> Result<(), OfflineError> {
-    let what = input.display().to_string();
-    let text = std::fs::read_to_string(input).map_err(|source| OfflineError::Io { what: what.clone(), source })?;
-    let windows: Windows = serde_json::from_str(&text).map_err(|source| OfflineError::Json { what, source })?;
+    let windows = Windows::read(input)?;
     let states = windows.phi.first().and_then(|p| p.first()).map_or(0, Vec::len);
     macro_rules! dispatch {
         ($($n:literal)*) => {
@@ -86,14 +117,7 @@ fn decode<const N: usize>(
     engine: Engine,
     out: &mut dyn Write,
 ) -> Result<(), OfflineError> {
-    let mut phi = Vec::with_capacity(windows.phi.len());
-    for (sensor, rows) in windows.phi.iter().enumerate() {
-        if let Some((t, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != N) {
-            let found = row.len();
-            return Err(OfflineError::Shape(format!("Phi[{sensor}][{t}] has {found} entries, {N} are needed")));
-        }
-        phi.push(DMatrix::from_row_iterator(rows.len(), N, rows.iter().flatten().copied()));
-    }
+    let phi = windows.matrices::<N>()?;
     let problem = Compressed::<N>::new(&phi, program)?;
     let mut newton = Newton::new(&problem, Settings::default());
     let mut conic = Conic::new(&problem)?;
