@@ -159,7 +159,10 @@ fn designs_become_certified_gains_that_read_back() {
         let done = design(controller, &["--weights", weights.to_str().unwrap()]);
         let stderr = String::from_utf8_lossy(&done.stderr);
         assert!(!done.status.success() && stderr.contains(mentions), "{text}: {stderr}");
+    }
+}
 
+#[test]
 fn a_suite_is_judged_before_it_flies() {
     let report = |arguments: &[&str]| -> Value {
         let output = agent(&[&["observability"], arguments].concat());

@@ -106,7 +106,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
             }
         }
     }
-    run.inclination_deg = (sum / count as f64).sqrt().to_degrees();
+    run.inclination_deg = (sum / count).sqrt().to_degrees();
     Some(run)
 }
 

@@ -641,10 +641,10 @@ mod tests {
         // GIVEN any mask, THEN ‖whitened residual‖² is the quadratic form with the inverse covariance.
         let mut w = window(10);
         let y: Vec<f64> = (0..10).map(|k| 0.01 * f64::from(k * k % 7)).collect();
-        for k in 0..10 {
+        for (k, value) in y.iter().enumerate() {
             w.advance(None);
             if [0, 3, 4, 8, 9].contains(&k) {
-                w.put(0, y[k]);
+                w.put(0, *value);
             }
             w.put(1, 0.0);
         }
