@@ -232,7 +232,7 @@ await step(page, 'tune: a deviation is changed, previewed, pushed in flight, and
   await until('revision 1 in use', async () => /revision 1/.test(await inUse.textContent()));
   await page.getByLabel('altitude, m', { exact: true }).fill('-3');
   await page.keyboard.press('Tab');
-  await page.getByText(/it must be above 0/).waitFor();
+  await page.getByText(/it must be above 0/).first().waitFor();
   await page.getByLabel('altitude slider', { exact: true }).press('ArrowRight');
   await until('another preview', async () => /certified|refused/i.test(await verdict.textContent()));
   await button('Push to the vehicle').click();

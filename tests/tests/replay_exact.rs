@@ -17,7 +17,8 @@ const CONVERGENCE_S: f64 = 6.0;
 const ALTITUDE_TOLERANCE_M: f64 = 0.03;
 /// Roll and pitch likewise, 1°.
 const TILT_TOLERANCE_RAD: f64 = 0.0175;
-const SPEED: &str = "4";
+/// Every estimator streams: faster than this the rate cap of the link thins what is compared.
+const SPEED: &str = "2";
 
 type Estimates = BTreeMap<u64, v1::Estimate>;
 
