@@ -126,20 +126,22 @@ pub(super) fn estimate(
     in_loop: bool,
     step_time_us: f64,
 ) -> v1::Estimate {
+    // The attitude filter knows nothing of place or speed: absent, not 0 m.
+    let placed = kind != EstimatorKind::Attitude;
     v1::Estimate {
         time_us: now.0,
         estimator: kind as i32,
         in_loop,
         health: estimate.health as i32,
-        position_enu_m: vector(&estimate.position_enu_m),
-        velocity_enu_mps: vector(&estimate.velocity_enu_mps),
+        position_enu_m: vector(&estimate.position_enu_m).filter(|_| placed),
+        velocity_enu_mps: vector(&estimate.velocity_enu_mps).filter(|_| placed),
         world_from_body: quaternion(&estimate.world_from_body),
         roll_pitch_yaw_rad: vector(&roll_pitch_yaw(&estimate.world_from_body)),
         body_rates_radps: vector(&estimate.body_rates_radps),
         accel_bias_mps2: vector(&estimate.accel_bias_mps2),
         gyro_bias_radps: vector(&estimate.gyro_bias_radps),
-        position_sigma_m: vector(&estimate.position_sigma_m),
-        velocity_sigma_mps: vector(&estimate.velocity_sigma_mps),
+        position_sigma_m: vector(&estimate.position_sigma_m).filter(|_| placed),
+        velocity_sigma_mps: vector(&estimate.velocity_sigma_mps).filter(|_| placed),
         attitude_sigma_rad: vector(&estimate.attitude_sigma_rad),
         step_time_us,
     }
