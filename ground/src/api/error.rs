@@ -105,7 +105,9 @@ impl From<RecordingError> for ApiError {
             RecordingError::Unknown(_) | RecordingError::NoTopic(_) => Self::NotFound(error.to_string()),
             RecordingError::InProgress(_) => Self::Conflict(error.to_string()),
             RecordingError::Invalid(_) => Self::Invalid(error.to_string()),
-            RecordingError::Stopped | RecordingError::NotReady => Self::Unavailable(error.to_string()),
+            RecordingError::Stopped | RecordingError::NotReady | RecordingError::Busy => {
+                Self::Unavailable(error.to_string())
+            }
             RecordingError::Io { .. } | RecordingError::Damaged { .. } | RecordingError::Index(_) => {
                 Self::Broken(error.to_string())
             }

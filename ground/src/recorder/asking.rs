@@ -33,12 +33,21 @@ pub(super) struct Asking {
     /// Only flights of this boot may be asked for on this connection.
     pinned: Option<u64>,
     /// Flights that are not complete, and when to ask for them.
-    pub(super) waiting: VecDeque<(Instant, String)>,
+    waiting: VecDeque<(Instant, String)>,
 }
 
 impl Asking {
-    pub(super) fn new(waiting: VecDeque<(Instant, String)>, now: Instant) -> Self {
-        Self { flight: None, outstanding: Vec::new(), heard: now, pinned: None, waiting }
+    pub(super) fn new(now: Instant) -> Self {
+        Self { flight: None, outstanding: Vec::new(), heard: now, pinned: None, waiting: VecDeque::new() }
+    }
+
+    /// These flights are not complete: ask for each from `at` on.
+    pub(super) fn await_turn(&mut self, flights: impl IntoIterator<Item = String>, at: Instant) {
+        for flight in flights {
+            if !self.waiting.iter().any(|(_, waiting)| *waiting == flight) {
+                self.waiting.push_back((at, flight));
+            }
+        }
     }
 
     /// An answer came.

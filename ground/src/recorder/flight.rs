@@ -215,6 +215,42 @@ impl Learner {
         }
     }
 
+    /// Takes in what was learnt from other messages of the same flight.
+    pub fn absorb(&mut self, other: &Self) {
+        self.messages += other.messages;
+        for (topic, count) in &other.counts {
+            *self.counts.entry(topic.clone()).or_default() += count;
+        }
+        self.times_us = match (self.times_us, other.times_us) {
+            (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
+            (mine, theirs) => mine.or(theirs),
+        };
+        if self.description.is_none() {
+            self.description.clone_from(&other.description);
+        }
+        for (step, response) in &other.steps {
+            if self.steps.get(step).is_none_or(|known| known.time_us < response.time_us) {
+                self.steps.insert(*step, *response);
+            }
+        }
+        for (key, progress) in &other.attacks {
+            if self.attacks.get(key).is_none_or(|known| known.phase < progress.phase) {
+                self.attacks.insert(*key, *progress);
+            }
+        }
+        for (sum, theirs) in
+            [(&mut self.squared_truth, other.squared_truth), (&mut self.squared_estimate, other.squared_estimate)]
+        {
+            sum.0 += theirs.0;
+            sum.1 += theirs.1;
+        }
+        self.first_sequence = self.first_sequence.or(other.first_sequence);
+        self.last_sequence = self.last_sequence.or(other.last_sequence);
+        if self.flight_id.is_none() {
+            self.flight_id.clone_from(&other.flight_id);
+        }
+    }
+
     /// Messages seen.
     pub fn messages(&self) -> u64 {
         self.messages

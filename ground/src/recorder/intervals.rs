@@ -49,6 +49,17 @@ impl IntervalSet {
         }
     }
 
+    /// What is in this set and not in `other`.
+    pub fn without(&self, other: &Self) -> Self {
+        let mut left = Self::default();
+        for (&start, &end) in &self.ranges {
+            for (first, last) in other.gaps(start, end, usize::MAX) {
+                left.insert(first, last);
+            }
+        }
+        left
+    }
+
     /// Is `number` in the set?
     pub fn contains(&self, number: u64) -> bool {
         self.ranges.range(..=number).next_back().is_some_and(|(_, &end)| end >= number)
@@ -98,6 +109,10 @@ impl IntervalSet {
         if first > last {
             return 0;
         }
+        if self.min().is_none_or(|min| min >= first) && self.max().is_none_or(|max| max <= last) {
+            // The usual question, and cheap however many ranges there are.
+            return (last - first).saturating_add(1) - self.count;
+        }
         let mut held: u64 = 0;
         if let Some((_, &end)) = self.ranges.range(..first).next_back()
             && end >= first
@@ -140,6 +155,13 @@ mod tests {
             assert_eq!(gaps, lacking, "{a}..={b}");
             assert_eq!(set.contains(a), plain.contains(&a));
         }
+        let (mut even, mut whole) = (IntervalSet::default(), IntervalSet::default());
+        (0..2100).step_by(2).for_each(|n| assert_eq!(even.insert(n, n), 1));
+        whole.insert(0, 2100);
+        let odd = set.without(&even);
+        assert!((0..2100).all(|n| odd.contains(n) == (n % 2 == 1 && plain.contains(&n))));
+        assert_eq!(set.without(&whole), IntervalSet::default());
+        assert_eq!(set.missing(0, 3000), 3001 - plain.len() as u64);
         assert_eq!((set.min(), set.max()), (plain.first().copied(), plain.last().copied()));
     }
 

@@ -1,9 +1,9 @@
 //! Records flights: the downlink written down.
 //!
-//! One thread of its own does all the writing, behind a queue bounded by [`MAX_QUEUED_BYTES`].
-//! Policy when the queue is full (a slow or stuck disk): the batch is not recorded, and because the
-//! recorder counts sequence numbers, it is a gap like any other and is asked back from the agent's
-//! own log. The hub never waits.
+//! The recorder's thread writes what comes, behind a queue bounded by [`MAX_QUEUED_BYTES`]. Policy when the queue is
+//! full (a stuck disk): the batch is not recorded, and because the recorder counts sequence numbers, it is a gap like
+//! any other and is asked back from the agent's own log. The hub never waits. Reading back, merging, finishing,
+//! indexing and deleting are done by a second thread (`keeper`): nothing live waits for them.
 
 mod asking;
 mod export;
@@ -12,6 +12,7 @@ mod flight;
 mod identity;
 mod index;
 mod intervals;
+mod keeper;
 mod reader;
 mod repair;
 mod store;
@@ -66,6 +67,9 @@ pub enum RecordingError {
     /// The request makes no sense.
     #[error("{0}")]
     Invalid(String),
+    /// Too much of what takes long is being done.
+    #[error("the recorder is busy with other flights, try again in a moment")]
+    Busy,
     /// The recorder is shutting down.
     #[error("the recorder has stopped")]
     Stopped,
@@ -123,7 +127,27 @@ struct Shared {
     refused: AtomicUsize,
     /// What a crash left is repaired and the index is in line with the files.
     ready: AtomicBool,
+    /// The ground is about to end: nothing long is begun.
+    stopping: AtomicBool,
     changed: Notify,
+}
+
+impl Shared {
+    fn complain(&self, error: &str) {
+        let mut shown = lock(&self.error);
+        if shown.as_deref() != Some(error) {
+            tracing::error!(error, "nothing can be recorded");
+            *shown = Some(error.to_owned());
+            self.changed.notify_one();
+        }
+    }
+
+    fn recover(&self) {
+        if lock(&self.error).take().is_some() {
+            tracing::info!("recording is possible again");
+            self.changed.notify_one();
+        }
+    }
 }
 
 /// The running recorder.
@@ -145,7 +169,7 @@ pub struct RecorderHandle {
     index: Arc<FlightIndex>,
 }
 
-/// Starts the recorder's thread.
+/// Starts the recorder's threads.
 ///
 /// # Errors
 /// [`GroundError`] when another ground uses the data folder, or the thread or the index cannot start.
@@ -159,7 +183,8 @@ pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
     let index = Arc::new(index);
     let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };
     let syncer = plumbline_agent::log::Syncer::start().map_err(GroundError::Thread)?;
-    let worker = worker::Worker::new(config.clone(), store, index, shared, syncer);
+    let keeper = keeper::Keeper::start(store.clone(), index, shared.clone()).map_err(GroundError::Thread)?;
+    let worker = worker::Worker::new(config.clone(), store, keeper, shared, syncer);
     let thread = std::thread::Builder::new()
         .name("recorder".into())
         .spawn(move || worker.run(&inputs))
@@ -173,8 +198,9 @@ impl Recorder {
         self.handle.clone()
     }
 
-    /// Finishes every open recording and ends the thread. Waits for the disk.
+    /// Finishes every open recording and ends the threads. Waits for the disk.
     pub fn finish(self) {
+        self.handle.shared.stopping.store(true, Ordering::Release);
         let _ = self.handle.queue.send(Input::Finish);
         if self.thread.join().is_err() {
             tracing::error!("the recorder thread panicked");
@@ -306,6 +332,9 @@ impl RecorderHandle {
     /// # Errors
     /// [`RecordingError`] when there is no such flight, it is being recorded, or the disk refuses.
     pub fn delete(&self, id: &str) -> Result<(), RecordingError> {
+        if !self.ready() {
+            return Err(RecordingError::NotReady);
+        }
         let (answer, answered) = sync_channel(1);
         let input = Input::Delete { id: id.to_owned(), answer };
         self.queue.send(input).map_err(|_| RecordingError::Stopped)?;

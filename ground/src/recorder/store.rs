@@ -37,6 +37,10 @@ pub const MAX_NAME: usize = 200;
 /// Longest notes, characters.
 pub const MAX_NOTES: usize = 100_000;
 
+/// A file being merged is synced each time this much was added, bytes: all of it at once would hold up the disk for
+/// the files being recorded.
+const SYNC_BYTES: usize = 8 << 20;
+
 /// What people wrote about a flight.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Labels {
@@ -59,6 +63,29 @@ pub(super) struct RecordingStore {
 pub(super) struct Files {
     pub(super) finished: Option<PathBuf>,
     pub(super) parts: Vec<PathBuf>,
+}
+
+impl Files {
+    /// Number of the next part.
+    pub(super) fn next_part(&self) -> u32 {
+        self.parts.iter().map(|path| number(path)).max().unwrap_or(0).saturating_add(1)
+    }
+
+    /// Without the parts from number `part` on.
+    pub(super) fn before(mut self, part: u32) -> Self {
+        self.parts.retain(|path| number(path) < part);
+        self
+    }
+
+    /// What the first readable one of them says of itself.
+    pub(super) fn identity(&self) -> Identity {
+        self.finished.iter().chain(&self.parts).find_map(|path| repair::identity(path)).unwrap_or_default()
+    }
+}
+
+/// Number of a part; 0 for one that somebody else has named.
+fn number(part: &Path) -> u32 {
+    part.file_stem().and_then(|stem| stem.to_str()?.rsplit('.').next()?.parse().ok()).unwrap_or(0)
 }
 
 /// Everything that the files of a flight say.
@@ -92,13 +119,9 @@ impl RecordingStore {
         self.folder.join(format!("{id}.mcap"))
     }
 
-    /// A path for the next part of a flight.
-    pub(super) fn next_part(&self, id: &str) -> PathBuf {
-        let taken = self.files(id).parts;
-        let number =
-            |path: &PathBuf| path.file_stem().and_then(|s| s.to_str()?.rsplit('.').next()?.parse::<u32>().ok());
-        let next = taken.iter().filter_map(number).max().unwrap_or(0) + 1;
-        self.folder.join(format!("{id}.{next:03}.part"))
+    /// The part of a flight with this number.
+    pub(super) fn part_path(&self, id: &str, number: u32) -> PathBuf {
+        self.folder.join(format!("{id}.{number:03}.part"))
     }
 
     /// Every flight with files here.
@@ -148,12 +171,10 @@ impl RecordingStore {
         self.gather(files, |_, _, _| Ok(())).map(|(reading, _)| reading)
     }
 
-    /// Merges everything there is of a flight, up to message `last`, into one finished file. Answers
-    /// what it holds.
-    pub(super) fn merge(&self, id: &str, last: Option<u64>) -> Result<Reading, RecordingError> {
-        let files = self.files(id);
+    /// Merges these files of a flight, up to message `last`, into one finished file. Answers what it holds.
+    pub(super) fn merge(&self, id: &str, files: &Files, last: Option<u64>) -> Result<Reading, RecordingError> {
         let temporary = self.folder.join(format!("{id}.merge.tmp"));
-        let (reading, damaged) = self.write_merged(&files, id, last, &temporary)?;
+        let (reading, damaged) = self.write_merged(files, id, last, &temporary)?;
         let finished = self.finished_path(id);
         if reading.learner.messages() == 0 {
             fs::remove_file(&temporary).map_err(|e| self.io(&temporary, e))?;
@@ -247,13 +268,15 @@ impl RecordingStore {
         path: &Path,
     ) -> Result<(Reading, Vec<(PathBuf, String)>), RecordingError> {
         let attempt = || -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
-            let mut identity = first_identity(files);
+            let mut identity = files.identity();
             if identity.flight_id.is_empty() {
                 id.clone_into(&mut identity.flight_id);
             }
-            let mut mcap = writer::options().create(NoSeek::new(BufWriter::new(File::create(path)?)))?;
+            let file = File::create(path)?;
+            let mut mcap = writer::options().create(NoSeek::new(BufWriter::new(file.try_clone()?)))?;
             mcap.write_metadata(&identity.to_metadata())?;
             let mut channels: HashMap<String, u16> = HashMap::new();
+            let mut unsynced = 0;
             let (reading, damaged) = gather(files, last, |channel, header, data| {
                 let channel_id = match channels.get(&channel.topic) {
                     Some(id) => *id,
@@ -268,6 +291,12 @@ impl RecordingStore {
                         id
                     }
                 };
+                unsynced += data.len();
+                if unsynced > SYNC_BYTES {
+                    unsynced = 0;
+                    mcap.flush()?;
+                    file.sync_data()?;
+                }
                 mcap.write_to_known_channel(&MessageHeader { channel_id, ..*header }, data)
             })?;
             mcap.write_metadata(&reading.ending().to_metadata())?;
@@ -360,17 +389,13 @@ fn damaged_file(path: &Path, error: mcap::McapError) -> RecordingError {
     }
 }
 
-fn first_identity(files: &Files) -> Identity {
-    files.finished.iter().chain(&files.parts).find_map(|path| repair::identity(path)).unwrap_or_default()
-}
-
 /// Reads the files one after the other and passes on each message once.
 fn gather(
     files: &Files,
     last: Option<u64>,
     mut each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
 ) -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
-    let mut reading = Reading { identity: first_identity(files), ..Reading::default() };
+    let mut reading = Reading { identity: files.identity(), ..Reading::default() };
     let mut damaged = Vec::new();
     let mut near = reading.identity.first_sequence;
     let boot_us = reading.identity.boot_wall_time_us;

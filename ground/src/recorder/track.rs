@@ -12,6 +12,17 @@ use super::intervals::IntervalSet;
 use super::store::{Labels, Reading};
 use super::writer::FlightWriter;
 
+/// What is known of the files that a flight had before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Past {
+    /// Everything, or there is none.
+    Known,
+    /// To be read: all but the parts from this number on.
+    Due(u32),
+    /// Being read. Until then nothing is asked of the agent, and the flight is not closed.
+    Asked,
+}
+
 /// Sequence-number accounting of one flight, and its open file.
 pub(super) struct Track {
     pub(super) identity: Identity,
@@ -29,7 +40,13 @@ pub(super) struct Track {
     pub(super) rechecked: bool,
     /// Last time a message was added.
     pub(super) progressed: Instant,
+    /// What files from before this track hold.
+    pub(super) past: Past,
+    /// Number of the next part.
+    pub(super) part: u32,
     pub(super) learner: Learner,
+    /// As the learner was at the last flush.
+    flushed: Learner,
     live: u64,
     filled: u64,
     /// Flushed.
@@ -39,14 +56,18 @@ pub(super) struct Track {
     /// `have`, `pending` and what the agent's log does not hold (any more).
     covered: IntervalSet,
     pub(super) writer: Option<(PathBuf, FlightWriter)>,
+    /// Bytes of the parts that this track has ended.
+    pub(super) ended_bytes: u64,
     /// No new file before this moment: the last one failed.
     pub(super) retry: Option<Instant>,
 }
 
 impl Track {
-    pub(super) fn new(identity: Identity, now: Instant) -> Self {
+    pub(super) fn new(identity: Identity, part: u32, now: Instant) -> Self {
         Self {
             identity,
+            past: Past::Known,
+            part,
             start_us: None,
             last: None,
             limit: None,
@@ -55,60 +76,53 @@ impl Track {
             rechecked: false,
             progressed: now,
             learner: Learner::default(),
+            flushed: Learner::default(),
             live: 0,
             filled: 0,
             have: IntervalSet::default(),
             pending: IntervalSet::default(),
             covered: IntervalSet::default(),
             writer: None,
+            ended_bytes: 0,
             retry: None,
         }
     }
 
-    /// A flight whose files exist.
-    pub(super) fn resume(reading: Reading, now: Instant) -> Self {
-        let (first, last) = reading.range();
-        let ending = reading.ending();
-        let mut track = Self::new(Identity { first_sequence: first, ..reading.identity }, now);
-        track.last = last;
-        track.live = ending.live;
-        track.filled = ending.filled;
-        track.learner = reading.learner;
-        track.covered = reading.have.clone();
-        track.have = reading.have;
+    /// A flight whose files exist; its next part has this number.
+    pub(super) fn resume(reading: Reading, part: u32, now: Instant) -> Self {
+        let mut track = Self::new(reading.identity.clone(), part, now);
+        track.remember(reading);
         track
     }
 
-    /// Forgets what was written and not flushed: `reading` is what the files really hold.
-    pub(super) fn fall_back(&mut self, reading: Reading) {
+    /// Takes in what the files from before hold.
+    pub(super) fn remember(&mut self, past: Reading) {
+        let (first, last) = past.range();
+        let ending = past.ending();
+        self.past = Past::Known;
+        self.identity.first_sequence = self.identity.first_sequence.or(first);
+        self.last = self.last.or(last);
+        self.live += ending.live;
+        self.filled += ending.filled;
+        self.learner.absorb(&past.learner);
+        self.flushed.absorb(&past.learner);
+        self.pending = self.pending.without(&past.have);
+        self.covered.absorb(&past.have);
+        self.have.absorb(&past.have);
+    }
+
+    /// Forgets what was written and not flushed: the file has failed.
+    pub(super) fn fall_back(&mut self) {
         let unavailable = self.unavailable();
         self.pending = IntervalSet::default();
-        self.learner = reading.learner;
+        self.learner = self.flushed.clone();
         self.live = self.learner.messages().saturating_sub(self.filled);
-        self.covered = reading.have.clone();
+        self.covered = self.have.clone();
         self.covered.absorb(&unavailable);
-        self.have = reading.have;
     }
 
     fn unavailable(&self) -> IntervalSet {
-        let mut set = IntervalSet::default();
-        let (Some(first), Some(last)) = (self.covered.min(), self.covered.max()) else { return set };
-        let mut held = self.have.clone();
-        held.absorb(&self.pending);
-        for (start, end) in held.gaps(first, last, usize::MAX) {
-            // Part of a gap may be neither held nor refused.
-            let mut next = start;
-            for (s, e) in self.covered.gaps(start, end, usize::MAX) {
-                if s > next {
-                    set.insert(next, s - 1);
-                }
-                next = e.saturating_add(1);
-            }
-            if next <= end && next != 0 {
-                set.insert(next, end);
-            }
-        }
-        set
+        self.covered.without(&self.have).without(&self.pending)
     }
 
     /// Does this message belong to the flight, and is it new?
@@ -143,6 +157,7 @@ impl Track {
             writer.flush(now)?;
             self.have.absorb(&self.pending);
             self.pending = IntervalSet::default();
+            self.flushed.clone_from(&self.learner);
         }
         Ok(())
     }
@@ -203,7 +218,7 @@ impl Track {
 
     /// Is the flight over and everything of it here?
     pub(super) fn complete(&self) -> bool {
-        self.last.is_some() && self.identity.first_sequence.is_some() && self.missing() == 0
+        self.past == Past::Known && self.last.is_some() && self.identity.first_sequence.is_some() && self.missing() == 0
     }
 
     /// What is said at the end of the file.
@@ -239,7 +254,7 @@ mod tests {
 
     fn track(first: u64) -> Track {
         let identity = Identity { first_sequence: Some(first), ..Identity::default() };
-        Track::new(identity, Instant::now())
+        Track::new(identity, 1, Instant::now())
     }
 
     #[test]

@@ -1,12 +1,12 @@
 //! The recorder's thread: takes what the hub passes on, decides which flight each message belongs to,
-//! writes, flushes, asks for what is missing, and finishes.
+//! writes, flushes and asks for what is missing. Whatever takes longer it leaves to the keeper.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
 use plumbline_agent::log::Syncer;
@@ -17,10 +17,9 @@ use plumbline_proto::{Kind, v1};
 use super::asking::{AGAIN, Asking};
 use super::flight::Completeness;
 use super::identity::Identity;
-use super::index::{FlightIndex, Stamp};
-use super::repair::Damage;
-use super::store::{Files, Reading, RecordingStore};
-use super::track::Track;
+use super::keeper::{Done, Job, Keeper};
+use super::store::{Files, Labels, RecordingStore};
+use super::track::{Past, Track};
 use super::writer::FlightWriter;
 use super::{Input, RecordingError, Shared, explain, free_bytes};
 use crate::agent_link::CommandSender;
@@ -35,8 +34,8 @@ const RENEW_EVERY: Duration = Duration::from_secs(1);
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 /// A flight that the agent's status contradicts for this long is over.
 const CONTRADICTED_FOR: Duration = Duration::from_secs(2);
-/// Flights that an agent is told again are whole here, when it connects.
-const TOLD_AGAIN: usize = 16;
+/// Complete flights remembered: a late status of one of them begins nothing.
+const REMEMBERED: usize = 64;
 /// Live messages kept, for flights whose beginning is announced a little late.
 const RECENT: Duration = Duration::from_secs(3);
 const RECENT_BYTES: usize = 8 << 20;
@@ -44,10 +43,16 @@ const RECENT_BYTES: usize = 8 << 20;
 pub(super) struct Worker {
     config: GroundConfig,
     store: RecordingStore,
-    index: Arc<FlightIndex>,
+    keeper: Keeper,
     shared: Arc<Shared>,
     agents: BTreeMap<String, Agent>,
     tracks: BTreeMap<String, Track>,
+    /// Flights that the keeper reads back.
+    reading: BTreeSet<String>,
+    /// Flights that the keeper closes.
+    closing: BTreeSet<String>,
+    /// The last ones that were closed with nothing missing.
+    complete: VecDeque<String>,
     topics: HashMap<(u16, u16), String>,
     ticked: Instant,
     renewed: Option<Instant>,
@@ -66,23 +71,35 @@ struct Agent {
     recent: VecDeque<(Instant, Vec<u8>)>,
     recent_bytes: usize,
     asking: Asking,
+    greeting: Greeting,
+}
+
+/// Has the keeper been asked what an agent should be told, and asked for, on this connection?
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Greeting {
+    Due,
+    Asked,
+    Done,
 }
 
 impl Worker {
     pub(super) fn new(
         config: GroundConfig,
         store: RecordingStore,
-        index: Arc<FlightIndex>,
+        keeper: Keeper,
         shared: Arc<Shared>,
         syncer: Syncer,
     ) -> Self {
         Self {
             config,
             store,
-            index,
+            keeper,
             shared,
             agents: BTreeMap::new(),
             tracks: BTreeMap::new(),
+            reading: BTreeSet::new(),
+            closing: BTreeSet::new(),
+            complete: VecDeque::new(),
             topics: HashMap::new(),
             ticked: Instant::now(),
             renewed: None,
@@ -92,7 +109,12 @@ impl Worker {
     }
 
     pub(super) fn run(mut self, inputs: &Receiver<Input>) {
-        self.catch_up();
+        if let Err(error) = self.store.probe() {
+            self.shared.complain(&error.to_string());
+        }
+        self.store.sweep();
+        // Listed before anything is written: what is repaired is never what is being recorded.
+        let _ = self.keeper.give(Job::CatchUp(self.store.list()));
         loop {
             match inputs.recv_timeout(TICK) {
                 Ok(Input::Finish) | Err(RecvTimeoutError::Disconnected) => break,
@@ -105,60 +127,11 @@ impl Worker {
                 self.tick(now);
             }
         }
-        for id in self.tracks.keys().cloned().collect::<Vec<_>>() {
-            let complete = self.tracks.get(&id).is_some_and(Track::complete);
-            self.finish(&id, if complete { Completeness::Complete } else { Completeness::Filling });
-        }
-    }
-
-    /// Repairs what a crash left and brings the index in line with the files.
-    fn catch_up(&mut self) {
-        if let Err(error) = self.store.probe() {
-            self.complain(&error.to_string());
-        }
-        self.store.sweep();
-        let files = self.store.list();
-        for (id, files) in &files {
-            if let Err(error) = self.catch_up_with(id, files) {
-                tracing::error!(flight = %id, %error, "cannot be read");
-            }
-        }
-        for flight in self.index.list().unwrap_or_default() {
-            if !files.contains_key(&flight.id) {
-                self.indexed(self.index.remove(&flight.id));
-            }
-        }
-        *lock(&self.shared.set_aside) = self.store.set_aside();
-        self.shared.ready.store(true, Ordering::Release);
-        self.shared.changed.notify_one();
-    }
-
-    fn catch_up_with(&self, id: &str, files: &Files) -> Result<(), RecordingError> {
-        let stamp = files.finished.as_deref().and_then(Stamp::of);
-        if files.parts.is_empty() && stamp.is_some() && self.index.stamp(id)? == stamp {
-            return Ok(());
-        }
-        let mut reading = Reading::default();
-        if files.parts.is_empty() {
-            reading = self.store.read(files)?;
-        }
-        if !files.parts.is_empty() || reading.damage != Damage::None {
-            tracing::warn!(flight = id, damage = ?reading.damage, parts = files.parts.len(), "repairing");
-            reading = self.store.merge(id, None)?;
-        }
-        self.enter(id, &reading)
-    }
-
-    fn enter(&self, id: &str, reading: &Reading) -> Result<(), RecordingError> {
-        let path = self.store.finished_path(id);
-        match Stamp::of(&path) {
-            Some(stamp) => {
-                let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);
-                self.index.put(&flight, stamp)?;
-            }
-            None => self.index.remove(id)?,
-        }
-        Ok(())
+        let close = |(id, track): (String, Track)| {
+            let completeness = if track.complete() { Completeness::Complete } else { Completeness::Filling };
+            Job::Close { id, track: Box::new(track), completeness }
+        };
+        self.keeper.finish(self.tracks.into_iter().map(close));
     }
 
     fn take(&mut self, input: Input) {
@@ -187,9 +160,7 @@ impl Worker {
                     agent.commands = None;
                 }
             }
-            Input::Delete { id, answer } => {
-                let _ = answer.send(self.delete(&id));
-            }
+            Input::Delete { id, answer } => self.delete(id, answer),
             Input::Finish => {}
         }
     }
@@ -209,21 +180,12 @@ impl Worker {
                 track.limit = Some(u64::MAX);
             }
         }
-        let unfinished = |f: &super::Flight| {
-            f.vehicle_id == agent_id && f.completeness == Completeness::Filling && !self.tracks.contains_key(&f.id)
-        };
-        let waiting =
-            self.index.list().unwrap_or_default().into_iter().filter(unfinished).map(|f| (now, f.id)).collect();
-        let asking = Asking::new(waiting, now);
-        // The newest that fit into the queue: older ones were told before, or are gone from the onboard log.
-        let whole = |f: &super::Flight| f.vehicle_id == agent_id && f.completeness == Completeness::Complete;
-        for flight in self.index.list().unwrap_or_default().iter().filter(|f| whole(f)).take(TOLD_AGAIN) {
-            commands.try_flight_kept(&flight.id);
-        }
+        let asking = Asking::new(now);
         match self.agents.get_mut(agent_id) {
             Some(agent) if agent.boot_id == boot_id => {
                 agent.commands = Some(commands);
                 agent.asking = asking;
+                agent.greeting = Greeting::Due;
             }
             _ => {
                 let agent = Agent {
@@ -235,6 +197,7 @@ impl Worker {
                     recent: VecDeque::new(),
                     recent_bytes: 0,
                     asking,
+                    greeting: Greeting::Due,
                 };
                 self.agents.insert(agent_id.to_owned(), agent);
             }
@@ -362,7 +325,7 @@ impl Worker {
         }
     }
 
-    /// Begins or resumes the recording of a flight. `false` when there is nothing (more) to record.
+    /// Begins or resumes the recording of a flight. `false` when there is nothing (more) to record, or not yet.
     fn open(
         &mut self,
         agent_id: &str,
@@ -372,37 +335,31 @@ impl Worker {
         now: Instant,
     ) -> bool {
         let Some(agent) = self.agents.get(agent_id) else { return false };
+        if self.closing.contains(id) || self.complete.iter().any(|complete| complete == id) {
+            return false;
+        }
         let files = self.store.files(id);
-        let mut track = if files == Files::default() {
-            let identity = Identity {
-                flight_id: id.to_owned(),
-                agent_id: agent_id.to_owned(),
-                boot_id: agent.boot_id,
-                boot_wall_time_us: agent.boot_wall_time_us,
-                first_sequence,
-            };
-            tracing::info!(flight = id, %agent_id, first_sequence, "flight begins");
-            Track::new(identity, now)
-        } else {
-            match self.store.read(&files) {
-                Ok(reading) if reading.identity.boot_id == agent.boot_id => {
-                    if reading.range().1.is_some() && reading.missing() == 0 {
-                        return false;
-                    }
-                    tracing::info!(flight = id, %agent_id, "flight goes on after a gap");
-                    Track::resume(reading, now)
-                }
-                Ok(reading) => {
-                    let other = reading.identity.boot_id;
-                    tracing::error!(flight = id, %agent_id, other, "the name is that of a flight of another boot");
-                    return false;
-                }
-                Err(error) => {
-                    tracing::error!(flight = id, %error, "cannot be resumed");
-                    return false;
-                }
-            }
+        let before = files.identity();
+        if before.boot_id != 0 && before.boot_id != agent.boot_id {
+            let other = before.boot_id;
+            tracing::error!(flight = id, %agent_id, other, "the name is that of a flight of another boot");
+            return false;
+        }
+        let identity = Identity {
+            flight_id: id.to_owned(),
+            agent_id: agent_id.to_owned(),
+            boot_id: agent.boot_id,
+            boot_wall_time_us: agent.boot_wall_time_us,
+            first_sequence: first_sequence.or(before.first_sequence),
         };
+        let mut track = Track::new(identity, files.next_part(), now);
+        if files == Files::default() {
+            tracing::info!(flight = id, %agent_id, first_sequence, "flight begins");
+        } else {
+            // Recorded from here on at once; what was recorded before is read back meanwhile.
+            tracing::info!(flight = id, %agent_id, "flight goes on after a gap");
+            track.past = Past::Due(track.part);
+        }
         track.start_us = start_us;
         let recent: Vec<_> = agent.recent.iter().map(|(_, bytes)| bytes.clone()).collect();
         self.tracks.insert(id.to_owned(), track);
@@ -441,7 +398,8 @@ impl Worker {
         if track.retry.is_some_and(|at| now < at) {
             return false;
         }
-        let path = self.store.next_part(id);
+        let path = self.store.part_path(id, track.part);
+        track.part += 1;
         let created = self.store.probe().map_err(|e| e.to_string()).and_then(|()| {
             let free = free_bytes(self.store.folder());
             if free < self.config.reserve_bytes {
@@ -454,12 +412,12 @@ impl Worker {
             Ok(writer) => {
                 track.writer = Some((path, writer));
                 track.retry = None;
-                self.recover();
+                self.shared.recover();
                 true
             }
             Err(error) => {
                 track.retry = Some(now + RETRY_AFTER);
-                self.complain(&error);
+                self.shared.complain(&error);
                 false
             }
         }
@@ -467,14 +425,11 @@ impl Worker {
 
     /// A file failed: what was not flushed is missing, and will be asked for again.
     fn failed(&mut self, id: &str, error: &str, now: Instant) {
-        self.complain(error);
+        self.shared.complain(error);
         let Some(track) = self.tracks.get_mut(id) else { return };
         track.writer = None;
         track.retry = Some(now + RETRY_AFTER);
-        match self.store.read(&self.store.files(id)) {
-            Ok(reading) => track.fall_back(reading),
-            Err(error) => tracing::error!(flight = id, %error, "cannot be read back"),
-        }
+        track.fall_back();
     }
 
     fn tick(&mut self, now: Instant) {
@@ -483,6 +438,10 @@ impl Worker {
             self.renewed = Some(now);
             self.check_disk(now);
         }
+        while let Some(done) = self.keeper.done() {
+            self.done(done, now);
+        }
+        let renew = renew && self.keeper.idle();
         for agent in self.agents.values_mut() {
             let track = agent.asking.flight.as_ref().and_then(|id| self.tracks.get(id));
             agent.asking.idle(track, now);
@@ -492,13 +451,16 @@ impl Worker {
             if let Err(error) = track.flush(now, false) {
                 self.failed(&id, &explain(&error), now);
             }
+            self.read_past(&id);
+            self.turn_over(&id);
             if let Some(completeness) = self.verdict(&id, now) {
-                self.finish(&id, completeness);
+                self.close(&id, completeness);
             } else if renew {
                 self.renew(&id);
             }
         }
         for agent_id in self.agents.keys().cloned().collect::<Vec<_>>() {
+            self.greet(&agent_id);
             self.ask(&agent_id, now);
             self.show(&agent_id);
         }
@@ -508,8 +470,8 @@ impl Worker {
     fn verdict(&mut self, id: &str, now: Instant) -> Option<Completeness> {
         let track = self.tracks.get_mut(id)?;
         let ended = track.ended?;
-        if track.retry.is_some() {
-            // Nothing can be written now; what is missing is asked for when it can.
+        if track.retry.is_some() || track.past != Past::Known {
+            // Nothing can be written now, or it is not known what is missing.
             return None;
         }
         if track.complete() {
@@ -530,71 +492,104 @@ impl Worker {
         (quiet >= self.config.settle_after).then_some(Completeness::Filling)
     }
 
-    fn finish(&mut self, id: &str, mut completeness: Completeness) {
-        let now = Instant::now();
-        let Some(mut track) = self.tracks.remove(id) else { return };
-        let agent_id = track.identity.agent_id.clone();
-        let finished = track.flush(now, true).and_then(|()| match track.writer.take() {
-            Some((path, writer)) => {
-                let ending = track.ending(completeness).to_metadata();
-                writer.finish(&ending).map(|()| Some(path))
-            }
-            None => Ok(None),
-        });
-        let files = self.store.files(id);
-        let result = match (finished, files.parts.as_slice()) {
-            (Ok(Some(path)), [only]) if files.finished.is_none() && *only == path && !track.overshot() => {
-                self.store.promote(id, &path)
-            }
-            (_, []) if !track.overshot() => Ok(()),
-            (outcome, _) => {
-                if let Err(error) = outcome {
-                    self.complain(&explain(&error));
+    /// Has the files finished. The flight stays where it is when the keeper has too much to do.
+    fn close(&mut self, id: &str, completeness: Completeness) {
+        let Some(track) = self.tracks.remove(id) else { return };
+        match self.keeper.give(Job::Close { id: id.to_owned(), track: Box::new(track), completeness }) {
+            Ok(()) => drop(self.closing.insert(id.to_owned())),
+            Err(Job::Close { id, track, .. }) => drop(self.tracks.insert(id, *track)),
+            Err(_) => {}
+        }
+    }
+
+    /// Has the files from before read, once.
+    fn read_past(&mut self, id: &str) {
+        let Some(track) = self.tracks.get_mut(id) else { return };
+        let Past::Due(before) = track.past else { return };
+        if self.keeper.give(Job::Read { id: id.to_owned(), before }).is_ok() {
+            track.past = Past::Asked;
+            self.reading.insert(id.to_owned());
+        }
+    }
+
+    /// Goes on in a new part when the one being written has become long; they are merged at the end of the flight.
+    fn turn_over(&mut self, id: &str) {
+        let Some(track) = self.tracks.get_mut(id) else { return };
+        let Some((path, writer)) = track.writer.take_if(|(_, writer)| writer.long()) else { return };
+        let bytes = writer.size();
+        match self.keeper.give(Job::Finish(Box::new(writer))) {
+            Err(Job::Finish(writer)) => track.writer = Some((path, *writer)),
+            _ => track.ended_bytes += bytes,
+        }
+    }
+
+    fn greet(&mut self, agent_id: &str) {
+        let Some(agent) = self.agents.get_mut(agent_id).filter(|agent| agent.greeting == Greeting::Due) else { return };
+        let Some(commands) = agent.commands.clone() else { return };
+        if self.keeper.give(Job::Greet { agent_id: agent_id.to_owned(), commands }).is_ok() {
+            agent.greeting = Greeting::Asked;
+        }
+    }
+
+    /// What the keeper has done.
+    fn done(&mut self, done: Done, now: Instant) {
+        match done {
+            Done::Unfinished { agent_id, flights } => {
+                if let Some(agent) = self.agents.get_mut(&agent_id).filter(|agent| agent.greeting == Greeting::Asked) {
+                    agent.greeting = Greeting::Done;
+                    agent.asking.await_turn(flights, now);
                 }
-                self.store.merge(id, track.last).map(|reading| {
-                    if completeness == Completeness::Complete && reading.missing() > 0 {
-                        completeness = Completeness::Filling;
+            }
+            Done::Read { id, reading, part } => {
+                // It may have been deleted meanwhile.
+                if !self.reading.remove(&id) {
+                    return;
+                }
+                match self.tracks.get_mut(&id) {
+                    Some(track) if track.past == Past::Known => {}
+                    Some(track) => {
+                        track.remember(*reading);
+                        if track.last.is_some() {
+                            track.ended.get_or_insert(now);
+                        }
                     }
-                    let keep = track.ended;
-                    let identity = track.identity.clone();
-                    track = Track::resume(Reading { identity, ..reading }, now);
-                    track.ended = keep;
-                })
+                    None if reading.learner.messages() == 0 => {}
+                    None => {
+                        let mut track = Track::resume(*reading, part, now);
+                        track.ended = Some(now);
+                        if track.last.is_none() {
+                            track.limit = Some(u64::MAX);
+                        }
+                        self.tracks.insert(id, track);
+                    }
+                }
             }
-        };
-        if let Err(error) = result {
-            self.complain(&error.to_string());
+            Done::Closed { id, agent_id, completeness } => {
+                self.closing.remove(&id);
+                let agent = self.agents.get_mut(&agent_id);
+                match (completeness, agent) {
+                    (Completeness::Complete, agent) => {
+                        if let Some(commands) = agent.and_then(|agent| agent.commands.as_ref()) {
+                            commands.try_flight_kept(&id);
+                        }
+                        self.complete.push_back(id);
+                        if self.complete.len() > REMEMBERED {
+                            self.complete.pop_front();
+                        }
+                    }
+                    (Completeness::Filling, Some(agent)) => agent.asking.await_turn([id], now + AGAIN),
+                    _ => {}
+                }
+                self.show(&agent_id);
+            }
         }
-        let path = self.store.finished_path(id);
-        let stamp = Stamp::of(&path).unwrap_or_default();
-        if self.store.files(id) == Files::default() {
-            self.indexed(self.index.remove(id));
-        } else {
-            let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
-            tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
-            self.indexed(self.index.put(&flight, stamp));
-            if completeness == Completeness::Complete
-                && let Some(commands) = self.agents.get(&agent_id).and_then(|agent| agent.commands.as_ref())
-            {
-                commands.try_flight_kept(id);
-            }
-            if completeness == Completeness::Filling
-                && let Some(agent) = self.agents.get_mut(&agent_id)
-            {
-                agent.asking.waiting.push_back((now + AGAIN, id.to_owned()));
-            }
-        }
-        *lock(&self.shared.set_aside) = self.store.set_aside();
-        self.show(&agent_id);
-        self.shared.changed.notify_one();
     }
 
     fn renew(&self, id: &str) {
         let Some(track) = self.tracks.get(id) else { return };
         let completeness = if track.ended.is_some() { Completeness::Filling } else { Completeness::Recording };
-        let size = self.store.size(&self.store.files(id));
-        let flight = track.flight(self.store.labels(id), completeness, size);
-        self.indexed(self.index.put(&flight, Stamp::default()));
+        // Name, notes and size are the keeper's to add.
+        let _ = self.keeper.give(Job::Renew(Box::new(track.flight(Labels::default(), completeness, 0))));
     }
 
     fn ask(&mut self, agent_id: &str, now: Instant) {
@@ -610,6 +605,7 @@ impl Worker {
             let settled = track.ended.is_none_or(|e| now.saturating_duration_since(e) >= self.config.backfill_after);
             if track.identity.agent_id == agent_id
                 && settled
+                && track.past == Past::Known
                 && track.retry.is_none_or(|at| now >= at)
                 && agent.asking.allows(track.identity.boot_id)
                 && agent.asking.ask(track, horizon, &commands, now)
@@ -617,38 +613,30 @@ impl Worker {
                 return;
             }
         }
-        let Some(id) = agent.asking.next_waiting(now) else { return };
-        if self.tracks.contains_key(&id) {
+        // One after the other: memory is that of one reading.
+        if !self.reading.is_empty() {
             return;
         }
-        match self.store.read(&self.store.files(&id)) {
-            Ok(reading) if reading.learner.messages() > 0 => {
-                let mut track = Track::resume(reading, now);
-                track.ended = Some(now);
-                if track.last.is_none() {
-                    track.limit = Some(u64::MAX);
-                }
-                self.tracks.insert(id, track);
-            }
-            Ok(_) => {}
-            Err(error) => tracing::error!(flight = %id, %error, "cannot be completed"),
+        let Some(id) = agent.asking.next_waiting(now) else { return };
+        if self.tracks.contains_key(&id) || self.closing.contains(&id) {
+            return;
+        }
+        match self.keeper.give(Job::Read { id: id.clone(), before: u32::MAX }) {
+            Ok(()) => drop(self.reading.insert(id)),
+            Err(_) => agent.asking.await_turn([id], now),
         }
     }
 
-    fn delete(&mut self, id: &str) -> Result<(), RecordingError> {
-        if let Some(track) = self.tracks.get(id) {
-            if track.ended.is_none() {
-                return Err(RecordingError::InProgress(id.to_owned()));
-            }
-            self.tracks.remove(id);
+    fn delete(&mut self, id: String, answer: SyncSender<Result<(), RecordingError>>) {
+        if self.tracks.get(&id).is_some_and(|track| track.ended.is_none()) {
+            let _ = answer.send(Err(RecordingError::InProgress(id)));
+            return;
         }
-        if self.store.files(id) == Files::default() && self.index.get(id)?.is_none() {
-            return Err(RecordingError::Unknown(id.to_owned()));
+        self.tracks.remove(&id);
+        self.reading.remove(&id);
+        if let Err(Job::Delete { answer, .. }) = self.keeper.give(Job::Delete { id, answer }) {
+            let _ = answer.send(Err(RecordingError::Busy));
         }
-        self.store.delete(id)?;
-        self.index.remove(id)?;
-        tracing::info!(flight = id, "deleted");
-        Ok(())
     }
 
     /// Renews the state of one vehicle's recording for the page.
@@ -668,7 +656,7 @@ impl Worker {
             status.duration_s = last.saturating_sub(first) as f64 * 1e-6;
             status.messages = track.learner.messages();
             status.missing = track.missing();
-            status.bytes = track.writer.as_ref().map_or(0, |(_, writer)| writer.size());
+            status.bytes = track.ended_bytes + track.writer.as_ref().map_or(0, |(_, writer)| writer.size());
         }
         let mut shown = lock(&self.shared.status);
         let changed = shown
@@ -693,36 +681,12 @@ impl Worker {
                     self.failed(&id, &text, now);
                 }
             }
-            self.complain(&text);
+            self.shared.complain(&text);
         } else if self.tracks.values().all(|t| t.writer.is_none() && t.retry.is_none()) {
             match self.store.probe() {
-                Ok(()) => self.recover(),
-                Err(error) => self.complain(&error.to_string()),
+                Ok(()) => self.shared.recover(),
+                Err(error) => self.shared.complain(&error.to_string()),
             }
-        }
-    }
-
-    fn complain(&self, error: &str) {
-        let mut shown = lock(&self.shared.error);
-        if shown.as_deref() != Some(error) {
-            tracing::error!(error, "nothing can be recorded");
-            *shown = Some(error.to_owned());
-            self.shared.changed.notify_one();
-        }
-    }
-
-    fn recover(&self) {
-        let mut shown = lock(&self.shared.error);
-        if shown.take().is_some() {
-            tracing::info!("recording is possible again");
-            self.shared.changed.notify_one();
-        }
-    }
-
-    #[allow(clippy::unused_self)]
-    fn indexed(&self, result: rusqlite::Result<()>) {
-        if let Err(error) = result {
-            tracing::error!(%error, "index of flights cannot be written; it is rebuilt from the files at the next start");
         }
     }
 }

@@ -22,11 +22,15 @@ use plumbline_proto::time::{FlightTime, WallTime};
 use super::identity::Identity;
 
 /// Longest time a message waits in memory.
-pub const FLUSH_EVERY: Duration = Duration::from_millis(200);
+pub const FLUSH_EVERY: Duration = Duration::from_millis(150);
 /// Longest time a written message waits for the disk.
 pub const SYNC_EVERY: Duration = Duration::from_millis(900);
 /// Chunks are cut early beyond this many bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
+
+/// A part with this many chunks is ended and another begun, after at least two and a half minutes: the writer keeps the
+/// place of every channel in every chunk until the end, more than a kilobyte each.
+const MOST_CHUNKS: u32 = 1024;
 
 /// The settings every flight file is written with.
 pub(super) fn options() -> WriteOptions {
@@ -50,8 +54,10 @@ pub(super) struct FlightWriter {
     syncer: Syncer,
     boot: WallTime,
     channels: HashMap<(u16, u16), u16>,
-    flushed: Instant,
+    /// `None` until the first time: what waited for the file is written at once.
+    flushed: Option<Instant>,
     synced: Instant,
+    chunks: u32,
     unflushed: bool,
     unsynced: bool,
 }
@@ -75,8 +81,9 @@ impl FlightWriter {
             syncer: syncer.clone(),
             boot,
             channels: HashMap::new(),
-            flushed: now,
+            flushed: None,
             synced: now,
+            chunks: 0,
             unflushed: false,
             unsynced: true,
         })
@@ -112,7 +119,7 @@ impl FlightWriter {
 
     /// Is a flush due?
     pub(super) fn due(&self, now: Instant) -> bool {
-        (self.unflushed && now.saturating_duration_since(self.flushed) >= FLUSH_EVERY)
+        (self.unflushed && self.flushed.is_none_or(|at| now.saturating_duration_since(at) >= FLUSH_EVERY))
             || (self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY)
     }
 
@@ -120,10 +127,11 @@ impl FlightWriter {
     pub(super) fn flush(&mut self, now: Instant) -> McapResult<()> {
         if self.unflushed {
             self.mcap.flush()?;
+            self.chunks += 1;
             self.unflushed = false;
             self.unsynced = true;
         }
-        self.flushed = now;
+        self.flushed = Some(now);
         if self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY {
             self.syncer.sync(&self.file)?;
             self.synced = now;
@@ -132,14 +140,21 @@ impl FlightWriter {
         Ok(())
     }
 
+    /// Has it grown so long that another part should go on? Only when nothing waits for its flush.
+    pub(super) fn long(&self) -> bool {
+        self.chunks >= MOST_CHUNKS && !self.unflushed
+    }
+
     /// Bytes on disk.
     pub(super) fn size(&self) -> u64 {
         self.file.metadata().map_or(0, |m| m.len())
     }
 
-    /// Writes the summary and syncs. The file is then whole.
-    pub(super) fn finish(mut self, end: &Metadata) -> McapResult<()> {
-        self.mcap.write_metadata(end)?;
+    /// Writes the summary and syncs. The file is then whole; `end` is said at the end of a flight.
+    pub(super) fn finish(mut self, end: Option<&Metadata>) -> McapResult<()> {
+        if let Some(end) = end {
+            self.mcap.write_metadata(end)?;
+        }
         finish(self.mcap)
     }
 }

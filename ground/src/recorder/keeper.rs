@@ -1,0 +1,306 @@
+//! The keeper's thread: what the recorder does that takes as long as a disk or a long flight pleases.
+//!
+//! The recorder's thread appends to open files and flushes them, nothing else: whatever is merged, nothing live waits
+//! for it. What must be read back, merged, finished, indexed or deleted is a [`Job`] for this thread: one after the
+//! other, in the order they were given, with less claim to the processor than the recorder.
+//!
+//! Bound: [`MAX_JOBS`] waiting. Policy when full: the recorder keeps what it wanted done and gives it again at its
+//! next tick; the renewal of an index entry is left out.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use super::flight::{Completeness, Flight};
+use super::index::{FlightIndex, Stamp};
+use super::repair::Damage;
+use super::store::{Files, Reading, RecordingStore};
+use super::track::Track;
+use super::writer::FlightWriter;
+use super::{RecordingError, Shared, explain};
+use crate::agent_link::CommandSender;
+use crate::sync::lock;
+
+/// Most jobs waiting.
+const MAX_JOBS: usize = 256;
+/// Flights that an agent is told again are whole here, when it connects.
+const TOLD_AGAIN: usize = 16;
+/// How much the keeper gives way to everybody else: a `nice` value.
+const GIVES_WAY: i32 = 10;
+
+/// Something to be done.
+pub(super) enum Job {
+    /// Repair what a crash left in these files, and bring the index in line with them.
+    CatchUp(BTreeMap<String, Files>),
+    /// An agent connected: tell it what is whole here, and answer what is not.
+    Greet { agent_id: String, commands: CommandSender },
+    /// Read what the files of a flight hold, without the parts from this number on: they are being written.
+    Read { id: String, before: u32 },
+    /// Finish a part of a flight that goes on in the next one.
+    Finish(Box<FlightWriter>),
+    /// Finish the files of a flight.
+    Close { id: String, track: Box<Track>, completeness: Completeness },
+    /// Renew the index entry of a flight that is being recorded.
+    Renew(Box<Flight>),
+    /// Remove a flight.
+    Delete { id: String, answer: SyncSender<Result<(), RecordingError>> },
+}
+
+/// What came of it.
+pub(super) enum Done {
+    /// Flights of this agent that are not complete.
+    Unfinished { agent_id: String, flights: Vec<String> },
+    /// What there is of a flight, and the number of its next part.
+    Read { id: String, reading: Box<Reading>, part: u32 },
+    /// A flight is closed.
+    Closed { id: String, agent_id: String, completeness: Completeness },
+}
+
+/// The recorder's end.
+#[derive(Debug)]
+pub(super) struct Keeper {
+    jobs: SyncSender<Job>,
+    /// At most one for each job.
+    done: Receiver<Done>,
+    /// Jobs given and not done.
+    open: Arc<AtomicUsize>,
+    thread: JoinHandle<()>,
+}
+
+impl Keeper {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// No thread.
+    pub(super) fn start(store: RecordingStore, index: Arc<FlightIndex>, shared: Arc<Shared>) -> io::Result<Self> {
+        let (jobs, given) = sync_channel::<Job>(MAX_JOBS);
+        let (answers, done) = channel();
+        let open = Arc::new(AtomicUsize::new(0));
+        let desk = Desk { store, index, shared };
+        let thread = {
+            let open = open.clone();
+            std::thread::Builder::new().name("keeper".into()).spawn(move || {
+                give_way();
+                for job in given {
+                    desk.work(job, &answers);
+                    open.fetch_sub(1, Ordering::AcqRel);
+                }
+            })?
+        };
+        Ok(Self { jobs, done, open, thread })
+    }
+
+    /// Gives a job; never waits.
+    ///
+    /// # Errors
+    /// The job, when too many are waiting.
+    pub(super) fn give(&self, job: Job) -> Result<(), Job> {
+        self.open.fetch_add(1, Ordering::AcqRel);
+        self.jobs.try_send(job).map_err(|error| {
+            self.open.fetch_sub(1, Ordering::AcqRel);
+            match error {
+                TrySendError::Full(job) | TrySendError::Disconnected(job) => job,
+            }
+        })
+    }
+
+    /// Is there nothing to do?
+    pub(super) fn idle(&self) -> bool {
+        self.open.load(Ordering::Acquire) == 0
+    }
+
+    /// The next thing that was done.
+    pub(super) fn done(&self) -> Option<Done> {
+        self.done.try_recv().ok()
+    }
+
+    /// Does these last jobs as well and ends. Waits for the disk.
+    pub(super) fn finish(self, last: impl IntoIterator<Item = Job>) {
+        for job in last {
+            if self.jobs.send(job).is_err() {
+                break;
+            }
+        }
+        drop(self.jobs);
+        if self.thread.join().is_err() {
+            tracing::error!("the keeper thread panicked");
+        }
+    }
+}
+
+/// Lowers the calling thread's priority; a refusal costs nothing but time.
+fn give_way() {
+    // Elsewhere this would be the whole process.
+    #[cfg(target_os = "linux")]
+    // SAFETY: a plain system call; 0 is the calling thread.
+    unsafe {
+        libc::setpriority(libc::PRIO_PROCESS, 0, GIVES_WAY);
+    }
+}
+
+struct Desk {
+    store: RecordingStore,
+    index: Arc<FlightIndex>,
+    shared: Arc<Shared>,
+}
+
+impl Desk {
+    fn work(&self, job: Job, answers: &Sender<Done>) {
+        let answer = |done| drop(answers.send(done));
+        match job {
+            Job::CatchUp(files) => self.catch_up(&files),
+            Job::Greet { agent_id, commands } => {
+                let flights = self.greet(&agent_id, &commands);
+                answer(Done::Unfinished { agent_id, flights });
+            }
+            Job::Read { id, before } => {
+                let files = self.store.files(&id).before(before);
+                let reading = self.store.read(&files).unwrap_or_else(|error| {
+                    tracing::error!(flight = %id, %error, "cannot be read back");
+                    Reading::default()
+                });
+                answer(Done::Read { id, reading: Box::new(reading), part: files.next_part() });
+            }
+            Job::Finish(writer) => {
+                if let Err(error) = writer.finish(None) {
+                    self.shared.complain(&explain(&error));
+                }
+            }
+            Job::Close { id, track, completeness } => {
+                let agent_id = track.identity.agent_id.clone();
+                let completeness = self.close(&id, *track, completeness);
+                answer(Done::Closed { id, agent_id, completeness });
+            }
+            Job::Renew(mut flight) => {
+                let labels = self.store.labels(&flight.id);
+                (flight.name, flight.notes) = (labels.name, labels.notes);
+                flight.size_bytes = self.store.size(&self.store.files(&flight.id));
+                indexed(self.index.put(&flight, Stamp::default()));
+            }
+            Job::Delete { id, answer } => drop(answer.send(self.delete(&id))),
+        }
+    }
+
+    fn catch_up(&self, files: &BTreeMap<String, Files>) {
+        for (id, files) in files {
+            if self.shared.stopping.load(Ordering::Acquire) {
+                // What is left is repaired at the next start.
+                return;
+            }
+            if let Err(error) = self.catch_up_with(id, files) {
+                tracing::error!(flight = %id, %error, "cannot be read");
+            }
+        }
+        for flight in self.index.list().unwrap_or_default() {
+            if !files.contains_key(&flight.id) {
+                indexed(self.index.remove(&flight.id));
+            }
+        }
+        *lock(&self.shared.set_aside) = self.store.set_aside();
+        self.shared.ready.store(true, Ordering::Release);
+        self.shared.changed.notify_one();
+    }
+
+    fn catch_up_with(&self, id: &str, files: &Files) -> Result<(), RecordingError> {
+        let stamp = files.finished.as_deref().and_then(Stamp::of);
+        if files.parts.is_empty() && stamp.is_some() && self.index.stamp(id)? == stamp {
+            return Ok(());
+        }
+        let mut reading = Reading::default();
+        if files.parts.is_empty() {
+            reading = self.store.read(files)?;
+        }
+        if !files.parts.is_empty() || reading.damage != Damage::None {
+            tracing::warn!(flight = id, damage = ?reading.damage, parts = files.parts.len(), "repairing");
+            reading = self.store.merge(id, files, None)?;
+        }
+        let path = self.store.finished_path(id);
+        match Stamp::of(&path) {
+            Some(stamp) => {
+                let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);
+                self.index.put(&flight, stamp)?;
+            }
+            None => self.index.remove(id)?,
+        }
+        Ok(())
+    }
+
+    fn greet(&self, agent_id: &str, commands: &CommandSender) -> Vec<String> {
+        let flights = self.index.list().unwrap_or_default();
+        let of = |wanted: Completeness| {
+            flights.iter().filter(move |f| f.vehicle_id == agent_id && f.completeness == wanted).map(|f| &f.id)
+        };
+        // The newest that fit into the queue: older ones were told before, or are gone from the onboard log.
+        for id in of(Completeness::Complete).take(TOLD_AGAIN) {
+            commands.try_flight_kept(id);
+        }
+        of(Completeness::Filling).cloned().collect()
+    }
+
+    fn close(&self, id: &str, mut track: Track, mut completeness: Completeness) -> Completeness {
+        let now = Instant::now();
+        let finished = track.flush(now, true).and_then(|()| match track.writer.take() {
+            Some((path, writer)) => {
+                let ending = track.ending(completeness).to_metadata();
+                writer.finish(Some(&ending)).map(|()| Some(path))
+            }
+            None => Ok(None),
+        });
+        let files = self.store.files(id);
+        let result = match (finished, files.parts.as_slice()) {
+            (Ok(Some(path)), [only]) if files.finished.is_none() && *only == path && !track.overshot() => {
+                self.store.promote(id, &path)
+            }
+            (Ok(_), []) if !track.overshot() => Ok(()),
+            (outcome, _) => {
+                if let Err(error) = outcome {
+                    self.shared.complain(&explain(&error));
+                }
+                self.store.merge(id, &files, track.last).map(|reading| {
+                    let whole = reading.range().1.is_some() && reading.missing() == 0;
+                    completeness = match completeness {
+                        _ if whole => Completeness::Complete,
+                        Completeness::Complete => Completeness::Filling,
+                        other => other,
+                    };
+                    let identity = track.identity.clone();
+                    track = Track::resume(Reading { identity, ..reading }, 0, now);
+                })
+            }
+        };
+        if let Err(error) = result {
+            self.shared.complain(&error.to_string());
+        }
+        if self.store.files(id) == Files::default() {
+            indexed(self.index.remove(id));
+        } else {
+            let stamp = Stamp::of(&self.store.finished_path(id)).unwrap_or_default();
+            let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
+            tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
+            indexed(self.index.put(&flight, stamp));
+        }
+        *lock(&self.shared.set_aside) = self.store.set_aside();
+        self.shared.changed.notify_one();
+        completeness
+    }
+
+    fn delete(&self, id: &str) -> Result<(), RecordingError> {
+        if self.store.files(id) == Files::default() && self.index.get(id)?.is_none() {
+            return Err(RecordingError::Unknown(id.to_owned()));
+        }
+        self.store.delete(id)?;
+        self.index.remove(id)?;
+        tracing::info!(flight = id, "deleted");
+        Ok(())
+    }
+}
+
+fn indexed(result: rusqlite::Result<()>) {
+    if let Err(error) = result {
+        tracing::error!(%error, "index of flights cannot be written; it is rebuilt from the files at the next start");
+    }
+}
