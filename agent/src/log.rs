@@ -33,7 +33,7 @@ pub use sync::Syncer;
 use writer::LogFile;
 
 /// A chunk is closed and handed to the system at least this often.
-pub const FLUSH_PERIOD: Duration = Duration::from_millis(200);
+pub const FLUSH_PERIOD: Duration = Duration::from_millis(150);
 /// The file is synced to the disk at least this often.
 pub const SYNC_PERIOD: Duration = Duration::from_millis(900);
 /// Bytes that may wait for the disk: more than ten seconds of a full suite at 200 Hz.
