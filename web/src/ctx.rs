@@ -68,6 +68,8 @@ pub struct Ctx {
     pub help: RwSignal<bool>,
     /// Attack panel asked for by key.
     pub attacks_focus: RwSignal<u64>,
+    /// Who is signed in.
+    pub session: RwSignal<Session>,
     operator: StoredValue<String>,
     socket: StoredValue<Option<net::LiveSocket>, LocalStorage>,
 }
@@ -88,6 +90,7 @@ impl Ctx {
             live_deck: StoredValue::new(None),
             help: RwSignal::new(false),
             attacks_focus: RwSignal::new(0),
+            session: RwSignal::new(Session::default()),
             operator: StoredValue::new(store::operator()),
             socket: StoredValue::new_local(None),
         };
@@ -100,8 +103,11 @@ impl Ctx {
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
         leptos::task::spawn_local(async move {
             // The account is the operator's name where there is one; the first socket is opened after it is known.
-            if let Ok(Session { name: Some(name) }) = net::json("GET", "/api/session", None, "").await {
-                ctx.operator.set_value(name);
+            if let Ok(session) = net::json::<Session>("GET", "/api/session", None, "").await {
+                if let Some(name) = &session.name {
+                    ctx.operator.set_value(name.clone());
+                }
+                ctx.session.set(session);
             }
             ctx.dispatch(Event::Poll);
         });

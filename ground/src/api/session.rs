@@ -130,14 +130,26 @@ fn cookie(app: &App, value: &str, seconds: u64) -> HeaderMap {
     headers
 }
 
-const STYLE: &str = "<style>:root{color-scheme:light dark}body{font:16px system-ui;max-width:22em;margin:12vh auto;padding:0 1em}\
-label{display:block;margin:1em 0}input{display:block;width:100%;box-sizing:border-box;font:inherit;padding:.5em;margin-top:.25em}\
-button{font:inherit;padding:.5em 1.5em}[role=alert]{color:#c33}</style>";
+/// The colours of the page (`web/style.css`), which is not there yet.
+const STYLE: &str = "<style>\
+:root{color-scheme:light dark;--page:#f3f4f6;--card:#fff;--edge:#d5d9df;--control:#fff;--control-edge:#b9c0c9;--ink:#1c2128;\
+--quiet:#59626e;--focus:#0072b2;--on-focus:#fff;--bad:#b3261e;--bad-fill:#fbe4e1}\
+@media(prefers-color-scheme:dark){:root{--page:#0f1216;--card:#161a20;--edge:#272d36;--control:#1e242c;--control-edge:#3c4551;\
+--ink:#e8ecf1;--quiet:#a0a9b5;--focus:#56b4e9;--on-focus:#0f1216;--bad:#ff8a80;--bad-fill:#3a1a18}}\
+*{box-sizing:border-box}html{background:var(--page);color:var(--ink);font:15px/1.4 system-ui,sans-serif}\
+body{max-width:22rem;margin:14vh auto;padding:0 1rem}\
+main{background:var(--card);border:1px solid var(--edge);border-radius:7px;padding:1.25rem 1.5rem 1.5rem}\
+h1{font-size:1.35rem;margin:0 0 1rem}p{margin:0 0 1rem}a{color:var(--focus)}label{display:block;margin:0 0 1rem;color:var(--quiet)}\
+input,button{font:inherit;border-radius:5px;min-height:38px;width:100%}\
+input{display:block;margin-top:.25rem;padding:.4rem .6rem;color:var(--ink);background:var(--control);border:1px solid var(--control-edge)}\
+button{border:0;background:var(--focus);color:var(--on-focus);font-weight:600;cursor:pointer}\
+:focus-visible{outline:2px solid var(--focus);outline-offset:2px}\
+[role=alert]{color:var(--bad);background:var(--bad-fill);border-radius:5px;padding:.5rem .75rem}</style>";
 
 fn document(title: &str, body: &str) -> String {
     format!(
         "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content=\"width=device-width\">\
-         <title>{title} – Plumbline</title>{STYLE}<h1>Plumbline</h1>{body}</html>"
+         <title>{title} – Plumbline</title>{STYLE}<main><h1>Plumbline</h1>{body}</main></html>"
     )
 }
 

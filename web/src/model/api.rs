@@ -18,6 +18,8 @@ pub struct Ground {
     pub storage: Storage,
     /// Why nothing can be recorded.
     pub recording_error: Option<String>,
+    /// Damaged files, by the names they were given.
+    pub set_aside: Vec<String>,
 }
 
 /// `GET /api/session`.
@@ -26,6 +28,16 @@ pub struct Ground {
 pub struct Session {
     /// Account that is signed in; `None` where none is needed.
     pub name: Option<String>,
+    /// What it may do: viewer, operator, attacker or admin.
+    pub role: Option<String>,
+}
+
+impl Session {
+    /// Who is signed in, as what; `None` where nobody needs to be.
+    pub fn who(&self) -> Option<String> {
+        let name = self.name.as_ref()?;
+        Some(self.role.as_ref().map_or_else(|| name.clone(), |role| format!("{name} ({role})")))
+    }
 }
 
 /// Storage of the ground.

@@ -5,7 +5,7 @@ use leptos::prelude::*;
 use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
-    model::{curves::DEGREES, format, names},
+    model::{api::Session, curves::DEGREES, format, names},
 };
 
 fn fact(name: &'static str, value: impl IntoView + 'static) -> impl IntoView {
@@ -45,6 +45,7 @@ pub fn Setup() -> impl IntoView {
                                 {fact("flights in", g.data_folder)}
                                 {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::plural(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
                                 {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
+                                {(!g.set_aside.is_empty()).then(|| fact("damaged, set aside", g.set_aside.join(", ")))}
                             </dl>
                         }.into_any(),
                     }}
@@ -56,6 +57,9 @@ pub fn Setup() -> impl IntoView {
                         {fact("schema", plumbline_proto::SCHEMA.to_string())}
                         {fact("graphics", graphics)}
                         {fact("name for control", ctx.operator())}
+                        {move || ctx.session.with(Session::who).map(|who| {
+                            fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
+                        })}
                         {fact("unreadable messages", move || ctx.live(|live| {
                             if live.unreadable == 0 { "none".to_owned() } else { format!("{}: {}", format::count(live.unreadable), live.unreadable_reason) }
                         }))}

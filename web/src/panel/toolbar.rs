@@ -8,7 +8,7 @@ use crate::{
     app::Socket,
     ctx::{Ctx, ctx},
     event::Event,
-    model::{format, names, route::Route},
+    model::{api::Session, format, names, route::Route},
     store,
 };
 
@@ -211,6 +211,9 @@ pub fn Toolbar() -> impl IntoView {
                 }
                 on:click=lease
             >{move || if mine() { "you control" } else if holder.get().is_empty() { "take control" } else { "view only" }}</button>
+            {move || ctx.session.with(Session::who).map(|who| view! {
+                <a class="tag" href="/login" title=format!("Signed in as {who}")>"sign out"</a>
+            })}
             <button type="button" class="icon" aria-label="Keys and help" title="Keys (?)" on:click=move |_| ctx.help.set(true)>"?"</button>
             <button
                 type="button"
