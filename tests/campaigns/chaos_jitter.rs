@@ -1,38 +1,55 @@
 //! The flight thread keeps its time whatever becomes of ground, link and disk: tick jitter of each trouble against the
-//! quiet phases before and after it, in the same run.
+//! quiet phases before and after it, in the same run, in turns.
 //!
 //! The jitter is the agent's own (99th percentile of |start − due| of each second), read from its onboard log, which needs
-//! no link. Phases: ground stopped (SIGSTOP), link saturated (a radio that loses two of three packets, half a second late,
-//! and a flood of junk at the agent's socket), disk slow (a neighbour that writes and syncs without pause).
+//! no link. Phases:
+//!
+//! | phase | what goes wrong |
+//! |---|---|
+//! | ground_dead | the ground is stopped (SIGSTOP) |
+//! | link_saturated | a radio that loses two of three packets, half a second late, and junk at the agent's socket |
+//! | disk_slow | the disk of the onboard log answers for 0.3 s every 2 s: whoever writes to it waits |
+//! | disk_busy | a neighbour writes and syncs without pause: the machine's processors and interrupts are busy with it |
+//!
+//! A bare timer runs beside the agent, with its rate and priority, and touches nothing: what a busy machine does to any
+//! thread is seen there. The promise is made for the first three; for the last it is that the agent suffers no more
+//! than the bare timer does.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "chaos/figures.rs"]
 mod figures;
 #[path = "chaos/files.rs"]
 mod files;
+#[path = "chaos/frozen.rs"]
+mod frozen;
 #[path = "../tests/support/mod.rs"]
 mod support;
+#[path = "chaos/witness.rs"]
+mod witness;
 
 use std::io::Write as _;
 use std::net::UdpSocket;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use figures::{Figures, quantile, setting};
 use plumbline_proto::{Message as _, v1};
 use plumbline_tests::harness::{Agent, Faults, Ground, Radio, wait_until};
 use serde_json::json;
 use support::{options, scenario};
+use witness::{Witness, now_us};
 
 /// DESIGN: within 20 % of the quiet run.
 const RATIO_MAX: f64 = 1.2;
 /// Packets of junk a second: far more than any radio carries.
 const JUNK_HZ: u32 = 5_000;
-
-fn now_us() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros() as u64
-}
+/// The agent's own.
+const TICK: Duration = Duration::from_millis(5);
+/// Each trouble comes so often.
+const TURNS: u32 = 3;
+const FROZEN: Duration = Duration::from_millis(1_700);
+const THAWED: Duration = Duration::from_millis(300);
 
 /// Does `work` again and again while `during` runs.
 fn beside(work: impl Fn() + Send + 'static, during: impl FnOnce()) {
@@ -52,10 +69,14 @@ fn beside(work: impl Fn() + Send + 'static, during: impl FnOnce()) {
 
 fn main() -> std::process::ExitCode {
     let seed = setting("PLUMBLINE_SEED", 1);
-    let seconds = setting("PLUMBLINE_SECONDS", 15);
+    let seconds = setting("PLUMBLINE_SECONDS", 10);
     let mut figures = Figures::new("jitter", seed);
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
+    let disk = frozen::Disk::mount(&options.data.join("iris-1/log")).map(Arc::new);
+    if disk.is_none() {
+        println!("skipped: disk_slow; no file system can be mounted here");
+    }
     let mut ground = Ground::start(&options).unwrap();
     let radio = Radio::to(ground.link, Faults::default(), seed).unwrap();
     ground.link = radio.address();
@@ -65,6 +86,7 @@ fn main() -> std::process::ExitCode {
     wait_until(support::PATIENCE, || command("arm", json!({})).ok()).expect("armed");
     command("mode", json!({ "mode": "altitude_hold" })).unwrap();
     command("setpoint", json!({ "altitude_m": 0.5 })).unwrap();
+    let bare = Witness::start(None, TICK);
 
     let mut phases: Vec<(&str, u64, u64)> = Vec::new();
     let mut phase = |name: &'static str| {
@@ -72,7 +94,7 @@ fn main() -> std::process::ExitCode {
         std::thread::sleep(Duration::from_secs(seconds));
         phases.push((name, begin, now_us()));
     };
-    for _ in 0..2 {
+    for _ in 0..TURNS {
         phase("quiet");
         ground.process.signal(libc::SIGSTOP);
         phase("ground_dead");
@@ -87,6 +109,17 @@ fn main() -> std::process::ExitCode {
         };
         beside(flood, || phase("link_saturated"));
         radio.set(Faults::default());
+        if let Some(disk) = &disk {
+            phase("quiet");
+            let slow = disk.clone();
+            let stutter = move || {
+                slow.freeze();
+                std::thread::sleep(FROZEN);
+                slow.thaw();
+                std::thread::sleep(THAWED);
+            };
+            beside(stutter, || phase("disk_slow"));
+        }
         phase("quiet");
         let path = folder.path().join("neighbour");
         let busy = move || {
@@ -94,47 +127,62 @@ fn main() -> std::process::ExitCode {
             file.write_all(&vec![1; 4 << 20]).unwrap();
             file.sync_all().unwrap();
         };
-        beside(busy, || phase("disk_slow"));
+        beside(busy, || phase("disk_busy"));
     }
     phase("quiet");
     agent.process.interrupt(Duration::from_secs(15)).unwrap();
     drop(ground);
 
     let log = files::messages_of(&options.data.join("iris-1/log"), "");
-    let statuses: Vec<(u64, v1::Status)> = log
+    let mut statuses: Vec<(u64, v1::Status)> = log
         .values()
         .filter(|message| message.topic == "/status")
         .map(|message| (message.wall_us, v1::Status::decode(message.data.as_slice()).unwrap()))
         .collect();
+    statuses.sort_by_key(|(at, _)| *at);
+    // Each second's figure is told until the next one: taken once.
+    let mut told = statuses.clone();
+    told.dedup_by_key(|(_, status)| status.tick_jitter_p99_us.to_bits());
     // The first second and a half of a phase still tells of the one before.
-    let of = |index: usize| -> Vec<f64> {
-        let (_, begin, end) = phases[index];
-        let within = statuses.iter().filter(|(at, _)| (begin + 1_500_000..end).contains(at));
+    let settled = |index: usize| (phases[index].1 + 1_500_000, phases[index].2);
+    let of_agent = |index: usize| -> Vec<f64> {
+        let (begin, end) = settled(index);
+        let within = told.iter().filter(|(at, _)| (begin..end).contains(at));
         within.map(|(_, status)| status.tick_jitter_p99_us).collect()
     };
+    let of_bare = |index: usize| bare.jitter_us(phases[index].1, phases[index].2);
     let misses = |index: usize| -> u64 {
         let (_, begin, end) = phases[index];
         let mut within = statuses.iter().filter(|(at, _)| (begin..end).contains(at)).map(|(_, s)| s.deadline_misses);
         let first = within.next().unwrap_or(0);
         within.next_back().unwrap_or(first) - first
     };
-    for name in ["ground_dead", "link_saturated", "disk_slow"] {
-        let (mut troubled, mut quiet, mut missed, mut missed_quiet) = (Vec::new(), Vec::new(), 0, 0);
-        for index in (0..phases.len()).filter(|index| phases[*index].0 == name) {
-            troubled.extend(of(index));
-            quiet.extend(of(index - 1).into_iter().chain(of(index + 1)));
-            missed += misses(index);
-            missed_quiet += misses(index - 1) + misses(index + 1);
+    for name in ["ground_dead", "link_saturated", "disk_slow", "disk_busy"] {
+        let turns: Vec<usize> = (0..phases.len()).filter(|index| phases[*index].0 == name).collect();
+        if turns.is_empty() {
+            continue;
         }
-        let (troubled, quiet) = (quantile(&mut troubled, 0.5), quantile(&mut quiet, 0.5));
-        figures.at_most(
-            &format!("{name}_ratio"),
-            troubled / quiet,
-            RATIO_MAX,
-            "of quiet",
-            json!({ "jitter_p99_us": troubled.round(), "quiet_us": quiet.round(), "missed": missed,
-                "missed_quiet_twice_as_long": missed_quiet }),
-        );
+        let around = |index: &usize| [index - 1, index + 1].into_iter().filter(|index| phases[*index].0 == "quiet");
+        let ratio = |of: &dyn Fn(usize) -> Vec<f64>, q: f64| {
+            let mut troubled: Vec<f64> = turns.iter().flat_map(|index| of(*index)).collect();
+            let mut quiet: Vec<f64> = turns.iter().flat_map(around).flat_map(of).collect();
+            let (troubled, quiet) = (quantile(&mut troubled, q), quantile(&mut quiet, q));
+            (troubled / quiet, troubled.round(), quiet.round())
+        };
+        let (agent, troubled, quiet) = ratio(&of_agent, 0.5);
+        let (worst, ..) = ratio(&of_agent, 0.9);
+        let (machine, bare_us, bare_quiet_us) = ratio(&of_bare, 0.5);
+        let missed: u64 = turns.iter().map(|index| misses(*index)).sum();
+        let missed_quiet: u64 = turns.iter().flat_map(around).map(misses).sum();
+        let more = json!({ "jitter_p99_us": troubled, "quiet_us": quiet, "ratio_of_worst_tenth": (worst * 1e3).round() / 1e3,
+            "bare_timer_ratio": (machine * 1e3).round() / 1e3, "bare_timer_us": bare_us, "bare_timer_quiet_us": bare_quiet_us,
+            "missed": missed, "missed_quiet": missed_quiet });
+        if name == "disk_busy" {
+            figures.tell("disk_busy_ratio", agent, "of quiet", more);
+            figures.at_most("disk_busy_beyond_bare_timer", agent / machine, RATIO_MAX, "of its ratio", json!({}));
+        } else {
+            figures.at_most(&format!("{name}_ratio"), agent, RATIO_MAX, "of quiet", more);
+        }
     }
     figures.finish()
 }

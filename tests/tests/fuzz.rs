@@ -11,8 +11,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use plumbline_agent::calibration::{CalibrationFile, Kind as Calibrated};
 use plumbline_agent::design::file::DesignFile;
 use plumbline_agent::link::inbound;
+use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::offline::calibrate::{Request, from_table, load};
 use plumbline_agent::recordings;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
@@ -353,24 +356,64 @@ fn ulog() -> Vec<u8> {
 }
 
 #[test]
-fn fuzz_plans_and_gains() {
+fn fuzz_plans() {
     let attack = |kind: &str| {
         serde_json::json!({ "sensor": "height", "instance": 2, "channel": "all", "kind": kind, "start_s": 1.0,
             "duration_s": 5.0, "magnitude": 0.3, "seed": 1 })
     };
     let plan = serde_json::json!({ "attacks": [attack("bias"), attack("replay")] }).to_string().into_bytes();
-    let gains =
-        serde_json::json!({ "state_weight": vec![1.0; 16], "input_weight": vec![0.5; 4] }).to_string().into_bytes();
     assert!(serde_json::from_slice::<AttackPlan>(&plan).unwrap().to_schedule(1, None).is_ok());
-    assert!(DesignFile::from_json(&gains).is_ok());
-    fuzz("plans_and_gains", &[plan, gains], |input| {
+    fuzz("plans", &[plan], |input| {
         if let Ok(plan) = serde_json::from_slice::<AttackPlan>(input)
             && let Ok(schedule) = plan.to_schedule(1, None)
         {
             let finite = schedule.attacks.iter().all(|a| a.start_s.is_finite() && a.magnitude.is_finite());
             assert!(finite, "a plan that is no number passed: {schedule:?}");
         }
-        let _ = DesignFile::from_json(input);
+    });
+}
+
+#[test]
+fn fuzz_gains() {
+    let gains =
+        serde_json::json!({ "state_weight": vec![1.0; 16], "input_weight": vec![0.5; 4] }).to_string().into_bytes();
+    assert!(DesignFile::from_json(&gains).is_ok());
+    fuzz("gains", &[gains], |input| drop(DesignFile::from_json(input).and_then(|design| design.proposal())));
+}
+
+#[test]
+fn fuzz_calibration_tables() {
+    let spin = |line: usize, column: usize| match column {
+        0 => line as f64 * 0.01,
+        1..=3 => 0.1 * (line * column) as f64,
+        column => ((line + column) as f64).sin() * 9.8,
+    };
+    let rising = |line: usize, column: usize| (line + 1) as f64 * [0.02, 11.0, 0.3][column.min(2)];
+    let seeds = [
+        table("t_s,gx_radps,gy_radps,gz_radps,ax_mps2,ay_mps2,az_mps2,mx_ut,my_ut,mz_ut,temperature_c", spin),
+        table("command,speed_radps", rising),
+        table("speed_radps,thrust_n,torque_nm", rising),
+        b"axis,mass_kg,period_s,length_m,separation_m\nx,1.5,1.2,1.0,0.3\ny,1.5,1.3,1.0,0.3\nz,1.5,1.6,1.0,0.3\n"
+            .to_vec(),
+    ];
+    fuzz("calibration_tables", &seeds, |input| {
+        for (_, kind) in Calibrated::ALL {
+            if let Ok(file) = from_table(input, "table", &Request::new(kind, "2026-01-01")) {
+                let _ = CalibrationFile::from_json(&file.to_value().to_string());
+            }
+        }
+    });
+}
+
+#[test]
+fn fuzz_calibration_files() {
+    let curve = table("command,speed_radps", |line, column| (line + 1) as f64 * [0.02, 11.0][column]);
+    let file = from_table(curve.as_slice(), "curve", &Request::new(Calibrated::MotorCurve, "2026-01-01")).unwrap();
+    let scratch = Scratch::new();
+    fuzz("calibration_files", &[file.to_value().to_string().into_bytes()], |input| {
+        if let Ok(calibration) = load(&[scratch.with("calibration.json", input)]) {
+            calibration.apply_to_airframe(&mut Airframe::by_name("iris").unwrap());
+        }
     });
 }
 

@@ -15,9 +15,9 @@ pub struct Options {
     /// How often ground or agent is killed (kill).
     #[arg(long, default_value_t = 20)]
     pub rounds: u64,
-    /// Length of each phase, s (link).
-    #[arg(long, default_value_t = 15)]
-    pub seconds: u64,
+    /// Length of each phase, s (link: 15, jitter: 10).
+    #[arg(long)]
+    pub seconds: Option<u64>,
     /// Build without optimisation: starts sooner after a change.
     #[arg(long)]
     pub dev: bool,
@@ -52,11 +52,8 @@ impl Campaign {
 /// # Errors
 /// What could not be built, or a promise that was broken.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
-    let settings = [
-        ("PLUMBLINE_SEED", options.seed),
-        ("PLUMBLINE_ROUNDS", options.rounds),
-        ("PLUMBLINE_SECONDS", options.seconds),
-    ];
+    let mut settings = vec![("PLUMBLINE_SEED", options.seed), ("PLUMBLINE_ROUNDS", options.rounds)];
+    settings.extend(options.seconds.map(|seconds| ("PLUMBLINE_SECONDS", seconds)));
     program(workspace, options.campaign.program(), options.dev, &settings)
 }
 
@@ -82,9 +79,15 @@ pub fn soak(workspace: &Workspace, options: &SoakOptions) -> Result<(), XtaskErr
 /// How long to fuzz.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FuzzOptions {
-    /// Time for each decoder, min; they run beside each other.
+    /// Time for each decoder, min.
     #[arg(long, default_value_t = 10.0)]
     pub minutes: f64,
+    /// Decoders beside each other.
+    #[arg(long, default_value_t = 1)]
+    pub threads: u32,
+    /// Only decoders with this in their names.
+    #[arg(long, default_value = "fuzz")]
+    pub only: String,
     /// Chooses the damage.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -99,8 +102,10 @@ pub struct FuzzOptions {
 /// A decoder failed; its input is kept in `target/fuzz`.
 pub fn fuzz(workspace: &Workspace, options: &FuzzOptions) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
-    cargo.args(["test", "--locked", "--package", "plumbline-tests", "--test", "fuzz"]);
+    // The whole workspace chosen: with the features that everything else was built with.
+    cargo.args(["test", "--locked", "--workspace", "--test", "fuzz"]);
     cargo.args(if options.dev { &[][..] } else { &["--release"][..] }).args(["--", "--nocapture"]);
+    cargo.arg(&options.only).arg(format!("--test-threads={}", options.threads));
     cargo.env("PLUMBLINE_FUZZ_MINUTES", options.minutes.to_string()).env("PLUMBLINE_SEED", options.seed.to_string());
     workspace::run(cargo.stdin(Stdio::null()))
 }
@@ -108,10 +113,11 @@ pub fn fuzz(workspace: &Workspace, options: &FuzzOptions) -> Result<(), XtaskErr
 /// Builds ground and agent, then builds and runs a campaign with these settings.
 fn program(workspace: &Workspace, name: &str, dev: bool, settings: &[(&str, u64)]) -> Result<(), XtaskError> {
     let (profile, folder) = if dev { ("dev", "debug") } else { ("release", "release") };
-    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
-    workspace::run(workspace.cargo().args(["build", "--locked", "--bins", "--profile", profile]).args(packages))?;
+    let programs = ["--bin", "plumbline-ground", "--bin", "plumbline-agent"];
+    let build = ["build", "--locked", "--workspace", "--profile", profile];
+    workspace::run(workspace.cargo().args(build).args(programs))?;
     let mut cargo = workspace.cargo();
-    cargo.args(["bench", "--locked", "--package", "plumbline-tests", "--bench", name]);
+    cargo.args(["bench", "--locked", "--workspace", "--bench", name]);
     cargo.args(["--profile", if dev { "dev" } else { "bench" }]).stdin(Stdio::null());
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join(folder));
     if let Ok(python) = tools::python(workspace) {
