@@ -3,12 +3,12 @@
 //!
 //! Everything here is bounded: a solve that fails is a [`LinalgError`] with the figures that show why.
 
-mod compensated;
 mod eigen;
 mod expm;
 mod hinf_norm;
 mod lyapunov;
 mod riccati;
+mod wide;
 
 use nalgebra::DMatrix;
 

@@ -8,9 +8,9 @@
 //! Lin, A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations,
 //! Linear Algebra Appl. 396 (2005). The doubling is followed by at most three Newton corrections
 //! (a Lyapunov or Stein equation in the closed loop), each kept only when it lowers the residual.
-//! Where a regulator's residual is still above 1e-13 (modes hardly controllable, R over many
-//! decades) the residual is computed in twice the working precision and in a form that depends on K
-//! only to second order, AᵀX + XA + Q − KᵀBᵀX − XBK + KᵀRK, and the corrections go on.
+//! Where that is no solution or a regulator's residual is still above 1e-13 (modes hardly controllable, many
+//! unstable modes on one input, R over many decades) the doubling is done again in twice the working precision
+//! ([`super::wide`]), whose result is right to the last digit of a double.
 //! Independent cross-check for the CARE: [`care_by_sign`], the scaled matrix sign function of the
 //! Hamiltonian (Roberts 1971, determinantal scaling of Byers 1987).
 //!
@@ -22,7 +22,7 @@
 
 use nalgebra::{Cholesky, DMatrix};
 
-use super::compensated::sum;
+use super::wide::{self, Wide};
 use super::{Complex, LinalgError, check, eigenvalues, inverse, lyapunov, norm_1, stein, symmetric, symmetrised};
 
 /// Doublings at most; the convergence is quadratic, 7 to 13 are usual.
@@ -33,12 +33,13 @@ const MAX_CORRECTIONS: usize = 3;
 const MAX_SIGN_ITERATIONS: usize = 100;
 /// A relative residual below this needs no further parameter of the Cayley transform.
 const GOOD_RESIDUAL: f64 = 1e-14;
-/// Regulators with a larger relative residual are corrected in twice the working precision.
-const POLISH_ABOVE: f64 = 1e-13;
-/// Such corrections at most.
-const MAX_POLISH: usize = 12;
+/// Regulators with a larger relative residual are solved again in twice the working precision.
+const WIDE_ABOVE: f64 = 1e-13;
 /// A relative residual above this is no solution.
 const WORST_RESIDUAL: f64 = 1e-9;
+/// The same for a solution that is right to the last digit: what is left is the rounding of X, which a closed loop
+/// with large entries multiplies.
+const WORST_ROUNDING: f64 = 1e-6;
 /// Parameters of the Cayley transform that are tried, relative to the Hamiltonian's scale.
 const CAYLEY_FACTORS: [f64; 6] = [1.0, 0.2, 5.0, 0.03, 30.0, 0.003];
 
@@ -53,7 +54,7 @@ pub struct RiccatiSolution {
     pub poles: Vec<Complex>,
     /// ‖residual‖ over the sum of the norms of the equation's terms, Frobenius.
     pub residual: f64,
-    /// Iterations of the doubling.
+    /// Iterations of the doubling; 0 where it was done in twice the working precision.
     pub iterations: usize,
 }
 
@@ -70,7 +71,14 @@ pub fn care(
 ) -> Result<RiccatiSolution, LinalgError> {
     regulator(
         "CARE",
-        Regulator { a, b, q, r, start: care_start, gain: care_gain, defect: care_defect, linear: lyapunov },
+        [a, b, q, r],
+        &Regulator {
+            start: care_start,
+            gain: care_gain,
+            wide: care_wide,
+            residual: wide::care_residual,
+            measure: ("largest real part", |pole| pole.re, 0.0),
+        },
     )
 }
 
@@ -84,58 +92,87 @@ pub fn dare(
     q: &DMatrix<f64>,
     r: &DMatrix<f64>,
 ) -> Result<RiccatiSolution, LinalgError> {
-    regulator("DARE", Regulator { a, b, q, r, start: dare_start, gain: dare_gain, defect: dare_defect, linear: stein })
+    regulator(
+        "DARE",
+        [a, b, q, r],
+        &Regulator {
+            start: dare_start,
+            gain: dare_gain,
+            wide: wide::dare,
+            residual: wide::dare_residual,
+            measure: ("spectral radius", |pole| pole.norm(), 1.0),
+        },
+    )
 }
 
 type Matrix = DMatrix<f64>;
 /// X, iterations and relative residual from A, G, Q.
 type Started = Result<(Matrix, usize, f64), LinalgError>;
 
-/// What is left of an equation, and relatively, from A, B, Q, R, X, K.
-type Defect = fn(&Matrix, &Matrix, &Matrix, &Matrix, &Matrix, &Matrix) -> (Matrix, f64);
-
-/// A regulator's data and what differs between continuous and sampled time.
-struct Regulator<'a> {
-    a: &'a Matrix,
-    b: &'a Matrix,
-    q: &'a Matrix,
-    r: &'a Matrix,
+/// What differs between continuous and sampled time.
+struct Regulator {
     /// Doubling and plain corrections.
     start: fn(&Matrix, &Matrix, &Matrix) -> Started,
     /// K from A, B, R, its factor and X.
     gain: fn(&Matrix, &Matrix, &Matrix, &Factor, &Matrix) -> Option<Matrix>,
-    /// What is left.
-    defect: Defect,
-    /// The linear equation of a Newton correction.
-    linear: fn(&Matrix, &Matrix) -> Result<Matrix, LinalgError>,
+    /// X and K from A, B, Q, R in twice the working precision.
+    wide: fn([&Matrix; 4]) -> Option<(Wide, Wide)>,
+    /// Relative residual of X for A, B, Q, R.
+    residual: fn([&Matrix; 4], &Matrix) -> Option<f64>,
+    /// What is measured of each pole of the closed loop, and which value it must not reach.
+    measure: (&'static str, fn(&Complex) -> f64, f64),
 }
 
 type Factor = Cholesky<f64, nalgebra::Dyn>;
 
-fn regulator(what: &'static str, data: Regulator<'_>) -> Result<RiccatiSolution, LinalgError> {
-    let Regulator { a, b, q, r, start, gain, defect, linear } = data;
+fn regulator(what: &'static str, data: [&Matrix; 4], how: &Regulator) -> Result<RiccatiSolution, LinalgError> {
+    let [a, b, q, r] = data;
     let factor = checked(a, b, r)?;
-    let g = symmetrised(&(b * factor.solve(&b.transpose())));
     let q = symmetric("Q", q, a.nrows())?;
-    let (p, iterations, residual) = start(a, &g, &q)?;
-    let correct = |x: &Matrix| {
-        let k = gain(a, b, r, &factor, x)?;
-        let (left, relative) = defect(a, b, &q, r, x, &k);
-        Some((linear(&(a - b * k), &left).ok()?, relative))
+    let data = [a, b, &q, r];
+    let g = symmetrised(&(b * factor.solve(&b.transpose())));
+    let (name, of_pole, limit) = how.measure;
+    let stabilising = |closed: &Matrix| {
+        let poles = eigenvalues(closed)?;
+        let value = poles.iter().map(of_pole).fold(f64::NEG_INFINITY, f64::max);
+        let stable = value < limit;
+        if stable { Ok(poles) } else { Err(LinalgError::NotStabilising { what, measure: name, value }) }
     };
-    let (p, residual) = accept(what, polish(p, residual, correct), iterations)?;
-    let singular = LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY };
-    let k = gain(a, b, r, &factor, &p).ok_or(singular)?;
-    let poles = eigenvalues(&(a - b * &k))?;
-    let (measure, value, limit) = if what == "CARE" {
-        ("largest real part", poles.iter().map(|p| p.re).fold(f64::NEG_INFINITY, f64::max), 0.0)
-    } else {
-        ("spectral radius", poles.iter().map(|p| p.norm()).fold(0.0, f64::max), 1.0)
+    let double = || {
+        let (p, iterations, residual) = (how.start)(a, &g, &q)?;
+        let (p, residual) = accept(what, (p, residual), iterations)?;
+        let singular = LinalgError::Singular { what: "R + B'PB", condition: f64::INFINITY };
+        let k = (how.gain)(a, b, r, &factor, &p).ok_or(singular)?;
+        let poles = stabilising(&(a - b * &k))?;
+        Ok(RiccatiSolution { p, k, poles, residual, iterations })
     };
-    if value.is_nan() || value >= limit {
-        return Err(LinalgError::NotStabilising { what, measure, value });
+    let found = double();
+    if found.as_ref().is_ok_and(|s| s.residual <= WIDE_ABOVE) {
+        return found;
     }
-    Ok(RiccatiSolution { p, k, poles, residual, iterations })
+    let wide = || {
+        let (p, k) = (how.wide)(data)?;
+        // A − BK cancels: rounded at the end only.
+        let poles = stabilising(&Wide::new(a).minus(&Wide::new(b).times(&k)).rounded()).ok()?;
+        let p = symmetrised(&p.rounded());
+        let residual = (how.residual)(data, &p).filter(|residual| *residual <= WORST_ROUNDING)?;
+        Some(RiccatiSolution { p, k: k.rounded(), poles, residual, iterations: 0 })
+    };
+    // What double precision found, or why it did not, where twice the precision finds nothing.
+    wide().map_or(found, Ok)
+}
+
+/// In twice the working precision, with the first parameter of the Cayley transform that leads anywhere.
+fn care_wide(data: [&Matrix; 4]) -> Option<(Wide, Wide)> {
+    let [a, b, q, r] = data;
+    let scale = cayley_scale(a, b.norm_squared() / r.norm().max(f64::MIN_POSITIVE), q.norm());
+    CAYLEY_FACTORS.into_iter().find_map(|factor| wide::care(data, factor * scale))
+}
+
+/// Scale of the Hamiltonian [[A, −G], [−Q, −Aᵀ]] after its off-diagonal blocks are balanced.
+fn cayley_scale(a: &Matrix, g_norm: f64, q_norm: f64) -> f64 {
+    let scale = (a.norm_squared() + g_norm * q_norm).sqrt() / (a.nrows().max(1) as f64).sqrt();
+    if scale > 0.0 { scale } else { 1.0 }
 }
 
 /// R⁻¹BᵀX.
@@ -183,10 +220,7 @@ fn general(
 
 /// The best solution that doubling and plain corrections reach.
 fn care_start(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Result<(DMatrix<f64>, usize, f64), LinalgError> {
-    let n = a.nrows();
-    // Scale of the Hamiltonian [[A, −G], [−Q, −Aᵀ]] after its off-diagonal blocks are balanced.
-    let scale = (a.norm_squared() + g.norm() * q.norm()).sqrt() / (n.max(1) as f64).sqrt();
-    let scale = if scale > 0.0 { scale } else { 1.0 };
+    let scale = cayley_scale(a, g.norm(), q.norm());
     let equation = Continuous { a, g, q };
     let mut best: Option<(DMatrix<f64>, usize, f64)> = None;
     let mut error = LinalgError::NotConverged { what: "CARE", iterations: 0, change: f64::NAN, residual: f64::NAN };
@@ -418,96 +452,6 @@ fn refine(mut x: DMatrix<f64>, equation: &impl Equation) -> (DMatrix<f64>, f64) 
     (x, r)
 }
 
-/// AᵀX + XA + Q − KᵀBᵀX − XBK + KᵀRK in twice the working precision, and its norm over that of its terms.
-fn care_defect(
-    a: &DMatrix<f64>,
-    b: &DMatrix<f64>,
-    q: &DMatrix<f64>,
-    r: &DMatrix<f64>,
-    x: &DMatrix<f64>,
-    k: &DMatrix<f64>,
-) -> (DMatrix<f64>, f64) {
-    let (at, kt) = (a.transpose(), k.transpose());
-    let none = DMatrix::zeros(k.nrows(), k.ncols());
-    let btx = sum(&none, &[(1.0, &b.transpose(), x)]);
-    let rk = sum(&none, &[(1.0, r, k)]);
-    let (xb, xb_lo) = (btx.hi.transpose(), btx.lo.transpose());
-    let defect = sum(
-        q,
-        &[
-            (1.0, &at, x),
-            (1.0, x, a),
-            (-1.0, &kt, &btx.hi),
-            (-1.0, &kt, &btx.lo),
-            (-1.0, &xb, k),
-            (-1.0, &xb_lo, k),
-            (1.0, &kt, &rk.hi),
-            (1.0, &kt, &rk.lo),
-        ],
-    );
-    let terms = 2.0 * (&at * x).norm() + (&kt * &btx.hi).norm() + q.norm();
-    let relative = defect.hi.norm() / terms.max(f64::MIN_POSITIVE);
-    (symmetrised(&defect.hi), relative)
-}
-
-/// (A − BK)ᵀX(A − BK) − X + Q + KᵀRK in twice the working precision, and its relative norm.
-fn dare_defect(
-    a: &DMatrix<f64>,
-    b: &DMatrix<f64>,
-    q: &DMatrix<f64>,
-    r: &DMatrix<f64>,
-    x: &DMatrix<f64>,
-    k: &DMatrix<f64>,
-) -> (DMatrix<f64>, f64) {
-    let closed = sum(a, &[(-1.0, b, k)]);
-    let none = DMatrix::zeros(x.nrows(), x.ncols());
-    let xc = sum(&none, &[(1.0, x, &closed.hi), (1.0, x, &closed.lo)]);
-    let rk = sum(&DMatrix::zeros(k.nrows(), k.ncols()), &[(1.0, r, k)]);
-    let (ct, ct_lo, kt) = (closed.hi.transpose(), closed.lo.transpose(), k.transpose());
-    let identity = DMatrix::identity(x.nrows(), x.nrows());
-    let defect = sum(
-        q,
-        &[
-            (-1.0, &identity, x),
-            (1.0, &ct, &xc.hi),
-            (1.0, &ct, &xc.lo),
-            (1.0, &ct_lo, &xc.hi),
-            (1.0, &kt, &rk.hi),
-            (1.0, &kt, &rk.lo),
-        ],
-    );
-    let relative = defect.hi.norm() / (2.0 * x.norm() + q.norm()).max(f64::MIN_POSITIVE);
-    (symmetrised(&defect.hi), relative)
-}
-
-/// Corrections with the compensated residual while they shrink. `correct` gives the correction and
-/// the relative residual before it.
-fn polish(
-    mut x: DMatrix<f64>,
-    mut residual: f64,
-    correct: impl Fn(&DMatrix<f64>) -> Option<(DMatrix<f64>, f64)>,
-) -> (DMatrix<f64>, f64) {
-    if residual <= POLISH_ABOVE {
-        return (x, residual);
-    }
-    let mut last = f64::INFINITY;
-    for _ in 0..MAX_POLISH {
-        let Some((step, before)) = correct(&x) else { break };
-        residual = before;
-        let size = step.norm() / x.norm().max(f64::MIN_POSITIVE);
-        // Not shrinking any more: what is left is rounding.
-        if size.is_nan() || size > 0.5 * last {
-            break;
-        }
-        x = symmetrised(&(x + step));
-        last = size;
-        if size < f64::EPSILON {
-            break;
-        }
-    }
-    (x, residual)
-}
-
 fn accept(
     what: &'static str,
     (x, residual): (DMatrix<f64>, f64),
@@ -677,6 +621,8 @@ mod tests {
 
     /// Of what is left of the equation, relative to its terms; the reference's own rule.
     const RESIDUAL: f64 = 1e-10;
+    /// Norm of A − BK, and of X over Q, above which the rounding of X alone may leave more than [`RESIDUAL`].
+    const LOUD: (f64, f64) = (100.0, 1e12);
 
     #[test]
     fn random_problems_of_every_kind_and_size_are_solved() {
@@ -691,28 +637,50 @@ mod tests {
             "repeated",
             "near_uncontrollable",
         ];
+        // Counted: solved, of these in twice the precision, rounding alone above the rule, no solution in doubles.
+        let (mut solved, mut wide, mut loud, mut refused) = (0, 0, 0, 0);
         let mut failures = Vec::new();
         for kind in kinds {
             for n in [1, 2, 3, 5, 8, 12, 16, 20] {
                 for seed in 0..4 {
                     let m = 1 + (seed as usize % n.min(4));
-                    // A chain this long, sampled or not, is beyond double precision.
-                    if kind == "marginal" && n > 12 {
-                        continue;
-                    }
                     let [a, b, q, r] = problem(kind, n, m, 1000 * n as u64 + seed);
-                    // Sampled vehicles do not run away by more than this in one tick.
                     let radius = eigenvalues(&a).unwrap().iter().map(|e| e.norm()).fold(0.0, f64::max);
-                    let sampled = if radius > 1.2 { &a * (1.2 / radius) } else { a.clone() };
-                    for (what, solved) in [("care", care(&a, &b, &q, &r)), ("dare", dare(&sampled, &b, &q, &r))] {
-                        let name = format!("{what} {kind} n = {n}, m = {m}, seed {seed}");
-                        match solved {
+                    let mut cases = vec![(true, 0.0, a.clone())];
+                    for largest in [1.2, 2.0, 5.0] {
+                        let factor =
+                            if radius > 1.2 || (largest > 1.2 && radius > 0.0) { largest / radius } else { 1.0 };
+                        cases.push((false, largest, &a * factor));
+                    }
+                    for (continuous, largest, a) in cases {
+                        let name = format!("continuous {continuous} {kind} n = {n}, m = {m}, seed {seed}, {largest}");
+                        let data = [&a, &b, &q, &r];
+                        let (solution, residual): (_, fn([&Matrix; 4], &Matrix) -> Option<f64>) = if continuous {
+                            (care(&a, &b, &q, &r), wide::care_residual)
+                        } else {
+                            (dare(&a, &b, &q, &r), wide::dare_residual)
+                        };
+                        match solution {
                             Ok(s) => {
+                                solved += 1;
+                                wide += usize::from(s.iterations == 0);
                                 let negative = s.p.clone().symmetric_eigenvalues().min() < -1e-8 * s.p.norm();
-                                let residual = s.residual;
-                                if residual.is_nan() || residual > RESIDUAL || negative {
-                                    failures.push(format!("{name}: residual {residual:.1e}, negative {negative}"));
+                                let left = residual(data, &s.p).unwrap();
+                                let rounding = (&a - &b * &s.k).norm() > LOUD.0 || s.p.norm() > LOUD.1 * q.norm();
+                                loud += usize::from(left > RESIDUAL);
+                                let bad = left.is_nan() || left > if rounding { WORST_ROUNDING } else { RESIDUAL };
+                                if bad || negative {
+                                    failures.push(format!(
+                                        "{name}: residual {left:.1e}, negative {negative}, |A - BK| {:.1e}",
+                                        (&a - &b * &s.k).norm()
+                                    ));
                                 }
+                            }
+                            // One or two inputs on many modes that grow fivefold in a step: no X in doubles leaves
+                            // little. scipy 1.17 fails on each of them, or leaves 0.02 and more.
+                            Err(error) if largest > 2.0 && m <= 2 && n >= 8 => {
+                                println!("{name}: {error}");
+                                refused += 1;
                             }
                             Err(error) => failures.push(format!("{name}: {error}")),
                         }
@@ -720,7 +688,10 @@ mod tests {
                 }
             }
         }
-        assert!(failures.is_empty(), "{}:\n{}", failures.len(), failures.join("\n"));
+        println!(
+            "{solved} solved, {wide} of them in twice the precision, {loud} with more than {RESIDUAL:.0e} left; {refused} refused"
+        );
+        assert!(failures.is_empty() && refused <= 10, "{}:\n{}", failures.len(), failures.join("\n"));
     }
 
     #[test]
