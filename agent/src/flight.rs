@@ -21,7 +21,6 @@ use crate::control::gains::{Certified, Examiner, GainsError};
 use crate::control::in_loop::InLoop;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
-use crate::control::tuning::{FLOWN, kind_name};
 use crate::control::{Loops, Setpoint, Wrench};
 use crate::estimate::bank::{Assumptions, Bank, BankError, build};
 use crate::estimate::secure::flying::Secure;
@@ -129,10 +128,6 @@ impl Flight {
     pub fn with_estimators(config: FlightConfig, estimators: Vec<Box<dyn Estimator>>) -> Result<Self, FlightError> {
         if !(50.0..=1000.0).contains(&config.tick_rate_hz) {
             return Err(FlightError::TickRate(config.tick_rate_hz));
-        }
-        if !FLOWN.contains(&config.design.kind) {
-            let controller = kind_name(config.design.kind);
-            return Err(GainsError::NoSuchController { controller }.into());
         }
         let examiner = Examiner::new(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)?;
         let gains = examiner.certify(&config.design, GainsRevision(0))?;

@@ -8,18 +8,23 @@ mod headless;
 use headless::Headless;
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
 use plumbline_agent::command::Command;
-use plumbline_agent::control::ControllerKind;
 use plumbline_agent::control::hinf::reduction::balance;
 use plumbline_agent::control::hinf::strategies::{self, CHANNELS, ChannelWeights, INPUT, tracking, whole_plant};
 use plumbline_agent::control::hinf::weights::{Weight, mixed_sensitivity};
 use plumbline_agent::control::lqg::{OUTPUTS, Replica};
 use plumbline_agent::control::margins::{LoopMargins, margins};
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
-use plumbline_agent::control::tuning::{FLOWN, kind_name};
+use plumbline_agent::control::tuning::{KINDS, kind_name};
+use plumbline_agent::control::{ControllerKind, Wrench};
 use plumbline_agent::linalg::{Complex, hinf_norm};
+use plumbline_agent::mix::Mixer;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::discretize::zero_order_hold;
+use plumbline_agent::model::integrate::rk4;
+use plumbline_agent::model::motor;
+use plumbline_agent::model::rigid_body::{Input, State, derivative};
 use plumbline_agent::model::state_space::StateSpace;
+use plumbline_agent::vehicle::ROTORS;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 
@@ -194,6 +199,9 @@ fn hinf(report: &mut Report) -> Done<()> {
             }
             rows.push(cells);
         }
+        if name == "better weights" {
+            source_flights(report, &iris, &full, &reduced)?;
+        }
         let problem = mixed_sensitivity(
             &plant,
             &weights.map(|w| w.performance),
@@ -230,21 +238,102 @@ fn hinf(report: &mut Report) -> Done<()> {
     Ok(())
 }
 
+/// Prefilter of the references, rad/s: the source's controllers answer a raw step with up to twice its size.
+const PREFILTER_RADPS: f64 = 0.8;
+/// Ticks of the source's controllers, s.
+const PERIOD_S: f64 = 0.005;
+
+/// A step of `size` in channel `output` through the prefilter, flown by `controller` (four outputs, exactly known)
+/// on the nonlinear Iris with motors' lag, mixer and one tick of delay: curve of the output, largest tilt (rad).
+fn source_step(iris: &Airframe, controller: &StateSpace, output: usize, size: f64) -> (Vec<(f64, f64)>, f64) {
+    let held = zero_order_hold(&controller.a, &controller.b, PERIOD_S).unwrap();
+    let mixer = Mixer::new(iris, f64::INFINITY).unwrap();
+    let mut memory = DVector::zeros(controller.order());
+    let mut state = State::at_rest(Vector3::z());
+    let mut speeds = [iris.hover_speed_radps(); ROTORS];
+    let mut waiting = [iris.hover_command(); ROTORS];
+    let (mut reference, mut tilt, mut curve) = (0.0, 0.0_f64, Vec::new());
+    for tick in 0..(20.0 / PERIOD_S) as u32 {
+        let (roll, pitch, yaw) = state.attitude().euler_angles();
+        tilt = tilt.max(roll.abs()).max(pitch.abs());
+        let p = state.position_enu_m;
+        let reached = [p.x, p.y, p.z - 1.0, yaw];
+        curve.push((f64::from(tick) * PERIOD_S, reached[output] / size));
+        reference += (size - reference) * (1.0 - (-PREFILTER_RADPS * PERIOD_S).exp());
+        let mut e = DVector::from_fn(4, |i, _| if i == output { reference - reached[i] } else { -reached[i] });
+        (e[0], e[1]) = (yaw.cos() * e[0] + yaw.sin() * e[1], yaw.cos() * e[1] - yaw.sin() * e[0]);
+        let u = &controller.c * &memory + &controller.d * &e;
+        memory = &held.a * memory + &held.b * e;
+        let asked = Wrench { thrust_n: iris.weight_n() + u[0], torque_flu_nm: Vector3::new(u[1], u[2], u[3]) };
+        let acting = std::mem::replace(&mut waiting, mixer.mix(&asked).command.throttle);
+        let steady = motor::steady_speed(iris, &acting, 1.0);
+        let h = 0.5 * PERIOD_S;
+        for _ in 0..2 {
+            let input = Input::from_rotors(iris, &speeds, &motor::acceleration(iris, &speeds, &steady));
+            state = rk4(&state, h, |x| derivative(iris, x, &input)).normalised();
+            speeds = motor::after(iris, &speeds, &steady, h);
+        }
+        if !state.is_finite() {
+            return (curve, f64::INFINITY);
+        }
+    }
+    (curve, tilt)
+}
+
+/// The source's controllers of 20 and 16 states in the air.
+fn source_flights(report: &mut Report, iris: &Airframe, full: &StateSpace, reduced: &StateSpace) -> Done<()> {
+    let mut rows = Vec::new();
+    let mut plot = Plot::new("Four outputs, 20 and 16 states: a step of 1 m in x", "t, s", "x over reference");
+    for controller in [full, reduced] {
+        let order = controller.order();
+        for (output, size) in [(0, 1.0), (1, 1.0), (2, 0.5), (3, 0.5)] {
+            let (curve, tilt) = source_step(iris, controller, output, size);
+            let over = 100.0 * (curve.iter().map(|p| p.1).fold(0.0, f64::max) - 1.0);
+            let end = curve.last().map_or(f64::NAN, |p| p.1);
+            let name = CHANNELS[output];
+            report.value(&format!("hinf/nonlinear_overshoot/{order}/{name}"), over, "%", json!({ "end": end }));
+            rows.push(vec![order.to_string(), name.into(), format!("{over:.1}"), format!("{end:.3}"), degrees(tilt)]);
+            if output == 0 {
+                let sparse = curve.iter().step_by(10).copied().collect();
+                plot = plot.with(Series::line(&format!("{order} states"), sparse));
+            }
+        }
+    }
+    report.table(
+        "hinf_source_flights",
+        "The source's own structure (x, y, z and yaw in, no attitude) on the nonlinear Iris with motors' lag and one tick of \
+         delay, references through 0.8 rad/s. It flies where x and y are known; with a phase margin of 25 degrees in x and y \
+         and no hold on the attitude without them, it is not what the agent flies.",
+        &["states", "channel", "overshoot, %", "after 20 s", "largest tilt, deg"],
+        &rows,
+    )?;
+    report.figure("hinf_source_flights", "Both controllers fly alike: the residualised pole is not missed.", &plot)?;
+    Ok(())
+}
+
 /// A flight's figures and curve.
 struct Angle {
+    /// When it is let go, deg from where it was before it was held.
+    from: f64,
     rise_s: Option<f64>,
     beyond: f64,
     curve: Vec<(f64, f64)>,
 }
 
-/// Held at an angle and let go.
-fn released(name: &str, kind: ControllerKind, angle: impl Fn(Vector3<f64>) -> f64) -> Angle {
+/// Held at an angle (roll, or the heading from where the vehicle held it) and let go.
+fn released(name: &str, kind: ControllerKind, heading: bool) -> Angle {
     let mut flown = Headless::start_with(name, kind);
+    let held = flown.scenario.script.pushes.iter().map(|push| push.at_s).fold(f64::INFINITY, f64::min);
     let released = flown.scenario.script.pushes.iter().map(|push| push.at_s + push.duration_s).fold(0.0, f64::max);
-    let mut curve = Vec::new();
+    let (mut curve, mut before) = (Vec::new(), 0.0);
     flown.run(|tick| {
-        let (roll, pitch, yaw) = tick.truth.world_from_body.euler_angles();
-        curve.push((tick.time.as_seconds() - released, angle(Vector3::new(roll, pitch, yaw)).to_degrees()));
+        let (roll, _, yaw) = tick.truth.world_from_body.euler_angles();
+        let (t_s, angle) = (tick.time.as_seconds(), if heading { yaw } else { roll }.to_degrees());
+        if heading && t_s < held {
+            // As the magnetometer tells it.
+            before = angle;
+        }
+        curve.push((t_s - released, angle - before));
     });
     let after: Vec<(f64, f64)> = curve.iter().copied().filter(|(t, _)| *t >= 0.0).collect();
     let from = after.first().map_or(f64::NAN, |p| p.1);
@@ -252,7 +341,7 @@ fn released(name: &str, kind: ControllerKind, angle: impl Fn(Vector3<f64>) -> f6
     let rise_s = first(0.1).zip(first(0.9)).map(|(low, high)| low - high);
     let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
     curve.retain(|(t, _)| (-0.5..4.0).contains(t));
-    Angle { rise_s, beyond, curve }
+    Angle { from: from.abs(), rise_s, beyond, curve }
 }
 
 /// Root mean square of the distance to the path, m, and the track.
@@ -298,15 +387,15 @@ fn flights(report: &mut Report) -> Done<()> {
     let mut climbs = blank("Take-off to 1 m", "z, m");
     let mut tracks =
         [Plot::new("Circle", "x, m", "y, m"), Plot::new("Sine", "x, m", "y, m"), Plot::new("Square", "x, m", "y, m")];
-    for kind in FLOWN {
+    for kind in KINDS {
         let name = kind_name(kind);
-        let roll = released("single_axis_roll", kind, |a| a.x);
-        let yaw = released("string_yaw", kind, |a| a.z);
+        let roll = released("single_axis_roll", kind, false);
+        let yaw = released("string_yaw", kind, true);
         let mut flown = Headless::start_with("takeoff", kind);
         let mut climb = Vec::new();
         flown.run(|tick| climb.push((tick.time.as_seconds(), tick.truth.position_enu_m.z)));
         let over = climb.iter().map(|p| p.1 - 1.0).fold(0.0, f64::max);
-        let yaw_percent = 100.0 * yaw.beyond.to_radians() / 0.5;
+        let yaw_percent = 100.0 * yaw.beyond / yaw.from;
         let rise = |r: Option<f64>| r.unwrap_or(f64::NAN);
         report.value(&format!("flight/roll_rise/{name}"), rise(roll.rise_s), "s", json!({ "limit": 0.4 }));
         report.value(&format!("flight/roll_overshoot/{name}"), roll.beyond, "deg", json!({ "limit": 4.0 }));

@@ -4,7 +4,8 @@
 //! u = [m g, 0, 0, 0] − K [x − x_ref; ∫e], e = [x, y, z, yaw] − reference (deviation from
 //! [Paternain] VI-B as ERRATA 8: the integrals are of the tracking error). Position and velocity
 //! errors are turned into the heading frame, so that one K serves every yaw (ERRATA [Umasankar] 6).
-//! Thrust is divided by cos(roll) cos(pitch): the vertical component is what K asks for.
+//! Thrust is divided by cos(roll) cos(pitch): the vertical component is what K asks for. The reference's
+//! acceleration is fed forward, as thrust and tilt.
 //!
 //! - Error limiting: position, velocity and yaw errors are limited before they meet K, and the
 //!   horizontal loop's torque to what holds [`TILT_FROM_POSITION_RAD`].
@@ -142,7 +143,7 @@ impl Controller for LqrIntegral {
         let position = limited(estimate.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
         let velocity = limited(estimate.velocity_enu_mps - setpoint.velocity_enu_mps, &VELOCITY_ERROR_MAX_MPS);
         let yaw = wrap_pi(angles.z - setpoint.roll_pitch_yaw_rad.z).clamp(-YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
-        let tilt = angles.xy() - setpoint.roll_pitch_yaw_rad.xy();
+        let tilt = angles.xy() - setpoint.tilt_rad(loops, angles.z);
         let rates = estimate.body_rates_radps;
         let k = if loops.horizontal { self.k } else { self.k_attitude };
         self.integrate([position.x, position.y, position.z, yaw], &k, loops, dt_s);
@@ -159,7 +160,8 @@ impl Controller for LqrIntegral {
         }
 
         let thrust_n = if loops.altitude {
-            (self.weight_n + u[ix::THRUST]) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
+            let fed = self.weight_n / GRAVITY_MPS2 * setpoint.acceleration_enu_mps2.z;
+            (self.weight_n + fed + u[ix::THRUST]) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
         } else {
             self.weight_n * setpoint.throttle
         };

@@ -20,6 +20,7 @@ use nalgebra::{Vector2, Vector3};
 pub use plumbline_proto::v1::ControllerKind;
 
 use crate::estimate::Estimate;
+use crate::model::GRAVITY_MPS2;
 
 /// Total thrust along body z and torque about the body axes FLU.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -37,10 +38,25 @@ pub struct Setpoint {
     pub position_enu_m: Vector3<f64>,
     /// Velocity in the world frame ENU, m/s, fed forward.
     pub velocity_enu_mps: Vector3<f64>,
+    /// In the world frame ENU, m/s², fed forward: upwards as thrust, sideways as tilt.
+    pub acceleration_enu_mps2: Vector3<f64>,
     /// Roll, pitch, yaw, rad.
     pub roll_pitch_yaw_rad: Vector3<f64>,
     /// Collective thrust as a fraction of the weight; used only where altitude is not controlled.
     pub throttle: f64,
+}
+
+impl Setpoint {
+    /// Roll and pitch asked for at a heading, rad; while x and y are controlled with what the acceleration takes.
+    pub fn tilt_rad(&self, loops: Loops, heading_rad: f64) -> Vector2<f64> {
+        let asked = self.roll_pitch_yaw_rad.xy();
+        if !loops.horizontal {
+            return asked;
+        }
+        let a = self.acceleration_enu_mps2 / GRAVITY_MPS2;
+        let (sin, cos) = heading_rad.sin_cos();
+        asked + Vector2::new(sin * a.x - cos * a.y, cos * a.x + sin * a.y)
+    }
 }
 
 /// Which errors the loop closes; set by the flight mode.

@@ -4,7 +4,7 @@
 //! | loop | law |
 //! |---|---|
 //! | horizontal | a = k_v (k_p (r − p) + v_r − v) + k_i ∫(…), tilt = a/g in the heading frame |
-//! | altitude | the same with its own gains, thrust = m (g + a) / (cos roll cos pitch) |
+//! | altitude | the same with its own gains and a_r, thrust = m (g + a) / (cos roll cos pitch) |
 //! | tilt, yaw | ω_r = k (angle_r − angle) |
 //! | rate | τ = I (k_p (ω_r − ω) + k_i ∫(ω_r − ω) − k_d ω̇), ω̇ through a first-order filter |
 //!
@@ -224,7 +224,7 @@ impl Controller for Pid {
         let error = setpoint.position_enu_m - estimate.position_enu_m;
         let velocity_error = setpoint.velocity_enu_mps - estimate.velocity_enu_mps;
 
-        let mut tilt = setpoint.roll_pitch_yaw_rad.xy();
+        let mut tilt = setpoint.tilt_rad(loops, angles.z);
         if loops.horizontal {
             let wanted = error.xy().map(|e| g.position_p * e.clamp(-POSITION_ERROR_MAX_M, POSITION_ERROR_MAX_M))
                 + velocity_error.xy();
@@ -245,7 +245,7 @@ impl Controller for Pid {
                 let limit = INTEGRATOR_MAX[1];
                 self.climb_integral = (self.climb_integral + wanted * g.climb.1 * dt_s).clamp(-limit, limit);
             }
-            let a = g.climb.0 * wanted + self.climb_integral;
+            let a = g.climb.0 * wanted + self.climb_integral + setpoint.acceleration_enu_mps2.z;
             self.mass_kg * (GRAVITY_MPS2 + a) / (angles.x.cos() * angles.y.cos()).max(COS_TILT_MIN)
         } else {
             self.mass_kg * GRAVITY_MPS2 * setpoint.throttle

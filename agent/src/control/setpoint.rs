@@ -2,7 +2,7 @@
 //!
 //! The operator's step is never shown to the controller: altitude and position follow a
 //! trapezoidal velocity profile (acceleration and speed limited, no overshoot by itself), angles
-//! and throttle a rate limit. The velocity of the profile is fed forward.
+//! and throttle a rate limit. Velocity and acceleration of the profile are fed forward.
 
 use nalgebra::Vector3;
 
@@ -68,7 +68,7 @@ impl Profile {
 
     /// Starts again from `setpoint`, at rest.
     pub fn restart(&mut self, setpoint: Setpoint) {
-        self.now = Setpoint { velocity_enu_mps: Vector3::zeros(), ..setpoint };
+        self.now = Setpoint { velocity_enu_mps: Vector3::zeros(), acceleration_enu_mps2: Vector3::zeros(), ..setpoint };
     }
 
     /// Goes along with a path that is continuous by itself.
@@ -89,6 +89,9 @@ impl Profile {
             let mut v = self.now.velocity_enu_mps[axis];
             trapezoid(&mut p, &mut v, target.position_enu_m[axis], up, down, acceleration, dt_s);
             self.now.position_enu_m[axis] = p;
+            // The last tick, which stops at once, is no acceleration to be flown.
+            let changed = if dt_s > 0.0 { (v - self.now.velocity_enu_mps[axis]) / dt_s } else { 0.0 };
+            self.now.acceleration_enu_mps2[axis] = changed.clamp(-acceleration, acceleration);
             self.now.velocity_enu_mps[axis] = v;
         }
         let angles = &mut self.now.roll_pitch_yaw_rad;

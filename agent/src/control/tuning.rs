@@ -38,12 +38,7 @@ impl Parameter {
     }
 }
 
-/// Kinds that are put in the loop. H∞ is designed, examined and previewed, but in the simulator's own flights its
-/// yaw ran away: it is refused until that is understood.
-pub const FLOWN: [ControllerKind; 4] =
-    [ControllerKind::LqrIntegral, ControllerKind::Lqr, ControllerKind::Lqg, ControllerKind::Pid];
-
-/// Every kind that can be designed.
+/// Every kind.
 pub const KINDS: [ControllerKind; 5] =
     [ControllerKind::LqrIntegral, ControllerKind::Lqr, ControllerKind::Lqg, ControllerKind::Hinf, ControllerKind::Pid];
 

@@ -10,7 +10,6 @@ use crate::command::Mode;
 use crate::control::Setpoint;
 use crate::control::trajectory::{Trajectory, moment};
 use crate::event::{EventKind, Severity, Text, text};
-use crate::model::GRAVITY_MPS2;
 
 /// What is flown, since when, from where.
 #[derive(Debug, Clone)]
@@ -108,20 +107,15 @@ impl Flight {
                 None
             }
             Trajectory::Shape { shape, .. } => {
-                let (shape, at) = (*shape, moment(shape, &path.from_enu_m, since_s));
-                // Yaw and throttle go on with the target; tilt is what the acceleration and the drag take.
+                let at = moment(shape, &path.from_enu_m, since_s);
+                // Yaw and throttle go on with the target; what is accelerated against the drag too.
                 let (target, limits) = (self.target_now(), self.limits_now());
                 let mut setpoint = *self.profile.step(&target, &limits, dt_s);
                 let airframe = &self.config.airframe;
                 let drag = at.velocity_enu_mps * (airframe.linear_drag_nspm / airframe.mass_kg);
-                let a = (at.acceleration_enu_mps2 + drag) / GRAVITY_MPS2;
-                let (sin, cos) = setpoint.roll_pitch_yaw_rad.z.sin_cos();
                 setpoint.position_enu_m = at.position_enu_m;
                 setpoint.velocity_enu_mps = at.velocity_enu_mps;
-                if shape.horizontal() {
-                    setpoint.roll_pitch_yaw_rad.x = -(cos * a.y - sin * a.x);
-                    setpoint.roll_pitch_yaw_rad.y = cos * a.x + sin * a.y;
-                }
+                setpoint.acceleration_enu_mps2 = at.acceleration_enu_mps2 + drag;
                 Some(setpoint)
             }
         }

@@ -200,6 +200,7 @@ impl Reader<'_> {
         let setpoint = Setpoint {
             position_enu_m: Vector3::new(value(s.x_m), value(s.y_m), value(s.altitude_m)),
             velocity_enu_mps: Vector3::zeros(),
+            acceleration_enu_mps2: Vector3::zeros(),
             roll_pitch_yaw_rad: Vector3::new(value(s.roll_rad), value(s.pitch_rad), value(s.yaw_rad)),
             throttle: value(s.throttle),
         };

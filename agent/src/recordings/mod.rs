@@ -75,6 +75,7 @@ impl RecordedControl {
         let setpoint = Setpoint {
             position_enu_m: Vector3::repeat(f64::NAN),
             velocity_enu_mps: Vector3::zeros(),
+            acceleration_enu_mps2: Vector3::zeros(),
             roll_pitch_yaw_rad: Vector3::repeat(f64::NAN),
             throttle: f64::NAN,
         };
