@@ -1,7 +1,7 @@
 //! How much a loop forgives: poles, gain, phase and delay margins, peak sensitivity.
 //!
-//! The loop is the hovering vehicle, sampled, with the motors' lag and one tick of delay, and a linear
-//! law around it. Margins are those of one input's loop with the other loops closed:
+//! The loop is the hovering vehicle, sampled, with the motors' lag, the reaction to the rotors' acceleration about
+//! yaw and one tick of delay, and a linear law around it. Margins are those of one input's loop with the other loops closed:
 //! L_i = 1/S_ii − 1 with S = (I + L)⁻¹ and L = −K P, all at the inputs.
 //!
 //! | symbol | meaning |
@@ -99,7 +99,8 @@ impl Plant {
         let a = DMatrix::from_fn(n, n, |r, c| linear.a[(kept[r], kept[c])]);
         let b = DMatrix::from_fn(n, INPUTS, |r, c| linear.b[(kept[r], c)]);
         let ideal = zero_order_hold(&a, &b, period_s)?;
-        // x' = A x + B w, w' = (u − w)/lag.
+        // x' = A x + B w, w' = (u − w)/lag; yaw has the reaction to the rotors' acceleration as well, w + lead w':
+        // without it the gain margin of yaw would be told three times too large.
         let lag = 0.5 * (airframe.motor_rise_time_constant_s + airframe.motor_fall_time_constant_s);
         let mut slow = DMatrix::zeros(n + INPUTS, n + INPUTS);
         slow.view_mut((0, 0), (n, n)).copy_from(&a);
@@ -108,6 +109,11 @@ impl Plant {
         for i in 0..INPUTS {
             slow[(n + i, n + i)] = -1.0 / lag;
             input[(n + i, i)] = 1.0 / lag;
+        }
+        let at_once = airframe.yaw_lead_s() / lag;
+        for row in 0..n {
+            slow[(row, n + ix::TORQUE_Z)] *= 1.0 - at_once;
+            input[(row, ix::TORQUE_Z)] = at_once * b[(row, ix::TORQUE_Z)];
         }
         let lagged = zero_order_hold(&slow, &input, period_s)?;
         let mut plant = Self { period_s, kept, ideal, lagged, grid: Vec::new() };
@@ -328,6 +334,37 @@ fn largest_singular_value(s: &Matrix4<Complex>) -> Result<f64, LinalgError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The yaw loop of state feedback alone, L = (P + D s)(1 + t s) e^{−1.5 T s}/(s² (1 + lag s)), on its own grid.
+    #[test]
+    fn the_rotors_acceleration_is_in_the_yaw_loop() {
+        let iris = Airframe::iris();
+        let period_s = 0.002;
+        let (p, d) = (9.0, 4.5);
+        let mut gains = DMatrix::zeros(4, 12);
+        // Enough elsewhere for a stable loop.
+        for (row, state, k) in [(0, ix::Z, 5.0), (0, ix::VZ, 5.0), (1, ix::ROLL, 1.0), (2, ix::PITCH, 1.0)] {
+            gains[(row, state)] = -k;
+        }
+        for axis in 1..3 {
+            gains[(axis, ix::P + axis - 1)] = -0.25;
+        }
+        (gains[(3, ix::YAW)], gains[(3, ix::R)]) = (-p * iris.inertia_kgm2.z, -d * iris.inertia_kgm2.z);
+        let law = StateSpace { a: DMatrix::zeros(0, 0), b: DMatrix::zeros(0, 12), c: DMatrix::zeros(4, 0), d: gains };
+        let found = Plant::new(&iris, period_s, false).unwrap().examine(&law).unwrap().margins.loops[3];
+        let lag = 0.5 * (iris.motor_rise_time_constant_s + iris.motor_fall_time_constant_s);
+        let l = |w: f64| {
+            let s = Complex::new(0.0, w);
+            (s * d + p) * (s * iris.yaw_lead_s() + 1.0) * (-s * 1.5 * period_s).exp() / (s * s * (s * lag + 1.0))
+        };
+        let grid: Vec<f64> = (0..40_000).map(|i| 1.0 * 1.0002_f64.powi(i)).collect();
+        let up = grid.windows(2).find(|w| l(w[0]).im < 0.0 && l(w[1]).im >= 0.0).map(|w| -1.0 / l(w[0]).re).unwrap();
+        let crossing = grid.windows(2).find(|w| l(w[1]).norm() < 1.0).unwrap()[0];
+        let phase = (-l(crossing)).arg();
+        println!("up {:.2} ({up:.2}), phase {:.3} ({phase:.3})", found.gain_up, found.phase_rad);
+        // A hold is not quite a delay of half a tick.
+        assert!((found.gain_up / up - 1.0).abs() < 0.05 && (found.phase_rad - phase).abs() < 0.02);
+    }
 
     /// Phase, gain and delay margins of L(s) = 2/(s(s+1)²) in each channel, from its closed forms.
     #[test]

@@ -311,6 +311,12 @@ impl Airframe {
         (self.weight_n() / (ROTORS as f64 * self.thrust_coefficient_ns2)).sqrt()
     }
 
+    /// What the reaction to the rotors' own acceleration adds to a yaw torque, as the time of a lead, s: at hover
+    /// Q + I_zzm ω̇ = Q + (I_zzm / 2 b ω) Q̇.
+    pub fn yaw_lead_s(&self) -> f64 {
+        self.rotor_inertia_kgm2 / (2.0 * self.drag_torque_coefficient_nms2 * self.hover_speed_radps())
+    }
+
     /// Command that hovers when all motors get the same, at nominal voltage.
     pub fn hover_command(&self) -> f64 {
         self.motor_curve.command(self.hover_speed_radps(), 1.0)
