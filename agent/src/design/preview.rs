@@ -16,6 +16,7 @@
 //!   "position": LOOP, "attitude": LOOP,
 //!   "unit_step": [ { "output": "x", "unit": "m", "share": 1.2 }, ... y, z, yaw ],
 //!   "change": { "largest": 0.4, "row": "thrust", "rows": { "thrust": 0.4, "torque x": ... } },
+//!   "k": [[16 of thrust], [torque x], [torque y], [torque z]], "k_in_use": the same,
 //!   "steps": [ { "output": "z", "unit": "m", "size": 0.5, "t_s": [...], "setpoint": [...], "response": [...],
 //!                "largest_command": [...], "rise_time_s": 0.9, "overshoot_percent": 2, "settling_time_s": 1.8,
 //!                "saturated_s": 0, "stayed": true }, ... ],
@@ -32,7 +33,8 @@
 //! - `position` is the loop with x and y controlled, `attitude` the one without. Continuous poles are those
 //!   the law was designed for (no lag, no delay, as ln(z)/T); sampled poles, margins and sensitivity have the
 //!   motors' lag and one tick of delay in them. A margin of `null` is no limit.
-//! - `change` is ‖ΔK‖/‖K‖ against the gains in use; `null` where one of the two is not a K.
+//! - `change` is ‖ΔK‖/‖K‖ against the gains in use; `null` where one of the two is not a K, as are `k` and
+//!   `k_in_use` where there is none.
 //! - `unit_step`: share of the motors' room that an uncut step of 1 m or 1 rad asks for at once; above 1 the
 //!   motors saturate.
 //! - Steps are flown on the nonlinear vehicle ([`super::response`]), through the profile that flies.
@@ -120,6 +122,8 @@ pub struct Preview {
     pub verdict: Result<Certified, String>,
     /// What it was judged by.
     pub policy: MarginPolicy,
+    /// K in use, where that is known.
+    pub in_use: Option<Gain>,
     /// Change of each row of K against the one in use.
     pub changes: Option<[f64; 4]>,
     /// The steps flown.
@@ -213,6 +217,7 @@ pub fn preview(question: &Question) -> Result<Preview, DesignError> {
         design,
         findings,
         verdict,
+        in_use: question.in_use,
         changes,
         steps,
         law,
@@ -265,6 +270,8 @@ impl Preview {
                 json!({ "output": output, "unit": unit(i), "share": number(share) })
             }).collect::<Vec<_>>(),
             "change": change,
+            "k": self.law.gains().map(|[k, _]| rows(k)),
+            "k_in_use": self.in_use.as_ref().map(rows),
             "steps": self.steps.iter().enumerate().map(|(i, step)| flown(step, unit(i))).collect::<Vec<_>>(),
             "gains": self.verdict.as_ref().ok()
                 .map(|gains| export(&gains_message(gains), &self.airframe, self.tick_rate_hz)),
@@ -300,6 +307,11 @@ pub fn controllers_json(airframe: &str) -> Result<Value, DesignError> {
         })
     };
     Ok(json!({ "airframe": airframe.name, "controllers": KINDS.map(one) }))
+}
+
+/// Rows thrust, torque x y z; columns as the weights.
+fn rows(k: &Gain) -> Vec<Vec<f64>> {
+    k.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
 fn examined(found: &Examination) -> Value {
@@ -395,6 +407,9 @@ mod tests {
         let around = Around { in_use: Some(Gain::from_row_slice(&k)), ..Around::default() };
         let same = preview_json(first["gains"].to_string().as_bytes(), &around).unwrap();
         assert_eq!(same["change"]["largest"].as_f64().unwrap(), 0.0);
+        assert_eq!(same["k"], same["k_in_use"]);
+        assert_eq!((same["k"].as_array().unwrap().len(), same["k"][0].as_array().unwrap().len()), (4, 16));
+        assert!(ask(r#"{"controller": "pid"}"#)["k"].is_null());
         assert_eq!(same["gains"]["certificate"]["sha256"], first["gains"]["certificate"]["sha256"]);
         assert!(first["change"].is_null());
     }

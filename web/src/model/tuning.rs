@@ -203,6 +203,10 @@ pub struct Preview {
     pub attitude: Examined,
     pub unit_step: Vec<Share>,
     pub change: Option<Change>,
+    /// K, rows thrust, torque roll, pitch, yaw; columns as the weights. Absent where the law has none.
+    pub k: Option<Vec<Vec<f64>>>,
+    /// The one in use, the same way.
+    pub k_in_use: Option<Vec<Vec<f64>>>,
     pub steps: Vec<Flown>,
     pub gains: Option<Value>,
 }
@@ -246,6 +250,38 @@ pub struct Margin {
     pub phase_rad: Option<f64>,
     pub delay_s: Option<f64>,
     pub peak_sensitivity: Option<f64>,
+}
+
+/// One entry of K in words: what it would be, and what is in use.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// As designed.
+    pub new: String,
+    /// In use; empty where that is not known.
+    pub in_use: String,
+    /// Are they different in what is shown?
+    pub changed: bool,
+}
+
+impl Preview {
+    /// K against the K in use: a row for each state and integral that either uses, a column for each input.
+    pub fn gains_table(&self) -> Vec<(&'static str, Vec<Entry>)> {
+        let Some(k) = &self.k else { return Vec::new() };
+        let of = |k: &[Vec<f64>], input: usize, state: usize| k.get(input).and_then(|row| row.get(state)).copied();
+        let entry = |state: usize, input: usize| {
+            let new = of(k, input, state).unwrap_or(0.0);
+            let old = self.k_in_use.as_ref().and_then(|old| of(old, input, state));
+            let shown = |v: f64| if v.abs() < 5e-6 { "0".to_owned() } else { short(v) };
+            let (new, in_use) = (shown(new), old.map(shown).unwrap_or_default());
+            Entry { changed: !in_use.is_empty() && new != in_use, new, in_use }
+        };
+        let rows = STATES
+            .iter()
+            .enumerate()
+            .map(|(i, (name, ..))| (*name, (0..INPUTS.len()).map(|input| entry(i, input)).collect::<Vec<_>>()));
+        let used = |entries: &[Entry]| entries.iter().any(|e| e.new != "0" || !matches!(e.in_use.as_str(), "" | "0"));
+        rows.filter(|(_, entries)| used(entries)).collect()
+    }
 }
 
 /// Largest command of a unit step, as a share of what there is.
@@ -395,6 +431,23 @@ mod tests {
             (short(0.2), short(12.345), short(0.0123), short(1500.0)),
             ("0.2".into(), "12.3".into(), "0.0123".into(), "1500".into())
         );
+    }
+
+    #[test]
+    fn gains_stand_beside_those_in_use() {
+        let mut k = vec![vec![0.0; 16]; 4];
+        (k[0][2], k[0][5]) = (29.41234, 9.5);
+        let mut old = k.clone();
+        (old[0][5], old[3][15]) = (8.0, 0.25);
+        let table = Preview { k: Some(k.clone()), k_in_use: Some(old), ..Preview::default() }.gains_table();
+        let names: Vec<&str> = table.iter().map(|(name, _)| *name).collect();
+        assert_eq!(names, ["altitude", "climb", "∫ yaw"], "rows that nobody uses are left out");
+        assert_eq!(table[0].1[0], Entry { new: "29.4".into(), in_use: "29.4".into(), changed: false });
+        assert_eq!(table[1].1[0], Entry { new: "9.5".into(), in_use: "8".into(), changed: true });
+        assert_eq!(table[2].1[3], Entry { new: "0".into(), in_use: "0.25".into(), changed: true });
+        let alone = Preview { k: Some(k), ..Preview::default() }.gains_table();
+        assert!(alone.iter().all(|(_, entries)| entries.iter().all(|e| e.in_use.is_empty() && !e.changed)));
+        assert!(Preview::default().gains_table().is_empty(), "a law without K");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::{
     model::{
         curves::{Curve, DEGREES},
         format::{self, NONE},
-        tuning::{Flown, Policy, Preview, rate_of},
+        tuning::{Entry, Flown, INPUTS, Policy, Preview, rate_of},
     },
     palette,
     panel::{
@@ -185,7 +185,7 @@ pub(super) fn Loops() -> impl IntoView {
                     <p class="quiet num">{move || match drawn.get().1 { 0 => String::new(), n => format!("{n} faster than {FASTEST_SHOWN_PER_S} 1/s not shown") }}</p>
                 </div>
                 <div class="tune-tables">
-                    {move || answered(bench).map(|p| view! { <Margins preview=p /> })}
+                    {move || answered(bench).map(|p| view! { <Margins preview=p.clone() /> <Gains preview=p /> })}
                 </div>
             </div>
         </section>
@@ -263,6 +263,43 @@ fn Margins(preview: Preview) -> impl IntoView {
         <p title="Share of the motors' room that an uncut step asks for at once; above 1 they saturate. The profile that flies asks for less.">"Motors for a step of " <span class="tune-shares">{shares.collect::<Vec<_>>()}</span></p>
         {change}
     }
+}
+
+/// K against the K in use.
+#[component]
+fn Gains(preview: Preview) -> impl IntoView {
+    let table = preview.gains_table();
+    if table.is_empty() {
+        return ().into_any();
+    }
+    let compared = preview.k_in_use.is_some();
+    let rows = table.into_iter().map(|(name, entries)| {
+        let cells = entries.into_iter().map(|Entry { new, in_use, changed }| {
+            view! {
+                <td class="num">{new}</td>
+                {compared.then(|| view! { <td class=if changed { "num quiet changed" } else { "num quiet" }>{in_use}</td> })}
+            }
+        });
+        view! { <tr><th scope="row">{name}</th>{cells.collect::<Vec<_>>()}</tr> }
+    });
+    let heads = INPUTS.iter().map(|(name, unit, _)| {
+        view! {
+            <th class="num" title=format!("{unit} for one m, rad, m/s, rad/s")>{*name}</th>
+            {compared.then(|| view! { <th class="num quiet">"in use"</th> })}
+        }
+    });
+    view! {
+        <details class="tune-gains">
+            <summary>{if compared { "K against the K in use" } else { "K (what is in use has none to compare with)" }}</summary>
+            <div class="table-wrap">
+                <table class="dense" aria-label="K against the K in use">
+                    <thead><tr><th>"of"</th>{heads.collect::<Vec<_>>()}</tr></thead>
+                    <tbody>{rows.collect::<Vec<_>>()}</tbody>
+                </table>
+            </div>
+        </details>
+    }
+    .into_any()
 }
 
 #[cfg(test)]
