@@ -6,7 +6,7 @@ mod headless;
 
 use std::hint::black_box;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command as Process, Stdio};
 use std::time::Instant;
 
@@ -145,39 +145,9 @@ fn skipped(reason: &str) {
     println!("{}", json!({ "bench": "control", "name": "python", "skipped": reason }));
 }
 
-/// Python with the packages, kept in `target/tools/python-control`; made when absent.
-fn environment() -> Result<PathBuf, String> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("target/tools/python-control");
-    let python = folder.join("bin/python");
-    let run = |command: &mut Process, what: &str| {
-        let done = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
-        match done {
-            Ok(status) if status.success() => Ok(()),
-            Ok(status) => Err(format!("{what}: {status}")),
-            Err(error) => Err(format!("{what}: {error}")),
-        }
-    };
-    if !python.exists() {
-        run(Process::new("python3").args(["-m", "venv"]).arg(&folder), "python3 -m venv")?;
-    }
-    let has = |package: &str| run(Process::new(&python).args(["-c", &format!("import {package}")]), package).is_ok();
-    for package in ["numpy", "scipy", "slycot"] {
-        if !has(package) {
-            let pip = ["-m", "pip", "install", "--quiet", "--only-binary=:all:", package];
-            // Without slycot, scipy is compared all the same: the script says what is missing.
-            let done = run(Process::new(&python).args(pip), &format!("pip install {package}"));
-            if package != "slycot" {
-                done?;
-            }
-        }
-    }
-    Ok(python)
-}
-
 fn python(cases: &[Case], problem: &Generalised) {
-    let python = match environment() {
-        Ok(python) => python,
-        Err(reason) => return skipped(&reason),
+    let Some(python) = std::env::var_os("PLUMBLINE_SLYCOT").filter(|python| !python.is_empty()) else {
+        return skipped("PLUMBLINE_SLYCOT names no Python with scipy and slycot");
     };
     let riccati: Vec<Value> = cases
         .iter()
@@ -282,13 +252,31 @@ fn pushes() {
     line("bad_pushes_applied", f64::from(applied), "pushes", Some(0.0));
     assert_eq!(before, flown.flight.gains_in_use().sha256, "a refused push changed the gains");
 
-    let (mut applied, mut worst, mut lost) = (0, 0.0_f64, 0);
+    // Good: certified by itself, and no further from the K in use than the policy allows while armed. Weights four
+    // times more or less each give a K up to sixteen times the one before: those few are refused, and drawn again.
+    let (mut applied, mut refused, mut worst, mut lost) = (0, 0, 0.0_f64, 0);
+    let (mut least_up, mut least_phase, mut peak) = (f64::INFINITY, f64::INFINITY, 0.0_f64);
     for n in 0..GOOD {
-        let mut design = Design::from_weights(good);
-        let mut spread = || 4.0_f64.powf(rng.random_range(-1.0..1.0));
-        design.weights.state = design.weights.state.map(|w| w * spread());
-        design.weights.input = design.weights.input.map(|w| w * spread());
-        let gains = examiner.certify(&design, GainsRevision(BAD + n + 1)).expect("a good design is certified");
+        let gains = loop {
+            let mut design = Design::from_weights(good);
+            let mut spread = || 4.0_f64.powf(rng.random_range(-1.0..1.0));
+            design.weights.state = design.weights.state.map(|w| w * spread());
+            design.weights.input = design.weights.input.map(|w| w * spread());
+            let gains = examiner.certify(&design, GainsRevision(BAD + n + 1)).expect("a good design is certified");
+            let (_, change) = gains.change_from(flown.flight.gains_in_use()).unwrap();
+            if change <= config.margins.change_max {
+                break gains;
+            }
+            let now = flown.flight.report().sensed.time;
+            let ack = flown.flight.apply(&Command::UseGains(gains), now);
+            assert!(!ack.accepted && ack.reason.contains("change"), "{change}: {}", ack.reason);
+            refused += 1;
+        };
+        for found in &gains.margins.loops {
+            least_up = least_up.min(found.gain_up);
+            least_phase = least_phase.min(found.phase_rad.to_degrees());
+            peak = peak.max(found.peak_sensitivity);
+        }
         let thrust_n = flown.flight.report().given.thrust_n;
         let now = flown.flight.report().sensed.time;
         applied += u32::from(flown.flight.apply(&Command::UseGains(gains), now).accepted);
@@ -298,6 +286,10 @@ fn pushes() {
         let z = flown.truth().position_enu_m.z;
         lost += u32::from(!z.is_finite() || (z - 0.5).abs() > 0.3 || !flown.flight.report().armed);
     }
+    line("good_pushes_least_gain_margin", least_up, "1", Some(config.margins.gain_up_min));
+    line("good_pushes_least_phase_margin", least_phase, "deg", Some(config.margins.phase_min_rad.to_degrees()));
+    line("good_pushes_largest_sensitivity", peak, "1", Some(config.margins.sensitivity_max));
+    line("pushes_refused_for_their_change", f64::from(refused), "pushes", None);
     line("good_pushes_applied", f64::from(applied), "pushes", Some(f64::from(GOOD)));
     line("good_pushes_largest_bump", worst, "of the weight", Some(BUMP));
     line("good_pushes_that_lost_the_altitude", f64::from(lost), "pushes", Some(0.0));

@@ -72,12 +72,16 @@ pub fn program(workspace: &Workspace, package: &str, name: &str, arguments: &[&s
     if !arguments.is_empty() {
         cargo.arg("--").args(arguments);
     }
-    if name == "estimate" {
-        // Without pip the bench says so itself and measures the rest.
-        match tools::filterpy(workspace) {
-            Ok(python) => drop(cargo.env("PLUMBLINE_FILTERPY", python)),
-            Err(error) => eprintln!("xtask: no filterpy to compare with: {error}"),
-        }
+    // Without pip the bench says so itself and measures the rest.
+    let peers = match name {
+        "estimate" => Some(("PLUMBLINE_FILTERPY", tools::filterpy(workspace))),
+        "control" => Some(("PLUMBLINE_SLYCOT", tools::slycot(workspace))),
+        _ => None,
+    };
+    match peers {
+        Some((variable, Ok(python))) => drop(cargo.env(variable, python)),
+        Some((_, Err(error))) => eprintln!("xtask: nothing to compare {name} with: {error}"),
+        None => {}
     }
     workspace::run(cargo.stdin(Stdio::null()))
 }

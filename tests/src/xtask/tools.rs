@@ -14,6 +14,9 @@ const READERS: PythonTools =
 /// The peer of `bench estimate`.
 const FILTERPY: PythonTools =
     PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"] };
+/// The peers of `bench control`.
+const SLYCOT: PythonTools =
+    PythonTools { folder: "slycot", module: "scipy.linalg, slycot", packages: &["numpy", "scipy", "slycot"] };
 
 /// Packages in a Python environment of their own.
 struct PythonTools {
@@ -81,6 +84,14 @@ pub fn python(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
 /// What is missing and how to get it.
 pub fn filterpy(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     python_with(workspace, &FILTERPY)
+}
+
+/// A Python with scipy and slycot.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn slycot(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    python_with(workspace, &SLYCOT)
 }
 
 fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, XtaskError> {
