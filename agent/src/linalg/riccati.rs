@@ -106,6 +106,8 @@ pub fn dare(
 }
 
 type Matrix = DMatrix<f64>;
+/// Relative residual of X for A, B, Q, R.
+type Residual = fn([&Matrix; 4], &Matrix) -> Option<f64>;
 /// X, iterations and relative residual from A, G, Q.
 type Started = Result<(Matrix, usize, f64), LinalgError>;
 
@@ -117,8 +119,8 @@ struct Regulator {
     gain: fn(&Matrix, &Matrix, &Matrix, &Factor, &Matrix) -> Option<Matrix>,
     /// X and K from A, B, Q, R in twice the working precision.
     wide: fn([&Matrix; 4]) -> Option<(Wide, Wide)>,
-    /// Relative residual of X for A, B, Q, R.
-    residual: fn([&Matrix; 4], &Matrix) -> Option<f64>,
+    /// Of what is found.
+    residual: Residual,
     /// What is measured of each pole of the closed loop, and which value it must not reach.
     measure: (&'static str, fn(&Complex) -> f64, f64),
 }
@@ -655,7 +657,7 @@ mod tests {
                     for (continuous, largest, a) in cases {
                         let name = format!("continuous {continuous} {kind} n = {n}, m = {m}, seed {seed}, {largest}");
                         let data = [&a, &b, &q, &r];
-                        let (solution, residual): (_, fn([&Matrix; 4], &Matrix) -> Option<f64>) = if continuous {
+                        let (solution, residual): (_, Residual) = if continuous {
                             (care(&a, &b, &q, &r), wide::care_residual)
                         } else {
                             (dare(&a, &b, &q, &r), wide::dare_residual)
