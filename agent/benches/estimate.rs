@@ -2,11 +2,12 @@
 //! Python that has filterpy (`PLUMBLINE_FILTERPY`, set by xtask) its filters run over the same log beside ours.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use std::alloc::{GlobalAlloc, Layout, System};
+#[path = "../tests/counting/mod.rs"]
+mod counting;
+
 use std::hint::black_box;
 use std::path::Path;
 use std::process::Command;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use arrayvec::ArrayVec;
@@ -25,29 +26,6 @@ use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_agent::vehicle::{ImuSample, MocapPoseSample, MotorCommand, SensorFrame, Vehicle};
 use plumbline_proto::time::FlightTime;
 use serde_json::json;
-
-/// Counts every request for memory.
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: passes everything on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// Limits of the issue.
 const EKF_LIMIT_US: f64 = 3.0;
@@ -69,13 +47,13 @@ fn time(calls: usize, mut call: impl FnMut(usize)) -> Timing {
     let mut blocks = Vec::with_capacity(calls / BLOCK);
     let mut allocations = 0;
     for block in 0..calls / BLOCK {
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        let before = counting::requests();
         let begun = Instant::now();
         for k in 0..BLOCK {
             call(block * BLOCK + k);
         }
         let took = begun.elapsed().as_secs_f64() * 1e6 / BLOCK as f64;
-        allocations += ALLOCATIONS.load(Ordering::Relaxed) - before;
+        allocations += counting::requests() - before;
         blocks.push(took);
     }
     blocks.sort_by(f64::total_cmp);

@@ -2,8 +2,9 @@
 //! thread, one run, JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "../tests/counting/mod.rs"]
+mod counting;
+
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -18,26 +19,6 @@ use plumbline_agent::estimate::{Estimator, EstimatorKind};
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_agent::vehicle::{MotorCommand, SensorFrame, Vehicle};
-
-struct Counting;
-
-thread_local!(static ALLOCATIONS: Cell<u64> = const { Cell::new(0) });
-
-// SAFETY: hands every request to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// CPU time of this thread.
 fn cpu_time() -> Duration {
@@ -101,12 +82,12 @@ fn decoders(file: &Windows, path: &Path) {
     // The flying tolerance; the tests use the tighter default.
     let settings = Settings { tolerance: 1e-6, ..Settings::default() };
     let mut newton = Newton::new(&problem, settings);
-    let before = ALLOCATIONS.get();
+    let before = counting::requests();
     let times = measure(&windows, 400, |w| {
         black_box(newton.decode(&problem, w, None).unwrap());
     });
     // `measure` itself allocates its list.
-    let allocations = ALLOCATIONS.get() - before;
+    let allocations = counting::requests() - before;
     let median = at(&times, 0.5);
     let per_solve = allocations as f64 / times.len() as f64;
     print(
@@ -222,7 +203,7 @@ fn secure_tick() {
     let mut secure = Secure::new(options, &airframe).unwrap();
     let (mut all, mut decoding) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
     let mut windows = 0;
-    let before = ALLOCATIONS.get();
+    let before = counting::requests();
     for (frame, applied) in &frames {
         let took = timed(|| {
             black_box(secure.step(frame, applied));
@@ -233,7 +214,7 @@ fn secure_tick() {
             decoding.push(took);
         }
     }
-    let allocations = ALLOCATIONS.get() - before;
+    let allocations = counting::requests() - before;
     all.sort_by(f64::total_cmp);
     decoding.sort_by(f64::total_cmp);
     let more = serde_json::json!({ "allocations": allocations });

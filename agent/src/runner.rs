@@ -24,7 +24,7 @@ use crate::attack::Schedule;
 use crate::command::Command;
 use crate::control::gains::refusal;
 use crate::estimate::secure::flying::DEADLINE_US;
-use crate::event::{EventKind, Severity};
+use crate::event::{EventKind, Severity, text};
 use crate::flight::Flight;
 use crate::link::LinkState;
 use crate::link::clock::FlightClock;
@@ -33,7 +33,7 @@ use crate::log::LogState;
 use crate::recordings::RecordedControl;
 use crate::telemetry::{Around, Telemetry};
 use crate::vehicle::sim::script::Script;
-use crate::vehicle::{Vehicle, VehicleError};
+use crate::vehicle::{MAX_IMUS, Vehicle, VehicleError};
 
 use auditor::Auditor;
 use certifier::{Answer, Certifier};
@@ -121,6 +121,8 @@ pub struct Runner {
     answered: u64,
     log_changes: u64,
     log_error: Option<String>,
+    /// Calibrated magnetometers that stopped fitting, as last told.
+    unfit: [bool; MAX_IMUS],
     scripted: Option<FlightTime>,
     ended: bool,
     ticks: u64,
@@ -165,6 +167,7 @@ impl Runner {
             // Differs from every state, so that the first tick looks.
             log_changes: u64::MAX,
             log_error: None,
+            unfit: [false; MAX_IMUS],
             scripted: None,
             ended: false,
             ticks: 0,
@@ -234,6 +237,7 @@ impl Runner {
 
     fn tick(&mut self) -> Result<(), VehicleError> {
         let frame = self.vehicle.sense()?;
+        self.magnetometers(frame.time);
         let due = self.pacer.wait_for(frame.time, &self.ports.clock);
         let started = Instant::now();
         self.ports.clock.tick(frame.time);
@@ -269,6 +273,27 @@ impl Runner {
             self.flight.deadline_missed(frame.time);
         }
         Ok(())
+    }
+
+    /// Tells when a magnetometer's calibration stops fitting, and when it does again.
+    fn magnetometers(&mut self, now: FlightTime) {
+        for field in self.vehicle.fields() {
+            let Some(unfit) = field.imu.checked_sub(1).and_then(|index| self.unfit.get_mut(index)) else { continue };
+            if *unfit != field.fits {
+                continue;
+            }
+            *unfit = !field.fits;
+            let number = field.imu;
+            let (severity, said) = if field.fits {
+                let more_ut = field.hard_iron_since_ut.norm();
+                let said = text(format_args!("fits again, with {more_ut:.1} µT of hard iron more; calibrate it anew"));
+                (Severity::Info, said)
+            } else {
+                let said = text(format_args!("no longer fits its calibration and is withheld: a magnet came near it"));
+                (Severity::Warning, said)
+            };
+            self.telemetry.event(now, severity, EventKind::Estimator, format_args!("magnetometer {number} {said}"));
+        }
     }
 
     /// Only as fast as possible is fast enough to overrun the log.

@@ -2,49 +2,12 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+mod counting;
 
 use common::{Flown, scenario};
 use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_proto::time::WallTime;
-
-/// Counts what the calling thread allocates while told to.
-struct Counting;
-
-thread_local! {
-    static ARMED: Cell<bool> = const { Cell::new(false) };
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    if ARMED.try_with(Cell::get).unwrap_or(false) {
-        let _ = COUNT.try_with(|c| c.set(c.get() + 1));
-    }
-}
-
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: as above.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: as above.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
@@ -68,18 +31,14 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
             assert!(ack.accepted, "{}", ack.reason);
         }
         before = Some(frame.time);
-        COUNT.set(0);
-        ARMED.set(true);
+        let counted = counting::requests();
         let command = f.flight.step(&frame).command;
         f.flight.applied(command);
-        ARMED.set(false);
-        total += COUNT.get();
+        total += counting::requests() - counted;
         let truth = f.vehicle.truth();
-        COUNT.set(0);
-        ARMED.set(true);
+        let counted = counting::requests();
         radio.0.tick(&mut f.flight, truth.as_ref(), &Around::default());
-        ARMED.set(false);
-        told += COUNT.get();
+        told += counting::requests() - counted;
         // The thread of the radio does this.
         let waiting = radio.1.slots();
         radio.1.read_chunk(waiting).unwrap().commit_all();

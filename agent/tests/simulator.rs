@@ -493,28 +493,3 @@ fn commands_are_clipped_and_nan_stops_the_motor() {
     let applied = vehicle.actuate(&MotorCommand { throttle: [-1.0, 2.0, f64::NAN, 0.4] }).unwrap();
     assert_eq!(applied.throttle, [0.0, 1.0, 0.0, 0.4]);
 }
-
-/// Cost of one tick, one JSON line: `cargo test -p plumbline-agent --test simulator -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn tick_cost() {
-    for (name, scenario) in [("string_rig", Scenario::bare()), ("every_sensor", everything())] {
-        let mut vehicle = SimVehicle::new(&scenario).unwrap();
-        let hover = scenario.airframe.hover_command();
-        let mut times: Vec<f64> = (0..200)
-            .map(|_| {
-                let start = std::time::Instant::now();
-                for _ in 0..200 {
-                    vehicle.sense().unwrap();
-                    vehicle.actuate(&MotorCommand { throttle: [hover; 4] }).unwrap();
-                }
-                start.elapsed().as_secs_f64() * 1e6 / 200.0
-            })
-            .collect();
-        times.sort_by(f64::total_cmp);
-        println!(
-            "{{\"bench\":\"sim_tick\",\"name\":\"{name}\",\"value\":{:.3},\"unit\":\"us\",\"p99\":{:.3},\"tick_hz\":200}}",
-            times[100], times[198]
-        );
-    }
-}

@@ -2,37 +2,14 @@
 //! whole simulated flight runs on one core. Prints JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "../../agent/tests/counting/mod.rs"]
+mod counting;
 mod headless;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use headless::Headless;
 use serde_json::json;
-
-/// Counts every request for memory.
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: passes everything on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const TICK_LIMIT_US: f64 = 100.0;
 const SPEED_LIMIT: f64 = 200.0;
@@ -49,11 +26,11 @@ fn tick_time() {
     let mut allocations = 0;
     for _ in 0..ticks {
         let sensed = flown.sense();
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        let before = counting::requests();
         let begun = Instant::now();
         flown.fly(&sensed);
         times_us.push(begun.elapsed().as_secs_f64() * 1e6);
-        allocations += ALLOCATIONS.load(Ordering::Relaxed) - before;
+        allocations += counting::requests() - before;
     }
     times_us.sort_by(f64::total_cmp);
     let at = |fraction: f64| round(times_us[((ticks - 1) as f64 * fraction).round() as usize]);

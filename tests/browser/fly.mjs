@@ -321,6 +321,22 @@ await step(page, 'scrub with pointer, arrows and Space', async () => {
   return { length, altitude };
 });
 
+await step(page, 'another estimator over the recording, laid over its charts, and taken off', async () => {
+  const card = page.getByRole('region', { name: 'Re-estimate' });
+  await card.getByRole('checkbox', { name: 'heights' }).uncheck();
+  await card.getByRole('checkbox', { name: 'heights' }).check();
+  await card.getByRole('button', { name: 'Re-estimate' }).click();
+  const row = card.getByRole('row').filter({ hasText: 'UKF' });
+  await row.waitFor({ timeout: 60_000 });
+  const [z, velocity, heading, inclination] = (await row.getByRole('cell').allTextContents()).map(Number);
+  assert(z > 0 && velocity > 0 && heading > 0 && inclination > 0, `${z} ${velocity} ${heading} ${inclination}`);
+  await page.getByText('UKF again', { exact: true }).waitFor();
+  await shot('flight-again-light-1280x720');
+  await card.getByRole('button', { name: 'Take UKF off the charts' }).click();
+  await until('the curve is gone', async () => (await page.getByText('UKF again', { exact: true }).count()) === 0);
+  return { z_mm: z, velocity_mmps: velocity, heading_deg: heading, inclination_deg: inclination };
+});
+
 const save = async (name) => {
   const waiting = page.waitForEvent('download');
   await page.getByRole('link', { name, exact: true }).click();

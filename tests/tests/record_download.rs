@@ -65,6 +65,27 @@ fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
     assert_eq!(rows("/csv?topic=/estimate/1"), promised["/estimate/1"]);
     let wide = rows("/csv");
     assert!(wide > promised["/control"] / 4 && wide <= promised["/control"], "{wide} rows of {promised:?}");
+    // AND an estimator run over it again is as good as in flight; what cannot be is refused with the reason
+    let again = rig.api().get_json(&route("/estimate?estimator=ekf_bias")).unwrap();
+    let column = |name: &str| again[name].as_array().unwrap().len();
+    assert!(column("time_s") > 20, "{again}");
+    for name in ["altitude_m", "roll_rad", "pitch_rad", "yaw_rad"] {
+        assert_eq!(column(name), column("time_s"), "{name}");
+    }
+    let worst_m = again["score"]["position_rmse_xyz_m"][2].as_f64().unwrap();
+    assert!(worst_m < 0.05, "{}", again["score"]);
+    let blind = rig.api().get_json(&route("/estimate?estimator=attitude&sensors=imu")).unwrap();
+    assert!(blind["altitude_m"].as_array().unwrap().iter().all(Value::is_null), "{blind}");
+    for (query, status, named) in [
+        ("?estimator=soup", 422, "soup"),
+        ("?estimator=ukf&sensors=imu,gnss", 422, "gnss"),
+        ("?estimator=ukf&sensors=height", 422, "imu"),
+        ("", 422, "estimator"),
+    ] {
+        let reply = rig.api().get(&route(&format!("/estimate{query}"))).unwrap();
+        assert_eq!(reply.status, status, "{query}: {}", reply.text());
+        assert!(reply.text().contains(named), "{query}: {}", reply.text());
+    }
     // WHEN it is renamed and annotated THEN that is kept
     let change = json!({ "name": "string test 1", "notes": "first of the day" });
     rig.api().command("PATCH", &route(""), &change).unwrap();

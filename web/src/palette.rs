@@ -61,6 +61,11 @@ pub fn estimator_css(number: u16, in_loop: u16) -> &'static str {
     estimator(number, in_loop).css()
 }
 
+/// The colour of an estimator that was run over a recording again: never that of one that flew.
+pub fn again(number: u16) -> Ink {
+    [SENSOR_1, SENSOR_2, SENSOR_3][usize::from(number) % 3]
+}
+
 /// The colour of a sensor's instance.
 pub fn sensor(instance: u16) -> Ink {
     [SENSOR_1, SENSOR_2, SENSOR_3, OTHER_2][usize::from(instance.saturating_sub(1)) % 4]

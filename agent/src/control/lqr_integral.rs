@@ -16,7 +16,7 @@
 use nalgebra::{DMatrix, SVector, Vector2, Vector3};
 
 use super::gains::Gain;
-use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
+use super::{COS_TILT_MIN, Controller, ControllerKind, Loops, SHORTFALL, Setpoint, Trim, Wrench};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::model::GRAVITY_MPS2;
@@ -38,10 +38,6 @@ const YAW_INTEGRATED_RAD: f64 = 0.2;
 const TILT_FROM_POSITION_RAD: f64 = 0.30;
 /// Limits of the integrals: m s, m s, m s, rad s.
 const INTEGRAL_LIMIT: [f64; 4] = [2.0, 2.0, 1.5, 1.0];
-/// Thrust is raised for tilt up to this (60°), no further.
-const COS_TILT_MIN: f64 = 0.5;
-/// A wrench counts as not given when it differs by this fraction of the weight, or N m.
-const SHORTFALL: f64 = 1e-3;
 
 /// Diagonal weights. State order: x y z vx vy vz roll pitch yaw p q r, then the integrals of
 /// x y z yaw. Input order: thrust (N), torque x y z (N m).

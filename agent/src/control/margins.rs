@@ -17,7 +17,7 @@
 
 use nalgebra::{DMatrix, Matrix4};
 
-use crate::linalg::{Complex, LinalgError, eigenvalues};
+use crate::linalg::{self, Complex, LinalgError, eigenvalues};
 use crate::model::airframe::Airframe;
 use crate::model::discretize::{Sampled, zero_order_hold};
 use crate::model::linearize::{hover, ix};
@@ -311,24 +311,9 @@ fn peak<S>(
     Ok(best)
 }
 
-/// From the eigenvalues of SᴴS, as the real symmetric matrix of twice the size.
+/// Of S at one frequency.
 fn largest_singular_value(s: &Matrix4<Complex>) -> Result<f64, LinalgError> {
-    let h = s.adjoint() * s;
-    let real = nalgebra::SMatrix::<f64, 8, 8>::from_fn(|r, c| {
-        let v = h[(r % 4, c % 4)];
-        match (r < 4, c < 4) {
-            (true, true) | (false, false) => v.re,
-            (true, false) => -v.im,
-            (false, true) => v.im,
-        }
-    });
-    let eigen = nalgebra::SymmetricEigen::try_new(real, f64::EPSILON, 500).ok_or(LinalgError::NotConverged {
-        what: "singular values of S",
-        iterations: 500,
-        change: f64::NAN,
-        residual: f64::NAN,
-    })?;
-    Ok(eigen.eigenvalues.max().max(0.0).sqrt())
+    linalg::largest_singular_value(&DMatrix::from_column_slice(4, 4, s.as_slice()))
 }
 
 #[cfg(test)]

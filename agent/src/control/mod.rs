@@ -86,6 +86,22 @@ impl Default for Trim {
     }
 }
 
+/// A wrench counts as not given when it differs by this fraction of the weight, or N m.
+const SHORTFALL: f64 = 1e-3;
+/// Thrust is raised for tilt up to this (60°), no further.
+const COS_TILT_MIN: f64 = 0.5;
+
+/// Which inputs (thrust, torque x, y, z) the mixer could not give as asked, for anti-windup.
+fn short_of(asked: &Wrench, given: &Wrench, weight_n: f64) -> [bool; 4] {
+    let torque = asked.torque_flu_nm - given.torque_flu_nm;
+    [
+        (asked.thrust_n - given.thrust_n).abs() > SHORTFALL * weight_n,
+        torque.x.abs() > SHORTFALL,
+        torque.y.abs() > SHORTFALL,
+        torque.z.abs() > SHORTFALL,
+    ]
+}
+
 /// A controller that can be put in the loop.
 pub trait Controller: Send {
     /// Which one it is.

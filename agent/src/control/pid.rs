@@ -14,7 +14,7 @@
 use nalgebra::{DMatrix, Vector2, Vector3};
 
 use super::tuning::Parameter;
-use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
+use super::{COS_TILT_MIN, Controller, ControllerKind, Loops, Setpoint, Trim, Wrench, short_of};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::model::GRAVITY_MPS2;
@@ -36,10 +36,6 @@ const YAW_INTEGRATED_RAD: f64 = 0.2;
 const INTEGRATOR_MAX: [f64; 4] = [1.5, 3.0, 20.0, 5.0];
 /// Time constant of the derivative's filter, s.
 const DERIVATIVE_FILTER_S: f64 = 0.01;
-/// Thrust is raised for tilt up to this (60°), no further.
-const COS_TILT_MIN: f64 = 0.5;
-/// A wrench counts as not given when it differs by this fraction of the weight, or N m.
-const SHORTFALL: f64 = 1e-3;
 
 /// Its parameters, in the order of [`Gains`].
 pub const PARAMETERS: [Parameter; 13] = [
@@ -278,14 +274,7 @@ impl Controller for Pid {
     }
 
     fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        let torque = asked.torque_flu_nm - given.torque_flu_nm;
-        let weight = SHORTFALL * self.mass_kg * GRAVITY_MPS2;
-        self.short = [
-            (asked.thrust_n - given.thrust_n).abs() > weight,
-            torque.x.abs() > SHORTFALL,
-            torque.y.abs() > SHORTFALL,
-            torque.z.abs() > SHORTFALL,
-        ];
+        self.short = short_of(asked, given, self.mass_kg * GRAVITY_MPS2);
     }
 
     fn integrator(&self) -> [f64; 4] {

@@ -9,7 +9,8 @@
 //! 2. The specific force, turned into that frame, is low-passed over several seconds: accelerations of a
 //!    vehicle that stays in a room average out, and turning does not smear. Its direction corrects tilt.
 //! 3. The magnetometer corrects heading alone, slowly, and not at all while the field's strength and dip
-//!    differ from those of the reference field.
+//!    differ from those of the reference field. Deviation: before there is one (the paper wants fast turning, which
+//!    a vehicle on strings never does) a field that has been steady for five seconds is followed, at half the speed.
 //! 4. Gyroscope bias: from the corrections in motion, from the gyroscope itself at rest.
 //!
 //! | symbol | meaning | unit |
@@ -139,6 +140,7 @@ pub struct AttitudeFilter {
     reference: Vector2<f64>,
     candidate: Vector2<f64>,
     candidate_s: f64,
+    steady_s: f64,
     fit_s: f64,
     disturbed: bool,
     rejected_s: f64,
@@ -173,6 +175,7 @@ impl AttitudeFilter {
             reference: Vector2::zeros(),
             candidate: Vector2::zeros(),
             candidate_s: 0.0,
+            steady_s: 0.0,
             fit_s: 0.0,
             disturbed: true,
             rejected_s: 0.0,
@@ -340,7 +343,9 @@ impl AttitudeFilter {
         self.disagreement_rad = wrap_pi(level.x.atan2(level.y) - self.delta_rad);
         let mut gain = 1.0 - (-t / self.options.tau_mag_s).exp();
         if self.disturbed {
-            if self.rejected_s <= FIELD_REJECT_S {
+            // A vehicle that never turns fast finds no reference: it follows what has been steady from the start.
+            let steady = self.reference.x == 0.0 && self.steady_s >= FIELD_FIRST_S;
+            if self.rejected_s <= FIELD_REJECT_S && !steady {
                 self.rejected_s += t;
                 gain = 0.0;
             } else {
@@ -377,6 +382,7 @@ impl AttitudeFilter {
             self.disturbed = true;
         }
         if fits(&self.candidate) {
+            self.steady_s += t;
             if self.slow_rate.norm() >= FIELD_TURNING_RADPS {
                 self.candidate_s += t;
             }
@@ -389,6 +395,7 @@ impl AttitudeFilter {
             }
         } else {
             self.candidate_s = 0.0;
+            self.steady_s = 0.0;
             self.candidate = *now;
         }
     }

@@ -331,7 +331,6 @@ impl EkfBias {
             self.horizontal = Since::default();
         }
         self.heights = Since::default();
-        self.heights_since = None;
         self.barometer_known = [false; MAX_BAROMETERS];
         self.history.clear();
     }
@@ -443,6 +442,7 @@ impl Estimator for EkfBias {
             self.aligned = false;
             self.alignment = Alignment::new();
             self.inertial = None;
+            self.heights_since = None;
         }
 
         let previous = self.inertial;
@@ -456,6 +456,7 @@ impl Estimator for EkfBias {
                 self.align(received, dt_s, &inertial);
                 self.follow_mixture();
             }
+            self.hear_heights(received);
             self.publish(now);
             return &self.estimate;
         }

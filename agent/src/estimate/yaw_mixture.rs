@@ -417,7 +417,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "tolerances changed last and not yet confirmed by a run"]
     fn yaw_is_found_from_any_start_by_positions_alone() {
         for (seed, yaw) in [0.2, 1.4, 2.9, -2.2, -0.7].into_iter().enumerate() {
             let (mixture, truth, position) = fly(yaw, 2.0, 20.0, 0.5, seed as u64);

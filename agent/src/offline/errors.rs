@@ -39,6 +39,7 @@ pub struct Score {
     position: Rms,
     axes: [Rms; 3],
     velocity: Rms,
+    velocity_axes: [Rms; 3],
     total: Rms,
     heading: Rms,
     inclination: Rms,
@@ -86,6 +87,7 @@ impl Score {
             position: Rms::default(),
             axes: [Rms::default(); 3],
             velocity: Rms::default(),
+            velocity_axes: [Rms::default(); 3],
             total: Rms::default(),
             heading: Rms::default(),
             inclination: Rms::default(),
@@ -120,7 +122,7 @@ impl Score {
             world_from_body: truth.world_from_body,
         };
         self.add_position(&(e.position_enu_m - state.position_enu_m));
-        self.velocity.add((e.velocity_enu_mps - state.velocity_enu_mps).norm());
+        self.add_velocity(&(e.velocity_enu_mps - state.velocity_enu_mps));
         let [_, heading_deg, inclination_deg] = self.add_attitude(&e.world_from_body, &truth.world_from_body);
         let position_m = Some((e.position_enu_m - state.position_enu_m).norm()).filter(|m| m.is_finite());
         let time_s = e.time.as_seconds();
@@ -137,7 +139,7 @@ impl Score {
         self.finite &= x.iter().all(|v| v.is_finite());
         let part = |x: &X, i: usize| Vector3::new(x[i], x[i + 1], x[i + 2]);
         self.add_position(&(part(x, ix::X) - part(truth, ix::X)));
-        self.velocity.add((part(x, ix::VX) - part(truth, ix::VX)).norm());
+        self.add_velocity(&(part(x, ix::VX) - part(truth, ix::VX)));
         let attitude = |x: &X| from_roll_pitch_yaw(&part(x, ix::ROLL));
         self.add_attitude(&attitude(x), &attitude(truth));
         let mut error = truth - x;
@@ -149,9 +151,12 @@ impl Score {
 
     fn add_position(&mut self, error: &Vector3<f64>) {
         self.position.add(error.norm());
-        for (rms, e) in self.axes.iter_mut().zip(error.iter()) {
-            rms.add(*e);
-        }
+        self.axes.iter_mut().zip(error.iter()).for_each(|(rms, e)| rms.add(*e));
+    }
+
+    fn add_velocity(&mut self, error: &Vector3<f64>) {
+        self.velocity.add(error.norm());
+        self.velocity_axes.iter_mut().zip(error.iter()).for_each(|(rms, e)| rms.add(*e));
     }
 
     /// Total, heading and inclination errors, degrees.
@@ -201,8 +206,13 @@ impl Score {
         self.consistency.nees()
     }
 
-    /// The score as one JSON line. Errors without truth are null.
+    /// The score as one JSON line: [`Score::to_value`].
     pub fn to_json(&self) -> String {
+        self.to_value().to_string()
+    }
+
+    /// The score as JSON. Errors without truth are null.
+    pub fn to_value(&self) -> serde_json::Value {
         let nis = |(sensor, channel, mean): (SensorId, Channel, Mean)| {
             let channel = channel.as_str_name().trim_start_matches("CHANNEL_").to_lowercase();
             (format!("{sensor} {channel}"), serde_json::json!(mean.value()))
@@ -227,6 +237,7 @@ impl Score {
             "position_rmse_m": self.position.value(),
             "position_rmse_xyz_m": self.axes.map(|a| a.value()),
             "velocity_rmse_mps": self.velocity.value(),
+            "velocity_rmse_xyz_mps": self.velocity_axes.map(|a| a.value()),
             "total_rmse_deg": self.total.value(),
             "heading_rmse_deg": self.heading.value(),
             "inclination_rmse_deg": self.inclination.value(),
@@ -237,6 +248,5 @@ impl Score {
             "gyro_bias_radps": self.gyro_bias_radps.as_slice(),
             "magnetometer_calibration": self.fields.iter().map(field).collect::<Vec<_>>(),
         })
-        .to_string()
     }
 }

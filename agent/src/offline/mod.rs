@@ -17,11 +17,12 @@ pub use errors::{ErrorSample, Score};
 use output::Output;
 use plumbline_proto::v1::SensorKind;
 
-use crate::estimate::EstimatorKind;
+use crate::calibration::applied::Calibration;
 use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
 use crate::estimate::ukf::Ukf;
+use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{EulerBody, M, X};
 use crate::recordings::{self, Format, Phantom4Options, RecordingError, RecordingInfo, mocap_log};
@@ -169,16 +170,33 @@ impl EstimateArgs {
     }
 }
 
+fn named(estimator: &str) -> Result<EstimatorKind, OfflineError> {
+    ESTIMATORS.iter().find(|(name, _)| *name == estimator).map(|(_, kind)| *kind).ok_or_else(|| {
+        let names: Vec<&str> = ESTIMATORS.iter().map(|(name, _)| *name).collect();
+        EstimateArgs::bad("estimator", estimator, format!("not one of {}", names.join(", ")))
+    })
+}
+
+/// Estimates a flight file of our own that is in memory again, under the estimator and from the sensors of `args`, whose
+/// input is its name in messages; every estimate goes to `each`.
+///
+/// # Errors
+/// [`OfflineError`], with the offending value.
+pub fn run_flight(bytes: &[u8], args: &EstimateArgs, mut each: impl FnMut(&Estimate)) -> Result<Score, OfflineError> {
+    let kind = named(&args.estimator)?;
+    let recording = recordings::open_flight(bytes, &args.input)?;
+    Run::new(args, kind, recording)?.fly(|estimate| {
+        each(estimate);
+        Ok(())
+    })
+}
+
 /// Runs the command; the score is also printed as one JSON line by the caller.
 ///
 /// # Errors
 /// [`OfflineError`], with the offending value.
 pub fn run(args: &EstimateArgs) -> Result<Score, OfflineError> {
-    let names: Vec<&str> = ESTIMATORS.iter().map(|(name, _)| *name).collect();
-    let kind =
-        ESTIMATORS.iter().find(|(name, _)| *name == args.estimator).map(|(_, kind)| *kind).ok_or_else(|| {
-            EstimateArgs::bad("estimator", &args.estimator, format!("not one of {}", names.join(", ")))
-        })?;
+    let kind = named(&args.estimator)?;
     if args.format.as_deref().map_or_else(|| looks_like_mocap_log(args), |text| text == MOCAP_LOG) {
         args.refuse_misplaced(MOCAP_LOG)?;
         return run_log(args, kind);
@@ -197,7 +215,11 @@ pub fn run(args: &EstimateArgs) -> Result<Score, OfflineError> {
         Format::Phantom4 => recordings::open_phantom4(&args.input, args.phantom4_options()?)?,
         other => recordings::open_as(&args.input, other)?,
     };
-    run_recording(args, kind, recording)
+    let run = Run::new(args, kind, recording)?;
+    let mut output = Output::create(&args.output, false)?;
+    let score = run.fly(|estimate| output.estimate(estimate))?;
+    output.finish()?;
+    Ok(score)
 }
 
 fn looks_like_mocap_log(args: &EstimateArgs) -> bool {
@@ -293,40 +315,49 @@ impl Selection {
     }
 }
 
-fn run_recording(
-    args: &EstimateArgs,
-    kind: EstimatorKind,
-    mut recording: recordings::Recording,
-) -> Result<Score, OfflineError> {
-    let info = recording.info();
-    let selection = Selection::new(&args.sensors, info)?;
-    let mut calibration = calibrate::load(&args.calibration)?;
-    // One rule for every recording: nothing is tuned to a file.
-    let options = info.ekf_options();
-    // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
-    let airframe =
-        info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);
-    let known = match kind {
-        EstimatorKind::Attitude => Known { horizontal: false, vertical: false },
-        _ => selection.known(info),
-    };
-    let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
-        .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
-    let mut output = Output::create(&args.output, false)?;
-    let mut score = Score::new(&args.estimator, &args.input, known);
-    // Applied in one tick, known to the estimator in the next.
-    let mut applied = MotorCommand::default();
-    while let Some(tick) = recording.next_tick() {
-        let mut frame = tick.received.unwrap_or(tick.sensed);
-        calibration.apply(&mut frame);
-        selection.apply(&mut frame);
-        output.estimate(estimator.step(&frame, &applied))?;
-        applied = tick.applied.unwrap_or(applied);
-        score.add(estimator.as_ref(), tick.truth.as_ref());
+/// An estimator about to step over a recording. Everything that can be refused has been.
+struct Run {
+    recording: recordings::Recording,
+    selection: Selection,
+    calibration: Calibration,
+    estimator: Box<dyn Estimator>,
+    score: Score,
+}
+
+impl Run {
+    fn new(args: &EstimateArgs, kind: EstimatorKind, recording: recordings::Recording) -> Result<Self, OfflineError> {
+        let info = recording.info();
+        let selection = Selection::new(&args.sensors, info)?;
+        let calibration = calibrate::load(&args.calibration)?;
+        // One rule for every recording: nothing is tuned to a file.
+        let options = info.ekf_options();
+        // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
+        let airframe =
+            info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);
+        let known = match kind {
+            EstimatorKind::Attitude => Known { horizontal: false, vertical: false },
+            _ => selection.known(info),
+        };
+        let estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
+            .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
+        let score = Score::new(&args.estimator, &args.input, known);
+        Ok(Self { recording, selection, calibration, estimator, score })
     }
-    output.finish()?;
-    score.fields = calibration.fields().collect();
-    Ok(score)
+
+    fn fly(mut self, mut each: impl FnMut(&Estimate) -> Result<(), OfflineError>) -> Result<Score, OfflineError> {
+        // Applied in one tick, known to the estimator in the next.
+        let mut applied = MotorCommand::default();
+        while let Some(tick) = self.recording.next_tick() {
+            let mut frame = tick.received.unwrap_or(tick.sensed);
+            self.calibration.apply(&mut frame);
+            self.selection.apply(&mut frame);
+            each(self.estimator.step(&frame, &applied))?;
+            applied = tick.applied.unwrap_or(applied);
+            self.score.add(self.estimator.as_ref(), tick.truth.as_ref());
+        }
+        self.score.fields = self.calibration.fields().collect();
+        Ok(self.score)
+    }
 }
 
 fn run_log(args: &EstimateArgs, kind: EstimatorKind) -> Result<Score, OfflineError> {

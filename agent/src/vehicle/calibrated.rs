@@ -3,8 +3,11 @@
 //! The same for simulator, recordings and hardware. A recording of our own was calibrated when it was flown: give
 //! it a calibration only if it was flown without one.
 
-use super::{MotorCommand, SensorFrame, Truth, Vehicle, VehicleError};
+use arrayvec::ArrayVec;
+
+use super::{MAX_IMUS, MotorCommand, SensorFrame, Truth, Vehicle, VehicleError};
 use crate::calibration::Calibration;
+use crate::calibration::applied::FieldReport;
 use crate::recordings::RecordedControl;
 
 /// `inner`, calibrated.
@@ -52,6 +55,10 @@ impl Vehicle for CalibratedVehicle {
 
     fn recorded_control(&self) -> Option<RecordedControl> {
         self.inner.recorded_control()
+    }
+
+    fn fields(&self) -> ArrayVec<FieldReport, MAX_IMUS> {
+        self.sensed.fields().take(MAX_IMUS).collect()
     }
 }
 
@@ -109,5 +116,17 @@ mod tests {
             }
         }
         assert!(seen > 100, "{seen}");
+        assert!(calibrated.fields().iter().all(|field| field.imu == 1 && field.fits));
+
+        // A magnet comes near: the calibration no longer fits, and says so.
+        let near = scenario.suite.imus.first_mut().unwrap();
+        near.distortion.hard_iron_ut[2] += 2.0 * field_ut;
+        let mut other = CalibratedVehicle::new(sim(&scenario), calibration);
+        assert!(other.fields().iter().all(|field| field.fits), "innocent until seen");
+        (0..400).for_each(|_| {
+            other.sense().unwrap();
+        });
+        let fields = other.fields();
+        assert!(fields.len() == 1 && !fields[0].fits && fields[0].withheld > 50, "{fields:?}");
     }
 }

@@ -8,9 +8,11 @@ pub mod replay;
 pub mod sim;
 pub mod suite;
 
+use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
+use crate::calibration::applied::FieldReport;
 use crate::recordings::RecordedControl;
 
 /// Most sensors of one kind that a frame can carry.
@@ -227,5 +229,10 @@ pub trait Vehicle: Send {
     /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
     fn recorded_control(&self) -> Option<RecordedControl> {
         None
+    }
+
+    /// How its calibrated magnetometers fare.
+    fn fields(&self) -> ArrayVec<FieldReport, MAX_IMUS> {
+        ArrayVec::new()
     }
 }

@@ -12,6 +12,7 @@ mod calibrations;
 mod control;
 mod design;
 mod error;
+mod estimates;
 mod flights;
 mod gains;
 mod ground;
@@ -51,8 +52,8 @@ use operator::Operator;
 
 /// Largest body of a request. A plan of 64 attacks is about 10 kB.
 const MAX_BODY: usize = 256 << 10;
-/// Previews of designs computed at a time; more wait.
-const PREVIEWS: usize = 2;
+/// Previews of designs and estimates of recordings computed at a time; more wait.
+const COMPUTING: usize = 2;
 /// Most viewers, all vehicles together; more are answered 503.
 const MAX_VIEWERS: usize = 256;
 
@@ -78,7 +79,7 @@ pub(crate) struct Inner {
     parts: Parts,
     started: Instant,
     viewers: Arc<Semaphore>,
-    previews: Semaphore,
+    computing: Semaphore,
 }
 
 impl std::ops::Deref for Inner {
@@ -98,7 +99,7 @@ impl std::ops::Deref for App {
 impl App {
     pub(crate) fn new(parts: Parts) -> Self {
         let viewers = Arc::new(Semaphore::new(MAX_VIEWERS));
-        Self(Arc::new(Inner { parts, started: Instant::now(), viewers, previews: Semaphore::new(PREVIEWS) }))
+        Self(Arc::new(Inner { parts, started: Instant::now(), viewers, computing: Semaphore::new(COMPUTING) }))
     }
 
     /// Is the page served by TLS?
@@ -201,6 +202,7 @@ fn routes() -> Vec<Route> {
         get    "/api/flights/{id}/mcap"              View    flights::mcap;
         get    "/api/flights/{id}/csv"               View    flights::csv;
         get    "/api/flights/{id}/frames"            View    flights::frames;
+        get    "/api/flights/{id}/estimate"          View    estimates::again;
     }
 }
 

@@ -46,7 +46,8 @@ fn build(folder: &Path) -> bool {
     let release = folder.file_name().is_some_and(|name| name == "release");
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null()).stdout(Stdio::null());
-    cargo.args(["build", "--quiet", "--bins", "--package", "plumbline-agent", "--package", "plumbline-ground"]);
+    // The whole workspace, as the tests are built: fewer packages would ask other features of the libraries.
+    cargo.args(["build", "--quiet", "--workspace", "--bins"]);
     if release {
         cargo.arg("--release");
     }

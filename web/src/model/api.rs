@@ -143,6 +143,32 @@ pub struct FlownAttack {
     pub phase: String,
 }
 
+/// `GET /api/flights/{id}/estimate`: a recording estimated again; columns of equal length.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Again {
+    pub score: Score,
+    pub time_s: Vec<f64>,
+    pub altitude_m: Vec<Option<f32>>,
+    pub roll_rad: Vec<Option<f32>>,
+    pub pitch_rad: Vec<Option<f32>>,
+    pub yaw_rad: Vec<Option<f32>>,
+}
+
+/// Root mean square errors against truth; absent where there is none.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+#[allow(missing_docs)]
+pub struct Score {
+    pub position_rmse_xyz_m: [Option<f64>; 3],
+    pub velocity_rmse_xyz_mps: [Option<f64>; 3],
+    pub heading_rmse_deg: Option<f64>,
+    pub inclination_rmse_deg: Option<f64>,
+    pub nees: Option<f64>,
+    pub nees_states: Option<u32>,
+}
+
 /// The ground's answer to a command.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default)]

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use plumbline_proto::v1;
 
-use super::series::Series;
+use super::{api::Again, series::Series};
 
 /// Samples kept of a live curve: ten minutes at 200 Hz.
 pub const LIVE_SAMPLES: usize = 120_000;
@@ -62,6 +62,10 @@ pub enum Curve {
     Attitude(u16, Axis),
     /// True attitude, °.
     TruthAttitude(Axis),
+    /// Altitude of an estimator that was run over the recording again, m.
+    AgainAltitude(u16),
+    /// Its attitude, °.
+    AgainAttitude(u16, Axis),
     /// A motor's command as applied, 0..1.
     Motor(u8),
     /// Innovation of one scalar, in its screen unit.
@@ -186,6 +190,28 @@ impl Curves {
         }
     }
 
+    /// The recording estimated again by estimator `number`, instead of what it said before.
+    pub fn set_again(&mut self, number: u16, again: &Again) {
+        self.remove_again(number);
+        let angles = [&again.roll_rad, &again.pitch_rad, &again.yaw_rad];
+        for (k, time_s) in again.time_s.iter().enumerate() {
+            let time_us = (time_s * 1e6).max(0.0) as u64;
+            let at = |column: &[Option<f32>]| column.get(k).copied().flatten().map_or(f64::NAN, f64::from);
+            self.push(Curve::AgainAltitude(number), time_us, at(&again.altitude_m));
+            for (axis, column) in Axis::ALL.into_iter().zip(angles) {
+                self.push(Curve::AgainAttitude(number, axis), time_us, at(column) * DEGREES);
+            }
+        }
+    }
+
+    /// Takes that away.
+    pub fn remove_again(&mut self, number: u16) {
+        self.map.remove(&Curve::AgainAltitude(number));
+        for axis in Axis::ALL {
+            self.map.remove(&Curve::AgainAttitude(number, axis));
+        }
+    }
+
     /// The residuals of estimator `number` in one tick.
     pub fn push_residuals(&mut self, number: u16, message: &v1::Residuals) {
         let mut worst: BTreeMap<(i32, u32), f64> = BTreeMap::new();
@@ -240,6 +266,12 @@ mod tests {
         );
         assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 1.0), Some(180.0));
         assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 0.9), None);
+        let again = Again { time_s: vec![2.0, 2.04], altitude_m: vec![None, Some(1.5)], ..Again::default() };
+        curves.set_again(4, &again);
+        assert_eq!((curves.value_at(Curve::AgainAltitude(4), 2.0), curves.len(Curve::AgainAltitude(4))), (None, 2));
+        assert_eq!(curves.value_at(Curve::AgainAltitude(4), 2.1), Some(1.5));
+        curves.remove_again(4);
+        assert!(curves.get(Curve::AgainAltitude(4)).is_none());
         let residual = |channel, ratio| v1::Residual { sensor: 1, instance: 3, channel, ratio, ..Default::default() };
         curves.push_residuals(
             1,

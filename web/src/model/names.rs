@@ -72,6 +72,11 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
     }
 }
 
+/// As [`estimator`], by its number.
+pub fn estimator_numbered(number: u16) -> &'static str {
+    estimator(EstimatorKind::try_from(i32::from(number)).unwrap_or_default())
+}
+
 /// A sensor kind for people.
 pub fn sensor(kind: SensorKind) -> &'static str {
     match kind {

@@ -2,6 +2,7 @@
 
 mod again;
 mod facts;
+mod reestimate;
 mod scrub;
 
 use leptos::prelude::*;

@@ -1,7 +1,7 @@
 //! Without graphics: the same facts as numbers.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::{Channel, EstimatorKind, SensorKind};
+use plumbline_proto::v1::{Channel, SensorKind};
 
 use crate::{
     ctx::ctx,
@@ -21,9 +21,7 @@ pub fn Numbers() -> impl IntoView {
                 .filter_map(|curve| {
                     let name = match curve {
                         Curve::SetpointAltitude => "setpoint".to_owned(),
-                        Curve::Altitude(n) => {
-                            names::estimator(EstimatorKind::try_from(i32::from(n)).unwrap_or_default()).to_owned()
-                        }
+                        Curve::Altitude(n) => names::estimator_numbered(n).to_owned(),
                         Curve::Height(i) => format!("height {i}"),
                         Curve::TruthAltitude => "truth".to_owned(),
                         _ => return None,

@@ -137,7 +137,15 @@ impl Frame {
             if let Curve::Altitude(number) = curve
                 && number != in_loop
             {
-                out.extend(self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid));
+                // One that diverges does not squeeze the rest.
+                let other = self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid);
+                out.extend(other.map(|drawn| Drawn { sets_scale: false, ..drawn }));
+            }
+        }
+        for curve in live.curves.names() {
+            if let Curve::AgainAltitude(number) = curve {
+                let again = self.drawn(live, curve, palette::again(number), Style::Dashed);
+                out.extend(again.map(|drawn| Drawn { sets_scale: false, ..drawn }));
             }
         }
         out.extend(self.drawn(live, Curve::SetpointAltitude, palette::SETPOINT, Style::Step));
@@ -153,7 +161,11 @@ impl Frame {
         let own = Axis::ALL
             .into_iter()
             .filter_map(|a| self.drawn(live, Curve::Attitude(in_loop, a), palette::axis(a), Style::Solid));
-        truth.chain(own).collect()
+        let again = live.curves.names().filter_map(|curve| match curve {
+            Curve::AgainAttitude(_, axis) => self.drawn(live, curve, palette::axis(axis), Style::Dashed),
+            _ => None,
+        });
+        truth.chain(own).chain(again).collect()
     }
 
     fn residual<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
@@ -198,7 +210,7 @@ impl Frame {
     }
 
     fn drawn<'a>(&self, live: &'a Live, curve: Curve, ink: palette::Ink, style: Style) -> Option<Drawn<'a>> {
-        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0 })
+        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0, sets_scale: true })
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -214,7 +226,7 @@ impl Frame {
     ) -> Content<'a> {
         let value = fixed.unwrap_or_else(|| {
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for d in &drawn {
+            for d in drawn.iter().filter(|d| d.sets_scale) {
                 let extent = d.series.extent_between(axis.start_s, axis.end_s);
                 if !extent.is_empty() {
                     let (a, b) = (f64::from(extent.min * d.scale), f64::from(extent.max * d.scale));
@@ -308,4 +320,6 @@ struct Drawn<'a> {
     color: crate::gpu::Color,
     style: Style,
     scale: f32,
+    /// Does the value axis make room for it?
+    sets_scale: bool,
 }

@@ -17,7 +17,6 @@ use crate::{
     },
     palette,
 };
-use plumbline_proto::v1::EstimatorKind;
 
 /// Entries of the altitude chart, in drawing order from the most to the least important.
 fn altitude_entries(live: &Live) -> Vec<Entry> {
@@ -31,8 +30,7 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
     for curve in live.curves.names() {
         match curve {
             Curve::Altitude(number) => {
-                let kind = EstimatorKind::try_from(i32::from(number)).unwrap_or_default();
-                let name = if number == in_loop { "estimate".to_owned() } else { names::estimator(kind).to_owned() };
+                let name = if number == in_loop { "estimate" } else { names::estimator_numbered(number) }.to_owned();
                 let color = palette::estimator_css(number, in_loop);
                 entries.push(Entry { curve, name, color, swatch: Swatch::Line });
             }
@@ -45,6 +43,12 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
             Curve::TruthAltitude => {
                 entries.push(Entry { curve, name: "truth".into(), color: "var(--truth)", swatch: Swatch::Dashed });
             }
+            Curve::AgainAltitude(number) => entries.push(Entry {
+                curve,
+                name: format!("{} again", names::estimator_numbered(number)),
+                color: palette::again(number).css(),
+                swatch: Swatch::Dashed,
+            }),
             _ => {}
         }
     }
@@ -102,6 +106,15 @@ pub fn AttitudeChart() -> impl IntoView {
                     swatch: Swatch::Dashed,
                 }));
             }
+            entries.extend(live.curves.names().filter_map(|curve| match curve {
+                Curve::AgainAttitude(number, axis) => Some(Entry {
+                    curve,
+                    name: format!("{} again, {}", names::estimator_numbered(number), axis.name()),
+                    color: palette::axis_css(axis),
+                    swatch: Swatch::Dashed,
+                }),
+                _ => None,
+            }));
             entries
         })
     });

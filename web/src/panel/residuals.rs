@@ -60,7 +60,6 @@ fn Residuals() -> impl IntoView {
             numbers
         })
     });
-    let name = |number: u16| names::estimator(EstimatorKind::try_from(i32::from(number)).unwrap_or_default());
     view! {
         <section class="card chart residuals" aria-label="Residuals">
             <header>
@@ -88,7 +87,7 @@ fn Residuals() -> impl IntoView {
                     >
                         <option value="0" selected=move || deck.residuals_of.get() == 0>"in loop"</option>
                         {move || offered.get().into_iter().map(|n| view! {
-                            <option value=n.to_string() selected=move || deck.residuals_of.get() == n>{name(n)}</option>
+                            <option value=n.to_string() selected=move || deck.residuals_of.get() == n>{names::estimator_numbered(n)}</option>
                         }).collect::<Vec<_>>()}
                     </select>
                 </Show>

@@ -27,7 +27,7 @@ use super::reduction::{residualise_fastest, split_slowest};
 use super::synthesis::{central, optimal_gamma};
 use super::weights::{Weight, mixed_sensitivity};
 use crate::control::tuning::Parameter;
-use crate::control::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
+use crate::control::{COS_TILT_MIN, Controller, ControllerKind, Loops, Setpoint, Trim, Wrench, short_of};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::linalg::LinalgError;
@@ -69,10 +69,6 @@ const INTEGRATED_MAX: [f64; 4] = [f64::INFINITY, f64::INFINITY, 0.2, 0.1];
 const ERROR_MAX: [f64; 4] = [1.0, 0.5, 1.0, 0.5];
 /// Limit of the tilt asked for, rad.
 const TILT_MAX_RAD: f64 = 0.30;
-/// Thrust is raised for tilt up to this (60°), no further.
-const COS_TILT_MIN: f64 = 0.5;
-/// A wrench counts as not given when it differs by this fraction of the weight, or N m.
-const SHORTFALL: f64 = 1e-3;
 
 /// One channel's law, sampled: acceleration from the error. The slow part's state is what it gives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -333,14 +329,7 @@ impl Controller for Hinf {
     }
 
     fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        let torque = asked.torque_flu_nm - given.torque_flu_nm;
-        let weight = SHORTFALL * self.mass_kg * GRAVITY_MPS2;
-        self.short = [
-            (asked.thrust_n - given.thrust_n).abs() > weight,
-            torque.x.abs() > SHORTFALL,
-            torque.y.abs() > SHORTFALL,
-            torque.z.abs() > SHORTFALL,
-        ];
+        self.short = short_of(asked, given, self.mass_kg * GRAVITY_MPS2);
     }
 
     fn integrator(&self) -> [f64; 4] {

@@ -231,7 +231,8 @@ impl EkfBias {
         }
     }
 
-    fn aid_heights(&mut self, frame: &SensorFrame) {
+    /// Innovations of the heights that arrived; kept, so that while aligning it is heard which of them agree.
+    pub(super) fn hear_heights(&mut self, frame: &SensorFrame) -> ArrayVec<(usize, f64), MAX_HEIGHTS> {
         let mut arrived: ArrayVec<(usize, f64), MAX_HEIGHTS> = ArrayVec::new();
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
@@ -240,14 +241,21 @@ impl EkfBias {
             // Kept against the sum of corrections, so that it stays comparable after more of them.
             self.last_height[i] = Some((frame.time, innovation + self.corrected_z));
         }
+        if !arrived.is_empty() {
+            self.heights_present = true;
+            self.heights_since.get_or_insert(frame.time);
+        }
+        arrived
+    }
+
+    fn aid_heights(&mut self, frame: &SensorFrame) {
+        let mut arrived = self.hear_heights(frame);
         if arrived.is_empty() {
             return;
         }
-        self.heights_present = true;
         if !self.heights.ever() {
             // Listen to all of them before believing one: instances may report in turns.
-            let since = *self.heights_since.get_or_insert(frame.time);
-            if frame.time.seconds_since(since) < HEIGHT_FRESH_S {
+            if self.heights_since.is_none_or(|since| frame.time.seconds_since(since) < HEIGHT_FRESH_S) {
                 return;
             }
             self.recover_height(frame.time, true);
@@ -491,14 +499,4 @@ fn median_of(values: impl Iterator<Item = f64>) -> f64 {
     sorted.sort_unstable_by(f64::total_cmp);
     let n = sorted.len();
     if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
-}
-
-#[cfg(test)]
-impl EkfBias {
-    /// One scalar correction, for the timing test.
-    pub(super) fn pseudo_for_timing(&mut self) {
-        let row = measure::height::height(&self.state.kinematics, self.state.kinematics.position_enu_m.z);
-        self.estimate.residuals.clear();
-        self.correct(&Scalar::new(SensorKind::Height, 1, Channel::Height, row, 0.01, 5.0, 0.0));
-    }
 }

@@ -586,43 +586,7 @@ fn switching_in_flight_starts_from_the_other_estimate() {
     }
 }
 
-/// Prints times; run alone in release: `cargo test --release -p plumbline-agent --lib ekf_bias -- --ignored --nocapture`.
 #[test]
-#[ignore = "prints times, asserts nothing"]
-fn timing() {
-    let mut world = World::new(LIVELY, 81);
-    world.imus = 4;
-    let mut filter = EkfBias::new(EkfOptions::default());
-    let mut frames = Vec::new();
-    for _ in 0..4000 {
-        let (mut frame, truth) = world.frame(true);
-        world.heights(&mut frame, &truth, 0.0);
-        world.mocap(&mut frame, &truth);
-        filter.step(&frame, &MotorCommand::default());
-        frames.push(frame);
-    }
-    let time = |label: &str, n: usize, f: &mut dyn FnMut()| {
-        let start = std::time::Instant::now();
-        for _ in 0..n {
-            f();
-        }
-        println!("{label}: {:.2} µs", start.elapsed().as_secs_f64() * 1e6 / n as f64);
-    };
-    time("prediction", 100_000, &mut || filter.propagate(0.005, &Vector3::zeros(), &Vector3::new(0.0, 0.0, 9.81)));
-    time("scalar correction", 100_000, &mut || filter.pseudo_for_timing());
-    let mut k = 0;
-    let mut whole = EkfBias::new(EkfOptions::default());
-    time("whole step, 4 IMUs, heights 10 Hz, mocap 20 Hz", 20 * frames.len(), &mut || {
-        let mut frame = frames[k % frames.len()];
-        let lap = (k / frames.len()) as u64 * 20_000_000;
-        frame.time = FlightTime(frame.time.0 + lap);
-        whole.step(&frame, &MotorCommand::default());
-        k += 1;
-    });
-}
-
-#[test]
-#[ignore = "tolerances changed last and not yet confirmed by a run"]
 fn without_magnetometer_fixes_once_a_second_show_the_place() {
     // GIVEN a vehicle first heard of in mid-flight, at a yaw nobody knows, WHEN there is nothing but an IMU and a fix
     // of 0.5 m once a second, THEN it says where it is after a second, well within fifteen (the yaw is tested with

@@ -3,7 +3,7 @@
 use leptos::prelude::*;
 use serde_json::json;
 
-use super::{again::FlyAgain, save};
+use super::{again::FlyAgain, reestimate::Reestimate, save};
 use crate::{
     ctx::ctx,
     event::Failure,
@@ -63,6 +63,7 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
                 </tbody></table>
             </details>
         </section>
+        <Reestimate id=flight.id.clone() topics=flight.counts.keys().cloned().collect() />
         <FlyAgain flight=flight.clone() />
         <section class="card facts notes" aria-label="Notes">
             <header><h2><label for="notes">"Notes"</label></h2></header>

@@ -1,0 +1,131 @@
+//! `GET /api/flights/{id}/estimate?estimator=ukf[&sensors=imu,height]`: a recorded flight estimated again, by the agent's
+//! library, from what the estimators received in flight. Nothing is kept and nothing is sent to a vehicle.
+//! ```json
+//! { "estimator": "ukf",
+//!   "score": { "position_rmse_m": 0.02, "velocity_rmse_mps": 0.03, "heading_rmse_deg": 0.8, "inclination_rmse_deg": 0.3,
+//!              "nees": 11.8, "nees_states": 12, … },
+//!   "time_s": [0.005, 0.045], "altitude_m": [null, 0.5], "roll_rad": […], "pitch_rad": […], "yaw_rad": […] }
+//! ```
+//! `estimator` is named as in telemetry, `sensors` as in `plumbline-agent estimate --sensors`. Errors without truth are
+//! null, as is everything while the estimator initialises; at most 25 samples a second.
+
+use std::io::Read as _;
+use std::path::Path as FilePath;
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State};
+use plumbline_agent::estimate::{Estimate, Health};
+use plumbline_agent::frames::roll_pitch_yaw;
+use plumbline_agent::offline::{EstimateArgs, OfflineError, run_flight};
+use plumbline_proto::v1;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::App;
+use super::error::ApiError;
+use crate::names::JsonName as _;
+use crate::recorder::RecorderHandle;
+
+/// Least time between two samples of the answer, s; half a tick of slack.
+const PERIOD_S: f64 = 0.0375;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Asked {
+    estimator: String,
+    sensors: Option<String>,
+}
+
+/// The samples of an answer, as columns.
+#[derive(Debug, Default, Serialize)]
+struct Columns {
+    /// Does the estimator know of a place?
+    #[serde(skip)]
+    placed: bool,
+    time_s: Vec<f64>,
+    altitude_m: Vec<Option<f32>>,
+    roll_rad: Vec<Option<f32>>,
+    pitch_rad: Vec<Option<f32>>,
+    yaw_rad: Vec<Option<f32>>,
+}
+
+impl Columns {
+    fn push(&mut self, estimate: &Estimate) {
+        let time_s = estimate.time.as_seconds();
+        if self.time_s.last().is_some_and(|last| time_s - last < PERIOD_S) {
+            return;
+        }
+        let told = |value: f64| (estimate.health != Health::Initialising && value.is_finite()).then_some(value as f32);
+        let angles = roll_pitch_yaw(&estimate.world_from_body);
+        self.time_s.push(time_s);
+        self.altitude_m.push(told(estimate.position_enu_m.z).filter(|_| self.placed));
+        self.roll_rad.push(told(angles.x));
+        self.pitch_rad.push(told(angles.y));
+        self.yaw_rad.push(told(angles.z));
+    }
+}
+
+pub(crate) async fn again(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    asked: Result<Query<Asked>, QueryRejection>,
+) -> Result<Json<Value>, ApiError> {
+    let Query(asked) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
+    let estimator = v1::EstimatorKind::from_json_name(&asked.estimator).map_err(ApiError::Invalid)?;
+    let recorder = app.recorder.clone();
+    // Seconds of computing for a long flight: in turn, and not on the threads that answer everybody.
+    let _turn = app.computing.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
+    let work = move || estimate(&recorder, &id, estimator, asked.sensors.as_deref());
+    let done = tokio::task::spawn_blocking(work).await.map_err(|e| ApiError::Broken(e.to_string()))?;
+    Ok(Json(done?))
+}
+
+fn estimate(
+    recorder: &RecorderHandle,
+    id: &str,
+    estimator: v1::EstimatorKind,
+    sensors: Option<&str>,
+) -> Result<Value, ApiError> {
+    let mut bytes = Vec::new();
+    let read = recorder.open(id)?.read_to_end(&mut bytes);
+    read.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
+    let name = estimator.json_name();
+    // The command line has dashes where JSON has underscores.
+    let mut args = EstimateArgs::new(FilePath::new(id), &name.replace('_', "-"), FilePath::new(""));
+    args.sensors = sensors.map(|s| s.split(',').map(str::to_owned).collect()).unwrap_or_default();
+    let mut columns = Columns { placed: estimator != v1::EstimatorKind::Attitude, ..Columns::default() };
+    let score = run_flight(&bytes, &args, |estimate| columns.push(estimate)).map_err(refused)?;
+    let mut answer = json!(columns);
+    answer["estimator"] = json!(name);
+    answer["score"] = score.to_value();
+    Ok(answer)
+}
+
+fn refused(error: OfflineError) -> ApiError {
+    match error {
+        OfflineError::Argument { argument, value, reason } => {
+            ApiError::Invalid(format!("{argument} {}: {reason}", crate::names::clip(&value)))
+        }
+        other => ApiError::Invalid(other.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_proto::time::FlightTime;
+
+    #[test]
+    fn samples_are_thinned_and_what_is_not_known_is_null() {
+        let mut columns = Columns { placed: true, ..Columns::default() };
+        for tick in 0..200_u64 {
+            let health = if tick < 100 { Health::Initialising } else { Health::Healthy };
+            let mut estimate = Estimate { time: FlightTime(tick * 5_000), health, ..Estimate::default() };
+            estimate.position_enu_m.z = 1.5;
+            columns.push(&estimate);
+        }
+        assert_eq!(columns.time_s.len(), 25);
+        assert_eq!((columns.altitude_m.first(), columns.altitude_m.last()), (Some(&None), Some(&Some(1.5))));
+    }
+}
