@@ -10,8 +10,8 @@
 //! ```json
 //! { "controller": "lqr_integral", "airframe": "iris", "tick_rate_hz": 200,
 //!   "accepted": true, "refusal": null,
-//!   "policy": { "name": "standard", "gain_up_min": 1.5, "gain_down_max": 0.75, "phase_min_rad": 0.26,
-//!               "delay_min_s": 0.008, "sensitivity_max": 3.5, "slowest_pole_per_s": -0.02, "change_max": 4,
+//!   "policy": { "name": "standard", "gain_up_min": 1.8, "gain_down_max": 0.6, "phase_min_rad": 0.35,
+//!               "delay_min_s": 0.015, "sensitivity_max": 3.1, "slowest_pole_per_s": -0.02, "change_max": 4,
 //!               "unit_step_max": 60 },
 //!   "position": LOOP, "attitude": LOOP,
 //!   "unit_step": [ { "output": "x", "unit": "m", "share": 1.2 }, ... y, z, yaw ],
