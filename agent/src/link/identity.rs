@@ -131,6 +131,7 @@ struct Inner {
     fingerprint: Fingerprint,
     peers: Mutex<Peers>,
     refused: AtomicU64,
+    broken_off: AtomicU64,
 }
 
 impl fmt::Debug for Inner {
@@ -176,6 +177,7 @@ pub fn load_or_create(folder: &Path) -> Result<Identity, IdentityError> {
             fingerprint,
             peers: Mutex::new(peers),
             refused: AtomicU64::new(0),
+            broken_off: AtomicU64::new(0),
         }),
     })
 }
@@ -325,6 +327,16 @@ impl Identity {
                 "unpaired peer refused; pair it by its code, or add its fingerprint to the peers file"
             );
         }
+    }
+
+    /// Handshakes that came to nothing since the start: replayed packets, strangers, fades at the wrong moment.
+    pub fn broken_off(&self) -> u64 {
+        self.inner.broken_off.load(Ordering::Relaxed)
+    }
+
+    /// Counts a handshake that came to nothing.
+    pub fn break_off(&self) {
+        self.inner.broken_off.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(super) fn certificate(&self) -> CertificateDer<'static> {

@@ -196,7 +196,10 @@ async fn serve(incoming: Incoming, shared: Shared) {
             }
         }
         // The identity counts and reports unpaired peers itself.
-        Err(error) => tracing::debug!(%peer, %error, "no connection"),
+        Err(error) => {
+            shared.config.identity.break_off();
+            tracing::debug!(%peer, %error, "no connection");
+        }
     }
 }
 

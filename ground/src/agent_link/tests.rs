@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use plumbline_agent::command::Command;
@@ -259,6 +259,69 @@ async fn an_unpaired_peer_gets_nothing_until_it_is_paired() {
     ground_identity.trust(agent_identity.fingerprint(), "iris-1").unwrap();
     ground.connected().await;
     agent.connected().await;
+    ground.stop().await;
+}
+
+/// A relay that remembers what the agent sent; its other end is `ground`.
+async fn overheard(ground: SocketAddr) -> (SocketAddr, Arc<Mutex<Vec<Vec<u8>>>>) {
+    let near = tokio::net::UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let far = tokio::net::UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    far.connect(ground).await.unwrap();
+    let (address, heard) = (near.local_addr().unwrap(), Arc::new(Mutex::new(Vec::new())));
+    let kept = heard.clone();
+    tokio::spawn(async move {
+        let (mut up, mut down, mut agent) = (vec![0; 2048], vec![0; 2048], None);
+        loop {
+            tokio::select! {
+                Ok((length, from)) = near.recv_from(&mut up) => {
+                    agent = Some(from);
+                    kept.lock().unwrap().push(up[..length].to_vec());
+                    let _ = far.send(&up[..length]).await;
+                }
+                Ok(length) = far.recv(&mut down) => {
+                    if let Some(agent) = agent {
+                        let _ = near.send_to(&down[..length], agent).await;
+                    }
+                }
+                else => return,
+            }
+        }
+    });
+    (address, heard)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_session_played_again_reaches_nobody_and_is_counted() {
+    // GIVEN a session of which somebody has kept every packet
+    let folder = tempfile::tempdir().unwrap();
+    let (agent_identity, ground_identity) = paired(folder.path());
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let (relay, heard) = overheard(ground.address).await;
+    let mut agent = Agent::start(&agent_identity, relay, |_| {});
+    ground.connected().await;
+    agent.connected().await;
+    while !matches!(ground.next().await, LinkEvent::Batch { .. }) {
+        agent.say(Kind::Control, 200);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    drop(agent);
+    ground.disconnected().await;
+    while ground.events.try_recv().is_ok() {}
+    // WHEN it is played again, from another place, twice
+    let heard = heard.lock().unwrap().clone();
+    assert!(heard.len() > 10, "{} packets", heard.len());
+    let before = ground_identity.broken_off();
+    let socket = tokio::net::UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    for packet in heard.iter().chain(&heard) {
+        socket.send_to(packet, ground.address).await.unwrap();
+    }
+    // THEN it comes to nothing, and that is counted
+    let begun = Instant::now();
+    while ground_identity.broken_off() == before {
+        assert!(begun.elapsed() < LONG, "nothing was counted");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert!(ground.events.try_recv().is_err(), "a replayed session reached the hub");
     ground.stop().await;
 }
 

@@ -10,8 +10,8 @@ use super::test::run_and_read;
 use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
-/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, counts its steps; then the
-/// same with a recording flown again and `replay.mjs`.
+/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page and `hidden.mjs` hide it, counts
+/// their steps; then the same with a recording flown again and `replay.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
@@ -43,8 +43,9 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let options = options(workspace, "debug", "browser-test")?;
     let vehicle = Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) };
     let system = System::start(&options, &vehicle)?;
-    let mut script = script(workspace, "fly.mjs", system.api())?;
-    let read = run_script(script.env("PLUMBLINE_PYTHON", &python), tally);
+    let flown = run_script(script(workspace, "fly.mjs", system.api())?.env("PLUMBLINE_PYTHON", &python), tally);
+    let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
+    let read = flown.and(hidden);
     let stopped = system.stop();
     read.and(stopped)
 }
