@@ -11,9 +11,9 @@
 //! | disk_slow | the disk of the onboard log answers for 0.3 s every 2 s: whoever writes to it waits |
 //! | disk_busy | a neighbour writes and syncs without pause: the machine's processors and interrupts are busy with it |
 //!
-//! A bare timer runs beside the agent, with its rate and priority, and touches nothing: what a busy machine does to any
-//! thread is seen there. The promise is made for the first three; for the last it is that the agent suffers no more
-//! than the bare timer does.
+//! On each processor a bare timer runs beside the agent, with its rate and priority, and touches nothing: what a busy
+//! machine does to any thread is seen there. The promise is made for the first three; for the last it is that the agent
+//! suffers no more than the bare timer of the processor that suffers most: a real-time thread stays where it is.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "chaos/figures.rs"]
@@ -86,7 +86,8 @@ fn main() -> std::process::ExitCode {
     wait_until(support::PATIENCE, || command("arm", json!({})).ok()).expect("armed");
     command("mode", json!({ "mode": "altitude_hold" })).unwrap();
     command("setpoint", json!({ "altitude_m": 0.5 })).unwrap();
-    let bare = Witness::start(None, TICK);
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let bare: Vec<_> = (0..processors).map(|processor| Witness::start(Some(processor), TICK)).collect();
 
     let mut phases: Vec<(&str, u64, u64)> = Vec::new();
     let mut phase = |name: &'static str| {
@@ -150,7 +151,6 @@ fn main() -> std::process::ExitCode {
         let within = told.iter().filter(|(at, _)| (begin..end).contains(at));
         within.map(|(_, status)| status.tick_jitter_p99_us).collect()
     };
-    let of_bare = |index: usize| bare.jitter_us(phases[index].1, phases[index].2);
     let misses = |index: usize| -> u64 {
         let (_, begin, end) = phases[index];
         let mut within = statuses.iter().filter(|(at, _)| (begin..end).contains(at)).map(|(_, s)| s.deadline_misses);
@@ -171,7 +171,9 @@ fn main() -> std::process::ExitCode {
         };
         let (agent, troubled, quiet) = ratio(&of_agent, 0.5);
         let (worst, ..) = ratio(&of_agent, 0.9);
-        let (machine, bare_us, bare_quiet_us) = ratio(&of_bare, 0.5);
+        let of_timer = |timer: &Witness| ratio(&|index| timer.jitter_us(phases[index].1, phases[index].2), 0.5);
+        let (machine, bare_us, bare_quiet_us) =
+            bare.iter().map(of_timer).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::NAN, 0.0, 0.0));
         let missed: u64 = turns.iter().map(|index| misses(*index)).sum();
         let missed_quiet: u64 = turns.iter().flat_map(around).map(misses).sum();
         let more = json!({ "jitter_p99_us": troubled, "quiet_us": quiet, "ratio_of_worst_tenth": (worst * 1e3).round() / 1e3,

@@ -3,7 +3,7 @@
 //! Valid input is made here, by the product's own encoders where there are any, and damaged at random: bits, lengths,
 //! ends, repeated and moved pieces, numbers that are none. Half a second for each decoder in the test suite;
 //! `cargo xtask fuzz --minutes N` gives each of them so many minutes. A failure prints the seed and keeps the input in
-//! `target/fuzz`.
+//! `target/fuzz`; once mended, the input goes into `tests/corpus`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
@@ -106,8 +106,19 @@ fn damage(chance: &mut Chance, seeds: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
+/// Inputs that a decoder once failed on.
+fn corpus(name: &str) -> Vec<Vec<u8>> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(name);
+    let files =
+        std::fs::read_dir(folder).map(|entries| entries.flatten().map(|entry| entry.path()).collect::<Vec<_>>());
+    let mut files = files.unwrap_or_default();
+    files.sort();
+    files.iter().map(|file| std::fs::read(file).unwrap()).collect()
+}
+
 /// Runs `decoder` on damaged `seeds` for as long as is asked.
 fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
+    let seeds = [seeds, &corpus(name)].concat();
     // What is valid passes: else nothing but the first check would be tried.
     seeds.iter().for_each(|valid| decoder(valid));
     let minutes: f64 = std::env::var("PLUMBLINE_FUZZ_MINUTES").map_or(0.0, |text| text.parse().unwrap());
@@ -117,7 +128,7 @@ fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
     let begun = Instant::now();
     let (mut inputs, mut slowest) = (0_u64, Duration::ZERO);
     while begun.elapsed() < span {
-        let input = damage(&mut chance, seeds);
+        let input = damage(&mut chance, &seeds);
         let started = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| decoder(&input)));
         let took = started.elapsed();

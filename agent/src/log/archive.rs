@@ -112,7 +112,10 @@ impl Archive for LogArchive {
 /// What a file says of itself at its beginning; `None` when it does not.
 pub(super) fn metadata(path: &Path) -> Option<BTreeMap<String, String>> {
     let mut file = File::open(path).ok()?;
-    let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(MAX_RECORD);
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_emit_chunks(true)
+        .with_record_length_limit(MAX_RECORD);
     let mut reader = LinearReader::new_with_options(options);
     // Header, then our metadata: nothing of ours comes later.
     let mut records = 0;

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use mcap::McapError;
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1};
@@ -15,6 +15,7 @@ use super::timeline::{Builder, Item, Recording, Sample};
 use super::{Format, RecordedControl, RecordingError};
 use crate::control::step_response::StepResponse;
 use crate::control::{Setpoint, Wrench};
+use crate::log::{MAX_RECORD, chunk_records};
 use crate::vehicle::{
     BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand, Truth,
 };
@@ -79,8 +80,10 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// Passes every message to [`Reader::take`]; lengths are bounded, whatever the bytes claim.
     fn read(&mut self, mut bytes: &[u8]) -> Result<(), Failure> {
-        let options =
-            LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(crate::log::MAX_RECORD);
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_emit_chunks(true)
+            .with_record_length_limit(MAX_RECORD);
         let mut linear = LinearReader::new_with_options(options);
         let mut topics: HashMap<u16, String> = HashMap::new();
         let mut began = false;
@@ -92,21 +95,37 @@ impl Reader<'_> {
                     linear.notify_read(now.len());
                     bytes = later;
                 }
+                Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => {
+                    began = true;
+                    let mut refused = None;
+                    chunk_records(data, |record| {
+                        refused = self.record(record, &mut topics).err();
+                        Ok(refused.is_none())
+                    })?;
+                    if let Some(refused) = refused {
+                        return Err(Failure::Refused(refused));
+                    }
+                }
                 Ok(LinearReadEvent::Record { opcode, data }) => {
                     began = true;
-                    match mcap::parse_record(opcode, data)? {
-                        Record::Channel(channel) => drop(topics.insert(channel.id, channel.topic)),
-                        Record::Message { header, data } => {
-                            let Some(topic) = topics.get(&header.channel_id) else { continue };
-                            let logged = Logged { topic, log_time: header.log_time, data: &data };
-                            self.take(&logged).map_err(Failure::Refused)?;
-                        }
-                        _ => {}
-                    }
+                    self.record(mcap::parse_record(opcode, data)?, &mut topics).map_err(Failure::Refused)?;
                 }
                 Err(error) if began => return Err(error.into()),
                 Err(error) => return Err(Failure::Refused(RecordingError::malformed(self.path, error.to_string()))),
             }
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, record: Record<'_>, topics: &mut HashMap<u16, String>) -> Result<(), RecordingError> {
+        match record {
+            Record::Channel(channel) => drop(topics.insert(channel.id, channel.topic)),
+            Record::Message { header, data } => {
+                if let Some(topic) = topics.get(&header.channel_id) {
+                    self.take(&Logged { topic, log_time: header.log_time, data: &data })?;
+                }
+            }
+            _ => {}
         }
         Ok(())
     }
