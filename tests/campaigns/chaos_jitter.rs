@@ -8,7 +8,7 @@
 //! |---|---|
 //! | ground_dead | the ground is stopped (SIGSTOP) |
 //! | link_saturated | a radio that loses two of three packets, half a second late, and junk at the agent's socket |
-//! | disk_slow | the disk of the onboard log answers for 0.3 s every 2 s: whoever writes to it waits |
+//! | disk_slow | the disk of the onboard log answers for 0.3 s every 5 s: whoever writes to it waits |
 //! | disk_busy | a neighbour writes and syncs without pause: the machine's processors and interrupts are busy with it |
 //!
 //! On each processor a bare timer runs beside the agent, with its rate and priority, and touches nothing: what a busy
@@ -48,7 +48,7 @@ const JUNK_HZ: u32 = 5_000;
 const TICK: Duration = Duration::from_millis(5);
 /// Each trouble comes so often.
 const TURNS: u32 = 3;
-const FROZEN: Duration = Duration::from_millis(1_700);
+const FROZEN: Duration = Duration::from_millis(4_700);
 const THAWED: Duration = Duration::from_millis(300);
 
 /// Does `work` again and again while `during` runs.
