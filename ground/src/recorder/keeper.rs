@@ -191,8 +191,9 @@ impl Desk {
                 // What is left is repaired at the next start.
                 return;
             }
-            if let Err(error) = self.catch_up_with(id, files) {
-                tracing::error!(flight = %id, %error, "cannot be read");
+            match self.catch_up_with(id, files) {
+                Ok(()) | Err(RecordingError::Stopped) => {}
+                Err(error) => tracing::error!(flight = %id, %error, "cannot be read"),
             }
         }
         for flight in self.index.list().unwrap_or_default() {
@@ -216,7 +217,7 @@ impl Desk {
         }
         if !files.parts.is_empty() || reading.damage != Damage::None {
             tracing::warn!(flight = id, damage = ?reading.damage, parts = files.parts.len(), "repairing");
-            reading = self.store.merge(id, files, None)?;
+            reading = self.store.merge(id, files, None, &self.shared.stopping)?;
         }
         let path = self.store.finished_path(id);
         match Stamp::of(&path) {
@@ -260,7 +261,7 @@ impl Desk {
                 if let Err(error) = outcome {
                     self.shared.complain(&explain(&error));
                 }
-                self.store.merge(id, &files, track.last).map(|reading| {
+                self.store.merge(id, &files, track.last, &self.shared.stopping).map(|reading| {
                     let whole = reading.range().1.is_some() && reading.missing() == 0;
                     completeness = match completeness {
                         _ if whole => Completeness::Complete,
@@ -272,8 +273,10 @@ impl Desk {
                 })
             }
         };
-        if let Err(error) = result {
-            self.shared.complain(&error.to_string());
+        match result {
+            Ok(()) => {}
+            Err(RecordingError::Stopped) => tracing::info!(flight = id, "its parts are merged at the next start"),
+            Err(error) => self.shared.complain(&error.to_string()),
         }
         if self.store.files(id) == Files::default() {
             indexed(self.index.remove(id));

@@ -17,6 +17,7 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mcap::McapResult;
 use mcap::records::MessageHeader;
@@ -40,6 +41,8 @@ pub const MAX_NOTES: usize = 100_000;
 /// A file being merged is synced each time this much was added, bytes: all of it at once would hold up the disk for
 /// the files being recorded.
 const SYNC_BYTES: usize = 8 << 20;
+/// Files larger than this together are not merged while the ground is ending: the next start does that.
+const LATER_BYTES: u64 = 64 << 20;
 
 /// What people wrote about a flight.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -172,9 +175,25 @@ impl RecordingStore {
     }
 
     /// Merges these files of a flight, up to message `last`, into one finished file. Answers what it holds.
-    pub(super) fn merge(&self, id: &str, files: &Files, last: Option<u64>) -> Result<Reading, RecordingError> {
+    ///
+    /// # Errors
+    /// [`RecordingError::Stopped`] when it would take long and `stopping` is set: the files stay as they are.
+    pub(super) fn merge(
+        &self,
+        id: &str,
+        files: &Files,
+        last: Option<u64>,
+        stopping: &AtomicBool,
+    ) -> Result<Reading, RecordingError> {
+        let long = self.size(files) > LATER_BYTES;
+        let later = || long && stopping.load(Ordering::Acquire);
         let temporary = self.folder.join(format!("{id}.merge.tmp"));
-        let (reading, damaged) = self.write_merged(files, id, last, &temporary)?;
+        let merged = self.write_merged(files, id, last, &temporary, later);
+        if later() {
+            let _ = fs::remove_file(&temporary);
+            return Err(RecordingError::Stopped);
+        }
+        let (reading, damaged) = merged?;
         let finished = self.finished_path(id);
         if reading.learner.messages() == 0 {
             fs::remove_file(&temporary).map_err(|e| self.io(&temporary, e))?;
@@ -218,9 +237,9 @@ impl RecordingStore {
             None if files.parts.is_empty() => Err(RecordingError::Unknown(id.to_owned())),
             _ => {
                 static SNAPSHOTS: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
-                let number = SNAPSHOTS.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                let number = SNAPSHOTS.fetch_add(1, Ordering::Relaxed);
                 let path = self.folder.join(format!("{id}.snapshot-{number}.tmp"));
-                self.write_merged(&files, id, None, &path)?;
+                self.write_merged(&files, id, None, &path, || false)?;
                 let file = File::open(&path).map_err(|e| self.io(&path, e));
                 let _ = fs::remove_file(&path);
                 file
@@ -266,6 +285,7 @@ impl RecordingStore {
         id: &str,
         last: Option<u64>,
         path: &Path,
+        given_up: impl Fn() -> bool,
     ) -> Result<(Reading, Vec<(PathBuf, String)>), RecordingError> {
         let attempt = || -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
             let mut identity = files.identity();
@@ -294,6 +314,9 @@ impl RecordingStore {
                 unsynced += data.len();
                 if unsynced > SYNC_BYTES {
                     unsynced = 0;
+                    if given_up() {
+                        return Err(std::io::Error::from(std::io::ErrorKind::Interrupted).into());
+                    }
                     mcap.flush()?;
                     file.sync_data()?;
                 }
