@@ -7,6 +7,7 @@ use crate::attack::Schedule;
 use crate::control::gains::Certified;
 use crate::control::trajectory::Trajectory;
 use crate::estimate::EstimatorKind;
+use crate::estimate::secure::Decoder;
 use crate::event::Text;
 
 pub use plumbline_proto::v1::Mode;
@@ -35,6 +36,8 @@ pub enum Command {
     AbortAttacks,
     /// Put this estimator in the loop.
     SelectEstimator(EstimatorKind),
+    /// Solve this program in the secure estimator.
+    SelectDecoder(Decoder),
     /// Use these gains. They were certified elsewhere ([`crate::control::gains::certify`] takes
     /// milliseconds); what depends on the gains in use is checked here.
     UseGains(Certified),

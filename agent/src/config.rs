@@ -15,6 +15,7 @@ use crate::control::ControllerKind;
 use crate::control::policy::MarginPolicy;
 use crate::control::tuning::{Design, kind_by_name};
 use crate::estimate::EstimatorKind;
+use crate::estimate::secure::Decoder;
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
 use crate::model::measure::gnss::Geodetic;
@@ -134,6 +135,8 @@ pub struct Estimators {
     pub run: Option<Vec<String>>,
     /// The one in the loop.
     pub in_loop: Option<String>,
+    /// The program that the secure estimator solves: l2, l1, l2_split or l1_split.
+    pub decoder: Option<String>,
 }
 
 /// Diagonals of the LQR weights.
@@ -304,6 +307,20 @@ pub fn estimator(key: &str, name: &str) -> Result<EstimatorKind, ConfigError> {
         })
 }
 
+/// The decoder called `name`: the lower-snake-case name of the wire.
+///
+/// # Errors
+/// [`ConfigError::Value`] for `key`.
+pub fn decoder(key: &str, name: &str) -> Result<Decoder, ConfigError> {
+    Decoder::from_str_name(&format!("DECODER_{}", name.to_uppercase()))
+        .filter(|decoder| *decoder != Decoder::Unspecified)
+        .ok_or_else(|| ConfigError::Value {
+            key: key.to_owned(),
+            value: format!("{name:?}"),
+            expected: "l2, l1, l2_split or l1_split",
+        })
+}
+
 impl AgentConfig {
     /// Reads and checks a file.
     ///
@@ -388,6 +405,9 @@ impl AgentConfig {
         if let Some(name) = &self.estimators.in_loop {
             estimator("estimators.in_loop", name)?;
         }
+        if let Some(name) = &self.estimators.decoder {
+            decoder("estimators.decoder", name)?;
+        }
         Ok(())
     }
 
@@ -422,6 +442,9 @@ impl AgentConfig {
             if !flight.estimators.contains(&flight.in_loop) {
                 flight.estimators.insert(0, flight.in_loop);
             }
+        }
+        if let Some(name) = &self.estimators.decoder {
+            flight.decoder = Some(decoder("estimators.decoder", name)?);
         }
         if let Some(site) = &self.site {
             flight.ekf.declination_rad = site.declination_rad()?;
@@ -494,6 +517,7 @@ mod tests {
             ("[limits]\naltitude_max_m = -1", "limits.altitude_max_m = -1"),
             ("[limits]\naltitude_min_m = 2\naltitude_max_m = 1", "limits.altitude_min_m = 2"),
             ("[estimators]\nin_loop = \"oracle\"", "estimators.in_loop = \"oracle\""),
+            ("[estimators]\ndecoder = \"l3\"", "estimators.decoder = \"l3\""),
             ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
             ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
             ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),

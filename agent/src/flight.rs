@@ -134,11 +134,13 @@ impl Flight {
         let weight_n = config.airframe.weight_n();
         let mixer = Mixer::new(&config.airframe, config.rig.thrust_ceiling_n(weight_n))
             .ok_or_else(|| FlightError::Allocation(config.airframe.name.clone()))?;
+        let mut bank = Bank::new(estimators, config.in_loop)?;
+        config.decoder.map_or(Ok(()), |decoder| bank.use_decoder(decoder))?;
         Ok(Self {
             attacks: Injector::new(config.attack_bounds, config.attacks_enabled, &config.sensors),
             watchdog: Watchdog::default(),
             monitor: Monitor::new(config.failsafe),
-            bank: Bank::new(estimators, config.in_loop)?,
+            bank,
             controller: InLoop::new(gains.law.clone()),
             gains,
             mixer,

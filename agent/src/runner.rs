@@ -467,7 +467,10 @@ impl Runner {
 
 /// Would the command move something? A recording's motors cannot be.
 fn controls(command: &Command) -> bool {
-    !matches!(command, Command::Attack(_) | Command::AbortAttacks | Command::SelectEstimator(_))
+    !matches!(
+        command,
+        Command::Attack(_) | Command::AbortAttacks | Command::SelectEstimator(_) | Command::SelectDecoder(_)
+    )
 }
 
 /// Nanoseconds since the first call.

@@ -30,6 +30,7 @@ use plumbline_proto::{Kind, SCHEMA, v1};
 use crate::attack::MAX_ATTACKS;
 use crate::control::gains::Certified;
 use crate::control::tuning::MAX_PARAMETERS;
+use crate::estimate::secure::suite::{Promise, SuiteError};
 use crate::estimate::{Estimate, EstimatorKind};
 use crate::event::{Event, EventKind, Severity, Text, text};
 use crate::flight::Flight;
@@ -80,6 +81,8 @@ pub struct Identification {
     pub sensors: ArrayVec<SensorDescription, MAX_SENSORS>,
     /// The strings of the rig.
     pub strings: ArrayVec<Line, MAX_STRINGS>,
+    /// What the suite promises at hover, or why it promises nothing; `None` where it is not known.
+    pub promise: Option<Result<Promise, SuiteError>>,
 }
 
 /// How the ticks keep their time, over the last second.
@@ -556,6 +559,7 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         source_file: identification.source_file.clone(),
         rotors: config.airframe.rotors.iter().map(convert::rotor_description).collect(),
         strings: identification.strings.iter().map(convert::string_description).collect(),
+        observability: identification.promise.as_ref().map(convert::observability),
     }
 }
 

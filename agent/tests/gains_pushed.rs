@@ -37,6 +37,7 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
         source_file: String::new(),
         sensors: scenario.suite.descriptions(),
         strings: scenario.rig.lines(&scenario.airframe),
+        promise: None,
     };
     let (ring, mut radio) = rtrb::RingBuffer::new(64 << 20);
     let telemetry = Telemetry::new(identification, &flight, Some(Outlet::new(ring)), None);

@@ -42,6 +42,7 @@ fn a_scripted_flight_is_recorded_whole() {
         source_file: String::new(),
         sensors: scenario.suite.descriptions(),
         strings: scenario.rig.lines(&scenario.airframe),
+        promise: None,
     };
     let telemetry = Telemetry::new(identification, &flight, None, Some(Outlet::new(ring)));
     let options = RunnerOptions {

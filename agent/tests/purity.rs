@@ -65,6 +65,7 @@ fn telemetry_of(f: &Flown, bytes: usize) -> (Telemetry, rtrb::Consumer<u8>) {
         source_file: String::new(),
         sensors: f.scenario.suite.descriptions(),
         strings: Default::default(),
+        promise: None,
     };
     let (ring, far_end) = rtrb::RingBuffer::new(bytes);
     (Telemetry::new(identification, &f.flight, Some(Outlet::new(ring)), None), far_end)

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 use arrayvec::ArrayVec;
 use plumbline_agent::command::{Command, Mode, SetpointChange};
 use plumbline_agent::estimate::EstimatorKind;
+use plumbline_agent::estimate::secure::Decoder;
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::model::airframe::Airframe;
@@ -52,6 +53,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         source_file: "rest.csv".into(),
         sensors: ArrayVec::new(),
         strings: ArrayVec::new(),
+        promise: None,
     };
     let requests = [
         (Request::Flight(Command::Arm), false),
@@ -59,6 +61,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         (Request::Flight(Command::Setpoint(SetpointChange { altitude_m: Some(1.0), ..Default::default() })), false),
         (Request::Flight(Command::CutMotors), false),
         (Request::Flight(Command::SelectEstimator(EstimatorKind::Primary)), true),
+        (Request::Flight(Command::SelectDecoder(Decoder::L1)), true),
         (Request::Flight(Command::AbortAttacks), true),
         (Request::Recording(true), true),
     ];

@@ -112,6 +112,7 @@ fn name(body: &Body) -> &'static str {
         Body::AttackSchedule(_) => "attacks",
         Body::AbortAttacks(_) => "abort-attacks",
         Body::SelectEstimator(_) => "estimator",
+        Body::SelectDecoder(_) => "decoder",
         Body::SetRecording(_) => "recording",
         Body::PushGains(_) => "gains",
         Body::SetReplay(_) => "replay",

@@ -69,6 +69,7 @@ json_names! {
     AttackChannel, "ATTACK_CHANNEL_", "channel";
     AttackPhase, "ATTACK_PHASE_", "attack phase";
     EstimatorKind, "ESTIMATOR_KIND_", "estimator";
+    Decoder, "DECODER_", "decoder";
     AckStage, "ACK_STAGE_", "stage";
     Failsafe, "FAILSAFE_", "failsafe";
     TrajectoryShape, "TRAJECTORY_SHAPE_", "shape";

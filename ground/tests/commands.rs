@@ -74,6 +74,7 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
             r#"{"estimator":"ekf_bias"}"#,
             Body::SelectEstimator(v1::SelectEstimator { estimator: 1 }),
         ),
+        ("POST", "decoder", r#"{"decoder":"l1_split"}"#, Body::SelectDecoder(v1::SelectDecoder { decoder: 4 })),
         ("POST", "recording", r#"{"on":true}"#, Body::SetRecording(v1::SetRecording { on: true })),
         ("POST", "replay", r#"{"speed":0.0,"step":3}"#, Body::SetReplay(v1::SetReplay { speed: 0.0, step: 3 })),
         ("PUT", "attacks", plan, Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack] })),
@@ -171,6 +172,7 @@ async fn what_is_invalid_is_refused_with_its_value() {
         ("POST", "setpoint", "{}", 422, "no field"),
         ("POST", "replay", r#"{"speed":-1}"#, 422, "-1"),
         ("POST", "estimator", r#"{"estimator":"psychic"}"#, 422, "\"psychic\""),
+        ("POST", "decoder", r#"{"decoder":"l3"}"#, 422, "\"l3\""),
         ("PUT", "attacks", r#"{"attacks":[]}"#, 422, "no attack"),
         (
             "PUT",

@@ -43,6 +43,7 @@ async fn a_simulated_agent_is_live() {
         source_file: String::new(),
         sensors: scenario.suite.descriptions(),
         strings: scenario.rig.lines(&scenario.airframe),
+        promise: None,
     };
     let (ring, telemetry) = rtrb::RingBuffer::new(2 << 20);
     let (commands, inbound) = rtrb::RingBuffer::new(INBOUND_QUEUE);

@@ -7,6 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
 use plumbline_agent::config::AgentConfig;
+use plumbline_agent::estimate::secure::suite::{Observed, Promise, SuiteError};
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::backfill::Archive;
 use plumbline_agent::link::clock::FlightClock;
@@ -47,6 +48,7 @@ struct Chosen {
     source_file: String,
     sensors: ArrayVec<Description, { plumbline_agent::vehicle::suite::MAX_SENSORS }>,
     strings: ArrayVec<Line, MAX_STRINGS>,
+    promise: Option<Result<Promise, SuiteError>>,
     script: Option<Script>,
     end: Option<FlightTime>,
 }
@@ -129,6 +131,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         source_file: chosen.source_file,
         sensors: chosen.sensors,
         strings: chosen.strings,
+        promise: chosen.promise,
     };
     let replay = arguments.vehicle == VehicleChoice::Replay;
     let radio = link.is_some().then(|| Outlet::new(link_ring));
@@ -194,6 +197,9 @@ fn configuration(arguments: &FlyArguments) -> Result<AgentConfig, Failure> {
     if let Some(name) = &arguments.estimator {
         config.estimators.in_loop = Some(name.clone());
     }
+    if let Some(name) = &arguments.decoder {
+        config.estimators.decoder = Some(name.clone());
+    }
     config.validate()?;
     Ok(config)
 }
@@ -227,6 +233,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
         source_file: String::new(),
         sensors: scenario.suite.descriptions(),
         strings: scenario.rig.lines(&scenario.airframe),
+        promise: Some(Observed::promise_at_hover(&scenario.suite, &scenario.airframe)),
         script: arguments.script.then(|| scenario.script.clone()),
         end: arguments.script.then(|| FlightTime::from_seconds(scenario.duration_s)),
     })
@@ -287,6 +294,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         scenario: info.scenario.unwrap_or_default(),
         source_file: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
         sensors,
+        promise: scenario.as_ref().map(|s| Observed::promise_at_hover(&s.suite, &s.airframe)),
         strings: scenario.map(|scenario| scenario.rig.lines(&scenario.airframe)).unwrap_or_default(),
         script: None,
         end: None,

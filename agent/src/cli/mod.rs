@@ -93,6 +93,9 @@ struct FlyArguments {
     /// Estimator in the loop.
     #[arg(long)]
     estimator: Option<String>,
+    /// Program that the secure estimator solves: l2, l1, l2_split or l1_split.
+    #[arg(long)]
+    decoder: Option<String>,
     /// Fly the scenario's own script and end with it.
     #[arg(long)]
     script: bool,

@@ -12,6 +12,7 @@ use super::ekf_bias::{EkfBias, EkfOptions};
 use super::ekf_hybrid::EkfHybrid;
 use super::point_mass::PointMassEstimator;
 use super::primary::Primary;
+use super::secure::Decoder;
 use super::secure::flying::Secure;
 use super::twelve_state::TwelveStateEstimator;
 use super::ukf::Ukf;
@@ -165,6 +166,15 @@ impl Bank {
     /// The secure estimator, where it runs.
     pub fn secure(&self) -> Option<&Secure> {
         self.estimators.iter().find_map(|estimator| estimator.secure())
+    }
+
+    /// Makes the secure estimator solve another program.
+    ///
+    /// # Errors
+    /// [`BankError::NotRunning`].
+    pub fn use_decoder(&mut self, decoder: Decoder) -> Result<(), BankError> {
+        let used = self.estimators.iter_mut().any(|estimator| estimator.use_decoder(decoder));
+        if used { Ok(()) } else { Err(BankError::NotRunning(EstimatorKind::Secure)) }
     }
 
     /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed or does not run.

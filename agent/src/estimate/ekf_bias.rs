@@ -30,7 +30,7 @@ mod options;
 mod tests;
 mod yaw;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
 pub use options::{EkfOptions, Gates};
@@ -207,6 +207,19 @@ impl EkfBias {
     /// the IMUs alone would have given.
     pub fn vertical_corrections(&self) -> (f64, f64) {
         (self.corrected_z, self.corrected_vz)
+    }
+
+    /// An IMU that was believed has lied: up to half a gate of its lie may have been taken for a bias. Opens the
+    /// variance of the accelerometer's bias again where something measures it: upward, and in the plane while the
+    /// horizontal position is known.
+    pub fn doubt_accel_bias(&mut self) {
+        let vote = &self.options.accel_vote;
+        let sigma = 0.5 * vote.gate * vote.sigma;
+        let up = self.state.kinematics.world_from_body.inverse() * Vector3::z();
+        let plane = self.now.is_some_and(|now| self.horizontal.within(now, HORIZONTAL_MEMORY_S));
+        let measured = if plane { Matrix3::identity() } else { up * up.transpose() };
+        let mut block = self.p.fixed_view_mut::<3, 3>(ix::ACCEL_BIAS, ix::ACCEL_BIAS);
+        block += measured * (sigma * sigma);
     }
 
     /// Specific force at the last IMU sample, biases removed, body FLU, m/s²; `None` before the first.

@@ -276,7 +276,7 @@ fn centre_of<'a>(ballots: impl Iterator<Item = &'a Ballot> + Clone) -> Vector3<f
     Vector3::from_fn(|axis, _| median(ballots.clone().map(|b| b.value[axis])))
 }
 
-/// Median of one to four values (of two or four, the mean of the middle two).
+/// Median of the values of every IMU (of an even number, the mean of the middle two).
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: ArrayVec<f64, MAX_IMUS> = values.take(MAX_IMUS).collect();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -321,8 +321,8 @@ mod tests {
     }
 
     fn run(v: &mut Vote, k: usize, bias: [f64; 4], attack: f64) -> (Consensus, ArrayVec<Residual, MAX_RESIDUALS>) {
-        let mut samples = [None; 4];
-        for (i, s) in samples.iter_mut().enumerate() {
+        let mut samples = [None; MAX_IMUS];
+        for (i, s) in samples.iter_mut().enumerate().take(4) {
             let lie = if i == 1 { attack } else { 0.0 };
             *s = Some(Vector3::new(bias[i] + lie, 0.0, 9.81) + noise(k, i));
         }
@@ -376,8 +376,8 @@ mod tests {
         // GIVEN IMUs 1, 3 on even ticks and 2, 4 on odd ones, WHEN 2 lies, THEN 4 alone is used on its ticks.
         let mut v = vote();
         for k in 0..2000u64 {
-            let mut samples = [None; 4];
-            for (i, sample) in samples.iter_mut().enumerate() {
+            let mut samples = [None; MAX_IMUS];
+            for (i, sample) in samples.iter_mut().enumerate().take(4) {
                 if k % 2 == i as u64 % 2 {
                     let lie = if i == 1 && k >= 1000 { 1.0 } else { 0.0 };
                     *sample = Some(Vector3::new(lie, 0.0, 9.81) + noise(k as usize, i));
@@ -397,8 +397,8 @@ mod tests {
 
     /// IMUs 1, 3 on even ticks and 2, 4 on odd ones, with `extra(k, i)` on the x axis.
     fn in_turns(v: &mut Vote, k: u64, extra: impl Fn(u64, usize) -> f64) -> Consensus {
-        let mut samples = [None; 4];
-        for (i, sample) in samples.iter_mut().enumerate().filter(|(i, _)| k % 2 == *i as u64 % 2) {
+        let mut samples = [None; MAX_IMUS];
+        for (i, sample) in samples.iter_mut().enumerate().take(4).filter(|(i, _)| k % 2 == *i as u64 % 2) {
             *sample = Some(Vector3::new(extra(k, i), 0.0, 9.81) + noise(k as usize, i));
         }
         v.vote(FlightTime(k * 5000), &samples, &mut ArrayVec::new()).unwrap()
@@ -456,7 +456,7 @@ mod tests {
     fn two_that_contradict_each_other_are_not_trusted() {
         let mut v = vote();
         let mut residuals = ArrayVec::new();
-        let mut samples = [None; 4];
+        let mut samples = [None; MAX_IMUS];
         samples[0] = Some(Vector3::new(0.0, 0.0, 9.81));
         samples[2] = Some(Vector3::new(8.0, 0.0, 9.81));
         let c = v.vote(FlightTime(1), &samples, &mut residuals).unwrap();
@@ -468,10 +468,11 @@ mod tests {
     fn samples_that_are_not_finite_are_skipped() {
         let mut v = vote();
         let mut residuals = ArrayVec::new();
-        let mut samples = [Some(Vector3::new(0.0, 0.0, 9.81)); 4];
+        let mut samples = [None; MAX_IMUS];
+        samples[..4].fill(Some(Vector3::new(0.0, 0.0, 9.81)));
         samples[3] = Some(Vector3::new(f64::NAN, 0.0, 0.0));
         let c = v.vote(FlightTime(1), &samples, &mut residuals).unwrap();
         assert_eq!(c.used, 3);
-        assert!(v.vote(FlightTime(2), &[None; 4], &mut residuals).is_none());
+        assert!(v.vote(FlightTime(2), &[None; MAX_IMUS], &mut residuals).is_none());
     }
 }

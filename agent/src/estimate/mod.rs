@@ -31,7 +31,7 @@ pub use plumbline_proto::v1::{Channel, EstimatorKind, Health};
 use crate::model::measure::Kinematics;
 use crate::vehicle::{MotorCommand, SensorFrame};
 
-/// Most residuals one step can produce: four IMUs with nine channels, and every other sensor.
+/// Most residuals one step can produce: five IMUs with seven channels, and every other sensor.
 pub const MAX_RESIDUALS: usize = 64;
 
 /// Innovation of one scalar measurement, kept per sensor instance and never merged.
@@ -147,6 +147,12 @@ pub trait Estimator: Send {
     /// The secure estimator behind the trait, for its own account.
     fn secure(&self) -> Option<&secure::flying::Secure> {
         None
+    }
+
+    /// Makes the secure estimator solve another program; false for every other one.
+    fn use_decoder(&mut self, decoder: secure::Decoder) -> bool {
+        let _ = decoder;
+        false
     }
 
     /// Gives an estimator that can give up early a stopwatch (ns) and, in real time, a limit.

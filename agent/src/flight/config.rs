@@ -10,6 +10,7 @@ use crate::control::tuning::Design;
 use crate::estimate::EstimatorKind;
 use crate::estimate::bank::{Assumptions, EVERY_KIND, build};
 use crate::estimate::ekf_bias::EkfOptions;
+use crate::estimate::secure::Decoder;
 use crate::failsafe::Settings;
 use crate::model::airframe::Airframe;
 use crate::vehicle::sim::rig::StringMode;
@@ -111,6 +112,8 @@ pub struct FlightConfig {
     pub estimators: Vec<EstimatorKind>,
     /// The one in the loop.
     pub in_loop: EstimatorKind,
+    /// The program that the secure estimator solves first; `None` leaves it the default.
+    pub decoder: Option<Decoder>,
     /// What the estimators assume of the sensors.
     pub ekf: EkfOptions,
     /// Sensors of the vehicle.
@@ -136,6 +139,7 @@ impl FlightConfig {
             limits: Limits::default(),
             estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Primary, EstimatorKind::Secure],
             in_loop: EstimatorKind::EkfBias,
+            decoder: None,
             ekf: EkfOptions::from(suite),
             sensors: suite.descriptions().iter().map(|d| d.id).collect(),
             attack_bounds: attack::Bounds::default(),

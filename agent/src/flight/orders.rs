@@ -9,6 +9,7 @@ use super::{Failsafe, Flight, Phase};
 use crate::attack::Schedule;
 use crate::command::{Ack, Command, Mode, SetpointChange};
 use crate::control::gains::{Certified, GainsError, refusal};
+use crate::estimate::secure::Decoder;
 use crate::estimate::{EstimatorKind, Health};
 use crate::event::{EventKind, Severity, Text, text};
 use crate::frames::wrap_pi;
@@ -45,6 +46,7 @@ impl Flight {
                 Ok(text(format_args!("{aborted} attacks aborted")))
             }
             Command::SelectEstimator(kind) => self.select_estimator(*kind),
+            Command::SelectDecoder(decoder) => self.select_decoder(*decoder),
             Command::UseGains(gains) => self.use_gains(gains),
         };
         match outcome {
@@ -242,6 +244,13 @@ impl Flight {
         }
         self.bank.select(kind).map_err(|e| text(format_args!("{e}")))?;
         let done = text(format_args!("estimator {kind:?} in the loop"));
+        self.event(Severity::Info, EventKind::Estimator, done);
+        Ok(done)
+    }
+
+    fn select_decoder(&mut self, decoder: Decoder) -> Outcome {
+        self.bank.use_decoder(decoder).map_err(|e| text(format_args!("{e}")))?;
+        let done = text(format_args!("decoder {decoder:?} from the next full window on"));
         self.event(Severity::Info, EventKind::Estimator, done);
         Ok(done)
     }

@@ -87,6 +87,10 @@ fn request(body: Body) -> Result<Request, String> {
             Ok(kind) if kind != v1::EstimatorKind::Unspecified => Command::SelectEstimator(kind),
             _ => return Err(format!("estimator {} is not known", select.estimator)),
         },
+        Body::SelectDecoder(select) => match v1::Decoder::try_from(select.decoder) {
+            Ok(decoder) if decoder != v1::Decoder::Unspecified => Command::SelectDecoder(decoder),
+            _ => return Err(format!("decoder {} is not known", select.decoder)),
+        },
         Body::SetRecording(recording) => return Ok(Request::Recording(recording.on)),
         Body::PushGains(push) => {
             let revision = GainsRevision(push.revision);

@@ -8,6 +8,7 @@ use plumbline_proto::v1::Channel;
 
 use crate::calibration::applied::FieldReport;
 use crate::estimate::consistency::{Consistency, Mean, Nees};
+use crate::estimate::secure::identify::FlagReason;
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
 use crate::model::euler_body::{M, X, ix};
@@ -52,6 +53,8 @@ pub struct Score {
     /// How calibrated magnetometers fared.
     pub(super) fields: Vec<FieldReport>,
     trace: Vec<ErrorSample>,
+    /// What the secure estimator flagged; `None` for the others.
+    flagged: Option<Vec<Flagged>>,
 }
 
 /// Errors at one time; `None` where there is no truth.
@@ -65,6 +68,19 @@ pub struct ErrorSample {
     pub heading_deg: f64,
     /// Inclination error, degrees.
     pub inclination_deg: f64,
+}
+
+/// One flag of the secure estimator.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Flagged {
+    /// The sensor.
+    pub sensor: SensorId,
+    /// When it was raised, s.
+    pub since_s: f64,
+    /// When it was last up, s.
+    pub until_s: f64,
+    /// Why.
+    pub reason: FlagReason,
 }
 
 /// At most one sample of the trace in this time, s.
@@ -98,6 +114,7 @@ impl Score {
             consistency: Consistency::default(),
             fields: Vec::new(),
             trace: Vec::new(),
+            flagged: None,
         }
     }
 
@@ -108,6 +125,7 @@ impl Score {
         self.accel_bias_mps2 = e.accel_bias_mps2;
         self.gyro_bias_radps = e.gyro_bias_radps;
         self.consistency.push(&e.residuals);
+        self.add_flags(estimator);
         if e.health == Health::Initialising {
             return;
         }
@@ -131,6 +149,20 @@ impl Score {
         }
         if let Some(nees) = estimator.nees(&state) {
             self.consistency.push_nees(nees);
+        }
+    }
+
+    fn add_flags(&mut self, estimator: &dyn Estimator) {
+        let Some(secure) = estimator.secure() else { return };
+        let now_s = estimator.estimate().time.as_seconds();
+        let all = self.flagged.get_or_insert_default();
+        for device in secure.identifier().devices() {
+            let Some((since, reason)) = device.flagged else { continue };
+            let (sensor, since_s) = (device.sensor, since.as_seconds());
+            match all.iter_mut().rev().find(|f| f.sensor == sensor && f.since_s == since_s) {
+                Some(known) => known.until_s = now_s,
+                None => all.push(Flagged { sensor, since_s, until_s: now_s, reason }),
+            }
         }
     }
 
@@ -169,6 +201,11 @@ impl Score {
         self.heading.add(heading);
         self.inclination.add(inclination);
         [total, heading, inclination]
+    }
+
+    /// What the secure estimator flagged, one after the other; `None` for the others.
+    pub fn flagged(&self) -> Option<&[Flagged]> {
+        self.flagged.as_deref()
     }
 
     /// Errors over time, at most ten a second.
@@ -228,6 +265,10 @@ impl Score {
                 "hard_iron_since_ut": f.hard_iron_since_ut.as_slice(),
             })
         };
+        let flag = |f: &Flagged| {
+            let reason = f.reason.as_str_name().trim_start_matches("FLAG_REASON_").to_lowercase();
+            serde_json::json!({ "sensor": f.sensor.to_string(), "since_s": f.since_s, "until_s": f.until_s, "reason": reason })
+        };
         serde_json::json!({
             "estimate": self.input,
             "estimator": self.estimator,
@@ -246,6 +287,7 @@ impl Score {
             "nis": nis,
             "accel_bias_mps2": self.accel_bias_mps2.as_slice(),
             "gyro_bias_radps": self.gyro_bias_radps.as_slice(),
+            "flagged": self.flagged.as_ref().map(|all| all.iter().map(flag).collect::<Vec<_>>()),
             "magnetometer_calibration": self.fields.iter().map(field).collect::<Vec<_>>(),
         })
     }

@@ -13,11 +13,12 @@ mod table;
 use std::path::{Path, PathBuf};
 
 use errors::Known;
-pub use errors::{ErrorSample, Score};
+pub use errors::{ErrorSample, Flagged, Score};
 use output::Output;
 use plumbline_proto::v1::SensorKind;
 
 use crate::calibration::applied::Calibration;
+use crate::config;
 use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
@@ -40,6 +41,9 @@ pub struct EstimateArgs {
     /// ekf-bias, primary, ekf-hybrid, ukf, point-mass, attitude or secure.
     #[arg(long)]
     pub estimator: String,
+    /// Program of the secure estimator: l2 (the default), l1, l2_split or l1_split.
+    #[arg(long)]
+    pub decoder: Option<String>,
     /// Sensors to use, separated by commas: imu, mag, height, barometer, gnss, mocap-pose, camera-ranges. All
     /// when left out; the IMU is always needed, and without `mag` its magnetometer is left out.
     #[arg(long, value_delimiter = ',')]
@@ -71,6 +75,7 @@ impl EstimateArgs {
             input: input.to_owned(),
             format: None,
             estimator: estimator.to_owned(),
+            decoder: None,
             sensors: Vec::new(),
             rate: None,
             gnss_rate: None,
@@ -338,8 +343,15 @@ impl Run {
             EstimatorKind::Attitude => Known { horizontal: false, vertical: false },
             _ => selection.known(info),
         };
-        let estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
+        let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
             .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
+        if let Some(name) = &args.decoder {
+            let known = config::decoder("decoder", name);
+            let decoder = known.map_err(|_| EstimateArgs::bad("decoder", name, "not l2, l1, l2_split or l1_split"))?;
+            if !estimator.use_decoder(decoder) {
+                return Err(EstimateArgs::bad("decoder", name, format!("{} solves none", args.estimator)));
+            }
+        }
         let score = Score::new(&args.estimator, &args.input, known);
         Ok(Self { recording, selection, calibration, estimator, score })
     }

@@ -16,7 +16,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::timeline::{Builder, Item, Recording, Sample};
 use super::{Format, RecordingError, tables};
 use crate::frames::{self, Enu, Ned};
-use crate::vehicle::{GnssSample, ImuSample, MAX_IMUS, Truth};
+use crate::vehicle::{GnssSample, ImuSample, Truth};
 
 /// One-sigma of the RTK position itself, m.
 const RTK_SIGMA_M: f64 = 0.02;
@@ -39,6 +39,8 @@ impl Default for Phantom4Options {
     }
 }
 
+/// IMUs of the vehicle.
+const IMUS: usize = 4;
 const IMU_COLUMNS: &[&str] = &["time", "Acc_X", "Acc_Y", "Acc_Z", "Gyr_X", "Gyr_Y", "Gyr_Z"];
 const TRUTH_COLUMNS: &[&str] =
     &["time", "compass_heading(degrees)", "pitch(degrees)", "roll(degrees)", "North", "East", "Down"];
@@ -49,7 +51,7 @@ pub(super) fn open(path: &Path, options: Phantom4Options) -> Result<Recording, R
         if path.is_dir() { path.to_owned() } else { path.parent().unwrap_or(Path::new(".")).to_owned() };
     let mut builder = Builder::default();
     builder.airframe = Some("phantom4".into());
-    for index in 0..MAX_IMUS {
+    for index in 0..IMUS {
         let file = folder.join(format!("IMU_{}.csv", index + 1));
         if !file.is_file() {
             builder.notes.push(format!("no {}: IMU {} left out", file.display(), index + 1));

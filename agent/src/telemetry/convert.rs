@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
-use plumbline_proto::v1;
+use plumbline_proto::v1::{self, SensorKind};
 
 use crate::attack::{Attack, Channel, Injector, Kind, Phase, Progress};
 use crate::control::Controller;
@@ -10,6 +10,7 @@ use crate::control::Setpoint;
 use crate::control::gains::{Certified, INPUT_NAMES};
 use crate::control::step_response::StepResponse;
 use crate::control::tuning::parameters;
+use crate::estimate::secure::suite::{NAMES, Promise, SuiteError};
 use crate::estimate::{Estimate, EstimatorKind, Residual};
 use crate::event::Event;
 use crate::flight::{FlightConfig, FlightStatus, StepReport};
@@ -403,6 +404,32 @@ pub(super) fn string_description(line: &Line) -> v1::StringDescription {
         hook_enu_m: vector(&line.hook_enu_m),
         knot_flu_m: vector(&line.knot_flu_m),
         rest_length_m: line.rest_length_m,
+    }
+}
+
+pub(super) fn observability(promise: &Result<Promise, SuiteError>) -> v1::Observability {
+    let promise = match promise {
+        Ok(promise) => promise,
+        Err(error) => return v1::Observability { error: error.to_string(), ..v1::Observability::default() },
+    };
+    let state = |(name, rows): (&&str, &usize)| v1::StateObservability {
+        state: (*name).to_owned(),
+        rows_to_lose: *rows as u32,
+    };
+    let of_type = |(kind, rows, correctable): &(SensorKind, usize, usize)| v1::TypeObservability {
+        sensor: *kind as i32,
+        rows: *rows as u32,
+        correctable: *correctable as u32,
+    };
+    v1::Observability {
+        error: String::new(),
+        rows: promise.rows as u32,
+        rank: promise.rank as u32,
+        sparse_observable: promise.sparse as u32,
+        correctable: promise.correctable as u32,
+        binding_state: NAMES.get(promise.binding).copied().unwrap_or_default().to_owned(),
+        states: NAMES.iter().zip(&promise.to_lose).map(state).collect(),
+        types: promise.kinds.iter().map(of_type).collect(),
     }
 }
 

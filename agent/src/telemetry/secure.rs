@@ -113,4 +113,5 @@ pub(super) fn fill(
     into.tracking_error_m = tracking.error_m();
     into.reference_error_m = tracking.reference_m();
     into.resets = secure.resets();
+    into.set_decoder(secure.decoder());
 }

@@ -30,6 +30,7 @@ impl Bench {
             source_file: String::new(),
             sensors: scenario.suite.descriptions(),
             strings: scenario.rig.lines(&scenario.airframe),
+            promise: None,
         };
         let (link_ring, link) = RingBuffer::new(link_bytes);
         let (log_ring, log) = RingBuffer::new(8 << 20);

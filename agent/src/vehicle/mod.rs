@@ -16,9 +16,9 @@ use crate::calibration::applied::FieldReport;
 use crate::recordings::RecordedControl;
 
 /// Most sensors of one kind that a frame can carry.
-pub const MAX_IMUS: usize = 4;
+pub const MAX_IMUS: usize = 5;
 /// Most laser heights.
-pub const MAX_HEIGHTS: usize = 4;
+pub const MAX_HEIGHTS: usize = 5;
 /// Most barometers.
 pub const MAX_BAROMETERS: usize = 2;
 /// Cameras of the motion-capture system.

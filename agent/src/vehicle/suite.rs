@@ -360,11 +360,12 @@ impl Suite {
         suite
     }
 
-    /// IMU `instance` (1..=4) of the plate: 100 Hz and resolutions of [Paternain] Table I (4 mg, 0.07 °/s,
+    /// IMU `instance` (1..=5) of the plate: 100 Hz and resolutions of [Paternain] Table I (4 mg, 0.07 °/s,
     /// 5 mGa), ranges of [Clinic] 5.4.1 (16 g, 2000 °/s, 2500 µT). Pairs sit 3 cm off the centre, the second
-    /// of each pair turned by 180° about its yaw axis. Samples of pairs interleave by half a period.
+    /// of each pair turned by 180° about its yaw axis; a fifth sits in the centre. Samples of pairs interleave by half a
+    /// period.
     pub fn imu_unit(instance: usize) -> Imu {
-        let (x, y) = [(0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)][(instance - 1) % 4];
+        let (x, y) = [(0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03), (0.0, 0.0)][(instance - 1) % 5];
         let turned = instance.is_multiple_of(2);
         Imu {
             name: format!("IMU {instance}"),

@@ -1,4 +1,4 @@
-//! Short commands: arm, disarm, cut, mode, estimator, recording, replay.
+//! Short commands: arm, disarm, cut, mode, estimator, decoder, recording, replay.
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -95,6 +95,26 @@ pub(crate) async fn estimator(
         return Err(ApiError::Invalid(format!("estimator {:?} cannot fly", asked.estimator)));
     }
     let body = command::Body::SelectEstimator(v1::SelectEstimator { estimator: kind as i32 });
+    send(&app, &id, &who, body).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Decoder {
+    decoder: String,
+}
+
+pub(crate) async fn decoder(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Decoder>,
+) -> Answer {
+    let decoder = v1::Decoder::from_json_name(&asked.decoder).map_err(ApiError::Invalid)?;
+    if decoder == v1::Decoder::Unspecified {
+        return Err(ApiError::Invalid(format!("decoder {:?} solves nothing", asked.decoder)));
+    }
+    let body = command::Body::SelectDecoder(v1::SelectDecoder { decoder: decoder as i32 });
     send(&app, &id, &who, body).await
 }
 

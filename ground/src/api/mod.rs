@@ -176,6 +176,7 @@ fn routes() -> Vec<Route> {
         post   "/api/vehicles/{id}/release-cut"      Operate control::release_cut;
         post   "/api/vehicles/{id}/mode"             Operate control::mode;
         post   "/api/vehicles/{id}/estimator"        Operate control::estimator;
+        post   "/api/vehicles/{id}/decoder"          Operate control::decoder;
         post   "/api/vehicles/{id}/recording"        Operate control::recording;
         post   "/api/vehicles/{id}/replay"           Operate control::replay;
         post   "/api/vehicles/{id}/setpoint"         Operate setpoint::set;

@@ -1,6 +1,8 @@
 //! The schema's enums as people read them, and as the ground's JSON writes them.
 
-use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, Channel, EstimatorKind, Failsafe, Mode, SensorKind};
+use plumbline_proto::v1::{
+    AttackChannel, AttackKind, AttackPhase, Channel, Decoder, EstimatorKind, Failsafe, Mode, SensorKind,
+};
 
 /// The JSON name: the proto name without its prefix, in lower snake case.
 fn json(proto_name: &str, prefix: &str) -> String {
@@ -15,6 +17,11 @@ pub fn mode_json(mode: Mode) -> String {
 /// JSON name of an estimator: `ekf_bias`.
 pub fn estimator_json(kind: EstimatorKind) -> String {
     json(kind.as_str_name(), "ESTIMATOR_KIND_")
+}
+
+/// JSON name of a decoder: `l1_split`.
+pub fn decoder_json(decoder: Decoder) -> String {
+    json(decoder.as_str_name(), "DECODER_")
 }
 
 /// JSON name of a sensor kind: `height`.
@@ -55,6 +62,17 @@ pub fn mode_help(mode: Mode) -> &'static str {
         Mode::Hold => "Position, altitude and yaw held",
         Mode::Land => "Descends, then disarms",
         Mode::Cut => "Motors cut and latched",
+    }
+}
+
+/// A decoder for people.
+pub fn decoder(decoder: Decoder) -> &'static str {
+    match decoder {
+        Decoder::Unspecified => "—",
+        Decoder::L2 => "ℓ1/ℓ2",
+        Decoder::L1 => "ℓ1/ℓ1",
+        Decoder::L2Split => "ℓ1/ℓ2, split",
+        Decoder::L1Split => "ℓ1/ℓ1, split",
     }
 }
 
@@ -236,6 +254,7 @@ mod tests {
     fn json_names_are_the_contract() {
         assert_eq!(mode_json(Mode::AltitudeHold), "altitude_hold");
         assert_eq!(estimator_json(EstimatorKind::EkfBias), "ekf_bias");
+        assert_eq!(decoder_json(Decoder::L1Split), "l1_split");
         assert_eq!(sensor_json(SensorKind::MocapPose), "mocap_pose");
         assert_eq!(attack_kind_json(AttackKind::SignFlip), "sign_flip");
         assert_eq!(attack_channel_json(AttackChannel::GyroX), "gyro_x");

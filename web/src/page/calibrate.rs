@@ -208,7 +208,7 @@ fn Form() -> impl IntoView {
                 <div class="fields">
                     <label class="field"><span>"IMU"</span>
                         <select on:change:target=move |e| bench.imu.set(e.target().value().parse().unwrap_or(1))>
-                            {(1..=4).map(|n| view! { <option value=n.to_string()>{n}</option> }).collect::<Vec<_>>()}
+                            {(1..=5).map(|n| view! { <option value=n.to_string()>{n}</option> }).collect::<Vec<_>>()}
                         </select>
                     </label>
                     {field("from", "s", bench.from_s)}

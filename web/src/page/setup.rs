@@ -124,6 +124,32 @@ pub fn Setup() -> impl IntoView {
                         }.into_any(),
                     }}
                 </section>
+                <section class="card facts" aria-label="Observability">
+                    <header><h2>"Observability"</h2><span class="quiet push">"at hover, before flight"</span></header>
+                    {move || match description.get().and_then(|d| d.observability) {
+                        None => view! { <p class="quiet">"Told by a vehicle that knows its sensor suite."</p> }.into_any(),
+                        Some(o) if !o.error.is_empty() => view! { <p class="bad">{o.error.clone()}</p> }.into_any(),
+                        Some(o) => view! {
+                            <dl class="facts-list">
+                                {fact("rows", o.rows.to_string())}
+                                {fact("rank", format!("{} of {}", o.rank, o.states.len()))}
+                                {fact("any rows that may be lost", o.sparse_observable.to_string())}
+                                {fact("any rows that may lie", o.correctable.to_string())}
+                                {fact("first state lost", o.binding_state.clone())}
+                                {o.types.iter().map(|t| fact(
+                                    names::sensor(t.sensor()),
+                                    format!("{} of {} rows may lie", t.correctable, t.rows),
+                                )).collect::<Vec<_>>()}
+                            </dl>
+                            <table class="dense">
+                                <thead><tr><th>"state"</th><th class="num">"rows to lose it"</th></tr></thead>
+                                <tbody>{o.states.iter().map(|s| view! {
+                                    <tr><th scope="row">{s.state.clone()}</th><td class="num">{s.rows_to_lose}</td></tr>
+                                }).collect::<Vec<_>>()}</tbody>
+                            </table>
+                        }.into_any(),
+                    }}
+                </section>
                 <section class="card facts" aria-label="Sensor suite">
                     <header><h2>"Sensor suite"</h2></header>
                     {move || match description.get().filter(|d| !d.sensors.is_empty()) {

@@ -4,10 +4,12 @@
 //! by: tracking error under attack at most 1.2 e*, e* being the error of the same flight without attack.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::{self, DecoderStatus, FlagReason, SecureFallback, SensorKind};
+use plumbline_proto::v1::{self, Decoder, DecoderStatus, FlagReason, SecureFallback, SensorKind};
+use serde_json::json;
 
 use super::plot::Plot;
 use crate::{
+    ctx::ctx,
     deck::{Deck, Picture, Source, deck},
     model::{
         curves::{Curve, suspicion},
@@ -37,6 +39,39 @@ pub fn SecureSwitch() -> impl IntoView {
             >"Secure"</button>
         </Show>
     }
+}
+
+/// The programs that can be chosen in flight.
+const DECODERS: [Decoder; 4] = [Decoder::L2, Decoder::L1, Decoder::L2Split, Decoder::L1Split];
+
+/// The program being solved: chosen live, told of a recording.
+#[component]
+fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl IntoView {
+    let now = Memo::new(move |_| newest.get().map_or(Decoder::Unspecified, |s| s.decoder()));
+    if deck.source == Source::Recorded {
+        return view! { <span class="quiet" aria-label="Decoder">{move || names::decoder(now.get())}</span> }
+            .into_any();
+    }
+    let ctx = ctx();
+    let choose = move |value: String| {
+        let Some(decoder) = value.parse().ok().and_then(|n: i32| Decoder::try_from(n).ok()) else { return };
+        let what = format!("Decoder {}", names::decoder(decoder));
+        ctx.command(what, "POST", "decoder", json!({ "decoder": names::decoder_json(decoder) }));
+    };
+    view! {
+        <select
+            class="small"
+            aria-label="Decoder"
+            title="Norm over time; split: position and orientation apart, as in [Clinic] 3.4.1"
+            prop:value=move || (now.get() as i32).to_string()
+            on:change:target=move |e| choose(e.target().value())
+        >
+            {DECODERS.map(|d| view! {
+                <option value=(d as i32).to_string() selected=move || now.get() == d>{names::decoder(d)}</option>
+            }).collect_view()}
+        </select>
+    }
+    .into_any()
 }
 
 fn kind(sensor: i32) -> SensorKind {
@@ -153,6 +188,7 @@ pub fn SecureCard() -> impl IntoView {
                     <li><span class="heat rejected"></span>"flagged: not used"</li>
                 </ul>
                 <ul class="legend margins" aria-label="Margins">{margins}</ul>
+                <Show when=move || newest.get().is_some()><DecoderChoice deck newest /></Show>
                 <SecureSwitch />
             </header>
             <div class="res-body">

@@ -493,9 +493,10 @@ fn finite(v: &Vector3<f64>) -> bool {
     v.iter().all(|x| x.is_finite())
 }
 
-/// Median of up to four values.
+/// Median of the values of one kind of sensor.
 fn median_of(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: ArrayVec<f64, 4> = values.take(4).collect();
+    const MOST: usize = if MAX_IMUS > MAX_HEIGHTS { MAX_IMUS } else { MAX_HEIGHTS };
+    let mut sorted: ArrayVec<f64, MOST> = values.take(MOST).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let n = sorted.len();
     if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }

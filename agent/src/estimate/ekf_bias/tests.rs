@@ -554,7 +554,7 @@ fn a_majority_of_no_imus_is_degraded_and_silence_too() {
     assert_eq!(filter.estimate().health, Health::Healthy);
     for _ in 0..60 {
         let (mut frame, _) = world.frame(true);
-        frame.imus = [None; 4];
+        frame.imus.fill(None);
         filter.step(&frame, &MotorCommand::default());
     }
     assert_eq!(filter.estimate().health, Health::Degraded);

@@ -85,7 +85,7 @@ impl<const N: usize> Compressed<N> {
         // The checks are those of the compressed one.
         Self::new(phi, Program::L2)?;
         let samples = phi.iter().map(DMatrix::nrows).max().unwrap_or_default();
-        let mut problem = Self::with_room(phi.len(), samples)?;
+        let mut problem = Self::with_room(phi.len(), samples, 0)?;
         let all: Vec<usize> = (0..N).collect();
         for phi in phi {
             let t = phi.nrows();
@@ -96,20 +96,26 @@ impl<const N: usize> Compressed<N> {
         Ok(problem)
     }
 
-    /// Room for `terms` terms of at most `samples` samples each, none in it: for windows whose samples come and go.
+    /// Room for `terms` terms of at most `samples` samples each and `singles` more of one sample, none in it: for
+    /// windows whose samples come and go.
     ///
     /// # Errors
     /// Never, for any N.
-    pub(super) fn with_room(terms: usize, samples: usize) -> Result<Self, SecureError> {
-        let rank = samples.min(N);
-        let empty = || Term {
+    pub(super) fn with_room(terms: usize, samples: usize, singles: usize) -> Result<Self, SecureError> {
+        let empty = |samples: usize| Term {
             support: Vec::with_capacity(N),
-            rows: Vec::with_capacity(rank * N),
+            rows: Vec::with_capacity(samples.min(N) * N),
             rank: 0,
             samples: (0, 0),
-            q: Vec::with_capacity(samples * rank),
+            q: Vec::with_capacity(samples * samples.min(N)),
         };
-        Ok(Self { terms: (0..terms).map(|_| empty()).collect(), active: 0, samples: 0, gram: identity()? })
+        let large = (0..terms).map(|_| empty(samples));
+        Ok(Self {
+            terms: large.chain((0..singles).map(|_| empty(1))).collect(),
+            active: 0,
+            samples: 0,
+            gram: identity()?,
+        })
     }
 
     /// Takes every term out.
@@ -119,7 +125,7 @@ impl<const N: usize> Compressed<N> {
     }
 
     /// Adds a term of `count` samples: `rows` is R (rank × support, row-major), `q` is Q (count × rank,
-    /// column-major). Allocates only beyond the room made; a term too many is refused.
+    /// column-major; empty for a single sample, where Q = 1). Allocates only beyond the room made; a term too many is refused.
     pub(super) fn push(&mut self, support: &[usize], rows: &[f64], q: &[f64], rank: usize, count: usize) -> bool {
         let Some(term) = self.terms.get_mut(self.active) else { return false };
         term.support.clear();

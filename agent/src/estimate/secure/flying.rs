@@ -32,8 +32,8 @@ use super::gated::Gated;
 use super::identify::{CERTAIN, Cusum, Evidence, Identifier, Stuck, Z_999, chi_square, stuck_limit};
 use super::inertial::Inertial;
 use super::newton::{Deadline, Settings};
-use super::window::{Model, Row, Window};
-use super::{Decoded, SecureError, Status};
+use super::window::{Model, Row, Window, room};
+use super::{Decoded, Decoder, SecureError, Status, parts};
 use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::imu_vote::VoteOptions;
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
@@ -167,7 +167,10 @@ impl Sum {
 pub struct Secure {
     options: EkfOptions,
     gated: Gated,
+    decoder: Decoder,
     window: Window<STATES>,
+    /// That of the other coupling, empty: changed over without allocating.
+    spare: Window<STATES>,
     identifier: Identifier,
     inertial: Inertial,
     estimate: Estimate,
@@ -207,9 +210,11 @@ impl Secure {
         let sigma = sigmas(&options);
         let settings = Settings { tolerance: GAP, ..Settings::default() };
         let kinds: [usize; SENSORS] = std::array::from_fn(kind_of);
-        let window = Window::new(&model(&options, &sigma), &rows(&sigma), &kinds, SLOTS, settings)?;
+        let window = |split| Window::new(&model(&options, &sigma, split), &rows(&sigma), &kinds, SLOTS, settings);
         Ok(Self {
-            window,
+            decoder: Decoder::L2,
+            window: window(false)?,
+            spare: window(true)?,
             gated: Gated::new(options.clone(), airframe),
             identifier: Identifier::default(),
             inertial: Inertial::new(&options),
@@ -247,6 +252,27 @@ impl Secure {
             stopwatch: None,
             options,
         })
+    }
+
+    /// The program being solved.
+    pub fn decoder(&self) -> Decoder {
+        self.decoder
+    }
+
+    /// Solves another program from the next full window on; the attacked set stays. Allocates nothing.
+    ///
+    /// [Clinic] 3.4.1 solves position and orientation apart because two programs are smaller than one. Without the
+    /// coupling no sensor's term holds states of both, so the minimum of the sum is the sum of the minima: both
+    /// are found by one solve here.
+    pub fn use_decoder(&mut self, decoder: Decoder) {
+        let (program, split) = parts(decoder);
+        if split != parts(self.decoder).1 {
+            std::mem::swap(&mut self.window, &mut self.spare);
+            self.start_over();
+        }
+        self.window.use_program(program);
+        self.last = None;
+        self.decoder = decoder;
     }
 
     /// The last window.
@@ -296,7 +322,7 @@ impl Secure {
     pub fn audit_case() -> Result<AuditCase, SecureError> {
         Ok(AuditCase {
             time: FlightTime::default(),
-            problem: Compressed::with_room(SENSORS + STATES, SLOTS + 1)?,
+            problem: room(SENSORS, SLOTS)?,
             samples: Vec::with_capacity(SENSORS * (SLOTS + 1) + 2 * STATES),
             objective: 0.0,
         })
@@ -368,7 +394,7 @@ impl Secure {
     fn close(&mut self, now: FlightTime) {
         let begun = self.stopwatch.map(|read| read());
         self.window.advance(None);
-        for (i, deviation) in self.inertial.deviations().into_iter().enumerate() {
+        for (i, deviation) in self.inertial.deviations(SLOT_S).into_iter().enumerate() {
             for (k, slot) in self.slots.iter_mut().skip(IMU + ROWS_OF_IMU * i).take(6).enumerate() {
                 *slot = Sum::default();
                 slot.add(deviation.and_then(|d| d.get(k).copied()).unwrap_or(f64::NAN));
@@ -502,7 +528,9 @@ impl Secure {
         if flags != self.flags {
             self.flags = flags;
             self.relearn_until = self.windows.saturating_add(RELEARNING);
-            self.cusum.iter_mut().skip(IMU).for_each(|cusum| *cusum = Cusum::default());
+            // Who is in doubt already is not excused.
+            let others = self.cusum.iter_mut().skip(IMU).filter(|cusum| !cusum.is_in_doubt());
+            others.for_each(|cusum| *cusum = Cusum::default());
         }
     }
 
@@ -546,12 +574,14 @@ impl Secure {
             let Some((_, deviation)) = self.deviation[*sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
             let deviation = deviation - median;
             let Sigma { sigma, bias, limit } = self.sigma[*sensor];
+            let in_doubt = self.cusum[*sensor].is_in_doubt();
             // Two can contradict each other, but not outvote.
-            if !learning && n >= 3 {
+            if (!learning || in_doubt) && n >= 3 {
                 self.cusum[*sensor].take(deviation / (CUSUM_SIGMAS * sigma.hypot(0.5 * bias)));
             }
             let device = device_of(*sensor);
-            if !self.identifier.is_flagged(device) && (learning || !self.identifier.is_suspect(device)) {
+            let learnable = learning || !self.identifier.is_suspect(device);
+            if !self.identifier.is_flagged(device) && learnable && !in_doubt {
                 let gain = if learning { 0.1 } else { SLOT_S / LEARNED_S };
                 self.learned[*sensor] = (self.learned[*sensor] + gain * deviation).clamp(-limit, limit);
             }
@@ -656,11 +686,18 @@ impl Estimator for Secure {
         Some(self)
     }
 
+    fn use_decoder(&mut self, decoder: Decoder) -> bool {
+        Secure::use_decoder(self, decoder);
+        true
+    }
+
     fn time_with(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
         self.stopwatch = Some(stopwatch);
         let deadline = limit_us.map(|limit_us| Deadline { stopwatch, limit_us });
-        let settings = Settings { deadline, ..*self.window.newton().settings() };
-        self.window.newton().settle_for(settings);
+        for window in [&mut self.window, &mut self.spare] {
+            let settings = Settings { deadline, ..*window.newton().settings() };
+            window.newton().settle_for(settings);
+        }
     }
 }
 
@@ -726,12 +763,14 @@ fn rows(sigma: &[Sigma; SENSORS]) -> [Row<STATES>; 2 + ROWS_OF_IMU] {
     })
 }
 
-/// Deviations about the trim over one slot, exact: F⁴ = 0.
-fn model(options: &EkfOptions, sigma: &[Sigma; SENSORS]) -> Model<STATES> {
+/// Deviations about the trim over one slot, exact: F⁴ = 0. Split, a tilt makes no speed.
+fn model(options: &EkfOptions, sigma: &[Sigma; SENSORS], split: bool) -> Model<STATES> {
     let mut f = SMatrix::<f64, STATES, STATES>::zeros();
     f[(ix::Z, ix::VZ)] = 1.0;
-    f[(ix::VX, ix::PITCH)] = options.gravity_mps2;
-    f[(ix::VY, ix::ROLL)] = -options.gravity_mps2;
+    if !split {
+        f[(ix::VX, ix::PITCH)] = options.gravity_mps2;
+        f[(ix::VY, ix::ROLL)] = -options.gravity_mps2;
+    }
     for k in 0..3 {
         f[(ix::ROLL + k, ix::P + k)] = 1.0;
     }
@@ -818,6 +857,27 @@ mod tests {
         // A second liar: nothing is promised any more.
         fly(&mut s, 8.0, 10.0, &[0.4, 0.3, 0.0]);
         assert!(s.height_bound_m().is_none(), "{:?}", s.identifier().devices());
+    }
+
+    #[test]
+    fn every_decoder_finds_the_lie_and_a_change_of_decoder_keeps_the_attacked_set() {
+        for decoder in [Decoder::L2, Decoder::L1, Decoder::L2Split, Decoder::L1Split] {
+            let mut s = secure();
+            s.use_decoder(decoder);
+            fly(&mut s, 0.0, 6.0, &[0.0; 3]);
+            assert_eq!(s.window().status, DecoderStatus::Solved, "{decoder:?}");
+            assert!((s.window().height_m - 0.5).abs() < 0.01, "{decoder:?}: {:?}", s.window());
+            assert!(s.identifier().devices().iter().all(|d| d.flagged.is_none()), "{decoder:?}");
+            fly(&mut s, 6.0, 8.0, &[0.0, 0.3, 0.0]);
+            let flagged = |s: &Secure| s.identifier().devices().iter().filter(|d| d.flagged.is_some()).count();
+            let liar = SensorId::new(SensorKind::Height, 2);
+            assert!(s.identifier().is_flagged(liar) && flagged(&s) == 1, "{decoder:?}");
+            let other = if decoder == Decoder::L2 { Decoder::L1Split } else { Decoder::L2 };
+            s.use_decoder(other);
+            fly(&mut s, 8.0, 9.0, &[0.0, 0.3, 0.0]);
+            assert_eq!((s.decoder(), s.window().status), (other, DecoderStatus::Solved));
+            assert!(s.identifier().is_flagged(liar) && flagged(&s) == 1, "{decoder:?} to {other:?}");
+        }
     }
 
     #[test]

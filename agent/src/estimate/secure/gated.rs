@@ -41,6 +41,8 @@ pub struct Gated {
     voltage_ratio: f64,
     disturbance_enu_n: Vector3<f64>,
     information: f64,
+    /// IMUs flagged.
+    liars: usize,
 }
 
 impl Gated {
@@ -53,11 +55,17 @@ impl Gated {
             voltage_ratio: 1.0,
             disturbance_enu_n: Vector3::zeros(),
             information: 0.0,
+            liars: 0,
         }
     }
 
     /// One tick with the sensors that `identifier` has not flagged.
     pub fn step(&mut self, received: &SensorFrame, applied: &MotorCommand, identifier: &Identifier, dt_s: f64) {
+        let liars = identifier.margin(SensorKind::Imu).flagged;
+        if liars > self.liars {
+            self.filter.doubt_accel_bias();
+        }
+        self.liars = liars;
         let clean = clean(received, identifier);
         self.filter.step(&clean, applied);
         self.disturb(received, applied, dt_s);
@@ -107,14 +115,14 @@ impl Gated {
     }
 }
 
-/// `frame` without the sensors that are flagged.
+/// `frame` without the sensors that are withheld.
 fn clean(frame: &SensorFrame, identifier: &Identifier) -> SensorFrame {
     let mut clean = *frame;
-    let flagged = |kind, index: usize| identifier.is_flagged(SensorId::new(kind, index as u8 + 1));
+    let out = |kind, index: usize| identifier.is_withheld(SensorId::new(kind, index as u8 + 1));
     // One line for each type: their samples are of different types.
-    clean.imus.iter_mut().enumerate().filter(|(i, _)| flagged(SensorKind::Imu, *i)).for_each(|(_, s)| *s = None);
-    clean.heights.iter_mut().enumerate().filter(|(i, _)| flagged(SensorKind::Height, *i)).for_each(|(_, s)| *s = None);
+    clean.imus.iter_mut().enumerate().filter(|(i, _)| out(SensorKind::Imu, *i)).for_each(|(_, s)| *s = None);
+    clean.heights.iter_mut().enumerate().filter(|(i, _)| out(SensorKind::Height, *i)).for_each(|(_, s)| *s = None);
     let barometers = clean.barometers.iter_mut().enumerate();
-    barometers.filter(|(i, _)| flagged(SensorKind::Barometer, *i)).for_each(|(_, s)| *s = None);
+    barometers.filter(|(i, _)| out(SensorKind::Barometer, *i)).for_each(|(_, s)| *s = None);
     clean
 }

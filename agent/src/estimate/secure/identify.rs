@@ -21,9 +21,9 @@ use crate::vehicle::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS};
 
 /// Most sensors judged.
 pub const MAX_DEVICES: usize = MAX_IMUS + MAX_HEIGHTS + MAX_BAROMETERS;
-/// Windows in a row above the 99.9 % limit that flag: one whole window of ten slots, so that no sample of the
-/// first is left in the last.
-const CONFIRM: u32 = 10;
+/// Windows in a row above the 99.9 % limit that flag: one more than the slots of a window, so that no sample of the
+/// first is left in the last. One outlier is in ten windows and never in eleven.
+const CONFIRM: u32 = 11;
 /// Ratio to the 99.9 % limit above which two windows in a row flag.
 pub const CERTAIN: f64 = 3.0;
 /// Windows in a row within every limit after which a flag falls: 2 s.
@@ -34,6 +34,9 @@ const FAR_WORSE: f64 = 4.0;
 const PRESENT_S: f64 = 1.0;
 /// What a CUSUM forgives, in sigmas of one value.
 const CUSUM_SLACK: f64 = 0.75;
+/// An IMU whose CUSUM is above this part of its limit is left out while most of the others are not: where several
+/// measure the same motion, going without one for a moment costs less than a lie that is not yet certain.
+const DOUBT: f64 = 0.5;
 /// Limit of a CUSUM, in sigmas: a mean time between false alarms of weeks for independent values (Wald:
 /// exp(2 k h) / 2 k² values).
 pub const CUSUM_LIMIT: f64 = 16.0;
@@ -64,6 +67,11 @@ impl Cusum {
             self.up = (self.up + d - CUSUM_SLACK).clamp(0.0, 1.5 * CUSUM_LIMIT);
             self.down = (self.down - d - CUSUM_SLACK).clamp(0.0, 1.5 * CUSUM_LIMIT);
         }
+    }
+
+    /// Is it so far up that its sensor is in doubt?
+    pub fn is_in_doubt(&self) -> bool {
+        self.ratio() > DOUBT
     }
 
     /// The larger sum over its limit.
@@ -185,6 +193,15 @@ impl Identifier {
     /// Is `sensor` flagged?
     pub fn is_flagged(&self, sensor: SensorId) -> bool {
         self.devices.iter().any(|d| d.sensor == sensor && d.flagged.is_some())
+    }
+
+    /// Is `sensor` left out: flagged, or an IMU in doubt while most of the others are not?
+    pub fn is_withheld(&self, sensor: SensorId) -> bool {
+        let in_doubt = |d: &&Device| d.flagged.is_some() || d.evidence.drift_ratio > DOUBT;
+        let imus = || self.devices.iter().filter(|d| d.sensor.kind == SensorKind::Imu && d.present);
+        self.is_flagged(sensor)
+            || (imus().filter(in_doubt).any(|d| d.sensor == sensor)
+                && 2 * imus().filter(in_doubt).count() < imus().count())
     }
 
     /// Is `sensor` above a limit, flagged or not?
@@ -374,6 +391,22 @@ mod tests {
         identifier.saw(height(1), FlightTime(5_000_000));
         identifier.judge(FlightTime(5_000_000), false, |_| Evidence::default());
         assert_eq!(identifier.margin(SensorKind::Height).present, 1);
+    }
+
+    #[test]
+    fn an_imu_in_doubt_is_left_out_while_most_of_the_others_are_not() {
+        let imu = |instance| SensorId::new(SensorKind::Imu, instance);
+        let judged = |doubted: u8| {
+            let mut identifier = Identifier::default();
+            (1..=4).for_each(|i| identifier.saw(imu(i), FlightTime(0)));
+            let drift = |s: SensorId| if s.instance <= doubted { 0.7 } else { 0.1 };
+            identifier.judge(FlightTime(0), false, |s| Evidence { drift_ratio: drift(s), ..Evidence::default() });
+            (1..=4).filter(|i| identifier.is_withheld(imu(*i))).count()
+        };
+        assert_eq!([judged(0), judged(1), judged(2)], [0, 1, 0]);
+        let mut identifier = seen(3);
+        identifier.judge(FlightTime(0), false, |_| Evidence { drift_ratio: 0.7, ..Evidence::default() });
+        assert!(!identifier.is_withheld(height(1)), "a height is flagged or used");
     }
 
     #[test]

@@ -5,9 +5,11 @@
 //! median of the IMUs' own slopes). What is left after the median of all is the deviation: a minority moves
 //! neither slope nor median, however large its lie.
 //!
-//! Where the motion is rough (touch-down, ringing strings) a slope does not tell it all: the rougher, the less
-//! differences count, down to nothing. How rough it is says the median of what each IMU changed against
-//! itself: a minority can neither claim a shock nor hide one.
+//! Where the motion is rough (vibration, touch-down, ringing strings) a slope does not tell it all: an IMU that samples
+//! at other times sees another vibration v. Its slot mean then differs from that of the others by the noise and by
+//! the mean of two independent vibrations: σ² + 2 σ_v² instead of σ², per sample. What each IMU changes against
+//! itself from sample to sample has the variance 2 (σ² + σ_v²); the median over the IMUs, so that a minority can
+//! neither claim a shock nor hide one, says how much less differences count, down to nothing.
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
@@ -16,10 +18,8 @@ use plumbline_proto::time::FlightTime;
 use crate::estimate::ekf_bias::EkfOptions;
 use crate::vehicle::{MAX_IMUS, SensorFrame};
 
-/// Roughness (change from sample to sample over that of noise alone) up to which nothing is discounted.
-const SMOOTH: f64 = 1.3;
-/// What roughness beyond it costs.
-const ROUGH_COST: f64 = 1.5;
+/// Vibration is averaged over this long, s; a slot that is rougher than the average counts by itself.
+const ROUGH_S: f64 = 0.4;
 /// A slot discounted by more than this says nothing.
 const LARGEST_DISCOUNT: f64 = 10.0;
 /// Scale and mounting of honest IMUs differ by this fraction: a sample in motion counts less.
@@ -39,8 +39,8 @@ struct Unit {
     sum: [f64; 6],
     times_s: f64,
     samples: u32,
-    /// Σ of squared changes of gyroscope and accelerometer since the sample before, and how many.
-    change: [f64; 2],
+    /// Σ of squared changes since the sample before, and how many.
+    change: [f64; 6],
     changes: u32,
 }
 
@@ -54,6 +54,8 @@ pub struct Inertial {
     began: FlightTime,
     rate: Option<(FlightTime, Vector3<f64>)>,
     turning_radps2: Vector3<f64>,
+    /// (σ² + σ_v²) / σ² of each axis, averaged.
+    rough: [f64; 6],
 }
 
 impl Inertial {
@@ -67,6 +69,7 @@ impl Inertial {
             began: FlightTime::default(),
             rate: None,
             turning_radps2: Vector3::zeros(),
+            rough: [1.0; 6],
         }
     }
 
@@ -87,9 +90,8 @@ impl Inertial {
             if let Some((time, before)) = unit.latest
                 && now.seconds_since(time) <= 2.0 * self.memory_s
             {
-                for quantity in 0..2 {
-                    let change = (0..3).map(|a| (sample[3 * quantity + a] - before[3 * quantity + a]).powi(2));
-                    unit.change[quantity] += change.sum::<f64>() / 3.0;
+                for (change, (now, before)) in unit.change.iter_mut().zip(sample.iter().zip(&before)) {
+                    *change += (now - before).powi(2);
                 }
                 unit.changes += 1;
             }
@@ -111,8 +113,8 @@ impl Inertial {
         }
     }
 
-    /// The deviations of the slot.
-    pub fn deviations(&self) -> [Option<Deviation>; MAX_IMUS] {
+    /// The deviations of the slot, which lasted `slot_s`.
+    pub fn deviations(&mut self, slot_s: f64) -> [Option<Deviation>; MAX_IMUS] {
         let filled = || self.units.iter().filter(|u| u.samples > 0);
         let count = filled().count().max(1) as f64;
         let middle_s = filled().map(|u| u.times_s / f64::from(u.samples)).sum::<f64>() / count;
@@ -131,8 +133,9 @@ impl Inertial {
             }
         }
         for quantity in 0..2 {
-            let less = self.discount(quantity, &means);
+            let motion = self.motion(quantity, &means);
             for axis in 3 * quantity..3 * quantity + 3 {
+                let less = self.discount(axis, motion, slot_s);
                 let centre = median(means.iter().map(|m| m[axis]).filter(|v| v.is_finite()));
                 for ((out, mean), unit) in out.iter_mut().zip(&means).zip(&self.units) {
                     if unit.samples > 0 {
@@ -152,20 +155,28 @@ impl Inertial {
         }
     }
 
-    /// By how much differences of a quantity count less in this slot; NaN for not at all.
-    fn discount(&self, quantity: usize, means: &[[f64; 6]; MAX_IMUS]) -> f64 {
-        let sigma = self.sigma[quantity];
-        let rough = self.units.iter().filter(|u| u.changes > 0);
-        let rough = median(
-            rough.map(|u| (u.change[quantity] / f64::from(u.changes)).sqrt() / (std::f64::consts::SQRT_2 * sigma)),
-        );
+    /// How far a quantity is from rest, in sigmas.
+    fn motion(&self, quantity: usize, means: &[[f64; 6]; MAX_IMUS]) -> f64 {
         let part = 3 * quantity;
         let size = |m: &[f64; 6]| (part..part + 3).map(|a| m[a] * m[a]).sum::<f64>().sqrt();
         let size = median(means.iter().map(size).filter(|v| v.is_finite()));
         // A resting accelerometer reads g: its scale is part of what is learned as its bias.
-        let motion = if quantity == 0 { size } else { (size - 9.81).abs() };
-        let rough = ROUGH_COST * (rough.max(SMOOTH) - SMOOTH);
-        let less = (SCALE_SPREAD * motion / sigma).hypot(1.0).hypot(rough);
+        (if quantity == 0 { size } else { (size - 9.81).abs() }) / self.sigma[quantity]
+    }
+
+    /// By how much differences of an axis count less in this slot; NaN for not at all.
+    fn discount(&mut self, axis: usize, motion: f64, slot_s: f64) -> f64 {
+        let variance = 2.0 * self.sigma[axis / 3].powi(2);
+        let changed = self.units.iter().filter(|u| u.changes > 0);
+        let rough = median(changed.map(|u| u.change[axis] / f64::from(u.changes) / variance));
+        let mut worst = self.rough[axis];
+        if rough.is_finite() {
+            // A shock is over when it is over: it must not outlast itself by more than the averaging time.
+            let bounded = rough.clamp(1.0, LARGEST_DISCOUNT * LARGEST_DISCOUNT);
+            self.rough[axis] += (bounded - self.rough[axis]) * (slot_s / (ROUGH_S + slot_s));
+            worst = self.rough[axis].max(rough);
+        }
+        let less = (1.0 + 2.0 * (worst - 1.0)).sqrt().hypot(SCALE_SPREAD * motion);
         if less > LARGEST_DISCOUNT { f64::NAN } else { less }
     }
 
@@ -218,7 +229,7 @@ mod tests {
         for k in 0..8 {
             inertial.take(&frame(k, |i| 0.01 * k as f64 + if i == 1 { 1.0 } else { 0.0 }));
         }
-        let x = inertial.deviations().map(|d| d.unwrap()[3]);
+        let x = inertial.deviations(0.04).map(|d| d.map_or(f64::NAN, |d| d[3]));
         // Up to the discount of a motion that differs from rest.
         assert!((x[1] - 1.0).abs() < 1e-3 && [0, 2, 3].iter().all(|i| x[*i].abs() < 1e-3), "{x:?}");
     }
@@ -230,7 +241,7 @@ mod tests {
             for k in 0..8 {
                 inertial.take(&frame(k, |i| if shock(k, i) { 30.0 } else { 0.0 }));
             }
-            inertial.deviations()[1].unwrap()[3]
+            inertial.deviations(0.04)[1].unwrap()[3]
         };
         assert!(run(|k, _| k == 4 || k == 5).is_nan());
         assert!(run(|k, i| k >= 4 && i == 0).is_finite());

@@ -31,6 +31,8 @@ pub mod window;
 
 use std::fmt;
 
+pub use plumbline_proto::v1::Decoder;
+
 /// Which norm is taken over one sensor's window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Program {
@@ -38,6 +40,16 @@ pub enum Program {
     L2,
     /// ℓ1/ℓ1: the 1-norm over time, one term per sample.
     L1,
+}
+
+/// Program of `decoder`, and whether position and orientation are split in it.
+pub(super) fn parts(decoder: Decoder) -> (Program, bool) {
+    match decoder {
+        Decoder::Unspecified | Decoder::L2 => (Program::L2, false),
+        Decoder::L1 => (Program::L1, false),
+        Decoder::L2Split => (Program::L2, true),
+        Decoder::L1Split => (Program::L1, true),
+    }
 }
 
 /// How a solve ended. Not an error: the iterate is always usable with its certified gap.

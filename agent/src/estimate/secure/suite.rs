@@ -82,6 +82,8 @@ pub struct Promise {
     pub rank: usize,
     /// States that are not determined.
     pub unobserved: Vec<usize>,
+    /// Scalars of all sensors.
+    pub rows: usize,
     /// Scalars to remove until each state is no longer determined.
     pub to_lose: [usize; STATES],
     /// Most scalars that may be removed, whichever they are.
@@ -171,6 +173,14 @@ impl Observed {
             }
         }
         observed
+    }
+
+    /// What `suite` promises on `airframe` at hover.
+    ///
+    /// # Errors
+    /// As [`Self::promise`].
+    pub fn promise_at_hover(suite: &Suite, airframe: &Airframe) -> Result<Promise, SuiteError> {
+        Self::of(suite, airframe, &Trim::hover(airframe)).promise()
     }
 
     /// The suite of [Clinic] Eq. 18: `heights` lasers and four units that each give velocity, angles and rates,
@@ -311,7 +321,16 @@ impl Observed {
             let all = of_kind(*kind);
             (*kind, all, least.map_or(all, |least| (least - 1) / 2))
         });
-        Ok(Promise { rank, unobserved, to_lose, sparse, correctable: sparse / 2, binding, kinds: kinds.collect() })
+        Ok(Promise {
+            rank,
+            unobserved,
+            rows: self.scalars.len(),
+            to_lose,
+            sparse,
+            correctable: sparse / 2,
+            binding,
+            kinds: kinds.collect(),
+        })
     }
 
     /// Rank of the observability matrix of `rows`, and the states that its row space does not hold.

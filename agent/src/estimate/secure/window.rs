@@ -24,7 +24,7 @@ use nalgebra::{DMatrix, SMatrix, SVector};
 
 use super::compress::Compressed;
 use super::newton::{Newton, Settings};
-use super::{Decoded, SecureError};
+use super::{Decoded, Program, SecureError};
 
 /// Longest window, slots.
 pub const MAX_SLOTS: usize = 128;
@@ -89,6 +89,16 @@ impl Factor {
     fn samples(&self) -> usize {
         self.count + usize::from(self.floor)
     }
+
+    /// Whitened row `k` of Φ: Q R, over `width` states.
+    fn row<const N: usize>(&self, k: usize, width: usize) -> [f64; N] {
+        let mut row = [0.0; N];
+        for (j, r) in self.r.chunks_exact(width.max(1)).enumerate() {
+            let q = self.q.get(j * self.samples() + k).copied().unwrap_or_default();
+            row.iter_mut().zip(r).for_each(|(slot, r)| *slot += q * r);
+        }
+        row
+    }
 }
 
 /// Statistic of one sensor in the last window decoded.
@@ -105,6 +115,7 @@ pub struct Statistic {
 pub struct Window<const N: usize> {
     slots: usize,
     growing: bool,
+    program: Program,
     a_inverse: SMatrix<f64, N, N>,
     phases: Vec<Phase>,
     /// Row kind of each sensor.
@@ -153,10 +164,12 @@ impl<const N: usize> Window<N> {
         }
         let sensors = kinds.len();
         let rank = kinds.iter().filter_map(|k| phases.get(*k)).map(|p| p.support.len().min(slots)).sum::<usize>();
-        let problem = Compressed::with_room(sensors + N, (slots + 1).max(2))?;
+        // Every value a term of its own (1-norm), or every sensor one: whichever needs more.
+        let terms = sensors * slots + N;
         Ok(Self {
             slots,
             growing: false,
+            program: Program::L2,
             a_inverse,
             kinds: kinds.to_vec(),
             masks: vec![0; sensors],
@@ -165,8 +178,8 @@ impl<const N: usize> Window<N> {
             is_forced: false,
             filled: 0,
             head: 0,
-            problem,
-            newton: Newton::with_room(rank + N, sensors + N, settings),
+            problem: room(sensors, slots)?,
+            newton: Newton::with_room(rank.max(sensors * slots) + N, terms, settings),
             whitened: vec![0.0; sensors * slots],
             samples: Vec::with_capacity(sensors * (slots + 1) + 2 * N),
             statistics: vec![Statistic::default(); sensors],
@@ -180,6 +193,11 @@ impl<const N: usize> Window<N> {
     pub fn growing(mut self) -> Self {
         self.growing = true;
         self
+    }
+
+    /// The norm over time that is minimised from now on.
+    pub fn use_program(&mut self, program: Program) {
+        self.program = program;
     }
 
     /// Slots of a full window.
@@ -285,6 +303,13 @@ impl<const N: usize> Window<N> {
             let Some(factor) = phase.known(*mask) else { continue };
             let first = sensor * self.slots;
             self.samples.extend(self.whitened.iter().skip(first).take(factor.count));
+            if self.program == Program::L1 {
+                for k in 0..factor.count {
+                    let row = factor.row::<N>(k, phase.support.len());
+                    self.problem.push(&phase.support, row.get(..phase.support.len()).unwrap_or_default(), &[], 1, 1);
+                }
+                continue;
+            }
             if factor.floor {
                 self.samples.push(FLOOR);
             }
@@ -492,6 +517,14 @@ impl Phase {
     }
 }
 
+/// Room for the problem of any window of `sensors` sensors over `slots` slots, with a term for each state beside.
+///
+/// # Errors
+/// Never, for any N.
+pub(super) fn room<const N: usize>(sensors: usize, slots: usize) -> Result<Compressed<N>, SecureError> {
+    Compressed::with_room(sensors + N, (slots + 1).max(2), sensors * slots.saturating_sub(1))
+}
+
 /// A clone of an empty vector has no room: this one has.
 fn with_capacity(factor: &Factor) -> Factor {
     Factor {
@@ -612,7 +645,7 @@ mod tests {
     #[test]
     fn a_lie_is_recovered_under_masks_drop_outs_and_thrust() {
         let mut w = window(10);
-        let (mut z, mut v) = (0.5, 0.0);
+        let (mut z, mut v) = (0.5, 0.0_f64);
         let thrust = 1.5;
         for k in 0..40_usize {
             let forced = SVector::from([0.5 * thrust * DT_S * DT_S, thrust * DT_S]);
@@ -634,6 +667,12 @@ mod tests {
         // Left out, it is judged all the same.
         let without = w.decode(|sensor| sensor == 1, &[], Some(&got.x)).unwrap();
         assert!((without.x - got.x).norm() < 1e-5 && w.statistic(1).square > 1e3);
+        // The 1-norm over time recovers it as well, each value a term of its own.
+        w.use_program(Program::L1);
+        let got = w.decode(|_| false, &[], None).unwrap();
+        let values: usize = (0..3).map(|sensor| w.count(sensor)).sum();
+        assert_eq!(w.problem().0.terms(), values);
+        assert!((got.x - SVector::from([z, v])).norm() < 1e-5, "{got:?} against {z} {v}");
     }
 
     #[test]
