@@ -4,6 +4,7 @@
 use std::process::{Command, Output};
 
 use plumbline_agent::recordings::shared;
+use plumbline_proto::{Message as _, v1};
 use serde_json::Value;
 
 fn agent(arguments: &[&str]) -> Output {
@@ -180,6 +181,61 @@ fn a_suite_is_judged_before_it_flies() {
         (["--trim", "loop:3"], "--trim loop:3: not hover"),
     ] {
         let output = agent(&[&["observability"], &arguments[..]].concat());
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
+    // GIVEN a recorded flight in which height 2 lies.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let scenario = path("lie.toml");
+    let text = "name = \"lie\"\nduration_s = 16\n[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\n\
+                mode = \"altitude_hold\"\n[[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 0.6\n[[attack]]\n\
+                sensor = \"height\"\ninstance = 2\nkind = \"bias\"\nstart_s = 9\nduration_s = 5\nmagnitude = 0.5\n";
+    std::fs::write(&scenario, text).unwrap();
+    let fly = |log: &str, more: &[&str]| {
+        let (log, identity) = (path(log), path("identity"));
+        let common = ["--ground", "none", "--speed", "max", "--log", &log, "--identity", &identity];
+        let output = agent(&[&common, more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let file = std::fs::read_dir(&log).unwrap().next().unwrap().unwrap().path();
+        file.to_str().unwrap().to_owned()
+    };
+    let flown = fly("first", &["--scenario", &scenario, "--script", "--estimator", "secure"]);
+    let estimate = |arguments: &[&str]| {
+        let out = path("out.csv");
+        agent(&[&["estimate", "--input", &flown, "--output", &out], arguments].concat())
+    };
+    // WHEN it is estimated THEN the liar is flagged within a second, and nobody else.
+    for decoder in ["l2", "l1", "l2_split", "l1_split"] {
+        let score = &lines(&estimate(&["--estimator", "secure", "--decoder", decoder]))[0];
+        let flags = score["flagged"].as_array().unwrap();
+        assert!(!flags.is_empty() && flags.iter().all(|f| f["sensor"] == "height 2"), "{decoder}: {flags:?}");
+        let since_s = flags[0]["since_s"].as_f64().unwrap();
+        assert!((9.0..10.0).contains(&since_s), "{decoder}: {flags:?}");
+        let z = score["position_rmse_xyz_m"][2].as_f64().unwrap();
+        assert!(z < 0.03, "{decoder}: {z} m");
+    }
+    assert!(lines(&estimate(&["--estimator", "ekf-bias"]))[0]["flagged"].is_null());
+    // AND it is flown again under another decoder, which the new recording tells.
+    let again = fly("again", &["--vehicle", "replay", &flown, "--estimator", "secure", "--decoder", "l1_split"]);
+    let bytes = std::fs::read(again).unwrap();
+    let told: Vec<_> = mcap::MessageStream::new(&bytes)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == "/secure")
+        .map(|message| v1::SecureStatus::decode(&*message.data).unwrap())
+        .collect();
+    assert!(told.len() > 100 && told.iter().all(|s| s.decoder() == v1::Decoder::L1Split), "{}", told.len());
+    assert!(told.iter().any(|s| s.sensors.iter().any(|d| d.flagged)));
+    for (arguments, expected) in [
+        (["--estimator", "secure", "--decoder", "l3"], "--decoder l3: not l2, l1"),
+        (["--estimator", "ukf", "--decoder", "l1"], "--decoder l1: ukf solves none"),
+    ] {
+        let output = estimate(&arguments);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && message.contains(expected), "{message}");
     }
