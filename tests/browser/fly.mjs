@@ -54,8 +54,8 @@ const stepText = async (from, to) => {
   const wanted = `${from.toFixed(2)} → ${to.toFixed(2)} m`;
   return until(`metrics of ${wanted}`, async () => {
     for (const text of await marks.allTextContents()) {
-      const found = /rise ([\d.]+) s · over ([\d.]+) % · settle ([\d.]+) s · error ([-−+]?\d+) mm/.exec(text);
-      if (text.includes(wanted) && found) return { rise: +found[1], over: +found[2], settle: +found[3], error: number(found[4]) };
+      const found = /rise ([\d.]+ s|—) · over ([\d.]+) % · settle ([\d.]+) s · error ([-−+]?\d+) mm/.exec(text);
+      if (text.includes(wanted) && found) return { rise: parseFloat(found[1]), over: +found[2], settle: +found[3], error: number(found[4]) };
     }
     return false;
   });
@@ -86,7 +86,7 @@ await step(page, 'keys: up twice to 1.0 m', async () => {
   await page.getByRole('heading', { name: 'Residuals' }).click();
   await page.keyboard.press('ArrowUp');
   await until('0.9', async () => Math.abs((await setpoint()) - 0.9) < 1e-6);
-  // A step that begins while the one before still moves has no rise time of its own.
+  // A step of 10 cm that begins a centimetre up has no rise time of its own: it is told as "—".
   await page.waitForTimeout(2500);
   await page.keyboard.press('ArrowUp');
   await reach(1.0);

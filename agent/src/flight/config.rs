@@ -17,8 +17,9 @@ use crate::vehicle::sim::rig::StringMode;
 use crate::vehicle::sim::{Rig, Scenario};
 use crate::vehicle::suite::Suite;
 
-/// Fraction of the weight that the motors may lift in the orientation test.
-const ORIENTATION_CEILING: f64 = 0.9;
+/// Fraction of the weight that the motors may lift in the orientation test. At 0.9 the string holds so little that two
+/// degrees of tilt swing the vehicle by 35°; with 0.8 it is a quarter of that.
+const ORIENTATION_CEILING: f64 = 0.8;
 
 /// What holds the vehicle; decides what it may be asked to do.
 #[derive(Debug, Clone, Copy, PartialEq)]

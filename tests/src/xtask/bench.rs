@@ -13,21 +13,21 @@ pub struct Options {
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
 const BENCHES: [(&str, Bench); 8] = [
-    ("control", Bench::Program("plumbline-tests", "control")),
-    ("tick", Bench::Program("plumbline-tests", "tick")),
-    ("steps", Bench::Program("plumbline-tests", "steps")),
-    ("sse", Bench::Program("plumbline-agent", "sse")),
-    ("estimate", Bench::Program("plumbline-agent", "estimate")),
+    ("control", Bench::Program("control")),
+    ("tick", Bench::Program("tick")),
+    ("steps", Bench::Program("steps")),
+    ("sse", Bench::Program("sse")),
+    ("estimate", Bench::Program("estimate")),
     ("page", Bench::Page),
-    ("live", Bench::Program("plumbline-tests", "live_latency")),
+    ("live", Bench::Program("live_latency")),
     ("charts", Bench::Charts),
 ];
 
 #[derive(Debug, Clone, Copy)]
 enum Bench {
     Page,
-    /// A package's bench program.
-    Program(&'static str, &'static str),
+    /// A bench program.
+    Program(&'static str),
     Charts,
 }
 
@@ -47,27 +47,27 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     if whole {
         // The page first: the ground embeds it.
         web::build(workspace, &web::Options::default())?;
-        let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
-        workspace::run(workspace.cargo().args(["build", "--locked", "--release", "--bins"]).args(packages))?;
+        workspace::run(workspace.cargo().args(["build", "--locked", "--workspace", "--release", "--bins"]))?;
     }
     for (name, bench) in chosen {
         eprintln!("xtask: bench {name}");
         match bench {
             Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
             Bench::Charts => browser::bench(workspace)?,
-            Bench::Program(package, name) => program(workspace, package, name, &[])?,
+            Bench::Program(name) => program(workspace, name, &[])?,
         }
     }
     Ok(())
 }
 
-/// Runs a package's program without a harness, in release, with `arguments`.
+/// Runs a program without a harness, in release, with `arguments`. Built with the whole workspace: a package alone would
+/// ask other features of the libraries, and build them again.
 ///
 /// # Errors
 /// It could not be built, or failed.
-pub fn program(workspace: &Workspace, package: &str, name: &str, arguments: &[&str]) -> Result<(), XtaskError> {
+pub fn program(workspace: &Workspace, name: &str, arguments: &[&str]) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
-    cargo.args(["bench", "--locked", "--package", package, "--bench", name]);
+    cargo.args(["bench", "--locked", "--workspace", "--bench", name]);
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("release"));
     if !arguments.is_empty() {
         cargo.arg("--").args(arguments);

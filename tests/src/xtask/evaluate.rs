@@ -11,7 +11,7 @@ const SOURCES: [&str; 2] = ["umasankar", "paternain"];
 /// # Errors
 /// The first part that could not be run.
 pub fn run(workspace: &Workspace) -> Result<(), XtaskError> {
-    bench::program(workspace, "plumbline-tests", "evaluate", &[])?;
+    bench::program(workspace, "evaluate", &[])?;
     bench::run(workspace, &bench::Options { name: Some("estimate".into()) })?;
     for source in SOURCES {
         reproduce::run(workspace, &reproduce::Options { source: Some(source.into()), quick: false })?;

@@ -13,26 +13,20 @@ pub struct Options {
 }
 
 /// Source, its programs, and what comes with later work.
-const SOURCES: [(&str, &[Program], &str); 4] = [
-    ("paternain", &[(TESTS, "paternain")], "VIII: the three experiments; report in target/reproduce/paternain"),
-    ("umasankar", &[(TESTS, "umasankar")], "Tables 3 to 5; report in target/reproduce/umasankar"),
+const SOURCES: [(&str, &[&str], &str); 4] = [
+    ("paternain", &["paternain"], "VIII: the three experiments; report in target/reproduce/paternain"),
+    ("umasankar", &["umasankar"], "Tables 3 to 5; report in target/reproduce/umasankar"),
     (
         "strategies",
-        &[(TESTS, "strategies")],
+        &["strategies"],
         "LQG, H-infinity and every controller on the same flights; report in target/reproduce/strategies",
     ),
     (
         "clinic",
-        &[("plumbline-agent", "sse"), (TESTS, "clinic")],
+        &["sse", "clinic"],
         "decoder times; Figures 8 to 13, Table 1 in closed loop, four real IMUs; report in target/reproduce/clinic",
     ),
 ];
-
-/// A bench program: package and name.
-type Program = (&'static str, &'static str);
-
-/// The package of the campaigns.
-const TESTS: &str = "plumbline-tests";
 
 /// Runs what there is and names what there is not.
 ///
@@ -49,8 +43,8 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let arguments: &[&str] = if options.quick { &["--quick"] } else { &[] };
     for (name, programs, note) in chosen {
         eprintln!("[{name}] {note}");
-        for (package, program) in *programs {
-            bench::program(workspace, package, program, arguments)?;
+        for program in *programs {
+            bench::program(workspace, program, arguments)?;
         }
     }
     Ok(())
