@@ -88,6 +88,8 @@ pub struct RunnerPorts {
     pub log: Option<Arc<LogState>>,
     /// Flight time for others.
     pub clock: Arc<FlightClock>,
+    /// When flight time is zero; `None`: the first tick is on time.
+    pub zero: Option<Instant>,
 }
 
 /// How it went.
@@ -151,10 +153,14 @@ impl Runner {
         if options.pace == Pace::Times(1.0) {
             flight.limit_steps(stopwatch, Some(DEADLINE_US));
         }
+        let mut pacer = Pacer::new(options.pace);
+        if let Some(zero) = ports.zero {
+            pacer.begin_at(zero, &ports.clock);
+        }
         Self {
             auditor,
             certifier,
-            pacer: Pacer::new(options.pace),
+            pacer,
             timing: Timing::new(tick_rate_hz),
             vehicle,
             flight,

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
 use plumbline_agent::config::AgentConfig;
@@ -34,6 +34,8 @@ use super::{FlyArguments, VehicleChoice};
 
 /// Bytes that may wait for the radio's thread: several seconds of a full suite.
 const LINK_RING_BYTES: usize = 2 << 20;
+/// From here to the first tick: log, link, solvers and threads are set up in it.
+const SET_UP: Duration = Duration::from_millis(100);
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -79,7 +81,9 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     };
     let flight = Flight::new(chosen.flight)?;
 
-    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH)?;
+    // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
+    let zero = Instant::now() + SET_UP;
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH)? + SET_UP;
     let boot_id = since_epoch.as_nanos() as u64 ^ u64::from(std::process::id());
     let boot_wall_time = WallTime(since_epoch.as_micros() as u64);
     let with_ground = !config.ground.is_empty();
@@ -151,6 +155,8 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         link: link.as_ref().map(|link| link.state().clone()),
         log: Some(log.state().clone()),
         clock,
+        // A recording has a time of its own.
+        zero: (!replay).then_some(zero),
     };
 
     let stop = Arc::new(AtomicBool::new(false));

@@ -34,6 +34,14 @@ impl Pacer {
         Self { pace, anchor: None, allowed: 0 }
     }
 
+    /// Flight time zero is at this instant, so that it is the wall time that was told of it; ticks wait for it.
+    pub fn begin_at(&mut self, zero: Instant, clock: &FlightClock) {
+        if let Pace::Times(speed) = self.pace {
+            self.anchor = Some((zero, FlightTime(0)));
+            clock.run(zero, FlightTime(0), speed);
+        }
+    }
+
     /// Changes the pace.
     pub fn set(&mut self, pace: Pace) {
         self.pace = pace;

@@ -69,7 +69,10 @@ pub fn roll() -> Answer {
 
 /// VIII-B: thrust below lift-off, hung on a string; yaw held aside for 1.2 s and let go.
 pub fn yaw() -> Answer {
-    Answer::of(flown("string_yaw", released_s, |v| v[2]), 0.0, 2.0)
+    let curve = flown("string_yaw", released_s, |v| v[2]);
+    // Back to the heading held before the hand came: what the magnetometers take for the target.
+    let held = curve.iter().take_while(|(t, ..)| *t < -1.5).last().map_or(0.0, |(_, truth, _)| *truth);
+    Answer::of(curve, held, 2.0)
 }
 
 /// VIII-C: take-off from the floor to 1 m.
