@@ -72,8 +72,12 @@ async fn a_simulated_agent_is_live() {
         stay: false,
         real_time: false,
     };
-    let ports =
-        RunnerPorts { inbound: Some(inbound), link: Some(handle.state().clone()), log: None, clock: flight_clock };
+    let ports = RunnerPorts {
+        inbound: Some(inbound),
+        link: Some(handle.state().clone()),
+        clock: flight_clock,
+        ..RunnerPorts::default()
+    };
     let stop = Arc::new(AtomicBool::new(false));
     let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
     let flying = {
