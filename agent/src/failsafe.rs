@@ -21,6 +21,7 @@ use plumbline_proto::time::FlightTime;
 
 use crate::control::setpoint::Limits;
 use crate::estimate::attitude::{AttitudeFilter, AttitudeOptions};
+use crate::estimate::median;
 use crate::event::{Text, text};
 use crate::frames::tilt_rad;
 use crate::model::GRAVITY_MPS2;
@@ -138,7 +139,7 @@ impl Watchdog {
             }
         }
         let vector = |parts: [ArrayVec<f64, MAX_IMUS>; 3]| {
-            let [x, y, z] = parts.map(|p| median(&p));
+            let [x, y, z] = parts.map(|p| median_of_finite(&p));
             Some(Vector3::new(x?, y?, z?))
         };
         self.since_imu_s += dt_s;
@@ -192,7 +193,7 @@ impl Watchdog {
     /// Median of the heights of the last half second, m.
     pub fn height_m(&self) -> Option<f64> {
         let heights: ArrayVec<f64, MAX_HEIGHTS> = self.heights.iter().flatten().map(|h| h.1).collect();
-        median(&heights)
+        median_of_finite(&heights)
     }
 
     /// When an IMU sample last arrived.
@@ -206,16 +207,9 @@ impl Watchdog {
     }
 }
 
-/// Median of the finite values; the mean of the middle two for an even number.
-fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted: ArrayVec<f64, 8> = values.iter().copied().filter(|v| v.is_finite()).take(8).collect();
-    sorted.sort_by(f64::total_cmp);
-    let n = sorted.len();
-    match n {
-        0 => None,
-        _ if n % 2 == 1 => sorted.get(n / 2).copied(),
-        _ => Some(0.5 * (sorted.get(n / 2 - 1)? + sorted.get(n / 2)?)),
-    }
+/// Median of the finite values, if there is one.
+fn median_of_finite(values: &[f64]) -> Option<f64> {
+    Some(median(values.iter().copied().filter(|v| v.is_finite()))).filter(|m| m.is_finite())
 }
 
 /// What the monitor looks at in one tick.

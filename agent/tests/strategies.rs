@@ -3,13 +3,13 @@
 
 use std::path::PathBuf;
 
-use nalgebra::{DMatrix, DVector, Matrix4};
+use nalgebra::{DMatrix, DVector};
 use plumbline_agent::control::hinf::reduction::{balance, residualise_fastest};
 use plumbline_agent::control::hinf::strategies::{ChannelWeights, assemble, channel, tracking, whole_plant};
 use plumbline_agent::control::hinf::synthesis::central;
 use plumbline_agent::control::hinf::weights::{Weight, mixed_sensitivity};
 use plumbline_agent::control::lqg::{DEFAULTS, OUTPUTS, Replica};
-use plumbline_agent::control::margins::{LoopMargins, margins};
+use plumbline_agent::control::margins::continuous_margins;
 use plumbline_agent::control::structure::{
     controllable_rank, detectable, gramian, observable_rank, unobservable_states,
 };
@@ -67,17 +67,6 @@ fn near(what: &str, found: f64, expected: f64, tolerance: f64) {
 /// Where each channel x, y, z, yaw acts.
 const INPUTS: [usize; 4] = [ix::TORQUE_Y, ix::TORQUE_X, ix::THRUST, ix::TORQUE_Z];
 
-/// Margins at the plant's inputs with a continuous `controller` (u = K y) around `plant`.
-fn at_inputs(plant: &StateSpace, controller: &StateSpace) -> ([LoopMargins; 4], f64) {
-    let at = |w: f64| {
-        let s = Complex::new(0.0, w);
-        let l = -(controller.response(s)? * plant.response(s)?);
-        Ok(Matrix4::from_fn(|r, c| l[(r, c)]))
-    };
-    let grid: Vec<_> = (0..600).map(|i| 0.01 * 1.02_f64.powi(i)).map(|w| (w, at(w).unwrap())).collect();
-    margins(&grid, at).unwrap()
-}
-
 #[test]
 fn lqg_gains_poles_and_steady_gains_equal_the_reference() {
     let Some(reference) = json("lqg.json") else { return };
@@ -129,7 +118,7 @@ fn lqg_steps_equal_the_reference() {
 fn lqg_margins_equal_the_reference() {
     let Some(reference) = json("lqg.json") else { return };
     let lqg = Replica::printed(&Airframe::iris()).unwrap();
-    let (loops, whole) = at_inputs(&lqg.plant, &lqg.controller());
+    let (loops, whole) = continuous_margins(&lqg.plant, &lqg.controller()).unwrap();
     near("peak of S at the inputs", whole, reference["Ms_input"].as_f64().unwrap(), MARGIN_TOLERANCE);
     for (name, input) in ["x", "y", "z", "psi"].into_iter().zip(INPUTS) {
         let (found, expected) = (&loops[input], &reference["loop_margins"][name]);
@@ -168,7 +157,7 @@ fn lqg_of_nine_outputs_equals_the_reference_and_forgives_the_lag_it_says() {
         let expected = &reference[name];
         close(&format!("{name} L"), &-&l, &matrix(&expected["L"]), GAIN_TOLERANCE);
         let lqg = Replica { plant: plant.clone(), f: matrix(&expected["F"]), fe: -&l };
-        let (_, whole) = at_inputs(&plant, &lqg.controller());
+        let (_, whole) = continuous_margins(&plant, &lqg.controller()).unwrap();
         near(&format!("{name} peak of S"), whole, expected["Ms_input"].as_f64().unwrap(), MARGIN_TOLERANCE);
         // The largest first-order motor lag that is stable, on a grid of 5 ms.
         let limit = expected["max_motor_lag_s"].as_f64().unwrap();
@@ -343,7 +332,7 @@ fn sixteen_states_by_residualisation_are_stable_and_as_good_as_twenty() {
             near(&format!("{what} slowest pole"), slowest, expected, 1e-4);
             // Errors of the reference are the inputs of K: u = K (r − y).
             let negative = StateSpace { b: -&controller.b, d: -&controller.d, ..controller.clone() };
-            let (_, peak) = at_inputs(&plant, &negative);
+            let (_, peak) = continuous_margins(&plant, &negative).unwrap();
             near(&format!("{what} peak of S"), peak, study[what]["peak_S"].as_f64().unwrap(), MARGIN_TOLERANCE);
         }
     }

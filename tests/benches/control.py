@@ -30,19 +30,18 @@ def main():
     except ImportError as error:
         line("scipy", skipped=str(error))
         return
-    for case in cases["riccati"]:
-        a, b, q, r = (np.array(case[k]) for k in ("A", "B", "Q", "R"))
-        solve = solve_continuous_are if case["kind"] == "care" else solve_discrete_are
-        line(f"{case['name']}_scipy", median_us(lambda: solve(a, b, q, r)), unit="us", version=scipy.__version__)
+    riccati = [(case["name"], case["kind"], *(np.array(case[k]) for k in "ABQR")) for case in cases["riccati"]]
+    for name, kind, a, b, q, r in riccati:
+        solve = solve_continuous_are if kind == "care" else solve_discrete_are
+        line(f"{name}_scipy", median_us(lambda: solve(a, b, q, r)), unit="us", version=scipy.__version__)
     try:
         import slycot
         from slycot import sb02md, sb10ad
     except ImportError as error:
         line("slycot", skipped=str(error))
         return
-    for case in cases["riccati"]:
-        a, b, q, r = (np.array(case[k]) for k in ("A", "B", "Q", "R"))
-        if case["kind"] != "care":
+    for name, kind, a, b, q, r in riccati:
+        if kind != "care":
             continue
         n = a.shape[0]
 
@@ -50,7 +49,7 @@ def main():
             g = b @ np.linalg.solve(r, b.T)
             return sb02md(n, a, g, q, "C")
 
-        line(f"{case['name']}_slycot", median_us(solve), unit="us", version=slycot.__version__)
+        line(f"{name}_slycot", median_us(solve), unit="us", version=slycot.__version__)
     p = {k: np.array(v) for k, v in cases["hinf"].items() if k != "gamma"}
     a = p["A"]
     b = np.hstack([p["B1"], p["B2"]])

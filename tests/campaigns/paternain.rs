@@ -71,7 +71,7 @@ const EXPERIMENTS: [Experiment; 3] = [
         window: (-1.0, 14.0),
         fly: take_off,
         figures: &[
-            Figure { name: "overshoot", unit: "m", paper: Some(1.0), limit: Some(0.2), value: |a| Some(a.overshoot) },
+            Figure { name: "overshoot", unit: "m", paper: Some(1.0), limit: Some(0.1), value: |a| Some(a.overshoot) },
             Figure { name: "rise", unit: "s", paper: None, limit: None, value: |a| a.rise_s },
             Figure { name: "settled", unit: "s", paper: None, limit: None, value: |a| a.settled_s },
             Figure { name: "final_error", unit: "m", paper: None, limit: Some(0.05), value: |a| Some(a.final_error) },

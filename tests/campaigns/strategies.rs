@@ -6,13 +6,13 @@
 mod headless;
 
 use headless::Headless;
-use nalgebra::{DMatrix, DVector, Matrix4, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::hinf::reduction::balance;
 use plumbline_agent::control::hinf::strategies::{self, CHANNELS, ChannelWeights, INPUT, tracking, whole_plant};
 use plumbline_agent::control::hinf::weights::{Weight, mixed_sensitivity};
 use plumbline_agent::control::lqg::{OUTPUTS, Replica};
-use plumbline_agent::control::margins::{LoopMargins, margins};
+use plumbline_agent::control::margins::continuous_margins;
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
 use plumbline_agent::control::tuning::{KINDS, kind_name};
 use plumbline_agent::control::{ControllerKind, Wrench};
@@ -56,16 +56,6 @@ fn step(system: &StateSpace, channel: usize, until_s: f64, dt_s: f64) -> Vec<(f6
 fn overshoot_percent(curve: &[(f64, f64)]) -> f64 {
     let last = curve.last().map_or(1.0, |p| p.1);
     100.0 * (curve.iter().map(|p| p.1 / last).fold(0.0, f64::max) - 1.0)
-}
-
-fn at_inputs(plant: &StateSpace, controller: &StateSpace) -> ([LoopMargins; 4], f64) {
-    let at = |w: f64| {
-        let s = Complex::new(0.0, w);
-        let l = -(controller.response(s)? * plant.response(s)?);
-        Ok(Matrix4::from_fn(|r, c| l[(r, c)]))
-    };
-    let grid: Vec<_> = (0..600).map(|i| 0.01 * 1.02_f64.powi(i)).map(|w| (w, at(w).unwrap())).collect();
-    margins(&grid, at).unwrap()
 }
 
 fn degrees(rad: f64) -> String {
@@ -122,7 +112,7 @@ fn lqg(report: &mut Report) -> Done<()> {
     let safe = Replica::new(nine, &(c.transpose() * &c), &(DMatrix::<f64>::identity(4, 4) * 0.7), &qe, &re)?;
     let mut rows = Vec::new();
     for (outputs, design) in [("four, as printed", &lqg), ("nine, as flown", &safe)] {
-        let (loops, whole) = at_inputs(&design.plant, &design.controller());
+        let (loops, whole) = continuous_margins(&design.plant, &design.controller())?;
         report.value(
             &format!("lqg/peak_sensitivity/{}", outputs.replace(", ", "_").replace(' ', "_")),
             whole,
@@ -186,7 +176,7 @@ fn hinf(report: &mut Report) -> Done<()> {
                 vec![name.to_string(), what.to_string(), controller.order().to_string(), format!("{slowest:.4}")];
             if slowest < 0.0 {
                 let negative = StateSpace { b: -&controller.b, d: -&controller.d, ..controller.clone() };
-                let (loops, peak) = at_inputs(&plant, &negative);
+                let (loops, peak) = continuous_margins(&plant, &negative)?;
                 let x = step(&loop_, 0, 20.0, 0.01);
                 cells.extend([
                     degrees(loops[INPUT[0]].phase_rad),

@@ -20,7 +20,7 @@ use super::tuning::Parameter;
 use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
 use crate::estimate::{Estimate, lqe};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
-use crate::linalg::{LinalgError, care, expm};
+use crate::linalg::{LinalgError, care, expm_with_integral};
 use crate::model::airframe::Airframe;
 use crate::model::discretize::zero_order_hold;
 use crate::model::linearize::{hover, ix};
@@ -68,18 +68,6 @@ fn process(kept: &[usize], acceleration: f64, turn: f64) -> DMatrix<f64> {
     })
 }
 
-/// ∫₀ᵀ e^{As} Q e^{Aᵀs} ds (Van Loan).
-fn accumulated(a: &DMatrix<f64>, q: &DMatrix<f64>, period_s: f64) -> Result<DMatrix<f64>, LinalgError> {
-    let n = a.nrows();
-    let mut m = DMatrix::zeros(2 * n, 2 * n);
-    m.view_mut((0, 0), (n, n)).copy_from(&-a);
-    m.view_mut((0, n), (n, n)).copy_from(q);
-    m.view_mut((n, n), (n, n)).copy_from(&a.transpose());
-    let e = expm(&(m * period_s))?;
-    let sum = e.view((n, n), (n, n)).transpose() * e.view((0, n), (n, n));
-    Ok((&sum + sum.transpose()) * 0.5)
-}
-
 /// Rows of the identity that pick `outputs` out of the states `kept`.
 fn selection(outputs: &[usize], kept: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(outputs.len(), kept.len(), |r, c| if kept[c] == outputs[r] { 1.0 } else { 0.0 })
@@ -106,7 +94,8 @@ fn filter_gain(
     let r = DMatrix::from_fn(outputs.len(), outputs.len(), |i, j| {
         if i == j { density(outputs[i]).powi(2) / period_s } else { 0.0 }
     });
-    let q = accumulated(&a, &process(kept, acceleration, turn), period_s)?;
+    // ∫₀ᵀ e^{As} Q e^{Aᵀs} ds.
+    let (_, q) = expm_with_integral(&a.transpose(), &process(kept, acceleration, turn), period_s)?;
     let sampled = zero_order_hold(&a, &DMatrix::zeros(n, 1), period_s)?;
     let found = lqe::discrete(&sampled.a, &selection(&outputs, kept), &q, &r)?.gain;
     let mut full = FilterGain::zeros();

@@ -195,6 +195,30 @@ fn closed_loop(plant: &Sampled, law: &StateSpace, delayed: bool) -> DMatrix<f64>
     out
 }
 
+/// Margins at the inputs of a continuous `plant` with a continuous `controller` (u = K y) around it, and the peak of
+/// σ(S); crossings are looked for from 0.01 to 1400 rad/s.
+///
+/// # Errors
+/// When the loop is not 4 × 4, or a pole lies on the imaginary axis where the response is asked for.
+pub fn continuous_margins(
+    plant: &StateSpace,
+    controller: &StateSpace,
+) -> Result<([LoopMargins; INPUTS], f64), LinalgError> {
+    let at = |w: f64| {
+        let s = Complex::new(0.0, w);
+        let l = -(controller.response(s)? * plant.response(s)?);
+        if l.shape() != (INPUTS, INPUTS) {
+            let (rows, columns) = l.shape();
+            let (what, expected_rows, expected_columns) = ("loop at the inputs", INPUTS, INPUTS);
+            return Err(LinalgError::Shape { what, rows, columns, expected_rows, expected_columns });
+        }
+        Ok(Matrix4::from_fn(|r, c| l[(r, c)]))
+    };
+    let grid: Result<Vec<_>, LinalgError> =
+        (0..600).map(|i| 0.01 * 1.02_f64.powi(i)).map(|w| Ok((w, at(w)?))).collect();
+    margins(&grid?, at)
+}
+
 /// Margins of each loop and the peak of σ(S), from L on a `grid` of frequencies and `at` any other.
 ///
 /// # Errors

@@ -10,7 +10,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::linalg::{Complex, LinalgError, eigenvalues, expm};
+use crate::linalg::{Complex, LinalgError, eigenvalues, expm_with_integral};
 
 /// Singular directions below this part of the largest count as none.
 const RANK_TOLERANCE: f64 = 1e-9;
@@ -91,15 +91,7 @@ pub fn unobservable_states(a: &DMatrix<f64>, c: &DMatrix<f64>) -> Vec<usize> {
 /// # Errors
 /// When the exponential overflows.
 pub fn gramian(a: &DMatrix<f64>, b: &DMatrix<f64>, t_s: f64) -> Result<DMatrix<f64>, LinalgError> {
-    let n = a.nrows();
-    // exp([[−A, BBᵀ], [0, Aᵀ]] t) = [[·, Φ12], [0, Φ22]]; W = Φ22ᵀ Φ12 (Van Loan).
-    let mut m = DMatrix::zeros(2 * n, 2 * n);
-    m.view_mut((0, 0), (n, n)).copy_from(&-a);
-    m.view_mut((0, n), (n, n)).copy_from(&(b * b.transpose()));
-    m.view_mut((n, n), (n, n)).copy_from(&a.transpose());
-    let e = expm(&(m * t_s))?;
-    let w = e.view((n, n), (n, n)).transpose() * e.view((0, n), (n, n));
-    Ok((&w + w.transpose()) * 0.5)
+    Ok(expm_with_integral(&a.transpose(), &(b * b.transpose()), t_s)?.1)
 }
 
 #[cfg(test)]

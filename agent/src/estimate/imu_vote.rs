@@ -31,7 +31,7 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::{Channel, MAX_RESIDUALS, Residual};
+use super::{Channel, MAX_RESIDUALS, Residual, median};
 use crate::vehicle::{MAX_IMUS, SensorFrame};
 
 /// Samples after which the prior spread between instances no longer widens the gate by half of σ.
@@ -274,17 +274,6 @@ impl Vote {
 /// Median of every axis.
 fn centre_of<'a>(ballots: impl Iterator<Item = &'a Ballot> + Clone) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| median(ballots.clone().map(|b| b.value[axis])))
-}
-
-/// Median of the values of every IMU (of an even number, the mean of the middle two).
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: ArrayVec<f64, MAX_IMUS> = values.take(MAX_IMUS).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let n = sorted.len();
-    match n {
-        0 => f64::NAN,
-        _ => 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]),
-    }
 }
 
 /// The gyroscope samples of a frame, rad/s.

@@ -29,10 +29,19 @@ pub mod secure;
 pub use plumbline_proto::v1::{Channel, EstimatorKind, Health};
 
 use crate::model::measure::Kinematics;
-use crate::vehicle::{MotorCommand, SensorFrame};
+use crate::vehicle::{MAX_HEIGHTS, MAX_IMUS, MotorCommand, SensorFrame};
 
 /// Most residuals one step can produce: five IMUs with seven channels, and every other sensor.
 pub const MAX_RESIDUALS: usize = 64;
+
+/// Median of the readings of one kind of sensor, the mean of the middle two for an even number; NaN of nothing.
+pub(crate) fn median(readings: impl Iterator<Item = f64>) -> f64 {
+    const MOST: usize = if MAX_IMUS > MAX_HEIGHTS { MAX_IMUS } else { MAX_HEIGHTS };
+    let mut sorted: ArrayVec<f64, MOST> = readings.take(MOST).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let n = sorted.len();
+    if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
+}
 
 /// Innovation of one scalar measurement, kept per sensor instance and never merged.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,7 +5,7 @@
 
 use nalgebra::DMatrix;
 
-use super::{LinalgError, check, norm_1};
+use super::{LinalgError, check, norm_1, symmetrised};
 
 /// Largest 1-norm for which degree 13 reaches double precision (Higham 2005, Table 2.3).
 const THETA_13: f64 = 5.371_920_351_148_152;
@@ -60,6 +60,31 @@ pub fn expm(a: &DMatrix<f64>) -> Result<DMatrix<f64>, LinalgError> {
         r = &r * &r;
     }
     if r.iter().all(|v| v.is_finite()) { Ok(r) } else { Err(failed(f64::INFINITY)) }
+}
+
+/// e^{FT} and ∫₀ᵀ e^{Fᵀs} W e^{Fs} ds for a symmetric W.
+///
+/// Source: C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic
+/// Control 23 (1978): exp([[−Fᵀ, W], [0, F]] T) = [[·, Φ12], [0, Φ22]] holds both, Φ22 and Φ22ᵀ Φ12.
+///
+/// # Errors
+/// As [`expm`].
+pub fn expm_with_integral(
+    f: &DMatrix<f64>,
+    w: &DMatrix<f64>,
+    t: f64,
+) -> Result<(DMatrix<f64>, DMatrix<f64>), LinalgError> {
+    let n = f.nrows();
+    check("matrix to exponentiate", f, n, n)?;
+    check("weight of the integral", w, n, n)?;
+    let mut block = DMatrix::zeros(2 * n, 2 * n);
+    block.view_mut((0, 0), (n, n)).copy_from(&(-f.transpose()));
+    block.view_mut((0, n), (n, n)).copy_from(w);
+    block.view_mut((n, n), (n, n)).copy_from(f);
+    let e = expm(&(block * t))?;
+    let phi = e.view((n, n), (n, n)).into_owned();
+    let integral = symmetrised(&(phi.transpose() * e.view((0, n), (n, n))));
+    Ok((phi, integral))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 
 use nalgebra::DMatrix;
 
-use super::{Complex, LinalgError, check, eigenvalues, inverse};
+use super::{Complex, LinalgError, check, eigenvalues, inverse, symmetric_eigen};
 
 /// Levels raised at most; each at least by the tolerance, usually far more.
 const MAX_LEVELS: usize = 60;
@@ -126,13 +126,7 @@ pub fn largest_singular_value(m: &DMatrix<Complex>) -> Result<f64, LinalgError> 
             (false, true) => v.im,
         }
     });
-    let eigen = nalgebra::SymmetricEigen::try_new(real, f64::EPSILON, 1000).ok_or(LinalgError::NotConverged {
-        what: "singular values",
-        iterations: 1000,
-        change: f64::NAN,
-        residual: f64::NAN,
-    })?;
-    Ok(eigen.eigenvalues.max().max(0.0).sqrt())
+    Ok(symmetric_eigen("singular values", real)?.eigenvalues.max().max(0.0).sqrt())
 }
 
 #[cfg(test)]

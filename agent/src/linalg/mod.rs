@@ -10,13 +10,16 @@ mod lyapunov;
 mod riccati;
 mod wide;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 
 pub use eigen::{Complex, eigenvalues};
-pub use expm::expm;
+pub use expm::{expm, expm_with_integral};
 pub use hinf_norm::{hinf_norm, largest_singular_value};
 pub use lyapunov::{lyapunov, stein};
 pub use riccati::{RiccatiSolution, care, care_by_sign, care_general, care_indefinite, dare, dare_general};
+
+/// Iterations for the eigenvalues of a symmetric matrix.
+const EIGEN_ITERATIONS: usize = 1000;
 
 /// Why a solve failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -132,6 +135,19 @@ pub(crate) fn symmetric(what: &'static str, matrix: &DMatrix<f64>, n: usize) -> 
 /// (M + Mᵀ)/2.
 pub(crate) fn symmetrised(matrix: &DMatrix<f64>) -> DMatrix<f64> {
     (matrix + matrix.transpose()) * 0.5
+}
+
+/// Eigenvalues and eigenvectors of a symmetric matrix; `what` names it in the error.
+pub(crate) fn symmetric_eigen(
+    what: &'static str,
+    matrix: DMatrix<f64>,
+) -> Result<SymmetricEigen<f64, Dyn>, LinalgError> {
+    SymmetricEigen::try_new(matrix, f64::EPSILON, EIGEN_ITERATIONS).ok_or(LinalgError::NotConverged {
+        what,
+        iterations: EIGEN_ITERATIONS,
+        change: f64::NAN,
+        residual: f64::NAN,
+    })
 }
 
 /// Largest column sum of absolute values.

@@ -1,11 +1,8 @@
 //! Continuous to sampled: zero-order hold, and the sampled equivalent of a continuous cost.
-//!
-//! Source: C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans.
-//! Automatic Control 23 (1978).
 
 use nalgebra::DMatrix;
 
-use crate::linalg::{LinalgError, expm};
+use crate::linalg::{LinalgError, expm, expm_with_integral};
 
 /// x₊ = A x + B u with u held over each period.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,17 +51,9 @@ pub fn sampled_cost(
     let mut weight = DMatrix::zeros(size, size);
     weight.view_mut((0, 0), (n, n)).copy_from(q);
     weight.view_mut((n, n), (m, m)).copy_from(r);
-    // exp([[−Fᵀ, W], [0, F]] T) = [[·, Φ12], [0, Φ22]]; the sum's weight is Φ22ᵀ Φ12.
-    let mut van_loan = DMatrix::zeros(2 * size, 2 * size);
-    van_loan.view_mut((0, 0), (size, size)).copy_from(&(-f.transpose()));
-    van_loan.view_mut((0, size), (size, size)).copy_from(&weight);
-    van_loan.view_mut((size, size), (size, size)).copy_from(&f);
-    let e = expm(&(van_loan * period_s))?;
-    let phi22 = e.view((size, size), (size, size)).into_owned();
-    let cost = phi22.transpose() * e.view((0, size), (size, size));
-    let cost = (&cost + cost.transpose()) * 0.5;
+    let (phi, cost) = expm_with_integral(&f, &weight, period_s)?;
     let part = |r0: usize, c0: usize, rows: usize, columns: usize| cost.view((r0, c0), (rows, columns)).into_owned();
-    let plant = Sampled { a: phi22.view((0, 0), (n, n)).into_owned(), b: phi22.view((0, n), (n, m)).into_owned() };
+    let plant = Sampled { a: phi.view((0, 0), (n, n)).into_owned(), b: phi.view((0, n), (n, m)).into_owned() };
     Ok((plant, SampledCost { q: part(0, 0, n, n), n: part(0, n, n, m), r: part(n, n, m, m) }))
 }
 

@@ -8,7 +8,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::{Complex, LinalgError, eigenvalues, lyapunov};
+use crate::linalg::{Complex, LinalgError, eigenvalues, lyapunov, symmetric_eigen};
 use crate::model::state_space::StateSpace;
 
 /// A system in balanced coordinates.
@@ -29,10 +29,8 @@ pub fn balance(system: &StateSpace) -> Result<Balanced, LinalgError> {
     // A P + P Aᵀ + B Bᵀ = 0, Aᵀ Q + Q A + Cᵀ C = 0.
     let p = lyapunov(&a.transpose(), &(b * b.transpose()))?;
     let q = lyapunov(a, &(c.transpose() * c))?;
-    let failed = |what| LinalgError::NotConverged { what, iterations: 1000, change: f64::NAN, residual: f64::NAN };
-    let eigen = |m: DMatrix<f64>, what| nalgebra::SymmetricEigen::try_new(m, f64::EPSILON, 1000).ok_or(failed(what));
     let r = factor(&q)?;
-    let product = eigen(r.transpose() * p * &r, "Hankel singular values")?;
+    let product = symmetric_eigen("Hankel singular values", r.transpose() * p * &r)?;
     let mut order: Vec<usize> = (0..a.nrows()).collect();
     order.sort_by(|&i, &j| product.eigenvalues[j].total_cmp(&product.eigenvalues[i]));
     let values = DVector::from_iterator(order.len(), order.iter().map(|&i| product.eigenvalues[i].max(0.0).sqrt()));
@@ -54,8 +52,7 @@ fn factor(q: &DMatrix<f64>) -> Result<DMatrix<f64>, LinalgError> {
     if let Some(cholesky) = nalgebra::Cholesky::new(q.clone()) {
         return Ok(cholesky.l());
     }
-    let failed = LinalgError::NotConverged { what: "Gramian", iterations: 1000, change: f64::NAN, residual: f64::NAN };
-    let eigen = nalgebra::SymmetricEigen::try_new(q.clone(), f64::EPSILON, 1000).ok_or(failed)?;
+    let eigen = symmetric_eigen("Gramian", q.clone())?;
     let floor = f64::EPSILON * eigen.eigenvalues.amax();
     let roots = DMatrix::from_diagonal(&eigen.eigenvalues.map(|v| v.max(floor).sqrt()));
     Ok(eigen.eigenvectors * roots)

@@ -17,7 +17,7 @@
 use nalgebra::DMatrix;
 
 use super::weights::Generalised;
-use crate::linalg::{LinalgError, care_indefinite, eigenvalues};
+use crate::linalg::{LinalgError, care_indefinite, eigenvalues, symmetric_eigen};
 use crate::model::state_space::StateSpace;
 
 /// Doublings and bisections at most.
@@ -140,8 +140,6 @@ pub fn optimal_gamma(plant: &Generalised, tolerance: f64) -> Result<f64, LinalgE
 }
 
 fn semidefinite(m: &DMatrix<f64>) -> Result<bool, LinalgError> {
-    let failed =
-        LinalgError::NotConverged { what: "eigenvalues of X", iterations: 500, change: f64::NAN, residual: f64::NAN };
-    let eigen = nalgebra::SymmetricEigen::try_new(m.clone(), f64::EPSILON, 500).ok_or(failed)?.eigenvalues;
+    let eigen = symmetric_eigen("eigenvalues of X", m.clone())?.eigenvalues;
     Ok(eigen.min() >= -SEMIDEFINITE * eigen.amax())
 }

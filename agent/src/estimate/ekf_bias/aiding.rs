@@ -12,7 +12,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
 use super::covariance::{ErrorState, augment_barometer, forget, ix};
-use crate::estimate::{Channel, Residual, kalman};
+use crate::estimate::{Channel, Residual, kalman, median};
 use crate::frames::wrap_pi;
 use crate::model::measure::{self, Row, barometer, camera_range};
 use crate::vehicle::{CAMERAS, MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS, SensorFrame};
@@ -260,7 +260,7 @@ impl EkfBias {
             }
             self.recover_height(frame.time, true);
         }
-        let centre = if arrived.len() == 2 { 0.0 } else { median_of(arrived.iter().map(|(_, y)| *y)) };
+        let centre = if arrived.len() == 2 { 0.0 } else { median(arrived.iter().map(|(_, y)| *y)) };
         arrived.sort_unstable_by(|a, b| (a.1 - centre).abs().total_cmp(&(b.1 - centre).abs()));
         let (sigma, gate) = (self.options.height_sigma_m, self.options.gates.height);
         let mut used = false;
@@ -298,7 +298,7 @@ impl EkfBias {
     /// wide after a silence or already dragged along, would let it in.
     fn outvoted(&self, i: usize, now: FlightTime) -> bool {
         let fresh = self.fresh_heights(now);
-        let centre = median_of(fresh.iter().map(|(_, y)| *y));
+        let centre = median(fresh.iter().map(|(_, y)| *y));
         fresh.len() >= 3 && fresh.iter().any(|(k, y)| *k == i && (y - centre).abs() > self.heights_apart_m())
     }
 
@@ -306,7 +306,7 @@ impl EkfBias {
     /// agree that it is. One alone is believed only if nothing else knows the altitude.
     fn recover_height(&mut self, now: FlightTime, first: bool) {
         let fresh = self.fresh_heights(now);
-        let centre = median_of(fresh.iter().map(|(_, y)| *y));
+        let centre = median(fresh.iter().map(|(_, y)| *y));
         let near = self.heights_apart_m();
         let agree = fresh.iter().filter(|(_, y)| (y - centre).abs() <= near).count();
         let majority = agree >= 2 && 2 * agree > fresh.len();
@@ -383,11 +383,11 @@ impl EkfBias {
         }
         if !self.yaw_known {
             // The first magnetometer after a start without one.
-            self.turn(median_of(arrived.iter().map(|(_, y)| *y)));
+            self.turn(median(arrived.iter().map(|(_, y)| *y)));
             forget(&mut self.p, ix::ATTITUDE + 2, super::align::YAW_SIGMA_FIELD_RAD.powi(2));
             self.yaw_known = true;
         }
-        let centre = if arrived.len() == 2 { 0.0 } else { median_of(arrived.iter().map(|(_, y)| *y)) };
+        let centre = if arrived.len() == 2 { 0.0 } else { median(arrived.iter().map(|(_, y)| *y)) };
         arrived.sort_unstable_by(|a, b| wrap_pi(a.1 - centre).abs().total_cmp(&wrap_pi(b.1 - centre).abs()));
         let mut used = false;
         let mut undisturbed = false;
@@ -491,13 +491,4 @@ impl EkfBias {
 
 fn finite(v: &Vector3<f64>) -> bool {
     v.iter().all(|x| x.is_finite())
-}
-
-/// Median of the values of one kind of sensor.
-fn median_of(values: impl Iterator<Item = f64>) -> f64 {
-    const MOST: usize = if MAX_IMUS > MAX_HEIGHTS { MAX_IMUS } else { MAX_HEIGHTS };
-    let mut sorted: ArrayVec<f64, MOST> = values.take(MOST).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let n = sorted.len();
-    if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
 }

@@ -11,11 +11,11 @@
 //! itself from sample to sample has the variance 2 (σ² + σ_v²); the median over the IMUs, so that a minority can
 //! neither claim a shock nor hide one, says how much less differences count, down to nothing.
 
-use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
 use crate::estimate::ekf_bias::EkfOptions;
+use crate::estimate::median;
 use crate::vehicle::{MAX_IMUS, SensorFrame};
 
 /// Vibration is averaged over this long, s; a slot that is rougher than the average counts by itself.
@@ -192,14 +192,6 @@ impl Inertial {
         }
         self.rate = Some((now, *rate));
     }
-}
-
-/// Median; NaN of nothing.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: ArrayVec<f64, MAX_IMUS> = values.take(MAX_IMUS).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let n = sorted.len();
-    if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
 }
 
 #[cfg(test)]
