@@ -2,8 +2,9 @@
 //!
 //! Frames come from the flight thread's ring exactly as telemetry encoded them. A flight begins with
 //! its opening [`v1::FlightMark`] and ends with its closing one; what lies outside is not kept.
-//! Settings against crashes: no seeking, chunks closed and flushed every [`FLUSH_PERIOD`], synced to
-//! the disk every [`SYNC_PERIOD`]. A killed agent loses at most the last flush.
+//! Settings against crashes: no seeking, chunks closed, flushed and synced to the disk every
+//! [`FLUSH_PERIOD`]. A killed agent loses at most the last flush, a power cut at most that and what the disk took to
+//! sync the one before.
 //!
 //! The folder stays below its configured size: finished flights go, those that the ground has confirmed to hold
 //! first, the oldest of each first. What a killed agent left is finished at the next start. A full or
@@ -12,6 +13,7 @@
 
 mod archive;
 mod chunk;
+mod records;
 mod repair;
 mod sync;
 mod writer;
@@ -29,13 +31,14 @@ use rtrb::Consumer;
 
 pub use archive::LogArchive;
 pub use chunk::{MAX_RECORD, chunk_records};
-pub use sync::Syncer;
+pub use repair::{finish_all, unfinished};
+pub use sync::{SyncedFile, Syncer};
 use writer::LogFile;
 
-/// A chunk is closed and handed to the system at least this often.
+/// A chunk is closed, handed to the system and sent on to the disk at least this often.
 pub const FLUSH_PERIOD: Duration = Duration::from_millis(150);
-/// The file is synced to the disk at least this often.
-pub const SYNC_PERIOD: Duration = Duration::from_millis(900);
+/// Size of the folder and health of the disk are looked at this often.
+const LOOK_PERIOD: Duration = Duration::from_millis(900);
 /// Bytes that may wait for the disk: more than ten seconds of a full suite at 200 Hz.
 pub const RING_BYTES: usize = 8 << 20;
 /// Default bound of the folder.
@@ -90,13 +93,16 @@ impl LogState {
 
     fn report(&self, error: Option<String>) {
         let mut now = self.error.lock().unwrap_or_else(PoisonError::into_inner);
-        if *now != error {
-            match &error {
-                Some(error) => tracing::error!(error, "onboard log"),
-                None => tracing::info!("the onboard log is well again"),
-            }
-            *now = error;
-            self.changes.fetch_add(1, Ordering::Release);
+        if *now == error {
+            return;
+        }
+        now.clone_from(&error);
+        self.changes.fetch_add(1, Ordering::Release);
+        // The flight thread reads it: what follows may wait for a terminal.
+        drop(now);
+        match error {
+            Some(error) => tracing::error!(error, "onboard log"),
+            None => tracing::info!("the onboard log is well again"),
         }
     }
 }
@@ -111,14 +117,6 @@ pub enum LogError {
         path: PathBuf,
         /// Cause.
         source: std::io::Error,
-    },
-    /// MCAP refused.
-    #[error("onboard log {path}: {source}")]
-    Mcap {
-        /// File.
-        path: PathBuf,
-        /// Cause.
-        source: Box<mcap::McapError>,
     },
     /// No room.
     #[error("onboard log {path}: {reason}")]
@@ -216,19 +214,18 @@ struct Log {
 impl Log {
     fn run(&mut self, mut ring: Consumer<u8>, stop: &AtomicBool) {
         let mut flushed = Instant::now();
-        let mut synced = Instant::now();
+        let mut looked = Instant::now();
         loop {
             // Asked before the ring is read: what was written before the stop is still taken.
             let last = stop.load(Ordering::Acquire);
             self.take(&mut ring);
             if flushed.elapsed() >= FLUSH_PERIOD {
                 flushed = Instant::now();
-                self.with_file(LogFile::flush);
-            }
-            if synced.elapsed() >= SYNC_PERIOD {
-                synced = Instant::now();
                 let syncer = self.syncer.clone();
-                self.with_file(|file| file.sync(&syncer));
+                self.with_file(|file| file.flush(&syncer));
+            }
+            if looked.elapsed() >= LOOK_PERIOD {
+                looked = Instant::now();
                 self.keep_within_size();
                 self.look_again();
             }
@@ -325,7 +322,9 @@ impl Log {
     }
 
     fn fail(&mut self, error: &LogError) {
-        self.file = None;
+        if let Some(mut file) = self.file.take() {
+            file.give_up();
+        }
         self.state.current().clear();
         self.state.report(Some(error.to_string()));
     }

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
+use bytes::BytesMut;
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::{DecodeError, Kind, Message, v1};
 
@@ -31,6 +31,9 @@ pub const FLUSH_EVERY: Duration = Duration::from_millis(10);
 const FLUSH_BYTES: usize = 256 << 10;
 /// A vehicle that says nothing for this long is shown as not connected, whatever its connection may yet become.
 pub const SILENT_AFTER: Duration = Duration::from_secs(2);
+/// Batches are kept side by side in blocks of this size, which go back to the system whole: batches of minutes between
+/// what lives for milliseconds would leave the memory in pieces.
+const BLOCK_BYTES: usize = 512 << 10;
 /// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
 const MAX_TOPICS: usize = 512;
 
@@ -54,6 +57,8 @@ struct Vehicle {
     health: Health,
     pending: Vec<u8>,
     pending_messages: u32,
+    /// What is left of the block that batches are put into.
+    block: BytesMut,
     viewers: Vec<Weak<ViewerQueue>>,
     malformed: u64,
 }
@@ -274,6 +279,7 @@ impl Vehicle {
             health: Health::new(now),
             pending: Vec::new(),
             pending_messages: 0,
+            block: BytesMut::new(),
             viewers: Vec::new(),
             malformed: 0,
         }
@@ -313,7 +319,11 @@ impl Vehicle {
         if self.pending.is_empty() {
             return;
         }
-        let shared = Shared { batch: Bytes::copy_from_slice(&self.pending), messages: self.pending_messages };
+        if self.block.capacity() < self.pending.len() {
+            self.block = BytesMut::with_capacity(BLOCK_BYTES.max(self.pending.len()));
+        }
+        self.block.extend_from_slice(&self.pending);
+        let shared = Shared { batch: self.block.split().freeze(), messages: self.pending_messages };
         self.pending.clear();
         self.pending_messages = 0;
         self.viewers.retain(|viewer| match viewer.upgrade() {

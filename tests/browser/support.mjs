@@ -3,7 +3,7 @@
 import { createRequire } from 'node:module';
 import { spawnSync } from 'node:child_process';
 
-const need = (name) => {
+export const need = (name) => {
   const value = process.env[name];
   if (!value) throw new Error(`${name} is not set; these scripts are run by cargo xtask`);
   return value;
@@ -32,7 +32,7 @@ export async function step(page, name, work) {
   } catch (error) {
     failures += 1;
     const file = `${screenshots}/failed-${name.replace(/[^a-z0-9]+/gi, '-').slice(0, 60)}.png`;
-    await page.screenshot({ path: file }).catch(() => {});
+    await page?.screenshot({ path: file }).catch(() => {});
     console.log(JSON.stringify({ step: name, ok: false, error: `${error.message ?? error}\n(see ${file})` }));
     return undefined;
   }

@@ -16,12 +16,12 @@
 //! suffers no more than the bare timer of the processor that suffers most: a real-time thread stays where it is.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "chaos/disk.rs"]
+mod disk;
 #[path = "chaos/figures.rs"]
 mod figures;
 #[path = "chaos/files.rs"]
 mod files;
-#[path = "chaos/frozen.rs"]
-mod frozen;
 #[path = "../tests/support/mod.rs"]
 mod support;
 #[path = "chaos/witness.rs"]
@@ -73,7 +73,7 @@ fn main() -> std::process::ExitCode {
     let mut figures = Figures::new("jitter", seed);
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
-    let disk = frozen::Disk::mount(&options.data.join("iris-1/log")).map(Arc::new);
+    let disk = disk::Disk::mount(&options.data.join("iris-1/log")).map(Arc::new);
     if disk.is_none() {
         println!("skipped: disk_slow; no file system can be mounted here");
     }
@@ -87,7 +87,7 @@ fn main() -> std::process::ExitCode {
     command("mode", json!({ "mode": "altitude_hold" })).unwrap();
     command("setpoint", json!({ "altitude_m": 0.5 })).unwrap();
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
-    let bare: Vec<_> = (0..processors).map(|processor| Witness::start(Some(processor), TICK)).collect();
+    let bare: Vec<_> = (0..processors).map(|processor| Witness::start(Some(processor), TICK, 0.0)).collect();
 
     let mut phases: Vec<(&str, u64, u64)> = Vec::new();
     let mut phase = |name: &'static str| {

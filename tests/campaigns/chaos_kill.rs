@@ -21,7 +21,7 @@ fn main() -> std::process::ExitCode {
     let (rounds, seed) = (setting("PLUMBLINE_ROUNDS", 20), setting("PLUMBLINE_SEED", 1));
     let mut figures = Figures::new("kill", seed);
     let folder = tempfile::tempdir().unwrap();
-    let options = SystemOptions { port: kill::free_port(), ..support::options(folder.path()) };
+    let options = SystemOptions { port: support::free_port(), ..support::options(folder.path()) };
     let mut tally = kill::run(&options, rounds, seed);
     let kills = json!({ "rounds": tally.rounds, "ground": tally.ground_kills, "agent": tally.agent_kills,
         "armed": tally.in_flight });

@@ -16,7 +16,7 @@ const TAIL_MAX_MS: f64 = 1_500.0;
 fn a_kill_costs_no_more_than_the_last_flush() {
     // GIVEN a flight WHEN ground or agent is killed, four times
     let folder = tempfile::tempdir().unwrap();
-    let options = SystemOptions { port: kill::free_port(), ..support::options(folder.path()) };
+    let options = SystemOptions { port: support::free_port(), ..support::options(folder.path()) };
     let tally = kill::run(&options, 4, 7);
     // THEN files, index and the third-party reader agree, and what was flushed is there
     assert!(tally.faults.is_empty(), "{:#?}", tally.faults);

@@ -2,18 +2,22 @@
 //!
 //! Valid input is made here, by the product's own encoders where there are any, and damaged at random: bits, lengths,
 //! ends, repeated and moved pieces, numbers that are none. Half a second for each decoder in the test suite;
-//! `cargo xtask fuzz --minutes N` gives each of them so many minutes. A failure prints the seed and keeps the input in
-//! `target/fuzz`; once mended, the input goes into `tests/corpus`.
+//! `cargo xtask fuzz --minutes N` gives each of them so many minutes of its thread's processor time, in pieces of a
+//! minute with a seed and a JSON line each: what was done before an interruption counts, and `--seed` goes on from there. A
+//! failure says so in a JSON line and keeps the input in `target/fuzz`; once mended, the input goes into `tests/corpus`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use plumbline_agent::calibration::{CalibrationFile, Kind as Calibrated};
 use plumbline_agent::design::file::DesignFile;
+use plumbline_agent::link::backfill::Archive as _;
 use plumbline_agent::link::inbound;
+use plumbline_agent::log::{self, LogArchive};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::offline::calibrate::{Request, from_table, load};
 use plumbline_agent::recordings;
@@ -30,6 +34,8 @@ const MEMORY_MAX_MIB: f64 = 512.0;
 /// What one input of a few kilobytes may take of time, on a machine that compiles beside us.
 const TIME_MAX: Duration = Duration::from_secs(10);
 const SHORT: Duration = Duration::from_millis(500);
+/// A new seed begins, and a line is printed, after this much work.
+const PIECE: Duration = Duration::from_secs(60);
 /// Memory is looked at once in so many inputs.
 const LOOK_EVERY: u64 = 256;
 
@@ -116,6 +122,14 @@ fn corpus(name: &str) -> Vec<Vec<u8>> {
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }
 
+/// Processor time of this thread.
+fn worked() -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `time` is a valid place for the answer.
+    unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
+}
+
 /// Runs `decoder` on damaged `seeds` for as long as is asked.
 fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
     let seeds = [seeds, &corpus(name)].concat();
@@ -124,11 +138,23 @@ fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
     let minutes: f64 = std::env::var("PLUMBLINE_FUZZ_MINUTES").map_or(0.0, |text| text.parse().unwrap());
     let seed: u64 = std::env::var("PLUMBLINE_SEED").map_or(1, |text| text.parse().unwrap());
     let span = if minutes > 0.0 { Duration::from_secs_f64(60.0 * minutes) } else { SHORT };
+    let begun = worked();
+    for seed in seed.. {
+        let left = span.saturating_sub(worked().saturating_sub(begun));
+        if left.is_zero() {
+            break;
+        }
+        piece(name, &seeds, &mut decoder, seed, left.min(PIECE));
+    }
+}
+
+/// Runs `decoder` for so long on input damaged as `seed` says.
+fn piece(name: &str, seeds: &[Vec<u8>], decoder: &mut impl FnMut(&[u8]), seed: u64, span: Duration) {
     let mut chance = Chance(seed);
-    let begun = Instant::now();
+    let (begun, wall) = (worked(), Instant::now());
     let (mut inputs, mut slowest) = (0_u64, Duration::ZERO);
-    while begun.elapsed() < span {
-        let input = damage(&mut chance, &seeds);
+    while worked().saturating_sub(begun) < span {
+        let input = damage(&mut chance, seeds);
         let started = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| decoder(&input)));
         let took = started.elapsed();
@@ -141,13 +167,19 @@ fn fuzz(name: &str, seeds: &[Vec<u8>], mut decoder: impl FnMut(&[u8])) {
             let kept = folder.join(format!("{name}-{seed}-{inputs}"));
             std::fs::write(&kept, &input).unwrap();
             let panicked = outcome.is_err();
+            println!(
+                "{{\"fuzz\":\"{name}\",\"name\":\"finding\",\"value\":{inputs},\"unit\":\"input\",\"seed\":{seed},\"panicked\":{panicked},\
+                 \"took_ms\":{:.0},\"process_peak_mib\":{peak:.0},\"kept\":{kept:?}}}",
+                took.as_secs_f64() * 1e3
+            );
             panic!("{name}: seed {seed}, input {inputs}: panic {panicked}, {took:?}, {peak:.0} MiB; kept as {kept:?}");
         }
     }
     println!(
         "{{\"fuzz\":\"{name}\",\"name\":\"inputs\",\"value\":{inputs},\"unit\":\"inputs\",\"seed\":{seed},\
-         \"seconds\":{:.1},\"slowest_ms\":{:.3},\"process_peak_mib\":{:.0}}}",
-        begun.elapsed().as_secs_f64(),
+         \"minutes\":{:.3},\"wall_s\":{:.1},\"slowest_ms\":{:.3},\"process_peak_mib\":{:.0},\"findings\":0}}",
+        worked().saturating_sub(begun).as_secs_f64() / 60.0,
+        wall.elapsed().as_secs_f64(),
         slowest.as_secs_f64() * 1e3,
         peak_mib()
     );
@@ -289,6 +321,27 @@ fn fuzz_flight_file_repair() {
     fuzz("flight_file_repair", &flight_files(), |input| {
         let path = scratch.with("f-1.001.part", input);
         let _ = plumbline_ground::recorder::inspect(&path);
+    });
+}
+
+#[test]
+fn fuzz_onboard_log() {
+    let scratch = Scratch::new();
+    let whole = v1::BackfillRequest { flight_id: "f-1".into(), first_sequence: 0, last_sequence: u64::MAX };
+    fuzz("onboard_log", &flight_files(), |input| {
+        let path = scratch.with("f-1.mcap", input);
+        let archive = LogArchive::at(path.parent().unwrap());
+        let mut told = 0;
+        let mut count = |_: &codec::Frame<'_>| {
+            told += 1;
+            ControlFlow::Continue(())
+        };
+        let _ = archive.read(&whole, &mut count);
+        log::finish_all(&log::unfinished(path.parent().unwrap()));
+        for left in std::fs::read_dir(path.parent().unwrap()).unwrap() {
+            std::fs::remove_file(left.unwrap().path()).unwrap();
+        }
+        assert!(told < 1 << 20, "{told} messages in {} bytes", input.len());
     });
 }
 

@@ -18,7 +18,7 @@ use super::writer::LogFile;
 const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// The flights in `folder` that were not finished; half-made repairs of before are removed.
-pub(super) fn unfinished(folder: &Path) -> Vec<PathBuf> {
+pub fn unfinished(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for path in fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
         match path.extension().and_then(|extension| extension.to_str()) {
@@ -48,7 +48,7 @@ fn finished(path: &Path) -> bool {
 }
 
 /// Finishes each of `files`; what fails is reported and left as it is.
-pub(super) fn finish_all(files: &[PathBuf]) {
+pub fn finish_all(files: &[PathBuf]) {
     for path in files {
         match finish(path) {
             Ok(messages) => tracing::warn!(file = %path.display(), messages, "an unfinished flight was finished"),
@@ -66,7 +66,7 @@ fn finish(path: &Path) -> Result<u64, LogError> {
         return Ok(0);
     };
     let temporary = with_suffix(path, "tmp");
-    let mut made = LogFile::create_at(temporary.clone(), metadata)?;
+    let mut made = LogFile::create_at(temporary.clone(), &metadata)?;
     let (mut messages, mut failed) = (0, None);
     let read =
         archive::read(File::open(path).map_err(io)?, path, &mut archive::Known::default(), &whole, &mut |frame| {

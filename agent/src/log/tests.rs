@@ -80,8 +80,53 @@ fn a_flight_is_kept_whole_and_can_be_asked_for_again() {
 
     let bytes = std::fs::read(folder.path().join("f-1.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    assert_eq!(summary.stats.unwrap().message_count, 501);
+    assert_eq!(summary.stats.as_ref().unwrap().message_count, 501);
     assert!(summary.schemas.values().any(|schema| schema.name == "plumbline.v1.HeightSample"));
+    // By the index, as viewers read.
+    let mut indexed = mcap::sans_io::IndexedReader::new(&summary).unwrap();
+    let mut times = Vec::new();
+    while let Some(event) = indexed.next_event() {
+        match event.unwrap() {
+            mcap::sans_io::IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                let chunk = &bytes[offset as usize..][..length];
+                indexed.insert_chunk_record_data(offset, chunk).unwrap();
+            }
+            mcap::sans_io::IndexedReadEvent::Message { header, .. } => times.push(header.log_time),
+        }
+    }
+    assert!(times.len() == 501 && times.is_sorted());
+    for index in &summary.chunk_indexes {
+        let places = summary.read_message_indexes(&bytes, index).unwrap();
+        assert_eq!(places.values().map(Vec::len).sum::<usize>(), summary.stream_chunk(&bytes, index).unwrap().count());
+    }
+    assert_eq!(summary.metadata_indexes.len(), 1);
+    assert!(mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).unwrap().metadata.contains_key("flight_id"));
+}
+
+#[test]
+fn a_file_that_cannot_be_gone_on_with_is_ended_where_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let mark = v1::FlightMark { flight_id: "f-1".into(), first_sequence: 1, ..Default::default() };
+    let mut file = LogFile::create(&config(folder.path()), &mark).unwrap();
+    let payload = [7; 1000];
+    let frame = |sequence: u64| Frame {
+        kind: Kind::Event.to_wire(),
+        instance: 0,
+        sequence,
+        time_us: sequence,
+        payload: &payload,
+    };
+    let syncer = Syncer::start().unwrap();
+    (1..=100).for_each(|sequence| file.write(&frame(sequence)).unwrap());
+    file.flush(&syncer).unwrap();
+    (101..=200).for_each(|sequence| file.write(&frame(sequence)).unwrap());
+    // Half a chunk, as a full disk leaves it.
+    use std::io::Write as _;
+    std::fs::File::options().append(true).open(file.path()).unwrap().write_all(&[6, 1, 2, 3]).unwrap();
+    file.give_up();
+    let bytes = std::fs::read(file.path()).unwrap();
+    assert_eq!(mcap::Summary::read(&bytes).unwrap().unwrap().stats.unwrap().message_count, 200);
+    assert_eq!(mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).count(), 100);
 }
 
 #[test]
@@ -155,13 +200,13 @@ fn an_unusable_folder_is_reported_and_stops_nothing() {
     heights(&mut ring, 2..100);
     let state = log.state().clone();
     let begun = Instant::now();
-    while state.messages.load(Ordering::Relaxed) == 0 && state.error().is_some() && begun.elapsed() < 2 * SYNC_PERIOD {
+    while state.messages.load(Ordering::Relaxed) == 0 && state.error().is_some() && begun.elapsed() < 2 * LOOK_PERIOD {
         std::thread::sleep(POLL_PERIOD);
     }
     assert!(state.messages.load(Ordering::Relaxed) == 0 && state.error().is_some());
     // The folder becomes usable: this flight is not logged any more, the next one may begin.
     std::fs::remove_file(&file).unwrap();
-    std::thread::sleep(SYNC_PERIOD);
+    std::thread::sleep(LOOK_PERIOD);
     assert!(state.error().is_some());
     mark(&mut ring, "f-1", 100, Some(100));
     let begun = Instant::now();

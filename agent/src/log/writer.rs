@@ -2,22 +2,21 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mcap::records::MessageHeader;
-use mcap::write::{Metadata, NoSeek};
-use mcap::{Compression, WriteOptions, Writer};
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::ids::FlightId;
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::v1;
 
-use super::{LogConfig, LogError, MIN_FREE_BYTES, Syncer};
+use super::records::{self, Channel, Chunk, Contents};
+use super::{LogConfig, LogError, MIN_FREE_BYTES, SyncedFile, Syncer};
 
 /// Bytes of a chunk before compression; the flush period usually ends it earlier.
-const CHUNK_BYTES: u64 = 512 << 10;
+const CHUNK_BYTES: usize = 512 << 10;
 
 /// Name of the metadata record that makes a file answer for itself.
 pub(super) const METADATA: &str = "plumbline";
@@ -25,13 +24,21 @@ pub(super) const METADATA: &str = "plumbline";
 /// An open flight.
 pub(super) struct LogFile {
     path: PathBuf,
-    writer: Writer<NoSeek<File>>,
-    file: Arc<File>,
-    channels: HashMap<(u16, u16), u16>,
-    schemas: HashMap<u16, u16>,
+    file: Arc<SyncedFile>,
+    /// Bytes in the file up to the last whole chunk.
+    position: u64,
+    chunk: Chunk,
+    /// What is about to be written.
+    out: Vec<u8>,
+    chunks: u32,
+    span_ns: Option<(u64, u64)>,
+    numbers: HashMap<(u16, u16), u16>,
+    channels: Vec<Channel>,
+    schemas: Vec<String>,
     boot_wall_time: WallTime,
     written: u64,
     flushed: u64,
+    unsynced: bool,
 }
 
 impl LogFile {
@@ -46,41 +53,36 @@ impl LogFile {
             ("first_sequence".to_owned(), mark.first_sequence.to_string()),
             ("boot_wall_time_us".to_owned(), config.boot_wall_time.0.to_string()),
         ]);
-        Self::create_at(config.folder.join(format!("{id}.mcap")), metadata)
+        Self::create_at(config.folder.join(format!("{id}.mcap")), &metadata)
     }
 
     /// A new file at `path` that says this of itself.
-    pub(super) fn create_at(path: PathBuf, metadata: BTreeMap<String, String>) -> Result<Self, LogError> {
+    pub(super) fn create_at(path: PathBuf, metadata: &BTreeMap<String, String>) -> Result<Self, LogError> {
         let boot_wall_time = metadata.get("boot_wall_time_us").and_then(|text| text.parse().ok()).unwrap_or_default();
-        let io = |source| LogError::Io { path: path.clone(), source };
-        // `create_new`: a flight is never written over another one.
-        let file = File::options().write(true).create_new(true).open(&path).map_err(io)?;
-        let second = file.try_clone().map_err(io)?;
-        let writer = WriteOptions::new()
-            .profile("plumbline")
-            .library(concat!("plumbline-agent ", env!("CARGO_PKG_VERSION")))
-            .compression(Some(Compression::Zstd))
-            .compression_level(1)
-            .compression_threads(0)
-            .chunk_size(Some(CHUNK_BYTES))
-            // The place of every message, by channel and chunk, would be kept in memory until the end of the flight: 30 MiB
-            // an hour. The chunks' own index remains.
-            .emit_message_indexes(false)
-            .disable_seeking(true)
-            .create(NoSeek::new(file))
-            .map_err(mcap_error(&path))?;
-        let mut log = Self {
+        let made = || -> io::Result<_> {
+            // `create_new`: a flight is never written over another one.
+            let mut file = File::options().write(true).create_new(true).open(&path)?;
+            let out = records::beginning(concat!("plumbline-agent ", env!("CARGO_PKG_VERSION")), METADATA, metadata);
+            file.write_all(&out)?;
+            Ok((SyncedFile::new(file, &path), out.len() as u64, Chunk::new()?))
+        };
+        let (file, position, chunk) = made().map_err(|source| LogError::Io { path: path.clone(), source })?;
+        Ok(Self {
             path,
-            writer,
-            file: Arc::new(second),
-            channels: HashMap::new(),
-            schemas: HashMap::new(),
+            file,
+            position,
+            chunk,
+            out: Vec::new(),
+            chunks: 0,
+            span_ns: None,
+            numbers: HashMap::new(),
+            channels: Vec::new(),
+            schemas: Vec::new(),
             boot_wall_time: WallTime(boot_wall_time),
             written: 0,
             flushed: 0,
-        };
-        log.writer.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).map_err(mcap_error(&log.path))?;
-        Ok(log)
+            unsynced: false,
+        })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -94,62 +96,97 @@ impl LogFile {
 
     pub(super) fn write(&mut self, frame: &Frame<'_>) -> Result<(), LogError> {
         // Kinds of this build only: the frames come from our own telemetry.
-        let Some(channel_id) = self.channel(frame)? else { return Ok(()) };
-        let log_time = self.boot_wall_time.at(FlightTime(frame.time_us)).as_nanos();
-        let header = MessageHeader { channel_id, sequence: frame.sequence as u32, log_time, publish_time: log_time };
-        self.writer.write_to_known_channel(&header, frame.payload).map_err(mcap_error(&self.path))?;
-        self.written = frame.sequence;
-        Ok(())
-    }
-
-    pub(super) fn flush(&mut self) -> Result<(), LogError> {
-        self.writer.flush().map_err(mcap_error(&self.path))?;
-        self.flushed = self.written;
-        Ok(())
-    }
-
-    /// Flushes, and has the file synced by `syncer`.
-    pub(super) fn sync(&mut self, syncer: &Syncer) -> Result<(), LogError> {
-        self.flush()?;
-        syncer.sync(&self.file).map_err(|source| LogError::Io { path: self.path.clone(), source })
-    }
-
-    pub(super) fn finish(&mut self) -> Result<(), LogError> {
-        self.writer.finish().map_err(mcap_error(&self.path))?;
-        self.flushed = self.written;
-        self.file.sync_all().map_err(|source| LogError::Io { path: self.path.clone(), source })
-    }
-
-    fn channel(&mut self, frame: &Frame<'_>) -> Result<Option<u16>, LogError> {
-        let key = (frame.kind, frame.instance);
-        if let Some(id) = self.channels.get(&key) {
-            return Ok(Some(*id));
+        let Some(number) = self.channel(frame) else { return Ok(()) };
+        let time_ns = self.boot_wall_time.at(FlightTime(frame.time_us)).as_nanos();
+        self.chunk.message(number, frame.sequence as u32, time_ns, frame.payload);
+        if let Some(channel) = self.channels.get_mut(usize::from(number)) {
+            channel.messages += 1;
         }
-        let Some(kind) = frame.known_kind() else { return Ok(None) };
-        let schema = match self.schemas.get(&frame.kind) {
-            Some(id) => *id,
+        let (first, last) = self.span_ns.unwrap_or((time_ns, time_ns));
+        self.span_ns = Some((first.min(time_ns), last.max(time_ns)));
+        self.written = frame.sequence;
+        if self.chunk.len() >= CHUNK_BYTES { self.end_chunk() } else { Ok(()) }
+    }
+
+    /// Hands what was written to the system, and has it synced by `syncer`.
+    pub(super) fn flush(&mut self, syncer: &Syncer) -> Result<(), LogError> {
+        self.end_chunk()?;
+        if self.unsynced {
+            let asked = self.file.sync(syncer).map_err(|source| self.io(source))?;
+            self.unsynced = !asked;
+        }
+        Ok(())
+    }
+
+    fn end_chunk(&mut self) -> Result<(), LogError> {
+        if self.chunk.len() > 0 {
+            self.out.clear();
+            let ended = self.chunk.end(&mut self.out).and_then(|()| self.file.file().write_all(&self.out));
+            ended.map_err(|source| self.io(source))?;
+            self.position += self.out.len() as u64;
+            self.chunks += 1;
+            self.unsynced = true;
+        }
+        self.flushed = self.written;
+        Ok(())
+    }
+
+    /// Ends the file, so that any reader opens it.
+    pub(super) fn finish(&mut self) -> Result<(), LogError> {
+        self.end_chunk()?;
+        self.summarize().map_err(|source| self.io(source))
+    }
+
+    /// Ends a file that cannot be gone on with at its last whole chunk. When that fails as well, the next start does it.
+    pub(super) fn give_up(&mut self) {
+        let ended = self.file.file().set_len(self.position).and_then(|()| self.summarize());
+        if let Err(error) = ended {
+            tracing::warn!(file = %self.path.display(), %error, "stays unfinished until the next start");
+        }
+    }
+
+    fn summarize(&self) -> io::Result<()> {
+        let contents = Contents {
+            schemas: &self.schemas,
+            descriptors: FILE_DESCRIPTOR_SET,
+            channels: &self.channels,
+            metadata: METADATA,
+            chunks: self.chunks,
+            span_ns: self.span_ns.unwrap_or_default(),
+        };
+        let mut file = self.file.file();
+        file.seek(SeekFrom::Start(self.position))?;
+        records::finish(file, File::open(&self.path)?, self.position, &contents)?;
+        file.sync_all()
+    }
+
+    /// Number of the channel of a frame, which its first one opens.
+    fn channel(&mut self, frame: &Frame<'_>) -> Option<u16> {
+        let key = (frame.kind, frame.instance);
+        if let Some(number) = self.numbers.get(&key) {
+            return Some(*number);
+        }
+        let kind = frame.known_kind()?;
+        let name = kind.message_name();
+        let schema = match self.schemas.iter().position(|known| known == name) {
+            Some(index) => index as u16 + 1,
             None => {
-                let id = self
-                    .writer
-                    .add_schema(kind.message_name(), "protobuf", FILE_DESCRIPTOR_SET)
-                    .map_err(mcap_error(&self.path))?;
-                self.schemas.insert(frame.kind, id);
-                id
+                self.schemas.push(name.to_owned());
+                let number = self.schemas.len() as u16;
+                records::schema(self.chunk.records(), number, name, FILE_DESCRIPTOR_SET);
+                number
             }
         };
-        let id = self
-            .writer
-            .add_channel(schema, &kind.topic(frame.instance), "protobuf", &BTreeMap::new())
-            .map_err(mcap_error(&self.path))?;
-        self.channels.insert(key, id);
-        Ok(Some(id))
+        let number = u16::try_from(self.channels.len()).ok()?;
+        let channel = Channel { topic: kind.topic(frame.instance), schema, messages: 0 };
+        records::channel(self.chunk.records(), number, &channel);
+        self.channels.push(channel);
+        self.numbers.insert(key, number);
+        Some(number)
     }
-}
 
-fn mcap_error(path: &Path) -> impl FnOnce(mcap::McapError) -> LogError + '_ {
-    move |error| match error {
-        mcap::McapError::Io(source) => LogError::Io { path: path.to_owned(), source },
-        other => LogError::Mcap { path: path.to_owned(), source: Box::new(other) },
+    fn io(&self, source: io::Error) -> LogError {
+        LogError::Io { path: self.path.clone(), source }
     }
 }
 

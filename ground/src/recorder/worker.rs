@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
+use bytes::Bytes;
 use plumbline_agent::log::Syncer;
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::ids::FlightId;
@@ -36,7 +37,7 @@ const RETRY_AFTER: Duration = Duration::from_secs(1);
 const CONTRADICTED_FOR: Duration = Duration::from_secs(2);
 /// Complete flights remembered: a late status of one of them begins nothing.
 const REMEMBERED: usize = 64;
-/// Live messages kept, for flights whose beginning is announced a little late.
+/// Live batches kept, for flights whose beginning is announced a little late.
 const RECENT: Duration = Duration::from_secs(3);
 const RECENT_BYTES: usize = 8 << 20;
 
@@ -68,7 +69,8 @@ struct Agent {
     highest: u64,
     /// How it grew: what lies below an old entry is late, not on its way.
     heights: VecDeque<(Instant, u64)>,
-    recent: VecDeque<(Instant, Vec<u8>)>,
+    /// Live batches as they came.
+    recent: VecDeque<(Instant, Bytes)>,
     recent_bytes: usize,
     asking: Asking,
     greeting: Greeting,
@@ -142,7 +144,7 @@ impl Worker {
             }
             Input::Batch { agent_id, batch, backfill } => {
                 self.shared.queued_bytes.fetch_sub(batch.len(), Ordering::Relaxed);
-                self.batch(&agent_id, &batch, backfill, now);
+                self.batch(&agent_id, batch, backfill, now);
             }
             Input::Unavailable { agent_id, request } => {
                 if let Some(agent) = self.agents.get_mut(&agent_id) {
@@ -204,12 +206,14 @@ impl Worker {
         }
     }
 
-    fn batch(&mut self, agent_id: &str, batch: &[u8], backfill: bool, now: Instant) {
+    fn batch(&mut self, agent_id: &str, batch: Bytes, backfill: bool, now: Instant) {
         let Some(agent) = self.agents.get_mut(agent_id) else { return };
-        let Ok(frames) = codec::decode_batch(batch) else { return };
         if backfill {
             agent.asking.heard(now);
+        } else {
+            agent.remember(batch.clone(), now);
         }
+        let Ok(frames) = codec::decode_batch(&batch) else { return };
         for frame in frames {
             // What follows a broken frame cannot be read; the hub has said so already.
             let Ok(frame) = frame else { return };
@@ -226,7 +230,7 @@ impl Worker {
 
     fn live(&mut self, agent_id: &str, frame: &Frame<'_>, now: Instant) {
         let Some(agent) = self.agents.get_mut(agent_id) else { return };
-        agent.remember(frame, now);
+        agent.rise(frame.sequence, now);
         let boot_id = agent.boot_id;
         match frame.known_kind() {
             Some(Kind::Flight) => {
@@ -361,12 +365,13 @@ impl Worker {
             track.past = Past::Due(track.part);
         }
         track.start_us = start_us;
-        let recent: Vec<_> = agent.recent.iter().map(|(_, bytes)| bytes.clone()).collect();
+        let recent: Vec<_> = agent.recent.iter().map(|(_, batch)| batch.clone()).collect();
         self.tracks.insert(id.to_owned(), track);
-        for bytes in recent {
-            if let Some(Ok(frame)) = codec::decode_frames(&bytes).next()
-                && self.tracks.get(id).is_some_and(|t| t.wants(frame.sequence, frame.time_us))
-            {
+        for frame in
+            recent.iter().filter_map(|batch| codec::decode_batch(batch).ok()).flat_map(|f| f.map_while(Result::ok))
+        {
+            let numbered = frame.sequence > 0 && !frame.known_kind().is_some_and(Kind::is_ground_made);
+            if numbered && self.tracks.get(id).is_some_and(|t| t.wants(frame.sequence, frame.time_us)) {
                 self.record(id, &frame, false, now);
             }
         }
@@ -692,8 +697,8 @@ impl Worker {
 }
 
 impl Agent {
-    fn remember(&mut self, frame: &Frame<'_>, now: Instant) {
-        self.highest = self.highest.max(frame.sequence);
+    fn rise(&mut self, sequence: u64, now: Instant) {
+        self.highest = self.highest.max(sequence);
         if self.heights.back().is_none_or(|(at, _)| now.saturating_duration_since(*at) >= TICK) {
             self.heights.push_back((now, self.highest));
             // At most one entry each tick, for as long as a horizon reaches back.
@@ -701,10 +706,11 @@ impl Agent {
                 self.heights.pop_front();
             }
         }
-        let mut bytes = Vec::with_capacity(frame.encoded_len());
-        frame.encode(&mut bytes);
-        self.recent_bytes += bytes.len();
-        self.recent.push_back((now, bytes));
+    }
+
+    fn remember(&mut self, batch: Bytes, now: Instant) {
+        self.recent_bytes += batch.len();
+        self.recent.push_back((now, batch));
         while let Some((at, oldest)) = self.recent.front()
             && (self.recent_bytes > RECENT_BYTES || now.saturating_duration_since(*at) > RECENT)
         {

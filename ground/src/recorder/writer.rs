@@ -1,8 +1,7 @@
 //! Writes one flight file, so that a crash at any moment costs at most the last flush.
 //!
 //! `NoSeek` and `disable_seeking`: a chunk is written whole or not at all, and nothing written is
-//! ever changed. Flushed every [`FLUSH_EVERY`], synced every [`SYNC_EVERY`] by another thread: a slow disk delays no
-//! flush.
+//! ever changed. Flushed every [`FLUSH_EVERY`], and then synced by another thread: a slow disk delays no flush.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -14,7 +13,7 @@ use std::time::{Duration, Instant};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, McapResult, WriteOptions};
-use plumbline_agent::log::Syncer;
+use plumbline_agent::log::{SyncedFile, Syncer};
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::time::{FlightTime, WallTime};
@@ -23,8 +22,6 @@ use super::identity::Identity;
 
 /// Longest time a message waits in memory.
 pub const FLUSH_EVERY: Duration = Duration::from_millis(150);
-/// Longest time a written message waits for the disk.
-pub const SYNC_EVERY: Duration = Duration::from_millis(900);
 /// Chunks are cut early beyond this many bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
@@ -50,13 +47,12 @@ pub(super) type Mcap = mcap::Writer<NoSeek<BufWriter<File>>>;
 pub(super) struct FlightWriter {
     mcap: Mcap,
     /// The same file, for syncing.
-    file: Arc<File>,
+    file: Arc<SyncedFile>,
     syncer: Syncer,
     boot: WallTime,
     channels: HashMap<(u16, u16), u16>,
     /// `None` until the first time: what waited for the file is written at once.
     flushed: Option<Instant>,
-    synced: Instant,
     chunks: u32,
     unflushed: bool,
     unsynced: bool,
@@ -66,23 +62,21 @@ impl FlightWriter {
     /// Creates `path`, which must not exist yet, with the identity of its flight in front.
     pub(super) fn create(path: &Path, identity: &Identity, syncer: &Syncer) -> McapResult<Self> {
         let file = File::options().write(true).create_new(true).open(path)?;
-        Self::on(file, identity, syncer)
+        Self::on(file, path, identity, syncer)
     }
 
-    fn on(file: File, identity: &Identity, syncer: &Syncer) -> McapResult<Self> {
+    fn on(file: File, path: &Path, identity: &Identity, syncer: &Syncer) -> McapResult<Self> {
         let mut mcap = options().create(NoSeek::new(BufWriter::new(file.try_clone()?)))?;
         mcap.write_metadata(&identity.to_metadata())?;
         mcap.flush()?;
-        let now = Instant::now();
         let boot = WallTime(identity.boot_wall_time_us);
         Ok(Self {
             mcap,
-            file: Arc::new(file),
+            file: SyncedFile::new(file, path),
             syncer: syncer.clone(),
             boot,
             channels: HashMap::new(),
             flushed: None,
-            synced: now,
             chunks: 0,
             unflushed: false,
             unsynced: true,
@@ -119,11 +113,11 @@ impl FlightWriter {
 
     /// Is a flush due?
     pub(super) fn due(&self, now: Instant) -> bool {
-        (self.unflushed && self.flushed.is_none_or(|at| now.saturating_duration_since(at) >= FLUSH_EVERY))
-            || (self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY)
+        (self.unflushed || self.unsynced)
+            && self.flushed.is_none_or(|at| now.saturating_duration_since(at) >= FLUSH_EVERY)
     }
 
-    /// Ends the chunk and hands it to the system; syncs when that is due.
+    /// Ends the chunk, hands it to the system and has it synced.
     pub(super) fn flush(&mut self, now: Instant) -> McapResult<()> {
         if self.unflushed {
             self.mcap.flush()?;
@@ -132,10 +126,8 @@ impl FlightWriter {
             self.unsynced = true;
         }
         self.flushed = Some(now);
-        if self.unsynced && now.saturating_duration_since(self.synced) >= SYNC_EVERY {
-            self.syncer.sync(&self.file)?;
-            self.synced = now;
-            self.unsynced = false;
+        if self.unsynced {
+            self.unsynced = !self.file.sync(&self.syncer)?;
         }
         Ok(())
     }
@@ -147,7 +139,7 @@ impl FlightWriter {
 
     /// Bytes on disk.
     pub(super) fn size(&self) -> u64 {
-        self.file.metadata().map_or(0, |m| m.len())
+        self.file.file().metadata().map_or(0, |m| m.len())
     }
 
     /// Writes the summary and syncs. The file is then whole; `end` is said at the end of a flight.
@@ -179,7 +171,9 @@ mod tests {
     #[test]
     fn a_full_disk_is_an_error_not_a_panic() {
         let file = File::options().write(true).open("/dev/full").unwrap();
-        let error = FlightWriter::on(file, &Identity::default(), &Syncer::start().unwrap()).map(|_| ()).unwrap_err();
+        let error = FlightWriter::on(file, Path::new("/dev/full"), &Identity::default(), &Syncer::start().unwrap())
+            .map(|_| ())
+            .unwrap_err();
         let text = super::super::explain(&error);
         assert!(text.contains("No space left"), "{text}");
     }

@@ -5,8 +5,9 @@
 //! flush takes must be there. Then the victim is started again, on the same folder, and the index must agree with the
 //! files. At the end all files are opened by the third-party reader.
 
+#![allow(dead_code, reason = "each campaign uses its part")]
+
 use std::collections::BTreeMap;
-use std::net::{TcpListener, UdpSocket};
 use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -48,14 +49,15 @@ struct Notes {
     armed: bool,
 }
 
-struct Viewer {
+/// Somebody who watches and takes notes.
+pub struct Viewer {
     notes: Arc<Mutex<Notes>>,
     ended: Arc<AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Viewer {
-    fn of(ground: &Ground) -> Self {
+    pub fn of(ground: &Ground) -> Self {
         let (notes, ended) = (Arc::new(Mutex::new(Notes::default())), Arc::new(AtomicBool::new(false)));
         let mut live = Live::connect(&ground.api, "/api/vehicles/iris-1/live?history=0");
         let thread = {
@@ -85,6 +87,13 @@ impl Viewer {
     }
 }
 
+impl Viewer {
+    /// Age at `killed` of the oldest delivered message of a flight that `folder` does not hold, ms.
+    pub fn lost(&self, folder: &Path, killed: Instant) -> Result<f64, String> {
+        lost(&self.notes.lock().unwrap(), folder, killed)
+    }
+}
+
 impl Drop for Viewer {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
@@ -92,17 +101,6 @@ impl Drop for Viewer {
             let _ = thread.join();
         }
     }
-}
-
-/// Two neighbouring ports that are free now, for TCP and UDP.
-pub fn free_port() -> u16 {
-    (0..100)
-        .find_map(|_| {
-            let page = TcpListener::bind("127.0.0.1:0").ok()?;
-            let port = page.local_addr().ok()?.port();
-            UdpSocket::bind(("127.0.0.1", port.checked_add(1)?)).ok().map(|_| port)
-        })
-        .expect("two free ports")
 }
 
 /// Runs `rounds` kills chosen by `seed` in the folder of `options`, whose port must be fixed.
@@ -128,7 +126,7 @@ pub fn run(options: &SystemOptions, rounds: u64, seed: u64) -> Tally {
             let killed = Instant::now();
             ground.process.kill();
             tally.ground_kills += 1;
-            match lost(&viewer.notes.lock().unwrap(), &flights, killed) {
+            match viewer.lost(&flights, killed) {
                 Ok(tail_ms) => tally.ground_tails_ms.push(tail_ms),
                 Err(fault) => tally.faults.push(format!("round {round}, ground killed: {fault}")),
             }
@@ -137,7 +135,7 @@ pub fn run(options: &SystemOptions, rounds: u64, seed: u64) -> Tally {
             let killed = Instant::now();
             agent.process.kill();
             tally.agent_kills += 1;
-            match lost(&viewer.notes.lock().unwrap(), &log, killed) {
+            match viewer.lost(&log, killed) {
                 Ok(tail_ms) => tally.agent_tails_ms.push(tail_ms),
                 Err(fault) => tally.faults.push(format!("round {round}, agent killed: {fault}")),
             }
@@ -183,7 +181,7 @@ pub fn run(options: &SystemOptions, rounds: u64, seed: u64) -> Tally {
 }
 
 /// Records by hand at once, and flies as soon as the vehicle lets itself be armed.
-fn fly(ground: &Ground) {
+pub fn fly(ground: &Ground) {
     let command = |route: &str, body: Value| {
         let reply = ground.api.send("POST", &format!("/api/vehicles/iris-1/{route}"), &body);
         reply.is_ok_and(|reply| reply.status == 200)
@@ -219,7 +217,7 @@ fn lost(notes: &Notes, folder: &Path, killed: Instant) -> Result<f64, String> {
 }
 
 /// Does the index say what the files hold?
-fn consistent(ground: &Ground, folder: &Path) -> Result<(), String> {
+pub fn consistent(ground: &Ground, folder: &Path) -> Result<(), String> {
     let listed = wait_until(PATIENCE, || {
         let list = ground.api.get_json("/api/flights").ok()?;
         (list["ready"] == true).then(|| list["flights"].as_array().cloned().unwrap_or_default())
@@ -244,7 +242,7 @@ fn consistent(ground: &Ground, folder: &Path) -> Result<(), String> {
 }
 
 /// Opens all files with the third-party reader; `None` where it is not there.
-fn opened_by_python(paths: &[std::path::PathBuf]) -> Option<Result<usize, String>> {
+pub fn opened_by_python(paths: &[std::path::PathBuf]) -> Option<Result<usize, String>> {
     let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
     if !Command::new(&python).args(["-c", "import mcap.reader"]).output().is_ok_and(|ran| ran.status.success()) {
         println!("skipped: no Python with the mcap package; `cargo xtask` provides one");

@@ -27,8 +27,8 @@ pub struct Witness {
 }
 
 impl Witness {
-    /// Starts it; on one processor only where that is given.
-    pub fn start(processor: Option<usize>, period: Duration) -> Self {
+    /// Starts it; on one processor only where that is given. Ticks less late than `least_us` are not kept.
+    pub fn start(processor: Option<usize>, period: Duration, least_us: f32) -> Self {
         let (ticks, ended) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
         let thread = {
             let (ticks, ended) = (ticks.clone(), ended.clone());
@@ -41,7 +41,10 @@ impl Witness {
                 while !ended.load(Ordering::Relaxed) {
                     pace::sleep_until(due);
                     let late = due.elapsed();
-                    ticks.lock().unwrap().push((now_us(), late.as_secs_f32() * 1e6));
+                    let late_us = late.as_secs_f32() * 1e6;
+                    if late_us >= least_us {
+                        ticks.lock().unwrap().push((now_us(), late_us));
+                    }
                     due += period * (1 + (late.as_micros() / period.as_micros()) as u32);
                 }
             })

@@ -1,6 +1,6 @@
 //! The scripted browser: the page as a user has it, driven by role and label.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
@@ -11,7 +11,7 @@ use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page and `hidden.mjs` hide it, counts
-/// their steps; then the same with a recording flown again and `replay.mjs`.
+/// their steps, and has `mcap.mjs` read both sides' files; then the same with a recording flown again and `replay.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
@@ -28,10 +28,7 @@ fn replay(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     agent.arg(workspace.root.join(DEFAULT_SCENARIO)).arg("--log").arg(&log);
     agent.arg("--identity").arg(options.data.join("recorder"));
     super::workspace::run(&mut agent)?;
-    let files = std::fs::read_dir(&log).map_err(XtaskError::file(&log))?.flatten().map(|entry| entry.path());
-    let flights = files.filter(|path| path.extension().is_some_and(|e| e == "mcap"));
-    let file =
-        flights.max().ok_or_else(|| XtaskError::Other(format!("no flight was recorded in {}", log.display())))?;
+    let file = newest_flight(&log)?;
     let system = System::start(&options, &Vehicle::Replayed { file, speed: "1".into() })?;
     let read = run_script(&mut script(workspace, "replay.mjs", system.api())?, tally);
     let stopped = system.stop();
@@ -45,9 +42,21 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let system = System::start(&options, &vehicle)?;
     let flown = run_script(script(workspace, "fly.mjs", system.api())?.env("PLUMBLINE_PYTHON", &python), tally);
     let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
-    let read = flown.and(hidden);
+    let api = system.api().clone();
     let stopped = system.stop();
-    read.and(stopped)
+    // One file of each side, as Foxglove would open it.
+    let mut reader = script(workspace, "mcap.mjs", &api)?;
+    for folder in ["ground/flights", "iris-1/log"] {
+        reader.arg(newest_flight(&options.data.join(folder))?);
+    }
+    flown.and(hidden).and(stopped).and(run_script(&mut reader, tally))
+}
+
+/// The last flight file of a folder.
+fn newest_flight(folder: &Path) -> Result<PathBuf, XtaskError> {
+    let files = std::fs::read_dir(folder).map_err(XtaskError::file(folder))?.flatten().map(|entry| entry.path());
+    let flights = files.filter(|path| path.extension().is_some_and(|e| e == "mcap"));
+    flights.max().ok_or_else(|| XtaskError::Other(format!("no flight was recorded in {}", folder.display())))
 }
 
 /// The charts' frame rate, as the page's own bench measures it; needs the ground of the release build.

@@ -12,7 +12,7 @@ pub struct Options {
     /// Chooses the accidents.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How often ground or agent is killed (kill).
+    /// How often ground or agent is killed (kill), or the power fails (power).
     #[arg(long, default_value_t = 20)]
     pub rounds: u64,
     /// Length of each phase, s (link: 15, jitter: 10).
@@ -30,6 +30,8 @@ pub enum Campaign {
     Link,
     /// Ground and agent killed in flight.
     Kill,
+    /// The power fails in flight: only what was synced is left.
+    Power,
     /// Full and read-only data folders.
     Disk,
     /// The flight thread's timing beside a dead ground, a full link, a slow disk.
@@ -41,6 +43,7 @@ impl Campaign {
         match self {
             Campaign::Link => "chaos_link",
             Campaign::Kill => "chaos_kill",
+            Campaign::Power => "chaos_power",
             Campaign::Disk => "chaos_disk",
             Campaign::Jitter => "chaos_jitter",
         }
@@ -60,8 +63,8 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
 /// How long to soak.
 #[derive(Debug, Clone, clap::Args)]
 pub struct SoakOptions {
-    /// Length, min.
-    #[arg(long, default_value_t = 10)]
+    /// Length, min; memory is judged from 20 on.
+    #[arg(long, default_value_t = 60)]
     pub minutes: u64,
     /// Build without optimisation: starts sooner after a change.
     #[arg(long)]
@@ -79,7 +82,7 @@ pub fn soak(workspace: &Workspace, options: &SoakOptions) -> Result<(), XtaskErr
 /// How long to fuzz.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FuzzOptions {
-    /// Time for each decoder, min.
+    /// Processor time for each decoder, min; a JSON line is printed each minute.
     #[arg(long, default_value_t = 10.0)]
     pub minutes: f64,
     /// Decoders beside each other.
@@ -88,7 +91,7 @@ pub struct FuzzOptions {
     /// Only decoders with this in their names.
     #[arg(long, default_value = "fuzz")]
     pub only: String,
-    /// Chooses the damage.
+    /// Chooses the damage: each minute takes the next one.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Build without optimisation.

@@ -6,8 +6,9 @@ use std::process::{Command, Stdio};
 use super::workspace::{apt_install, may_install, on_path, run};
 use super::{Workspace, XtaskError};
 
-/// The version our browser script is written for; it drives any recent Chromium.
-const PLAYWRIGHT: &str = "playwright-core@1.56.1";
+/// What the browser scripts are written for: what drives any recent Chromium, and the reader of flight files that
+/// Foxglove uses.
+const NODE_PACKAGES: [&str; 3] = ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1"];
 /// Third-party readers of our flight files.
 const READERS: PythonTools =
     PythonTools { folder: "python", module: "mcap.reader", packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5"] };
@@ -127,11 +128,11 @@ pub struct BrowserTools {
     pub node: PathBuf,
     /// Chromium.
     pub chromium: PathBuf,
-    /// The folder that holds `node_modules/playwright-core`.
+    /// The folder that holds `node_modules`.
     pub modules: PathBuf,
 }
 
-/// Node, Chromium and playwright-core.
+/// Node with its packages, and Chromium.
 ///
 /// # Errors
 /// What is missing and how to get it.
@@ -139,19 +140,18 @@ pub fn browser(workspace: &Workspace) -> Result<BrowserTools, XtaskError> {
     let chromium = program(&["chromium", "chromium-browser", "google-chrome"], "chromium")?;
     let node = program(&["node", "nodejs"], "nodejs")?;
     let modules = workspace.target.join("tools/node");
-    let wanted = PLAYWRIGHT.rsplit('@').next().unwrap_or_default();
-    let package = modules.join("node_modules/playwright-core/package.json");
-    let present = || {
-        let text = std::fs::read(&package).unwrap_or_default();
+    let present = |package: &&str| {
+        let (name, wanted) = package.rsplit_once('@').unwrap_or((package, ""));
+        let text = std::fs::read(modules.join("node_modules").join(name).join("package.json")).unwrap_or_default();
         serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|package| package["version"] == wanted)
     };
-    if !present() {
+    if !NODE_PACKAGES.iter().all(present) {
         let npm = program(&["npm"], "npm")?;
-        eprintln!("xtask: {PLAYWRIGHT} into {}", modules.display());
+        eprintln!("xtask: {} into {}", NODE_PACKAGES.join(", "), modules.display());
         std::fs::create_dir_all(&modules).map_err(XtaskError::file(&modules))?;
         let mut install = Command::new(npm);
         install.args(["install", "--no-save", "--no-package-lock", "--no-audit", "--no-fund", "--prefix"]);
-        run(install.arg(&modules).arg(PLAYWRIGHT).current_dir(&modules))?;
+        run(install.arg(&modules).args(NODE_PACKAGES).current_dir(&modules))?;
     }
     Ok(BrowserTools { node, chromium, modules })
 }

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each test program uses its part")]
 
 use std::collections::VecDeque;
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -24,6 +24,17 @@ pub fn scenario(name: &str) -> Vehicle {
 /// Options of a system in `folder`, on free ports.
 pub fn options(folder: &Path) -> SystemOptions {
     SystemOptions { binaries: Binaries::for_tests().unwrap(), data: folder.to_path_buf(), port: 0, echo: false }
+}
+
+/// Two neighbouring ports that are free now, for TCP and UDP.
+pub fn free_port() -> u16 {
+    (0..100)
+        .find_map(|_| {
+            let page = TcpListener::bind("127.0.0.1:0").ok()?;
+            let port = page.local_addr().ok()?.port();
+            UdpSocket::bind(("127.0.0.1", port.checked_add(1)?)).ok().map(|_| port)
+        })
+        .expect("two free ports")
 }
 
 /// A running system and the folder it may fill.
