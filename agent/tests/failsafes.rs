@@ -180,6 +180,58 @@ fn the_raw_heights_veto_an_estimate_that_is_led_astray() {
 }
 
 #[test]
+fn a_vehicle_blown_out_of_its_box_descends() {
+    // GIVEN free flight in a box of half a metre WHEN a gust stronger than the tilt it is allowed holds against carries it away
+    let gust = "\n[[push]]\nat_s = 12\nduration_s = 8\nforce_enu_n = [9, 0, 0]\n";
+    let mut scenario = Scenario::from_toml(&(scenario("hover") + gust)).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 20.0);
+    let mut config = FlightConfig::for_scenario(&scenario);
+    config.limits.lateral_max_m = 0.5;
+    let mut f = Flown::with_config(scenario, config);
+    f.until(12.0);
+    assert_eq!(f.flight.status().failsafe, Failsafe::None, "{}", f.log());
+    // THEN it holds at the edge, descends after two seconds outside, and ends on the ground
+    f.until(30.0);
+    let at = |words: &str| f.events.iter().find(|e| e.text.contains(words)).map(|e| e.time.as_seconds());
+    let (held_s, descends_s) = (at("holding at the edge"), at("descending"));
+    let (Some(held_s), Some(descends_s)) = (held_s, descends_s) else { panic!("{held_s:?}, {descends_s:?}\n{}", f.log()) };
+    assert!((1.9..2.2).contains(&(descends_s - held_s)), "{held_s} s, {descends_s} s\n{}", f.log());
+    let outside = f.rows.iter().find(|r| r.t_s >= held_s).unwrap().truth.position_enu_m.x;
+    assert!((0.7..1.0).contains(&outside), "held at {outside:.2} m");
+    assert_down(&f);
+}
+
+#[test]
+fn the_string_rig_limits_altitude_climb_and_descent() {
+    let mut f = hovering();
+    assert!(f.command(setpoint(2.0)).accepted);
+    f.until(18.0);
+    assert!(f.command(setpoint(0.3)).accepted);
+    f.until(24.0);
+    let highest = f.since(12.0).map(|r| r.truth.position_enu_m.z).fold(0.0, f64::max);
+    assert!((1.9..2.15).contains(&highest), "highest {highest:.2} m");
+    // Mean speed over half a second: what the profile asks for, not what the strings shake.
+    let rows: Vec<_> = f.since(12.0).map(|r| r.truth.position_enu_m.z).collect();
+    let climbs = || rows.windows(100).map(|w| (w[99] - w[0]) / (99.0 * 0.005));
+    let (up, down) = (climbs().fold(0.0, f64::max), climbs().fold(0.0, f64::min));
+    let limits = f.flight.config().limits;
+    assert!((0.8..1.15).contains(&(up / limits.climb_max_mps)), "climbs {up:.2} m/s");
+    assert!((0.8..1.15).contains(&(-down / limits.descent_max_mps)), "descends {down:.2} m/s");
+}
+
+#[test]
+fn two_seconds_after_landing_the_motors_stop() {
+    let mut f = hovering();
+    assert!(f.command(Command::SetMode(Mode::Land)).accepted);
+    f.until(24.0);
+    assert_down(&f);
+    let disarmed_s = f.rows.iter().find(|r| r.t_s > 12.0 && !r.report.armed).unwrap().t_s;
+    let last = f.last().truth.position_enu_m.z;
+    let landed_s = f.since(12.0).find(|r| r.truth.position_enu_m.z < last + 0.03).unwrap().t_s;
+    assert!((1.0..4.0).contains(&(disarmed_s - landed_s)), "down at {landed_s:.1} s, disarmed at {disarmed_s:.1} s");
+}
+
+#[test]
 fn an_estimator_without_imus_descends_on_the_watchdogs_attitude() {
     let mut f = hovering();
     assert!(f.command(bias_on(SensorKind::Imu, 1..=4, Kind::Dropout, Channel::All, 1.0)).accepted);
