@@ -194,7 +194,8 @@ fn a_vehicle_blown_out_of_its_box_descends() {
     f.until(30.0);
     let at = |words: &str| f.events.iter().find(|e| e.text.contains(words)).map(|e| e.time.as_seconds());
     let (held_s, descends_s) = (at("holding at the edge"), at("descending"));
-    let (Some(held_s), Some(descends_s)) = (held_s, descends_s) else { panic!("{held_s:?}, {descends_s:?}\n{}", f.log()) };
+    assert!(held_s.is_some() && descends_s.is_some(), "{held_s:?}, {descends_s:?}\n{}", f.log());
+    let (held_s, descends_s) = (held_s.unwrap(), descends_s.unwrap());
     assert!((1.9..2.2).contains(&(descends_s - held_s)), "{held_s} s, {descends_s} s\n{}", f.log());
     let outside = f.rows.iter().find(|r| r.t_s >= held_s).unwrap().truth.position_enu_m.x;
     assert!((0.7..1.0).contains(&outside), "held at {outside:.2} m");
