@@ -12,15 +12,18 @@
 //! |---|---|---|
 //! | p, v | horizontal position and velocity, ENU | m, m/s |
 //! | ψ | yaw of the level frame, in which the attitude filter integrates the gyroscope from the start | rad |
-//! | b | horizontal error of the levelled force (tilt, accelerometer bias), in the level frame | m/s² |
+//! | b | horizontal error of the levelled force (tilt), in the level frame | m/s² |
+//! | T | time constant with which the attitude filter forgets a wrong tilt | s |
 //! | a | levelled specific force without gravity, in the level frame | m/s² |
 //! | τ | lead of the fixes: y = p + τ v + ½ τ² v̇ | s |
 //!
 //! ```text
-//! ṗ = v     v̇ = R(ψ)(a − b) + n     ψ, b walk
+//! ṗ = v     v̇ = R(ψ)(a − b) + n     ḃ = −b/T + n_b     ψ walks
 //! ```
 //! Deviation from EKFGSF: fixes of position, not only of velocity, and the error b, without which a tilt wrong by
-//! 3° (0.5 m/s²) outweighs the accelerations of a quiet flight. Each yaw also comes with fixes that lead the IMU
+//! 3° (0.5 m/s²) outweighs the accelerations of a quiet flight. An attitude filter that is started in a turn takes
+//! the specific force for the vertical and is wrong by up to 30° for its first seconds: b starts as large as that
+//! and, like the filter's error, dies away. Each yaw also comes with fixes that lead the IMU
 //! by 0, ¼ and ½ s: receivers predict, and logs of two devices have two clocks; half a second at 4 m/s is four
 //! times the noise of a fix, and takes the wrong yaw for the right one.
 
@@ -59,9 +62,9 @@ const PERIOD_S: f64 = 0.02;
 const ACCEL_DENSITY_SQUARED: f64 = 0.1;
 /// Walk of ψ: gyroscope bias and scale, rad²/s.
 const YAW_WALK: f64 = 1e-5;
-/// b at start, one-sigma, m/s² (3° of tilt), and its walk, (m/s²)²/s.
-const ERROR_SIGMA_MPS2: f64 = 0.5;
-const ERROR_WALK: f64 = 0.005;
+/// b where the attitude filter has only just begun, one-sigma, m/s² (18° of tilt), and in the long run (1.5°).
+const FIRST_ERROR_SIGMA_MPS2: f64 = 3.0;
+const ERROR_SIGMA_MPS2: f64 = 0.25;
 /// Speed at start, one-sigma, m/s.
 const SPEED_SIGMA_MPS: f64 = 3.0;
 /// A fix speaks against a hypothesis no louder than this (squared Mahalanobis distance): one bad fix is not all.
@@ -113,6 +116,10 @@ pub struct Horizontal {
 #[derive(Debug, Clone)]
 pub struct YawMixture {
     attitude: AttitudeFilter,
+    /// How long the attitude filter has run, s.
+    levelled_s: f64,
+    /// Time constant of its error, s.
+    forgetting_s: f64,
     gaussians: [Gaussian; HYPOTHESES],
     started: bool,
     unexplained: u32,
@@ -138,8 +145,11 @@ impl YawMixture {
             acceleration_mps2: Vector2::zeros(),
             log_weight: 0.0,
         };
+        let options = AttitudeOptions { use_mag: false, ..AttitudeOptions::default() };
         Self {
-            attitude: AttitudeFilter::new(AttitudeOptions { use_mag: false, ..AttitudeOptions::default() }),
+            attitude: AttitudeFilter::new(options),
+            levelled_s: 0.0,
+            forgetting_s: options.tau_accel_s,
             gaussians: [nothing; HYPOTHESES],
             started: false,
             unexplained: 0,
@@ -152,6 +162,7 @@ impl YawMixture {
     /// One IMU sample (rad/s, m/s²), `dt_s` after the one before.
     pub fn push(&mut self, dt_s: f64, gyro_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
         self.attitude.push(dt_s, gyro_radps, force_mps2, None);
+        self.levelled_s += dt_s;
         if !self.started {
             return;
         }
@@ -171,6 +182,8 @@ impl YawMixture {
         if t <= 0.0 {
             return;
         }
+        // Of b after this time.
+        let kept = (-t / self.forgetting_s).exp();
         let mut q = M::zeros();
         for axis in 0..2 {
             let (p, v) = (ix::POSITION + axis, ix::VELOCITY + axis);
@@ -178,7 +191,7 @@ impl YawMixture {
             q[(p, v)] = ACCEL_DENSITY_SQUARED * t * t / 2.0;
             q[(v, p)] = q[(p, v)];
             q[(v, v)] = ACCEL_DENSITY_SQUARED * t;
-            q[(ix::ERROR + axis, ix::ERROR + axis)] = ERROR_WALK * t;
+            q[(ix::ERROR + axis, ix::ERROR + axis)] = ERROR_SIGMA_MPS2 * ERROR_SIGMA_MPS2 * (1.0 - kept * kept);
         }
         q[(ix::YAW, ix::YAW)] = YAW_WALK * t;
         for gaussian in &mut self.gaussians {
@@ -207,6 +220,8 @@ impl YawMixture {
             for axis in 0..2 {
                 x[ix::POSITION + axis] += x[ix::VELOCITY + axis] * t + dp[axis];
                 x[ix::VELOCITY + axis] += dv[axis];
+                x[ix::ERROR + axis] *= kept;
+                phi[(ix::ERROR + axis, ix::ERROR + axis)] = kept;
             }
             gaussian.p = kalman::predict(&gaussian.p, &phi, &q);
         }
@@ -259,12 +274,13 @@ impl YawMixture {
         let (place, sigma) = fix.position;
         let (velocity, speed_sigma) = fix.velocity.unwrap_or((Vector2::zeros(), SPEED_SIGMA_MPS));
         let spacing = std::f64::consts::TAU / YAWS as f64;
+        let error = ERROR_SIGMA_MPS2.hypot(FIRST_ERROR_SIGMA_MPS2 * (-self.levelled_s / self.forgetting_s).exp());
         for (i, gaussian) in self.gaussians.iter_mut().enumerate() {
             let (yaw, lead_s) = (wrap_pi(spacing * (i / LEADS_S.len()) as f64), LEADS_S[i % LEADS_S.len()]);
             let x = [place.x, place.y, velocity.x, velocity.y, yaw, 0.0, 0.0];
             // Uniform over one spacing has the variance spacing²/12; four times that, so that neighbours overlap.
             let yaw_variance = spacing * spacing / 3.0;
-            let (p, v, e) = (sigma * sigma, speed_sigma * speed_sigma, ERROR_SIGMA_MPS2 * ERROR_SIGMA_MPS2);
+            let (p, v, e) = (sigma * sigma, speed_sigma * speed_sigma, error * error);
             *gaussian = Gaussian {
                 x: X::from(x),
                 p: M::from_diagonal(&X::from([p, p, v, v, yaw_variance, e, e])),

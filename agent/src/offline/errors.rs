@@ -52,6 +52,8 @@ pub struct Score {
     consistency: Consistency,
     /// How calibrated magnetometers fared.
     pub(super) fields: Vec<FieldReport>,
+    /// What the reader had to say about the recording: cut short, clocks moved.
+    pub(super) notes: Vec<String>,
     trace: Vec<ErrorSample>,
     /// What the secure estimator flagged; `None` for the others.
     flagged: Option<Vec<Flagged>>,
@@ -106,6 +108,7 @@ impl Score {
             velocity_axes: [Rms::default(); 3],
             total: Rms::default(),
             heading: Rms::default(),
+            notes: Vec::new(),
             inclination: Rms::default(),
             accel_bias_mps2: Vector3::zeros(),
             gyro_bias_radps: Vector3::zeros(),
@@ -272,6 +275,7 @@ impl Score {
         serde_json::json!({
             "estimate": self.input,
             "estimator": self.estimator,
+            "notes": self.notes,
             "ticks": self.ticks,
             "finite": self.finite,
             "initialised_s": self.initialised_s,

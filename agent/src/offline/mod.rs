@@ -352,7 +352,8 @@ impl Run {
                 return Err(EstimateArgs::bad("decoder", name, format!("{} solves none", args.estimator)));
             }
         }
-        let score = Score::new(&args.estimator, &args.input, known);
+        let mut score = Score::new(&args.estimator, &args.input, known);
+        score.notes.clone_from(&info.notes);
         Ok(Self { recording, selection, calibration, estimator, score })
     }
 

@@ -5,6 +5,7 @@
 //! motor commands). Adding a format adds a file here and an arm in [`open`].
 
 mod broad;
+mod clocks;
 mod flight_file;
 pub mod mocap_log;
 mod noise;
@@ -367,9 +368,13 @@ mod tests {
         let recording = open(&path).unwrap();
         let sensors: Vec<_> = recording.info().sensors.iter().map(|s| (s.id.to_string(), s.rate_hz.round())).collect();
         assert_eq!(sensors.len(), 5, "{sensors:?}");
+        // The devices' own attitudes lie 0.7 s apart (found with other tools).
+        let notes = &recording.info().notes;
+        assert!(notes.iter().any(|note| note.contains("clock of IMU 1 moved by -68")), "{notes:?}");
         let all = ticks(recording);
         // Roll and pitch are the vendor's: its own errors of a few degrees tilt gravity.
         assert_gravity(mean_world_force(&all), 1.0);
+        assert!(all.len() < 2470, "{} ticks: the IMUs no longer share them", all.len());
         let thinned = open_phantom4(&path, Phantom4Options { gnss_rate_hz: 1.0, gnss_noise_m: 0.5, seed: 1 }).unwrap();
         let gnss = thinned.info().sensors.last().unwrap();
         assert!((gnss.rate_hz - 1.0).abs() < 0.1, "{} Hz", gnss.rate_hz);

@@ -1,7 +1,9 @@
 //! Phantom 4 with four Xsens DOT IMUs and an RTK receiver: a folder of `IMU_1..4.csv` and `GT.csv`.
 //!
-//! The IMU files hold specific force (z up) in m/s² and rates in °/s in axes forward, left, up; their
-//! onboard Euler angles are not used. `GT.csv` is the autopilot's log: N, E, D from RTK, attitude in
+//! The IMU files hold specific force (z up) in m/s² and rates in °/s in axes forward, left, up. Every logger was
+//! started by itself: clocks are up to 0.7 s apart between IMUs and autopilot, and up to 0.1 s between IMUs. They are
+//! laid onto the autopilot's by what both saw, the inclination; nothing else of the IMUs' onboard Euler angles is
+//! used, heading least of all. `GT.csv` is the autopilot's log: N, E, D from RTK, attitude in
 //! FRD degrees with a compass heading. RTK is both the GNSS sensor (thinned and noised as asked) and
 //! the truth of position; the autopilot's attitude is taken as truth of roll and pitch.
 
@@ -13,6 +15,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use super::clocks::lag_s;
 use super::timeline::{Builder, Item, Recording, Sample};
 use super::{Format, RecordingError, tables};
 use crate::frames::{self, Enu, Ned};
@@ -41,7 +44,11 @@ impl Default for Phantom4Options {
 
 /// IMUs of the vehicle.
 const IMUS: usize = 4;
-const IMU_COLUMNS: &[&str] = &["time", "Acc_X", "Acc_Y", "Acc_Z", "Gyr_X", "Gyr_Y", "Gyr_Z"];
+const IMU_COLUMNS: &[&str] = &["time", "Acc_X", "Acc_Y", "Acc_Z", "Gyr_X", "Gyr_Y", "Gyr_Z", "Euler_X", "Euler_Y"];
+/// Clocks of the IMUs and the autopilot are looked for within this, s.
+const LARGEST_LAG_S: f64 = 2.0;
+/// And those of two IMUs within this, s.
+const LARGEST_LAG_BETWEEN_IMUS_S: f64 = 0.2;
 const TRUTH_COLUMNS: &[&str] =
     &["time", "compass_heading(degrees)", "pitch(degrees)", "roll(degrees)", "North", "East", "Down"];
 
@@ -51,26 +58,30 @@ pub(super) fn open(path: &Path, options: Phantom4Options) -> Result<Recording, R
         if path.is_dir() { path.to_owned() } else { path.parent().unwrap_or(Path::new(".")).to_owned() };
     let mut builder = Builder::default();
     builder.airframe = Some("phantom4".into());
-    for index in 0..IMUS {
+    let mut units: [Vec<Row>; IMUS] = Default::default();
+    for (index, unit) in units.iter_mut().enumerate() {
         let file = folder.join(format!("IMU_{}.csv", index + 1));
         if !file.is_file() {
             builder.notes.push(format!("no {}: IMU {} left out", file.display(), index + 1));
             continue;
         }
-        tables::for_each_row(&file, IMU_COLUMNS, |row| {
-            let time = FlightTime::from_seconds(row.get(0)?);
-            let imu = ImuSample {
-                time,
-                accel_mps2: row.vector(1)?,
-                gyro_radps: row.vector(4)?.map(f64::to_radians),
-                mag_ut: None,
-                temperature_c: 25.0,
-            };
-            builder.push(time, Item::Sensed(Sample::Imu(index, imu)));
-            Ok(())
-        })?;
+        *unit = read_imu(&file)?;
     }
     let truths = read_truth(&folder.join("GT.csv"))?;
+    let lags = lags(&units, &truths);
+    for (index, (unit, lag_s)) in units.iter().zip(lags).enumerate() {
+        if lag_s != 0.0 {
+            builder.notes.push(format!(
+                "clock of IMU {} moved by {:.0} ms onto the autopilot's",
+                index + 1,
+                -1e3 * lag_s
+            ));
+        }
+        for row in unit.iter().filter(|row| row.time_s >= lag_s) {
+            let time = FlightTime::from_seconds(row.time_s - lag_s);
+            builder.push(time, Item::Sensed(Sample::Imu(index, ImuSample { time, ..row.sample })));
+        }
+    }
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(options.seed);
     let mut due = FlightTime(0);
     let period = std::time::Duration::from_secs_f64(1.0 / options.gnss_rate_hz.clamp(1e-3, 1e3));
@@ -99,6 +110,54 @@ pub(super) fn open(path: &Path, options: Phantom4Options) -> Result<Recording, R
         builder.push(truth.time, Item::Sensed(Sample::Gnss(fix)));
     }
     builder.finish(&folder, Format::Phantom4)
+}
+
+/// One line of an IMU's file, by its own clock.
+struct Row {
+    time_s: f64,
+    sample: ImuSample,
+    /// Of the IMU's own filter, rad.
+    inclination: f64,
+}
+
+fn read_imu(file: &Path) -> Result<Vec<Row>, RecordingError> {
+    let mut rows = Vec::new();
+    tables::for_each_row(file, IMU_COLUMNS, |row| {
+        let time_s = row.get(0)?;
+        let sample = ImuSample {
+            time: FlightTime::from_seconds(time_s),
+            accel_mps2: row.vector(1)?,
+            gyro_radps: row.vector(4)?.map(f64::to_radians),
+            mag_ut: None,
+            temperature_c: 25.0,
+        };
+        let (roll, pitch) = (row.get(7)?.to_radians(), row.get(8)?.to_radians());
+        rows.push(Row { time_s, sample, inclination: (roll.cos() * pitch.cos()).acos() });
+        Ok(())
+    })?;
+    Ok(rows)
+}
+
+/// How late the clock of each IMU runs behind the autopilot's, s: that of the first by the inclination that its own
+/// filter and the autopilot show, the others against the first by the size of the rate.
+fn lags(units: &[Vec<Row>; IMUS], truths: &[Truth]) -> [f64; IMUS] {
+    let first: &[Row] = units.iter().find(|unit| !unit.is_empty()).map_or(&[], Vec::as_slice);
+    let seen: Vec<_> = first.iter().map(|row| (row.time_s, row.inclination)).collect();
+    let shown: Vec<_> = truths.iter().map(|t| (t.time.as_seconds(), frames::tilt_rad(&t.world_from_body))).collect();
+    // Whole samples: the IMUs' samples stay on one grid.
+    let period_s = match (first.first(), first.last()) {
+        (Some(a), Some(b)) if b.time_s > a.time_s => (b.time_s - a.time_s) / (first.len() - 1) as f64,
+        _ => return [0.0; IMUS],
+    };
+    let common = lag_s(&shown, &seen, LARGEST_LAG_S, period_s);
+    let rates =
+        |unit: &[Row]| -> Vec<_> { unit.iter().map(|row| (row.time_s, row.sample.gyro_radps.norm())).collect() };
+    let reference = rates(first);
+    let mut lags = [common; IMUS];
+    for (lag, unit) in lags.iter_mut().zip(units) {
+        *lag += lag_s(&reference, &rates(unit), LARGEST_LAG_BETWEEN_IMUS_S, period_s);
+    }
+    lags
 }
 
 fn read_truth(file: &Path) -> Result<Vec<Truth>, RecordingError> {

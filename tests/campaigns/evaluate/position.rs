@@ -53,7 +53,8 @@ pub fn phantom4(scored: &mut Scored) -> Result<(), ReportError> {
     scored.report.heading("Phantom 4: position at 1 Hz GNSS with 0.5 m of noise, heading found by itself");
     scored.report.paragraph(
         "Peers: constant-velocity Kalman filter 1.63 m, IMU and GNSS Kalman filter 1.23 m (helped by the true heading). \
-         The clocks of IMU and RTK of some paths differ by up to 0.7 s (seen between the two devices' own attitudes).",
+         The clocks of IMU and RTK of some paths differ by up to 0.7 s: the reader lays them onto one another by the inclination that \
+         both devices saw, before any estimator runs; heading takes no part in it.",
     );
     let Some(paths) = entries("data/phantom4_4imu_rtk", |path| path.join("IMU_1.csv").is_file()) else {
         scored.skipped("phantom4", "data/phantom4_4imu_rtk is absent");
