@@ -300,6 +300,6 @@ fn pushes() {
     line("designs_refused_for_their_margins", f64::from(uncertified), "designs", None);
     line("pushes_refused_for_their_change", f64::from(refused), "pushes", None);
     line("good_pushes_applied", f64::from(applied), "pushes", Some(f64::from(GOOD)));
-    line("good_pushes_largest_bump", worst, "of the weight", Some(BUMP));
+    line("good_pushes_largest_bump", 100.0 * worst, "% of the weight", Some(100.0 * BUMP));
     line("good_pushes_that_lost_the_altitude", f64::from(lost), "pushes", Some(0.0));
 }
