@@ -238,7 +238,8 @@ fn main() -> std::process::ExitCode {
     }
     command("disarm", json!({}));
     command("recording", json!({ "on": false }));
-    let complete = wait_until(Duration::from_secs(120), || {
+    // The parts of a long flight are merged in the background first.
+    let complete = wait_until(Duration::from_secs(120 + 15 * minutes), || {
         let flights = system.api().get_json("/api/flights").ok()?;
         let flight = flights["flights"].get(0)?.clone();
         (flight["completeness"] == "complete").then_some(flight)

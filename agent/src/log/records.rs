@@ -265,7 +265,7 @@ pub(super) fn finish(file: &File, written: File, position: u64, contents: &Conte
 
 /// Writes the index of every chunk of a file whose data end at `end`; answers where its metadata are, and their length.
 fn chunk_indexes(file: File, end: u64, out: &mut impl Write) -> io::Result<(u64, u64)> {
-    let mut source = BufReader::with_capacity(1 << 16, file);
+    let mut source = BufReader::with_capacity(1 << 12, file);
     let mut place = MAGIC.len() as u64;
     source.seek_relative(place as i64)?;
     let mut metadata = (0, 0);

@@ -9,9 +9,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Most files waiting: more vehicles than a ground serves.
 const MAX_FILES: usize = 128;
+/// After each sync the disk is left alone for as long as it took, and no longer than this.
+const LONGEST_REST: Duration = Duration::from_secs(1);
 
 /// A file being written whose bytes outlive a power cut soon after each [`SyncedFile::sync`].
 #[derive(Debug)]
@@ -82,9 +85,12 @@ impl Syncer {
         let (queue, files) = sync_channel::<Arc<SyncedFile>>(MAX_FILES);
         std::thread::Builder::new().name("sync".into()).spawn(move || {
             for file in files {
+                let begun = Instant::now();
                 if let Err(error) = file.sync_now() {
                     *file.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                 }
+                // A slow disk has half its time for others.
+                std::thread::sleep(begun.elapsed().min(LONGEST_REST));
             }
         })?;
         Ok(Self { queue })
