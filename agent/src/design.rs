@@ -12,7 +12,8 @@ use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
 
 use crate::control::gains::GainsError;
-use crate::linalg::{RiccatiSolution, care, dare};
+use crate::control::structure::pbh_rank;
+use crate::linalg::{Complex, RiccatiSolution, care, dare, eigenvalues};
 
 /// Which equation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,7 +95,24 @@ fn solve(equation: Equation, case: &Value) -> Result<RiccatiSolution, String> {
         Equation::Care => care(&a, &b, &q, &r),
         Equation::Dare => dare(&a, &b, &q, &r),
     };
-    solved.map_err(|e| e.to_string())
+    solved.map_err(|error| match immovable(equation, &a, &b) {
+        Some(mode) => format!("{error}; A has the mode {:.6} {:+.6}i, which B does not move", mode.re, mode.im),
+        None => error.to_string(),
+    })
+}
+
+/// A mode of A that does not die away and that no input moves: then no gain stabilises.
+fn immovable(equation: Equation, a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<Complex> {
+    let n = a.nrows();
+    if !a.is_square() || b.nrows() != n {
+        return None;
+    }
+    let lasting = |mode: &Complex| match equation {
+        Equation::Care => mode.re >= 0.0,
+        Equation::Dare => mode.norm() >= 1.0,
+    };
+    let (at, bt) = (a.transpose(), b.transpose());
+    eigenvalues(a).ok()?.into_iter().filter(lasting).find(|mode| pbh_rank(&at, &bt, *mode) < n)
 }
 
 fn matrix(object: &Map<String, Value>, key: &str) -> Result<DMatrix<f64>, String> {
@@ -145,7 +163,11 @@ mod tests {
         assert_eq!(out[1]["error"], "A row 1 does not have 2 numbers");
         assert_eq!(out[2]["error"], "R is missing");
         assert_eq!(out[3]["name"], "case 3");
-        assert!(out[3]["error"].as_str().unwrap().contains("CARE"), "{}", out[3]);
+        let told = out[3]["error"].as_str().unwrap();
+        assert!(
+            told.contains("CARE") && told.ends_with("A has the mode 1.000000 +0.000000i, which B does not move"),
+            "{told}"
+        );
     }
 
     #[test]
