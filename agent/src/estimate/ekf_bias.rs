@@ -103,6 +103,7 @@ struct Inertial {
 }
 
 /// The filter. See the module.
+#[derive(Clone)]
 pub struct EkfBias {
     options: EkfOptions,
     state: State,

@@ -267,7 +267,8 @@ impl EkfBias {
         for (i, _) in arrived {
             let Some(sample) = frame.heights[i] else { continue };
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let row = measure::height::height(&past, sample.height_m);
+            let mut row = measure::height::height(&past, sample.height_m);
+            row.innovation -= self.beyond_reach(i, frame.time);
             let mut scalar = Scalar::new(SensorKind::Height, i + 1, Channel::Height, row, sigma, gate, delay_s);
             scalar.refused = self.outvoted(i, frame.time);
             used |= self.correct(&scalar);
@@ -292,6 +293,15 @@ impl EkfBias {
     fn heights_apart_m(&self) -> f64 {
         // Samples up to 0.3 s apart in a climb predicted to 0.2 m/s: another 6 cm.
         std::f64::consts::SQRT_2 * self.options.gates.height * self.options.height_sigma_m + 0.06
+    }
+
+    /// How much further height `i` lies from the median of at least three than it can reach, m.
+    fn beyond_reach(&self, i: usize, now: FlightTime) -> f64 {
+        let reach = self.options.height_reach * self.options.height_sigma_m;
+        let fresh = self.fresh_heights(now);
+        let centre = median(fresh.iter().map(|(_, y)| *y));
+        let own = fresh.iter().find(|(k, _)| *k == i).filter(|_| fresh.len() >= 3 && reach.is_finite());
+        own.map_or(0.0, |(_, y)| (y - centre) - (y - centre).clamp(-reach, reach))
     }
 
     /// Does height `i` contradict the median of at least three? It is then refused even where the gate,

@@ -65,6 +65,9 @@ pub struct EkfOptions {
 
     /// Laser height, one-sigma of each instance, m.
     pub height_sigma_m: f64,
+    /// A height further than so many sigmas from the median of those of the last moments (at least three) moves the state
+    /// as if it were so far (Huber).
+    pub height_reach: f64,
     /// Barometric altitude, one-sigma, m.
     pub barometer_sigma_m: f64,
     /// Random walk of the barometer's offset, m/√s.
@@ -141,6 +144,7 @@ impl Default for EkfOptions {
                 hold_off_s: 0.5,
             },
             height_sigma_m: 0.01,
+            height_reach: f64::INFINITY,
             barometer_sigma_m: 0.15,
             barometer_walk: 0.02,
             reference_pressure_pa: STANDARD_PRESSURE_PA,

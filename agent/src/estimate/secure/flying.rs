@@ -77,8 +77,10 @@ pub const TILT_MAX_RAD: f64 = 0.7;
 pub const RATE_MAX_RADPS: f64 = 4.0;
 /// Windows during which deviations are only learned: 2 s.
 const LEARNING: u32 = 50;
-/// Time constant with which learned deviations follow, s.
+/// Time constant with which learned deviations follow, s, …
 const LEARNED_S: f64 = 20.0;
+/// … once they are known: before, they are the mean of what was seen, the first of it of so many values.
+const FEWEST_LESSONS: u32 = 10;
 /// After a flag the loop flies on other sensors, and what the rest of them differ by (ripple of the loop at
 /// their sampling rate) is learned anew during so many windows: 1 s.
 const RELEARNING: u32 = 25;
@@ -184,6 +186,8 @@ pub struct Secure {
     slots: [Sum; SENSORS],
     sigma: [Sigma; SENSORS],
     learned: [f64; SENSORS],
+    /// Values that it was learned from.
+    lessons: [u32; SENSORS],
     value: [Option<f64>; SENSORS],
     /// Slot and value of the last deviation from what the sensor should read, the learned one removed.
     deviation: [Option<(u64, f64)>; SENSORS],
@@ -237,6 +241,7 @@ impl Secure {
             slots: [Sum::default(); SENSORS],
             sigma,
             learned: [0.0; SENSORS],
+            lessons: [0; SENSORS],
             value: [None; SENSORS],
             deviation: [None; SENSORS],
             cusum: [Cusum::default(); SENSORS],
@@ -516,7 +521,11 @@ impl Secure {
                     let ratio = statistic.square / chi_square(statistic.values, Z_999);
                     evidence.window_ratio = evidence.window_ratio.max(ratio);
                 }
-                evidence.drift_ratio = evidence.drift_ratio.max(cusum.get(sensor).map_or(0.0, Cusum::ratio));
+                let drift = cusum.get(sensor).copied().unwrap_or_default();
+                if drift.ratio() > evidence.drift_ratio {
+                    evidence.drift_ratio = drift.ratio();
+                    evidence.drift_s = SLOT_S * f64::from(drift.lasts());
+                }
             }
             if relearning && id.kind == SensorKind::Imu {
                 // What is in the window was counted from what had been learned before: only what is certain counts.
@@ -529,8 +538,9 @@ impl Secure {
             self.flags = flags;
             self.relearn_until = self.windows.saturating_add(RELEARNING);
             // Who is in doubt already is not excused.
-            let others = self.cusum.iter_mut().skip(IMU).filter(|cusum| !cusum.is_in_doubt());
-            others.for_each(|cusum| *cusum = Cusum::default());
+            let others =
+                self.cusum.iter_mut().zip(&mut self.lessons).skip(IMU).filter(|(cusum, _)| !cusum.is_in_doubt());
+            others.for_each(|(cusum, lessons)| (*cusum, *lessons) = (Cusum::default(), 0));
         }
     }
 
@@ -544,7 +554,9 @@ impl Secure {
         for row in 0..ROWS_OF_IMU {
             self.compare(&std::array::from_fn::<_, MAX_IMUS, _>(|i| IMU + ROWS_OF_IMU * i + row));
         }
-        self.compare(&std::array::from_fn::<_, MAX_HEIGHTS, _>(|i| HEIGHT + i));
+        let heights = std::array::from_fn::<_, MAX_HEIGHTS, _>(|i| HEIGHT + i);
+        self.compare(&heights);
+        self.centre(&heights);
         // A barometer's offset wanders without bound.
         for sensor in BAROMETER..IMU {
             let Some((_, deviation)) = self.deviation[sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
@@ -581,10 +593,26 @@ impl Secure {
             }
             let device = device_of(*sensor);
             let learnable = learning || !self.identifier.is_suspect(device);
-            if !self.identifier.is_flagged(device) && learnable && !in_doubt {
-                let gain = if learning { 0.1 } else { SLOT_S / LEARNED_S };
+            // What begins to drift is not learned away.
+            if !self.identifier.is_flagged(device) && learnable && self.cusum[*sensor].is_calm() {
+                let lessons = self.lessons[*sensor].saturating_add(1).max(FEWEST_LESSONS);
+                self.lessons[*sensor] = lessons;
+                let gain = (1.0 / f64::from(lessons)).max(SLOT_S / LEARNED_S);
                 self.learned[*sensor] = (self.learned[*sensor] + gain * deviation).clamp(-limit, limit);
             }
+        }
+    }
+
+    /// Learned about the mean of all while nobody is left out: then it does not matter who is.
+    fn centre(&mut self, members: &[usize]) {
+        let heard = || members.iter().filter(|sensor| self.deviation[**sensor].is_some());
+        let count = heard().count();
+        if count == 0 || heard().any(|sensor| self.identifier.is_flagged(device_of(*sensor))) {
+            return;
+        }
+        let mean = heard().map(|sensor| self.learned[*sensor]).sum::<f64>() / count as f64;
+        for sensor in members.iter().filter(|sensor| self.deviation[**sensor].is_some()) {
+            self.learned[*sensor] -= mean;
         }
     }
 
@@ -665,7 +693,8 @@ impl Estimator for Secure {
             self.slot = slot;
             self.close(now);
         }
-        self.gated.step(received, applied, &self.identifier, dt_s);
+        let learned_m = std::array::from_fn(|i| self.learned.get(HEIGHT + i).copied().unwrap_or_default());
+        self.gated.step(received, applied, &self.identifier, &learned_m, dt_s);
         self.follow(dt_s);
         self.gather(received);
         self.publish(received);
@@ -857,6 +886,50 @@ mod tests {
         // A second liar: nothing is promised any more.
         fly(&mut s, 8.0, 10.0, &[0.4, 0.3, 0.0]);
         assert!(s.height_bound_m().is_none(), "{:?}", s.identifier().devices());
+    }
+
+    #[test]
+    fn a_height_that_is_left_out_takes_its_learned_deviation_with_it() {
+        let mut s = secure();
+        let mut mean = |from: u64, to: u64, heights: &[f64]| {
+            let heard = (from..to).map(|k| s.step(&frame(k, heights), &MotorCommand::default()).position_enu_m.z);
+            let last = heard.skip((to - from) as usize - 400);
+            (last.sum::<f64>() / 400.0, s.identifier().margin(SensorKind::Height).flagged)
+        };
+        let (before, nobody) = mean(0, 2400, &[0.008, -0.002, 0.0]);
+        let (after, flagged) = mean(2400, 3400, &[0.508, -0.002, 0.0]);
+        assert_eq!((nobody, flagged), (0, 1));
+        // About their mean, not about that of the two that are left, 3 mm lower.
+        assert!((before - 0.502).abs() < 1.5e-3 && (after - before).abs() < 1.5e-3, "{before} {after}");
+    }
+
+    #[test]
+    fn an_imu_that_drifted_is_taken_out_of_the_last_moments_as_well() {
+        // A ramp of 0.5 m/s³ upward in IMU 2 from 6 s on, until a while after it is left out.
+        let flown = |ramp: f64| {
+            let mut s = secure();
+            let liar = SensorId::new(SensorKind::Imu, 2);
+            let mut left_out_at = None;
+            for k in 0..1800 {
+                let mut frame = frame(k, &[0.0; 3]);
+                let t = k as f64 * 0.005;
+                if let Some(imu) = &mut frame.imus[1] {
+                    imu.accel_mps2.z += ramp * (t - 6.0).max(0.0);
+                }
+                s.step(&frame, &MotorCommand::default());
+                if s.identifier().withheld().contains(liar) {
+                    left_out_at = left_out_at.or(Some(t));
+                }
+            }
+            (s.estimate().clone(), left_out_at, s.gated.rewinds())
+        };
+        let (honest, never, none) = flown(0.0);
+        let (lied, at, rewinds) = flown(0.5);
+        assert!(never.is_none() && none == 0 && rewinds >= 1, "{never:?} {none} {rewinds}");
+        assert!(at.unwrap() < 8.0, "{at:?}");
+        let bias = (lied.accel_bias_mps2.z - honest.accel_bias_mps2.z).abs();
+        let climb = lied.velocity_enu_mps.z.abs();
+        assert!(bias < 0.02 && climb < 0.01, "{bias} {climb}");
     }
 
     #[test]

@@ -14,6 +14,12 @@
 //! | T | thrust of the applied commands, through motor lag and battery | N |
 //! | d | disturbance force, ENU | N |
 //!
+//! A liar is found some time after it began to lie, and by then its lie is in velocity and biases. Who is left out
+//! is therefore left out of the last moments as well (`rewind.rs`): the filter is what it would be had it known.
+//!
+//! Honest heights differ by a constant each. What has been learned of it is subtracted, about the mean of all, so that the
+//! estimate does not move when one of them is left out.
+//!
 //! Nonlinear flight: this filter linearises about its own attitude and holds at any tilt; what ends earlier is
 //! the window's model (`flying.rs`), and then the last attacked set is kept.
 
@@ -21,54 +27,87 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::identify::Identifier;
+use super::identify::{Identifier, Withheld};
+use super::rewind::Rewind;
 use crate::estimate::ekf_bias::{EkfBias, EkfOptions};
 use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::motor;
-use crate::vehicle::{MotorCommand, ROTORS, SensorFrame};
+use crate::vehicle::{MAX_HEIGHTS, MotorCommand, ROTORS, SensorFrame};
 
 /// Noise of the disturbance, N/√s: strings go taut within a few ticks.
 const DISTURBANCE_WALK_N: f64 = 20.0;
 /// One-sigma of a specific force beyond the sensor's own: vibration, thrust curve, m/s².
 const FORCE_SIGMA_MPS2: f64 = 0.3;
 
+/// Sigmas that a height can be from the median of all and still move the filter more than one nearer.
+const HEIGHT_REACH: f64 = 1.5;
+
 /// The filter and its disturbance states.
 pub struct Gated {
     filter: EkfBias,
+    rewind: Rewind,
+    withheld: Withheld,
+    /// What taking the filter back has changed in height and climb, m and m/s.
+    moved: (f64, f64),
     airframe: Airframe,
     rotor_speed_radps: [f64; ROTORS],
     voltage_ratio: f64,
     disturbance_enu_n: Vector3<f64>,
     information: f64,
-    /// IMUs flagged.
-    liars: usize,
 }
 
 impl Gated {
     /// Nothing known yet.
     pub fn new(options: EkfOptions, airframe: &Airframe) -> Self {
+        let filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, ..options });
         Self {
             airframe: airframe.clone(),
-            filter: EkfBias::new(options),
+            rewind: Rewind::new(&filter),
+            filter,
+            withheld: Withheld::default(),
+            moved: (0.0, 0.0),
             rotor_speed_radps: [0.0; ROTORS],
             voltage_ratio: 1.0,
             disturbance_enu_n: Vector3::zeros(),
             information: 0.0,
-            liars: 0,
         }
     }
 
-    /// One tick with the sensors that `identifier` has not flagged.
-    pub fn step(&mut self, received: &SensorFrame, applied: &MotorCommand, identifier: &Identifier, dt_s: f64) {
-        let liars = identifier.margin(SensorKind::Imu).flagged;
-        if liars > self.liars {
-            self.filter.doubt_accel_bias();
+    /// One tick with the sensors that `identifier` has not flagged, and what is learned of each height, m.
+    pub fn step(
+        &mut self,
+        received: &SensorFrame,
+        applied: &MotorCommand,
+        identifier: &Identifier,
+        learned_m: &[f64; MAX_HEIGHTS],
+        dt_s: f64,
+    ) {
+        let mut received = *received;
+        for (height, learned_m) in received.heights.iter_mut().zip(learned_m) {
+            height.iter_mut().for_each(|sample| sample.height_m -= learned_m);
         }
-        self.liars = liars;
-        let clean = clean(received, identifier);
-        self.filter.step(&clean, applied);
-        self.disturb(received, applied, dt_s);
+        let withheld = identifier.withheld();
+        let new = withheld.without(self.withheld);
+        self.withheld = withheld;
+        self.filter.step(&clean(&received, withheld), applied);
+        self.rewind.remember(&self.filter, &received, applied, withheld);
+        if !new.is_empty() {
+            let imus =
+                identifier.devices().iter().filter(|d| d.sensor.kind == SensorKind::Imu && new.contains(d.sensor));
+            self.rewind.begin(new, imus.map(|d| d.evidence.drift_s).fold(0.0, f64::max));
+        }
+        if let Some(again) = self.rewind.go_on() {
+            let vertical = |filter: &EkfBias| {
+                let (e, corrections) = (filter.estimate(), filter.vertical_corrections());
+                (e.position_enu_m.z - corrections.0, e.velocity_enu_mps.z - corrections.1)
+            };
+            let (before, after) = (vertical(&self.filter), vertical(again));
+            self.moved.0 += after.0 - before.0;
+            self.moved.1 += after.1 - before.1;
+            self.filter.clone_from(again);
+        }
+        self.disturb(&received, applied, dt_s);
     }
 
     /// The filter's estimate.
@@ -79,7 +118,13 @@ impl Gated {
     /// Corrections of height and climb since it began, m and m/s: what lies between its path and the one that
     /// the IMUs alone would have given.
     pub fn vertical_corrections(&self) -> (f64, f64) {
-        self.filter.vertical_corrections()
+        let (z, climb) = self.filter.vertical_corrections();
+        (z + self.moved.0, climb + self.moved.1)
+    }
+
+    /// How often the last moments were gone through again.
+    pub fn rewinds(&self) -> u32 {
+        self.rewind.count()
     }
 
     /// Force that neither thrust nor gravity explains, ENU, N.
@@ -90,6 +135,7 @@ impl Gated {
     /// Starts again from `estimate`.
     pub fn reset_to(&mut self, estimate: &Estimate) {
         self.filter.reset_to(estimate);
+        self.rewind.start_over(&self.filter);
     }
 
     fn disturb(&mut self, received: &SensorFrame, applied: &MotorCommand, dt_s: f64) {
@@ -116,9 +162,12 @@ impl Gated {
 }
 
 /// `frame` without the sensors that are withheld.
-fn clean(frame: &SensorFrame, identifier: &Identifier) -> SensorFrame {
+pub(super) fn clean(frame: &SensorFrame, withheld: Withheld) -> SensorFrame {
     let mut clean = *frame;
-    let out = |kind, index: usize| identifier.is_withheld(SensorId::new(kind, index as u8 + 1));
+    if withheld.is_empty() {
+        return clean;
+    }
+    let out = |kind, index: usize| withheld.contains(SensorId::new(kind, index as u8 + 1));
     // One line for each type: their samples are of different types.
     clean.imus.iter_mut().enumerate().filter(|(i, _)| out(SensorKind::Imu, *i)).for_each(|(_, s)| *s = None);
     clean.heights.iter_mut().enumerate().filter(|(i, _)| out(SensorKind::Height, *i)).for_each(|(_, s)| *s = None);

@@ -34,9 +34,11 @@ const FAR_WORSE: f64 = 4.0;
 const PRESENT_S: f64 = 1.0;
 /// What a CUSUM forgives, in sigmas of one value.
 const CUSUM_SLACK: f64 = 0.75;
-/// An IMU whose CUSUM is above this part of its limit is left out while most of the others are not: where several
-/// measure the same motion, going without one for a moment costs less than a lie that is not yet certain.
-const DOUBT: f64 = 0.5;
+/// An IMU or a height whose CUSUM is above this part of its limit is left out while most of the others are not: where
+/// several measure the same, going without one for a moment costs less than a lie that is not yet certain.
+const DOUBT: f64 = 0.4;
+/// Below this part of its limit a CUSUM is where noise takes it.
+const CALM_RATIO: f64 = 0.125;
 /// Limit of a CUSUM, in sigmas: a mean time between false alarms of weeks for independent values (Wald:
 /// exp(2 k h) / 2 k² values).
 pub const CUSUM_LIMIT: f64 = 16.0;
@@ -56,6 +58,9 @@ pub const Z_999: f64 = 3.0902;
 pub struct Cusum {
     up: f64,
     down: f64,
+    /// Values since each was last zero: Page's estimate of how long the drift has lasted.
+    up_for: u32,
+    down_for: u32,
 }
 
 impl Cusum {
@@ -64,8 +69,10 @@ impl Cusum {
         if deviation.is_finite() {
             // A single outlier is the window's business; a cap lets the sum fall again when the lie ends.
             let d = deviation.clamp(-4.0, 4.0);
-            self.up = (self.up + d - CUSUM_SLACK).clamp(0.0, 1.5 * CUSUM_LIMIT);
-            self.down = (self.down - d - CUSUM_SLACK).clamp(0.0, 1.5 * CUSUM_LIMIT);
+            let sum = |before: f64, d: f64| (before + d - CUSUM_SLACK).clamp(0.0, 1.5 * CUSUM_LIMIT);
+            (self.up, self.down) = (sum(self.up, d), sum(self.down, -d));
+            let length = |before: u32, sum: f64| if sum > 0.0 { before.saturating_add(1) } else { 0 };
+            (self.up_for, self.down_for) = (length(self.up_for, self.up), length(self.down_for, self.down));
         }
     }
 
@@ -74,9 +81,19 @@ impl Cusum {
         self.ratio() > DOUBT
     }
 
+    /// Is it where noise alone takes it?
+    pub fn is_calm(&self) -> bool {
+        self.ratio() < CALM_RATIO
+    }
+
     /// The larger sum over its limit.
     pub fn ratio(&self) -> f64 {
         self.up.max(self.down) / CUSUM_LIMIT
+    }
+
+    /// Values since the larger sum was zero.
+    pub fn lasts(&self) -> u32 {
+        if self.up > self.down { self.up_for } else { self.down_for }
     }
 }
 
@@ -111,6 +128,8 @@ pub struct Evidence {
     pub window_ratio: f64,
     /// Largest CUSUM of its rows over its limit.
     pub drift_ratio: f64,
+    /// How long that drift has lasted, s.
+    pub drift_s: f64,
     /// Is it stuck?
     pub stuck: bool,
 }
@@ -131,6 +150,47 @@ pub struct Device {
     suspect: u32,
     certain: u32,
     calm: u32,
+}
+
+/// A set of sensors that are left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Withheld(u16);
+
+impl Withheld {
+    fn bit(sensor: SensorId) -> u16 {
+        let index = usize::from(sensor.instance.saturating_sub(1));
+        let first = match sensor.kind {
+            SensorKind::Imu => 0,
+            SensorKind::Height => MAX_IMUS,
+            _ => MAX_IMUS + MAX_HEIGHTS,
+        };
+        1u16.checked_shl((first + index) as u32).unwrap_or_default()
+    }
+
+    /// Leaves out `sensor` as well.
+    pub fn add(&mut self, sensor: SensorId) {
+        self.0 |= Self::bit(sensor);
+    }
+
+    /// Is `sensor` left out?
+    pub fn contains(self, sensor: SensorId) -> bool {
+        self.0 & Self::bit(sensor) != 0
+    }
+
+    /// Who is in either.
+    pub fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Who is in this and not in `other`.
+    pub fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// Nobody.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
 }
 
 /// What stands between a type of sensor and a wrong state: m − 2·flagged more attacks than half.
@@ -195,13 +255,20 @@ impl Identifier {
         self.devices.iter().any(|d| d.sensor == sensor && d.flagged.is_some())
     }
 
-    /// Is `sensor` left out: flagged, or an IMU in doubt while most of the others are not?
-    pub fn is_withheld(&self, sensor: SensorId) -> bool {
-        let in_doubt = |d: &&Device| d.flagged.is_some() || d.evidence.drift_ratio > DOUBT;
-        let imus = || self.devices.iter().filter(|d| d.sensor.kind == SensorKind::Imu && d.present);
-        self.is_flagged(sensor)
-            || (imus().filter(in_doubt).any(|d| d.sensor == sensor)
-                && 2 * imus().filter(in_doubt).count() < imus().count())
+    /// Who is left out: the flagged, and IMUs and heights in doubt while most of their type are not.
+    pub fn withheld(&self) -> Withheld {
+        let in_doubt = |d: &Device| d.flagged.is_some() || d.evidence.drift_ratio > DOUBT;
+        let of = |kind| self.devices.iter().filter(move |d| d.sensor.kind == kind && d.present);
+        let spared = |kind| 2 * of(kind).filter(|d| in_doubt(d)).count() < of(kind).count();
+        let doubted = [SensorKind::Imu, SensorKind::Height].map(|kind| (kind, spared(kind)));
+        let mut withheld = Withheld::default();
+        for d in &self.devices {
+            let doubted = d.present && doubted.contains(&(d.sensor.kind, true)) && in_doubt(d);
+            if d.flagged.is_some() || doubted {
+                withheld.add(d.sensor);
+            }
+        }
+        withheld
     }
 
     /// Is `sensor` above a limit, flagged or not?
@@ -394,19 +461,21 @@ mod tests {
     }
 
     #[test]
-    fn an_imu_in_doubt_is_left_out_while_most_of_the_others_are_not() {
-        let imu = |instance| SensorId::new(SensorKind::Imu, instance);
-        let judged = |doubted: u8| {
-            let mut identifier = Identifier::default();
-            (1..=4).for_each(|i| identifier.saw(imu(i), FlightTime(0)));
-            let drift = |s: SensorId| if s.instance <= doubted { 0.7 } else { 0.1 };
-            identifier.judge(FlightTime(0), false, |s| Evidence { drift_ratio: drift(s), ..Evidence::default() });
-            (1..=4).filter(|i| identifier.is_withheld(imu(*i))).count()
-        };
-        assert_eq!([judged(0), judged(1), judged(2)], [0, 1, 0]);
-        let mut identifier = seen(3);
-        identifier.judge(FlightTime(0), false, |_| Evidence { drift_ratio: 0.7, ..Evidence::default() });
-        assert!(!identifier.is_withheld(height(1)), "a height is flagged or used");
+    fn a_sensor_in_doubt_is_left_out_while_most_of_its_type_are_not() {
+        for (kind, expected) in [(SensorKind::Imu, [0, 1, 0]), (SensorKind::Height, [0, 1, 0])] {
+            let judged = |doubted: u8| {
+                let mut identifier = Identifier::default();
+                (1..=4).for_each(|i| identifier.saw(SensorId::new(kind, i), FlightTime(0)));
+                let drift = |s: SensorId| if s.instance <= doubted { 0.7 } else { 0.1 };
+                identifier.judge(FlightTime(0), false, |s| Evidence { drift_ratio: drift(s), ..Evidence::default() });
+                (1..=4).filter(|i| identifier.withheld().contains(SensorId::new(kind, *i))).count()
+            };
+            assert_eq!([judged(0), judged(1), judged(2)], expected);
+        }
+        let mut withheld = Withheld::default();
+        withheld.add(height(3));
+        assert!(withheld.contains(height(3)) && !withheld.contains(height(2)) && !withheld.is_empty());
+        assert!(withheld.without(withheld).is_empty() && withheld.with(Withheld::default()) == withheld);
     }
 
     #[test]
