@@ -14,14 +14,15 @@ use tokio::time::{Instant, sleep};
 use super::tls::SERVER_NAME;
 use super::{LinkState, transport};
 
-/// Most attempts under way at once; the oldest gives way.
-const ATTEMPTS: usize = 6;
+/// Most attempts under way at once; the oldest gives way. Each lives long enough to repeat a packet that was lost, which
+/// QUIC does after a second, and to be served by a machine that has much else to do.
+const ATTEMPTS: usize = 12;
 
 /// Time between two attempts after trying for `tried`.
 fn spacing(tried: Duration) -> Duration {
     match tried.as_secs() {
-        0..10 => Duration::from_millis(100),
-        10..60 => Duration::from_millis(250),
+        0..2 => Duration::from_millis(100),
+        2..60 => Duration::from_millis(250),
         _ => Duration::from_secs(1),
     }
 }
