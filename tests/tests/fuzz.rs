@@ -31,7 +31,7 @@ use plumbline_tests::harness::radio::Chance;
 
 /// What all decoders together may ever take, MiB: the largest bound of one is that of an MCAP chunk (256 MiB).
 const MEMORY_MAX_MIB: f64 = 512.0;
-/// What one input of a few kilobytes may take of time, on a machine that compiles beside us.
+/// What one input of a few kilobytes may take of processor time.
 const TIME_MAX: Duration = Duration::from_secs(10);
 const SHORT: Duration = Duration::from_millis(500);
 /// A new seed begins, and a line is printed, after this much work.
@@ -155,9 +155,9 @@ fn piece(name: &str, seeds: &[Vec<u8>], decoder: &mut impl FnMut(&[u8]), seed: u
     let (mut inputs, mut slowest) = (0_u64, Duration::ZERO);
     while worked().saturating_sub(begun) < span {
         let input = damage(&mut chance, seeds);
-        let started = Instant::now();
+        let started = worked();
         let outcome = catch_unwind(AssertUnwindSafe(|| decoder(&input)));
-        let took = started.elapsed();
+        let took = worked().saturating_sub(started);
         inputs += 1;
         slowest = slowest.max(took);
         let peak = if inputs.is_multiple_of(LOOK_EVERY) { peak_mib() } else { 0.0 };
