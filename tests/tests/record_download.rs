@@ -30,6 +30,9 @@ fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
     let mut live = rig.live();
     rig.fly_to(0.5);
     live.step_response(0.5);
+    // Long enough that an estimator that starts in it without knowing anything is not judged by its start alone.
+    rig.command("POST", "setpoint", json!({ "altitude_m": 0.8 }));
+    live.step_response(0.8);
     rig.disarm();
     // THEN it is in the list, complete, with what happened in it
     let flight = rig.finished_flight();

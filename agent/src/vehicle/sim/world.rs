@@ -19,7 +19,8 @@ use crate::vehicle::ROTORS;
 /// Longest integration step, s.
 pub const SUB_STEP_S: f64 = 0.001_25;
 
-/// How far the world is from calm and exact.
+/// How far the world is from calm and exact. The white noises are the air that the rotors stir: none while they stand
+/// still, all of it from half of the hovering thrust on.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Disturbance {
@@ -220,11 +221,14 @@ impl World {
             self.wind_enu_mps = self.wind_enu_mps * keep + n.component_mul(&Vector3::new(kick, kick, 0.5 * kick));
             input.wind_enu_mps = self.wind_enu_mps;
         }
+        let thrust_n: f64 =
+            self.moving.rotor_speed_radps.iter().map(|w| self.airframe.thrust_coefficient_ns2 * w * w).sum();
+        let stirred = (2.0 * thrust_n / self.airframe.weight_n()).min(1.0) / dt_s.sqrt();
         if d.accel_noise > 0.0 {
-            input.force_enu_n += self.normal3() * (d.accel_noise / dt_s.sqrt() * self.airframe.mass_kg);
+            input.force_enu_n += self.normal3() * (d.accel_noise * stirred * self.airframe.mass_kg);
         }
         let noise_torque = if d.angular_noise > 0.0 {
-            (self.normal3() * (d.angular_noise / dt_s.sqrt())).component_mul(&self.airframe.inertia_kgm2)
+            (self.normal3() * (d.angular_noise * stirred)).component_mul(&self.airframe.inertia_kgm2)
         } else {
             Vector3::zeros()
         };

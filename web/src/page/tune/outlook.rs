@@ -275,18 +275,13 @@ fn Gains(preview: Preview) -> impl IntoView {
     let compared = preview.k_in_use.is_some();
     let rows = table.into_iter().map(|(name, entries)| {
         let cells = entries.into_iter().map(|Entry { new, in_use, changed }| {
-            view! {
-                <td class="num">{new}</td>
-                {compared.then(|| view! { <td class=if changed { "num quiet changed" } else { "num quiet" }>{in_use}</td> })}
-            }
+            let before = changed.then(|| view! { <small class="quiet">"now " {in_use}</small> });
+            view! { <td class="num" class:changed=changed>{new}{before}</td> }
         });
         view! { <tr><th scope="row">{name}</th>{cells.collect::<Vec<_>>()}</tr> }
     });
     let heads = INPUTS.iter().map(|(name, unit, _)| {
-        view! {
-            <th class="num" title=format!("{unit} for one m, rad, m/s, rad/s")>{*name}</th>
-            {compared.then(|| view! { <th class="num quiet">"in use"</th> })}
-        }
+        view! { <th class="num" title=format!("{unit} for one m, rad, m/s, rad/s")>{*name}</th> }
     });
     view! {
         <details class="tune-gains">
