@@ -12,8 +12,8 @@ use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
 
 use crate::control::gains::GainsError;
-use crate::control::structure::pbh_rank;
-use crate::linalg::{Complex, RiccatiSolution, care, dare, eigenvalues};
+use crate::control::structure::unseen_mode;
+use crate::linalg::{Complex, RiccatiSolution, care, dare};
 
 /// Which equation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,16 +103,14 @@ fn solve(equation: Equation, case: &Value) -> Result<RiccatiSolution, String> {
 
 /// A mode of A that does not die away and that no input moves: then no gain stabilises.
 fn immovable(equation: Equation, a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<Complex> {
-    let n = a.nrows();
-    if !a.is_square() || b.nrows() != n {
+    if !a.is_square() || b.nrows() != a.nrows() {
         return None;
     }
     let lasting = |mode: &Complex| match equation {
         Equation::Care => mode.re >= 0.0,
         Equation::Dare => mode.norm() >= 1.0,
     };
-    let (at, bt) = (a.transpose(), b.transpose());
-    eigenvalues(a).ok()?.into_iter().filter(lasting).find(|mode| pbh_rank(&at, &bt, *mode) < n)
+    unseen_mode(&a.transpose(), &b.transpose(), lasting).ok()?
 }
 
 fn matrix(object: &Map<String, Value>, key: &str) -> Result<DMatrix<f64>, String> {

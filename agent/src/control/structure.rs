@@ -72,12 +72,24 @@ pub fn pbh_rank(a: &DMatrix<f64>, c: &DMatrix<f64>, lambda: Complex) -> usize {
     rank(&m) / 2
 }
 
+/// The first of the modes that are `lasting` which no output shows.
+///
+/// # Errors
+/// When an eigenvalue does not converge.
+pub fn unseen_mode(
+    a: &DMatrix<f64>,
+    c: &DMatrix<f64>,
+    lasting: impl Fn(&Complex) -> bool,
+) -> Result<Option<Complex>, LinalgError> {
+    Ok(eigenvalues(a)?.into_iter().filter(lasting).find(|mode| pbh_rank(a, c, *mode) < a.nrows()))
+}
+
 /// Does every mode that is not seen die away by itself?
 ///
 /// # Errors
 /// When an eigenvalue does not converge.
 pub fn detectable(a: &DMatrix<f64>, c: &DMatrix<f64>) -> Result<bool, LinalgError> {
-    Ok(eigenvalues(a)?.into_iter().filter(|e| e.re >= 0.0).all(|e| pbh_rank(a, c, e) == a.nrows()))
+    Ok(unseen_mode(a, c, |mode| mode.re >= 0.0)?.is_none())
 }
 
 /// States (unit vectors) that no output ever shows.
