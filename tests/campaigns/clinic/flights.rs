@@ -11,16 +11,22 @@
 //! | oracle | secure, which never hears the attacked sensors while they lie: what no identification can beat but by filtering better |
 //!
 //! e is the rms of true altitude − setpoint; e* is the plain EKF's without attack, same rig and seed. A pilot that
-//! loses altitude hold is judged by the script's altitude from then on.
+//! loses altitude hold is judged by the script's altitude from then on. Where strings or ground do not let the vehicle
+//! down to its setpoint, the nearest altitude that they do counts, and within the strings' stretch any: what taut
+//! strings allow rises with the horizontal distance, which nobody controls.
 
+use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, Mode};
 use plumbline_agent::estimate::EstimatorKind;
 use plumbline_agent::estimate::ekf_bias::EkfOptions;
 use plumbline_agent::flight::{Flight, FlightConfig};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
+use plumbline_agent::frames::roll_pitch_yaw;
+use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::vehicle::sim::rig::{Line, standing_height_m};
+use plumbline_agent::vehicle::sim::{Rig, Scenario, SimVehicle};
 use plumbline_agent::vehicle::suite::Suite;
-use plumbline_agent::vehicle::{SensorFrame, Vehicle};
+use plumbline_agent::vehicle::{SensorFrame, Truth, Vehicle};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::{Plot, Report, Series};
@@ -199,6 +205,8 @@ impl Plan {
 #[derive(Clone, Default)]
 struct Outcome {
     error_m: f64,
+    /// The same against the setpoint, be it within reach or not.
+    setpoint_error_m: f64,
     /// rms of estimated − true altitude.
     estimate_m: f64,
     /// From the onset to the first flag of every attacked sensor, s.
@@ -224,9 +232,41 @@ fn silence(frame: &mut SensorFrame, sensor: SensorId) {
     }
 }
 
+/// Where a level vehicle is held up at `position_enu_m`: by the ground, and from the first taut string on until all are
+/// stretched as far as the whole weight does it, m.
+struct Support {
+    lines: Vec<Line>,
+    stretch_m: f64,
+    standing_m: f64,
+}
+
+impl Support {
+    fn of(scenario: &Scenario, airframe: &Airframe) -> Self {
+        let stretch_m = if let Rig::HangingStrings(rig) = &scenario.rig { rig.stretch_m } else { 0.0 };
+        let lines = scenario.rig.lines(airframe).to_vec();
+        Self { lines, stretch_m, standing_m: standing_height_m(airframe) }
+    }
+
+    /// Altitude less the nearest one within reach of the setpoint, m.
+    fn error_m(&self, truth: &Truth, setpoint_m: f64) -> f64 {
+        let position = truth.position_enu_m;
+        let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll_pitch_yaw(&truth.world_from_body).z);
+        let taut_at = |line: &Line| {
+            let knot = heading * line.knot_flu_m;
+            let aside = (position + knot - line.hook_enu_m).xy().norm();
+            line.hook_enu_m.z - knot.z - (line.rest_length_m.powi(2) - aside.powi(2)).max(0.0).sqrt()
+        };
+        let taut_m = self.lines.iter().map(taut_at).fold(f64::NEG_INFINITY, f64::max);
+        let highest = setpoint_m.max(self.standing_m).max(taut_m);
+        let lowest = setpoint_m.max(self.standing_m).max(taut_m - self.stretch_m);
+        position.z - position.z.clamp(lowest, highest)
+    }
+}
+
 fn fly(plan: &Plan) -> Outcome {
     let scenario = plan.scenario();
     let mut config = FlightConfig::for_scenario(&scenario);
+    let support = Support::of(&scenario, &config.airframe);
     let oracle = plan.pilot == Pilot::Oracle;
     let kind = if oracle || plan.pilot == Pilot::Secure { EstimatorKind::Secure } else { EstimatorKind::EkfBias };
     config.estimators = vec![kind];
@@ -235,7 +275,7 @@ fn fly(plan: &Plan) -> Outcome {
     let mut vehicle = SimVehicle::new(&scenario).unwrap();
     let mut flight = Flight::new(config).unwrap();
     let mut outcome = Outcome::default();
-    let (mut square, mut estimate_square, mut count) = (0.0, 0.0, 0.0);
+    let (mut square, mut setpoint_square, mut estimate_square, mut count) = (0.0, 0.0, 0.0, 0.0);
     let mut before = None;
     let mut flagged: Vec<(SensorId, f64)> = Vec::new();
     let mut found: Vec<SensorId> = Vec::new();
@@ -259,12 +299,14 @@ fn fly(plan: &Plan) -> Outcome {
         let applied = vehicle.actuate(&command).unwrap();
         flight.applied(applied);
         let t = now.as_seconds();
-        let z = vehicle.truth().unwrap().position_enu_m.z;
+        let truth = vehicle.truth().unwrap();
+        let z = truth.position_enu_m.z;
         let holds = flight.report().armed && flight.report().mode == Mode::AltitudeHold;
         let setpoint = if holds { flight.report().setpoint.position_enu_m.z } else { plan.altitude_at(t) };
         if t >= JUDGED_FROM_S {
             outcome.lost |= !holds;
-            square += (z - setpoint).powi(2);
+            square += support.error_m(&truth, setpoint).powi(2);
+            setpoint_square += (z - setpoint).powi(2);
             let estimated = flight.estimates().next().map_or(f64::NAN, |(_, e)| e.position_enu_m.z);
             estimate_square += (estimated - z).powi(2);
             count += 1.0;
@@ -301,6 +343,7 @@ fn fly(plan: &Plan) -> Outcome {
     }
     outcome.missed = plan.attacked.len() - found.len();
     outcome.error_m = (square / count).sqrt();
+    outcome.setpoint_error_m = (setpoint_square / count).sqrt();
     outcome.estimate_m = (estimate_square / count).sqrt();
     outcome
 }
@@ -521,6 +564,8 @@ fn contacts(report: &mut Report, effort: &Effort) {
         let over = |of: usize| -> Vec<f64> {
             (0..seeds).map(|s| all[2 * seeds + s].error_m / all[of * seeds + s].error_m).collect()
         };
+        let from_setpoint: Vec<f64> =
+            (0..seeds).map(|s| all[2 * seeds + s].setpoint_error_m / all[s].setpoint_error_m).collect();
         let secure = &all[2 * seeds..];
         let longest = worst(&secure.iter().map(|o| o.longest_false_s).collect::<Vec<_>>());
         let flags: usize = secure.iter().map(|o| o.false_flags).sum();
@@ -531,6 +576,7 @@ fn contacts(report: &mut Report, effort: &Effort) {
             median(&undisturbed),
             "undisturbed e*",
             json!({ "worst": worst(&undisturbed), "against_plain_same_flight": median(&plain),
+                "from_setpoints_out_of_reach": median(&from_setpoint),
                 "estimate_rms_mm": 1e3 * median(&secure.iter().map(|o| o.estimate_m).collect::<Vec<_>>()),
                 "undisturbed_e_star_m": median(&all[..seeds].iter().map(|o| o.error_m).collect::<Vec<_>>()),
                 "false_flags": flags, "accused": accused, "longest_false_flag_s": longest,

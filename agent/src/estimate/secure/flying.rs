@@ -30,8 +30,9 @@ pub use plumbline_proto::v1::{DecoderStatus, SecureFallback};
 use super::compress::Compressed;
 use super::gated::Gated;
 use super::identify::{CERTAIN, Cusum, Evidence, Identifier, Stuck, Z_999, chi_square, stuck_limit};
-use super::inertial::Inertial;
+use super::inertial::{self, Inertial};
 use super::newton::{Deadline, Settings};
+use super::together::Together;
 use super::window::{Model, Row, Window, room};
 use super::{Decoded, Decoder, SecureError, Status, parts};
 use crate::estimate::ekf_bias::EkfOptions;
@@ -175,6 +176,7 @@ pub struct Secure {
     spare: Window<STATES>,
     identifier: Identifier,
     inertial: Inertial,
+    together: Together,
     estimate: Estimate,
     report: WindowReport,
 
@@ -189,8 +191,12 @@ pub struct Secure {
     /// Values that it was learned from.
     lessons: [u32; SENSORS],
     value: [Option<f64>; SENSORS],
+    /// By how much what a row of the IMUs differs by counts less in this slot (`inertial.rs`).
+    discount: [f64; 6],
     /// Slot and value of the last deviation from what the sensor should read, the learned one removed.
     deviation: [Option<(u64, f64)>; SENSORS],
+    /// That of this slot less the median of all of its kind; NaN where there is none.
+    from_all: [f64; SENSORS],
     cusum: [Cusum; SENSORS],
     stuck_imu: [Stuck<6>; MAX_IMUS],
     stuck_height: [Stuck<1>; MAX_HEIGHTS],
@@ -222,6 +228,7 @@ impl Secure {
             gated: Gated::new(options.clone(), airframe),
             identifier: Identifier::default(),
             inertial: Inertial::new(&options),
+            together: Together::default(),
             estimate: Estimate::default(),
             report: WindowReport {
                 time: FlightTime::default(),
@@ -243,7 +250,9 @@ impl Secure {
             learned: [0.0; SENSORS],
             lessons: [0; SENSORS],
             value: [None; SENSORS],
+            discount: [1.0; 6],
             deviation: [None; SENSORS],
+            from_all: [f64::NAN; SENSORS],
             cusum: [Cusum::default(); SENSORS],
             stuck_imu: [Stuck::default(); MAX_IMUS],
             stuck_height: [Stuck::default(); MAX_HEIGHTS],
@@ -399,10 +408,13 @@ impl Secure {
     fn close(&mut self, now: FlightTime) {
         let begun = self.stopwatch.map(|read| read());
         self.window.advance(None);
-        for (i, deviation) in self.inertial.deviations(SLOT_S).into_iter().enumerate() {
+        let inertial::Slot { deviations, discount, means, scale } = self.inertial.slot(SLOT_S);
+        self.discount = discount;
+        for (i, deviation) in deviations.into_iter().enumerate() {
             for (k, slot) in self.slots.iter_mut().skip(IMU + ROWS_OF_IMU * i).take(6).enumerate() {
                 *slot = Sum::default();
-                slot.add(deviation.and_then(|d| d.get(k).copied()).unwrap_or(f64::NAN));
+                let told = discount.get(k).is_some_and(|less| less.is_finite());
+                slot.add(deviation.filter(|_| told).and_then(|d| d.get(k).copied()).unwrap_or(f64::NAN));
             }
         }
         self.inertial.begin(now);
@@ -410,9 +422,13 @@ impl Secure {
             self.value[sensor] = self.slots[sensor].take();
         }
         self.learn();
+        let imu = |i: usize| SensorId::new(SensorKind::Imu, i as u8 + 1);
+        let (identifier, learning) = (&self.identifier, self.windows < LEARNING);
+        let from_all = std::array::from_fn(|i| std::array::from_fn(|k| self.from_all[IMU + ROWS_OF_IMU * i + k]));
+        self.together.take(&means, &from_all, |i| identifier.is_flagged(imu(i)), &scale, SLOT_S, learning);
         for sensor in 0..SENSORS {
             if let Some(value) = self.value[sensor] {
-                self.window.put(sensor, value - self.learned[sensor]);
+                self.window.put(sensor, (value - self.learned[sensor]) / self.discount_of(sensor));
             }
         }
         // From now on deviations are counted from the filter's present path.
@@ -494,7 +510,7 @@ impl Secure {
     }
 
     fn judge(&mut self, now: FlightTime) {
-        let Self { window, cusum, stuck, identifier, options, windows, relearn_until, .. } = self;
+        let Self { window, cusum, stuck, identifier, options, windows, relearn_until, together, .. } = self;
         let relearning = *windows < *relearn_until;
         let imu_stuck = stuck_limit(options.gyro_vote.sigma, 0.5 * options.gyro_vote.sigma);
         let height_stuck = stuck_limit(options.height_sigma_m, 1e-3);
@@ -527,6 +543,10 @@ impl Secure {
                     evidence.drift_s = SLOT_S * f64::from(drift.lasts());
                 }
             }
+            if let Some(slots) = together.doubted_for(i).filter(|_| id.kind == SensorKind::Imu) {
+                evidence.apart = true;
+                evidence.drift_s = evidence.drift_s.max(SLOT_S * f64::from(slots));
+            }
             if relearning && id.kind == SensorKind::Imu {
                 // What is in the window was counted from what had been learned before: only what is certain counts.
                 evidence.window_ratio /= CERTAIN;
@@ -546,10 +566,12 @@ impl Secure {
 
     /// Constant deviations are learned and slow ones summed up, both from the median of the instances.
     fn learn(&mut self) {
+        self.from_all = [f64::NAN; SENSORS];
         for sensor in 0..SENSORS {
             let Some(value) = self.value[sensor] else { continue };
             let reference = if sensor < IMU { self.path.0 } else { 0.0 };
-            self.deviation[sensor] = Some((self.slot, value - reference - self.learned[sensor]));
+            let deviation = (value - reference - self.learned[sensor]) / self.discount_of(sensor);
+            self.deviation[sensor] = Some((self.slot, deviation));
         }
         for row in 0..ROWS_OF_IMU {
             self.compare(&std::array::from_fn::<_, MAX_IMUS, _>(|i| IMU + ROWS_OF_IMU * i + row));
@@ -565,6 +587,12 @@ impl Secure {
                 self.learned[sensor] += if learning { 0.3 } else { SLOT_S / LEARNED_S } * deviation;
             }
         }
+    }
+
+    /// By how much what `sensor` differs by counts less now. What has been learned of it, a constant, is removed first.
+    fn discount_of(&self, sensor: usize) -> f64 {
+        let row = sensor.checked_sub(IMU).map(|row| row % ROWS_OF_IMU);
+        row.and_then(|row| self.discount.get(row).copied()).unwrap_or(1.0)
     }
 
     /// `members` measure the same thing, some of them in turns.
@@ -585,6 +613,7 @@ impl Secure {
         for sensor in members {
             let Some((_, deviation)) = self.deviation[*sensor].filter(|(slot, _)| *slot == self.slot) else { continue };
             let deviation = deviation - median;
+            self.from_all[*sensor] = deviation;
             let Sigma { sigma, bias, limit } = self.sigma[*sensor];
             let in_doubt = self.cusum[*sensor].is_in_doubt();
             // Two can contradict each other, but not outvote.
@@ -930,6 +959,20 @@ mod tests {
         let bias = (lied.accel_bias_mps2.z - honest.accel_bias_mps2.z).abs();
         let climb = lied.velocity_enu_mps.z.abs();
         assert!(bias < 0.02 && climb < 0.01, "{bias} {climb}");
+    }
+
+    #[test]
+    fn a_constant_difference_learned_at_rest_accuses_nobody_in_vibration() {
+        let mut s = secure();
+        for k in 0..4000 {
+            let mut frame = frame(k, &[0.0; 3]);
+            let vibration = if k < 1200 { 0.0 } else { noise(k, 99) };
+            for (i, imu) in frame.imus.iter_mut().enumerate().filter_map(|(i, imu)| Some((i, imu.as_mut()?))) {
+                imu.accel_mps2.z += vibration + if i == 2 { 0.3 } else { 0.0 };
+            }
+            s.step(&frame, &MotorCommand::default());
+            assert!(s.identifier().withheld().is_empty(), "{k}: {:?}", s.identifier().devices());
+        }
     }
 
     #[test]

@@ -29,7 +29,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::identify::{Identifier, Withheld};
 use super::rewind::Rewind;
-use crate::estimate::ekf_bias::{EkfBias, EkfOptions};
+use crate::estimate::ekf_bias::{EkfBias, EkfOptions, Gates};
 use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::motor;
@@ -40,8 +40,11 @@ const DISTURBANCE_WALK_N: f64 = 20.0;
 /// One-sigma of a specific force beyond the sensor's own: vibration, thrust curve, m/s².
 const FORCE_SIGMA_MPS2: f64 = 0.3;
 
-/// Sigmas that a height can be from the median of all and still move the filter more than one nearer.
-const HEIGHT_REACH: f64 = 1.5;
+/// A height's noise is assumed larger by this factor. On clean flights altitude is estimated best with 1.5 to 2
+/// (`reproduce clinic`, the augmented filter's noise); without an IMU less is better.
+const HEIGHT_CAUTION: f64 = 1.5;
+/// Of these sigmas so many that a height can be from the median of all and still move the filter more than one nearer.
+const HEIGHT_REACH: f64 = 1.0;
 
 /// The filter and its disturbance states.
 pub struct Gated {
@@ -60,7 +63,9 @@ pub struct Gated {
 impl Gated {
     /// Nothing known yet.
     pub fn new(options: EkfOptions, airframe: &Airframe) -> Self {
-        let filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, ..options });
+        let height_sigma_m = HEIGHT_CAUTION * options.height_sigma_m;
+        let gates = Gates { height: options.gates.height / HEIGHT_CAUTION, ..options.gates };
+        let filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, height_sigma_m, gates, ..options });
         Self {
             airframe: airframe.clone(),
             rewind: Rewind::new(&filter),

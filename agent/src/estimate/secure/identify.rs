@@ -36,7 +36,7 @@ const PRESENT_S: f64 = 1.0;
 const CUSUM_SLACK: f64 = 0.75;
 /// An IMU or a height whose CUSUM is above this part of its limit is left out while most of the others are not: where
 /// several measure the same, going without one for a moment costs less than a lie that is not yet certain.
-const DOUBT: f64 = 0.4;
+const DOUBT: f64 = 0.3;
 /// Below this part of its limit a CUSUM is where noise takes it.
 const CALM_RATIO: f64 = 0.125;
 /// Limit of a CUSUM, in sigmas: a mean time between false alarms of weeks for independent values (Wald:
@@ -132,6 +132,8 @@ pub struct Evidence {
     pub drift_s: f64,
     /// Is it stuck?
     pub stuck: bool,
+    /// Does it drift from those that sample with it?
+    pub apart: bool,
 }
 
 /// One sensor.
@@ -255,19 +257,21 @@ impl Identifier {
         self.devices.iter().any(|d| d.sensor == sensor && d.flagged.is_some())
     }
 
-    /// Who is left out: the flagged, and IMUs and heights in doubt while most of their type are not.
+    /// Who is left out: the flagged, IMUs and heights in doubt while most of their type are not, and those that
+    /// stand apart from their company while two and half of their type neither do nor are in doubt.
     pub fn withheld(&self) -> Withheld {
         let in_doubt = |d: &Device| d.flagged.is_some() || d.evidence.drift_ratio > DOUBT;
-        let of = |kind| self.devices.iter().filter(move |d| d.sensor.kind == kind && d.present);
-        let spared = |kind| 2 * of(kind).filter(|d| in_doubt(d)).count() < of(kind).count();
-        let doubted = [SensorKind::Imu, SensorKind::Height].map(|kind| (kind, spared(kind)));
         let mut withheld = Withheld::default();
-        for d in &self.devices {
-            let doubted = d.present && doubted.contains(&(d.sensor.kind, true)) && in_doubt(d);
-            if d.flagged.is_some() || doubted {
-                withheld.add(d.sensor);
-            }
+        for kind in KINDS {
+            let of = || self.devices.iter().filter(|d| d.sensor.kind == kind && d.present);
+            let (all, doubted) = (of().count(), of().filter(|d| in_doubt(d)).count());
+            let left = of().filter(|d| !in_doubt(d) && !d.evidence.apart).count();
+            let spared = kind != SensorKind::Barometer && 2 * doubted < all;
+            let enough = left >= 2 && 2 * left >= all;
+            let out = |d: &&Device| spared && in_doubt(d) || enough && d.evidence.apart;
+            of().filter(out).for_each(|d| withheld.add(d.sensor));
         }
+        self.devices.iter().filter(|d| d.flagged.is_some()).for_each(|d| withheld.add(d.sensor));
         withheld
     }
 
@@ -472,6 +476,13 @@ mod tests {
             };
             assert_eq!([judged(0), judged(1), judged(2)], expected);
         }
+        // And one that stands apart while two and half are left.
+        let apart = |all: u8, apart: u8| {
+            let mut identifier = seen(all);
+            identifier.judge(FlightTime(0), false, |s| Evidence { apart: s.instance <= apart, ..Evidence::default() });
+            (1..=all).filter(|i| identifier.withheld().contains(height(*i))).count()
+        };
+        assert_eq!([apart(2, 1), apart(3, 1), apart(3, 2), apart(4, 2), apart(5, 3)], [0, 1, 0, 2, 0]);
         let mut withheld = Withheld::default();
         withheld.add(height(3));
         assert!(withheld.contains(height(3)) && !withheld.contains(height(2)) && !withheld.is_empty());

@@ -14,6 +14,7 @@
 use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
+use super::together::SlotMean;
 use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::median;
 use crate::vehicle::{MAX_IMUS, SensorFrame};
@@ -27,9 +28,19 @@ const SCALE_SPREAD: f64 = 0.02;
 /// Time constant of the angular acceleration, s.
 const TURNING_S: f64 = 0.005;
 
-/// Slot mean of one IMU less the median of all: gyroscope x y z (rad/s), accelerometer x y z (m/s²); NaN for a
-/// quantity of which the motion was too rough.
-pub type Deviation = [f64; 6];
+/// What a slot of the IMUs was: gyroscope x y z (rad/s), accelerometer x y z (m/s²).
+#[derive(Debug, Clone, Copy)]
+pub struct Slot {
+    /// Mean of each IMU less the median of all.
+    pub deviations: [Option<[f64; 6]>; MAX_IMUS],
+    /// By how much what differs from a constant counts less in each axis: NaN where the motion was too rough to tell
+    /// anything.
+    pub discount: [f64; 6],
+    /// Mean of each IMU where it was.
+    pub means: [Option<SlotMean>; MAX_IMUS],
+    /// What scale and mounting let honest ones differ by in this motion.
+    pub scale: [f64; 6],
+}
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Unit {
@@ -113,12 +124,12 @@ impl Inertial {
         }
     }
 
-    /// The deviations of the slot, which lasted `slot_s`.
-    pub fn deviations(&mut self, slot_s: f64) -> [Option<Deviation>; MAX_IMUS] {
+    /// The slot, which lasted `slot_s`.
+    pub fn slot(&mut self, slot_s: f64) -> Slot {
         let filled = || self.units.iter().filter(|u| u.samples > 0);
         let count = filled().count().max(1) as f64;
         let middle_s = filled().map(|u| u.times_s / f64::from(u.samples)).sum::<f64>() / count;
-        let mut out = [None; MAX_IMUS];
+        let (mut deviations, mut discount, mut scale) = ([None; MAX_IMUS], [f64::NAN; 6], [0.0; 6]);
         let mut means = [[f64::NAN; 6]; MAX_IMUS];
         for axis in 0..6 {
             let slope = |u: &Unit| {
@@ -135,16 +146,25 @@ impl Inertial {
         for quantity in 0..2 {
             let motion = self.motion(quantity, &means);
             for axis in 3 * quantity..3 * quantity + 3 {
-                let less = self.discount(axis, motion, slot_s);
+                scale[axis] = SCALE_SPREAD * motion * self.sigma[quantity];
+                discount[axis] = self.discount(axis, motion, slot_s);
                 let centre = median(means.iter().map(|m| m[axis]).filter(|v| v.is_finite()));
-                for ((out, mean), unit) in out.iter_mut().zip(&means).zip(&self.units) {
+                for ((out, mean), unit) in deviations.iter_mut().zip(&means).zip(&self.units) {
                     if unit.samples > 0 {
-                        out.get_or_insert([f64::NAN; 6])[axis] = (mean[axis] - centre) / less;
+                        out.get_or_insert([f64::NAN; 6])[axis] = mean[axis] - centre;
                     }
                 }
             }
         }
-        out
+        let means = self.units.map(|unit| {
+            let n = f64::from(unit.samples);
+            (unit.samples > 0).then(|| SlotMean {
+                value: unit.sum.map(|sum| sum / n),
+                middle_s: unit.times_s / n,
+                samples: unit.samples,
+            })
+        });
+        Slot { deviations, discount, means, scale }
     }
 
     /// Begins a new slot.
@@ -221,9 +241,10 @@ mod tests {
         for k in 0..8 {
             inertial.take(&frame(k, |i| 0.01 * k as f64 + if i == 1 { 1.0 } else { 0.0 }));
         }
-        let x = inertial.deviations(0.04).map(|d| d.map_or(f64::NAN, |d| d[3]));
-        // Up to the discount of a motion that differs from rest.
+        let slot = inertial.slot(0.04);
+        let x = slot.deviations.map(|d| d.map_or(f64::NAN, |d| d[3]));
         assert!((x[1] - 1.0).abs() < 1e-3 && [0, 2, 3].iter().all(|i| x[*i].abs() < 1e-3), "{x:?}");
+        assert!((1.0..1.01).contains(&slot.discount[3]), "{:?}", slot.discount);
     }
 
     #[test]
@@ -233,7 +254,7 @@ mod tests {
             for k in 0..8 {
                 inertial.take(&frame(k, |i| if shock(k, i) { 30.0 } else { 0.0 }));
             }
-            inertial.deviations(0.04)[1].unwrap()[3]
+            inertial.slot(0.04).discount[3]
         };
         assert!(run(|k, _| k == 4 || k == 5).is_nan());
         assert!(run(|k, i| k >= 4 && i == 0).is_finite());

@@ -28,6 +28,7 @@ pub mod newton;
 pub mod offline;
 mod rewind;
 pub mod suite;
+mod together;
 pub mod window;
 
 use std::fmt;

@@ -4,7 +4,7 @@
 //! without the liar, gives the filter that never believed it, where opening a covariance would only make
 //! it forget. Two states are kept, each [`SPACING`] frames younger than the other, so that the older one is always between one and two
 //! spacings old (1.28 to 2.56 s at 200 Hz). [`PER_TICK`] frames are gone through in a tick while the filter flies on: the longest
-//! way takes 30 ticks. A lie that has lasted longer than the oldest state cannot be undone: then the state's
+//! way takes 10 ticks. A lie that has lasted longer than the oldest state cannot be undone: then the state's
 //! accelerometer bias is doubted where it begins.
 //!
 //! Allocates nothing after construction.
@@ -18,9 +18,9 @@ use crate::vehicle::{MotorCommand, SensorFrame};
 /// Frames between the states that are kept.
 const SPACING: u64 = 256;
 /// Frames gone through again in a tick.
-const PER_TICK: usize = 20;
+const PER_TICK: usize = 60;
 /// Frames that arrive while the longest way is gone again.
-const LONGEST_WAY: usize = 32;
+const LONGEST_WAY: usize = 10;
 /// Frames kept: two spacings, and those that arrive on the way, twice if it has to begin anew.
 const FRAMES: usize = 2 * SPACING as usize + 2 * LONGEST_WAY;
 /// A drift is noticed by its sum: it began before the sum did, at most by this factor.
