@@ -10,6 +10,7 @@ mod orders;
 mod path;
 pub mod report;
 mod status;
+mod support;
 
 use arrayvec::ArrayVec;
 use plumbline_proto::ids::GainsRevision;
@@ -32,6 +33,7 @@ use crate::mix::{Mixed, Mixer};
 use crate::vehicle::{MotorCommand, SensorFrame};
 
 use path::Path;
+use support::Support;
 
 pub use config::{FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
@@ -75,6 +77,7 @@ pub struct Flight {
     controller: InLoop,
     gains: Certified,
     mixer: Mixer,
+    support: Support,
     profile: Profile,
     /// What the operator asks for, within limits.
     target: Setpoint,
@@ -144,6 +147,7 @@ impl Flight {
             controller: InLoop::new(gains.law.clone()),
             gains,
             mixer,
+            support: Support::default(),
             profile: Profile::default(),
             target: Setpoint::default(),
             path: None,
@@ -187,8 +191,12 @@ impl Flight {
         self.watchdog.step(sensed, dt_s);
         self.bank.step(&received, &self.report.applied, dt_s);
         self.guard(sensed.time);
+        let voltage_ratio =
+            self.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
+        let flying = self.phase == Phase::Flying;
+        self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
         let (wrench, mixed) = self.drive(dt_s);
-        self.controller.applied(&wrench, &mixed.given);
+        self.controller.applied(&wrench, &mixed.given, self.support_n());
         self.write_report(sensed, received, wrench, mixed);
         &self.report
     }
@@ -296,6 +304,14 @@ impl Flight {
         }
         self.mixer.battery(sensed.battery_v, dt_s);
         dt_s
+    }
+
+    /// What else holds the vehicle up above its setpoint, N: it does not sink, however little is asked for. To land it
+    /// must come to ask for little.
+    fn support_n(&self) -> f64 {
+        let above = self.bank.in_loop().position_enu_m.z > self.profile.setpoint().position_enu_m.z;
+        let holding = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
+        if above && holding { self.support.force_n() } else { 0.0 }
     }
 
     /// Setpoint ─► controller ─► mixer, as the phase allows.

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{Flown, Row, scenario};
-use plumbline_agent::command::{Command, Mode};
+use plumbline_agent::command::{Command, Mode, SetpointChange};
 use plumbline_agent::control::ControllerKind;
 use plumbline_agent::control::gains::Examiner;
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
@@ -23,6 +23,9 @@ const YAW_RISE_S: f64 = 1.6;
 const YAW_BEYOND_PERCENT: f64 = 13.0;
 /// Take-off to 1 m overshoots by this at most, m.
 const TAKEOFF_BEYOND_M: f64 = 0.1;
+/// On the way out of its strings a vehicle is behind its profile by this at most, m; H-infinity, of whose states only the
+/// slowest stands still beside a support, by three times as much.
+const RISING_BEHIND_M: f64 = 0.03;
 /// Thrust, of the weight, and torque, N m, may jump by this when a controller replaces another at hover.
 const BUMP: (f64, f64) = (0.02, 0.03);
 
@@ -97,6 +100,37 @@ fn every_controller_takes_off_without_shooting_over() {
         assert!(
             highest < 1.0 + TAKEOFF_BEYOND_M && (z - 1.0).abs() < 0.1,
             "{kind:?}: {highest:.3}, {z:.3}\n{}",
+            f.log()
+        );
+    }
+}
+
+#[test]
+fn every_controller_rises_out_of_its_strings_without_sagging() {
+    for kind in KINDS {
+        let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
+        scenario.script.steps.retain(|s| s.at_s < 6.0);
+        let config = FlightConfig::for_scenario(&scenario);
+        let design = Design::new(kind, &scenario.airframe);
+        let mut f = Flown::with_config(scenario, FlightConfig { design, ..config });
+        let setpoint = |altitude_m| {
+            Command::Setpoint(SetpointChange { altitude_m: Some(altitude_m), ..SetpointChange::default() })
+        };
+        // GIVEN a vehicle that was asked down to where the strings carry it WHEN it is asked up again
+        f.until(10.0);
+        assert!(f.command(setpoint(0.3)).accepted);
+        f.until(14.0);
+        let tension = f.since(12.0).map(|r| r.truth.string_tension_n.iter().sum()).fold(0.0, f64::max);
+        assert!(tension > 0.5, "{kind:?}: the strings carry {tension:.1} N");
+        assert!(f.command(setpoint(0.8)).accepted);
+        f.until(18.0);
+        // THEN it follows its profile from the first moment on
+        let behind = |r: &Row| r.report.setpoint.position_enu_m.z - r.truth.position_enu_m.z;
+        let most = f.since(14.0).map(behind).fold(0.0, f64::max);
+        println!("{kind:?}: {tension:.1} N, at most {:.1} cm behind", 100.0 * most);
+        assert!(
+            most < RISING_BEHIND_M * if kind == ControllerKind::Hinf { 3.0 } else { 1.0 },
+            "{kind:?}: {most:.3} m behind\n{}",
             f.log()
         );
     }

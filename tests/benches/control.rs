@@ -126,7 +126,7 @@ fn main() {
         let time = median_us(101, || {
             for _ in 0..1000 {
                 let wrench = law.control(black_box(&estimate), black_box(&setpoint), loops, 0.005);
-                law.applied(&wrench, &wrench);
+                law.applied(&wrench, &wrench, 0.0);
                 black_box(wrench);
             }
         });

@@ -61,9 +61,9 @@ impl InLoop {
         wrench
     }
 
-    /// Told what the mixer could really give.
-    pub fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        self.law.applied(asked, given);
+    /// Told what the mixer could really give, and what else holds the vehicle up above its setpoint.
+    pub fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64) {
+        self.law.applied(asked, given, support_n);
     }
 
     /// Integrators of x, y, z, yaw, in the law's own units.

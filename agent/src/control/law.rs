@@ -85,8 +85,8 @@ impl Controller for Law {
         self.get_mut().control(estimate, setpoint, loops, dt_s)
     }
 
-    fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        self.get_mut().applied(asked, given);
+    fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64) {
+        self.get_mut().applied(asked, given, support_n);
     }
 
     fn integrator(&self) -> [f64; 4] {

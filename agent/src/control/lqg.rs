@@ -230,8 +230,8 @@ impl Controller for Lqg {
         self.regulator.control(&filtered, setpoint, loops, dt_s)
     }
 
-    fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        self.regulator.applied(asked, given);
+    fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64) {
+        self.regulator.applied(asked, given, support_n);
         let Some(x) = self.predicted else { return };
         let torque = given.torque_flu_nm;
         // What holds the trim is no acceleration.

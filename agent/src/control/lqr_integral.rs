@@ -10,7 +10,8 @@
 //! - Error limiting: position, velocity and yaw errors are limited before they meet K, and the
 //!   horizontal loop's torque to what holds [`TILT_FROM_POSITION_RAD`].
 //! - Anti-windup: an integral is frozen while what the mixer could not give would be asked for
-//!   even more, and limited to [`INTEGRAL_LIMIT`]; that of yaw also while the error is large.
+//!   even more, be it by the mixer or because something else holds the vehicle up, and limited to [`INTEGRAL_LIMIT`]; that of yaw
+//!   also while the error is large.
 //! - While the horizontal loop is open, gains designed without x and y are used.
 
 use nalgebra::{DMatrix, SVector, Vector2, Vector3};
@@ -165,9 +166,9 @@ impl Controller for LqrIntegral {
         Wrench { thrust_n: thrust_n.max(0.0), torque_flu_nm }
     }
 
-    fn applied(&mut self, asked: &Wrench, given: &Wrench) {
+    fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64) {
         let torque = asked.torque_flu_nm - given.torque_flu_nm;
-        self.shortfall = [asked.thrust_n - given.thrust_n, torque.x, torque.y, torque.z];
+        self.shortfall = [asked.thrust_n - given.thrust_n - support_n, torque.x, torque.y, torque.z];
     }
 
     fn integrator(&self) -> [f64; 4] {
@@ -357,7 +358,7 @@ mod tests {
         for _ in 0..200 {
             let asked = controller.control(&low, &hold(0.0), FULL, 0.005);
             let given = Wrench { thrust_n: asked.thrust_n - 1.0, ..asked };
-            controller.applied(&asked, &given);
+            controller.applied(&asked, &given, 0.0);
         }
         let stuck = controller.integrator()[2];
         assert!(stuck.abs() <= 0.4 * 0.005 + 1e-12, "wound up to {stuck}");

@@ -91,11 +91,12 @@ const SHORTFALL: f64 = 1e-3;
 /// Thrust is raised for tilt up to this (60°), no further.
 const COS_TILT_MIN: f64 = 0.5;
 
-/// Which inputs (thrust, torque x, y, z) the mixer could not give as asked, for anti-windup.
-fn short_of(asked: &Wrench, given: &Wrench, weight_n: f64) -> [bool; 4] {
+/// Which inputs (thrust, torque x, y, z) were not what was asked for, for anti-windup: what the mixer could not give, and thrust beside a
+/// support.
+fn short_of(asked: &Wrench, given: &Wrench, support_n: f64, weight_n: f64) -> [bool; 4] {
     let torque = asked.torque_flu_nm - given.torque_flu_nm;
     [
-        (asked.thrust_n - given.thrust_n).abs() > SHORTFALL * weight_n,
+        (asked.thrust_n - given.thrust_n - support_n).abs() > SHORTFALL * weight_n,
         torque.x.abs() > SHORTFALL,
         torque.y.abs() > SHORTFALL,
         torque.z.abs() > SHORTFALL,
@@ -110,8 +111,8 @@ pub trait Controller: Send {
     /// The wrench for this tick. Never allocates. `dt_s` since the call before.
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench;
 
-    /// Told what the mixer could really give, for anti-windup.
-    fn applied(&mut self, asked: &Wrench, given: &Wrench);
+    /// Told what the mixer could really give, and what else holds the vehicle up above its setpoint, N: for anti-windup.
+    fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64);
 
     /// Integrators of x, y, z, yaw.
     fn integrator(&self) -> [f64; 4];

@@ -110,7 +110,7 @@ pub fn fly_step(
         let setpoint = *profile.step(&target, limits, period_s);
         let asked = law.control(&estimate, &setpoint, Loops { horizontal: true, altitude: true }, period_s);
         let mixed = mixer.mix(&asked);
-        law.applied(&asked, &mixed.given);
+        law.applied(&asked, &mixed.given, 0.0);
         if mixed.saturated {
             flown.saturated_s += period_s;
         }

@@ -328,8 +328,8 @@ impl Controller for Hinf {
         Wrench { thrust_n: thrust_n.max(0.0), torque_flu_nm: turning.component_mul(&self.inertia_kgm2) }
     }
 
-    fn applied(&mut self, asked: &Wrench, given: &Wrench) {
-        self.short = short_of(asked, given, self.mass_kg * GRAVITY_MPS2);
+    fn applied(&mut self, asked: &Wrench, given: &Wrench, support_n: f64) {
+        self.short = short_of(asked, given, support_n, self.mass_kg * GRAVITY_MPS2);
     }
 
     fn integrator(&self) -> [f64; 4] {
