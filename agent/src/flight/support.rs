@@ -6,14 +6,18 @@
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
-//! | f_z | specific force along body z, median of the fresh IMUs | m/s² |
+//! | f_z | specific force along body z, median of all IMUs, which may sample in turns: a minority that lies does not move it | m/s² |
 //! | T | thrust of the applied commands, through motor lag and battery | N |
+
+use plumbline_proto::time::FlightTime;
 
 use crate::estimate::median;
 use crate::model::airframe::Airframe;
 use crate::model::motor;
-use crate::vehicle::{MotorCommand, ROTORS, SensorFrame};
+use crate::vehicle::{MAX_IMUS, MotorCommand, ROTORS, SensorFrame};
 
+/// A sample takes part in the median this long, s: IMUs sample in turns at 100 Hz and faster.
+const MEMORY_S: f64 = 0.015;
 /// Time constant against vibration, s.
 const SMOOTH_S: f64 = 0.025;
 /// The least value is that of the present span of this length and of the one before, s.
@@ -27,6 +31,7 @@ const RELEASED: f64 = 0.03;
 #[derive(Debug, Clone, Default)]
 pub struct Support {
     rotor_speed_radps: [f64; ROTORS],
+    latest: [Option<(FlightTime, f64)>; MAX_IMUS],
     smooth_n: Option<f64>,
     /// Of the present span and of the one before.
     least_n: [Option<f64>; 2],
@@ -49,11 +54,16 @@ impl Support {
         let speed = motor::after(airframe, &self.rotor_speed_radps, &steady, dt_s);
         // A command that is not finite is nobody's thrust.
         self.rotor_speed_radps = if speed.iter().all(|w| w.is_finite()) { speed } else { [0.0; ROTORS] };
+        for (latest, imu) in self.latest.iter_mut().zip(&received.imus) {
+            let sample = imu.filter(|imu| imu.accel_mps2.z.is_finite());
+            *latest = sample.map(|imu| (received.time, imu.accel_mps2.z)).or(*latest);
+        }
         if !flying {
-            *self = Self { rotor_speed_radps: self.rotor_speed_radps, ..Self::default() };
+            *self = Self { rotor_speed_radps: self.rotor_speed_radps, latest: self.latest, ..Self::default() };
             return;
         }
-        let force = median(received.imus.iter().flatten().map(|imu| imu.accel_mps2.z).filter(|f| f.is_finite()));
+        let fresh = |at: &FlightTime| (0.0..=MEMORY_S).contains(&received.time.seconds_since(*at));
+        let force = median(self.latest.iter().flatten().filter(|(at, _)| fresh(at)).map(|(_, force)| *force));
         if !force.is_finite() {
             return;
         }
@@ -87,22 +97,23 @@ mod tests {
     use super::*;
     use crate::vehicle::ImuSample;
     use nalgebra::Vector3;
-    use plumbline_proto::time::FlightTime;
 
     const DT_S: f64 = 0.005;
 
-    /// Ticks with specific force `f_z`, at a throttle that lifts `thrust` of the weight in steady state.
+    /// Ticks with specific force `f_z` at a throttle. Of four IMUs that sample in turns one says always zero.
     fn run(support: &mut Support, seconds: f64, f_z: f64, throttle: f64, flying: bool) {
         let airframe = Airframe::iris();
         for k in 0..(seconds / DT_S) as u64 {
             let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
-            frame.imus[0] = Some(ImuSample {
-                time: frame.time,
-                gyro_radps: Vector3::zeros(),
-                accel_mps2: Vector3::new(0.0, 0.0, f_z),
-                mag_ut: None,
-                temperature_c: 20.0,
-            });
+            for (i, imu) in frame.imus.iter_mut().enumerate().take(4).filter(|(i, _)| k % 2 == *i as u64 % 2) {
+                *imu = Some(ImuSample {
+                    time: FlightTime(k * 5000),
+                    gyro_radps: Vector3::zeros(),
+                    accel_mps2: Vector3::new(0.0, 0.0, if i == 1 { 0.0 * f_z } else { f_z }),
+                    mag_ut: None,
+                    temperature_c: 20.0,
+                });
+            }
             support.step(&airframe, &frame, &MotorCommand { throttle: [throttle; ROTORS] }, 1.0, flying, DT_S);
         }
     }
