@@ -210,6 +210,14 @@ impl EkfBias {
         (self.corrected_z, self.corrected_vz)
     }
 
+    /// From now on a height's noise is taken for `sigma_m`; its gate and its reach stay what they are in metres.
+    pub fn assume_height_sigma(&mut self, sigma_m: f64) {
+        let o = &mut self.options;
+        let factor = o.height_sigma_m / sigma_m;
+        (o.height_sigma_m, o.gates.height, o.height_reach) =
+            (sigma_m, o.gates.height * factor, o.height_reach * factor);
+    }
+
     /// An IMU that was believed has lied: up to half a gate of its lie may have been taken for a bias. Opens the
     /// variance of the accelerometer's bias again where something measures it: upward, and in the plane while the
     /// horizontal position is known.

@@ -27,9 +27,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::identify::{Identifier, Withheld};
+use super::identify::{Device, Identifier, Withheld};
 use super::rewind::Rewind;
-use crate::estimate::ekf_bias::{EkfBias, EkfOptions, Gates};
+use crate::estimate::ekf_bias::{EkfBias, EkfOptions};
 use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::motor;
@@ -40,17 +40,19 @@ const DISTURBANCE_WALK_N: f64 = 20.0;
 /// One-sigma of a specific force beyond the sensor's own: vibration, thrust curve, m/s².
 const FORCE_SIGMA_MPS2: f64 = 0.3;
 
-/// A height's noise is assumed larger by this factor. On clean flights altitude is estimated best with 1.5 to 2
-/// (`reproduce clinic`, the augmented filter's noise); without an IMU less is better.
+/// A height's noise is assumed larger by this factor while every IMU is heard and believed: on clean flights altitude
+/// is estimated best with 1.5 to 2 (`reproduce clinic`, the augmented filter's noise), with an IMU less without it.
 const HEIGHT_CAUTION: f64 = 1.5;
-/// Of these sigmas so many that a height can be from the median of all and still move the filter more than one nearer.
-const HEIGHT_REACH: f64 = 1.0;
+/// Sigmas that a height can be from the median of all and still move the filter more than one nearer.
+const HEIGHT_REACH: f64 = 1.5;
 
 /// The filter and its disturbance states.
 pub struct Gated {
     filter: EkfBias,
     rewind: Rewind,
     withheld: Withheld,
+    /// Noise of a height as configured, m.
+    height_sigma_m: f64,
     /// What taking the filter back has changed in height and climb, m and m/s.
     moved: (f64, f64),
     airframe: Airframe,
@@ -63,10 +65,11 @@ pub struct Gated {
 impl Gated {
     /// Nothing known yet.
     pub fn new(options: EkfOptions, airframe: &Airframe) -> Self {
-        let height_sigma_m = HEIGHT_CAUTION * options.height_sigma_m;
-        let gates = Gates { height: options.gates.height / HEIGHT_CAUTION, ..options.gates };
-        let filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, height_sigma_m, gates, ..options });
+        let height_sigma_m = options.height_sigma_m;
+        let mut filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, ..options });
+        filter.assume_height_sigma(HEIGHT_CAUTION * height_sigma_m);
         Self {
+            height_sigma_m,
             airframe: airframe.clone(),
             rewind: Rewind::new(&filter),
             filter,
@@ -95,6 +98,9 @@ impl Gated {
         let withheld = identifier.withheld();
         let new = withheld.without(self.withheld);
         self.withheld = withheld;
+        let missing = |d: &Device| d.sensor.kind == SensorKind::Imu && (!d.present || withheld.contains(d.sensor));
+        let caution = if identifier.devices().iter().any(missing) { 1.0 } else { HEIGHT_CAUTION };
+        self.filter.assume_height_sigma(caution * self.height_sigma_m);
         self.filter.step(&clean(&received, withheld), applied);
         self.rewind.remember(&self.filter, &received, applied, withheld);
         if !new.is_empty() {

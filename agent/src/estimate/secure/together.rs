@@ -14,6 +14,7 @@
 //! for all axes of four IMUs (Wald). It ends where noise takes the sum.
 
 use super::identify::Cusum;
+use crate::estimate::median;
 use crate::vehicle::MAX_IMUS;
 
 /// Part of a CUSUM's limit at which a doubt begins.
@@ -26,6 +27,8 @@ const OFFSET_S: f64 = 20.0;
 const FEWEST_LESSONS: u32 = 10;
 /// Slot means this near to one another in time are of the same instants, s.
 const SAME_S: f64 = 1e-4;
+/// Larger differences are no larger, rad/s and m/s²: their squares must stay numbers.
+const LARGEST: f64 = 1e3;
 /// Slots without company after which what company told is forgotten.
 const ALONE_SLOTS: u32 = 4;
 
@@ -127,10 +130,13 @@ impl Together {
             (unit.alone, unit.company) = (0, company().map(|j| 1 << j).sum());
             let less_offset =
                 |j: usize, axis: usize| slots[j].map_or(f64::NAN, |s| s.value[axis] - before[j].offset[axis]);
-            let d = std::array::from_fn(|axis| {
-                less_offset(i, axis) - crate::estimate::median(company().map(|j| less_offset(j, axis)))
+            let d: [f64; 6] = std::array::from_fn(|axis| {
+                let d = less_offset(i, axis) - median(company().map(|j| less_offset(j, axis)));
+                d.clamp(-LARGEST, LARGEST)
             });
-            unit.take(&d, &from_all[i], scale, slot_s, learning);
+            if d.iter().all(|d| d.is_finite()) {
+                unit.take(&d, &from_all[i], scale, slot_s, learning);
+            }
         }
     }
 
@@ -213,10 +219,12 @@ mod tests {
         for k in 300..600 {
             let mut now = slots(k, if k % 100 == 0 { 3.0 } else { 0.0 });
             if k % 7 == 0 {
-                now[2].as_mut().unwrap().value = [f64::NAN; 6];
+                now[2].as_mut().unwrap().value = [[f64::NAN, 1e300][k as usize % 2]; 6];
             }
             together.take(&now, &[[f64::NAN; 6]; MAX_IMUS], |_| false, &[0.0; 6], SLOT_S, false);
             assert_eq!(doubted(&together), [false; 4], "{k}");
         }
+        let numbers = |unit: &Unit| unit.offset.iter().chain(&unit.square).all(|v| v.is_finite());
+        assert!(together.units.iter().all(numbers));
     }
 }
