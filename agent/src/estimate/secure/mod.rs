@@ -12,7 +12,7 @@
 //! | Φᵢ | whitened observability rows of sensor i | T × N |
 //!
 //! Before flight: [`suite`] says what the sensors can promise. In flight: [`flying`] is the estimator `secure`; [`window`] holds the last T slots, [`identify`] finds the
-//! attacked set, [`gated`] is the filter on what is clean, which goes through its last moments again when a liar is found.
+//! attacked set with what [`inertial`] and `together.rs` tell of the IMUs, [`gated`] is the filter on what is clean, which goes through its last moments again when a liar is found.
 //!
 //! [`compress`] makes the problem small without changing it, [`newton`] solves it with a certificate,
 //! [`conic`] solves the same programs with Clarabel, as reference and audit; [`offline`] decodes
