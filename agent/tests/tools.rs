@@ -219,9 +219,18 @@ fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
         let z = score["position_rmse_xyz_m"][2].as_f64().unwrap();
         assert!(z < 0.03, "{decoder}: {z} m");
     }
+    // AND through a window of half the slots, or twice.
+    for slots in ["5", "20"] {
+        let score = &lines(&estimate(&["--estimator", "secure", "--window", slots]))[0];
+        let flags = score["flagged"].as_array().unwrap();
+        assert!(!flags.is_empty() && flags.iter().all(|f| f["sensor"] == "height 2"), "{slots} slots: {flags:?}");
+    }
     assert!(lines(&estimate(&["--estimator", "ekf-bias"]))[0]["flagged"].is_null());
-    // AND it is flown again under another decoder, which the new recording tells.
-    let again = fly("again", &["--vehicle", "replay", &flown, "--estimator", "secure", "--decoder", "l1_split"]);
+    // AND it is flown again under another decoder and through another window, which the new recording tells.
+    let config = path("agent.toml");
+    std::fs::write(&config, "[estimators]\nwindow = 15\n").unwrap();
+    let other = ["--estimator", "secure", "--decoder", "l1_split", "--config", &config];
+    let again = fly("again", &[&["--vehicle", "replay", &flown], &other[..]].concat());
     let bytes = std::fs::read(again).unwrap();
     let told: Vec<_> = mcap::MessageStream::new(&bytes)
         .unwrap()
@@ -229,11 +238,14 @@ fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
         .filter(|message| message.channel.topic == "/secure")
         .map(|message| v1::SecureStatus::decode(&*message.data).unwrap())
         .collect();
-    assert!(told.len() > 100 && told.iter().all(|s| s.decoder() == v1::Decoder::L1Split), "{}", told.len());
+    let other = |s: &v1::SecureStatus| s.decoder() == v1::Decoder::L1Split && s.window_slots == 15;
+    assert!(told.len() > 100 && told.iter().all(other), "{}", told.len());
     assert!(told.iter().any(|s| s.sensors.iter().any(|d| d.flagged)));
     for (arguments, expected) in [
         (["--estimator", "secure", "--decoder", "l3"], "--decoder l3: not l2, l1"),
         (["--estimator", "ukf", "--decoder", "l1"], "--decoder l1: ukf solves none"),
+        (["--estimator", "secure", "--window", "51"], "--window 51: not 2 to 50 slots"),
+        (["--estimator", "ukf", "--window", "5"], "--window 5: ukf has none"),
     ] {
         let output = estimate(&arguments);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();

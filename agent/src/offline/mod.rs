@@ -22,6 +22,7 @@ use crate::config;
 use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
+use crate::estimate::secure::flying::SLOTS_MAX;
 use crate::estimate::ukf::Ukf;
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::model::airframe::Airframe;
@@ -44,6 +45,9 @@ pub struct EstimateArgs {
     /// Program of the secure estimator: l2 (the default), l1, l2_split or l1_split.
     #[arg(long)]
     pub decoder: Option<String>,
+    /// Slots of 40 ms in the window of the secure estimator, 2 to 50; 10 when left out.
+    #[arg(long)]
+    pub window: Option<usize>,
     /// Sensors to use, separated by commas: imu, mag, height, barometer, gnss, mocap-pose, camera-ranges. All
     /// when left out; the IMU is always needed, and without `mag` its magnetometer is left out.
     #[arg(long, value_delimiter = ',')]
@@ -76,6 +80,7 @@ impl EstimateArgs {
             format: None,
             estimator: estimator.to_owned(),
             decoder: None,
+            window: None,
             sensors: Vec::new(),
             rate: None,
             gnss_rate: None,
@@ -335,7 +340,20 @@ impl Run {
         let selection = Selection::new(&args.sensors, info)?;
         let calibration = calibrate::load(&args.calibration)?;
         // One rule for every recording: nothing is tuned to a file.
-        let options = info.ekf_options();
+        let mut options = info.ekf_options();
+        if let Some(slots) = args.window {
+            let reason = if kind != EstimatorKind::Secure {
+                format!("{} has none", args.estimator)
+            } else if !(2..=SLOTS_MAX).contains(&slots) {
+                format!("not 2 to {SLOTS_MAX} slots")
+            } else {
+                String::new()
+            };
+            if !reason.is_empty() {
+                return Err(EstimateArgs::bad("window", slots, reason));
+            }
+            options.window_slots = slots;
+        }
         // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
         let airframe =
             info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);

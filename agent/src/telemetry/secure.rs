@@ -114,4 +114,5 @@ pub(super) fn fill(
     into.reference_error_m = tracking.reference_m();
     into.resets = secure.resets();
     into.set_decoder(secure.decoder());
+    into.window_slots = secure.slots() as u32;
 }

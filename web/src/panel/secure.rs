@@ -122,14 +122,18 @@ fn ratio(s: &v1::SecureStatus) -> Option<f64> {
 fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
     let (class, said) = status(s.status());
     let extra = fallback(s.fallback());
-    let decoder = if extra.is_empty() { said.to_owned() } else { format!("{said}, {extra}") };
+    let decoder = match (extra, s.window_slots) {
+        ("", 0) => said.to_owned(),
+        ("", slots) => format!("{said}, T = {slots}"),
+        _ => format!("{said}, {extra}"),
+    };
     let millimetres =
         |v: Option<f64>| v.map_or_else(|| NONE.to_owned(), |v| format!("{} mm", format::fixed(v * 1e3, 1)));
     let ratio = ratio(s);
     let force = s.disturbance_enu_n.map_or_else(|| NONE.to_owned(), |f| format!("{} N up", format::signed(f.z, 2)));
     let audit = s.audit_difference.map_or_else(|| NONE.to_owned(), |d| format!("{d:.0e}"));
     vec![
-        ("decoder", decoder, class, "How the last window ended"),
+        ("decoder", decoder, class, "How the last window ended, and its slots of 40 ms"),
         (
             "gap",
             format!("{:.0e}", s.gap),

@@ -68,6 +68,8 @@ pub struct EkfOptions {
     /// A height further than so many sigmas from the median of those of the last moments (at least three) moves the state
     /// as if it were so far (Huber).
     pub height_reach: f64,
+    /// Slots of 40 ms in the window of the secure estimator: T of [Clinic].
+    pub window_slots: usize,
     /// Barometric altitude, one-sigma, m.
     pub barometer_sigma_m: f64,
     /// Random walk of the barometer's offset, m/√s.
@@ -145,6 +147,7 @@ impl Default for EkfOptions {
             },
             height_sigma_m: 0.01,
             height_reach: f64::INFINITY,
+            window_slots: crate::estimate::secure::flying::SLOTS,
             barometer_sigma_m: 0.15,
             barometer_walk: 0.02,
             reference_pressure_pa: STANDARD_PRESSURE_PA,

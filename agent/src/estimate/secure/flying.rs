@@ -70,8 +70,10 @@ pub mod ix {
 
 /// Length of a slot, s.
 pub const SLOT_S: f64 = 0.04;
-/// Slots of the window ([Clinic]: T = 10).
+/// Slots of the window unless configured otherwise ([Clinic]: T = 10) …
 pub const SLOTS: usize = 10;
+/// … and the most that fly: 2 s.
+pub const SLOTS_MAX: usize = 50;
 /// Beyond this tilt the window's model is not valid.
 pub const TILT_MAX_RAD: f64 = 0.7;
 /// Beyond this rate the attitude turns too far within a window.
@@ -220,13 +222,17 @@ impl Secure {
         let sigma = sigmas(&options);
         let settings = Settings { tolerance: GAP, ..Settings::default() };
         let kinds: [usize; SENSORS] = std::array::from_fn(kind_of);
-        let window = |split| Window::new(&model(&options, &sigma, split), &rows(&sigma), &kinds, SLOTS, settings);
+        let slots = options.window_slots;
+        if slots > SLOTS_MAX {
+            return Err(SecureError::Slots { slots, most: SLOTS_MAX });
+        }
+        let window = |split| Window::new(&model(&options, &sigma, split), &rows(&sigma), &kinds, slots, settings);
         Ok(Self {
             decoder: Decoder::L2,
             window: window(false)?,
             spare: window(true)?,
             gated: Gated::new(options.clone(), airframe),
-            identifier: Identifier::default(),
+            identifier: Identifier::new(slots),
             inertial: Inertial::new(&options),
             together: Together::default(),
             estimate: Estimate::default(),
@@ -271,6 +277,11 @@ impl Secure {
     /// The program being solved.
     pub fn decoder(&self) -> Decoder {
         self.decoder
+    }
+
+    /// T of its window.
+    pub fn slots(&self) -> usize {
+        self.options.window_slots
     }
 
     /// Solves another program from the next full window on; the attacked set stays. Allocates nothing.
@@ -336,8 +347,8 @@ impl Secure {
     pub fn audit_case() -> Result<AuditCase, SecureError> {
         Ok(AuditCase {
             time: FlightTime::default(),
-            problem: room(SENSORS, SLOTS)?,
-            samples: Vec::with_capacity(SENSORS * (SLOTS + 1) + 2 * STATES),
+            problem: room(SENSORS, SLOTS_MAX)?,
+            samples: Vec::with_capacity(SENSORS * (SLOTS_MAX + 1) + 2 * STATES),
             objective: 0.0,
         })
     }
@@ -994,6 +1005,26 @@ mod tests {
             assert_eq!((s.decoder(), s.window().status), (other, DecoderStatus::Solved));
             assert!(s.identifier().is_flagged(liar) && flagged(&s) == 1, "{decoder:?} to {other:?}");
         }
+    }
+
+    #[test]
+    fn windows_of_any_length_find_the_lie_and_accuse_nobody_else() {
+        for slots in [2, 5, 20, SLOTS_MAX] {
+            let options = EkfOptions { window_slots: slots, ..EkfOptions::default() };
+            let mut s = Secure::new(options, &Airframe::iris()).unwrap();
+            fly(&mut s, 0.0, 8.0, &[0.0; 3]);
+            assert_eq!(s.window().status, DecoderStatus::Solved, "{slots} slots");
+            assert!(s.identifier().devices().iter().all(|d| d.flagged.is_none()), "{slots} slots");
+            fly(&mut s, 8.0, 11.0, &[0.0, 0.3, 0.0]);
+            let flagged: Vec<_> = s.identifier().devices().iter().filter(|d| d.flagged.is_some()).collect();
+            assert!(
+                flagged.len() == 1 && flagged[0].sensor == SensorId::new(SensorKind::Height, 2),
+                "{slots}: {flagged:?}"
+            );
+            assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.01, "{slots}: {}", s.estimate().position_enu_m.z);
+        }
+        let options = EkfOptions { window_slots: SLOTS_MAX + 1, ..EkfOptions::default() };
+        assert!(Secure::new(options, &Airframe::iris()).is_err());
     }
 
     #[test]

@@ -21,9 +21,6 @@ use crate::vehicle::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS};
 
 /// Most sensors judged.
 pub const MAX_DEVICES: usize = MAX_IMUS + MAX_HEIGHTS + MAX_BAROMETERS;
-/// Windows in a row above the 99.9 % limit that flag: one more than the slots of a window, so that no sample of the
-/// first is left in the last. One outlier is in ten windows and never in eleven.
-const CONFIRM: u32 = 11;
 /// Ratio to the 99.9 % limit above which two windows in a row flag.
 pub const CERTAIN: f64 = 3.0;
 /// Windows in a row within every limit after which a flag falls: 2 s.
@@ -217,14 +214,26 @@ impl Margin {
 pub const KINDS: [SensorKind; 3] = [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer];
 
 /// The attacked set.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Identifier {
     devices: ArrayVec<Device, MAX_DEVICES>,
+    /// Windows in a row above the 99.9 % limit that flag: one more than the slots of a window, so that no sample of the
+    /// first is left in the last. One outlier is in ten windows of ten slots and never in eleven.
+    confirm: u32,
     /// Windows in a row in which a group contradicted itself.
     contradicted: u32,
 }
 
 impl Identifier {
+    /// Nobody known yet; windows of so many slots.
+    pub fn new(slots: usize) -> Self {
+        Self {
+            devices: ArrayVec::new(),
+            confirm: u32::try_from(slots).unwrap_or(u32::MAX).saturating_add(1),
+            contradicted: 0,
+        }
+    }
+
     /// A sample of `sensor` arrived.
     pub fn saw(&mut self, sensor: SensorId, now: FlightTime) {
         match self.devices.iter_mut().find(|d| d.sensor == sensor) {
@@ -288,7 +297,7 @@ impl Identifier {
 
     /// Has a group contradicted itself for a whole window so that nobody could be blamed?
     pub fn contradicted(&self) -> bool {
-        self.contradicted >= CONFIRM
+        self.contradicted >= self.confirm
     }
 
     /// Forgets every flag and count; the sensors stay known.
@@ -340,7 +349,7 @@ impl Identifier {
         let d = self.devices.get(index).filter(|d| d.flagged.is_none() && d.present)?;
         if d.evidence.stuck {
             Some(FlagReason::Stuck)
-        } else if d.suspect >= CONFIRM || d.certain >= 2 {
+        } else if d.suspect >= self.confirm || d.certain >= 2 {
             Some(FlagReason::Window)
         } else if d.evidence.drift_ratio > 1.0 {
             Some(FlagReason::Drift)
@@ -388,7 +397,7 @@ mod tests {
     }
 
     fn seen(heights: u8) -> Identifier {
-        let mut identifier = Identifier::default();
+        let mut identifier = Identifier::new(10);
         (1..=heights).for_each(|i| identifier.saw(height(i), FlightTime(0)));
         identifier
     }
@@ -412,12 +421,12 @@ mod tests {
             (1..=3).for_each(|i| identifier.saw(height(i), now));
             identifier.judge(now, false, |s| window(if s.instance == 2 { ratio } else { 0.3 }));
         };
-        for k in 0..CONFIRM - 1 {
+        for k in 0..10_u32 {
             judge(&mut identifier, u64::from(k), 1.2);
         }
         assert!(!identifier.is_flagged(height(2)) && identifier.is_suspect(height(2)));
         judge(&mut identifier, 10, 0.9);
-        for k in 11..11 + u64::from(CONFIRM) {
+        for k in 11..11 + 11 {
             judge(&mut identifier, k, 1.2);
         }
         assert!(identifier.is_flagged(height(2)));
@@ -468,7 +477,7 @@ mod tests {
     fn a_sensor_in_doubt_is_left_out_while_most_of_its_type_are_not() {
         for (kind, expected) in [(SensorKind::Imu, [0, 1, 0]), (SensorKind::Height, [0, 1, 0])] {
             let judged = |doubted: u8| {
-                let mut identifier = Identifier::default();
+                let mut identifier = Identifier::new(10);
                 (1..=4).for_each(|i| identifier.saw(SensorId::new(kind, i), FlightTime(0)));
                 let drift = |s: SensorId| if s.instance <= doubted { 0.7 } else { 0.1 };
                 identifier.judge(FlightTime(0), false, |s| Evidence { drift_ratio: drift(s), ..Evidence::default() });
