@@ -1,23 +1,36 @@
 //! `plumbline-agent`: chooses a vehicle, starts the flight thread beside log and link.
 
+#![warn(clippy::print_stdout)]
+
 mod cli;
 
-use std::io::IsTerminal as _;
+use std::error::Error;
+use std::io::{self, IsTerminal as _};
 use std::process::ExitCode;
 
 use clap::Parser;
 use tracing_subscriber::EnvFilter;
 
+/// What a shell says of a program whose reader went away: 128 and SIGPIPE.
+const READER_GONE: u8 = 141;
+
 fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours).init();
+    let colours = io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).with_ansi(colours).init();
     match arguments.run() {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if reader_gone(&*error) => ExitCode::from(READER_GONE),
         Err(error) => {
             eprintln!("plumbline-agent: {error}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Did whoever read the output have enough of it, as `head` does?
+fn reader_gone(error: &(dyn Error + 'static)) -> bool {
+    let mut causes = std::iter::successors(Some(error), |error: &&(dyn Error + 'static)| (*error).source());
+    causes.any(|cause| cause.downcast_ref().is_some_and(|e: &io::Error| e.kind() == io::ErrorKind::BrokenPipe))
 }

@@ -48,6 +48,20 @@ fn riccati_cases_agree_with_the_reference() {
 }
 
 #[test]
+fn a_reader_that_has_enough_ends_a_tool_without_a_word() {
+    let folder = tempfile::tempdir().unwrap();
+    let identity = folder.path().join("identity");
+    for arguments in [&["observability"][..], &["identity", "--identity", identity.to_str().unwrap()]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_plumbline-agent"));
+        let output = command.args(arguments).env("RUST_LOG", "warn").stdout(writer).output().unwrap();
+        assert_eq!(output.status.code(), Some(141), "{arguments:?}");
+        assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+#[test]
 fn windows_decode_to_the_reference_optimum() {
     let Some(path) = shared("reference/sse_windows.json") else { return };
     let reference: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();

@@ -1,5 +1,6 @@
 //! `plumbline-agent calibrate KIND`: a calibration from a recording or a table; its summary is the line on stdout.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -74,7 +75,6 @@ impl CalibrateArguments {
         };
         let file = from_path(&self.input, self.format.as_deref(), &request)?;
         write(&self.output, &file)?;
-        println!("{}", file.summary());
-        Ok(())
+        Ok(writeln!(std::io::stdout(), "{}", file.summary())?)
     }
 }

@@ -1,9 +1,10 @@
 //! `plumbline-agent estimate`: any estimator over a recording; its score is the line on stdout.
 
+use std::io::Write as _;
+
 use plumbline_agent::offline::{EstimateArgs, run};
 
 pub fn estimate(arguments: &EstimateArgs) -> Result<(), Box<dyn std::error::Error>> {
     let score = run(arguments)?;
-    println!("{}", score.to_json());
-    Ok(())
+    Ok(writeln!(std::io::stdout(), "{}", score.to_json())?)
 }

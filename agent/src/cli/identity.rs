@@ -1,5 +1,6 @@
 //! `plumbline-agent identity` and `plumbline-agent pair`: whom this agent trusts.
 
+use std::io::Write as _;
 use std::net::ToSocketAddrs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -41,8 +42,7 @@ impl IdentityArguments {
         {
             return Err(format!("no peer is called {peer:?}").into());
         }
-        println!("{}", identity.fingerprint());
-        Ok(())
+        Ok(writeln!(std::io::stdout(), "{}", identity.fingerprint())?)
     }
 }
 
@@ -72,8 +72,10 @@ impl PairArguments {
         let ground = self.ground.unwrap_or(config.ground);
         let identity = load_or_create(&self.identity.unwrap_or(config.identity))?;
         let code = Code::random()?;
-        println!("pairing code: {code}");
-        println!("On the ground, within {} minutes:  plumbline-ground pair {code}", pairing::VALID.as_secs() / 60);
+        let mut out = std::io::stdout();
+        writeln!(out, "pairing code: {code}")?;
+        let minutes = pairing::VALID.as_secs() / 60;
+        writeln!(out, "On the ground, within {minutes} minutes:  plumbline-ground pair {code}")?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let begun = Instant::now();
         let mut told = String::new();
@@ -81,8 +83,7 @@ impl PairArguments {
             let address = ground.to_socket_addrs()?.next().ok_or_else(|| format!("{ground:?} has no address"))?;
             match runtime.block_on(pairing::meet(address, &identity, &id, &code)) {
                 Ok(fingerprint) => {
-                    println!("paired with the ground {fingerprint}");
-                    return Ok(());
+                    return Ok(writeln!(out, "paired with the ground {fingerprint}")?);
                 }
                 Err(PairingError::Identity(error)) => return Err(error.into()),
                 Err(error) => {

@@ -1,5 +1,6 @@
 //! `plumbline-agent observability`: what a suite promises before it flies, as one JSON document.
 
+use std::io::Write as _;
 use std::path::Path;
 
 use plumbline_agent::estimate::secure::flying::{SLOT_S, SLOTS};
@@ -78,8 +79,7 @@ impl ObservabilityArguments {
             "per_type": kinds, "scalars": scalars,
             "window": { "slots": self.slots, "slot_s": SLOT_S, "filled_slots_by_phase": phases },
         });
-        println!("{report:#}");
-        Ok(())
+        Ok(writeln!(std::io::stdout(), "{report:#}")?)
     }
 }
 

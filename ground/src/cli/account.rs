@@ -1,6 +1,6 @@
 //! `plumbline-ground account add|list|remove|password`.
 
-use std::io::{BufRead as _, IsTerminal as _};
+use std::io::{BufRead as _, IsTerminal as _, Write as _};
 
 use clap::Subcommand;
 use plumbline_ground::people::{Accounts, Role};
@@ -57,9 +57,14 @@ pub fn run(arguments: AccountArguments) -> Result<(), String> {
         Deed::Add { name, role, data } => of(&data).add(&name, role, &password()?),
         Deed::Remove { name, data } => of(&data).remove(&name),
         Deed::Password { name, data } => of(&data).set_password(&name, &password()?),
-        Deed::List { data } => of(&data).all().map(|accounts| {
-            accounts.iter().for_each(|account| println!("{:<24} {}", account.name, account.role.name()));
-        }),
+        Deed::List { data } => {
+            let accounts = of(&data).all().map_err(|error| error.to_string())?;
+            let mut out = std::io::stdout().lock();
+            return accounts
+                .iter()
+                .try_for_each(|account| writeln!(out, "{:<24} {}", account.name, account.role.name()))
+                .map_err(|error| format!("standard output: {error}"));
+        }
     }
     .map_err(|error| error.to_string())
 }
