@@ -2,6 +2,8 @@
 //!
 //! The style sheet has the same colours under the names used here; dark pages lighten some of them.
 
+use plumbline_proto::v1::EstimatorKind;
+
 use crate::{gpu::Color, model::curves::Axis};
 
 /// A colour in both themes, and its name in the style sheet.
@@ -32,10 +34,14 @@ impl Ink {
 pub const SETPOINT: Ink = Ink::new(0x1c2128, 0xe8ecf1, "var(--setpoint)");
 /// Estimate in the loop.
 pub const IN_LOOP: Ink = Ink::new(0x0072b2, 0x3d9fe0, "var(--in-loop)");
-/// Another estimator.
+/// Another estimator: greens and purples, told apart by how light they are.
 pub const OTHER_1: Ink = Ink::new(0x009e73, 0x1fbf92, "var(--other-1)");
 /// A third.
 pub const OTHER_2: Ink = Ink::new(0xcc79a7, 0xdb93ba, "var(--other-2)");
+const OTHER_3: Ink = Ink::new(0x00573f, 0x0f7f60, "var(--other-3)");
+const OTHER_4: Ink = Ink::new(0x7d3a60, 0x9c567e, "var(--other-4)");
+const OTHER_5: Ink = Ink::new(0x5fb08f, 0xa5ecd4, "var(--other-5)");
+const OTHER_6: Ink = Ink::new(0xa78bd0, 0xc8b6f0, "var(--other-6)");
 /// Raw sensor.
 pub const SENSOR_1: Ink = Ink::new(0xe69f00, 0xe69f00, "var(--sensor-1)");
 /// Raw sensor.
@@ -53,7 +59,16 @@ pub fn estimator(number: u16, in_loop: u16) -> Ink {
         return IN_LOOP;
     }
     // Estimators keep their colour when another goes into the loop.
-    if number.is_multiple_of(2) { OTHER_1 } else { OTHER_2 }
+    use EstimatorKind as Kind;
+    match Kind::try_from(i32::from(number)).unwrap_or_default() {
+        Kind::EkfBias => OTHER_1,
+        Kind::Primary => OTHER_6,
+        Kind::EkfHybrid => OTHER_3,
+        Kind::Ukf => OTHER_4,
+        Kind::PointMass => OTHER_5,
+        // Attitude alone has no altitude: never in the same chart.
+        Kind::Secure | Kind::Attitude | Kind::Unspecified => OTHER_2,
+    }
 }
 
 /// See [`estimator`].
@@ -105,6 +120,9 @@ mod tests {
             assert_ne!(ink.css(), ATTACK.css());
         }
         assert_eq!(estimator(3, 3), IN_LOOP);
-        assert_ne!(estimator(2, 3), estimator(1, 3));
+        let with_altitude = [1, 2, 3, 4, 5, 7];
+        for (i, one) in with_altitude.iter().enumerate() {
+            assert!(with_altitude[..i].iter().all(|other| estimator(*one, 1) != estimator(*other, 1)), "{one}");
+        }
     }
 }
