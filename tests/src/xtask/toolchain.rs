@@ -17,6 +17,9 @@ use super::workspace::{apt_install, forget_cargo_run, may_install, on_path, outp
 pub const TARGET: &str = "wasm32-unknown-unknown";
 
 const DEBIAN_PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "lld-19"];
+/// The oldest Rust that builds this workspace.
+const NEEDED: &str = env!("CARGO_PKG_RUST_VERSION");
+
 const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_LINKER: &str = "wasm-ld-19";
@@ -171,6 +174,13 @@ fn debian() -> Result<WasmToolchain, XtaskError> {
     if !complete() {
         return Err(missing());
     }
+    let told = output(Command::new(DEBIAN_RUSTC).arg("--version"))?;
+    if version(&told) < version(NEEDED) {
+        return Err(XtaskError::Missing {
+            what: format!("a Rust {NEEDED} for the page (Debian's here is {})", told.trim()),
+            how: format!("  rustup target add {TARGET}\nor a newer Debian's rustc-web"),
+        });
+    }
     let found = WasmToolchain {
         source: Source::Debian,
         cargo: DEBIAN_CARGO.into(),
@@ -179,4 +189,24 @@ fn debian() -> Result<WasmToolchain, XtaskError> {
         linker: on_path(DEBIAN_LINKER),
     };
     Ok(found)
+}
+
+/// Major and minor of the first word that is a version: `rustc 1.85.0 (…)`.
+fn version(text: &str) -> Option<(u32, u32)> {
+    text.split_whitespace().find_map(|word| {
+        let mut numbers = word.split('.').map(|number| number.parse().ok());
+        Some((numbers.next()??, numbers.next()??))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_compared_by_number() {
+        assert_eq!(version("rustc 1.85.0 (4d91de4e4 2025-02-17) (built from a source tarball)"), Some((1, 85)));
+        assert!(version("rustc 1.100.0-nightly") > version(NEEDED) && version("1.9") < version("1.10.3"));
+        assert_eq!(version("rustc"), None);
+    }
 }
