@@ -165,15 +165,17 @@ impl Curves {
     /// One estimate of estimator `number`.
     pub fn push_estimate(&mut self, number: u16, estimate: &v1::Estimate) {
         let time = estimate.time_us;
+        // What an estimator holds before its sensors have told it anything is no estimate: a gap.
+        let known = if estimate.health() == v1::Health::Initialising { f64::NAN } else { 1.0 };
         if let Some(position) = &estimate.position_enu_m {
-            self.push(Curve::Altitude(number), time, position.z);
+            self.push(Curve::Altitude(number), time, position.z * known);
         }
         if let Some(velocity) = &estimate.velocity_enu_mps {
-            self.push(Curve::Climb(number), time, velocity.z);
+            self.push(Curve::Climb(number), time, velocity.z * known);
         }
         if let Some(angles) = &estimate.roll_pitch_yaw_rad {
             for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
-                self.push(Curve::Attitude(number, axis), time, value * DEGREES);
+                self.push(Curve::Attitude(number, axis), time, value * DEGREES * known);
             }
         }
     }
@@ -255,6 +257,19 @@ pub fn suspicion(sensor: &v1::SecureSensor) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_estimator_that_knows_nothing_yet_draws_nothing() {
+        let mut curves = Curves::default();
+        let position = v1::Vector3 { z: 0.5, ..Default::default() };
+        for (time_us, health) in [(1_000_000, v1::Health::Initialising), (2_000_000, v1::Health::Healthy)] {
+            let mut estimate = v1::Estimate { time_us, position_enu_m: Some(position), ..Default::default() };
+            estimate.set_health(health);
+            curves.push_estimate(7, &estimate);
+        }
+        assert_eq!(curves.value_at(Curve::Altitude(7), 1.5), None);
+        assert_eq!(curves.value_at(Curve::Altitude(7), 2.0), Some(0.5));
+    }
 
     #[test]
     fn angles_become_degrees_and_the_worst_channel_is_kept_per_instance() {

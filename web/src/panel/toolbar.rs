@@ -91,10 +91,14 @@ fn recording_state(ctx: Ctx) -> (String, &'static str, String) {
     ctx.live(|live| match &live.recording {
         Some(r) if !r.error.is_empty() => ("REC failed".to_owned(), "bad", r.error.clone()),
         Some(r) if r.recording => {
-            let whole =
-                if r.missing == 0 { "complete".to_owned() } else { format!("{} missing", format::count(r.missing)) };
-            let more =
-                format!("{}: {} messages, {}", r.flight_id, format::count(r.messages), format::bytes(r.bytes as f64));
+            let whole = if r.missing == 0 { "complete" } else { "filling" };
+            let more = format!(
+                "{}: {} messages, {}; {} missing, which the agent's own log still has to fill in",
+                r.flight_id,
+                format::count(r.messages),
+                format::bytes(r.bytes as f64),
+                format::count(r.missing)
+            );
             (format!("REC {} {whole}", format::clock(r.duration_s)), "recording", more)
         }
         Some(_) => ("not recording".to_owned(), "quiet", "Arming starts a recording; R starts one by hand".to_owned()),
