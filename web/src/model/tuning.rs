@@ -185,6 +185,9 @@ pub fn short(value: f64) -> String {
     if !value.is_finite() {
         return "–".to_owned();
     }
+    if value != 0.0 && value.abs() < 1e-4 {
+        return format!("{value:.2e}");
+    }
     let decimals = if value == 0.0 { 0 } else { (2 - value.abs().log10().floor() as i32).clamp(0, 5) as usize };
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
@@ -428,8 +431,8 @@ mod tests {
         }
         assert_eq!(slider_place(f64::INFINITY, 1.0), 1.0);
         assert_eq!(
-            (short(0.2), short(12.345), short(0.0123), short(1500.0)),
-            ("0.2".into(), "12.3".into(), "0.0123".into(), "1500".into())
+            (short(0.2), short(12.345), short(0.0123), short(1500.0), short(6.04e-8)),
+            ("0.2".into(), "12.3".into(), "0.0123".into(), "1500".into(), "6.04e-8".into())
         );
     }
 

@@ -312,16 +312,18 @@ fn Result(calibration: Calibration) -> impl IntoView {
                     </figure>
                 }
             }).collect::<Vec<_>>()}
+            <div class="numbers">
+                <table class="dense">
+                    <thead><tr><th>"parameter"</th><th class="num">"value"</th><th class="num">"± 1σ"</th><th>"unit"</th></tr></thead>
+                    <tbody>
+                        {c.parameters.iter().map(|p| view! {
+                            <tr><td>{p.name.replace('_', " ")}</td><td class="num">{precise(p.value)}</td><td class="num">{p.sigma.map_or_else(|| format::NONE.to_owned(), short)}</td><td>{p.unit.clone()}</td></tr>
+                        }).collect::<Vec<_>>()}
+                    </tbody>
+                </table>
+            </div>
         </div>
         <ul class="notes-list">{c.notes.iter().map(|n| view! { <li>{n.clone()}</li> }).collect::<Vec<_>>()}</ul>
-        <table class="dense">
-            <thead><tr><th>"parameter"</th><th class="num">"value"</th><th class="num">"± 1σ"</th><th>"unit"</th></tr></thead>
-            <tbody>
-                {c.parameters.iter().map(|p| view! {
-                    <tr><td>{p.name.replace('_', " ")}</td><td class="num">{precise(p.value)}</td><td class="num">{p.sigma.map_or_else(|| format::NONE.to_owned(), short)}</td><td>{p.unit.clone()}</td></tr>
-                }).collect::<Vec<_>>()}
-            </tbody>
-        </table>
     }
 }
 
