@@ -16,7 +16,7 @@ use crate::control::policy::MarginPolicy;
 use crate::control::tuning::{Design, kind_by_name};
 use crate::estimate::EstimatorKind;
 use crate::estimate::secure::Decoder;
-use crate::estimate::secure::flying::SLOTS_MAX;
+use crate::estimate::secure::flying::{SLOTS_MAX, SLOTS_MIN};
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
 use crate::model::measure::gnss::Geodetic;
@@ -138,7 +138,7 @@ pub struct Estimators {
     pub in_loop: Option<String>,
     /// The program that the secure estimator solves: l2, l1, l2_split or l1_split.
     pub decoder: Option<String>,
-    /// Slots of 40 ms in its window, 2 to 50.
+    /// Slots of 40 ms in its window, 5 to 50.
     pub window: Option<usize>,
 }
 
@@ -411,8 +411,8 @@ impl AgentConfig {
         if let Some(name) = &self.estimators.decoder {
             decoder("estimators.decoder", name)?;
         }
-        if let Some(slots) = self.estimators.window.filter(|slots| !(2..=SLOTS_MAX).contains(slots)) {
-            return bad("estimators.window", slots.to_string(), "2 to 50 slots");
+        if let Some(slots) = self.estimators.window.filter(|slots| !(SLOTS_MIN..=SLOTS_MAX).contains(slots)) {
+            return bad("estimators.window", slots.to_string(), "5 to 50 slots");
         }
         Ok(())
     }
@@ -525,7 +525,7 @@ mod tests {
             ("[limits]\naltitude_min_m = 2\naltitude_max_m = 1", "limits.altitude_min_m = 2"),
             ("[estimators]\nin_loop = \"oracle\"", "estimators.in_loop = \"oracle\""),
             ("[estimators]\ndecoder = \"l3\"", "estimators.decoder = \"l3\""),
-            ("[estimators]\nwindow = 51", "estimators.window = 51 is not 2 to 50 slots"),
+            ("[estimators]\nwindow = 51", "estimators.window = 51 is not 5 to 50 slots"),
             ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
             ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
             ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),

@@ -258,7 +258,7 @@ fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
     for (arguments, expected) in [
         (["--estimator", "secure", "--decoder", "l3"], "--decoder l3: not l2, l1"),
         (["--estimator", "ukf", "--decoder", "l1"], "--decoder l1: ukf solves none"),
-        (["--estimator", "secure", "--window", "51"], "--window 51: not 2 to 50 slots"),
+        (["--estimator", "secure", "--window", "51"], "--window 51: not 5 to 50 slots"),
         (["--estimator", "ukf", "--window", "5"], "--window 5: ukf has none"),
     ] {
         let output = estimate(&arguments);

@@ -22,7 +22,7 @@ use crate::config;
 use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
-use crate::estimate::secure::flying::SLOTS_MAX;
+use crate::estimate::secure::flying::{SLOTS_MAX, SLOTS_MIN};
 use crate::estimate::ukf::Ukf;
 use crate::estimate::{Estimate, Estimator, EstimatorKind};
 use crate::model::airframe::Airframe;
@@ -45,7 +45,7 @@ pub struct EstimateArgs {
     /// Program of the secure estimator: l2 (the default), l1, l2_split or l1_split.
     #[arg(long)]
     pub decoder: Option<String>,
-    /// Slots of 40 ms in the window of the secure estimator, 2 to 50; 10 when left out.
+    /// Slots of 40 ms in the window of the secure estimator, 5 to 50; 10 when left out.
     #[arg(long)]
     pub window: Option<usize>,
     /// Sensors to use, separated by commas: imu, mag, height, barometer, gnss, mocap-pose, camera-ranges. All
@@ -344,8 +344,8 @@ impl Run {
         if let Some(slots) = args.window {
             let reason = if kind != EstimatorKind::Secure {
                 format!("{} has none", args.estimator)
-            } else if !(2..=SLOTS_MAX).contains(&slots) {
-                format!("not 2 to {SLOTS_MAX} slots")
+            } else if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
+                format!("not {SLOTS_MIN} to {SLOTS_MAX} slots")
             } else {
                 String::new()
             };

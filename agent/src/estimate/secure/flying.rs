@@ -70,9 +70,11 @@ pub mod ix {
 
 /// Length of a slot, s.
 pub const SLOT_S: f64 = 0.04;
-/// Slots of the window unless configured otherwise ([Clinic]: T = 10) …
+/// Slots of the window unless configured otherwise ([Clinic]: T = 10).
 pub const SLOTS: usize = 10;
-/// … and the most that fly: 2 s.
+/// Least: through 2 slots a sensor that has stopped lying was still not believed 15 s later, through 5 after 2 s.
+pub const SLOTS_MIN: usize = 5;
+/// Most: 2 s.
 pub const SLOTS_MAX: usize = 50;
 /// Beyond this tilt the window's model is not valid.
 pub const TILT_MAX_RAD: f64 = 0.7;
@@ -223,8 +225,8 @@ impl Secure {
         let settings = Settings { tolerance: GAP, ..Settings::default() };
         let kinds: [usize; SENSORS] = std::array::from_fn(kind_of);
         let slots = options.window_slots;
-        if slots > SLOTS_MAX {
-            return Err(SecureError::Slots { slots, most: SLOTS_MAX });
+        if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
+            return Err(SecureError::Slots { slots, least: SLOTS_MIN, most: SLOTS_MAX });
         }
         let window = |split| Window::new(&model(&options, &sigma, split), &rows(&sigma), &kinds, slots, settings);
         Ok(Self {
@@ -1009,7 +1011,7 @@ mod tests {
 
     #[test]
     fn windows_of_any_length_find_the_lie_and_accuse_nobody_else() {
-        for slots in [2, 5, 20, SLOTS_MAX] {
+        for slots in [SLOTS_MIN, 20, SLOTS_MAX] {
             let options = EkfOptions { window_slots: slots, ..EkfOptions::default() };
             let mut s = Secure::new(options, &Airframe::iris()).unwrap();
             fly(&mut s, 0.0, 8.0, &[0.0; 3]);
@@ -1023,8 +1025,10 @@ mod tests {
             );
             assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.01, "{slots}: {}", s.estimate().position_enu_m.z);
         }
-        let options = EkfOptions { window_slots: SLOTS_MAX + 1, ..EkfOptions::default() };
-        assert!(Secure::new(options, &Airframe::iris()).is_err());
+        for slots in [SLOTS_MIN - 1, SLOTS_MAX + 1] {
+            let options = EkfOptions { window_slots: slots, ..EkfOptions::default() };
+            assert!(Secure::new(options, &Airframe::iris()).is_err());
+        }
     }
 
     #[test]

@@ -141,11 +141,13 @@ pub enum SecureError {
         /// Relative error.
         error: f64,
     },
-    /// A window without slots, or with too many.
-    #[error("a window of {slots} slots: 1 to {most} are possible")]
+    /// A window with too few slots, or with too many.
+    #[error("a window of {slots} slots: {least} to {most} are possible")]
     Slots {
         /// Asked for.
         slots: usize,
+        /// Least.
+        least: usize,
         /// Most.
         most: usize,
     },

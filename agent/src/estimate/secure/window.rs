@@ -151,7 +151,7 @@ impl<const N: usize> Window<N> {
         settings: Settings,
     ) -> Result<Self, SecureError> {
         if !(1..=MAX_SLOTS).contains(&slots) {
-            return Err(SecureError::Slots { slots, most: MAX_SLOTS });
+            return Err(SecureError::Slots { slots, least: 1, most: MAX_SLOTS });
         }
         let a_inverse = model.a.try_inverse().ok_or(SecureError::Transition)?;
         let mut phases = Vec::with_capacity(rows.len());
