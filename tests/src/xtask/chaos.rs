@@ -15,7 +15,7 @@ pub struct Options {
     /// How often ground or agent is killed (kill), or the power fails (power).
     #[arg(long, default_value_t = 20)]
     pub rounds: u64,
-    /// Length of each phase, s (link: 15, jitter: 10).
+    /// Length of each phase, s (link: 15, jitter: 7).
     #[arg(long)]
     pub seconds: Option<u64>,
     /// Build without optimisation: starts sooner after a change.
