@@ -342,15 +342,12 @@ impl Run {
         // One rule for every recording: nothing is tuned to a file.
         let mut options = info.ekf_options();
         if let Some(slots) = args.window {
-            let reason = if kind != EstimatorKind::Secure {
-                format!("{} has none", args.estimator)
-            } else if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
-                format!("not {SLOTS_MIN} to {SLOTS_MAX} slots")
-            } else {
-                String::new()
-            };
-            if !reason.is_empty() {
-                return Err(EstimateArgs::bad("window", slots, reason));
+            let refused = |reason| Err(EstimateArgs::bad("window", slots, reason));
+            if kind != EstimatorKind::Secure {
+                return refused(format!("{} has none", args.estimator));
+            }
+            if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
+                return refused(format!("not {SLOTS_MIN} to {SLOTS_MAX} slots"));
             }
             options.window_slots = slots;
         }
