@@ -13,17 +13,18 @@ use std::time::Instant;
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::estimate::Estimator;
-use plumbline_agent::estimate::bank::{Assumptions, build};
+use plumbline_agent::estimate::bank::build;
 use plumbline_agent::estimate::ekf_bias::{EkfBias, EkfOptions};
 use plumbline_agent::estimate::ekf_hybrid::EkfHybrid;
 use plumbline_agent::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, PROCESS_DENSITY, measurements};
 use plumbline_agent::estimate::ukf::Ukf;
-use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::euler_body::{EulerBody, M, X, process_noise};
 use plumbline_agent::recordings::{mocap_log, shared};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
-use plumbline_agent::vehicle::{ImuSample, MocapPoseSample, MotorCommand, SensorFrame, Vehicle};
+use plumbline_agent::sensor::{ImuSample, MocapPoseSample, SensorFrame};
+use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::types::MotorCommand;
+use plumbline_agent::vehicle::Vehicle;
 use plumbline_proto::time::FlightTime;
 use serde_json::json;
 
@@ -133,7 +134,7 @@ fn bias_filter() {
 /// Every estimator over a simulated flight on the string rig: what one tick of it costs.
 fn in_flight() {
     let scenario = Scenario::default_string_rig();
-    let config = FlightConfig::for_scenario(&scenario);
+    let config = scenario.flight_config();
     let mut vehicle = SimVehicle::new(&scenario).unwrap();
     let hover = MotorCommand { throttle: [Airframe::iris().hover_command(); 4] };
     let frames: Vec<SensorFrame> = (0..4000)
@@ -143,9 +144,9 @@ fn in_flight() {
             frame
         })
         .collect();
-    let assumed = Assumptions { airframe: &config.airframe, sensors: &config.ekf };
-    use plumbline_agent::estimate::EstimatorKind as K;
-    for kind in [K::EkfBias, K::Primary, K::EkfHybrid, K::Ukf, K::PointMass, K::Attitude] {
+    let assumed = config.assumptions();
+    use plumbline_agent::types::EstimatorKind as K;
+    for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
         let mut estimator = build(kind, &assumed).unwrap();
         let timing = time(frames.len() - BLOCK, |k| {
             black_box(estimator.step(&frames[k], &hover));

@@ -10,15 +10,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use plumbline_agent::estimate::secure::flying::Secure;
-use plumbline_agent::estimate::secure::offline::Windows;
+use plumbline_agent::estimate::Estimator;
 use plumbline_agent::estimate::secure::{
     Program, compress::Compressed, conic::Conic, newton::Newton, newton::Settings,
 };
-use plumbline_agent::estimate::{Estimator, EstimatorKind};
-use plumbline_agent::flight::{Flight, FlightConfig};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
-use plumbline_agent::vehicle::{MotorCommand, SensorFrame, Vehicle};
+use plumbline_agent::estimate::secure::{SLOTS, Secure};
+use plumbline_agent::flight::Flight;
+use plumbline_agent::offline::decode::Windows;
+use plumbline_agent::sensor::SensorFrame;
+use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::types::{EstimatorKind, MotorCommand};
+use plumbline_agent::vehicle::Vehicle;
 
 /// CPU time of this thread.
 fn cpu_time() -> Duration {
@@ -179,7 +181,7 @@ fn secure_tick() {
         [[attack]]\nsensor = \"imu\"\ninstance = 2\nchannel = \"accel\"\nkind = \"bias\"\nstart_s = 15\nduration_s = 10\n\
         magnitude = 2\n";
     let scenario = Scenario::from_toml(text).unwrap();
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     config.estimators = vec![EstimatorKind::Secure];
     config.in_loop = EstimatorKind::Secure;
     let (airframe, options) = (config.airframe.clone(), config.ekf.clone());
@@ -200,7 +202,7 @@ fn secure_tick() {
         applied = vehicle.actuate(&report.command).unwrap();
         flight.applied(applied);
     }
-    let mut secure = Secure::new(options, &airframe).unwrap();
+    let mut secure = Secure::new(options, &airframe, SLOTS).unwrap();
     let (mut all, mut decoding) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
     let mut windows = 0;
     let before = counting::requests();

@@ -8,18 +8,17 @@ use std::path::{Path, PathBuf};
 
 use arrayvec::ArrayString;
 
-use plumbline_proto::ids::FlightId;
+use plumbline_proto::ids::{FlightId, SensorId};
 use serde::Deserialize;
 
-use crate::control::ControllerKind;
 use crate::control::policy::MarginPolicy;
 use crate::control::tuning::{Design, kind_by_name};
-use crate::estimate::EstimatorKind;
 use crate::estimate::secure::Decoder;
-use crate::estimate::secure::flying::{SLOTS_MAX, SLOTS_MIN};
+use crate::estimate::secure::{SLOTS_MAX, SLOTS_MIN};
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
 use crate::model::measure::gnss::Geodetic;
+use crate::types::{ControllerKind, EstimatorKind};
 use crate::{link, log};
 
 /// Slowest and fastest flight loop, Hz.
@@ -74,6 +73,8 @@ pub struct AgentConfig {
     pub limits: Limits,
     /// Attacks.
     pub attacks: Attacks,
+    /// What the failsafes rely on.
+    pub failsafe: Failsafe,
     /// Estimators.
     pub estimators: Estimators,
     /// Calibration files, applied to every frame sensed and to the airframe.
@@ -126,6 +127,14 @@ pub struct Attacks {
     pub rate_max_radps: Option<f64>,
     /// Largest offset of a specific force, m/s².
     pub accel_max_mps2: Option<f64>,
+}
+
+/// What the failsafes rely on.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Failsafe {
+    /// Sensors on a wire of their own, as "height 3": the watchdog reads only these of their kind, and they cannot be attacked.
+    pub independent: Vec<String>,
 }
 
 /// Which estimators run.
@@ -269,6 +278,7 @@ impl Default for AgentConfig {
             real_time: true,
             limits: Limits::default(),
             attacks: Attacks::default(),
+            failsafe: Failsafe::default(),
             estimators: Estimators::default(),
             calibrations: Vec::new(),
             weights: None,
@@ -296,18 +306,16 @@ impl Default for Link {
     }
 }
 
-/// The estimator called `name`: the lower-snake-case name of the wire.
+/// The estimator called `name`: the lower-snake-case name of the wire, or a former one.
 ///
 /// # Errors
 /// [`ConfigError::Value`] for `key`.
 pub fn estimator(key: &str, name: &str) -> Result<EstimatorKind, ConfigError> {
-    EstimatorKind::from_str_name(&format!("ESTIMATOR_KIND_{}", name.to_uppercase()))
-        .filter(|kind| *kind != EstimatorKind::Unspecified)
-        .ok_or_else(|| ConfigError::Value {
-            key: key.to_owned(),
-            value: format!("{name:?}"),
-            expected: "ekf_bias, primary, ekf_hybrid, ukf, point_mass, attitude or secure",
-        })
+    EstimatorKind::named(name).ok_or_else(|| ConfigError::Value {
+        key: key.to_owned(),
+        value: format!("{name:?}"),
+        expected: "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf or secure",
+    })
 }
 
 /// The decoder called `name`: the lower-snake-case name of the wire.
@@ -436,6 +444,7 @@ impl AgentConfig {
         put(&mut flight.limits.tilt_max_rad, self.limits.tilt_max_rad);
         put(&mut flight.limits.throttle_max, self.limits.throttle_max);
         put(&mut flight.attacks_enabled, self.attacks.enabled);
+        flight.independent = self.failsafe.independent(&flight.sensors)?;
         put(&mut flight.attack_bounds.duration_max_s, self.attacks.duration_max_s);
         put(&mut flight.attack_bounds.length_max_m, self.attacks.length_max_m);
         put(&mut flight.attack_bounds.rate_max_radps, self.attacks.rate_max_radps);
@@ -452,7 +461,7 @@ impl AgentConfig {
         if let Some(name) = &self.estimators.decoder {
             flight.decoder = Some(decoder("estimators.decoder", name)?);
         }
-        put(&mut flight.ekf.window_slots, self.estimators.window);
+        put(&mut flight.window_slots, self.estimators.window);
         if let Some(site) = &self.site {
             flight.ekf.declination_rad = site.declination_rad()?;
         }
@@ -477,6 +486,21 @@ impl AgentConfig {
     }
 }
 
+impl Failsafe {
+    /// The independent ones of these `sensors`.
+    fn independent(&self, sensors: &[SensorId]) -> Result<Vec<SensorId>, ConfigError> {
+        let read = |name: &String| {
+            let sensor = name.parse::<SensorId>().ok().filter(|sensor| sensors.contains(sensor));
+            sensor.ok_or_else(|| ConfigError::Value {
+                key: "failsafe.independent".to_owned(),
+                value: format!("{name:?}"),
+                expected: "a sensor of this vehicle, as \"height 3\"",
+            })
+        };
+        self.independent.iter().map(read).collect()
+    }
+}
+
 fn controller(name: &str) -> Result<ControllerKind, ConfigError> {
     kind_by_name(name).ok_or_else(|| ConfigError::Value {
         key: "controller.kind".to_owned(),
@@ -490,12 +514,14 @@ mod tests {
     use super::*;
     use crate::flight::RigKind;
     use crate::model::airframe::Airframe;
-    use crate::vehicle::suite::Suite;
+    use crate::sensor::suite::Suite;
+    use plumbline_proto::v1::SensorKind;
 
     #[test]
     fn what_is_set_reaches_the_flight_and_the_rest_keeps_its_default() {
         let config = AgentConfig::from_toml(
             "id = \"clinic-2\"\ntick_rate_hz = 400\n[limits]\naltitude_max_m = 1.5\n[attacks]\nenabled = true\n\
+ [failsafe]\nindependent = [\"imu 4\"]\n\
              [estimators]\nrun = [\"primary\", \"ekf_bias\"]\nin_loop = \"ekf_bias\"\n[log]\nmax_mib = 100\n\
              [site]\nlatitude_deg = 4.6\nlongitude_deg = -74.1\naltitude_m = 2600\ndate = \"2026-11-21\"\n",
         )
@@ -503,12 +529,16 @@ mod tests {
         let mut flight = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::string_rig());
         let before = flight.limits;
         config.apply(&mut flight).unwrap();
+        assert_eq!(flight.independent, [SensorId::new(SensorKind::Imu, 4)]);
+        let none = AgentConfig::from_toml("[failsafe]\nindependent = [\"imu 9\"]").unwrap();
+        let refused = none.apply(&mut flight.clone()).unwrap_err().to_string();
+        assert!(refused.contains("failsafe.independent = \"imu 9\" is not a sensor of this vehicle"), "{refused}");
         assert_eq!((flight.tick_rate_hz, flight.limits.altitude_max_m), (400.0, 1.5));
         assert_eq!(flight.limits.lateral_max_m, before.lateral_max_m);
         assert!(flight.attacks_enabled);
         // Bogotá: about 8° west.
         assert!((flight.ekf.declination_rad.to_degrees() + 7.9).abs() < 1.0, "{}", flight.ekf.declination_rad);
-        assert_eq!(flight.estimators, [EstimatorKind::Primary, EstimatorKind::EkfBias]);
+        assert_eq!(flight.estimators, [EstimatorKind::Complementary, EstimatorKind::EkfBias]);
         assert_eq!((config.id.as_str(), config.log.max_mib), ("clinic-2", 100));
         assert_eq!(AgentConfig::from_toml("").unwrap(), AgentConfig::default());
     }

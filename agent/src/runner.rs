@@ -10,10 +10,12 @@
 pub mod auditor;
 pub mod certifier;
 pub mod challenge;
+mod motor_watch;
 pub mod pace;
+pub mod stop;
 mod timing;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
@@ -23,22 +25,24 @@ use rtrb::Consumer;
 use crate::attack::Schedule;
 use crate::command::Command;
 use crate::control::gains::refusal;
-use crate::estimate::secure::flying::DEADLINE_US;
-use crate::event::{EventKind, Severity, text};
+use crate::estimate::secure::DEADLINE_US;
+use crate::event::{EventKind, Severity, Text, text};
 use crate::flight::Flight;
 use crate::link::LinkState;
 use crate::link::clock::FlightClock;
 use crate::link::inbound::{Inbound, ReplayRate, Request};
 use crate::log::LogState;
-use crate::recordings::RecordedControl;
+use crate::sensor::MAX_IMUS;
+use crate::sim::script::Script;
 use crate::telemetry::{Around, Telemetry};
-use crate::vehicle::sim::script::Script;
-use crate::vehicle::{MAX_IMUS, Vehicle, VehicleError};
+use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Service, Vehicle, VehicleError};
 
 use auditor::Auditor;
 use certifier::{Answer, Certifier};
 use challenge::Challenges;
+use motor_watch::MotorWatch;
 use pace::{Pace, Pacer};
+use stop::Stop;
 use timing::Timing;
 
 /// Most commands obeyed between two ticks.
@@ -54,6 +58,10 @@ const LOG_ROOM_BYTES: usize = 256 << 10;
 const LOG_WAIT: Duration = Duration::from_secs(2);
 /// Longest time given to stop the motors when the program ends.
 const DISARM_WAIT: Duration = Duration::from_secs(1);
+/// A landing that was asked for by a signal ends with a cut after this much flight time, s.
+const LANDING_MAX_S: f64 = 60.0;
+/// Priority of the flight thread, where it is granted.
+const PRIORITY: i32 = 50;
 
 /// How the runner behaves.
 #[derive(Debug, Clone)]
@@ -116,6 +124,7 @@ pub struct Runner {
     ports: RunnerPorts,
     certifier: Option<Certifier>,
     auditor: Option<Auditor>,
+    motor_watch: Option<MotorWatch>,
     pacer: Pacer,
     timing: Timing,
     heartbeats: u64,
@@ -127,6 +136,8 @@ pub struct Runner {
     unfit: [bool; MAX_IMUS],
     scripted: Option<FlightTime>,
     ended: bool,
+    /// How often the end was asked for, as obeyed, and since when.
+    ending: (u8, FlightTime),
     ticks: u64,
     deadline_misses: u64,
 }
@@ -141,7 +152,7 @@ impl Runner {
         ports: RunnerPorts,
     ) -> Self {
         let tick_rate_hz = flight.config().tick_rate_hz;
-        flight.time_steps_with(stopwatch);
+        time_steps(&mut flight, options.pace);
         // Before real-time priority is asked for: the thread would inherit it.
         let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz, flight.config().margins)
             .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
@@ -149,16 +160,19 @@ impl Runner {
         let auditor = flight.secure().and_then(|_| {
             Auditor::start().inspect_err(|error| tracing::error!(%error, "the decoder is not audited")).ok()
         });
-        // Only real time has deadlines: everything else must repeat bit by bit.
-        if options.pace == Pace::Times(1.0) {
-            flight.limit_steps(stopwatch, Some(DEADLINE_US));
-        }
+        let motors = if options.pace == Pace::Times(1.0) { vehicle.motor_stop() } else { None };
+        let motor_watch = motors.and_then(|motors| {
+            MotorWatch::start(motors, Duration::from_secs_f64(MOTOR_TIMEOUT_S), options.real_time)
+                .inspect_err(|error| tracing::error!(%error, "nothing watches over the flight thread"))
+                .ok()
+        });
         let mut pacer = Pacer::new(options.pace);
         if let Some(zero) = ports.zero {
             pacer.begin_at(zero, &ports.clock);
         }
         Self {
             auditor,
+            motor_watch,
             certifier,
             pacer,
             timing: Timing::new(tick_rate_hz),
@@ -176,18 +190,20 @@ impl Runner {
             unfit: [false; MAX_IMUS],
             scripted: None,
             ended: false,
+            ending: (0, FlightTime(0)),
             ticks: 0,
             deadline_misses: 0,
         }
     }
 
-    /// Flies until the end, the end of the recording, or `stop`; disarms and closes the flight.
+    /// Flies until the end, the end of the recording, or `stop`, which lands first and cuts when asked twice; disarms and
+    /// closes the flight.
     ///
     /// # Errors
     /// [`VehicleError`] when the vehicle fails; the flight is closed all the same.
-    pub fn run(&mut self, stop: &AtomicBool) -> Result<Summary, VehicleError> {
+    pub fn run(&mut self, stop: &Stop) -> Result<Summary, VehicleError> {
         if self.options.real_time {
-            pace::ask_for_real_time();
+            pace::ask_for_real_time(PRIORITY);
         }
         let begun = Instant::now();
         let outcome = self.fly(stop);
@@ -212,8 +228,8 @@ impl Runner {
         self.flight.report().sensed.time
     }
 
-    fn fly(&mut self, stop: &AtomicBool) -> Result<(), VehicleError> {
-        while !stop.load(Ordering::Acquire) {
+    fn fly(&mut self, stop: &Stop) -> Result<(), VehicleError> {
+        while !self.may_end(stop.asked()) {
             if self.ended || self.pacer.stands_still() {
                 self.stand_still(stop);
                 continue;
@@ -241,11 +257,49 @@ impl Runner {
         Ok(())
     }
 
+    /// Asked to end: lands what flies, cuts when asked again or when that takes too long. True once nothing is armed, or
+    /// time stands still.
+    fn may_end(&mut self, asked: u8) -> bool {
+        if asked == 0 {
+            return false;
+        }
+        if !self.flight.report().armed || self.ended || self.pacer.stands_still() {
+            return true;
+        }
+        let (obeyed, since) = self.ending;
+        let too_long = obeyed == 1 && self.now().seconds_since(since) > LANDING_MAX_S;
+        let due = if too_long { 2 } else { asked.min(2) };
+        if due > obeyed {
+            self.flight.shutdown(due > 1, "the program was asked to end");
+            self.ending = (due, self.now());
+        }
+        false
+    }
+
+    /// Waits for the tick of `time`. After a silence longer than the motors' time-out the flight is told, and the vehicle
+    /// passes over what went by.
+    fn wait_for(&mut self, time: FlightTime) -> (Option<Instant>, Instant) {
+        let due = self.pacer.wait_for(time, &self.ports.clock);
+        let started = Instant::now();
+        let mut silent_s = due.map_or(0.0, |due| started.saturating_duration_since(due).as_secs_f64());
+        if let Some(watch) = &self.motor_watch {
+            if watch.stopped() {
+                silent_s = silent_s.max(2.0 * MOTOR_TIMEOUT_S);
+            }
+            watch.mark(self.flight.report().armed);
+        }
+        if silent_s > MOTOR_TIMEOUT_S && self.pacer.is_real_time() {
+            self.flight.stalled(silent_s);
+            let passed = Duration::from_secs_f64(self.vehicle.pass_over(silent_s));
+            self.pacer.begin_anew(started, time + passed, &self.ports.clock);
+        }
+        (due, started)
+    }
+
     fn tick(&mut self) -> Result<(), VehicleError> {
         let frame = self.vehicle.sense()?;
         self.magnetometers(frame.time);
-        let due = self.pacer.wait_for(frame.time, &self.ports.clock);
-        let started = Instant::now();
+        let (due, started) = self.wait_for(frame.time);
         self.ports.clock.tick(frame.time);
         self.commands(frame.time);
         self.certified(frame.time);
@@ -274,9 +328,10 @@ impl Runner {
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
 
         self.ticks += 1;
-        if self.timing.tick(due, started, Instant::now()) && self.pacer.is_real_time() {
-            self.deadline_misses += 1;
-            self.flight.deadline_missed(frame.time);
+        let lost = self.timing.tick(due, started, Instant::now());
+        if lost > 0 && self.pacer.is_real_time() {
+            self.deadline_misses += u64::from(lost);
+            self.flight.ticks_lost(frame.time, lost);
         }
         Ok(())
     }
@@ -314,9 +369,9 @@ impl Runner {
     }
 
     /// Commands, but no time.
-    fn stand_still(&mut self, stop: &AtomicBool) {
+    fn stand_still(&mut self, stop: &Stop) {
         let mut told = Instant::now();
-        while !stop.load(Ordering::Acquire) && (self.ended || self.pacer.stands_still()) {
+        while stop.asked() == 0 && (self.ended || self.pacer.stands_still()) {
             self.commands(self.now());
             self.certified(self.now());
             self.log_health();
@@ -360,6 +415,10 @@ impl Runner {
                     let (accepted, reason) = self.replay(rate);
                     self.telemetry.ack(now, inbound.id, accepted, reason);
                 }
+                Request::Simulator(service) => {
+                    let (accepted, reason) = self.serve(service, now);
+                    self.telemetry.ack(now, inbound.id, accepted, &reason);
+                }
                 Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
             }
         }
@@ -381,6 +440,23 @@ impl Runner {
             };
             self.telemetry.ack(now, id, accepted, &reason);
         }
+    }
+
+    /// What only a simulated vehicle can be given.
+    fn serve(&mut self, service: Service, now: FlightTime) -> (bool, Text) {
+        let armed = self.flight.report().armed;
+        if service.reset && armed {
+            return (false, text(format_args!("armed: land or cut first")));
+        }
+        if !self.vehicle.serve(service) {
+            return (false, text(format_args!("only a simulated vehicle can be given this")));
+        }
+        if !service.reset {
+            return (true, text(format_args!("a full battery")));
+        }
+        let ack = self.flight.apply(&Command::BeginAnew, now);
+        time_steps(&mut self.flight, self.options.pace);
+        (ack.accepted, ack.reason)
     }
 
     fn replay(&mut self, rate: ReplayRate) -> (bool, &'static str) {
@@ -457,7 +533,7 @@ impl Runner {
         let now = self.now();
         if !self.flight.apply(&Command::Disarm, now).accepted {
             // In the air. The program ends: there is nobody left to fly it.
-            self.flight.apply(&Command::CutMotors, now);
+            self.flight.shutdown(true, "the program ends in flight");
         }
         let begun = Instant::now();
         while self.flight.report().armed && begun.elapsed() < DISARM_WAIT {
@@ -477,6 +553,15 @@ fn controls(command: &Command) -> bool {
         command,
         Command::Attack(_) | Command::AbortAttacks | Command::SelectEstimator(_) | Command::SelectDecoder(_)
     )
+}
+
+/// Gives the estimators a clock for their own cost.
+fn time_steps(flight: &mut Flight, pace: Pace) {
+    flight.time_steps_with(stopwatch);
+    // Only real time has deadlines: everything else must repeat bit by bit.
+    if pace == Pace::Times(1.0) {
+        flight.limit_steps(stopwatch, Some(DEADLINE_US));
+    }
 }
 
 /// Nanoseconds since the first call.

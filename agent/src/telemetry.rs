@@ -23,22 +23,23 @@ mod recording;
 mod secure;
 
 use arrayvec::ArrayVec;
-use plumbline_proto::ids::CommandId;
+use plumbline_proto::ids::{CommandId, SensorId};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
 
 use crate::attack::MAX_ATTACKS;
 use crate::control::gains::Certified;
 use crate::control::tuning::MAX_PARAMETERS;
+use crate::estimate::Estimate;
 use crate::estimate::secure::suite::{Promise, SuiteError};
-use crate::estimate::{Estimate, EstimatorKind};
 use crate::event::{Event, EventKind, Severity, Text, text};
 use crate::flight::Flight;
 use crate::flight::report::MAX_CHECKS;
-use crate::recordings::RecordedControl;
-use crate::vehicle::sim::rig::{Line, MAX_STRINGS};
-use crate::vehicle::suite::{Description as SensorDescription, MAX_SENSORS};
-use crate::vehicle::{SensorFrame, Truth};
+use crate::sensor::suite::Description as SensorDescription;
+use crate::sensor::{MAX_SENSORS, PairVisitor, Registered, SensorFrame, Wires};
+use crate::sim::rig::{Line, MAX_STRINGS};
+use crate::types::EstimatorKind;
+use crate::vehicle::{RecordedControl, Truth};
 
 pub use outlet::Outlet;
 use outlet::Outlets;
@@ -167,7 +168,7 @@ type StatusKey = (v1::Mode, bool, v1::Failsafe, bool, EstimatorKind, bool);
 struct Kept {
     control: v1::Control,
     residuals: v1::Residuals,
-    ranges: v1::CameraRangesSample,
+    samples: Wires,
     truth: v1::Truth,
     status: v1::Status,
     attacks: v1::AttackState,
@@ -182,7 +183,6 @@ impl Kept {
     fn with_room() -> Self {
         let text = || String::with_capacity(Text::new().capacity());
         let four = || Vec::with_capacity(MAX_ROTORS_AND_STRINGS);
-        let range = || Some(v1::CameraRangesReading { range_m: four() });
         let matrix = || Some(v1::Matrix { values: Vec::with_capacity(64), ..v1::Matrix::default() });
         let weights = v1::LqrWeights { state_weight: Vec::with_capacity(16), input_weight: Vec::with_capacity(4) };
         let check = || v1::Check { name: text(), passed: false, reason: text() };
@@ -197,7 +197,7 @@ impl Kept {
                 residuals: Vec::with_capacity(RESIDUALS_PER_MESSAGE),
                 ..v1::Residuals::default()
             },
-            ranges: v1::CameraRangesSample { sensed: range(), received: range(), ..v1::CameraRangesSample::default() },
+            samples: Wires::with_room(),
             truth: v1::Truth { rotor_speed_radps: four(), string_tension_n: four(), ..v1::Truth::default() },
             status: v1::Status {
                 failsafe_reason: text(),
@@ -392,32 +392,15 @@ impl Telemetry {
     }
 
     fn sensors(&mut self, sensed: &SensorFrame, received: &SensorFrame) {
-        let out = &mut self.outlets;
-        for (instance, (sensed, received)) in (1..).zip(sensed.imus.iter().zip(&received.imus)) {
-            if let Some(s) = sensed {
-                out.send(Kind::Imu, instance, s.time, &convert::imu(s, received.as_ref()));
+        struct Send<'a>(&'a mut Outlets, &'a mut Wires);
+        impl PairVisitor for Send<'_> {
+            fn pair<S: Registered>(&mut self, sensor: SensorId, sensed: &S, received: Option<&S>) {
+                let message = S::wire(self.1);
+                sensed.to_wire(received, message);
+                self.0.send(S::TOPIC, u16::from(sensor.instance), sensed.time(), message);
             }
         }
-        for (instance, (sensed, received)) in (1..).zip(sensed.heights.iter().zip(&received.heights)) {
-            if let Some(s) = sensed {
-                out.send(Kind::Height, instance, s.time, &convert::height(s, received.as_ref()));
-            }
-        }
-        for (instance, (sensed, received)) in (1..).zip(sensed.barometers.iter().zip(&received.barometers)) {
-            if let Some(s) = sensed {
-                out.send(Kind::Barometer, instance, s.time, &convert::barometer(s, received.as_ref()));
-            }
-        }
-        if let Some(s) = &sensed.gnss {
-            out.send(Kind::Gnss, 1, s.time, &convert::gnss(s, received.gnss.as_ref()));
-        }
-        if let Some(s) = &sensed.mocap_pose {
-            out.send(Kind::MocapPose, 1, s.time, &convert::mocap_pose(s, received.mocap_pose.as_ref()));
-        }
-        if let Some(s) = &sensed.camera_ranges {
-            convert::camera_ranges(&mut self.kept.ranges, s, received.camera_ranges.as_ref());
-            out.send(Kind::CameraRanges, 1, s.time, &self.kept.ranges);
-        }
+        sensed.visit_beside(received, &mut Send(&mut self.outlets, &mut self.kept.samples));
     }
 
     fn estimates(&mut self, flight: &Flight, now: FlightTime) {
@@ -551,7 +534,11 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         scenario: identification.scenario.clone(),
         seed: identification.seed,
         tick_rate_hz: config.tick_rate_hz,
-        sensors: identification.sensors.iter().map(convert::sensor_description).collect(),
+        sensors: identification
+            .sensors
+            .iter()
+            .map(|sensor| convert::sensor_description(sensor, &config.attack_bounds))
+            .collect(),
         estimators: config.estimators.iter().map(|kind| *kind as i32).collect(),
         limits: Some(convert::limits(config)),
         attacks_enabled: config.attacks_enabled,

@@ -5,14 +5,14 @@
 mod common;
 
 use common::{Flown, Row, scenario};
-use plumbline_agent::command::{Command, Mode, SetpointChange};
-use plumbline_agent::control::ControllerKind;
+use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::control::gains::Examiner;
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
 use plumbline_agent::control::tuning::{Design, KINDS};
 use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::frames::wrap_pi;
-use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::{ControllerKind, Mode};
 use plumbline_proto::ids::GainsRevision;
 
 /// [Paternain] VIII-A: roll let go at 20° is back in 0.4 s, at most 4° beyond.
@@ -35,7 +35,7 @@ fn flown(name: &str, kind: ControllerKind) -> Flown {
 
 fn flown_from(toml: &str, kind: ControllerKind) -> Flown {
     let scenario = Scenario::from_toml(toml).unwrap();
-    let config = FlightConfig::for_scenario(&scenario);
+    let config = scenario.flight_config();
     let design = Design::new(kind, &scenario.airframe);
     Flown::with_config(scenario, FlightConfig { design, ..config })
 }
@@ -110,7 +110,7 @@ fn every_controller_rises_out_of_its_strings_without_sagging() {
     for kind in KINDS {
         let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
         scenario.script.steps.retain(|s| s.at_s < 6.0);
-        let config = FlightConfig::for_scenario(&scenario);
+        let config = scenario.flight_config();
         let design = Design::new(kind, &scenario.airframe);
         let mut f = Flown::with_config(scenario, FlightConfig { design, ..config });
         let setpoint = |altitude_m| {

@@ -5,9 +5,9 @@ mod common;
 
 use common::{Flown, scenario};
 use plumbline_agent::command::Command;
-use plumbline_agent::estimate::{EstimatorKind, Health};
-use plumbline_agent::flight::FlightConfig;
-use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_agent::estimate::Health;
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::EstimatorKind;
 
 /// Each flies for this long, s.
 const TURN_S: f64 = 3.0;
@@ -21,7 +21,7 @@ const BUMP: f64 = 0.05;
 fn check(toml: &str, altitude_m: f64, start_s: f64, kinds: &[EstimatorKind]) {
     let mut scenario = Scenario::from_toml(toml).unwrap();
     scenario.duration_s = start_s + 60.0;
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     config.estimators = kinds.to_vec();
     config.in_loop = kinds[0];
     let weight_n = config.airframe.weight_n();
@@ -49,7 +49,7 @@ fn check(toml: &str, altitude_m: f64, start_s: f64, kinds: &[EstimatorKind]) {
 #[test]
 fn on_the_string_rig_by_three_laser_heights() {
     use EstimatorKind as K;
-    check(&scenario("altitude_step"), 0.5, 14.0, &[K::EkfBias, K::EkfHybrid, K::Ukf, K::PointMass]);
+    check(&scenario("altitude_step"), 0.5, 14.0, &[K::EkfBias, K::EkfHybrid, K::Ukf, K::ConstantAcceleration]);
 }
 
 #[test]

@@ -5,9 +5,10 @@ mod common;
 
 use common::{Flown, scenario};
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
-use plumbline_agent::command::{Command, Mode, SetpointChange};
+use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Failsafe, FlightConfig};
-use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::Mode;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
@@ -20,7 +21,7 @@ fn hovering_with(change: impl FnOnce(&mut FlightConfig)) -> Flown {
     let toml = scenario("altitude_step").replace("altitude_m = 0.5", "altitude_m = 0.8");
     let mut scenario = Scenario::from_toml(&toml).unwrap();
     scenario.script.steps.retain(|s| s.at_s < 6.0);
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     change(&mut config);
     let mut flown = Flown::with_config(scenario, config);
     flown.until(12.0);
@@ -119,7 +120,7 @@ fn an_operator_whose_page_falls_silent_is_waited_for_then_the_vehicle_lands() {
 fn spinning_too_fast_cuts_at_once_and_stays_cut() {
     // GIVEN one axis free, and a kick that no control could stop in time
     let toml = scenario("single_axis_roll")
-        .replace("axis = \"roll\"\nangle_rad = 0.349", "torque_flu_nm = [6, 0, 0]")
+        .replace("axis = \"roll\"\nangle_rad = 0.349", "torque_flu_nm = [8, 0, 0]")
         .replace("duration_s = 0.4", "duration_s = 0.15");
     let mut f = Flown::new(&toml);
     f.until(9.2);
@@ -167,16 +168,22 @@ fn too_much_tilt_cuts_and_stays_cut_until_released() {
 }
 
 #[test]
-fn the_raw_heights_veto_an_estimate_that_is_led_astray() {
-    let mut f = hovering_with(|c| c.limits.altitude_max_m = 1.0);
-    // Every laser and the barometer sink slowly together: the estimator must follow, the vehicle climbs.
-    assert!(f.command(bias_on(SensorKind::Height, 1..=3, Kind::Ramp, Channel::All, -0.1)).accepted);
+fn an_independent_height_vetoes_an_estimate_that_is_led_astray() {
+    let third = SensorId::new(SensorKind::Height, 3);
+    let mut f = hovering_with(|c| {
+        c.limits.altitude_max_m = 1.0;
+        c.independent = vec![third];
+    });
+    let all = f.command(bias_on(SensorKind::Height, 1..=3, Kind::Ramp, Channel::All, -0.1));
+    assert!(!all.accepted && all.reason.contains("height 3 is configured as independent"), "{}", all.reason);
+    // Two of three sink slowly together: the estimator follows the majority, the vehicle climbs.
+    assert!(f.command(bias_on(SensorKind::Height, 1..=2, Kind::Ramp, Channel::All, -0.1)).accepted);
     f.until(40.0);
     let seen: Vec<_> = f.events.iter().map(|e| e.text.to_string()).collect();
     assert!(seen.iter().any(|t| t.contains("holding at the edge")), "{}", f.log());
-    assert!(seen.iter().any(|t| t.contains("outside the box") && t.contains("descending")), "{}", f.log());
     let highest = f.rows.iter().map(|r| r.truth.position_enu_m.z).fold(0.0, f64::max);
     assert!(highest < 1.75, "climbs to {highest:.2} m");
+    assert_down(&f);
 }
 
 #[test]
@@ -185,7 +192,7 @@ fn a_vehicle_blown_out_of_its_box_descends() {
     let gust = "\n[[push]]\nat_s = 12\nduration_s = 8\nforce_enu_n = [9, 0, 0]\n";
     let mut scenario = Scenario::from_toml(&(scenario("hover") + gust)).unwrap();
     scenario.script.steps.retain(|s| s.at_s < 20.0);
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     config.limits.lateral_max_m = 0.5;
     let mut f = Flown::with_config(scenario, config);
     f.until(12.0);
@@ -198,7 +205,8 @@ fn a_vehicle_blown_out_of_its_box_descends() {
     let (held_s, descends_s) = (held_s.unwrap(), descends_s.unwrap());
     assert!((1.9..2.2).contains(&(descends_s - held_s)), "{held_s} s, {descends_s} s\n{}", f.log());
     let outside = f.rows.iter().find(|r| r.t_s >= held_s).unwrap().truth.position_enu_m.x;
-    assert!((0.7..1.0).contains(&outside), "held at {outside:.2} m");
+    // Before it is outside, by what it takes to stop.
+    assert!((0.05..0.8).contains(&outside), "held at {outside:.2} m");
     assert_down(&f);
 }
 
@@ -233,28 +241,28 @@ fn two_seconds_after_landing_the_motors_stop() {
 }
 
 #[test]
-fn an_estimator_without_imus_descends_on_the_watchdogs_attitude() {
+fn imus_that_an_attack_silences_are_as_good_as_lost() {
+    // The watchdog has no samples of its own: what the attack withholds is missing there as well.
     let mut f = hovering();
     assert!(f.command(bias_on(SensorKind::Imu, 1..=4, Kind::Dropout, Channel::All, 1.0)).accepted);
-    f.until(16.0);
-    assert!(f.events.iter().any(|e| e.text.contains("descending on attitude alone")), "no blind descent:\n{}", f.log());
-    let tilt = f.since(12.5).map(|r| plumbline_agent::frames::tilt_rad(&r.truth.world_from_body)).fold(0.0, f64::max);
-    assert!(tilt < 0.5, "tilts {:.0}° while descending", tilt.to_degrees());
-    f.until(26.0);
-    assert_down(&f);
+    f.until(13.0);
+    let status = f.flight.status();
+    assert_eq!((status.mode, status.failsafe), (Mode::Cut, Failsafe::ImuCut), "{}", f.log());
+    let cut_s = f.rows.iter().find(|r| r.report.mode == Mode::Cut).unwrap().t_s;
+    assert!((12.55..12.62).contains(&cut_s), "attacked from 12.5 s on, cut at {cut_s}");
 }
 
 #[test]
 fn missed_deadlines_warn_then_descend() {
     let mut f = hovering();
-    (0..6).for_each(|_| f.flight.deadline_missed(f.vehicle.time()));
+    f.flight.ticks_lost(f.vehicle.time(), 6);
     f.until(12.02);
     assert_eq!(f.flight.status().failsafe, Failsafe::DeadlineWarn);
     f.until(13.2);
     assert_eq!(f.flight.status().failsafe, Failsafe::None);
-    (0..25).for_each(|_| f.flight.deadline_missed(f.vehicle.time()));
+    f.flight.ticks_lost(f.vehicle.time(), 25);
     f.until(20.0);
-    assert!(f.events.iter().any(|e| e.text.contains("25 deadlines missed")), "{}", f.log());
+    assert!(f.events.iter().any(|e| e.text.contains("25 control ticks lost")), "{}", f.log());
     assert_down(&f);
 }
 
@@ -278,7 +286,7 @@ fn armed_without_take_off_disarms_after_ten_seconds() {
     let toml = scenario("altitude_step");
     let mut scenario = Scenario::from_toml(&toml).unwrap();
     scenario.script.steps.retain(|s| s.at_s < 3.5);
-    let config = FlightConfig::for_scenario(&scenario);
+    let config = scenario.flight_config();
     let mut f = Flown::with_config(scenario, config);
     f.until(12.9);
     assert!(f.last().report.armed, "{}", f.log());
@@ -302,7 +310,7 @@ fn orders_that_do_not_fit_are_refused_with_their_values() {
         ),
         (Command::Arm, "already armed"),
         (Command::ReleaseCut, "no cut is latched"),
-        (Command::SelectEstimator(plumbline_agent::estimate::EstimatorKind::Ukf), "Ukf does not run"),
+        (Command::SelectEstimator(plumbline_agent::types::EstimatorKind::Ukf), "Ukf does not run"),
     ] {
         let ack = f.command(command.clone());
         assert!(!ack.accepted && ack.reason.contains(words), "{command:?}: {}", ack.reason);

@@ -83,11 +83,11 @@ fn random_gains_are_refused_or_flown() {
 
 #[test]
 fn switching_the_estimator_in_flight_makes_no_bump() {
-    use plumbline_agent::estimate::EstimatorKind::{EkfBias, Primary};
+    use plumbline_agent::types::EstimatorKind::{Complementary, EkfBias};
     let mut f = Flown::new(&scenario("altitude_step"));
     f.scenario.script.steps.retain(|s| s.at_s < 6.0);
     f.until(12.0);
-    for kind in [Primary, EkfBias] {
+    for kind in [Complementary, EkfBias] {
         let before = f.last().report.given;
         let ack = f.command(Command::SelectEstimator(kind));
         assert!(ack.accepted, "{}", ack.reason);
@@ -95,7 +95,7 @@ fn switching_the_estimator_in_flight_makes_no_bump() {
         let bump = (f.last().report.given.thrust_n - before.thrust_n).abs() / (1.545 * 9.81);
         assert!(bump < 0.05, "{kind:?}: thrust jumps by {:.1} %", 100.0 * bump);
         assert_eq!(f.flight.estimator_in_loop(), kind);
-        let end = f.last().t_s + if kind == Primary { 0.5 } else { 6.0 };
+        let end = f.last().t_s + if kind == Complementary { 0.5 } else { 6.0 };
         f.until(end);
     }
     let z = f.last().truth.position_enu_m.z;

@@ -3,18 +3,17 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use plumbline_agent::command::Command;
 use plumbline_agent::control::lqr_integral::Weights;
 use plumbline_agent::control::tuning::Proposal;
-use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::flight::Flight;
 use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_proto::codec::decode_frames;
 use plumbline_proto::ids::{CommandId, GainsRevision};
 use plumbline_proto::time::WallTime;
@@ -23,7 +22,7 @@ use plumbline_proto::{Kind, v1};
 #[test]
 fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
     let scenario = Scenario::bare();
-    let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+    let flight = Flight::new(scenario.flight_config()).unwrap();
     let good = Weights::for_airframe(&flight.config().airframe);
     let before = flight.gains_in_use().sha256;
     let identification = Identification {
@@ -64,7 +63,7 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
     for (id, request) in pushes {
         commands.push(Inbound { id: CommandId(id), request }).unwrap();
     }
-    let stop = Arc::new(AtomicBool::new(false));
+    let stop = Arc::new(plumbline_agent::runner::stop::Stop::default());
     let stopped = stop.clone();
     let flying = std::thread::spawn(move || {
         let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
@@ -88,7 +87,7 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
             .map(|frame| frame.message::<v1::Ack>().unwrap())
             .collect();
     }
-    stop.store(true, Ordering::Release);
+    stop.ask();
     let in_use = flying.join().unwrap();
 
     let of = |id| acks.iter().find(|ack| ack.command_id == id).unwrap();

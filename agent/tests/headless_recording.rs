@@ -2,14 +2,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
-use std::sync::atomic::AtomicBool;
 
-use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::flight::Flight;
 use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, Message, v1};
 
@@ -19,7 +18,7 @@ const BOOT: WallTime = WallTime(1_795_262_400_000_000);
 fn a_scripted_flight_is_recorded_whole() {
     let scenario = Scenario::default_string_rig();
     let folder = tempfile::tempdir().unwrap();
-    let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+    let flight = Flight::new(scenario.flight_config()).unwrap();
     let (ring, frames) = rtrb::RingBuffer::new(8 * RING_BYTES);
     let log = log::spawn(
         LogConfig {
@@ -57,7 +56,9 @@ fn a_scripted_flight_is_recorded_whole() {
     };
     let ports = RunnerPorts { log: Some(log.state().clone()), ..RunnerPorts::default() };
     let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
-    let summary = Runner::new(vehicle, flight, telemetry, options, ports).run(&AtomicBool::new(false)).unwrap();
+    let summary = Runner::new(vehicle, flight, telemetry, options, ports)
+        .run(&plumbline_agent::runner::stop::Stop::default())
+        .unwrap();
     let error = log.state().error();
     log.stop();
     assert_eq!(error, None);

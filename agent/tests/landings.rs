@@ -5,11 +5,12 @@
 mod common;
 
 use common::{Flown, scenario};
-use plumbline_agent::command::{Command, Mode};
-use plumbline_agent::estimate::{Estimate, Estimator, EstimatorKind, Health, ekf_bias::EkfBias};
+use plumbline_agent::command::Command;
+use plumbline_agent::estimate::{Estimate, Estimator, Health, ekf_bias::EkfBias};
 use plumbline_agent::event::EventKind;
-use plumbline_agent::flight::{Failsafe, Flight, FlightConfig};
-use plumbline_agent::vehicle::{MotorCommand, SensorFrame};
+use plumbline_agent::flight::{Failsafe, Flight};
+use plumbline_agent::sensor::SensorFrame;
+use plumbline_agent::types::{EstimatorKind, Mode, MotorCommand};
 
 /// Most ticks of an armed flight on which the estimator in the loop may be anything but healthy: a fifth
 /// of the patience of the failsafe (40 ticks).
@@ -67,7 +68,7 @@ fn every_scenario_ends_disarmed_with_a_healthy_estimator() {
     assert!(broken.is_empty(), "{broken}");
 }
 
-/// The EKF, which says from some time on that it is degraded and believes to be a metre higher.
+/// The EKF, which says from some time on that it is degraded and estimates a metre too much.
 struct Lost {
     filter: EkfBias,
     estimate: Estimate,
@@ -102,7 +103,7 @@ impl Estimator for Lost {
 #[test]
 fn a_descent_on_attitude_alone_ends_disarmed_soon_after_the_floor() {
     let mut f = Flown::new(&scenario("hover"));
-    let config = FlightConfig::for_scenario(&f.scenario);
+    let config = f.scenario.flight_config();
     let lost = Lost { filter: EkfBias::new(config.ekf.clone()), estimate: Estimate::default(), from_s: 14.0 };
     f.flight = Flight::with_estimators(config, vec![Box::new(lost)]).unwrap();
     f.scenario.script.steps.retain(|s| s.at_s < 10.0);

@@ -155,7 +155,7 @@ fn an_own_flight_comes_back_as_it_was_and_can_be_flown_under_other_attacks_and_e
 
     // GIVEN another estimator THEN it is in the loop and meets the attack of then.
     let primary = fly(&folder.path().join("primary"), &["--vehicle", "replay", file, "--estimator", "primary"]);
-    assert_eq!((now.in_loop(), primary.in_loop()), (v1::EstimatorKind::EkfBias, v1::EstimatorKind::Primary));
+    assert_eq!((now.in_loop(), primary.in_loop()), (v1::EstimatorKind::EkfBias, v1::EstimatorKind::Complementary));
     assert_eq!(primary.altered(), then.altered());
     assert!(primary.estimates.values().all(|all| all.get(&1).is_none_or(|e| !e.in_loop)));
     assert_eq!(primary.estimates.values().filter(|all| all.contains_key(&2)).count(), primary.controls.len());

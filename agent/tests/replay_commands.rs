@@ -2,21 +2,20 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fmt::Write as _;
-use std::sync::atomic::AtomicBool;
 
 use arrayvec::ArrayVec;
-use plumbline_agent::command::{Command, Mode, SetpointChange};
-use plumbline_agent::estimate::EstimatorKind;
+use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::estimate::secure::Decoder;
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::recordings;
+use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
-use plumbline_agent::vehicle::suite::Suite;
+use plumbline_agent::types::{EstimatorKind, Mode};
 use plumbline_proto::codec::decode_frames;
 use plumbline_proto::ids::CommandId;
 use plumbline_proto::time::WallTime;
@@ -60,7 +59,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         (Request::Flight(Command::SetMode(Mode::Hold)), false),
         (Request::Flight(Command::Setpoint(SetpointChange { altitude_m: Some(1.0), ..Default::default() })), false),
         (Request::Flight(Command::CutMotors), false),
-        (Request::Flight(Command::SelectEstimator(EstimatorKind::Primary)), true),
+        (Request::Flight(Command::SelectEstimator(EstimatorKind::Complementary)), true),
         (Request::Flight(Command::SelectDecoder(Decoder::L1)), true),
         (Request::Flight(Command::AbortAttacks), true),
         (Request::Recording(true), true),
@@ -84,9 +83,9 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
     let ports = RunnerPorts { inbound: Some(inbound), ..RunnerPorts::default() };
     let vehicle = Box::new(ReplayVehicle::new(recording, Samples::Received));
     let mut runner = Runner::new(vehicle, flight, telemetry, options, ports);
-    let summary = runner.run(&AtomicBool::new(false)).unwrap();
+    let summary = runner.run(&plumbline_agent::runner::stop::Stop::default()).unwrap();
     assert_eq!(summary.ticks, 400);
-    assert_eq!(runner.flight().estimator_in_loop(), EstimatorKind::Primary);
+    assert_eq!(runner.flight().estimator_in_loop(), EstimatorKind::Complementary);
     assert!(!runner.flight().report().armed && runner.flight().report().mode == Mode::Disarmed);
 
     let chunk = link.read_chunk(link.slots()).unwrap();

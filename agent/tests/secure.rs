@@ -1,4 +1,4 @@
-//! The secure estimator in the loop: attacks are found, honest sensors are left alone, the altitude is kept.
+//! The secure estimator in the loop: attacks are found, healthy sensors are not excluded, the altitude is kept.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -6,9 +6,8 @@ mod common;
 use std::collections::BTreeMap;
 
 use common::Flown;
-use plumbline_agent::estimate::EstimatorKind;
-use plumbline_agent::flight::FlightConfig;
-use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::EstimatorKind;
 use plumbline_proto::ids::SensorId;
 
 /// Altitude steps on the string rig.
@@ -49,7 +48,7 @@ struct Outcome {
 fn fly(attack: &str, seed: u64, in_loop: EstimatorKind) -> Outcome {
     let mut scenario = Scenario::from_toml(&format!("{STEPS}{attack}")).unwrap();
     scenario.seed = seed;
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     config.estimators = vec![EstimatorKind::EkfBias, EstimatorKind::Secure];
     config.in_loop = in_loop;
     let end = scenario.duration_s;
@@ -59,7 +58,7 @@ fn fly(attack: &str, seed: u64, in_loop: EstimatorKind) -> Outcome {
         flown.tick();
         let now = flown.vehicle.time().as_seconds();
         let secure = flown.flight.secure().unwrap();
-        for device in secure.identifier().devices().iter().filter(|d| d.flagged.is_some()) {
+        for device in secure.isolation().devices().iter().filter(|d| d.flagged.is_some()) {
             let name = |s: SensorId| s.to_string();
             flagged.entry(name(device.sensor)).or_insert((0.0, now)).0 += 0.005;
         }
@@ -84,7 +83,7 @@ fn attack(sensor: &str, kind: &str, magnitude: f64, more: &str) -> String {
 const TABLE_1_WORST: f64 = 1.4;
 
 #[test]
-fn without_attack_the_secure_estimator_flies_as_well_and_flags_nobody() {
+fn without_attack_the_secure_estimator_flies_as_well_and_flags_none() {
     let plain = fly("", 1, EstimatorKind::EkfBias);
     let secure = fly("", 1, EstimatorKind::Secure);
     assert!(secure.error_m <= 1.2 * plain.error_m, "{} against {}\n{}", secure.error_m, plain.error_m, secure.log);
@@ -92,7 +91,7 @@ fn without_attack_the_secure_estimator_flies_as_well_and_flags_nobody() {
 }
 
 #[test]
-fn one_of_three_heights_lies_in_every_way_and_is_found() {
+fn one_of_three_heights_attacked_in_every_way_is_isolated() {
     let clean = fly("", 2, EstimatorKind::EkfBias);
     for (kind, magnitude, within_s) in [
         ("zero", 0.0, 0.2),
@@ -112,10 +111,10 @@ fn one_of_three_heights_lies_in_every_way_and_is_found() {
 }
 
 #[test]
-fn one_imu_and_one_height_lie_together() {
+fn one_imu_and_one_height_attacked_together_are_isolated() {
     let clean = fly("", 1, EstimatorKind::EkfBias);
-    let lies = attack("height 2", "bias", 0.5, "") + &attack("imu 2", "bias", 2.0, "channel = \"accel\"");
-    let out = fly(&lies, 1, EstimatorKind::Secure);
+    let attacks = attack("height 2", "bias", 0.5, "") + &attack("imu 2", "bias", 2.0, "channel = \"accel\"");
+    let out = fly(&attacks, 1, EstimatorKind::Secure);
     assert!(out.error_m <= TABLE_1_WORST * clean.error_m, "{} against {}\n{}", out.error_m, clean.error_m, out.log);
     for name in ["height 2", "imu 2"] {
         assert!(out.flagged.get(name).is_some_and(|f| f.1 < 9.3), "{name}: {:?}", out.flagged);

@@ -5,12 +5,13 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use nalgebra::Vector3;
 use plumbline_agent::frames::roll_pitch_yaw;
-use plumbline_agent::model::GRAVITY_MPS2;
 use plumbline_agent::model::airframe::Airframe;
-use plumbline_agent::vehicle::sim::rig::{Axis, Free, HangingStrings, Rig, SingleAxis, Tethered};
-use plumbline_agent::vehicle::sim::world::{Beginning, Disturbance, Push, World};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
-use plumbline_agent::vehicle::{MotorCommand, SensorFrame, Vehicle};
+use plumbline_agent::sensor::SensorFrame;
+use plumbline_agent::sim::rig::{Axis, Free, HangingStrings, Rig, SingleAxis, Tethered};
+use plumbline_agent::sim::world::{Beginning, Disturbance, Push, World};
+use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::types::{GRAVITY_MPS2, MotorCommand};
+use plumbline_agent::vehicle::Vehicle;
 
 const TICK_S: f64 = 0.005;
 const OFF: [f64; 4] = [0.0; 4];

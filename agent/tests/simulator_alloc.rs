@@ -3,8 +3,9 @@
 
 mod counting;
 
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
-use plumbline_agent::vehicle::{MotorCommand, Vehicle};
+use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::types::MotorCommand;
+use plumbline_agent::vehicle::Vehicle;
 
 #[test]
 fn sense_and_actuate_allocate_nothing() {

@@ -223,7 +223,7 @@ fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
         let out = path("out.csv");
         agent(&[&["estimate", "--input", &flown, "--output", &out], arguments].concat())
     };
-    // WHEN it is estimated THEN the liar is flagged within a second, and nobody else.
+    // WHEN it is estimated THEN the attacked sensor is flagged within a second, and no other.
     for decoder in ["l2", "l1", "l2_split", "l1_split"] {
         let score = &lines(&estimate(&["--estimator", "secure", "--decoder", decoder]))[0];
         let flags = score["flagged"].as_array().unwrap();

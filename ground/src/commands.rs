@@ -12,8 +12,15 @@ use tokio::sync::oneshot;
 use crate::agent_link::CommandSender;
 use crate::sync::lock;
 
-/// Most commands waiting for acknowledgements, all vehicles together; more are refused.
+/// Most commands waiting for acknowledgements, all vehicles together; more are refused. Motor cuts are not among them.
 pub const MAX_WAITING: usize = 256;
+/// Most of them of one operator, so that one who floods the ground takes nobody else's place: what the vehicle takes in
+/// two ticks, so that a cut behind them is late by no more.
+pub const MAX_WAITING_EACH: usize = 32;
+/// Most motor cuts waiting for acknowledgements: places that nothing else can take.
+pub const MAX_CUTS_WAITING: usize = 256;
+/// Most of them of one operator. A further one is refused while so many are on their way already.
+pub const MAX_CUTS_WAITING_EACH: usize = 32;
 
 /// Why a command has no answer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -30,15 +37,27 @@ pub enum CommandError {
         seconds: u64,
     },
     /// Too many commands are waiting.
-    #[error("{0} commands are waiting for answers, limit {MAX_WAITING}")]
-    Flooded(usize),
+    #[error("{waiting} commands are waiting for answers, limit {limit}")]
+    Flooded {
+        /// How many.
+        waiting: usize,
+        /// Of the operator's or of all.
+        limit: usize,
+    },
 }
 
 /// Numbers commands and matches acknowledgements.
 #[derive(Debug, Default)]
 pub struct Commands {
     last_id: AtomicU64,
-    waiting: Mutex<HashMap<(String, u64), oneshot::Sender<v1::Ack>>>,
+    waiting: Mutex<HashMap<(String, u64), Waiter>>,
+}
+
+#[derive(Debug)]
+struct Waiter {
+    operator: String,
+    cut: bool,
+    answer: oneshot::Sender<v1::Ack>,
 }
 
 impl Commands {
@@ -58,11 +77,10 @@ impl Commands {
         let key = (vehicle.to_owned(), command_id);
         let answer = {
             let mut waiting = lock(&self.waiting);
-            if waiting.len() >= MAX_WAITING {
-                return Err(CommandError::Flooded(waiting.len()));
-            }
+            let cut = matches!(body, Body::CutMotors(_));
+            room(&waiting, operator, cut)?;
             let (sender, answer) = oneshot::channel();
-            waiting.insert(key.clone(), sender);
+            waiting.insert(key.clone(), Waiter { operator: operator.to_owned(), cut, answer: sender });
             answer
         };
         // Also when this future is dropped (the client hung up), the entry goes.
@@ -84,9 +102,21 @@ impl Commands {
     pub fn resolve(&self, vehicle: &str, ack: v1::Ack) {
         if let Some(waiter) = lock(&self.waiting).remove(&(vehicle.to_owned(), ack.command_id)) {
             // The waiter may have given up in this moment; the acknowledgement is recorded anyway.
-            let _ = waiter.send(ack);
+            let _ = waiter.answer.send(ack);
         }
     }
+}
+
+/// Is there a place for one more of this operator?
+fn room(waiting: &HashMap<(String, u64), Waiter>, operator: &str, cut: bool) -> Result<(), CommandError> {
+    let [total, each] = if cut { [MAX_CUTS_WAITING, MAX_CUTS_WAITING_EACH] } else { [MAX_WAITING, MAX_WAITING_EACH] };
+    let alike = || waiting.values().filter(|waiter| waiter.cut == cut);
+    for (waiting, limit) in [(alike().count(), total), (alike().filter(|w| w.operator == operator).count(), each)] {
+        if waiting >= limit {
+            return Err(CommandError::Flooded { waiting, limit });
+        }
+    }
+    Ok(())
 }
 
 struct Entry<'a> {
@@ -117,6 +147,7 @@ fn name(body: &Body) -> &'static str {
         Body::PushGains(_) => "gains",
         Body::SetReplay(_) => "replay",
         Body::SetTrajectory(_) => "trajectory",
+        Body::SetSimulator(_) => "simulator",
     }
 }
 
@@ -124,6 +155,13 @@ fn name(body: &Body) -> &'static str {
 mod tests {
     use super::*;
     use crate::agent_link::Outgoing;
+    use std::pin::Pin;
+    use std::task::{Context, Waker};
+
+    /// Polls once: does it wait?
+    fn waits(exchange: &mut Pin<Box<impl Future>>) -> bool {
+        exchange.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending()
+    }
 
     #[tokio::test]
     async fn acks_find_their_command_and_only_that() {
@@ -141,6 +179,26 @@ mod tests {
         let (ack, ()) = tokio::join!(exchange, agent);
         assert_eq!(ack.unwrap().command_id, 1);
         assert!(lock(&commands.waiting).is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_flood_of_commands_takes_no_place_of_a_cut_or_of_another_operator() {
+        let commands = Commands::default();
+        let (sender, mut outgoing) = CommandSender::channel();
+        let wait = Duration::from_secs(60);
+        let send = |operator, body| commands.send("a", &sender, operator, body, wait);
+        // GIVEN one operator with as many commands on their way as it may have
+        let mut flood: Vec<_> =
+            (0..MAX_WAITING_EACH).map(|_| Box::pin(send("ann", Body::Disarm(v1::Disarm {})))).collect();
+        assert!(flood.iter_mut().all(waits));
+        let refused = send("ann", Body::Disarm(v1::Disarm {})).await;
+        assert_eq!(refused, Err(CommandError::Flooded { waiting: MAX_WAITING_EACH, limit: MAX_WAITING_EACH }));
+        // WHEN the same operator cuts and another one commands THEN both are on their way, the cut first
+        let (mut other, mut cut) =
+            (Box::pin(send("bob", Body::Arm(v1::Arm {}))), Box::pin(send("ann", Body::CutMotors(v1::CutMotors {}))));
+        assert!(waits(&mut other) && waits(&mut cut));
+        let Some(Outgoing::Command(first)) = outgoing.recv().await else { panic!("no command") };
+        assert_eq!(first.body, Some(Body::CutMotors(v1::CutMotors {})));
     }
 
     #[tokio::test]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use plumbline_agent::link::identity::Identity;
+use plumbline_link::identity::Identity;
 
 /// Settings of one ground. [`GroundConfig::new`] gives the defaults.
 #[derive(Debug, Clone)]

@@ -7,6 +7,7 @@
 
 mod health;
 mod history;
+mod past;
 mod viewer;
 
 use std::collections::BTreeMap;
@@ -22,6 +23,7 @@ use crate::sync::{lock, wall_time_us};
 use health::Health;
 use history::History;
 pub use history::{MAX_BYTES as MAX_HISTORY_BYTES, MAX_SECONDS as MAX_HISTORY_SECONDS};
+pub use past::thin;
 pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};
 
 /// How long live frames are gathered into one WebSocket message. Per-message cost dominates the
@@ -34,6 +36,12 @@ pub const SILENT_AFTER: Duration = Duration::from_secs(2);
 /// Batches are kept side by side in blocks of this size, which go back to the system whole: batches of minutes between
 /// what lives for milliseconds would leave the memory in pieces.
 const BLOCK_BYTES: usize = 512 << 10;
+/// A vehicle that is not connected and unseen for this long is forgotten.
+pub const FORGOTTEN_AFTER: Duration = Duration::from_secs(24 * 3600);
+/// Most vehicles; the one unseen for longest gives way to a new one.
+pub const MAX_VEHICLES: usize = 64;
+/// Most bytes of history, all vehicles together.
+const ALL_HISTORIES: usize = 256 << 20;
 /// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
 const MAX_TOPICS: usize = 512;
 
@@ -111,7 +119,15 @@ impl Hub {
     pub fn connected(&self, id: &str, boot_id: u64, boot_wall_time_us: u64, version: &str, commands: CommandSender) {
         let now = Instant::now();
         let mut vehicles = lock(&self.vehicles);
-        let vehicle = vehicles.entry(id.to_owned()).or_insert_with(|| Vehicle::new(boot_id, now));
+        if !vehicles.contains_key(id) {
+            let silent = vehicles.iter().filter(|(_, vehicle)| !vehicle.linked()).min_by_key(|(_, v)| v.heard);
+            if let Some(oldest) = silent.map(|(id, _)| id.clone()).filter(|_| vehicles.len() >= MAX_VEHICLES) {
+                vehicles.remove(&oldest);
+            }
+            vehicles.insert(id.to_owned(), Vehicle::new(boot_id, now));
+            share(&mut vehicles, now);
+        }
+        let Some(vehicle) = vehicles.get_mut(id) else { return };
         if vehicle.boot_id != boot_id {
             vehicle.reboot(boot_id, now);
         }
@@ -119,6 +135,20 @@ impl Hub {
         version.clone_into(&mut vehicle.version);
         vehicle.commands = Some(commands);
         vehicle.heard = now;
+    }
+
+    /// Lets go of histories that are over, and of vehicles unseen for [`FORGOTTEN_AFTER`].
+    pub fn expire(&self, now: Instant) {
+        let mut vehicles = lock(&self.vehicles);
+        let before = vehicles.len();
+        vehicles.retain(|_, vehicle| {
+            let watched = vehicle.viewers.iter().any(|viewer| viewer.strong_count() > 0);
+            vehicle.linked() || watched || now.saturating_duration_since(vehicle.heard) < FORGOTTEN_AFTER
+        });
+        vehicles.values_mut().for_each(|vehicle| vehicle.history.trim(now));
+        if vehicles.len() < before {
+            share(&mut vehicles, now);
+        }
     }
 
     /// The link to an agent is lost. What it said stays visible, with its age.
@@ -204,6 +234,17 @@ impl Hub {
         Ok(Viewer { backlog, queue })
     }
 
+    /// The batches of the last `history`, oldest first, each shared and none copied.
+    ///
+    /// # Errors
+    /// [`VehicleError::Unknown`].
+    pub fn past(&self, id: &str, history: Duration) -> Result<Vec<Shared>, VehicleError> {
+        let vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.get(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
+        let now = Instant::now();
+        Ok(vehicle.history.since(now.checked_sub(history).unwrap_or(now)).1)
+    }
+
     /// The link as seen now; `missing` and `viewer_dropped` are for the caller to fill.
     pub fn link_status(&self, id: &str) -> Option<v1::LinkStatus> {
         let wall_time_us = wall_time_us();
@@ -222,6 +263,7 @@ impl Hub {
             received: health.received,
             missing: 0,
             viewer_dropped: 0,
+            newest_time_us: health.newest_time_us.unwrap_or_default(),
         })
     }
 
@@ -266,6 +308,12 @@ impl Hub {
     }
 }
 
+/// Gives each vehicle its share of the memory for histories.
+fn share(vehicles: &mut BTreeMap<String, Vehicle>, now: Instant) {
+    let bytes = ALL_HISTORIES / vehicles.len().max(1);
+    vehicles.values_mut().for_each(|vehicle| vehicle.history.keep(bytes, now));
+}
+
 impl Vehicle {
     fn new(boot_id: u64, now: Instant) -> Self {
         Self {
@@ -285,8 +333,12 @@ impl Vehicle {
         }
     }
 
+    fn linked(&self) -> bool {
+        self.commands.as_ref().is_some_and(|c| !c.is_closed())
+    }
+
     fn connected(&self) -> bool {
-        self.commands.as_ref().is_some_and(|c| !c.is_closed()) && self.heard.elapsed() < SILENT_AFTER
+        self.linked() && self.heard.elapsed() < SILENT_AFTER
     }
 
     fn reboot(&mut self, boot_id: u64, now: Instant) {
@@ -404,6 +456,29 @@ mod tests {
         let without = hub.subscribe("a", Duration::ZERO).unwrap();
         let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
         assert_eq!(first, [3], "without history the latest sample is in the snapshot");
+    }
+
+    #[test]
+    fn vehicles_are_forgotten_and_their_number_and_memory_are_bounded() {
+        let hub = Hub::default();
+        let later = |seconds| Instant::now() + Duration::from_secs(seconds);
+        let (here, _here_end) = CommandSender::channel();
+        hub.connected("here", 1, 0, "0", here);
+        for n in 0..3 * MAX_VEHICLES {
+            hub.connected(&n.to_string(), 1, 0, "0", CommandSender::channel().0);
+        }
+        assert_eq!(hub.list().len(), MAX_VEHICLES);
+        assert!(hub.knows("here") && hub.knows("191") && !hub.knows("0"));
+        hub.batch("191", &batch(1, Kind::Control)).unwrap();
+        hub.flush();
+        let held = || lock(&hub.vehicles)["191"].history.since(Instant::now() - Duration::from_secs(1)).1.len();
+        assert_eq!(held(), 1);
+        hub.expire(later(MAX_HISTORY_SECONDS + 1));
+        assert_eq!((held(), hub.list().len()), (0, MAX_VEHICLES), "its history is over, its last state is kept");
+        let viewer = hub.subscribe("190", Duration::ZERO).unwrap();
+        hub.expire(later(FORGOTTEN_AFTER.as_secs() + 1));
+        assert_eq!(hub.ids(), ["190", "here"], "who is watched or connected stays");
+        drop(viewer);
     }
 
     #[test]

@@ -11,7 +11,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use crate::agent_link::LinkEvent;
 use crate::commands::Commands;
 use crate::hub::{FLUSH_EVERY, Hub};
-use crate::lease::Leases;
+use crate::lease::{Leases, PAGE_GONE};
+use crate::people::People;
 use crate::recorder::RecorderHandle;
 use crate::sync::{stopping, wall_time_us};
 
@@ -23,13 +24,14 @@ pub(crate) struct Ground {
     pub(crate) hub: Arc<Hub>,
     pub(crate) commands: Arc<Commands>,
     pub(crate) leases: Arc<Leases>,
+    pub(crate) people: Arc<People>,
     pub(crate) recorder: RecorderHandle,
     /// Control unused for this long is given up.
     pub(crate) lease_idle: Duration,
 }
 
 pub(crate) async fn run(mut link: mpsc::Receiver<LinkEvent>, ground: Ground, mut stopped: watch::Receiver<bool>) {
-    let Ground { hub, commands, leases, recorder, lease_idle } = ground;
+    let Ground { hub, commands, leases, people, recorder, lease_idle } = ground;
     let mut flush = interval(FLUSH_EVERY);
     flush.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut status = interval(STATUS_EVERY);
@@ -45,8 +47,9 @@ pub(crate) async fn run(mut link: mpsc::Receiver<LinkEvent>, ground: Ground, mut
             _ = flush.tick() => hub.flush(),
             _ = status.tick() => {
                 publish_recordings(&hub, &recorder);
-                for (vehicle, holder) in leases.expire(lease_idle) {
-                    tracing::info!(%vehicle, %holder, "control given up: unused");
+                hub.expire(std::time::Instant::now());
+                for (vehicle, holder) in leases.expire(lease_idle, PAGE_GONE, |holder| people.may_command(holder)) {
+                    tracing::info!(%vehicle, %holder, "control ended: unused, the page closed, or its holder may no more");
                     publish_lease(&hub, &leases, &vehicle, "");
                 }
             }

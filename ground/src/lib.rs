@@ -26,6 +26,8 @@ pub mod names;
 pub mod people;
 pub mod recorder;
 mod sync;
+mod viewers;
+mod work;
 
 use std::future::Future;
 use std::sync::Arc;
@@ -57,7 +59,7 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), GroundError> {
     let address = listener.local_addr().map_err(GroundError::Listener)?;
-    let people = people::People::open(&config.data_folder, address);
+    let people = Arc::new(people::People::open(&config.data_folder, address));
     if !address.ip().is_loopback() {
         if config.tls.is_none() {
             return Err(GroundError::NoTls { address });
@@ -74,7 +76,9 @@ pub async fn run(
     let gains = Arc::new(gains_book::GainsBook::open(&config.data_folder));
     let (stop, stopped) = watch::channel(false);
 
-    let front = front::Front::new(listener, config.tls.clone()).map_err(GroundError::Listener)?;
+    let work = work::Work::start().map_err(GroundError::Thread)?;
+    let limits = front::Limits::of(descriptors());
+    let tls = config.tls.clone();
     let idle = config.lease_idle;
     let app = api::App::new(api::Parts {
         config,
@@ -83,38 +87,47 @@ pub async fn run(
         commands: commands.clone(),
         leases: leases.clone(),
         gains,
-        people,
-        audit,
+        people: people.clone(),
+        audit: audit.clone(),
         recorder: recorder.handle(),
+        work: work.handle(),
         stopped: stopped.clone(),
     });
-    let ground = ingest::Ground { hub, commands, leases, recorder: recorder.handle(), lease_idle: idle };
+    let ground = ingest::Ground { hub, commands, leases, people, recorder: recorder.handle(), lease_idle: idle };
     let ingest = tokio::spawn(ingest::run(link, ground, stopped.clone()));
     tokio::spawn(async move {
         shutdown.await;
         stop.send_replace(true);
     });
 
-    let mut until = stopped.clone();
-    let server = axum::serve(front, api::router(app).into_make_service_with_connect_info::<front::Peer>())
-        .with_graceful_shutdown(async move {
-            sync::stopping(&mut until).await;
-        });
+    let server = front::serve(listener, tls, api::router(app), limits, stopped.clone());
     let mut overdue = stopped.clone();
-    let served = tokio::select! {
-        served = server => served.map_err(GroundError::Serve),
+    tokio::select! {
+        () = server => {}
         // A download that never ends must not keep the recordings open.
         () = async move {
             sync::stopping(&mut overdue).await;
             tokio::time::sleep(SHUTDOWN_GRACE).await;
-        } => Ok(()),
-    };
+        } => {}
+    }
     if ingest.await.is_err() {
         tracing::error!("the ingest task panicked");
     }
     // The recorder finishes its files last: everything received before the stop is in them.
-    if tokio::task::spawn_blocking(move || recorder.finish()).await.is_err() {
+    let finish = move || {
+        recorder.finish();
+        audit.flush();
+    };
+    if tokio::task::spawn_blocking(finish).await.is_err() {
         tracing::error!("the recorder could not be finished");
     }
-    served
+    Ok(())
+}
+
+/// How many files this process may open: as many as the system lets it, not the small number it begins with.
+fn descriptors() -> usize {
+    let raised = rlimit::increase_nofile_limit(u64::MAX).inspect_err(|error| {
+        tracing::warn!(%error, "the number of open files cannot be raised");
+    });
+    raised.map_or(front::RESERVED_DESCRIPTORS, |count| usize::try_from(count).unwrap_or(usize::MAX))
 }

@@ -68,11 +68,22 @@ json_names! {
     AttackKind, "ATTACK_KIND_", "attack kind";
     AttackChannel, "ATTACK_CHANNEL_", "channel";
     AttackPhase, "ATTACK_PHASE_", "attack phase";
-    EstimatorKind, "ESTIMATOR_KIND_", "estimator";
     Decoder, "DECODER_", "decoder";
     AckStage, "ACK_STAGE_", "stage";
     Failsafe, "FAILSAFE_", "failsafe";
     TrajectoryShape, "TRAJECTORY_SHAPE_", "shape";
+}
+
+impl JsonName for v1::EstimatorKind {
+    const PREFIX: &'static str = "ESTIMATOR_KIND_";
+    const WHAT: &'static str = "estimator";
+    fn proto_name(self) -> &'static str {
+        self.as_str_name()
+    }
+    /// Former names are known as well.
+    fn from_proto_name(name: &str) -> Option<Self> {
+        Self::named(&name.strip_prefix(Self::PREFIX)?.to_ascii_lowercase())
+    }
 }
 
 #[cfg(test)]
@@ -84,6 +95,7 @@ mod tests {
         assert_eq!(v1::Mode::AltitudeHold.json_name(), "altitude_hold");
         assert_eq!(v1::Mode::from_json_name("altitude_hold"), Ok(v1::Mode::AltitudeHold));
         assert_eq!(v1::EstimatorKind::from_json_name("ekf_bias"), Ok(v1::EstimatorKind::EkfBias));
+        assert_eq!(v1::EstimatorKind::from_json_name("attitude"), Ok(v1::EstimatorKind::Vqf));
         assert_eq!(v1::Mode::from_json_name("hover").unwrap_err(), "mode \"hover\" is not known");
         assert!(v1::Mode::from_json_name("HOLD").is_err());
         assert_eq!(v1::AttackPhase::json_name_of(77), "unknown_77");

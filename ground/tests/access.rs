@@ -5,10 +5,13 @@
 mod common;
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use common::{Ground, Response, Viewer};
+use futures_util::StreamExt as _;
 use plumbline_ground::people::{Access, Accounts, Role};
 use plumbline_ground::{GroundConfig, GroundError, access_table};
+use serde_json::Value;
 
 const PASSWORD: &str = "a long enough password";
 const ROLES: [Role; 4] = [Role::Viewer, Role::Operator, Role::Attacker, Role::Admin];
@@ -95,7 +98,7 @@ async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
     assert!(asked > 600, "{asked} requests");
     // Beyond the table there is nothing, for anyone.
     let admin = sessions.last().and_then(|(_, cookie)| cookie.clone());
-    for path in ["/api/people", "/api/vehicles/iris-1/fire", "/api/flights/x/y"] {
+    for path in ["/api/persons", "/api/vehicles/iris-1/fire", "/api/flights/x/y"] {
         assert_eq!(ask(&ground, ("get", path), admin.as_deref(), None, true).await.status, 404, "{path}");
     }
     // The page itself shows the way; its files are public.
@@ -152,11 +155,17 @@ async fn deeds_are_written_down_under_the_account_and_the_cut_needs_no_lease() {
     assert_eq!(cut.status, 200, "{}", cut.text());
     let taken = ask(&ground, ("put", "/api/vehicles/iris-1/lease"), Some(&bob), Some(&own), true).await;
     assert_eq!(taken.json()["taken_from"], "operator");
+    // A secret sent, a request refused, and somebody who leaves.
+    let headers = [("cookie", admin.as_str()), ("origin", own.as_str()), ("x-plumbline-operator", "page")];
+    let pairing = ground.request_as("POST", "/api/pairing", r#"{"code":"ABCD-EFGH"}"#, &headers).await;
+    assert_eq!(pairing.status, 503);
+    assert_eq!(ask(&ground, ("get", "/api/audit"), Some(&bob), Some(&own), true).await.status, 403);
+    assert_eq!(ask(&ground, ("delete", "/api/session"), Some(&bob), Some(&own), true).await.status, 204);
     let begun = std::time::Instant::now();
     let deeds = loop {
         let answer = ask(&ground, ("get", "/api/audit?limit=100"), Some(&admin), Some(&own), true).await;
         let deeds = answer.json()["deeds"].as_array().cloned().unwrap();
-        if deeds.len() >= 7 {
+        if deeds.len() >= 10 {
             break deeds;
         }
         assert!(begun.elapsed() < common::PATIENCE, "{deeds:?}");
@@ -170,10 +179,78 @@ async fn deeds_are_written_down_under_the_account_and_the_cut_needs_no_lease() {
     assert_eq!(line("attacker", "cut").unwrap()["status"], 200);
     let lease = line("operator", "lease").unwrap();
     assert_eq!((lease["role"].as_str(), lease["from"].as_str()), (Some("operator"), Some("127.0.0.1")));
-    assert_eq!(deeds.iter().filter(|deed| deed["path"] == "/api/session").count(), 3);
+    assert_eq!(deeds.iter().filter(|deed| deed["path"] == "/api/session").count(), 4);
+    let left = deeds.iter().find(|deed| deed["method"] == "DELETE" && deed["path"] == "/api/session").unwrap();
+    assert_eq!((left["who"].as_str(), left["role"].as_str()), (Some("attacker"), Some("attacker")));
+    assert!(deeds.iter().any(|deed| deed["path"] == "/api/audit" && deed["status"] == 403));
     let text = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
-    assert!(!text.contains(PASSWORD));
+    assert!(!text.contains(PASSWORD) && !text.contains("EFGH") && text.contains("redacted"));
     ground.stop().await;
+    let verdict = plumbline_ground::audit::verify(folder.path()).unwrap();
+    assert!(verdict.broken.is_none() && verdict.chained >= 10, "{verdict:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_removed_account_loses_its_socket_and_control_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    accounts(folder.path());
+    let ground = Ground::start(folder.path()).await;
+    let _agent = ground.agent("iris-1", 1).await;
+    let own = format!("http://{}", ground.address);
+    let (ann, admin) = (sign_in(&ground, "operator").await, sign_in(&ground, "admin").await);
+    // GIVEN an operator who watches and is in control
+    let url = format!("ws://{}/api/vehicles/iris-1/live", ground.address);
+    let begun = Instant::now();
+    let mut viewer = loop {
+        match Viewer::connect_as(&url, Some(&own), Some(&ann)).await {
+            Ok(viewer) => break viewer,
+            Err(error) => assert!(begun.elapsed() < common::PATIENCE, "{error}"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    let take = ask(&ground, ("put", "/api/vehicles/iris-1/lease"), Some(&ann), Some(&own), true).await;
+    assert_eq!(take.status, 200, "{}", take.text());
+    let people = ask(&ground, ("get", "/api/people"), Some(&admin), Some(&own), true).await.json();
+    assert_eq!(people["accounts"].as_array().unwrap().len(), ROLES.len());
+    assert_eq!(people["sessions"].as_array().unwrap().len(), 2);
+    let mine = ask(&ground, ("get", "/api/sessions"), Some(&ann), Some(&own), true).await.json();
+    assert_eq!((mine["sessions"][0]["account"].as_str(), &mine["sessions"][1]), (Some("operator"), &Value::Null));
+    // WHEN an admin removes the account
+    let gone = ask(&ground, ("delete", "/api/people/operator"), Some(&admin), Some(&own), true).await;
+    assert_eq!(gone.status, 204, "{}", gone.text());
+    let begun = Instant::now();
+    // THEN the socket ends, and control with it
+    let ended = async { while matches!(viewer.socket.next().await, Some(Ok(message)) if !message.is_close()) {} };
+    tokio::time::timeout(common::PATIENCE, ended).await.expect("the socket ends");
+    loop {
+        let lease = ask(&ground, ("get", "/api/vehicles/iris-1/lease"), Some(&admin), Some(&own), true).await;
+        if lease.json()["holder"].is_null() {
+            break;
+        }
+        assert!(begun.elapsed() < common::PATIENCE, "{}", lease.text());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    // Promised is a second; a busy machine may take another.
+    assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
+    assert_eq!(ask(&ground, ("get", "/api/vehicles"), Some(&ann), Some(&own), true).await.status, 401);
+    let last = ask(&ground, ("delete", "/api/people/admin"), Some(&admin), Some(&own), true).await;
+    assert_eq!(last.status, 409, "{}", last.text());
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn refused_sign_ins_fill_no_log() {
+    let folder = tempfile::tempdir().unwrap();
+    accounts(folder.path());
+    let ground = Ground::start(folder.path()).await;
+    for n in 0..300 {
+        let body = serde_json::json!({ "name": format!("guess{n}"), "password": PASSWORD }).to_string();
+        let status = ground.request("POST", "/api/session", &body).await.status;
+        assert!([401, 429].contains(&status), "{status}");
+    }
+    ground.stop().await;
+    let text = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
+    assert!(text.lines().count() <= 4 && text.contains("\"times\""), "{text}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

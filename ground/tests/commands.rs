@@ -67,6 +67,12 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
         ("POST", "disarm", "", Body::Disarm(v1::Disarm {})),
         ("POST", "cut", "{}", Body::CutMotors(v1::CutMotors {})),
         ("POST", "release-cut", "{}", Body::ReleaseCut(v1::ReleaseCut {})),
+        (
+            "POST",
+            "simulator",
+            r#"{"battery":true}"#,
+            Body::SetSimulator(v1::SetSimulator { new_battery: true, reset: false }),
+        ),
         ("POST", "mode", r#"{"mode":"altitude_hold"}"#, Body::SetMode(v1::SetMode { mode: 3 })),
         (
             "POST",

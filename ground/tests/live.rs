@@ -43,6 +43,37 @@ async fn a_viewer_sees_state_then_history_then_live_without_gap_or_repetition() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_past_is_asked_for_apart_and_the_newest_state_does_not_wait_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    // A minute of a topic: far more than a chart has columns.
+    for n in 1..=6000_u64 {
+        let sample = v1::HeightSample { time_us: n * 10_000, sensed_m: 0.5 + n as f64 * 1e-4, ..Default::default() };
+        agent.time_us = n * 10_000;
+        agent.say(Kind::Height, 1, &sample).await;
+    }
+    let mut viewer = ground.view("iris-1", 0).await;
+    while viewer.next_of(Kind::Height).await.sequence != agent.sequence {}
+    // The first messages of a connection: the link, with the flight time that its age is the age of, and the newest.
+    let mut fresh = ground.view("iris-1", 0).await;
+    let link = fresh.next_of(Kind::Link).await.message::<v1::LinkStatus>();
+    assert_eq!(link.newest_time_us, agent.time_us);
+    assert_eq!(fresh.next_of(Kind::Height).await.sequence, agent.sequence);
+    let past = ground.get("/api/vehicles/iris-1/history?seconds=60").await;
+    assert_eq!(past.status, 200);
+    let frames = plumbline_proto::codec::decode_batch(&past.body).unwrap().map(Result::unwrap);
+    let heights: Vec<u64> = frames.filter(|f| f.known_kind() == Some(Kind::Height)).map(|f| f.sequence).collect();
+    assert!((900..=962).contains(&heights.len()), "{} heights", heights.len());
+    assert!(heights.is_sorted() && heights.contains(&agent.sequence));
+    for (path, status) in [("iris-1/history?seconds=0", 422), ("iris-1/history", 422), ("no/history?seconds=9", 404)] {
+        assert_eq!(ground.get(&format!("/api/vehicles/{path}")).await.status, status, "{path}");
+    }
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
@@ -124,14 +155,13 @@ async fn malformed_batches_are_survived_and_unknown_kinds_passed_on() {
         ground.send(event).await;
     }
     agent.describe().await;
-    let mut unknown = None;
-    loop {
+    // The batches above and the agent's own connection are two ways in: whichever of them comes first.
+    let (mut unknown, mut described) = (None, false);
+    while unknown.is_none() || !described {
         let got = viewer.next().await;
+        described |= got.kind == Some(Kind::Description);
         if got.kind.is_none() {
-            unknown = Some(got.payload.clone());
-        }
-        if got.kind == Some(Kind::Description) {
-            break;
+            unknown = Some(got.payload);
         }
     }
     assert_eq!(unknown.as_deref(), Some(&b"new"[..]));

@@ -1,18 +1,18 @@
 //! GIVEN a simulated agent in real time WHEN it is connected THEN its telemetry is live and its commands answered.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use plumbline_agent::runner::stop::Stop;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::flight::Flight;
 use plumbline_agent::link::backfill::NoArchive;
 use plumbline_agent::link::clock::FlightClock;
 use plumbline_agent::link::{INBOUND_QUEUE, LinkConfig, LinkPorts, identity, spawn};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
 use plumbline_ground::agent_link::{AgentLink, AgentLinkConfig, LinkEvent, clock};
 use plumbline_proto::codec::decode_batch;
 use plumbline_proto::time::WallTime;
@@ -23,14 +23,14 @@ async fn a_simulated_agent_is_live() {
     let folder = tempfile::tempdir().unwrap();
     let agent = identity::load_or_create(&folder.path().join("agent")).unwrap();
     let ground = identity::load_or_create(&folder.path().join("ground")).unwrap();
-    identity::pair(&agent, &ground).unwrap();
+    identity::pair(&agent, "iris-1", &ground).unwrap();
     let link = AgentLink::bind(AgentLinkConfig::new("127.0.0.1:0".parse().unwrap(), ground)).unwrap();
     let address = link.local_addr();
     let (events, mut received) = tokio::sync::mpsc::channel(65_536);
     let serving = tokio::spawn(link.run(events, std::future::pending()));
 
     let scenario = Scenario::bare();
-    let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+    let flight = Flight::new(scenario.flight_config()).unwrap();
     let boot_wall_time = WallTime(clock::wall_us(Instant::now()));
     let identification = Identification {
         agent_id: "iris-1".into(),
@@ -78,7 +78,7 @@ async fn a_simulated_agent_is_live() {
         clock: flight_clock,
         ..RunnerPorts::default()
     };
-    let stop = Arc::new(AtomicBool::new(false));
+    let stop = Arc::new(Stop::default());
     let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
     let flying = {
         let stop = stop.clone();
@@ -131,7 +131,7 @@ async fn a_simulated_agent_is_live() {
     // Half the rate: this machine may be busy with other tests.
     assert!(f64::from(control) / seconds > 100.0, "{control} control messages in {seconds} s at 200 Hz");
 
-    stop.store(true, Ordering::Release);
+    stop.ask();
     flying.join().unwrap();
     handle.stop();
     serving.abort();

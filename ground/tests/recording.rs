@@ -8,6 +8,7 @@ mod common;
 use std::time::Duration;
 
 use common::{Agent, Ground, api_counts, frames, freeze, mcap_counts};
+use plumbline_ground::agent_link::LinkEvent;
 use plumbline_proto::{Kind, v1};
 use serde_json::Value;
 
@@ -74,6 +75,61 @@ async fn a_flight_over_a_bad_link_becomes_complete() {
     let again = ground.json("/api/flights").await;
     assert_eq!(again["flights"][0]["id"], "f1");
     assert_eq!(again["storage"]["flights"], 1);
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_ends_or_shortens_another_s_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    // GIVEN a vehicle in flight, whose radio loses a few messages, and another one that claims the same boot
+    let mut agent = ground.agent("iris-1", 1).await;
+    let mut other = ground.agent("iris-2", 1).await;
+    let first = agent.begin("f1").await;
+    fly(&mut agent, 100, |s| !(40..60).contains(&s)).await;
+    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "recording").await;
+    // WHEN the other one says that this flight is over, began late, is not to be had, and is its own
+    (0..200).for_each(|_| drop(other.tick()));
+    let last = other.end("f1", first);
+    other.send([last], false).await;
+    other.begin("f1").await;
+    for (first_sequence, last_sequence) in [(1, 30), (40, 59)] {
+        let request = v1::BackfillRequest { flight_id: "f1".into(), first_sequence, last_sequence };
+        ground.send(LinkEvent::BackfillUnavailable { agent_id: "iris-2".into(), request }).await;
+    }
+    other.status("f1", 0).await;
+    // AND its own agent sends marks that are out of place: after the message they speak of, or of one that is here
+    let mark = |first_sequence, last_sequence| v1::FlightMark {
+        flight_id: "f1".into(),
+        first_sequence,
+        last_sequence,
+        ..Default::default()
+    };
+    agent.say(Kind::Flight, 0, &mark(first, Some(50))).await;
+    agent.say(Kind::Flight, 0, &mark(agent.sequence - 20, None)).await;
+    fly(&mut agent, 100, |_| true).await;
+    let last = agent.end("f1", first);
+    agent.send([last], false).await;
+    // THEN the flight becomes complete, with every message
+    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    check_whole(&ground, &agent, "f1", first, last).await;
+    assert_eq!(ground.json("/api/flights").await["flights"].as_array().unwrap().len(), 1);
+    ground.stop().await;
+    // AND so it is read again without the index
+    for file in ["index.sqlite", "index.sqlite-wal", "index.sqlite-shm"] {
+        let _ = std::fs::remove_file(folder.path().join(file));
+    }
+    let ground = Ground::start(folder.path()).await;
+    ground.wait_json("/api/flights/f1", complete).await;
+    check_whole(&ground, &agent, "f1", first, last).await;
+    // AND its name is not to be had for a flight of another vehicle
+    let mut other = ground.agent("iris-2", 1).await;
+    let begun = other.begin("f1").await;
+    let last_of_other = other.end("f1", begun);
+    other.send([last_of_other], false).await;
+    other.begin("f2").await;
+    ground.wait_json("/api/flights/f2", |f| f["completeness"] == "recording").await;
+    check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
 

@@ -1,5 +1,5 @@
 //! Identities that must not be mixed up.
-use std::fmt;
+use std::fmt::{self, Write as _};
 
 use crate::{DecodeError, v1::SensorKind};
 
@@ -22,15 +22,31 @@ impl SensorId {
 impl fmt::Display for SensorId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = match self.kind {
-            SensorKind::Unspecified => "sensor",
-            SensorKind::Imu => "imu",
-            SensorKind::Height => "height",
-            SensorKind::Barometer => "barometer",
-            SensorKind::Gnss => "gnss",
-            SensorKind::MocapPose => "mocap pose",
-            SensorKind::CameraRanges => "camera ranges",
+            SensorKind::Unspecified => "SENSOR",
+            kind => kind.as_str_name().trim_start_matches("SENSOR_KIND_"),
         };
-        write!(f, "{name} {}", self.instance)
+        for c in name.chars() {
+            f.write_char(if c == '_' { ' ' } else { c.to_ascii_lowercase() })?;
+        }
+        write!(f, " {}", self.instance)
+    }
+}
+
+/// What is no sensor.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("\"{0}\" is not a sensor, as \"imu 4\" is")]
+pub struct NoSensor(pub String);
+
+impl std::str::FromStr for SensorId {
+    type Err = NoSensor;
+
+    /// Reads what [`SensorId`] displays.
+    fn from_str(name: &str) -> Result<Self, NoSensor> {
+        let kinds = (1..).map_while(|kind| SensorKind::try_from(kind).ok());
+        kinds
+            .flat_map(|kind| (1..=u8::MAX).map(move |instance| Self::new(kind, instance)))
+            .find(|sensor| sensor.to_string() == name)
+            .ok_or_else(|| NoSensor(name.to_owned()))
     }
 }
 

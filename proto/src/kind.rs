@@ -1,5 +1,3 @@
-use crate::v1::SensorKind;
-
 macro_rules! kinds {
     ($($(#[$doc:meta])* $name:ident = $number:literal, $topic:literal, $message:literal;)*) => {
         /// What a frame carries. Numbers are part of the wire contract and never reused.
@@ -84,17 +82,12 @@ impl Kind {
 
     /// Is there one topic per instance (sensor instance or estimator)?
     pub const fn has_instances(self) -> bool {
-        matches!(
-            self,
-            Kind::Imu
-                | Kind::Height
-                | Kind::Barometer
-                | Kind::Gnss
-                | Kind::MocapPose
-                | Kind::CameraRanges
-                | Kind::Estimate
-                | Kind::Residuals
-        )
+        self.is_sensor() || matches!(self, Kind::Estimate | Kind::Residuals)
+    }
+
+    /// Is it a sample of a sensor? Their numbers are those below the first estimate.
+    pub const fn is_sensor(self) -> bool {
+        self.to_wire() < Kind::Estimate.to_wire()
     }
 
     /// Topic of a flight file's channel: `/sensor/height/2`, `/status`.
@@ -117,19 +110,6 @@ impl Kind {
     /// Made by the ground for the page; never recorded as part of a flight.
     pub const fn is_ground_made(self) -> bool {
         matches!(self, Kind::Link | Kind::Recording | Kind::Lease)
-    }
-
-    /// The kind that carries samples of this sensor.
-    pub const fn of_sensor(sensor: SensorKind) -> Option<Self> {
-        match sensor {
-            SensorKind::Imu => Some(Kind::Imu),
-            SensorKind::Height => Some(Kind::Height),
-            SensorKind::Barometer => Some(Kind::Barometer),
-            SensorKind::Gnss => Some(Kind::Gnss),
-            SensorKind::MocapPose => Some(Kind::MocapPose),
-            SensorKind::CameraRanges => Some(Kind::CameraRanges),
-            SensorKind::Unspecified => None,
-        }
     }
 }
 

@@ -19,6 +19,7 @@ pub mod descriptor;
 mod error;
 pub mod ids;
 mod kind;
+mod names;
 pub mod time;
 
 pub use error::DecodeError;

@@ -196,7 +196,7 @@ await step(page, 'a lost graphics context is said, and everything is drawn again
   });
   await page.getByText('Charts are gone for the moment').waitFor();
   const altitude = region('Altitude').getByRole('img').first();
-  assert((await pixels(page, altitude)).page > 0.8, 'the chart is still there');
+  await until('the chart to be gone', async () => (await pixels(page, altitude)).page > 0.8);
   assert(Number.isFinite(await readout('altitude')), 'the numbers are gone too');
   await page.evaluate(() => globalThis.plumblineLoss.restoreContext());
   await page.getByText('Charts are gone for the moment').waitFor({ state: 'detached' });

@@ -141,7 +141,7 @@ fn main() -> std::process::ExitCode {
     let recorded = files::messages(&file);
     let seen = seen.lock().unwrap();
     let arrivals = &seen.arrivals;
-    // Flight time zero is a little later than the agent believes, and the page reckons with it as we do here.
+    // Flight time zero is a little later than the agent has it, and the page reckons with it as we do here.
     let offset_us =
         quantile(&mut seen.offsets.iter().copied().filter(|offset| *offset != 0.0).collect::<Vec<_>>(), 0.5);
     figures.tell("clock_offset", offset_us * 1e-3, "ms", json!({}));

@@ -15,7 +15,6 @@ use plumbline_agent::control::lqg::{OUTPUTS, Replica};
 use plumbline_agent::control::margins::continuous_margins;
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
 use plumbline_agent::control::tuning::{KINDS, kind_name};
-use plumbline_agent::control::{ControllerKind, Wrench};
 use plumbline_agent::linalg::{Complex, hinf_norm};
 use plumbline_agent::mix::Mixer;
 use plumbline_agent::model::airframe::Airframe;
@@ -24,7 +23,7 @@ use plumbline_agent::model::integrate::rk4;
 use plumbline_agent::model::motor;
 use plumbline_agent::model::rigid_body::{Input, State, derivative};
 use plumbline_agent::model::state_space::StateSpace;
-use plumbline_agent::vehicle::ROTORS;
+use plumbline_agent::types::{ControllerKind, ROTORS, Wrench};
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 

@@ -1,4 +1,4 @@
-//! Inject an attack, watch which sensor is the liar, abort it.
+//! Inject an attack, watch which sensor is attacked, abort it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod support;
@@ -41,27 +41,27 @@ fn an_attack_is_accepted_seen_active_crosses_its_gate_and_is_aborted() {
     let onset_s = (active.active_time_us.unwrap() - active.accepted_time_us) as f64 * 1e-6;
     assert!((1.0..1.2).contains(&onset_s), "first altered sample {onset_s} s after acceptance");
     // AND its residual crosses the gate while its neighbours' stay inside
-    let liar =
+    let attacked =
         live.until(SECONDS_20, "height 2 beyond its gate", |frame| height_ratio(frame, 2).filter(|ratio| *ratio > 1.0));
-    assert!(liar > 1.0);
-    let mut honest = Vec::new();
+    assert!(attacked > 1.0);
+    let mut healthy = Vec::new();
     live.until(SECONDS_20, "ten residuals of height 1 and 3", |frame| {
-        honest.extend(height_ratio(frame, 1));
-        honest.extend(height_ratio(frame, 3));
-        (honest.len() >= 10).then_some(())
+        healthy.extend(height_ratio(frame, 1));
+        healthy.extend(height_ratio(frame, 3));
+        (healthy.len() >= 10).then_some(())
     });
-    honest.sort_by(f64::total_cmp);
-    assert!(honest[honest.len() / 2] < 0.8, "the honest sensors are blamed: {honest:?}");
+    healthy.sort_by(f64::total_cmp);
+    assert!(healthy[healthy.len() / 2] < 0.8, "the healthy sensors are rejected: {healthy:?}");
     // AND sensed and received samples differ by the bias, only on that sensor
     let sample = |live: &mut support::Live, instance: u16| {
         live.until(SECONDS_20, "height sample", |frame| {
             (frame.instance == instance).then(|| frame.message::<v1::HeightSample>(Kind::Height)).flatten()
         })
     };
-    let lying = sample(&mut live, 2);
-    assert!((lying.received_m.unwrap() - lying.sensed_m - 0.5).abs() < 1e-6, "{lying:?}");
-    let honest = sample(&mut live, 1);
-    assert_eq!(honest.received_m.unwrap_or(honest.sensed_m), honest.sensed_m, "{honest:?}");
+    let biased = sample(&mut live, 2);
+    assert!((biased.received_m.unwrap() - biased.sensed_m - 0.5).abs() < 1e-6, "{biased:?}");
+    let healthy = sample(&mut live, 1);
+    assert_eq!(healthy.received_m.unwrap_or(healthy.sensed_m), healthy.sensed_m, "{healthy:?}");
     // WHEN it is aborted with one action THEN it ends at once
     rig.command("DELETE", "attacks", json!({}));
     live.until(SECONDS_20, "aborted attack", |frame| phase(frame, v1::AttackPhase::Aborted));

@@ -3,17 +3,16 @@
 //! Source text is read without comments and without the `#[cfg(test)]` part that ends a file.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod source;
+
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
+use source::{code, files, root, rust_files};
 
 const MEMBERS: [&str; 5] = ["agent", "ground", "proto", "tests", "web"];
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
-}
 
 /// What cargo knows of the workspace's own packages, by name.
 fn packages() -> BTreeMap<String, Value> {
@@ -29,46 +28,6 @@ fn packages() -> BTreeMap<String, Value> {
     packages.map(|package| (package["name"].as_str().unwrap().to_owned(), package.clone())).collect()
 }
 
-/// Files that git tracks or would track, relative to the root.
-fn files() -> Vec<PathBuf> {
-    let listed = Command::new("git")
-        .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
-        .current_dir(root())
-        .output()
-        .expect("git lists the tree");
-    assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
-    let names = String::from_utf8(listed.stdout).unwrap();
-    let files: BTreeSet<_> = names.split('\0').filter(|name| !name.is_empty()).map(PathBuf::from).collect();
-    files.into_iter().filter(|file| root().join(file).is_file()).collect()
-}
-
-/// Rust files under any of these files or folders, relative to the root.
-fn rust_files(under: &[&str]) -> Vec<PathBuf> {
-    let inside = |file: &PathBuf| under.iter().any(|place| file.starts_with(place));
-    let test = |file: &PathBuf| file.file_name().is_some_and(|name| name == "tests.rs");
-    let rust = |file: &PathBuf| file.extension().is_some_and(|extension| extension == "rs");
-    files().into_iter().filter(rust).filter(inside).filter(|file| !test(file)).collect()
-}
-
-/// Lines of product code with their numbers: comments, and everything from a `#[cfg(test)] mod … {` on, left out.
-fn code(file: &Path) -> Vec<(usize, String)> {
-    let text = std::fs::read_to_string(root().join(file)).unwrap();
-    let mut lines = Vec::new();
-    let mut testing = false;
-    for (index, line) in text.lines().enumerate() {
-        if line.trim() == "#[cfg(test)]" {
-            testing = true;
-        } else if testing && line.contains("mod ") && line.ends_with('{') {
-            break;
-        } else {
-            testing = false;
-        }
-        let code = line.split("//").next().unwrap_or_default();
-        lines.push((index + 1, code.to_owned()));
-    }
-    lines
-}
-
 /// Every place under `rooms` whose code holds one of the `words`.
 fn found(rooms: &[&str], words: &[&str]) -> Vec<String> {
     let mut found = Vec::new();
@@ -82,16 +41,8 @@ fn found(rooms: &[&str], words: &[&str]) -> Vec<String> {
     found
 }
 
-/// Places that may, each with its reason.
-const EXCEPTIONS: [(&str, &str); 1] = [
-    // Solves problems from files for the comparison with the references; no part of a flight.
-    ("agent/src/estimate/secure/offline.rs", ""),
-];
-
 fn assert_nowhere(rooms: &[&str], words: &[&str], why: &str) {
-    let excused =
-        |place: &String| EXCEPTIONS.iter().any(|(file, word)| place.starts_with(file) && place.contains(word));
-    let found: Vec<_> = found(rooms, words).into_iter().filter(|place| !excused(place)).collect();
+    let found = found(rooms, words);
     assert!(found.is_empty(), "{why}:\n{}", found.join("\n"));
 }
 
@@ -106,16 +57,20 @@ fn own_dependencies(package: &Value) -> BTreeSet<String> {
 }
 
 #[test]
-fn the_members_are_exactly_the_five_rooms() {
+fn the_top_level_is_exactly_the_five_members_and_crates_nest_only_under_them() {
     let packages = packages();
-    let folders: BTreeSet<String> = packages
-        .values()
-        .map(|package| Path::new(package["manifest_path"].as_str().unwrap()).parent().unwrap().to_path_buf())
-        .map(|folder| folder.strip_prefix(root()).unwrap().display().to_string())
-        .collect();
-    assert_eq!(folders, BTreeSet::from(MEMBERS.map(str::to_owned)));
-    for folder in MEMBERS {
-        assert!(packages.contains_key(&format!("plumbline-{folder}")), "{folder}");
+    let folder_of = |package: &Value| {
+        let manifest = Path::new(package["manifest_path"].as_str().unwrap());
+        manifest.parent().unwrap().strip_prefix(root()).unwrap().display().to_string()
+    };
+    let mut found: BTreeSet<_> = packages.iter().map(|(name, package)| (name.clone(), folder_of(package))).collect();
+    for member in MEMBERS {
+        assert!(found.remove(&(format!("plumbline-{member}"), member.to_owned())), "{member}");
+    }
+    // A nested crate is named after its folder, below a member.
+    for (name, folder) in found {
+        let (member, nested) = folder.split_once('/').unwrap_or_default();
+        assert!(MEMBERS.contains(&member) && name == format!("plumbline-{nested}"), "{name} lies in {folder}");
     }
     let top: BTreeSet<String> = files()
         .iter()
@@ -127,14 +82,27 @@ fn the_members_are_exactly_the_five_rooms() {
 }
 
 #[test]
-fn members_know_only_those_below_them() {
+fn crates_know_only_those_below_them() {
     let packages = packages();
     let knows = |name: &str| own_dependencies(&packages[name]);
-    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>();
+    let names = |names: &[&str]| names.iter().map(|name| format!("plumbline-{name}")).collect::<BTreeSet<_>>();
     assert_eq!(knows("plumbline-proto"), names(&[]), "the contract knows nobody");
-    assert_eq!(knows("plumbline-agent"), names(&["plumbline-proto"]));
-    assert_eq!(knows("plumbline-web"), names(&["plumbline-proto"]), "the page speaks the contract only");
-    assert_eq!(knows("plumbline-ground"), names(&["plumbline-agent", "plumbline-proto"]));
+    assert_eq!(knows("plumbline-core"), names(&["proto"]), "what computes knows the contract only");
+    assert_eq!(knows("plumbline-link"), names(&["proto"]), "the radio knows no vehicle");
+    assert_eq!(knows("plumbline-sim"), names(&["core", "proto"]));
+    assert_eq!(knows("plumbline-agent"), names(&["core", "link", "proto", "sim"]));
+    assert_eq!(knows("plumbline-web"), names(&["proto"]), "the page speaks the contract only");
+    assert_eq!(knows("plumbline-ground"), names(&["agent", "link", "proto"]));
+}
+
+#[test]
+fn the_core_is_built_without_runtime_sockets_or_files() {
+    let packages = packages();
+    let core = packages["plumbline-core"]["dependencies"].as_array().unwrap().iter();
+    let used: BTreeSet<&str> = core.map(|dependency| dependency["name"].as_str().unwrap()).collect();
+    for outside in ["tokio", "quinn", "mcap", "rtrb", "libc", "tracing", "prost", "rustls"] {
+        assert!(!used.contains(outside), "plumbline-core depends on {outside}");
+    }
 }
 
 #[test]
@@ -150,18 +118,8 @@ fn the_required_packages_are_in_use() {
     }
 }
 
-/// Rooms that compute: same input, same output, on any machine and in a replay.
-const PURE: [&str; 9] = [
-    "agent/src/flight.rs",
-    "agent/src/flight",
-    "agent/src/model",
-    "agent/src/linalg",
-    "agent/src/calibration",
-    "agent/src/attack",
-    "agent/src/estimate",
-    "agent/src/control",
-    "agent/src/mix.rs",
-];
+/// What computes: same input, same output, on any machine and in a replay.
+const PURE: [&str; 1] = ["agent/core/src"];
 
 #[test]
 fn what_computes_has_no_runtime_socket_clock_file_or_global_random_state() {
@@ -194,7 +152,7 @@ fn what_computes_has_no_runtime_socket_clock_file_or_global_random_state() {
 
 #[test]
 fn downstream_of_the_attack_nobody_knows_of_it_or_sees_truth() {
-    let rooms = ["agent/src/estimate", "agent/src/control", "agent/src/mix.rs"];
+    let rooms = ["agent/core/src/estimate", "agent/core/src/control", "agent/core/src/mix.rs"];
     let forbidden = ["attack::", "::attack", "sim::", "::sim", "Truth", "truth()"];
     assert_nowhere(&rooms, &forbidden, "estimate and control may not know");
 }
@@ -202,7 +160,7 @@ fn downstream_of_the_attack_nobody_knows_of_it_or_sees_truth() {
 #[test]
 fn own_types_of_the_agent_are_no_wire_types() {
     let mut found = Vec::new();
-    for file in rust_files(&["agent/src"]) {
+    for file in rust_files(&["agent"]) {
         for (number, line) in code(&file) {
             let words: Vec<_> = line.split(|c: char| !c.is_alphanumeric()).collect();
             if line.contains("derive(") && (words.contains(&"Serialize") || words.contains(&"Message")) {
@@ -215,7 +173,7 @@ fn own_types_of_the_agent_are_no_wire_types() {
 
 #[test]
 fn the_lints_against_panics_stay_on_in_library_code() {
-    for folder in MEMBERS {
+    for folder in MEMBERS.into_iter().chain(["agent/core", "agent/link", "agent/sim"]) {
         let manifest = std::fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap();
         assert!(
             manifest.contains("[lints]\nworkspace = true"),
@@ -226,7 +184,16 @@ fn the_lints_against_panics_stay_on_in_library_code() {
     for lint in ["unwrap_used", "expect_used", "panic"] {
         assert!(manifest.contains(&format!("{lint} = \"deny\"")), "{lint} is not denied");
         let mut off = Vec::new();
-        for file in rust_files(&["agent/src", "ground/src", "proto/src", "web/src", "tests/src"]) {
+        for file in rust_files(&[
+            "agent/src",
+            "agent/core/src",
+            "agent/link/src",
+            "agent/sim/src",
+            "ground/src",
+            "proto/src",
+            "web/src",
+            "tests/src",
+        ]) {
             for (number, line) in code(&file) {
                 let allows = line.contains("allow(") && line.contains(&format!("clippy::{lint}"));
                 let in_tests = line.contains("cfg_attr(test,") || line.contains("cfg_attr(\n    test,");
@@ -268,6 +235,41 @@ fn the_tree_names_no_machine_and_no_registry() {
     let lock = std::fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let sources: BTreeSet<&str> = lock.lines().filter(|line| line.starts_with("source = ")).collect();
     assert!(sources.len() <= 1, "Cargo.lock has more than one source: {sources:?}");
+}
+
+/// The glossary of ARCHITECTURE.md says what to write instead: faulty or attacked, healthy, excluded, isolated, baseline,
+/// consensus.
+#[test]
+fn private_words_for_faults_stay_out() {
+    // Beginnings of words, in halves, so that this file does not hold what it looks for.
+    let halves = [
+        ("li", "ar"),
+        ("ly", "ing"),
+        ("be", "liev"),
+        ("acc", "us"),
+        ("bal", "lot"),
+        ("hon", "est"),
+        ("bl", "am"),
+        ("inno", "cent"),
+    ];
+    let begins: Vec<String> = halves.iter().map(|(a, b)| format!("{a}{b}")).collect();
+    let text = ["rs", "md", "proto", "toml", "wgsl", "css", "ts", "mjs"];
+    let mut found = Vec::new();
+    for file in files() {
+        let prose = file.extension().is_some_and(|e| text.iter().any(|known| e == *known));
+        // What was released said so in its own words.
+        if !prose || file.ends_with("CHANGELOG.md") {
+            continue;
+        }
+        let Ok(text) = std::fs::read_to_string(root().join(&file)) else { continue };
+        for (index, line) in text.lines().enumerate() {
+            let words = line.split(|c: char| !c.is_alphabetic()).map(str::to_lowercase);
+            for word in words.filter(|word| begins.iter().any(|begin| word.starts_with(begin.as_str()))) {
+                found.push(format!("{}:{}: {word}", file.display(), index + 1));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
 #[test]

@@ -115,8 +115,8 @@ fn trust_is_revoked_renewed_and_rotated_in_flight() {
     let renewed = start(&agent.identity);
     wait_for_refusals(&ground, before);
     // AND serves it once it is told of the new one
-    identity(&ground_program, &ground.identity, &["--trust", &new_agent, "--name", "iris-1"]);
     identity(&ground_program, &ground.identity, &["--revoke", &of_agent]);
+    identity(&ground_program, &ground.identity, &["--trust", &new_agent, "--name", "iris-1"]);
     wait_until(PATIENCE, || connected(&ground).then_some(())).expect("the renewed agent");
     drop(renewed);
     // AND the old certificate, wherever it has got to, opens nothing any more

@@ -19,8 +19,10 @@ const MAX_NOTICES: usize = 5;
 const FIRST_WAIT_MS: u32 = 250;
 /// Longest wait before a reconnect, ms.
 const LONGEST_WAIT_MS: u32 = 4000;
-/// History asked for unless the page knows better, s.
+/// History asked for first unless the page knows better, s.
 pub const HISTORY_S: f64 = 60.0;
+/// History asked for in the end; the ground keeps no more, s.
+pub const MOST_HISTORY_S: f64 = 120.0;
 
 /// State of the live socket.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -74,9 +76,8 @@ pub struct App {
     pub socket: Socket,
     /// Notices.
     pub notices: VecDeque<Notice>,
-    /// History to ask for, s: as long as the charts' window.
+    /// History to ask for first, s: as long as the charts' window.
     pub history_s: f64,
-    last_batch_ms: f64,
     schema_told: bool,
     wait_ms: u32,
     notice_number: u64,
@@ -121,7 +122,15 @@ impl App {
                 self.socket = Socket::Open;
                 self.wait_ms = FIRST_WAIT_MS;
                 live.connection_opened();
-                Vec::new()
+                let history = |s: f64| self.vehicle.clone().map(|id| Effect::FetchHistory(id, s));
+                history(self.history_s).into_iter().collect()
+            }
+            Event::History(id, seconds, past) => {
+                if self.vehicle.as_ref() != Some(&id) {
+                    return Vec::new();
+                }
+                live.fill(*past);
+                if seconds < MOST_HISTORY_S { vec![Effect::FetchHistory(id, MOST_HISTORY_S)] } else { Vec::new() }
             }
             Event::SocketClosed => {
                 self.socket = Socket::Waiting;
@@ -132,7 +141,7 @@ impl App {
             Event::Reconnect => match (self.socket, self.vehicle.clone()) {
                 (Socket::Waiting, Some(id)) => {
                     self.socket = Socket::Opening;
-                    vec![Effect::OpenSocket(id, self.history_s), Effect::FetchState]
+                    vec![Effect::OpenSocket(id), Effect::FetchState]
                 }
                 _ => Vec::new(),
             },
@@ -147,7 +156,8 @@ impl App {
     }
 
     fn choose_first(&mut self, live: &mut Live) -> Vec<Effect> {
-        let shown = self.vehicle.is_some();
+        // A vehicle remembered from another day may be unknown to this ground.
+        let shown = self.vehicle.is_some() && (self.socket == Socket::Open || self.listed().is_some());
         let Some(vehicles) = self.vehicles.as_ref().filter(|_| !shown) else { return Vec::new() };
         let remembered = vehicles.iter().find(|v| Some(&v.id) == self.remembered.as_ref());
         let choice = remembered.or_else(|| vehicles.iter().find(|v| v.connected)).or_else(|| vehicles.first());
@@ -164,11 +174,10 @@ impl App {
         *live = Live::default();
         self.socket = Socket::Opening;
         self.vehicle = Some(id.clone());
-        vec![Effect::Remember(id.clone()), Effect::OpenSocket(id, self.history_s)]
+        vec![Effect::Remember(id.clone()), Effect::OpenSocket(id)]
     }
 
     fn batch(&mut self, live: &mut Live, bytes: &[u8], local_ms: f64) -> Vec<Effect> {
-        self.last_batch_ms = local_ms;
         match live.ingest(bytes, local_ms) {
             Ok(()) => Vec::new(),
             // Said once: a batch of another schema is followed by many more.
@@ -216,7 +225,7 @@ mod tests {
         let mut live = Live::default();
         let mut app = App::new(None);
         let effects = app.update(&mut live, Event::Vehicles(Ok(list.clone())));
-        assert_eq!(effects, [Effect::Remember("b".into()), Effect::OpenSocket("b".into(), 60.0)]);
+        assert_eq!(effects, [Effect::Remember("b".into()), Effect::OpenSocket("b".into())]);
         let mut app = App::new(Some("c".into()));
         app.update(&mut live, Event::Vehicles(Ok(list.clone())));
         assert_eq!(app.vehicle.as_deref(), Some("c"));
@@ -232,12 +241,27 @@ mod tests {
         let mut waits = Vec::new();
         for _ in 0..7 {
             waits.extend(app.update(&mut live, Event::SocketClosed));
-            assert!(matches!(app.update(&mut live, Event::Reconnect)[0], Effect::OpenSocket(_, _)));
+            assert!(matches!(app.update(&mut live, Event::Reconnect)[0], Effect::OpenSocket(_)));
         }
         let expected = [250, 500, 1000, 2000, 4000, 4000, 4000].map(Effect::RetryIn);
         assert_eq!(waits, expected);
         app.update(&mut live, Event::SocketOpened);
         assert_eq!(app.update(&mut live, Event::SocketClosed), [Effect::RetryIn(250)]);
+    }
+
+    #[test]
+    fn the_window_shown_is_filled_first_and_a_vehicle_that_is_not_there_is_left() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        app.update(&mut live, Event::Choose("a".into()));
+        let first = app.update(&mut live, Event::SocketOpened);
+        assert_eq!(first, [Effect::FetchHistory("a".into(), HISTORY_S)]);
+        let then = app.update(&mut live, Event::History("a".into(), HISTORY_S, Box::new(Live::past())));
+        assert_eq!(then, [Effect::FetchHistory("a".into(), MOST_HISTORY_S)]);
+        assert!(app.update(&mut live, Event::History("a".into(), MOST_HISTORY_S, Box::new(Live::past()))).is_empty());
+        app.update(&mut live, Event::SocketClosed);
+        app.update(&mut live, Event::Vehicles(Ok(vec![vehicle("b", true)])));
+        assert_eq!(app.vehicle.as_deref(), Some("b"));
     }
 
     #[test]

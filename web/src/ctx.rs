@@ -6,16 +6,19 @@
 use std::time::Duration;
 
 use leptos::prelude::*;
+use plumbline_proto::{codec, v1::Mode};
 use serde_json::{Value, json};
 
 use crate::{
-    app::App,
+    app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Failure, Tone},
     model::{
         api::{Answer, Session},
+        draft::Draft,
         live::Live,
         route::Route,
+        topic::Topic,
     },
     net, store,
 };
@@ -24,8 +27,12 @@ use crate::{
 const TICK: Duration = Duration::from_millis(100);
 /// Least history asked for, s.
 const LEAST_HISTORY_S: f64 = 30.0;
-/// Most; the ground keeps no more.
-const MOST_HISTORY_S: f64 = 120.0;
+/// History is asked for once the page shows what is, ms; it is read for so long at a time, and then not for a while.
+const HISTORY_AFTER_MS: f64 = 400.0;
+const PIECE_MS: f64 = 6.0;
+const PAUSE_MS: f64 = 18.0;
+/// A hint beside the pointer stays this long.
+const HINT: Duration = Duration::from_secs(4);
 /// The ground is asked for its state this often.
 const POLL: Duration = Duration::from_millis(2000);
 
@@ -41,6 +48,16 @@ pub enum Graphics {
     Lost,
     /// Not possible, and why: numbers only.
     Off(String),
+}
+
+/// A few words beside the pointer.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs)]
+pub struct Hint {
+    pub number: u64,
+    pub text: String,
+    pub x: f64,
+    pub y: f64,
 }
 
 /// See the module documentation.
@@ -68,9 +85,15 @@ pub struct Ctx {
     pub help: RwSignal<bool>,
     /// Attack panel asked for by key.
     pub attacks_focus: RwSignal<u64>,
+    /// Attacks written and not yet on the vehicle; they outlive a visit to another page, and a refusal.
+    pub drafts: RwSignal<Vec<Draft>>,
+    /// Why the last thing pressed was not done, beside the pointer.
+    pub hint: RwSignal<Option<Hint>>,
     /// Who is signed in.
     pub session: RwSignal<Session>,
-    operator: StoredValue<String>,
+    /// Altitude asked for and not yet reached, m: steps count from there.
+    asked_m: StoredValue<Option<f64>>,
+    operator: RwSignal<String>,
     socket: StoredValue<Option<net::LiveSocket>, LocalStorage>,
 }
 
@@ -90,22 +113,34 @@ impl Ctx {
             live_deck: StoredValue::new(None),
             help: RwSignal::new(false),
             attacks_focus: RwSignal::new(0),
+            drafts: RwSignal::new(store::drafts()),
+            hint: RwSignal::new(None),
+            asked_m: StoredValue::new(None),
             session: RwSignal::new(Session::default()),
-            operator: StoredValue::new(store::operator()),
+            operator: RwSignal::new(store::operator()),
             socket: StoredValue::new_local(None),
         };
         let deck = Deck::live(ctx);
-        // History for the window shown and no more: decoding it delays the first live value.
+        // First what the window shows.
         let window_s = deck.window_s.get_untracked();
         ctx.app.update_value(|app| app.history_s = window_s.clamp(LEAST_HISTORY_S, MOST_HISTORY_S));
         ctx.live_deck.set_value(Some(deck));
-        set_interval(move || ctx.tick.update(|n| *n += 1), TICK);
+        // The vehicle whose socket is open already needs no list.
+        if let Some(vehicle) = net::Early::vehicle() {
+            ctx.dispatch(Event::Choose(vehicle));
+        }
+        let beat = move || {
+            ctx.forget_reached();
+            ctx.tick.update(|n| *n += 1);
+        };
+        set_interval(beat, TICK);
+        leptos::prelude::Effect::new(move |_| ctx.drafts.with(|drafts| store::keep_drafts(drafts)));
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
         leptos::task::spawn_local(async move {
             // The account is the operator's name where there is one; the first socket is opened after it is known.
             if let Ok(session) = net::json::<Session>("GET", "/api/session", None, "").await {
                 if let Some(name) = &session.name {
-                    ctx.operator.set_value(name.clone());
+                    ctx.operator.set(name.clone());
                 }
                 ctx.session.set(session);
             }
@@ -136,16 +171,16 @@ impl Ctx {
                     self.dispatch(Event::Vehicles(vehicles));
                 });
             }
-            Effect::OpenSocket(id, history_s) => {
+            Effect::OpenSocket(id) => {
                 self.socket.set_value(None);
-                let socket = self
-                    .operator
-                    .with_value(|who| net::LiveSocket::open(&id, who, history_s, move |event| self.dispatch(event)));
+                let who = self.operator.get_untracked();
+                let socket = net::LiveSocket::open(&id, &who, move |event| self.dispatch(event));
                 if socket.is_none() {
                     self.dispatch(Event::SocketClosed);
                 }
                 self.socket.set_value(socket);
             }
+            Effect::FetchHistory(id, seconds) => leptos::task::spawn_local(self.history(id, seconds)),
             Effect::RetryIn(ms) => {
                 set_timeout(move || self.dispatch(Event::Reconnect), Duration::from_millis(ms.into()))
             }
@@ -153,6 +188,26 @@ impl Ctx {
             Effect::DismissIn(number, ms) => {
                 set_timeout(move || self.dispatch(Event::Dismiss(number)), Duration::from_millis(ms.into()));
             }
+        }
+    }
+
+    /// Asks for the past of vehicle `id` and reads it in pieces: what arrives meanwhile is shown meanwhile.
+    async fn history(self, id: String, seconds: f64) {
+        net::pause(HISTORY_AFTER_MS).await;
+        let url = format!("/api/vehicles/{}/history?seconds={seconds:.0}", js_sys::encode_uri_component(&id));
+        // Without it the charts begin now; the socket says when the ground is gone.
+        let Ok(batch) = net::bytes(&url).await else { return };
+        let Ok(mut frames) = codec::decode_batch(&batch) else { return };
+        let mut past = Box::new(Live::past());
+        loop {
+            let begun = net::now_ms();
+            while net::now_ms() - begun < PIECE_MS {
+                match frames.next() {
+                    Some(Ok(frame)) => past.frame(&frame, begun),
+                    _ => return self.dispatch(Event::History(id, seconds, past)),
+                }
+            }
+            net::pause(PAUSE_MS).await;
         }
     }
 
@@ -173,23 +228,95 @@ impl Ctx {
         self.live.with_value(|live| live.clock.flight_now_us(net::now_ms()).unwrap_or(live.newest_us as f64))
     }
 
+    /// How old what is shown is, s; runs again ten times a second.
+    pub fn age_s(self) -> Option<f64> {
+        self.live(|live| live.age_s(net::now_ms()))
+    }
+
+    /// Is the newest message of a topic too old to be shown as what is? Runs again ten times a second.
+    pub fn is_old<T>(self, topic: fn(&Live) -> &Topic<T>) -> bool {
+        self.live(|live| live.is_old(topic(live), net::now_ms()))
+    }
+
     /// This page's name for the ground's lease.
     pub fn operator(self) -> String {
-        self.operator.get_value()
+        self.operator.get()
+    }
+
+    /// Calls the operator something else, from now on and after a reload. Control does not go along.
+    pub fn rename(self, name: &str) {
+        let operator = store::rename(name);
+        if operator == self.operator.get_untracked() || self.session.with_untracked(|s| s.name.is_some()) {
+            return;
+        }
+        if self.live.with_value(|live| live.holder() == self.operator.get_untracked()) {
+            self.command("Release control", "DELETE", "lease", json!({}));
+        }
+        self.operator.set(operator);
+        if let Some(vehicle) = self.app.with_value(|app| app.vehicle.clone()) {
+            self.perform(Effect::OpenSocket(vehicle));
+        }
+    }
+
+    /// Why the vehicle would not be commanded from this page; `None` where it would.
+    pub fn refusal(self) -> Option<String> {
+        if self.session.with(|session| session.role.as_deref() == Some("viewer")) {
+            return Some("You are signed in as a viewer".to_owned());
+        }
+        let operator = self.operator.get();
+        let open = self.app(|app| app.socket == Socket::Open);
+        self.live(|live| {
+            let holder = live.holder();
+            let other = open && !holder.is_empty() && holder != operator;
+            other.then(|| format!("{holder} controls this vehicle: take over first"))
+        })
+    }
+
+    /// Says `why` beside the pointer, for a while.
+    pub fn refuse(self, why: String) {
+        let number = self.hint.with_untracked(|hint| hint.as_ref().map_or(0, |hint| hint.number + 1));
+        let (x, y) = crate::keys::pointer();
+        self.hint.set(Some(Hint { number, text: why, x, y }));
+        let done = move || {
+            if self.hint.with_untracked(|hint| hint.as_ref().is_some_and(|hint| hint.number == number)) {
+                self.hint.set(None);
+            }
+        };
+        set_timeout(done, HINT);
     }
 
     /// Sends a command to the vehicle shown. The answer becomes a notice named `what`.
-    pub fn command(self, what: impl Into<String>, method: &'static str, action: &str, body: Value) {
+    pub fn command(self, what: impl Into<String>, method: &'static str, action: &'static str, body: Value) {
+        self.command_then(what, method, action, body, |_| {});
+    }
+
+    /// As [`Ctx::command`]; `then` is called with whether it was accepted.
+    pub fn command_then(
+        self,
+        what: impl Into<String>,
+        method: &'static str,
+        action: &'static str,
+        body: Value,
+        then: impl FnOnce(bool) + 'static,
+    ) {
         let what = what.into();
+        // The cut asks nobody; who holds control is not asked for it.
+        if !matches!(action, "cut" | "lease")
+            && let Some(why) = untrack(|| self.refusal())
+        {
+            self.refuse(why);
+            return then(false);
+        }
         let Some(vehicle) = self.app.with_value(|app| app.vehicle.clone()) else {
             self.dispatch(Event::Tell(Tone::Error, format!("{what}: no vehicle is connected")));
-            return;
+            return then(false);
         };
         let id = String::from(js_sys::encode_uri_component(&vehicle));
         let url = format!("/api/vehicles/{id}/{action}");
-        let operator = self.operator();
+        let operator = self.operator.get_untracked();
         leptos::task::spawn_local(async move {
             let answer: Result<Answer, Failure> = net::json(method, &url, Some(body.to_string()), &operator).await;
+            then(answer.is_ok());
             self.dispatch(Event::Answered(what, answer));
         });
     }
@@ -199,32 +326,51 @@ impl Ctx {
         self.command("Cut motors", "POST", "cut", json!({}));
     }
 
+    /// Takes control, from whoever has it.
+    pub fn take_control(self) {
+        self.command("Take control", "PUT", "lease", json!({}));
+    }
+
     /// Asks for an altitude, m.
     pub fn set_altitude(self, altitude_m: f64) {
         // Steps of 0.1 must not become 0.7999999.
         let rounded = (altitude_m * 1e4).round() / 1e4;
         let what = format!("Setpoint {} m", crate::model::format::fixed(rounded, 2));
-        self.command(what, "POST", "setpoint", json!({ "altitude_m": rounded }));
+        self.asked_m.set_value(Some(rounded));
+        self.command_then(what, "POST", "setpoint", json!({ "altitude_m": rounded }), move |accepted| {
+            if !accepted && self.asked_m.get_value() == Some(rounded) {
+                self.asked_m.set_value(None);
+            }
+        });
     }
 
-    /// Moves the altitude setpoint in use by `step_m`, within the vehicle's limits.
-    pub fn step_altitude(self, step_m: f64) {
-        let target = self.live.with_value(|live| {
-            let now = live.control.get().and_then(|c| c.setpoint.as_ref()).and_then(|s| s.altitude_m);
-            let limits = live.description.get().and_then(|d| d.limits);
-            now.map(|now| match limits {
-                Some(l) if l.altitude_max_m > l.altitude_min_m => {
-                    (now + step_m).clamp(l.altitude_min_m, l.altitude_max_m)
-                }
-                _ => now + step_m,
-            })
+    /// What was asked for counts until the vehicle's profile is there, or another mode begins.
+    fn forget_reached(self) {
+        let Some(asked) = self.asked_m.get_value() else { return };
+        let pending = self.live.with_value(|live| {
+            let moving = live.setpoint_m().is_some_and(|now| (now - asked).abs() > 1e-6);
+            moving && live.status.get().is_some_and(|s| matches!(s.mode(), Mode::AltitudeHold | Mode::Hold))
         });
-        match target {
-            Some(target) => self.set_altitude(target),
-            None => {
-                self.dispatch(Event::Tell(Tone::Error, "Setpoint: the vehicle has not told its setpoint yet".into()))
-            }
+        let fresh = self.app.with_value(|app| app.socket == Socket::Open);
+        if !pending && fresh {
+            self.asked_m.set_value(None);
         }
+    }
+
+    /// Moves the altitude setpoint by one step up or down, from what was asked for last and not from where the
+    /// vehicle's profile happens to be, onto the grid of the steps and within the vehicle's limits.
+    pub fn step_altitude(self, up: bool) {
+        let (now, limits) =
+            self.live.with_value(|live| (live.setpoint_m(), live.description.get().and_then(|d| d.limits)));
+        let Some(from) = self.asked_m.get_value().or(now) else {
+            self.dispatch(Event::Tell(Tone::Error, "Setpoint: the vehicle has not reported its setpoint yet".into()));
+            return;
+        };
+        let target = crate::panel::setpoint::stepped(from, up);
+        self.set_altitude(match limits {
+            Some(l) if l.altitude_max_m > l.altitude_min_m => target.clamp(l.altitude_min_m, l.altitude_max_m),
+            _ => target,
+        });
     }
 
     /// Starts or stops a recording by hand.

@@ -1,6 +1,9 @@
 //! Everything that can happen to the page's state. Closed: what is not here cannot happen.
 
-use crate::model::api::{Answer, Ground, Vehicle};
+use crate::model::{
+    api::{Answer, Ground, Vehicle},
+    live::Live,
+};
 
 /// Why a request failed.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,7 +15,7 @@ pub struct Failure {
 }
 
 /// One thing that happened.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub enum Event {
     /// Time to ask the ground for its state.
     Poll,
@@ -30,6 +33,8 @@ pub enum Event {
     Reconnect,
     /// A batch of messages, at a time of the browser's monotonic clock, ms.
     Batch(Vec<u8>, f64),
+    /// The past of this vehicle, so many seconds of it, read.
+    History(String, f64, Box<Live>),
     /// The ground answered a command.
     Answered(String, Result<Answer, Failure>),
     /// Something to tell the operator.
@@ -54,8 +59,10 @@ pub enum Tone {
 pub enum Effect {
     /// Ask for `/api/ground` and `/api/vehicles`.
     FetchState,
-    /// Open the live socket of this vehicle with so much history, s.
-    OpenSocket(String, f64),
+    /// Open the live socket of this vehicle.
+    OpenSocket(String),
+    /// Ask for so much of its history, s.
+    FetchHistory(String, f64),
     /// Send `Event::Reconnect` in so many ms.
     RetryIn(u32),
     /// Remember the chosen vehicle for a reload.

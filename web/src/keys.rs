@@ -1,9 +1,12 @@
 //! The keyboard, in one place.
 
+use std::cell::Cell;
+use std::rc::Rc;
+
 use leptos::{ev, prelude::*};
 use wasm_bindgen::JsCast;
 
-use crate::{ctx::Ctx, deck::Source, model::route::Route, panel::setpoint::STEP_M};
+use crate::{ctx::Ctx, deck::Source, model::route::Route};
 
 /// Every key and what it does.
 pub const KEYS: [(&str, &str); 9] = [
@@ -29,8 +32,56 @@ fn on_control(e: &ev::KeyboardEvent) -> bool {
     matches!(element.tag_name().as_str(), "BUTTON" | "A" | "SUMMARY")
 }
 
+thread_local! {
+    static POINTER: Cell<(f64, f64)> = const { Cell::new((0.0, 0.0)) };
+}
+
+/// Where the pointer was pressed last, px; after a key, the middle of what has the focus.
+pub fn pointer() -> (f64, f64) {
+    POINTER.get()
+}
+
+/// The pointer was pressed here, px.
+pub fn pointed(x: f64, y: f64) {
+    POINTER.set((x, y));
+}
+
+/// Gives the focus back to the page, so that keys are the page's again.
+pub fn let_go() {
+    let focused = document().active_element().and_then(|e| e.dyn_into::<web_sys::HtmlElement>().ok());
+    if let Some(focused) = focused {
+        // What has the focus can lose it.
+        let _ = focused.blur();
+    }
+}
+
+/// A list chosen from with the pointer has had its turn: the next arrow key is the page's.
+fn listen_to_lists() {
+    let by_pointer = Rc::new(Cell::new(false));
+    let by = by_pointer.clone();
+    window_event_listener(ev::pointerdown, move |e| {
+        by.set(true);
+        pointed(f64::from(e.client_x()), f64::from(e.client_y()));
+    });
+    let by = by_pointer.clone();
+    window_event_listener(ev::keydown, move |_| {
+        by.set(false);
+        if let Some(focused) = document().active_element() {
+            let r = focused.get_bounding_client_rect();
+            pointed(r.left() + r.width() / 2.0, r.bottom().min(200.0));
+        }
+    });
+    window_event_listener(ev::change, move |e| {
+        let list = e.target().and_then(|t| t.dyn_into::<web_sys::HtmlSelectElement>().ok());
+        if list.is_some_and(|list| by_pointer.get() && list.form().is_none()) {
+            let_go();
+        }
+    });
+}
+
 /// Listens for as long as the page lives.
 pub fn listen(ctx: Ctx) {
+    listen_to_lists();
     window_event_listener(ev::keydown, move |e| {
         if e.ctrl_key() && e.shift_key() && e.key().eq_ignore_ascii_case("x") {
             e.prevent_default();
@@ -40,7 +91,19 @@ pub fn listen(ctx: Ctx) {
             }
             return;
         }
+        if e.repeat() && (on_control(&e) && matches!(e.key().as_str(), "Enter" | " ")) {
+            // The browser would press the button again and again.
+            e.prevent_default();
+            return;
+        }
         if e.ctrl_key() || e.alt_key() || e.meta_key() || typing(&e) || ctx.help.get_untracked() {
+            return;
+        }
+        if e.repeat() {
+            // One press is one command; a held arrow does not scroll the page either.
+            if ctx.route.with_untracked(|r| *r == Route::Fly) && e.key().starts_with("Arrow") {
+                e.prevent_default();
+            }
             return;
         }
         if handle(ctx, &e) {
@@ -54,14 +117,14 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
     let deck = ctx.deck.get_untracked();
     let flying = ctx.route.with_untracked(|r| *r == Route::Fly);
     match e.key().as_str() {
-        "ArrowUp" if flying => ctx.step_altitude(STEP_M),
-        "ArrowDown" if flying => ctx.step_altitude(-STEP_M),
+        "ArrowUp" if flying => ctx.step_altitude(true),
+        "ArrowDown" if flying => ctx.step_altitude(false),
         " " if !on_control(e) && flying => {
             if let Some(deck) = deck {
                 deck.toggle_pause();
             }
         }
-        "r" | "R" if flying && !e.repeat() => ctx.toggle_recording(),
+        "r" | "R" if flying => ctx.toggle_recording(),
         "a" | "A" if flying => ctx.attacks_focus.update(|n| *n += 1),
         "1" => ctx.go(Route::Fly),
         "2" => ctx.go(Route::Flights),

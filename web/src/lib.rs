@@ -80,6 +80,7 @@ fn Root() -> impl IntoView {
                 }.into_any(),
             }
         }}
+        <panel::alarms::Alarms />
         <panel::notices::Notices />
         <page::Help />
     }

@@ -92,6 +92,18 @@ pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
     Ok(js_sys::Uint8Array::new(&buffer).to_vec())
 }
 
+/// Lets the browser do other things for `ms`.
+pub async fn pause(ms: f64) {
+    let wait = js_sys::Promise::new(&mut |done, _| {
+        if let Some(window) = web_sys::window() {
+            // Fails only without a window.
+            let _ = window.set_timeout_with_callback_and_timeout_and_arguments_0(&done, ms as i32);
+        }
+    });
+    // A timer does not fail.
+    let _ = JsFuture::from(wait).await;
+}
+
 /// The live socket. Closing it, or dropping it, ends its events.
 pub struct LiveSocket {
     socket: WebSocket,
@@ -101,22 +113,13 @@ pub struct LiveSocket {
 }
 
 impl LiveSocket {
-    /// Opens the socket of `vehicle`, as `operator`; `None` when the browser refuses at once. Whoever is in control shows
-    /// by it that the page runs: see [`liveness`].
-    pub fn open(
-        vehicle: &str,
-        operator: &str,
-        history_s: f64,
-        dispatch: impl Fn(Event) + Clone + 'static,
-    ) -> Option<Self> {
-        let location = web_sys::window()?.location();
-        let scheme = if location.protocol().ok()? == "https:" { "wss" } else { "ws" };
-        let id = js_sys::encode_uri_component(vehicle);
-        let who = js_sys::encode_uri_component(operator);
-        let host = location.host().ok()?;
-        let url = format!("{scheme}://{host}/api/vehicles/{id}/live?history={history_s:.0}&operator={who}");
-        let socket = WebSocket::new(&url).ok()?;
-        socket.set_binary_type(BinaryType::Arraybuffer);
+    /// Opens the socket of `vehicle`, as `operator`, or goes on with the one that `early.js` opened; `None` when the
+    /// browser refuses at once. Whoever is in control shows by it that the page runs: see [`liveness`].
+    pub fn open(vehicle: &str, operator: &str, dispatch: impl Fn(Event) + Clone + 'static) -> Option<Self> {
+        let (socket, early) = match Early::take(vehicle, operator) {
+            Some((socket, batches)) => (socket, batches),
+            None => (Self::connect(vehicle, operator)?, Vec::new()),
+        };
         let (on, back) = (dispatch.clone(), socket.clone());
         let message = Closure::<dyn FnMut(MessageEvent)>::new(move |event: MessageEvent| {
             if let Ok(buffer) = event.data().dyn_into::<js_sys::ArrayBuffer>() {
@@ -130,11 +133,71 @@ impl LiveSocket {
         });
         let on = dispatch.clone();
         let open = Closure::<dyn FnMut()>::new(move || on(Event::SocketOpened));
-        let close = Closure::<dyn FnMut()>::new(move || dispatch(Event::SocketClosed));
+        let on = dispatch.clone();
+        let close = Closure::<dyn FnMut()>::new(move || on(Event::SocketClosed));
         socket.set_onmessage(Some(message.as_ref().unchecked_ref()));
         socket.set_onopen(Some(open.as_ref().unchecked_ref()));
         socket.set_onclose(Some(close.as_ref().unchecked_ref()));
+        if socket.ready_state() == WebSocket::OPEN {
+            dispatch(Event::SocketOpened);
+        }
+        for batch in early {
+            dispatch(Event::Batch(batch, now_ms()));
+        }
         Some(Self { socket, _message: message, _open: open, _close: close })
+    }
+
+    fn connect(vehicle: &str, operator: &str) -> Option<WebSocket> {
+        let location = web_sys::window()?.location();
+        let scheme = if location.protocol().ok()? == "https:" { "wss" } else { "ws" };
+        let id = js_sys::encode_uri_component(vehicle);
+        let who = js_sys::encode_uri_component(operator);
+        let host = location.host().ok()?;
+        let socket = WebSocket::new(&format!("{scheme}://{host}/api/vehicles/{id}/live?operator={who}")).ok()?;
+        socket.set_binary_type(BinaryType::Arraybuffer);
+        Some(socket)
+    }
+}
+
+/// The socket that `early.js` opened before this program was here.
+pub struct Early;
+
+impl Early {
+    fn get(name: &str) -> Option<(JsValue, JsValue)> {
+        let early = js_sys::Reflect::get(&js_sys::global(), &"plumblineEarly".into()).ok()?;
+        let value = js_sys::Reflect::get(&early, &name.into()).ok()?;
+        Some((early, value))
+    }
+
+    /// The vehicle it shows.
+    pub fn vehicle() -> Option<String> {
+        Self::get("vehicle")?.1.as_string()
+    }
+
+    /// Who this page is.
+    pub fn operator() -> Option<String> {
+        Self::get("operator")?.1.as_string()
+    }
+
+    /// It, and what came through it so far; once, and only for the vehicle and operator it was opened for.
+    fn take(vehicle: &str, operator: &str) -> Option<(WebSocket, Vec<Vec<u8>>)> {
+        let ours = Self::vehicle().as_deref() == Some(vehicle) && Self::operator().as_deref() == Some(operator);
+        let (socket, take) = (Self::get("socket"), Self::get("take"));
+        // Taken or not: nobody else will, and what is not open yet need not be.
+        let _ = js_sys::Reflect::delete_property(
+            js_sys::global().unchecked_ref::<js_sys::Object>(),
+            &"plumblineEarly".into(),
+        );
+        let (early, take) = take?;
+        let socket: WebSocket = socket?.1.dyn_into().ok()?;
+        let batches = take.dyn_into::<js_sys::Function>().ok()?.call0(&early).ok()?;
+        if !ours || socket.ready_state() > WebSocket::OPEN {
+            // Closing what is closed is no error worth telling.
+            let _ = socket.close();
+            return None;
+        }
+        let bytes = |buffer: JsValue| js_sys::Uint8Array::new(&buffer).to_vec();
+        Some((socket, js_sys::Array::from(&batches).iter().map(bytes).collect()))
     }
 }
 

@@ -6,14 +6,17 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::time::Duration;
 
 use leptos::{html, prelude::*};
 use wasm_bindgen::{JsCast, prelude::Closure};
 
 use crate::{
     ctx::{Ctx, Graphics},
-    deck::Slot,
+    deck::{Deck, Picture, Slot, Source},
     gpu::{Backend, FrameOutcome, Panel, Rect, Renderer, Theme},
+    model::{axis::TimeAxis, instrument::Instrument, live::Live},
+    net,
 };
 
 mod frame;
@@ -21,6 +24,14 @@ mod space;
 
 use frame::Frame;
 use space::Body;
+
+/// A frame that takes less than this, ms, leaves time for everything else.
+const LIGHT_MS: f64 = 8.0;
+/// After a heavier one, pictures wait for this multiple of its time: telemetry, keys and the operator's sign of life come
+/// before them.
+const PAUSE_SHARE: f64 = 1.5;
+/// Longest pause between two frames, ms.
+const MOST_PAUSE_MS: f64 = 250.0;
 
 /// Starts drawing on `canvas`, for as long as the page lives.
 pub fn start(ctx: Ctx, canvas: NodeRef<html::Canvas>) {
@@ -66,8 +77,10 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
     type Loop = Rc<RefCell<Option<Closure<dyn FnMut()>>>>;
     let next: Loop = Rc::new(RefCell::new(None));
     let again = next.clone();
+    let mut shown = None;
     let body = Closure::<dyn FnMut()>::new(move || {
-        let outcome = painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer));
+        let begun = net::now_ms();
+        let outcome = painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer, &mut shown));
         if outcome == Some(FrameOutcome::Lost) && ctx.graphics.with_untracked(|g| *g != Graphics::Lost) {
             ctx.graphics.set(Graphics::Lost);
         }
@@ -76,28 +89,93 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
             acquire(ctx, canvas.clone(), painter.clone());
             return;
         }
-        if let Some(closure) = again.borrow().as_ref() {
-            // Fails only without a window.
-            let _ = window().request_animation_frame(closure.as_ref().unchecked_ref());
-        }
+        let again = again.clone();
+        let ask = move || {
+            if let Some(closure) = again.borrow().as_ref() {
+                // Fails only without a window.
+                let _ = window().request_animation_frame(closure.as_ref().unchecked_ref());
+            }
+        };
+        // A timer of no time ends when the browser has put the frame on the screen: in software it reads the canvas
+        // back meanwhile, and nothing else happens on this thread.
+        let shown = move || {
+            let spent_ms = net::now_ms() - begun;
+            if spent_ms < LIGHT_MS {
+                ask();
+            } else {
+                let pause_ms = (PAUSE_SHARE * spent_ms).min(MOST_PAUSE_MS);
+                set_timeout(ask, Duration::from_millis(pause_ms as u64));
+            }
+        };
+        set_timeout(shown, Duration::ZERO);
     });
     let _ = window().request_animation_frame(body.as_ref().unchecked_ref());
     *next.borrow_mut() = Some(body);
 }
 
-/// One frame.
-fn frame(ctx: Ctx, renderer: &mut Renderer) -> FrameOutcome {
+/// What a frame shows where nothing moves by itself: the same again need not be drawn.
+#[derive(PartialEq)]
+struct Still {
+    dark: bool,
+    size: (f64, f64, f64),
+    places: Vec<(Picture, Option<Rect>)>,
+    recorded: Option<Recorded>,
+}
+
+/// What the charts of a recorded flight depend on.
+#[derive(PartialEq)]
+struct Recorded {
+    instrument: Instrument,
+    axis: TimeAxis,
+    cursor: Option<f64>,
+    selection: Option<(f64, f64)>,
+    playhead: f64,
+    residual: Option<(i32, u32)>,
+    residuals_of: u16,
+    camera: (f32, f32, f32),
+    /// Of all curves: another estimator's may be laid over them.
+    samples: usize,
+}
+
+impl Recorded {
+    fn of(deck: Deck, instrument: &Instrument) -> Option<Self> {
+        let (axis, samples) = deck.data.try_with_value(|live| (deck.axis(live), live.curves.samples()))?;
+        Some(Self {
+            instrument: instrument.clone(),
+            axis,
+            cursor: deck.cursor.get_untracked(),
+            selection: deck.selection.get_untracked(),
+            playhead: deck.playhead.get_untracked(),
+            residual: deck.residual.get_untracked(),
+            residuals_of: deck.residuals_of.get_untracked(),
+            camera: deck.camera.get_untracked(),
+            samples,
+        })
+    }
+}
+
+/// One frame; nothing is drawn while it would be `shown` again.
+fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>) -> FrameOutcome {
     let number = |value: Result<wasm_bindgen::JsValue, _>| value.ok().and_then(|v| v.as_f64()).unwrap_or(1.0);
     let (width, height) = (number(window().inner_width()), number(window().inner_height()));
-    renderer.resize(width, height, window().device_pixel_ratio());
+    let size = (width, height, window().device_pixel_ratio());
+    renderer.resize(size.0, size.1, size.2);
     let dark = ctx.dark.get_untracked();
     let theme = Theme::of(dark);
-    let Some(deck) = ctx.deck.get_untracked() else { return renderer.frame(&theme, &[]) };
-    let slots = deck.slots();
+    let deck = ctx.deck.get_untracked();
+    let slots = deck.map(Deck::slots).unwrap_or_default();
     let rects: Vec<Option<Rect>> = slots.iter().map(|slot| visible(slot, height)).collect();
-    let instrument = deck.instrument_now();
-    let frame = Frame { deck, dark, theme };
-    let outcome = deck.data.try_with_value(|live| {
+    let instrument = deck.map(Deck::instrument_now).unwrap_or_default();
+    let recorded = deck.filter(|deck| deck.source == Source::Recorded);
+    let recorded = recorded.and_then(|deck| Recorded::of(deck, &instrument));
+    let places: Vec<_> = slots.iter().map(|slot| slot.picture).zip(rects.iter().copied()).collect();
+    let moves = recorded.is_none() && rects.iter().any(Option::is_some);
+    let now = (!moves).then_some(Still { dark, size, places, recorded });
+    if now.is_some() && now == *shown {
+        return FrameOutcome::Skipped;
+    }
+    let mut draw = |live: &Live, deck: Deck| {
+        let frame = Frame { deck, dark, theme };
         let body = Body::new(live, &instrument);
         let axis = deck.axis(live);
         let panels: Vec<Panel<'_>> = slots
@@ -110,8 +188,13 @@ fn frame(ctx: Ctx, renderer: &mut Renderer) -> FrameOutcome {
             })
             .collect();
         renderer.frame(&theme, &panels)
-    });
-    outcome.unwrap_or(FrameOutcome::Skipped)
+    };
+    let outcome = match deck {
+        Some(deck) => deck.data.try_with_value(|live| draw(live, deck)).unwrap_or(FrameOutcome::Skipped),
+        None => renderer.frame(&theme, &[]),
+    };
+    *shown = now.filter(|_| outcome == FrameOutcome::Drawn);
+    outcome
 }
 
 /// Where a chart is, if any of it can be seen.

@@ -62,12 +62,12 @@ pub fn estimator(number: u16, in_loop: u16) -> Ink {
     use EstimatorKind as Kind;
     match Kind::try_from(i32::from(number)).unwrap_or_default() {
         Kind::EkfBias => OTHER_1,
-        Kind::Primary => OTHER_6,
+        Kind::Complementary => OTHER_6,
         Kind::EkfHybrid => OTHER_3,
         Kind::Ukf => OTHER_4,
-        Kind::PointMass => OTHER_5,
-        // Attitude alone has no altitude: never in the same chart.
-        Kind::Secure | Kind::Attitude | Kind::Unspecified => OTHER_2,
+        Kind::ConstantAcceleration => OTHER_5,
+        // A VQF has no altitude: never in the same chart.
+        Kind::Secure | Kind::Vqf | Kind::Unspecified => OTHER_2,
     }
 }
 

@@ -2,6 +2,11 @@
 
 use leptos::prelude::window;
 
+use crate::{
+    model::draft::{Draft, Row},
+    net::Early,
+};
+
 fn key(name: &str) -> String {
     format!("plumbline.{name}")
 }
@@ -19,17 +24,50 @@ pub fn set(name: &str, value: &str) {
     }
 }
 
-/// This page's name towards the ground: lives as long as the browser tab, survives a reload.
+/// This page's name towards the ground: the operator's, and what tells this tab from others. `early.js` chose it; it
+/// lives as long as the tab and survives a reload.
 pub fn operator() -> String {
-    let storage = window().session_storage().ok().flatten();
-    let kept = storage.as_ref().and_then(|s| s.get_item(&key("operator")).ok().flatten());
-    kept.unwrap_or_else(|| {
-        let fresh = format!("page-{:08x}", (js_sys::Math::random() * 4_294_967_296.0) as u32);
-        if let Some(storage) = storage {
-            let _ = storage.set_item(&key("operator"), &fresh);
-        }
-        fresh
-    })
+    session().and_then(|s| s.get_item(&key("operator")).ok().flatten()).or_else(Early::operator).unwrap_or_default()
+}
+
+/// The operator's name without what tells the tab.
+pub fn operator_name(operator: &str) -> &str {
+    operator.rsplit_once(' ').map_or(operator, |(name, _)| name)
+}
+
+/// Another name for the operator; answers this page's. The ground takes 64 printable ASCII characters.
+pub fn rename(name: &str) -> String {
+    let printable: String = name.trim().chars().filter(|c| c.is_ascii_graphic() || *c == ' ').take(40).collect();
+    let before = operator();
+    let tab = before.rsplit_once(' ').map_or("", |(_, tab)| tab);
+    let name = if printable.is_empty() { "Operator" } else { &printable };
+    let operator = format!("{name} {tab}");
+    set("name", name);
+    if let Some(storage) = session() {
+        // A forbidden storage costs the name after a reload, nothing else.
+        let _ = storage.set_item(&key("operator"), &operator);
+    }
+    operator
+}
+
+/// The attacks that were being written.
+pub fn drafts() -> Vec<Draft> {
+    let text = session().and_then(|s| s.get_item(&key("drafts")).ok().flatten()).unwrap_or_default();
+    let rows: Vec<Row> = serde_json::from_str(&text).unwrap_or_default();
+    rows.into_iter().filter_map(Draft::from_row).collect()
+}
+
+/// Keeps them over a reload.
+pub fn keep_drafts(drafts: &[Draft]) {
+    let rows: Vec<Row> = drafts.iter().map(Draft::row).collect();
+    if let (Some(storage), Ok(text)) = (session(), serde_json::to_string(&rows)) {
+        // A full or forbidden storage costs the drafts of a reload, nothing else.
+        let _ = storage.set_item(&key("drafts"), &text);
+    }
+}
+
+fn session() -> Option<web_sys::Storage> {
+    window().session_storage().ok().flatten()
 }
 
 /// Dark page: as chosen, else as the system prefers.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use plumbline_agent::estimate::secure::Program;
-use plumbline_agent::estimate::secure::offline::{self, Engine};
+use plumbline_agent::offline::decode::{self, Engine};
 
 #[derive(Debug, clap::Args)]
 pub struct DecodeArguments {
@@ -45,7 +45,7 @@ impl DecodeArguments {
             EngineChoice::Newton => Engine::Newton,
             EngineChoice::Clarabel => Engine::Clarabel,
         };
-        offline::run(&self.input, program, engine, &mut std::io::stdout().lock())?;
+        decode::run(&self.input, program, engine, &mut std::io::stdout().lock())?;
         Ok(())
     }
 }

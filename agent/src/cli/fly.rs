@@ -2,7 +2,6 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
@@ -16,19 +15,19 @@ use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::offline::calibrate;
 use plumbline_agent::recordings;
+use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::runner::pace::Pace;
+use plumbline_agent::runner::stop::Stop;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::sensor::suite::{Description, Suite};
+use plumbline_agent::sim::rig::{Line, MAX_STRINGS};
+use plumbline_agent::sim::script::Script;
+use plumbline_agent::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::calibrated::CalibratedVehicle;
-use plumbline_agent::vehicle::replay::{ReplayVehicle, Samples};
-use plumbline_agent::vehicle::sim::rig::{Line, MAX_STRINGS};
-use plumbline_agent::vehicle::sim::script::Script;
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
-use plumbline_agent::vehicle::suite::{Description, Suite};
 use plumbline_proto::SCHEMA;
 use plumbline_proto::time::{FlightTime, WallTime};
-use plumbline_proto::v1::SensorKind;
 
 use super::{FlyArguments, VehicleChoice};
 
@@ -48,7 +47,7 @@ struct Chosen {
     scenario: String,
     seed: u64,
     source_file: String,
-    sensors: ArrayVec<Description, { plumbline_agent::vehicle::suite::MAX_SENSORS }>,
+    sensors: ArrayVec<Description, { plumbline_agent::sensor::MAX_SENSORS }>,
     strings: ArrayVec<Line, MAX_STRINGS>,
     promise: Option<Result<Promise, SuiteError>>,
     script: Option<Script>,
@@ -159,7 +158,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         zero: (!replay).then_some(zero),
     };
 
-    let stop = Arc::new(AtomicBool::new(false));
+    let stop = Arc::new(Stop::default());
     stop_on_signal(stop.clone())?;
     let vehicle = chosen.vehicle;
     let flying = std::thread::Builder::new()
@@ -231,7 +230,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
     };
     Ok(Chosen {
         vehicle: Box::new(SimVehicle::new(&scenario)?),
-        flight: FlightConfig::for_scenario(&scenario).with_every_estimator(),
+        flight: scenario.flight_config().with_every_estimator(),
         kind: "sim",
         rig: scenario.rig.name().to_owned(),
         scenario: scenario.text.clone(),
@@ -260,7 +259,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         _ => None,
     };
     let mut flight = match &scenario {
-        Some(scenario) => FlightConfig::for_scenario(scenario).with_every_estimator(),
+        Some(scenario) => scenario.flight_config().with_every_estimator(),
         None => {
             let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
             // Nothing is said of its sensors: the assumptions of `estimate`.
@@ -285,7 +284,6 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
                 rate_hz: sensor.rate_hz,
                 // Not part of any of these formats.
                 sigma: 0.0,
-                unit: first_channel_unit(sensor.id.kind),
             })
         })
         .collect();
@@ -320,22 +318,12 @@ fn airframe_of(recorded: Option<&str>, configured: &str) -> Result<Airframe, Fai
     Ok(airframe)
 }
 
-/// Unit of a sensor's first channel, as in [`Description`].
-fn first_channel_unit(kind: SensorKind) -> &'static str {
-    match kind {
-        SensorKind::Imu => "rad/s",
-        SensorKind::Barometer => "Pa",
-        SensorKind::Height | SensorKind::Gnss | SensorKind::MocapPose | SensorKind::CameraRanges => "m",
-        SensorKind::Unspecified => "",
-    }
-}
-
 fn read(path: &Path) -> Result<String, Failure> {
     std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()).into())
 }
 
-/// The first signal ends the flight in order, the second one at once.
-fn stop_on_signal(stop: Arc<AtomicBool>) -> Result<(), Failure> {
+/// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs.
+fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
     use tokio::signal::unix::{SignalKind, signal};
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
@@ -351,10 +339,11 @@ fn stop_on_signal(stop: Arc<AtomicBool>) -> Result<(), Failure> {
                     _ = interrupt.recv() => {}
                     _ = terminate.recv() => {}
                 }
-                if stop.swap(true, Ordering::AcqRel) {
-                    std::process::exit(130);
+                match stop.ask() {
+                    1 => tracing::info!("asked to end: landing; asked again the motors are cut"),
+                    2 => tracing::warn!("asked again: motors cut"),
+                    _ => std::process::exit(130),
                 }
-                tracing::info!("stopping");
             }
         });
     })?;

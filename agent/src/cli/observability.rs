@@ -3,11 +3,11 @@
 use std::io::Write as _;
 use std::path::Path;
 
-use plumbline_agent::estimate::secure::flying::{SLOT_S, SLOTS};
 use plumbline_agent::estimate::secure::suite::{NAMES, Observed, STATES};
+use plumbline_agent::estimate::secure::{SLOT_S, SLOTS};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::trim::Trim;
-use plumbline_agent::vehicle::suite::{PRESETS, Suite};
+use plumbline_agent::sensor::suite::{PRESETS, Suite};
 use serde_json::json;
 
 /// Sampling phases shown: the default rig's rates repeat after five slots.

@@ -26,12 +26,12 @@ use plumbline_proto::v1;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::control::ControllerKind;
 use crate::control::gains::{Gain, INPUT_NAMES, STATE_NAMES};
 use crate::control::lqr_integral::Weights;
 use crate::control::margins::LoopMargins;
 use crate::control::tuning::{KINDS, Proposal, kind_by_name, kind_name, parameters, weighted};
 use crate::linalg::Complex;
+use crate::types::ControllerKind;
 
 use super::DesignError;
 

@@ -4,11 +4,11 @@
 use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
+use crate::control::Controller;
 use crate::control::gains::OUTPUT_NAMES;
 use crate::control::law::Law;
 use crate::control::setpoint::{Limits, Profile};
 use crate::control::step_response::{self, StepMeter};
-use crate::control::{Controller, Loops, Setpoint};
 use crate::estimate::{Estimate, Health};
 use crate::frames::roll_pitch_yaw;
 use crate::mix::Mixer;
@@ -16,7 +16,7 @@ use crate::model::airframe::Airframe;
 use crate::model::integrate::rk4;
 use crate::model::motor;
 use crate::model::rigid_body::{Input, State, derivative};
-use crate::vehicle::{MotorCommand, ROTORS};
+use crate::types::{Loops, MotorCommand, ROTORS, Setpoint};
 
 /// Where the vehicle hovers before the step, m.
 const ALTITUDE_M: f64 = 1.0;
@@ -104,6 +104,7 @@ pub fn fly_step(
             world_from_body: attitude,
             body_rates_radps: state.body_rates_radps,
             horizontal_known: true,
+            altitude_known: true,
             health: Health::Healthy,
             ..Estimate::default()
         };

@@ -9,11 +9,12 @@ use plumbline_proto::v1::{self, command::Body};
 
 use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
 use crate::command::{Command, SetpointChange};
-use crate::control::ControllerKind;
 use crate::control::gains::Gain;
 use crate::control::lqr_integral::Weights;
 use crate::control::trajectory::{MAX_ALTITUDES, Shape, Trajectory};
 use crate::control::tuning::Proposal;
+use crate::types::ControllerKind;
+use crate::vehicle::Service;
 
 /// A command with its number.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,6 +45,8 @@ pub enum Request {
     Recording(bool),
     /// For the runner: how a recorded flight is played.
     Replay(ReplayRate),
+    /// For the runner: what only a simulated vehicle can be given.
+    Simulator(Service),
     /// Not understood.
     Refused(String),
 }
@@ -97,6 +100,9 @@ fn request(body: Body) -> Result<Request, String> {
             return Ok(Request::Gains { revision, proposal: proposal(&push)? });
         }
         Body::SetTrajectory(set) => Command::Trajectory(trajectory(&set)?),
+        Body::SetSimulator(v1::SetSimulator { new_battery, reset }) => {
+            return Ok(Request::Simulator(Service { battery: new_battery, reset }));
+        }
         Body::SetReplay(replay) => {
             let speed = finite("replay speed", replay.speed)?;
             if !(0.0..=REPLAY_SPEED_MAX).contains(&speed) {

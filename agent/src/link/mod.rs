@@ -19,21 +19,17 @@ use quinn::Endpoint;
 use rtrb::{Consumer, Producer};
 use tokio::sync::watch;
 
+pub use plumbline_link::{hello, identity, pairing, tls, transport};
+
 pub mod backfill;
 pub mod clock;
 mod connect;
 pub mod headroom;
-pub mod hello;
-pub mod identity;
 pub mod inbound;
 pub mod lateness;
-pub mod pairing;
 mod pump;
 pub mod rate;
 mod session;
-pub mod tls;
-pub mod transport;
-mod window;
 
 use backfill::Archive;
 use clock::FlightClock;

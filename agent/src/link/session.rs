@@ -246,7 +246,7 @@ fn in_time(inbound: Inbound, late_s: f64, state: &LinkState) -> Inbound {
     let harmless = match &inbound.request {
         Request::Flight(command) => never_too_late(command),
         Request::Refused(_) => true,
-        Request::Gains { .. } | Request::Recording(_) | Request::Replay(_) => false,
+        Request::Gains { .. } | Request::Recording(_) | Request::Replay(_) | Request::Simulator(_) => false,
     };
     if harmless || late_s <= COMMAND_MAX_AGE_S {
         return inbound;

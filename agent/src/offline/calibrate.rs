@@ -13,9 +13,9 @@ use crate::calibration::samples::Sample;
 use crate::calibration::{
     Calibration, CalibrationError, CalibrationFile, Kind, allan, magnetometer, mass, motor_curve, thermal, thrust,
 };
-use crate::model::GRAVITY_MPS2;
 use crate::recordings::{self, Format, Recording, RecordingError};
-use crate::vehicle::MAX_IMUS;
+use crate::sensor::MAX_IMUS;
+use crate::types::GRAVITY_MPS2;
 
 /// Name of the format of plain tables.
 pub const CSV: &str = "csv";

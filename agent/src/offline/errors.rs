@@ -8,7 +8,7 @@ use plumbline_proto::v1::Channel;
 
 use crate::calibration::applied::FieldReport;
 use crate::estimate::consistency::{Consistency, Mean, Nees};
-use crate::estimate::secure::identify::FlagReason;
+use crate::estimate::fdir::isolation::FlagReason;
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
 use crate::model::euler_body::{M, X, ix};
@@ -159,7 +159,7 @@ impl Score {
         let Some(secure) = estimator.secure() else { return };
         let now_s = estimator.estimate().time.as_seconds();
         let all = self.flagged.get_or_insert_default();
-        for device in secure.identifier().devices() {
+        for device in secure.isolation().devices() {
             let Some((since, reason)) = device.flagged else { continue };
             let (sensor, since_s) = (device.sensor, since.as_seconds());
             match all.iter_mut().rev().find(|f| f.sensor == sensor && f.since_s == since_s) {

@@ -1,11 +1,12 @@
 //! Offline estimation: any estimator over a recording, its estimates as CSV, its errors as one JSON line.
 //!
 //! ```text
-//! plumbline-agent estimate --input FILE --format broad --estimator attitude --output OUT.csv
+//! plumbline-agent estimate --input FILE --format broad --estimator vqf --output OUT.csv
 //! ```
 //! The same estimators as in flight, stepped tick by tick; nothing is smoothed and truth is only scored.
 
 pub mod calibrate;
+pub mod decode;
 mod errors;
 mod output;
 mod table;
@@ -22,13 +23,15 @@ use crate::config;
 use crate::estimate::bank::{self, Assumptions};
 use crate::estimate::ekf_hybrid::EkfHybrid;
 use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
-use crate::estimate::secure::flying::{SLOTS_MAX, SLOTS_MIN};
+use crate::estimate::secure::{SLOTS, SLOTS_MAX, SLOTS_MIN};
 use crate::estimate::ukf::Ukf;
-use crate::estimate::{Estimate, Estimator, EstimatorKind};
+use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{EulerBody, M, X};
 use crate::recordings::{self, Format, Phantom4Options, RecordingError, RecordingInfo, mocap_log};
-use crate::vehicle::{MotorCommand, SensorFrame};
+use crate::sensor::suite::Suite;
+use crate::sensor::{SensorFrame, quantities};
+use crate::types::{EstimatorKind, MotorCommand};
 
 /// Arguments of `plumbline-agent estimate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -39,7 +42,7 @@ pub struct EstimateArgs {
     /// plumbline, broad, phantom4, rotorpy, px4-ulog or mocap-log; judged by the content when left out.
     #[arg(long)]
     pub format: Option<String>,
-    /// ekf-bias, primary, ekf-hybrid, ukf, point-mass, attitude or secure.
+    /// ekf-bias, complementary, ekf-hybrid, ukf, constant-acceleration, vqf or secure.
     #[arg(long)]
     pub estimator: String,
     /// Program of the secure estimator: l2 (the default), l1, l2_split or l1_split.
@@ -95,6 +98,9 @@ impl EstimateArgs {
 /// Why a recording could not be estimated.
 #[derive(Debug, thiserror::Error)]
 pub enum OfflineError {
+    /// Nobody waits for the outcome any more.
+    #[error("given up")]
+    GivenUp,
     /// The recording.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -125,15 +131,7 @@ pub enum OfflineError {
 const MOCAP_LOG: &str = "mocap-log";
 
 /// Estimators by their name on the command line.
-const ESTIMATORS: &[(&str, EstimatorKind)] = &[
-    ("ekf-bias", EstimatorKind::EkfBias),
-    ("primary", EstimatorKind::Primary),
-    ("ekf-hybrid", EstimatorKind::EkfHybrid),
-    ("ukf", EstimatorKind::Ukf),
-    ("point-mass", EstimatorKind::PointMass),
-    ("attitude", EstimatorKind::Attitude),
-    ("secure", EstimatorKind::Secure),
-];
+const ESTIMATORS: &str = "ekf-bias, complementary, ekf-hybrid, ukf, constant-acceleration, vqf, secure";
 
 impl EstimateArgs {
     /// `--argument value` that cannot be used.
@@ -181,24 +179,23 @@ impl EstimateArgs {
 }
 
 fn named(estimator: &str) -> Result<EstimatorKind, OfflineError> {
-    ESTIMATORS.iter().find(|(name, _)| *name == estimator).map(|(_, kind)| *kind).ok_or_else(|| {
-        let names: Vec<&str> = ESTIMATORS.iter().map(|(name, _)| *name).collect();
-        EstimateArgs::bad("estimator", estimator, format!("not one of {}", names.join(", ")))
-    })
+    EstimatorKind::named(&estimator.replace('-', "_"))
+        .ok_or_else(|| EstimateArgs::bad("estimator", estimator, format!("not one of {ESTIMATORS}")))
 }
 
 /// Estimates a flight file of our own that is in memory again, under the estimator and from the sensors of `args`, whose
-/// input is its name in messages; every estimate goes to `each`.
+/// input is its name in messages; every estimate goes to `each`, which may end it.
 ///
 /// # Errors
-/// [`OfflineError`], with the offending value.
-pub fn run_flight(bytes: &[u8], args: &EstimateArgs, mut each: impl FnMut(&Estimate)) -> Result<Score, OfflineError> {
+/// [`OfflineError`], with the offending value, or that of `each`.
+pub fn run_flight(
+    bytes: &[u8],
+    args: &EstimateArgs,
+    each: impl FnMut(&Estimate) -> Result<(), OfflineError>,
+) -> Result<Score, OfflineError> {
     let kind = named(&args.estimator)?;
     let recording = recordings::open_flight(bytes, &args.input)?;
-    Run::new(args, kind, recording)?.fly(|estimate| {
-        each(estimate);
-        Ok(())
-    })
+    Run::new(args, kind, recording)?.fly(each)
 }
 
 /// Runs the command; the score is also printed as one JSON line by the caller.
@@ -239,38 +236,32 @@ fn looks_like_mocap_log(args: &EstimateArgs) -> bool {
     line.starts_with("t,T,tx,ty,tz")
 }
 
-/// Which parts of a frame are used.
-#[derive(Debug, Clone, Copy)]
+/// Which sensors of a frame are used.
+#[derive(Debug, Clone)]
 struct Selection {
+    kinds: Vec<SensorKind>,
     mag: bool,
-    height: bool,
-    barometer: bool,
-    gnss: bool,
-    mocap_pose: bool,
-    camera_ranges: bool,
 }
 
-/// Sensors by their name on the command line; the magnetometer is part of an IMU.
-const SENSORS: [(&str, SensorKind); 7] = [
-    ("imu", SensorKind::Imu),
-    ("mag", SensorKind::Imu),
-    ("height", SensorKind::Height),
-    ("barometer", SensorKind::Barometer),
-    ("gnss", SensorKind::Gnss),
-    ("mocap-pose", SensorKind::MocapPose),
-    ("camera-ranges", SensorKind::CameraRanges),
-];
+/// A kind by its name on the command line: `mocap-pose`.
+fn sensor_name(kind: SensorKind) -> String {
+    kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase().replace('_', "-")
+}
+
+/// The magnetometer, which is part of an IMU.
+const MAG: &str = "mag";
 
 impl Selection {
     fn new(names: &[String], info: &RecordingInfo) -> Result<Self, OfflineError> {
         let has = |kind: SensorKind| info.sensors.iter().any(|sensor| sensor.id.kind == kind);
         for name in names {
-            let known: Vec<&str> = SENSORS.iter().map(|(name, _)| *name).collect();
-            let (_, kind) = SENSORS
-                .iter()
-                .find(|(known, _)| known == name)
-                .ok_or_else(|| EstimateArgs::bad("sensors", name, format!("not one of {}", known.join(", "))))?;
-            if !has(*kind) {
+            let wanted =
+                if name == MAG { Some(SensorKind::Imu) } else { Suite::kinds().find(|k| sensor_name(*k) == *name) };
+            let Some(kind) = wanted else {
+                let known: Vec<_> = Suite::kinds().map(sensor_name).chain([MAG.to_owned()]).collect();
+                return Err(EstimateArgs::bad("sensors", name, format!("not one of {}", known.join(", "))));
+            };
+            if !has(kind) {
                 let there: Vec<String> = info.sensors.iter().map(|sensor| sensor.id.to_string()).collect();
                 let reason = format!("the recording has only {}", there.join(", "));
                 return Err(EstimateArgs::bad("sensors", name, reason));
@@ -283,45 +274,25 @@ impl Selection {
             return Err(EstimateArgs::bad("sensors", names.join(","), "without imu no estimator can start"));
         }
         let on = |name: &str| names.is_empty() || names.iter().any(|n| n == name);
-        Ok(Self {
-            mag: on("mag"),
-            height: on("height"),
-            barometer: on("barometer"),
-            gnss: on("gnss"),
-            mocap_pose: on("mocap-pose"),
-            camera_ranges: on("camera-ranges"),
-        })
+        Ok(Self { mag: on(MAG), kinds: Suite::kinds().filter(|kind| on(&sensor_name(*kind))).collect() })
     }
 
     /// What of the place these sensors of a recording tell.
     fn known(&self, info: &RecordingInfo) -> Known {
-        let has = |on: bool, kind: SensorKind| on && info.sensors.iter().any(|sensor| sensor.id.kind == kind);
-        let horizontal = has(self.gnss, SensorKind::Gnss)
-            || has(self.mocap_pose, SensorKind::MocapPose)
-            || has(self.camera_ranges, SensorKind::CameraRanges);
-        let vertical = horizontal || has(self.height, SensorKind::Height) || has(self.barometer, SensorKind::Barometer);
-        Known { horizontal, vertical }
+        let tells = |names: &[&str]| {
+            let used = info.sensors.iter().map(|sensor| sensor.id.kind).filter(|kind| self.kinds.contains(kind));
+            let mut first = used.filter_map(|kind| quantities(kind).first());
+            first.any(|quantity| names.contains(&quantity.name))
+        };
+        let horizontal = tells(&["position", "range"]);
+        Known { horizontal, vertical: horizontal || tells(&["height", "pressure"]) }
     }
 
     fn apply(&self, frame: &mut SensorFrame) {
         if !self.mag {
             frame.imus.iter_mut().flatten().for_each(|imu| imu.mag_ut = None);
         }
-        if !self.height {
-            frame.heights = Default::default();
-        }
-        if !self.barometer {
-            frame.barometers = Default::default();
-        }
-        if !self.gnss {
-            frame.gnss = None;
-        }
-        if !self.mocap_pose {
-            frame.mocap_pose = None;
-        }
-        if !self.camera_ranges {
-            frame.camera_ranges = None;
-        }
+        frame.withhold(|sensor| !self.kinds.contains(&sensor.kind));
     }
 }
 
@@ -340,7 +311,7 @@ impl Run {
         let selection = Selection::new(&args.sensors, info)?;
         let calibration = calibrate::load(&args.calibration)?;
         // One rule for every recording: nothing is tuned to a file.
-        let mut options = info.ekf_options();
+        let options = info.ekf_options();
         if let Some(slots) = args.window {
             let refused = |reason| Err(EstimateArgs::bad("window", slots, reason));
             if kind != EstimatorKind::Secure {
@@ -349,23 +320,24 @@ impl Run {
             if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
                 return refused(format!("not {SLOTS_MIN} to {SLOTS_MAX} slots"));
             }
-            options.window_slots = slots;
         }
+        let window_slots = args.window.unwrap_or(SLOTS);
         // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
         let airframe =
             info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);
         let known = match kind {
-            EstimatorKind::Attitude => Known { horizontal: false, vertical: false },
+            EstimatorKind::Vqf => Known { horizontal: false, vertical: false },
             _ => selection.known(info),
         };
-        let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options })
+        let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options, window_slots })
             .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
         if let Some(name) = &args.decoder {
             let known = config::decoder("decoder", name);
             let decoder = known.map_err(|_| EstimateArgs::bad("decoder", name, "not l2, l1, l2_split or l1_split"))?;
-            if !estimator.use_decoder(decoder) {
+            let Some(secure) = estimator.secure_mut() else {
                 return Err(EstimateArgs::bad("decoder", name, format!("{} solves none", args.estimator)));
-            }
+            };
+            secure.use_decoder(decoder);
         }
         let mut score = Score::new(&args.estimator, &args.input, known);
         score.notes.clone_from(&info.notes);

@@ -15,17 +15,23 @@ use nalgebra::Vector3;
 use crate::calibration::mass::Axis;
 use crate::calibration::samples::Sample;
 use crate::calibration::thrust::Point;
-use crate::model::GRAVITY_MPS2;
+use crate::types::GRAVITY_MPS2;
 
 /// Inches to metres.
 const INCH_M: f64 = 0.0254;
 /// rev/min to rad/s.
 const RPM_RADPS: f64 = std::f64::consts::TAU / 60.0;
 
-/// A table in memory.
+/// Most rows of a table: over an hour of one IMU at 200 Hz.
+const MAX_ROWS: usize = 1_000_000;
+
+/// A table in memory, as compact as its text: whoever uploads many short rows gets no more of it.
 pub(super) struct Table {
     header: Vec<String>,
-    rows: Vec<csv::StringRecord>,
+    /// All fields, one after the other.
+    text: String,
+    /// Where each of them ends; as many in every row as the header has.
+    ends: Vec<usize>,
 }
 
 impl Table {
@@ -33,8 +39,29 @@ impl Table {
     pub fn read(text: impl std::io::Read) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
         let header = reader.headers().map_err(|e| e.to_string())?.iter().map(str::to_lowercase).collect();
-        let rows = reader.records().collect::<Result<_, _>>().map_err(|e| e.to_string())?;
-        Ok(Self { header, rows })
+        let mut table = Self { header, text: String::new(), ends: Vec::new() };
+        let mut record = csv::StringRecord::new();
+        while reader.read_record(&mut record).map_err(|e| e.to_string())? {
+            if table.rows() >= MAX_ROWS {
+                return Err(format!("more than {MAX_ROWS} rows"));
+            }
+            for field in &record {
+                table.text.push_str(field);
+                table.ends.push(table.text.len());
+            }
+        }
+        Ok(table)
+    }
+
+    fn rows(&self) -> usize {
+        self.ends.len() / self.header.len().max(1)
+    }
+
+    fn text(&self, row: usize, column: usize) -> &str {
+        let index = row * self.header.len() + column;
+        let start = index.checked_sub(1).map_or(Some(&0), |before| self.ends.get(before));
+        let range = start.zip(self.ends.get(index)).filter(|_| column < self.header.len());
+        range.and_then(|(start, end)| self.text.get(*start..*end)).unwrap_or_default()
     }
 
     fn find(&self, names: &[&str]) -> Option<(usize, usize)> {
@@ -49,17 +76,13 @@ impl Table {
     }
 
     fn number(&self, row: usize, column: usize) -> Result<f64, String> {
-        let text = self.rows.get(row).and_then(|r| r.get(column)).unwrap_or_default();
+        let text = self.text(row, column);
         if text.is_empty() {
             return Ok(f64::NAN);
         }
         let name = self.header.get(column).map_or("", String::as_str);
         // The header is line 1.
         text.parse().map_err(|_| format!("line {}: {name} is {text:?}, not a number", row + 2))
-    }
-
-    fn text(&self, row: usize, column: usize) -> &str {
-        self.rows.get(row).and_then(|r| r.get(column)).unwrap_or_default()
     }
 
     /// Three columns x, y, z of the first unit that is there, times its factor.
@@ -89,7 +112,7 @@ impl Table {
         if gyro.is_none() && accel.is_none() && mag.is_none() {
             return Err("no columns of a sensor: gx_radps…, ax_mps2… or mx_ut…".into());
         }
-        (0..self.rows.len())
+        (0..self.rows())
             .map(|row| {
                 Ok(Sample {
                     time_s: self.number(row, time)?,
@@ -107,7 +130,7 @@ impl Table {
         let (command, _) = self.need(&["command"])?;
         let (speed, unit) = self.need(&["speed_radps", "rpm"])?;
         let factor = [1.0, RPM_RADPS][unit];
-        (0..self.rows.len()).map(|row| Ok((self.number(row, command)?, self.number(row, speed)? * factor))).collect()
+        (0..self.rows()).map(|row| Ok((self.number(row, command)?, self.number(row, speed)? * factor))).collect()
     }
 
     /// Points of a propeller; `propeller` chooses one of a tunnel's table.
@@ -119,7 +142,7 @@ impl Table {
         let factor = [1.0, RPM_RADPS][unit];
         let (thrust, _) = self.need(&["thrust_n"])?;
         let torque = self.find(&["torque_nm"]);
-        (0..self.rows.len())
+        (0..self.rows())
             .map(|row| {
                 Ok(Point {
                     speed_radps: self.number(row, speed)? * factor,
@@ -139,7 +162,7 @@ impl Table {
             propeller.ok_or("the table holds many propellers: name one, as in --propeller \"apcsf 10x4.7\"")?;
         let mut points = Vec::new();
         let mut chosen: Option<String> = None;
-        for row in 0..self.rows.len() {
+        for row in 0..self.rows() {
             let found = self.text(row, name);
             if !same_propeller(wanted, found, self.number(row, diameter)?, self.number(row, pitch)?) {
                 continue;
@@ -156,7 +179,7 @@ impl Table {
             points.push(point);
         }
         if points.is_empty() {
-            return Err(format!("no propeller {wanted:?} among {} rows", self.rows.len()));
+            return Err(format!("no propeller {wanted:?} among {} rows", self.rows()));
         }
         Ok(points)
     }
@@ -168,7 +191,7 @@ impl Table {
         let inertia = self.find(&["inertia_kgm2"]);
         let mut mass_kg = f64::NAN;
         let mut axes = [None; 3];
-        for row in 0..self.rows.len() {
+        for row in 0..self.rows() {
             let letter = self.text(row, axis);
             let index = ["x", "y", "z"].iter().position(|l| l.eq_ignore_ascii_case(letter));
             let index = index.ok_or_else(|| format!("line {}: axis is {letter:?}, not x, y or z", row + 2))?;
@@ -218,6 +241,8 @@ mod tests {
         let gyro = samples[0].gyro_radps.unwrap();
         assert!((gyro.x - std::f64::consts::PI).abs() < 1e-12 && gyro.y.is_nan());
         assert!(samples[0].mag_ut.is_none());
+        let many = "t_s\n".to_owned() + &"1\n".repeat(MAX_ROWS + 1);
+        assert!(Table::read(many.as_bytes()).err().unwrap().contains("more than 1000000 rows"));
         let error = |text: &str| Table::read(text.as_bytes()).and_then(|t| t.imu().map(|_| ())).unwrap_err();
         assert!(error("t_s,b\n0,1\n").contains("no columns of a sensor"));
         assert!(error("t,mx_ut\n").contains("no column t_s or time_s; the first are t, mx_ut"));

@@ -9,9 +9,10 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use super::timeline::{Builder, Item, Recording, Sample};
+use super::timeline::{Builder, Item, Recording};
 use super::{Format, RecordingError, tables};
-use crate::vehicle::{ImuSample, Truth};
+use crate::sensor::{AnySample, ImuSample};
+use crate::vehicle::Truth;
 
 const COLUMNS: &[&str] = &[
     "t_s", "gx_rad_s", "gy_rad_s", "gz_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2", "mx_uT", "my_uT", "mz_uT", "ref_qw",
@@ -30,7 +31,7 @@ pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
             mag_ut: mag.iter().all(|v| v.is_finite()).then_some(mag),
             temperature_c: 25.0,
         };
-        builder.push(time, Item::Sensed(Sample::Imu(0, imu)));
+        builder.push(time, Item::Sensed(0, AnySample::Imu(imu)));
         let q = Quaternion::new(row.get(10)?, row.get(11)?, row.get(12)?, row.get(13)?);
         let position = row.vector(14)?;
         if row.get(17)? == 1.0 && q.norm().is_finite() && position.iter().all(|v| v.is_finite()) {

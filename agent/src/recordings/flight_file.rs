@@ -8,17 +8,17 @@ use std::path::Path;
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1};
 
-use super::timeline::{Builder, Item, Recording, Sample};
+use super::timeline::{Builder, Item, Recording};
 use super::{Format, RecordedControl, RecordingError};
 use crate::control::step_response::StepResponse;
-use crate::control::{Setpoint, Wrench};
 use crate::log::{MAX_RECORD, chunk_records};
-use crate::vehicle::{
-    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand, Truth,
-};
+use crate::sensor::AnySample;
+use crate::sensor::wire::{Received, unit_quaternion, xyz};
+use crate::types::{MotorCommand, Setpoint, Wrench};
+use crate::vehicle::Truth;
 
 /// Reads the whole file; one that was cut short is read up to its last whole chunk.
 pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
@@ -135,17 +135,14 @@ impl Reader<'_> {
         let index = usize::from(instance.saturating_sub(1));
         self.at = FlightTime(message.log_time / 1000);
         let taken = match kind {
-            Kind::Imu => self.sensor(index, message.data, imu),
-            Kind::Height => self.sensor(index, message.data, height),
-            Kind::Barometer => self.sensor(index, message.data, barometer),
-            Kind::Gnss => self.sensor(index, message.data, gnss),
-            Kind::MocapPose => self.sensor(index, message.data, mocap_pose),
-            Kind::CameraRanges => self.sensor(index, message.data, camera_ranges),
             Kind::Truth => v1::Truth::decode(message.data).ok().and_then(|m| self.truth(&m)),
             Kind::Control => v1::Control::decode(message.data).ok().and_then(|m| self.control(&m)),
             Kind::StepResponse => v1::StepResponse::decode(message.data).ok().map(|m| self.step_response(&m)),
             Kind::Description => return self.description(message.data),
-            _ => Some(()),
+            topic => match AnySample::decode(topic, message.data) {
+                Some(sample) => sample.map(|(sensed, received)| self.sensor(index, sensed, received)),
+                None => Some(()),
+            },
         };
         if taken.is_none() {
             *self.unreadable.entry(message.topic.to_owned()).or_default() += 1;
@@ -166,14 +163,12 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `convert` turns a message into the sample sensed and, where it differs, what was received.
-    fn sensor(&mut self, index: usize, bytes: &[u8], convert: Convert) -> Option<()> {
-        let (sensed, received) = convert(index, bytes)?;
-        self.builder.push(self.at, Item::Sensed(sensed));
-        if let Some((sensor, received)) = received {
+    fn sensor(&mut self, index: usize, sensed: AnySample, received: Received<AnySample>) {
+        self.builder.push(self.at, Item::Sensed(index, sensed));
+        if let Received::Instead(received) = received {
+            let sensor = SensorId::new(sensed.kind(), index as u8 + 1);
             self.builder.push(self.at, Item::Received(sensor, received));
         }
-        Some(())
     }
 
     fn truth(&mut self, m: &v1::Truth) -> Option<()> {
@@ -181,11 +176,11 @@ impl Reader<'_> {
         let rotors = |values: &[f64]| std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0));
         let truth = Truth {
             time,
-            position_enu_m: vector(m.position_enu_m.as_ref()?),
-            velocity_enu_mps: vector(m.velocity_enu_mps.as_ref()?),
-            world_from_body: quaternion(m.world_from_body.as_ref()?)?,
-            body_rates_radps: vector(m.body_rates_radps.as_ref()?),
-            specific_force_mps2: vector(m.specific_force_mps2.as_ref()?),
+            position_enu_m: xyz(m.position_enu_m.as_ref()?),
+            velocity_enu_mps: xyz(m.velocity_enu_mps.as_ref()?),
+            world_from_body: unit_quaternion(m.world_from_body.as_ref()?)?,
+            body_rates_radps: xyz(m.body_rates_radps.as_ref()?),
+            specific_force_mps2: xyz(m.specific_force_mps2.as_ref()?),
             rotor_speed_radps: rotors(&m.rotor_speed_radps),
             string_tension_n: rotors(&m.string_tension_n),
             ground_force_n: m.ground_force_n,
@@ -231,7 +226,7 @@ impl Reader<'_> {
             setpoint,
             wrench: Wrench {
                 thrust_n: m.thrust_n,
-                torque_flu_nm: m.torque_flu_nm.as_ref().map(vector).unwrap_or_default(),
+                torque_flu_nm: m.torque_flu_nm.as_ref().map(xyz).unwrap_or_default(),
             },
             command: motors(&m.motor_command),
             saturated: m.saturated,
@@ -247,100 +242,4 @@ impl Reader<'_> {
         self.builder.push(self.at, Item::Tick);
         Some(())
     }
-}
-
-type Converted = (Sample, Option<(SensorId, Option<Sample>)>);
-type Convert = fn(usize, &[u8]) -> Option<Converted>;
-
-/// Sample sensed and received, from a message's parts.
-fn sample<R>(
-    time_us: u64,
-    reception: v1::Reception,
-    sensed: Option<R>,
-    received: Option<R>,
-    sensor: (v1::SensorKind, usize),
-    make: impl Fn(FlightTime, R) -> Option<Sample>,
-) -> Option<Converted> {
-    let time = FlightTime(time_us);
-    let id = SensorId::new(sensor.0, sensor.1 as u8 + 1);
-    let received = match reception {
-        v1::Reception::AsSensed => None,
-        v1::Reception::Altered => Some((id, Some(make(time, received?)?))),
-        v1::Reception::Dropped => Some((id, None)),
-    };
-    Some((make(time, sensed?)?, received))
-}
-
-fn imu(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::ImuSample::decode(bytes).ok()?;
-    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Imu, index), |time, r| {
-        let imu = ImuSample {
-            time,
-            gyro_radps: vector(r.gyro_radps.as_ref()?),
-            accel_mps2: vector(r.accel_mps2.as_ref()?),
-            mag_ut: r.mag_ut.as_ref().map(vector),
-            temperature_c: r.temperature_c,
-        };
-        Some(Sample::Imu(index, imu))
-    })
-}
-
-fn height(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::HeightSample::decode(bytes).ok()?;
-    let sensor = (v1::SensorKind::Height, index);
-    sample(m.time_us, m.reception(), Some(m.sensed_m), m.received_m, sensor, |time, height_m| {
-        Some(Sample::Height(index, HeightSample { time, height_m }))
-    })
-}
-
-fn barometer(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::BarometerSample::decode(bytes).ok()?;
-    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Barometer, index), |time, r| {
-        let sample = BarometerSample { time, pressure_pa: r.pressure_pa, temperature_c: r.temperature_c };
-        Some(Sample::Barometer(index, sample))
-    })
-}
-
-fn gnss(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::GnssSample::decode(bytes).ok()?;
-    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::Gnss, index), |time, r| {
-        Some(Sample::Gnss(GnssSample {
-            time,
-            position_enu_m: vector(r.position_enu_m.as_ref()?),
-            velocity_enu_mps: vector(r.velocity_enu_mps.as_ref()?),
-            geodetic: [r.latitude_deg, r.longitude_deg, r.altitude_m],
-            horizontal_sigma_m: r.horizontal_sigma_m,
-            vertical_sigma_m: r.vertical_sigma_m,
-            satellites: r.satellites,
-        }))
-    })
-}
-
-fn mocap_pose(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::MocapPoseSample::decode(bytes).ok()?;
-    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::MocapPose, index), |time, r| {
-        Some(Sample::MocapPose(MocapPoseSample {
-            time,
-            position_enu_m: vector(r.position_enu_m.as_ref()?),
-            world_from_body: quaternion(r.world_from_body.as_ref()?)?,
-        }))
-    })
-}
-
-fn camera_ranges(index: usize, bytes: &[u8]) -> Option<Converted> {
-    let m = v1::CameraRangesSample::decode(bytes).ok()?;
-    sample(m.time_us, m.reception(), m.sensed, m.received, (v1::SensorKind::CameraRanges, index), |time, r| {
-        let range_m = r.range_m.first_chunk().copied()?;
-        Some(Sample::CameraRanges(CameraRangesSample { time, range_m }))
-    })
-}
-
-fn vector(v: &v1::Vector3) -> Vector3<f64> {
-    Vector3::new(v.x, v.y, v.z)
-}
-
-/// The unit quaternion with exactly these components, so that a replay repeats every bit.
-fn quaternion(q: &v1::Quaternion) -> Option<UnitQuaternion<f64>> {
-    let q = Quaternion::new(q.w, q.x, q.y, q.z);
-    ((q.norm() - 1.0).abs() < 1e-6).then(|| UnitQuaternion::new_unchecked(q))
 }

@@ -10,6 +10,7 @@ mod flight_file;
 pub mod mocap_log;
 mod noise;
 mod phantom4;
+pub mod replay;
 mod rotorpy;
 mod shared;
 mod tables;
@@ -18,15 +19,12 @@ mod ulog;
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::Vector3;
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
-use crate::{
-    command::Mode,
-    control::{Setpoint, Wrench, step_response::StepResponse},
-    estimate::ekf_bias::EkfOptions,
-    vehicle::{MotorCommand, SensorFrame, Truth},
-};
+use crate::estimate::ekf_bias::EkfOptions;
+use crate::sensor::SensorFrame;
+use crate::types::MotorCommand;
+use crate::vehicle::{RecordedControl, Truth};
 
 pub use phantom4::Phantom4Options;
 pub use shared::{VARIABLE as SHARED_VARIABLE, shared};
@@ -45,43 +43,6 @@ pub struct RecordedTick {
     pub truth: Option<Truth>,
     /// Mode and setpoint of this tick, where known.
     pub control: Option<RecordedControl>,
-}
-
-/// What the recorded flight was told to do, and did about it.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RecordedControl {
-    /// Flight mode.
-    pub mode: Mode,
-    /// Were the motors allowed to turn?
-    pub armed: bool,
-    /// Setpoint in use; NaN where the recording does not say.
-    pub setpoint: Setpoint,
-    /// Wrench asked for by the controller.
-    pub wrench: Wrench,
-    /// Motor command asked for.
-    pub command: MotorCommand,
-    /// Could the mixer not give what was asked?
-    pub saturated: bool,
-    /// Integrators of x, y, z (m s) and yaw (rad s).
-    pub integrator: [f64; 4],
-    /// Response to the last altitude step, where it was told in this tick.
-    pub step_response: Option<StepResponse>,
-    /// Does the recording carry motor commands at all?
-    pub motors_known: bool,
-}
-
-impl RecordedControl {
-    /// Of a recording that holds sensors only.
-    pub fn unknown() -> Self {
-        let setpoint = Setpoint {
-            position_enu_m: Vector3::repeat(f64::NAN),
-            velocity_enu_mps: Vector3::zeros(),
-            acceleration_enu_mps2: Vector3::zeros(),
-            roll_pitch_yaw_rad: Vector3::repeat(f64::NAN),
-            throttle: f64::NAN,
-        };
-        Self { mode: Mode::Unspecified, setpoint, ..Self::default() }
-    }
 }
 
 /// A sensor of a recording.
@@ -139,8 +100,8 @@ impl RecordingInfo {
         let Some(noise) = self.imu_noise.filter(|_| rate_hz.is_finite() && rate_hz > 0.0) else { return options };
         let period_s = 1.0 / rate_hz;
         for (density, vote, sigma) in [
-            (&mut options.gyro_noise_density, &mut options.gyro_vote, noise.gyro_sigma_radps),
-            (&mut options.accel_noise_density, &mut options.accel_vote, noise.accel_sigma_mps2),
+            (&mut options.gyro_noise_density, &mut options.gyro_consensus, noise.gyro_sigma_radps),
+            (&mut options.accel_noise_density, &mut options.accel_consensus, noise.accel_sigma_mps2),
         ] {
             vote.memory_s = vote.memory_s.max(1.25 * period_s);
             if sigma > vote.sigma {
@@ -306,6 +267,8 @@ pub fn open_phantom4(path: &Path, options: Phantom4Options) -> Result<Recording,
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use std::io::Write as _;
 

@@ -6,8 +6,8 @@
 use nalgebra::Vector3;
 
 use super::ImuNoise;
-use super::timeline::{Item, Sample};
-use crate::vehicle::MAX_IMUS;
+use super::timeline::Item;
+use crate::sensor::{AnySample, MAX_IMUS};
 
 /// Median of |x| over σ for a normal x.
 const NORMAL_MEDIAN: f64 = 0.6745;
@@ -20,7 +20,7 @@ pub(super) fn of<'a>(items: impl Iterator<Item = &'a Item> + Clone) -> Option<Im
         let samples: Vec<_> = items
             .clone()
             .filter_map(|item| match item {
-                Item::Sensed(Sample::Imu(i, sample)) if *i == index => Some((sample.gyro_radps, sample.accel_mps2)),
+                Item::Sensed(i, AnySample::Imu(sample)) if *i == index => Some((sample.gyro_radps, sample.accel_mps2)),
                 _ => None,
             })
             .collect();
@@ -56,7 +56,7 @@ fn sigma(samples: impl Iterator<Item = Vector3<f64>> + Clone) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vehicle::ImuSample;
+    use crate::sensor::ImuSample;
     use plumbline_proto::time::FlightTime;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
@@ -78,7 +78,7 @@ mod tests {
                     mag_ut: None,
                     temperature_c: 25.0,
                 };
-                Item::Sensed(Sample::Imu(0, imu))
+                Item::Sensed(0, AnySample::Imu(imu))
             })
             .collect();
         let noise = of(items.iter()).unwrap();

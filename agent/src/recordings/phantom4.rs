@@ -16,10 +16,11 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::clocks::lag_s;
-use super::timeline::{Builder, Item, Recording, Sample};
+use super::timeline::{Builder, Item, Recording};
 use super::{Format, RecordingError, tables};
 use crate::frames::{self, Enu, Ned};
-use crate::vehicle::{GnssSample, ImuSample, Truth};
+use crate::sensor::{AnySample, GnssSample, ImuSample};
+use crate::vehicle::Truth;
 
 /// One-sigma of the RTK position itself, m.
 const RTK_SIGMA_M: f64 = 0.02;
@@ -79,7 +80,7 @@ pub(super) fn open(path: &Path, options: Phantom4Options) -> Result<Recording, R
         }
         for row in unit.iter().filter(|row| row.time_s >= lag_s) {
             let time = FlightTime::from_seconds(row.time_s - lag_s);
-            builder.push(time, Item::Sensed(Sample::Imu(index, ImuSample { time, ..row.sample })));
+            builder.push(time, Item::Sensed(index, AnySample::Imu(ImuSample { time, ..row.sample })));
         }
     }
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(options.seed);
@@ -107,7 +108,7 @@ pub(super) fn open(path: &Path, options: Phantom4Options) -> Result<Recording, R
             vertical_sigma_m: sigma,
             satellites: 0,
         };
-        builder.push(truth.time, Item::Sensed(Sample::Gnss(fix)));
+        builder.push(truth.time, Item::Sensed(0, AnySample::Gnss(fix)));
     }
     builder.finish(&folder, Format::Phantom4)
 }

@@ -8,9 +8,10 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion};
 use plumbline_proto::time::FlightTime;
 
-use super::timeline::{Builder, Item, Recording, Sample};
+use super::timeline::{Builder, Item, Recording};
 use super::{Format, RecordingError, tables};
-use crate::vehicle::{ImuSample, MocapPoseSample, Truth};
+use crate::sensor::{AnySample, ImuSample, MocapPoseSample};
+use crate::vehicle::Truth;
 
 const COLUMNS: &[&str] = &[
     "t_s",
@@ -58,9 +59,9 @@ pub(super) fn open(path: &Path) -> Result<Recording, RecordingError> {
         };
         let accel_mps2 = row.vector(1)?;
         let imu = ImuSample { time, gyro_radps: row.vector(4)?, accel_mps2, mag_ut: None, temperature_c: 25.0 };
-        builder.push(time, Item::Sensed(Sample::Imu(0, imu)));
+        builder.push(time, Item::Sensed(0, AnySample::Imu(imu)));
         let pose = MocapPoseSample { time, position_enu_m: row.vector(7)?, world_from_body: quaternion(10)? };
-        builder.push(time, Item::Sensed(Sample::MocapPose(pose)));
+        builder.push(time, Item::Sensed(0, AnySample::MocapPose(pose)));
         let truth = Truth {
             position_enu_m: row.vector(14)?,
             velocity_enu_mps: row.vector(17)?,

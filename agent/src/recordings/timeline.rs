@@ -2,63 +2,21 @@
 
 use std::path::Path;
 
-use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
+use plumbline_proto::{ids::SensorId, time::FlightTime};
 
 use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo, noise};
 use crate::control::step_response::StepResponse;
-use crate::vehicle::{
-    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, MotorCommand,
-    SensorFrame, Truth,
-};
-
-/// One sample, with the index of its instance (from 0).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Sample {
-    Imu(usize, ImuSample),
-    Height(usize, HeightSample),
-    Barometer(usize, BarometerSample),
-    Gnss(GnssSample),
-    MocapPose(MocapPoseSample),
-    CameraRanges(CameraRangesSample),
-}
-
-impl Sample {
-    fn sensor(&self) -> SensorId {
-        let (kind, index) = match self {
-            Sample::Imu(i, _) => (SensorKind::Imu, *i),
-            Sample::Height(i, _) => (SensorKind::Height, *i),
-            Sample::Barometer(i, _) => (SensorKind::Barometer, *i),
-            Sample::Gnss(_) => (SensorKind::Gnss, 0),
-            Sample::MocapPose(_) => (SensorKind::MocapPose, 0),
-            Sample::CameraRanges(_) => (SensorKind::CameraRanges, 0),
-        };
-        SensorId::new(kind, index as u8 + 1)
-    }
-
-    fn put(self, frame: &mut SensorFrame) {
-        match self {
-            Sample::Imu(i, s) => set(frame.imus.get_mut(i), s),
-            Sample::Height(i, s) => set(frame.heights.get_mut(i), s),
-            Sample::Barometer(i, s) => set(frame.barometers.get_mut(i), s),
-            Sample::Gnss(s) => frame.gnss = Some(s),
-            Sample::MocapPose(s) => frame.mocap_pose = Some(s),
-            Sample::CameraRanges(s) => frame.camera_ranges = Some(s),
-        }
-    }
-}
-
-fn set<S>(slot: Option<&mut Option<S>>, sample: S) {
-    if let Some(slot) = slot {
-        *slot = Some(sample);
-    }
-}
+use crate::sensor::AnySample;
+use crate::types::MotorCommand;
+use crate::vehicle::Truth;
 
 /// Something a recording says at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Item {
-    Sensed(Sample),
+    /// A sample of the instance with this index, from 0.
+    Sensed(usize, AnySample),
     /// What the estimators got instead; `None` with the sensor when it was withheld.
-    Received(SensorId, Option<Sample>),
+    Received(SensorId, Option<AnySample>),
     Applied(MotorCommand),
     Truth(Truth),
     Control(RecordedControl),
@@ -102,7 +60,7 @@ impl Builder {
     /// A tick at each sample of IMU 1 is added where the format has no ticks of its own.
     pub fn finish(mut self, path: &Path, format: Format) -> Result<Recording, RecordingError> {
         if !self.items.iter().any(|(_, item)| matches!(item, Item::Tick)) {
-            let imu_1 = |item: &Item| matches!(item, Item::Sensed(Sample::Imu(0, _)));
+            let imu_1 = |item: &Item| matches!(item, Item::Sensed(0, AnySample::Imu(_)));
             let ticks: Vec<_> =
                 self.items.iter().filter(|(_, item)| imu_1(item)).map(|(t, _)| (*t, Item::Tick)).collect();
             self.items.extend(ticks);
@@ -118,8 +76,8 @@ impl Builder {
         let (mut has_truth, mut has_motors) = (false, false);
         for (_, item) in &self.items {
             match item {
-                Item::Sensed(sample) => {
-                    let id = sample.sensor();
+                Item::Sensed(index, sample) => {
+                    let id = SensorId::new(sample.kind(), *index as u8 + 1);
                     match sensors.iter_mut().find(|(known, _)| *known == id) {
                         Some((_, n)) => *n += 1,
                         None => sensors.push((id, 1)),
@@ -173,17 +131,17 @@ impl Recording {
         while let Some((time, item)) = self.items.get(self.next).copied() {
             self.next += 1;
             match item {
-                Item::Sensed(sample) => {
-                    sample.put(&mut tick.sensed);
+                Item::Sensed(index, sample) => {
+                    tick.sensed.put(index, sample);
                     if let Some(received) = &mut tick.received {
-                        sample.put(received);
+                        received.put(index, sample);
                     }
                 }
                 Item::Received(sensor, sample) => {
                     let received = tick.received.get_or_insert(tick.sensed);
                     match sample {
-                        Some(sample) => sample.put(received),
-                        None => withhold(received, sensor),
+                        Some(sample) => received.put(usize::from(sensor.instance.saturating_sub(1)), sample),
+                        None => received.withhold(|withheld| withheld == sensor),
                     }
                 }
                 Item::Applied(command) => tick.applied = Some(command),
@@ -205,24 +163,5 @@ impl Recording {
             }
         }
         None
-    }
-}
-
-fn withhold(frame: &mut SensorFrame, sensor: SensorId) {
-    let index = usize::from(sensor.instance.saturating_sub(1));
-    match sensor.kind {
-        SensorKind::Imu => clear(frame.imus.get_mut(index)),
-        SensorKind::Height => clear(frame.heights.get_mut(index)),
-        SensorKind::Barometer => clear(frame.barometers.get_mut(index)),
-        SensorKind::Gnss => frame.gnss = None,
-        SensorKind::MocapPose => frame.mocap_pose = None,
-        SensorKind::CameraRanges => frame.camera_ranges = None,
-        SensorKind::Unspecified => {}
-    }
-}
-
-fn clear<S>(slot: Option<&mut Option<S>>) {
-    if let Some(slot) = slot {
-        *slot = None;
     }
 }

@@ -15,11 +15,12 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
 use plumbline_proto::time::FlightTime;
 
-use super::timeline::{Builder, Item, Recording, Sample};
+use super::timeline::{Builder, Item, Recording};
 use super::{Format, RecordedControl, RecordingError};
-use crate::command::Mode;
 use crate::frames::{self, Enu, Flu, Frd, Ned};
-use crate::vehicle::{BarometerSample, GnssSample, ImuSample, MotorCommand, Truth};
+use crate::sensor::{AnySample, BarometerSample, GnssSample, ImuSample};
+use crate::types::{Mode, MotorCommand};
+use crate::vehicle::Truth;
 
 pub(super) const MAGIC: &[u8] = b"ULog\x01\x12\x35";
 
@@ -363,7 +364,7 @@ impl Mapping {
         let Flu(gyro_radps) = Frd(message.array("gyro_rad")?).into();
         let Flu(accel_mps2) = Frd(message.array("accelerometer_m_s2")?).into();
         let imu = ImuSample { time, gyro_radps, accel_mps2, mag_ut: self.mag_ut.take(), temperature_c: 25.0 };
-        self.builder.push(time, Item::Sensed(Sample::Imu(0, imu)));
+        self.builder.push(time, Item::Sensed(0, AnySample::Imu(imu)));
         // A tick of its own: what is told in it must not be missing from the next.
         if let Some(control) = self.told.control() {
             self.builder.push(time, Item::Control(control));
@@ -386,7 +387,7 @@ impl Mapping {
         // Inverse of the barometric formula ([Strategies], errata 10) where only altitude is logged.
         let pressure_pa = pressure_pa.or(altitude_m.map(|h| 101_325.0 * (1.0 - h / 44_330.0).powf(5.255)))?;
         let sample = BarometerSample { time, pressure_pa, temperature_c: temperature_c.unwrap_or(25.0) };
-        self.builder.push(time, Item::Sensed(Sample::Barometer(0, sample)));
+        self.builder.push(time, Item::Sensed(0, AnySample::Barometer(sample)));
         Some(())
     }
 
@@ -412,7 +413,7 @@ impl Mapping {
             vertical_sigma_m: message.get("epv")?,
             satellites: message.get("satellites_used")? as u32,
         };
-        self.builder.push(time, Item::Sensed(Sample::Gnss(fix)));
+        self.builder.push(time, Item::Sensed(0, AnySample::Gnss(fix)));
         Some(())
     }
 

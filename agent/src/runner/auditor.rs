@@ -12,7 +12,7 @@ use plumbline_proto::time::FlightTime;
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::estimate::secure::conic::Conic;
-use crate::estimate::secure::flying::{AuditCase, Secure};
+use crate::estimate::secure::{AuditCase, Secure};
 use crate::telemetry::Audit;
 
 /// Cases under way.
@@ -41,7 +41,7 @@ impl Auditor {
     pub fn start() -> io::Result<Self> {
         let mut free = Vec::with_capacity(CASES);
         for _ in 0..CASES {
-            free.push(Secure::audit_case().map_err(io::Error::other)?);
+            free.push(AuditCase::with_room().map_err(io::Error::other)?);
         }
         let (cases, mut asked) = RingBuffer::<AuditCase>::new(CASES);
         let (mut answered, answers) = RingBuffer::new(CASES);
@@ -106,9 +106,9 @@ fn solve(case: &AuditCase) -> Option<Audit> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flight::{Flight, FlightConfig};
+    use crate::flight::Flight;
+    use crate::sim::{Scenario, SimVehicle};
     use crate::vehicle::Vehicle;
-    use crate::vehicle::sim::{Scenario, SimVehicle};
     use std::time::{Duration, Instant};
 
     /// Newton stops at a gap of 1e-6, Clarabel is tighter.
@@ -118,7 +118,7 @@ mod tests {
     fn clarabel_agrees_with_what_flew() {
         let scenario = Scenario::bare();
         let mut vehicle = SimVehicle::new(&scenario).unwrap();
-        let mut flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+        let mut flight = Flight::new(scenario.flight_config()).unwrap();
         let mut auditor = Auditor::start().unwrap();
         let begun = Instant::now();
         loop {

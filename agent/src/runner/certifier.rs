@@ -119,8 +119,8 @@ impl Drop for Certifier {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::ControllerKind;
     use crate::control::lqr_integral::Weights;
+    use crate::types::ControllerKind;
     use std::time::Instant;
 
     fn wait(certifier: &mut Certifier) -> Answer {

@@ -17,9 +17,6 @@ pub enum Pace {
     Stepped,
 }
 
-/// A tick later than this begins a new count: catching up would fly in fast motion.
-const GIVE_UP: Duration = Duration::from_millis(200);
-
 /// Waits for ticks.
 #[derive(Debug)]
 pub struct Pacer {
@@ -77,7 +74,7 @@ impl Pacer {
         }
     }
 
-    /// Waits until the tick of `time` is due; answers when that was. `None`: it was not waited for.
+    /// Waits until the tick of `time` is due; answers when that was, which may be long ago. `None`: it was not waited for.
     pub fn wait_for(&mut self, time: FlightTime, clock: &FlightClock) -> Option<Instant> {
         let speed = match self.pace {
             Pace::Times(speed) => speed,
@@ -94,16 +91,22 @@ impl Pacer {
         let now = Instant::now();
         let due = self.anchor.and_then(|(at, from)| {
             let ahead = time.seconds_since(from) / speed;
-            let due = at.checked_add(Duration::try_from_secs_f64(ahead).ok()?)?;
-            (now.saturating_duration_since(due) < GIVE_UP).then_some(due)
+            at.checked_add(Duration::try_from_secs_f64(ahead).ok()?)
         });
         let Some(due) = due else {
-            self.anchor = Some((now, time));
-            clock.run(now, time, speed);
+            self.begin_anew(now, time, clock);
             return Some(now);
         };
         sleep_until(due);
         Some(due)
+    }
+
+    /// Counts from here: the tick of `time` is due `now`. Catching up with what is lost would fly in fast motion.
+    pub fn begin_anew(&mut self, now: Instant, time: FlightTime, clock: &FlightClock) {
+        if let Pace::Times(speed) = self.pace {
+            self.anchor = Some((now, time));
+            clock.run(now, time, speed);
+        }
     }
 }
 
@@ -132,21 +135,21 @@ pub fn sleep_until(due: Instant) {
     }
 }
 
-/// Asks for real-time priority and memory that stays; a refusal is reported and lived with.
-pub fn ask_for_real_time() {
-    let parameters = libc::sched_param { sched_priority: 50 };
+/// Asks for real-time `priority` and memory that stays; a refusal is reported and lived with.
+pub fn ask_for_real_time(priority: i32) {
+    let parameters = libc::sched_param { sched_priority: priority };
     // SAFETY: plain system calls; 0 is the calling thread.
     let refused = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) } != 0;
     if refused {
         let error = std::io::Error::last_os_error();
-        tracing::warn!(%error, "no real-time priority for the flight thread; ticks may be late under load");
+        tracing::warn!(%error, thread = std::thread::current().name(), "no real-time priority; ticks may be late under load");
         return;
     }
     // SAFETY: a plain system call.
     if unsafe { libc::mlockall(libc::MCL_CURRENT) } != 0 {
         tracing::warn!(error = %std::io::Error::last_os_error(), "memory is not locked; ticks may wait for a page");
     }
-    tracing::info!("the flight thread has real-time priority");
+    tracing::info!(thread = std::thread::current().name(), priority, "real-time priority");
 }
 
 #[cfg(test)]
@@ -165,14 +168,17 @@ mod tests {
     }
 
     #[test]
-    fn a_long_delay_begins_a_new_count() {
+    fn a_delay_is_told_and_a_new_count_can_be_begun() {
         let clock = FlightClock::default();
         let mut pacer = Pacer::new(Pace::Times(1.0));
         pacer.wait_for(FlightTime(0), &clock);
-        std::thread::sleep(GIVE_UP + Duration::from_millis(20));
-        let late = pacer.wait_for(FlightTime(5_000), &clock).unwrap();
+        std::thread::sleep(Duration::from_millis(50));
+        let due = pacer.wait_for(FlightTime(5_000), &clock).unwrap();
+        assert!(due.elapsed() >= Duration::from_millis(40));
+        let now = Instant::now();
+        pacer.begin_anew(now, FlightTime(5_000), &clock);
         let next = pacer.wait_for(FlightTime(10_000), &clock).unwrap();
-        assert_eq!(next - late, Duration::from_millis(5));
+        assert_eq!(next - now, Duration::from_millis(5));
     }
 
     #[test]

@@ -12,6 +12,8 @@ pub struct Timing {
     jitter_us: Vec<f32>,
     since: Instant,
     ticks: u32,
+    /// Periods by which the last tick ended too late.
+    late: u32,
     stats: TickStats,
 }
 
@@ -26,12 +28,14 @@ impl Timing {
             jitter_us: Vec::with_capacity(room),
             since: Instant::now(),
             ticks: 0,
+            late: 0,
             stats: TickStats::default(),
         }
     }
 
-    /// Notes one tick; `true` when it ended after the next one was due.
-    pub fn tick(&mut self, due: Option<Instant>, started: Instant, ended: Instant) -> bool {
+    /// Notes one tick; returns how many control ticks were lost by it: those due before it ended that an earlier late one
+    /// has not counted.
+    pub fn tick(&mut self, due: Option<Instant>, started: Instant, ended: Instant) -> u32 {
         self.ticks += 1;
         if self.work_us.len() < self.work_us.capacity() {
             self.work_us.push(micros(ended.duration_since(started)));
@@ -54,7 +58,12 @@ impl Timing {
             self.since = ended;
             self.ticks = 0;
         }
-        due.is_some_and(|due| ended > due + self.period)
+        let overrun = due.map_or(Duration::ZERO, |due| ended.saturating_duration_since(due + self.period));
+        let late = (overrun.as_secs_f64() / self.period.as_secs_f64()).ceil() as u32;
+        // Catching up after one long delay ends late again, by a period less each time.
+        let lost = late.saturating_sub(self.late.saturating_sub(1));
+        self.late = late;
+        lost
     }
 
     /// Of the last full second.
@@ -90,11 +99,32 @@ mod tests {
             let due = begin + Duration::from_millis(10 * n);
             let work = if n == 50 { 12_000 } else { n };
             let started = due + Duration::from_micros(n);
-            missed += u32::from(timing.tick(Some(due), started, started + Duration::from_micros(work)));
+            missed += timing.tick(Some(due), started, started + Duration::from_micros(work));
         }
         let stats = timing.stats();
         assert_eq!(missed, 1);
         assert!((99.0..102.0).contains(&stats.rate_hz), "{stats:?}");
         assert!((45.0..55.0).contains(&stats.work_p50_us) && stats.jitter_p99_us > 95.0, "{stats:?}");
+    }
+
+    #[test]
+    fn a_long_delay_counts_in_ticks_and_once() {
+        let mut timing = Timing::new(200.0);
+        let begin = timing.since;
+        let period = Duration::from_millis(5);
+        let mut lost = 0;
+        let mut now = begin;
+        for n in 0..20 {
+            let due = begin + period * n;
+            // Stands for 32 ms before the tick due at 25 ms, and catches up from there.
+            now = now.max(due) + if n == 5 { Duration::from_millis(32) } else { Duration::ZERO };
+            lost += timing.tick(Some(due), now, now + Duration::from_micros(10));
+        }
+        assert_eq!(lost, 6, "32 ms after its due time, and a period for itself");
+        let overrun = |timing: &mut Timing, n: u32| {
+            let due = begin + Duration::from_secs(1) + period * n;
+            timing.tick(Some(due), due, due + Duration::from_millis(6))
+        };
+        assert_eq!((0..10).map(|n| overrun(&mut timing, n)).sum::<u32>(), 10, "each that takes too long is one");
     }
 }

@@ -1,123 +1,30 @@
 //! Our types into messages of the wire. Nothing here allocates: what owns memory is kept, with room for the longest.
 
-use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{self, SensorKind};
 
-use crate::attack::{Attack, Channel, Injector, Kind, Phase, Progress};
+use crate::attack::{Attack, Bounds, Channel, Injector, Kind, Phase, Progress, offered};
 use crate::control::Controller;
-use crate::control::Setpoint;
 use crate::control::gains::{Certified, INPUT_NAMES};
 use crate::control::step_response::StepResponse;
 use crate::control::tuning::parameters;
 use crate::estimate::secure::suite::{NAMES, Promise, SuiteError};
-use crate::estimate::{Estimate, EstimatorKind, Residual};
+use crate::estimate::{Estimate, Residual};
 use crate::event::Event;
 use crate::flight::{FlightConfig, FlightStatus, StepReport};
 use crate::frames::roll_pitch_yaw;
 use crate::model::airframe::{Rotor, Spin};
-use crate::recordings::RecordedControl;
-use crate::vehicle::sim::rig::Line;
-use crate::vehicle::suite::Description as SensorDescription;
-use crate::vehicle::{
-    BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, Truth,
-};
+use crate::sensor::quantities;
+use crate::sensor::suite::Description as SensorDescription;
+use crate::sensor::wire::{quaternion, vector};
+use crate::sim::rig::Line;
+use crate::types::{EstimatorKind, Setpoint};
+use crate::vehicle::{RecordedControl, Truth};
 
 /// Puts `text` into a string that keeps its memory.
 pub(super) fn set(into: &mut String, text: &str) {
     into.clear();
     into.push_str(text);
-}
-
-fn vector(v: &Vector3<f64>) -> Option<v1::Vector3> {
-    Some(v1::Vector3 { x: v.x, y: v.y, z: v.z })
-}
-
-fn quaternion(q: &UnitQuaternion<f64>) -> Option<v1::Quaternion> {
-    Some(v1::Quaternion { w: q.w, x: q.i, y: q.j, z: q.k })
-}
-
-/// How what was received relates to what was sensed; the received sample only where it differs.
-fn reception<S: PartialEq, R>(sensed: &S, received: Option<&S>, reading: impl Fn(&S) -> R) -> (i32, Option<R>) {
-    match received {
-        None => (v1::Reception::Dropped as i32, None),
-        Some(received) if received == sensed => (v1::Reception::AsSensed as i32, None),
-        Some(received) => (v1::Reception::Altered as i32, Some(reading(received))),
-    }
-}
-
-pub(super) fn imu(sensed: &ImuSample, received: Option<&ImuSample>) -> v1::ImuSample {
-    let reading = |s: &ImuSample| v1::ImuReading {
-        gyro_radps: vector(&s.gyro_radps),
-        accel_mps2: vector(&s.accel_mps2),
-        mag_ut: s.mag_ut.as_ref().and_then(vector),
-        temperature_c: s.temperature_c,
-    };
-    let (how, received) = reception(sensed, received, reading);
-    v1::ImuSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
-}
-
-pub(super) fn height(sensed: &HeightSample, received: Option<&HeightSample>) -> v1::HeightSample {
-    let (how, received_m) = reception(sensed, received, |s| s.height_m);
-    v1::HeightSample { time_us: sensed.time.0, reception: how, sensed_m: sensed.height_m, received_m }
-}
-
-pub(super) fn barometer(sensed: &BarometerSample, received: Option<&BarometerSample>) -> v1::BarometerSample {
-    let reading =
-        |s: &BarometerSample| v1::BarometerReading { pressure_pa: s.pressure_pa, temperature_c: s.temperature_c };
-    let (how, received) = reception(sensed, received, reading);
-    v1::BarometerSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
-}
-
-pub(super) fn gnss(sensed: &GnssSample, received: Option<&GnssSample>) -> v1::GnssSample {
-    let reading = |s: &GnssSample| {
-        let [latitude_deg, longitude_deg, altitude_m] = s.geodetic;
-        v1::GnssReading {
-            position_enu_m: vector(&s.position_enu_m),
-            velocity_enu_mps: vector(&s.velocity_enu_mps),
-            latitude_deg,
-            longitude_deg,
-            altitude_m,
-            horizontal_sigma_m: s.horizontal_sigma_m,
-            vertical_sigma_m: s.vertical_sigma_m,
-            satellites: s.satellites,
-        }
-    };
-    let (how, received) = reception(sensed, received, reading);
-    v1::GnssSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
-}
-
-pub(super) fn mocap_pose(sensed: &MocapPoseSample, received: Option<&MocapPoseSample>) -> v1::MocapPoseSample {
-    let reading = |s: &MocapPoseSample| v1::MocapPoseReading {
-        position_enu_m: vector(&s.position_enu_m),
-        world_from_body: quaternion(&s.world_from_body),
-    };
-    let (how, received) = reception(sensed, received, reading);
-    v1::MocapPoseSample { time_us: sensed.time.0, reception: how, sensed: Some(reading(sensed)), received }
-}
-
-pub(super) fn camera_ranges(
-    into: &mut v1::CameraRangesSample,
-    sensed: &CameraRangesSample,
-    received: Option<&CameraRangesSample>,
-) {
-    let put = |reading: &mut v1::CameraRangesReading, s: &CameraRangesSample| {
-        reading.range_m.clear();
-        reading.range_m.extend_from_slice(&s.range_m);
-    };
-    into.time_us = sensed.time.0;
-    put(into.sensed.get_or_insert_default(), sensed);
-    match received {
-        Some(received) if received != sensed => {
-            into.set_reception(v1::Reception::Altered);
-            put(into.received.get_or_insert_default(), received);
-        }
-        other => {
-            let how = if other.is_some() { v1::Reception::AsSensed } else { v1::Reception::Dropped };
-            into.set_reception(how);
-            into.received = None;
-        }
-    }
 }
 
 pub(super) fn estimate(
@@ -128,7 +35,7 @@ pub(super) fn estimate(
     step_time_us: f64,
 ) -> v1::Estimate {
     // The attitude filter knows nothing of place or speed: absent, not 0 m.
-    let placed = kind != EstimatorKind::Attitude;
+    let placed = kind != EstimatorKind::Vqf;
     v1::Estimate {
         time_us: now.0,
         estimator: kind as i32,
@@ -145,6 +52,8 @@ pub(super) fn estimate(
         velocity_sigma_mps: vector(&estimate.velocity_sigma_mps).filter(|_| placed),
         attitude_sigma_rad: vector(&estimate.attitude_sigma_rad),
         step_time_us,
+        altitude_known: estimate.altitude_known,
+        horizontal_known: estimate.horizontal_known,
     }
 }
 
@@ -260,6 +169,7 @@ pub(super) fn flight_status(into: &mut v1::Status, status: &FlightStatus) {
         into.passed = check.passed;
         set(&mut into.reason, &check.reason);
     }
+    into.disarms_in_s = status.disarms_in_s;
     into.ready_to_arm = status.ready_to_arm;
     into.battery_v = status.battery_v.unwrap_or(0.0);
     into.battery_fraction = status.battery_fraction.unwrap_or(0.0);
@@ -350,9 +260,9 @@ fn progress(progress: &Progress) -> v1::AttackProgress {
     }
 }
 
-fn attack(attack: &Attack) -> v1::Attack {
+fn wire_channel(channel: Channel) -> v1::AttackChannel {
     use v1::AttackChannel as Wire;
-    let channel = match attack.channel {
+    match channel {
         Channel::All => Wire::All,
         Channel::Gyro => Wire::Gyro,
         Channel::Accel => Wire::Accel,
@@ -366,7 +276,10 @@ fn attack(attack: &Attack) -> v1::Attack {
         Channel::AccelAxis(0) => Wire::AccelX,
         Channel::AccelAxis(1) => Wire::AccelY,
         Channel::AccelAxis(_) => Wire::AccelZ,
-    };
+    }
+}
+
+fn attack(attack: &Attack) -> v1::Attack {
     let kind = match attack.kind {
         Kind::Zero => v1::AttackKind::Zero,
         Kind::Bias => v1::AttackKind::Bias,
@@ -383,7 +296,7 @@ fn attack(attack: &Attack) -> v1::Attack {
         id: attack.id,
         sensor: attack.sensor.kind as i32,
         instance: u32::from(attack.sensor.instance),
-        channel: channel as i32,
+        channel: wire_channel(attack.channel) as i32,
         kind: kind as i32,
         start_s: attack.start_s,
         duration_s: attack.duration_s,
@@ -433,14 +346,19 @@ pub(super) fn observability(promise: &Result<Promise, SuiteError>) -> v1::Observ
     }
 }
 
-pub(super) fn sensor_description(sensor: &SensorDescription) -> v1::SensorDescription {
+fn channel_description((channel, unit, offset_max): (Channel, &str, f64)) -> v1::SensorChannel {
+    v1::SensorChannel { channel: wire_channel(channel) as i32, unit: unit.to_owned(), offset_max }
+}
+
+pub(super) fn sensor_description(sensor: &SensorDescription, bounds: &Bounds) -> v1::SensorDescription {
     v1::SensorDescription {
         kind: sensor.id.kind as i32,
         instance: u32::from(sensor.id.instance),
         name: sensor.name.clone(),
         rate_hz: sensor.rate_hz,
         sigma: sensor.sigma,
-        unit: sensor.unit.to_owned(),
+        unit: quantities(sensor.id.kind).first().map_or("", |first| first.unit).to_owned(),
+        channels: offered(sensor.id.kind, bounds).map(channel_description).collect(),
     }
 }
 

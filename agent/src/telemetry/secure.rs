@@ -4,11 +4,11 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1;
 
 use super::Audit;
-use crate::command::Mode;
-use crate::estimate::secure::flying::Secure;
-use crate::estimate::secure::identify::{FlagReason, KINDS, MAX_DEVICES};
+use crate::estimate::fdir::isolation::{FlagReason, KINDS, MAX_DEVICES};
+use crate::estimate::secure::Secure;
 use crate::flight::Flight;
-use crate::recordings::RecordedControl;
+use crate::types::Mode;
+use crate::vehicle::RecordedControl;
 
 /// e is taken over this long, s.
 const WINDOW_S: f64 = 10.0;
@@ -44,7 +44,7 @@ impl Tracking {
         }
         let recent = self.recent_m2.get_or_insert(square);
         *recent += (square - *recent) * (dt_s / WINDOW_S).min(1.0);
-        if secure.identifier().devices().iter().all(|d| d.flagged.is_none()) {
+        if secure.isolation().devices().iter().all(|d| d.flagged.is_none()) {
             self.clean_ticks += 1.0;
             self.clean_m2 += (square - self.clean_m2) / self.clean_ticks;
         }
@@ -80,7 +80,7 @@ pub(super) fn fill(
     into.set_status(window.status);
     into.set_fallback(window.fallback);
     into.sensors.clear();
-    into.sensors.extend(secure.identifier().devices().iter().map(|d| v1::SecureSensor {
+    into.sensors.extend(secure.isolation().devices().iter().map(|d| v1::SecureSensor {
         sensor: d.sensor.kind as i32,
         instance: u32::from(d.sensor.instance),
         present: d.present,
@@ -91,7 +91,7 @@ pub(super) fn fill(
         flagged_since_us: d.flagged.map_or(0, |(since, _)| since.0),
     }));
     into.margins.clear();
-    let margins = KINDS.iter().map(|kind| secure.identifier().margin(*kind)).filter(|m| m.present > 0);
+    let margins = KINDS.iter().map(|kind| secure.isolation().margin(*kind)).filter(|m| m.present > 0);
     into.margins.extend(margins.map(|m| v1::SecureMargin {
         sensor: m.kind as i32,
         present: m.present as u32,

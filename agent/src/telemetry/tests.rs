@@ -2,10 +2,10 @@ use plumbline_proto::codec::{Frame, decode_frames};
 use rtrb::{Consumer, RingBuffer};
 
 use super::*;
-use crate::command::{Command, Mode};
-use crate::flight::FlightConfig;
+use crate::command::Command;
+use crate::sim::{Scenario, SimVehicle};
+use crate::types::Mode;
 use crate::vehicle::Vehicle;
-use crate::vehicle::sim::{Scenario, SimVehicle};
 
 struct Bench {
     vehicle: SimVehicle,
@@ -18,7 +18,7 @@ struct Bench {
 impl Bench {
     fn new(link_bytes: usize) -> Self {
         let scenario = Scenario::bare();
-        let flight = Flight::new(FlightConfig::for_scenario(&scenario)).unwrap();
+        let flight = Flight::new(scenario.flight_config()).unwrap();
         let identification = Identification {
             agent_id: "iris-1".into(),
             boot_id: 0xabcd,
@@ -81,7 +81,7 @@ fn a_second_of_ticks_has_every_topic_at_its_rate() {
     assert_eq!(*sequences.last().unwrap(), bench.telemetry.sequence());
     assert_eq!(count(&frames, Kind::Control, 0), 200);
     assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::EkfBias as u16), 200);
-    assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::Primary as u16), 25);
+    assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::Complementary as u16), 25);
     assert_eq!(count(&frames, Kind::Truth, 0), 100);
     assert_eq!(count(&frames, Kind::Secure, 0), 25, "with every window");
     assert!((10..=12).contains(&count(&frames, Kind::Status, 0)));

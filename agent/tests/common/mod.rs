@@ -6,7 +6,7 @@ use plumbline_agent::control::step_response::StepResponse;
 use plumbline_agent::estimate::Estimate;
 use plumbline_agent::event::Event;
 use plumbline_agent::flight::{Flight, FlightConfig, StepReport};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
+use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::vehicle::{Truth, Vehicle};
 use plumbline_proto::time::FlightTime;
 
@@ -25,6 +25,8 @@ pub struct Flown {
     pub operator_from_s: f64,
     /// … to here.
     pub operator_lost_s: f64,
+    /// Each motor turns as if it had been told this fraction.
+    pub motor_factor: [f64; 4],
 }
 
 /// One tick of it.
@@ -39,7 +41,7 @@ pub struct Row {
 impl Flown {
     pub fn new(toml: &str) -> Self {
         let scenario = Scenario::from_toml(toml).unwrap();
-        let config = FlightConfig::for_scenario(&scenario);
+        let config = scenario.flight_config();
         Self::with_config(scenario, config)
     }
 
@@ -55,6 +57,7 @@ impl Flown {
             link_lost_s: f64::INFINITY,
             operator_from_s: f64::INFINITY,
             operator_lost_s: f64::INFINITY,
+            motor_factor: [1.0; 4],
         }
     }
 
@@ -84,8 +87,12 @@ impl Flown {
             self.acks.push((frame.time, ack));
         });
         let report = self.flight.step(&frame).clone();
-        let applied = self.vehicle.actuate(&report.command).unwrap();
-        self.flight.applied(applied);
+        let mut weakened = report.command;
+        weakened.throttle.iter_mut().zip(self.motor_factor).for_each(|(throttle, factor)| *throttle *= factor);
+        let applied = self.vehicle.actuate(&weakened).unwrap();
+        // A vehicle whose motor is weak does not know it.
+        let healthy = self.motor_factor == [1.0; 4];
+        self.flight.applied(if healthy { applied } else { report.command });
         if let Some(response) = report.step_response {
             match self.steps.iter_mut().find(|s| s.step == response.step && s.start == response.start) {
                 Some(known) => *known = response,

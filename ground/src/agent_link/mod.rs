@@ -21,6 +21,9 @@ use tokio::sync::mpsc;
 /// Most commands waiting for the link. A full queue makes the sender wait: a command is never
 /// dropped silently.
 pub const COMMAND_QUEUE: usize = 64;
+/// Most motor cuts and signs of life waiting for the link, beside the other commands and before them. Signs of life
+/// take at most half of the places; a cut waits for one.
+pub const URGENT_QUEUE: usize = 16;
 
 /// What the link tells the ground. Within one agent the order is the order of arrival.
 #[derive(Debug)]
@@ -92,25 +95,63 @@ pub enum Outgoing {
 #[error("the link to the vehicle is closed")]
 pub struct LinkClosed;
 
-/// Way down to one agent: cheap to clone, waits while [`COMMAND_QUEUE`] commands are unsent.
+/// Way down to one agent: cheap to clone, waits while [`COMMAND_QUEUE`] commands are unsent. The motor cut and the
+/// operator's sign of life have a queue of their own, which goes first.
 #[derive(Debug, Clone)]
 pub struct CommandSender {
     queue: mpsc::Sender<Outgoing>,
+    urgent: mpsc::Sender<Outgoing>,
+}
+
+/// The other end of a [`CommandSender`].
+#[derive(Debug)]
+pub struct CommandReceiver {
+    queue: mpsc::Receiver<Outgoing>,
+    urgent: mpsc::Receiver<Outgoing>,
+}
+
+impl CommandReceiver {
+    /// The next thing to send, what is urgent first; `None` when no sender is left. Cancel-safe.
+    pub async fn recv(&mut self) -> Option<Outgoing> {
+        // Both ends of a sender close together: either lane stands for both.
+        tokio::select! {
+            biased;
+            Some(urgent) = self.urgent.recv() => Some(urgent),
+            next = self.queue.recv() => next,
+        }
+    }
+
+    /// The next thing that is already here.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn try_recv(&mut self) -> Result<Outgoing, mpsc::error::TryRecvError> {
+        self.urgent.try_recv().or_else(|_| self.queue.try_recv())
+    }
+
+    /// Takes nothing more.
+    pub fn close(&mut self) {
+        self.urgent.close();
+        self.queue.close();
+    }
 }
 
 impl CommandSender {
     /// A sender, and the end the link (or a test's agent) reads from.
-    pub fn channel() -> (Self, mpsc::Receiver<Outgoing>) {
-        let (queue, outgoing) = mpsc::channel(COMMAND_QUEUE);
-        (Self { queue }, outgoing)
+    pub fn channel() -> (Self, CommandReceiver) {
+        let (queue, ordinary_end) = mpsc::channel(COMMAND_QUEUE);
+        let (urgent, urgent_end) = mpsc::channel(URGENT_QUEUE);
+        (Self { queue, urgent }, CommandReceiver { queue: ordinary_end, urgent: urgent_end })
     }
 
-    /// Hands a command to the link.
+    /// Hands a command to the link; a motor cut before all others.
     ///
     /// # Errors
     /// [`LinkClosed`] when the agent is gone.
     pub async fn send(&self, command: v1::Command) -> Result<(), LinkClosed> {
-        self.queue.send(Outgoing::Command(command)).await.map_err(|_| LinkClosed)
+        let cut = matches!(command.body, Some(v1::command::Body::CutMotors(_)));
+        let lane = if cut { &self.urgent } else { &self.queue };
+        lane.send(Outgoing::Command(command)).await.map_err(|_| LinkClosed)
     }
 
     /// Hands a backfill request to the link.
@@ -128,7 +169,7 @@ impl CommandSender {
 
     /// Passes on a sign of life when there is room; the next one follows within a tenth of a second.
     pub fn try_operator_alive(&self, challenge: u64) -> bool {
-        self.queue.try_send(Outgoing::OperatorAlive(challenge)).is_ok()
+        self.urgent.capacity() > URGENT_QUEUE / 2 && self.urgent.try_send(Outgoing::OperatorAlive(challenge)).is_ok()
     }
 
     /// Tells the agent that a flight is whole here, when there is room; it is told again after every reconnection.

@@ -2,7 +2,7 @@
 //!
 //! The echo of a heartbeat sent at g₁ carries the agent's time a and comes back at g₂. Were both
 //! ways equally long, the agent's clock read a at (g₁ + g₂)/2. The error is at most half the round
-//! trip, so the sample of the shortest recent round trip is the one believed.
+//! trip, so the sample of the shortest recent round trip is the one used.
 
 use std::collections::VecDeque;
 
@@ -32,7 +32,7 @@ impl OffsetEstimator {
         true
     }
 
-    /// Last round trip (ms) and the believed offset, ground minus agent (µs).
+    /// Last round trip (ms) and the offset in use, ground minus agent (µs).
     pub fn estimate(&self) -> Option<(f64, f64)> {
         let (latest, _) = self.samples.back()?;
         let (_, offset) = self.samples.iter().min_by_key(|(round_trip, _)| *round_trip)?;
@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_shortest_round_trip_is_believed() {
+    fn the_shortest_round_trip_is_used() {
         let mut offset = OffsetEstimator::default();
         // The agent's clock is 1 s behind; the way back is sometimes slow.
         for (n, back_us) in [9_000, 40_000, 3_000, 80_000].into_iter().enumerate() {

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use plumbline_agent::link::identity::Fingerprint;
-use plumbline_agent::link::transport::CloseCode;
+use plumbline_link::identity::Fingerprint;
+use plumbline_link::transport::CloseCode;
 use quinn::Connection;
 use tokio::sync::watch;
 

@@ -1,14 +1,14 @@
 //! The listening end of the link.
 
-use std::net::SocketAddr;
-use std::sync::Arc;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use plumbline_agent::link::identity::{Identity, IdentityError};
-use plumbline_agent::link::tls::{self, Purpose};
-use plumbline_agent::link::transport::{self, CloseCode, FrameReader, FrameWriter};
-use plumbline_agent::link::{hello, pairing};
+use plumbline_link::identity::{Identity, IdentityError};
+use plumbline_link::tls::{self, Purpose};
+use plumbline_link::transport::{self, CloseCode, FrameReader, FrameWriter};
+use plumbline_link::{hello, pairing};
 use plumbline_proto::SCHEMA;
 use plumbline_proto::v1::{Hello, command_frame::Body};
 use quinn::{Connection, Endpoint, Incoming, ServerConfig, VarInt};
@@ -17,9 +17,16 @@ use tokio::task::JoinSet;
 
 use super::registry::{Registry, Who};
 use super::{LinkEvent, session};
+use crate::people::throttle::Throttle;
+use crate::sync::lock;
 
 /// Connections that may be in their handshake or alive at once; more are turned away.
 pub const MAX_CONNECTIONS: usize = 64;
+
+/// Wrong proofs of a pairing code that one address may make …
+pub const PROOFS: u32 = 5;
+/// … within this time; more are not looked at.
+const PROOFS_WITHIN: Duration = Duration::from_secs(60);
 
 /// What the listening end needs to know.
 #[derive(Debug, Clone)]
@@ -86,6 +93,8 @@ pub(super) struct Shared {
     pub dropped: Arc<AtomicU64>,
     /// Batches that were no batches.
     pub malformed: Arc<AtomicU64>,
+    /// Proofs of pairing codes, by address.
+    pub proofs: Arc<Mutex<Throttle<IpAddr>>>,
 }
 
 /// Listens for agents until `shutdown` completes.
@@ -138,6 +147,7 @@ impl AgentLink {
             events: events.clone(),
             dropped: Arc::default(),
             malformed: Arc::default(),
+            proofs: Arc::new(Mutex::new(Throttle::new(PROOFS, PROOFS_WITHIN))),
         };
         let mut sessions = JoinSet::new();
         let outcome = {
@@ -214,7 +224,16 @@ async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
     };
     let identity = &shared.config.identity;
     if purpose == Purpose::Pairing {
-        return match pairing::serve(&connection, identity, &shared.config.ground_id).await {
+        let from = crate::people::origin(Some(connection.remote_address().ip()));
+        let may_try = || {
+            let (mut proofs, now) = (lock(&shared.proofs), Instant::now());
+            let may = proofs.wait(&from, now).is_none();
+            if may {
+                proofs.failed(from, now);
+            }
+            may
+        };
+        return match pairing::serve(&connection, identity, &shared.config.ground_id, may_try).await {
             Ok(name) => {
                 tracing::warn!(agent = name, %fingerprint, "paired");
                 Ok(())
@@ -244,6 +263,15 @@ async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
     };
     if let Err(error) = hello::check(&theirs) {
         return refuse(CloseCode::Schema, error.to_string());
+    }
+    // Whoever is trusted is trusted under its own name: nobody else's commands, flights or revocation are its.
+    match identity.peer(fingerprint) {
+        Some(name) if name == theirs.id => {}
+        Some(name) => {
+            let id = &theirs.id;
+            return refuse(CloseCode::Protocol, format!("this certificate is paired as {name:?}, not as {id:?}"));
+        }
+        None => return refuse(CloseCode::Protocol, "not paired".to_owned()),
     }
     let who = Who { agent_id: theirs.id.clone(), boot_id: theirs.boot_id, fingerprint };
     let mine = Hello {

@@ -4,12 +4,11 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use plumbline_agent::link::identity::Fingerprint;
-use plumbline_agent::link::transport::{self, CloseCode, FrameReader, FrameWriter, HEARTBEAT_PERIOD, StreamError};
+use plumbline_link::identity::Fingerprint;
+use plumbline_link::transport::{self, CloseCode, FrameReader, FrameWriter, HEARTBEAT_PERIOD, StreamError};
 use plumbline_proto::codec::decode_batch;
 use plumbline_proto::v1::{self, Heartbeat, Hello, command_frame::Body};
 use quinn::{Connection, RecvStream};
-use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
@@ -18,7 +17,7 @@ use super::clock::wall_us;
 use super::offset::OffsetEstimator;
 use super::registry::Claim;
 use super::server::Shared;
-use super::{CommandSender, LinkEvent, Outgoing};
+use super::{CommandReceiver, CommandSender, LinkEvent, Outgoing};
 
 /// How often the state of the link is reported.
 const STATS_PERIOD: Duration = Duration::from_millis(250);
@@ -70,7 +69,7 @@ fn explain(outcome: Result<(), StreamError>, connection: &Connection) -> String 
 }
 
 /// Heartbeats on time, commands in between.
-async fn sending(mut writer: FrameWriter, mut outgoing: mpsc::Receiver<Outgoing>) -> Result<(), StreamError> {
+async fn sending(mut writer: FrameWriter, mut outgoing: CommandReceiver) -> Result<(), StreamError> {
     let mut heartbeat = interval(HEARTBEAT_PERIOD);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut open = true;

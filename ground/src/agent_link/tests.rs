@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use plumbline_agent::command::Command;
 use plumbline_agent::link::backfill::{Archive, NoArchive};
 use plumbline_agent::link::clock::FlightClock;
-use plumbline_agent::link::identity::{self, Identity};
 use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::link::{INBOUND_QUEUE, LinkConfig, LinkHandle, LinkPorts, spawn};
+use plumbline_link::identity::{self, Identity};
 use plumbline_proto::codec::{Frame, decode_batch};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
@@ -157,10 +157,15 @@ impl Agent {
 }
 
 fn paired(folder: &Path) -> (Identity, Identity) {
-    let agent = identity::load_or_create(&folder.join("agent")).unwrap();
     let ground = identity::load_or_create(&folder.join("ground")).unwrap();
-    identity::pair(&agent, &ground).unwrap();
-    (agent, ground)
+    (enrolled(folder, "iris-1", &ground), ground)
+}
+
+/// A new agent that `ground` knows by this id.
+fn enrolled(folder: &Path, agent_id: &str, ground: &Identity) -> Identity {
+    let agent = identity::load_or_create(&folder.join(agent_id)).unwrap();
+    identity::pair(&agent, agent_id, ground).unwrap();
+    agent
 }
 
 fn any_port() -> SocketAddr {
@@ -223,13 +228,14 @@ async fn telemetry_comes_down_and_commands_go_up() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn another_schema_is_refused_naming_both() {
     let folder = tempfile::tempdir().unwrap();
-    let (agent, ground) = paired(folder.path());
-    let mut ground = Ground::start(&ground, any_port());
+    let (agent, ground_identity) = paired(folder.path());
+    let mut ground = Ground::start(&ground_identity, any_port());
     let newer = Agent::start(&agent, ground.address, |config| config.schema = 9);
     assert_eq!(newer.refused().await, "iris-1 speaks schema 9 (version test), this side speaks schema 1");
     newer.link.stop();
     // Nothing of it reached the hub; an agent of this schema is served.
-    let _agent = Agent::start(&agent, ground.address, |config| config.agent_id = "iris-2".into());
+    let second = enrolled(folder.path(), "iris-2", &ground_identity);
+    let _agent = Agent::start(&second, ground.address, |config| config.agent_id = "iris-2".into());
     assert_eq!(ground.connected().await.0, "iris-2");
     ground.stop().await;
 }
@@ -368,8 +374,9 @@ async fn two_agents_with_one_id() {
     let second = Agent::start(&agent, ground.address, |config| config.boot_id = 2);
     let reason = second.refused().await;
     assert!(reason.contains("\"iris-1\" is already connected from 127.0.0.1"), "{reason}");
-    // Another name is welcome beside it.
-    let third = Agent::start(&agent, ground.address, |config| config.agent_id = "iris-3".into());
+    // Another agent is welcome beside it.
+    let third = enrolled(folder.path(), "iris-3", &ground_identity);
+    let third = Agent::start(&third, ground.address, |config| config.agent_id = "iris-3".into());
     assert_eq!(ground.connected().await.0, "iris-3");
     third.connected().await;
     assert!(first.link.state().connected.load(Ordering::Acquire), "the first one is not disturbed");
@@ -377,6 +384,55 @@ async fn two_agents_with_one_id() {
     first.link.stop();
     assert_eq!(ground.disconnected().await, "the agent shuts down");
     assert_eq!(ground.connected().await.0, "iris-1");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_paired_agent_connects_under_its_own_id_only() {
+    // GIVEN two paired agents, the first of them away
+    let folder = tempfile::tempdir().unwrap();
+    let (first, ground_identity) = paired(folder.path());
+    let second = enrolled(folder.path(), "iris-2", &ground_identity);
+    let mut ground = Ground::start(&ground_identity, any_port());
+    // WHEN the second connects under the id of the first THEN it is refused and reaches nothing
+    let impostor = Agent::start(&second, ground.address, |_| {});
+    assert_eq!(impostor.refused().await, "this certificate is paired as \"iris-2\", not as \"iris-1\"");
+    impostor.link.stop();
+    assert!(ground.events.try_recv().is_err(), "it reached the hub");
+    // AND the name is there for the first, whom a revocation of the second does not touch
+    let genuine = Agent::start(&first, ground.address, |_| {});
+    assert_eq!(ground.connected().await.0, "iris-1");
+    genuine.connected().await;
+    assert_eq!(ground_identity.revoke("iris-2").unwrap(), 1);
+    assert!(ground_identity.peer(first.fingerprint()).is_some());
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn agents_stay_connected_while_the_identity_folder_is_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let (agent, ground_identity) = paired(folder.path());
+    let mut ground = Ground::start(&ground_identity, any_port());
+    let mut agent = Agent::start(&agent, ground.address, |_| {});
+    ground.connected().await;
+    agent.connected().await;
+    std::fs::rename(ground_identity.folder(), folder.path().join("away")).unwrap();
+    // Trust is looked at every second: once it has been, the agent is still heard.
+    let begun = Instant::now();
+    while ground_identity.trouble().is_none() {
+        assert!(begun.elapsed() < LONG, "nobody noticed");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    assert!(agent.say(Kind::Control, 200));
+    let wanted = agent.sequence;
+    loop {
+        match ground.next().await {
+            LinkEvent::Batch { batch, .. } if sequences(&batch).contains(&wanted) => break,
+            LinkEvent::Disconnected { reason, .. } => panic!("{reason}"),
+            _ => {}
+        }
+    }
     ground.stop().await;
 }
 
@@ -491,7 +547,7 @@ async fn gaps_are_filled_from_the_onboard_log() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_short_code_pairs_once_and_a_wrong_one_never() {
-    use plumbline_agent::link::pairing::{ATTEMPTS, Code, expect, meet};
+    use plumbline_link::pairing::{Code, expect, meet};
     let folder = tempfile::tempdir().unwrap();
     let agent = identity::load_or_create(&folder.path().join("agent")).unwrap();
     let ground_identity = identity::load_or_create(&folder.path().join("ground")).unwrap();
@@ -500,12 +556,25 @@ async fn a_short_code_pairs_once_and_a_wrong_one_never() {
     // GIVEN no code at the ground THEN the agent does not even pass the handshake
     assert!(meet(ground.address, &agent, "iris-1", &code).await.is_err());
     assert_eq!((ground_identity.refused(), agent.peer(ground_identity.fingerprint())), (1, None));
-    // GIVEN a code WHEN an agent guesses THEN it is refused, and the code is soon worth nothing
+    // GIVEN a code WHEN strangers connect and leave before they prove anything THEN that costs nothing
     expect(ground_identity.folder(), &code).unwrap();
-    for _ in 0..ATTEMPTS - 1 {
+    let waiting = || std::fs::read_to_string(ground_identity.folder().join("pairing")).unwrap();
+    let before = waiting();
+    for _ in 0..server::PROOFS + 2 {
+        let tls = plumbline_link::tls::client(&agent, plumbline_link::tls::Purpose::Pairing).unwrap();
+        let endpoint = quinn::Endpoint::client(any_port()).unwrap();
+        let config = quinn::ClientConfig::new(Arc::new(tls));
+        let connection = endpoint.connect_with(config, ground.address, "plumbline").unwrap().await.unwrap();
+        connection.close(0_u32.into(), b"");
+        endpoint.wait_idle().await;
+    }
+    assert_eq!(waiting(), before);
+    // WHEN an agent guesses THEN it is refused, and counted
+    for _ in 0..server::PROOFS - 1 {
         let error = meet(ground.address, &agent, "iris-1", &Code::random().unwrap()).await.unwrap_err().to_string();
         assert!(error.contains("does not know this code"), "{error}");
     }
+    assert_ne!(waiting(), before);
     // A stranger that does not pair gets nothing, although a code waits.
     let stranger = Agent::start(&agent, ground.address, |_| {});
     stranger.refused().await;

@@ -3,6 +3,8 @@
 //! A session cookie is sent by the browser on its own account, so what it changes needs more than the cookie: the Origin
 //! of this page (checked by the guard, required here) and a header that no foreign page can set without being allowed to.
 
+use std::sync::Arc;
+
 use axum::body::{Body, to_bytes};
 use axum::extract::connect_info::ConnectInfo;
 use axum::extract::{Request, State};
@@ -10,16 +12,15 @@ use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use http_body_util::LengthLimitError;
+
 use super::App;
 use super::error::ApiError;
-use super::operator::{self, Operator};
-use crate::audit::Deed;
-use crate::front::Peer;
+use super::operator::{self, Operator, Signed};
+use crate::audit::{Deed, redacted};
+use crate::front::{Peer, Place};
 use crate::people::{Access, COOKIE, Person, Token};
 use crate::sync::wall_time_us;
-
-/// Bodies up to this length are written into the audit log.
-const AUDITED_BODY: usize = 1024;
 
 /// The session token that a request shows.
 pub(crate) fn token(headers: &HeaderMap) -> Option<Token> {
@@ -28,51 +29,80 @@ pub(crate) fn token(headers: &HeaderMap) -> Option<Token> {
     pairs.find(|(name, _)| *name == COOKIE).and_then(|(_, value)| Token::from_cookie(value))
 }
 
-/// Lets a request through when `need` is met, and writes down what it changed.
+/// Lets a request through when `need` is met, and writes down what it changed, or that it was refused.
 pub(crate) async fn admit(
     State((app, need, limit)): State<(App, Access, usize)>,
     mut request: Request,
     next: Next,
 ) -> Response {
-    let person = match permit(&app, need, request.method(), request.headers()) {
-        Ok(person) => person,
-        Err(error) => return error.into_response(),
+    let mut deed = deed(&request);
+    let admitted = permit(&app, need, request.method(), request.headers())
+        .and_then(|person| operator::called(request.headers()).map(|called| (person, called)));
+    let (person, called) = match admitted {
+        Ok(admitted) => admitted,
+        Err(error) => return refuse(&app, deed, error),
     };
-    let called = match operator::called(request.headers()) {
-        Ok(called) => called,
-        Err(error) => return error.into_response(),
-    };
-    let name = person.as_ref().and_then(|person| person.account.clone()).unwrap_or(called);
-    request.extensions_mut().insert(Operator(name.clone()));
+    deed.who = person.as_ref().and_then(|person| person.account.clone()).unwrap_or(called);
+    deed.role = person.as_ref().map_or("nobody", |person| person.role.name());
+    // Whoever is known keeps their connection when there are too many clients.
+    if let Some(place) = request.extensions().get::<Arc<Place>>().filter(|_| need != Access::Open) {
+        place.keep(&deed.who);
+    }
+    if let Some(person) = person {
+        request.extensions_mut().insert(Signed(person));
+    }
+    request.extensions_mut().insert(Operator(deed.who.clone()));
     // Signing in and out write their own lines, without the password.
     if need == Access::Open || !changes(request.method()) {
         return next.run(request).await;
     }
-    let mut deed = Deed {
+    // What may be large is read by its handler, as it comes.
+    if limit > super::MAX_BODY {
+        let response = next.run(request).await;
+        app.audit.record(Deed { status: response.status().as_u16(), ..deed });
+        return response;
+    }
+    let (parts, body) = request.into_parts();
+    // One byte more than allowed passes here, so that the handler's own limit answers.
+    let bytes = match to_bytes(body, limit + 1).await {
+        Ok(bytes) => bytes,
+        Err(error) => {
+            let too_large =
+                std::error::Error::source(&error).is_some_and(<dyn std::error::Error>::is::<LengthLimitError>);
+            let error = if too_large {
+                ApiError::TooLarge(format!("the body is larger than {limit} bytes"))
+            } else {
+                ApiError::Late(format!("the body did not come: {error}"))
+            };
+            return refuse(&app, deed, error);
+        }
+    };
+    deed.body = redacted(&bytes);
+    let response = next.run(Request::from_parts(parts, Body::from(bytes))).await;
+    app.audit.record(Deed { status: response.status().as_u16(), ..deed });
+    response
+}
+
+/// Answers a request that is refused, and has it written down.
+pub(super) fn refuse(app: &App, deed: Deed, error: ApiError) -> Response {
+    let response = error.into_response();
+    app.audit.refuse(Deed { status: response.status().as_u16(), ..deed });
+    response
+}
+
+/// What is known of a request before anybody is.
+pub(super) fn deed(request: &Request) -> Deed {
+    Deed {
         unix_us: wall_time_us(),
-        who: name,
-        role: person.map_or("nobody", |person| person.role.name()),
-        from: from(&request),
-        method: request.method().to_string(),
+        who: String::new(),
+        role: "nobody",
+        from: from(request),
+        method: crate::names::clip(request.method().as_str()),
         path: crate::names::clip(request.uri().path()),
         body: String::new(),
         status: 0,
-    };
-    let (parts, body) = request.into_parts();
-    // One byte more than allowed passes here, so that the handler's own limit answers.
-    let Ok(bytes) = to_bytes(body, limit + 1).await else {
-        let too_large = ApiError::TooLarge(format!("the body is larger than {limit} bytes"));
-        deed.status = 413;
-        app.audit.record(deed);
-        return too_large.into_response();
-    };
-    if bytes.len() <= AUDITED_BODY {
-        deed.body = String::from_utf8_lossy(&bytes).into_owned();
+        times: 1,
     }
-    let response = next.run(Request::from_parts(parts, Body::from(bytes))).await;
-    deed.status = response.status().as_u16();
-    app.audit.record(deed);
-    response
 }
 
 fn changes(method: &Method) -> bool {
@@ -80,7 +110,7 @@ fn changes(method: &Method) -> bool {
 }
 
 /// Address of a request, for the audit log.
-pub(crate) fn from(request: &Request) -> String {
+fn from(request: &Request) -> String {
     request.extensions().get::<ConnectInfo<Peer>>().map_or_else(String::new, |info| info.0.0.ip().to_string())
 }
 

@@ -22,12 +22,11 @@
 //! covariance and picture; `GET /api/v1/calibrations/ID` → the whole file. On disk: `calibrations/ID.json`, as the
 //! agent's `calibrations = […]` takes it.
 
-use std::io::Read as _;
+use std::time::Duration;
 
 use axum::Json;
-use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
-use axum::extract::{Path, State};
+use axum::body::{Bytes, to_bytes};
+use axum::extract::{Path, Request as HttpRequest, State};
 use axum::http::StatusCode;
 use plumbline_agent::calibration::{CalibrationFile, Kind};
 use plumbline_agent::offline::calibrate::{CalibrateError, Request, from_recording, from_table, iso_8601};
@@ -37,6 +36,7 @@ use serde_json::{Value, json};
 
 use super::App;
 use super::body::number;
+use super::compute::Waited;
 use super::error::ApiError;
 use crate::calibrations::{Calibrations, with_id};
 use crate::recorder::RecorderHandle;
@@ -44,6 +44,8 @@ use crate::sync::wall_time_us;
 
 /// Largest table: half an hour of one IMU at 200 Hz as text.
 pub(crate) const MAX_TABLE: usize = 64 << 20;
+/// Longest time that its upload may take, once it is its turn.
+const UPLOAD_WITHIN: Duration = Duration::from_secs(60);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -92,19 +94,19 @@ impl Asked {
         })
     }
 
-    fn fit(&self, request: &Request, recorder: &RecorderHandle) -> Result<CalibrationFile, ApiError> {
+    fn fit(&self, request: &Request, recorder: &RecorderHandle, waited: &Waited) -> Result<CalibrationFile, ApiError> {
         match (&self.flight, &self.csv) {
             (Some(id), None) => {
-                let mut bytes = Vec::new();
-                let read = recorder.open(id)?.read_to_end(&mut bytes);
-                read.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
+                let bytes = recorder.open(id)?.bytes();
+                let bytes = bytes.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
+                waited.check()?;
                 let recording = recordings::open_flight(&bytes, std::path::Path::new(id));
                 let recording = recording.map_err(|e| ApiError::Invalid(e.to_string()))?;
                 from_recording(recording, id, request).map_err(refused)
             }
             (None, Some(text)) => {
                 let name = self.name.as_deref().map_or_else(|| "uploaded.csv".to_owned(), crate::names::clip);
-                from_table(text.as_bytes(), &name, request).map_err(refused)
+                from_table(waited.reading(text.as_bytes()), &name, request).map_err(refused)
             }
             _ => Err(ApiError::Invalid("one of flight and csv, not both and not neither".into())),
         }
@@ -129,24 +131,26 @@ async fn aside<T: Send + 'static>(work: impl FnOnce() -> Result<T, ApiError> + S
 
 pub(crate) async fn create(
     State(app): State<App>,
-    body: Result<Bytes, BytesRejection>,
+    request: HttpRequest,
 ) -> Result<(StatusCode, Json<Value>), ApiError> {
-    let bytes = body.map_err(|rejection| {
-        if rejection.status() == StatusCode::PAYLOAD_TOO_LARGE {
-            ApiError::TooLarge(format!("the body is larger than {MAX_TABLE} bytes"))
-        } else {
-            ApiError::Invalid(rejection.body_text())
-        }
-    })?;
     let kept = Calibrations::open(&app.config.data_folder);
     let recorder = app.recorder.clone();
-    let answer = aside(move || {
+    // A table waits outside until it is its turn: only so many are in memory at a time.
+    let answer = app.uploads.after(upload(request), move |bytes, waited| {
         let asked: Asked = serde_json::from_slice(&bytes).map_err(|e| ApiError::Invalid(e.to_string()))?;
-        let file = asked.fit(&asked.request(&kept)?, &recorder)?;
+        drop(bytes);
+        let file = asked.fit(&asked.request(&kept)?, &recorder, waited)?;
+        waited.check()?;
         let id = kept.keep(&file).map_err(|e| ApiError::Broken(format!("calibrations: {e}")))?;
         Ok(with_id(&id, file.to_value()))
     });
     Ok((StatusCode::CREATED, Json(answer.await?)))
+}
+
+async fn upload(request: HttpRequest) -> Result<Bytes, ApiError> {
+    let body = tokio::time::timeout(UPLOAD_WITHIN, to_bytes(request.into_body(), MAX_TABLE)).await;
+    let slow = || ApiError::Invalid(format!("the table did not come within {} s", UPLOAD_WITHIN.as_secs()));
+    body.map_err(|_| slow())?.map_err(|_| ApiError::TooLarge(format!("the body is larger than {MAX_TABLE} bytes")))
 }
 
 pub(crate) async fn list(State(app): State<App>) -> Result<Json<Value>, ApiError> {

@@ -1,4 +1,4 @@
-//! Short commands: arm, disarm, cut, mode, estimator, decoder, recording, replay.
+//! Short commands: arm, disarm, cut, mode, estimator, decoder, recording, replay, simulator.
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -115,6 +115,30 @@ pub(crate) async fn decoder(
         return Err(ApiError::Invalid(format!("decoder {:?} solves nothing", asked.decoder)));
     }
     let body = command::Body::SelectDecoder(v1::SelectDecoder { decoder: decoder as i32 });
+    send(&app, &id, &who, body).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Simulator {
+    #[serde(default)]
+    battery: bool,
+    #[serde(default)]
+    reset: bool,
+}
+
+/// What only a simulated vehicle can be given; the agent refuses it for any other.
+pub(crate) async fn simulator(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<Simulator>,
+) -> Answer {
+    let Simulator { battery, reset } = asked;
+    if !battery && !reset {
+        return Err(ApiError::Invalid("nothing is asked for: battery or reset".into()));
+    }
+    let body = command::Body::SetSimulator(v1::SetSimulator { new_battery: battery, reset });
     send(&app, &id, &who, body).await
 }
 

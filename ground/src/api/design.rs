@@ -56,10 +56,7 @@ fn around(app: &App, asked: Asked) -> Result<Around, ApiError> {
 pub(crate) async fn preview(State(app): State<App>, asked: Asked, body: Raw) -> Result<Json<Value>, ApiError> {
     let around = around(&app, asked)?;
     // A preview is tens of milliseconds of computing: not on the threads that answer everybody.
-    let _turn = app.computing.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
-    let work = move || preview_json(body.json(), &around);
-    let done = tokio::task::spawn_blocking(work).await.map_err(|e| ApiError::Broken(e.to_string()))?;
-    Ok(Json(done?))
+    Ok(Json(app.computing.run(move |_| Ok(preview_json(body.json(), &around)?)).await?))
 }
 
 pub(crate) async fn controllers(State(app): State<App>, asked: Asked) -> Result<Json<Value>, ApiError> {

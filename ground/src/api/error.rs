@@ -23,6 +23,8 @@ pub(crate) enum ApiError {
     /// Wrong Origin or Host, or a role that may not.
     Foreign(String),
     TooLarge(String),
+    /// The rest of a request did not come.
+    Late(String),
     Invalid(String),
     Held(Held),
     Conflict(String),
@@ -41,6 +43,7 @@ impl ApiError {
             Self::Throttled(_, text) => (StatusCode::TOO_MANY_REQUESTS, text),
             Self::Foreign(text) => (StatusCode::FORBIDDEN, text),
             Self::TooLarge(text) => (StatusCode::PAYLOAD_TOO_LARGE, text),
+            Self::Late(text) => (StatusCode::REQUEST_TIMEOUT, text),
             Self::Invalid(text) => (StatusCode::UNPROCESSABLE_ENTITY, text),
             Self::Held(held) => (StatusCode::LOCKED, held.to_string()),
             Self::Conflict(text) => (StatusCode::CONFLICT, text),
@@ -81,7 +84,7 @@ impl From<VehicleError> for ApiError {
 impl From<CommandError> for ApiError {
     fn from(error: CommandError) -> Self {
         match error {
-            CommandError::Disconnected | CommandError::Flooded(_) => Self::Unavailable(error.to_string()),
+            CommandError::Disconnected | CommandError::Flooded { .. } => Self::Unavailable(error.to_string()),
             CommandError::TimedOut { .. } => Self::Unanswered(error.to_string()),
         }
     }

@@ -9,7 +9,6 @@
 //! `estimator` is named as in telemetry, `sensors` as in `plumbline-agent estimate --sensors`. Errors without truth are
 //! null, as is everything while the estimator initialises; at most 25 samples a second.
 
-use std::io::Read as _;
 use std::path::Path as FilePath;
 
 use axum::Json;
@@ -23,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::App;
+use super::compute::Waited;
 use super::error::ApiError;
 use crate::names::JsonName as _;
 use crate::recorder::RecorderHandle;
@@ -75,10 +75,8 @@ pub(crate) async fn again(
     let estimator = v1::EstimatorKind::from_json_name(&asked.estimator).map_err(ApiError::Invalid)?;
     let recorder = app.recorder.clone();
     // Seconds of computing for a long flight: in turn, and not on the threads that answer everybody.
-    let _turn = app.computing.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
-    let work = move || estimate(&recorder, &id, estimator, asked.sensors.as_deref());
-    let done = tokio::task::spawn_blocking(work).await.map_err(|e| ApiError::Broken(e.to_string()))?;
-    Ok(Json(done?))
+    let work = move |waited: &Waited| estimate(&recorder, &id, estimator, asked.sensors.as_deref(), waited);
+    Ok(Json(app.computing.run(work).await?))
 }
 
 fn estimate(
@@ -86,16 +84,20 @@ fn estimate(
     id: &str,
     estimator: v1::EstimatorKind,
     sensors: Option<&str>,
+    waited: &Waited,
 ) -> Result<Value, ApiError> {
-    let mut bytes = Vec::new();
-    let read = recorder.open(id)?.read_to_end(&mut bytes);
-    read.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
+    let bytes = recorder.open(id)?.bytes();
+    let bytes = bytes.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
     let name = estimator.json_name();
     // The command line has dashes where JSON has underscores.
     let mut args = EstimateArgs::new(FilePath::new(id), &name.replace('_', "-"), FilePath::new(""));
     args.sensors = sensors.map(|s| s.split(',').map(str::to_owned).collect()).unwrap_or_default();
-    let mut columns = Columns { placed: estimator != v1::EstimatorKind::Attitude, ..Columns::default() };
-    let score = run_flight(&bytes, &args, |estimate| columns.push(estimate)).map_err(refused)?;
+    let mut columns = Columns { placed: estimator != v1::EstimatorKind::Vqf, ..Columns::default() };
+    let each = |estimate: &Estimate| {
+        columns.push(estimate);
+        waited.check().map_err(|_| OfflineError::GivenUp)
+    };
+    let score = run_flight(&bytes, &args, each).map_err(refused)?;
     let mut answer = json!(columns);
     answer["estimator"] = json!(name);
     answer["score"] = score.to_value();

@@ -19,6 +19,7 @@ pub(crate) async fn show(State(app): State<App>) -> Json<Value> {
         "recording_error": app.recorder.error(),
         "set_aside": app.recorder.set_aside(),
         "refused_peers": app.config.link_identity.as_ref().map_or(0, |identity| identity.refused()),
+        "identity_error": app.config.link_identity.as_ref().and_then(|identity| identity.trouble()),
         "handshakes_broken_off": app.config.link_identity.as_ref().map_or(0, |identity| identity.broken_off()),
     }))
 }

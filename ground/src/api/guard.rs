@@ -9,18 +9,15 @@
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 
-use super::App;
 use super::error::ApiError;
+use super::{App, access};
 
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     let host = match check(&app, request.uri(), request.headers()) {
         Ok(host) => host,
-        Err(error) => {
-            tracing::warn!(method = %request.method(), path = request.uri().path(), ?error, "refused");
-            return error.into_response();
-        }
+        Err(error) => return access::refuse(&app, access::deed(&request), error),
     };
     let mut response = next.run(request).await;
     secure(response.headers_mut(), &host, app.secure());

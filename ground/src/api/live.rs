@@ -1,29 +1,40 @@
-//! `GET /api/vehicles/{id}/live`: a WebSocket of codec batches.
+//! `GET /api/vehicles/{id}/live`: a WebSocket of codec batches, and `GET /api/vehicles/{id}/history?seconds=120`: what
+//! charts show of the past, in one batch.
 //!
-//! First the latest of every topic and the history, then live batches, each at most 10 ms old when
-//! it leaves the hub. A viewer that stops reading fills its own queue ([`ViewerQueue`]), loses the
+//! First the latest of every topic (and, where it is asked for, the whole history), then live batches, each at most
+//! 10 ms old when it leaves the hub. The page asks for no history here: minutes of messages before the newest one
+//! would make what it shows minutes old, and its operator's sign of life too late. A viewer that stops reading fills its own queue ([`ViewerQueue`]), loses the
 //! oldest, sees the count in its `LinkStatus`, and is closed after [`STALLED`].
 //!
 //! [`ViewerQueue`]: crate::hub::ViewerQueue
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
+use axum::extract::rejection::QueryRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Path, Query, State};
-use axum::response::Response;
+use axum::extract::{Extension, Path, Query, State};
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse as _, Response};
 use plumbline_proto::{Kind, Message as _, codec, v1};
 use serde::Deserialize;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::App;
+use super::access::token;
 use super::error::ApiError;
 use super::operator::Operator;
-use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue};
+use crate::front::Place;
+use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue, thin};
+use crate::people::Token;
 use crate::sync::stopping;
+use crate::viewers::MAX_VIEWERS;
 
 /// A viewer that takes nothing for this long is closed.
 const STALLED: Duration = Duration::from_secs(30);
+/// How often it is asked whether a viewer may still watch.
+const ASK_EVERY: Duration = Duration::from_millis(250);
 /// How often the state of the link is sent.
 const LINK_EVERY: Duration = Duration::from_millis(250);
 /// Viewers have nothing to say but that they are there.
@@ -42,33 +53,80 @@ pub(crate) async fn live(
     Path(id): Path<String>,
     Query(asked): Query<Asked>,
     who: Operator,
+    place: Option<Extension<Arc<Place>>>,
+    headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
     if !asked.history.is_finite() || asked.history < 0.0 {
         return Err(ApiError::Invalid(format!("history {} is not a number of seconds", asked.history)));
     }
     let history = Duration::from_secs_f64(asked.history.min(MAX_HISTORY_SECONDS as f64));
-    let permit = app.viewers.clone().try_acquire_owned();
-    let permit = permit.map_err(|_| ApiError::Unavailable(format!("{} viewers are connected", super::MAX_VIEWERS)))?;
+    let who = if app.people.sign_in_needed() { who.0 } else { asked.operator.unwrap_or(who.0) };
     if !app.hub.knows(&id) {
         return Err(crate::hub::VehicleError::Unknown(id).into());
     }
-    Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |socket| async move {
-        let _permit = permit;
-        let who = if app.people.sign_in_needed() { who.0 } else { asked.operator.unwrap_or(who.0) };
+    let control = app.leases.holder(&id).is_some_and(|holder| holder == who);
+    let seat = app.viewers.enter(&who, control);
+    let seat = seat.ok_or_else(|| ApiError::Unavailable(format!("{MAX_VIEWERS} viewers are connected")))?;
+    let token = token(&headers);
+    Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |mut socket| async move {
+        if let Some(Extension(place)) = &place {
+            place.watch();
+        }
         if let Ok(viewer) = app.hub.subscribe(&id, history) {
-            serve(&app, &id, &who, viewer, socket).await;
+            app.leases.page_opened(&id, &who);
+            tokio::select! {
+                () = serve(&app, &id, &who, viewer, &mut socket) => {}
+                () = seat.closed() => tracing::debug!(who, "an older socket gives way"),
+                () = expelled(&app, token.as_ref()) => {
+                    let _ = timeout(Duration::from_secs(1), socket.send(Message::Close(None))).await;
+                }
+            }
+            app.leases.page_closed(&id, &who);
         }
     }))
 }
 
-async fn serve(app: &App, id: &str, who: &str, viewer: Viewer, mut socket: WebSocket) {
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Past {
+    seconds: u64,
+}
+
+/// Not a stream: whoever asks has the newest state already, and reads this when there is time.
+pub(crate) async fn history(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    asked: Result<Query<Past>, QueryRejection>,
+) -> Result<Response, ApiError> {
+    let Query(Past { seconds }) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
+    if !(1..=MAX_HISTORY_SECONDS).contains(&seconds) {
+        return Err(ApiError::Invalid(format!("seconds {seconds} is outside 1 to {MAX_HISTORY_SECONDS}")));
+    }
+    // In turn: it keeps a processor busy for a while.
+    let _turn = app.thinning.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
+    let batches = app.hub.past(&id, Duration::from_secs(seconds))?;
+    let thinned = tokio::task::spawn_blocking(move || thin(&batches, seconds)).await;
+    let thinned = thinned.map_err(|e| ApiError::Broken(e.to_string()))?;
+    Ok(([(header::CONTENT_TYPE, "application/octet-stream")], thinned).into_response())
+}
+
+/// Completes when whoever showed `token` may watch no more: signed out, removed, or with another password.
+async fn expelled(app: &App, token: Option<&Token>) {
+    let mut ask = interval(ASK_EVERY);
+    ask.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    while app.people.person(token).is_some() {
+        ask.tick().await;
+    }
+}
+
+async fn serve(app: &App, id: &str, who: &str, viewer: Viewer, socket: &mut WebSocket) {
     let Viewer { backlog, queue } = viewer;
-    if !send(&mut socket, link_batch(app, id, &queue)).await {
+    if !send(socket, link_batch(app, id, &queue)).await {
         return;
     }
     for shared in backlog {
-        if shared.messages > 0 && !send(&mut socket, shared.batch).await {
+        if shared.messages > 0 && !send(socket, shared.batch).await {
             return;
         }
     }
@@ -92,7 +150,7 @@ async fn serve(app: &App, id: &str, who: &str, viewer: Viewer, mut socket: WebSo
                 return;
             }
         };
-        if !send(&mut socket, batch).await {
+        if !send(socket, batch).await {
             return;
         }
     }

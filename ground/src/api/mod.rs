@@ -9,8 +9,10 @@ mod attacks;
 mod audit;
 mod body;
 mod calibrations;
+mod compute;
 mod control;
 mod design;
+mod download;
 mod error;
 mod estimates;
 mod flights;
@@ -21,6 +23,7 @@ mod lease;
 mod live;
 mod operator;
 mod pairing;
+mod people;
 mod session;
 mod setpoint;
 mod trajectory;
@@ -32,9 +35,11 @@ use std::time::Instant;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
+use axum::handler::Handler as _;
 use axum::middleware::from_fn_with_state;
 use axum::routing::MethodRouter;
 use plumbline_proto::v1::{self, command};
+use tokio::runtime::Handle;
 use tokio::sync::{Semaphore, watch};
 
 use crate::agent_link::CommandSender;
@@ -47,15 +52,16 @@ use crate::ingest::publish_lease;
 use crate::lease::Leases;
 use crate::people::{Access, People};
 use crate::recorder::RecorderHandle;
-use error::ApiError;
+use crate::viewers::Viewers;
+use crate::work;
+use download::Downloads;
+pub(crate) use error::ApiError;
 use operator::Operator;
 
 /// Largest body of a request. A plan of 64 attacks is about 10 kB.
 const MAX_BODY: usize = 256 << 10;
-/// Previews of designs and estimates of recordings computed at a time; more wait.
-const COMPUTING: usize = 2;
-/// Most viewers, all vehicles together; more are answered 503.
-const MAX_VIEWERS: usize = 256;
+/// Histories thinned at a time; more wait.
+const THINNING: usize = 1;
 
 /// What every handler can reach. Cheap to clone.
 #[derive(Clone)]
@@ -69,17 +75,22 @@ pub(crate) struct Parts {
     pub(crate) commands: Arc<Commands>,
     pub(crate) leases: Arc<Leases>,
     pub(crate) gains: Arc<GainsBook>,
-    pub(crate) people: People,
+    pub(crate) people: Arc<People>,
     pub(crate) audit: Audit,
     pub(crate) recorder: RecorderHandle,
+    /// Threads for whatever takes long.
+    pub(crate) work: Handle,
     pub(crate) stopped: watch::Receiver<bool>,
 }
 
 pub(crate) struct Inner {
     parts: Parts,
     started: Instant,
-    viewers: Arc<Semaphore>,
-    computing: Semaphore,
+    viewers: Arc<Viewers>,
+    downloads: Arc<Downloads>,
+    computing: compute::Turns,
+    uploads: compute::Turns,
+    thinning: Semaphore,
 }
 
 impl std::ops::Deref for Inner {
@@ -98,8 +109,15 @@ impl std::ops::Deref for App {
 
 impl App {
     pub(crate) fn new(parts: Parts) -> Self {
-        let viewers = Arc::new(Semaphore::new(MAX_VIEWERS));
-        Self(Arc::new(Inner { parts, started: Instant::now(), viewers, computing: Semaphore::new(COMPUTING) }))
+        Self(Arc::new(Inner {
+            parts,
+            started: Instant::now(),
+            viewers: Arc::default(),
+            downloads: Arc::default(),
+            computing: compute::Turns::new(),
+            uploads: compute::Turns::new(),
+            thinning: Semaphore::new(THINNING),
+        }))
     }
 
     /// Is the page served by TLS?
@@ -165,11 +183,18 @@ fn routes() -> Vec<Route> {
         get    "/api/session"                        Open    session::show;
         post   "/api/session"                        Open    session::begin;
         delete "/api/session"                        Open    session::end;
+        get    "/api/sessions"                       View    people::sessions;
+        delete "/api/sessions/{id}"                  View    people::end;
+        get    "/api/people"                         Admin   people::list;
+        post   "/api/people"                         Admin   people::add;
+        patch  "/api/people/{id}"                    Admin   people::change;
+        delete "/api/people/{id}"                    Admin   people::remove;
         get    "/api/audit"                          Admin   audit::show;
         post   "/api/pairing"                        Admin   pairing::begin;
         get    "/api/ground"                         View    ground::show;
         get    "/api/vehicles"                       View    vehicles::list;
         get    "/api/vehicles/{id}/live"             View    live::live;
+        get    "/api/vehicles/{id}/history"          View    live::history;
         post   "/api/vehicles/{id}/cut"              Operate control::cut;
         post   "/api/vehicles/{id}/arm"              Operate control::arm;
         post   "/api/vehicles/{id}/disarm"           Operate control::disarm;
@@ -179,6 +204,7 @@ fn routes() -> Vec<Route> {
         post   "/api/vehicles/{id}/decoder"          Operate control::decoder;
         post   "/api/vehicles/{id}/recording"        Operate control::recording;
         post   "/api/vehicles/{id}/replay"           Operate control::replay;
+        post   "/api/vehicles/{id}/simulator"        Operate control::simulator;
         post   "/api/vehicles/{id}/setpoint"         Operate setpoint::set;
         put    "/api/vehicles/{id}/attacks"          Attack  attacks::upload;
         delete "/api/vehicles/{id}/attacks"          Operate attacks::abort;
@@ -216,15 +242,42 @@ pub(crate) fn router(app: App) -> Router {
     let mut router = Router::new();
     for Route { path, need, handler, limit, .. } in routes() {
         let admit = from_fn_with_state((app.clone(), need, limit), access::admit);
-        router = router.route(path, handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(admit));
+        let mut handler = handler.route_layer(DefaultBodyLimit::max(limit));
+        if !at_once(path) {
+            handler = handler.route_layer(from_fn_with_state(app.work.clone(), work::there));
+        }
+        router = router.route(path, handler.route_layer(admit));
     }
+    let assets = assets::serve.layer(from_fn_with_state(app.work.clone(), work::there));
     router
         .route("/api/{*rest}", axum::routing::any(unknown))
-        .fallback(assets::serve)
+        .fallback(assets)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(DefaultBodyLimit::max(MAX_BODY))
         .layer(from_fn_with_state(app.clone(), guard::guard))
         .with_state(app)
+}
+
+/// Is this a command, or whatever else flying needs? Then it is answered by the threads that serve connections; its
+/// handler computes nothing and waits for no disk. Everything else is answered by threads of its own.
+fn at_once(path: &str) -> bool {
+    const NEEDED: [&str; 14] = [
+        "cut",
+        "arm",
+        "disarm",
+        "release-cut",
+        "mode",
+        "estimator",
+        "decoder",
+        "recording",
+        "replay",
+        "setpoint",
+        "attacks",
+        "trajectory",
+        "lease",
+        "live",
+    ];
+    path.strip_prefix("/api/vehicles/{id}/").is_some_and(|command| NEEDED.contains(&command))
 }
 
 async fn unknown(uri: axum::http::Uri) -> ApiError {

@@ -5,6 +5,7 @@ use axum::http::HeaderMap;
 use axum::http::request::Parts;
 
 use super::error::ApiError;
+use crate::people::Person;
 
 /// The name a page gave itself; with a session, a proof that the request is the page's own.
 pub(crate) const HEADER: &str = "x-plumbline-operator";
@@ -17,6 +18,19 @@ pub(crate) struct Operator(pub(crate) String);
 impl Operator {
     pub(crate) fn name(&self) -> &str {
         &self.0
+    }
+}
+
+/// Who sent a request.
+#[derive(Debug, Clone)]
+pub(crate) struct Signed(pub(crate) Person);
+
+impl<S: Sync> FromRequestParts<S> for Signed {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        let signed = parts.extensions.get::<Self>().cloned();
+        signed.ok_or_else(|| ApiError::SignIn("sign in first".into()))
     }
 }
 

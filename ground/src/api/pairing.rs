@@ -2,7 +2,7 @@
 
 use axum::extract::State;
 use axum::http::StatusCode;
-use plumbline_agent::link::pairing::{Code, PairingError, expect};
+use plumbline_link::pairing::{Code, PairingError, expect};
 use serde::Deserialize;
 
 use super::App;

@@ -58,11 +58,17 @@ pub(crate) async fn begin(
     Ok((StatusCode::OK, cookie(&app, token.as_str(), SESSION_LONGEST_S), body).into_response())
 }
 
-pub(crate) async fn end(State(app): State<App>, headers: HeaderMap) -> Response {
-    if let Some(token) = token(&headers) {
-        app.people.sign_out(&token);
-    }
+pub(crate) async fn end(State(app): State<App>, from: From, headers: HeaderMap) -> Response {
+    sign_out(&app, &from, &headers).await;
     (StatusCode::NO_CONTENT, cookie(&app, "", 0)).into_response()
+}
+
+async fn sign_out(app: &App, from: &From, headers: &HeaderMap) {
+    let Some(token) = token(headers) else { return };
+    if let Some(Person { account: Some(who), role }) = app.people.person(Some(&token)) {
+        app.audit.record(deed(from, "DELETE", &who, role.name(), 204));
+    }
+    app.people.sign_out(&token).await;
 }
 
 /// The form, for people without a session; with one, the way out.
@@ -92,32 +98,41 @@ pub(crate) async fn page_in(State(app): State<App>, from: From, body: axum::body
     }
 }
 
-pub(crate) async fn page_out(State(app): State<App>, headers: HeaderMap) -> Response {
-    if let Some(token) = token(&headers) {
-        app.people.sign_out(&token);
-    }
+pub(crate) async fn page_out(State(app): State<App>, from: From, headers: HeaderMap) -> Response {
+    sign_out(&app, &from, &headers).await;
     (cookie(&app, "", 0), Redirect::to("/login")).into_response()
 }
 
 async fn sign_in(app: &App, from: &From, credentials: Credentials) -> Result<(Token, Person), ApiError> {
     let Credentials { name, password } = credentials;
     let outcome = app.people.sign_in(from.0, &name, password).await;
-    app.audit.record(Deed {
-        unix_us: wall_time_us(),
-        who: crate::names::clip(&name),
-        role: outcome.as_ref().map_or("nobody", |(_, person)| person.role.name()),
-        from: from.0.map_or_else(String::new, |from| from.to_string()),
-        method: "POST".into(),
-        path: "/api/session".into(),
-        body: String::new(),
-        status: if outcome.is_ok() { 200 } else { 401 },
-    });
+    match &outcome {
+        Ok((_, person)) => app.audit.record(deed(from, "POST", &name, person.role.name(), 200)),
+        Err(error) => {
+            let status = if matches!(error, SignInError::Wrong) { 401 } else { 429 };
+            app.audit.refuse(deed(from, "POST", &name, "nobody", status));
+        }
+    }
     outcome.map_err(|error| match error {
         SignInError::Wrong => ApiError::SignIn(error.to_string()),
         SignInError::Throttled(seconds) => ApiError::Throttled(seconds, error.to_string()),
         SignInError::Busy => ApiError::Throttled(1, error.to_string()),
         SignInError::Broken(_) => ApiError::Broken(error.to_string()),
     })
+}
+
+fn deed(from: &From, method: &str, who: &str, role: &'static str, status: u16) -> Deed {
+    Deed {
+        unix_us: wall_time_us(),
+        who: crate::names::clip(who),
+        role,
+        from: from.0.map_or_else(String::new, |from| from.to_string()),
+        method: method.to_owned(),
+        path: "/api/session".into(),
+        body: String::new(),
+        status,
+        times: 1,
+    }
 }
 
 fn cookie(app: &App, value: &str, seconds: u64) -> HeaderMap {

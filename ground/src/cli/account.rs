@@ -56,7 +56,7 @@ pub fn run(arguments: AccountArguments) -> Result<(), String> {
     match arguments.deed {
         Deed::Add { name, role, data } => of(&data).add(&name, role, &password()?),
         Deed::Remove { name, data } => of(&data).remove(&name),
-        Deed::Password { name, data } => of(&data).set_password(&name, &password()?),
+        Deed::Password { name, data } => of(&data).change(&name, None, Some(&password()?)),
         Deed::List { data } => {
             let accounts = of(&data).all().map_err(|error| error.to_string())?;
             let mut out = std::io::stdout().lock();

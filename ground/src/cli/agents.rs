@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use plumbline_agent::link::identity::{Fingerprint, load_or_create, rotate};
-use plumbline_agent::link::pairing::{self, Code};
+use plumbline_link::identity::{Fingerprint, load_or_create, rotate};
+use plumbline_link::pairing::{self, Code};
 
 use super::DataFolder;
 
@@ -53,7 +53,7 @@ pub struct IdentityArguments {
     /// Trust the agent with this fingerprint.
     #[arg(long, requires = "name")]
     trust: Option<String>,
-    /// Name to remember it by.
+    /// Its id, under which alone it may connect.
     #[arg(long)]
     name: Option<String>,
     /// Trust the agent of this name or fingerprint no more; its connection ends within a second.
@@ -74,7 +74,7 @@ pub fn identity(arguments: &IdentityArguments) -> Result<(), String> {
     let identity = identity.map_err(|error| error.to_string())?;
     if let (Some(fingerprint), Some(name)) = (&arguments.trust, &arguments.name) {
         let fingerprint = Fingerprint::parse(fingerprint).map_err(|error| error.to_string())?;
-        identity.trust(fingerprint, name).map_err(|error| error.to_string())?;
+        identity.enrol(fingerprint, name).map_err(|error| error.to_string())?;
     }
     if let Some(peer) = &arguments.revoke
         && identity.revoke(peer).map_err(|error| error.to_string())? == 0

@@ -2,6 +2,7 @@
 
 mod account;
 mod agents;
+mod audit;
 mod check;
 mod serve;
 
@@ -23,6 +24,8 @@ pub struct Arguments {
 enum Tool {
     /// Makes and changes the accounts that people sign in with.
     Account(account::AccountArguments),
+    /// Says whether the audit log was changed.
+    Audit(audit::AuditArguments),
     /// Says whether flight files are whole; one JSON line for each.
     Check(check::CheckArguments),
     /// Pairs the agent that shows this code.
@@ -47,6 +50,7 @@ impl Arguments {
     pub fn run(self) -> Result<(), String> {
         match self.tool {
             Some(Tool::Account(arguments)) => account::run(arguments),
+            Some(Tool::Audit(arguments)) => audit::run(&arguments),
             Some(Tool::Check(arguments)) => check::run(&arguments),
             Some(Tool::Pair(arguments)) => agents::pair(&arguments),
             Some(Tool::Identity(arguments)) => agents::identity(&arguments),

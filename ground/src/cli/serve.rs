@@ -4,9 +4,9 @@ use std::io::IsTerminal as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use plumbline_agent::link::identity;
 use plumbline_ground::agent_link::{AgentLink, AgentLinkConfig};
 use plumbline_ground::{GroundConfig, front};
+use plumbline_link::identity;
 use tokio::sync::mpsc;
 
 use super::DataFolder;

@@ -1,33 +1,50 @@
 //! The listening socket of page and API: plain on the loopback, TLS everywhere else.
 //!
-//! Handshakes run beside each other, at most [`MAX_HANDSHAKES`] at once and each for at most [`HANDSHAKE`]: a client
-//! that connects and says nothing holds up nobody else.
+//! The accept loop waits for no client: handshakes, headers and bodies run beside each other, each with a time-out, and
+//! who may stay when there are too many is decided by the [table](Table). hyper is used without `axum::serve`, which
+//! has no time-outs.
 
 mod certificate;
+mod table;
 
-use std::io;
+use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::pin::Pin;
+use std::pin::pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::extract::connect_info::Connected;
-use axum::serve::{IncomingStream, Listener};
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::connect_info::ConnectInfo;
+use axum::http::{Request, Response};
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::watch;
+use tokio_io_timeout::TimeoutWriter;
 use tokio_rustls::TlsAcceptor;
-use tokio_rustls::server::TlsStream;
+use tokio_util::either::Either;
+use tokio_util::task::TaskTracker;
+use tower::ServiceExt as _;
+use tower_http::timeout::TimeoutBody;
 
+use crate::sync::stopping;
 pub use certificate::{CertificateError, own, tls};
+use table::Table;
+pub(crate) use table::{Limits, Place};
+pub use table::{MAX_CONNECTIONS, RESERVED_DESCRIPTORS};
 
-/// Most connections at once; further clients wait in the system's queue.
-pub const MAX_CONNECTIONS: usize = 1024;
-/// Most handshakes at once; further clients wait in the system's queue.
-const MAX_HANDSHAKES: usize = 64;
 /// Longest handshake.
 const HANDSHAKE: Duration = Duration::from_secs(10);
+/// Longest wait for the next request, its header included.
+const HEADER: Duration = Duration::from_secs(20);
+/// Longest pause within a body.
+const BODY_PAUSE: Duration = Duration::from_secs(10);
+/// A client that takes nothing of what it asked for is given up after this long.
+const UNREAD: Duration = Duration::from_secs(30);
+/// Most bytes of a connection that wait to be read or written: 64 MiB for all of them.
+const BUFFER: usize = 64 << 10;
 /// Wait after the system refused a connection: it is out of something.
 const OUT_OF_SOMETHING: Duration = Duration::from_millis(200);
 
@@ -35,50 +52,21 @@ const OUT_OF_SOMETHING: Duration = Duration::from_millis(200);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Peer(pub(crate) SocketAddr);
 
-impl Connected<IncomingStream<'_, Front>> for Peer {
-    fn connect_info(stream: IncomingStream<'_, Front>) -> Self {
-        Self(*stream.remote_addr())
-    }
-}
-
-/// A client's connection, and its place among [`MAX_CONNECTIONS`].
-#[derive(Debug)]
-pub(crate) struct Connection {
-    stream: Stream,
-    _place: OwnedSemaphorePermit,
-}
-
-#[derive(Debug)]
-enum Stream {
-    Plain(TcpStream),
-    Tls(Box<TlsStream<TcpStream>>),
-}
-
-/// The listening socket.
-#[derive(Debug)]
-pub(crate) struct Front {
-    local: SocketAddr,
-    accepted: mpsc::Receiver<(Connection, SocketAddr)>,
-}
-
-impl Front {
-    /// Serves `listener`, with TLS where there is a configuration. Must be called within a tokio runtime.
-    pub(crate) fn new(listener: TcpListener, tls: Option<Arc<rustls::ServerConfig>>) -> io::Result<Self> {
-        let local = listener.local_addr()?;
-        let (ready, accepted) = mpsc::channel(MAX_HANDSHAKES);
-        tokio::spawn(accept(listener, tls.map(TlsAcceptor::from), ready));
-        Ok(Self { local, accepted })
-    }
-}
-
-async fn accept(listener: TcpListener, tls: Option<TlsAcceptor>, ready: mpsc::Sender<(Connection, SocketAddr)>) {
-    let handshakes = Arc::new(Semaphore::new(MAX_HANDSHAKES));
-    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+/// Serves `router` until `stopped`, and then the requests in progress to their ends.
+pub(crate) async fn serve(
+    listener: TcpListener,
+    tls: Option<Arc<rustls::ServerConfig>>,
+    router: Router,
+    limits: Limits,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let tls = tls.map(TlsAcceptor::from);
+    let table = Arc::new(Table::new(limits));
+    let open = TaskTracker::new();
     loop {
-        let Ok(place) = places.clone().acquire_owned().await else { return };
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            () = ready.closed() => return,
+            () = stopping(&mut stopped) => break,
         };
         let (stream, peer) = match accepted {
             Ok(accepted) => accepted,
@@ -90,92 +78,70 @@ async fn accept(listener: TcpListener, tls: Option<TlsAcceptor>, ready: mpsc::Se
         };
         // Telemetry is sent as it comes: waiting to fill a segment would only age it.
         let _ = stream.set_nodelay(true);
-        let Some(tls) = &tls else {
-            let connection = Connection { stream: Stream::Plain(stream), _place: place };
-            if ready.send((connection, peer)).await.is_err() {
-                return;
+        let place = table.enter(peer.ip()).await;
+        let closed = place.closed();
+        let connection = connection(stream, Peer(peer), place, tls.clone(), router.clone(), stopped.clone());
+        open.spawn(async move {
+            tokio::select! {
+                () = connection => {}
+                () = closed => tracing::debug!(%peer, "closed for others"),
             }
-            continue;
-        };
-        let Ok(turn) = handshakes.clone().acquire_owned().await else { return };
-        let (tls, ready) = (tls.clone(), ready.clone());
-        tokio::spawn(async move {
-            match tokio::time::timeout(HANDSHAKE, tls.accept(stream)).await {
-                Ok(Ok(stream)) => {
-                    let connection = Connection { stream: Stream::Tls(Box::new(stream)), _place: place };
-                    let _ = ready.send((connection, peer)).await;
-                }
-                Ok(Err(error)) => tracing::debug!(%peer, %error, "no TLS"),
-                Err(_) => tracing::debug!(%peer, "no TLS in time"),
-            }
-            drop(turn);
         });
     }
+    drop(listener);
+    open.close();
+    open.wait().await;
 }
 
-impl Listener for Front {
-    type Io = Connection;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Connection, SocketAddr) {
-        match self.accepted.recv().await {
-            Some(accepted) => accepted,
-            // The socket is gone; the server ends by its own signal.
-            None => std::future::pending().await,
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<SocketAddr> {
-        Ok(self.local)
-    }
-}
-
-macro_rules! inner {
-    ($connection:expr, $stream:ident => $act:expr) => {
-        match &mut $connection.get_mut().stream {
-            Stream::Plain(stream) => {
-                let $stream = Pin::new(stream);
-                $act
-            }
-            Stream::Tls(stream) => {
-                let $stream = Pin::new(stream.as_mut());
-                $act
+/// One connection to its end, or until it becomes a WebSocket.
+async fn connection(
+    stream: TcpStream,
+    peer: Peer,
+    place: Place,
+    tls: Option<TlsAcceptor>,
+    router: Router,
+    mut stopped: watch::Receiver<bool>,
+) {
+    let stream = match tls {
+        None => Either::Left(stream),
+        Some(tls) => {
+            let handshake = tokio::select! {
+                handshake = tokio::time::timeout(HANDSHAKE, tls.accept(stream)) => handshake,
+                () = stopping(&mut stopped) => return,
+            };
+            match handshake {
+                Ok(Ok(stream)) => Either::Right(stream),
+                Ok(Err(error)) => return tracing::debug!(peer = %peer.0, %error, "no TLS"),
+                Err(_) => return tracing::debug!(peer = %peer.0, "no TLS in time"),
             }
         }
     };
-}
-
-impl AsyncRead for Connection {
-    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        inner!(self, stream => stream.poll_read(cx, buffer))
-    }
-}
-
-impl AsyncWrite for Connection {
-    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        inner!(self, stream => stream.poll_write(cx, bytes))
-    }
-
-    fn poll_write_vectored(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        slices: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        inner!(self, stream => stream.poll_write_vectored(cx, slices))
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        match &self.stream {
-            Stream::Plain(stream) => stream.is_write_vectored(),
-            Stream::Tls(stream) => stream.is_write_vectored(),
+    let place = Arc::new(place);
+    let answer = hyper::service::service_fn(move |request: Request<Incoming>| {
+        let mut request = request.map(|body| Body::new(TimeoutBody::new(BODY_PAUSE, body)));
+        request.extensions_mut().insert(ConnectInfo(peer));
+        request.extensions_mut().insert(place.clone());
+        let answer = router.clone().oneshot(request);
+        async { Ok::<Response<Body>, Infallible>(answer.await.unwrap_or_else(|never| match never {})) }
+    });
+    let mut stream = TimeoutWriter::new(stream);
+    stream.set_timeout(Some(UNREAD));
+    let io = TokioIo::new(Box::pin(stream));
+    let serving = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER)
+        .max_buf_size(BUFFER)
+        .serve_connection(io, answer)
+        .with_upgrades();
+    let mut serving = pin!(serving);
+    let served = tokio::select! {
+        served = serving.as_mut() => served,
+        () = stopping(&mut stopped) => {
+            serving.as_mut().graceful_shutdown();
+            serving.await
         }
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        inner!(self, stream => stream.poll_flush(cx))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        inner!(self, stream => stream.poll_shutdown(cx))
+    };
+    if let Err(error) = served {
+        tracing::debug!(peer = %peer.0, %error, "connection ended");
     }
 }

@@ -23,7 +23,7 @@ pub(super) struct Health {
     pub(super) received: u64,
     pub(super) round_trip_ms: f64,
     pub(super) clock_offset_us: f64,
-    newest_time_us: Option<u64>,
+    pub(super) newest_time_us: Option<u64>,
     highest: u64,
     current: Slice,
     current_began: Instant,

@@ -1,6 +1,6 @@
 //! The last seconds of one vehicle's telemetry, for viewers that open or reload the page.
 //!
-//! Bound: [`MAX_SECONDS`] and [`MAX_BYTES`]. Policy when full: the oldest batches go first.
+//! Bound: [`MAX_SECONDS`], [`MAX_BYTES`], and the vehicle's share of what all have together. Policy when full: the oldest batches go first.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -13,20 +13,38 @@ pub const MAX_SECONDS: u64 = 120;
 pub const MAX_BYTES: usize = 64 << 20;
 
 /// A ring of batches.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct History {
     batches: VecDeque<(Instant, Shared)>,
     bytes: usize,
+    limit: usize,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { batches: VecDeque::new(), bytes: 0, limit: MAX_BYTES }
+    }
 }
 
 impl History {
     pub(super) fn push(&mut self, now: Instant, shared: Shared) {
         self.bytes += shared.batch.len();
         self.batches.push_back((now, shared));
+        self.trim(now);
+    }
+
+    /// Keeps no more than `bytes` from now on.
+    pub(super) fn keep(&mut self, bytes: usize, now: Instant) {
+        self.limit = bytes.min(MAX_BYTES);
+        self.trim(now);
+    }
+
+    /// Lets go of what is too old or too much.
+    pub(super) fn trim(&mut self, now: Instant) {
         let oldest_allowed = now.checked_sub(Duration::from_secs(MAX_SECONDS));
         while let Some((at, oldest)) = self.batches.front() {
             let too_old = oldest_allowed.is_some_and(|limit| *at < limit);
-            if !(too_old || self.bytes > MAX_BYTES) {
+            if !(too_old || self.bytes > self.limit) {
                 break;
             }
             self.bytes -= oldest.batch.len();

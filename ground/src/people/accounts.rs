@@ -82,6 +82,9 @@ pub enum AccountError {
     /// Too many.
     #[error("there are {MAX_ACCOUNTS} accounts already")]
     Full,
+    /// Nobody could manage the others any more.
+    #[error("one account has to be an admin; the last one is made, and goes, by `plumbline-ground account`")]
+    LastAdmin,
 }
 
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -97,6 +100,9 @@ type Stamp = Option<(SystemTime, u64)>;
 pub struct Accounts {
     path: PathBuf,
     read: Mutex<Option<(Stamp, Arc<Vec<Account>>)>>,
+    /// Held while the file is changed.
+    changing: Mutex<()>,
+    admin_stays: bool,
 }
 
 impl Accounts {
@@ -106,7 +112,17 @@ impl Accounts {
     }
 
     pub(super) fn in_folder(folder: &Path) -> Self {
-        Self { path: folder.join("accounts.json"), read: Mutex::new(None) }
+        Self {
+            path: folder.join("accounts.json"),
+            read: Mutex::new(None),
+            changing: Mutex::new(()),
+            admin_stays: false,
+        }
+    }
+
+    /// Refuses every change after which no account would be an admin.
+    pub(super) fn keeping_an_admin(self) -> Self {
+        Self { admin_stays: true, ..self }
     }
 
     fn stamp(&self) -> Result<Stamp, AccountError> {
@@ -117,18 +133,23 @@ impl Accounts {
         }
     }
 
-    /// All accounts; none where there is no file.
+    /// All accounts; none where there is no file. A file that has vanished (its disk was unmounted, its folder moved)
+    /// is not one without accounts: those read last still count.
     ///
     /// # Errors
     /// [`AccountError`] when the file cannot be read or makes no sense.
     pub fn all(&self) -> Result<Arc<Vec<Account>>, AccountError> {
         let stamp = self.stamp()?;
-        let mut read = lock(&self.read);
-        if let Some((known, accounts)) = &*read
-            && *known == stamp
-        {
-            return Ok(accounts.clone());
+        if let Some((known, accounts)) = &mut *lock(&self.read) {
+            let vanished = stamp.is_none() && !accounts.is_empty();
+            if vanished && known.take().is_some() {
+                tracing::error!(path = %self.path.display(), "the accounts have vanished; those read last still count");
+            }
+            if vanished || *known == stamp {
+                return Ok(accounts.clone());
+            }
         }
+        // Not under the lock: every request comes here, the motor cut as well, and the disk may take its time.
         let file = match stamp {
             None => File::default(),
             Some(_) => {
@@ -139,7 +160,7 @@ impl Accounts {
             }
         };
         let accounts = Arc::new(file.accounts);
-        *read = Some((stamp, accounts.clone()));
+        *lock(&self.read) = Some((stamp, accounts.clone()));
         Ok(accounts)
     }
 
@@ -152,6 +173,7 @@ impl Accounts {
         if name.is_empty() || name.len() > MAX_NAME || !name.chars().all(good) {
             return Err(AccountError::Name(crate::names::clip(name)));
         }
+        let _changing = lock(&self.changing);
         let mut accounts = self.all()?.to_vec();
         if accounts.iter().any(|account| account.name == name) {
             return Err(AccountError::Exists(name.to_owned()));
@@ -168,6 +190,7 @@ impl Accounts {
     /// # Errors
     /// [`AccountError`].
     pub fn remove(&self, name: &str) -> Result<(), AccountError> {
+        let _changing = lock(&self.changing);
         let mut accounts = self.all()?.to_vec();
         let before = accounts.len();
         accounts.retain(|account| account.name != name);
@@ -177,22 +200,30 @@ impl Accounts {
         self.write(accounts)
     }
 
-    /// Gives an account another password; its sessions end.
+    /// Gives an account another role or password; a new password ends its sessions.
     ///
     /// # Errors
     /// [`AccountError`].
-    pub fn set_password(&self, name: &str, password: &str) -> Result<(), AccountError> {
+    pub fn change(&self, name: &str, role: Option<Role>, password: Option<&str>) -> Result<(), AccountError> {
+        let password = password.map(hash).transpose()?;
+        let _changing = lock(&self.changing);
         let mut accounts = self.all()?.to_vec();
         let account = accounts.iter_mut().find(|account| account.name == name);
-        account.ok_or_else(|| AccountError::Unknown(crate::names::clip(name)))?.password = hash(password)?;
+        let account = account.ok_or_else(|| AccountError::Unknown(crate::names::clip(name)))?;
+        account.role = role.unwrap_or(account.role);
+        account.password = password.unwrap_or_else(|| account.password.clone());
         self.write(accounts)
     }
 
     fn write(&self, accounts: Vec<Account>) -> Result<(), AccountError> {
-        let text = serde_json::to_vec_pretty(&File { accounts })
+        if self.admin_stays && !accounts.iter().any(|account| account.role == Role::Admin) {
+            return Err(AccountError::LastAdmin);
+        }
+        let accounts = Arc::new(accounts);
+        let text = serde_json::to_vec_pretty(&File { accounts: accounts.to_vec() })
             .map_err(|e| AccountError::Malformed { path: self.path.clone(), reason: e.to_string() })?;
         write_private(&self.path, &text).map_err(|source| AccountError::Io { path: self.path.clone(), source })?;
-        *lock(&self.read) = None;
+        *lock(&self.read) = Some((self.stamp()?, accounts));
         Ok(())
     }
 }
@@ -251,5 +282,18 @@ mod tests {
         Accounts::of(folder.path()).remove("ann").unwrap();
         assert!(accounts.all().unwrap().is_empty());
         assert!(matches!(accounts.remove("ann"), Err(AccountError::Unknown(_))));
+    }
+
+    #[test]
+    fn accounts_that_vanished_are_not_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let accounts = Accounts::of(folder.path());
+        accounts.add("ann", Role::Admin, "long enough, surely").unwrap();
+        let (here, away) = (folder.path().join("people"), folder.path().join("away"));
+        fs::rename(&here, &away).unwrap();
+        assert_eq!(accounts.all().unwrap().len(), 1);
+        fs::rename(&away, &here).unwrap();
+        Accounts::of(folder.path()).remove("ann").unwrap();
+        assert!(accounts.all().unwrap().is_empty(), "an empty file is");
     }
 }

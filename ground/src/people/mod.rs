@@ -5,28 +5,27 @@
 //! another address. Accounts are made by `plumbline-ground account`, and count at once.
 
 mod accounts;
+mod attempts;
 mod role;
 mod sessions;
-mod throttle;
+pub(crate) mod throttle;
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
-use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 pub use accounts::{Account, AccountError, Accounts, MIN_PASSWORD};
+use attempts::Attempts;
+pub(crate) use attempts::origin;
+pub use attempts::{FAILURES, FAILURES_WITHIN};
 pub use role::{Access, Role};
 pub(crate) use sessions::LONGEST_S as SESSION_LONGEST_S;
-pub use sessions::{COOKIE, Sessions, Token};
-use throttle::Throttle;
+pub use sessions::{COOKIE, Sessions, Shown, Token};
 
 use crate::sync::lock;
 
-/// Failed attempts to sign in that one address, or one account, may make …
-pub const FAILURES: u32 = 10;
-/// … within this time; more are turned away unheard.
-pub const FAILURES_WITHIN: Duration = Duration::from_secs(300);
-/// Passwords checked at once; each takes 19 MiB and some ten milliseconds.
+/// Passwords checked at once; each takes 19 MiB and some ten milliseconds. Others wait for their turn.
 const CHECKS_AT_ONCE: usize = 2;
 
 /// A signed-in person, or whoever sits at this machine.
@@ -47,7 +46,7 @@ pub enum SignInError {
     /// Too many attempts.
     #[error("too many attempts; try again in {0} s")]
     Throttled(u64),
-    /// Too many passwords are being checked.
+    /// Too many wait for their turn.
     #[error("too many people sign in at once; try again")]
     Busy,
     /// The accounts cannot be read.
@@ -60,9 +59,8 @@ pub enum SignInError {
 pub struct People {
     accounts: Accounts,
     sessions: Sessions,
-    by_address: Mutex<Throttle<IpAddr>>,
-    by_account: Mutex<Throttle<String>>,
-    checks: tokio::sync::Semaphore,
+    attempts: Mutex<Attempts>,
+    checks: Arc<tokio::sync::Semaphore>,
     loopback: bool,
 }
 
@@ -71,11 +69,10 @@ impl People {
     pub fn open(data_folder: &Path, address: SocketAddr) -> Self {
         let folder = data_folder.join("people");
         Self {
-            accounts: Accounts::in_folder(&folder),
+            accounts: Accounts::in_folder(&folder).keeping_an_admin(),
             sessions: Sessions::open(&folder),
-            by_address: Mutex::new(Throttle::new(FAILURES, FAILURES_WITHIN)),
-            by_account: Mutex::new(Throttle::new(FAILURES, FAILURES_WITHIN)),
-            checks: tokio::sync::Semaphore::new(CHECKS_AT_ONCE),
+            attempts: Mutex::new(Attempts::new()),
+            checks: Arc::new(tokio::sync::Semaphore::new(CHECKS_AT_ONCE)),
             loopback: address.ip().is_loopback(),
         }
     }
@@ -112,34 +109,94 @@ impl People {
         name: &str,
         password: String,
     ) -> Result<(Token, Person), SignInError> {
-        let now = Instant::now();
-        let key: String = name.chars().take(accounts::MAX_NAME).collect();
-        let wait = lock(&self.by_account).wait(&key, now);
-        let wait = wait.max(from.and_then(|from| lock(&self.by_address).wait(&from, now)));
-        if let Some(wait) = wait {
-            return Err(SignInError::Throttled(wait.as_secs() + 1));
-        }
-        // Counted before it is checked: attempts at the same time count each.
-        lock(&self.by_account).failed(key.clone(), now);
-        if let Some(from) = from {
-            lock(&self.by_address).failed(from, now);
-        }
-        let _check = self.checks.try_acquire().map_err(|_| SignInError::Busy)?;
+        let key = (origin(from), name.chars().take(accounts::MAX_NAME).collect::<String>());
+        self.heard(&key)?;
+        let check = {
+            let _place = Place::take(&self.attempts, key.0)?;
+            self.checks.clone().acquire_owned().await.map_err(|_| SignInError::Busy)?
+        };
+        // Others may have failed meanwhile.
+        self.heard(&key)?;
         let accounts = self.accounts.all().map_err(|error| SignInError::Broken(error.to_string()))?;
         let account = accounts.iter().find(|account| account.name == name).cloned();
-        let checked = tokio::task::spawn_blocking(move || accounts::verify(account, &password)).await;
-        let account = checked.ok().flatten().ok_or(SignInError::Wrong)?;
-        lock(&self.by_account).forgive(&key);
-        if let Some(from) = from {
-            lock(&self.by_address).forgive(&from);
-        }
-        let token = self.sessions.begin(&account);
+        let checked = tokio::task::spawn_blocking(move || {
+            // Held until the check is over, also when nobody waits for it any more.
+            let _check = check;
+            accounts::verify(account, &password)
+        });
+        let Some(account) = checked.await.ok().flatten() else {
+            lock(&self.attempts).failed(&key, Instant::now());
+            return Err(SignInError::Wrong);
+        };
+        lock(&self.attempts).succeeded(&key);
+        let token = self.sessions.begin(&account, from.map_or_else(String::new, |from| from.to_string())).await;
         Ok((token, Person { account: Some(account.name), role: account.role }))
     }
 
+    fn heard(&self, key: &(IpAddr, String)) -> Result<(), SignInError> {
+        let wait = lock(&self.attempts).wait(key, Instant::now());
+        wait.map_or(Ok(()), |wait| Err(SignInError::Throttled(wait.as_secs() + 1)))
+    }
+
+    /// Changes the accounts, as an admin does by the page: one of them stays an admin. Passwords are hashed in turn.
+    ///
+    /// # Errors
+    /// [`AccountError`].
+    pub async fn change(
+        self: &Arc<Self>,
+        act: impl FnOnce(&Accounts) -> Result<(), AccountError> + Send + 'static,
+    ) -> Result<(), AccountError> {
+        let people = self.clone();
+        let check = self.checks.clone().acquire_owned().await.map_err(|_| AccountError::Random)?;
+        let changed = tokio::task::spawn_blocking(move || {
+            let _check = check;
+            act(&people.accounts)
+        });
+        changed.await.unwrap_or(Err(AccountError::Random))
+    }
+
+    /// The sessions of an account, or of everybody.
+    pub fn sessions(&self, account: Option<&str>) -> Vec<Shown> {
+        let Ok(accounts) = self.accounts.all() else { return Vec::new() };
+        self.sessions.list(|session| {
+            account.is_none_or(|account| session.account == account)
+                && accounts.iter().any(|a| a.name == session.account && a.stamp() == session.stamp)
+        })
+    }
+
+    /// Ends a session of `account`, or of anybody; answers whether there was one.
+    pub async fn end_session(&self, id: &str, account: Option<&str>) -> bool {
+        self.sessions.end_shown(id, account).await
+    }
+
+    /// May whoever commands under this name go on? Not without an account that may, nor without a session of it.
+    pub fn may_command(&self, name: &str) -> bool {
+        if !self.sign_in_needed() {
+            return true;
+        }
+        let Ok(accounts) = self.accounts.all() else { return true };
+        let may = accounts.iter().any(|account| account.name == name && account.role.may(Access::Operate));
+        may && !self.sessions(Some(name)).is_empty()
+    }
+
     /// Ends a session.
-    pub fn sign_out(&self, token: &Token) {
-        self.sessions.end(token);
+    pub async fn sign_out(&self, token: &Token) {
+        self.sessions.end(token).await;
+    }
+}
+
+/// A place among those that wait to sign in.
+struct Place<'a>(&'a Mutex<Attempts>, IpAddr);
+
+impl<'a> Place<'a> {
+    fn take(attempts: &'a Mutex<Attempts>, from: IpAddr) -> Result<Self, SignInError> {
+        if lock(attempts).queue(from) { Ok(Self(attempts, from)) } else { Err(SignInError::Busy) }
+    }
+}
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        lock(self.0).leave(self.1);
     }
 }
 
@@ -172,10 +229,10 @@ mod tests {
         let again = people(folder.path(), "127.0.0.1:1");
         assert_eq!(again.person(Some(&token)), Some(person));
         // A new password, a removal, or signing out ends them.
-        Accounts::of(folder.path()).set_password("ann", "another password").unwrap();
+        Accounts::of(folder.path()).change("ann", None, Some("another password")).unwrap();
         assert_eq!(here.person(Some(&token)), None);
         let (token, _) = here.sign_in(address, "ann", "another password".into()).await.unwrap();
-        here.sign_out(&token);
+        here.sign_out(&token).await;
         assert_eq!(here.person(Some(&token)), None);
         // A file that cannot be read lets nobody in.
         std::fs::write(folder.path().join("people/accounts.json"), "{").unwrap();
@@ -193,7 +250,48 @@ mod tests {
         }
         let right = people.sign_in(address, "ann", ANN.into()).await.unwrap_err();
         assert!(matches!(right, SignInError::Throttled(seconds) if seconds <= 301), "{right}");
-        let elsewhere = people.sign_in("192.0.2.8".parse().ok(), "ann", ANN.into()).await.unwrap_err();
-        assert!(matches!(elsewhere, SignInError::Throttled(_)), "the account, too: {elsewhere}");
+        let (_, person) = people.sign_in("192.0.2.8".parse().ok(), "ann", ANN.into()).await.unwrap();
+        assert_eq!(person.account.as_deref(), Some("ann"), "elsewhere it is the owner's");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn right_sign_ins_at_once_wait_for_their_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        Accounts::of(folder.path()).add("ann", Role::Viewer, ANN).unwrap();
+        let people = Arc::new(people(folder.path(), "0.0.0.0:1"));
+        let mut all = tokio::task::JoinSet::new();
+        for _ in 0..24 {
+            let people = people.clone();
+            all.spawn(async move { people.sign_in("192.0.2.7".parse().ok(), "ann", ANN.into()).await.map(drop) });
+        }
+        while let Some(outcome) = all.join_next().await {
+            assert_eq!(outcome.unwrap(), Ok(()));
+        }
+        assert_eq!(people.sessions(Some("ann")).len(), 24);
+    }
+
+    #[tokio::test]
+    async fn admins_manage_and_one_of_them_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let people = Arc::new(people(folder.path(), "127.0.0.1:1"));
+        let add = |name: &'static str, role| people.change(move |accounts| accounts.add(name, role, ANN));
+        assert!(matches!(add("ann", Role::Operator).await, Err(AccountError::LastAdmin)), "nobody could go on");
+        add("ann", Role::Admin).await.unwrap();
+        add("bob", Role::Operator).await.unwrap();
+        let demoted = people.change(|accounts| accounts.change("ann", Some(Role::Viewer), None)).await;
+        assert!(matches!(demoted, Err(AccountError::LastAdmin)));
+        assert!(matches!(people.change(|accounts| accounts.remove("ann")).await, Err(AccountError::LastAdmin)));
+        // The lease of an account ends with its role, its sessions, or itself.
+        assert!(!people.may_command("bob"));
+        let (token, _) = people.sign_in(None, "bob", ANN.into()).await.unwrap();
+        assert!(people.may_command("bob"));
+        people.change(|accounts| accounts.change("bob", Some(Role::Viewer), None)).await.unwrap();
+        assert!(!people.may_command("bob") && people.person(Some(&token)).is_some());
+        people.change(|accounts| accounts.change("bob", Some(Role::Attacker), None)).await.unwrap();
+        let shown = people.sessions(None);
+        assert!(people.may_command("bob") && shown.len() == 1);
+        assert!(!people.end_session(&shown[0].id, Some("ann")).await);
+        assert!(people.end_session(&shown[0].id, Some("bob")).await);
+        assert!(!people.may_command("bob") && people.person(Some(&token)).is_none());
     }
 }

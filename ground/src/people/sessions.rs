@@ -1,13 +1,18 @@
 //! Sessions: a random token in the browser's cookie, its SHA-256 here. They outlive the ground, so that a restart in
 //! flight signs nobody out.
+//!
+//! Every request asks for its session, the motor cut as well: the lock is held for memory only. A thread of its own
+//! writes the file, as often as the disk allows; who signs in or out waits for it, nobody else does.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::path::Path;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
 
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use tokio::sync::watch;
 
 use super::accounts::{Account, write_private};
 use crate::sync::{lock, wall_time_us};
@@ -67,7 +72,28 @@ pub(super) struct Session {
     pub(super) stamp: String,
     begun_s: u64,
     seen_s: u64,
+    /// Address it began from.
+    #[serde(default)]
+    from: String,
 }
+
+/// A session, as it is shown.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Shown {
+    /// Says nothing about the token.
+    pub id: String,
+    /// Whose.
+    pub account: String,
+    /// Address it began from.
+    pub from: String,
+    /// When it began, s since the Unix epoch.
+    pub begun_s: u64,
+    /// When it was in use last, to about ten minutes.
+    pub seen_s: u64,
+}
+
+/// Digits of a session's key that are shown.
+const SHOWN: usize = 16;
 
 impl Session {
     fn over(&self, now_s: u64) -> bool {
@@ -78,60 +104,144 @@ impl Session {
 /// The sessions of this ground.
 #[derive(Debug)]
 pub struct Sessions {
-    path: PathBuf,
-    known: Mutex<HashMap<String, Session>>,
+    known: Arc<Mutex<Known>>,
+    /// Wakes the writer. One wake is enough for any number of changes.
+    changed: SyncSender<()>,
+    /// Revision on the disk.
+    kept: watch::Receiver<u64>,
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    sessions: HashMap<String, Session>,
+    /// Grows with every change.
+    revision: u64,
 }
 
 impl Sessions {
     pub(super) fn open(folder: &Path) -> Self {
         let path = folder.join("sessions.json");
-        let known = std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
-        Self { path, known: Mutex::new(known) }
+        let sessions =
+            std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
+        let known = Arc::new(Mutex::new(Known { sessions, revision: 0 }));
+        let (changed, changes) = sync_channel(1);
+        let (written, kept) = watch::channel(0);
+        let writer = {
+            let known = known.clone();
+            move || write(&path, &known, &changes, &written)
+        };
+        if let Err(error) = std::thread::Builder::new().name("sessions".into()).spawn(writer) {
+            tracing::error!(%error, "sessions cannot be kept: no thread");
+        }
+        Self { known, changed, kept }
     }
 
-    pub(super) fn begin(&self, account: &Account) -> Token {
+    /// Begins a session of `account`, from an address. Answers when it is on the disk, or cannot be.
+    pub(super) async fn begin(&self, account: &Account, from: String) -> Token {
         let token = Token::new();
         let now_s = wall_time_us() / 1_000_000;
-        let session = Session { account: account.name.clone(), stamp: account.stamp(), begun_s: now_s, seen_s: now_s };
-        let mut known = lock(&self.known);
-        known.retain(|_, session| !session.over(now_s));
-        if known.len() >= MAX_SESSIONS
-            && let Some(oldest) = known.iter().min_by_key(|(_, s)| s.seen_s).map(|(key, _)| key.clone())
-        {
-            known.remove(&oldest);
-        }
-        known.insert(token.key(), session);
-        self.keep(&known);
+        let session =
+            Session { account: account.name.clone(), stamp: account.stamp(), begun_s: now_s, seen_s: now_s, from };
+        let revision = self.change(|known| {
+            known.retain(|_, session| !session.over(now_s));
+            if known.len() >= MAX_SESSIONS
+                && let Some(oldest) = known.iter().min_by_key(|(_, s)| s.seen_s).map(|(key, _)| key.clone())
+            {
+                known.remove(&oldest);
+            }
+            known.insert(token.key(), session);
+        });
+        self.kept(revision).await;
         token
     }
 
-    /// The session of `token`, which is in use now.
+    /// The session of `token`, which is in use now. Waits for nothing.
     pub(super) fn seen(&self, token: &Token) -> Option<Session> {
         let now_s = wall_time_us() / 1_000_000;
         let mut known = lock(&self.known);
-        let session = known.get_mut(&token.key()).filter(|session| !session.over(now_s))?;
+        let session = known.sessions.get_mut(&token.key()).filter(|session| !session.over(now_s))?;
         let due = now_s.saturating_sub(session.seen_s) >= KEEP_EVERY_S;
         if due {
             session.seen_s = now_s;
         }
         let session = session.clone();
+        drop(known);
         if due {
-            self.keep(&known);
+            self.change(|_| ());
         }
         Some(session)
     }
 
-    pub(super) fn end(&self, token: &Token) {
-        let mut known = lock(&self.known);
-        known.remove(&token.key());
-        self.keep(&known);
+    /// Ends a session. Answers when the disk knows it, or cannot.
+    pub(super) async fn end(&self, token: &Token) {
+        let revision = self.change(|known| drop(known.remove(&token.key())));
+        self.kept(revision).await;
     }
 
-    fn keep(&self, known: &HashMap<String, Session>) {
-        let text = serde_json::to_vec(known).unwrap_or_default();
-        if let Err(error) = write_private(&self.path, &text) {
-            // They last as long as this ground.
-            tracing::warn!(path = %self.path.display(), %error, "sessions cannot be kept");
+    fn change(&self, change: impl FnOnce(&mut HashMap<String, Session>)) -> u64 {
+        let mut known = lock(&self.known);
+        change(&mut known.sessions);
+        known.revision += 1;
+        let revision = known.revision;
+        drop(known);
+        // Full: the writer has yet to begin, and will see this change as well.
+        let _ = self.changed.try_send(());
+        revision
+    }
+
+    /// Sessions that are not over and that `counts` lets pass.
+    pub(super) fn list(&self, counts: impl Fn(&Session) -> bool) -> Vec<Shown> {
+        let now_s = wall_time_us() / 1_000_000;
+        let known = lock(&self.known);
+        let live = known.sessions.iter().filter(|(_, session)| !session.over(now_s) && counts(session));
+        let mut list: Vec<Shown> = live
+            .map(|(key, session)| Shown {
+                id: key.chars().take(SHOWN).collect(),
+                account: session.account.clone(),
+                from: session.from.clone(),
+                begun_s: session.begun_s,
+                seen_s: session.seen_s,
+            })
+            .collect();
+        list.sort_by_key(|shown| std::cmp::Reverse(shown.begun_s));
+        list
+    }
+
+    /// Ends the session shown as `id`, when it is one of `account` or of anybody; answers whether there was one, when the
+    /// disk knows it, or cannot.
+    pub(super) async fn end_shown(&self, id: &str, account: Option<&str>) -> bool {
+        let meant = |key: &str, session: &Session| {
+            key.get(..SHOWN) == Some(id) && account.is_none_or(|account| session.account == account)
+        };
+        let mut ended = false;
+        let revision = self.change(|known| {
+            let before = known.len();
+            known.retain(|key, session| !meant(key, session));
+            ended = known.len() < before;
+        });
+        if ended {
+            self.kept(revision).await;
         }
+        ended
+    }
+
+    async fn kept(&self, revision: u64) {
+        // An error means that there is no writer: nothing to wait for.
+        let _ = self.kept.clone().wait_for(|kept| *kept >= revision).await;
+    }
+}
+
+/// Writes the sessions whenever they have changed, until nobody can change them any more.
+fn write(path: &Path, known: &Mutex<Known>, changes: &Receiver<()>, written: &watch::Sender<u64>) {
+    for () in changes {
+        let (text, revision) = {
+            let known = lock(known);
+            (serde_json::to_vec(&known.sessions).unwrap_or_default(), known.revision)
+        };
+        if let Err(error) = write_private(path, &text) {
+            // They last as long as this ground.
+            tracing::warn!(path = %path.display(), %error, "sessions cannot be kept");
+        }
+        written.send_replace(revision);
     }
 }

@@ -9,25 +9,25 @@ const MAX_KEYS: usize = 4096;
 
 /// Failures by key.
 #[derive(Debug)]
-pub(super) struct Throttle<K> {
+pub(crate) struct Throttle<K> {
     allowed: u32,
     within: Duration,
     failures: HashMap<K, (u32, Instant)>,
 }
 
 impl<K: Eq + Hash + Clone> Throttle<K> {
-    pub(super) fn new(allowed: u32, within: Duration) -> Self {
+    pub(crate) fn new(allowed: u32, within: Duration) -> Self {
         Self { allowed, within, failures: HashMap::new() }
     }
 
     /// How long `key` has to wait, if it has to.
-    pub(super) fn wait(&self, key: &K, now: Instant) -> Option<Duration> {
+    pub(crate) fn wait(&self, key: &K, now: Instant) -> Option<Duration> {
         let (count, since) = self.failures.get(key)?;
         let left = self.within.saturating_sub(now.saturating_duration_since(*since));
         (*count >= self.allowed && !left.is_zero()).then_some(left)
     }
 
-    pub(super) fn failed(&mut self, key: K, now: Instant) {
+    pub(crate) fn failed(&mut self, key: K, now: Instant) {
         if self.failures.len() >= MAX_KEYS && !self.failures.contains_key(&key) {
             let within = self.within;
             self.failures.retain(|_, (_, since)| now.saturating_duration_since(*since) < within);
@@ -44,7 +44,7 @@ impl<K: Eq + Hash + Clone> Throttle<K> {
         entry.0 += 1;
     }
 
-    pub(super) fn forgive(&mut self, key: &K) {
+    pub(crate) fn forgive(&mut self, key: &K) {
         self.failures.remove(key);
     }
 }

@@ -1,6 +1,5 @@
 //! Flights in other forms: CSV, and the codec batch that the page replays.
 
-use std::fs::File;
 use std::path::PathBuf;
 
 use mcap::McapResult;
@@ -10,6 +9,7 @@ use plumbline_proto::codec::{self, Frame};
 use super::RecordingError;
 use super::flatten::Table;
 use super::reader::FlightReader;
+use super::snapshot::Snapshot;
 
 /// Takes the output piece by piece; `false` ends the export (the client is gone).
 pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
@@ -35,9 +35,9 @@ impl Export {
     /// One row per control tick, at most 100 Hz, with the latest of every sample topic beside it.
     ///
     /// # Errors
-    /// [`RecordingError`] when the file cannot be read or has no `/control`.
-    pub fn wide(file: File) -> Result<Self, RecordingError> {
-        let reader = open(file)?;
+    /// [`RecordingError`] when the flight cannot be read or has no `/control`.
+    pub fn wide(flight: Snapshot) -> Result<Self, RecordingError> {
+        let reader = open(flight)?;
         let topic = Kind::Control.base_topic();
         if !reader.channels().contains_key(topic) {
             return Err(RecordingError::NoTopic(topic.to_owned()));
@@ -48,9 +48,9 @@ impl Export {
     /// Every message of one topic.
     ///
     /// # Errors
-    /// [`RecordingError`] when the file cannot be read or has no such topic.
-    pub fn topic(file: File, topic: &str) -> Result<Self, RecordingError> {
-        let reader = open(file)?;
+    /// [`RecordingError`] when the flight cannot be read or has no such topic.
+    pub fn topic(flight: Snapshot, topic: &str) -> Result<Self, RecordingError> {
+        let reader = open(flight)?;
         match reader.channels().get(topic).and_then(|channel| Table::of(channel)) {
             Some(_) => Ok(Self { reader, form: Form::Topic(topic.to_owned()) }),
             None => Err(RecordingError::NoTopic(crate::names::clip(topic))),
@@ -61,9 +61,9 @@ impl Export {
     /// Kinds are named by the last part of their topic: `estimate`, `imu`, `step`.
     ///
     /// # Errors
-    /// [`RecordingError`] when the file cannot be read or a kind is not known.
-    pub fn frames(file: File, kinds: Option<&str>) -> Result<Self, RecordingError> {
-        let reader = open(file)?;
+    /// [`RecordingError`] when the flight cannot be read or a kind is not known.
+    pub fn frames(flight: Snapshot, kinds: Option<&str>) -> Result<Self, RecordingError> {
+        let reader = open(flight)?;
         let topics = match kinds {
             None => None,
             Some(names) => {
@@ -79,18 +79,18 @@ impl Export {
     ///
     /// # Errors
     /// [`RecordingError`] when the file turns out to be damaged.
-    pub fn write(mut self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
+    pub fn write(self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
         let written = match self.form {
-            Form::Wide => write_wide(&mut self.reader, sink),
-            Form::Topic(topic) => write_topic(&mut self.reader, &topic, sink),
-            Form::Frames(topics) => write_frames(&mut self.reader, topics.as_deref(), sink),
+            Form::Wide => write_wide(&self.reader, sink),
+            Form::Topic(topic) => write_topic(&self.reader, &topic, sink),
+            Form::Frames(topics) => write_frames(&self.reader, topics.as_deref(), sink),
         };
         written.map_err(damaged)
     }
 }
 
-fn open(file: File) -> Result<FlightReader, RecordingError> {
-    FlightReader::open(file).map_err(damaged)
+fn open(flight: Snapshot) -> Result<FlightReader, RecordingError> {
+    FlightReader::open(flight).map_err(damaged)
 }
 
 fn damaged(error: mcap::McapError) -> RecordingError {
@@ -130,7 +130,7 @@ fn seconds(time_us: u64, start_us: u64) -> String {
     format!("{:.6}", time_us.saturating_sub(start_us) as f64 * 1e-6)
 }
 
-fn write_topic(reader: &mut FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapResult<()> {
+fn write_topic(reader: &FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapResult<()> {
     let topics = [topic.to_owned()];
     let Some(mut table) = reader.channels().get(topic).and_then(|channel| Table::of(channel)) else { return Ok(()) };
     reader.for_each(Some(&topics), |message| {
@@ -159,28 +159,15 @@ fn prefix(topic: &str) -> String {
     topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
 }
 
-fn write_wide(reader: &mut FlightReader, sink: &mut Sink<'_>) -> McapResult<()> {
+fn write_wide(reader: &FlightReader, sink: &mut Sink<'_>) -> McapResult<()> {
     struct Part {
         topic: String,
         table: Table,
         latest: Option<Vec<u8>>,
     }
     let sampled = |topic: &str| {
-        let kind = Kind::from_topic(topic).map(|(kind, _)| kind);
-        matches!(
-            kind,
-            Some(
-                Kind::Control
-                    | Kind::Estimate
-                    | Kind::Truth
-                    | Kind::Imu
-                    | Kind::Height
-                    | Kind::Barometer
-                    | Kind::Gnss
-                    | Kind::MocapPose
-                    | Kind::CameraRanges
-            )
-        )
+        Kind::from_topic(topic)
+            .is_some_and(|(kind, _)| kind.is_sensor() || matches!(kind, Kind::Control | Kind::Estimate | Kind::Truth))
     };
     let mut parts: Vec<Part> = reader
         .channels()
@@ -226,7 +213,7 @@ fn write_wide(reader: &mut FlightReader, sink: &mut Sink<'_>) -> McapResult<()> 
     out.send().map(|_| ())
 }
 
-fn write_frames(reader: &mut FlightReader, topics: Option<&[String]>, sink: &mut Sink<'_>) -> McapResult<()> {
+fn write_frames(reader: &FlightReader, topics: Option<&[String]>, sink: &mut Sink<'_>) -> McapResult<()> {
     let mut batch = Vec::with_capacity(PIECE + 4096);
     codec::begin_batch(&mut batch);
     reader.for_each(topics, |message| {

@@ -129,13 +129,24 @@ pub struct Learner {
     pub first_sequence: Option<u64>,
     /// From the closing mark.
     pub last_sequence: Option<u64>,
-    /// Flight id of the marks.
-    pub flight_id: Option<String>,
+    /// Whose marks count; empty where the file does not say.
+    flight_id: String,
+}
+
+/// Does a mark stand where it says? It is the first or the last message of its flight itself, so that no mark can speak
+/// of messages that came after it, or take away some that came before.
+pub fn in_place(mark: &v1::FlightMark, sequence: u64) -> bool {
+    mark.first_sequence <= sequence && mark.last_sequence.unwrap_or(mark.first_sequence) == sequence
 }
 
 impl Learner {
-    /// Takes one message.
-    pub fn observe(&mut self, topic: &str, time_us: u64, payload: &[u8]) {
+    /// Of the flight with this id.
+    pub fn of(flight_id: &str) -> Self {
+        Self { flight_id: flight_id.to_owned(), ..Self::default() }
+    }
+
+    /// Takes one message; its sequence number is 0 where the file has none.
+    pub fn observe(&mut self, topic: &str, sequence: u64, time_us: u64, payload: &[u8]) {
         self.messages += 1;
         match self.counts.get_mut(topic) {
             Some(count) => *count += 1,
@@ -176,10 +187,12 @@ impl Learner {
             }
             Some(Kind::Attacks) => self.attack_state(payload),
             Some(Kind::Flight) => {
-                if let Ok(m) = v1::FlightMark::decode(payload) {
+                if let Ok(m) = v1::FlightMark::decode(payload)
+                    && (self.flight_id.is_empty() || m.flight_id == self.flight_id)
+                    && in_place(&m, sequence)
+                {
                     self.first_sequence = Some(m.first_sequence);
                     self.last_sequence = m.last_sequence.or(self.last_sequence);
-                    self.flight_id = Some(m.flight_id);
                 }
             }
             _ => {}
@@ -246,9 +259,6 @@ impl Learner {
         }
         self.first_sequence = self.first_sequence.or(other.first_sequence);
         self.last_sequence = self.last_sequence.or(other.last_sequence);
-        if self.flight_id.is_none() {
-            self.flight_id.clone_from(&other.flight_id);
-        }
     }
 
     /// Messages seen.
@@ -320,9 +330,9 @@ mod tests {
             position_enu_m: Some(v1::Vector3 { x: 0.0, y: 0.0, z: 0.9 }),
             ..Default::default()
         };
-        learner.observe("/estimate/1", 2_000_000, &estimate.encode_to_vec());
-        learner.observe("/control", 2_000_000, &control(2_000_000).encode_to_vec());
-        learner.observe("/control", 9_000_000, &control(9_000_000).encode_to_vec());
+        learner.observe("/estimate/1", 1, 2_000_000, &estimate.encode_to_vec());
+        learner.observe("/control", 1, 2_000_000, &control(2_000_000).encode_to_vec());
+        learner.observe("/control", 1, 9_000_000, &control(9_000_000).encode_to_vec());
         let step = |time_us, overshoot_percent| v1::StepResponse {
             time_us,
             step: 1,
@@ -332,8 +342,8 @@ mod tests {
             overshoot_percent,
             ..Default::default()
         };
-        learner.observe("/step", 5_000_000, &step(5_000_000, 8.0).encode_to_vec());
-        learner.observe("/step", 4_000_000, &step(4_000_000, 1.0).encode_to_vec());
+        learner.observe("/step", 1, 5_000_000, &step(5_000_000, 8.0).encode_to_vec());
+        learner.observe("/step", 1, 4_000_000, &step(4_000_000, 1.0).encode_to_vec());
         let attack =
             v1::Attack { id: 1, sensor: 2, instance: 2, kind: 2, start_s: 5.0, duration_s: 1.0, ..Default::default() };
         let state = |phase: v1::AttackPhase| v1::AttackState {
@@ -346,8 +356,8 @@ mod tests {
             }],
             ..Default::default()
         };
-        learner.observe("/attacks", 8_000_000, &state(v1::AttackPhase::Done).encode_to_vec());
-        learner.observe("/attacks", 7_000_000, &state(v1::AttackPhase::Active).encode_to_vec());
+        learner.observe("/attacks", 1, 8_000_000, &state(v1::AttackPhase::Done).encode_to_vec());
+        learner.observe("/attacks", 1, 7_000_000, &state(v1::AttackPhase::Active).encode_to_vec());
         let mut flight = Flight::default();
         learner.describe(&mut flight, 1_000_000_000);
         assert_eq!((flight.started_unix_us, flight.duration_s), (1_002_000_000, 7.0));

@@ -23,14 +23,12 @@ use super::track::Track;
 use super::writer::FlightWriter;
 use super::{RecordingError, Shared, explain};
 use crate::agent_link::CommandSender;
-use crate::sync::lock;
+use crate::sync::{give_way, lock};
 
 /// Most jobs waiting.
 const MAX_JOBS: usize = 256;
 /// Flights that an agent is told again are whole here, when it connects.
 const TOLD_AGAIN: usize = 16;
-/// How much the keeper gives way to everybody else: a `nice` value.
-const GIVES_WAY: i32 = 10;
 
 /// Something to be done.
 pub(super) enum Job {
@@ -129,16 +127,6 @@ impl Keeper {
         if self.thread.join().is_err() {
             tracing::error!("the keeper thread panicked");
         }
-    }
-}
-
-/// Lowers the calling thread's priority; a refusal costs nothing but time.
-fn give_way() {
-    // Elsewhere this would be the whole process.
-    #[cfg(target_os = "linux")]
-    // SAFETY: a plain system call; 0 is the calling thread.
-    unsafe {
-        libc::setpriority(libc::PRIO_PROCESS, 0, GIVES_WAY);
     }
 }
 
@@ -262,7 +250,7 @@ impl Desk {
                     self.shared.complain(&explain(&error));
                 }
                 self.store.merge(id, &files, track.last, &self.shared.stopping).map(|reading| {
-                    let whole = reading.range().1.is_some() && reading.missing() == 0;
+                    let whole = reading.whole();
                     completeness = match completeness {
                         _ if whole => Completeness::Complete,
                         Completeness::Complete => Completeness::Filling,

@@ -15,6 +15,7 @@ mod intervals;
 mod keeper;
 mod reader;
 mod repair;
+mod snapshot;
 mod store;
 mod track;
 mod worker;
@@ -41,6 +42,7 @@ pub use export::{Export, Sink};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use index::FlightIndex;
 pub use intervals::IntervalSet;
+pub use snapshot::Snapshot;
 use store::RecordingStore;
 pub use store::{Labels, MAX_NAME, MAX_NOTES};
 
@@ -341,11 +343,11 @@ impl RecorderHandle {
         answered.recv().map_err(|_| RecordingError::Stopped)?
     }
 
-    /// Opens a flight for reading: the finished file, or a snapshot of what was written so far.
+    /// Opens a flight for reading: the finished file, or what was written so far. Asks the disk.
     ///
     /// # Errors
-    /// [`RecordingError`] when there is no such flight or it cannot be read.
-    pub fn open(&self, id: &str) -> Result<File, RecordingError> {
+    /// [`RecordingError`] when there is no such flight, it cannot be read, or too many are being read.
+    pub fn open(&self, id: &str) -> Result<Snapshot, RecordingError> {
         if plumbline_proto::ids::FlightId::new(id).is_err() {
             return Err(RecordingError::Unknown(crate::names::clip(id)));
         }

@@ -1,8 +1,7 @@
-//! Reads a finished flight file in the order of time, with memory for a few chunks.
+//! Reads a flight in the order of time, with memory for a few chunks.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{Read as _, Seek as _, SeekFrom};
+use std::io::SeekFrom;
 use std::sync::Arc;
 
 use mcap::records::Record;
@@ -11,6 +10,8 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Summary};
 
 use super::identity::{BEGIN, Identity, widen};
+use super::intervals::IntervalSet;
+use super::snapshot::Snapshot;
 
 /// Largest record or chunk read.
 const MAX_RECORD: usize = 256 << 20;
@@ -24,29 +25,23 @@ pub(super) struct Recorded<'a> {
     pub(super) payload: &'a [u8],
 }
 
-/// An open flight file.
+/// An open flight.
 pub(super) struct FlightReader {
-    file: File,
+    flight: Snapshot,
     summary: Summary,
     identity: Identity,
+    /// Of several parts, which may hold a message twice.
+    joined: bool,
 }
 
 impl FlightReader {
     /// Reads the summary.
-    pub(super) fn open(mut file: File) -> McapResult<Self> {
-        let mut reader = SummaryReader::new();
-        while let Some(event) = reader.next_event() {
-            match event? {
-                SummaryReadEvent::ReadRequest(need) => {
-                    let got = file.read(reader.insert(need.min(MAX_RECORD)))?;
-                    reader.notify_read(got);
-                }
-                SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
-            }
-        }
-        let summary = reader.finish().ok_or(McapError::UnexpectedEof)?;
-        let identity = read_identity(&mut file, &summary).unwrap_or_default();
-        Ok(Self { file, summary, identity })
+    pub(super) fn open(mut flight: Snapshot) -> McapResult<Self> {
+        let known = flight.take_summary();
+        let joined = known.is_some();
+        let summary = known.map_or_else(|| read_summary(&flight), Ok)?;
+        let identity = read_identity(&flight, &summary).unwrap_or_default();
+        Ok(Self { flight, summary, identity, joined })
     }
 
     /// The file's channels by topic.
@@ -56,14 +51,15 @@ impl FlightReader {
 
     /// Flight time of the first message, µs.
     pub(super) fn start_us(&self) -> u64 {
-        let start = self.summary.stats.as_ref().map_or(0, |s| s.message_start_time) / 1000;
+        let chunks = self.summary.chunk_indexes.iter().filter(|chunk| chunk.message_end_time > 0);
+        let start = chunks.map(|chunk| chunk.message_start_time).min().unwrap_or(0) / 1000;
         start.saturating_sub(self.identity.boot_wall_time_us)
     }
 
     /// Passes the messages of `topics` (all when `None`) to `each` in the order of time until it says
     /// `false`.
     pub(super) fn for_each(
-        &mut self,
+        &self,
         topics: Option<&[String]>,
         mut each: impl FnMut(&Recorded<'_>) -> McapResult<bool>,
     ) -> McapResult<()> {
@@ -79,12 +75,12 @@ impl FlightReader {
         let mut reader = IndexedReader::new_with_options(&self.summary, options)?;
         let near = self.identity.first_sequence.unwrap_or(0);
         let mut buffer = Vec::new();
+        let mut have = IntervalSet::default();
         while let Some(event) = reader.next_event() {
             match event? {
                 IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                    self.file.seek(SeekFrom::Start(offset))?;
                     buffer.resize(length, 0);
-                    self.file.read_exact(&mut buffer)?;
+                    self.flight.read_exact_at(&mut buffer, offset)?;
                     reader.insert_chunk_record_data(offset, &buffer)?;
                 }
                 IndexedReadEvent::Message { header, data } => {
@@ -95,6 +91,10 @@ impl FlightReader {
                         time_us: (header.log_time / 1000).saturating_sub(self.identity.boot_wall_time_us),
                         payload: data,
                     };
+                    // Other writers' files number nothing: 0 is always new.
+                    if self.joined && header.sequence != 0 && have.insert(recorded.sequence, recorded.sequence) == 0 {
+                        continue;
+                    }
                     if !each(&recorded)? {
                         return Ok(());
                     }
@@ -105,12 +105,34 @@ impl FlightReader {
     }
 }
 
-fn read_identity(file: &mut File, summary: &Summary) -> Option<Identity> {
+fn read_summary(flight: &Snapshot) -> McapResult<Summary> {
+    let mut reader = SummaryReader::new();
+    let mut at = 0_u64;
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(need) => {
+                let got = flight.read_at(reader.insert(need.min(MAX_RECORD)), at)?;
+                reader.notify_read(got);
+                at += got as u64;
+            }
+            SummaryReadEvent::SeekRequest(to) => {
+                at = match to {
+                    SeekFrom::Start(to) => to,
+                    SeekFrom::End(by) => flight.length().saturating_add_signed(by),
+                    SeekFrom::Current(by) => at.saturating_add_signed(by),
+                };
+                reader.notify_seeked(at);
+            }
+        }
+    }
+    reader.finish().ok_or(McapError::UnexpectedEof)
+}
+
+fn read_identity(flight: &Snapshot, summary: &Summary) -> Option<Identity> {
     let index = summary.metadata_indexes.iter().find(|index| index.name == BEGIN)?;
     let length = usize::try_from(index.length).ok().filter(|l| *l <= 1 << 20)?;
     let mut record = vec![0; length];
-    file.seek(SeekFrom::Start(index.offset)).ok()?;
-    file.read_exact(&mut record).ok()?;
+    flight.read_exact_at(&mut record, index.offset).ok()?;
     // opcode u8 | length u64 | body
     match mcap::parse_record(*record.first()?, record.get(9..)?).ok()? {
         Record::Metadata(metadata) => Some(Identity::from_metadata(&metadata.metadata)),

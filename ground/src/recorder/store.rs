@@ -24,12 +24,14 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use plumbline_proto::ids::FlightId;
 use serde::{Deserialize, Serialize};
+use tokio::sync::Semaphore;
 
 use super::RecordingError;
 use super::flight::{Completeness, Flight, Learner};
 use super::identity::{Ending, Identity, widen};
 use super::intervals::IntervalSet;
 use super::repair::{self, Damage};
+use super::snapshot::Snapshot;
 use super::writer;
 use crate::gains_book::write_atomically;
 
@@ -43,6 +45,9 @@ pub const MAX_NOTES: usize = 100_000;
 const SYNC_BYTES: usize = 8 << 20;
 /// Files larger than this together are not merged while the ground is ending: the next start does that.
 const LATER_BYTES: u64 = 64 << 20;
+
+/// Most files open for reading by clients, which leaves descriptors for those being recorded.
+const MAX_READ_FILES: usize = 768;
 
 /// What people wrote about a flight.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,6 +64,8 @@ pub struct Labels {
 #[derive(Debug, Clone)]
 pub(super) struct RecordingStore {
     folder: PathBuf,
+    /// For files being read by clients.
+    descriptors: Arc<Semaphore>,
 }
 
 /// The files of one flight.
@@ -103,7 +110,7 @@ pub(super) struct Reading {
 
 impl RecordingStore {
     pub(super) fn new(data_folder: &Path) -> Self {
-        Self { folder: data_folder.join("flights") }
+        Self { folder: data_folder.join("flights"), descriptors: Arc::new(Semaphore::new(MAX_READ_FILES)) }
     }
 
     pub(super) fn folder(&self) -> &Path {
@@ -229,22 +236,17 @@ impl RecordingStore {
         self.sync_folder()
     }
 
-    /// Opens a flight for reading: its finished file, or a snapshot of what was written so far.
-    pub(super) fn open(&self, id: &str) -> Result<File, RecordingError> {
+    /// Opens a flight for reading: its finished file, or the parts written so far.
+    pub(super) fn open(&self, id: &str) -> Result<Snapshot, RecordingError> {
         let files = self.files(id);
-        match files.finished {
-            Some(path) if files.parts.is_empty() => File::open(&path).map_err(|e| self.io(&path, e)),
-            None if files.parts.is_empty() => Err(RecordingError::Unknown(id.to_owned())),
-            _ => {
-                static SNAPSHOTS: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
-                let number = SNAPSHOTS.fetch_add(1, Ordering::Relaxed);
-                let path = self.folder.join(format!("{id}.snapshot-{number}.tmp"));
-                self.write_merged(&files, id, None, &path, || false)?;
-                let file = File::open(&path).map_err(|e| self.io(&path, e));
-                let _ = fs::remove_file(&path);
-                file
-            }
+        if files == Files::default() {
+            return Err(RecordingError::Unknown(id.to_owned()));
         }
+        let count = u32::try_from(files.parts.len() + 1).unwrap_or(u32::MAX);
+        let descriptors = self.descriptors.clone().try_acquire_many_owned(count).map_err(|_| RecordingError::Busy)?;
+        let mut snapshot = Snapshot::open(&files).map_err(|e| damaged_file(&self.folder.join(id), e))?;
+        snapshot._descriptors = Some(descriptors);
+        Ok(snapshot)
     }
 
     /// Removes every file of a flight.
@@ -301,12 +303,9 @@ impl RecordingStore {
                 let channel_id = match channels.get(&channel.topic) {
                     Some(id) => *id,
                     None => {
-                        let schema = match &channel.schema {
-                            Some(s) => mcap.add_schema(&s.name, &s.encoding, &s.data)?,
-                            None => 0,
-                        };
-                        let id =
-                            mcap.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)?;
+                        let schema = channel.schema.as_deref().map(|s| (&*s.name, &*s.encoding, &*s.data));
+                        let (topic, encoding) = (&channel.topic, &channel.message_encoding);
+                        let id = writer::channel(&mut mcap, schema, topic, encoding, &channel.metadata)?;
                         channels.insert(channel.topic.clone(), id);
                         id
                     }
@@ -348,10 +347,14 @@ impl RecordingStore {
 }
 
 impl Reading {
+    /// First sequence number of the flight, where a mark says it.
+    pub(super) fn first(&self) -> Option<u64> {
+        self.identity.first_sequence.or(self.learner.first_sequence)
+    }
+
     /// First and last sequence number of the flight, as far as known.
     pub(super) fn range(&self) -> (Option<u64>, Option<u64>) {
-        let first = self.identity.first_sequence.or(self.learner.first_sequence).or(self.have.min());
-        (first, self.learner.last_sequence.or(self.ending.and_then(|e| e.last_sequence)))
+        (self.first().or(self.have.min()), self.learner.last_sequence.or(self.ending.and_then(|e| e.last_sequence)))
     }
 
     /// Messages that are not there.
@@ -363,12 +366,17 @@ impl Reading {
         }
     }
 
+    /// Is the flight here from its first message to its last? Without its marks nobody knows.
+    pub(super) fn whole(&self) -> bool {
+        self.first().is_some() && self.range().1.is_some() && self.missing() == 0
+    }
+
     /// What these files, by themselves, amount to.
     pub(super) fn ending(&self) -> Ending {
         let before = self.ending.unwrap_or_default();
-        let completeness = match self.range().1 {
-            Some(_) if self.missing() == 0 => Completeness::Complete,
-            _ if before.completeness == Completeness::Truncated => Completeness::Truncated,
+        let completeness = match before.completeness {
+            _ if self.whole() => Completeness::Complete,
+            Completeness::Truncated => Completeness::Truncated,
             _ => Completeness::Filling,
         };
         let live = self.learner.messages().saturating_sub(before.filled);
@@ -418,7 +426,9 @@ fn gather(
     last: Option<u64>,
     mut each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
 ) -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
-    let mut reading = Reading { identity: files.identity(), ..Reading::default() };
+    let identity = files.identity();
+    let learner = Learner::of(&identity.flight_id);
+    let mut reading = Reading { identity, learner, ..Reading::default() };
     let mut damaged = Vec::new();
     let mut near = reading.identity.first_sequence;
     let boot_us = reading.identity.boot_wall_time_us;
@@ -426,13 +436,14 @@ fn gather(
         let (learner, have) = (&mut reading.learner, &mut reading.have);
         let found = repair::scan(path, |channel, header, data| {
             // Other writers' files number nothing: 0 is always new.
+            let mut sequence = 0;
             if header.sequence != 0 || near.is_some_and(|near| near > u64::from(u32::MAX)) {
-                let sequence = widen(header.sequence, *near.get_or_insert(u64::from(header.sequence)));
+                sequence = widen(header.sequence, *near.get_or_insert(u64::from(header.sequence)));
                 if last.is_some_and(|last| sequence > last) || have.insert(sequence, sequence) == 0 {
                     return Ok(());
                 }
             }
-            learner.observe(&channel.topic, (header.log_time / 1000).saturating_sub(boot_us), data);
+            learner.observe(&channel.topic, sequence, (header.log_time / 1000).saturating_sub(boot_us), data);
             each(channel, header, data)
         })?;
         if let Some(ending) = found.ending {

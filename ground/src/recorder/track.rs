@@ -5,12 +5,16 @@ use std::time::Instant;
 
 use mcap::McapResult;
 use plumbline_proto::codec::Frame;
+use plumbline_proto::v1;
 
-use super::flight::{Completeness, Flight, Learner};
+use super::flight::{Completeness, Flight, Learner, in_place};
 use super::identity::{Ending, Identity};
 use super::intervals::IntervalSet;
 use super::store::{Labels, Reading};
 use super::writer::FlightWriter;
+
+/// Messages recorded after the end of a flight, before its end was known, are of this time at most, µs.
+const OVERSHOOT_US: u64 = 5_000_000;
 
 /// What is known of the files that a flight had before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +32,8 @@ pub(super) struct Track {
     pub(super) identity: Identity,
     /// Where the beginning was not seen: messages sensed from here on belong to the flight.
     pub(super) start_us: Option<u64>,
+    /// Where the beginning was not seen: nobody holds an earlier message than this one.
+    earliest: Option<u64>,
     /// Last sequence number, from the closing mark.
     pub(super) last: Option<u64>,
     /// No message of the flight comes after this one, where the closing mark was not seen.
@@ -64,8 +70,10 @@ pub(super) struct Track {
 
 impl Track {
     pub(super) fn new(identity: Identity, part: u32, now: Instant) -> Self {
+        let learner = Learner::of(&identity.flight_id);
         Self {
             identity,
+            earliest: None,
             past: Past::Known,
             part,
             start_us: None,
@@ -75,8 +83,8 @@ impl Track {
             contradicted: None,
             rechecked: false,
             progressed: now,
-            learner: Learner::default(),
-            flushed: Learner::default(),
+            flushed: learner.clone(),
+            learner,
             live: 0,
             filled: 0,
             have: IntervalSet::default(),
@@ -97,7 +105,7 @@ impl Track {
 
     /// Takes in what the files from before hold.
     pub(super) fn remember(&mut self, past: Reading) {
-        let (first, last) = past.range();
+        let (first, last) = (past.first(), past.range().1);
         let ending = past.ending();
         self.past = Past::Known;
         self.identity.first_sequence = self.identity.first_sequence.or(first);
@@ -125,6 +133,33 @@ impl Track {
         self.covered.without(&self.have).without(&self.pending)
     }
 
+    /// Takes in what a mark says of the flight. Answers whether it counts: a mark that is not in its place, whose
+    /// number is that of a message held, that contradicts an earlier one, or comes long before messages that are held,
+    /// changes nothing.
+    pub(super) fn learn(&mut self, mark: &v1::FlightMark, sequence: u64, now: Instant) -> bool {
+        let newest_us = self.learner.times_us().map_or(0, |(_, last)| last);
+        let other = |known: Option<u64>, named: u64| known.is_some_and(|known| known != named);
+        if !in_place(mark, sequence)
+            || self.holds(sequence)
+            || other(self.identity.first_sequence, mark.first_sequence)
+            || mark.last_sequence.is_some_and(|last| other(self.last, last))
+            || mark.last_sequence.is_some() && mark.time_us.saturating_add(OVERSHOOT_US) < newest_us
+        {
+            return false;
+        }
+        self.identity.first_sequence = Some(mark.first_sequence);
+        if let Some(last) = mark.last_sequence {
+            self.last = Some(last);
+            self.ended.get_or_insert(now);
+        }
+        true
+    }
+
+    /// Is the message of this number held?
+    pub(super) fn holds(&self, sequence: u64) -> bool {
+        self.have.contains(sequence) || self.pending.contains(sequence)
+    }
+
     /// Does this message belong to the flight, and is it new?
     pub(super) fn wants(&self, sequence: u64, time_us: u64) -> bool {
         let after_start = match (self.identity.first_sequence, self.start_us) {
@@ -132,10 +167,7 @@ impl Track {
             (None, Some(start)) => time_us >= start,
             (None, None) => true,
         };
-        after_start
-            && self.last.is_none_or(|last| sequence <= last)
-            && !self.have.contains(sequence)
-            && !self.pending.contains(sequence)
+        after_start && self.last.is_none_or(|last| sequence <= last) && !self.holds(sequence)
     }
 
     /// Writes a message that the flight [wants](Track::wants). The writer must be open.
@@ -144,7 +176,7 @@ impl Track {
         writer.write(frame, topic)?;
         self.pending.insert(frame.sequence, frame.sequence);
         self.covered.insert(frame.sequence, frame.sequence);
-        self.learner.observe(topic, frame.time_us, frame.payload);
+        self.learner.observe(topic, frame.sequence, frame.time_us, frame.payload);
         *(if backfill { &mut self.filled } else { &mut self.live }) += 1;
         self.progressed = now;
         Ok(())
@@ -167,8 +199,7 @@ impl Track {
         self.covered.insert(first, last);
         let nothing_before = self.have.min().or(self.pending.min()).is_some_and(|min| last.saturating_add(1) == min);
         if self.identity.first_sequence.is_none() && nothing_before {
-            // Nobody has anything earlier: the flight begins with what is here.
-            self.identity.first_sequence = self.have.min().or(self.pending.min());
+            self.earliest = self.have.min().or(self.pending.min());
         }
     }
 
@@ -181,7 +212,7 @@ impl Track {
 
     /// First sequence number to account for.
     fn begin(&self) -> u64 {
-        self.identity.first_sequence.unwrap_or(1)
+        self.identity.first_sequence.or(self.earliest).unwrap_or(1)
     }
 
     /// Largest number held.
@@ -278,7 +309,30 @@ mod tests {
     }
 
     #[test]
-    fn a_flight_whose_beginning_was_lost_begins_where_the_agent_has_nothing_earlier() {
+    fn a_mark_counts_once_and_in_its_place() {
+        let now = Instant::now();
+        let mark = |first_sequence, last_sequence, time_us| v1::FlightMark {
+            time_us,
+            first_sequence,
+            last_sequence,
+            ..Default::default()
+        };
+        let mut track = track(10);
+        track.have.insert(10, 80);
+        assert!(!track.learn(&mark(10, Some(60), 0), 90, now), "it speaks of another place");
+        assert!(!track.learn(&mark(10, Some(60), 0), 60, now), "a message of this number is held");
+        assert!(!track.learn(&mark(70, None, 0), 70, now) && !track.learn(&mark(11, Some(90), 0), 90, now));
+        assert!(track.learn(&mark(10, Some(90), 0), 90, now));
+        assert!(!track.learn(&mark(10, Some(85), 0), 85, now), "it has ended already");
+        assert_eq!((track.identity.first_sequence, track.last), (Some(10), Some(90)));
+        let mut track = Track::new(Identity::default(), 1, now);
+        track.learner.observe("/control", 90, OVERSHOOT_US + 2, &[]);
+        assert!(!track.learn(&mark(10, Some(60), 1), 60, now), "seconds of messages would be lost");
+        assert!(track.learn(&mark(10, Some(60), 2), 60, now));
+    }
+
+    #[test]
+    fn nothing_is_asked_before_the_earliest_there_is_and_a_flight_without_its_beginning_is_not_complete() {
         let mut track = track(1);
         track.identity.first_sequence = None;
         track.start_us = Some(100);
@@ -287,6 +341,8 @@ mod tests {
         track.covered.insert(50, 60);
         assert_eq!(track.gaps(60, 9), [(1, 49)]);
         track.refuse(1, 49);
-        assert_eq!(track.identity.first_sequence, Some(50));
+        assert_eq!((track.begin(), track.gaps(60, 9)), (50, vec![]));
+        track.last = Some(60);
+        assert!(track.missing() == 0 && !track.complete());
     }
 }

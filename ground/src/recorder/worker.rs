@@ -16,7 +16,7 @@ use plumbline_proto::ids::FlightId;
 use plumbline_proto::{Kind, v1};
 
 use super::asking::{AGAIN, Asking};
-use super::flight::Completeness;
+use super::flight::{Completeness, in_place};
 use super::identity::Identity;
 use super::keeper::{Done, Job, Keeper};
 use super::store::{Files, Labels, RecordingStore};
@@ -150,7 +150,9 @@ impl Worker {
                 if let Some(agent) = self.agents.get_mut(&agent_id) {
                     agent.asking.heard(now);
                 }
-                if let Some(track) = self.tracks.get_mut(&request.flight_id) {
+                if let Some(track) = self.tracks.get_mut(&request.flight_id)
+                    && track.identity.agent_id == agent_id
+                {
                     track.refuse(request.first_sequence, request.last_sequence);
                 }
             }
@@ -235,7 +237,7 @@ impl Worker {
         match frame.known_kind() {
             Some(Kind::Flight) => {
                 if let Ok(mark) = frame.message::<v1::FlightMark>() {
-                    self.mark(agent_id, &mark, now);
+                    self.mark(agent_id, &mark, frame.sequence, now);
                 }
             }
             Some(Kind::Status) => {
@@ -263,11 +265,7 @@ impl Worker {
             && let Ok(mark) = frame.message::<v1::FlightMark>()
             && mark.flight_id == id
         {
-            track.identity.first_sequence = Some(mark.first_sequence);
-            if let Some(last) = mark.last_sequence {
-                track.last = Some(last);
-                track.ended.get_or_insert(now);
-            }
+            track.learn(&mark, frame.sequence, now);
         }
         if track.wants(frame.sequence, frame.time_us) {
             self.record(&id, frame, true, now);
@@ -275,7 +273,7 @@ impl Worker {
     }
 
     /// The agent opened or closed a flight.
-    fn mark(&mut self, agent_id: &str, mark: &v1::FlightMark, now: Instant) {
+    fn mark(&mut self, agent_id: &str, mark: &v1::FlightMark, sequence: u64, now: Instant) {
         let id = match FlightId::new(mark.flight_id.clone()) {
             Ok(id) => id.as_str().to_owned(),
             Err(error) => {
@@ -283,8 +281,23 @@ impl Worker {
                 return;
             }
         };
-        if !self.tracks.contains_key(&id) && !self.open(agent_id, &id, Some(mark.first_sequence), None, now) {
+        let Some(boot_id) = self.agents.get(agent_id).map(|agent| agent.boot_id) else { return };
+        let fresh = !self.tracks.contains_key(&id);
+        if fresh && !(in_place(mark, sequence) && self.open(agent_id, &id, Some(mark.first_sequence), None, now)) {
             return;
+        }
+        let Some(track) = self.tracks.get_mut(&id) else { return };
+        // Nobody speaks of another's flight, nor of one of another start.
+        let own = track.identity.agent_id == agent_id && track.identity.boot_id == boot_id;
+        // What opened the track is learnt with the recent messages.
+        if !own || !fresh && !track.learn(mark, sequence, now) {
+            let (first, last) = (mark.first_sequence, mark.last_sequence);
+            tracing::warn!(flight = %id, %agent_id, own, first, last, sequence, "a mark is not taken");
+            return;
+        }
+        track.contradicted = None;
+        if mark.last_sequence.is_some() {
+            tracing::info!(flight = %id, reason = mark.reason, "flight ended");
         }
         for (other, track) in &mut self.tracks {
             // One flight at a time: a new one ends the one before, whose closing mark was lost.
@@ -292,14 +305,6 @@ impl Worker {
                 track.ended = Some(now);
                 track.limit = Some(mark.first_sequence.saturating_sub(1));
             }
-        }
-        let Some(track) = self.tracks.get_mut(&id) else { return };
-        track.identity.first_sequence = Some(mark.first_sequence);
-        track.contradicted = None;
-        if let Some(last) = mark.last_sequence {
-            tracing::info!(flight = %id, reason = mark.reason, "flight ended");
-            track.last = Some(last);
-            track.ended.get_or_insert(now);
         }
         self.show(agent_id);
         self.shared.changed.notify_one();
@@ -344,9 +349,10 @@ impl Worker {
         }
         let files = self.store.files(id);
         let before = files.identity();
-        if before.boot_id != 0 && before.boot_id != agent.boot_id {
-            let other = before.boot_id;
-            tracing::error!(flight = id, %agent_id, other, "the name is that of a flight of another boot");
+        let other = before.boot_id != agent.boot_id || before.agent_id != agent_id;
+        if before.boot_id != 0 && other {
+            let Identity { agent_id: theirs, boot_id, .. } = before;
+            tracing::error!(flight = id, %agent_id, theirs, boot_id, "the name is that of another vehicle's or boot's flight");
             return false;
         }
         let identity = Identity {
@@ -371,6 +377,13 @@ impl Worker {
             recent.iter().filter_map(|batch| codec::decode_batch(batch).ok()).flat_map(|f| f.map_while(Result::ok))
         {
             let numbered = frame.sequence > 0 && !frame.known_kind().is_some_and(Kind::is_ground_made);
+            if frame.known_kind() == Some(Kind::Flight)
+                && let Ok(mark) = frame.message::<v1::FlightMark>()
+                && mark.flight_id == id
+                && let Some(track) = self.tracks.get_mut(id)
+            {
+                track.learn(&mark, frame.sequence, now);
+            }
             if numbered && self.tracks.get(id).is_some_and(|t| t.wants(frame.sequence, frame.time_us)) {
                 self.record(id, &frame, false, now);
             }

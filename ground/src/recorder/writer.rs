@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
-use mcap::{Compression, McapResult, WriteOptions};
+use mcap::{Compression, McapError, McapResult, WriteOptions};
 use plumbline_agent::log::{SyncedFile, Syncer};
+use plumbline_proto::Kind;
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::time::{FlightTime, WallTime};
@@ -22,6 +23,8 @@ use super::identity::Identity;
 
 /// Longest time a message waits in memory.
 pub const FLUSH_EVERY: Duration = Duration::from_millis(150);
+/// Ids of schemas of ours begin here, above those of others.
+const FIRST_SCHEMA: u16 = 0x100;
 /// Chunks are cut early beyond this many bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
@@ -104,11 +107,8 @@ impl FlightWriter {
     }
 
     fn channel(&mut self, frame: &Frame<'_>, topic: &str) -> McapResult<u16> {
-        let schema = match frame.known_kind() {
-            Some(kind) => self.mcap.add_schema(kind.message_name(), "protobuf", FILE_DESCRIPTOR_SET)?,
-            None => 0,
-        };
-        self.mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+        let schema = frame.known_kind().map(|kind| (kind.message_name(), "protobuf", FILE_DESCRIPTOR_SET));
+        channel(&mut self.mcap, schema, topic, "protobuf", &BTreeMap::new())
     }
 
     /// Is a flush due?
@@ -151,6 +151,38 @@ impl FlightWriter {
     }
 }
 
+/// Adds a channel, with a schema (name, encoding, data) or without one.
+///
+/// One of ours has the same id in every file: the parts of a flight can then be read one behind the other, as they are.
+/// Ids of other channels, and those taken by others, are the next free ones.
+pub(super) fn channel(
+    mcap: &mut Mcap,
+    schema: Option<(&str, &str, &[u8])>,
+    topic: &str,
+    encoding: &str,
+    metadata: &BTreeMap<String, String>,
+) -> McapResult<u16> {
+    let ids = Kind::from_topic(topic).and_then(|(kind, instance)| {
+        let (kind, instance) = (u8::try_from(kind.to_wire()).ok()?, u8::try_from(instance).ok()?);
+        Some((FIRST_SCHEMA + u16::from(kind), u16::from_be_bytes([kind, instance])))
+    });
+    if let Some((schema_id, channel_id)) = ids {
+        let schema_id = match schema {
+            Some((name, encoding, data)) => mcap.add_schema_with_id(schema_id, name, encoding, data),
+            None => Ok(0),
+        };
+        match schema_id.and_then(|schema| mcap.add_channel_with_id(channel_id, schema, topic, encoding, metadata)) {
+            Err(McapError::ConflictingSchemas(_) | McapError::ConflictingChannels(_)) => {}
+            outcome => return outcome,
+        }
+    }
+    let schema_id = match schema {
+        Some((name, encoding, data)) => mcap.add_schema(name, encoding, data)?,
+        None => 0,
+    };
+    mcap.add_channel(schema_id, topic, encoding, metadata)
+}
+
 /// Completes a file: summary, footer, everything on the disk.
 pub(super) fn finish(mut mcap: Mcap) -> McapResult<()> {
     mcap.finish()?;
@@ -162,7 +194,6 @@ pub(super) fn finish(mut mcap: Mcap) -> McapResult<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_proto::Kind;
 
     fn frame(sequence: u64) -> Frame<'static> {
         Frame { kind: Kind::Event.to_wire(), instance: 0, sequence, time_us: sequence, payload: b"" }

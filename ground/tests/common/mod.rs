@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use futures_util::{SinkExt, StreamExt};
 use plumbline_ground::GroundConfig;
-use plumbline_ground::agent_link::{CommandSender, LinkEvent, Outgoing};
+use plumbline_ground::agent_link::{CommandReceiver, CommandSender, LinkEvent, Outgoing};
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::{Kind, Message, v1};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -293,7 +293,7 @@ pub struct Agent {
     pub id: String,
     pub boot_id: u64,
     link: mpsc::Sender<LinkEvent>,
-    pub outgoing: mpsc::Receiver<Outgoing>,
+    pub outgoing: CommandReceiver,
     /// The onboard log: every frame ever encoded, with its sequence number.
     pub log: Vec<(u64, Vec<u8>)>,
     pub sequence: u64,

@@ -4,13 +4,14 @@
 pub mod paternain;
 
 use plumbline_agent::command::Command;
-use plumbline_agent::control::ControllerKind;
 use plumbline_agent::control::step_response::StepResponse;
 use plumbline_agent::control::tuning::Design;
 use plumbline_agent::estimate::Estimate;
 use plumbline_agent::flight::{Flight, FlightConfig};
-use plumbline_agent::vehicle::sim::{Scenario, SimVehicle};
-use plumbline_agent::vehicle::{SensorFrame, Truth, Vehicle};
+use plumbline_agent::sensor::SensorFrame;
+use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::types::ControllerKind;
+use plumbline_agent::vehicle::{Truth, Vehicle};
 use plumbline_proto::time::FlightTime;
 
 /// A simulated flight that advances tick by tick.
@@ -42,7 +43,7 @@ impl Headless {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
         let text = std::fs::read_to_string(folder.join(name).with_extension("toml")).unwrap();
         let scenario = Scenario::from_toml(&text).unwrap();
-        let config = FlightConfig::for_scenario(&scenario);
+        let config = scenario.flight_config();
         let design = Design::new(controller, &scenario.airframe);
         let flight = Flight::new(FlightConfig { design, ..config }).unwrap();
         let vehicle = SimVehicle::new(&scenario).unwrap();

@@ -3,7 +3,7 @@
 //! All figures are of the simulator's truth. Angles in degrees, time zero where the hand lets go or the step is asked.
 
 use super::Headless;
-use plumbline_agent::vehicle::sim::Scenario;
+use plumbline_agent::sim::Scenario;
 
 /// One experiment.
 pub struct Answer {

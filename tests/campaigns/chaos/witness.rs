@@ -36,7 +36,7 @@ impl Witness {
                 if let Some(processor) = processor {
                     stay_on(processor);
                 }
-                pace::ask_for_real_time();
+                pace::ask_for_real_time(50);
                 let mut due = Instant::now() + period;
                 while !ended.load(Ordering::Relaxed) {
                     pace::sleep_until(due);

@@ -68,19 +68,19 @@ impl Flight {
     }
 }
 
-/// Height error relative to the true height after a climb, `liars` of `heights` lying.
-fn height_error(heights: usize, liars: usize, lie: Lie, seed: u64) -> f64 {
+/// Height error relative to the true height after a climb, `attacked` of `heights` attacked.
+fn height_error(heights: usize, attacked: usize, lie: Lie, seed: u64) -> f64 {
     let mut flight = Flight::new(heights, 1.0);
     let mut window = flight.window(SLOTS);
     let mut dice = Dice::new(seed);
-    let chosen = dice.choose(liars, heights);
+    let chosen = dice.choose(attacked, heights);
     for step in 0..60 {
         let forced = flight.step();
         window.advance(Some(&forced));
         for sensor in 0..flight.observed.scalars.len() {
-            let honest = flight.sample(sensor, &mut dice);
+            let clean = flight.sample(sensor, &mut dice);
             let value = match lie {
-                _ if !chosen.contains(&sensor) => honest,
+                _ if !chosen.contains(&sensor) => clean,
                 Lie::Zero => 0.0,
                 Lie::Random => 3.0 * dice.normal(),
                 Lie::Colluding => 2.0 - 0.005 * f64::from(step) + 0.01 * dice.normal(),
@@ -110,9 +110,9 @@ fn figure_10(report: &mut Report) {
         let forced = flight.step();
         window.advance(Some(&forced));
         for sensor in 0..flight.observed.scalars.len() {
-            let honest = flight.sample(sensor, &mut dice);
+            let clean = flight.sample(sensor, &mut dice);
             let value =
-                if sensor == 1 { flight.x[0] * (1.0 + 2.4 * dice.uniform()) + 0.1 * dice.normal() } else { honest };
+                if sensor == 1 { flight.x[0] * (1.0 + 2.4 * dice.uniform()) + 0.1 * dice.normal() } else { clean };
             window.put(sensor, value);
             if sensor == 1 {
                 lie.push((f64::from(step) * PERIOD_S, value));
@@ -165,7 +165,7 @@ fn figures_11_and_12(report: &mut Report, effort: &Effort) {
     report
         .figure(
             "figure_12",
-            "Figure 12: fraction within 15 %. Random liars never agree; colluding ones win at half.",
+            "Figure 12: fraction within 15 %. Random attacks never agree; colluding ones win at half.",
             &fractions,
         )
         .unwrap();
@@ -178,7 +178,7 @@ fn coupled_and_split(report: &mut Report, effort: &Effort) {
     const LIE_RAD: f64 = 0.2;
     report.heading("Coupled program against [Clinic]'s split");
     let trials = effort.trials.min(20) as usize;
-    let error_deg = |split: bool, liars: usize, seed: u64| {
+    let error_deg = |split: bool, attacked: usize, seed: u64| {
         let mut flight = Flight::new(2, 1.0);
         if split {
             // z v_x v_y v_z, then the angles and rates.
@@ -195,19 +195,19 @@ fn coupled_and_split(report: &mut Report, effort: &Effort) {
             window.advance(Some(&forced));
             for sensor in 0..flight.observed.scalars.len() {
                 let scalar = &flight.observed.scalars[sensor];
-                let lies = scalar.c[PITCH] != 0.0 && scalar.instance <= liars;
+                let lies = scalar.c[PITCH] != 0.0 && scalar.instance <= attacked;
                 window.put(sensor, flight.sample(sensor, &mut dice) + if lies { LIE_RAD } else { 0.0 });
             }
         }
         let x = window.decode(|_| false, &[], None).unwrap().x;
         (x[PITCH] - flight.x[PITCH]).abs().to_degrees()
     };
-    let of = |split: bool, liars: usize| median(&parallel(trials, |i| error_deg(split, liars, 1700 + i as u64)));
-    let mut plot = Plot::new("Pitch of so many of four units lies by 11.5°", "liars of 4", "pitch error, °");
+    let of = |split: bool, attacked: usize| median(&parallel(trials, |i| error_deg(split, attacked, 1700 + i as u64)));
+    let mut plot = Plot::new("Pitch of so many of four units is biased by 11.5°", "attacked of 4", "pitch error, °");
     for (name, split) in [("coupled", false), ("split", true)] {
-        let errors: Vec<f64> = (0..=4).map(|liars| of(split, liars)).collect();
-        for (liars, error) in errors.iter().enumerate() {
-            report.value(&format!("coupling/{name}/{liars}_of_4"), *error, "deg", serde_json::json!({}));
+        let errors: Vec<f64> = (0..=4).map(|attacked| of(split, attacked)).collect();
+        for (attacked, error) in errors.iter().enumerate() {
+            report.value(&format!("coupling/{name}/{attacked}_of_4"), *error, "deg", serde_json::json!({}));
         }
         plot = plot.with(Series::line(name, errors.into_iter().enumerate().map(|(k, e)| (k as f64, e)).collect()));
     }

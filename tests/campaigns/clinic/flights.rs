@@ -13,20 +13,23 @@
 //! e is the rms of true altitude − setpoint; e* is the plain EKF's without attack, same rig and seed. A pilot that
 //! loses altitude hold is judged by the script's altitude from then on. Where strings or ground do not let the vehicle
 //! down to its setpoint, the nearest altitude that they do counts, and within the strings' stretch any: what taut
-//! strings allow rises with the horizontal distance, which nobody controls.
+//! strings allow rises with the horizontal distance, which is not controlled.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
-use plumbline_agent::command::{Command, Mode};
-use plumbline_agent::estimate::EstimatorKind;
+use plumbline_agent::command::Command;
 use plumbline_agent::estimate::ekf_bias::EkfOptions;
-use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::flight::Flight;
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::model::airframe::Airframe;
-use plumbline_agent::vehicle::sim::rig::{Line, standing_height_m};
-use plumbline_agent::vehicle::sim::{Rig, Scenario, SimVehicle};
-use plumbline_agent::vehicle::suite::Suite;
-use plumbline_agent::vehicle::{SensorFrame, Truth, Vehicle};
+use plumbline_agent::sensor::SensorFrame;
+use plumbline_agent::sensor::height::Height;
+use plumbline_agent::sensor::imu::Imu;
+use plumbline_agent::sensor::suite::{Sheet as _, Suite};
+use plumbline_agent::sim::rig::{Line, standing_height_m};
+use plumbline_agent::sim::{Rig, Scenario, SimVehicle};
+use plumbline_agent::types::{EstimatorKind, Mode};
+use plumbline_agent::vehicle::{Truth, Vehicle};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::{Plot, Report, Series};
@@ -58,7 +61,7 @@ const WORST: f64 = 1.4;
 const WITHOUT: f64 = 5.0;
 /// Strings and ground, against the undisturbed flight.
 const DISTURBED: f64 = 1.3;
-/// An honest sensor may be flagged so long, s.
+/// A healthy sensor may be flagged so long, s.
 const FALSE_FLAG_S: f64 = 0.5;
 
 /// Factors on the noise that the filter assumes.
@@ -90,7 +93,7 @@ impl Pilot {
             for gate in [&mut gates.heading, &mut gates.height, &mut gates.barometer] {
                 *gate = OPEN;
             }
-            (ekf.gyro_vote.gate, ekf.accel_vote.gate, ekf.field_tolerance) = (OPEN, OPEN, OPEN);
+            (ekf.gyro_consensus.gate, ekf.accel_consensus.gate, ekf.field_tolerance) = (OPEN, OPEN, OPEN);
         }
         if let Pilot::Augmented(Tuning { height, accel }) = self {
             ekf.height_sigma_m *= height;
@@ -162,8 +165,8 @@ impl Plan {
         let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
         scenario.seed = self.seed;
         scenario.suite = Suite::string_rig();
-        scenario.suite.heights = (1..=self.heights).map(|i| Suite::laser(i, self.heights)).collect();
-        scenario.suite.imus = (1..=self.imus).map(Suite::imu_unit).collect();
+        scenario.suite.heights = (1..=self.heights).map(|i| Height::laser(i, self.heights)).collect();
+        scenario.suite.imus = (1..=self.imus).map(Imu::typical).collect();
         scenario
     }
 
@@ -212,9 +215,9 @@ struct Outcome {
     /// From the onset to the first flag of every attacked sensor, s.
     delays_s: Vec<f64>,
     missed: usize,
-    /// Flags raised on honest sensors, who they were, and the longest, s.
+    /// Flags raised on healthy sensors, which they were, and the longest, s.
     false_flags: usize,
-    accused: Vec<SensorId>,
+    false_exclusions: Vec<SensorId>,
     longest_false_s: f64,
     /// Altitude hold was lost.
     lost: bool,
@@ -265,7 +268,7 @@ impl Support {
 
 fn fly(plan: &Plan) -> Outcome {
     let scenario = plan.scenario();
-    let mut config = FlightConfig::for_scenario(&scenario);
+    let mut config = scenario.flight_config();
     let support = Support::of(&scenario, &config.airframe);
     let oracle = plan.pilot == Pilot::Oracle;
     let kind = if oracle || plan.pilot == Pilot::Secure { EstimatorKind::Secure } else { EstimatorKind::EkfBias };
@@ -315,7 +318,7 @@ fn fly(plan: &Plan) -> Outcome {
             outcome.track.push((t, z, setpoint));
         }
         let Some(secure) = flight.secure() else { continue };
-        for device in secure.identifier().devices() {
+        for device in secure.isolation().devices() {
             let known = flagged.iter().position(|(id, _)| *id == device.sensor);
             match (device.flagged.is_some(), known) {
                 (true, None) => {
@@ -327,7 +330,7 @@ fn fly(plan: &Plan) -> Outcome {
                     }
                     if !attacked {
                         outcome.false_flags += 1;
-                        outcome.accused.push(device.sensor);
+                        outcome.false_exclusions.push(device.sensor);
                     }
                 }
                 (false, Some(at)) => {
@@ -443,7 +446,8 @@ fn table_1(report: &mut Report, effort: &Effort, tuning: Tuning) {
         let delays: Vec<f64> = secure.iter().flat_map(|o| o.delays_s.iter().copied()).collect();
         let missed: usize = secure.iter().map(|o| o.missed).sum();
         let false_flags: usize = secure.iter().map(|o| o.false_flags).sum();
-        let accused: Vec<String> = secure.iter().flat_map(|o| o.accused.iter().map(SensorId::to_string)).collect();
+        let false_exclusions: Vec<String> =
+            secure.iter().flat_map(|o| o.false_exclusions.iter().map(SensorId::to_string)).collect();
         let longest = worst(&secure.iter().map(|o| o.longest_false_s).collect::<Vec<_>>());
         let star: Vec<f64> = of(clean, 0).iter().map(|o| o.error_m).collect();
         let estimate_mm = 1e3 * median(&secure.iter().map(|o| o.estimate_m).collect::<Vec<_>>());
@@ -463,7 +467,7 @@ fn table_1(report: &mut Report, effort: &Effort, tuning: Tuning) {
                 "gated_median": median(&gated), "gated_worst": worst(&gated),
                 "oracle_median": median(&oracle), "oracle_worst": worst(&oracle), "e_star_m": median(&star),
                 "median_against_tuned_e_star": against_tuned, "estimate_rms_mm": estimate_mm,
-                "detection_s": median(&delays), "missed": missed, "false_flags": false_flags, "accused": accused,
+                "detection_s": median(&delays), "missed": missed, "false_flags": false_flags, "false_exclusions": false_exclusions,
                 "longest_false_flag_s": longest, "lost_hold": lost, "seeds": seeds,
                 "limit": limits.0, "limit_worst": limits.1, "limit_without": limits.2,
                 "met": met[0], "met_worst": met[1], "met_without": met[2] }),
@@ -533,19 +537,19 @@ fn majority(report: &mut Report, effort: &Effort) {
         let plan = Plan::new(STRINGS.1, STEPS, 1 + (i % seeds) as u64, Pilot::Secure).under_attack("none_of_5", "bias");
         fly(&Plan { attacked: (1..=(i / seeds) as u8).map(|h| SensorId::new(SensorKind::Height, h)).collect(), ..plan })
     });
-    let of = |liars: usize| all[liars * seeds..(liars + 1) * seeds].iter().zip(&all[..seeds]);
-    let ratio = |liars: usize| median(&of(liars).map(|(o, clean)| o.error_m / clean.error_m).collect::<Vec<_>>());
-    for liars in 1..=5 {
-        let expected = if 2 * liars > 5 { "no promise" } else { "recovered" };
+    let of = |attacked: usize| all[attacked * seeds..(attacked + 1) * seeds].iter().zip(&all[..seeds]);
+    let ratio = |attacked: usize| median(&of(attacked).map(|(o, clean)| o.error_m / clean.error_m).collect::<Vec<_>>());
+    for attacked in 1..=5 {
+        let expected = if 2 * attacked > 5 { "no promise" } else { "recovered" };
         report.value(
-            &format!("majority/{liars}_of_5"),
-            ratio(liars),
+            &format!("majority/{attacked}_of_5"),
+            ratio(attacked),
             "e*",
             json!({ "theory": expected, "seeds": seeds }),
         );
     }
-    let plot = Plot::new("Heights that lie by the same 0.5 m", "liars of 5", "e / e*")
-        .with(Series::line("secure", (0..=5).map(|liars| (liars as f64, ratio(liars))).collect()));
+    let plot = Plot::new("Heights attacked by the same 0.5 m", "attacked of 5", "e / e*")
+        .with(Series::line("secure", (0..=5).map(|attacked| (attacked as f64, ratio(attacked))).collect()));
     report.figure("majority", "Medians; theory: recovered below half, not beyond.", &plot).unwrap();
 }
 
@@ -569,7 +573,8 @@ fn contacts(report: &mut Report, effort: &Effort) {
         let secure = &all[2 * seeds..];
         let longest = worst(&secure.iter().map(|o| o.longest_false_s).collect::<Vec<_>>());
         let flags: usize = secure.iter().map(|o| o.false_flags).sum();
-        let accused: Vec<String> = secure.iter().flat_map(|o| o.accused.iter().map(SensorId::to_string)).collect();
+        let false_exclusions: Vec<String> =
+            secure.iter().flat_map(|o| o.false_exclusions.iter().map(SensorId::to_string)).collect();
         let (undisturbed, plain) = (over(0), over(1));
         report.value(
             &format!("contacts/{name}"),
@@ -579,7 +584,7 @@ fn contacts(report: &mut Report, effort: &Effort) {
                 "from_setpoints_out_of_reach": median(&from_setpoint),
                 "estimate_rms_mm": 1e3 * median(&secure.iter().map(|o| o.estimate_m).collect::<Vec<_>>()),
                 "undisturbed_e_star_m": median(&all[..seeds].iter().map(|o| o.error_m).collect::<Vec<_>>()),
-                "false_flags": flags, "accused": accused, "longest_false_flag_s": longest,
+                "false_flags": flags, "false_exclusions": false_exclusions, "longest_false_flag_s": longest,
                 "limit": DISTURBED, "met": median(&undisturbed) <= DISTURBED, "limit_flag_s": FALSE_FLAG_S,
                 "met_flag": longest <= FALSE_FLAG_S, "seeds": seeds }),
         );
@@ -595,12 +600,13 @@ fn ten_minutes(report: &mut Report, effort: &Effort) {
         fly(&Plan { duration_s: 600.0, ..Plan::new(STRINGS.1, &profile, 101 + i as u64, Pilot::Secure) })
     });
     let flags: Vec<f64> = all.iter().map(|o| o.false_flags as f64).collect();
-    let accused: Vec<String> = all.iter().flat_map(|o| o.accused.iter().map(SensorId::to_string)).collect();
+    let false_exclusions: Vec<String> =
+        all.iter().flat_map(|o| o.false_exclusions.iter().map(SensorId::to_string)).collect();
     report.value(
         "ten_minutes/false_flags",
         worst(&flags),
         "flags",
-        json!({ "median": median(&flags), "accused": accused, "limit": 1, "met": worst(&flags) <= 1.0,
+        json!({ "median": median(&flags), "false_exclusions": false_exclusions, "limit": 1, "met": worst(&flags) <= 1.0,
             "lost_hold": all.iter().filter(|o| o.lost).count(), "flights": flights }),
     );
 }

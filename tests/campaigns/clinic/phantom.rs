@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use plumbline_agent::attack::{Attack, Bounds, Channel, Injector, Kind, Schedule};
-use plumbline_agent::estimate::EstimatorKind;
 use plumbline_agent::estimate::bank::{self, Assumptions};
+use plumbline_agent::estimate::secure::SLOTS;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::recordings;
-use plumbline_agent::vehicle::MotorCommand;
+use plumbline_agent::types::{EstimatorKind, MotorCommand};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
@@ -21,7 +21,7 @@ const ONSET_S: f64 = 10.0;
 /// Inclination is judged from here on, s after the first frame.
 const JUDGED_FROM_S: f64 = 8.0;
 
-/// Name, kind, magnitude, channel. Biases far above what honest units differ by.
+/// Name, kind, magnitude, channel. Biases far above what healthy units differ by.
 const ATTACKS: [(&str, Kind, f64, Channel); 5] = [
     ("bias_gyro", Kind::Bias, 0.5, Channel::Gyro),
     ("bias_accel", Kind::Bias, 4.0, Channel::Accel),
@@ -38,7 +38,7 @@ struct Run {
     /// Onset to flag, s; zero where it was flagged already.
     delay_s: Option<f64>,
     /// Flags raised on others, or before the attack.
-    accused: Vec<SensorId>,
+    false_exclusions: Vec<SensorId>,
     minutes: f64,
 }
 
@@ -46,8 +46,11 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
     let mut recording = recordings::open(folder).ok()?;
     let options = recording.info().ekf_options();
     let airframe = Airframe::iris();
-    let mut secure =
-        bank::build(EstimatorKind::Secure, &Assumptions { airframe: &airframe, sensors: &options }).unwrap();
+    let mut secure = bank::build(
+        EstimatorKind::Secure,
+        &Assumptions { airframe: &airframe, sensors: &options, window_slots: SLOTS },
+    )
+    .unwrap();
     let sensors: Vec<SensorId> = recording.info().sensors.iter().map(|s| s.id).collect();
     let mut injector = Injector::new(
         Bounds { duration_max_s: 3600.0, rate_max_radps: 100.0, accel_max_mps2: 100.0, ..Bounds::default() },
@@ -56,7 +59,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
     );
     let victim = attack.map(|(_, instance)| SensorId::new(SensorKind::Imu, instance));
     let (mut begun, mut sum, mut count) = (None, 0.0, 0.0);
-    let mut run = Run { inclination_deg: f64::NAN, delay_s: None, accused: Vec::new(), minutes: 0.0 };
+    let mut run = Run { inclination_deg: f64::NAN, delay_s: None, false_exclusions: Vec::new(), minutes: 0.0 };
     let mut flagged: Vec<SensorId> = Vec::new();
     let mut applied = MotorCommand::default();
     while let Some(tick) = recording.next_tick() {
@@ -95,7 +98,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
         if t >= ONSET_S && victim.is_some_and(|id| flagged.contains(&id)) {
             run.delay_s = run.delay_s.or(Some(0.0));
         }
-        for device in own.identifier().devices() {
+        for device in own.isolation().devices() {
             let known = flagged.iter().position(|id| *id == device.sensor);
             match (device.flagged.is_some(), known) {
                 (true, None) => {
@@ -103,7 +106,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
                     if Some(device.sensor) == victim && t >= ONSET_S {
                         run.delay_s = run.delay_s.or(Some(t - ONSET_S));
                     } else {
-                        run.accused.push(device.sensor);
+                        run.false_exclusions.push(device.sensor);
                     }
                 }
                 (false, Some(at)) => {
@@ -137,12 +140,12 @@ pub fn run(report: &mut Report) {
     }
     let name = |i: usize| flights[i].file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let minutes: f64 = clean.iter().map(|r| r.minutes).sum();
-    let flags: usize = clean.iter().map(|r| r.accused.len()).sum();
+    let flags: usize = clean.iter().map(|r| r.false_exclusions.len()).sum();
     // The recordings in which the IMUs agree without attack: there the attacked one, and no other, is to be flagged.
-    let agreeing: Vec<usize> = (0..flights.len()).filter(|i| clean[*i].accused.is_empty()).collect();
+    let agreeing: Vec<usize> = (0..flights.len()).filter(|i| clean[*i].false_exclusions.is_empty()).collect();
     let contradictory: serde_json::Map<_, _> = (0..flights.len())
-        .filter(|i| !clean[*i].accused.is_empty())
-        .map(|i| (name(i), json!(clean[i].accused.iter().map(SensorId::to_string).collect::<Vec<_>>())))
+        .filter(|i| !clean[*i].false_exclusions.is_empty())
+        .map(|i| (name(i), json!(clean[i].false_exclusions.iter().map(SensorId::to_string).collect::<Vec<_>>())))
         .collect();
     report.value(
         "phantom4/clean",
@@ -162,7 +165,7 @@ pub fn run(report: &mut Report) {
             let runs = || runs.iter().filter(|(f, _)| only.contains(f));
             let ratios: Vec<f64> = runs().map(|(f, r)| r.inclination_deg / clean[*f].inclination_deg).collect();
             let delays: Vec<f64> = runs().filter_map(|(_, r)| r.delay_s).collect();
-            let wrong: usize = runs().map(|(_, r)| r.accused.len()).sum();
+            let wrong: usize = runs().map(|(_, r)| r.false_exclusions.len()).sum();
             let count = ratios.len();
             report.value(
                 &format!("phantom4/{attack}{which}"),

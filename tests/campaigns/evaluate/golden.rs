@@ -1,8 +1,8 @@
 //! Our filters against the independent references: the same logs, the same recipe, another program.
 
 use nalgebra::{DMatrix, SMatrix, SVector};
+use plumbline_agent::estimate::constant_acceleration::ConstantAcceleration;
 use plumbline_agent::estimate::lqe;
-use plumbline_agent::estimate::point_mass::PointMass;
 use plumbline_agent::recordings::shared;
 use serde_json::Value;
 
@@ -68,7 +68,7 @@ fn filters(scored: &mut Scored, json: &Value) {
 
 /// Largest difference of any state over the reference's run.
 fn point_mass(csv: &std::path::Path) -> f64 {
-    let mut filter = PointMass::new(SVector::zeros(), SMatrix::identity(), 1.0);
+    let mut filter = ConstantAcceleration::new(SVector::zeros(), SMatrix::identity(), 1.0);
     let mut worst = 0.0_f64;
     for v in rows(csv) {
         filter.predict(0.02);

@@ -1,7 +1,7 @@
 //! Position, velocity and biases against truth.
 
 use nalgebra::Vector3;
-use plumbline_agent::estimate::attitude::{AttitudeFilter, AttitudeOptions};
+use plumbline_agent::estimate::vqf::{Vqf, VqfOptions};
 use plumbline_agent::frames::from_roll_pitch_yaw;
 use plumbline_tests::report::ReportError;
 
@@ -10,7 +10,7 @@ use crate::{entries, stem};
 
 /// Seeds of the noise added to GNSS.
 const SEEDS: [u64; 3] = [1, 2, 3];
-/// The vendor's own attitude is believed from here on, s.
+/// The vendor's own attitude is used from here on, s.
 const SETTLED_S: f64 = 3.0;
 
 /// RotorPy: bias EKF against a simulation that nobody here wrote.
@@ -106,7 +106,7 @@ pub fn phantom4(scored: &mut Scored) -> Result<(), ReportError> {
 /// RMS inclination between our attitude filter on one IMU alone and the vendor's Euler angles, degrees.
 fn against_vendor(file: &std::path::Path) -> Option<f64> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(file).ok()?;
-    let mut filter = AttitudeFilter::new(AttitudeOptions { use_mag: false, ..AttitudeOptions::default() });
+    let mut filter = Vqf::new(VqfOptions { use_mag: false, ..VqfOptions::default() });
     let (mut sum, mut count, mut last) = (0.0, 0.0, None);
     for record in reader.records() {
         let v: Vec<f64> = record.ok()?.iter().filter_map(|x| x.parse().ok()).collect();

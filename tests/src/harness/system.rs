@@ -11,7 +11,8 @@ use crate::xtask::XtaskError;
 /// Either program says what it listens on, or is in the list of vehicles, well within this.
 const START: Duration = Duration::from_secs(20);
 /// After Ctrl-C recordings are finished and connections closed within this.
-const STOP: Duration = Duration::from_secs(10);
+/// A vehicle in flight lands first: from the highest limit that takes ten seconds.
+const STOP: Duration = Duration::from_secs(30);
 const POLL: Duration = Duration::from_millis(25);
 
 /// What flies.

@@ -10,8 +10,8 @@ use super::test::run_and_read;
 use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
-/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page and `hidden.mjs` hide it, counts
-/// their steps, and has `mcap.mjs` read both sides' files; then the same with a recording flown again and `replay.mjs`.
+/// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
+/// try to mislead it, counts their steps, and has `mcap.mjs` read both sides' files; then the same with a recording flown again and `replay.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
@@ -42,6 +42,7 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let system = System::start(&options, &vehicle)?;
     let flown = run_script(script(workspace, "fly.mjs", system.api())?.env("PLUMBLINE_PYTHON", &python), tally);
     let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
+    let trusted = run_script(&mut script(workspace, "trust.mjs", system.api())?, tally);
     let api = system.api().clone();
     let stopped = system.stop();
     // One file of each side, as Foxglove would open it.
@@ -49,7 +50,7 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     for folder in ["ground/flights", "iris-1/log"] {
         reader.arg(newest_flight(&options.data.join(folder))?);
     }
-    flown.and(hidden).and(stopped).and(run_script(&mut reader, tally))
+    flown.and(hidden).and(trusted).and(stopped).and(run_script(&mut reader, tally))
 }
 
 /// The last flight file of a folder.

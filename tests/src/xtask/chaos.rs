@@ -12,9 +12,10 @@ pub struct Options {
     /// Chooses the accidents.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How often ground or agent is killed (kill), or the power fails (power).
-    #[arg(long, default_value_t = 20)]
-    pub rounds: u64,
+    /// How often ground or agent is killed (kill: 20), the power fails (power: 20), the motors are cut beneath each load
+    /// (clients: 20), a random walk is flown (sensors: 10 000).
+    #[arg(long)]
+    pub rounds: Option<u64>,
     /// Length of each phase, s (link: 15, jitter: 7).
     #[arg(long)]
     pub seconds: Option<u64>,
@@ -36,6 +37,10 @@ pub enum Campaign {
     Disk,
     /// The flight thread's timing beside a dead ground, a full link, a slow disk.
     Jitter,
+    /// The motor cut beneath the loads of hostile and clumsy clients.
+    Clients,
+    /// Random commands, lost sensors, weak motors, stalls: the failsafe table's invariants.
+    Sensors,
 }
 
 impl Campaign {
@@ -46,6 +51,8 @@ impl Campaign {
             Campaign::Power => "chaos_power",
             Campaign::Disk => "chaos_disk",
             Campaign::Jitter => "chaos_jitter",
+            Campaign::Clients => "chaos_clients",
+            Campaign::Sensors => "chaos_sensors",
         }
     }
 }
@@ -55,7 +62,8 @@ impl Campaign {
 /// # Errors
 /// What could not be built, or a promise that was broken.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
-    let mut settings = vec![("PLUMBLINE_SEED", options.seed), ("PLUMBLINE_ROUNDS", options.rounds)];
+    let mut settings = vec![("PLUMBLINE_SEED", options.seed)];
+    settings.extend(options.rounds.map(|rounds| ("PLUMBLINE_ROUNDS", rounds)));
     settings.extend(options.seconds.map(|seconds| ("PLUMBLINE_SECONDS", seconds)));
     program(workspace, options.campaign.program(), options.dev, &settings)
 }

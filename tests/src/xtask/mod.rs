@@ -40,7 +40,7 @@ enum Task {
     Test(test::Options),
     /// Measure what is promised: JSON lines.
     Bench(bench::Options),
-    /// Rewrite the committed expectations (wire snapshots) from what the code does now; the commit explains.
+    /// Rewrite the committed expectations (wire snapshots, the picture of the rooms) from what the code does now; the commit explains.
     Bless,
     /// The sources' figures beside ours.
     Reproduce(reproduce::Options),
@@ -86,6 +86,7 @@ fn verdict(good: bool) -> ExitCode {
 
 fn bless(workspace: &Workspace) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
-    cargo.args(["test", "--locked", "--package", "plumbline-proto", "--test", "wire_snapshots"]);
+    cargo.args(["test", "--locked", "--package", "plumbline-proto", "--package", "plumbline-tests"]);
+    cargo.args(["--test", "wire_snapshots", "--test", "rooms"]);
     workspace::run(cargo.env("PLUMBLINE_BLESS", "1"))
 }

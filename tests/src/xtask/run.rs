@@ -1,12 +1,14 @@
 //! `cargo xtask run`: the whole product with a simulated quadrotor on strings, from nothing.
 
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::{Workspace, XtaskError, signals, web};
 use crate::harness::{Binaries, System, SystemOptions, Vehicle};
 
 const POLL: Duration = Duration::from_millis(100);
+/// The agent itself gives a landing no longer than a minute.
+const LANDING_MAX: Duration = Duration::from_secs(75);
 
 /// What to run.
 #[derive(Debug, Clone, clap::Args)]
@@ -70,7 +72,16 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         }
         std::thread::sleep(POLL);
     }
-    eprintln!("xtask: stopping");
+    eprintln!("xtask: stopping; a vehicle in flight lands first, Ctrl-C again cuts its motors");
+    system.agent.process.signal(libc::SIGINT);
+    let (begun, mut cut) = (Instant::now(), false);
+    while system.agent.process.ended().is_none() && begun.elapsed() < LANDING_MAX {
+        if signals::interrupts() > 1 && !cut {
+            system.agent.process.signal(libc::SIGINT);
+            cut = true;
+        }
+        std::thread::sleep(POLL);
+    }
     system.stop()
 }
 

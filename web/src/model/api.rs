@@ -40,6 +40,38 @@ impl Session {
     }
 }
 
+/// `GET /api/people`, and `GET /api/sessions` without accounts.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(default)]
+pub struct People {
+    /// Every account.
+    pub accounts: Vec<Account>,
+    /// Who is signed in.
+    pub sessions: Vec<SignedIn>,
+}
+
+/// One account.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+pub struct Account {
+    /// Name to sign in with.
+    pub name: String,
+    /// What it may do.
+    pub role: String,
+}
+
+/// One session.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+pub struct SignedIn {
+    /// By which it is ended.
+    pub id: String,
+    /// Whose.
+    pub account: String,
+    /// Address it began from.
+    pub from: String,
+    /// When it began, Unix time in s.
+    pub begun_s: f64,
+}
+
 /// Storage of the ground.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default)]

@@ -4,15 +4,19 @@
 //! Newest flight time + that age is the flight time at the moment the status arrived; the browser's
 //! own monotonic clock carries it on from there. Neither wall clock of agent nor browser enters.
 
-/// Larger errors than this are taken over at once; smaller ones are smoothed, so charts glide.
-const JUMP_US: f64 = 400_000.0;
+use std::collections::VecDeque;
+
+/// A measurement that makes flight time earlier than others did came late, by its way here or because the page was busy:
+/// what it measures is as old as before. The least delayed one of this time, ms, counts.
+const WITNESSES_MS: f64 = 10_000.0;
 
 /// Maps the browser's monotonic clock to flight time.
 #[derive(Debug, Clone, Default)]
 pub struct Clock {
     /// Flight time minus local time, µs.
     offset_us: Option<f64>,
-    measured: bool,
+    /// Measurements that may still be the greatest: local time, ms, rising, and offset, falling.
+    witnesses: VecDeque<(f64, f64)>,
 }
 
 impl Clock {
@@ -20,26 +24,21 @@ impl Clock {
     pub fn arrived(&mut self, newest_us: u64, local_ms: f64) {
         let offset = newest_us as f64 - local_ms * 1e3;
         match self.offset_us {
-            None => self.offset_us = Some(offset),
-            // Without a measurement the least delayed message is the best witness.
-            Some(held) if !self.measured && offset > held => self.offset_us = Some(offset),
-            // A message from the future: the measurement is out of date.
-            Some(held) if offset > held => self.offset_us = Some(offset),
-            Some(_) => {}
+            // The least delayed message is the best witness; one from the future says that a measurement is out of date.
+            Some(held) if held >= offset => {}
+            _ => self.offset_us = Some(offset),
         }
     }
 
-    /// The ground says the newest message, `newest_us`, is `age_ms` old at `local_ms`.
+    /// The ground says that the newest message it has, `newest_us`, is `age_ms` old; that is known here at `local_ms`.
     pub fn measure(&mut self, newest_us: u64, age_ms: f64, local_ms: f64) {
         if !age_ms.is_finite() {
             return;
         }
         let offset = newest_us as f64 + age_ms.max(0.0) * 1e3 - local_ms * 1e3;
-        self.offset_us = Some(match self.offset_us {
-            Some(held) if self.measured && (offset - held).abs() < JUMP_US => held + 0.1 * (offset - held),
-            _ => offset,
-        });
-        self.measured = true;
+        self.witnesses.retain(|(at_ms, held)| local_ms - at_ms < WITNESSES_MS && *held > offset);
+        self.witnesses.push_back((local_ms, offset));
+        self.offset_us = self.witnesses.front().map(|(_, greatest)| *greatest);
     }
 
     /// Flight time at `local_ms`, µs; `None` before the first message.
@@ -63,12 +62,19 @@ mod tests {
     }
 
     #[test]
-    fn small_errors_are_smoothed_large_ones_taken_over() {
+    fn what_comes_late_does_not_make_old_data_young() {
         let mut clock = Clock::default();
-        clock.measure(1_000_000, 0.0, 0.0);
-        clock.measure(1_000_000, 10.0, 0.0);
-        assert_eq!(clock.flight_now_us(0.0), Some(1_001_000.0));
-        clock.measure(9_000_000, 0.0, 0.0);
-        assert_eq!(clock.flight_now_us(0.0), Some(9_000_000.0));
+        clock.measure(1_000_000, 5.0, 0.0);
+        // The same message a second later, still "5 ms old" when it was sent: it was on its way for a second.
+        clock.measure(1_000_000, 5.0, 1000.0);
+        assert_eq!(clock.flight_now_us(1000.0), Some(2_005_000.0));
+        // A vehicle whose clock stood still for a second is followed in the end.
+        for s in 2..20_u64 {
+            clock.measure(s * 1_000_000, 5.0, s as f64 * 1000.0);
+        }
+        assert_eq!(clock.flight_now_us(19_000.0), Some(19_005_000.0));
+        // What comes sooner counts at once.
+        clock.measure(30_000_000, 0.0, 20_000.0);
+        assert_eq!(clock.flight_now_us(20_000.0), Some(30_000_000.0));
     }
 }

@@ -9,6 +9,8 @@ use super::{api::Again, series::Series};
 
 /// Samples kept of a live curve: ten minutes at 200 Hz.
 pub const LIVE_SAMPLES: usize = 120_000;
+/// Samples of a curve that the ground thinned for this page, at most: two for each of its stretches of time.
+const PAST_SAMPLES: usize = 1 << 12;
 /// Samples kept of one curve of a recorded flight: over an hour at 200 Hz.
 const RECORDED_SAMPLES: usize = 1 << 20;
 /// A live curve breaks where samples are further apart than this, s.
@@ -107,6 +109,29 @@ impl Curves {
         Self { map: BTreeMap::new(), samples: RECORDED_SAMPLES }
     }
 
+    /// For a past that is to be laid under live curves.
+    pub fn short() -> Self {
+        Self { map: BTreeMap::new(), samples: PAST_SAMPLES }
+    }
+
+    /// Lays `past` under each curve, between `from_s` and the curve's first sample after that.
+    pub fn fill(&mut self, from_s: f64, past: &Self) {
+        let samples = self.samples;
+        for (curve, past) in &past.map {
+            let series = self.map.entry(*curve).or_insert_with(|| Series::new(samples).with_max_gap(GAP_S));
+            let cut = series.upper_bound(from_s);
+            let after: Vec<_> = series.samples(cut..series.end()).collect();
+            let until_s = after.first().map_or(f64::INFINITY, |(time_s, _)| *time_s);
+            let between =
+                past.samples(past.first()..past.end()).filter(|(time_s, _)| *time_s > from_s && *time_s < until_s);
+            let before: Vec<_> = series.samples(series.first()..cut).chain(between).collect();
+            series.clear();
+            for (time_s, value) in before.into_iter().chain(after) {
+                series.push(time_s, value);
+            }
+        }
+    }
+
     /// Appends one sample. Samples that run backwards in time are left out.
     pub fn push(&mut self, curve: Curve, time_us: u64, value: f64) {
         let samples = self.samples;
@@ -124,6 +149,11 @@ impl Curves {
     /// Samples held of a curve.
     pub fn len(&self, curve: Curve) -> usize {
         self.map.get(&curve).map_or(0, Series::len)
+    }
+
+    /// Samples held of all curves.
+    pub fn samples(&self) -> usize {
+        self.map.values().map(Series::len).sum()
     }
 
     /// No curve at all?
@@ -247,7 +277,7 @@ impl Curves {
 }
 
 /// The larger of a sensor's two statistics over its limit. Flagged is always above 1: hysteresis keeps a sensor
-/// out while its statistics are already small. Not flagged never is: one window above its limit flags nobody.
+/// out while its statistics are already small. Not flagged never is: one window above its limit flags nothing.
 pub fn suspicion(sensor: &v1::SecureSensor) -> f64 {
     const ABOVE: f64 = 1.01;
     let ratio = sensor.window_ratio.max(sensor.drift_ratio);

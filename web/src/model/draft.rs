@@ -23,7 +23,23 @@ pub struct Draft {
     pub duration_s: f64,
 }
 
+/// A draft as the browser keeps it: sensor, instance, channel, kind, magnitude, start, duration.
+pub type Row = (i32, u32, i32, i32, f64, f64, f64);
+
 impl Draft {
+    /// As the browser keeps it.
+    pub fn row(&self) -> Row {
+        let (sensor, channel, kind) = (self.sensor.into(), self.channel.into(), self.kind.into());
+        (sensor, self.instance, channel, kind, self.magnitude, self.start_s, self.duration_s)
+    }
+
+    /// From what the browser kept; `None` when it is of another version.
+    pub fn from_row((sensor, instance, channel, kind, magnitude, start_s, duration_s): Row) -> Option<Self> {
+        let (sensor, channel) = (SensorKind::try_from(sensor).ok()?, AttackChannel::try_from(channel).ok()?);
+        let kind = AttackKind::try_from(kind).ok()?;
+        Some(Self { sensor, instance, channel, kind, magnitude, start_s, duration_s })
+    }
+
     /// "height 2: bias +0.5 m, from +5 s for 10 s"
     pub fn sentence(&self) -> String {
         format!("{}, from +{} s for {} s", self.subject(), trimmed(self.start_s), trimmed(self.duration_s))
@@ -148,6 +164,10 @@ impl Form {
         if longest > 0.0 && duration_s > longest {
             return Err(format!("duration: {duration_s} s above the vehicle's limit {longest} s"));
         }
+        if !names::attack_channels(self.sensor, self.kind).contains(&self.channel) {
+            let (kind, channel) = (names::attack_kind(self.kind), names::attack_channel(self.channel));
+            return Err(format!("{kind} cannot cover {channel} of {}: their units differ", names::sensor(self.sensor)));
+        }
         if self.kind == AttackKind::Dropout && !(0.0..=1.0).contains(&magnitude) {
             return Err(format!("magnitude: {magnitude} is not a probability 0..1"));
         }
@@ -180,6 +200,26 @@ mod tests {
             serde_json::json!({"sensor":"height","instance":2,"channel":"all","kind":"bias","start_s":5.0,
                 "duration_s":10.0,"magnitude":0.5,"seed":1})
         );
+    }
+
+    #[test]
+    fn a_draft_outlives_a_reload() {
+        let draft = Form::default().check(None).unwrap();
+        let text = serde_json::to_string(&draft.row()).unwrap();
+        assert_eq!(Draft::from_row(serde_json::from_str(&text).unwrap()), Some(draft));
+        assert_eq!(Draft::from_row((99, 1, 0, 0, 0.0, 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn one_offset_for_all_channels_of_an_imu_is_neither_offered_nor_taken() {
+        let form = |kind, channel| Form { sensor: SensorKind::Imu, instance: 1, kind, channel, ..Form::default() };
+        for kind in [AttackKind::Bias, AttackKind::Ramp, AttackKind::Noise] {
+            let refused = form(kind, AttackChannel::All).check(None).unwrap_err();
+            assert!(refused.contains("units differ"), "{refused}");
+            assert!(form(kind, AttackChannel::GyroX).check(None).is_ok());
+        }
+        assert!(form(AttackKind::Freeze, AttackChannel::All).check(None).is_ok());
+        assert!(Form { sensor: SensorKind::Gnss, ..Form::default() }.check(None).is_ok(), "all three are lengths");
     }
 
     #[test]

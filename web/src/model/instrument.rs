@@ -28,7 +28,7 @@ pub struct Instrument {
     pub world_from_body: Option<[f64; 4]>,
     /// Age of the estimate, s.
     pub age_s: Option<f64>,
-    /// Is the estimate too old to be believed?
+    /// Is the estimate too old to be used?
     pub stale: bool,
     /// What the estimator says of itself.
     pub health: v1::Health,

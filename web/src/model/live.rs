@@ -68,7 +68,8 @@ pub struct Live {
     /// Reason of the newest unreadable frame.
     pub unreadable_reason: String,
     charted: HashMap<(u16, u16), u64>,
-    greeted: HashMap<(u16, u16), ()>,
+    /// Newest flight time before the connection that is open now.
+    connected_from_us: u64,
     boot_wall_us: u64,
     recorded: bool,
 }
@@ -79,9 +80,40 @@ impl Live {
         Self { recorded: true, curves: Curves::unbounded(), ..Self::default() }
     }
 
-    /// A new connection begins: its first message of each topic may be a snapshot that history follows.
+    /// A new connection begins: what was missed since the last one comes apart, see [`Live::fill`].
     pub fn connection_opened(&mut self) {
-        self.greeted.clear();
+        self.connected_from_us = self.newest_us;
+    }
+
+    /// What the ground says of the past of a vehicle, to be read in pieces and then laid under the live data.
+    pub fn past() -> Self {
+        Self { recorded: true, curves: Curves::short(), ..Self::default() }
+    }
+
+    /// Lays the past under what has come through the connection that is open now: curves grow backwards, to what was
+    /// there before it; newest values stay as they are.
+    pub fn fill(&mut self, past: Self) {
+        if past.newest_us > self.newest_us {
+            // Another boot: its times are on another axis.
+            return;
+        }
+        self.curves.fill(self.connected_from_us as f64 * 1e-6, &past.curves);
+        self.spans.fill(past.spans);
+        past.events.into_iter().for_each(|event| self.event(event));
+        past.steps.into_iter().for_each(|step| self.step(step));
+    }
+
+    /// Is the newest message of this topic too old to be shown as what is? Never of a recording that is flown again.
+    pub fn is_old<T>(&self, topic: &Topic<T>, local_ms: f64) -> bool {
+        let now_us = self.clock.flight_now_us(local_ms).unwrap_or(self.newest_us as f64);
+        topic.get().is_some() && !self.is_replay() && topic.is_stale(now_us)
+    }
+
+    /// How old the newest message is, s; `None` before the first one, and for a recording that is flown again, which
+    /// may stand still.
+    pub fn age_s(&self, local_ms: f64) -> Option<f64> {
+        let now_us = self.clock.flight_now_us(local_ms).filter(|_| self.newest_us > 0 && !self.is_replay())?;
+        Some(((now_us - self.newest_us as f64) * 1e-6).max(0.0))
     }
 
     /// Reads one batch that arrived at `local_ms` of the browser's monotonic clock.
@@ -98,7 +130,8 @@ impl Live {
         Ok(())
     }
 
-    fn frame(&mut self, frame: &codec::Frame<'_>, local_ms: f64) {
+    /// Reads one message, as [`Live::ingest`] does those of a batch.
+    pub fn frame(&mut self, frame: &codec::Frame<'_>, local_ms: f64) {
         // Kinds newer than this build are skipped: the contract says so.
         let Some(kind) = frame.known_kind() else { return };
         if let Err(error) = self.message(kind, frame, local_ms) {
@@ -107,19 +140,15 @@ impl Live {
         }
     }
 
-    /// May this frame extend its curve? Snapshots and repeated history may not.
+    /// May this frame extend its curve? A repeated one may not: each connection begins with the newest of every topic.
     fn extends_curve(&mut self, frame: &codec::Frame<'_>) -> bool {
         if self.recorded {
             return true;
         }
-        let topic = (frame.kind, frame.instance);
-        let first = self.greeted.insert(topic, ()).is_none();
-        let charted = self.charted.entry(topic).or_insert(0);
-        if first || frame.sequence <= *charted {
-            return false;
-        }
-        *charted = frame.sequence;
-        true
+        let charted = self.charted.entry((frame.kind, frame.instance)).or_insert(0);
+        let new = frame.sequence > *charted;
+        *charted = frame.sequence.max(*charted);
+        new
     }
 
     fn message(
@@ -206,20 +235,19 @@ impl Live {
             }
             Kind::Link => {
                 let link: v1::LinkStatus = frame.message()?;
-                if self.newest_us > 0 {
-                    self.clock.measure(self.newest_us, link.age_ms, local_ms);
+                if self.is_replay() {
+                    // It may stand still, or run faster than time.
+                    self.clock = Clock::default();
+                }
+                if link.newest_time_us > 0 {
+                    self.clock.measure(link.newest_time_us, link.age_ms, local_ms);
                 }
                 self.link = Some(link);
             }
             Kind::Recording => self.recording = Some(frame.message()?),
             Kind::Lease => self.lease = Some(frame.message()?),
-            Kind::Ack
-            | Kind::Flight
-            | Kind::Imu
-            | Kind::Barometer
-            | Kind::Gnss
-            | Kind::MocapPose
-            | Kind::CameraRanges => {}
+            // Answers, marks, and the samples of sensors that no instrument shows.
+            _ => {}
         }
         Ok(())
     }
@@ -231,9 +259,8 @@ impl Live {
         }
         if self.boot_wall_us != 0 && boot_wall_us.abs_diff(self.boot_wall_us) > 5_000_000 {
             let (link, recording, lease) = (self.link.take(), self.recording.take(), self.lease.take());
-            let greeted = std::mem::take(&mut self.greeted);
             let events_seen = self.events_seen;
-            *self = Self { link, recording, lease, greeted, events_seen, newest_us: time_us, ..Self::default() };
+            *self = Self { link, recording, lease, events_seen, newest_us: time_us, ..Self::default() };
         }
         self.boot_wall_us = boot_wall_us;
     }
@@ -264,6 +291,16 @@ impl Live {
                 }
             }
         }
+    }
+
+    /// Who holds control; empty: nobody.
+    pub fn holder(&self) -> &str {
+        self.lease.as_ref().map_or("", |lease| lease.holder.as_str())
+    }
+
+    /// The altitude setpoint in use, m: where the profile is, not where it goes.
+    pub fn setpoint_m(&self) -> Option<f64> {
+        self.control.get().and_then(|c| c.setpoint.as_ref()).and_then(|s| s.altitude_m)
     }
 
     /// Is a recording flown again?
@@ -386,21 +423,55 @@ mod tests {
     }
 
     #[test]
-    fn snapshot_then_history_then_live_gives_each_sample_once() {
+    fn the_newest_state_is_shown_at_once_and_the_past_is_laid_under_it() {
+        let past = |range| {
+            let mut past = Live::past();
+            past.ingest(&batch(range), 0.0).unwrap();
+            past
+        };
         let mut live = Live::default();
         live.connection_opened();
-        // GIVEN a snapshot newer than the history that follows it
+        // GIVEN the newest state and some live data
         live.ingest(&batch(500..501), 1.0).unwrap();
-        live.ingest(&batch(100..501), 1.0).unwrap();
+        assert_eq!(live.estimate().unwrap().get().unwrap().time_us, 500 * 10_000);
         live.ingest(&batch(501..520), 1.0).unwrap();
+        // WHEN the past arrives, which also holds what came meanwhile
+        live.fill(past(100..510));
+        // THEN each sample is there once, and the newest is still the newest
         assert_eq!(live.curves.len(Curve::Altitude(1)), 420);
         assert_eq!(live.estimate().unwrap().get().unwrap().time_us, 519 * 10_000);
-        // WHEN the socket reconnects and the ground repeats history
+        // WHEN more of the past is asked for
+        live.fill(past(1..510));
+        assert_eq!(live.curves.len(Curve::Altitude(1)), 519);
+        // WHEN the socket was lost for a tenth of a second
         live.connection_opened();
-        live.ingest(&batch(530..531), 2.0).unwrap();
-        live.ingest(&batch(300..531), 2.0).unwrap();
-        // THEN only what is new is added
-        assert_eq!(live.curves.len(Curve::Altitude(1)), 431);
+        live.ingest(&batch(530..535), 2.0).unwrap();
+        assert_eq!(live.curves.len(Curve::Altitude(1)), 524);
+        live.fill(past(300..532));
+        // THEN only what was missed is added
+        assert_eq!(live.curves.len(Curve::Altitude(1)), 534);
+        // WHEN the vehicle was started again meanwhile, THEN another boot's past is not mixed in
+        live.fill(past(1000..1100));
+        assert_eq!(live.curves.len(Curve::Altitude(1)), 534);
+    }
+
+    #[test]
+    fn the_age_is_that_of_what_is_here_and_not_of_what_the_ground_has() {
+        let mut live = Live::default();
+        let link = |newest_time_us| {
+            let mut out = Vec::new();
+            let status = v1::LinkStatus { connected: true, age_ms: 5.0, newest_time_us, ..Default::default() };
+            append(&mut out, Kind::Link, 0, 0, 0, &status);
+            out
+        };
+        assert_eq!(live.age_s(0.0), None);
+        // GIVEN a page that has read up to 1 s, and a ground that has 4 s
+        live.ingest(&link(4_000_000), 100.0).unwrap();
+        live.ingest(&batch(1..101), 100.0).unwrap();
+        assert!((live.age_s(100.0).unwrap() - 3.005).abs() < 1e-9);
+        // WHEN the page catches up
+        live.ingest(&batch(101..401), 100.0).unwrap();
+        assert!((live.age_s(100.0).unwrap() - 0.005).abs() < 1e-9);
     }
 
     #[test]

@@ -81,13 +81,18 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
     match kind {
         EstimatorKind::Unspecified => "—",
         EstimatorKind::EkfBias => "EKF with biases",
-        EstimatorKind::Primary => "Primary",
+        EstimatorKind::Complementary => "Complementary filter",
         EstimatorKind::EkfHybrid => "Hybrid EKF",
         EstimatorKind::Ukf => "UKF",
-        EstimatorKind::PointMass => "Point mass",
-        EstimatorKind::Attitude => "Attitude filter",
+        EstimatorKind::ConstantAcceleration => "Constant acceleration",
+        EstimatorKind::Vqf => "VQF",
         EstimatorKind::Secure => "Secure",
     }
+}
+
+/// Does an estimator of this kind estimate the altitude? Where it does not, no mode that holds one can be flown.
+pub fn estimates_altitude(kind: EstimatorKind) -> bool {
+    kind != EstimatorKind::Vqf
 }
 
 /// As [`estimator`], by its number.
@@ -172,6 +177,16 @@ pub fn failsafe(failsafe: Failsafe) -> &'static str {
         Failsafe::DeadlineDescend => "Control deadline missed: descending",
         Failsafe::OperatorCut => "Motors cut by the operator",
         Failsafe::TakeoffTimeout => "No take-off: disarmed",
+        Failsafe::ImuCut => "No IMU: motors cut",
+        Failsafe::StallCut => "Flight thread silent: motors cut",
+        Failsafe::BatteryLow => "Battery low",
+        Failsafe::BatteryDescend => "Battery empty: descending",
+        Failsafe::ThrustDescend => "Does not follow its thrust: descending",
+        Failsafe::AltitudeDescend => "No height: descending on attitude alone",
+        Failsafe::PositionHold => "Position lost: altitude hold",
+        Failsafe::PositionDescend => "Position lost: descending",
+        Failsafe::ShutdownDescend => "Agent asked to end: descending",
+        Failsafe::ShutdownCut => "Agent ended: motors cut",
     }
 }
 
@@ -236,8 +251,14 @@ pub const ATTACK_KINDS: [AttackKind; 10] = [
     AttackKind::SignFlip,
 ];
 
-/// The channels of a sensor that an attack can name.
-pub fn attack_channels(sensor: SensorKind) -> &'static [AttackChannel] {
+/// The channels of a sensor that an attack of this kind can cover: one offset for all of an IMU has no unit.
+pub fn attack_channels(sensor: SensorKind, kind: AttackKind) -> &'static [AttackChannel] {
+    let all = channels(sensor);
+    let additive = matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise);
+    if additive && sensor == SensorKind::Imu { all.split_first().map_or(all, |(_, single)| single) } else { all }
+}
+
+fn channels(sensor: SensorKind) -> &'static [AttackChannel] {
     use AttackChannel::{Accel, AccelX, AccelY, AccelZ, All, Gyro, GyroX, GyroY, GyroZ, Mag, X, Y, Z};
     match sensor {
         SensorKind::Imu => &[All, Gyro, Accel, Mag, GyroX, GyroY, GyroZ, AccelX, AccelY, AccelZ],

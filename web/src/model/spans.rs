@@ -56,6 +56,16 @@ impl Spans {
         }
     }
 
+    /// Adds the attacks of the past that were seen; those known already are known better.
+    pub fn fill(&mut self, past: Self) {
+        for (key, span) in past.map.into_iter().filter(|(_, span)| span.seen) {
+            self.map.entry(key).or_insert(span);
+        }
+        while self.map.len() > MAX_SPANS {
+            self.map.pop_first();
+        }
+    }
+
     /// The spans that overlap `start_s..end_s` and were seen, or are still to come.
     pub fn between(&self, start_s: f64, end_s: f64) -> impl Iterator<Item = &Span> {
         self.map.values().filter(move |s| {

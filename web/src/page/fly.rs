@@ -7,6 +7,7 @@ use crate::{
     app::{GroundState, Socket},
     ctx::{Ctx, Graphics, ctx},
     panel::{
+        alarms::Guarded,
         arming::ArmingCard,
         attacks::AttacksCard,
         charts::{AltitudeChart, AttitudeChart},
@@ -17,7 +18,8 @@ use crate::{
         readouts::Readouts,
         replay::ReplayCard,
         residuals::Evidence,
-        setpoint::SetpointCard,
+        setpoint::{ModeFields, SetpointCard},
+        simulator::SimulatorCard,
     },
 };
 
@@ -115,11 +117,15 @@ pub fn Fly() -> impl IntoView {
                 <Events />
             </div>
             <div class="right">
-                <ReplayCard />
-                <SetpointCard />
-                <ArmingCard />
-                <AttacksCard />
-                <EstimatorCard />
+                <Guarded>
+                    <ReplayCard />
+                    <SetpointCard />
+                    <ArmingCard />
+                    <AttacksCard />
+                    <EstimatorCard />
+                    <SimulatorCard />
+                    <ModeFields />
+                </Guarded>
             </div>
         </main>
     }

@@ -7,6 +7,7 @@ pub mod flights;
 mod fly;
 mod help;
 mod numbers;
+mod people;
 mod setup;
 mod tune;
 

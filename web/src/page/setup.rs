@@ -6,10 +6,33 @@ use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
     model::{api::Session, curves::DEGREES, format, names},
+    store,
 };
 
 fn fact(name: &'static str, value: impl IntoView + 'static) -> impl IntoView {
     view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> }
+}
+
+/// The operator's name, where no account gives it.
+#[component]
+fn Name() -> impl IntoView {
+    let ctx = ctx();
+    let account = move || ctx.session.with(|s| s.name.clone());
+    view! {
+        {move || match account() {
+            Some(name) => name.into_any(),
+            None => view! {
+                <input
+                    type="text"
+                    aria-label="Your name, as other operators see it"
+                    maxlength="40"
+                    prop:value=move || store::operator_name(&ctx.operator()).to_owned()
+                    on:change:target=move |e| ctx.rename(&e.target().value())
+                />
+                <small class="quiet">{move || format!(" others see “{}”", ctx.operator())}</small>
+            }.into_any(),
+        }}
+    }
 }
 
 /// The Setup page.
@@ -56,7 +79,7 @@ pub fn Setup() -> impl IntoView {
                         {fact("version", env!("CARGO_PKG_VERSION"))}
                         {fact("schema", plumbline_proto::SCHEMA.to_string())}
                         {fact("graphics", graphics)}
-                        {fact("name for control", ctx.operator())}
+                        {fact("you are", view! { <Name /> })}
                         {move || ctx.session.with(Session::who).map(|who| {
                             fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
                         })}
@@ -134,11 +157,11 @@ pub fn Setup() -> impl IntoView {
                                 {fact("rows", o.rows.to_string())}
                                 {fact("rank", format!("{} of {}", o.rank, o.states.len()))}
                                 {fact("any rows that may be lost", o.sparse_observable.to_string())}
-                                {fact("any rows that may lie", o.correctable.to_string())}
+                                {fact("any rows that may be attacked", o.correctable.to_string())}
                                 {fact("first state lost", o.binding_state.clone())}
                                 {o.types.iter().map(|t| fact(
                                     names::sensor(t.sensor()),
-                                    format!("{} of {} rows may lie", t.correctable, t.rows),
+                                    format!("{} of {} rows may be attacked", t.correctable, t.rows),
                                 )).collect::<Vec<_>>()}
                             </dl>
                             <table class="dense">
@@ -169,6 +192,7 @@ pub fn Setup() -> impl IntoView {
                         }.into_any(),
                     }}
                 </section>
+                <super::people::PeopleCard />
                 <section class="card facts wide" aria-label="Connect a vehicle">
                     <header><h2>"Connect a vehicle"</h2></header>
                     <ol class="how">

@@ -72,7 +72,7 @@ fn phase_class(phase: AttackPhase) -> &'static str {
 #[component]
 pub fn AttacksCard() -> impl IntoView {
     let ctx = ctx();
-    let drafts = RwSignal::new(Vec::<Draft>::new());
+    let drafts = ctx.drafts;
     let enabled = Memo::new(move |_| {
         ctx.live(|live| {
             let told = live.attacks.get().map(|a| a.enabled);
@@ -105,8 +105,13 @@ pub fn AttacksCard() -> impl IntoView {
     });
     let send = move |_| {
         let bodies: Vec<_> = drafts.get_untracked().iter().enumerate().map(|(i, d)| d.body(i as u64 + 1)).collect();
-        ctx.command("Attack schedule", "PUT", "attacks", json!({ "attacks": bodies }));
-        drafts.set(Vec::new());
+        let sent = drafts.get_untracked();
+        // What is refused is still here to be mended.
+        ctx.command_then("Attack schedule", "PUT", "attacks", json!({ "attacks": bodies }), move |accepted| {
+            if accepted && drafts.with_untracked(|all| *all == sent) {
+                drafts.set(Vec::new());
+            }
+        });
     };
     view! {
         <section class="card attacks" aria-label="Attacks">
@@ -208,7 +213,7 @@ fn List(bars: Memo<Vec<Bar>>, drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
             }).collect::<Vec<_>>()}
         </ul>
         <Show when=move || bars.with(Vec::is_empty)>
-            <p class="quiet">"Nothing scheduled. Add an attack above, then schedule it."</p>
+            <p class="quiet">"Nothing scheduled."</p>
         </Show>
     }
 }
@@ -252,9 +257,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
         form.update(|f| {
             f.sensor = SensorKind::try_from(kind).unwrap_or_default();
             f.instance = instance;
-            if !names::attack_channels(f.sensor).contains(&f.channel) {
-                f.channel = AttackChannel::All;
-            }
+            fit_channel(f);
         });
     };
     view! {
@@ -274,7 +277,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                     let channel = e.target().value().parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
                     form.update(|f| f.channel = channel.unwrap_or_default());
                 }>
-                    {move || names::attack_channels(form.with(|f| f.sensor)).iter().map(|c| {
+                    {move || form.with(|f| names::attack_channels(f.sensor, f.kind)).iter().map(|c| {
                         let c = *c;
                         view! { <option value=(c as i32).to_string() selected=move || form.with(|f| f.channel == c)>{names::attack_channel(c)}</option> }
                     }).collect::<Vec<_>>()}
@@ -283,7 +286,10 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
             <label class="field wide"><span>"kind"</span>
                 <select on:change:target=move |e| {
                     let kind = e.target().value().parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
-                    form.update(|f| f.kind = kind.unwrap_or_default());
+                    form.update(|f| {
+                        f.kind = kind.unwrap_or_default();
+                        fit_channel(f);
+                    });
                 }>
                     {names::ATTACK_KINDS.into_iter().map(|k| view! {
                         <option value=(k as i32).to_string() selected=move || form.with(|f| f.kind == k)>{names::attack_kind(k)}</option>
@@ -310,6 +316,14 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
             </label>
             <button type="submit">"Add"</button>
         </form>
+    }
+}
+
+/// Another sensor or kind may not cover the channel chosen before.
+fn fit_channel(form: &mut Form) {
+    let offered = names::attack_channels(form.sensor, form.kind);
+    if !offered.contains(&form.channel) {
+        form.channel = offered.first().copied().unwrap_or_default();
     }
 }
 

@@ -1,11 +1,12 @@
-//! Which estimator is in the loop.
+//! Which estimator is in the loop: chosen, then applied. One that cannot fly the mode is not offered.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::EstimatorKind;
+use plumbline_proto::v1::{EstimatorKind, Mode};
 use serde_json::json;
 
 use crate::{
     ctx::ctx,
+    keys,
     model::{format, names},
 };
 
@@ -23,10 +24,24 @@ pub fn EstimatorCard() -> impl IntoView {
                 .map(|e| format!("{} µs", format::fixed(e.step_time_us, 0)))
         })
     });
-    let choose = move |value: String| {
-        let Some(kind) = value.parse().ok().and_then(|n: i32| EstimatorKind::try_from(n).ok()) else { return };
-        let what = format!("Estimator {}", names::estimator(kind));
-        ctx.command(what, "POST", "estimator", json!({ "estimator": names::estimator_json(kind) }));
+    // A choice is no command: that is Apply.
+    let chosen = RwSignal::new(None::<i32>);
+    let shown = move || chosen.get().unwrap_or_else(|| in_loop.get());
+    let needed = Memo::new(move |_| {
+        ctx.live(|live| {
+            let status = live.status.get();
+            status.is_some_and(|s| s.armed && matches!(s.mode(), Mode::AltitudeHold | Mode::Hold | Mode::Land))
+        })
+    });
+    let unfit = move |kind: EstimatorKind| needed.get() && !names::estimates_altitude(kind);
+    let apply = move |_| {
+        let kind = chosen.get_untracked().and_then(|n| EstimatorKind::try_from(n).ok());
+        chosen.set(None);
+        keys::let_go();
+        if let Some(kind) = kind.filter(|kind| *kind as i32 != in_loop.get_untracked()) {
+            let what = format!("Estimator {}", names::estimator(kind));
+            ctx.command(what, "POST", "estimator", json!({ "estimator": names::estimator_json(kind) }));
+        }
     };
     view! {
         <section class="card estimator" aria-label="Estimator">
@@ -35,8 +50,15 @@ pub fn EstimatorCard() -> impl IntoView {
                 id="estimator-in-loop"
                 aria-label="Estimator in the loop"
                 disabled=move || offered.get().len() < 2
-                prop:value=move || in_loop.get().to_string()
-                on:change:target=move |e| choose(e.target().value())
+                title=move || cost.get().map(|cost| format!("A step takes {cost}"))
+                prop:value=move || shown().to_string()
+                on:change:target=move |e| chosen.set(e.target().value().parse().ok())
+                on:keydown=move |e| {
+                    if e.key() == "Escape" {
+                        chosen.set(None);
+                        keys::let_go();
+                    }
+                }
             >
                 {move || {
                     let kinds = offered.get();
@@ -44,12 +66,22 @@ pub fn EstimatorCard() -> impl IntoView {
                         view! { <option>"—"</option> }.into_any()
                     } else {
                         kinds.into_iter().map(|k| view! {
-                            <option value=(k as i32).to_string() selected=move || in_loop.get() == k as i32>{names::estimator(k)}</option>
+                            <option
+                                value=(k as i32).to_string()
+                                selected=move || shown() == k as i32
+                                disabled=move || unfit(k)
+                            >{move || if unfit(k) { format!("{} – no altitude", names::estimator(k)) } else { names::estimator(k).to_owned() }}</option>
                         }).collect::<Vec<_>>().into_any()
                     }
                 }}
             </select>
-            <span class="num quiet">{cost}</span>
+            <button
+                type="button"
+                class="small"
+                aria-label="Apply estimator"
+                disabled=move || shown() == in_loop.get()
+                on:click=apply
+            >"Apply"</button>
         </section>
     }
 }

@@ -1,5 +1,6 @@
 //! Page controls: one file per card. They read through [`crate::ctx::Ctx`] and send commands; none draws curves.
 
+pub mod alarms;
 pub mod arming;
 pub mod attacks;
 pub mod charts;
@@ -16,6 +17,7 @@ pub mod replay;
 pub mod residuals;
 pub mod secure;
 pub mod setpoint;
+pub mod simulator;
 pub mod sketch;
 pub mod steps;
 pub mod timebar;

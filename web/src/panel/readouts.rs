@@ -29,6 +29,8 @@ fn row(
 pub fn Readouts() -> impl IntoView {
     let deck = deck();
     let stale = Memo::new(move |_| deck.instrument().stale);
+    // Which moment is shown, for whoever wants to know how old it is.
+    let shown_us = move || deck.read(|live| live.estimate().and_then(|t| t.time_us()));
     let angle = |i: usize| {
         move |s: &Instrument| s.roll_pitch_yaw_deg.and_then(|a| a.get(i).copied()).map(|v| format::signed(v, 1))
     };
@@ -46,7 +48,7 @@ pub fn Readouts() -> impl IntoView {
     let motors = Memo::new(move |_| deck.instrument().motors);
     let saturated = Memo::new(move |_| deck.instrument().saturated);
     view! {
-        <section class="card readouts" class:stale=stale aria-label="Readouts">
+        <section class="card readouts" class:stale=stale aria-label="Readouts" data-time-us=shown_us>
             <header>
                 <h2>"Estimate"</h2>
                 <span class="state num" class:bad=bad>{state}</span>

@@ -189,7 +189,7 @@ pub fn SecureCard() -> impl IntoView {
                 <h2>"Attacked set"</h2>
                 <ul class="legend heat-key" aria-label="Colours">
                     <li><span class="heat raised"></span>"suspect"</li>
-                    <li><span class="heat rejected"></span>"flagged: not used"</li>
+                    <li><span class="heat rejected"></span>"isolated: excluded"</li>
                 </ul>
                 <ul class="legend margins" aria-label="Margins">{margins}</ul>
                 <Show when=move || newest.get().is_some()><DecoderChoice deck newest /></Show>
@@ -197,14 +197,14 @@ pub fn SecureCard() -> impl IntoView {
             </header>
             <div class="res-body">
                 <Sensors deck newest />
-                <Plot picture=Picture::Suspicion values=false label="Suspicion of each sensor over time; above 1 it is flagged and not used" />
+                <Plot picture=Picture::Suspicion values=false label="Suspicion of each sensor over time; above 1 it is isolated and excluded" />
                 <dl class="secure-figures">
                     {move || newest.get().map(|s| figures(&s)).unwrap_or_default().into_iter().map(|(name, value, class, why)| view! {
                         <div title=why><dt>{name}</dt><dd class=format!("num {class}")>{value}</dd></div>
                     }).collect::<Vec<_>>()}
                 </dl>
                 <Show when=move || newest.get().is_none()>
-                    <p class="empty">"The secure estimator does not run here. Choose it under Estimator: it decodes, flags who lies and filters the rest."</p>
+                    <p class="empty">"The secure estimator does not run here. Choose it under Estimator: it decodes, isolates attacked sensors and filters the rest."</p>
                 </Show>
             </div>
         </section>

@@ -1,4 +1,4 @@
-//! Altitude setpoint: steps, presets, an exact field; what else the mode takes, when it takes it.
+//! Altitude setpoint: steps, presets, an exact field; and a card for what else the mode takes.
 
 use leptos::prelude::*;
 use plumbline_proto::v1::Mode;
@@ -15,16 +15,22 @@ const PRESETS_M: [f64; 3] = [0.5, 0.8, 1.0];
 /// One press of a step button or an arrow key, m.
 pub const STEP_M: f64 = 0.1;
 
+/// The next altitude on the grid of [`STEP_M`] above or below `from_m`.
+pub fn stepped(from_m: f64, up: bool) -> f64 {
+    // What lies on the grid, but for rounding, moves by a whole step.
+    const SLACK: f64 = 1e-6;
+    let steps = from_m / STEP_M;
+    (if up { (steps + SLACK).floor() + 1.0 } else { (steps - SLACK).ceil() - 1.0 }) * STEP_M
+}
+
 /// The setpoint card.
 #[component]
 pub fn SetpointCard() -> impl IntoView {
     let ctx = ctx();
     let typed = RwSignal::new(String::new());
     let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
-    let in_use = Memo::new(move |_| {
-        ctx.live(|live| live.control.get().and_then(|c| c.setpoint.as_ref()).and_then(|s| s.altitude_m))
-    });
-    let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
+    let in_use = Memo::new(move |_| ctx.live(|live| live.setpoint_m()));
+    let old = Memo::new(move |_| ctx.is_old(|live| &live.control));
     let limits = Memo::new(move |_| {
         ctx.live(|live| live.description.get().and_then(|d| d.limits).map(|l| (l.altitude_min_m, l.altitude_max_m)))
     });
@@ -42,12 +48,12 @@ pub fn SetpointCard() -> impl IntoView {
         <section class="card setpoint" aria-label="Setpoint">
             <header>
                 <h2>"Setpoint"</h2>
-                <output class="big num" aria-label="Altitude setpoint in use">{move || format::maybe(in_use.get(), 2)} <small>"m"</small></output>
+                <output class="big num" class:stale=old aria-label="Altitude setpoint in use">{move || format::maybe(in_use.get(), 2)} <small>"m"</small></output>
             </header>
             <Show when=move || !replayed.get()>
                 <div class="buttons steps-row">
-                    <button type="button" aria-label="Altitude down 0.1 m" title="Down 0.1 m (↓)" on:click=move |_| ctx.step_altitude(-STEP_M)>"−0.1"</button>
-                    <button type="button" aria-label="Altitude up 0.1 m" title="Up 0.1 m (↑)" on:click=move |_| ctx.step_altitude(STEP_M)>"+0.1"</button>
+                    <button type="button" aria-label="Altitude down 0.1 m" title="Down 0.1 m (↓)" on:click=move |_| ctx.step_altitude(false)>"−0.1"</button>
+                    <button type="button" aria-label="Altitude up 0.1 m" title="Up 0.1 m (↑)" on:click=move |_| ctx.step_altitude(true)>"+0.1"</button>
                     {PRESETS_M.into_iter().map(|p| view! {
                         <button
                             type="button"
@@ -72,13 +78,30 @@ pub fn SetpointCard() -> impl IntoView {
                     />
                     <button type="submit">"Set"</button>
                 </form>
-                {move || match mode.get() {
-                    Mode::Hold => view! { <Fields name="Position" entries=&POSITION /> }.into_any(),
-                    Mode::Stabilise => view! { <Fields name="Attitude" entries=&ATTITUDE /> }.into_any(),
-                    _ => ().into_any(),
-                }}
             </Show>
         </section>
+    }
+}
+
+/// What else the mode takes, when it takes it. A card of its own, below the others: those stay where they are.
+#[component]
+pub fn ModeFields() -> impl IntoView {
+    let ctx = ctx();
+    let mode = Memo::new(move |_| {
+        ctx.live(|live| {
+            let mode = live.status.get().map_or(Mode::Unspecified, |s| s.mode());
+            if live.is_replay() { Mode::Unspecified } else { mode }
+        })
+    });
+    let card = |name, entries| {
+        view! {
+            <section class="card setpoint" aria-label=name><Fields name entries /></section>
+        }
+    };
+    move || match mode.get() {
+        Mode::Hold => card("Position", &POSITION).into_any(),
+        Mode::Stabilise => card("Attitude and thrust", &ATTITUDE).into_any(),
+        _ => ().into_any(),
     }
 }
 
@@ -136,6 +159,16 @@ fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_end_on_the_grid() {
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+        near(stepped(stepped(stepped(0.5, true), true), true), 0.8);
+        near(stepped(0.83, true), 0.9);
+        near(stepped(0.83, false), 0.8);
+        near(stepped(0.8 - 1e-9, true), 0.9);
+        near(stepped(0.1, false), 0.0);
+    }
 
     #[test]
     fn empty_fields_keep_their_value_and_degrees_become_radians() {

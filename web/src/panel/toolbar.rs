@@ -40,6 +40,9 @@ pub fn Link(
     }
 }
 
+/// Below this age the page's own view of it is the ripple of its batches, ms.
+const HERE_MS: f64 = 250.0;
+
 /// The link, in words: (text, class, explanation).
 fn link_state(ctx: Ctx) -> (String, &'static str, String) {
     let socket = ctx.app(|app| app.socket);
@@ -60,16 +63,19 @@ fn link_state(ctx: Ctx) -> (String, &'static str, String) {
             (format!("link lost {}", format::age(l.age_ms * 1e-3)), "bad", "The vehicle is not connected to the ground station".to_owned())
         }
         Some(l) => {
-            let class = if l.age_ms > 500.0 || l.loss_percent > 10.0 {
+            // What is here may be older than what the ground has.
+            let here_ms = live.age_s(crate::net::now_ms()).map_or(0.0, |s| s * 1e3);
+            let age_ms = if here_ms > HERE_MS { here_ms.max(l.age_ms) } else { l.age_ms };
+            let class = if age_ms > 500.0 || l.loss_percent > 10.0 {
                 "bad"
-            } else if l.age_ms > 100.0 || l.loss_percent > 1.0 {
+            } else if age_ms > 100.0 || l.loss_percent > 1.0 {
                 "warn"
             } else {
                 "good"
             };
             let text = format!(
                 "{:>3} ms · {:>3} Hz · {} %",
-                format::fixed(l.age_ms.min(9999.0), 0),
+                format::fixed(age_ms.min(9999.0), 0),
                 format::fixed(l.rate_hz, 0),
                 format::fixed(l.loss_percent, if l.loss_percent > 0.0 && l.loss_percent < 10.0 { 1 } else { 0 })
             );
@@ -135,15 +141,16 @@ pub fn Toolbar() -> impl IntoView {
                 .map(|s| (format::fixed(s.battery_v, 1), (s.battery_fraction * 100.0).round()))
         })
     });
-    let holder = Memo::new(move |_| ctx.live(|live| live.lease.as_ref().map(|l| l.holder.clone()).unwrap_or_default()));
+    let holder = Memo::new(move |_| ctx.live(|live| live.holder().to_owned()));
     let mine = move || holder.get() == ctx.operator();
     let lease = move |_| {
         if mine() {
             ctx.command("Release control", "DELETE", "lease", json!({}));
         } else {
-            ctx.command("Take control", "PUT", "lease", json!({}));
+            ctx.take_control();
         }
     };
+    let old = Memo::new(move |_| ctx.is_old(|live| &live.status));
     let theme = move |_| {
         ctx.dark.update(|d| *d = !*d);
         store::set("theme", if ctx.dark.get_untracked() { "dark" } else { "light" });
@@ -176,10 +183,11 @@ pub fn Toolbar() -> impl IntoView {
                     }
                 }}
             </select>
-            <span class="tag mode" aria-label="Mode">{move || names::mode(mode.get())}</span>
+            <span class="tag mode" class:stale=old aria-label="Mode">{move || names::mode(mode.get())}</span>
             <span
                 class="tag armed-tag"
                 class:armed=move || armed.get() == Some(true)
+                class:stale=old
                 role="status"
                 aria-label="Arming"
             >{move || match armed.get() { Some(true) => "ARMED", Some(false) => "disarmed", None => format::NONE }}</span>
@@ -197,6 +205,7 @@ pub fn Toolbar() -> impl IntoView {
             </button>
             <span
                 class="tag battery num"
+                class:stale=old
                 class:bad=move || battery.get().is_some_and(|b| b.1 < 15.0)
                 class:warn=move || battery.get().is_some_and(|b| (15.0..30.0).contains(&b.1))
                 aria-label="Battery"
@@ -205,8 +214,9 @@ pub fn Toolbar() -> impl IntoView {
             <span class="spring"></span>
             <button
                 type="button"
-                class="tag lease"
+                class="lease"
                 class:mine=mine
+                class:other=move || !mine() && !holder.get().is_empty()
                 title=move || {
                     let holder = holder.get();
                     if holder.is_empty() { "Nobody controls; your first command takes control".to_owned() }
@@ -214,7 +224,10 @@ pub fn Toolbar() -> impl IntoView {
                     else { format!("{holder} controls; press to take over") }
                 }
                 on:click=lease
-            >{move || if mine() { "you control" } else if holder.get().is_empty() { "take control" } else { "view only" }}</button>
+            >
+                <small>{move || if mine() { "you control".to_owned() } else if holder.get().is_empty() { "nobody controls".to_owned() } else { holder.get() }}</small>
+                <b>{move || if mine() { "Release" } else if holder.get().is_empty() { "Take control" } else { "Take over" }}</b>
+            </button>
             {move || ctx.session.with(Session::who).map(|who| view! {
                 <a class="tag" href="/login" title=format!("Signed in as {who}")>"sign out"</a>
             })}

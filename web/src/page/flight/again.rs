@@ -16,7 +16,7 @@ const ESTIMATORS: [EstimatorKind; 5] = [
     EstimatorKind::Secure,
     EstimatorKind::EkfHybrid,
     EstimatorKind::Ukf,
-    EstimatorKind::PointMass,
+    EstimatorKind::ConstantAcceleration,
 ];
 
 /// A path as a shell takes it.

@@ -17,8 +17,8 @@ const ESTIMATORS: [EstimatorKind; 6] = [
     EstimatorKind::EkfBias,
     EstimatorKind::EkfHybrid,
     EstimatorKind::Ukf,
-    EstimatorKind::PointMass,
-    EstimatorKind::Attitude,
+    EstimatorKind::ConstantAcceleration,
+    EstimatorKind::Vqf,
     EstimatorKind::Secure,
 ];
 

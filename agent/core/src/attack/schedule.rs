@@ -1,0 +1,214 @@
+//! A schedule of attacks and the bounds it must keep.
+
+use arrayvec::ArrayVec;
+use plumbline_proto::{ids::SensorId, v1::SensorKind};
+
+use super::kinds::{Channel, Kind};
+use crate::sensor::quantities;
+
+/// Most attacks of one schedule.
+pub const MAX_ATTACKS: usize = 32;
+
+/// One attack on one sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Attack {
+    /// Unique within the schedule.
+    pub id: u32,
+    /// The sensor.
+    pub sensor: SensorId,
+    /// Its scalars.
+    pub channel: Channel,
+    /// What is done to them.
+    pub kind: Kind,
+    /// Onset, s after the schedule is accepted.
+    pub start_s: f64,
+    /// Duration, s.
+    pub duration_s: f64,
+    /// In the channel's unit, or as [`Kind`] says.
+    pub magnitude: f64,
+    /// Seed of the noise and of the dropouts.
+    pub seed: u64,
+}
+
+/// Attacks uploaded together; a schedule replaces the one before.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Schedule {
+    /// Chosen by the ground.
+    pub id: u32,
+    /// The attacks, in any order.
+    pub attacks: ArrayVec<Attack, MAX_ATTACKS>,
+}
+
+/// How far attacks may go. Part of the agent's own configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Latest onset after acceptance, s.
+    pub start_max_s: f64,
+    /// Longest duration, s.
+    pub duration_max_s: f64,
+    /// Largest offset of a length (height, position, range), m. Ramps: per second.
+    pub length_max_m: f64,
+    /// Largest offset of an angular rate, rad/s.
+    pub rate_max_radps: f64,
+    /// Largest offset of a specific force, m/s².
+    pub accel_max_mps2: f64,
+    /// Largest offset of a magnetic field, µT.
+    pub mag_max_ut: f64,
+    /// Largest offset of a pressure, Pa.
+    pub pressure_max_pa: f64,
+    /// Largest factor of `Scale`, either sign.
+    pub scale_max: f64,
+    /// Longest window of `Replay`, s.
+    pub replay_max_s: f64,
+    /// Longest `Delay`, s.
+    pub delay_max_s: f64,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self {
+            start_max_s: 600.0,
+            duration_max_s: 120.0,
+            length_max_m: 5.0,
+            rate_max_radps: 5.0,
+            accel_max_mps2: 20.0,
+            mag_max_ut: 100.0,
+            pressure_max_pa: 500.0,
+            scale_max: 10.0,
+            replay_max_s: 10.0,
+            delay_max_s: 2.0,
+        }
+    }
+}
+
+/// Why a schedule is refused. Nothing of it runs.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum AttackError {
+    /// The agent's configuration does not allow attacks.
+    #[error("attacks are not enabled in this agent's configuration")]
+    Disabled,
+    /// Two attacks with one id.
+    #[error("attack id {0} appears twice")]
+    DuplicateId(u32),
+    /// The sensor is not in the suite.
+    #[error("attack {id}: the vehicle has no {sensor}")]
+    NoSuchSensor {
+        /// Attack.
+        id: u32,
+        /// Sensor.
+        sensor: SensorId,
+    },
+    /// The configuration names the sensor as independent.
+    #[error("attack {id}: {sensor} is configured as independent: nothing can be injected there")]
+    Independent {
+        /// Attack.
+        id: u32,
+        /// Sensor.
+        sensor: SensorId,
+    },
+    /// The sensor has no such channel, or the kind needs one unit.
+    #[error("attack {id}: {kind:?} cannot cover {channel:?} of {sensor}")]
+    Channel {
+        /// Attack.
+        id: u32,
+        /// Sensor.
+        sensor: SensorId,
+        /// Channel asked for.
+        channel: Channel,
+        /// Kind asked for.
+        kind: Kind,
+    },
+    /// A number out of bounds or not finite.
+    #[error("attack {id}: {what} {value} is outside {min} to {max}")]
+    OutOfBounds {
+        /// Attack.
+        id: u32,
+        /// Which number.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// Smallest allowed.
+        min: f64,
+        /// Largest allowed.
+        max: f64,
+    },
+}
+
+impl Bounds {
+    /// Checks one attack; returns the mask of its scalars.
+    pub(super) fn check(&self, attack: &Attack) -> Result<u16, AttackError> {
+        let Attack { id, sensor, channel, kind, .. } = *attack;
+        let within = |what, value: f64, min: f64, max: f64| {
+            // A NaN fails both comparisons.
+            if value >= min && value <= max {
+                Ok(())
+            } else {
+                Err(AttackError::OutOfBounds { id, what, value, min, max })
+            }
+        };
+        within("start (s)", attack.start_s, 0.0, self.start_max_s)?;
+        within("duration (s)", attack.duration_s, 1e-3, self.duration_max_s)?;
+        let mask = channel.mask(sensor.kind, kind).ok_or(AttackError::Channel { id, sensor, channel, kind })?;
+        let magnitude = attack.magnitude;
+        match kind {
+            Kind::Bias | Kind::Ramp | Kind::Noise => {
+                let max = self.offset_max(sensor.kind, channel);
+                let min = if kind == Kind::Noise { 0.0 } else { -max };
+                within("magnitude", magnitude, min, max)?;
+            }
+            Kind::Scale => within("scale", magnitude, -self.scale_max, self.scale_max)?,
+            Kind::Replay => within("replay window (s)", magnitude, 0.05, self.replay_max_s)?,
+            Kind::Delay => within("delay (s)", magnitude, 0.0, self.delay_max_s)?,
+            Kind::Dropout => within("dropout probability", magnitude, 0.0, 1.0)?,
+            Kind::Zero | Kind::Freeze | Kind::SignFlip => {}
+        }
+        Ok(mask)
+    }
+
+    fn offset_max(&self, sensor: SensorKind, channel: Channel) -> f64 {
+        match channel.unit(sensor) {
+            "rad/s" => self.rate_max_radps,
+            "m/s²" => self.accel_max_mps2,
+            "µT" => self.mag_max_ut,
+            "Pa" => self.pressure_max_pa,
+            _ => self.length_max_m,
+        }
+    }
+}
+
+/// The channels of `sensor` that an attack can name, each with its unit (empty where its parts have several) and the
+/// most that an attack may add to it (0 where it may add nothing).
+pub fn offered(sensor: SensorKind, bounds: &Bounds) -> impl Iterator<Item = (Channel, &'static str, f64)> {
+    use Channel::{Accel, AccelAxis, All, Axis, Gyro, GyroAxis, Mag};
+    let axes = |axis: fn(u8) -> Channel| (0..3).map(axis);
+    let every = [All, Gyro, Accel, Mag].into_iter().chain(axes(Axis)).chain(axes(GyroAxis)).chain(axes(AccelAxis));
+    // A single scalar, or one range of many, is no axis.
+    let spatial = quantities(sensor).first().is_some_and(|first| first.scalars == 3);
+    every
+        .filter(move |channel| (spatial || !matches!(channel, Axis(_))) && channel.mask(sensor, Kind::Zero).is_some())
+        .map(move |channel| {
+            let additive = channel.mask(sensor, Kind::Bias).is_some();
+            let (unit, most) =
+                if additive { (channel.unit(sensor), bounds.offset_max(sensor, channel)) } else { ("", 0.0) };
+            (channel, unit, most)
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sensor_offers_the_channels_it_has_with_unit_and_bound() {
+        let of = |sensor| offered(sensor, &Bounds::default()).collect::<Vec<_>>();
+        assert_eq!(of(SensorKind::Height), [(Channel::All, "m", 5.0)]);
+        assert_eq!(of(SensorKind::Barometer), [(Channel::All, "Pa", 500.0)]);
+        assert_eq!(of(SensorKind::Gnss).len(), 4);
+        let imu = of(SensorKind::Imu);
+        assert_eq!(imu.len(), 10, "{imu:?}");
+        assert_eq!(imu[0], (Channel::All, "", 0.0), "an attack that adds must name a quantity");
+        assert_eq!(imu[3], (Channel::Mag, "µT", 100.0));
+        assert!(imu.contains(&(Channel::AccelAxis(2), "m/s²", 20.0)));
+        assert!(of(SensorKind::Unspecified).is_empty());
+    }
+}

@@ -1,0 +1,150 @@
+//! Round trips with the simulator's own error model: what distorted the readings is found again.
+
+use super::*;
+use crate::sensor::imu::{Distortion, Imu};
+use crate::sensor::noise::{ScalarError, Stream};
+use crate::sensor::suite::{Quality, Sheet as _};
+use crate::types::GRAVITY_MPS2;
+
+/// An IMU turned by hand from pose to pose: rest, turn, rest …
+struct Bench {
+    gyro: [[f64; 3]; 3],
+    accel: [[f64; 3]; 3],
+    poses: usize,
+    range: f64,
+}
+
+impl Default for Bench {
+    fn default() -> Self {
+        let Distortion { gyro, accel, .. } = Distortion::default();
+        Self { gyro, accel, poses: 24, range: f64::MAX }
+    }
+}
+
+const DT_S: f64 = 0.01;
+const REST_S: f64 = 3.0;
+const TURN_S: f64 = 1.5;
+
+/// Directions spread evenly over the sphere (golden spiral); the one after the last is the first.
+fn up(pose: usize, of: usize) -> Vector3<f64> {
+    let k = (pose % of) as f64 + 0.5;
+    let z = 1.0 - 2.0 * k / of as f64;
+    let (s, c) = (2.399_963 * k).sin_cos();
+    Vector3::new((1.0 - z * z).sqrt() * c, (1.0 - z * z).sqrt() * s, z)
+}
+
+impl Bench {
+    /// The samples, and the biases of gyroscope and accelerometer that were drawn.
+    fn samples(&self) -> (Vec<Sample>, Vector3<f64>, Vector3<f64>) {
+        let unit = Imu::typical(1);
+        let mut stream = Stream::new(11, "bench");
+        let quality = |q: Quality| Quality { bias_walk: 0.0, range: self.range.min(q.range), ..q };
+        let mut errors = |q: Quality| [0; 3].map(|_| ScalarError::new(quality(q), DT_S, &mut stream));
+        let (mut gyro, mut accel) = (errors(unit.gyro), errors(unit.accel));
+        let bias = |e: &[ScalarError; 3]| Vector3::new(e[0].bias(), e[1].bias(), e[2].bias());
+        let (gyro_bias, accel_bias) = (bias(&gyro), bias(&accel));
+        let (g, a) = (Distortion::matrix(&self.gyro), Distortion::matrix(&self.accel));
+        let mut read = |errors: &mut [ScalarError; 3], truth: Vector3<f64>| {
+            Vector3::from_fn(|i, _| errors[i].read(truth[i], &mut stream))
+        };
+        let mut attitude = UnitQuaternion::rotation_between(&up(0, self.poses), &Vector3::z()).unwrap();
+        let mut samples = Vec::new();
+        let mut time_s = 0.0;
+        for pose in 0..self.poses {
+            // Gravity's direction in the next pose, and the shortest turn to it.
+            let turn = UnitQuaternion::rotation_between(&up(pose + 1, self.poses), &up(pose, self.poses)).unwrap();
+            let (axis, angle) = turn.axis_angle().unwrap();
+            for phase in 0..((REST_S + TURN_S) / DT_S) as usize {
+                let t = phase as f64 * DT_S - REST_S;
+                // The rate swells and ebbs; the reading is the rate in the middle of the step.
+                let rate = if t < 0.0 {
+                    Vector3::zeros()
+                } else {
+                    let x = t / TURN_S;
+                    axis.into_inner() * (angle / TURN_S * (1.0 - (std::f64::consts::TAU * x).cos()))
+                };
+                samples.push(Sample {
+                    time_s,
+                    gyro_radps: Some(read(&mut gyro, g * rate)),
+                    accel_mps2: Some(read(
+                        &mut accel,
+                        a * attitude.inverse_transform_vector(&(Vector3::z() * GRAVITY_MPS2)),
+                    )),
+                    ..Sample::default()
+                });
+                attitude *= UnitQuaternion::from_scaled_axis(rate * DT_S);
+                time_s += DT_S;
+            }
+        }
+        (samples, gyro_bias, accel_bias)
+    }
+}
+
+/// Upper triangular, as T⁻¹ of the model: what rest can tell.
+const ACCEL: [[f64; 3]; 3] = [[1.03, 0.012, -0.02], [0.0, 0.98, 0.015], [0.0, 0.0, 1.01]];
+const GYRO: [[f64; 3]; 3] = [[1.02, 0.01, -0.015], [0.008, 0.97, 0.012], [-0.01, 0.006, 1.025]];
+/// 24 poses of 300 samples with 0.1 m/s² of noise: 0.006 m/s² for each mean, 1e-3 for scale and angle.
+const SCALE_TOLERANCE: f64 = 3e-3;
+
+#[test]
+fn accelerometer_of_the_simulator_is_recovered() {
+    let (samples, _, bias) = Bench { accel: ACCEL, ..Bench::default() }.samples();
+    let file = accelerometer(&samples, GRAVITY_MPS2).unwrap();
+    let triad = accelerometer_of(&CalibrationFile::from_json(&file.to_value().to_string()).unwrap()).unwrap();
+    let left = triad.matrix * Distortion::matrix(&ACCEL) - Matrix3::identity();
+    assert!(left.amax() < SCALE_TOLERANCE, "{left}");
+    assert!((triad.offset - bias).amax() < 0.03, "{} {bias}", triad.offset);
+    assert!(file.samples >= 20 && file.residual.value < 0.02, "{:?}", file.residual);
+    // Every error within five of its own sigmas.
+    for (name, error) in [("scale_x", left[(0, 0)]), ("misalignment_yz", left[(1, 2)])] {
+        let sigma = file.parameters.iter().find(|p| p.name == name).unwrap().sigma.unwrap();
+        assert!(error.abs() < 5.0 * sigma, "{name}: {error} for a sigma of {sigma}");
+    }
+}
+
+#[test]
+fn gyroscope_of_the_simulator_is_recovered_and_aligned_with_the_accelerometer() {
+    let (samples, bias, _) = Bench { accel: ACCEL, gyro: GYRO, ..Bench::default() }.samples();
+    let accel = accelerometer_of(&accelerometer(&samples, GRAVITY_MPS2).unwrap()).unwrap();
+    let file = gyroscope(&samples, &accel).unwrap();
+    let triad = gyroscope_of(&CalibrationFile::from_json(&file.to_value().to_string()).unwrap()).unwrap();
+    let left = triad.matrix * Distortion::matrix(&GYRO) - Matrix3::identity();
+    assert!(left.amax() < SCALE_TOLERANCE, "{left}");
+    // The mean of 7200 samples, rounded to 0.07 °/s each.
+    assert!((triad.offset - bias).amax() < 5e-4, "{} {bias}", triad.offset);
+    assert_eq!(file.covariance.len(), 12);
+}
+
+#[test]
+fn few_poses_give_scale_and_bias_and_fewer_are_refused() {
+    let (samples, ..) = Bench { accel: ACCEL, poses: 8, ..Bench::default() }.samples();
+    let file = accelerometer(&samples, GRAVITY_MPS2).unwrap();
+    assert_eq!(file.parameters.len(), 6);
+    assert!(file.notes[0].contains("scale and bias only"), "{:?}", file.notes);
+    let (samples, ..) = Bench { poses: 4, ..Bench::default() }.samples();
+    let text = accelerometer(&samples, GRAVITY_MPS2).unwrap_err().to_string();
+    assert!(text.contains("4 poses at rest") && text.contains("at least 7"), "{text}");
+    let text = gyroscope(&samples, &Triad::identity()).unwrap_err().to_string();
+    assert!(text.contains("3 turns of 30°"), "{text}");
+}
+
+#[test]
+fn motion_saturation_and_nan_are_refused() {
+    let (samples, ..) = Bench::default().samples();
+    let moving: Vec<Sample> = samples
+        .iter()
+        .enumerate()
+        .map(|(k, s)| {
+            let shake = Vector3::repeat(3.0 * (k as f64 * 0.3).sin());
+            Sample { accel_mps2: s.accel_mps2.map(|a| a + shake), ..*s }
+        })
+        .collect();
+    assert!(accelerometer(&moving, GRAVITY_MPS2).unwrap_err().to_string().contains("0 poses at rest"));
+    let (flat, ..) = Bench { range: 3.2, ..Bench::default() }.samples();
+    let text = gyroscope(&flat, &Triad::identity()).map(|_| ()).unwrap_err().to_string();
+    assert!(text.contains("saturated") || text.contains("needed"), "{text}");
+    let mut broken = samples;
+    broken[100].accel_mps2 = Some(Vector3::repeat(f64::INFINITY));
+    let text = accelerometer(&broken, GRAVITY_MPS2).unwrap_err().to_string();
+    assert_eq!(text, "sample 100: accelerometer x is inf, not a finite number");
+}

@@ -1,0 +1,366 @@
+//! Estimators side by side, one of them in the loop, switched in flight without a bump.
+//!
+//! Every estimator sees every frame. When another one is put in the loop, the difference between
+//! the two is added to its estimate and dies away with [`BLEND_TIME_CONSTANT_S`]: no estimator is
+//! reset, so the effect of an attack on one is not handed on to the next for longer than that.
+
+use arrayvec::ArrayVec;
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::complementary::Complementary;
+use super::constant_acceleration::ConstantAccelerationEstimator;
+use super::ekf_bias::{EkfBias, EkfOptions};
+use super::ekf_hybrid::EkfHybrid;
+use super::secure::Decoder;
+use super::secure::Secure;
+use super::twelve_state::TwelveStateEstimator;
+use super::ukf::Ukf;
+use super::vqf::{VqfEstimator, VqfOptions};
+use super::{Estimate, Estimator, EstimatorKind};
+use crate::model::airframe::Airframe;
+use crate::sensor::SensorFrame;
+use crate::types::MotorCommand;
+
+/// Most estimators of one bank.
+pub const MAX_ESTIMATORS: usize = 8;
+/// Time constant with which a switch dies away, s.
+const BLEND_TIME_CONSTANT_S: f64 = 0.5;
+
+/// Why a bank cannot be built or an estimator not selected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum BankError {
+    /// No estimator.
+    #[error("no estimator is configured")]
+    Empty,
+    /// Too many.
+    #[error("{0} estimators are configured, at most {MAX_ESTIMATORS}")]
+    TooMany(usize),
+    /// Two of one kind.
+    #[error("estimator {0:?} is configured twice")]
+    Twice(EstimatorKind),
+    /// Not built (yet).
+    #[error("estimator {0:?} is not available")]
+    NotAvailable(EstimatorKind),
+    /// Not among those that run.
+    #[error("estimator {0:?} does not run on this vehicle")]
+    NotRunning(EstimatorKind),
+}
+
+/// Every kind of estimator.
+pub const EVERY_KIND: [EstimatorKind; 7] = [
+    EstimatorKind::EkfBias,
+    EstimatorKind::Complementary,
+    EstimatorKind::EkfHybrid,
+    EstimatorKind::Ukf,
+    EstimatorKind::ConstantAcceleration,
+    EstimatorKind::Vqf,
+    EstimatorKind::Secure,
+];
+
+/// What an estimator may assume of the vehicle it runs on.
+#[derive(Debug, Clone, Copy)]
+pub struct Assumptions<'a> {
+    /// The vehicle; matters to those that know what the motors do.
+    pub airframe: &'a Airframe,
+    /// Sigmas, gates and places of its sensors.
+    pub sensors: &'a EkfOptions,
+    /// Slots in the window of the secure estimator.
+    pub window_slots: usize,
+}
+
+/// The estimator of `kind` for a vehicle as assumed.
+///
+/// # Errors
+/// [`BankError::NotAvailable`] for a kind that cannot be built.
+pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estimator>, BankError> {
+    let (airframe, options) = (assumed.airframe, assumed.sensors.clone());
+    let attitude = attitude_options(&options);
+    Ok(match kind {
+        EstimatorKind::EkfBias => Box::new(EkfBias::new(options)),
+        EstimatorKind::Complementary => Box::new(Complementary::new(options)),
+        EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, options, attitude)),
+        EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, options, attitude)),
+        EstimatorKind::ConstantAcceleration => Box::new(ConstantAccelerationEstimator::new(options, attitude)),
+        EstimatorKind::Vqf => Box::new(VqfEstimator::new(attitude)),
+        EstimatorKind::Secure => {
+            let secure = Secure::new(options, airframe, assumed.window_slots);
+            Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
+        }
+        other => return Err(BankError::NotAvailable(other)),
+    })
+}
+
+/// The attitude filter's part of `options`.
+fn attitude_options(options: &EkfOptions) -> VqfOptions {
+    VqfOptions {
+        declination_rad: options.declination_rad,
+        gyro_consensus: options.gyro_consensus,
+        accel_consensus: options.accel_consensus,
+        ..VqfOptions::default()
+    }
+}
+
+/// The bank.
+pub struct Bank {
+    estimators: ArrayVec<Box<dyn Estimator>, MAX_ESTIMATORS>,
+    in_loop: usize,
+    estimate: Estimate,
+    offset: Offset,
+    /// Counts nanoseconds; given from outside, since estimators have no clock.
+    stopwatch: Option<fn() -> u64>,
+    /// How long each took in the last step, ns.
+    step_ns: [u64; MAX_ESTIMATORS],
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Offset {
+    position_m: Vector3<f64>,
+    velocity_mps: Vector3<f64>,
+    attitude: UnitQuaternion<f64>,
+    rates_radps: Vector3<f64>,
+}
+
+const NO_OFFSET: fn() -> Offset = || Offset {
+    position_m: Vector3::zeros(),
+    velocity_mps: Vector3::zeros(),
+    attitude: UnitQuaternion::identity(),
+    rates_radps: Vector3::zeros(),
+};
+
+impl Bank {
+    /// `estimators` with the one of kind `in_loop` in the loop.
+    ///
+    /// # Errors
+    /// [`BankError`].
+    pub fn new(estimators: Vec<Box<dyn Estimator>>, in_loop: EstimatorKind) -> Result<Self, BankError> {
+        let count = estimators.len();
+        if count == 0 {
+            return Err(BankError::Empty);
+        }
+        if count > MAX_ESTIMATORS {
+            return Err(BankError::TooMany(count));
+        }
+        for (i, one) in estimators.iter().enumerate() {
+            if estimators.iter().take(i).any(|other| other.kind() == one.kind()) {
+                return Err(BankError::Twice(one.kind()));
+            }
+        }
+        let at = estimators.iter().position(|e| e.kind() == in_loop).ok_or(BankError::NotRunning(in_loop))?;
+        Ok(Self {
+            estimators: estimators.into_iter().collect(),
+            in_loop: at,
+            estimate: Estimate::default(),
+            offset: NO_OFFSET(),
+            stopwatch: None,
+            step_ns: [0; MAX_ESTIMATORS],
+        })
+    }
+
+    /// Times every step with `stopwatch`, a count of nanoseconds. It never changes an estimate.
+    pub fn time_steps_with(&mut self, stopwatch: fn() -> u64) {
+        self.stopwatch = Some(stopwatch);
+    }
+
+    /// Gives estimators that can give up early their limit, µs, by `stopwatch`. In simulations and replays that
+    /// must repeat bit by bit there is none.
+    pub fn limit_steps(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        self.estimators
+            .iter_mut()
+            .filter_map(|e| e.secure_mut())
+            .for_each(|secure| secure.time_with(stopwatch, limit_us));
+    }
+
+    /// The secure estimator, where it runs.
+    pub fn secure(&self) -> Option<&Secure> {
+        self.estimators.iter().find_map(|estimator| estimator.secure())
+    }
+
+    /// Makes the secure estimator solve another program.
+    ///
+    /// # Errors
+    /// [`BankError::NotRunning`].
+    pub fn use_decoder(&mut self, decoder: Decoder) -> Result<(), BankError> {
+        let secure = self.estimators.iter_mut().find_map(|estimator| estimator.secure_mut());
+        secure.ok_or(BankError::NotRunning(EstimatorKind::Secure))?.use_decoder(decoder);
+        Ok(())
+    }
+
+    /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed or does not run.
+    pub fn step_time_us(&self, kind: EstimatorKind) -> f64 {
+        let timed = self.estimators.iter().zip(&self.step_ns).find(|(e, _)| e.kind() == kind);
+        timed.map_or(0.0, |(_, ns)| *ns as f64 * 1e-3)
+    }
+
+    /// Steps every estimator; the estimate in the loop.
+    pub fn step(&mut self, received: &SensorFrame, applied: &MotorCommand, dt_s: f64) -> &Estimate {
+        let read = || self.stopwatch.map_or(0, |now| now());
+        let mut before = read();
+        for (estimator, took) in self.estimators.iter_mut().zip(&mut self.step_ns) {
+            estimator.step(received, applied);
+            let after = read();
+            *took = after.saturating_sub(before);
+            before = after;
+        }
+        let keep = (-dt_s / BLEND_TIME_CONSTANT_S).exp();
+        self.offset.position_m *= keep;
+        self.offset.velocity_mps *= keep;
+        self.offset.rates_radps *= keep;
+        self.offset.attitude = UnitQuaternion::from_scaled_axis(self.offset.attitude.scaled_axis() * keep);
+        if let Some(own) = self.estimators.get(self.in_loop) {
+            self.estimate.clone_from(own.estimate());
+            let o = &self.offset;
+            self.estimate.position_enu_m += o.position_m;
+            self.estimate.velocity_enu_mps += o.velocity_mps;
+            self.estimate.body_rates_radps += o.rates_radps;
+            self.estimate.world_from_body = o.attitude * self.estimate.world_from_body;
+        }
+        &self.estimate
+    }
+
+    /// The estimate in the loop, as the controller sees it.
+    pub fn in_loop(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    /// Kind of the estimator in the loop.
+    pub fn in_loop_kind(&self) -> EstimatorKind {
+        self.estimators.get(self.in_loop).map_or(EstimatorKind::Unspecified, |e| e.kind())
+    }
+
+    /// Every estimator's own estimate.
+    pub fn estimates(&self) -> impl Iterator<Item = (EstimatorKind, &Estimate)> {
+        self.estimators.iter().map(|e| (e.kind(), e.estimate()))
+    }
+
+    /// The own estimate of the estimator of `kind`.
+    pub fn estimate_of(&self, kind: EstimatorKind) -> Option<&Estimate> {
+        self.estimators.iter().find(|e| e.kind() == kind).map(|e| e.estimate())
+    }
+
+    /// Puts the estimator of `kind` in the loop, without a bump.
+    ///
+    /// # Errors
+    /// [`BankError::NotRunning`].
+    pub fn select(&mut self, kind: EstimatorKind) -> Result<(), BankError> {
+        let at = self.estimators.iter().position(|e| e.kind() == kind).ok_or(BankError::NotRunning(kind))?;
+        if at == self.in_loop {
+            return Ok(());
+        }
+        self.in_loop = at;
+        if let Some(own) = self.estimators.get(at) {
+            let (before, new) = (&self.estimate, own.estimate());
+            let offset = Offset {
+                position_m: before.position_enu_m - new.position_enu_m,
+                velocity_mps: before.velocity_enu_mps - new.velocity_enu_mps,
+                attitude: before.world_from_body * new.world_from_body.inverse(),
+                rates_radps: before.body_rates_radps - new.body_rates_radps,
+            };
+            let finite = offset.position_m.norm() + offset.velocity_mps.norm() + offset.rates_radps.norm();
+            self.offset = if finite.is_finite() { offset } else { NO_OFFSET() };
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Debug for Bank {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Bank").field("in_loop", &self.in_loop_kind()).field("count", &self.estimators.len()).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::Health;
+    use crate::estimate::secure::SLOTS;
+
+    struct Fixed(EstimatorKind, Estimate);
+
+    impl Estimator for Fixed {
+        fn kind(&self) -> EstimatorKind {
+            self.0
+        }
+        fn step(&mut self, _: &SensorFrame, _: &MotorCommand) -> &Estimate {
+            &self.1
+        }
+        fn estimate(&self) -> &Estimate {
+            &self.1
+        }
+        fn reset_to(&mut self, estimate: &Estimate) {
+            self.1 = estimate.clone();
+        }
+    }
+
+    fn fixed(kind: EstimatorKind, z: f64, yaw: f64) -> Box<dyn Estimator> {
+        let estimate = Estimate {
+            position_enu_m: Vector3::new(0.0, 0.0, z),
+            world_from_body: UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+            health: Health::Healthy,
+            ..Estimate::default()
+        };
+        Box::new(Fixed(kind, estimate))
+    }
+
+    #[test]
+    fn a_switch_makes_no_bump_and_dies_away() {
+        let both = vec![fixed(EstimatorKind::EkfBias, 1.0, 0.0), fixed(EstimatorKind::Complementary, 1.3, 0.4)];
+        let mut bank = Bank::new(both, EstimatorKind::EkfBias).unwrap();
+        let (frame, command) = (SensorFrame::default(), MotorCommand::default());
+        let before = bank.step(&frame, &command, 0.005).clone();
+        bank.select(EstimatorKind::Complementary).unwrap();
+        let after = bank.step(&frame, &command, 0.005).clone();
+        assert!((after.position_enu_m.z - before.position_enu_m.z).abs() < 0.3 * 0.011);
+        assert!(after.world_from_body.angle_to(&before.world_from_body) < 0.4 * 0.011);
+        for _ in 0..1000 {
+            bank.step(&frame, &command, 0.005);
+        }
+        assert!((bank.in_loop().position_enu_m.z - 1.3).abs() < 1e-4);
+        assert_eq!(bank.in_loop_kind(), EstimatorKind::Complementary);
+        assert_eq!(bank.estimate_of(EstimatorKind::EkfBias).unwrap().position_enu_m.z, 1.0);
+    }
+
+    #[test]
+    fn each_step_is_timed_by_the_stopwatch_given() {
+        thread_local!(static NS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) });
+        // 2 µs, 4 µs, 6 µs … between one reading and the next.
+        fn stopwatch() -> u64 {
+            NS.set(NS.get() + 2000);
+            NS.get() * NS.get() / 4000
+        }
+        let (frame, command) = (SensorFrame::default(), MotorCommand::default());
+        let both = vec![fixed(EstimatorKind::EkfBias, 1.0, 0.0), fixed(EstimatorKind::Complementary, 1.3, 0.4)];
+        let mut bank = Bank::new(both, EstimatorKind::EkfBias).unwrap();
+        bank.step(&frame, &command, 0.005);
+        assert_eq!(bank.step_time_us(EstimatorKind::EkfBias), 0.0);
+        bank.time_steps_with(stopwatch);
+        bank.step(&frame, &command, 0.005);
+        assert_eq!(
+            (bank.step_time_us(EstimatorKind::EkfBias), bank.step_time_us(EstimatorKind::Complementary)),
+            (3.0, 5.0)
+        );
+        assert_eq!(bank.step_time_us(EstimatorKind::Ukf), 0.0);
+    }
+
+    #[test]
+    fn what_can_be_configured_is_built_and_the_rest_is_refused() {
+        let (airframe, options) = (Airframe::iris(), EkfOptions::default());
+        let assumed = Assumptions { airframe: &airframe, sensors: &options, window_slots: SLOTS };
+        use EstimatorKind as K;
+        for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
+            assert_eq!(build(kind, &assumed).unwrap().kind(), kind);
+        }
+        assert_eq!(build(K::Unspecified, &assumed).err(), Some(BankError::NotAvailable(K::Unspecified)));
+    }
+
+    #[test]
+    fn impossible_banks_are_refused() {
+        let kind = EstimatorKind::EkfBias;
+        assert_eq!(Bank::new(vec![], kind).unwrap_err(), BankError::Empty);
+        assert_eq!(
+            Bank::new(vec![fixed(kind, 0.0, 0.0), fixed(kind, 0.0, 0.0)], kind).unwrap_err(),
+            BankError::Twice(kind)
+        );
+        let missing = EstimatorKind::Ukf;
+        assert_eq!(Bank::new(vec![fixed(kind, 0.0, 0.0)], missing).unwrap_err(), BankError::NotRunning(missing));
+    }
+}

@@ -1,0 +1,346 @@
+//! Nine-state position filter of [Strategies]: a particle whose acceleration is constant between samples
+//! and jumps at random ("particle" names the moving point, nothing Monte Carlo).
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | E | x y z, ẋ ẏ ż, ẍ ÿ z̈, world ENU | m, m/s, m/s² |
+//! | Γ | transition over t | |
+//! | Q | white jerk of density q: q [t⁵/20 t⁴/8 t³/6; t⁴/8 t³/3 t²/2; t³/6 t²/2 t] for each axis | |
+//! | H, R | the rows that arrived, and their noise | |
+//!
+//! Deviations from [Strategies] (ERRATA): Γ(3,9) is t²/2 (9); the exponent of the barometer belongs to the
+//! ratio (10); gravity is taken off the rotated specific force (11); H holds the rows that arrived, since
+//! GNSS comes once a second (12).
+
+use nalgebra::{SMatrix, SVector, Vector3};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use super::aiding::freshness::Freshness;
+use super::ekf_bias::EkfOptions;
+use super::vqf::{VqfEstimator, VqfOptions};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, kalman};
+use crate::model::measure::barometer;
+use crate::sensor::SensorFrame;
+use crate::types::MotorCommand;
+
+/// States.
+pub const N: usize = 9;
+type E = SVector<f64, N>;
+type M = SMatrix<f64, N, N>;
+
+/// The filter proper.
+#[derive(Debug, Clone)]
+pub struct ConstantAcceleration {
+    /// Position, velocity, acceleration.
+    pub x: E,
+    /// Covariance.
+    pub p: M,
+    /// Jerk density, (m/s³)²/Hz.
+    pub jerk_density: f64,
+}
+
+impl ConstantAcceleration {
+    /// Starts at `x` with covariance `p`.
+    pub fn new(x: E, p: M, jerk_density: f64) -> Self {
+        Self { x, p, jerk_density }
+    }
+
+    /// Γ over `t` seconds.
+    pub fn transition(t: f64) -> M {
+        let mut gamma = M::identity();
+        for axis in 0..3 {
+            gamma[(axis, axis + 3)] = t;
+            // Deviation from [Strategies], errata 9: ½t² in the third row as well.
+            gamma[(axis, axis + 6)] = 0.5 * t * t;
+            gamma[(axis + 3, axis + 6)] = t;
+        }
+        gamma
+    }
+
+    /// Q over `t` seconds.
+    pub fn process_noise(&self, t: f64) -> M {
+        let q = self.jerk_density;
+        let mut noise = M::zeros();
+        for axis in 0..3 {
+            let (p, v, a) = (axis, axis + 3, axis + 6);
+            let entries = [
+                (p, p, t.powi(5) / 20.0),
+                (p, v, t.powi(4) / 8.0),
+                (p, a, t.powi(3) / 6.0),
+                (v, v, t.powi(3) / 3.0),
+                (v, a, t.powi(2) / 2.0),
+                (a, a, t),
+            ];
+            for (i, j, value) in entries {
+                noise[(i, j)] = q * value;
+                noise[(j, i)] = q * value;
+            }
+        }
+        noise
+    }
+
+    /// Ê⁻ = Γ Ê, P⁻ = Γ P Γᵀ + Q.
+    pub fn predict(&mut self, t: f64) {
+        let gamma = Self::transition(t);
+        self.x = gamma * self.x;
+        self.p = kalman::predict(&self.p, &gamma, &self.process_noise(t));
+    }
+
+    /// Corrects state `i` with `value`; innovation, its sigma, and whether it passed `gate` sigmas.
+    pub fn correct(&mut self, i: usize, value: f64, sigma: f64, gate: f64) -> (f64, f64, bool) {
+        let mut h = E::zeros();
+        h[i] = 1.0;
+        let (ph, s) = kalman::innovation_variance(&self.p, &h, sigma * sigma);
+        let innovation = value - self.x[i];
+        let accepted = innovation.is_finite() && s > 0.0 && innovation.abs() <= gate * s.sqrt();
+        if accepted {
+            let k = ph / s;
+            self.x += k * innovation;
+            kalman::correct_scalar(&mut self.p, &h, sigma * sigma, &k);
+        }
+        (innovation, s.sqrt(), accepted)
+    }
+}
+
+/// Largest jerk of a vehicle in a lab, (m/s³)²/Hz.
+const JERK_DENSITY: f64 = 4.0;
+/// One-sigma of the acceleration measured: attitude error times g, and vibration, m/s².
+const ACCELERATION_SIGMA_MPS2: f64 = 0.5;
+/// Position is known this long after the last sample, s.
+const MEMORY_S: f64 = 3.0;
+/// Rejections for this long make the filter start again where the sensors say, s.
+const RECOVERY_S: f64 = 2.0;
+
+/// The filter as an estimator: its attitude comes from the gyroscope-integrating filter, its acceleration
+/// from the specific force turned by it, gravity taken off.
+pub struct ConstantAccelerationEstimator {
+    options: EkfOptions,
+    attitude: VqfEstimator,
+    filter: ConstantAcceleration,
+    last: Option<FlightTime>,
+    axes: [Freshness; 3],
+    barometer_origin_m: Option<f64>,
+    heights_present: bool,
+    estimate: Estimate,
+}
+
+impl ConstantAccelerationEstimator {
+    /// With the sigmas and gates of `options`.
+    pub fn new(options: EkfOptions, attitude: VqfOptions) -> Self {
+        let mut p = M::identity() * 100.0;
+        for i in 3..N {
+            p[(i, i)] = 1.0;
+        }
+        Self {
+            options,
+            attitude: VqfEstimator::new(attitude),
+            filter: ConstantAcceleration::new(E::zeros(), p, JERK_DENSITY),
+            last: None,
+            axes: [Freshness::default(); 3],
+            barometer_origin_m: None,
+            heights_present: false,
+            estimate: Estimate::default(),
+        }
+    }
+
+    /// One scalar `(what, state, value)` with `(sigma, gate)`.
+    fn take(&mut self, id: SensorId, (channel, i, value): (Channel, usize, f64), (sigma, gate): (f64, f64)) {
+        let now = self.last.unwrap_or_default();
+        if !value.is_finite() {
+            return;
+        }
+        let axis = i % 3;
+        let position = i < 3;
+        if position && self.axes[axis].rejected_s(now) > RECOVERY_S {
+            self.filter.x[i] = value;
+            self.filter.p.row_mut(i).fill(0.0);
+            self.filter.p.column_mut(i).fill(0.0);
+            self.filter.p[(i, i)] = sigma * sigma;
+            self.filter.p[(i + 3, i + 3)] += 1.0;
+        }
+        let (innovation, s, accepted) = self.filter.correct(i, value, sigma, gate);
+        let _ = self.estimate.residuals.try_push(Residual {
+            sensor: id,
+            channel,
+            innovation,
+            sigma: s,
+            gate: gate * s,
+            accepted,
+        });
+        if position {
+            self.axes[axis].note(now, accepted);
+        }
+    }
+
+    fn take_positions(&mut self, frame: &SensorFrame) {
+        const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
+        const V: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
+        let gates = self.options.gates;
+        for (i, sample) in frame.heights.iter().enumerate() {
+            if let Some(sample) = sample {
+                self.heights_present = true;
+                let id = SensorId::new(SensorKind::Height, i as u8 + 1);
+                self.take(id, (Channel::Height, 2, sample.height_m), (self.options.height_sigma_m, gates.height));
+            }
+        }
+        if let Some(sample) = frame.mocap_pose {
+            let id = SensorId::new(SensorKind::MocapPose, 1);
+            for (axis, channel) in XYZ.into_iter().enumerate() {
+                let sigma = self.options.mocap_position_sigma_m;
+                self.take(id, (channel, axis, sample.position_enu_m[axis]), (sigma, gates.mocap_pose));
+            }
+        }
+        if let Some(sample) = frame.gnss {
+            let id = SensorId::new(SensorKind::Gnss, 1);
+            let horizontal = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
+            let vertical = sample.vertical_sigma_m.max(self.options.gnss_floor_m);
+            for axis in 0..3 {
+                if axis < 2 || !self.heights_present {
+                    let sigma = if axis < 2 { horizontal } else { vertical };
+                    self.take(id, (XYZ[axis], axis, sample.position_enu_m[axis]), (sigma, gates.gnss));
+                }
+                let sigma = self.options.gnss_velocity_sigma_mps;
+                self.take(id, (V[axis], axis + 3, sample.velocity_enu_mps[axis]), (sigma, gates.gnss));
+            }
+        }
+        // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.
+        if let Some(sample) = frame.barometers[0].filter(|_| !self.heights_present && frame.gnss.is_none()) {
+            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            if altitude.is_finite() {
+                let origin = *self.barometer_origin_m.get_or_insert(altitude - self.filter.x[2]);
+                let id = SensorId::new(SensorKind::Barometer, 1);
+                let sigma = self.options.barometer_sigma_m;
+                self.take(id, (Channel::PressureAltitude, 2, altitude - origin), (sigma, gates.barometer));
+            }
+        }
+    }
+}
+
+impl Estimator for ConstantAccelerationEstimator {
+    fn kind(&self) -> EstimatorKind {
+        EstimatorKind::ConstantAcceleration
+    }
+
+    fn step(&mut self, received: &SensorFrame, applied: &MotorCommand) -> &Estimate {
+        let now = received.time;
+        let dt_s = self.last.map_or(0.0, |t| now.seconds_since(t)).clamp(0.0, 1.0);
+        self.last = Some(now);
+        let attitude = self.attitude.step(received, applied);
+        let (world_from_body, ready) = (attitude.world_from_body, attitude.health != Health::Initialising);
+        self.estimate.body_rates_radps = attitude.body_rates_radps;
+        self.estimate.gyro_bias_radps = attitude.gyro_bias_radps;
+        self.estimate.residuals.clear();
+        self.filter.predict(dt_s);
+        let mut force = Vector3::zeros();
+        let mut count = 0.0;
+        for imu in received.imus.iter().flatten().filter(|s| s.accel_mps2.iter().all(|x| x.is_finite())) {
+            force += imu.accel_mps2;
+            count += 1.0;
+        }
+        if count > 0.0 && ready {
+            // Deviation from [Strategies], errata 11: Q a Q* still holds gravity.
+            let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.options.gravity_mps2);
+            for axis in 0..3 {
+                self.filter.correct(6 + axis, acceleration[axis], ACCELERATION_SIGMA_MPS2, 10.0);
+            }
+        }
+        self.take_positions(received);
+        let known = |axis: usize| self.axes[axis].within(now, MEMORY_S);
+        let (horizontal, vertical) = (known(0) || known(1), known(2));
+        for (axis, aided) in [(0, horizontal), (1, horizontal), (2, vertical)] {
+            // Where nothing is measured the double integral must not run away.
+            if !aided {
+                self.filter.correct(axis + 3, 0.0, 5.0, f64::INFINITY);
+                self.filter.correct(axis, self.filter.x[axis], 30.0, f64::INFINITY);
+            }
+        }
+
+        let (x, p) = (&self.filter.x, &self.filter.p);
+        let sigma = |i: usize| Vector3::from_fn(|a, _| p[(i + a, i + a)].max(0.0).sqrt());
+        let e = &mut self.estimate;
+        e.time = now;
+        e.position_enu_m = x.fixed_rows::<3>(0).into_owned();
+        e.velocity_enu_mps = x.fixed_rows::<3>(3).into_owned();
+        e.world_from_body = world_from_body;
+        e.position_sigma_m = sigma(0);
+        e.velocity_sigma_mps = sigma(3);
+        e.horizontal_known = horizontal;
+        e.altitude_known = vertical;
+        e.health = if !ready {
+            Health::Initialising
+        } else if self.axes[2].lapsed(now, MEMORY_S) || self.attitude.estimate().health == Health::Degraded {
+            Health::Degraded
+        } else {
+            Health::Healthy
+        };
+        &self.estimate
+    }
+
+    fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    fn reset_to(&mut self, estimate: &Estimate) {
+        self.attitude.reset_to(estimate);
+        self.filter.x = E::zeros();
+        self.filter.x.fixed_rows_mut::<3>(0).copy_from(&estimate.position_enu_m);
+        self.filter.x.fixed_rows_mut::<3>(3).copy_from(&estimate.velocity_enu_mps);
+        self.estimate = estimate.clone();
+        self.estimate.residuals.clear();
+        self.last = Some(estimate.time);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::{HeightSample, ImuSample};
+
+    #[test]
+    fn equals_the_independent_reference() {
+        let Some(file) = crate::shared::shared("reference/point_mass_kf.csv") else { return };
+        let mut filter = ConstantAcceleration::new(E::zeros(), M::identity(), 1.0);
+        let sigmas = [3.0, 3.0, 0.5, 0.2, 0.2, 0.2];
+        let places = [0, 1, 2, 6, 7, 8];
+        let mut worst = 0.0f64;
+        for record in csv::Reader::from_path(file).unwrap().records() {
+            let v: Vec<f64> = record.unwrap().iter().map(|x| x.parse().unwrap()).collect();
+            filter.predict(0.02);
+            for k in 0..6 {
+                filter.correct(places[k], v[1 + k], sigmas[k], f64::INFINITY);
+            }
+            worst = worst.max((filter.x - E::from_column_slice(&v[16..25])).amax());
+        }
+        println!("point_mass: largest difference {worst:.1e}");
+        assert!(worst < 1e-9, "{worst}");
+    }
+
+    #[test]
+    fn height_is_followed_and_horizontal_stays_bounded() {
+        let mut estimator = ConstantAccelerationEstimator::new(EkfOptions::default(), VqfOptions::default());
+        for k in 0..6000u64 {
+            let time = FlightTime(k * 5000);
+            let t = k as f64 * 0.005;
+            let (z, a) = (1.0 + 0.3 * (0.8 * t).sin(), -0.3 * 0.64 * (0.8 * t).sin());
+            let mut frame = SensorFrame { time, ..SensorFrame::default() };
+            frame.imus[0] = Some(ImuSample {
+                time,
+                gyro_radps: Vector3::zeros(),
+                accel_mps2: Vector3::new(0.05, 0.0, 9.81 + a),
+                mag_ut: None,
+                temperature_c: 20.0,
+            });
+            if k % 20 == 0 {
+                frame.heights[0] = Some(HeightSample { time, height_m: z });
+            }
+            let e = estimator.step(&frame, &MotorCommand::default());
+            if k > 1000 {
+                assert!((e.position_enu_m.z - z).abs() < 0.03, "{} for {z} at {t}", e.position_enu_m.z);
+                assert!(e.position_enu_m.xy().norm() < 5.0 && e.velocity_enu_mps.xy().norm() < 1.0, "{e:?}");
+                assert_eq!(e.health, Health::Healthy);
+            }
+        }
+    }
+}

@@ -1,0 +1,466 @@
+//! Error-state EKF with accelerometer- and gyroscope-bias states ([Paternain] V, on the corrected model).
+//!
+//! The IMUs are the process input, not measurements: their errors are the biases and the noise in Q.
+//! [Paternain] feeds velocities integrated from the accelerometer back as measurements, which counts the
+//! same noise twice (errata 8); here velocity is predicted by them and corrected by what really measures it.
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | p, v | position and velocity in the world frame ENU | m, m/s |
+//! | R | world_from_body; error δφ about the world axes, R = exp(δφ×)R̂ | rad |
+//! | b_a, b_g | biases: f = f_m − b_a, ω = ω_m − b_g | m/s², rad/s |
+//! | f, ω | specific force and angular rate in the body frame, consensus of the IMUs | m/s², rad/s |
+//!
+//! ```text
+//! ṗ = v     v̇ = R f + g     Ṙ = R ω×                       [Paternain] Eq. 2 in the world frame
+//! ```
+//!
+//! One tick: consensus of the IMUs, propagate, remember, correct with what arrived (`aiding.rs`), and bound
+//! what nothing measures. Without horizontal aiding the accelerometer's horizontal bias cannot be distinguished from
+//! tilt (rank 8 of 15, errata 8): its variance then simply stays at its prior.
+//!
+//! Assumes: a flat, still world (no Earth rate), IMUs near the centre of mass.
+
+mod aiding;
+mod align;
+mod covariance;
+mod heading;
+mod history;
+mod idle;
+mod imus;
+mod options;
+#[cfg(test)]
+mod tests;
+mod vertical;
+mod yaw;
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
+
+pub use options::{EkfOptions, Gates};
+
+use self::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
+use self::align::{Aligned, Alignment};
+use self::covariance::{Covariance, ErrorState, Noise, ix};
+use self::heading::Headings;
+use self::history::History;
+use self::idle::Idle;
+use self::imus::{Imus, Inertial, Rest};
+use self::vertical::{Barometers, Heights};
+use super::aiding::freshness::Freshness;
+use super::consistency::{self, Nees};
+use super::yaw_mixture::YawMixture;
+use super::{Estimate, Estimator, EstimatorKind, Health};
+use crate::model::measure::Kinematics;
+use crate::sensor::{MAX_BAROMETERS, SensorFrame};
+use crate::types::MotorCommand;
+
+/// Longest step integrated at once, s; longer ones are divided.
+const LONGEST_STEP_S: f64 = 0.02;
+/// A gap longer than this is not integrated across, s: the attitude is found again.
+const LONGEST_GAP_S: f64 = 1.0;
+/// No IMU for this long is degraded, s.
+const IMU_SILENCE_S: f64 = 0.1;
+/// A tilt less certain than this is degraded, rad.
+const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
+
+/// The estimated state.
+#[derive(Debug, Clone)]
+struct State {
+    kinematics: Kinematics,
+    accel_bias_mps2: Vector3<f64>,
+    gyro_bias_radps: Vector3<f64>,
+    barometer_offset_m: [f64; MAX_BAROMETERS],
+}
+
+/// The filter. See the module.
+#[derive(Clone)]
+pub struct EkfBias {
+    options: EkfOptions,
+    state: State,
+    p: Covariance,
+    history: History,
+    imus: Imus,
+    estimate: Estimate,
+
+    aligned: bool,
+    alignment: Alignment,
+    now: Option<FlightTime>,
+    /// The last consensus of the IMUs.
+    inertial: Option<Inertial>,
+    rest: Rest,
+
+    horizontal: Freshness,
+    vertical: Freshness,
+    heights: Heights,
+    barometers: Barometers,
+    headings: Headings,
+    pose_yaw: Freshness,
+    /// Measured by a magnetometer or motion capture.
+    yaw_known: bool,
+    mixture: YawMixture,
+    idle: Idle,
+    /// Sums of the corrections of height (m) and climb (m/s).
+    corrected: (f64, f64),
+}
+
+impl EkfBias {
+    /// Nothing known yet; it aligns itself on the first second of samples.
+    pub fn new(options: EkfOptions) -> Self {
+        Self {
+            imus: Imus::new(&options),
+            options,
+            state: State {
+                kinematics: Kinematics {
+                    position_enu_m: Vector3::zeros(),
+                    velocity_enu_mps: Vector3::zeros(),
+                    world_from_body: UnitQuaternion::identity(),
+                },
+                accel_bias_mps2: Vector3::zeros(),
+                gyro_bias_radps: Vector3::zeros(),
+                barometer_offset_m: [0.0; MAX_BAROMETERS],
+            },
+            p: Covariance::zeros(),
+            history: History::new(),
+            estimate: Estimate::default(),
+            aligned: false,
+            alignment: Alignment::new(),
+            now: None,
+            inertial: None,
+            rest: Rest::default(),
+            horizontal: Freshness::default(),
+            vertical: Freshness::default(),
+            heights: Heights::default(),
+            barometers: Barometers::default(),
+            headings: Headings::default(),
+            pose_yaw: Freshness::default(),
+            yaw_known: false,
+            mixture: YawMixture::new(),
+            idle: Idle::default(),
+            corrected: (0.0, 0.0),
+        }
+    }
+
+    /// Covariance of the error state: δp, δv, δφ (about the world axes), δb_a, δb_g, barometer offsets.
+    /// For consistency tests (NEES) and plots.
+    pub fn covariance(&self) -> &nalgebra::SMatrix<f64, 17, 17> {
+        &self.p
+    }
+
+    /// Sums of all corrections of height (m) and climb (m/s) so far: what lies between its path and the one that
+    /// the IMUs alone would have given.
+    pub fn vertical_corrections(&self) -> (f64, f64) {
+        self.corrected
+    }
+
+    /// From now on a height's noise is taken for `sigma_m`; its gate and its reach stay what they are in metres.
+    pub fn assume_height_sigma(&mut self, sigma_m: f64) {
+        let o = &mut self.options;
+        let factor = o.height_sigma_m / sigma_m;
+        (o.height_sigma_m, o.gates.height, o.height_reach) =
+            (sigma_m, o.gates.height * factor, o.height_reach * factor);
+    }
+
+    /// An attacked IMU was used: up to half a gate of its attack may have been taken for a bias. Opens the
+    /// variance of the accelerometer's bias again where something measures it: upward, and in the plane while the
+    /// horizontal position is known.
+    pub fn open_accel_bias(&mut self) {
+        let consensus = &self.options.accel_consensus;
+        let sigma = 0.5 * consensus.gate * consensus.sigma;
+        let up = self.state.kinematics.world_from_body.inverse() * Vector3::z();
+        let plane = self.now.is_some_and(|now| self.horizontal.within(now, HORIZONTAL_MEMORY_S));
+        let measured = if plane { Matrix3::identity() } else { up * up.transpose() };
+        let mut block = self.p.fixed_view_mut::<3, 3>(ix::ACCEL_BIAS, ix::ACCEL_BIAS);
+        block += measured * (sigma * sigma);
+    }
+
+    /// Specific force at the last IMU sample, biases removed, body FLU, m/s²; `None` before the first.
+    pub fn specific_force_mps2(&self) -> Option<Vector3<f64>> {
+        self.inertial.map(|i| i.accel_mps2 - self.state.accel_bias_mps2)
+    }
+
+    /// The options in use.
+    pub fn options(&self) -> &EkfOptions {
+        &self.options
+    }
+
+    /// The state when a sample of `time` was taken, and its age, s.
+    fn past(&self, time: FlightTime, now: FlightTime) -> (Kinematics, f64) {
+        self.history.at(time, now, &self.state.kinematics)
+    }
+
+    /// x ← x ⊕ δx.
+    fn inject(&mut self, dx: &ErrorState) {
+        let block = |i: usize| Vector3::new(dx[i], dx[i + 1], dx[i + 2]);
+        let (position, velocity, attitude) = (block(ix::POSITION), block(ix::VELOCITY), block(ix::ATTITUDE));
+        let k = &mut self.state.kinematics;
+        k.position_enu_m += position;
+        k.velocity_enu_mps += velocity;
+        k.world_from_body = UnitQuaternion::from_scaled_axis(attitude) * k.world_from_body;
+        self.state.accel_bias_mps2 += block(ix::ACCEL_BIAS);
+        self.state.gyro_bias_radps += block(ix::GYRO_BIAS);
+        for (i, offset) in self.state.barometer_offset_m.iter_mut().enumerate() {
+            *offset += dx[ix::BAROMETER + i];
+        }
+        self.corrected.0 += position.z;
+        self.corrected.1 += velocity.z;
+        self.history.corrected(&position, &velocity, &attitude);
+    }
+
+    /// Moves the position without touching P.
+    fn shift(&mut self, by: Vector3<f64>) {
+        self.state.kinematics.position_enu_m += by;
+        self.corrected.0 += by.z;
+        self.history.corrected(&by, &Vector3::zeros(), &Vector3::zeros());
+    }
+
+    /// Turns yaw without touching P. Horizontal velocity turns with it.
+    fn turn(&mut self, yaw_rad: f64) {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * yaw_rad);
+        let k = &mut self.state.kinematics;
+        k.world_from_body = turn * k.world_from_body;
+        self.history.corrected(&Vector3::zeros(), &Vector3::zeros(), &(Vector3::z() * yaw_rad));
+    }
+
+    /// Attitude from the first samples; the rest of the state starts around it.
+    fn align(&mut self, frame: &SensorFrame, dt_s: f64, inertial: &Inertial) {
+        let mut field = Vector3::zeros();
+        let mut fields = 0.0;
+        for mag in frame.imus.iter().flatten().filter_map(|s| s.mag_ut).filter(|m| m.iter().all(|x| x.is_finite())) {
+            field += mag;
+            fields += 1.0;
+        }
+        let field = (fields > 0.0).then(|| field / fields);
+        let (gravity, declination) = (self.options.gravity_mps2, self.options.declination_rad);
+        let (gyro, accel) = (&inertial.gyro_radps, &inertial.accel_mps2);
+        if let Some(found) = self.alignment.push(dt_s, gyro, accel, field.as_ref(), gravity, declination) {
+            self.begin(&found);
+        }
+    }
+
+    fn begin(&mut self, found: &Aligned) {
+        let o = &self.options;
+        self.state.kinematics.world_from_body = found.world_from_body;
+        self.state.gyro_bias_radps = found.gyro_bias_radps;
+        let (tilt, gyro_bias, velocity) = if found.at_rest {
+            (align::TILT_SIGMA_REST_RAD, align::GYRO_BIAS_SIGMA_REST_RADPS, 0.1)
+        } else {
+            (align::TILT_SIGMA_MOVING_RAD, o.gyro_bias_prior_radps, 3.0)
+        };
+        self.yaw_known = found.field_ut.is_some();
+        let yaw = if self.yaw_known { align::YAW_SIGMA_FIELD_RAD } else { o.unknown_yaw_sigma_rad };
+        self.p = Covariance::zeros();
+        for i in 0..3 {
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = o.idle_position_sigma_m.powi(2);
+            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = velocity * velocity;
+            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = if i == 2 { yaw * yaw } else { tilt * tilt };
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = o.accel_bias_prior_mps2.powi(2);
+            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = gyro_bias * gyro_bias;
+        }
+        self.aligned = true;
+        self.vertical = Freshness::default();
+        if self.yaw_known || self.mixture.horizontal().is_none() {
+            self.horizontal = Freshness::default();
+        }
+        self.heights.freshness = Freshness::default();
+        self.barometers.forget();
+        self.history.clear();
+    }
+
+    /// Propagates state and covariance to `frame.time`.
+    fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
+        let o = &self.options;
+        let share = 1.0 / self.imus.used() as f64;
+        let noise = Noise {
+            accel: o.accel_noise_density.powi(2) * share + o.common_accel_noise_density.powi(2),
+            gyro: o.gyro_noise_density.powi(2) * share + o.common_gyro_noise_density.powi(2),
+            accel_bias: (o.accel_bias_walk.powi(2), o.accel_bias_prior_mps2.powi(2)),
+            gyro_bias: (o.gyro_bias_walk.powi(2), o.gyro_bias_prior_radps.powi(2)),
+            barometer: o.barometer_walk.powi(2),
+        };
+        let rate = rate_radps - self.state.gyro_bias_radps;
+        let force = force_mps2 - self.state.accel_bias_mps2;
+        let gravity = Vector3::new(0.0, 0.0, -o.gravity_mps2);
+        let steps = (dt_s / LONGEST_STEP_S).ceil().clamp(1.0, 64.0);
+        let dt = dt_s / steps;
+        for _ in 0..steps as usize {
+            let k = &mut self.state.kinematics;
+            let middle = (k.world_from_body * UnitQuaternion::from_scaled_axis(rate * (0.5 * dt))).to_rotation_matrix();
+            let force_world = middle * force;
+            let acceleration = force_world + gravity;
+            k.position_enu_m += k.velocity_enu_mps * dt + acceleration * (0.5 * dt * dt);
+            k.velocity_enu_mps += acceleration * dt;
+            k.world_from_body *= UnitQuaternion::from_scaled_axis(rate * dt);
+            covariance::propagate(&mut self.p, &force_world, middle.matrix(), dt, &noise);
+        }
+        self.state.kinematics.world_from_body.renormalize_fast();
+    }
+
+    /// Rate and force that, held over the last `dt_s`, make the whole interval between two IMU samples a
+    /// trapezoid. Ticks without an IMU sample hold the last one; the next sample makes up for it.
+    fn bridge(&self, previous: &Inertial, current: &Inertial, dt_s: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let whole = current.time.seconds_since(previous.time);
+        let held = (whole - dt_s).max(0.0);
+        let mean = |a: &Vector3<f64>, b: &Vector3<f64>| {
+            let trapezoid = (a + b) * 0.5;
+            if held > 1e-6 && held < 4.0 * dt_s { (trapezoid * whole - a * held) / dt_s } else { trapezoid }
+        };
+        (mean(&previous.gyro_radps, &current.gyro_radps), mean(&previous.accel_mps2, &current.accel_mps2))
+    }
+
+    fn health(&self, now: FlightTime) -> Health {
+        if !self.aligned {
+            return Health::Initialising;
+        }
+        let tilt = self.p[(ix::ATTITUDE, ix::ATTITUDE)].max(self.p[(ix::ATTITUDE + 1, ix::ATTITUDE + 1)]);
+        let silent = self.inertial.is_none_or(|i| now.seconds_since(i.time) > IMU_SILENCE_S);
+        // Altitude was measured once and is not any more.
+        let altitude_lost = (self.heights.present || self.vertical.ever()) && !self.altitude_known(now);
+        let tilted = tilt.is_nan() || tilt > TILT_SIGMA_DEGRADED_RAD.powi(2);
+        if silent || !self.imus.trusted() || altitude_lost || tilted { Health::Degraded } else { Health::Healthy }
+    }
+
+    /// Measured lately; by lasers, where there are any.
+    fn altitude_known(&self, now: FlightTime) -> bool {
+        self.vertical.within(now, VERTICAL_MEMORY_S)
+            && (!self.heights.present || self.heights.freshness.within(now, VERTICAL_MEMORY_S))
+    }
+
+    fn publish(&mut self, now: FlightTime) {
+        let k = &self.state.kinematics;
+        let sigma = |i: usize| Vector3::from_fn(|a, _| self.p[(i + a, i + a)].max(0.0).sqrt());
+        let e = &mut self.estimate;
+        e.time = now;
+        e.position_enu_m = k.position_enu_m;
+        e.velocity_enu_mps = k.velocity_enu_mps;
+        e.world_from_body = k.world_from_body;
+        e.accel_bias_mps2 = self.state.accel_bias_mps2;
+        e.gyro_bias_radps = self.state.gyro_bias_radps;
+        if let Some(i) = &self.inertial {
+            e.body_rates_radps = i.gyro_radps - self.state.gyro_bias_radps;
+        }
+        e.position_sigma_m = sigma(ix::POSITION);
+        e.velocity_sigma_mps = sigma(ix::VELOCITY);
+        e.attitude_sigma_rad = sigma(ix::ATTITUDE);
+        e.horizontal_known = self.horizontal.within(now, HORIZONTAL_MEMORY_S);
+        self.estimate.altitude_known = self.altitude_known(now);
+        self.estimate.health = self.health(now);
+    }
+
+    /// Starts over where it last made sense: numbers that are not finite must never fly.
+    fn recover_from_numbers(&mut self) {
+        let kept = std::mem::take(&mut self.estimate);
+        self.reset_to(&kept);
+        self.estimate.health = Health::Degraded;
+    }
+}
+
+impl Estimator for EkfBias {
+    fn kind(&self) -> EstimatorKind {
+        EstimatorKind::EkfBias
+    }
+
+    fn step(&mut self, received: &SensorFrame, applied: &MotorCommand) -> &Estimate {
+        let now = received.time;
+        let dt_s = self.now.map_or(0.0, |t| now.seconds_since(t)).max(0.0);
+        self.now = Some(now.max(self.now.unwrap_or_default()));
+        self.estimate.residuals.clear();
+        if self.aligned && dt_s > LONGEST_GAP_S {
+            self.aligned = false;
+            self.alignment = Alignment::new();
+            self.inertial = None;
+            self.heights.since = None;
+        }
+
+        let previous = self.inertial;
+        let current = self.imus.take(received, &self.state.gyro_bias_radps, &mut self.estimate.residuals);
+        let since = previous.map_or(0.0, |p| now.seconds_since(p.time));
+        self.feed_mixture(received, current.as_ref(), since);
+        if !self.aligned {
+            if let Some(inertial) = current {
+                let dt_s = previous.map_or(0.0, |p| inertial.time.seconds_since(p.time));
+                self.inertial = Some(inertial);
+                self.align(received, dt_s, &inertial);
+                self.follow_mixture();
+            }
+            self.take_heights(received);
+            self.publish(now);
+            return &self.estimate;
+        }
+
+        let input = match (&previous, &current) {
+            (Some(p), Some(c)) if dt_s > 0.0 => self.bridge(p, c, dt_s),
+            (_, Some(i)) | (Some(i), None) => (i.gyro_radps, i.accel_mps2),
+            (None, None) => (self.state.gyro_bias_radps, self.gravity_in_body()),
+        };
+        if dt_s > 0.0 {
+            self.propagate(dt_s, &input.0, &input.1);
+        }
+        if let Some(inertial) = current {
+            self.inertial = Some(inertial);
+            self.rest.take(dt_s, &inertial, &self.state.gyro_bias_radps, applied, &self.options);
+        }
+        self.history.push(now, &self.state.kinematics);
+        self.aid(received);
+        self.follow_mixture();
+        self.aid_idle(now);
+
+        let good = self.state.kinematics.position_enu_m.iter().all(|x| x.is_finite())
+            && self.state.kinematics.velocity_enu_mps.iter().all(|x| x.is_finite())
+            && self.state.kinematics.world_from_body.coords.iter().all(|x| x.is_finite())
+            && self.p.diagonal().iter().all(|x| x.is_finite() && *x >= 0.0);
+        if good {
+            self.publish(now);
+        } else {
+            self.recover_from_numbers();
+        }
+        &self.estimate
+    }
+
+    fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    fn reset_to(&mut self, estimate: &Estimate) {
+        let o = &self.options;
+        let or =
+            |given: f64, default: f64| if given.is_finite() && given > 0.0 { given * given } else { default * default };
+        self.p = Covariance::zeros();
+        for i in 0..3 {
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = or(estimate.position_sigma_m[i], 0.5);
+            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = or(estimate.velocity_sigma_mps[i], 0.5);
+            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = or(estimate.attitude_sigma_rad[i], 0.1);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = o.accel_bias_prior_mps2.powi(2);
+            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = o.gyro_bias_prior_radps.powi(2);
+        }
+        self.state.kinematics = Kinematics {
+            position_enu_m: estimate.position_enu_m,
+            velocity_enu_mps: estimate.velocity_enu_mps,
+            world_from_body: estimate.world_from_body,
+        };
+        self.state.accel_bias_mps2 = estimate.accel_bias_mps2;
+        self.state.gyro_bias_radps = estimate.gyro_bias_radps;
+        self.barometers.forget();
+        self.history.clear();
+        self.idle.anchor = estimate.position_enu_m;
+        self.yaw_known = true;
+        self.aligned = estimate.health != Health::Initialising;
+        self.alignment = Alignment::new();
+        self.now = Some(estimate.time.max(self.now.unwrap_or_default()));
+        self.estimate = estimate.clone();
+        self.estimate.residuals.clear();
+    }
+
+    fn nees(&self, truth: &Kinematics) -> Option<Nees> {
+        let error = consistency::error(truth, &self.state.kinematics);
+        consistency::nees(&error, &self.p.fixed_view::<9, 9>(0, 0).into_owned())
+    }
+}
+
+impl EkfBias {
+    /// The specific force of a vehicle that does not accelerate: held when there has never been a sample.
+    fn gravity_in_body(&self) -> Vector3<f64> {
+        let up = self.state.kinematics.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.options.gravity_mps2);
+        up + self.state.accel_bias_mps2
+    }
+}

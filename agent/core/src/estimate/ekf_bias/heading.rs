@@ -1,0 +1,79 @@
+//! Magnetic headings: yaw alone.
+
+use arrayvec::ArrayVec;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use super::EkfBias;
+use super::aiding::{Scalar, finite};
+use super::covariance::{forget, ix};
+use crate::estimate::aiding::freshness::Freshness;
+use crate::estimate::{Channel, median};
+use crate::frames::wrap_pi;
+use crate::model::measure;
+use crate::sensor::{MAX_IMUS, SensorFrame};
+
+/// The magnetometers.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Headings {
+    freshness: Freshness,
+    latest: [Option<FlightTime>; MAX_IMUS],
+    /// Strength of the field each measured first, µT.
+    strength_ut: [Option<f64>; MAX_IMUS],
+}
+
+impl EkfBias {
+    pub(super) fn aid_headings(&mut self, frame: &SensorFrame) {
+        let mut arrived: ArrayVec<(usize, f64), MAX_IMUS> = ArrayVec::new();
+        for (i, imu) in frame.imus.iter().enumerate() {
+            let Some(field) = imu.and_then(|s| s.mag_ut).filter(finite) else { continue };
+            if self.headings.latest[i]
+                .is_some_and(|t| frame.time.seconds_since(t) < self.options.heading_period_s - 1e-4)
+            {
+                continue;
+            }
+            let at = &self.state.kinematics;
+            if let Some(heading) = measure::heading::heading(at, &field, self.options.declination_rad) {
+                self.headings.latest[i] = Some(frame.time);
+                arrived.push((i, heading.row.innovation));
+            }
+        }
+        if arrived.is_empty() {
+            return;
+        }
+        if !self.yaw_known {
+            // The first magnetometer after a start without one.
+            self.turn(median(arrived.iter().map(|(_, y)| *y)));
+            forget(&mut self.p, ix::ATTITUDE + 2, super::align::YAW_SIGMA_FIELD_RAD.powi(2));
+            self.yaw_known = true;
+        }
+        let centre = if arrived.len() == 2 { 0.0 } else { median(arrived.iter().map(|(_, y)| *y)) };
+        arrived.sort_unstable_by(|a, b| wrap_pi(a.1 - centre).abs().total_cmp(&wrap_pi(b.1 - centre).abs()));
+        let mut used = false;
+        let mut undisturbed = false;
+        for (i, _) in arrived {
+            let Some(field) = frame.imus[i].and_then(|s| s.mag_ut) else { continue };
+            let at = &self.state.kinematics;
+            let Some(heading) = measure::heading::heading(at, &field, self.options.declination_rad) else { continue };
+            let strength = *self.headings.strength_ut[i].get_or_insert_with(|| field.norm());
+            let disturbed = (field.norm() / strength - 1.0).abs() > self.options.field_tolerance;
+            let sigma = (self.options.mag_sigma_ut / heading.horizontal_ut).hypot(self.options.heading_floor_rad);
+            let gate = self.options.gates.heading;
+            let mut scalar = Scalar::new(SensorKind::Imu, i + 1, Channel::Heading, heading.row, sigma, gate, 0.0);
+            scalar.yaw_only = true;
+            scalar.refused = disturbed;
+            undisturbed |= !disturbed;
+            used |= self.correct(&scalar);
+        }
+        if used || undisturbed {
+            self.headings.freshness.note(frame.time, used);
+        }
+        if !used && undisturbed && self.headings.freshness.rejected_s(frame.time) > 5.0 * self.options.recovery_s {
+            // A field of the right strength that has pointed elsewhere for long: let yaw's variance
+            // grow by 1°/√s until the gate lets it in. Gyroscopes hold yaw much longer than an iron
+            // shelf passes by.
+            let z = ix::ATTITUDE + 2;
+            self.p[(z, z)] += 0.0175f64.powi(2) * self.options.heading_period_s;
+        }
+    }
+}

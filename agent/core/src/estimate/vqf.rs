@@ -1,0 +1,222 @@
+//! VQF: attitude from gyroscope, accelerometer and magnetometer alone, the independent watchdog.
+//!
+//! After D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and
+//! magnetic disturbance rejection", Information Fusion 91 (2023), written anew from its description. It
+//! shares no state, no position sensor and, when given one IMU to use, no IMU with the filter in the loop:
+//! an attack on heights, GNSS or motion capture cannot reach it.
+//!
+//! 1. The gyroscope is integrated: almost inertial frame ← body.
+//! 2. The specific force, turned into that frame, is low-passed over several seconds: accelerations of a
+//!    vehicle that stays in a room average out, and turning does not smear. Its direction corrects tilt.
+//! 3. The magnetometer corrects heading alone (`vqf/heading.rs`).
+//! 4. Gyroscope bias: from the corrections in motion, from the gyroscope itself at rest (`vqf/bias.rs`).
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | q_g | integrated gyroscope | |
+//! | q_a | tilt correction, almost inertial → level | |
+//! | δ | heading of the level frame | rad |
+//! | b | gyroscope bias and its covariance P | rad/s |
+//! | τ | time constants | s |
+
+mod bias;
+mod estimator;
+mod heading;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+pub use self::estimator::VqfEstimator;
+
+use self::bias::{Bias, Rest};
+use self::heading::Heading;
+use super::fdir::consensus::ConsensusOptions;
+use super::low_pass::LowPass;
+
+/// One degree, rad.
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Time constants and thresholds; the defaults are those of the paper.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VqfOptions {
+    /// Nominal time between IMU samples, s; what really arrives is measured and used.
+    pub period_s: f64,
+    /// Low-pass of the specific force, s.
+    pub tau_accel_s: f64,
+    /// Heading correction, s.
+    pub tau_mag_s: f64,
+    /// Gyroscope bias at start, one-sigma, rad/s.
+    pub bias_sigma_radps: f64,
+    /// Time in which an uncorrected bias becomes 0.1 °/s uncertain, s.
+    pub bias_forgetting_s: f64,
+    /// Largest bias, rad/s.
+    pub bias_limit_radps: f64,
+    /// Use the magnetometer.
+    pub use_mag: bool,
+    /// Magnetic declination, rad, east positive.
+    pub declination_rad: f64,
+    /// Use only this IMU (index from 0); `None` uses the consensus of all.
+    pub imu: Option<usize>,
+    /// Consensus of the gyroscopes.
+    pub gyro_consensus: ConsensusOptions,
+    /// Consensus of the accelerometers.
+    pub accel_consensus: ConsensusOptions,
+}
+
+impl Default for VqfOptions {
+    fn default() -> Self {
+        let ekf = super::ekf_bias::EkfOptions::default();
+        Self {
+            period_s: 0.005,
+            tau_accel_s: 3.0,
+            tau_mag_s: 9.0,
+            bias_sigma_radps: 0.5 * DEGREE,
+            bias_forgetting_s: 100.0,
+            bias_limit_radps: 2.0 * DEGREE,
+            use_mag: true,
+            declination_rad: 0.0,
+            imu: None,
+            gyro_consensus: ekf.gyro_consensus,
+            accel_consensus: ekf.accel_consensus,
+        }
+    }
+}
+
+/// The filter proper: one gyroscope, one accelerometer, one magnetometer.
+#[derive(Debug, Clone)]
+pub struct Vqf {
+    options: VqfOptions,
+    period: Period,
+    /// q_g.
+    inertial_from_body: UnitQuaternion<f64>,
+    /// q_a.
+    level_from_inertial: UnitQuaternion<f64>,
+    force: LowPass<3>,
+    bias: Bias,
+    rest: Rest,
+    heading: Heading,
+}
+
+/// The low-passes want the real sample rate: it is measured.
+#[derive(Debug, Clone, Copy)]
+struct Period {
+    used_s: f64,
+    measured_s: f64,
+    samples: u32,
+}
+
+impl Period {
+    /// Takes the time between two samples; true when the low-passes must be retuned.
+    fn take(&mut self, dt_s: f64) -> bool {
+        if dt_s > 0.0 && dt_s < 0.1 {
+            self.samples = self.samples.saturating_add(1);
+            let gain = (1.0 / f64::from(self.samples)).max(0.002);
+            self.measured_s += gain * (dt_s - self.measured_s);
+        }
+        let changed = (self.measured_s / self.used_s - 1.0).abs() > 0.05 && self.samples > 4;
+        if changed {
+            self.used_s = self.measured_s;
+        }
+        changed
+    }
+}
+
+impl Vqf {
+    /// Level, heading zero, until the first samples.
+    pub fn new(options: VqfOptions) -> Self {
+        let t = options.period_s;
+        Self {
+            options,
+            period: Period { used_s: t, measured_s: t, samples: 0 },
+            inertial_from_body: UnitQuaternion::identity(),
+            level_from_inertial: UnitQuaternion::identity(),
+            force: LowPass::new(options.tau_accel_s, t),
+            bias: Bias::new(&options),
+            rest: Rest::new(t),
+            heading: Heading::new(t),
+        }
+    }
+
+    /// One IMU sample, `dt_s` after the one before.
+    pub fn push(&mut self, dt_s: f64, gyro: &Vector3<f64>, force: &Vector3<f64>, field: Option<&Vector3<f64>>) {
+        if self.period.take(dt_s) {
+            let t = self.period.used_s;
+            self.force.retune(t);
+            self.bias.retune(t);
+            self.rest.retune(t);
+        }
+        self.push_gyro(dt_s, gyro);
+        self.push_force(dt_s, force);
+        self.heading.wait(dt_s);
+        if let Some(field) = field.filter(|_| self.options.use_mag) {
+            let level = self.level_from_inertial * self.inertial_from_body * field;
+            self.heading.push(&level, self.rest.slow_rate(), self.options.tau_mag_s);
+        }
+    }
+
+    /// World ENU ← body.
+    pub fn world_from_body(&self) -> UnitQuaternion<f64> {
+        let heading = self.heading.delta_rad() - self.options.declination_rad;
+        UnitQuaternion::from_scaled_axis(Vector3::z() * heading) * self.level_from_inertial * self.inertial_from_body
+    }
+
+    /// Gyroscope bias, rad/s.
+    pub fn gyro_bias_radps(&self) -> Vector3<f64> {
+        self.bias.radps()
+    }
+
+    /// One-sigma of the bias, rad/s.
+    pub fn gyro_bias_sigma_radps(&self) -> Vector3<f64> {
+        self.bias.sigma_radps()
+    }
+
+    /// Is the field unlike the reference field?
+    pub fn field_disturbed(&self) -> bool {
+        self.heading.disturbed()
+    }
+
+    /// Magnetic heading less estimated heading at the last magnetometer sample, rad.
+    pub fn heading_disagreement_rad(&self) -> f64 {
+        self.heading.disagreement_rad()
+    }
+
+    /// Nothing has moved for a while.
+    pub fn at_rest(&self) -> bool {
+        self.rest.holds()
+    }
+
+    /// Starts again at an attitude and bias.
+    pub fn reset_to(&mut self, world_from_body: &UnitQuaternion<f64>, gyro_bias_radps: &Vector3<f64>) {
+        *self = Self::new(VqfOptions { period_s: self.period.used_s, ..self.options });
+        self.inertial_from_body = *world_from_body;
+        self.heading.begin(self.options.declination_rad);
+        self.bias.begin(gyro_bias_radps);
+    }
+
+    fn push_gyro(&mut self, dt_s: f64, gyro: &Vector3<f64>) {
+        self.rest.push_gyro(gyro, self.options.bias_limit_radps);
+        self.inertial_from_body *= UnitQuaternion::from_scaled_axis((gyro - self.bias.radps()) * dt_s);
+        self.inertial_from_body.renormalize_fast();
+    }
+
+    fn push_force(&mut self, dt_s: f64, force: &Vector3<f64>) {
+        if force.norm_squared() == 0.0 || dt_s <= 0.0 {
+            return;
+        }
+        self.rest.push_force(dt_s, force);
+        let up = self.level_from_inertial * self.force.push(self.inertial_from_body * force);
+        let Some(up) = up.try_normalize(1e-9) else { return };
+        // The shortest rotation that brings `up` to the vertical.
+        let w = (0.5 * (up.z + 1.0)).max(0.0).sqrt();
+        let correction = if w > 1e-6 {
+            UnitQuaternion::from_quaternion(Quaternion::new(w, 0.5 * up.y / w, -0.5 * up.x / w, 0.0))
+        } else {
+            UnitQuaternion::from_quaternion(Quaternion::new(0.0, 1.0, 0.0, 0.0))
+        };
+        self.level_from_inertial = correction * self.level_from_inertial;
+        self.level_from_inertial.renormalize_fast();
+        let rotation = (self.level_from_inertial * self.inertial_from_body).to_rotation_matrix().into_inner();
+        self.bias.update(&up, &rotation, self.rest.rate_at_rest(), self.period.used_s);
+    }
+}

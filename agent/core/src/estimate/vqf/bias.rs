@@ -1,0 +1,165 @@
+//! Gyroscope bias: a Kalman filter over b, and the detection of rest.
+//!
+//! In motion the tilt correction of one sample, divided by the sample period, is the bias seen through the low-pass; at
+//! rest the slow rate is the bias (Laidig & Seel 2023, sections 3.4 and 3.5).
+
+use nalgebra::{Matrix3, SVector, Vector2, Vector3};
+
+use super::{DEGREE, VqfOptions};
+use crate::estimate::kalman;
+use crate::estimate::low_pass::LowPass;
+
+/// Bias uncertainty reached in motion, rad/s.
+const BIAS_SIGMA_MOTION: f64 = 0.1 * DEGREE;
+/// Bias uncertainty reached at rest, rad/s.
+const BIAS_SIGMA_REST: f64 = 0.03 * DEGREE;
+/// How much slower the vertical bias, invisible in motion, is drawn to zero.
+const BIAS_VERTICAL_FORGETTING: f64 = 1e-4;
+/// Rest: for this long, s …
+const REST_S: f64 = 1.5;
+/// … the rate stays this close to its low-pass, rad/s …
+const REST_RATE_RADPS: f64 = 2.0 * DEGREE;
+/// … and the specific force too, m/s² …
+const REST_FORCE_MPS2: f64 = 0.5;
+/// … low-passed over this, s.
+const REST_TAU_S: f64 = 0.5;
+/// Has nothing moved for a while?
+#[derive(Debug, Clone)]
+pub(super) struct Rest {
+    rate: LowPass<3>,
+    force: LowPass<3>,
+    slow_rate: Vector3<f64>,
+    lasts_s: f64,
+}
+
+impl Rest {
+    pub fn new(period_s: f64) -> Self {
+        Self {
+            rate: LowPass::new(REST_TAU_S, period_s),
+            force: LowPass::new(REST_TAU_S, period_s),
+            slow_rate: Vector3::zeros(),
+            lasts_s: 0.0,
+        }
+    }
+
+    pub fn retune(&mut self, period_s: f64) {
+        self.rate.retune(period_s);
+        self.force.retune(period_s);
+    }
+
+    pub fn push_gyro(&mut self, gyro: &Vector3<f64>, bias_limit_radps: f64) {
+        self.slow_rate = self.rate.push(*gyro);
+        if (gyro - self.slow_rate).norm() >= REST_RATE_RADPS || self.slow_rate.amax() > bias_limit_radps {
+            self.lasts_s = 0.0;
+        }
+    }
+
+    pub fn push_force(&mut self, dt_s: f64, force: &Vector3<f64>) {
+        let slow = self.force.push(*force);
+        if (force - slow).norm() >= REST_FORCE_MPS2 {
+            self.lasts_s = 0.0;
+        } else {
+            self.lasts_s += dt_s;
+        }
+    }
+
+    pub fn holds(&self) -> bool {
+        self.lasts_s >= REST_S
+    }
+
+    /// The rate, low-passed, rad/s.
+    pub fn slow_rate(&self) -> &Vector3<f64> {
+        &self.slow_rate
+    }
+
+    /// … while at rest.
+    pub fn rate_at_rest(&self) -> Option<&Vector3<f64>> {
+        self.holds().then_some(&self.slow_rate)
+    }
+}
+
+/// b and P.
+#[derive(Debug, Clone)]
+pub(super) struct Bias {
+    b: Vector3<f64>,
+    p: Matrix3<f64>,
+    turn: LowPass<9>,
+    turned: LowPass<2>,
+    sigma_radps: f64,
+    forgetting_s: f64,
+    limit_radps: f64,
+}
+
+impl Bias {
+    pub fn new(options: &VqfOptions) -> Self {
+        let (tau_s, period_s) = (options.tau_accel_s, options.period_s);
+        Self {
+            b: Vector3::zeros(),
+            p: Matrix3::identity() * options.bias_sigma_radps.powi(2),
+            turn: LowPass::new(tau_s, period_s),
+            turned: LowPass::new(tau_s, period_s),
+            sigma_radps: options.bias_sigma_radps,
+            forgetting_s: options.bias_forgetting_s,
+            limit_radps: options.bias_limit_radps,
+        }
+    }
+
+    pub fn begin(&mut self, b: &Vector3<f64>) {
+        self.b = *b;
+    }
+
+    pub fn retune(&mut self, period_s: f64) {
+        self.turn.retune(period_s);
+        self.turned.retune(period_s);
+    }
+
+    pub fn radps(&self) -> Vector3<f64> {
+        self.b
+    }
+
+    pub fn sigma_radps(&self) -> Vector3<f64> {
+        self.p.diagonal().map(|v| v.max(0.0).sqrt())
+    }
+
+    /// Takes the direction `up` that one sample corrected, the `rotation` level ← body, and the rate where the vehicle
+    /// is at rest.
+    pub fn update(
+        &mut self,
+        up: &Vector3<f64>,
+        rotation: &Matrix3<f64>,
+        rate_at_rest: Option<&Vector3<f64>>,
+        period_s: f64,
+    ) {
+        let t = period_s;
+        let turned = rotation * self.b;
+        let turn = self.turn.push(SVector::<f64, 9>::from_column_slice(rotation.as_slice()));
+        let slow_turn = Matrix3::from_column_slice(turn.as_slice());
+        let slow_bias = self.turned.push(Vector2::new(turned.x, turned.y));
+
+        let walk = BIAS_SIGMA_MOTION.powi(2) * t / self.forgetting_s;
+        // The measurement noise whose steady state, against this walk, has the wanted variance.
+        let noise = |sigma: f64| sigma.powi(4) / walk + sigma * sigma;
+        let (h, mut innovation, r) = if let Some(rate) = rate_at_rest {
+            (Matrix3::identity(), rate - self.b, Vector3::repeat(noise(BIAS_SIGMA_REST)))
+        } else {
+            let seen = slow_turn * self.b;
+            let error = Vector3::new(-up.y / t + slow_bias.x - seen.x, up.x / t + slow_bias.y - seen.y, -seen.z);
+            let r = noise(BIAS_SIGMA_MOTION);
+            (slow_turn, error, Vector3::new(r, r, r / BIAS_VERTICAL_FORGETTING))
+        };
+        let most = self.sigma_radps.powi(2);
+        for i in 0..3 {
+            if self.p[(i, i)] < most {
+                self.p[(i, i)] += walk;
+            }
+        }
+        let limit = self.limit_radps;
+        innovation = innovation.map(|e| e.clamp(-limit, limit));
+        let s = h * self.p * h.transpose() + Matrix3::from_diagonal(&r);
+        let Some(cholesky) = s.cholesky() else { return };
+        let k = cholesky.solve(&(h * self.p)).transpose();
+        self.b = (self.b + k * innovation).map(|b| b.clamp(-limit, limit));
+        self.p -= k * h * self.p;
+        kalman::symmetrise(&mut self.p);
+    }
+}

@@ -1,0 +1,440 @@
+//! The heart: one tick, and the commands between ticks.
+//!
+//! [`Flight::step`] is the whole tick: no I/O, no clock, no allocation. What may happen between
+//! ticks is in `flight/orders.rs`, what the flight does by itself (modes, landing, failsafes) in
+//! `flight/guard.rs`.
+
+mod config;
+mod guard;
+mod orders;
+mod path;
+pub mod report;
+mod status;
+mod support;
+
+use arrayvec::ArrayVec;
+use plumbline_proto::ids::GainsRevision;
+use plumbline_proto::time::FlightTime;
+
+use crate::attack::{Injector, MAX_ATTACKS, Phase as AttackPhase, Progress};
+use crate::control::gains::{Certified, Examiner, GainsError};
+use crate::control::in_loop::InLoop;
+use crate::control::setpoint::Profile;
+use crate::control::step_response::StepMeter;
+use crate::estimate::bank::{Bank, BankError, build};
+use crate::estimate::secure::Secure;
+use crate::estimate::{Estimate, Estimator};
+use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
+use crate::frames::roll_pitch_yaw;
+use crate::mix::{Mixed, Mixer};
+use crate::sensor::SensorFrame;
+use crate::supervisor::{Monitor, Watchdog};
+use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, Wrench};
+
+use path::Path;
+use support::Support;
+
+pub use config::{FlightConfig, RigKind};
+pub use report::{Check, Failsafe, FlightStatus, StepReport};
+
+/// Why a flight cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum FlightError {
+    /// The tick rate is outside 50 to 1000 Hz.
+    #[error("tick rate {0} Hz is outside 50 to 1000 Hz")]
+    TickRate(f64),
+    /// The estimators do not fit.
+    #[error(transparent)]
+    Bank(#[from] BankError),
+    /// The weights to start with do not give usable gains.
+    #[error("starting gains: {0}")]
+    Gains(#[from] GainsError),
+    /// The rotors cannot give every wrench.
+    #[error("airframe {0}: its rotors cannot give thrust and all three torques")]
+    Allocation(String),
+}
+
+/// How far along a flight is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Phase {
+    /// Motors idle (or off while disarmed), waiting for something to do.
+    Idle { since: FlightTime },
+    /// Under control.
+    Flying,
+    /// Down after a landing.
+    Landed { since: FlightTime },
+}
+
+/// One vehicle's flight code.
+#[derive(Debug)]
+pub struct Flight {
+    config: FlightConfig,
+    attacks: Injector,
+    watchdog: Watchdog,
+    monitor: Monitor,
+    bank: Bank,
+    controller: InLoop,
+    gains: Certified,
+    mixer: Mixer,
+    support: Support,
+    profile: Profile,
+    /// What the operator asks for, within limits.
+    target: Setpoint,
+    path: Option<Path>,
+    mode: Mode,
+    phase: Phase,
+    failsafe: Failsafe,
+    failsafe_reason: Text,
+    cut_latched: bool,
+    /// Descending on attitude alone since.
+    blind_since: Option<FlightTime>,
+    /// Thrust and climb have looked like standing since.
+    quiet_since: Option<FlightTime>,
+    /// Close to where it took off, not turning, since.
+    low_since: Option<FlightTime>,
+    /// Raw height where it took off, m.
+    takeoff_height_m: Option<f64>,
+    /// Thrust that hovers, learned in flight, N.
+    hover_thrust_n: f64,
+    meter: StepMeter,
+    meter_sent: FlightTime,
+    setpoint_told: FlightTime,
+    events: EventQueue,
+    attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
+    attack_changes: u64,
+    heartbeat: Option<FlightTime>,
+    /// Last sign of life of the operator; `None` while none was given since the motors stood.
+    operator: Option<FlightTime>,
+    battery_v: Option<f64>,
+    /// Charge left, 0..1, averaged over the sag of manoeuvres.
+    charge: Option<f64>,
+    /// Hold was left because the horizontal position was lost.
+    position_lost: bool,
+    /// The controller's last output was no number.
+    wrench_invalid: bool,
+    log_error: Option<Text>,
+    deadline_misses: u64,
+    ticked: Option<FlightTime>,
+    report: StepReport,
+}
+
+impl Flight {
+    /// A disarmed flight with the estimators of its configuration.
+    ///
+    /// # Errors
+    /// [`FlightError`] naming what does not fit.
+    pub fn new(config: FlightConfig) -> Result<Self, FlightError> {
+        let assumed = config.assumptions();
+        let estimators = config.estimators.iter().map(|&kind| build(kind, &assumed)).collect::<Result<_, _>>()?;
+        Self::with_estimators(config, estimators)
+    }
+
+    /// A disarmed flight with these `estimators` (tests, experiments).
+    ///
+    /// # Errors
+    /// [`FlightError`] naming what does not fit.
+    pub fn with_estimators(config: FlightConfig, estimators: Vec<Box<dyn Estimator>>) -> Result<Self, FlightError> {
+        if !(50.0..=1000.0).contains(&config.tick_rate_hz) {
+            return Err(FlightError::TickRate(config.tick_rate_hz));
+        }
+        let examiner = Examiner::new(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)?;
+        let gains = examiner.certify(&config.design, GainsRevision(0))?;
+        let weight_n = config.airframe.weight_n();
+        let mixer = Mixer::new(&config.airframe, config.rig.thrust_ceiling_n(weight_n))
+            .ok_or_else(|| FlightError::Allocation(config.airframe.name.clone()))?;
+        let mut bank = Bank::new(estimators, config.in_loop)?;
+        config.decoder.map_or(Ok(()), |decoder| bank.use_decoder(decoder))?;
+        Ok(Self {
+            attacks: Injector::new(config.attack_bounds, config.attacks_enabled, &config.sensors)
+                .sparing(&config.independent),
+            watchdog: Watchdog::new(&config.independent),
+            monitor: Monitor::new(config.failsafe),
+            bank,
+            controller: InLoop::new(gains.law.clone()),
+            gains,
+            mixer,
+            support: Support::default(),
+            profile: Profile::default(),
+            target: Setpoint::default(),
+            path: None,
+            mode: Mode::Disarmed,
+            phase: Phase::Idle { since: FlightTime(0) },
+            failsafe: Failsafe::None,
+            failsafe_reason: Text::new(),
+            cut_latched: false,
+            blind_since: None,
+            quiet_since: None,
+            low_since: None,
+            takeoff_height_m: None,
+            hover_thrust_n: weight_n,
+            meter: StepMeter::default(),
+            meter_sent: FlightTime(0),
+            setpoint_told: FlightTime(0),
+            events: EventQueue::default(),
+            attack_phases: ArrayVec::new(),
+            attack_changes: 0,
+            heartbeat: None,
+            operator: None,
+            battery_v: None,
+            charge: None,
+            position_lost: false,
+            wrench_invalid: false,
+            log_error: None,
+            deadline_misses: 0,
+            ticked: None,
+            report: StepReport { mode: Mode::Disarmed, ..StepReport::default() },
+            config,
+        })
+    }
+
+    /// One tick. `report.command` goes to `Vehicle::actuate`; what comes back to [`Flight::applied`].
+    pub fn step(&mut self, sensed: &SensorFrame) -> &StepReport {
+        self.step_received(sensed, sensed)
+    }
+
+    /// One tick of a recording whose estimators `received` something else than was `sensed`; attacks of this
+    /// flight come on top.
+    pub fn step_received(&mut self, sensed: &SensorFrame, received: &SensorFrame) -> &StepReport {
+        let dt_s = self.tick(sensed);
+        let received = self.attacks.apply(received);
+        self.watchdog.step(&received, dt_s);
+        self.bank.step(&received, &self.report.applied, dt_s);
+        self.guard(sensed.time);
+        let voltage_ratio =
+            self.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
+        let flying = self.phase == Phase::Flying;
+        self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
+        let (wrench, mixed) = self.drive(dt_s);
+        self.controller.applied(&wrench, &mixed.given, self.support_n());
+        self.write_report(sensed, received, wrench, mixed);
+        &self.report
+    }
+
+    /// What the vehicle says it applied.
+    pub fn applied(&mut self, applied: MotorCommand) {
+        self.report.applied = applied;
+    }
+
+    /// An authenticated sign of life from the ground.
+    pub fn heartbeat(&mut self, now: FlightTime) {
+        self.heartbeat = Some(now);
+    }
+
+    /// The operator's page answered the challenge of `at`. Once there is a sign of life, it must go on while armed; what
+    /// was seen of a page before arming demands nothing.
+    pub fn operator_alive(&mut self, at: FlightTime) {
+        if self.armed() {
+            self.operator = self.operator.max(Some(at));
+        }
+    }
+
+    /// `count` control ticks were not begun in time, or not at all.
+    pub fn ticks_lost(&mut self, now: FlightTime, count: u32) {
+        self.deadline_misses += u64::from(count);
+        self.monitor.ticks_lost(now, count);
+    }
+
+    /// The flight thread was silent for `gap_s`: after the motors' time-out they stay cut.
+    pub fn stalled(&mut self, gap_s: f64) {
+        let limit_s = self.config.failsafe.stall_cut_s;
+        if self.armed() && gap_s > limit_s {
+            let reason = text(format_args!("flight thread silent for {gap_s:.2} s (limit {limit_s} s): motors cut"));
+            self.cut(Failsafe::StallCut, reason);
+        }
+    }
+
+    /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
+    pub fn log_health(&mut self, error: Option<&str>) {
+        self.log_error = error.map(|e| text(format_args!("{e}")));
+    }
+
+    /// Hands over every event since the last call, oldest first.
+    pub fn drain_events(&mut self, take: impl FnMut(&Event)) {
+        self.events.drain(self.report.sensed.time, take);
+    }
+
+    /// Lets every estimator's step be timed with `stopwatch`, a count of nanoseconds: the flight code has no
+    /// clock of its own, and nothing it does depends on this one.
+    pub fn time_steps_with(&mut self, stopwatch: fn() -> u64) {
+        self.bank.time_steps_with(stopwatch);
+    }
+
+    /// Limits what an estimator may take, µs, where it can give up early; see [`Bank::limit_steps`].
+    pub fn limit_steps(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
+        self.bank.limit_steps(stopwatch, limit_us);
+    }
+
+    /// The secure estimator, where it runs.
+    pub fn secure(&self) -> Option<&Secure> {
+        self.bank.secure()
+    }
+
+    /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed.
+    pub fn step_time_us(&self, kind: EstimatorKind) -> f64 {
+        self.bank.step_time_us(kind)
+    }
+
+    /// Every estimator's own estimate.
+    pub fn estimates(&self) -> impl Iterator<Item = (EstimatorKind, &Estimate)> {
+        self.bank.estimates()
+    }
+
+    /// Kind of the estimator in the loop.
+    pub fn estimator_in_loop(&self) -> EstimatorKind {
+        self.bank.in_loop_kind()
+    }
+
+    /// The last tick.
+    pub fn report(&self) -> &StepReport {
+        &self.report
+    }
+
+    /// Failsafe acting now.
+    pub fn failsafe(&self) -> Failsafe {
+        self.failsafe
+    }
+
+    /// Revision of the gains in use.
+    pub fn gains_revision(&self) -> GainsRevision {
+        self.gains.revision
+    }
+
+    /// The configuration it was built from.
+    pub fn config(&self) -> &FlightConfig {
+        &self.config
+    }
+
+    /// Progress of the attack schedule.
+    pub fn attack_state(&self) -> &[Progress] {
+        self.attacks.state()
+    }
+
+    /// The attack injector, to read.
+    pub fn attacks(&self) -> &Injector {
+        &self.attacks
+    }
+
+    /// Time since the tick before, s; the nominal period at the first tick or after a jump.
+    fn tick(&mut self, sensed: &SensorFrame) -> f64 {
+        let nominal = 1.0 / self.config.tick_rate_hz;
+        let dt_s = self.ticked.map_or(nominal, |last| sensed.time.seconds_since(last));
+        self.ticked = Some(sensed.time);
+        let dt_s = if dt_s > 0.0 && dt_s < 10.0 * nominal { dt_s } else { nominal };
+        if let Some(v) = sensed.battery_v.filter(|v| v.is_finite()) {
+            self.battery_v = Some(v);
+        }
+        self.mixer.battery(sensed.battery_v, dt_s);
+        self.follow_charge(dt_s);
+        dt_s
+    }
+
+    /// What else holds the vehicle up above its setpoint, N: it does not sink, however little is asked for. To land it
+    /// must come to ask for little.
+    fn support_n(&self) -> f64 {
+        let above = self.bank.in_loop().position_enu_m.z > self.profile.setpoint().position_enu_m.z;
+        let holding = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
+        if above && holding { self.support.force_n() } else { 0.0 }
+    }
+
+    /// Setpoint ─► controller ─► mixer, as the phase allows.
+    fn drive(&mut self, dt_s: f64) -> (Wrench, Mixed) {
+        let nothing = Mixed::default();
+        if !self.armed() {
+            self.follow_estimate();
+            return (Wrench::default(), nothing);
+        }
+        if self.phase != Phase::Flying {
+            self.follow_estimate();
+            return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
+        }
+        let setpoint = self.setpoint_now(dt_s);
+        let wrench = match self.blind_since {
+            None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
+            // Attitude from the watchdog; its yaw is zero, so the yaw error is too.
+            Some(_) => {
+                let estimate = Estimate {
+                    world_from_body: self.watchdog.attitude(),
+                    body_rates_radps: self.watchdog.rates_radps(),
+                    ..Estimate::default()
+                };
+                let level = Setpoint { throttle: self.blind_throttle(), ..Setpoint::default() };
+                self.controller.control(&estimate, &level, Loops::default(), dt_s)
+            }
+        };
+        let mixed = self.mixer.mix(&wrench);
+        if mixed.invalid && !self.wrench_invalid {
+            let line = text(format_args!("controller output is not a number: least thrust until it is"));
+            self.event(Severity::Critical, EventKind::Failsafe, line);
+        }
+        self.wrench_invalid = mixed.invalid;
+        self.learn_hover(&mixed, dt_s);
+        (wrench, mixed)
+    }
+
+    fn write_report(&mut self, sensed: &SensorFrame, received: SensorFrame, wrench: Wrench, mixed: Mixed) {
+        let now = sensed.time;
+        let setpoint = *self.profile.setpoint();
+        let altitude_m = self.bank.in_loop().position_enu_m.z;
+        let response = if self.phase == Phase::Flying && self.loops().altitude {
+            self.meter.update(now, altitude_m, setpoint.position_enu_m.z)
+        } else {
+            None
+        };
+        let due = now.seconds_since(self.meter_sent) >= 0.1;
+        let response = response.filter(|r| due || r.finished);
+        if response.is_some() {
+            self.meter_sent = now;
+        }
+        self.report = StepReport {
+            sensed: *sensed,
+            received,
+            mode: self.mode,
+            armed: self.armed(),
+            setpoint,
+            wrench,
+            given: mixed.given,
+            command: mixed.command,
+            applied: self.report.applied,
+            saturated: mixed.saturated,
+            integrator: self.controller.integrator(),
+            step_response: response,
+        };
+    }
+
+    /// Are the motors allowed to turn?
+    fn armed(&self) -> bool {
+        !matches!(self.mode, Mode::Disarmed | Mode::Cut | Mode::Unspecified)
+    }
+
+    /// Which errors the loop closes now.
+    fn loops(&self) -> Loops {
+        let altitude = matches!(self.mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && self.blind_since.is_none();
+        let horizontal = altitude
+            && matches!(self.mode, Mode::Hold | Mode::Land)
+            && self.bank.in_loop().horizontal_known
+            && self.config.rig.can_lift();
+        Loops { horizontal, altitude }
+    }
+
+    /// While nothing is controlled the profile stays where the vehicle is, and integrators at zero.
+    fn follow_estimate(&mut self) {
+        self.controller.reset();
+        self.profile.restart(self.here());
+    }
+
+    /// Where the vehicle is, level, as a setpoint.
+    fn here(&self) -> Setpoint {
+        let estimate = self.bank.in_loop();
+        let yaw = roll_pitch_yaw(&estimate.world_from_body).z;
+        Setpoint {
+            position_enu_m: estimate.position_enu_m,
+            roll_pitch_yaw_rad: nalgebra::Vector3::new(0.0, 0.0, yaw),
+            throttle: self.report.given.thrust_n / self.config.airframe.weight_n(),
+            ..Setpoint::default()
+        }
+    }
+
+    fn event(&mut self, severity: Severity, kind: EventKind, text: Text) {
+        self.events.push(Event { time: self.ticked.unwrap_or_default(), severity, kind, text });
+    }
+}

@@ -1,0 +1,163 @@
+//! What a flight needs to know before it starts: plain data, built once by the configuration.
+
+use plumbline_proto::ids::SensorId;
+
+use crate::attack;
+use crate::control::policy::MarginPolicy;
+use crate::control::setpoint::Limits;
+use crate::control::tuning::Design;
+use crate::estimate::bank::{Assumptions, EVERY_KIND, build};
+use crate::estimate::ekf_bias::EkfOptions;
+use crate::estimate::secure::Decoder;
+use crate::estimate::secure::SLOTS;
+use crate::model::airframe::Airframe;
+use crate::sensor::suite::Suite;
+use crate::supervisor::Settings;
+use crate::types::{ControllerKind, EstimatorKind};
+
+/// Fraction of the weight that the motors may lift in the orientation test. At 0.9 the string holds so little that two
+/// degrees of tilt swing the vehicle by 35°; with 0.8 it is a quarter of that.
+const ORIENTATION_CEILING: f64 = 0.8;
+
+/// What holds the vehicle; decides what it may be asked to do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RigKind {
+    /// Nothing.
+    Free,
+    /// Turns about one axis only; cannot lift.
+    SingleAxis,
+    /// Hanging from strings with the thrust kept below lift-off ([Paternain] VIII-B).
+    StringsOrientation,
+    /// Hanging from strings, lifting itself within their reach ([Paternain] VIII-C).
+    StringsFlight {
+        /// Highest altitude at which the strings still catch gently, m.
+        reach_m: f64,
+    },
+    /// Tethered to the ground.
+    Tethered {
+        /// Length of the tether, m.
+        reach_m: f64,
+    },
+    /// On its stand: may take off and land there.
+    OnStand,
+}
+
+impl RigKind {
+    /// May the vehicle lift itself?
+    pub fn can_lift(self) -> bool {
+        !matches!(self, Self::SingleAxis | Self::StringsOrientation)
+    }
+
+    /// Does the rig catch a vehicle whose motors stop?
+    pub fn catches(self) -> bool {
+        matches!(self, Self::SingleAxis | Self::StringsOrientation | Self::StringsFlight { .. })
+    }
+
+    /// Most thrust allowed in total, N.
+    pub fn thrust_ceiling_n(self, weight_n: f64) -> f64 {
+        if self == Self::StringsOrientation { ORIENTATION_CEILING * weight_n } else { f64::INFINITY }
+    }
+
+    /// Highest altitude the rig allows, m.
+    pub fn altitude_max_m(self) -> f64 {
+        match self {
+            Self::StringsFlight { reach_m } | Self::Tethered { reach_m } => reach_m,
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Free => "free flight",
+            Self::SingleAxis => "single axis",
+            Self::StringsOrientation => "strings, orientation",
+            Self::StringsFlight { .. } => "strings, flight",
+            Self::Tethered { .. } => "tethered",
+            Self::OnStand => "on its stand",
+        }
+    }
+}
+
+/// Everything a [`super::Flight`] is built from.
+#[derive(Debug, Clone)]
+pub struct FlightConfig {
+    /// The vehicle.
+    pub airframe: Airframe,
+    /// What holds it.
+    pub rig: RigKind,
+    /// Control ticks a second, 50 to 1000.
+    pub tick_rate_hz: f64,
+    /// Limits of setpoints.
+    pub limits: Limits,
+    /// The controller to start with.
+    pub design: Design,
+    /// What gains must forgive before they fly.
+    pub margins: MarginPolicy,
+    /// Estimators that run side by side.
+    pub estimators: Vec<EstimatorKind>,
+    /// The one in the loop.
+    pub in_loop: EstimatorKind,
+    /// The program that the secure estimator solves first; `None` leaves it the default.
+    pub decoder: Option<Decoder>,
+    /// Slots of 40 ms in its window: T of [Clinic].
+    pub window_slots: usize,
+    /// What the estimators assume of the sensors.
+    pub ekf: EkfOptions,
+    /// Sensors of the vehicle.
+    pub sensors: Vec<SensorId>,
+    /// Those on a wire of their own: the watchdog reads only them, of their kind, and nothing can be injected there.
+    pub independent: Vec<SensorId>,
+    /// Bounds of attacks.
+    pub attack_bounds: attack::Bounds,
+    /// May sensors be attacked at all?
+    pub attacks_enabled: bool,
+    /// Thresholds of the failsafes.
+    pub failsafe: Settings,
+}
+
+impl FlightConfig {
+    /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, the bias EKF in the loop
+    /// with the primary estimate and the secure estimator beside it, no attacks.
+    pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
+        Self {
+            design: Design::new(ControllerKind::LqrIntegral, &airframe),
+            margins: MarginPolicy::default(),
+            airframe,
+            rig,
+            tick_rate_hz: 200.0,
+            limits: Limits::default(),
+            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Complementary, EstimatorKind::Secure],
+            in_loop: EstimatorKind::EkfBias,
+            decoder: None,
+            window_slots: SLOTS,
+            ekf: EkfOptions::from(suite),
+            sensors: suite.descriptions().iter().map(|d| d.id).collect(),
+            independent: Vec::new(),
+            attack_bounds: attack::Bounds::default(),
+            attacks_enabled: false,
+            failsafe: Settings::default(),
+        }
+    }
+
+    /// What its estimators assume.
+    pub fn assumptions(&self) -> Assumptions<'_> {
+        Assumptions { airframe: &self.airframe, sensors: &self.ekf, window_slots: self.window_slots }
+    }
+
+    /// With every estimator there is running side by side, for a vehicle that can spare the time: the simulator and
+    /// replays of its flights. The one in the loop stays.
+    pub fn with_every_estimator(mut self) -> Self {
+        let assumed = self.assumptions();
+        let mut kinds = vec![self.in_loop];
+        let built = |kind: &EstimatorKind| build(*kind, &assumed).is_ok();
+        kinds.extend(EVERY_KIND.into_iter().filter(|kind| *kind != self.in_loop).filter(built));
+        self.estimators = kinds;
+        self
+    }
+
+    /// Highest altitude setpoint: the limit, or the rig's where that is lower, m.
+    pub fn altitude_max_m(&self) -> f64 {
+        self.limits.altitude_max_m.min(self.rig.altitude_max_m())
+    }
+}

@@ -1,0 +1,150 @@
+//! The flight as a whole: pre-arm checks, status, gains in use.
+
+use arrayvec::ArrayVec;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use super::report::MAX_CHECKS;
+use super::{Check, Flight, FlightStatus, Phase, RigKind};
+use crate::control::gains::Certified;
+use crate::estimate::Health;
+use crate::event::{Text, text};
+use crate::model::motor;
+
+/// Most tilt at arming, rad (15°); on a single axis the vehicle may lean as far as that lets it.
+const TILT_MAX_RAD: f64 = 0.262;
+/// Most body rate at arming, rad/s (30 °/s).
+const RATE_MAX_RADPS: f64 = 0.524;
+/// Least charge at arming, above the one that warns.
+const CHARGE_RESERVE: f64 = 0.05;
+/// The charge is averaged over this long, s: its voltage sags in every manoeuvre.
+const CHARGE_TIME_CONSTANT_S: f64 = 1.0;
+/// An IMU sample older than this is not fresh, s.
+pub(super) const IMU_MAX_AGE_S: f64 = 0.1;
+
+impl Flight {
+    /// The pre-arm checks, each with its reason and value.
+    pub fn checks(&self, now: FlightTime) -> ArrayVec<Check, MAX_CHECKS> {
+        let mut out = ArrayVec::new();
+        let mut check = |name: &'static str, passed: bool, reason: Text| {
+            let _ = out.try_push(Check { name, passed, reason });
+        };
+        let estimate = self.bank.in_loop();
+        let kind = self.bank.in_loop_kind();
+        check("estimator", estimate.health == Health::Healthy, text(format_args!("{kind:?} is {:?}", estimate.health)));
+
+        if self.has_box() {
+            let known = if estimate.altitude_known { "known" } else { "not known" };
+            check("altitude", estimate.altitude_known, text(format_args!("{known} to {kind:?}, which is in the loop")));
+        }
+
+        let tilt = self.watchdog.tilt_rad();
+        let tilt_max = if self.config.rig == RigKind::SingleAxis { 0.9 } else { TILT_MAX_RAD };
+        let degrees = (tilt.to_degrees(), tilt_max.to_degrees());
+        check("tilt", tilt <= tilt_max, text(format_args!("{:.1}°, at most {:.0}°", degrees.0, degrees.1)));
+
+        let rate = self.watchdog.rates_radps().norm();
+        let degrees = (rate.to_degrees(), RATE_MAX_RADPS.to_degrees());
+        check(
+            "still",
+            rate <= RATE_MAX_RADPS,
+            text(format_args!("turning {:.0} °/s, at most {:.0} °/s", degrees.0, degrees.1)),
+        );
+
+        let age = self.watchdog.imu_age_s(now);
+        check("imu", age <= IMU_MAX_AGE_S, text(format_args!("last sample {age:.2} s ago, at most {IMU_MAX_AGE_S} s")));
+
+        let heights = self.config.sensors.iter().filter(|s| s.kind == SensorKind::Height).count();
+        if heights > 0 {
+            let fresh = self.watchdog.heights_fresh();
+            check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));
+        }
+
+        match (self.battery_v, self.charge) {
+            (Some(v), Some(charge)) => {
+                let least = self.config.failsafe.battery_warn + CHARGE_RESERVE;
+                let line = text(format_args!("{v:.2} V, {:.0} %, at least {:.0} %", 100.0 * charge, 100.0 * least));
+                check("battery", charge >= least, line);
+            }
+            _ => check("battery", true, text(format_args!("not measured"))),
+        }
+
+        let link = self.link_age_s(now);
+        let line =
+            text(format_args!("last heartbeat {link:.2} s ago, at most {} s", self.config.failsafe.link_freeze_s));
+        check("link", link <= self.config.failsafe.link_freeze_s, line);
+
+        let (z, most) = (estimate.position_enu_m.z, self.config.altitude_max_m());
+        check("box", z <= most, text(format_args!("altitude {z:.2} m, at most {most:.2} m")));
+
+        match &self.log_error {
+            None => check("log", true, text(format_args!("writing"))),
+            Some(error) => check("log", false, *error),
+        }
+        check(
+            "cut",
+            !self.cut_latched,
+            text(format_args!(
+                "{}",
+                if self.cut_latched { "motor cut latched: release it first" } else { "not latched" }
+            )),
+        );
+        out
+    }
+
+    /// The flight as a whole.
+    pub fn status(&self) -> FlightStatus {
+        let now = self.report.sensed.time;
+        let checks = self.checks(now);
+        FlightStatus {
+            time: now,
+            mode: self.mode,
+            armed: self.armed(),
+            cut_latched: self.cut_latched,
+            failsafe: self.failsafe,
+            failsafe_reason: self.failsafe_reason,
+            disarms_in_s: self.disarms_in_s(now),
+            ready_to_arm: !self.armed() && checks.iter().all(|c| c.passed),
+            checks,
+            battery_v: self.battery_v,
+            battery_fraction: self.charge,
+            estimator_in_loop: self.bank.in_loop_kind(),
+            deadline_misses: self.deadline_misses,
+            gains_revision: self.gains.revision,
+        }
+    }
+
+    /// Armed on the ground: it disarms itself for want of a take-off, or once it has landed.
+    fn disarms_in_s(&self, now: FlightTime) -> Option<f64> {
+        let settings = self.config.failsafe;
+        let (since, limit_s) = match self.phase {
+            _ if !self.armed() => return None,
+            Phase::Idle { since } => (since, settings.takeoff_timeout_s),
+            Phase::Landed { since } => (since, settings.landed_s),
+            Phase::Flying => return None,
+        };
+        Some((limit_s - now.seconds_since(since)).max(0.0))
+    }
+
+    /// The gains in use.
+    pub fn gains_in_use(&self) -> &Certified {
+        &self.gains
+    }
+
+    /// Follows the charge left: the voltage with the sag of what the motors draw taken out.
+    pub(super) fn follow_charge(&mut self, dt_s: f64) {
+        let Some(voltage_v) = self.battery_v else { return };
+        let airframe = &self.config.airframe;
+        let ratio = voltage_v / airframe.battery.nominal_v();
+        let speeds = motor::steady_speed(airframe, &self.report.applied.throttle, ratio);
+        let current_a = airframe.battery.current_a(airframe.induced_power_w(&speeds), voltage_v);
+        let now = airframe.battery.charge_from_voltage(voltage_v, current_a);
+        let before = self.charge.unwrap_or(now);
+        self.charge = Some(before + (now - before) * (dt_s / (CHARGE_TIME_CONSTANT_S + dt_s)));
+    }
+}
+
+/// Does a sensor of this kind tell an altitude?
+pub(super) fn gives_altitude(kind: SensorKind) -> bool {
+    matches!(kind, SensorKind::Height | SensorKind::Barometer | SensorKind::Gnss | SensorKind::MocapPose)
+}

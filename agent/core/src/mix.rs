@@ -1,0 +1,232 @@
+//! Wrench ─► rotor thrusts ─► speeds ─► motor commands, with the saturation reported.
+//!
+//! t = A⁻¹ [T, τ]; A is the airframe's allocation. When that leaves the range of the rotors, what
+//! is given up, in this order: yaw torque, then thrust, last roll and pitch torque. The command
+//! inverts the motor curve at the battery's present voltage.
+
+use nalgebra::{Matrix4, Vector3, Vector4};
+
+use crate::model::airframe::Airframe;
+use crate::types::{MotorCommand, ROTORS, Wrench};
+
+/// Command of motors that turn without lifting.
+pub const IDLE_COMMAND: f64 = 0.05;
+/// Relative to the largest rotor thrust: less is not reported as saturation.
+const UNNOTICED: f64 = 1e-6;
+/// Battery ratio is followed with this time constant, s: sag is slow, its measurement is not.
+const VOLTAGE_TIME_CONSTANT_S: f64 = 0.2;
+/// Voltage ratios outside this range are measurement errors.
+const VOLTAGE_RATIO: (f64, f64) = (0.7, 1.25);
+
+/// The mixer of one airframe.
+#[derive(Debug, Clone)]
+pub struct Mixer {
+    airframe: Airframe,
+    allocation: Matrix4<f64>,
+    inverse: Matrix4<f64>,
+    voltage_ratio: f64,
+    thrust_ceiling_n: f64,
+}
+
+/// What the mixer makes of a wrench.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Mixed {
+    /// For the motors.
+    pub command: MotorCommand,
+    /// The wrench these commands give in the steady state.
+    pub given: Wrench,
+    /// Does it differ from what was asked?
+    pub saturated: bool,
+    /// What was asked is no number: the least thrust, no torque.
+    pub invalid: bool,
+}
+
+impl Mixer {
+    /// For `airframe`, never above `thrust_ceiling_n` in total. `None` when its rotors cannot give
+    /// every wrench (a valid airframe's can).
+    pub fn new(airframe: &Airframe, thrust_ceiling_n: f64) -> Option<Self> {
+        let allocation = airframe.allocation();
+        let inverse = allocation.try_inverse()?;
+        Some(Self { airframe: airframe.clone(), allocation, inverse, voltage_ratio: 1.0, thrust_ceiling_n })
+    }
+
+    /// Follows the battery's voltage; `None` (not measured) leaves the compensation as it is.
+    pub fn battery(&mut self, voltage_v: Option<f64>, dt_s: f64) {
+        let ratio = voltage_v.map(|v| v / self.airframe.battery.nominal_v());
+        if let Some(ratio) = ratio.filter(|r| (VOLTAGE_RATIO.0..=VOLTAGE_RATIO.1).contains(r)) {
+            let share = (dt_s / VOLTAGE_TIME_CONSTANT_S).clamp(0.0, 1.0);
+            self.voltage_ratio += share * (ratio - self.voltage_ratio);
+        }
+    }
+
+    /// Motors turning without lifting.
+    pub fn idle(&self) -> MotorCommand {
+        MotorCommand { throttle: [IDLE_COMMAND; ROTORS] }
+    }
+
+    /// Range of one rotor's thrust at the present voltage, N.
+    fn range_n(&self) -> (f64, f64) {
+        let thrust = |command: f64| {
+            let speed = self.airframe.motor_curve.speed_radps(command, self.voltage_ratio);
+            self.airframe.thrust_coefficient_ns2 * speed * speed
+        };
+        (thrust(IDLE_COMMAND), thrust(1.0))
+    }
+
+    /// The commands for `asked`; one that is not finite gets the least thrust.
+    pub fn mix(&self, asked: &Wrench) -> Mixed {
+        let valid = asked.thrust_n.is_finite() && asked.torque_flu_nm.iter().all(|t| t.is_finite());
+        if !valid {
+            return Mixed { saturated: true, invalid: true, ..self.mix(&Wrench::default()) };
+        }
+        let (low, high) = self.range_n();
+        let column = |wrench: Vector4<f64>| self.inverse * wrench;
+        let torque = asked.torque_flu_nm;
+
+        // Roll and pitch torque first: as much as the range between idle and full can hold.
+        let tilt = column(Vector4::new(0.0, torque.x, torque.y, 0.0));
+        let lift = column(Vector4::new(1.0, 0.0, 0.0, 0.0));
+        let share = (0..=TILT_STEPS)
+            .map(|step| 1.0 - f64::from(step) / f64::from(TILT_STEPS))
+            .find(|&share| {
+                let (least, most) = thrust_range(&(tilt * share), &lift, low, high);
+                least <= most.min(self.thrust_ceiling_n)
+            })
+            .unwrap_or(0.0);
+        let tilt = tilt * share;
+
+        // Then thrust, between what the torque leaves.
+        let (least, most) = thrust_range(&tilt, &lift, low, high);
+        let thrust = asked.thrust_n.min(most.min(self.thrust_ceiling_n)).max(least);
+        let rotors = tilt + lift * thrust;
+
+        // Yaw takes what is left.
+        let yaw = column(Vector4::new(0.0, 0.0, 0.0, torque.z));
+        let share = rotors.iter().zip(yaw.iter()).fold(1.0_f64, |share, (&t, &y)| {
+            let room = if y > 0.0 {
+                (high - t) / y
+            } else if y < 0.0 {
+                (low - t) / y
+            } else {
+                1.0
+            };
+            share.min(room.max(0.0))
+        });
+        let rotors = (rotors + yaw * share).map(|t| t.clamp(low, high));
+
+        let w = self.allocation * rotors;
+        let given = Wrench { thrust_n: w.x, torque_flu_nm: Vector3::new(w.y, w.z, w.w) };
+        let wanted = self.inverse * Vector4::new(asked.thrust_n, torque.x, torque.y, torque.z);
+        let mut command = MotorCommand::default();
+        for (throttle, thrust) in command.throttle.iter_mut().zip(rotors.iter()) {
+            let speed = (thrust / self.airframe.thrust_coefficient_ns2).max(0.0).sqrt();
+            *throttle = self.airframe.motor_curve.command(speed, self.voltage_ratio);
+        }
+        Mixed { command, given, saturated: (wanted - rotors).amax() > UNNOTICED * high, invalid: false }
+    }
+}
+
+/// Tilt torque is given up in steps of 5 %.
+const TILT_STEPS: u32 = 20;
+
+/// Total thrusts that keep every rotor between `low` and `high` on top of `tilt`.
+fn thrust_range(tilt: &Vector4<f64>, lift: &Vector4<f64>, low: f64, high: f64) -> (f64, f64) {
+    tilt.iter().zip(lift.iter()).fold((0.0, f64::INFINITY), |(least, most), (&t, &l)| {
+        if l > 0.0 { (f64::max(least, (low - t) / l), f64::min(most, (high - t) / l)) } else { (least, most) }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wrench(t: f64, x: f64, y: f64, z: f64) -> Wrench {
+        Wrench { thrust_n: t, torque_flu_nm: Vector3::new(x, y, z) }
+    }
+
+    /// The wrench that the commands give, through the motor curve, at `voltage_ratio`.
+    fn flown(airframe: &Airframe, command: &MotorCommand, voltage_ratio: f64) -> Wrench {
+        airframe.wrench(&command.throttle.map(|c| airframe.motor_curve.speed_radps(c, voltage_ratio)))
+    }
+
+    #[test]
+    fn mixing_then_flying_is_the_identity_at_any_voltage() {
+        for name in Airframe::NAMES {
+            let airframe = Airframe::by_name(name).unwrap();
+            let weight = airframe.weight_n();
+            for ratio in [1.0, 0.9, 1.1] {
+                let mut mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+                for _ in 0..2000 {
+                    mixer.battery(Some(ratio * airframe.battery.nominal_v()), 0.005);
+                }
+                let asked = wrench(weight, 0.02 * weight * 0.2, -0.03 * weight * 0.2, 0.002 * weight);
+                let mixed = mixer.mix(&asked);
+                let flown = flown(&airframe, &mixed.command, ratio);
+                assert!(!mixed.saturated, "{name} {ratio}");
+                assert!((flown.thrust_n - asked.thrust_n).abs() < 1e-6 * weight, "{name} {ratio} {flown:?}");
+                assert!((flown.torque_flu_nm - asked.torque_flu_nm).norm() < 1e-6 * weight, "{name} {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn yaw_gives_way_first_then_thrust_never_tilt() {
+        let airframe = Airframe::iris();
+        let mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+        let most = airframe.max_thrust_n();
+        // Full thrust and a roll torque: thrust is lowered until the torque fits.
+        let mixed = mixer.mix(&wrench(most, 0.5, 0.0, 0.0));
+        assert!(mixed.saturated && mixed.given.thrust_n < most - 1.0);
+        assert!((mixed.given.torque_flu_nm - Vector3::new(0.5, 0.0, 0.0)).norm() < 1e-9, "{mixed:?}");
+        // Too much yaw: thrust and tilt stay.
+        let mixed = mixer.mix(&wrench(15.0, 0.1, 0.1, 9.0));
+        assert!(mixed.saturated && (mixed.given.thrust_n - 15.0).abs() < 1e-9);
+        assert!((mixed.given.torque_flu_nm.xy() - nalgebra::Vector2::new(0.1, 0.1)).norm() < 1e-9);
+        assert!(mixed.given.torque_flu_nm.z > 0.1 && mixed.given.torque_flu_nm.z < 9.0);
+        // No thrust asked: the torque is still given, with thrust.
+        let mixed = mixer.mix(&wrench(0.0, 0.3, 0.0, 0.0));
+        assert!((mixed.given.torque_flu_nm.x - 0.3).abs() < 1e-9 && mixed.given.thrust_n > 0.0);
+    }
+
+    #[test]
+    fn commands_stay_in_range_and_under_the_ceiling() {
+        let airframe = Airframe::paternain();
+        let ceiling = 0.9 * airframe.weight_n();
+        let mixer = Mixer::new(&airframe, ceiling).unwrap();
+        for k in 0..5000_u32 {
+            let pseudo =
+                |salt: u32| f64::from((k.wrapping_mul(2_654_435_761) ^ salt.wrapping_mul(40_503)) % 1000) / 500.0 - 1.0;
+            let asked = wrench(60.0 * pseudo(1), 5.0 * pseudo(2), 5.0 * pseudo(3), pseudo(4));
+            let mixed = mixer.mix(&asked);
+            assert!(mixed.command.throttle.iter().all(|c| (0.0..=1.0).contains(c)), "{asked:?}");
+            assert!(mixed.given.thrust_n <= ceiling + 1e-9, "{asked:?} gives {:?}", mixed.given);
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_gets_the_least_thrust() {
+        let airframe = Airframe::iris();
+        let mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+        for asked in
+            [wrench(f64::NAN, 0.1, 0.0, 0.0), wrench(f64::INFINITY, 0.0, 0.0, 0.0), wrench(9.0, 0.0, f64::NAN, 0.0)]
+        {
+            let mixed = mixer.mix(&asked);
+            assert!(mixed.invalid && mixed.saturated, "{asked:?}");
+            for (command, idle) in mixed.command.throttle.iter().zip(mixer.idle().throttle) {
+                assert!((command - idle).abs() < 1e-9, "{asked:?}: {command}");
+            }
+        }
+        assert!(!mixer.mix(&wrench(9.0, 0.0, 0.0, 0.0)).invalid);
+    }
+
+    #[test]
+    fn absurd_voltages_are_ignored() {
+        let airframe = Airframe::iris();
+        let mut mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+        let before = mixer.mix(&wrench(15.0, 0.0, 0.0, 0.0));
+        for v in [Some(0.0), Some(f64::NAN), Some(40.0), None] {
+            mixer.battery(v, 1.0);
+        }
+        assert_eq!(mixer.mix(&wrench(15.0, 0.0, 0.0, 0.0)), before);
+    }
+}

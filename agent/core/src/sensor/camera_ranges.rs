@@ -1,0 +1,128 @@
+//! Ranges from the motion-capture cameras ([Umasankar] Eq. 13).
+
+use nalgebra::Vector3;
+use plumbline_proto::{Kind, time::FlightTime, v1};
+use serde::Deserialize;
+
+use super::sample::{Quantity, Sample, Scalars};
+use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
+use super::wire::{self, Received};
+use crate::types::CAMERAS;
+
+/// Ranges from the motion-capture cameras to the markers' centroid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraRangesSample {
+    /// When they were measured.
+    pub time: FlightTime,
+    /// One range per camera, m.
+    pub range_m: [f64; CAMERAS],
+}
+
+impl Sample for CameraRangesSample {
+    const TOPIC: Kind = Kind::CameraRanges;
+    const KIND: v1::SensorKind = v1::SensorKind::CameraRanges;
+    const QUANTITIES: &'static [Quantity] = &[Quantity { name: "range", unit: "m", scalars: CAMERAS, named: false }];
+    type Wire = v1::CameraRangesSample;
+
+    fn time(&self) -> FlightTime {
+        self.time
+    }
+
+    fn scalars(&self) -> Scalars {
+        let mut values = Scalars::default();
+        values[..CAMERAS].copy_from_slice(&self.range_m);
+        values
+    }
+
+    fn with_scalars(mut self, values: &Scalars) -> Self {
+        self.range_m.copy_from_slice(&values[..CAMERAS]);
+        self
+    }
+
+    fn wire_with_room() -> v1::CameraRangesSample {
+        let range = || Some(v1::CameraRangesReading { range_m: Vec::with_capacity(CAMERAS) });
+        v1::CameraRangesSample { sensed: range(), received: range(), ..v1::CameraRangesSample::default() }
+    }
+
+    fn to_wire(&self, received: Option<&Self>, into: &mut v1::CameraRangesSample) {
+        let put = |reading: &mut v1::CameraRangesReading, s: &Self| {
+            reading.range_m.clear();
+            reading.range_m.extend_from_slice(&s.range_m);
+        };
+        into.time_us = self.time.0;
+        put(into.sensed.get_or_insert_default(), self);
+        match received {
+            Some(received) if received != self => {
+                into.set_reception(v1::Reception::Altered);
+                put(into.received.get_or_insert_default(), received);
+            }
+            other => {
+                let how = if other.is_some() { v1::Reception::AsSensed } else { v1::Reception::Dropped };
+                into.set_reception(how);
+                into.received = None;
+            }
+        }
+    }
+
+    fn from_wire(m: v1::CameraRangesSample) -> Option<(Self, Received<Self>)> {
+        let time = FlightTime(m.time_us);
+        wire::sample(m.reception(), m.sensed, m.received, |r: v1::CameraRangesReading| {
+            Some(Self { time, range_m: r.range_m.first_chunk().copied()? })
+        })
+    }
+}
+
+/// Ranges to the motion-capture cameras ([Umasankar] Eq. 13).
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraRanges {
+    /// For people.
+    pub name: String,
+    /// When it samples.
+    pub timing: Timing,
+    /// Where the cameras are, ENU, m.
+    pub cameras_enu_m: [Vector3<f64>; CAMERAS],
+    /// Range, m.
+    pub range: Quality,
+    /// Deliver the mean of the four marker ranges, as a real system does, instead of the range to the
+    /// centroid: up to 2.5 mm apart (ERRATA [Umasankar] 9).
+    #[serde(default)]
+    pub marker_mean: bool,
+}
+
+impl Sheet for CameraRanges {
+    /// Four cameras at (±10, ±10, 10) m, 120 Hz, 1.5 mm ([Umasankar] Table 2 and its Vicon data sheet).
+    fn typical(_instance: usize) -> Self {
+        Self {
+            name: "camera ranges 1".into(),
+            timing: Timing::at(120.0),
+            cameras_enu_m: [(10.0, 10.0), (-10.0, 10.0), (-10.0, -10.0), (10.0, -10.0)]
+                .map(|(x, y)| Vector3::new(x, y, 10.0)),
+            range: Quality::white(0.0015),
+            marker_mean: false,
+        }
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    fn timing_mut(&mut self) -> &mut Timing {
+        &mut self.timing
+    }
+
+    fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
+        each("range", &mut self.range);
+    }
+
+    fn check(&self, check: &Checker, key: &str) -> Result<(), SuiteError> {
+        for (i, camera) in self.cameras_enu_m.iter().enumerate() {
+            check.vector(key, &format!("cameras_enu_m[{i}]"), camera)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,101 @@
+//! What every kind of sensor is made of: a sample, its scalars, its quantities and its form on the wire.
+
+use nalgebra::Vector3;
+use plumbline_proto::{Kind, Message, time::FlightTime, v1};
+
+use super::wire::Received;
+
+/// A sample as scalars, in the order of its quantities; zero beyond them.
+pub type Scalars = [f64; 9];
+
+/// One measured quantity of a sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quantity {
+    /// In lower case: "gyro".
+    pub name: &'static str,
+    /// SI unit; empty where it has none.
+    pub unit: &'static str,
+    /// How many scalars of the sample it takes.
+    pub scalars: usize,
+    /// An attack that adds to it must name it, for the sensor's quantities are equals; otherwise the first one is meant.
+    pub named: bool,
+}
+
+/// A sample of one kind of sensor: the seam between a kind and everything that handles samples of any kind.
+pub trait Sample: Copy + PartialEq + std::fmt::Debug {
+    /// The kind.
+    const KIND: v1::SensorKind;
+    /// Its topic.
+    const TOPIC: Kind;
+    /// What it measures, in the order of [`Sample::scalars`].
+    const QUANTITIES: &'static [Quantity];
+    /// Its message: sensed and received.
+    type Wire: Message + Default;
+
+    /// When it was measured.
+    fn time(&self) -> FlightTime;
+
+    /// Its scalars.
+    fn scalars(&self) -> Scalars;
+
+    /// The same sample with other scalars.
+    #[must_use]
+    fn with_scalars(self, values: &Scalars) -> Self;
+
+    /// A message with room for what it owns, so that filling it allocates nothing.
+    fn wire_with_room() -> Self::Wire {
+        Self::Wire::default()
+    }
+
+    /// Fills a message with this sample as sensed and with what the estimators received of it.
+    fn to_wire(&self, received: Option<&Self>, into: &mut Self::Wire);
+
+    /// Sensed and received; `None` when a part is missing.
+    fn from_wire(message: Self::Wire) -> Option<(Self, Received<Self>)>;
+}
+
+/// Where a frame keeps the samples of one kind: one place, or one for each instance.
+pub trait Places<S> {
+    /// How many.
+    const LEN: usize;
+    /// Is it a list?
+    const MANY: bool;
+    /// All of them; index 0 is instance 1.
+    fn places(&self) -> &[Option<S>];
+    /// The same, to alter.
+    fn places_mut(&mut self) -> &mut [Option<S>];
+}
+
+impl<S> Places<S> for Option<S> {
+    const LEN: usize = 1;
+    const MANY: bool = false;
+    fn places(&self) -> &[Option<S>] {
+        std::slice::from_ref(self)
+    }
+    fn places_mut(&mut self) -> &mut [Option<S>] {
+        std::slice::from_mut(self)
+    }
+}
+
+impl<S, const N: usize> Places<S> for [Option<S>; N] {
+    const LEN: usize = N;
+    const MANY: bool = true;
+    fn places(&self) -> &[Option<S>] {
+        self
+    }
+    fn places_mut(&mut self) -> &mut [Option<S>] {
+        self
+    }
+}
+
+/// Three of the scalars as a vector.
+pub(super) fn xyz(values: &Scalars, from: usize) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| values.get(from + i).copied().unwrap_or_default())
+}
+
+/// A vector as three of the scalars.
+pub(super) fn put(values: &mut Scalars, from: usize, v: &Vector3<f64>) {
+    for (slot, value) in values.iter_mut().skip(from).zip(v.iter()) {
+        *slot = *value;
+    }
+}

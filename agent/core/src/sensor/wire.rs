@@ -1,0 +1,59 @@
+//! The parts that the messages of the sensors have in common.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use plumbline_proto::v1::{self, Reception};
+
+/// What the estimators received of a sample sensed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Received<S> {
+    /// The very sample.
+    AsSensed,
+    /// Another one, or none: an attack altered or withheld it.
+    Instead(Option<S>),
+}
+
+/// How what was received relates to what was sensed; the received reading only where it differs.
+pub fn reception<S: PartialEq, R>(sensed: &S, received: Option<&S>, reading: impl Fn(&S) -> R) -> (i32, Option<R>) {
+    match received {
+        None => (Reception::Dropped as i32, None),
+        Some(received) if received == sensed => (Reception::AsSensed as i32, None),
+        Some(received) => (Reception::Altered as i32, Some(reading(received))),
+    }
+}
+
+/// The inverse: the sample sensed and what was received, from the readings of a message.
+pub fn sample<R, S>(
+    reception: Reception,
+    sensed: Option<R>,
+    received: Option<R>,
+    make: impl Fn(R) -> Option<S>,
+) -> Option<(S, Received<S>)> {
+    let received = match reception {
+        Reception::AsSensed => Received::AsSensed,
+        Reception::Altered => Received::Instead(Some(make(received?)?)),
+        Reception::Dropped => Received::Instead(None),
+    };
+    Some((make(sensed?)?, received))
+}
+
+/// A vector for the wire; always there.
+pub fn vector(v: &Vector3<f64>) -> Option<v1::Vector3> {
+    Some(v1::Vector3 { x: v.x, y: v.y, z: v.z })
+}
+
+/// A vector from the wire.
+pub fn xyz(v: &v1::Vector3) -> Vector3<f64> {
+    Vector3::new(v.x, v.y, v.z)
+}
+
+/// A quaternion for the wire; always there.
+pub fn quaternion(q: &UnitQuaternion<f64>) -> Option<v1::Quaternion> {
+    Some(v1::Quaternion { w: q.w, x: q.i, y: q.j, z: q.k })
+}
+
+/// The unit quaternion with exactly these components, so that a replay repeats every bit; `None` where they are not
+/// of unit length.
+pub fn unit_quaternion(q: &v1::Quaternion) -> Option<UnitQuaternion<f64>> {
+    let q = Quaternion::new(q.w, q.x, q.y, q.z);
+    ((q.norm() - 1.0).abs() < 1e-6).then(|| UnitQuaternion::new_unchecked(q))
+}

@@ -1,0 +1,450 @@
+//! Which row of the failsafe table applies now.
+
+use plumbline_proto::time::FlightTime;
+
+use super::{Failsafe, Settings};
+use crate::event::{Text, text};
+
+/// How many times longer a degraded estimator flies on while the watchdog agrees with it.
+const CORROBORATED_PATIENCE: u32 = 5;
+/// What a climb is stopped with once altitude control has it, m/s²; a vehicle at idle falls with more.
+const BRAKE_UP_MPS2: f64 = 6.0;
+/// What stops a sideways motion, m/s²: two thirds of the default tilt limit.
+const BRAKE_SIDE_MPS2: f64 = 2.2;
+/// Control and motors answer after this long, s.
+const BRAKE_DELAY_S: f64 = 0.12;
+/// The same without an estimator: a descent on attitude alone brakes less, and raw heights come late.
+const BLIND_BRAKE_MPS2: f64 = 3.0;
+const BLIND_DELAY_S: f64 = 0.3;
+/// Lost ticks are counted in parts of a second …
+const BIN_S: f64 = 0.1;
+/// … as many as make one.
+const BINS: usize = 10;
+
+/// What the monitor looks at in one tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Inputs {
+    /// Time of the tick.
+    pub now: FlightTime,
+    /// Is the vehicle off its idle, under control?
+    pub flying: bool,
+    /// Time since a fresh IMU sample, s.
+    pub imu_age_s: f64,
+    /// Tilt by the watchdog, rad.
+    pub tilt_rad: f64,
+    /// Largest body rate by the watchdog, rad/s.
+    pub rate_radps: f64,
+    /// Median raw height, m.
+    pub raw_height_m: Option<f64>,
+    /// Altitude by the estimator in the loop, m, where known.
+    pub altitude_m: Option<f64>,
+    /// The larger of its climb rate and that of the raw heights, m/s.
+    pub climb_mps: f64,
+    /// Does the mode close a loop on the altitude?
+    pub altitude_needed: bool,
+    /// Largest of |x|, |y|, m, and the speed outward along it, m/s; where known.
+    pub lateral: Option<(f64, f64)>,
+    /// Was the mode left because the horizontal position was lost, and is it still?
+    pub position_lost: bool,
+    /// Is the estimator in the loop degraded, or the controller's output no number?
+    pub degraded: bool,
+    /// Do estimator and watchdog, both with fresh samples, agree on where up is?
+    pub corroborated: bool,
+    /// More thrust is commanded than hovers, and the vehicle does not follow.
+    pub not_moving: bool,
+    /// Charge left, 0..1, where measured.
+    pub charge: Option<f64>,
+    /// Time since the last heartbeat, s; infinite before the first.
+    pub link_age_s: f64,
+    /// Time since the last sign of the operator, s; zero where none was ever given.
+    pub operator_age_s: f64,
+    /// Highest altitude allowed, m.
+    pub altitude_max_m: f64,
+    /// Largest lateral distance allowed, m.
+    pub lateral_max_m: f64,
+}
+
+/// Times since when conditions hold.
+#[derive(Debug, Clone, Copy, Default)]
+struct Since {
+    tilted: Option<FlightTime>,
+    outside: Option<FlightTime>,
+    position_lost: Option<FlightTime>,
+    not_moving: Option<FlightTime>,
+    battery_warn: Option<FlightTime>,
+    battery_land: Option<FlightTime>,
+}
+
+/// Watches and judges; acts on nothing itself.
+#[derive(Debug, Clone)]
+pub struct Monitor {
+    settings: Settings,
+    since: Since,
+    degraded_ticks: u32,
+    /// Control was taken over at the edge of the box, and the operator has not acted since.
+    taken_over: bool,
+    /// Lost ticks of the last second: when a part began, and how many.
+    lost: [(FlightTime, u32); BINS],
+}
+
+impl Monitor {
+    /// With these thresholds.
+    pub fn new(settings: Settings) -> Self {
+        let lost = [(FlightTime(0), 0); BINS];
+        Self { settings, since: Since::default(), degraded_ticks: 0, taken_over: false, lost }
+    }
+
+    /// Forgets what led to the last verdict (disarmed).
+    pub fn reset(&mut self) {
+        *self = Self::new(self.settings);
+    }
+
+    /// Control was taken over at the edge of the box: it is held, then left downwards, until the operator acts.
+    pub fn took_over(&mut self) {
+        self.taken_over = true;
+    }
+
+    /// The operator chose a mode or a setpoint.
+    pub fn operator_acted(&mut self) {
+        self.taken_over = false;
+    }
+
+    /// `count` control ticks were lost: not begun in time, or not at all.
+    pub fn ticks_lost(&mut self, now: FlightTime, count: u32) {
+        let bin = ((now.as_seconds() / BIN_S) as usize) % BINS;
+        if let Some((begun, lost)) = self.lost.get_mut(bin) {
+            if now.seconds_since(*begun) >= BIN_S {
+                (*begun, *lost) = (now, 0);
+            }
+            *lost = lost.saturating_add(count);
+        }
+    }
+
+    fn lost_within_a_second(&self, now: FlightTime) -> u32 {
+        let recent = self.lost.iter().filter(|(begun, _)| now.seconds_since(*begun) < 1.0);
+        recent.fold(0, |sum: u32, (_, lost)| sum.saturating_add(*lost))
+    }
+
+    /// The most severe failsafe that applies to an armed vehicle now.
+    pub fn judge(&mut self, i: &Inputs) -> Failsafe {
+        let s = self.settings;
+        let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
+        let outside = self.taken_over || self.leaves_box(i);
+        let outside_s = over_for(&mut self.since.outside, outside, i.now);
+        let lost_s = over_for(&mut self.since.position_lost, i.position_lost, i.now);
+        let not_moving_s = over_for(&mut self.since.not_moving, i.flying && i.not_moving, i.now);
+        let below = |level: f64| i.charge.is_some_and(|charge| charge < level);
+        let low_s = over_for(&mut self.since.battery_warn, below(s.battery_warn), i.now);
+        let empty_s = over_for(&mut self.since.battery_land, below(s.battery_land), i.now);
+        self.degraded_ticks = if i.degraded { self.degraded_ticks.saturating_add(1) } else { 0 };
+        let patience = if i.corroborated { CORROBORATED_PATIENCE } else { 1 };
+        let degraded = self.degraded_ticks > s.degraded_ticks.saturating_mul(patience);
+        let lost = self.lost_within_a_second(i.now);
+        // Within one severity the first row counts.
+        let rows = [
+            (Failsafe::ImuCut, i.flying && i.imu_age_s > s.imu_silent_s),
+            (Failsafe::RateCut, i.rate_radps > s.rate_cut_radps),
+            (Failsafe::TiltCut, tilted_s > s.tilt_cut_s),
+            (Failsafe::AltitudeDescend, i.flying && i.altitude_needed && i.altitude_m.is_none()),
+            (Failsafe::EstimatorDescend, i.flying && degraded),
+            (Failsafe::DeadlineDescend, lost >= s.deadline_descend),
+            (Failsafe::ThrustDescend, not_moving_s > s.thrust_deficit_s),
+            (Failsafe::BatteryDescend, empty_s > s.battery_s),
+            (Failsafe::LinkDescend, i.link_age_s > s.link_descend_s),
+            (Failsafe::OperatorDescend, i.operator_age_s > s.operator_descend_s),
+            (Failsafe::BoxDescend, outside_s > s.box_hold_s),
+            (Failsafe::PositionDescend, lost_s > s.position_lost_s),
+            (Failsafe::LinkFreeze, i.link_age_s > s.link_freeze_s),
+            (Failsafe::OperatorFreeze, i.operator_age_s > s.operator_freeze_s),
+            (Failsafe::BoxHold, self.since.outside.is_some()),
+            (Failsafe::PositionHold, i.position_lost),
+            (Failsafe::BatteryLow, low_s > s.battery_s),
+            (Failsafe::DeadlineWarn, lost >= s.deadline_warn),
+        ];
+        let applying = rows.into_iter().filter(|(_, applies)| *applies).map(|(failsafe, _)| failsafe);
+        applying.fold(Failsafe::None, |worst, f| if severity(f) > severity(worst) { f } else { worst })
+    }
+
+    /// Outside, or so fast towards the edge that it cannot stop in time. The raw heights have a veto beside the estimate.
+    fn leaves_box(&self, i: &Inputs) -> bool {
+        let margin_m = self.settings.box_margin_m;
+        let altitude = [i.raw_height_m, i.altitude_m].into_iter().flatten().reduce(f64::max);
+        let stops_m = if i.degraded {
+            stopping_m(i.climb_mps, BLIND_BRAKE_MPS2, BLIND_DELAY_S)
+        } else {
+            climb_stops_m(i.climb_mps)
+        };
+        let above = altitude.is_some_and(|z| z + stops_m > i.altitude_max_m + margin_m);
+        let aside = i
+            .lateral
+            .is_some_and(|(d, v)| d + stopping_m(v, BRAKE_SIDE_MPS2, BRAKE_DELAY_S) > i.lateral_max_m + margin_m);
+        i.flying && (above || aside)
+    }
+
+    /// Why `failsafe` applies, with the values.
+    pub fn reason(&self, failsafe: Failsafe, i: &Inputs) -> Text {
+        let s = &self.settings;
+        match failsafe {
+            Failsafe::None => Text::new(),
+            Failsafe::LinkFreeze => text(format_args!(
+                "no heartbeat for {:.2} s (limit {} s): setpoint frozen, attacks aborted",
+                i.link_age_s, s.link_freeze_s
+            )),
+            Failsafe::LinkDescend => text(format_args!(
+                "no heartbeat for {:.2} s (limit {} s): descending at {} m/s",
+                i.link_age_s, s.link_descend_s, s.descend_mps
+            )),
+            Failsafe::OperatorFreeze => text(format_args!(
+                "no sign of the operator's page for {:.1} s (limit {} s): setpoint frozen, attacks aborted",
+                i.operator_age_s, s.operator_freeze_s
+            )),
+            Failsafe::OperatorDescend => text(format_args!(
+                "no sign of the operator's page for {:.1} s (limit {} s): descending at {} m/s",
+                i.operator_age_s, s.operator_descend_s, s.descend_mps
+            )),
+            Failsafe::ImuCut => text(format_args!(
+                "no fresh IMU sample for {:.0} ms (limit {:.0} ms): motors cut",
+                1e3 * i.imu_age_s,
+                1e3 * s.imu_silent_s
+            )),
+            Failsafe::TiltCut => text(format_args!(
+                "tilt {:.0}° above {:.0}° for {} s: motors cut",
+                i.tilt_rad.to_degrees(),
+                s.tilt_cut_rad.to_degrees(),
+                s.tilt_cut_s
+            )),
+            Failsafe::RateCut => text(format_args!(
+                "rate {:.0} °/s above {:.0} °/s: motors cut",
+                i.rate_radps.to_degrees(),
+                s.rate_cut_radps.to_degrees()
+            )),
+            Failsafe::BoxHold | Failsafe::BoxDescend => box_reason(failsafe, i),
+            Failsafe::AltitudeDescend => {
+                text(format_args!("no height any more, which this mode needs: descending on attitude alone"))
+            }
+            Failsafe::PositionHold => text(format_args!("horizontal position lost: altitude hold")),
+            Failsafe::PositionDescend => text(format_args!(
+                "horizontal position lost for {} s: descending at {} m/s",
+                s.position_lost_s, s.descend_mps
+            )),
+            Failsafe::EstimatorDescend => text(format_args!(
+                "estimator degraded for {} ticks (limit {}): descending on attitude alone",
+                self.degraded_ticks, s.degraded_ticks
+            )),
+            Failsafe::ThrustDescend => text(format_args!(
+                "more thrust than hovers commanded for {} s, and the vehicle does not follow: descending",
+                s.thrust_deficit_s
+            )),
+            Failsafe::BatteryLow | Failsafe::BatteryDescend => {
+                let charge = 100.0 * i.charge.unwrap_or(f64::NAN);
+                let (limit, act) = if failsafe == Failsafe::BatteryLow {
+                    (s.battery_warn, "land soon")
+                } else {
+                    (s.battery_land, "descending")
+                };
+                text(format_args!("battery at {charge:.0} % (limit {:.0} %): {act}", 100.0 * limit))
+            }
+            Failsafe::DeadlineWarn => {
+                text(format_args!("{} control ticks lost within a second", self.lost_within_a_second(i.now)))
+            }
+            Failsafe::DeadlineDescend => text(format_args!(
+                "{} control ticks lost within a second (limit {}): descending",
+                self.lost_within_a_second(i.now),
+                s.deadline_descend
+            )),
+            Failsafe::OperatorCut => text(format_args!("motors cut by the operator")),
+            // Their reasons come with them: nothing seen here leads to them.
+            Failsafe::StallCut | Failsafe::ShutdownDescend | Failsafe::ShutdownCut => Text::new(),
+            Failsafe::TakeoffTimeout => {
+                text(format_args!("armed for {} s without take-off: disarmed", s.takeoff_timeout_s))
+            }
+        }
+    }
+}
+
+fn box_reason(failsafe: Failsafe, i: &Inputs) -> Text {
+    let (lateral, side_mps) = i.lateral.unwrap_or((f64::NAN, f64::NAN));
+    text(format_args!(
+        "edge of the box: altitude {:.2} m (raw {:.2} m, limit {:.2} m) at {:.1} m/s, lateral {lateral:.2} m (limit {:.2} m) at \
+         {side_mps:.1} m/s: {}",
+        i.altitude_m.unwrap_or(f64::NAN),
+        i.raw_height_m.unwrap_or(f64::NAN),
+        i.altitude_max_m,
+        i.climb_mps,
+        i.lateral_max_m,
+        if failsafe == Failsafe::BoxHold { "holding at the edge" } else { "descending" }
+    ))
+}
+
+/// Distance on which a motion of `speed_mps` can be stopped, m; zero for one that goes back.
+fn stopping_m(speed_mps: f64, brake_mps2: f64, delay_s: f64) -> f64 {
+    let speed = speed_mps.max(0.0);
+    speed * delay_s + speed * speed / (2.0 * brake_mps2)
+}
+
+/// Where a climb of `speed_mps` comes to rest once altitude control has it, m above the present place.
+pub fn climb_stops_m(speed_mps: f64) -> f64 {
+    stopping_m(speed_mps, BRAKE_UP_MPS2, BRAKE_DELAY_S)
+}
+
+/// How long `condition` has held, s.
+fn over_for(since: &mut Option<FlightTime>, condition: bool, now: FlightTime) -> f64 {
+    if condition {
+        now.seconds_since(*since.get_or_insert(now))
+    } else {
+        *since = None;
+        0.0
+    }
+}
+
+/// How severe: a more severe failsafe replaces a less severe one, never the other way round.
+pub fn severity(failsafe: Failsafe) -> u8 {
+    match failsafe {
+        Failsafe::None => 0,
+        Failsafe::DeadlineWarn | Failsafe::BatteryLow => 1,
+        Failsafe::PositionHold => 2,
+        Failsafe::LinkFreeze | Failsafe::OperatorFreeze => 3,
+        // A frozen setpoint may lead out of the box: its edge comes first.
+        Failsafe::BoxHold => 4,
+        Failsafe::BoxDescend
+        | Failsafe::LinkDescend
+        | Failsafe::OperatorDescend
+        | Failsafe::DeadlineDescend
+        | Failsafe::PositionDescend
+        | Failsafe::BatteryDescend
+        | Failsafe::ThrustDescend
+        | Failsafe::ShutdownDescend => DESCENDS,
+        Failsafe::EstimatorDescend | Failsafe::AltitudeDescend => 6,
+        Failsafe::TakeoffTimeout => 7,
+        Failsafe::RateCut
+        | Failsafe::TiltCut
+        | Failsafe::ImuCut
+        | Failsafe::StallCut
+        | Failsafe::ShutdownCut
+        | Failsafe::OperatorCut => 8,
+    }
+}
+
+/// Severity from which on the vehicle goes down.
+pub const DESCENDS: u8 = 5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fine(now_s: f64) -> Inputs {
+        Inputs {
+            now: FlightTime::from_seconds(now_s),
+            flying: true,
+            imu_age_s: 0.01,
+            tilt_rad: 0.1,
+            rate_radps: 1.0,
+            raw_height_m: Some(1.0),
+            altitude_m: Some(1.0),
+            climb_mps: 0.0,
+            altitude_needed: true,
+            lateral: None,
+            position_lost: false,
+            degraded: false,
+            corroborated: false,
+            not_moving: false,
+            charge: Some(0.8),
+            link_age_s: 0.1,
+            operator_age_s: 0.0,
+            altitude_max_m: 2.0,
+            lateral_max_m: 2.0,
+        }
+    }
+
+    /// Runs `change` from 1 s on and returns when each verdict first appears.
+    fn first_seen(change: impl Fn(f64, &mut Inputs)) -> Vec<(Failsafe, f64)> {
+        let mut monitor = Monitor::new(Settings::default());
+        let mut seen: Vec<(Failsafe, f64)> = Vec::new();
+        for k in 0..1200 {
+            let t = f64::from(k) * 0.005;
+            let mut inputs = fine(t);
+            if t >= 1.0 {
+                change(t - 1.0, &mut inputs);
+            }
+            let verdict = monitor.judge(&inputs);
+            if seen.last().is_none_or(|s| s.0 != verdict) {
+                seen.push((verdict, t - 1.0));
+            }
+        }
+        seen
+    }
+
+    fn expect(seen: &[(Failsafe, f64)], expected: &[(Failsafe, f64)]) {
+        assert_eq!(seen.len(), expected.len() + 1, "{seen:?}");
+        for (s, e) in seen.iter().skip(1).zip(expected) {
+            assert!(s.0 == e.0 && (s.1 - e.1).abs() < 0.011, "{seen:?}, expected {expected:?}");
+        }
+    }
+
+    #[test]
+    fn every_row_of_the_table_comes_at_its_time() {
+        expect(&first_seen(|t, i| i.link_age_s = t), &[(Failsafe::LinkFreeze, 0.5), (Failsafe::LinkDescend, 2.0)]);
+        expect(
+            &first_seen(|t, i| i.operator_age_s = 4.0 * t),
+            &[(Failsafe::OperatorFreeze, 0.75), (Failsafe::OperatorDescend, 2.5)],
+        );
+        expect(&first_seen(|_, i| i.tilt_rad = 61.0_f64.to_radians()), &[(Failsafe::TiltCut, 0.3)]);
+        expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
+        expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
+        expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
+        // The estimate lies, the raw heights do not.
+        expect(
+            &first_seen(|_, i| i.raw_height_m = Some(2.4)),
+            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
+        );
+        expect(
+            &first_seen(|_, i| i.lateral = Some((2.4, 0.0))),
+            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
+        );
+        expect(&first_seen(|_, i| i.degraded = true), &[(Failsafe::EstimatorDescend, 0.2)]);
+        expect(&first_seen(|_, i| (i.degraded, i.corroborated) = (true, true)), &[(Failsafe::EstimatorDescend, 1.0)]);
+        expect(&first_seen(|t, i| i.imu_age_s = t), &[(Failsafe::ImuCut, 0.08)]);
+        expect(&first_seen(|_, i| i.altitude_m = None), &[(Failsafe::AltitudeDescend, 0.0)]);
+        expect(&first_seen(|_, i| (i.altitude_m, i.altitude_needed) = (None, false)), &[]);
+        expect(&first_seen(|t, i| i.position_lost = t < 4.0), &[(Failsafe::PositionHold, 0.0), (Failsafe::None, 4.0)]);
+        expect(&first_seen(|_, i| i.charge = Some(0.24)), &[(Failsafe::BatteryLow, 3.0)]);
+        expect(&first_seen(|_, i| i.charge = Some(0.14)), &[(Failsafe::BatteryDescend, 3.0)]);
+        expect(&first_seen(|_, i| i.not_moving = true), &[(Failsafe::ThrustDescend, 1.5)]);
+        // Inside, but too fast to stop there: 4 m/s need 1.8 m.
+        expect(&first_seen(|_, i| i.climb_mps = 4.0), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
+        expect(&first_seen(|_, i| i.climb_mps = 3.0), &[]);
+        // A short tilt is forgiven.
+        expect(&first_seen(|t, i| i.tilt_rad = if t < 0.28 { 1.2 } else { 0.0 }), &[]);
+    }
+
+    #[test]
+    fn lost_ticks_warn_then_descend_and_are_forgotten_after_a_second() {
+        let mut monitor = Monitor::new(Settings::default());
+        monitor.ticks_lost(FlightTime(10_000), 4);
+        assert_eq!(monitor.judge(&fine(0.02)), Failsafe::None);
+        monitor.ticks_lost(FlightTime(25_000), 1);
+        assert_eq!(monitor.judge(&fine(0.03)), Failsafe::DeadlineWarn);
+        monitor.ticks_lost(FlightTime(150_000), 15);
+        assert_eq!(monitor.judge(&fine(0.16)), Failsafe::DeadlineDescend);
+        assert_eq!(monitor.judge(&fine(1.2)), Failsafe::None);
+        // One gap of three seconds is as many ticks as it lasted.
+        monitor.ticks_lost(FlightTime(4_000_000), 600);
+        assert_eq!(monitor.judge(&fine(4.0)), Failsafe::DeadlineDescend);
+    }
+
+    #[test]
+    fn the_edge_of_the_box_comes_before_a_frozen_setpoint() {
+        let leaving = |i: &mut Inputs, age_s: f64| (i.climb_mps, i.link_age_s, i.operator_age_s) = (4.0, age_s, 4.0);
+        expect(&first_seen(|_, i| leaving(i, 1.0)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
+    }
+
+    #[test]
+    fn what_was_taken_over_stays_so_until_the_operator_acts() {
+        let mut monitor = Monitor::new(Settings::default());
+        monitor.took_over();
+        assert_eq!(monitor.judge(&fine(1.0)), Failsafe::BoxHold);
+        assert_eq!(monitor.judge(&fine(3.1)), Failsafe::BoxDescend);
+        monitor.operator_acted();
+        assert_eq!(monitor.judge(&fine(3.2)), Failsafe::None);
+    }
+}

@@ -1,0 +1,273 @@
+//! Tilt, rate and height straight from the sensors: the median over instances, an attitude filter of its own
+//! (`estimate/vqf`, without magnetometer), no estimator.
+//!
+//! It receives what the estimators receive: a vehicle that is really attacked has no other samples. Where the
+//! configuration names independent sensors it reads only those of that kind; nothing can be injected into them.
+
+use arrayvec::ArrayVec;
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use crate::estimate::median;
+use crate::estimate::vqf::{Vqf, VqfOptions};
+use crate::frames::tilt_rad;
+use crate::sensor::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
+use crate::types::GRAVITY_MPS2;
+
+/// Heights older than this are forgotten, s.
+const HEIGHT_MAX_AGE_S: f64 = 0.5;
+/// Slopes of heights are taken over at least this long, s: shorter, they are noise.
+const CLIMB_BASELINE_S: f64 = 0.08;
+/// A sample takes part in the median this long, s: IMUs sample in turns at 100 Hz and faster.
+const IMU_MEMORY_S: f64 = 0.015;
+/// Specific forces further from 1 g than this fraction say nothing of the vertical.
+const ACCEL_TRUST: f64 = 0.2;
+
+/// Angular rate and specific force of one IMU, body FLU, rad/s and m/s².
+type Inertial = (Vector3<f64>, Vector3<f64>);
+
+/// Last height of one laser, and how it changes.
+#[derive(Debug, Clone, Copy)]
+struct Height {
+    time: FlightTime,
+    height_m: f64,
+    /// Where its present slope is measured from.
+    from: (FlightTime, f64),
+    climb_mps: Option<f64>,
+}
+
+impl Height {
+    fn first(time: FlightTime, height_m: f64) -> Self {
+        Self { time, height_m, from: (time, height_m), climb_mps: None }
+    }
+
+    fn then(self, time: FlightTime, height_m: f64) -> Self {
+        let (since, from_m) = self.from;
+        let baseline_s = time.seconds_since(since);
+        if baseline_s < CLIMB_BASELINE_S {
+            return Self { time, height_m, ..self };
+        }
+        Self { time, height_m, from: (time, height_m), climb_mps: Some((height_m - from_m) / baseline_s) }
+    }
+}
+
+/// See the module.
+#[derive(Debug, Clone)]
+pub struct Watchdog {
+    filter: Vqf,
+    rates_radps: Vector3<f64>,
+    since_imu_s: f64,
+    imu_time: Option<FlightTime>,
+    imus: [Option<(FlightTime, Inertial)>; MAX_IMUS],
+    heights: [Option<Height>; MAX_HEIGHTS],
+    reads_imu: [bool; MAX_IMUS],
+    reads_height: [bool; MAX_HEIGHTS],
+}
+
+/// The instances of `kind` to read: the independent ones, or all where none is named.
+fn instances<const N: usize>(kind: SensorKind, independent: &[SensorId]) -> [bool; N] {
+    let named: [bool; N] =
+        std::array::from_fn(|i| independent.iter().any(|s| s.kind == kind && usize::from(s.instance) == i + 1));
+    if named.contains(&true) { named } else { [true; N] }
+}
+
+impl Watchdog {
+    /// With these `independent` sensors; none: it reads all.
+    pub fn new(independent: &[SensorId]) -> Self {
+        Self {
+            filter: Vqf::new(VqfOptions { use_mag: false, ..VqfOptions::default() }),
+            rates_radps: Vector3::zeros(),
+            since_imu_s: 0.0,
+            imu_time: None,
+            imus: [None; MAX_IMUS],
+            heights: [None; MAX_HEIGHTS],
+            reads_imu: instances(SensorKind::Imu, independent),
+            reads_height: instances(SensorKind::Height, independent),
+        }
+    }
+
+    /// Takes the frame received.
+    pub fn step(&mut self, received: &SensorFrame, dt_s: f64) {
+        self.since_imu_s += dt_s;
+        self.take_imus(received);
+        for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
+            if kept.is_some_and(|last| received.time.seconds_since(last.time) > HEIGHT_MAX_AGE_S) {
+                *kept = None;
+            }
+            if let Some(new) = new.filter(|h| reads && h.height_m.is_finite()) {
+                let (time, height_m) = (received.time, new.height_m);
+                *kept = Some(kept.map_or(Height::first(time, height_m), |last| last.then(time, height_m)));
+            }
+        }
+    }
+
+    fn take_imus(&mut self, received: &SensorFrame) {
+        let mut fresh = false;
+        for ((kept, new), reads) in self.imus.iter_mut().zip(&received.imus).zip(self.reads_imu) {
+            let finite = |v: &Vector3<f64>| v.iter().all(|x| x.is_finite());
+            let Some(new) = new.filter(|s| reads && finite(&s.gyro_radps) && finite(&s.accel_mps2)) else { continue };
+            let sample = (new.gyro_radps, new.accel_mps2);
+            // An IMU that repeats itself to the last bit is stuck: its noise alone changes every sample.
+            fresh |= kept.is_none_or(|(_, before)| before != sample);
+            *kept = Some((received.time, sample));
+        }
+        if !fresh {
+            return;
+        }
+        let lately = |time: &FlightTime| (0.0..=IMU_MEMORY_S).contains(&received.time.seconds_since(*time));
+        let latest: ArrayVec<Inertial, MAX_IMUS> =
+            self.imus.iter().flatten().filter(|(time, _)| lately(time)).map(|(_, sample)| *sample).collect();
+        let gyro = Vector3::from_fn(|axis, _| median(latest.iter().map(|(gyro, _)| gyro[axis])));
+        let accel = Vector3::from_fn(|axis, _| median(latest.iter().map(|(_, accel)| accel[axis])));
+        let since_s = if self.imu_time.is_some() { self.since_imu_s } else { 0.0 };
+        // In a flip the thrust is along body z and far from 1 g: the gyroscope alone is right then.
+        let near_1_g = (accel.norm() / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST;
+        let force = if near_1_g { accel } else { Vector3::zeros() };
+        self.filter.push(since_s, &gyro, &force, None);
+        (self.rates_radps, self.imu_time, self.since_imu_s) = (gyro, Some(received.time), 0.0);
+    }
+
+    /// Angle between body z and the vertical, rad; zero before the first sample.
+    pub fn tilt_rad(&self) -> f64 {
+        tilt_rad(&self.filter.world_from_body())
+    }
+
+    /// Angle between its vertical and that of `attitude`, rad; infinite before the first sample.
+    pub fn disagreement_rad(&self, attitude: &UnitQuaternion<f64>) -> f64 {
+        if self.imu_time.is_none() {
+            return f64::INFINITY;
+        }
+        self.up_flu().angle(&(attitude.inverse() * Vector3::z()))
+    }
+
+    /// World z seen from the body.
+    fn up_flu(&self) -> Vector3<f64> {
+        self.filter.world_from_body().inverse() * Vector3::z()
+    }
+
+    /// Body rates, median over the IMUs, rad/s.
+    pub fn rates_radps(&self) -> Vector3<f64> {
+        self.rates_radps
+    }
+
+    /// Attitude with yaw zero, for a descent without estimator.
+    pub fn attitude(&self) -> UnitQuaternion<f64> {
+        let up = self.up_flu();
+        UnitQuaternion::from_euler_angles(up.y.atan2(up.z), (-up.x).clamp(-1.0, 1.0).asin(), 0.0)
+    }
+
+    /// Median of the heights of the last half second, m.
+    pub fn height_m(&self) -> Option<f64> {
+        Some(median(self.heights.iter().flatten().map(|h| h.height_m))).filter(|height| height.is_finite())
+    }
+
+    /// Median of the slopes of these heights, m/s.
+    pub fn climb_mps(&self) -> Option<f64> {
+        Some(median(self.heights.iter().flatten().filter_map(|h| h.climb_mps))).filter(|climb| climb.is_finite())
+    }
+
+    /// Time since a fresh IMU sample, s; infinite before the first.
+    pub fn imu_age_s(&self, now: FlightTime) -> f64 {
+        self.imu_time.map_or(f64::INFINITY, |time| now.seconds_since(time))
+    }
+
+    /// How many laser heights arrived within the last half second.
+    pub fn heights_fresh(&self) -> usize {
+        self.heights.iter().flatten().count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::{HeightSample, ImuSample};
+
+    const DT_S: f64 = 0.005;
+
+    fn imu(time: FlightTime, gyro: Vector3<f64>, accel: Vector3<f64>) -> ImuSample {
+        ImuSample { time, gyro_radps: gyro, accel_mps2: accel, mag_ut: None, temperature_c: 20.0 }
+    }
+
+    /// A roll of 1 rad/s for a second in which IMU 3 and height 2 are faulty; all IMUs sample at once, or in turns.
+    fn rolled(independent: &[SensorId], in_turns: bool) -> (Watchdog, f64) {
+        let mut watchdog = Watchdog::new(independent);
+        let mut tilt = 0.0;
+        for k in 0..200_u64 {
+            let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
+            for (n, slot) in frame.imus.iter_mut().enumerate().take(4) {
+                if in_turns && n as u64 % 2 != k % 2 {
+                    continue;
+                }
+                let fault = if n == 2 { 50.0 } else { 0.0 };
+                // In flight only the thrust is felt: along body z, whatever the tilt.
+                let noise = 1e-6 * (k * 7 % 5) as f64;
+                let accel = Vector3::new(fault, 0.0, 14.0 + noise);
+                *slot = Some(imu(frame.time, Vector3::new(1.0 + fault, 0.0, fault), accel));
+            }
+            for (slot, height_m) in frame.heights.iter_mut().zip([1.0, 9.0, 1.1]) {
+                *slot = Some(HeightSample { time: frame.time, height_m });
+            }
+            watchdog.step(&frame, DT_S);
+            tilt += DT_S;
+        }
+        (watchdog, tilt)
+    }
+
+    #[test]
+    fn follows_a_roll_with_one_faulty_imu_also_when_imus_sample_in_turns() {
+        for in_turns in [false, true] {
+            let (watchdog, tilt) = rolled(&[], in_turns);
+            assert!((watchdog.tilt_rad() - tilt).abs() < 0.02, "{} after {tilt}", watchdog.tilt_rad());
+            let (roll, pitch, _) = watchdog.attitude().euler_angles();
+            assert!((roll - tilt).abs() < 0.02 && pitch.abs() < 1e-6);
+            assert_eq!(watchdog.height_m(), Some(1.1));
+        }
+    }
+
+    #[test]
+    fn heights_are_forgotten_and_a_stuck_imu_is_not_fresh() {
+        let (mut watchdog, _) = rolled(&[], false);
+        let stuck = |time: u64| {
+            let mut frame = SensorFrame { time: FlightTime(time), ..SensorFrame::default() };
+            frame.imus[0] = Some(imu(frame.time, Vector3::zeros(), Vector3::z()));
+            frame
+        };
+        for k in 0..20 {
+            watchdog.step(&stuck(1_000_000 + 5000 * k), DT_S);
+        }
+        assert!((watchdog.imu_age_s(FlightTime(1_095_000)) - 0.095).abs() < 1e-9, "fresh at its first sample only");
+        watchdog.step(&SensorFrame { time: FlightTime(3_000_000), ..SensorFrame::default() }, DT_S);
+        assert_eq!((watchdog.height_m(), watchdog.heights_fresh()), (None, 0));
+    }
+
+    #[test]
+    fn a_climb_is_the_median_slope_at_any_rate_of_the_lasers() {
+        for every in [1, 20] {
+            let mut watchdog = Watchdog::new(&[]);
+            for k in 0..400_u64 {
+                let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
+                let t_s = frame.time.as_seconds();
+                for (n, slot) in frame.heights.iter_mut().enumerate().take(3) {
+                    if (k + 7 * n as u64).is_multiple_of(every) {
+                        let height_m = if n == 1 { 5.0 - 9.0 * t_s } else { 1.0 + 0.7 * t_s };
+                        *slot = Some(HeightSample { time: frame.time, height_m });
+                    }
+                }
+                watchdog.step(&frame, DT_S);
+            }
+            assert!((watchdog.climb_mps().unwrap() - 0.7).abs() < 1e-6, "{:?}", watchdog.climb_mps());
+        }
+    }
+
+    #[test]
+    fn only_independent_sensors_are_read_where_they_are_named() {
+        let named = [SensorId::new(SensorKind::Imu, 4), SensorId::new(SensorKind::Height, 1)];
+        let (watchdog, tilt) = rolled(&named, false);
+        assert!((watchdog.tilt_rad() - tilt).abs() < 0.02);
+        assert_eq!((watchdog.height_m(), watchdog.heights_fresh()), (Some(1.0), 1));
+        let faulty = [SensorId::new(SensorKind::Height, 2)];
+        assert_eq!(rolled(&faulty, false).0.height_m(), Some(9.0), "named, it is read whatever it says");
+    }
+}

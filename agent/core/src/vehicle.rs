@@ -1,0 +1,189 @@
+//! The seam: something that can be flown. Real, simulated and recorded flights differ only here.
+
+pub mod calibrated;
+
+use std::sync::Arc;
+
+use arrayvec::ArrayVec;
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
+
+use crate::calibration::applied::FieldReport;
+use crate::control::step_response::StepResponse;
+use crate::sensor::{MAX_IMUS, SensorFrame};
+use crate::types::{Mode, MotorCommand, ROTORS, Setpoint, Wrench};
+
+/// True state, known to the simulator and to some recordings. For telemetry and tests only:
+/// estimators and controllers cannot reach it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    /// When.
+    pub time: FlightTime,
+    /// Position in the world frame ENU, m.
+    pub position_enu_m: Vector3<f64>,
+    /// Velocity in the world frame ENU, m/s.
+    pub velocity_enu_mps: Vector3<f64>,
+    /// Attitude.
+    pub world_from_body: UnitQuaternion<f64>,
+    /// Angular rate in the body frame FLU, rad/s.
+    pub body_rates_radps: Vector3<f64>,
+    /// Specific force in the body frame FLU, m/s².
+    pub specific_force_mps2: Vector3<f64>,
+    /// Rotor speeds, rad/s; zero when unknown.
+    pub rotor_speed_radps: [f64; ROTORS],
+    /// Tension of each string, N; zero when slack or absent.
+    pub string_tension_n: [f64; 4],
+    /// Force of the ground on the vehicle, N.
+    pub ground_force_n: f64,
+}
+
+impl Truth {
+    /// Nothing known at `time`: vectors NaN, attitude level, forces zero.
+    pub fn unknown(time: FlightTime) -> Self {
+        let nan = Vector3::from_element(f64::NAN);
+        Self {
+            time,
+            position_enu_m: nan,
+            velocity_enu_mps: nan,
+            world_from_body: UnitQuaternion::identity(),
+            body_rates_radps: nan,
+            specific_force_mps2: nan,
+            rotor_speed_radps: [0.0; ROTORS],
+            string_tension_n: [0.0; 4],
+            ground_force_n: 0.0,
+        }
+    }
+}
+
+/// Why a vehicle can no longer be flown.
+#[derive(Debug, thiserror::Error)]
+pub enum VehicleError {
+    /// The recording is over; not a fault.
+    #[error("the recording ends at {0}")]
+    Finished(FlightTime),
+    /// The input is not what it should be.
+    #[error("{what}: {reason}")]
+    Invalid {
+        /// File or device.
+        what: String,
+        /// Reason, with the offending value.
+        reason: String,
+    },
+}
+
+/// Motors stop by themselves when no command reaches them for this long, s: every vehicle promises it, whether its speed
+/// controllers, its driver or the simulator keep the promise.
+pub const MOTOR_TIMEOUT_S: f64 = 0.1;
+
+/// Stops the motors of a vehicle from any thread, whatever its own thread does.
+pub trait MotorStop: Send + Sync + std::fmt::Debug {
+    /// Motors off, now. The next command may start them again.
+    fn stop(&self);
+}
+
+/// What only a simulated vehicle can be given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Service {
+    /// A full battery.
+    pub battery: bool,
+    /// Its place at the begin, at rest.
+    pub reset: bool,
+}
+
+/// Something that can be flown: the real quadrotor, the simulator, or a recording.
+pub trait Vehicle: Send {
+    /// The next frame, calibrated and in SI units. Time comes from here and nowhere else.
+    ///
+    /// Never sleeps: the caller paces the loop to `SensorFrame::time` in real time, or not at all.
+    ///
+    /// # Errors
+    /// [`VehicleError::Finished`] at the end of a recording; the others when the input fails.
+    fn sense(&mut self) -> Result<SensorFrame, VehicleError>;
+
+    /// Applies one motor command; returns what was really applied (clipped, or recorded).
+    ///
+    /// # Errors
+    /// When the motors cannot be reached.
+    fn actuate(&mut self, command: &MotorCommand) -> Result<MotorCommand, VehicleError>;
+
+    /// A way to its motors for the thread that watches over the flight thread; `None` where nothing can turn, or where
+    /// only the motors' own time-out stops them.
+    fn motor_stop(&self) -> Option<Arc<dyn MotorStop>> {
+        None
+    }
+
+    /// `gap_s` went by since the frame last sensed was due, and nobody flew. Returns how much of it the next frame passes
+    /// over, s: all of it for what moves on its own, nothing for a recording, which waits.
+    fn pass_over(&mut self, gap_s: f64) -> f64 {
+        let _ = gap_s;
+        0.0
+    }
+
+    /// True state of the frame last sensed, where it is known.
+    fn truth(&self) -> Option<Truth> {
+        None
+    }
+
+    /// Gives a simulated vehicle what is asked; false from any other.
+    fn serve(&mut self, _service: Service) -> bool {
+        false
+    }
+
+    /// How much of a recording is flown, 0 to 1; `None` where there is no end.
+    fn progress(&self) -> Option<f64> {
+        None
+    }
+
+    /// What the estimators received of the frame last sensed, when it comes from a recording in which that
+    /// differs from what was sensed: the attacks of then are seen again.
+    fn recorded_reception(&self) -> Option<SensorFrame> {
+        None
+    }
+
+    /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
+    fn recorded_control(&self) -> Option<RecordedControl> {
+        None
+    }
+
+    /// How its calibrated magnetometers fare.
+    fn fields(&self) -> ArrayVec<FieldReport, MAX_IMUS> {
+        ArrayVec::new()
+    }
+}
+
+/// What the recorded flight was told to do, and did about it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RecordedControl {
+    /// Flight mode.
+    pub mode: Mode,
+    /// Were the motors allowed to turn?
+    pub armed: bool,
+    /// Setpoint in use; NaN where the recording does not say.
+    pub setpoint: Setpoint,
+    /// Wrench asked for by the controller.
+    pub wrench: Wrench,
+    /// Motor command asked for.
+    pub command: MotorCommand,
+    /// Could the mixer not give what was asked?
+    pub saturated: bool,
+    /// Integrators of x, y, z (m s) and yaw (rad s).
+    pub integrator: [f64; 4],
+    /// Response to the last altitude step, where it was told in this tick.
+    pub step_response: Option<StepResponse>,
+    /// Does the recording carry motor commands at all?
+    pub motors_known: bool,
+}
+
+impl RecordedControl {
+    /// Of a recording that holds sensors only.
+    pub fn unknown() -> Self {
+        let setpoint = Setpoint {
+            position_enu_m: Vector3::repeat(f64::NAN),
+            velocity_enu_mps: Vector3::zeros(),
+            acceleration_enu_mps2: Vector3::zeros(),
+            roll_pitch_yaw_rad: Vector3::repeat(f64::NAN),
+            throttle: f64::NAN,
+        };
+        Self { mode: Mode::Unspecified, setpoint, ..Self::default() }
+    }
+}

@@ -1,0 +1,44 @@
+//! Names of estimators in configuration, scenarios, the HTTP API and on the command line.
+
+use crate::v1::EstimatorKind;
+
+/// Names that older files and scripts use.
+const FORMER: [(&str, EstimatorKind); 3] = [
+    ("primary", EstimatorKind::Complementary),
+    ("point_mass", EstimatorKind::ConstantAcceleration),
+    ("attitude", EstimatorKind::Vqf),
+];
+
+impl EstimatorKind {
+    /// The estimator called `name`: the lower-snake-case name of the wire (`ekf_bias`), or what it was called once.
+    pub fn named(name: &str) -> Option<Self> {
+        let former = FORMER.iter().find(|(former, _)| *former == name).map(|(_, kind)| *kind);
+        let lower = || name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
+        let present = || Self::from_str_name(&format!("ESTIMATOR_KIND_{}", name.to_ascii_uppercase()));
+        former.or_else(|| if lower() { present() } else { None }).filter(|kind| *kind != Self::Unspecified)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn estimators_keep_the_names_that_old_files_use() {
+        for (name, kind) in [
+            ("vqf", EstimatorKind::Vqf),
+            ("attitude", EstimatorKind::Vqf),
+            ("complementary", EstimatorKind::Complementary),
+            ("primary", EstimatorKind::Complementary),
+            ("constant_acceleration", EstimatorKind::ConstantAcceleration),
+            ("point_mass", EstimatorKind::ConstantAcceleration),
+            ("ekf_bias", EstimatorKind::EkfBias),
+            ("secure", EstimatorKind::Secure),
+        ] {
+            assert_eq!(EstimatorKind::named(name), Some(kind), "{name}");
+        }
+        for name in ["magic", "unspecified", "SECURE", "", "ekf-bias"] {
+            assert_eq!(EstimatorKind::named(name), None, "{name}");
+        }
+    }
+}

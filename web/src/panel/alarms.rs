@@ -1,0 +1,136 @@
+//! What must not be missed: bars that lie over the charts and move nothing under the pointer, and a few words beside
+//! the pointer when what was pressed is refused.
+
+use leptos::prelude::*;
+use plumbline_proto::v1::Failsafe;
+use serde_json::json;
+
+use crate::{
+    ctx::{Ctx, ctx},
+    keys,
+    model::{format, names},
+};
+
+/// From this age on the bar says how old the data are, s.
+const OLD_S: f64 = 1.0;
+/// Charge below which the battery is low, and nearly empty.
+const LOW: f64 = 0.30;
+const EMPTY: f64 = 0.15;
+
+/// The failsafe that acts, or ended the flight, with its reason, and whether it still acts.
+fn failsafe(ctx: Ctx) -> Option<(String, bool)> {
+    ctx.live(|live| {
+        let status = live.status.get().filter(|s| s.failsafe() != Failsafe::None)?;
+        let title = names::failsafe(status.failsafe());
+        let reason = &status.failsafe_reason;
+        let text = if reason.is_empty() { title.to_owned() } else { format!("{title} – {reason}") };
+        Some((text, status.armed || status.cut_latched))
+    })
+}
+
+/// Battery, where it is low: (text, nearly empty?).
+fn battery(ctx: Ctx) -> Option<(String, bool)> {
+    ctx.live(|live| {
+        let status = live.status.get().filter(|s| s.battery_v > 0.0 && s.battery_fraction < LOW)?;
+        let empty = status.battery_fraction < EMPTY;
+        let what = if empty { "Battery nearly empty" } else { "Battery low" };
+        let (volts, percent) = (format::fixed(status.battery_v, 1), format::fixed(100.0 * status.battery_fraction, 0));
+        let todo = if status.armed { ": land now" } else { "" };
+        Some((format!("{what}, {volts} V · {percent} %{todo}."), empty))
+    })
+}
+
+/// Who took control from this page, and when (wall time of the ground, µs).
+fn lost_to(ctx: Ctx) -> Option<(String, u64)> {
+    let operator = ctx.operator();
+    ctx.live(|live| {
+        let lease = live.lease.as_ref()?;
+        (lease.taken_from == operator && lease.holder != operator && !lease.holder.is_empty())
+            .then(|| (lease.holder.clone(), lease.wall_time_us))
+    })
+}
+
+/// The bars.
+#[component]
+pub fn Alarms() -> impl IntoView {
+    let ctx = ctx();
+    let age = Memo::new(move |_| ctx.age_s().filter(|age| *age >= OLD_S).map(|age| age.floor()));
+    let failsafe = Memo::new(move |_| failsafe(ctx));
+    let battery = Memo::new(move |_| battery(ctx));
+    let lost = Memo::new(move |_| lost_to(ctx));
+    let read = RwSignal::new(0_u64);
+    let ended = RwSignal::new(String::new());
+    let simulated = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "sim")));
+    view! {
+        <div class="alarms" role="alert" aria-label="Alarms">
+            {move || age.get().map(|s| view! {
+                <p class="alarm bad data-age"><b>{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
+            })}
+            {move || failsafe.get().filter(|(text, acts)| *acts || *text != ended.get()).map(|(text, acts)| view! {
+                <p class="alarm" class:bad=acts>
+                    <b>{text.clone()}</b>
+                    {(!acts).then(|| view! {
+                        <button type="button" class="plain" aria-label="Dismiss" on:click=move |_| ended.set(text.clone())>"×"</button>
+                    })}
+                </p>
+            })}
+            {move || battery.get().map(|(text, empty)| view! {
+                <p class="alarm" class:bad=empty>
+                    <b>{text}</b>
+                    {simulated.get().then(|| view! {
+                        <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!({ "battery": true }))>"New battery"</button>
+                    })}
+                </p>
+            })}
+            {move || lost.get().filter(|(_, at)| *at != read.get()).map(|(who, at)| view! {
+                <p class="alarm">
+                    <b>{format!("{who} took control.")}</b> " You are viewing; the motor cut stays yours."
+                    <button type="button" class="small" on:click=move |_| ctx.take_control()>"Take over"</button>
+                    <button type="button" class="plain" aria-label="Dismiss" on:click=move |_| read.set(at)>"×"</button>
+                </p>
+            })}
+        </div>
+        {move || ctx.hint.get().map(|hint| view! {
+            <p class="hint" role="alert" style=format!(
+                "left:clamp(8.5rem,{:.0}px,100vw - 8.5rem);top:min({:.0}px,100dvh - 5rem)", hint.x, hint.y
+            )>{hint.text}</p>
+        })}
+    }
+}
+
+/// Controls that are refused while another operator is in control: they look so, and say why where they are pressed.
+#[component]
+pub fn Guarded(children: Children) -> impl IntoView {
+    let ctx = ctx();
+    let refusal = Memo::new(move |_| ctx.refusal());
+    let stop = move |e: &leptos::ev::Event| {
+        if let Some(why) = refusal.get_untracked() {
+            e.prevent_default();
+            e.stop_propagation();
+            ctx.refuse(why);
+        }
+    };
+    view! {
+        <div
+            class="guarded"
+            class:refused=move || refusal.with(Option::is_some)
+            role="group"
+            aria-label="Commands"
+            aria-disabled=move || refusal.with(Option::is_some).then_some("true")
+            aria-description=refusal
+            on:click:capture=move |e| stop(&e)
+            on:submit:capture=move |e| stop(&e)
+            on:pointerdown:capture=move |e| {
+                if refusal.with_untracked(Option::is_some) {
+                    keys::pointed(f64::from(e.client_x()), f64::from(e.client_y()));
+                    stop(&e);
+                }
+            }
+            on:keydown:capture=move |e| {
+                if matches!(e.key().as_str(), "Enter" | " ") {
+                    stop(&e);
+                }
+            }
+        >{children()}</div>
+    }
+}
