@@ -87,40 +87,6 @@ pub fn soak(workspace: &Workspace, options: &SoakOptions) -> Result<(), XtaskErr
     program(workspace, "soak", options.dev, &[("PLUMBLINE_MINUTES", options.minutes)])
 }
 
-/// How long to fuzz.
-#[derive(Debug, Clone, clap::Args)]
-pub struct FuzzOptions {
-    /// Processor time for each decoder, min; a JSON line is printed each minute.
-    #[arg(long, default_value_t = 10.0)]
-    pub minutes: f64,
-    /// Decoders beside each other.
-    #[arg(long, default_value_t = 1)]
-    pub threads: u32,
-    /// Only decoders with this in their names.
-    #[arg(long, default_value = "fuzz")]
-    pub only: String,
-    /// Chooses the damage: each minute takes the next one.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Build without optimisation.
-    #[arg(long)]
-    pub dev: bool,
-}
-
-/// Fuzzes every decoder.
-///
-/// # Errors
-/// A decoder failed; its input is kept in `target/fuzz`.
-pub fn fuzz(workspace: &Workspace, options: &FuzzOptions) -> Result<(), XtaskError> {
-    let mut cargo = workspace.cargo();
-    // The whole workspace chosen: with the features that everything else was built with.
-    cargo.args(["test", "--locked", "--workspace", "--test", "fuzz"]);
-    cargo.args(if options.dev { &[][..] } else { &["--release"][..] }).args(["--", "--nocapture"]);
-    cargo.arg(&options.only).arg(format!("--test-threads={}", options.threads));
-    cargo.env("PLUMBLINE_FUZZ_MINUTES", options.minutes.to_string()).env("PLUMBLINE_SEED", options.seed.to_string());
-    workspace::run(cargo.stdin(Stdio::null()))
-}
-
 /// Builds ground and agent, then builds and runs a campaign with these settings.
 fn program(workspace: &Workspace, name: &str, dev: bool, settings: &[(&str, u64)]) -> Result<(), XtaskError> {
     let (profile, folder) = if dev { ("dev", "debug") } else { ("release", "release") };

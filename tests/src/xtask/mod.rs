@@ -7,6 +7,7 @@ mod browser;
 mod chaos;
 mod error;
 mod evaluate;
+mod fuzz;
 mod reproduce;
 mod run;
 mod signals;
@@ -49,7 +50,7 @@ enum Task {
     /// Many viewers for long: memory, missed ticks, a complete recording, as JSON lines.
     Soak(chaos::SoakOptions),
     /// Every decoder against damaged input, each for so many minutes, as JSON lines.
-    Fuzz(chaos::FuzzOptions),
+    Fuzz(fuzz::FuzzOptions),
     /// Estimators and calibrations against references, recordings, peers and sources: JSON lines and a report.
     Evaluate,
     /// What CI runs: `test`.
@@ -69,7 +70,7 @@ pub fn main() -> ExitCode {
         Task::Reproduce(options) => reproduce::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Chaos(options) => chaos::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Soak(options) => chaos::soak(&workspace, &options).map(|()| ExitCode::SUCCESS),
-        Task::Fuzz(options) => chaos::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
+        Task::Fuzz(options) => fuzz::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Evaluate => evaluate::run(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
