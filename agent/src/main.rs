@@ -18,7 +18,9 @@ fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     let colours = io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(io::stderr).with_ansi(colours).init();
+    // A thread of its own writes: a terminal that takes no more lines (Ctrl-S, a full pipe) holds up no flight.
+    let (writer, _written) = tracing_appender::non_blocking(io::stderr());
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).with_ansi(colours).init();
     match arguments.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if reader_gone(&*error) => ExitCode::from(READER_GONE),

@@ -38,7 +38,7 @@ const READ_BYTES: u64 = 1 << 20;
 /// What was written is on the disk after this long.
 pub const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// Fields of a body that are never written down.
-const SECRETS: [&str; 3] = ["password", "code", "totp"];
+const SECRETS: [&str; 3] = ["password", "code", "secret"];
 /// Bodies up to this length are written down.
 const MAX_BODY: usize = 1024;
 

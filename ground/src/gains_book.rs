@@ -38,12 +38,14 @@ pub struct Revision {
 pub struct GainsBook {
     folder: PathBuf,
     books: Mutex<BTreeMap<String, Vec<Revision>>>,
+    /// Held while a book is written.
+    writing: Mutex<()>,
 }
 
 impl GainsBook {
     /// The book kept in `data_folder`. Books are read when first asked for.
     pub fn open(data_folder: &Path) -> Self {
-        Self { folder: data_folder.join("gains"), books: Mutex::new(BTreeMap::new()) }
+        Self { folder: data_folder.join("gains"), books: Mutex::default(), writing: Mutex::default() }
     }
 
     /// Revisions of `vehicle`, oldest first.
@@ -77,7 +79,7 @@ impl GainsBook {
         operator: &str,
         pushed_unix_us: u64,
     ) -> u32 {
-        self.with(vehicle, |book| {
+        let revision = self.with(vehicle, |book| {
             let last = book.iter().map(|r| r.revision).max().unwrap_or(0).max(in_use);
             let revision = last.saturating_add(1);
             book.push(Revision {
@@ -90,9 +92,10 @@ impl GainsBook {
             });
             let surplus = book.len().saturating_sub(MAX_REVISIONS);
             book.drain(..surplus);
-            self.save(vehicle, book);
             revision
-        })
+        });
+        self.save(vehicle);
+        revision
     }
 
     /// Notes what became of a push.
@@ -102,8 +105,8 @@ impl GainsBook {
                 stage.clone_into(&mut entry.stage);
                 reason.clone_into(&mut entry.reason);
             }
-            self.save(vehicle, book);
         });
+        self.save(vehicle);
     }
 
     fn with<T>(&self, vehicle: &str, work: impl FnOnce(&mut Vec<Revision>) -> T) -> T {
@@ -131,9 +134,11 @@ impl GainsBook {
         }
     }
 
-    fn save(&self, vehicle: &str, book: &[Revision]) {
-        if let Err(error) = write_atomically(&self.path(vehicle), &serde_json::to_vec_pretty(book).unwrap_or_default())
-        {
+    /// Writes a book as it is now. In turn, but not under the lock of the books: whoever reads them waits for no disk.
+    fn save(&self, vehicle: &str) {
+        let _turn = lock(&self.writing);
+        let text = self.with(vehicle, |book| serde_json::to_vec_pretty(book).unwrap_or_default());
+        if let Err(error) = write_atomically(&self.path(vehicle), &text) {
             tracing::error!(vehicle, %error, "gains book cannot be written");
         }
     }

@@ -372,6 +372,29 @@ async fn an_unwritable_folder_is_loud_the_flight_goes_on_and_nothing_is_lost() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_data_folder_that_is_moved_away_is_missed_and_not_begun_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let (here, away) = (folder.path().join("data"), folder.path().join("away"));
+    let ground = Ground::start(&here).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    std::fs::rename(&here, &away).unwrap();
+    let said = ground.wait_json("/api/ground", |g| g["recording_error"].is_string()).await;
+    assert!(said["recording_error"].as_str().unwrap().contains("data"), "{said}");
+    let first = agent.begin("f1").await;
+    fly(&mut agent, 50, |_| true).await;
+    assert!(!here.exists(), "a second data folder was begun");
+    std::fs::rename(&away, &here).unwrap();
+    fly(&mut agent, 50, |_| true).await;
+    let last = agent.end("f1", first);
+    agent.send([last], false).await;
+    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    check_whole(&ground, &agent, "f1", first, last).await;
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_disk_below_its_reserve_is_said_with_both_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = plumbline_ground::GroundConfig::new(folder.path());

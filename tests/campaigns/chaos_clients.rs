@@ -4,7 +4,8 @@
 //! vehicle is armed and cut, by a request on a connection of its own. Measured is the time from before that connection
 //! is opened to the first control tick with the motors off. The ticks are told by a live view: flight time becomes wall
 //! time by the shortest delay ever seen between the two, so that what the live view takes does not count; `seen_p99_ms`
-//! tells when the live view knew. `PLUMBLINE_ROUNDS` cuts beneath each load.
+//! tells when the live view knew. `PLUMBLINE_ROUNDS` cuts beneath each load; `PLUMBLINE_ONLY` names
+//! some of them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "clients/client.rs"]
@@ -25,7 +26,7 @@ use figures::{Figures, quantile, setting};
 use loads::Load;
 use plumbline_ground::people::{Accounts, Role};
 use plumbline_proto::{Kind, v1};
-use plumbline_tests::harness::{Process, System, wait_until};
+use plumbline_tests::harness::{Process, System, SystemOptions, wait_until};
 use serde_json::json;
 use support::{PATIENCE, free_port, options, scenario};
 
@@ -35,6 +36,10 @@ const CUT_MAX_MS: f64 = 50.0;
 const SETTLE: Duration = Duration::from_millis(500);
 /// A cut that shows no effect for this long counts as one that takes so long.
 const GIVEN_UP: Duration = Duration::from_secs(10);
+/// What the ground may take beneath a load, MiB. Ten tables at a time took 8.2 GB once.
+const PEAK_MAX_MIB: f64 = 768.0;
+/// Files that a ground short of them may open.
+const SCARCE_FILES: u32 = 512;
 /// People besides the pilot.
 const CROWD: usize = 8;
 
@@ -92,7 +97,9 @@ fn arm(client: &Client, seen: &Mutex<Seen>) {
 }
 
 /// Cuts beneath a load, `rounds` times.
-fn trial(figures: &mut Figures, client: &Client, load: &Load, rounds: u64) {
+fn trial(figures: &mut Figures, client: &Client, load: &Load, ground: u32, rounds: u64) {
+    // From now on the most memory is that of this load.
+    let _ = std::fs::write(format!("/proc/{ground}/clear_refs"), "5");
     let seen = watch(client);
     let running = (load.begin)(client);
     std::thread::sleep(SETTLE);
@@ -126,12 +133,16 @@ fn trial(figures: &mut Figures, client: &Client, load: &Load, rounds: u64) {
         "median_ms": quantile(&mut motors_off, 0.5), "worst_ms": quantile(&mut motors_off, 1.0), "n": rounds,
         "seen_p99_ms": quantile(&mut noticed, 0.99), "not_answered": refused,
     });
+    let peak = peak_mib(ground);
+    figures.at_most(&format!("peak_{}", load.name), peak, PEAK_MAX_MIB, "MiB", json!({}));
     figures.at_most(&format!("cut_p99_{}", load.name), quantile(&mut motors_off, 0.99), CUT_MAX_MS, "ms", more);
     drop(running);
 }
 
 fn main() -> std::process::ExitCode {
     let rounds = setting("PLUMBLINE_ROUNDS", 20);
+    let only = std::env::var("PLUMBLINE_ONLY").unwrap_or_default();
+    let chosen = |loads: &'static [Load]| loads.iter().filter(|load| load.name.contains(&only)).collect::<Vec<_>>();
     let mut figures = Figures::new("clients", setting("PLUMBLINE_SEED", 1));
     rlimit::increase_nofile_limit(u64::MAX).unwrap();
     let folder = tempfile::tempdir().unwrap();
@@ -146,28 +157,62 @@ fn main() -> std::process::ExitCode {
     let client = Client::plain(system.api().address, &data, CROWD);
     let recording = wait_until(PATIENCE, || client.command("recording", &json!({ "on": true })).filter(|a| a.0 == 200));
     assert!(recording.is_some(), "no recording");
-    for load in loads::PLAIN {
-        trial(&mut figures, &client, load, rounds);
+    for load in chosen(loads::PLAIN) {
+        trial(&mut figures, &client, load, system.ground.process.id(), rounds);
     }
 
-    // The same ground, as a network sees it.
+    // The same ground, as a network sees it; then one that may open few files.
+    restart(&mut system, &options, &["--tls"], None);
+    let client = Client::by_tls(system.api().address, &data, CROWD);
+    back(&client);
+    for load in chosen(loads::TLS) {
+        trial(&mut figures, &client, load, system.ground.process.id(), rounds);
+    }
+    restart(&mut system, &options, &[], Some(SCARCE_FILES));
+    let client = Client::plain(system.api().address, &data, CROWD);
+    back(&client);
+    for load in chosen(loads::SCARCE) {
+        trial(&mut figures, &client, load, system.ground.process.id(), rounds);
+    }
+    let (_, ground) = client.get("/api/ground", &client.pilot).expect("the ground");
+    let ground: serde_json::Value = serde_json::from_str(&ground).expect("JSON");
+    let silent = f64::from(u8::from(!ground["recording_error"].is_null()));
+    figures.at_most("recording_stopped", silent, 0.0, "times", json!({ "said": ground["recording_error"] }));
+    system.stop().unwrap();
+    figures.finish()
+}
+
+/// Most memory that a process ever held, MiB.
+fn peak_mib(process: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0");
+    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+}
+
+/// Begins the ground again where it was, with other arguments, and with a bound on its open files.
+fn restart(system: &mut System, options: &SystemOptions, arguments: &[&str], files: Option<u32>) {
     system.ground.process.interrupt(Duration::from_secs(20)).unwrap();
-    let mut command = Command::new(&options.binaries.ground);
-    command.arg("--tls").arg("--data").arg(&data);
+    let mut command = match files {
+        None => Command::new(&options.binaries.ground),
+        Some(files) => {
+            let mut bounded = Command::new("prlimit");
+            bounded.arg(format!("--nofile={files}:{files}")).arg(&options.binaries.ground);
+            bounded
+        }
+    };
+    command.args(arguments).arg("--data").arg(options.data.join("ground"));
     command.arg("--listen").arg(system.ground.api.address.to_string());
     command.arg("--agent-listen").arg(system.ground.link.to_string());
     system.ground.process = Process::start("ground", command, false).unwrap();
-    let says = |line: &str| line.contains("Plumbline is at https://").then_some(());
+    let says = |line: &str| line.contains("Plumbline is at http").then_some(());
     system.ground.process.wait_for(PATIENCE, says).unwrap();
-    let client = Client::by_tls(system.api().address, &data, CROWD);
+}
+
+/// Waits for the vehicle to be connected again.
+fn back(client: &Client) {
     let back = wait_until(PATIENCE, || {
         let (_, text) = client.get("/api/vehicles", &client.pilot)?;
         text.contains("\"connected\":true").then_some(())
     });
     assert!(back.is_some(), "the vehicle has not come back");
-    for load in loads::TLS {
-        trial(&mut figures, &client, load, rounds);
-    }
-    system.stop().unwrap();
-    figures.finish()
 }

@@ -3,11 +3,13 @@
 
 mod support;
 
+use std::io::{BufRead as _, BufReader, PipeReader, Write as _};
+use std::os::fd::AsRawFd as _;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use plumbline_tests::harness::{Agent, Process, Vehicle, wait_until};
+use plumbline_tests::harness::{Agent, Api, Process, Vehicle, wait_until};
 use support::{PATIENCE, Rig, options, scenario};
 
 /// Runs a program that must end by itself with an error; what it said.
@@ -108,6 +110,45 @@ fn a_second_agent_of_the_same_name_is_refused_and_the_first_flies_on() {
     rig.disarm();
     assert_eq!(rig.finished_flight()["missing"], 0);
     rig.stop();
+}
+
+/// Starts a program whose log goes into a pipe that is full, and that nobody reads while the reader is kept.
+fn mute(mut command: Command) -> (Child, PipeReader) {
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    // SAFETY: the pipe is open; its size becomes that of a page, and is answered.
+    let size = unsafe { libc::fcntl(writer.as_raw_fd(), libc::F_SETPIPE_SZ, 4096) };
+    writer.write_all(&vec![b'.'; usize::try_from(size).unwrap()]).unwrap();
+    let child = command.stdout(Stdio::piped()).stderr(writer).stdin(Stdio::null()).spawn().unwrap();
+    (child, reader)
+}
+
+#[test]
+fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut ground = Command::new(options(folder.path()).binaries.ground);
+    ground.args(["--listen", "127.0.0.1:0", "--agent-listen", "127.0.0.1:0", "--data"]).arg(folder.path().join("data"));
+    let (mut ground, _ground_log) = mute(ground);
+    let mut said = String::new();
+    BufReader::new(ground.stdout.take().unwrap()).read_line(&mut said).unwrap();
+    let address = said.trim().split("http://").nth(1).unwrap().trim_end_matches('/').parse().unwrap();
+    let api = Api { address, operator: "test".into() };
+    let begun = Instant::now();
+    (0..200).for_each(|_| assert_eq!(api.get("/api/ground").unwrap().status, 200));
+    assert!(begun.elapsed() < PATIENCE, "{:?}", begun.elapsed());
+
+    let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
+    let (mut agent, _agent_log) =
+        mute(agent(folder.path(), &["--vehicle", "sim", "--scenario", scenario.to_str().unwrap()]));
+    let written = || {
+        let files = std::fs::read_dir(folder.path().join("log")).into_iter().flatten().flatten();
+        files.map(|file| file.metadata().map_or(0, |known| known.len())).sum::<u64>()
+    };
+    let before = written();
+    assert!(wait_until(PATIENCE, || (written() > before).then_some(())).is_some(), "the flight stands still");
+    for child in [&mut ground, &mut agent] {
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
 }
 
 #[test]

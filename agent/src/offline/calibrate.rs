@@ -160,7 +160,12 @@ pub fn from_table(text: impl std::io::Read, name: &str, request: &Request) -> Re
             let (mass_kg, axes) = table.mass().map_err(wrong)?;
             mass::mass(mass_kg, &axes)
         }
-        _ => return from_samples(&table.imu().map_err(wrong)?, name, request),
+        _ => {
+            let samples = table.imu().map_err(wrong)?;
+            // A large table is not kept beside its samples.
+            drop(table);
+            return from_samples(samples, name, request);
+        }
     };
     let mut file = fitted.map_err(|source| CalibrateError::Refused { kind: request.kind.name(), source })?;
     request.date.clone_into(&mut file.date);
@@ -193,14 +198,18 @@ pub fn from_recording(
             });
         }
     }
-    from_samples(&samples, name, request)
+    from_samples(samples, name, request)
 }
 
 /// Fits from samples of one IMU.
 ///
 /// # Errors
 /// [`CalibrateError`].
-pub fn from_samples(samples: &[Sample], name: &str, request: &Request) -> Result<CalibrationFile, CalibrateError> {
+pub fn from_samples(
+    mut samples: Vec<Sample>,
+    name: &str,
+    request: &Request,
+) -> Result<CalibrationFile, CalibrateError> {
     let ends = samples.first().zip(samples.last()).map(|(a, b)| (a.time_s, b.time_s));
     let (first, last) = ends.unwrap_or((0.0, 0.0));
     let half = if request.first_half { 0.5 * (first + last) } else { f64::INFINITY };
@@ -211,16 +220,16 @@ pub fn from_samples(samples: &[Sample], name: &str, request: &Request) -> Result
         return Err(CalibrateError::Argument { argument: "from", value: from.to_string(), reason });
     }
     // NaN times pass on to the checks of the fit.
-    let chosen: Vec<Sample> = samples.iter().filter(|s| !(s.time_s < from || s.time_s > to)).copied().collect();
+    samples.retain(|s| !(s.time_s < from || s.time_s > to));
     let fitted = match request.kind {
-        Kind::Accelerometer => accelerometer(&chosen, request.gravity_mps2),
+        Kind::Accelerometer => accelerometer(&samples, request.gravity_mps2),
         Kind::Gyroscope => match request.accelerometer.as_ref().map(accelerometer_of).transpose() {
-            Ok(triad) => gyroscope(&chosen, &triad.unwrap_or_else(Triad::identity)),
+            Ok(triad) => gyroscope(&samples, &triad.unwrap_or_else(Triad::identity)),
             Err(error) => Err(error),
         },
-        Kind::Magnetometer => magnetometer::magnetometer(&chosen),
-        Kind::Thermal => thermal::thermal(&chosen),
-        Kind::Allan => allan::allan(&chosen),
+        Kind::Magnetometer => magnetometer::magnetometer(&samples),
+        Kind::Thermal => thermal::thermal(&samples),
+        Kind::Allan => allan::allan(&samples),
         Kind::MotorCurve | Kind::Thrust | Kind::Mass => {
             let reason = format!("is not fitted from samples of an IMU: give a table (--format {CSV})");
             return Err(CalibrateError::Argument { argument: "kind", value: request.kind.name().into(), reason });

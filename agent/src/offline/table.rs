@@ -31,7 +31,7 @@ pub(super) struct Table {
     /// All fields, one after the other.
     text: String,
     /// Where each of them ends; as many in every row as the header has.
-    ends: Vec<usize>,
+    ends: Vec<u32>,
 }
 
 impl Table {
@@ -47,7 +47,8 @@ impl Table {
             }
             for field in &record {
                 table.text.push_str(field);
-                table.ends.push(table.text.len());
+                let end = u32::try_from(table.text.len()).map_err(|_| "more than 4 GiB of text".to_owned())?;
+                table.ends.push(end);
             }
         }
         Ok(table)
@@ -61,7 +62,7 @@ impl Table {
         let index = row * self.header.len() + column;
         let start = index.checked_sub(1).map_or(Some(&0), |before| self.ends.get(before));
         let range = start.zip(self.ends.get(index)).filter(|_| column < self.header.len());
-        range.and_then(|(start, end)| self.text.get(*start..*end)).unwrap_or_default()
+        range.and_then(|(start, end)| self.text.get(*start as usize..*end as usize)).unwrap_or_default()
     }
 
     fn find(&self, names: &[&str]) -> Option<(usize, usize)> {

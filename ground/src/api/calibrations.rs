@@ -94,8 +94,8 @@ impl Asked {
         })
     }
 
-    fn fit(&self, request: &Request, recorder: &RecorderHandle, waited: &Waited) -> Result<CalibrationFile, ApiError> {
-        match (&self.flight, &self.csv) {
+    fn fit(self, request: &Request, recorder: &RecorderHandle, waited: &Waited) -> Result<CalibrationFile, ApiError> {
+        match (&self.flight, self.csv) {
             (Some(id), None) => {
                 let bytes = recorder.open(id)?.bytes();
                 let bytes = bytes.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
@@ -106,7 +106,8 @@ impl Asked {
             }
             (None, Some(text)) => {
                 let name = self.name.as_deref().map_or_else(|| "uploaded.csv".to_owned(), crate::names::clip);
-                from_table(waited.reading(text.as_bytes()), &name, request).map_err(refused)
+                // Read to its end and gone before anything is fitted.
+                from_table(waited.reading(std::io::Cursor::new(text)), &name, request).map_err(refused)
             }
             _ => Err(ApiError::Invalid("one of flight and csv, not both and not neither".into())),
         }
@@ -139,7 +140,8 @@ pub(crate) async fn create(
     let answer = app.uploads.after(upload(request), move |bytes, waited| {
         let asked: Asked = serde_json::from_slice(&bytes).map_err(|e| ApiError::Invalid(e.to_string()))?;
         drop(bytes);
-        let file = asked.fit(&asked.request(&kept)?, &recorder, waited)?;
+        let wanted = asked.request(&kept)?;
+        let file = asked.fit(&wanted, &recorder, waited)?;
         waited.check()?;
         let id = kept.keep(&file).map_err(|e| ApiError::Broken(format!("calibrations: {e}")))?;
         Ok(with_id(&id, file.to_value()))

@@ -183,6 +183,9 @@ fn routes() -> Vec<Route> {
         get    "/api/session"                        Open    session::show;
         post   "/api/session"                        Open    session::begin;
         delete "/api/session"                        Open    session::end;
+        post   "/api/session/authenticator"          View    session::offer;
+        put    "/api/session/authenticator"          View    session::confirm;
+        delete "/api/session/authenticator"          View    session::one_step;
         get    "/api/sessions"                       View    people::sessions;
         delete "/api/sessions/{id}"                  View    people::end;
         get    "/api/people"                         Admin   people::list;

@@ -14,7 +14,8 @@ use crate::people::{AccountError, Role};
 
 pub(crate) async fn list(State(app): State<App>) -> Result<Json<Value>, ApiError> {
     let accounts = app.people.accounts().all()?;
-    let accounts: Vec<_> = accounts.iter().map(|a| json!({ "name": a.name, "role": a.role })).collect();
+    let accounts: Vec<_> =
+        accounts.iter().map(|a| json!({ "name": a.name, "role": a.role, "two_steps": a.two_steps() })).collect();
     Ok(Json(json!({ "accounts": accounts, "sessions": app.people.sessions(None) })))
 }
 
@@ -36,6 +37,8 @@ pub(crate) async fn add(State(app): State<App>, Body(asked): Body<Added>) -> Res
 pub(crate) struct Changed {
     role: Option<Role>,
     password: Option<String>,
+    /// `false` takes the authenticator away, as from somebody who lost it. Nobody sets one up for another.
+    two_steps: Option<bool>,
 }
 
 pub(crate) async fn change(
@@ -43,7 +46,15 @@ pub(crate) async fn change(
     Path(name): Path<String>,
     Body(asked): Body<Changed>,
 ) -> Result<StatusCode, ApiError> {
-    app.people.change(move |accounts| accounts.change(&name, asked.role, asked.password.as_deref())).await?;
+    if asked.two_steps == Some(true) {
+        return Err(ApiError::Invalid("whoever is to sign in by two steps sets it up themselves".into()));
+    }
+    app.people
+        .change(move |accounts| {
+            accounts.change(&name, asked.role, asked.password.as_deref())?;
+            asked.two_steps.map_or(Ok(()), |_| accounts.set_totp(&name, None))
+        })
+        .await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -77,7 +88,11 @@ impl From<AccountError> for ApiError {
         match error {
             AccountError::Unknown(_) => Self::NotFound(error.to_string()),
             AccountError::Exists(_) | AccountError::LastAdmin => Self::Conflict(error.to_string()),
-            AccountError::Name(_) | AccountError::Password(_) | AccountError::Full => Self::Invalid(error.to_string()),
+            AccountError::Name(_)
+            | AccountError::Password(_)
+            | AccountError::Full
+            | AccountError::Secret
+            | AccountError::Code => Self::Invalid(error.to_string()),
             AccountError::Io { .. } | AccountError::Malformed { .. } | AccountError::Random => {
                 Self::Broken(error.to_string())
             }

@@ -15,9 +15,10 @@ use super::App;
 use super::access::token;
 use super::body::Body;
 use super::error::ApiError;
+use super::operator::Signed;
 use crate::audit::Deed;
 use crate::front::Peer;
-use crate::people::{COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
+use crate::people::{Account, AccountError, Authenticator, COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
 use crate::sync::wall_time_us;
 
 #[derive(Deserialize)]
@@ -25,6 +26,9 @@ use crate::sync::wall_time_us;
 pub(crate) struct Credentials {
     name: String,
     password: String,
+    /// Of the account's authenticator, where it has one.
+    #[serde(default)]
+    code: String,
 }
 
 /// Address of the client, where it is known.
@@ -44,8 +48,13 @@ pub(crate) async fn show(State(app): State<App>, headers: HeaderMap) -> Json<Val
         "sign_in_needed": app.people.sign_in_needed(),
         "signed_in": person.is_some(),
         "name": person.as_ref().and_then(|person| person.account.clone()),
+        "two_steps": person.as_ref().and_then(|person| person.account.as_deref()).is_some_and(|name| two_steps(&app, name)),
         "role": person.map(|person| person.role),
     }))
+}
+
+fn two_steps(app: &App, name: &str) -> bool {
+    app.people.accounts().all().is_ok_and(|all| all.iter().any(|account| account.name == name && account.two_steps()))
 }
 
 pub(crate) async fn begin(
@@ -61,6 +70,59 @@ pub(crate) async fn begin(
 pub(crate) async fn end(State(app): State<App>, from: From, headers: HeaderMap) -> Response {
     sign_out(&app, &from, &headers).await;
     (StatusCode::NO_CONTENT, cookie(&app, "", 0)).into_response()
+}
+
+/// The account that asks; without one there is nothing to set up.
+fn account(person: Person) -> Result<String, ApiError> {
+    person.account.ok_or_else(|| ApiError::Conflict("no account is signed in".into()))
+}
+
+/// A new authenticator; it counts once a code of it has come back ([`confirm`]).
+pub(crate) async fn offer(Signed(person): Signed) -> Result<Json<Value>, ApiError> {
+    let new = Authenticator::new(&account(person)?)?;
+    Ok(Json(json!({ "secret": new.secret(), "url": new.url(), "svg": new.picture() })))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Confirmation {
+    secret: String,
+    code: String,
+}
+
+/// From now on this account signs in by two steps.
+pub(crate) async fn confirm(
+    State(app): State<App>,
+    Signed(person): Signed,
+    Body(asked): Body<Confirmation>,
+) -> Result<StatusCode, ApiError> {
+    let name = account(person)?;
+    let authenticator = Authenticator::of(&name, &asked.secret)?;
+    authenticator.step(&asked.code, wall_time_us() / 1_000_000).ok_or(AccountError::Code)?;
+    app.people.change(move |accounts| accounts.set_totp(&name, Some(&authenticator))).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Code {
+    code: String,
+}
+
+/// From now on its password is enough; a code is asked for, so that a page left open is not.
+pub(crate) async fn one_step(
+    State(app): State<App>,
+    Signed(person): Signed,
+    Body(asked): Body<Code>,
+) -> Result<StatusCode, ApiError> {
+    let name = account(person)?;
+    let accounts = app.people.accounts().all()?;
+    let known = accounts.iter().find(|known| known.name == name);
+    if let Some(authenticator) = known.map(Account::authenticator).transpose()?.flatten() {
+        authenticator.step(&asked.code, wall_time_us() / 1_000_000).ok_or(AccountError::Code)?;
+    }
+    app.people.change(move |accounts| accounts.set_totp(&name, None)).await?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 async fn sign_out(app: &App, from: &From, headers: &HeaderMap) {
@@ -88,7 +150,7 @@ pub(crate) async fn page_in(State(app): State<App>, from: From, body: axum::body
         });
         fields.find(|(name, _)| *name == wanted.as_bytes()).map_or_else(String::new, |(_, value)| unescape(value))
     };
-    let credentials = Credentials { name: field("name"), password: field("password") };
+    let credentials = Credentials { name: field("name"), password: field("password"), code: field("code") };
     match sign_in(&app, &from, credentials).await {
         Ok((token, _)) => (cookie(&app, token.as_str(), SESSION_LONGEST_S), Redirect::to("/")).into_response(),
         Err(error) => {
@@ -104,17 +166,17 @@ pub(crate) async fn page_out(State(app): State<App>, from: From, headers: Header
 }
 
 async fn sign_in(app: &App, from: &From, credentials: Credentials) -> Result<(Token, Person), ApiError> {
-    let Credentials { name, password } = credentials;
-    let outcome = app.people.sign_in(from.0, &name, password).await;
+    let Credentials { name, password, code } = credentials;
+    let outcome = app.people.sign_in(from.0, &name, password, &code).await;
     match &outcome {
         Ok((_, person)) => app.audit.record(deed(from, "POST", &name, person.role.name(), 200)),
         Err(error) => {
-            let status = if matches!(error, SignInError::Wrong) { 401 } else { 429 };
+            let status = if matches!(error, SignInError::Wrong | SignInError::CodeNeeded) { 401 } else { 429 };
             app.audit.refuse(deed(from, "POST", &name, "nobody", status));
         }
     }
     outcome.map_err(|error| match error {
-        SignInError::Wrong => ApiError::SignIn(error.to_string()),
+        SignInError::Wrong | SignInError::CodeNeeded => ApiError::SignIn(error.to_string()),
         SignInError::Throttled(seconds) => ApiError::Throttled(seconds, error.to_string()),
         SignInError::Busy => ApiError::Throttled(1, error.to_string()),
         SignInError::Broken(_) => ApiError::Broken(error.to_string()),
@@ -176,6 +238,8 @@ fn form_in(trouble: &str) -> String {
             "{trouble}<form method=post action=/login>\
              <label>Name<input name=name autocomplete=username required autofocus></label>\
              <label>Password<input name=password type=password autocomplete=current-password required></label>\
+             <label>Code of your authenticator, if you have set one up\
+             <input name=code inputmode=numeric autocomplete=one-time-code></label>\
              <button>Sign in</button></form>"
         ),
     )

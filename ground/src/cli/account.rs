@@ -1,4 +1,4 @@
-//! `plumbline-ground account add|list|remove|password`.
+//! `plumbline-ground account add|list|remove|password|one-step`.
 
 use std::io::{BufRead as _, IsTerminal as _, Write as _};
 
@@ -38,6 +38,13 @@ enum Deed {
         #[command(flatten)]
         data: DataFolder,
     },
+    /// Takes the authenticator of an account away: its password is enough from then on. For somebody who lost it.
+    OneStep {
+        /// Its name.
+        name: String,
+        #[command(flatten)]
+        data: DataFolder,
+    },
     /// Gives an account another password and ends its sessions.
     Password {
         /// Its name.
@@ -57,12 +64,16 @@ pub fn run(arguments: AccountArguments) -> Result<(), String> {
         Deed::Add { name, role, data } => of(&data).add(&name, role, &password()?),
         Deed::Remove { name, data } => of(&data).remove(&name),
         Deed::Password { name, data } => of(&data).change(&name, None, Some(&password()?)),
+        Deed::OneStep { name, data } => of(&data).set_totp(&name, None),
         Deed::List { data } => {
             let accounts = of(&data).all().map_err(|error| error.to_string())?;
             let mut out = std::io::stdout().lock();
             return accounts
                 .iter()
-                .try_for_each(|account| writeln!(out, "{:<24} {}", account.name, account.role.name()))
+                .try_for_each(|account| {
+                    let steps = if account.two_steps() { "  two steps" } else { "" };
+                    writeln!(out, "{:<24} {}{steps}", account.name, account.role.name())
+                })
                 .map_err(|error| format!("standard output: {error}"));
         }
     }

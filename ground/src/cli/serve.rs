@@ -8,6 +8,7 @@ use plumbline_ground::agent_link::{AgentLink, AgentLinkConfig};
 use plumbline_ground::{GroundConfig, front};
 use plumbline_link::identity;
 use tokio::sync::mpsc;
+use tracing_appender::non_blocking::WorkerGuard;
 
 use super::DataFolder;
 
@@ -52,23 +53,27 @@ pub struct ServeArguments {
 /// # Errors
 /// A sentence for people.
 pub fn run(arguments: ServeArguments) -> Result<(), String> {
-    start_log(arguments.json_log);
+    let _log = start_log(arguments.json_log);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     runtime.map_err(|error| format!("the runtime could not be started: {error}"))?.block_on(serve(arguments))
 }
 
-fn start_log(json: bool) {
+/// A thread of its own writes: a terminal that takes no more lines (Ctrl-S, a full pipe) holds up nothing else. What is
+/// left is written when the guard is dropped.
+fn start_log(json: bool) -> WorkerGuard {
+    let (writer, guard) = tracing_appender::non_blocking(std::io::stderr());
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(std::io::stderr)
+        .with_writer(writer)
         .with_ansi(std::io::stderr().is_terminal());
     if json {
         log.json().init();
     } else {
         log.init();
     }
+    guard
 }
 
 async fn serve(arguments: ServeArguments) -> Result<(), String> {

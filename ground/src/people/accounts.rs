@@ -12,7 +12,7 @@ use ring::rand::{SecureRandom as _, SystemRandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::Role;
+use super::{Authenticator, Role};
 use crate::gains_book::write_atomically;
 use crate::sync::lock;
 
@@ -35,9 +35,25 @@ pub struct Account {
     pub role: Role,
     /// Argon2id, in the PHC string format.
     password: String,
+    /// Secret of its authenticator in base 32; `None` where a password is enough.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    totp: Option<String>,
 }
 
 impl Account {
+    /// What its second step is checked by; `None` where a password is enough.
+    ///
+    /// # Errors
+    /// [`AccountError::Secret`] where the file holds none that could be checked.
+    pub fn authenticator(&self) -> Result<Option<Authenticator>, AccountError> {
+        self.totp.as_ref().map(|secret| Authenticator::of(&self.name, secret)).transpose()
+    }
+
+    /// Does it sign in by two steps?
+    pub fn two_steps(&self) -> bool {
+        self.totp.is_some()
+    }
+
     /// Changes with the password; says nothing about it.
     pub(super) fn stamp(&self) -> String {
         let digest = Sha256::digest(self.password.as_bytes());
@@ -79,6 +95,12 @@ pub enum AccountError {
     /// The system gives no random numbers.
     #[error("the system gives no random numbers")]
     Random,
+    /// No secret of an authenticator.
+    #[error("this is no secret of an authenticator: 16 to 64 bytes in base 32 are needed")]
+    Secret,
+    /// Not the code of now.
+    #[error("this is not the code that the authenticator shows now; is its clock right?")]
+    Code,
     /// Too many.
     #[error("there are {MAX_ACCOUNTS} accounts already")]
     Full,
@@ -181,7 +203,7 @@ impl Accounts {
         if accounts.len() >= MAX_ACCOUNTS {
             return Err(AccountError::Full);
         }
-        accounts.push(Account { name: name.to_owned(), role, password: hash(password)? });
+        accounts.push(Account { name: name.to_owned(), role, password: hash(password)?, totp: None });
         self.write(accounts)
     }
 
@@ -206,12 +228,26 @@ impl Accounts {
     /// [`AccountError`].
     pub fn change(&self, name: &str, role: Option<Role>, password: Option<&str>) -> Result<(), AccountError> {
         let password = password.map(hash).transpose()?;
+        self.edit(name, |account| {
+            account.role = role.unwrap_or(account.role);
+            account.password = password.unwrap_or_else(|| account.password.clone());
+        })
+    }
+
+    /// Makes an account sign in by two steps, or by its password alone.
+    ///
+    /// # Errors
+    /// [`AccountError`].
+    pub fn set_totp(&self, name: &str, with: Option<&Authenticator>) -> Result<(), AccountError> {
+        self.edit(name, |account| account.totp = with.map(Authenticator::secret))
+    }
+
+    fn edit(&self, name: &str, change: impl FnOnce(&mut Account)) -> Result<(), AccountError> {
         let _changing = lock(&self.changing);
         let mut accounts = self.all()?.to_vec();
         let account = accounts.iter_mut().find(|account| account.name == name);
         let account = account.ok_or_else(|| AccountError::Unknown(crate::names::clip(name)))?;
-        account.role = role.unwrap_or(account.role);
-        account.password = password.unwrap_or_else(|| account.password.clone());
+        change(account);
         self.write(accounts)
     }
 

@@ -9,7 +9,9 @@ mod attempts;
 mod role;
 mod sessions;
 pub(crate) mod throttle;
+mod totp;
 
+use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -22,8 +24,9 @@ pub use attempts::{FAILURES, FAILURES_WITHIN};
 pub use role::{Access, Role};
 pub(crate) use sessions::LONGEST_S as SESSION_LONGEST_S;
 pub use sessions::{COOKIE, Sessions, Shown, Token};
+pub use totp::Authenticator;
 
-use crate::sync::lock;
+use crate::sync::{lock, wall_time_us};
 
 /// Passwords checked at once; each takes 19 MiB and some ten milliseconds. Others wait for their turn.
 const CHECKS_AT_ONCE: usize = 2;
@@ -43,6 +46,9 @@ pub enum SignInError {
     /// Wrong name or password; not said which.
     #[error("name or password is wrong")]
     Wrong,
+    /// The password is right, and the account signs in by two steps.
+    #[error("the code of your authenticator is needed")]
+    CodeNeeded,
     /// Too many attempts.
     #[error("too many attempts; try again in {0} s")]
     Throttled(u64),
@@ -60,6 +66,8 @@ pub struct People {
     accounts: Accounts,
     sessions: Sessions,
     attempts: Mutex<Attempts>,
+    /// The last step of an authenticator that each account signed in by: a code counts once.
+    steps: Mutex<HashMap<String, u64>>,
     checks: Arc<tokio::sync::Semaphore>,
     loopback: bool,
 }
@@ -72,6 +80,7 @@ impl People {
             accounts: Accounts::in_folder(&folder).keeping_an_admin(),
             sessions: Sessions::open(&folder),
             attempts: Mutex::new(Attempts::new()),
+            steps: Mutex::default(),
             checks: Arc::new(tokio::sync::Semaphore::new(CHECKS_AT_ONCE)),
             loopback: address.ip().is_loopback(),
         }
@@ -108,6 +117,7 @@ impl People {
         from: Option<IpAddr>,
         name: &str,
         password: String,
+        code: &str,
     ) -> Result<(Token, Person), SignInError> {
         let key = (origin(from), name.chars().take(accounts::MAX_NAME).collect::<String>());
         self.heard(&key)?;
@@ -124,13 +134,33 @@ impl People {
             let _check = check;
             accounts::verify(account, &password)
         });
-        let Some(account) = checked.await.ok().flatten() else {
-            lock(&self.attempts).failed(&key, Instant::now());
-            return Err(SignInError::Wrong);
+        let account = checked.await.ok().flatten();
+        let second = account.as_ref().map_or(Err(SignInError::Wrong), |account| self.second_step(account, code));
+        let Some(account) = account.filter(|_| second.is_ok()) else {
+            if second == Err(SignInError::Wrong) {
+                lock(&self.attempts).failed(&key, Instant::now());
+            }
+            return Err(second.err().unwrap_or(SignInError::Wrong));
         };
         lock(&self.attempts).succeeded(&key);
         let token = self.sessions.begin(&account, from.map_or_else(String::new, |from| from.to_string())).await;
         Ok((token, Person { account: Some(account.name), role: account.role }))
+    }
+
+    fn second_step(&self, account: &Account, code: &str) -> Result<(), SignInError> {
+        let authenticator = account.authenticator().map_err(|error| SignInError::Broken(error.to_string()))?;
+        let Some(authenticator) = authenticator else { return Ok(()) };
+        if code.is_empty() {
+            return Err(SignInError::CodeNeeded);
+        }
+        let step = authenticator.step(code, wall_time_us() / 1_000_000).ok_or(SignInError::Wrong)?;
+        let mut steps = lock(&self.steps);
+        let last = steps.entry(account.name.clone()).or_default();
+        if step <= *last {
+            return Err(SignInError::Wrong);
+        }
+        *last = step;
+        Ok(())
     }
 
     fn heard(&self, key: &(IpAddr, String)) -> Result<(), SignInError> {
@@ -211,6 +241,28 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn an_account_with_an_authenticator_signs_in_by_two_steps_and_a_code_counts_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = people(folder.path(), "127.0.0.1:1");
+        let ann = Authenticator::new("ann").unwrap();
+        here.accounts().add("eve", Role::Admin, ANN).unwrap();
+        here.accounts().add("ann", Role::Operator, ANN).unwrap();
+        here.accounts().set_totp("ann", Some(&ann)).unwrap();
+        let sign_in =
+            async |password: &str, code: &str| here.sign_in(None, "ann", password.into(), code).await.map(drop);
+        assert_eq!(sign_in(ANN, "").await, Err(SignInError::CodeNeeded));
+        assert_eq!(sign_in("a wrong password", "").await, Err(SignInError::Wrong), "a wrong password learns nothing");
+        assert_eq!(sign_in(ANN, "12345").await, Err(SignInError::Wrong));
+        let known = Authenticator::of("ann", &ann.secret()).unwrap();
+        let code = known.code(wall_time_us() / 1_000_000);
+        assert_eq!(sign_in(ANN, &code).await, Ok(()));
+        assert_eq!(sign_in(ANN, &code).await, Err(SignInError::Wrong), "overlooked and used again");
+        assert!(std::fs::read_to_string(folder.path().join("people/accounts.json")).unwrap().contains(&ann.secret()));
+        here.accounts().set_totp("ann", None).unwrap();
+        assert_eq!(sign_in(ANN, "").await, Ok(()));
+    }
+
+    #[tokio::test]
     async fn one_operator_at_this_machine_until_there_are_accounts() {
         let folder = tempfile::tempdir().unwrap();
         let here = people(folder.path(), "127.0.0.1:1");
@@ -220,9 +272,9 @@ mod tests {
         assert_eq!(here.person(None), None, "counts at once");
 
         let address = "192.0.2.7".parse().ok();
-        assert_eq!(here.sign_in(address, "ann", "wrong".into()).await.unwrap_err(), SignInError::Wrong);
-        assert_eq!(here.sign_in(address, "bob", ANN.into()).await.unwrap_err(), SignInError::Wrong);
-        let (token, person) = here.sign_in(address, "ann", ANN.into()).await.unwrap();
+        assert_eq!(here.sign_in(address, "ann", "wrong".into(), "").await.unwrap_err(), SignInError::Wrong);
+        assert_eq!(here.sign_in(address, "bob", ANN.into(), "").await.unwrap_err(), SignInError::Wrong);
+        let (token, person) = here.sign_in(address, "ann", ANN.into(), "").await.unwrap();
         assert_eq!(person, Person { account: Some("ann".into()), role: Role::Operator });
         assert_eq!(here.person(Some(&token)), Some(person.clone()));
         // Sessions outlive the ground: nobody is signed out in flight.
@@ -231,7 +283,7 @@ mod tests {
         // A new password, a removal, or signing out ends them.
         Accounts::of(folder.path()).change("ann", None, Some("another password")).unwrap();
         assert_eq!(here.person(Some(&token)), None);
-        let (token, _) = here.sign_in(address, "ann", "another password".into()).await.unwrap();
+        let (token, _) = here.sign_in(address, "ann", "another password".into(), "").await.unwrap();
         here.sign_out(&token).await;
         assert_eq!(here.person(Some(&token)), None);
         // A file that cannot be read lets nobody in.
@@ -246,11 +298,11 @@ mod tests {
         let people = people(folder.path(), "0.0.0.0:1");
         let address = "192.0.2.7".parse().ok();
         for _ in 0..FAILURES {
-            assert_eq!(people.sign_in(address, "ann", "guess".into()).await.unwrap_err(), SignInError::Wrong);
+            assert_eq!(people.sign_in(address, "ann", "guess".into(), "").await.unwrap_err(), SignInError::Wrong);
         }
-        let right = people.sign_in(address, "ann", ANN.into()).await.unwrap_err();
+        let right = people.sign_in(address, "ann", ANN.into(), "").await.unwrap_err();
         assert!(matches!(right, SignInError::Throttled(seconds) if seconds <= 301), "{right}");
-        let (_, person) = people.sign_in("192.0.2.8".parse().ok(), "ann", ANN.into()).await.unwrap();
+        let (_, person) = people.sign_in("192.0.2.8".parse().ok(), "ann", ANN.into(), "").await.unwrap();
         assert_eq!(person.account.as_deref(), Some("ann"), "elsewhere it is the owner's");
     }
 
@@ -262,7 +314,7 @@ mod tests {
         let mut all = tokio::task::JoinSet::new();
         for _ in 0..24 {
             let people = people.clone();
-            all.spawn(async move { people.sign_in("192.0.2.7".parse().ok(), "ann", ANN.into()).await.map(drop) });
+            all.spawn(async move { people.sign_in("192.0.2.7".parse().ok(), "ann", ANN.into(), "").await.map(drop) });
         }
         while let Some(outcome) = all.join_next().await {
             assert_eq!(outcome.unwrap(), Ok(()));
@@ -283,7 +335,7 @@ mod tests {
         assert!(matches!(people.change(|accounts| accounts.remove("ann")).await, Err(AccountError::LastAdmin)));
         // The lease of an account ends with its role, its sessions, or itself.
         assert!(!people.may_command("bob"));
-        let (token, _) = people.sign_in(None, "bob", ANN.into()).await.unwrap();
+        let (token, _) = people.sign_in(None, "bob", ANN.into(), "").await.unwrap();
         assert!(people.may_command("bob"));
         people.change(|accounts| accounts.change("bob", Some(Role::Viewer), None)).await.unwrap();
         assert!(!people.may_command("bob") && people.person(Some(&token)).is_some());

@@ -117,9 +117,13 @@ impl RecordingStore {
         &self.folder
     }
 
-    /// Makes sure that the folder exists and can be written.
+    /// Makes sure that the folder exists and can be written. The data folder around it is made at the start and never
+    /// again: one that was moved away or unmounted is missed loudly, not begun anew beside itself.
     pub(super) fn probe(&self) -> Result<(), RecordingError> {
-        fs::create_dir_all(&self.folder).map_err(|e| self.io(&self.folder, e))?;
+        match fs::create_dir(&self.folder) {
+            Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => return Err(self.io(&self.folder, error)),
+            _ => {}
+        }
         let probe = self.folder.join("probe.tmp");
         fs::write(&probe, b"can be written").map_err(|e| self.io(&probe, e))?;
         fs::remove_file(&probe).map_err(|e| self.io(&probe, e))

@@ -29,6 +29,14 @@ pub const PLAIN: &[Load] = &[
     Load { name: "stalled_viewers", begin: viewers },
     Load { name: "downloads_in_flight", begin: downloads },
     Load { name: "stalled_downloads", begin: stalled_downloads },
+    Load { name: "calibration_uploads", begin: uploads },
+    Load { name: "estimates_given_up", begin: estimates_given_up },
+];
+
+/// For a ground that may open few files.
+pub const SCARCE: &[Load] = &[
+    Load { name: "scarce_descriptors_silent", begin: silent },
+    Load { name: "scarce_descriptors_viewers", begin: viewers },
 ];
 
 pub const TLS: &[Load] = &[
@@ -184,6 +192,30 @@ fn stalled_downloads(client: &Client) -> Box<dyn Any> {
         stream
     };
     Box::new((0..600).map(stalled).collect::<Vec<_>>())
+}
+
+/// Tables as large as are taken, ten at a time: they took 8.2 GB once.
+fn uploads(client: &Client) -> Box<dyn Any> {
+    let mut csv =
+        "t_s,gx_radps,gy_radps,gz_radps,ax_mps2,ay_mps2,az_mps2,mx_ut,my_ut,mz_ut,temperature_c\\n".to_owned();
+    for line in 0..900_000_u32 {
+        csv += &format!("{:.3},0.001,-0.003,0.005,0.11,-0.22,9.81,20.1,1.2,-43.0,31.5\\n", f64::from(line) * 0.005);
+    }
+    let body = format!(r#"{{"kind":"accelerometer","name":"large","csv":"{csv}"}}"#);
+    let request: Arc<str> = client.request("POST", "/api/v1/calibrations", &client.pilot, &body).into();
+    Busy::begin(client, 10, move |client, _| drop(client.exchange(&request)))
+}
+
+/// Asks for an estimate of the flight so far and hangs up: nobody waits for it.
+fn estimates_given_up(client: &Client) -> Box<dyn Any> {
+    let flight = flight(client);
+    Busy::begin(client, DOWNLOADS, move |client, number| {
+        let path = format!("{flight}/estimate?estimator=ukf");
+        let request = client.request("GET", &path, somebody(client, number), "");
+        let Ok(mut stream) = client.open() else { return };
+        let _ = stream.write_all(request.as_bytes());
+        std::thread::sleep(std::time::Duration::from_millis(200));
+    })
 }
 
 fn silent(client: &Client) -> Box<dyn Any> {

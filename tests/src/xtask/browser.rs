@@ -11,12 +11,22 @@ use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
-/// try to mislead it, counts their steps, and has `mcap.mjs` read both sides' files; then the same with a recording flown again and `replay.mjs`.
+/// try to mislead it, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown
+/// again with `replay.mjs`, and accounts on a ground of their own with `people.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
     let outcome = replay(workspace, tally);
     tally.check("browser: a replay starts and stops cleanly", outcome);
+    let outcome = people(workspace, tally);
+    tally.check("browser: a ground with accounts starts and stops cleanly", outcome);
+}
+
+fn people(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+    let mut ground = Ground::start(&options(workspace, "debug", "browser-people")?)?;
+    let read = run_script(&mut script(workspace, "people.mjs", &ground.api)?, tally);
+    let stopped = ground.process.interrupt(std::time::Duration::from_secs(10)).map(drop);
+    read.and(stopped)
 }
 
 /// Records the scripted flight without a ground, as fast as it goes, and flies it again.

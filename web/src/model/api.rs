@@ -30,6 +30,20 @@ pub struct Session {
     pub name: Option<String>,
     /// What it may do: viewer, operator, attacker or admin.
     pub role: Option<String>,
+    /// Does it sign in by two steps?
+    #[serde(default)]
+    pub two_steps: bool,
+}
+
+/// An authenticator that is being set up.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+pub struct NewAuthenticator {
+    /// To be typed, base 32.
+    pub secret: String,
+    /// To be opened by an authenticator on this device.
+    pub url: String,
+    /// To be scanned by one on another.
+    pub svg: String,
 }
 
 impl Session {

@@ -7,7 +7,7 @@ use crate::{
     ctx::{Ctx, ctx},
     event::Tone,
     model::{
-        api::{People, SignedIn},
+        api::{NewAuthenticator, People, Session, SignedIn},
         format,
     },
     net,
@@ -69,6 +69,7 @@ pub fn PeopleCard() -> impl IntoView {
             <header><h2>"People"</h2></header>
             {move || (!trouble.with(String::is_empty)).then(|| view! { <p class="bad" role="alert">{trouble.get()}</p> })}
             {move || admin().then(|| view! { <Accounts people load=Callback::new(move |()| load()) /> })}
+            {move || ctx.session.with(|session| session.name.is_some()).then(|| view! { <TwoSteps /> })}
             <h3>"Signed in"</h3>
             {move || people.with(|p| p.sessions.is_empty()).then(|| view! { <p class="quiet">"Nobody: no account is needed on this machine, or none is in use."</p> })}
             <table class="dense">
@@ -87,6 +88,72 @@ pub fn PeopleCard() -> impl IntoView {
                 }).collect::<Vec<_>>()}</tbody>
             </table>
         </section>
+    }
+}
+
+/// The second step of signing in of whoever is signed in: set up with a code as its proof, given up with one.
+#[component]
+fn TwoSteps() -> impl IntoView {
+    const URL: &str = "/api/session/authenticator";
+    let ctx = ctx();
+    let (new, code) = (RwSignal::new(None::<NewAuthenticator>), RwSignal::new(String::new()));
+    let on = Memo::new(move |_| ctx.session.with(|session| session.two_steps));
+    let offer = move |_| {
+        leptos::task::spawn_local(async move {
+            match net::json::<NewAuthenticator>("POST", URL, None, &ctx.operator()).await {
+                Ok(offered) => new.set(Some(offered)),
+                Err(failure) => ctx.tell(Tone::Error, format!("Refused: {}", failure.text)),
+            }
+        });
+    };
+    let again = move || {
+        code.set(String::new());
+        leptos::task::spawn_local(async move {
+            if let Ok(session) = net::json("GET", "/api/session", None, "").await {
+                let session: Session = session;
+                if session.two_steps {
+                    new.set(None);
+                }
+                ctx.session.set(session);
+            }
+        });
+    };
+    let confirm = move |event: leptos::ev::SubmitEvent| {
+        event.prevent_default();
+        let code = code.get_untracked();
+        let (method, body, done) = match new.get_untracked() {
+            Some(new) => ("PUT", json!({ "secret": new.secret, "code": code }), "You sign in by two steps from now on"),
+            None => ("DELETE", json!({ "code": code }), "Your password is enough from now on"),
+        };
+        change(ctx, (method, URL.to_owned()), Some(body), done.to_owned(), again);
+    };
+    let field = move |label: &'static str| {
+        view! {
+            <form class="fields" aria-label="Authenticator" on:submit=confirm>
+                <label class="field"><span>"Code that it shows now"</span>
+                    <input type="text" inputmode="numeric" autocomplete="one-time-code" required
+                        prop:value=code on:input:target=move |e| code.set(e.target().value()) /></label>
+                <button type="submit">{label}</button>
+            </form>
+        }
+    };
+    view! {
+        <h3>"Second step"</h3>
+        {move || match (on.get(), new.get()) {
+            (true, _) => view! {
+                <p class="quiet">"You sign in with a password and a code of your authenticator."</p>
+                {field("Use the password alone")}
+            }.into_any(),
+            (false, None) => view! {
+                <p class="quiet">"A password is enough to sign in as you. An authenticator on your phone makes it two steps."</p>
+                <button type="button" on:click=offer>"Set up an authenticator"</button>
+            }.into_any(),
+            (false, Some(new)) => view! {
+                <p>"Scan this with your authenticator, or " <a href=new.url>"open it here"</a>", or type "<code>{new.secret}</code></p>
+                <div class="qr" role="img" aria-label="QR code of the secret" inner_html=new.svg></div>
+                {field("Sign in by two steps")}
+            }.into_any(),
+        }}
     }
 }
 

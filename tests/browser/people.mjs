@@ -1,0 +1,106 @@
+// Accounts: made on the page, signed in to by the form, guarded by a second step, ended from elsewhere.
+
+import { createHmac } from 'node:crypto';
+
+import { assert, end, launch, screenshots, step, until, url } from './support.mjs';
+
+const browser = await launch();
+const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+const page = await context.newPage();
+page.setDefaultTimeout(20_000);
+const PASSWORD = 'a long enough password';
+const people = page.getByRole('region', { name: 'People' });
+
+/** The code of RFC 6238 for a secret in base 32, `steps` from now. */
+function code(secret, steps = 0) {
+  const bits = [...secret].map((c) => 'ABCDEFGHIJKLMNOPQRSTUVWXYZ234567'.indexOf(c).toString(2).padStart(5, '0')).join('');
+  const key = Buffer.from(bits.match(/.{8}/g).map((byte) => parseInt(byte, 2)));
+  const counter = Buffer.alloc(8);
+  counter.writeBigUInt64BE(BigInt(Math.floor(Date.now() / 30_000) + steps));
+  const hash = createHmac('sha1', key).update(counter).digest();
+  const at = hash[19] & 15;
+  return String((hash.readUInt32BE(at) & 0x7fff_ffff) % 1_000_000).padStart(6, '0');
+}
+
+async function signIn(shown = '') {
+  await page.getByLabel('Name').fill('ann');
+  await page.getByLabel('Password').fill(PASSWORD);
+  if (shown) await page.getByLabel(/Code of your authenticator/).fill(shown);
+  await page.getByRole('button', { name: 'Sign in' }).click();
+}
+
+const setup = async () => {
+  await page.goto(`${url}/setup`);
+  await people.waitFor();
+};
+
+await step(page, 'the first account is made on the page, and from then on everybody signs in', async () => {
+  await setup();
+  const form = people.getByRole('form', { name: 'New account' });
+  await form.getByLabel('Name').fill('ann');
+  await form.getByLabel('Password').fill(PASSWORD);
+  await form.getByLabel('Role').selectOption('admin');
+  await form.getByRole('button', { name: 'Add account' }).click();
+  await page.goto(`${url}/setup`);
+  await page.getByRole('button', { name: 'Sign in' }).waitFor();
+  await signIn();
+  await page.waitForURL(`${url}/`);
+  await setup();
+  await people.getByText('127.0.0.1').waitFor();
+});
+
+let secret = '';
+await step(page, 'an authenticator is set up with a code of it as its proof', async () => {
+  await people.getByRole('button', { name: 'Set up an authenticator' }).click();
+  await people.getByRole('img', { name: 'QR code of the secret' }).waitFor();
+  secret = await people.locator('code').innerText();
+  await page.screenshot({ path: `${screenshots}/people-authenticator.png` });
+  await people.getByLabel('Code that it shows now').fill('000000');
+  await people.getByRole('button', { name: 'Sign in by two steps' }).click();
+  await page.getByText(/not the code that the authenticator shows now/).first().waitFor();
+  await people.getByLabel('Code that it shows now').fill(code(secret));
+  await people.getByRole('button', { name: 'Sign in by two steps' }).click();
+  await people.getByText('You sign in with a password and a code').waitFor();
+});
+
+await step(page, 'then a password alone lets nobody in, and a code counts', async () => {
+  await context.clearCookies();
+  await page.goto(`${url}/login`);
+  await signIn();
+  await page.getByText('the code of your authenticator is needed').waitFor();
+  await signIn(code(secret));
+  await page.waitForURL(`${url}/`);
+});
+
+await step(page, 'an admin makes accounts, changes their roles and removes them', async () => {
+  await setup();
+  const form = people.getByRole('form', { name: 'New account' });
+  await form.getByLabel('Name').fill('bob');
+  await form.getByLabel('Password').fill('short');
+  await form.getByRole('button', { name: 'Add account' }).click();
+  assert((await people.getByLabel('Role of bob').count()) === 0, 'a password of five letters was taken');
+  await form.getByLabel('Password').fill(PASSWORD);
+  await form.getByRole('button', { name: 'Add account' }).click();
+  await people.getByLabel('Role of bob').selectOption('viewer');
+  await page.getByText('bob is viewer now').first().waitFor();
+  await page.screenshot({ path: `${screenshots}/people.png` });
+  const remove = people.getByRole('row', { name: /^bob/ }).getByRole('button', { name: 'Remove' });
+  const box = await remove.boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  await page.mouse.down();
+  await until('bob to be gone', async () => (await people.getByLabel('Role of bob').count()) === 0);
+  await page.mouse.up();
+});
+
+await step(page, 'ending a session ends it within a second', async () => {
+  await until('this session to be ended', async () => {
+    // Two of ann's are there, one of them this page's.
+    const other = people.getByRole('button', { name: /End the session of ann/ }).first();
+    await other.click({ timeout: 1000 }).catch(() => {});
+    return page.evaluate(async () => (await (await fetch('/api/session')).json()).signed_in === false);
+  });
+  await page.goto(`${url}/setup`);
+  await page.getByRole('button', { name: 'Sign in' }).waitFor();
+});
+
+end();
