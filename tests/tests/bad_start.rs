@@ -129,7 +129,8 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
     ground.args(["--listen", "127.0.0.1:0", "--agent-listen", "127.0.0.1:0", "--data"]).arg(folder.path().join("data"));
     let (mut ground, _ground_log) = mute(ground);
     let mut said = String::new();
-    BufReader::new(ground.stdout.take().unwrap()).read_line(&mut said).unwrap();
+    let mut stdout = BufReader::new(ground.stdout.take().unwrap());
+    stdout.read_line(&mut said).unwrap();
     let address = said.trim().split("http://").nth(1).unwrap().trim_end_matches('/').parse().unwrap();
     let api = Api { address, operator: "test".into() };
     let begun = Instant::now();
@@ -137,18 +138,14 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
     assert!(begun.elapsed() < PATIENCE, "{:?}", begun.elapsed());
 
     let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
-    let (mut agent, _agent_log) =
-        mute(agent(folder.path(), &["--vehicle", "sim", "--scenario", scenario.to_str().unwrap()]));
-    let written = || {
-        let files = std::fs::read_dir(folder.path().join("log")).into_iter().flatten().flatten();
-        files.map(|file| file.metadata().map_or(0, |known| known.len())).sum::<u64>()
-    };
-    let before = written();
-    assert!(wait_until(PATIENCE, || (written() > before).then_some(())).is_some(), "the flight stands still");
-    for child in [&mut ground, &mut agent] {
-        child.kill().unwrap();
-        child.wait().unwrap();
-    }
+    let mut scripted = Command::new(options(folder.path()).binaries.agent);
+    scripted.args(["--vehicle", "sim", "--script", "--ground", "none", "--speed", "max", "--scenario"]).arg(scenario);
+    keep_in(&mut scripted, folder.path());
+    let (mut agent, _agent_log) = mute(scripted);
+    let ended = wait_until(PATIENCE, || agent.try_wait().unwrap());
+    assert!(ended.is_some_and(|status| status.success()), "the flight stands still: {ended:?}");
+    ground.kill().unwrap();
+    ground.wait().unwrap();
 }
 
 #[test]
