@@ -8,9 +8,9 @@ use crate::control::setpoint::Limits;
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, Text, text};
 use crate::mix::Mixed;
-use crate::supervisor::monitor::{DESCENDS, climb_stops_m};
+use crate::supervisor::monitor::{DESCENDS, Outward, climb_stops_m};
 use crate::supervisor::{Inputs, descent_limits, severity};
-use crate::types::{Mode, Setpoint};
+use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
 
 /// A target this far above the vehicle is a take-off, m.
 const TAKEOFF_STEP_M: f64 = 0.05;
@@ -76,11 +76,16 @@ impl Flight {
     fn failsafe_inputs(&mut self, now: FlightTime) -> Inputs {
         let loops = self.loops();
         let estimate = self.bank.in_loop();
+        let thrust_enu = estimate.world_from_body * nalgebra::Vector3::z();
         let outward = |axis: usize| {
-            let (d, v) = (estimate.position_enu_m[axis], estimate.velocity_enu_mps[axis]);
-            (d.abs(), v * d.signum())
+            let (distance, side) = (estimate.position_enu_m[axis], estimate.position_enu_m[axis].signum());
+            Outward {
+                distance_m: distance.abs(),
+                speed_mps: estimate.velocity_enu_mps[axis] * side,
+                pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
+            }
         };
-        let farther = |a: (f64, f64), b: (f64, f64)| if a.0 + a.1.max(0.0) >= b.0 + b.1.max(0.0) { a } else { b };
+        let farther = |a: Outward, b: Outward| if a.stops_m() >= b.stops_m() { a } else { b };
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
         let raw_height_m = self.watchdog.height_m();
@@ -190,8 +195,7 @@ impl Flight {
 
     /// Stays at the edge of the box. A mode that does not control what leads out of it is taken over by one that does.
     fn hold_at_edge(&mut self, inputs: &Inputs) {
-        let estimate = self.bank.in_loop();
-        let mode = if estimate.horizontal_known { Mode::Hold } else { Mode::AltitudeHold };
+        let (estimate, mode) = (self.bank.in_loop(), self.edge_mode());
         if self.mode == mode || self.mode == Mode::Hold || self.mode == Mode::Land {
             self.freeze();
         } else if !self.config.rig.can_lift() {
@@ -205,6 +209,11 @@ impl Flight {
             self.target.position_enu_m.z = stops_m.clamp(least, most);
             self.monitor.took_over();
         }
+    }
+
+    /// The mode that controls whatever may lead out of the box.
+    pub(super) fn edge_mode(&self) -> Mode {
+        if self.bank.in_loop().horizontal_known { Mode::Hold } else { Mode::AltitudeHold }
     }
 
     /// Hold without a horizontal position is altitude hold at the altitude that was asked for.
@@ -404,10 +413,14 @@ impl Flight {
 
     /// Where the profile is heading in this tick.
     pub(super) fn target_now(&self) -> Setpoint {
-        let mut target = self.target;
+        let (mut target, z_m) = (self.target, self.bank.in_loop().position_enu_m.z);
+        let most_m = self.config.altitude_max_m();
         if self.mode == Mode::Land {
             // Down until something carries the vehicle; never far below it.
-            target.position_enu_m.z = self.bank.in_loop().position_enu_m.z - LANDING_LEAD_M;
+            target.position_enu_m.z = z_m - LANDING_LEAD_M;
+        } else if let Some(raw_m) = self.watchdog.height_m().filter(|raw_m| *raw_m > most_m.max(z_m)) {
+            // By the raw heights it is too high already: the limit is theirs then.
+            target.position_enu_m.z = target.position_enu_m.z.min(most_m - (raw_m - z_m));
         }
         target
     }

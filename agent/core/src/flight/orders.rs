@@ -173,6 +173,11 @@ impl Flight {
             self.disarm(text(format_args!("disarmed: asked to land while on the ground")));
             return Ok(text(format_args!("on the ground: disarmed")));
         }
+        // Handed over and taken back in turns, a vehicle would leave its box little by little.
+        if self.monitor.leaving() && ![self.edge_mode(), Mode::Hold, Mode::Land].contains(&mode) {
+            let (asked, keeps) = (mode_name(mode), mode_name(self.edge_mode()));
+            return Err(text(format_args!("at the edge of the box: {asked} is refused there, {keeps} keeps it")));
+        }
         // The operator takes over from a failsafe; if its cause lasts, it acts again.
         self.monitor.operator_acted();
         self.position_lost = false;

@@ -42,8 +42,8 @@ pub struct Inputs {
     pub climb_mps: f64,
     /// Does the mode close a loop on the altitude?
     pub altitude_needed: bool,
-    /// Largest of |x|, |y|, m, and the speed outward along it, m/s; where known.
-    pub lateral: Option<(f64, f64)>,
+    /// Along that of x and y on which the vehicle would come to rest farther out, where known.
+    pub lateral: Option<Outward>,
     /// Was the mode left because the horizontal position was lost, and is it still?
     pub position_lost: bool,
     /// Is the estimator in the loop degraded, or the controller's output no number?
@@ -62,6 +62,27 @@ pub struct Inputs {
     pub altitude_max_m: f64,
     /// Largest lateral distance allowed, m.
     pub lateral_max_m: f64,
+}
+
+/// Motion away from the middle of the box along one horizontal axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outward {
+    /// |x| or |y|, m.
+    pub distance_m: f64,
+    /// Of its change, m/s.
+    pub speed_mps: f64,
+    /// Acceleration that the present tilt gives, m/s²: it lasts until the tilt is turned round.
+    pub pull_mps2: f64,
+}
+
+impl Outward {
+    /// Distance at which it can be brought to rest, m.
+    pub fn stops_m(&self) -> f64 {
+        let pull = self.pull_mps2.max(0.0);
+        let turned = self.speed_mps + pull * BRAKE_DELAY_S;
+        self.distance_m + stopping_m(turned, BRAKE_SIDE_MPS2, BRAKE_DELAY_S)
+            - 0.5 * pull * BRAKE_DELAY_S * BRAKE_DELAY_S
+    }
 }
 
 /// Times since when conditions hold.
@@ -83,6 +104,8 @@ pub struct Monitor {
     degraded_ticks: u32,
     /// Control was taken over at the edge of the box, and the operator has not acted since.
     taken_over: bool,
+    /// In the last tick the vehicle was outside its box, or about to leave it.
+    leaving: bool,
     /// Lost ticks of the last second: when a part began, and how many.
     lost: [(FlightTime, u32); BINS],
 }
@@ -91,7 +114,7 @@ impl Monitor {
     /// With these thresholds.
     pub fn new(settings: Settings) -> Self {
         let lost = [(FlightTime(0), 0); BINS];
-        Self { settings, since: Since::default(), degraded_ticks: 0, taken_over: false, lost }
+        Self { settings, since: Since::default(), degraded_ticks: 0, taken_over: false, leaving: false, lost }
     }
 
     /// Forgets what led to the last verdict (disarmed).
@@ -102,6 +125,11 @@ impl Monitor {
     /// Control was taken over at the edge of the box: it is held, then left downwards, until the operator acts.
     pub fn took_over(&mut self) {
         self.taken_over = true;
+    }
+
+    /// Is the vehicle outside its box, or about to leave it?
+    pub fn leaving(&self) -> bool {
+        self.leaving
     }
 
     /// The operator chose a mode or a setpoint.
@@ -129,8 +157,8 @@ impl Monitor {
     pub fn judge(&mut self, i: &Inputs) -> Failsafe {
         let s = self.settings;
         let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
-        let outside = self.taken_over || self.leaves_box(i);
-        let outside_s = over_for(&mut self.since.outside, outside, i.now);
+        self.leaving = self.leaves_box(i);
+        let outside_s = over_for(&mut self.since.outside, self.taken_over || self.leaving, i.now);
         let lost_s = over_for(&mut self.since.position_lost, i.position_lost, i.now);
         let not_moving_s = over_for(&mut self.since.not_moving, i.flying && i.not_moving, i.now);
         let below = |level: f64| i.charge.is_some_and(|charge| charge < level);
@@ -175,9 +203,7 @@ impl Monitor {
             climb_stops_m(i.climb_mps)
         };
         let above = altitude.is_some_and(|z| z + stops_m > i.altitude_max_m + margin_m);
-        let aside = i
-            .lateral
-            .is_some_and(|(d, v)| d + stopping_m(v, BRAKE_SIDE_MPS2, BRAKE_DELAY_S) > i.lateral_max_m + margin_m);
+        let aside = i.lateral.is_some_and(|outward| outward.stops_m() > i.lateral_max_m + margin_m);
         i.flying && (above || aside)
     }
 
@@ -263,7 +289,7 @@ impl Monitor {
 }
 
 fn box_reason(failsafe: Failsafe, i: &Inputs) -> Text {
-    let (lateral, side_mps) = i.lateral.unwrap_or((f64::NAN, f64::NAN));
+    let (lateral, side_mps) = i.lateral.map_or((f64::NAN, f64::NAN), |o| (o.distance_m, o.speed_mps));
     text(format_args!(
         "edge of the box: altitude {:.2} m (raw {:.2} m, limit {:.2} m) at {:.1} m/s, lateral {lateral:.2} m (limit {:.2} m) at \
          {side_mps:.1} m/s: {}",
@@ -398,9 +424,13 @@ mod tests {
             &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
         );
         expect(
-            &first_seen(|_, i| i.lateral = Some((2.4, 0.0))),
+            &first_seen(|_, i| i.lateral = Some(Outward { distance_m: 2.4, speed_mps: 0.0, pull_mps2: 0.0 })),
             &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
         );
+        // Inside and slow, but tilted outwards: 0.5 m/s need 0.12 m, and with 20 degrees 0.28 m.
+        let tilted = |pull_mps2| Some(Outward { distance_m: 2.05, speed_mps: 0.5, pull_mps2 });
+        expect(&first_seen(|_, i| i.lateral = tilted(0.0)), &[]);
+        expect(&first_seen(|_, i| i.lateral = tilted(3.5)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
         expect(&first_seen(|_, i| i.degraded = true), &[(Failsafe::EstimatorDescend, 0.2)]);
         expect(&first_seen(|_, i| (i.degraded, i.corroborated) = (true, true)), &[(Failsafe::EstimatorDescend, 1.0)]);
         expect(&first_seen(|t, i| i.imu_age_s = t), &[(Failsafe::ImuCut, 0.08)]);
