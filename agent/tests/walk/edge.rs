@@ -4,6 +4,7 @@ use super::super::common::Flown;
 use super::{MARGIN_M, RIGS, Rng, Seen, altitude, setpoint, throttle};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::control::trajectory::{Shape, Trajectory};
+use plumbline_agent::flight::Failsafe;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{EstimatorKind, Mode};
 use rand::{RngExt, SeedableRng};
@@ -115,7 +116,9 @@ pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
         let place = row.truth.position_enu_m;
         seen.note(failsafe, row.report.armed, place.z);
         beyond_m.0 = beyond_m.0.max(place.z - altitude_max_m);
-        if row.estimate.horizontal_known {
+        // What descends on attitude alone goes where it goes.
+        let blind = matches!(failsafe, Failsafe::EstimatorDescend | Failsafe::AltitudeDescend);
+        if row.estimate.horizontal_known && !blind {
             beyond_m.1 = beyond_m.1.max(place.x.abs().max(place.y.abs()) - lateral_max_m);
         }
         if beyond_m.0.max(beyond_m.1) > MARGIN_M {

@@ -14,6 +14,8 @@ use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
 
 /// A target this far above the vehicle is a take-off, m.
 const TAKEOFF_STEP_M: f64 = 0.05;
+/// Nothing takes off in an altitude mode when the last measurement of any altitude is older than this, s.
+const ALTITUDE_MAX_AGE_S: f64 = 0.5;
 /// Throttle that puts the loops to work in stabilise mode.
 const THROTTLE_ACTIVE: f64 = 0.1;
 /// Less thrust than this fraction of the weight, without moving, is standing (or hanging).
@@ -85,9 +87,13 @@ impl Flight {
                 pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
             }
         };
-        let farther = |a: Outward, b: Outward| if a.stops_m() >= b.stops_m() { a } else { b };
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
+        let climb_mps = match estimate.altitude_known {
+            true => estimate.velocity_enu_mps.z.max(raw_climb_mps),
+            false => raw_climb_mps,
+        };
+        let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
         let raw_height_m = self.watchdog.height_m();
         let astray = raw_height_m
             .is_some_and(|raw| estimate.altitude_known && (raw - estimate.position_enu_m.z).abs() > ASTRAY_M);
@@ -101,11 +107,8 @@ impl Flight {
             rate_radps: self.watchdog.rates_radps().norm(),
             raw_height_m,
             altitude_m: estimate.altitude_known.then_some(estimate.position_enu_m.z),
-            climb_mps: if estimate.altitude_known {
-                estimate.velocity_enu_mps.z.max(raw_climb_mps)
-            } else {
-                raw_climb_mps
-            },
+            climb_mps,
+            lift_mps2: self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_enu.z - GRAVITY_MPS2,
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),
             lateral: estimate.horizontal_known.then(|| farther(outward(0), outward(1))),
             position_lost: self.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),
@@ -203,7 +206,7 @@ impl Flight {
         } else if !estimate.altitude_known || estimate.health != Health::Healthy {
             self.descend_blindly(inputs.now);
         } else {
-            let stops_m = estimate.position_enu_m.z + climb_stops_m(inputs.climb_mps);
+            let stops_m = estimate.position_enu_m.z + climb_stops_m(inputs.climb_mps, inputs.lift_mps2);
             self.enter(mode);
             let (least, most) = (self.config.limits.altitude_min_m, self.config.altitude_max_m());
             self.target.position_enu_m.z = stops_m.clamp(least, most);
@@ -334,7 +337,7 @@ impl Flight {
         let settings = self.config.failsafe;
         match self.phase {
             Phase::Idle { since } => {
-                if self.wants_to_fly() {
+                if self.wants_to_fly(now) {
                     self.controller.reset();
                     self.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
                     self.phase = Phase::Flying;
@@ -367,9 +370,11 @@ impl Flight {
         }
     }
 
-    fn wants_to_fly(&self) -> bool {
+    fn wants_to_fly(&self, now: FlightTime) -> bool {
         match self.mode {
             Mode::Stabilise => self.target.throttle > THROTTLE_ACTIVE,
+            // What an estimator makes of a landing without any measurement of the altitude is nothing to climb from.
+            Mode::AltitudeHold | Mode::Hold if self.watchdog.altitude_age_s(now) > ALTITUDE_MAX_AGE_S => false,
             Mode::AltitudeHold | Mode::Hold => {
                 self.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
             }

@@ -173,7 +173,14 @@ impl Flight {
             self.disarm(text(format_args!("disarmed: asked to land while on the ground")));
             return Ok(text(format_args!("on the ground: disarmed")));
         }
-        // Handed over and taken back in turns, a vehicle would leave its box little by little.
+        // Handed over and taken back in turns, a vehicle would be in neither mode.
+        if self.monitor.blinded() && mode != Mode::Land {
+            return Err(text(format_args!(
+                "{}; the cause lasts: {} is refused",
+                self.failsafe_reason,
+                mode_name(mode)
+            )));
+        }
         if self.monitor.leaving() && ![self.edge_mode(), Mode::Hold, Mode::Land].contains(&mode) {
             let (asked, keeps) = (mode_name(mode), mode_name(self.edge_mode()));
             return Err(text(format_args!("at the edge of the box: {asked} is refused there, {keeps} keeps it")));
