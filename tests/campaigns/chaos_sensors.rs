@@ -34,7 +34,7 @@ fn main() -> std::process::ExitCode {
                     if n >= walks {
                         return;
                     }
-                    let (walked, edged) = (walk::walk(seed + n), edge(n as usize, seed + n));
+                    let (walked, edged) = (walk::walk(seed + n), edge((seed + n) as usize, seed + n));
                     flown.lock().unwrap_or_else(PoisonError::into_inner).add(walked, edged);
                 }
             });

@@ -1,6 +1,7 @@
 //! What the flight does by itself in each tick: take-off, landing, time-outs, failsafes.
 
 use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
 
 use super::status::gives_altitude;
 use super::{AttackPhase, Failsafe, Flight, Phase};
@@ -14,8 +15,6 @@ use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
 
 /// A target this far above the vehicle is a take-off, m.
 const TAKEOFF_STEP_M: f64 = 0.05;
-/// Nothing takes off in an altitude mode when the last measurement of any altitude is older than this, s.
-const ALTITUDE_MAX_AGE_S: f64 = 0.5;
 /// Throttle that puts the loops to work in stabilise mode.
 const THROTTLE_ACTIVE: f64 = 0.1;
 /// Less thrust than this fraction of the weight, without moving, is standing (or hanging).
@@ -79,13 +78,10 @@ impl Flight {
         let loops = self.loops();
         let estimate = self.bank.in_loop();
         let thrust_enu = estimate.world_from_body * nalgebra::Vector3::z();
-        let outward = |axis: usize| {
-            let (distance, side) = (estimate.position_enu_m[axis], estimate.position_enu_m[axis].signum());
-            Outward {
-                distance_m: distance.abs(),
-                speed_mps: estimate.velocity_enu_mps[axis] * side,
-                pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
-            }
+        let outward = |axis: usize, side: f64| Outward {
+            distance_m: estimate.position_enu_m[axis] * side,
+            speed_mps: estimate.velocity_enu_mps[axis] * side,
+            pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
         };
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
@@ -93,6 +89,8 @@ impl Flight {
             true => estimate.velocity_enu_mps.z.max(raw_climb_mps),
             false => raw_climb_mps,
         };
+        // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
+        let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| outward(axis, side));
         let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
         let raw_height_m = self.watchdog.height_m();
         let astray = raw_height_m
@@ -110,7 +108,7 @@ impl Flight {
             climb_mps,
             lift_mps2: self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_enu.z - GRAVITY_MPS2,
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),
-            lateral: estimate.horizontal_known.then(|| farther(outward(0), outward(1))),
+            lateral: sides.into_iter().reduce(farther).filter(|_| estimate.horizontal_known),
             position_lost: self.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),
             degraded: estimate.health != Health::Healthy || self.wrench_invalid || astray,
             corroborated: agree && !astray && imu_age_s <= self.config.failsafe.imu_silent_s,
@@ -151,6 +149,11 @@ impl Flight {
     /// Can the vehicle leave its box, and tell?
     pub(super) fn has_box(&self) -> bool {
         self.config.rig.can_lift() && self.config.sensors.iter().any(|s| gives_altitude(s.kind))
+    }
+
+    /// How many laser heights the vehicle has.
+    pub(super) fn lasers(&self) -> usize {
+        self.config.sensors.iter().filter(|s| s.kind == SensorKind::Height).count()
     }
 
     fn at_takeoff_height(&self) -> bool {
@@ -337,7 +340,7 @@ impl Flight {
         let settings = self.config.failsafe;
         match self.phase {
             Phase::Idle { since } => {
-                if self.wants_to_fly(now) {
+                if self.wants_to_fly() {
                     self.controller.reset();
                     self.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
                     self.phase = Phase::Flying;
@@ -370,11 +373,11 @@ impl Flight {
         }
     }
 
-    fn wants_to_fly(&self, now: FlightTime) -> bool {
+    fn wants_to_fly(&self) -> bool {
         match self.mode {
             Mode::Stabilise => self.target.throttle > THROTTLE_ACTIVE,
             // What an estimator makes of a landing without any measurement of the altitude is nothing to climb from.
-            Mode::AltitudeHold | Mode::Hold if self.watchdog.altitude_age_s(now) > ALTITUDE_MAX_AGE_S => false,
+            Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.watchdog.heights_fresh() == 0 => false,
             Mode::AltitudeHold | Mode::Hold => {
                 self.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
             }

@@ -22,6 +22,9 @@ use crate::types::{EstimatorKind, Mode};
 /// Body rate below which a vehicle stands still, rad/s (10 °/s).
 const STILL_RADPS: f64 = 0.175;
 
+/// Altitude control is not begun on an altitude that was measured longer ago, s.
+const ALTITUDE_MAX_AGE_S: f64 = 0.5;
+
 /// A field of a setpoint: name, unit, new value, least, most, controlled in this mode?
 type Field = (&'static str, &'static str, Option<f64>, f64, f64, bool);
 /// Setpoint events come at most this often, s.
@@ -164,6 +167,11 @@ impl Flight {
         let (kind, estimate) = (self.bank.in_loop_kind(), self.bank.in_loop());
         if matches!(mode, Mode::AltitudeHold | Mode::Hold) && estimate.health != Health::Healthy {
             return Err(text(format_args!("estimator {kind:?} is {:?}", estimate.health)));
+        }
+        let unmeasured_s = self.watchdog.altitude_age_s(self.ticked.unwrap_or_default());
+        let closes_altitude = matches!(mode, Mode::AltitudeHold | Mode::Hold);
+        if self.phase == Phase::Flying && closes_altitude && self.lasers() > 0 && unmeasured_s > ALTITUDE_MAX_AGE_S {
+            return Err(text(format_args!("no altitude was measured for {unmeasured_s:.2} s")));
         }
         // Landing without a height is a descent on attitude alone.
         if mode != Mode::Land {

@@ -95,7 +95,6 @@ impl Watchdog {
         self.since_imu_s += dt_s;
         self.take_imus(received);
         let measured = received.heights.iter().any(Option::is_some)
-            || received.barometers.iter().any(Option::is_some)
             || received.gnss.is_some()
             || received.mocap_pose.is_some()
             || received.camera_ranges.is_some();
@@ -181,7 +180,7 @@ impl Watchdog {
         self.imu_time.map_or(f64::INFINITY, |time| now.seconds_since(time))
     }
 
-    /// Time since anything measured an altitude, s; infinite before the first.
+    /// Time since anything measured an altitude, s; infinite before the first. A barometer's drifts, and counts as none.
     pub fn altitude_age_s(&self, now: FlightTime) -> f64 {
         self.altitude_time.map_or(f64::INFINITY, |time| now.seconds_since(time))
     }
