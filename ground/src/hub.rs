@@ -19,6 +19,7 @@ use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::{DecodeError, Kind, Message, v1};
 
 use crate::agent_link::CommandSender;
+use crate::agent_link::clock::wall_us;
 use crate::sync::{lock, wall_time_us};
 use health::Health;
 use history::History;
@@ -247,10 +248,12 @@ impl Hub {
 
     /// The link as seen now; `missing` and `viewer_dropped` are for the caller to fill.
     pub fn link_status(&self, id: &str) -> Option<v1::LinkStatus> {
-        let wall_time_us = wall_time_us();
+        // The clock that the offset is measured against: a step of the machine's own is no age of data.
+        let now = Instant::now();
+        let wall_time_us = wall_us(now);
         let mut vehicles = lock(&self.vehicles);
         let vehicle = vehicles.get_mut(id)?;
-        vehicle.health.roll(Instant::now());
+        vehicle.health.roll(now);
         let health = &vehicle.health;
         Some(v1::LinkStatus {
             wall_time_us,

@@ -168,8 +168,13 @@ fn waiting_path(folder: &Path) -> PathBuf {
     folder.join("pairing")
 }
 
+/// Seconds that every process of this machine counts alike and that no step of its wall clock moves: since it started.
+/// The wall clock where the system does not tell.
 fn now_s() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs()
+    let uptime = fs::read_to_string("/proc/uptime").ok();
+    let seconds = uptime.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+    let wall = || SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+    seconds.map_or_else(wall, |seconds| seconds as u64)
 }
 
 /// Lets `code` be used at the ground whose identity is in `folder`, for [`VALID`].
@@ -189,7 +194,10 @@ pub(super) fn waiting(folder: &Path) -> Option<(Code, u64, u32)> {
     // A person who writes the file by hand need not reckon with seconds.
     let until = words.next().map_or(Some(u64::MAX), |word| word.parse().ok())?;
     let left = words.next().map_or(Some(ATTEMPTS), |word| word.parse().ok())?;
-    (until >= now_s() && left > 0).then_some((code, until, left))
+    let now = now_s();
+    // One that would count for longer than any is from before the machine was started again.
+    let counts = until == u64::MAX || (now..=now + VALID.as_secs()).contains(&until);
+    (counts && left > 0).then_some((code, until, left))
 }
 
 fn forget(folder: &Path) {

@@ -187,7 +187,7 @@ async fn talk(
         while let Some(body) = reader.next().await? {
             match body {
                 Body::Heartbeat(Heartbeat { ground_time_us, .. }) => {
-                    lateness.heartbeat(ground_time_us, Instant::now());
+                    lateness.heartbeat(ground_time_us, Instant::now(), commands.rtt());
                     state.heartbeats.fetch_add(1, Ordering::Release);
                     let agent_time_us = Some(clock.now().0);
                     writer.send(Body::Heartbeat(Heartbeat { ground_time_us, agent_time_us })).await?;

@@ -114,6 +114,13 @@ impl Flown {
         self
     }
 
+    /// Drops all ticks but the last, in long flights.
+    pub fn forget(&mut self) {
+        if self.rows.len() > 400 {
+            self.rows.drain(..399);
+        }
+    }
+
     pub fn last(&self) -> &Row {
         self.rows.last().unwrap()
     }

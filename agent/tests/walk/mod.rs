@@ -1,6 +1,8 @@
 //! One random walk: a drawn vehicle, drawn commands, faults and recoveries, and what must hold in every tick.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod edge;
+
 use super::common::Flown;
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
@@ -19,19 +21,22 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Length of one, s.
 const LENGTH_S: f64 = 25.0;
-/// Beyond the altitude limit, m: 0.3 m of the box, and what a push, a weak motor or a lost sensor adds to a stop.
-const MARGIN_M: f64 = 0.5;
+/// Beyond its limits, m: the 0.3 m that the box allows, and what an estimate is off and a fault adds to a stop.
+pub const MARGIN_M: f64 = 0.5;
 /// Upside down on the floor for longer than this is a fault, s: the tilt failsafe's 0.3 s and its filter.
 const UPSIDE_DOWN_S: f64 = 0.8;
 
 type Rng = Xoshiro256PlusPlus;
 
-const RIGS: [&str; 5] = [
+const RIGS: [&str; 8] = [
     "[rig.free]\nheight_m = 0.0",
     "[rig.hanging_strings]\nmode = \"flight\"",
     "[rig.hanging_strings]\nmode = \"orientation\"",
     "[rig.on_stand]\nheight_m = 0.3",
     "[rig.tethered]\nlength_m = 1.5",
+    "[rig.single_axis]\naxis = \"roll\"\ncg_below_pivot_m = 0.01",
+    "[rig.single_axis]\naxis = \"pitch\"\ncg_below_pivot_m = 0.01",
+    "[rig.single_axis]\naxis = \"yaw\"",
 ];
 
 /// A vehicle on some rig, with what will fail of it.
@@ -162,6 +167,12 @@ pub fn walk(seed: u64) -> Result<Seen, String> {
     let mut rng = Rng::seed_from_u64(seed);
     let mut f = drawn(seed, &mut rng);
     f.until(3.0);
+    if rng.random_bool(0.5) {
+        // Half of them begin in the air: what goes wrong on the floor is seldom much.
+        f.command(Command::Arm);
+        f.command(Command::SetMode(Mode::AltitudeHold));
+        f.command(altitude(&mut rng));
+    }
     let limit_m = f.flight.config().altitude_max_m() + MARGIN_M;
     let (mut next_s, mut upside_down_s, mut seen) = (3.0, 0.0, Seen::default());
     while f.last().t_s < LENGTH_S {
@@ -197,9 +208,7 @@ pub fn walk(seed: u64) -> Result<Seen, String> {
             ));
         }
         seen.note(failsafe, report.armed, truth.position_enu_m.z);
-        if f.rows.len() > 400 {
-            f.rows.drain(..399);
-        }
+        f.forget();
     }
     Ok(seen)
 }

@@ -1,6 +1,9 @@
 //! Sessions: a random token in the browser's cookie, its SHA-256 here. They outlive the ground, so that a restart in
 //! flight signs nobody out.
 //!
+//! Their times are those of a clock that no step of the machine's moves: one that was set after the start (no battery
+//! beside it, a time server late) would else end every session, of whoever is flying as well, or lengthen them all.
+//!
 //! Every request asks for its session, the motor cut as well: the lock is held for memory only. A thread of its own
 //! writes the file, as often as the disk allows; who signs in or out waits for it, nobody else does.
 
@@ -8,6 +11,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
@@ -15,7 +19,8 @@ use sha2::{Digest, Sha256};
 use tokio::sync::watch;
 
 use super::accounts::{Account, write_private};
-use crate::sync::{lock, wall_time_us};
+use crate::agent_link::clock::wall_us;
+use crate::sync::lock;
 
 /// Name of the cookie.
 pub const COOKIE: &str = "plumbline_session";
@@ -62,6 +67,11 @@ impl std::fmt::Debug for Token {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Token")
     }
+}
+
+/// Unix time on the ground's steady clock, s.
+fn now_s() -> u64 {
+    wall_us(Instant::now()) / 1_000_000
 }
 
 /// One session.
@@ -121,8 +131,15 @@ struct Known {
 impl Sessions {
     pub(super) fn open(folder: &Path) -> Self {
         let path = folder.join("sessions.json");
-        let sessions =
-            std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
+        let read = std::fs::read(&path).ok();
+        let mut sessions: HashMap<String, Session> =
+            read.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default();
+        // A clock that has been set back since must not lengthen them.
+        let now_s = now_s();
+        for session in sessions.values_mut() {
+            session.begun_s = session.begun_s.min(now_s);
+            session.seen_s = session.seen_s.min(now_s);
+        }
         let known = Arc::new(Mutex::new(Known { sessions, revision: 0 }));
         let (changed, changes) = sync_channel(1);
         let (written, kept) = watch::channel(0);
@@ -139,7 +156,7 @@ impl Sessions {
     /// Begins a session of `account`, from an address. Answers when it is on the disk, or cannot be.
     pub(super) async fn begin(&self, account: &Account, from: String) -> Token {
         let token = Token::new();
-        let now_s = wall_time_us() / 1_000_000;
+        let now_s = now_s();
         let session =
             Session { account: account.name.clone(), stamp: account.stamp(), begun_s: now_s, seen_s: now_s, from };
         let revision = self.change(|known| {
@@ -157,7 +174,7 @@ impl Sessions {
 
     /// The session of `token`, which is in use now. Waits for nothing.
     pub(super) fn seen(&self, token: &Token) -> Option<Session> {
-        let now_s = wall_time_us() / 1_000_000;
+        let now_s = now_s();
         let mut known = lock(&self.known);
         let session = known.sessions.get_mut(&token.key()).filter(|session| !session.over(now_s))?;
         let due = now_s.saturating_sub(session.seen_s) >= KEEP_EVERY_S;
@@ -191,7 +208,7 @@ impl Sessions {
 
     /// Sessions that are not over and that `counts` lets pass.
     pub(super) fn list(&self, counts: impl Fn(&Session) -> bool) -> Vec<Shown> {
-        let now_s = wall_time_us() / 1_000_000;
+        let now_s = now_s();
         let known = lock(&self.known);
         let live = known.sessions.iter().filter(|(_, session)| !session.over(now_s) && counts(session));
         let mut list: Vec<Shown> = live

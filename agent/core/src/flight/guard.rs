@@ -1,6 +1,7 @@
 //! What the flight does by itself in each tick: take-off, landing, time-outs, failsafes.
 
 use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
 
 use super::status::gives_altitude;
 use super::{AttackPhase, Failsafe, Flight, Phase};
@@ -8,9 +9,9 @@ use crate::control::setpoint::Limits;
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, Text, text};
 use crate::mix::Mixed;
-use crate::supervisor::monitor::{DESCENDS, climb_stops_m};
+use crate::supervisor::monitor::{DESCENDS, Outward, climb_stops_m};
 use crate::supervisor::{Inputs, descent_limits, severity};
-use crate::types::{Mode, Setpoint};
+use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
 
 /// A target this far above the vehicle is a take-off, m.
 const TAKEOFF_STEP_M: f64 = 0.05;
@@ -76,13 +77,21 @@ impl Flight {
     fn failsafe_inputs(&mut self, now: FlightTime) -> Inputs {
         let loops = self.loops();
         let estimate = self.bank.in_loop();
-        let outward = |axis: usize| {
-            let (d, v) = (estimate.position_enu_m[axis], estimate.velocity_enu_mps[axis]);
-            (d.abs(), v * d.signum())
+        let thrust_enu = estimate.world_from_body * nalgebra::Vector3::z();
+        let outward = |axis: usize, side: f64| Outward {
+            distance_m: estimate.position_enu_m[axis] * side,
+            speed_mps: estimate.velocity_enu_mps[axis] * side,
+            pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
         };
-        let farther = |a: (f64, f64), b: (f64, f64)| if a.0 + a.1.max(0.0) >= b.0 + b.1.max(0.0) { a } else { b };
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
+        let climb_mps = match estimate.altitude_known {
+            true => estimate.velocity_enu_mps.z.max(raw_climb_mps),
+            false => raw_climb_mps,
+        };
+        // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
+        let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| outward(axis, side));
+        let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
         let raw_height_m = self.watchdog.height_m();
         let astray = raw_height_m
             .is_some_and(|raw| estimate.altitude_known && (raw - estimate.position_enu_m.z).abs() > ASTRAY_M);
@@ -96,13 +105,10 @@ impl Flight {
             rate_radps: self.watchdog.rates_radps().norm(),
             raw_height_m,
             altitude_m: estimate.altitude_known.then_some(estimate.position_enu_m.z),
-            climb_mps: if estimate.altitude_known {
-                estimate.velocity_enu_mps.z.max(raw_climb_mps)
-            } else {
-                raw_climb_mps
-            },
+            climb_mps,
+            lift_mps2: self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_enu.z - GRAVITY_MPS2,
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),
-            lateral: estimate.horizontal_known.then(|| farther(outward(0), outward(1))),
+            lateral: sides.into_iter().reduce(farther).filter(|_| estimate.horizontal_known),
             position_lost: self.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),
             degraded: estimate.health != Health::Healthy || self.wrench_invalid || astray,
             corroborated: agree && !astray && imu_age_s <= self.config.failsafe.imu_silent_s,
@@ -143,6 +149,11 @@ impl Flight {
     /// Can the vehicle leave its box, and tell?
     pub(super) fn has_box(&self) -> bool {
         self.config.rig.can_lift() && self.config.sensors.iter().any(|s| gives_altitude(s.kind))
+    }
+
+    /// How many laser heights the vehicle has.
+    pub(super) fn lasers(&self) -> usize {
+        self.config.sensors.iter().filter(|s| s.kind == SensorKind::Height).count()
     }
 
     fn at_takeoff_height(&self) -> bool {
@@ -190,8 +201,7 @@ impl Flight {
 
     /// Stays at the edge of the box. A mode that does not control what leads out of it is taken over by one that does.
     fn hold_at_edge(&mut self, inputs: &Inputs) {
-        let estimate = self.bank.in_loop();
-        let mode = if estimate.horizontal_known { Mode::Hold } else { Mode::AltitudeHold };
+        let (estimate, mode) = (self.bank.in_loop(), self.edge_mode());
         if self.mode == mode || self.mode == Mode::Hold || self.mode == Mode::Land {
             self.freeze();
         } else if !self.config.rig.can_lift() {
@@ -199,12 +209,17 @@ impl Flight {
         } else if !estimate.altitude_known || estimate.health != Health::Healthy {
             self.descend_blindly(inputs.now);
         } else {
-            let stops_m = estimate.position_enu_m.z + climb_stops_m(inputs.climb_mps);
+            let stops_m = estimate.position_enu_m.z + climb_stops_m(inputs.climb_mps, inputs.lift_mps2);
             self.enter(mode);
             let (least, most) = (self.config.limits.altitude_min_m, self.config.altitude_max_m());
             self.target.position_enu_m.z = stops_m.clamp(least, most);
             self.monitor.took_over();
         }
+    }
+
+    /// The mode that controls whatever may lead out of the box.
+    pub(super) fn edge_mode(&self) -> Mode {
+        if self.bank.in_loop().horizontal_known { Mode::Hold } else { Mode::AltitudeHold }
     }
 
     /// Hold without a horizontal position is altitude hold at the altitude that was asked for.
@@ -361,6 +376,8 @@ impl Flight {
     fn wants_to_fly(&self) -> bool {
         match self.mode {
             Mode::Stabilise => self.target.throttle > THROTTLE_ACTIVE,
+            // What an estimator makes of a landing without any measurement of the altitude is nothing to climb from.
+            Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.watchdog.heights_fresh() == 0 => false,
             Mode::AltitudeHold | Mode::Hold => {
                 self.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
             }
@@ -404,10 +421,14 @@ impl Flight {
 
     /// Where the profile is heading in this tick.
     pub(super) fn target_now(&self) -> Setpoint {
-        let mut target = self.target;
+        let (mut target, z_m) = (self.target, self.bank.in_loop().position_enu_m.z);
+        let most_m = self.config.altitude_max_m();
         if self.mode == Mode::Land {
             // Down until something carries the vehicle; never far below it.
-            target.position_enu_m.z = self.bank.in_loop().position_enu_m.z - LANDING_LEAD_M;
+            target.position_enu_m.z = z_m - LANDING_LEAD_M;
+        } else if let Some(raw_m) = self.watchdog.height_m().filter(|raw_m| *raw_m > most_m.max(z_m)) {
+            // By the raw heights it is too high already: the limit is theirs then.
+            target.position_enu_m.z = target.position_enu_m.z.min(most_m - (raw_m - z_m));
         }
         target
     }

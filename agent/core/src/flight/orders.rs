@@ -22,6 +22,9 @@ use crate::types::{EstimatorKind, Mode};
 /// Body rate below which a vehicle stands still, rad/s (10 °/s).
 const STILL_RADPS: f64 = 0.175;
 
+/// Altitude control is not begun on an altitude that was measured longer ago, s.
+const ALTITUDE_MAX_AGE_S: f64 = 0.5;
+
 /// A field of a setpoint: name, unit, new value, least, most, controlled in this mode?
 type Field = (&'static str, &'static str, Option<f64>, f64, f64, bool);
 /// Setpoint events come at most this often, s.
@@ -165,6 +168,11 @@ impl Flight {
         if matches!(mode, Mode::AltitudeHold | Mode::Hold) && estimate.health != Health::Healthy {
             return Err(text(format_args!("estimator {kind:?} is {:?}", estimate.health)));
         }
+        let unmeasured_s = self.watchdog.altitude_age_s(self.ticked.unwrap_or_default());
+        let closes_altitude = matches!(mode, Mode::AltitudeHold | Mode::Hold);
+        if self.phase == Phase::Flying && closes_altitude && self.lasers() > 0 && unmeasured_s > ALTITUDE_MAX_AGE_S {
+            return Err(text(format_args!("no altitude was measured for {unmeasured_s:.2} s")));
+        }
         // Landing without a height is a descent on attitude alone.
         if mode != Mode::Land {
             can_fly(kind, estimate, mode)?;
@@ -172,6 +180,18 @@ impl Flight {
         if mode == Mode::Land && self.phase != Phase::Flying {
             self.disarm(text(format_args!("disarmed: asked to land while on the ground")));
             return Ok(text(format_args!("on the ground: disarmed")));
+        }
+        // Handed over and taken back in turns, a vehicle would be in neither mode.
+        if self.monitor.blinded() && mode != Mode::Land {
+            return Err(text(format_args!(
+                "{}; the cause lasts: {} is refused",
+                self.failsafe_reason,
+                mode_name(mode)
+            )));
+        }
+        if self.monitor.leaving() && ![self.edge_mode(), Mode::Hold, Mode::Land].contains(&mode) {
+            let (asked, keeps) = (mode_name(mode), mode_name(self.edge_mode()));
+            return Err(text(format_args!("at the edge of the box: {asked} is refused there, {keeps} keeps it")));
         }
         // The operator takes over from a failsafe; if its cause lasts, it acts again.
         self.monitor.operator_acted();

@@ -54,7 +54,7 @@ impl Flight {
         let age = self.watchdog.imu_age_s(now);
         check("imu", age <= IMU_MAX_AGE_S, text(format_args!("last sample {age:.2} s ago, at most {IMU_MAX_AGE_S} s")));
 
-        let heights = self.config.sensors.iter().filter(|s| s.kind == SensorKind::Height).count();
+        let heights = self.lasers();
         if heights > 0 {
             let fresh = self.watchdog.heights_fresh();
             check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));

@@ -40,10 +40,12 @@ pub struct Inputs {
     pub altitude_m: Option<f64>,
     /// The larger of its climb rate and that of the raw heights, m/s.
     pub climb_mps: f64,
+    /// Acceleration upwards that the present thrust gives, m/s².
+    pub lift_mps2: f64,
     /// Does the mode close a loop on the altitude?
     pub altitude_needed: bool,
-    /// Largest of |x|, |y|, m, and the speed outward along it, m/s; where known.
-    pub lateral: Option<(f64, f64)>,
+    /// Along that of x and y on which the vehicle would come to rest farther out, where known.
+    pub lateral: Option<Outward>,
     /// Was the mode left because the horizontal position was lost, and is it still?
     pub position_lost: bool,
     /// Is the estimator in the loop degraded, or the controller's output no number?
@@ -62,6 +64,26 @@ pub struct Inputs {
     pub altitude_max_m: f64,
     /// Largest lateral distance allowed, m.
     pub lateral_max_m: f64,
+}
+
+/// Motion away from the middle of the box along one horizontal axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outward {
+    /// |x| or |y|, m.
+    pub distance_m: f64,
+    /// Of its change, m/s.
+    pub speed_mps: f64,
+    /// Acceleration that the present tilt gives, m/s²: it lasts until the tilt is turned round.
+    pub pull_mps2: f64,
+}
+
+impl Outward {
+    /// Distance at which it can be brought to rest, m, beside a climb of `climb_mps`: while that is braked there is hardly
+    /// a thrust to lean on.
+    pub fn stops_m(&self, climb_mps: f64) -> f64 {
+        let wait_s = climb_mps.max(0.0) / BRAKE_UP_MPS2;
+        self.distance_m + stopping_m(self.speed_mps, self.pull_mps2, BRAKE_SIDE_MPS2, (BRAKE_DELAY_S, wait_s))
+    }
 }
 
 /// Times since when conditions hold.
@@ -83,6 +105,10 @@ pub struct Monitor {
     degraded_ticks: u32,
     /// Control was taken over at the edge of the box, and the operator has not acted since.
     taken_over: bool,
+    /// In the last tick the vehicle was outside its box, or about to leave it.
+    leaving: bool,
+    /// The verdict of the last tick.
+    verdict: Failsafe,
     /// Lost ticks of the last second: when a part began, and how many.
     lost: [(FlightTime, u32); BINS],
 }
@@ -91,7 +117,15 @@ impl Monitor {
     /// With these thresholds.
     pub fn new(settings: Settings) -> Self {
         let lost = [(FlightTime(0), 0); BINS];
-        Self { settings, since: Since::default(), degraded_ticks: 0, taken_over: false, lost }
+        Self {
+            settings,
+            since: Since::default(),
+            degraded_ticks: 0,
+            taken_over: false,
+            leaving: false,
+            verdict: Failsafe::None,
+            lost,
+        }
     }
 
     /// Forgets what led to the last verdict (disarmed).
@@ -102,6 +136,16 @@ impl Monitor {
     /// Control was taken over at the edge of the box: it is held, then left downwards, until the operator acts.
     pub fn took_over(&mut self) {
         self.taken_over = true;
+    }
+
+    /// Is the vehicle outside its box, or about to leave it?
+    pub fn leaving(&self) -> bool {
+        self.leaving
+    }
+
+    /// Does the cause of a descent on attitude alone last?
+    pub fn blinded(&self) -> bool {
+        matches!(self.verdict, Failsafe::EstimatorDescend | Failsafe::AltitudeDescend)
     }
 
     /// The operator chose a mode or a setpoint.
@@ -129,8 +173,8 @@ impl Monitor {
     pub fn judge(&mut self, i: &Inputs) -> Failsafe {
         let s = self.settings;
         let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
-        let outside = self.taken_over || self.leaves_box(i);
-        let outside_s = over_for(&mut self.since.outside, outside, i.now);
+        self.leaving = self.leaves_box(i);
+        let outside_s = over_for(&mut self.since.outside, self.taken_over || self.leaving, i.now);
         let lost_s = over_for(&mut self.since.position_lost, i.position_lost, i.now);
         let not_moving_s = over_for(&mut self.since.not_moving, i.flying && i.not_moving, i.now);
         let below = |level: f64| i.charge.is_some_and(|charge| charge < level);
@@ -162,7 +206,8 @@ impl Monitor {
             (Failsafe::DeadlineWarn, lost >= s.deadline_warn),
         ];
         let applying = rows.into_iter().filter(|(_, applies)| *applies).map(|(failsafe, _)| failsafe);
-        applying.fold(Failsafe::None, |worst, f| if severity(f) > severity(worst) { f } else { worst })
+        self.verdict = applying.fold(Failsafe::None, |worst, f| if severity(f) > severity(worst) { f } else { worst });
+        self.verdict
     }
 
     /// Outside, or so fast towards the edge that it cannot stop in time. The raw heights have a veto beside the estimate.
@@ -170,14 +215,12 @@ impl Monitor {
         let margin_m = self.settings.box_margin_m;
         let altitude = [i.raw_height_m, i.altitude_m].into_iter().flatten().reduce(f64::max);
         let stops_m = if i.degraded {
-            stopping_m(i.climb_mps, BLIND_BRAKE_MPS2, BLIND_DELAY_S)
+            stopping_m(i.climb_mps, i.lift_mps2, BLIND_BRAKE_MPS2, (BLIND_DELAY_S, 0.0))
         } else {
-            climb_stops_m(i.climb_mps)
+            climb_stops_m(i.climb_mps, i.lift_mps2)
         };
         let above = altitude.is_some_and(|z| z + stops_m > i.altitude_max_m + margin_m);
-        let aside = i
-            .lateral
-            .is_some_and(|(d, v)| d + stopping_m(v, BRAKE_SIDE_MPS2, BRAKE_DELAY_S) > i.lateral_max_m + margin_m);
+        let aside = i.lateral.is_some_and(|outward| outward.stops_m(i.climb_mps) > i.lateral_max_m + margin_m);
         i.flying && (above || aside)
     }
 
@@ -263,7 +306,7 @@ impl Monitor {
 }
 
 fn box_reason(failsafe: Failsafe, i: &Inputs) -> Text {
-    let (lateral, side_mps) = i.lateral.unwrap_or((f64::NAN, f64::NAN));
+    let (lateral, side_mps) = i.lateral.map_or((f64::NAN, f64::NAN), |o| (o.distance_m, o.speed_mps));
     text(format_args!(
         "edge of the box: altitude {:.2} m (raw {:.2} m, limit {:.2} m) at {:.1} m/s, lateral {lateral:.2} m (limit {:.2} m) at \
          {side_mps:.1} m/s: {}",
@@ -276,15 +319,22 @@ fn box_reason(failsafe: Failsafe, i: &Inputs) -> Text {
     ))
 }
 
-/// Distance on which a motion of `speed_mps` can be stopped, m; zero for one that goes back.
-fn stopping_m(speed_mps: f64, brake_mps2: f64, delay_s: f64) -> f64 {
-    let speed = speed_mps.max(0.0);
-    speed * delay_s + speed * speed / (2.0 * brake_mps2)
+/// Distance on which a motion of `speed_mps` can be stopped, m; zero for one that goes back. Control answers after the
+/// first of `delays_s`, and until then the motion is accelerated by `pull_mps2`; it brakes after the second.
+fn stopping_m(speed_mps: f64, pull_mps2: f64, brake_mps2: f64, delays_s: (f64, f64)) -> f64 {
+    let (answers_s, pull) = (delays_s.0, pull_mps2.max(0.0));
+    let turned = speed_mps + pull * answers_s;
+    if turned <= 0.0 {
+        return 0.0;
+    }
+    let answered_m = (speed_mps * answers_s + 0.5 * pull * answers_s * answers_s).max(0.0);
+    answered_m + turned * delays_s.1 + turned * turned / (2.0 * brake_mps2)
 }
 
-/// Where a climb of `speed_mps` comes to rest once altitude control has it, m above the present place.
-pub fn climb_stops_m(speed_mps: f64) -> f64 {
-    stopping_m(speed_mps, BRAKE_UP_MPS2, BRAKE_DELAY_S)
+/// Where a climb of `speed_mps`, accelerated by `lift_mps2`, comes to rest once altitude control has it, m above the
+/// present place.
+pub fn climb_stops_m(speed_mps: f64, lift_mps2: f64) -> f64 {
+    stopping_m(speed_mps, lift_mps2, BRAKE_UP_MPS2, (BRAKE_DELAY_S, 0.0))
 }
 
 /// How long `condition` has held, s.
@@ -342,6 +392,7 @@ mod tests {
             raw_height_m: Some(1.0),
             altitude_m: Some(1.0),
             climb_mps: 0.0,
+            lift_mps2: 0.0,
             altitude_needed: true,
             lateral: None,
             position_lost: false,
@@ -398,9 +449,13 @@ mod tests {
             &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
         );
         expect(
-            &first_seen(|_, i| i.lateral = Some((2.4, 0.0))),
+            &first_seen(|_, i| i.lateral = Some(Outward { distance_m: 2.4, speed_mps: 0.0, pull_mps2: 0.0 })),
             &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
         );
+        // Inside and slow, but tilted outwards: 0.5 m/s need 0.12 m, and with 20 degrees 0.28 m.
+        let tilted = |pull_mps2| Some(Outward { distance_m: 2.05, speed_mps: 0.5, pull_mps2 });
+        expect(&first_seen(|_, i| i.lateral = tilted(0.0)), &[]);
+        expect(&first_seen(|_, i| i.lateral = tilted(3.5)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
         expect(&first_seen(|_, i| i.degraded = true), &[(Failsafe::EstimatorDescend, 0.2)]);
         expect(&first_seen(|_, i| (i.degraded, i.corroborated) = (true, true)), &[(Failsafe::EstimatorDescend, 1.0)]);
         expect(&first_seen(|t, i| i.imu_age_s = t), &[(Failsafe::ImuCut, 0.08)]);
@@ -413,6 +468,11 @@ mod tests {
         // Inside, but too fast to stop there: 4 m/s need 1.8 m.
         expect(&first_seen(|_, i| i.climb_mps = 4.0), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
         expect(&first_seen(|_, i| i.climb_mps = 3.0), &[]);
+        // With half a g of thrust to spare 3 m/s are too many.
+        expect(
+            &first_seen(|_, i| (i.climb_mps, i.lift_mps2) = (3.0, 4.9)),
+            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
+        );
         // A short tilt is forgiven.
         expect(&first_seen(|t, i| i.tilt_rad = if t < 0.28 { 1.2 } else { 0.0 }), &[]);
     }

@@ -62,6 +62,7 @@ pub struct Watchdog {
     imu_time: Option<FlightTime>,
     imus: [Option<(FlightTime, Inertial)>; MAX_IMUS],
     heights: [Option<Height>; MAX_HEIGHTS],
+    altitude_time: Option<FlightTime>,
     reads_imu: [bool; MAX_IMUS],
     reads_height: [bool; MAX_HEIGHTS],
 }
@@ -83,6 +84,7 @@ impl Watchdog {
             imu_time: None,
             imus: [None; MAX_IMUS],
             heights: [None; MAX_HEIGHTS],
+            altitude_time: None,
             reads_imu: instances(SensorKind::Imu, independent),
             reads_height: instances(SensorKind::Height, independent),
         }
@@ -92,6 +94,11 @@ impl Watchdog {
     pub fn step(&mut self, received: &SensorFrame, dt_s: f64) {
         self.since_imu_s += dt_s;
         self.take_imus(received);
+        let measured = received.heights.iter().any(Option::is_some)
+            || received.gnss.is_some()
+            || received.mocap_pose.is_some()
+            || received.camera_ranges.is_some();
+        self.altitude_time = if measured { Some(received.time) } else { self.altitude_time };
         for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
             if kept.is_some_and(|last| received.time.seconds_since(last.time) > HEIGHT_MAX_AGE_S) {
                 *kept = None;
@@ -171,6 +178,11 @@ impl Watchdog {
     /// Time since a fresh IMU sample, s; infinite before the first.
     pub fn imu_age_s(&self, now: FlightTime) -> f64 {
         self.imu_time.map_or(f64::INFINITY, |time| now.seconds_since(time))
+    }
+
+    /// Time since anything measured an altitude, s; infinite before the first. A barometer's drifts, and counts as none.
+    pub fn altitude_age_s(&self, now: FlightTime) -> f64 {
+        self.altitude_time.map_or(f64::INFINITY, |time| now.seconds_since(time))
     }
 
     /// How many laser heights arrived within the last half second.
