@@ -7,8 +7,8 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::Channel;
 
 use crate::calibration::applied::FieldReport;
-use crate::estimate::consistency::{Consistency, Mean, Nees};
 use crate::estimate::fdir::isolation::FlagReason;
+use crate::estimate::filter::consistency::{Consistency, Mean, Nees};
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
 use crate::model::euler_body::{M, X, ix};

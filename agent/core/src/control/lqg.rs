@@ -18,7 +18,7 @@ use super::gains::{Gain, GainsError, lqr_gains};
 use super::lqr_integral::{LqrIntegral, Weights};
 use super::tuning::Parameter;
 use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
-use crate::estimate::{Estimate, lqe};
+use crate::estimate::{Estimate, filter::lqe};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::linalg::{LinalgError, care, expm_with_integral};
 use crate::model::airframe::Airframe;

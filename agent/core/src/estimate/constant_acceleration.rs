@@ -19,10 +19,12 @@ use plumbline_proto::v1::SensorKind;
 
 use super::aiding::freshness::Freshness;
 use super::ekf_bias::EkfOptions;
+use super::filter::kalman;
+use super::filter::row::ScalarRow;
 use super::vqf::{VqfEstimator, VqfOptions};
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, kalman};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
 use crate::model::measure::barometer;
-use crate::sensor::SensorFrame;
+use crate::sensor::{Accuracy, SensorFrame};
 use crate::types::MotorCommand;
 
 /// States.
@@ -88,26 +90,28 @@ impl ConstantAcceleration {
         self.p = kalman::predict(&self.p, &gamma, &self.process_noise(t));
     }
 
-    /// Corrects state `i` with `value`; innovation, its sigma, and whether it passed `gate` sigmas.
-    pub fn correct(&mut self, i: usize, value: f64, sigma: f64, gate: f64) -> (f64, f64, bool) {
-        let mut h = E::zeros();
-        h[i] = 1.0;
-        let (ph, s) = kalman::innovation_variance(&self.p, &h, sigma * sigma);
-        let innovation = value - self.x[i];
-        let accepted = innovation.is_finite() && s > 0.0 && innovation.abs() <= gate * s.sqrt();
-        if accepted {
-            let k = ph / s;
-            self.x += k * innovation;
-            kalman::correct_scalar(&mut self.p, &h, sigma * sigma, &k);
+    /// Corrects state `i` with a `value`: was it accepted?
+    pub fn correct(
+        &mut self,
+        i: usize,
+        value: f64,
+        noise: Accuracy,
+        of: Option<(SensorId, Channel)>,
+        residuals: &mut Residuals,
+    ) -> bool {
+        let pseudo = ScalarRow::pseudo(i, value - self.x[i], noise.sigma * noise.sigma);
+        let correction = ScalarRow { of, gate: noise.gate, ..pseudo }.correct(&mut self.p, residuals);
+        if let Some(dx) = &correction {
+            self.x += dx;
         }
-        (innovation, s.sqrt(), accepted)
+        correction.is_some()
     }
 }
 
 /// Largest jerk of a vehicle in a lab, (m/s³)²/Hz.
 const JERK_DENSITY: f64 = 4.0;
-/// One-sigma of the acceleration measured: attitude error times g, and vibration, m/s².
-const ACCELERATION_SIGMA_MPS2: f64 = 0.5;
+/// Of the acceleration measured: attitude error times g, and vibration, m/s².
+const ACCELERATION: Accuracy = Accuracy { sigma: 0.5, gate: 10.0 };
 /// Position is known this long after the last sample, s.
 const MEMORY_S: f64 = 3.0;
 /// Rejections for this long make the filter start again where the sensors say, s.
@@ -145,8 +149,8 @@ impl ConstantAccelerationEstimator {
         }
     }
 
-    /// One scalar `(what, state, value)` with `(sigma, gate)`.
-    fn take(&mut self, id: SensorId, (channel, i, value): (Channel, usize, f64), (sigma, gate): (f64, f64)) {
+    /// One scalar of `sensor`: state `i` is `value`.
+    fn take(&mut self, sensor: SensorId, channel: Channel, i: usize, value: f64, noise: Accuracy) {
         let now = self.last.unwrap_or_default();
         if !value.is_finite() {
             return;
@@ -155,20 +159,10 @@ impl ConstantAccelerationEstimator {
         let position = i < 3;
         if position && self.axes[axis].rejected_s(now) > RECOVERY_S {
             self.filter.x[i] = value;
-            self.filter.p.row_mut(i).fill(0.0);
-            self.filter.p.column_mut(i).fill(0.0);
-            self.filter.p[(i, i)] = sigma * sigma;
+            kalman::forget(&mut self.filter.p, i, noise.sigma * noise.sigma);
             self.filter.p[(i + 3, i + 3)] += 1.0;
         }
-        let (innovation, s, accepted) = self.filter.correct(i, value, sigma, gate);
-        let _ = self.estimate.residuals.try_push(Residual {
-            sensor: id,
-            channel,
-            innovation,
-            sigma: s,
-            gate: gate * s,
-            accepted,
-        });
+        let accepted = self.filter.correct(i, value, noise, Some((sensor, channel)), &mut self.estimate.residuals);
         if position {
             self.axes[axis].note(now, accepted);
         }
@@ -177,42 +171,43 @@ impl ConstantAccelerationEstimator {
     fn take_positions(&mut self, frame: &SensorFrame) {
         const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
         const V: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
-        let gates = self.options.gates;
+        let (o, gates) = (self.options.clone(), self.options.gates);
         for (i, sample) in frame.heights.iter().enumerate() {
             if let Some(sample) = sample {
                 self.heights_present = true;
-                let id = SensorId::new(SensorKind::Height, i as u8 + 1);
-                self.take(id, (Channel::Height, 2, sample.height_m), (self.options.height_sigma_m, gates.height));
+                let noise = Accuracy { sigma: o.height_sigma_m, gate: gates.height };
+                let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
+                self.take(sensor, Channel::Height, 2, sample.height_m, noise);
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let id = SensorId::new(SensorKind::MocapPose, 1);
+            let sensor = SensorId::new(SensorKind::MocapPose, 1);
+            let noise = Accuracy { sigma: o.mocap_position_sigma_m, gate: gates.mocap_pose };
             for (axis, channel) in XYZ.into_iter().enumerate() {
-                let sigma = self.options.mocap_position_sigma_m;
-                self.take(id, (channel, axis, sample.position_enu_m[axis]), (sigma, gates.mocap_pose));
+                self.take(sensor, channel, axis, sample.position_enu_m[axis], noise);
             }
         }
         if let Some(sample) = frame.gnss {
-            let id = SensorId::new(SensorKind::Gnss, 1);
-            let horizontal = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
-            let vertical = sample.vertical_sigma_m.max(self.options.gnss_floor_m);
+            let sensor = SensorId::new(SensorKind::Gnss, 1);
+            let horizontal = sample.horizontal_sigma_m.max(o.gnss_floor_m);
+            let vertical = sample.vertical_sigma_m.max(o.gnss_floor_m);
             for axis in 0..3 {
                 if axis < 2 || !self.heights_present {
-                    let sigma = if axis < 2 { horizontal } else { vertical };
-                    self.take(id, (XYZ[axis], axis, sample.position_enu_m[axis]), (sigma, gates.gnss));
+                    let noise = Accuracy { sigma: if axis < 2 { horizontal } else { vertical }, gate: gates.gnss };
+                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], noise);
                 }
-                let sigma = self.options.gnss_velocity_sigma_mps;
-                self.take(id, (V[axis], axis + 3, sample.velocity_enu_mps[axis]), (sigma, gates.gnss));
+                let noise = Accuracy { sigma: o.gnss_velocity_sigma_mps, gate: gates.gnss };
+                self.take(sensor, V[axis], axis + 3, sample.velocity_enu_mps[axis], noise);
             }
         }
         // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.
         if let Some(sample) = frame.barometers[0].filter(|_| !self.heights_present && frame.gnss.is_none()) {
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, o.reference_pressure_pa);
             if altitude.is_finite() {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - self.filter.x[2]);
-                let id = SensorId::new(SensorKind::Barometer, 1);
-                let sigma = self.options.barometer_sigma_m;
-                self.take(id, (Channel::PressureAltitude, 2, altitude - origin), (sigma, gates.barometer));
+                let sensor = SensorId::new(SensorKind::Barometer, 1);
+                let noise = Accuracy { sigma: o.barometer_sigma_m, gate: gates.barometer };
+                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, noise);
             }
         }
     }
@@ -243,7 +238,7 @@ impl Estimator for ConstantAccelerationEstimator {
             // Deviation from [Strategies], errata 11: Q a Q* still holds gravity.
             let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.options.gravity_mps2);
             for axis in 0..3 {
-                self.filter.correct(6 + axis, acceleration[axis], ACCELERATION_SIGMA_MPS2, 10.0);
+                self.filter.correct(6 + axis, acceleration[axis], ACCELERATION, None, &mut self.estimate.residuals);
             }
         }
         self.take_positions(received);
@@ -252,8 +247,9 @@ impl Estimator for ConstantAccelerationEstimator {
         for (axis, aided) in [(0, horizontal), (1, horizontal), (2, vertical)] {
             // Where nothing is measured the double integral must not run away.
             if !aided {
-                self.filter.correct(axis + 3, 0.0, 5.0, f64::INFINITY);
-                self.filter.correct(axis, self.filter.x[axis], 30.0, f64::INFINITY);
+                let (filter, residuals) = (&mut self.filter, &mut self.estimate.residuals);
+                filter.correct(axis + 3, 0.0, Accuracy::ungated(5.0), None, residuals);
+                filter.correct(axis, filter.x[axis], Accuracy::ungated(30.0), None, residuals);
             }
         }
 
@@ -309,7 +305,7 @@ mod tests {
             let v: Vec<f64> = record.unwrap().iter().map(|x| x.parse().unwrap()).collect();
             filter.predict(0.02);
             for k in 0..6 {
-                filter.correct(places[k], v[1 + k], sigmas[k], f64::INFINITY);
+                filter.correct(places[k], v[1 + k], Accuracy::ungated(sigmas[k]), None, &mut Residuals::new());
             }
             worst = worst.max((filter.x - E::from_column_slice(&v[16..25])).amax());
         }

@@ -48,7 +48,7 @@ use self::idle::Idle;
 use self::imus::{Imus, Inertial, Rest};
 use self::vertical::{Barometers, Heights};
 use super::aiding::freshness::Freshness;
-use super::consistency::{self, Nees};
+use super::filter::consistency::{self, Nees};
 use super::yaw_mixture::YawMixture;
 use super::{Estimate, Estimator, EstimatorKind, Health};
 use crate::model::measure::Kinematics;

@@ -6,26 +6,18 @@
 pub mod aiding;
 pub mod bank;
 pub mod complementary;
-pub mod consistency;
 pub mod constant_acceleration;
 pub mod ekf_bias;
-pub mod ekf_hybrid;
 pub mod fdir;
-pub mod kalman;
-pub mod low_pass;
-pub mod lqe;
-pub mod mocap_recipe;
-pub mod scalar_row;
+pub mod filter;
+pub mod secure;
 pub mod twelve_state;
-pub mod ukf;
 pub mod vqf;
 pub mod yaw_mixture;
 
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{ids::SensorId, time::FlightTime};
-
-pub mod secure;
 
 pub use plumbline_proto::v1::{Channel, Health};
 
@@ -35,6 +27,9 @@ use crate::types::{EstimatorKind, MotorCommand};
 
 /// Most residuals one step can produce: five IMUs with seven channels, and every other sensor.
 pub const MAX_RESIDUALS: usize = 64;
+
+/// Residuals of one step.
+pub type Residuals = ArrayVec<Residual, MAX_RESIDUALS>;
 
 /// Median of the readings of one kind of sensor, the mean of the middle two for an even number; NaN of nothing.
 pub(crate) fn median(readings: impl Iterator<Item = f64>) -> f64 {
@@ -105,7 +100,7 @@ pub struct Estimate {
     /// Can it be trusted?
     pub health: Health,
     /// Residuals of the samples used in this step.
-    pub residuals: ArrayVec<Residual, MAX_RESIDUALS>,
+    pub residuals: Residuals,
 }
 
 impl Estimate {
@@ -135,7 +130,7 @@ impl Default for Estimate {
             horizontal_known: false,
             altitude_known: false,
             health: Health::Initialising,
-            residuals: ArrayVec::new(),
+            residuals: Residuals::new(),
         }
     }
 }
@@ -160,7 +155,7 @@ pub trait Estimator: std::any::Any + Send {
 
     /// How far from `truth` for the covariance it claims; `None` for estimators without one. For tests and
     /// offline scores: nothing in flight knows the truth.
-    fn nees(&self, _truth: &Kinematics) -> Option<consistency::Nees> {
+    fn nees(&self, _truth: &Kinematics) -> Option<filter::consistency::Nees> {
         None
     }
 }

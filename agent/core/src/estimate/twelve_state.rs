@@ -29,21 +29,20 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::aiding::freshness::Freshness;
-use super::consistency::{self, Nees};
 use super::ekf_bias::EkfOptions;
-use super::ekf_hybrid::EkfHybrid;
-use super::mocap_recipe::{ANGLE_SIGMA_RAD, TwelveState};
-use super::scalar_row::{MAX_ROWS, ScalarRow, What};
-use super::ukf::Ukf;
+use super::filter::consistency::{self, Nees};
+use super::filter::kalman::forget;
+use super::filter::measurement::{MAX_ROWS, Measurement, TwelveState, What};
+use super::filter::mocap_recipe::ANGLE_SIGMA_RAD;
 use super::vqf::{VqfEstimator, VqfOptions};
 use super::yaw_mixture::YawMixture;
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
 use crate::model::measure::{Kinematics, barometer, camera_range};
 use crate::model::motor::Rotors;
-use crate::sensor::SensorFrame;
+use crate::sensor::{Accuracy, SensorFrame};
 use crate::types::{CAMERAS, MotorCommand};
 
 /// Longest step integrated at once, s.
@@ -69,49 +68,19 @@ const COS_PITCH_MIN: f64 = 0.17;
 /// One-sigma at start: position m, velocity m/s, angles and rates rad, rad/s.
 const START_SIGMA: [f64; 4] = [10.0, 2.0, 0.05, 0.05];
 
+const fn first(kind: SensorKind) -> SensorId {
+    SensorId { kind, instance: 1 }
+}
+const IMU: SensorId = first(SensorKind::Imu);
+const BAROMETER: SensorId = first(SensorKind::Barometer);
+const GNSS: SensorId = first(SensorKind::Gnss);
+const MOCAP_POSE: SensorId = first(SensorKind::MocapPose);
+const CAMERA_RANGES: SensorId = first(SensorKind::CameraRanges);
 const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
 const VELOCITY: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
 const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
 const RATES: [Channel; 3] = [Channel::GyroX, Channel::GyroY, Channel::GyroZ];
 const RANGES: [Channel; CAMERAS] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
-
-/// A twelve-state filter that can be flown.
-pub trait Filter: TwelveState + Send + 'static {
-    /// Its name.
-    const KIND: EstimatorKind;
-    /// Starts at `x` with covariance `p`.
-    fn begin(body: EulerBody, x: X, p: M) -> Self;
-    /// Starts again at `x` with covariance `p`.
-    fn restart(&mut self, x: X, p: M);
-    /// Propagates by `h` seconds under a force that need not be the motors'; `q` is the noise of such a step.
-    fn propagate(&mut self, action: &Action, h: f64, q: &M);
-}
-
-impl Filter for EkfHybrid {
-    const KIND: EstimatorKind = EstimatorKind::EkfHybrid;
-    fn begin(body: EulerBody, x: X, p: M) -> Self {
-        Self::new(body, x, p)
-    }
-    fn restart(&mut self, x: X, p: M) {
-        (self.x, self.p) = (x, p);
-    }
-    fn propagate(&mut self, action: &Action, h: f64, q: &M) {
-        self.predict(action, h, q);
-    }
-}
-
-impl Filter for Ukf {
-    const KIND: EstimatorKind = EstimatorKind::Ukf;
-    fn begin(body: EulerBody, x: X, p: M) -> Self {
-        Self::new(body, x, p)
-    }
-    fn restart(&mut self, x: X, p: M) {
-        Ukf::restart(self, x, p);
-    }
-    fn propagate(&mut self, action: &Action, h: f64, q: &M) {
-        self.predict(action, h, q);
-    }
-}
 
 /// The wrench that the commands and the motors' lag make.
 #[derive(Debug, Clone)]
@@ -149,7 +118,7 @@ pub struct TwelveStateEstimator<F> {
     now: Option<FlightTime>,
     started: bool,
     force: Option<(FlightTime, Vector3<f64>)>,
-    rows: ArrayVec<ScalarRow, MAX_ROWS>,
+    rows: ArrayVec<Measurement, MAX_ROWS>,
     axes: [Freshness; 3],
     pose_seen: Option<FlightTime>,
     field_seen: bool,
@@ -161,7 +130,7 @@ pub struct TwelveStateEstimator<F> {
     estimate: Estimate,
 }
 
-impl<F: Filter> TwelveStateEstimator<F> {
+impl<F: TwelveState> TwelveStateEstimator<F> {
     /// On `airframe`, with the sigmas and gates of `options`.
     pub fn new(airframe: &Airframe, options: EkfOptions, attitude: VqfOptions) -> Self {
         let body = EulerBody {
@@ -172,7 +141,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let bias = options.accel_bias_prior_mps2 * (2.0 * BIAS_CORRELATION_S).sqrt();
         let accel_density = options.accel_noise_density.hypot(options.common_accel_noise_density).hypot(bias);
         Self {
-            filter: F::begin(body, X::zeros(), M::identity()),
+            filter: F::new(body, X::zeros(), M::identity()),
             attitude: VqfEstimator::new(attitude),
             propulsion: Propulsion::new(airframe),
             accel_density,
@@ -228,20 +197,19 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let h = dt_s / steps;
         let q = process_noise(self.accel_density, TURN_DENSITY, h);
         for _ in 0..steps as usize {
-            self.filter.propagate(action, h, &q);
+            self.filter.predict(action, h, &q);
         }
     }
 
     /// One more row; the rows so far are used up when there is no room.
-    fn take(&mut self, kind: SensorKind, instance: usize, channel: Channel, (what, value): (What, f64), noise: Noise) {
+    fn take(&mut self, sensor: SensorId, channel: Channel, what: What, value: f64, noise: Accuracy) {
         if !value.is_finite() {
             return;
         }
         if self.rows.is_full() {
             self.flush();
         }
-        let sensor = SensorId::new(kind, instance as u8);
-        self.rows.push(ScalarRow { sensor, channel, what, value, sigma: noise.sigma, gate: noise.gate });
+        self.rows.push(Measurement { of: Some((sensor, channel)), what, value, noise });
     }
 
     /// Corrects with the rows gathered; notes which axes were corrected.
@@ -281,28 +249,27 @@ impl<F: Filter> TwelveStateEstimator<F> {
         self.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
         if let Some(pose) = frame.mocap_pose.filter(|s| s.world_from_body.coords.iter().all(|x| x.is_finite())) {
             self.pose_seen = Some(frame.time);
-            let noise = Noise { sigma: self.options.mocap_attitude_sigma_rad, gate: self.options.gates.mocap_pose };
+            let noise = Accuracy { sigma: self.options.mocap_attitude_sigma_rad, gate: self.options.gates.mocap_pose };
             let angles = roll_pitch_yaw(&pose.world_from_body);
             for i in 0..3 {
-                let row = (What::Angle(ix::ROLL + i), angles[i]);
-                self.take(SensorKind::MocapPose, 1, ANGLES[i], row, noise);
+                self.take(MOCAP_POSE, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
             }
         }
         if !fresh {
             return;
         }
         let (attitude, rates) = (self.attitude.estimate().world_from_body, self.attitude.estimate().body_rates_radps);
-        let noise = Noise { sigma: self.options.gyro_consensus.sigma, gate: f64::INFINITY };
+        let noise = Accuracy::ungated(self.options.gyro_consensus.sigma);
         for i in 0..3 {
-            self.take(SensorKind::Imu, 1, RATES[i], (What::State(ix::P + i), rates[i]), noise);
+            self.take(IMU, RATES[i], What::State(ix::P + i), rates[i], noise);
         }
         if self.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
             return;
         }
         let angles = roll_pitch_yaw(&attitude);
-        let noise = Noise { sigma: ANGLE_SIGMA_RAD, gate: f64::INFINITY };
+        let noise = Accuracy::ungated(ANGLE_SIGMA_RAD);
         for i in 0..3 {
-            self.take(SensorKind::Imu, 1, ANGLES[i], (What::Angle(ix::ROLL + i), angles[i]), noise);
+            self.take(IMU, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
         }
     }
 
@@ -323,26 +290,27 @@ impl<F: Filter> TwelveStateEstimator<F> {
             let moved = late(sample.time);
             for (i, range_m) in sample.range_m.into_iter().enumerate() {
                 let toward = camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
-                let row = (What::Range(cameras[i]), range_m + toward.dot(&moved));
-                let noise = Noise { sigma: sigmas[i], gate: gates.camera_ranges };
-                self.take(SensorKind::CameraRanges, 1, RANGES[i], row, noise);
+                let noise = Accuracy { sigma: sigmas[i], gate: gates.camera_ranges };
+                let value = range_m + toward.dot(&moved);
+                self.take(CAMERA_RANGES, RANGES[i], What::Range(cameras[i]), value, noise);
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let noise = Noise { sigma: self.options.mocap_position_sigma_m, gate: gates.mocap_pose };
+            let noise = Accuracy { sigma: self.options.mocap_position_sigma_m, gate: gates.mocap_pose };
             let place = sample.position_enu_m + late(sample.time);
             for axis in 0..3 {
                 self.recover(frame.time, axis, place[axis], noise.sigma);
-                self.take(SensorKind::MocapPose, 1, XYZ[axis], (What::State(axis), place[axis]), noise);
+                self.take(MOCAP_POSE, XYZ[axis], What::State(axis), place[axis], noise);
             }
         }
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
             self.heights_present = true;
             let height_m = sample.height_m + late(sample.time).z;
-            let noise = Noise { sigma: self.options.height_sigma_m, gate: gates.height };
+            let noise = Accuracy { sigma: self.options.height_sigma_m, gate: gates.height };
             self.recover(frame.time, 2, height_m, noise.sigma);
-            self.take(SensorKind::Height, i + 1, Channel::Height, (What::State(ix::Z), height_m), noise);
+            let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
+            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, noise);
         }
         let yaw_measured = self.yaw_measured();
         if let Some(sample) = frame.gnss {
@@ -350,15 +318,15 @@ impl<F: Filter> TwelveStateEstimator<F> {
             for axis in if yaw_measured { 0..3 } else { 2..3 } {
                 let sigma = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
                 let sigma = if sigma.is_finite() { sigma.max(self.options.gnss_floor_m) } else { 10.0 };
-                let noise = Noise { sigma, gate: gates.gnss };
+                let noise = Accuracy { sigma, gate: gates.gnss };
                 // A laser has the floor as its zero: it alone tells the height where there is one.
                 if axis < 2 || !self.heights_present {
                     self.recover(frame.time, axis, place[axis], sigma);
-                    self.take(SensorKind::Gnss, 1, XYZ[axis], (What::State(axis), place[axis]), noise);
+                    self.take(GNSS, XYZ[axis], What::State(axis), place[axis], noise);
                 }
-                let noise = Noise { sigma: self.options.gnss_velocity_sigma_mps, gate: gates.gnss };
-                let row = (What::State(ix::VX + axis), sample.velocity_enu_mps[axis]);
-                self.take(SensorKind::Gnss, 1, VELOCITY[axis], row, noise);
+                let noise = Accuracy { sigma: self.options.gnss_velocity_sigma_mps, gate: gates.gnss };
+                let speed = sample.velocity_enu_mps[axis];
+                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, noise);
             }
         }
         let measured = self.heights_present || frame.gnss.is_some() || self.axes[2].ever();
@@ -366,9 +334,8 @@ impl<F: Filter> TwelveStateEstimator<F> {
             let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
             if altitude.is_finite() && !self.heights_present {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - x[ix::Z]);
-                let row = (What::State(ix::Z), altitude - origin);
-                let noise = Noise { sigma: self.options.barometer_sigma_m, gate: gates.barometer };
-                self.take(SensorKind::Barometer, 1, Channel::PressureAltitude, row, noise);
+                let noise = Accuracy { sigma: self.options.barometer_sigma_m, gate: gates.barometer };
+                self.take(BAROMETER, Channel::PressureAltitude, What::State(ix::Z), altitude - origin, noise);
             }
         }
     }
@@ -402,9 +369,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let angles = roll_pitch_yaw(&self.mixture.world_from_body());
         let mut set = |i: usize, value: f64, variance: f64| {
             x[i] = value;
-            p.row_mut(i).fill(0.0);
-            p.column_mut(i).fill(0.0);
-            p[(i, i)] = variance;
+            forget(&mut p, i, variance);
         };
         for axis in 0..2 {
             set(ix::X + axis, found.position_m[axis], found.position_variance[axis]);
@@ -427,9 +392,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
     fn relocate(&mut self, axis: usize, value: f64, sigma: f64) {
         let (mut x, mut p) = self.filter.moments();
         x[axis] = value;
-        p.row_mut(axis).fill(0.0);
-        p.column_mut(axis).fill(0.0);
-        p[(axis, axis)] = sigma * sigma;
+        forget(&mut p, axis, sigma * sigma);
         p[(axis + 3, axis + 3)] += 1.0;
         self.filter.restart(x, p);
     }
@@ -446,14 +409,12 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let velocity = white(o.idle_velocity_sigma_mps, o.idle_velocity_correlation_s);
         let position = white(o.idle_position_sigma_m, 10.0);
         let (x, _) = self.filter.moments();
-        let mut rows: ArrayVec<ScalarRow, 6> = ArrayVec::new();
-        let still = |i: usize, value: f64, sigma: f64| ScalarRow {
-            sensor: SensorId::new(SensorKind::Unspecified, 1),
-            channel: Channel::Unspecified,
+        let mut rows: ArrayVec<Measurement, 6> = ArrayVec::new();
+        let still = |i: usize, value: f64, sigma: f64| Measurement {
+            of: None,
             what: What::State(i),
             value,
-            sigma,
-            gate: f64::INFINITY,
+            noise: Accuracy::ungated(sigma),
         };
         for axis in 0..3 {
             if self.axes[axis].within(now, MEMORY_S) {
@@ -464,8 +425,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             }
         }
         if !rows.is_empty() {
-            // Pseudo-measurements leave no residuals.
-            self.filter.correct(&rows, &mut ArrayVec::new());
+            self.filter.correct(&rows, &mut Residuals::new());
         }
     }
 
@@ -481,9 +441,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             let angles = roll_pitch_yaw(&self.attitude.estimate().world_from_body);
             x.fixed_rows_mut::<3>(ix::ROLL).copy_from(&angles);
             for i in ix::ROLL..=ix::YAW {
-                p.row_mut(i).fill(0.0);
-                p.column_mut(i).fill(0.0);
-                p[(i, i)] = START_SIGMA[2].powi(2);
+                forget(&mut p, i, START_SIGMA[2].powi(2));
             }
         }
         let wrapped = singular || (ix::ROLL..=ix::YAW).any(|i| x[i].abs() > std::f64::consts::PI);
@@ -520,14 +478,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
     }
 }
 
-/// One-sigma and gate (in sigmas) of a row.
-#[derive(Debug, Clone, Copy)]
-struct Noise {
-    sigma: f64,
-    gate: f64,
-}
-
-impl<F: Filter> Estimator for TwelveStateEstimator<F> {
+impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
     fn kind(&self) -> EstimatorKind {
         F::KIND
     }

@@ -32,7 +32,7 @@ pub use self::estimator::VqfEstimator;
 use self::bias::{Bias, Rest};
 use self::heading::Heading;
 use super::fdir::consensus::ConsensusOptions;
-use super::low_pass::LowPass;
+use super::filter::low_pass::LowPass;
 
 /// One degree, rad.
 const DEGREE: f64 = std::f64::consts::PI / 180.0;

@@ -30,7 +30,7 @@
 use nalgebra::{Matrix2, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use super::kalman;
+use super::filter::kalman;
 use super::vqf::{Vqf, VqfOptions};
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::sensor::GnssSample;

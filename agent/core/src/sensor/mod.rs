@@ -27,6 +27,8 @@ pub use height::HeightSample;
 pub use imu::ImuSample;
 pub use mocap_pose::MocapPoseSample;
 
+pub use sample::Accuracy;
+
 use sample::{Places, Quantity, Sample};
 use suite::{Fill, Sheet, key};
 use wire::Received;

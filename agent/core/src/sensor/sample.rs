@@ -21,6 +21,22 @@ pub struct Quantity {
     pub named: bool,
 }
 
+/// What an estimator assumes of one scalar: the one-sigma of its noise, and the gate of its innovation, in sigmas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Accuracy {
+    /// One-sigma, in the scalar's unit.
+    pub sigma: f64,
+    /// An innovation of more sigmas is rejected; infinite for no gate.
+    pub gate: f64,
+}
+
+impl Accuracy {
+    /// Whatever its innovation, it is taken.
+    pub const fn ungated(sigma: f64) -> Self {
+        Self { sigma, gate: f64::INFINITY }
+    }
+}
+
 /// A sample of one kind of sensor: the seam between a kind and everything that handles samples of any kind.
 pub trait Sample: Copy + PartialEq + std::fmt::Debug {
     /// The kind.

@@ -1,17 +1,20 @@
 //! Magnetic headings: yaw alone.
 
 use arrayvec::ArrayVec;
+use nalgebra::Vector3;
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
-use super::aiding::{Scalar, finite};
-use super::covariance::{forget, ix};
+use super::aiding::{finite, row};
+use super::covariance::ix;
 use crate::estimate::aiding::freshness::Freshness;
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
 use crate::frames::wrap_pi;
 use crate::model::measure;
-use crate::sensor::{MAX_IMUS, SensorFrame};
+use crate::sensor::{Accuracy, MAX_IMUS, SensorFrame};
 
 /// The magnetometers.
 #[derive(Debug, Clone, Copy, Default)]
@@ -58,12 +61,18 @@ impl EkfBias {
             let strength = *self.headings.strength_ut[i].get_or_insert_with(|| field.norm());
             let disturbed = (field.norm() / strength - 1.0).abs() > self.options.field_tolerance;
             let sigma = (self.options.mag_sigma_ut / heading.horizontal_ut).hypot(self.options.heading_floor_rad);
-            let gate = self.options.gates.heading;
-            let mut scalar = Scalar::new(SensorKind::Imu, i + 1, Channel::Heading, heading.row, sigma, gate, 0.0);
-            scalar.yaw_only = true;
-            scalar.refused = disturbed;
+            let noise = Accuracy { sigma, gate: self.options.gates.heading };
+            let of = (SensorId::new(SensorKind::Imu, i as u8 + 1), Channel::Heading);
+            let mut row = row(of, &heading.row, noise, 0.0);
+            // Roll and pitch are left alone: their error enters the variance instead.
+            let tilt = Vector3::new(heading.row.d_attitude.x, heading.row.d_attitude.y, 0.0);
+            let p_tilt = self.p.fixed_view::<3, 3>(ix::ATTITUDE, ix::ATTITUDE);
+            row.variance += (tilt.transpose() * p_tilt * tilt).x;
+            row.h[ix::ATTITUDE] = 0.0;
+            row.h[ix::ATTITUDE + 1] = 0.0;
+            row.refused = disturbed;
             undisturbed |= !disturbed;
-            used |= self.correct(&scalar);
+            used |= self.correct(&row);
         }
         if used || undisturbed {
             self.headings.freshness.note(frame.time, used);

@@ -5,8 +5,8 @@ use plumbline_proto::time::FlightTime;
 
 use super::EkfBias;
 use super::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
-use super::covariance::{ErrorState, ix};
-use crate::estimate::kalman;
+use super::covariance::ix;
+use crate::estimate::filter::row::ScalarRow;
 
 /// Period of the pseudo-measurements, s.
 const IDLE_PERIOD_S: f64 = 0.1;
@@ -56,12 +56,7 @@ impl EkfBias {
         }
     }
 
-    fn pseudo(&mut self, i: usize, innovation: f64, r: f64) {
-        let mut h = ErrorState::zeros();
-        h[i] = 1.0;
-        let (ph, s) = kalman::innovation_variance(&self.p, &h, r);
-        if s.is_finite() && s > 0.0 {
-            self.apply(&h, r, &(ph / s), innovation);
-        }
+    fn pseudo(&mut self, i: usize, innovation: f64, variance: f64) {
+        self.correct(&ScalarRow::pseudo(i, innovation, variance));
     }
 }

@@ -1,13 +1,12 @@
 //! The IMUs as one: their consensus, where each sits, and whether they are at rest.
 
-use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
 use super::EkfOptions;
 use crate::estimate::aiding::lever_arm::LeverArm;
 use crate::estimate::fdir::consensus::{self, Consensus};
-use crate::estimate::{Channel, MAX_RESIDUALS, Residual};
+use crate::estimate::{Channel, Residuals};
 use crate::sensor::{MAX_IMUS, SensorFrame};
 use crate::types::MotorCommand;
 
@@ -66,7 +65,7 @@ impl Imus {
         &mut self,
         frame: &SensorFrame,
         gyro_bias_radps: &Vector3<f64>,
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) -> Option<Inertial> {
         let gyro = self.gyro.take(frame.time, &consensus::gyros(frame), residuals)?;
         self.lever_arm.push(frame.time, &gyro.value);

@@ -2,16 +2,18 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
-use super::aiding::{Scalar, VERTICAL_MEMORY_S};
-use super::covariance::{augment_barometer, forget, ix};
+use super::aiding::{VERTICAL_MEMORY_S, row};
+use super::covariance::{augment_barometer, ix};
 use crate::estimate::aiding::freshness::Freshness;
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
 use crate::model::measure::{self, barometer};
-use crate::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, SensorFrame};
+use crate::sensor::{Accuracy, MAX_BAROMETERS, MAX_HEIGHTS, SensorFrame};
 
 /// Heights older than this do not take part in deciding where the floor is, s.
 const HEIGHT_FRESH_S: f64 = 0.3;
@@ -74,16 +76,17 @@ impl EkfBias {
         }
         let centre = if arrived.len() == 2 { 0.0 } else { median(arrived.iter().map(|(_, y)| *y)) };
         arrived.sort_unstable_by(|a, b| (a.1 - centre).abs().total_cmp(&(b.1 - centre).abs()));
-        let (sigma, gate) = (self.options.height_sigma_m, self.options.gates.height);
+        let noise = Accuracy { sigma: self.options.height_sigma_m, gate: self.options.gates.height };
         let mut used = false;
         for (i, _) in arrived {
             let Some(sample) = frame.heights[i] else { continue };
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let mut row = measure::height::height(&past, sample.height_m);
+            let measured = measure::height::height(&past, sample.height_m);
+            let of = (SensorId::new(SensorKind::Height, i as u8 + 1), Channel::Height);
+            let mut row = row(of, &measured, noise, delay_s);
             row.innovation -= self.beyond_reach(i, frame.time);
-            let mut scalar = Scalar::new(SensorKind::Height, i + 1, Channel::Height, row, sigma, gate, delay_s);
-            scalar.refused = self.contradicted(i, frame.time);
-            used |= self.correct(&scalar);
+            row.refused = self.contradicted(i, frame.time);
+            used |= self.correct(&row);
         }
         self.heights.freshness.note(frame.time, used);
         if used {
@@ -166,12 +169,12 @@ impl EkfBias {
                 augment_barometer(&mut self.p, state, sigma * sigma);
                 continue;
             }
-            let row = barometer::altitude(&past, altitude, self.state.barometer_offset_m[i]);
-            let gate = self.options.gates.barometer;
-            let mut scalar =
-                Scalar::new(SensorKind::Barometer, i + 1, Channel::PressureAltitude, row, sigma, gate, delay_s);
-            scalar.offset = Some(state);
-            let used = self.correct(&scalar);
+            let measured = barometer::altitude(&past, altitude, self.state.barometer_offset_m[i]);
+            let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
+            let noise = Accuracy { sigma, gate: self.options.gates.barometer };
+            let mut row = row(of, &measured, noise, delay_s);
+            row.h[state] = 1.0;
+            let used = self.correct(&row);
             self.barometers.freshness[i].note(frame.time, used);
             if used {
                 if !self.heights.present {

@@ -10,8 +10,9 @@ use nalgebra::Vector2;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::covariance::{forget, ix};
+use super::covariance::ix;
 use super::{EkfBias, Inertial};
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::yaw_mixture::Horizontal;
 use crate::estimate::{Channel, Residual};
 use crate::sensor::SensorFrame;

@@ -32,7 +32,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::baseline::Baseline;
-use crate::estimate::{Channel, MAX_RESIDUALS, Residual, median};
+use crate::estimate::{Channel, Residual, Residuals, median};
 use crate::sensor::{MAX_IMUS, SensorFrame};
 
 /// Samples after which the prior spread between instances no longer widens the gate by half of σ.
@@ -123,7 +123,7 @@ impl Consensus {
         &mut self,
         now: FlightTime,
         samples: &[Option<Vector3<f64>>; MAX_IMUS],
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) -> Option<Agreed> {
         let mut members = self.gather(now, samples);
         if !members.iter().any(|m| m.fresh) {
@@ -194,7 +194,7 @@ impl Consensus {
         members: &mut Members,
         centre: &Vector3<f64>,
         moved: f64,
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) {
         let n = members.len();
         let gate_of = |m: &Member| self.options.gate * self.sigma_of(m.index, n, moved);
@@ -323,7 +323,7 @@ mod tests {
         Vector3::from_fn(|a, _| 0.04 * ((k * 37 + i * 101 + a * 17) as f64 * 1.618).sin())
     }
 
-    fn run(v: &mut Consensus, k: usize, bias: [f64; 4], attack: f64) -> (Agreed, ArrayVec<Residual, MAX_RESIDUALS>) {
+    fn run(v: &mut Consensus, k: usize, bias: [f64; 4], attack: f64) -> (Agreed, Residuals) {
         let mut samples = [None; MAX_IMUS];
         for (i, s) in samples.iter_mut().enumerate().take(4) {
             let added = if i == 1 { attack } else { 0.0 };

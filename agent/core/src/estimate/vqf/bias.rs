@@ -6,8 +6,8 @@
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::{DEGREE, VqfOptions};
-use crate::estimate::kalman;
-use crate::estimate::low_pass::LowPass;
+use crate::estimate::filter::kalman;
+use crate::estimate::filter::low_pass::LowPass;
 
 /// Bias uncertainty reached in motion, rad/s.
 const BIAS_SIGMA_MOTION: f64 = 0.1 * DEGREE;

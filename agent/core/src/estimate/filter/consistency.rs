@@ -12,7 +12,7 @@ use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 
-use super::{Channel, MAX_RESIDUALS, Residual};
+use crate::estimate::{Channel, MAX_RESIDUALS, Residual};
 use crate::model::measure::Kinematics;
 
 /// A running mean.

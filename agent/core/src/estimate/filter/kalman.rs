@@ -60,6 +60,13 @@ pub fn symmetrise<const N: usize>(p: &mut SMatrix<f64, N, N>) {
     }
 }
 
+/// Forgets everything about state `i` except that its variance is `variance`.
+pub fn forget<const N: usize>(p: &mut SMatrix<f64, N, N>, i: usize, variance: f64) {
+    p.row_mut(i).fill(0.0);
+    p.column_mut(i).fill(0.0);
+    p[(i, i)] = variance;
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
