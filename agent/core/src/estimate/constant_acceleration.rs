@@ -17,14 +17,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::aiding::freshness::Freshness;
-use super::ekf_bias::EkfOptions;
+use super::aiding::freshness::{Freshness, RECOVERY_S};
 use super::filter::kalman;
 use super::filter::row::ScalarRow;
-use super::vqf::{VqfEstimator, VqfOptions};
+use super::vqf::VqfEstimator;
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
-use crate::model::measure::barometer;
-use crate::sensor::{Accuracy, SensorFrame};
+use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// States.
@@ -114,13 +112,11 @@ const JERK_DENSITY: f64 = 4.0;
 const ACCELERATION: Accuracy = Accuracy { sigma: 0.5, gate: 10.0 };
 /// Position is known this long after the last sample, s.
 const MEMORY_S: f64 = 3.0;
-/// Rejections for this long make the filter start again where the sensors say, s.
-const RECOVERY_S: f64 = 2.0;
 
 /// The filter as an estimator: its attitude comes from the gyroscope-integrating filter, its acceleration
 /// from the specific force turned by it, gravity taken off.
 pub struct ConstantAccelerationEstimator {
-    options: EkfOptions,
+    model: SensorModel,
     attitude: VqfEstimator,
     filter: ConstantAcceleration,
     last: Option<FlightTime>,
@@ -131,15 +127,15 @@ pub struct ConstantAccelerationEstimator {
 }
 
 impl ConstantAccelerationEstimator {
-    /// With the sigmas and gates of `options`.
-    pub fn new(options: EkfOptions, attitude: VqfOptions) -> Self {
+    /// On sensors like these.
+    pub fn new(model: SensorModel) -> Self {
         let mut p = M::identity() * 100.0;
         for i in 3..N {
             p[(i, i)] = 1.0;
         }
         Self {
-            options,
-            attitude: VqfEstimator::new(attitude),
+            attitude: VqfEstimator::new(&model.imus),
+            model,
             filter: ConstantAcceleration::new(E::zeros(), p, JERK_DENSITY),
             last: None,
             axes: [Freshness::default(); 3],
@@ -171,43 +167,37 @@ impl ConstantAccelerationEstimator {
     fn take_positions(&mut self, frame: &SensorFrame) {
         const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
         const V: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
-        let (o, gates) = (self.options.clone(), self.options.gates);
+        let model = self.model.clone();
         for (i, sample) in frame.heights.iter().enumerate() {
             if let Some(sample) = sample {
                 self.heights_present = true;
-                let noise = Accuracy { sigma: o.height_sigma_m, gate: gates.height };
                 let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
-                self.take(sensor, Channel::Height, 2, sample.height_m, noise);
+                self.take(sensor, Channel::Height, 2, sample.height_m, model.heights);
             }
         }
         if let Some(sample) = frame.mocap_pose {
             let sensor = SensorId::new(SensorKind::MocapPose, 1);
-            let noise = Accuracy { sigma: o.mocap_position_sigma_m, gate: gates.mocap_pose };
             for (axis, channel) in XYZ.into_iter().enumerate() {
-                self.take(sensor, channel, axis, sample.position_enu_m[axis], noise);
+                self.take(sensor, channel, axis, sample.position_enu_m[axis], model.mocap_pose.position);
             }
         }
         if let Some(sample) = frame.gnss {
             let sensor = SensorId::new(SensorKind::Gnss, 1);
-            let horizontal = sample.horizontal_sigma_m.max(o.gnss_floor_m);
-            let vertical = sample.vertical_sigma_m.max(o.gnss_floor_m);
             for axis in 0..3 {
                 if axis < 2 || !self.heights_present {
-                    let noise = Accuracy { sigma: if axis < 2 { horizontal } else { vertical }, gate: gates.gnss };
-                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], noise);
+                    let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
+                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], model.gnss.position(claimed_m));
                 }
-                let noise = Accuracy { sigma: o.gnss_velocity_sigma_mps, gate: gates.gnss };
-                self.take(sensor, V[axis], axis + 3, sample.velocity_enu_mps[axis], noise);
+                self.take(sensor, V[axis], axis + 3, sample.velocity_enu_mps[axis], model.gnss.velocity);
             }
         }
         // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.
         if let Some(sample) = frame.barometers[0].filter(|_| !self.heights_present && frame.gnss.is_none()) {
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, o.reference_pressure_pa);
+            let altitude = model.barometers.altitude_m(&sample);
             if altitude.is_finite() {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - self.filter.x[2]);
                 let sensor = SensorId::new(SensorKind::Barometer, 1);
-                let noise = Accuracy { sigma: o.barometer_sigma_m, gate: gates.barometer };
-                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, noise);
+                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, model.barometers.altitude);
             }
         }
     }
@@ -236,7 +226,7 @@ impl Estimator for ConstantAccelerationEstimator {
         }
         if count > 0.0 && ready {
             // Deviation from [Strategies], errata 11: Q a Q* still holds gravity.
-            let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.options.gravity_mps2);
+            let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.model.imus.gravity_mps2);
             for axis in 0..3 {
                 self.filter.correct(6 + axis, acceleration[axis], ACCELERATION, None, &mut self.estimate.residuals);
             }
@@ -315,7 +305,7 @@ mod tests {
 
     #[test]
     fn height_is_followed_and_horizontal_stays_bounded() {
-        let mut estimator = ConstantAccelerationEstimator::new(EkfOptions::default(), VqfOptions::default());
+        let mut estimator = ConstantAccelerationEstimator::new(SensorModel::default());
         for k in 0..6000u64 {
             let time = FlightTime(k * 5000);
             let t = k as f64 * 0.005;

@@ -28,21 +28,25 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::aiding::freshness::Freshness;
-use super::ekf_bias::EkfOptions;
+use super::aiding::freshness::{Freshness, RECOVERY_S};
+use super::aiding::idle::{
+    Idle, POSITION_CORRELATION_S, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS,
+    whitening,
+};
 use super::filter::consistency::{self, Nees};
 use super::filter::kalman::forget;
 use super::filter::measurement::{MAX_ROWS, Measurement, TwelveState, What};
 use super::filter::mocap_recipe::ANGLE_SIGMA_RAD;
-use super::vqf::{VqfEstimator, VqfOptions};
+use super::vqf::VqfEstimator;
 use super::yaw_mixture::YawMixture;
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
-use crate::model::measure::{Kinematics, barometer, camera_range};
+use crate::model::measure::{Kinematics, camera_range};
 use crate::model::motor::Rotors;
-use crate::sensor::{Accuracy, SensorFrame};
+use crate::sensor::camera_ranges::CameraRangesModel;
+use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::{CAMERAS, MotorCommand};
 
 /// Longest step integrated at once, s.
@@ -59,10 +63,6 @@ const TURN_DENSITY: f64 = 5.0;
 const MEMORY_S: f64 = 3.0;
 /// A motion-capture attitude replaces that of the attitude filter this long, s.
 const POSE_MEMORY_S: f64 = 0.5;
-/// What is refused for this long is the new truth, s.
-const RECOVERY_S: f64 = 2.0;
-/// Period of the rows that keep the unaided where it is, s.
-const IDLE_PERIOD_S: f64 = 0.1;
 /// cos(pitch) below which roll and yaw mean little (80°).
 const COS_PITCH_MIN: f64 = 0.17;
 /// One-sigma at start: position m, velocity m/s, angles and rates rad, rad/s.
@@ -110,7 +110,7 @@ impl Propulsion {
 
 /// A twelve-state filter in flight. See the module.
 pub struct TwelveStateEstimator<F> {
-    options: EkfOptions,
+    model: SensorModel,
     filter: F,
     attitude: VqfEstimator,
     propulsion: Propulsion,
@@ -125,27 +125,27 @@ pub struct TwelveStateEstimator<F> {
     mixture: YawMixture,
     heights_present: bool,
     barometer_origin_m: Option<f64>,
-    anchor: Vector3<f64>,
-    idle_last: Option<FlightTime>,
+    idle: Idle,
     estimate: Estimate,
 }
 
 impl<F: TwelveState> TwelveStateEstimator<F> {
-    /// On `airframe`, with the sigmas and gates of `options`.
-    pub fn new(airframe: &Airframe, options: EkfOptions, attitude: VqfOptions) -> Self {
+    /// On `airframe`, with sensors like these.
+    pub fn new(airframe: &Airframe, model: SensorModel) -> Self {
         let body = EulerBody {
             mass_kg: airframe.mass_kg,
             inertia_kgm2: airframe.inertia_kgm2,
-            gravity_mps2: options.gravity_mps2,
+            gravity_mps2: model.imus.gravity_mps2,
         };
-        let bias = options.accel_bias_prior_mps2 * (2.0 * BIAS_CORRELATION_S).sqrt();
-        let accel_density = options.accel_noise_density.hypot(options.common_accel_noise_density).hypot(bias);
+        let accel = &model.imus.accel;
+        let bias = accel.bias_prior * (2.0 * BIAS_CORRELATION_S).sqrt();
+        let accel_density = accel.noise_density.hypot(accel.common_noise_density).hypot(bias);
         Self {
             filter: F::new(body, X::zeros(), M::identity()),
-            attitude: VqfEstimator::new(attitude),
+            attitude: VqfEstimator::new(&model.imus),
             propulsion: Propulsion::new(airframe),
             accel_density,
-            options,
+            model,
             now: None,
             started: false,
             force: None,
@@ -156,8 +156,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             mixture: YawMixture::new(),
             heights_present: false,
             barometer_origin_m: None,
-            anchor: Vector3::zeros(),
-            idle_last: None,
+            idle: Idle::default(),
             estimate: Estimate::default(),
         }
     }
@@ -170,7 +169,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
     fn start(&mut self) {
         let e = self.attitude.estimate();
         let mut x = X::zeros();
-        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.anchor);
+        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.idle.anchor);
         x.fixed_rows_mut::<3>(ix::ROLL).copy_from(&roll_pitch_yaw(&e.world_from_body));
         x.fixed_rows_mut::<3>(ix::P).copy_from(&e.body_rates_radps);
         let mut p = M::identity();
@@ -178,7 +177,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             p[(i, i)] = START_SIGMA[i / 3].powi(2);
         }
         if !self.field_seen {
-            p[(ix::YAW, ix::YAW)] = self.options.unknown_yaw_sigma_rad.powi(2);
+            p[(ix::YAW, ix::YAW)] = UNKNOWN_YAW_SIGMA_RAD.powi(2);
         }
         self.filter.restart(x, p);
         self.axes = [Freshness::default(); 3];
@@ -249,8 +248,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         self.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
         if let Some(pose) = frame.mocap_pose.filter(|s| s.world_from_body.coords.iter().all(|x| x.is_finite())) {
             self.pose_seen = Some(frame.time);
-            let noise = Accuracy { sigma: self.options.mocap_attitude_sigma_rad, gate: self.options.gates.mocap_pose };
-            let angles = roll_pitch_yaw(&pose.world_from_body);
+            let (noise, angles) = (self.model.mocap_pose.attitude, roll_pitch_yaw(&pose.world_from_body));
             for i in 0..3 {
                 self.take(MOCAP_POSE, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
             }
@@ -259,7 +257,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             return;
         }
         let (attitude, rates) = (self.attitude.estimate().world_from_body, self.attitude.estimate().body_rates_radps);
-        let noise = Accuracy::ungated(self.options.gyro_consensus.sigma);
+        let noise = Accuracy::ungated(self.model.imus.gyro.sigma);
         for i in 0..3 {
             self.take(IMU, RATES[i], What::State(ix::P + i), rates[i], noise);
         }
@@ -278,10 +276,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let velocity = Vector3::new(x[ix::VX], x[ix::VY], x[ix::VZ]);
         // A late sample, brought forward by the velocity.
         let late = |time: FlightTime| velocity * frame.time.seconds_since(time).clamp(0.0, 0.5);
-        let gates = self.options.gates;
+        let model = self.model.clone();
         if let Some(sample) = frame.camera_ranges {
-            let o = &self.options;
-            let (cameras, sigmas) = (o.cameras_enu_m, o.camera_sigma_m);
+            let CameraRangesModel { cameras_enu_m: cameras, sigma_m: sigmas, gate } = model.camera_ranges;
             if self.axes[0].lost(frame.time, RECOVERY_S)
                 && let Some(place) = camera_range::trilaterate(&cameras, &sample.range_m, &sigmas)
             {
@@ -290,13 +287,13 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             let moved = late(sample.time);
             for (i, range_m) in sample.range_m.into_iter().enumerate() {
                 let toward = camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
-                let noise = Accuracy { sigma: sigmas[i], gate: gates.camera_ranges };
+                let noise = Accuracy { sigma: sigmas[i], gate };
                 let value = range_m + toward.dot(&moved);
                 self.take(CAMERA_RANGES, RANGES[i], What::Range(cameras[i]), value, noise);
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let noise = Accuracy { sigma: self.options.mocap_position_sigma_m, gate: gates.mocap_pose };
+            let noise = model.mocap_pose.position;
             let place = sample.position_enu_m + late(sample.time);
             for axis in 0..3 {
                 self.recover(frame.time, axis, place[axis], noise.sigma);
@@ -307,35 +304,37 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
             self.heights_present = true;
             let height_m = sample.height_m + late(sample.time).z;
-            let noise = Accuracy { sigma: self.options.height_sigma_m, gate: gates.height };
-            self.recover(frame.time, 2, height_m, noise.sigma);
+            self.recover(frame.time, 2, height_m, model.heights.sigma);
             let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
-            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, noise);
+            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, model.heights);
         }
         let yaw_measured = self.yaw_measured();
         if let Some(sample) = frame.gnss {
             let place = sample.position_enu_m + late(sample.time);
             for axis in if yaw_measured { 0..3 } else { 2..3 } {
-                let sigma = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                let sigma = if sigma.is_finite() { sigma.max(self.options.gnss_floor_m) } else { 10.0 };
-                let noise = Accuracy { sigma, gate: gates.gnss };
+                let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
+                let noise = model.gnss.position(claimed_m);
                 // A laser has the floor as its zero: it alone tells the height where there is one.
                 if axis < 2 || !self.heights_present {
-                    self.recover(frame.time, axis, place[axis], sigma);
+                    self.recover(frame.time, axis, place[axis], noise.sigma);
                     self.take(GNSS, XYZ[axis], What::State(axis), place[axis], noise);
                 }
-                let noise = Accuracy { sigma: self.options.gnss_velocity_sigma_mps, gate: gates.gnss };
                 let speed = sample.velocity_enu_mps[axis];
-                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, noise);
+                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, model.gnss.velocity);
             }
         }
         let measured = self.heights_present || frame.gnss.is_some() || self.axes[2].ever();
         if let Some(sample) = frame.barometers[0].filter(|_| !measured || self.barometer_origin_m.is_some()) {
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            let altitude = model.barometers.altitude_m(&sample);
             if altitude.is_finite() && !self.heights_present {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - x[ix::Z]);
-                let noise = Accuracy { sigma: self.options.barometer_sigma_m, gate: gates.barometer };
-                self.take(BAROMETER, Channel::PressureAltitude, What::State(ix::Z), altitude - origin, noise);
+                self.take(
+                    BAROMETER,
+                    Channel::PressureAltitude,
+                    What::State(ix::Z),
+                    altitude - origin,
+                    model.barometers.altitude,
+                );
             }
         }
     }
@@ -357,8 +356,8 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             self.mixture.push(since, &gyro, &force);
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
-        let sigma = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
-        self.mixture.take(now, &sample, sigma, self.options.gnss_velocity_sigma_mps);
+        let gnss = &self.model.gnss;
+        self.mixture.take(now, &sample, gnss.position(sample.horizontal_sigma_m).sigma, gnss.velocity.sigma);
         (0..2).for_each(|axis| self.axes[axis].note(now, true));
     }
 
@@ -376,7 +375,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             set(ix::VX + axis, found.velocity_mps[axis], found.velocity_variance[axis]);
             set(ix::ROLL + axis, angles[axis], START_SIGMA[2].powi(2));
         }
-        let yaw_sigma = found.yaw_sigma_rad.min(self.options.unknown_yaw_sigma_rad);
+        let yaw_sigma = found.yaw_sigma_rad.min(UNKNOWN_YAW_SIGMA_RAD);
         set(ix::YAW, angles.z, yaw_sigma * yaw_sigma);
         self.filter.restart(x, p);
     }
@@ -399,15 +398,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
 
     /// Without aiding: on average it goes nowhere, and not far (as in `ekf_bias`, where the reasons are).
     fn take_idle(&mut self, now: FlightTime) {
-        if self.idle_last.is_some_and(|t| now.seconds_since(t) < IDLE_PERIOD_S - 1e-4) {
-            return;
-        }
-        let since = self.idle_last.map_or(IDLE_PERIOD_S, |t| now.seconds_since(t).min(1.0));
-        self.idle_last = Some(now);
-        let o = &self.options;
-        let white = |sigma: f64, tau: f64| sigma * (2.0 * tau / since).max(1.0).sqrt();
-        let velocity = white(o.idle_velocity_sigma_mps, o.idle_velocity_correlation_s);
-        let position = white(o.idle_position_sigma_m, 10.0);
+        let Some(since_s) = self.idle.due(now) else { return };
+        let velocity = VELOCITY_SIGMA_MPS * whitening(VELOCITY_CORRELATION_S, since_s).sqrt();
+        let position = POSITION_SIGMA_M * whitening(POSITION_CORRELATION_S, since_s).sqrt();
         let (x, _) = self.filter.moments();
         let mut rows: ArrayVec<Measurement, 6> = ArrayVec::new();
         let still = |i: usize, value: f64, sigma: f64| Measurement {
@@ -418,10 +411,10 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         };
         for axis in 0..3 {
             if self.axes[axis].within(now, MEMORY_S) {
-                self.anchor[axis] = x[axis];
+                self.idle.anchor[axis] = x[axis];
             } else {
                 rows.push(still(ix::VX + axis, 0.0, velocity));
-                rows.push(still(axis, self.anchor[axis], position));
+                rows.push(still(axis, self.idle.anchor[axis], position));
             }
         }
         if !rows.is_empty() {
@@ -525,7 +518,7 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
 
     fn reset_to(&mut self, estimate: &Estimate) {
         self.attitude.reset_to(estimate);
-        self.anchor = estimate.position_enu_m;
+        self.idle.anchor = estimate.position_enu_m;
         self.start();
         let (mut x, mut p) = self.filter.moments();
         x.fixed_rows_mut::<3>(ix::VX).copy_from(&estimate.velocity_enu_mps);

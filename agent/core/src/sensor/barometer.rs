@@ -3,9 +3,10 @@
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars};
+use super::sample::{Accuracy, Quantity, Sample, Scalars};
 use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
 use super::wire::{self, Received};
+use crate::model::measure::barometer::{STANDARD_PRESSURE_PA, pressure_altitude_m};
 
 /// One barometer sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +27,21 @@ impl Sample for BarometerSample {
         Quantity { name: "temperature", unit: "°C", scalars: 1, named: false },
     ];
     type Wire = v1::BarometerSample;
+    type Sheet = Barometer;
+    type Model = BarometerModel;
+
+    /// The first of them.
+    fn model(sheets: &[Barometer]) -> BarometerModel {
+        let reference_pressure_pa = STANDARD_PRESSURE_PA;
+        let Some(pressure) = sheets.first().map(|s| s.pressure) else {
+            return BarometerModel { altitude: Accuracy { sigma: 0.15, gate: 5.0 }, walk: 0.02, reference_pressure_pa };
+        };
+        BarometerModel {
+            altitude: Accuracy { sigma: pressure.total_sigma() / PA_PER_M, gate: pressure.gate_sigmas },
+            walk: (pressure.bias_walk / PA_PER_M).max(0.01),
+            reference_pressure_pa,
+        }
+    }
 
     fn time(&self) -> FlightTime {
         self.time
@@ -55,6 +71,27 @@ impl Sample for BarometerSample {
         wire::sample(m.reception(), m.sensed, m.received, |r: v1::BarometerReading| {
             Some(Self { time, pressure_pa: r.pressure_pa, temperature_c: r.temperature_c })
         })
+    }
+}
+
+/// Pascals for a metre of height near sea level.
+const PA_PER_M: f64 = 11.8;
+
+/// What estimators assume of barometers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BarometerModel {
+    /// Pressure altitude, m.
+    pub altitude: Accuracy,
+    /// Random walk of its offset, m/√s.
+    pub walk: f64,
+    /// Pressure that is altitude zero, Pa; an offset takes up the rest.
+    pub reference_pressure_pa: f64,
+}
+
+impl BarometerModel {
+    /// Altitude of `sample` above the level of the reference pressure, m; NaN where the pressure is not positive.
+    pub fn altitude_m(&self, sample: &BarometerSample) -> f64 {
+        pressure_altitude_m(sample.pressure_pa, self.reference_pressure_pa)
     }
 }
 

@@ -23,6 +23,24 @@ impl Sample for CameraRangesSample {
     const KIND: v1::SensorKind = v1::SensorKind::CameraRanges;
     const QUANTITIES: &'static [Quantity] = &[Quantity { name: "range", unit: "m", scalars: CAMERAS, named: false }];
     type Wire = v1::CameraRangesSample;
+    type Sheet = CameraRanges;
+    type Model = CameraRangesModel;
+
+    fn model(sheets: &[CameraRanges]) -> CameraRangesModel {
+        sheets.first().map_or(
+            CameraRangesModel {
+                cameras_enu_m: corners(),
+                // The rated one and three exaggerated ([Umasankar], Results).
+                sigma_m: [1.5e-3, 15e-3, 2e-3, 100e-3],
+                gate: 5.0,
+            },
+            |s| CameraRangesModel {
+                cameras_enu_m: s.cameras_enu_m,
+                sigma_m: [s.range.total_sigma().max(1e-4); CAMERAS],
+                gate: s.range.gate_sigmas,
+            },
+        )
+    }
 
     fn time(&self) -> FlightTime {
         self.time
@@ -72,6 +90,22 @@ impl Sample for CameraRangesSample {
     }
 }
 
+/// What estimators assume of camera ranges.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraRangesModel {
+    /// Cameras in the world frame ENU, m.
+    pub cameras_enu_m: [Vector3<f64>; CAMERAS],
+    /// One-sigma of each range, m.
+    pub sigma_m: [f64; CAMERAS],
+    /// Gate of each, in sigmas of its innovation.
+    pub gate: f64,
+}
+
+/// Cameras of [Umasankar] Table 2, ENU, m.
+fn corners() -> [Vector3<f64>; CAMERAS] {
+    [(10.0, 10.0), (-10.0, 10.0), (-10.0, -10.0), (10.0, -10.0)].map(|(x, y)| Vector3::new(x, y, 10.0))
+}
+
 /// Ranges to the motion-capture cameras ([Umasankar] Eq. 13).
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -96,8 +130,7 @@ impl Sheet for CameraRanges {
         Self {
             name: "camera ranges 1".into(),
             timing: Timing::at(120.0),
-            cameras_enu_m: [(10.0, 10.0), (-10.0, 10.0), (-10.0, -10.0), (10.0, -10.0)]
-                .map(|(x, y)| Vector3::new(x, y, 10.0)),
+            cameras_enu_m: corners(),
             range: Quality::white(0.0015),
             marker_mean: false,
         }

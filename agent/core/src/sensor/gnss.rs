@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars, put, xyz};
+use super::sample::{Accuracy, Quantity, Sample, Scalars, put, xyz};
 use super::suite::{Quality, Sheet, Timing};
 use super::wire::{self, Received};
 
@@ -35,6 +35,16 @@ impl Sample for GnssSample {
         Quantity { name: "velocity", unit: "m/s", scalars: 3, named: false },
     ];
     type Wire = v1::GnssSample;
+    type Sheet = Gnss;
+    type Model = GnssModel;
+
+    fn model(sheets: &[Gnss]) -> GnssModel {
+        let velocity = sheets.first().map_or(Accuracy { sigma: 0.1, gate: 5.0 }, |s| Accuracy {
+            sigma: s.velocity.total_sigma(),
+            gate: s.horizontal.gate_sigmas,
+        });
+        GnssModel { floor_m: 0.05, velocity }
+    }
 
     fn time(&self) -> FlightTime {
         self.time
@@ -85,6 +95,26 @@ impl Sample for GnssSample {
                 satellites: r.satellites,
             })
         })
+    }
+}
+
+/// One-sigma of a position that does not say how good it is, m.
+const UNKNOWN_SIGMA_M: f64 = 10.0;
+
+/// What estimators assume of GNSS.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GnssModel {
+    /// Smallest one-sigma assumed of a position, m.
+    pub floor_m: f64,
+    /// Velocity, m/s; its gate is that of positions, too.
+    pub velocity: Accuracy,
+}
+
+impl GnssModel {
+    /// Of a position with the one-sigma `claimed_m`.
+    pub fn position(&self, claimed_m: f64) -> Accuracy {
+        let sigma = if claimed_m.is_finite() { claimed_m.max(self.floor_m) } else { UNKNOWN_SIGMA_M };
+        Accuracy { sigma, ..self.velocity }
     }
 }
 

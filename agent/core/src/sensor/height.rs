@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars};
+use super::sample::{Accuracy, Quantity, Sample, Scalars};
 use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
 use super::wire::{self, Received};
 
@@ -22,6 +22,17 @@ impl Sample for HeightSample {
     const KIND: v1::SensorKind = v1::SensorKind::Height;
     const QUANTITIES: &'static [Quantity] = &[Quantity { name: "height", unit: "m", scalars: 1, named: false }];
     type Wire = v1::HeightSample;
+    type Sheet = Height;
+    type Model = Accuracy;
+
+    /// The worst of them.
+    fn model(sheets: &[Height]) -> Accuracy {
+        let worst = sheets.iter().map(|s| s.height).reduce(|a, b| if a.sigma > b.sigma { a } else { b });
+        worst.map_or(Accuracy { sigma: 0.01, gate: 5.0 }, |height| Accuracy {
+            sigma: height.total_sigma().hypot(height.bias_sigma).max(2e-3),
+            gate: height.gate_sigmas,
+        })
+    }
 
     fn time(&self) -> FlightTime {
         self.time

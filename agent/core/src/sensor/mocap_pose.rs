@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars, put, xyz};
+use super::sample::{Accuracy, Quantity, Sample, Scalars, put, xyz};
 use super::suite::{Quality, Sheet, Timing};
 use super::wire::{self, Received};
 
@@ -27,6 +27,15 @@ impl Sample for MocapPoseSample {
         Quantity { name: "attitude", unit: "", scalars: 4, named: false },
     ];
     type Wire = v1::MocapPoseSample;
+    type Sheet = MocapPose;
+    type Model = MocapPoseModel;
+
+    fn model(sheets: &[MocapPose]) -> MocapPoseModel {
+        let (position, attitude, gate) = sheets.first().map_or((0.005, 0.01, 5.0), |s| {
+            (s.position.total_sigma().max(1e-4), s.attitude.total_sigma().max(1e-4), s.position.gate_sigmas)
+        });
+        MocapPoseModel { position: Accuracy { sigma: position, gate }, attitude: Accuracy { sigma: attitude, gate } }
+    }
 
     fn time(&self) -> FlightTime {
         self.time
@@ -68,6 +77,15 @@ impl Sample for MocapPoseSample {
             })
         })
     }
+}
+
+/// What estimators assume of motion-capture poses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MocapPoseModel {
+    /// Position per axis, m.
+    pub position: Accuracy,
+    /// Attitude about each axis, rad.
+    pub attitude: Accuracy,
 }
 
 /// Motion-capture pose.

@@ -16,7 +16,6 @@ pub mod suite;
 mod table;
 pub mod wire;
 
-use arrayvec::ArrayVec;
 use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1::SensorKind};
 use serde::Deserialize;
 
@@ -42,18 +41,17 @@ pub const MAX_BAROMETERS: usize = 2;
 
 table::sensors! {
     /// IMUs; index 0 is instance 1.
-    imus: [Option<ImuSample>; MAX_IMUS], ArrayVec<imu::Imu, MAX_IMUS> => Imu(ImuSample);
+    imus: [Option<ImuSample>; MAX_IMUS] => Imu(ImuSample);
     /// Laser heights.
-    heights: [Option<HeightSample>; MAX_HEIGHTS], ArrayVec<height::Height, MAX_HEIGHTS> => Height(HeightSample);
+    heights: [Option<HeightSample>; MAX_HEIGHTS] => Height(HeightSample);
     /// Barometers.
-    barometers: [Option<BarometerSample>; MAX_BAROMETERS], ArrayVec<barometer::Barometer, MAX_BAROMETERS>
-        => Barometer(BarometerSample);
+    barometers: [Option<BarometerSample>; MAX_BAROMETERS] => Barometer(BarometerSample);
     /// GNSS.
-    gnss: Option<GnssSample>, Option<gnss::Gnss> => Gnss(GnssSample);
+    gnss: Option<GnssSample> => Gnss(GnssSample);
     /// Motion-capture pose.
-    mocap_pose: Option<MocapPoseSample>, Option<mocap_pose::MocapPose> => MocapPose(MocapPoseSample);
+    mocap_pose: Option<MocapPoseSample> => MocapPose(MocapPoseSample);
     /// Motion-capture camera ranges.
-    camera_ranges: Option<CameraRangesSample>, Option<camera_ranges::CameraRanges> => CameraRanges(CameraRangesSample);
+    camera_ranges: Option<CameraRangesSample> => CameraRanges(CameraRangesSample);
 }
 
 /// A sample with a place in the frame.

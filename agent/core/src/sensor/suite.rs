@@ -241,7 +241,7 @@ pub(super) fn key(list: &str, many: bool, index: usize) -> String {
 }
 
 /// Takes one more sheet; one that has no room is given up.
-pub(super) trait Fill<S> {
+pub trait Fill<S> {
     /// Takes `sheet`.
     fn fill(&mut self, sheet: S);
 }
@@ -344,6 +344,8 @@ impl Checker {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::SensorModel;
+    use crate::sensor::imu::TriaxialModel;
     use plumbline_proto::v1::SensorKind;
 
     #[test]
@@ -352,6 +354,24 @@ mod tests {
             Suite::preset(name).unwrap().validate(200.0).unwrap();
         }
         assert!(Suite::preset("nothing").is_none());
+    }
+
+    #[test]
+    fn every_preset_makes_a_usable_model() {
+        for name in PRESETS {
+            let m = SensorModel::from(&Suite::preset(name).unwrap());
+            let triaxial = |q: &TriaxialModel| [q.noise_density, q.bias_prior, q.sigma, q.memory_s];
+            let others = [
+                m.heights.sigma,
+                m.barometers.altitude.sigma,
+                m.imus.mag.sigma_ut,
+                m.gnss.velocity.sigma,
+                m.mocap_pose.position.sigma,
+                m.camera_ranges.sigma_m[0],
+            ];
+            let all = [&triaxial(&m.imus.gyro)[..], &triaxial(&m.imus.accel), &others].concat();
+            assert!(all.iter().all(|x| x.is_finite() && *x > 0.0), "{name}: {m:?}");
+        }
     }
 
     #[test]

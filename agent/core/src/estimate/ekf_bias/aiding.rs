@@ -12,9 +12,11 @@ use plumbline_proto::v1::SensorKind;
 use super::EkfBias;
 use super::covariance::{ErrorState, N, ix};
 use crate::estimate::Channel;
+use crate::estimate::aiding::freshness::RECOVERY_S;
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::filter::row::ScalarRow;
 use crate::model::measure::{self, Row, camera_range};
+use crate::sensor::camera_ranges::CameraRangesModel;
 use crate::sensor::{Accuracy, SensorFrame};
 use crate::types::CAMERAS;
 
@@ -65,7 +67,7 @@ impl EkfBias {
             return;
         }
         let sensor = SensorId::new(SensorKind::MocapPose, 1);
-        let noise = Accuracy { sigma: self.options.mocap_position_sigma_m, gate: self.options.gates.mocap_pose };
+        let noise = self.model.mocap_pose.position;
         self.allow_horizontal_reset(frame.time, &position, noise.sigma);
         let mut used = [false; 3];
         for axis in 0..3 {
@@ -73,13 +75,13 @@ impl EkfBias {
             let measured = measure::gnss::position(&past, axis, position[axis]);
             used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
-        self.horizontal.note(frame.time, used[0] && used[1]);
+        self.aided.horizontal.note(frame.time, used[0] && used[1]);
         if used[2] {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
 
-        let noise = Accuracy { sigma: self.options.mocap_attitude_sigma_rad, ..noise };
-        if !self.yaw_known || self.pose_yaw.rejected_s(frame.time) > self.options.recovery_s {
+        let noise = self.model.mocap_pose.attitude;
+        if !self.yaw_known || self.aided.pose_yaw.rejected_s(frame.time) > RECOVERY_S {
             let past = self.past(sample.time, frame.time).0;
             self.turn(measure::pose::attitude(&past, &sample.world_from_body)[2].innovation);
             forget(&mut self.p, ix::ATTITUDE + 2, noise.sigma * noise.sigma);
@@ -90,14 +92,9 @@ impl EkfBias {
             let measured = measure::pose::attitude(&past, &sample.world_from_body)[i];
             let used = self.correct(&row((sensor, channel), &measured, noise, 0.0));
             if i == 2 {
-                self.pose_yaw.note(frame.time, used);
+                self.aided.pose_yaw.note(frame.time, used);
             }
         }
-    }
-
-    /// The one-sigma assumed of a position that claims `claimed_m`.
-    pub(super) fn gnss_sigma_m(&self, claimed_m: f64) -> f64 {
-        if claimed_m.is_finite() { claimed_m.max(self.options.gnss_floor_m) } else { 10.0 }
     }
 
     fn aid_gnss(&mut self, frame: &SensorFrame) {
@@ -105,26 +102,25 @@ impl EkfBias {
         if !finite(&sample.position_enu_m) {
             return;
         }
-        let (sensor, gate) = (SensorId::new(SensorKind::Gnss, 1), self.options.gates.gnss);
-        let horizontal = self.gnss_sigma_m(sample.horizontal_sigma_m);
-        let vertical = self.gnss_sigma_m(sample.vertical_sigma_m);
-        let velocity_sigma = self.options.gnss_velocity_sigma_mps;
+        let (sensor, model) = (SensorId::new(SensorKind::Gnss, 1), self.model.gnss);
+        let horizontal = model.position(sample.horizontal_sigma_m);
+        let vertical = model.position(sample.vertical_sigma_m);
         // Horizontally the mixture has had it already where nothing else tells the yaw.
         let yaw_known = self.yaw_known;
         if yaw_known {
-            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal);
-        } else if !self.vertical.ever() {
+            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal.sigma);
+        } else if !self.aided.vertical.ever() {
             self.shift(Vector3::new(0.0, 0.0, sample.position_enu_m.z - self.state.kinematics.position_enu_m.z));
-            forget(&mut self.p, ix::POSITION + 2, vertical * vertical);
+            forget(&mut self.p, ix::POSITION + 2, vertical.sigma * vertical.sigma);
         }
         let mut used = [false; 3];
         for axis in if yaw_known { 0..3 } else { 2..3 } {
             // GNSS altitude is not height above this floor: only where no laser or barometer says more.
-            if axis == 2 && self.heights.freshness.within(frame.time, VERTICAL_MEMORY_S) {
+            if axis == 2 && self.aided.heights.freshness.within(frame.time, VERTICAL_MEMORY_S) {
                 continue;
             }
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let noise = Accuracy { sigma: if axis == 2 { vertical } else { horizontal }, gate };
+            let noise = if axis == 2 { vertical } else { horizontal };
             let measured = measure::gnss::position(&past, axis, sample.position_enu_m[axis]);
             used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
@@ -133,42 +129,42 @@ impl EkfBias {
             let v = sample.velocity_enu_mps[axis];
             if v.is_finite() {
                 let measured = measure::velocity::velocity(&past, axis, v);
-                self.correct(&row((sensor, channel), &measured, Accuracy { sigma: velocity_sigma, gate }, delay_s));
+                self.correct(&row((sensor, channel), &measured, model.velocity, delay_s));
             }
         }
         if yaw_known {
-            self.horizontal.note(frame.time, used[0] && used[1]);
+            self.aided.horizontal.note(frame.time, used[0] && used[1]);
         }
         if used[2] {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
     }
 
     fn aid_camera_ranges(&mut self, frame: &SensorFrame) {
         let Some(sample) = frame.camera_ranges else { return };
+        let CameraRangesModel { cameras_enu_m, sigma_m, gate } = self.model.camera_ranges;
         if self.horizontal_lost(frame.time)
-            && let Some(position) =
-                camera_range::trilaterate(&self.options.cameras_enu_m, &sample.range_m, &self.options.camera_sigma_m)
+            && let Some(position) = camera_range::trilaterate(&cameras_enu_m, &sample.range_m, &sigma_m)
         {
             self.reset_horizontal(frame.time, &position, 0.1);
         }
-        let (sensor, gate) = (SensorId::new(SensorKind::CameraRanges, 1), self.options.gates.camera_ranges);
+        let sensor = SensorId::new(SensorKind::CameraRanges, 1);
         let mut used = 0;
         for (i, range_m) in sample.range_m.into_iter().enumerate() {
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let measured = camera_range::range(&past, &self.options.cameras_enu_m[i], range_m);
-            let noise = Accuracy { sigma: self.options.camera_sigma_m[i], gate };
+            let measured = camera_range::range(&past, &cameras_enu_m[i], range_m);
+            let noise = Accuracy { sigma: sigma_m[i], gate };
             used += usize::from(self.correct(&row((sensor, RANGES[i]), &measured, noise, delay_s)));
         }
-        self.horizontal.note(frame.time, used >= 3);
+        self.aided.horizontal.note(frame.time, used >= 3);
         if used >= 3 {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
     }
 
     /// Nothing horizontal has been accepted for `recovery_s`, or ever.
     fn horizontal_lost(&self, now: FlightTime) -> bool {
-        self.horizontal.lost(now, self.options.recovery_s)
+        self.aided.horizontal.lost(now, RECOVERY_S)
     }
 
     fn allow_horizontal_reset(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
@@ -179,7 +175,7 @@ impl EkfBias {
 
     fn reset_horizontal(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
         let mut shift = position - self.state.kinematics.position_enu_m;
-        let vertical = self.vertical.within(now, VERTICAL_MEMORY_S);
+        let vertical = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
         if vertical {
             shift.z = 0.0;
         }
@@ -189,7 +185,7 @@ impl EkfBias {
             let v = ix::VELOCITY + axis;
             self.p[(v, v)] += if axis == 2 { 0.25 } else { 4.0 };
         }
-        self.horizontal.note(now, true);
+        self.aided.horizontal.note(now, true);
     }
 }
 

@@ -74,6 +74,11 @@ impl History {
         self.corrected.attitude += attitude;
     }
 
+    /// Sums of the corrections of height (m) and climb (m/s).
+    pub fn vertical_corrections(&self) -> (f64, f64) {
+        (self.corrected.position.z, self.corrected.velocity.z)
+    }
+
     /// The state at `time`, brought up to date, and how long ago that was (s); `now` where nothing that
     /// old is remembered or the sample is fresh.
     pub fn at(&self, time: FlightTime, now: FlightTime, current: &Kinematics) -> (Kinematics, f64) {

@@ -62,12 +62,12 @@ mod tests {
 
     #[test]
     fn four_ranges_give_the_position() {
-        let o = crate::estimate::ekf_bias::EkfOptions::default();
+        let o = crate::sensor::SensorModel::default().camera_ranges;
         for p in [Vector3::new(0.3, -2.0, 1.2), Vector3::new(-4.0, 5.0, 0.0), Vector3::new(6.0, 1.0, 3.0)] {
             let ranges = o.cameras_enu_m.map(|c| (p - c).norm());
-            let found = trilaterate(&o.cameras_enu_m, &ranges, &o.camera_sigma_m).unwrap();
+            let found = trilaterate(&o.cameras_enu_m, &ranges, &o.sigma_m).unwrap();
             assert!((found - p).norm() < 1e-6, "{found} for {p}");
-            assert!(trilaterate(&o.cameras_enu_m, &[f64::NAN, 1.0, 1.0, 1.0], &o.camera_sigma_m).is_none());
+            assert!(trilaterate(&o.cameras_enu_m, &[f64::NAN, 1.0, 1.0, 1.0], &o.sigma_m).is_none());
         }
     }
 }

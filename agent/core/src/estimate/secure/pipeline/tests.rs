@@ -33,7 +33,7 @@ fn frame(k: u64, heights: &[f64]) -> SensorFrame {
 }
 
 fn secure() -> Secure {
-    Secure::new(EkfOptions::default(), &Airframe::iris(), SLOTS).unwrap()
+    Secure::new(SensorModel::default(), &Airframe::iris(), SLOTS).unwrap()
 }
 
 fn fly(secure: &mut Secure, from_s: f64, to_s: f64, heights: &[f64]) {
@@ -149,7 +149,7 @@ fn every_decoder_finds_the_attack_and_a_change_of_decoder_keeps_the_attacked_set
 #[test]
 fn windows_of_any_length_find_the_attack_and_nothing_else() {
     for slots in [SLOTS_MIN, 20, SLOTS_MAX] {
-        let mut s = Secure::new(EkfOptions::default(), &Airframe::iris(), slots).unwrap();
+        let mut s = Secure::new(SensorModel::default(), &Airframe::iris(), slots).unwrap();
         fly(&mut s, 0.0, 8.0, &[0.0; 3]);
         assert_eq!(s.window().status, DecoderStatus::Solved, "{slots} slots");
         assert!(s.isolation().devices().iter().all(|d| d.flagged.is_none()), "{slots} slots");
@@ -162,7 +162,7 @@ fn windows_of_any_length_find_the_attack_and_nothing_else() {
         assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.01, "{slots}: {}", s.estimate().position_enu_m.z);
     }
     for slots in [SLOTS_MIN - 1, SLOTS_MAX + 1] {
-        assert!(Secure::new(EkfOptions::default(), &Airframe::iris(), slots).is_err());
+        assert!(Secure::new(SensorModel::default(), &Airframe::iris(), slots).is_err());
     }
 }
 
