@@ -250,8 +250,8 @@ impl Estimator for ConstantAccelerationEstimator {
         e.position_enu_m = x.fixed_rows::<3>(0).into_owned();
         e.velocity_enu_mps = x.fixed_rows::<3>(3).into_owned();
         e.world_from_body = world_from_body;
-        e.position_sigma_m = sigma(0);
-        e.velocity_sigma_mps = sigma(3);
+        e.position_sigma_m = Some(sigma(0));
+        e.velocity_sigma_mps = Some(sigma(3));
         e.horizontal_known = horizontal;
         e.altitude_known = vertical;
         e.health = if !ready {

@@ -329,14 +329,14 @@ impl EkfBias {
         e.position_enu_m = k.position_enu_m;
         e.velocity_enu_mps = k.velocity_enu_mps;
         e.world_from_body = k.world_from_body;
-        e.accel_bias_mps2 = self.state.accel_bias_mps2;
-        e.gyro_bias_radps = self.state.gyro_bias_radps;
+        e.accel_bias_mps2 = Some(self.state.accel_bias_mps2);
+        e.gyro_bias_radps = Some(self.state.gyro_bias_radps);
         if let Some(i) = &self.inertial {
             e.body_rates_radps = i.gyro_radps - self.state.gyro_bias_radps;
         }
-        e.position_sigma_m = sigma(ix::POSITION);
-        e.velocity_sigma_mps = sigma(ix::VELOCITY);
-        e.attitude_sigma_rad = sigma(ix::ATTITUDE);
+        e.position_sigma_m = Some(sigma(ix::POSITION));
+        e.velocity_sigma_mps = Some(sigma(ix::VELOCITY));
+        e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
         e.horizontal_known = self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S);
         self.estimate.altitude_known = self.altitude_known(now);
         self.estimate.health = self.health(now);
@@ -418,13 +418,15 @@ impl Estimator for EkfBias {
 
     fn reset_to(&mut self, estimate: &Estimate) {
         let imus = &self.model.imus;
-        let or =
-            |given: f64, default: f64| if given.is_finite() && given > 0.0 { given * given } else { default * default };
+        let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
+            let sigma = sigma.map(|s| s[i]).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(default);
+            sigma * sigma
+        };
         self.p = Covariance::zeros();
         for i in 0..3 {
-            self.p[(ix::POSITION + i, ix::POSITION + i)] = or(estimate.position_sigma_m[i], 0.5);
-            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = or(estimate.velocity_sigma_mps[i], 0.5);
-            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = or(estimate.attitude_sigma_rad[i], 0.1);
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = variance(&estimate.position_sigma_m, i, 0.5);
+            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = variance(&estimate.velocity_sigma_mps, i, 0.5);
+            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = variance(&estimate.attitude_sigma_rad, i, 0.1);
             self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
             self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = imus.gyro.bias_prior.powi(2);
         }
@@ -433,8 +435,8 @@ impl Estimator for EkfBias {
             velocity_enu_mps: estimate.velocity_enu_mps,
             world_from_body: estimate.world_from_body,
         };
-        self.state.accel_bias_mps2 = estimate.accel_bias_mps2;
-        self.state.gyro_bias_radps = estimate.gyro_bias_radps;
+        self.state.accel_bias_mps2 = estimate.accel_bias_mps2.unwrap_or_default();
+        self.state.gyro_bias_radps = estimate.gyro_bias_radps.unwrap_or_default();
         self.aided.barometers.forget();
         self.history.clear();
         self.aided.idle.anchor = estimate.position_enu_m;

@@ -83,16 +83,16 @@ pub struct Estimate {
     pub world_from_body: UnitQuaternion<f64>,
     /// Angular rate in the body frame FLU, bias removed, rad/s.
     pub body_rates_radps: Vector3<f64>,
-    /// Accelerometer bias, m/s².
-    pub accel_bias_mps2: Vector3<f64>,
+    /// Accelerometer bias, m/s²; `None` where it is not estimated, here and below.
+    pub accel_bias_mps2: Option<Vector3<f64>>,
     /// Gyroscope bias, rad/s.
-    pub gyro_bias_radps: Vector3<f64>,
-    /// One-sigma of the position, m; zero when the estimator does not say.
-    pub position_sigma_m: Vector3<f64>,
+    pub gyro_bias_radps: Option<Vector3<f64>>,
+    /// One-sigma of the position, m.
+    pub position_sigma_m: Option<Vector3<f64>>,
     /// One-sigma of the velocity, m/s.
-    pub velocity_sigma_mps: Vector3<f64>,
+    pub velocity_sigma_mps: Option<Vector3<f64>>,
     /// One-sigma of the attitude error about the world axes, rad.
-    pub attitude_sigma_rad: Vector3<f64>,
+    pub attitude_sigma_rad: Option<Vector3<f64>>,
     /// Is the horizontal position known (GNSS or motion capture lately)?
     pub horizontal_known: bool,
     /// Is the altitude known (lasers, barometer, motion capture or GNSS lately)?
@@ -104,6 +104,16 @@ pub struct Estimate {
 }
 
 impl Estimate {
+    /// Altitude, m; `None` where no sensor has said it lately, although a filter carries its prediction on.
+    pub fn altitude_m(&self) -> Option<f64> {
+        self.altitude_known.then_some(self.position_enu_m.z)
+    }
+
+    /// Climb, m/s; `None` where the altitude is not known.
+    pub fn climb_mps(&self) -> Option<f64> {
+        self.altitude_known.then_some(self.velocity_enu_mps.z)
+    }
+
     /// Position, velocity, attitude.
     pub fn kinematics(&self) -> Kinematics {
         Kinematics {
@@ -122,11 +132,11 @@ impl Default for Estimate {
             velocity_enu_mps: Vector3::zeros(),
             world_from_body: UnitQuaternion::identity(),
             body_rates_radps: Vector3::zeros(),
-            accel_bias_mps2: Vector3::zeros(),
-            gyro_bias_radps: Vector3::zeros(),
-            position_sigma_m: Vector3::zeros(),
-            velocity_sigma_mps: Vector3::zeros(),
-            attitude_sigma_rad: Vector3::zeros(),
+            accel_bias_mps2: None,
+            gyro_bias_radps: None,
+            position_sigma_m: None,
+            velocity_sigma_mps: None,
+            attitude_sigma_rad: None,
             horizontal_known: false,
             altitude_known: false,
             health: Health::Initialising,

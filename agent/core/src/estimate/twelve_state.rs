@@ -352,7 +352,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let now = frame.time;
         if let Some(force) = force {
             let since = self.force.map_or(0.0, |(before, _)| now.seconds_since(before)).clamp(0.0, 0.2);
-            let gyro = self.attitude.estimate().body_rates_radps + self.attitude.estimate().gyro_bias_radps;
+            let gyro = self.attitude.estimate().body_rates_radps + self.attitude.filter().gyro_bias_radps();
             self.mixture.push(since, &gyro, &force);
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
@@ -457,9 +457,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));
         e.body_rates_radps = part(ix::P);
         e.gyro_bias_radps = attitude.gyro_bias_radps;
-        e.position_sigma_m = sigma(ix::X);
-        e.velocity_sigma_mps = sigma(ix::VX);
-        e.attitude_sigma_rad = sigma(ix::ROLL);
+        e.position_sigma_m = Some(sigma(ix::X));
+        e.velocity_sigma_mps = Some(sigma(ix::VX));
+        e.attitude_sigma_rad = Some(sigma(ix::ROLL));
         e.horizontal_known = self.axes[0].within(now, MEMORY_S) && self.axes[1].within(now, MEMORY_S);
         e.altitude_known = self.axes[2].within(now, MEMORY_S);
         let altitude_lost = self.axes[2].lapsed(now, MEMORY_S);
@@ -525,8 +525,8 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
         let sigmas = [estimate.position_sigma_m, estimate.velocity_sigma_mps, estimate.attitude_sigma_rad];
         for (block, sigma) in sigmas.iter().enumerate() {
             for axis in 0..3 {
-                if sigma[axis] > 0.0 && sigma[axis].is_finite() {
-                    p[(3 * block + axis, 3 * block + axis)] = sigma[axis] * sigma[axis];
+                if let Some(sigma) = sigma.map(|s| s[axis]).filter(|s| *s > 0.0 && s.is_finite()) {
+                    p[(3 * block + axis, 3 * block + axis)] = sigma * sigma;
                 }
             }
         }

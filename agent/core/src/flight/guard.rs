@@ -84,8 +84,8 @@ impl Flight {
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
         let raw_height_m = self.watchdog.height_m();
-        let astray = raw_height_m
-            .is_some_and(|raw| estimate.altitude_known && (raw - estimate.position_enu_m.z).abs() > ASTRAY_M);
+        let astray =
+            raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
         let agree = self.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD;
         self.position_lost &= !estimate.horizontal_known;
         Inputs {
@@ -95,12 +95,8 @@ impl Flight {
             tilt_rad: self.watchdog.tilt_rad(),
             rate_radps: self.watchdog.rates_radps().norm(),
             raw_height_m,
-            altitude_m: estimate.altitude_known.then_some(estimate.position_enu_m.z),
-            climb_mps: if estimate.altitude_known {
-                estimate.velocity_enu_mps.z.max(raw_climb_mps)
-            } else {
-                raw_climb_mps
-            },
+            altitude_m: estimate.altitude_m(),
+            climb_mps: estimate.climb_mps().map_or(raw_climb_mps, |climb| climb.max(raw_climb_mps)),
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),
             lateral: estimate.horizontal_known.then(|| farther(outward(0), outward(1))),
             position_lost: self.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),

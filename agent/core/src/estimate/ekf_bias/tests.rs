@@ -173,8 +173,8 @@ fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<f64, 15> {
     x.fixed_rows_mut::<3>(0).copy_from(&(truth.position_enu_m - e.position_enu_m));
     x.fixed_rows_mut::<3>(3).copy_from(&(truth.velocity_enu_mps - e.velocity_enu_mps));
     x.fixed_rows_mut::<3>(6).copy_from(&(truth.world_from_body * e.world_from_body.inverse()).scaled_axis());
-    x.fixed_rows_mut::<3>(9).copy_from(&(world.accel_bias[0] - e.accel_bias_mps2));
-    x.fixed_rows_mut::<3>(12).copy_from(&(world.gyro_bias[0] - e.gyro_bias_radps));
+    x.fixed_rows_mut::<3>(9).copy_from(&(world.accel_bias[0] - e.accel_bias_mps2.unwrap()));
+    x.fixed_rows_mut::<3>(12).copy_from(&(world.gyro_bias[0] - e.gyro_bias_radps.unwrap()));
     x
 }
 

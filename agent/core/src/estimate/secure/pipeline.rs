@@ -392,7 +392,7 @@ impl Secure {
         for (i, height) in received.heights.iter().enumerate() {
             let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
             if let Some(height) = height.filter(|_| self.isolation.is_flagged(sensor)) {
-                let sigma = self.model.heights.sigma.hypot(e.position_sigma_m.z);
+                let sigma = self.model.heights.sigma.hypot(e.position_sigma_m.map_or(0.0, |sigma| sigma.z));
                 let innovation = height.height_m - e.position_enu_m.z;
                 let residual = Residual::gated(sensor, Channel::Height, innovation, sigma, self.model.heights.gate);
                 let _ = e.residuals.try_push(Residual { accepted: false, ..residual });

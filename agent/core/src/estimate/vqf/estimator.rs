@@ -99,7 +99,7 @@ impl Estimator for VqfEstimator {
             self.estimate.body_rates_radps = gyro.value - self.filter.gyro_bias_radps();
         }
         self.estimate.world_from_body = self.filter.world_from_body();
-        self.estimate.gyro_bias_radps = self.filter.gyro_bias_radps();
+        self.estimate.gyro_bias_radps = Some(self.filter.gyro_bias_radps());
         let silent = self.last.is_none_or(|t| now.seconds_since(t) > SILENCE_S);
         self.estimate.health = if self.age_s < SETTLED_S {
             Health::Initialising
@@ -116,7 +116,7 @@ impl Estimator for VqfEstimator {
     }
 
     fn reset_to(&mut self, estimate: &Estimate) {
-        self.filter.reset_to(&estimate.world_from_body, &estimate.gyro_bias_radps);
+        self.filter.reset_to(&estimate.world_from_body, &estimate.gyro_bias_radps.unwrap_or_default());
         self.estimate = estimate.clone();
         self.estimate.residuals.clear();
         self.age_s = SETTLED_S;
