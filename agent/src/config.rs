@@ -17,7 +17,7 @@ use crate::estimate::secure::Decoder;
 use crate::estimate::secure::{SLOTS_MAX, SLOTS_MIN};
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
-use crate::model::measure::gnss::Geodetic;
+use crate::model::geodesy::Geodetic;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::{Suite, SuiteError};
 use crate::types::{ControllerKind, EstimatorKind};

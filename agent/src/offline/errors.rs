@@ -12,7 +12,7 @@ use crate::estimate::filter::consistency::{Consistency, Mean, Nees};
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
 use crate::model::euler_body::{M, X, ix};
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 use crate::vehicle::Truth;
 
 /// Root of a running mean of squares.

@@ -19,7 +19,7 @@ use plumbline_proto::v1::SensorKind;
 use super::fdir::consensus::{self, Consensus};
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, median};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw};
-use crate::model::measure::attitude;
+use crate::model::attitude;
 use crate::sensor::imu::TriaxialModel;
 use crate::sensor::{MAX_HEIGHTS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
@@ -223,7 +223,7 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     use super::*;
-    use crate::model::measure::barometer;
+    use crate::sensor::barometer;
     use crate::sensor::{BarometerSample, HeightSample, ImuSample};
 
     fn frame(k: u64, q: &UnitQuaternion<f64>, heights: [f64; 3]) -> SensorFrame {

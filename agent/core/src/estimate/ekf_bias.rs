@@ -48,8 +48,8 @@ use super::aiding::idle::{Idle, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
 use super::filter::consistency::{self, Nees};
 use super::yaw_mixture::YawMixture;
 use super::{Estimate, Estimator, EstimatorKind, Health};
-use crate::model::measure::Kinematics;
 use crate::sensor::imu::{ImuModel, TriaxialModel};
+use crate::sensor::measure::Kinematics;
 use crate::sensor::{Accuracy, MAX_BAROMETERS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 

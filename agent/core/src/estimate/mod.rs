@@ -21,7 +21,7 @@ use plumbline_proto::{ids::SensorId, time::FlightTime};
 
 pub use plumbline_proto::v1::{Channel, Health};
 
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 use crate::sensor::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
 use crate::types::{EstimatorKind, MotorCommand};
 

@@ -43,9 +43,10 @@ use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
-use crate::model::measure::{Kinematics, camera_range};
 use crate::model::motor::Rotors;
+use crate::sensor::camera_ranges;
 use crate::sensor::camera_ranges::CameraRangesModel;
+use crate::sensor::measure::Kinematics;
 use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::{CAMERAS, MotorCommand};
 
@@ -280,13 +281,13 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         if let Some(sample) = frame.camera_ranges {
             let CameraRangesModel { cameras_enu_m: cameras, sigma_m: sigmas, gate } = model.camera_ranges;
             if self.axes[0].lost(frame.time, RECOVERY_S)
-                && let Some(place) = camera_range::trilaterate(&cameras, &sample.range_m, &sigmas)
+                && let Some(place) = camera_ranges::trilaterate(&cameras, &sample.range_m, &sigmas)
             {
                 (0..3).for_each(|axis| self.relocate(axis, place[axis], 0.1));
             }
             let moved = late(sample.time);
             for (i, range_m) in sample.range_m.into_iter().enumerate() {
-                let toward = camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
+                let toward = camera_ranges::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
                 let noise = Accuracy { sigma: sigmas[i], gate };
                 let value = range_m + toward.dot(&moved);
                 self.take(CAMERA_RANGES, RANGES[i], What::Range(cameras[i]), value, noise);

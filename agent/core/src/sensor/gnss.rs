@@ -5,7 +5,7 @@ use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
 use super::sample::{Accuracy, Quantity, Sample, Scalars, put, xyz};
-use super::suite::{Quality, Sheet, Timing};
+use super::suite::{self, Quality, Sheet, Timing};
 use super::wire::{self, Received};
 
 /// One GNSS fix, in local metres about the configured origin.
@@ -34,7 +34,6 @@ impl Sample for GnssSample {
         Quantity { name: "position", unit: "m", scalars: 3, named: false },
         Quantity { name: "velocity", unit: "m/s", scalars: 3, named: false },
     ];
-    type Wire = v1::GnssSample;
     type Sheet = Gnss;
     type Model = GnssModel;
 
@@ -44,10 +43,6 @@ impl Sample for GnssSample {
             gate: s.horizontal.gate_sigmas,
         });
         GnssModel { floor_m: 0.05, velocity }
-    }
-
-    fn time(&self) -> FlightTime {
-        self.time
     }
 
     fn scalars(&self) -> Scalars {
@@ -64,8 +59,9 @@ impl Sample for GnssSample {
         self
     }
 
-    fn to_wire(&self, received: Option<&Self>, into: &mut v1::GnssSample) {
-        let reading = |s: &Self| {
+    wire::message! {
+        GnssSample of GnssReading,
+        |s| {
             let [latitude_deg, longitude_deg, altitude_m] = s.geodetic;
             v1::GnssReading {
                 position_enu_m: wire::vector(&s.position_enu_m),
@@ -77,14 +73,8 @@ impl Sample for GnssSample {
                 vertical_sigma_m: s.vertical_sigma_m,
                 satellites: s.satellites,
             }
-        };
-        let (reception, received) = wire::reception(self, received, reading);
-        *into = v1::GnssSample { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
-    }
-
-    fn from_wire(m: v1::GnssSample) -> Option<(Self, Received<Self>)> {
-        let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), m.sensed, m.received, |r: v1::GnssReading| {
+        },
+        |time, r| {
             Some(Self {
                 time,
                 position_enu_m: wire::xyz(r.position_enu_m.as_ref()?),
@@ -94,7 +84,7 @@ impl Sample for GnssSample {
                 vertical_sigma_m: r.vertical_sigma_m,
                 satellites: r.satellites,
             })
-        })
+        }
     }
 }
 
@@ -147,17 +137,7 @@ impl Sheet for Gnss {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("horizontal", &mut self.horizontal);

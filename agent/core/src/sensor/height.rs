@@ -1,11 +1,14 @@
 //! Laser height above the floor.
+//!
+//! Laser height: the sample is already the distance along the world's vertical, so y = z.
 
 use nalgebra::Vector3;
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
+use super::measure::{Kinematics, Row};
 use super::sample::{Accuracy, Quantity, Sample, Scalars};
-use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
+use super::suite::{self, Checker, Quality, Sheet, SuiteError, Timing};
 use super::wire::{self, Received};
 
 /// Distance to the floor along the world's vertical, mounting removed.
@@ -60,6 +63,11 @@ impl Sample for HeightSample {
     }
 }
 
+/// Row of one height `height_m` above the floor.
+pub fn height(state: &Kinematics, height_m: f64) -> Row {
+    Row::new(height_m - state.position_enu_m.z).position(Vector3::z())
+}
+
 /// A laser height, looking down.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -89,17 +97,7 @@ impl Sheet for Height {
         Self::laser(instance, instance)
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("height", &mut self.height);
@@ -135,5 +133,17 @@ impl Height {
             nearest_m: 0.02,
             tilt_max_rad: default_tilt(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::measure::check;
+    use super::*;
+
+    #[test]
+    fn jacobian_matches_differences() {
+        check::jacobian(&check::state(), |s| height(s, 1.5), 1e-8);
+        assert!((height(&check::state(), 1.9).innovation - 0.2).abs() < 1e-12);
     }
 }

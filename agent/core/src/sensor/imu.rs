@@ -6,9 +6,9 @@ use serde::Deserialize;
 
 use super::MAX_IMUS;
 use super::sample::{Quantity, Sample, Scalars, put, xyz};
-use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
+use super::suite::{self, Checker, Quality, Sheet, SuiteError, Timing};
 use super::wire::{self, Received};
-use crate::model::measure::attitude::GRAVITY_MPS2;
+use crate::model::attitude::GRAVITY_MPS2;
 
 /// One sample of an IMU, in the body frame FLU.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,16 +33,11 @@ impl Sample for ImuSample {
         Quantity { name: "accel", unit: "m/s²", scalars: 3, named: true },
         Quantity { name: "mag", unit: "µT", scalars: 3, named: true },
     ];
-    type Wire = v1::ImuSample;
     type Sheet = Imu;
     type Model = ImuModel;
 
     fn model(sheets: &[Imu]) -> ImuModel {
         ImuModel::of(sheets)
-    }
-
-    fn time(&self) -> FlightTime {
-        self.time
     }
 
     fn scalars(&self) -> Scalars {
@@ -61,20 +56,15 @@ impl Sample for ImuSample {
         self
     }
 
-    fn to_wire(&self, received: Option<&Self>, into: &mut v1::ImuSample) {
-        let reading = |s: &Self| v1::ImuReading {
+    wire::message! {
+        ImuSample of ImuReading,
+        |s| v1::ImuReading {
             gyro_radps: wire::vector(&s.gyro_radps),
             accel_mps2: wire::vector(&s.accel_mps2),
             mag_ut: s.mag_ut.as_ref().and_then(wire::vector),
             temperature_c: s.temperature_c,
-        };
-        let (reception, received) = wire::reception(self, received, reading);
-        *into = v1::ImuSample { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
-    }
-
-    fn from_wire(m: v1::ImuSample) -> Option<(Self, Received<Self>)> {
-        let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), m.sensed, m.received, |r: v1::ImuReading| {
+        },
+        |time, r| {
             Some(Self {
                 time,
                 gyro_radps: wire::xyz(r.gyro_radps.as_ref()?),
@@ -82,7 +72,7 @@ impl Sample for ImuSample {
                 mag_ut: r.mag_ut.as_ref().map(wire::xyz),
                 temperature_c: r.temperature_c,
             })
-        })
+        }
     }
 }
 
@@ -307,17 +297,7 @@ impl Sheet for Imu {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("gyro", &mut self.gyro);

@@ -1,14 +1,16 @@
 //! Sensors: what their samples hold, what arrives in a tick, and what a data sheet says of them.
 //!
-//! One file a kind: its sample with scalars, quantities and wire form, and its data sheet. The table below registers it;
-//! its device is the simulator's, its measurement model is in `model/measure`. Everything is SI, calibrated, in the body
+//! One file a kind: its sample with scalars, quantities and wire form, its measurement model and what estimators assume of
+//! it, and its data sheet. The table below registers it; its device is the simulator's. Everything is SI, calibrated, in the body
 //! frame FLU or the world frame ENU; NED, FRD and degrees stay inside the driver that speaks them.
 
 pub mod barometer;
 pub mod camera_ranges;
 pub mod gnss;
+pub mod heading;
 pub mod height;
 pub mod imu;
+pub mod measure;
 pub mod mocap_pose;
 pub mod noise;
 pub mod sample;

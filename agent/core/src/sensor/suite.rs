@@ -289,6 +289,24 @@ pub trait Sheet {
     }
 }
 
+/// Name and timing of a data sheet that has fields of these names, in its `impl Sheet`.
+macro_rules! named_and_timed {
+    () => {
+        fn name(&self) -> &str {
+            &self.name
+        }
+
+        fn timing(&self) -> &Timing {
+            &self.timing
+        }
+
+        fn timing_mut(&mut self) -> &mut Timing {
+            &mut self.timing
+        }
+    };
+}
+pub(super) use named_and_timed;
+
 /// Checks the values of a suite, for one tick rate.
 #[derive(Debug, Clone, Copy)]
 pub struct Checker {

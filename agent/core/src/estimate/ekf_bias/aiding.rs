@@ -15,9 +15,10 @@ use crate::estimate::Channel;
 use crate::estimate::aiding::freshness::RECOVERY_S;
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::filter::row::ScalarRow;
-use crate::model::measure::{self, Row, camera_range};
 use crate::sensor::camera_ranges::CameraRangesModel;
+use crate::sensor::measure::{self, Row};
 use crate::sensor::{Accuracy, SensorFrame};
+use crate::sensor::{camera_ranges, mocap_pose};
 use crate::types::CAMERAS;
 
 const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
@@ -72,7 +73,7 @@ impl EkfBias {
         let mut used = [false; 3];
         for axis in 0..3 {
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let measured = measure::gnss::position(&past, axis, position[axis]);
+            let measured = measure::position(&past, axis, position[axis]);
             used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
         self.aided.horizontal.note(frame.time, used[0] && used[1]);
@@ -83,13 +84,13 @@ impl EkfBias {
         let noise = self.model.mocap_pose.attitude;
         if !self.yaw_known || self.aided.pose_yaw.rejected_s(frame.time) > RECOVERY_S {
             let past = self.past(sample.time, frame.time).0;
-            self.turn(measure::pose::attitude(&past, &sample.world_from_body)[2].innovation);
+            self.turn(mocap_pose::attitude(&past, &sample.world_from_body)[2].innovation);
             forget(&mut self.p, ix::ATTITUDE + 2, noise.sigma * noise.sigma);
             self.yaw_known = true;
         }
         for (i, channel) in ANGLES.into_iter().enumerate() {
             let (past, _) = self.past(sample.time, frame.time);
-            let measured = measure::pose::attitude(&past, &sample.world_from_body)[i];
+            let measured = mocap_pose::attitude(&past, &sample.world_from_body)[i];
             let used = self.correct(&row((sensor, channel), &measured, noise, 0.0));
             if i == 2 {
                 self.aided.pose_yaw.note(frame.time, used);
@@ -121,14 +122,14 @@ impl EkfBias {
             }
             let (past, delay_s) = self.past(sample.time, frame.time);
             let noise = if axis == 2 { vertical } else { horizontal };
-            let measured = measure::gnss::position(&past, axis, sample.position_enu_m[axis]);
+            let measured = measure::position(&past, axis, sample.position_enu_m[axis]);
             used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
         for (axis, channel) in VELOCITY.into_iter().enumerate().skip(if yaw_known { 0 } else { 2 }) {
             let (past, delay_s) = self.past(sample.time, frame.time);
             let v = sample.velocity_enu_mps[axis];
             if v.is_finite() {
-                let measured = measure::velocity::velocity(&past, axis, v);
+                let measured = measure::velocity(&past, axis, v);
                 self.correct(&row((sensor, channel), &measured, model.velocity, delay_s));
             }
         }
@@ -144,7 +145,7 @@ impl EkfBias {
         let Some(sample) = frame.camera_ranges else { return };
         let CameraRangesModel { cameras_enu_m, sigma_m, gate } = self.model.camera_ranges;
         if self.horizontal_lost(frame.time)
-            && let Some(position) = camera_range::trilaterate(&cameras_enu_m, &sample.range_m, &sigma_m)
+            && let Some(position) = camera_ranges::trilaterate(&cameras_enu_m, &sample.range_m, &sigma_m)
         {
             self.reset_horizontal(frame.time, &position, 0.1);
         }
@@ -152,7 +153,7 @@ impl EkfBias {
         let mut used = 0;
         for (i, range_m) in sample.range_m.into_iter().enumerate() {
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let measured = camera_range::range(&past, &cameras_enu_m[i], range_m);
+            let measured = camera_ranges::range(&past, &cameras_enu_m[i], range_m);
             let noise = Accuracy { sigma: sigma_m[i], gate };
             used += usize::from(self.correct(&row((sensor, RANGES[i]), &measured, noise, delay_s)));
         }

@@ -13,7 +13,7 @@ use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
 use crate::frames::wrap_pi;
-use crate::model::measure;
+use crate::sensor::heading;
 use crate::sensor::{Accuracy, MAX_IMUS, SensorFrame};
 
 /// Headings of one instance are taken at most this often, s.
@@ -38,7 +38,7 @@ impl EkfBias {
                 continue;
             }
             let at = &self.state.kinematics;
-            if let Some(heading) = measure::heading::heading(at, &field, model.declination_rad) {
+            if let Some(heading) = heading::heading(at, &field, model.declination_rad) {
                 self.aided.headings.latest[i] = Some(frame.time);
                 arrived.push((i, heading.row.innovation));
             }
@@ -59,7 +59,7 @@ impl EkfBias {
         for (i, _) in arrived {
             let Some(field) = frame.imus[i].and_then(|s| s.mag_ut) else { continue };
             let at = &self.state.kinematics;
-            let Some(heading) = measure::heading::heading(at, &field, model.declination_rad) else { continue };
+            let Some(heading) = heading::heading(at, &field, model.declination_rad) else { continue };
             let strength = *self.aided.headings.strength_ut[i].get_or_insert_with(|| field.norm());
             let disturbed = (field.norm() / strength - 1.0).abs() > model.field_tolerance;
             let sigma = (model.sigma_ut / heading.horizontal_ut).hypot(model.floor_rad);

@@ -6,7 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 
 const LENGTH: usize = 256;
 const SPACING_US: u64 = 4_000;

@@ -9,7 +9,7 @@ use super::*;
 use crate::estimate::Channel;
 use crate::estimate::Residual;
 use crate::frames::from_roll_pitch_yaw;
-use crate::model::measure::barometer;
+use crate::sensor::barometer;
 use crate::sensor::{BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample};
 use crate::vehicle::Truth;
 

@@ -12,8 +12,8 @@ use super::covariance::{augment_barometer, ix};
 use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
-use crate::model::measure::{self, barometer};
 use crate::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, SensorFrame};
+use crate::sensor::{barometer, height};
 
 /// Heights older than this do not take part in deciding where the floor is, s.
 const HEIGHT_FRESH_S: f64 = 0.3;
@@ -83,7 +83,7 @@ impl EkfBias {
         for (i, _) in arrived {
             let Some(sample) = frame.heights[i] else { continue };
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let measured = measure::height::height(&past, sample.height_m);
+            let measured = height::height(&past, sample.height_m);
             let of = (SensorId::new(SensorKind::Height, i as u8 + 1), Channel::Height);
             let mut row = row(of, &measured, noise, delay_s);
             row.innovation -= self.beyond_reach(i, frame.time);

@@ -13,7 +13,7 @@ use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 
 use crate::estimate::{Channel, MAX_RESIDUALS, Residual};
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 
 /// A running mean.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -8,8 +8,8 @@ use super::row::ScalarRow;
 use crate::estimate::{Channel, EstimatorKind, Residuals};
 use crate::frames::wrap_pi;
 use crate::model::euler_body::{EulerBody, Input, M, N, X, ix};
-use crate::model::measure::camera_range;
 use crate::sensor::Accuracy;
+use crate::sensor::camera_ranges;
 
 /// Most rows of one update: four ranges, three angles, three positions, four heights, three rates.
 pub const MAX_ROWS: usize = 17;
@@ -42,7 +42,7 @@ impl Measurement {
     /// ŷ = h(x).
     pub fn predict(&self, x: &X) -> f64 {
         match self.what {
-            What::Range(camera) => camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &camera).0,
+            What::Range(camera) => camera_ranges::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &camera).0,
             What::State(i) | What::Angle(i) => x[i],
         }
     }
@@ -52,7 +52,7 @@ impl Measurement {
         let mut row = X::zeros();
         match self.what {
             What::Range(camera) => {
-                let gradient = camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &camera).1;
+                let gradient = camera_ranges::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &camera).1;
                 row.fixed_rows_mut::<3>(ix::X).copy_from(&gradient);
             }
             What::State(i) | What::Angle(i) => row[i] = 1.0,

@@ -33,9 +33,9 @@ use crate::estimate::fdir::synchronous::Synchronous;
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
 use crate::frames::tilt_rad;
 use crate::model::airframe::Airframe;
-use crate::model::measure::heading;
 use crate::sensor::SensorFrame;
 use crate::sensor::SensorModel;
+use crate::sensor::heading;
 use crate::types::MotorCommand;
 
 /// Slots of the window unless configured otherwise ([Clinic]: T = 10).
