@@ -1,7 +1,7 @@
 //! Estimators side by side, one of them in the loop, switched in flight without a bump.
 //!
 //! Every estimator sees every frame. When another one is put in the loop, the difference between
-//! the two is added to its estimate and dies away with [`BLEND_TIME_CONSTANT_S`]: no estimator is
+//! the two is added to its estimate and dies away with `BLEND_TIME_CONSTANT_S`: no estimator is
 //! reset, so the effect of an attack on one is not handed on to the next for longer than that.
 
 use arrayvec::ArrayVec;

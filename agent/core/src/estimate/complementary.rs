@@ -1,8 +1,8 @@
-//! Complementary filter: tilt, heading and height straight from the sensors ([Paternain] IV), low-passed.
+//! Complementary filter: tilt, heading and height straight from the sensors (\[Paternain\] IV), low-passed.
 //!
-//! No model and no memory beyond the low-pass: what [Paternain] feeds his filter with, flown beside the
+//! No model and no memory beyond the low-pass: what \[Paternain\] feeds his filter with, flown beside the
 //! Kalman filter for comparison. Tilt is that of the specific force (errata 5), so it is wrong while
-//! the vehicle accelerates, and it lags by the time constant: [Paternain] V found 60 ms to be too much for
+//! the vehicle accelerates, and it lags by the time constant: \[Paternain\] V found 60 ms to be too much for
 //! control, which is why it should not be in the loop.
 //!
 //! | symbol | meaning | unit |

@@ -1,4 +1,4 @@
-//! Nine-state position filter of [Strategies]: a particle whose acceleration is constant between samples
+//! Nine-state position filter of \[Strategies\]: a particle whose acceleration is constant between samples
 //! and jumps at random ("particle" names the moving point, nothing Monte Carlo).
 //!
 //! | symbol | meaning | unit |
@@ -8,7 +8,7 @@
 //! | Q | white jerk of density q: q [t⁵/20 t⁴/8 t³/6; t⁴/8 t³/3 t²/2; t³/6 t²/2 t] for each axis | |
 //! | H, R | the rows that arrived, and their noise | |
 //!
-//! Deviations from [Strategies] (ERRATA): Γ(3,9) is t²/2 (9); the exponent of the barometer belongs to the
+//! Deviations from \[Strategies\] (ERRATA): Γ(3,9) is t²/2 (9); the exponent of the barometer belongs to the
 //! ratio (10); gravity is taken off the rotated specific force (11); H holds the rows that arrived, since
 //! GNSS comes once a second (12).
 

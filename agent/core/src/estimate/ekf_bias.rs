@@ -1,7 +1,7 @@
-//! Error-state EKF with accelerometer- and gyroscope-bias states ([Paternain] V, on the corrected model).
+//! Error-state EKF with accelerometer- and gyroscope-bias states (\[Paternain\] V, on the corrected model).
 //!
 //! The IMUs are the process input, not measurements: their errors are the biases and the noise in Q.
-//! [Paternain] feeds velocities integrated from the accelerometer back as measurements, which counts the
+//! \[Paternain\] feeds velocities integrated from the accelerometer back as measurements, which counts the
 //! same noise twice (errata 8); here velocity is predicted by them and corrected by what really measures it.
 //!
 //! | symbol | meaning | unit |

@@ -1,4 +1,4 @@
-//! The twelve-state filters of [Umasankar] as estimators: what feeds the hybrid EKF and the UKF in flight and
+//! The twelve-state filters of \[Umasankar\] as estimators: what feeds the hybrid EKF and the UKF in flight and
 //! over recordings.
 //!
 //! | symbol | meaning | unit |
@@ -7,7 +7,7 @@
 //! | f | specific force, consensus of the accelerometers | m/s² |
 //! | τ | torque of the motors as commanded: curve, lag, allocation of the airframe | N m |
 //!
-//! Deviations from [Umasankar], which flies in the open with known thrust and four cameras:
+//! Deviations from \[Umasankar\], which flies in the open with known thrust and four cameras:
 //! - Translation is driven by the specific force measured, not by T/m: strings, ground and drag then need no
 //!   model. Without accelerometers for 0.1 s the commanded thrust takes over, as in the source. An
 //!   accelerometer's bias, which the twelve states do not hold, enters as process noise.

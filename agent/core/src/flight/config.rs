@@ -26,9 +26,9 @@ pub enum RigKind {
     Free,
     /// Turns about one axis only; cannot lift.
     SingleAxis,
-    /// Hanging from strings with the thrust kept below lift-off ([Paternain] VIII-B).
+    /// Hanging from strings with the thrust kept below lift-off (\[Paternain\] VIII-B).
     StringsOrientation,
-    /// Hanging from strings, lifting itself within their reach ([Paternain] VIII-C).
+    /// Hanging from strings, lifting itself within their reach (\[Paternain\] VIII-C).
     StringsFlight {
         /// Highest altitude at which the strings still catch gently, m.
         reach_m: f64,
@@ -100,7 +100,7 @@ pub struct FlightConfig {
     pub in_loop: EstimatorKind,
     /// The program that the secure estimator solves first; `None` leaves it the default.
     pub decoder: Option<Decoder>,
-    /// Slots of 40 ms in its window: T of [Clinic].
+    /// Slots of 40 ms in its window: T of \[Clinic\].
     pub window_slots: usize,
     /// What the estimators assume of the sensors.
     pub sensor_model: SensorModel,

@@ -2,7 +2,7 @@
 //!
 //! Barometer: altitude above the level where the pressure is p₀.
 //!
-//! [Strategies], errata 10: h = 44330 (1 − (p/p₀)^(1/5.255)); the exponent belongs to the ratio alone.
+//! \[Strategies\], errata 10: h = 44330 (1 − (p/p₀)^(1/5.255)); the exponent belongs to the ratio alone.
 //! The altitude of a barometer wanders with the weather, with the room's doors and with every unit, so an
 //! estimator carries an offset: y = z + offset.
 
@@ -129,7 +129,7 @@ pub struct Barometer {
 }
 
 impl Sheet for Barometer {
-    /// Barometer: 100 Hz, 1 Pa ([Paternain] Table I); 3 Pa of noise (25 cm) and its drifts are chosen.
+    /// Barometer: 100 Hz, 1 Pa (\[Paternain\] Table I); 3 Pa of noise (25 cm) and its drifts are chosen.
     fn typical(_instance: usize) -> Self {
         Self {
             name: "barometer 1".into(),

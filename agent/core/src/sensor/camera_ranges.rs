@@ -1,6 +1,6 @@
-//! Ranges from the motion-capture cameras ([Umasankar] Eq. 13).
+//! Ranges from the motion-capture cameras (\[Umasankar\] Eq. 13).
 //!
-//! Range from a motion-capture camera to the markers' centroid: y = ‖p − c‖ ([Umasankar] Eq. 13).
+//! Range from a motion-capture camera to the markers' centroid: y = ‖p − c‖ (\[Umasankar\] Eq. 13).
 //!
 //! The mean of the four marker ranges is not the centroid's range (errata 9, up to 2.54 mm): the sample
 //! here is the centroid's.
@@ -152,7 +152,7 @@ pub fn trilaterate(
     None
 }
 
-/// Ranges to the motion-capture cameras ([Umasankar] Eq. 13).
+/// Ranges to the motion-capture cameras (\[Umasankar\] Eq. 13).
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraRanges {
@@ -165,13 +165,13 @@ pub struct CameraRanges {
     /// Range, m.
     pub range: Quality,
     /// Deliver the mean of the four marker ranges, as a real system does, instead of the range to the
-    /// centroid: up to 2.5 mm apart (ERRATA [Umasankar] 9).
+    /// centroid: up to 2.5 mm apart (ERRATA \[Umasankar\] 9).
     #[serde(default)]
     pub marker_mean: bool,
 }
 
 impl Sheet for CameraRanges {
-    /// Four cameras at (±10, ±10, 10) m, 120 Hz, 1.5 mm ([Umasankar] Table 2 and its Vicon data sheet).
+    /// Four cameras at (±10, ±10, 10) m, 120 Hz, 1.5 mm (\[Umasankar\] Table 2 and its Vicon data sheet).
     fn typical(_instance: usize) -> Self {
         Self {
             name: "camera ranges 1".into(),

@@ -125,7 +125,7 @@ pub struct Gnss {
 }
 
 impl Sheet for Gnss {
-    /// GNSS: 1 Hz ([Paternain] Table I), 2–3 m with good sky ([Paternain] IV-B): 2 m of slow error and 0.8 m
+    /// GNSS: 1 Hz (\[Paternain\] Table I), 2–3 m with good sky (\[Paternain\] IV-B): 2 m of slow error and 0.8 m
     /// of noise per axis, 0.2 s late (chosen).
     fn typical(_instance: usize) -> Self {
         Self {

@@ -111,7 +111,7 @@ impl Sheet for Height {
 }
 
 impl Height {
-    /// Laser height `instance` of `of`: 10 Hz, 1 mm resolution ([Clinic] 5.4.2), the units staggered evenly
+    /// Laser height `instance` of `of`: 10 Hz, 1 mm resolution (\[Clinic\] 5.4.2), the units staggered evenly
     /// over the period. The source guarantees 3 cm; sigma 7 mm and a 4 mm mounting error are chosen.
     pub fn laser(instance: usize, of: usize) -> Self {
         const RATE_HZ: f64 = 10.0;

@@ -257,8 +257,8 @@ impl Distortion {
 }
 
 impl Sheet for Imu {
-    /// IMU `instance` (1..=5) of the plate: 100 Hz and resolutions of [Paternain] Table I (4 mg, 0.07 °/s,
-    /// 5 mGa), ranges of [Clinic] 5.4.1 (16 g, 2000 °/s, 2500 µT). Pairs sit 3 cm off the centre, the second
+    /// IMU `instance` (1..=5) of the plate: 100 Hz and resolutions of \[Paternain\] Table I (4 mg, 0.07 °/s,
+    /// 5 mGa), ranges of \[Clinic\] 5.4.1 (16 g, 2000 °/s, 2500 µT). Pairs sit 3 cm off the centre, the second
     /// of each pair turned by 180° about its yaw axis; a fifth sits in the centre. Samples of pairs interleave by half a
     /// period.
     fn typical(instance: usize) -> Self {

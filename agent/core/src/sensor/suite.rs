@@ -4,8 +4,8 @@
 //! telemetry (the description of the vehicle). It holds what a data sheet or a calibration would say; the
 //! biases a simulated sensor really has are drawn by the simulator and are known to nothing else.
 //!
-//! Default rates and resolutions: IMU and barometer [Paternain] Table I, ranges [Clinic] 5.4.1, laser
-//! height [Clinic] 5.4.2, cameras [Umasankar] Tables 1–2. Sigmas, biases and drifts are not in the sources
+//! Default rates and resolutions: IMU and barometer \[Paternain\] Table I, ranges \[Clinic\] 5.4.1, laser
+//! height \[Clinic\] 5.4.2, cameras \[Umasankar\] Tables 1–2. Sigmas, biases and drifts are not in the sources
 //! (beyond the accuracies they quote) and are chosen here.
 
 use arrayvec::ArrayVec;
@@ -149,7 +149,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Clinic] 5.4: four 9-DOF IMUs, two laser heights.
+    /// The suite of \[Clinic\] 5.4: four 9-DOF IMUs, two laser heights.
     pub fn clinic() -> Self {
         let mut suite = Self::string_rig();
         suite.barometers.clear();
@@ -160,7 +160,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Paternain] Table I: one IMU, barometer, GNSS.
+    /// The suite of \[Paternain\] Table I: one IMU, barometer, GNSS.
     pub fn paternain() -> Self {
         let mut suite = Self::empty();
         let mut imu = Imu::typical(1);
@@ -171,7 +171,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Umasankar]: one IMU at the centroid, ranges from four cameras.
+    /// The suite of \[Umasankar\]: one IMU at the centroid, ranges from four cameras.
     pub fn umasankar() -> Self {
         let mut suite = Self::empty();
         let mut imu = Imu::typical(1);

@@ -20,8 +20,12 @@ macro_rules! sensors {
 
         /// One sample, of whatever kind.
         #[derive(Debug, Clone, Copy, PartialEq)]
-        #[allow(missing_docs, reason = "each variant is named after its kind")]
-        pub enum AnySample { $($name($sample),)* }
+        pub enum AnySample {
+            $(
+                #[doc = concat!("A [`", stringify!($sample), "`].")]
+                $name($sample),
+            )*
+        }
 
         /// A message of each kind, kept from tick to tick so that filling one allocates nothing.
         #[derive(Debug)]
@@ -129,7 +133,7 @@ macro_rules! sensors {
         }
 
         impl Default for SensorModel {
-            /// Consumer MEMS in a lab: figures of [Paternain] Table I and [Clinic] 5.4, cameras of [Umasankar].
+            /// Consumer MEMS in a lab: figures of \[Paternain\] Table I and \[Clinic\] 5.4, cameras of \[Umasankar\].
             fn default() -> Self {
                 Self::from(&Suite::empty())
             }

@@ -1,4 +1,4 @@
-//! Hybrid extended Kalman filter: continuous propagation, discrete update ([Umasankar] Algorithm 1).
+//! Hybrid extended Kalman filter: continuous propagation, discrete update (\[Umasankar\] Algorithm 1).
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | Φ, Q_d | transition and process noise of one step of h |
 //! | y, h(x), H, R | measurements of one instant, prediction, Jacobian, noise |
 //!
-//! Deviations from [Umasankar] Alg. 1 (ERRATA 7): P ← ΦPΦᵀ + Q_d instead of P + dt(AP + PAᵀ + Q), which
+//! Deviations from \[Umasankar\] Alg. 1 (ERRATA 7): P ← ΦPΦᵀ + Q_d instead of P + dt(AP + PAᵀ + Q), which
 //! loses positivity; line 14 adds K R Kᵀ, not R. Rows are taken one at a time against one linearisation,
 //! which equals the batch update for uncorrelated noise and gives every scalar its own gate.
 

@@ -10,7 +10,7 @@
 //!
 //! Vector measurements with independent noise are taken one scalar at a time: no inverse, and each
 //! scalar has its own gate. Corrections use Joseph's form, which keeps P symmetric and positive for any
-//! gain, the literal "P ← P + dt(AP + PAᵀ + Q)" of [Umasankar] Alg. 1 does not (errata 7).
+//! gain, the literal "P ← P + dt(AP + PAᵀ + Q)" of \[Umasankar\] Alg. 1 does not (errata 7).
 
 use nalgebra::{SMatrix, SVector};
 

@@ -1,4 +1,4 @@
-//! Measurements of the twelve-state filters, h(x) and its row of H for each ([Umasankar] Eq. 13 with errata 5: seven
+//! Measurements of the twelve-state filters, h(x) and its row of H for each (\[Umasankar\] Eq. 13 with errata 5: seven
 //! rows, roll included); and what these filters have in common.
 
 use nalgebra::Vector3;

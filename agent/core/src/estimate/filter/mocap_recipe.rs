@@ -13,14 +13,14 @@ use crate::sensor::Accuracy;
 
 /// Rows a second.
 pub const LOG_RATE_HZ: usize = 120;
-/// Cameras of [Umasankar] Table 2, m.
+/// Cameras of \[Umasankar\] Table 2, m.
 pub const CAMERAS_ENU_M: [Vector3<f64>; 4] = [
     Vector3::new(10.0, 10.0, 10.0),
     Vector3::new(-10.0, 10.0, 10.0),
     Vector3::new(-10.0, -10.0, 10.0),
     Vector3::new(10.0, -10.0, 10.0),
 ];
-/// One-sigma of each range, m: the rated one and three exaggerated ([Umasankar], Results).
+/// One-sigma of each range, m: the rated one and three exaggerated (\[Umasankar\], Results).
 pub const RANGE_SIGMA_M: [f64; 4] = [1.5e-3, 15e-3, 2e-3, 100e-3];
 /// One-sigma of roll, pitch and yaw, rad (chosen by the reference; the source gives none).
 pub const ANGLE_SIGMA_RAD: f64 = 5e-3;
@@ -44,7 +44,7 @@ pub struct LogRow {
     pub angle_rad: [f64; 3],
 }
 
-/// The seven measurements of `row` ([Umasankar] Eq. 13, errata 5), without gates.
+/// The seven measurements of `row` (\[Umasankar\] Eq. 13, errata 5), without gates.
 pub fn measurements(row: &LogRow) -> ArrayVec<Measurement, 7> {
     const RANGES: [Channel; 4] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
     const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];

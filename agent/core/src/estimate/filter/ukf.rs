@@ -1,4 +1,4 @@
-//! Unscented Kalman filter with 2n sigma points ([Umasankar] Algorithm 2).
+//! Unscented Kalman filter with 2n sigma points (\[Umasankar\] Algorithm 2).
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -7,7 +7,7 @@
 //! | Q_k | process noise of the interval, accumulated along the mean's trajectory |
 //! | P_y, P_xy, K | covariance of the prediction, cross covariance, gain |
 //!
-//! Deviations from [Umasankar] Alg. 2 (ERRATA 8): the second set of points is drawn from x̂⁻, P⁻, which are
+//! Deviations from \[Umasankar\] Alg. 2 (ERRATA 8): the second set of points is drawn from x̂⁻, P⁻, which are
 //! known, not from x̂⁺, P⁺, which are not yet; columns of a lower factor (rows would need an upper one);
 //! the yaw innovation is wrapped. An interval between measurements is one prediction: the points are kept
 //! through all its steps, as in the reference.

@@ -38,7 +38,7 @@ use crate::sensor::SensorModel;
 use crate::sensor::heading;
 use crate::types::MotorCommand;
 
-/// Slots of the window unless configured otherwise ([Clinic]: T = 10).
+/// Slots of the window unless configured otherwise (\[Clinic\]: T = 10).
 pub const SLOTS: usize = 10;
 /// Least: through 2 slots a sensor whose attack has ended was still excluded 15 s later, through 5 after 2 s.
 pub const SLOTS_MIN: usize = 5;
