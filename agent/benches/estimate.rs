@@ -14,14 +14,15 @@ use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::estimate::Estimator;
 use plumbline_agent::estimate::bank::build;
-use plumbline_agent::estimate::ekf_bias::{EkfBias, EkfOptions};
-use plumbline_agent::estimate::ekf_hybrid::EkfHybrid;
-use plumbline_agent::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, PROCESS_DENSITY, measurements};
-use plumbline_agent::estimate::ukf::Ukf;
+use plumbline_agent::estimate::ekf_bias::EkfBias;
+use plumbline_agent::estimate::filter::ekf_hybrid::EkfHybrid;
+use plumbline_agent::estimate::filter::measurement::TwelveState;
+use plumbline_agent::estimate::filter::mocap_recipe::{LOG_RATE_HZ, LogRow, PROCESS_DENSITY, measurements};
+use plumbline_agent::estimate::filter::ukf::Ukf;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::euler_body::{EulerBody, M, X, process_noise};
 use plumbline_agent::recordings::{mocap_log, shared};
-use plumbline_agent::sensor::{ImuSample, MocapPoseSample, SensorFrame};
+use plumbline_agent::sensor::{ImuSample, MocapPoseSample, SensorFrame, SensorModel};
 use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::MotorCommand;
 use plumbline_agent::vehicle::Vehicle;
@@ -116,7 +117,7 @@ fn bias_filter() {
     let applied = MotorCommand { throttle: [0.5; 4] };
     let run = |pose_every: usize| {
         let frames = frames(60_000, pose_every);
-        let mut filter = EkfBias::new(EkfOptions::default());
+        let mut filter = EkfBias::new(SensorModel::default());
         // Aligned, and its yaw known, before the clock starts.
         for frame in frames.iter().take(400) {
             black_box(filter.step(frame, &applied));

@@ -184,7 +184,7 @@ fn secure_tick() {
     let mut config = scenario.flight_config();
     config.estimators = vec![EstimatorKind::Secure];
     config.in_loop = EstimatorKind::Secure;
-    let (airframe, options) = (config.airframe.clone(), config.ekf.clone());
+    let (airframe, model) = (config.airframe.clone(), config.sensor_model.clone());
     let mut vehicle = SimVehicle::new(&scenario).unwrap();
     let mut flight = Flight::new(config).unwrap();
     let mut frames: Vec<(SensorFrame, MotorCommand)> = Vec::new();
@@ -202,7 +202,7 @@ fn secure_tick() {
         applied = vehicle.actuate(&report.command).unwrap();
         flight.applied(applied);
     }
-    let mut secure = Secure::new(options, &airframe, SLOTS).unwrap();
+    let mut secure = Secure::new(model, &airframe, SLOTS).unwrap();
     let (mut all, mut decoding) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
     let mut windows = 0;
     let before = counting::requests();

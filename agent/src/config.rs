@@ -17,7 +17,9 @@ use crate::estimate::secure::Decoder;
 use crate::estimate::secure::{SLOTS_MAX, SLOTS_MIN};
 use crate::flight::FlightConfig;
 use crate::model::declination::{DeclinationError, day, declination_rad};
-use crate::model::measure::gnss::Geodetic;
+use crate::model::geodesy::Geodetic;
+use crate::sensor::SensorModel;
+use crate::sensor::suite::{Suite, SuiteError};
 use crate::types::{ControllerKind, EstimatorKind};
 use crate::{link, log};
 
@@ -41,6 +43,9 @@ pub enum ConfigError {
     /// No declination for this place or day.
     #[error("configuration: site: {0}")]
     Site(#[from] DeclinationError),
+    /// A data sheet among `sensors`.
+    #[error("configuration: sensors: {0}")]
+    Sensors(#[from] SuiteError),
     /// A value is out of its range.
     #[error("configuration: {key} = {value} is not {expected}")]
     Value {
@@ -83,6 +88,9 @@ pub struct AgentConfig {
     pub weights: Option<Weights>,
     /// Where and when it flies, for the magnetic declination; left out, yaw counts from magnetic north.
     pub site: Option<Site>,
+    /// Data sheets of the sensors, as estimators are to assume them; left out, those of the vehicle. Only what is
+    /// assumed: a simulation goes on with the sensors of its scenario.
+    pub sensors: Option<Suite>,
     /// The controller to start with.
     pub controller: Controller,
     /// What gains must forgive before they fly.
@@ -283,6 +291,7 @@ impl Default for AgentConfig {
             calibrations: Vec::new(),
             weights: None,
             site: None,
+            sensors: None,
             controller: Controller::default(),
             margins: Margins::default(),
             log: Log::default(),
@@ -422,6 +431,9 @@ impl AgentConfig {
         if let Some(slots) = self.estimators.window.filter(|slots| !(SLOTS_MIN..=SLOTS_MAX).contains(slots)) {
             return bad("estimators.window", slots.to_string(), "5 to 50 slots");
         }
+        if let Some(sensors) = &self.sensors {
+            sensors.validate(*TICK_RATE_HZ.end())?;
+        }
         Ok(())
     }
 
@@ -462,8 +474,13 @@ impl AgentConfig {
             flight.decoder = Some(decoder("estimators.decoder", name)?);
         }
         put(&mut flight.window_slots, self.estimators.window);
+        if let Some(sensors) = &self.sensors {
+            let declination_rad = flight.sensor_model.imus.mag.declination_rad;
+            flight.sensor_model = SensorModel::from(sensors);
+            flight.sensor_model.imus.mag.declination_rad = declination_rad;
+        }
         if let Some(site) = &self.site {
-            flight.ekf.declination_rad = site.declination_rad()?;
+            flight.sensor_model.imus.mag.declination_rad = site.declination_rad()?;
         }
         flight.margins = self.margins.policy()?;
         if let Some(kind) = &self.controller.kind {
@@ -514,7 +531,7 @@ mod tests {
     use super::*;
     use crate::flight::RigKind;
     use crate::model::airframe::Airframe;
-    use crate::sensor::suite::Suite;
+    use crate::sensor::Accuracy;
     use plumbline_proto::v1::SensorKind;
 
     #[test]
@@ -523,7 +540,9 @@ mod tests {
             "id = \"clinic-2\"\ntick_rate_hz = 400\n[limits]\naltitude_max_m = 1.5\n[attacks]\nenabled = true\n\
  [failsafe]\nindependent = [\"imu 4\"]\n\
              [estimators]\nrun = [\"primary\", \"ekf_bias\"]\nin_loop = \"ekf_bias\"\n[log]\nmax_mib = 100\n\
-             [site]\nlatitude_deg = 4.6\nlongitude_deg = -74.1\naltitude_m = 2600\ndate = \"2026-11-21\"\n",
+             [site]\nlatitude_deg = 4.6\nlongitude_deg = -74.1\naltitude_m = 2600\ndate = \"2026-11-21\"\n\
+             [[sensors.heights]]\nname = \"h\"\ntiming = { rate_hz = 10 }\nposition_flu_m = [0, 0, 0]\n\
+             height = { sigma = 0.2, gate_sigmas = 3 }\n",
         )
         .unwrap();
         let mut flight = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::string_rig());
@@ -536,8 +555,13 @@ mod tests {
         assert_eq!((flight.tick_rate_hz, flight.limits.altitude_max_m), (400.0, 1.5));
         assert_eq!(flight.limits.lateral_max_m, before.lateral_max_m);
         assert!(flight.attacks_enabled);
+        assert_eq!(flight.sensor_model.heights, Accuracy { sigma: 0.2, gate: 3.0 });
         // Bogotá: about 8° west.
-        assert!((flight.ekf.declination_rad.to_degrees() + 7.9).abs() < 1.0, "{}", flight.ekf.declination_rad);
+        assert!(
+            (flight.sensor_model.imus.mag.declination_rad.to_degrees() + 7.9).abs() < 1.0,
+            "{}",
+            flight.sensor_model.imus.mag.declination_rad
+        );
         assert_eq!(flight.estimators, [EstimatorKind::Complementary, EstimatorKind::EkfBias]);
         assert_eq!((config.id.as_str(), config.log.max_mib), ("clinic-2", 100));
         assert_eq!(AgentConfig::from_toml("").unwrap(), AgentConfig::default());
@@ -559,6 +583,10 @@ mod tests {
             ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
             ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
             ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),
+            (
+                "[[sensors.heights]]\nname = \"h\"\ntiming = { rate_hz = 10 }\nposition_flu_m = [0, 0, 0]\nheight = { sigma = -1 }",
+                "sensors: suite: heights[0].height.sigma = -1",
+            ),
             ("[controller]\nkind = \"magic\"", "controller.kind = \"magic\""),
             ("[margins]\npolicy = \"none\"", "margins.policy = \"none\""),
             ("[margins]\nphase_min_rad = 2", "margins.phase_min_rad = 2"),

@@ -104,7 +104,7 @@ impl Estimator for Lost {
 fn a_descent_on_attitude_alone_ends_disarmed_soon_after_the_floor() {
     let mut f = Flown::new(&scenario("hover"));
     let config = f.scenario.flight_config();
-    let lost = Lost { filter: EkfBias::new(config.ekf.clone()), estimate: Estimate::default(), from_s: 14.0 };
+    let lost = Lost { filter: EkfBias::new(config.sensor_model.clone()), estimate: Estimate::default(), from_s: 14.0 };
     f.flight = Flight::with_estimators(config, vec![Box::new(lost)]).unwrap();
     f.scenario.script.steps.retain(|s| s.at_s < 10.0);
     f.until(13.9);

@@ -82,7 +82,8 @@ fn the_same_seed_gives_the_same_bits_and_another_seed_does_not() {
             .iter()
             .flat_map(|r| {
                 let truth = r.truth.position_enu_m.iter().chain(r.truth.body_rates_radps.iter()).copied();
-                let estimate = r.estimate.position_enu_m.iter().chain(r.estimate.accel_bias_mps2.iter()).copied();
+                let estimate =
+                    r.estimate.position_enu_m.iter().chain(r.estimate.accel_bias_mps2.iter().flatten()).copied();
                 truth.chain(estimate).chain(r.report.command.throttle).map(f64::to_bits).collect::<Vec<_>>()
             })
             .collect();

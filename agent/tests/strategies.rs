@@ -13,7 +13,7 @@ use plumbline_agent::control::margins::continuous_margins;
 use plumbline_agent::control::structure::{
     controllable_rank, detectable, gramian, observable_rank, unobservable_states,
 };
-use plumbline_agent::estimate::lqe;
+use plumbline_agent::estimate::filter::lqe;
 use plumbline_agent::linalg::{Complex, eigenvalues, hinf_norm};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::discretize::zero_order_hold;

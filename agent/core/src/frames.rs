@@ -12,7 +12,7 @@
 //! | heading | compass heading, clockwise from north | rad |
 //!
 //! world_from_body = Rz(ψ) Ry(θ) Rx(φ): "ZYX" of all four sources, whatever they call it
-//! ([Umasankar] says 123; errata 1).
+//! (\[Umasankar\] says 123; errata 1).
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI, TAU};
 

@@ -7,8 +7,6 @@
 //! Start reading at `flight.rs`: `Flight::step` is the whole tick. The rooms stand below in their order: each may use
 //! only those above it in this list.
 
-// A source in brackets ([Clinic], [Umasankar]) is a citation and no link; links to private items are for who reads the source.
-#![allow(rustdoc::broken_intra_doc_links, rustdoc::private_intra_doc_links)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod types;

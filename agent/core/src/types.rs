@@ -4,7 +4,7 @@ use nalgebra::{Vector2, Vector3};
 
 pub use plumbline_proto::v1::{ControllerKind, EstimatorKind, Mode};
 
-/// Standard gravity of the sources, m/s² ([Umasankar]).
+/// Standard gravity of the sources, m/s² (\[Umasankar\]).
 pub const GRAVITY_MPS2: f64 = 9.81;
 /// Rotors of the vehicle.
 pub const ROTORS: usize = 4;

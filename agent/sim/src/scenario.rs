@@ -139,7 +139,7 @@ impl Scenario {
             ..FlightConfig::new(self.airframe.clone(), self.rig.kind(&self.airframe), &self.suite)
         };
         // Known of a place, as a map would say it.
-        config.ekf.declination_rad = self.site.declination_rad();
+        config.sensor_model.imus.mag.declination_rad = self.site.declination_rad();
         config
     }
 

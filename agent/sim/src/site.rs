@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Deserialize;
 
-use plumbline_core::model::measure::barometer::{STANDARD_PRESSURE_PA, pressure_pa};
+use plumbline_core::sensor::barometer::{STANDARD_PRESSURE_PA, pressure_pa};
 
 /// Semi-major axis of WGS 84, m.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
@@ -91,7 +91,7 @@ impl Site {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_core::model::measure::gnss::{Geodetic, Projection, TangentPlane};
+    use plumbline_core::model::geodesy::{Geodetic, Projection, TangentPlane};
 
     #[test]
     fn places_near_the_origin_are_projected_back_to_themselves() {

@@ -263,7 +263,8 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         None => {
             let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
             // Nothing is said of its sensors: the assumptions of `estimate`.
-            FlightConfig { ekf: info.ekf_options(), ..FlightConfig::new(airframe, RigKind::Free, &Suite::empty()) }
+            let assumed = FlightConfig::new(airframe, RigKind::Free, &Suite::empty());
+            FlightConfig { sensor_model: info.sensor_model(), ..assumed }
         }
     };
     flight.attacks_enabled = true;

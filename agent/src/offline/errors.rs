@@ -7,12 +7,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::Channel;
 
 use crate::calibration::applied::FieldReport;
-use crate::estimate::consistency::{Consistency, Mean, Nees};
 use crate::estimate::fdir::isolation::FlagReason;
+use crate::estimate::filter::consistency::{Consistency, Mean, Nees};
 use crate::estimate::{Estimator, Health};
 use crate::frames::{from_roll_pitch_yaw, wrap_pi};
 use crate::model::euler_body::{M, X, ix};
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 use crate::vehicle::Truth;
 
 /// Root of a running mean of squares.
@@ -125,8 +125,8 @@ impl Score {
         let e = estimator.estimate();
         self.ticks += 1;
         self.finite &= e.position_enu_m.iter().chain(e.world_from_body.coords.iter()).all(|x| x.is_finite());
-        self.accel_bias_mps2 = e.accel_bias_mps2;
-        self.gyro_bias_radps = e.gyro_bias_radps;
+        self.accel_bias_mps2 = e.accel_bias_mps2.unwrap_or_default();
+        self.gyro_bias_radps = e.gyro_bias_radps.unwrap_or_default();
         self.consistency.push(&e.residuals);
         self.add_flags(estimator);
         if e.health == Health::Initialising {

@@ -21,10 +21,11 @@ use plumbline_proto::v1::SensorKind;
 use crate::calibration::applied::Calibration;
 use crate::config;
 use crate::estimate::bank::{self, Assumptions};
-use crate::estimate::ekf_hybrid::EkfHybrid;
-use crate::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
+use crate::estimate::filter::ekf_hybrid::EkfHybrid;
+use crate::estimate::filter::measurement::TwelveState;
+use crate::estimate::filter::mocap_recipe::{LOG_RATE_HZ, LogRow, run_each};
+use crate::estimate::filter::ukf::Ukf;
 use crate::estimate::secure::{SLOTS, SLOTS_MAX, SLOTS_MIN};
-use crate::estimate::ukf::Ukf;
 use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{EulerBody, M, X};
@@ -311,7 +312,7 @@ impl Run {
         let selection = Selection::new(&args.sensors, info)?;
         let calibration = calibrate::load(&args.calibration)?;
         // One rule for every recording: nothing is tuned to a file.
-        let options = info.ekf_options();
+        let sensors = info.sensor_model();
         if let Some(slots) = args.window {
             let refused = |reason| Err(EstimateArgs::bad("window", slots, reason));
             if kind != EstimatorKind::Secure {
@@ -329,7 +330,7 @@ impl Run {
             EstimatorKind::Vqf => Known { horizontal: false, vertical: false },
             _ => selection.known(info),
         };
-        let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &options, window_slots })
+        let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &sensors, window_slots })
             .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
         if let Some(name) = &args.decoder {
             let known = config::decoder("decoder", name);

@@ -72,7 +72,7 @@ impl Output {
 
     /// One estimate.
     pub fn estimate(&mut self, e: &Estimate) -> Result<(), OfflineError> {
-        let bias = [e.accel_bias_mps2.x, e.accel_bias_mps2.y, e.accel_bias_mps2.z];
+        let bias: [f64; 3] = e.accel_bias_mps2.unwrap_or_default().into();
         self.row(e.time.as_seconds(), &e.position_enu_m, &e.velocity_enu_mps, &e.world_from_body, &bias)
     }
 

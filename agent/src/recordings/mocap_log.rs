@@ -10,7 +10,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use super::{RecordingError, tables};
-use crate::estimate::mocap_recipe::LogRow;
+use crate::estimate::filter::mocap_recipe::LogRow;
 use crate::model::euler_body::{U, X};
 
 const COLUMNS: &[&str] = &[

@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
-use crate::estimate::ekf_bias::EkfOptions;
-use crate::sensor::SensorFrame;
+use crate::sensor::imu::ImuModel;
+use crate::sensor::{SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 use crate::vehicle::{RecordedControl, Truth};
 
@@ -93,23 +93,21 @@ pub struct RecordingInfo {
 impl RecordingInfo {
     /// What estimators assume of its sensors: the defaults, unless its own samples are noisier than that (IMUs
     /// of a motor frame vibrate by several m/s²). The same rule for every file.
-    pub fn ekf_options(&self) -> EkfOptions {
-        let mut options = EkfOptions::default();
+    pub fn sensor_model(&self) -> SensorModel {
+        let mut model = SensorModel::default();
         let imus = self.sensors.iter().filter(|sensor| sensor.id.kind == SensorKind::Imu);
         let rate_hz = imus.map(|imu| imu.rate_hz).fold(f64::INFINITY, f64::min);
-        let Some(noise) = self.imu_noise.filter(|_| rate_hz.is_finite() && rate_hz > 0.0) else { return options };
+        let Some(noise) = self.imu_noise.filter(|_| rate_hz.is_finite() && rate_hz > 0.0) else { return model };
         let period_s = 1.0 / rate_hz;
-        for (density, vote, sigma) in [
-            (&mut options.gyro_noise_density, &mut options.gyro_consensus, noise.gyro_sigma_radps),
-            (&mut options.accel_noise_density, &mut options.accel_consensus, noise.accel_sigma_mps2),
-        ] {
-            vote.memory_s = vote.memory_s.max(1.25 * period_s);
-            if sigma > vote.sigma {
-                vote.sigma = sigma;
-                *density = density.max(sigma * period_s.sqrt());
+        let ImuModel { gyro, accel, .. } = &mut model.imus;
+        for (quantity, sigma) in [(gyro, noise.gyro_sigma_radps), (accel, noise.accel_sigma_mps2)] {
+            quantity.memory_s = quantity.memory_s.max(1.25 * period_s);
+            if sigma > quantity.sigma {
+                quantity.sigma = sigma;
+                quantity.noise_density = quantity.noise_density.max(sigma * period_s.sqrt());
             }
         }
-        options
+        model
     }
 }
 

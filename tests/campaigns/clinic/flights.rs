@@ -18,14 +18,13 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::Command;
-use plumbline_agent::estimate::ekf_bias::EkfOptions;
 use plumbline_agent::flight::Flight;
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::model::airframe::Airframe;
-use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::height::Height;
-use plumbline_agent::sensor::imu::Imu;
+use plumbline_agent::sensor::imu::{Imu, ImuModel};
 use plumbline_agent::sensor::suite::{Sheet as _, Suite};
+use plumbline_agent::sensor::{SensorFrame, SensorModel};
 use plumbline_agent::sim::rig::{Line, standing_height_m};
 use plumbline_agent::sim::{Rig, Scenario, SimVehicle};
 use plumbline_agent::types::{EstimatorKind, Mode};
@@ -86,19 +85,21 @@ impl Pilot {
         [Pilot::Plain, Pilot::Augmented(tuning), Pilot::Gated, Pilot::Secure, Pilot::Oracle]
     }
 
-    fn assume(self, ekf: &mut EkfOptions) {
+    fn assume(self, model: &mut SensorModel) {
         const OPEN: f64 = 1e9;
         if matches!(self, Pilot::Plain | Pilot::Augmented(_)) {
-            let gates = &mut ekf.gates;
-            for gate in [&mut gates.heading, &mut gates.height, &mut gates.barometer] {
+            let ImuModel { gyro, accel, mag, .. } = &mut model.imus;
+            let others = [&mut model.heights.gate, &mut model.barometers.altitude.gate];
+            for gate in
+                [&mut gyro.gate, &mut accel.gate, &mut mag.gate, &mut mag.field_tolerance].into_iter().chain(others)
+            {
                 *gate = OPEN;
             }
-            (ekf.gyro_consensus.gate, ekf.accel_consensus.gate, ekf.field_tolerance) = (OPEN, OPEN, OPEN);
         }
         if let Pilot::Augmented(Tuning { height, accel }) = self {
-            ekf.height_sigma_m *= height;
-            ekf.accel_noise_density *= accel;
-            ekf.common_accel_noise_density *= accel;
+            model.heights.sigma *= height;
+            model.imus.accel.noise_density *= accel;
+            model.imus.accel.common_noise_density *= accel;
         }
     }
 }
@@ -274,7 +275,7 @@ fn fly(plan: &Plan) -> Outcome {
     let kind = if oracle || plan.pilot == Pilot::Secure { EstimatorKind::Secure } else { EstimatorKind::EkfBias };
     config.estimators = vec![kind];
     config.in_loop = kind;
-    plan.pilot.assume(&mut config.ekf);
+    plan.pilot.assume(&mut config.sensor_model);
     let mut vehicle = SimVehicle::new(&scenario).unwrap();
     let mut flight = Flight::new(config).unwrap();
     let mut outcome = Outcome::default();

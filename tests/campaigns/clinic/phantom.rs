@@ -44,11 +44,11 @@ struct Run {
 
 fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
     let mut recording = recordings::open(folder).ok()?;
-    let options = recording.info().ekf_options();
+    let sensors = recording.info().sensor_model();
     let airframe = Airframe::iris();
     let mut secure = bank::build(
         EstimatorKind::Secure,
-        &Assumptions { airframe: &airframe, sensors: &options, window_slots: SLOTS },
+        &Assumptions { airframe: &airframe, sensors: &sensors, window_slots: SLOTS },
     )
     .unwrap();
     let sensors: Vec<SensorId> = recording.info().sensors.iter().map(|s| s.id).collect();

@@ -1,9 +1,11 @@
 //! Our filters against the independent references: the same logs, the same recipe, another program.
 
 use nalgebra::{DMatrix, SMatrix, SVector};
+use plumbline_agent::estimate::Residuals;
 use plumbline_agent::estimate::constant_acceleration::ConstantAcceleration;
-use plumbline_agent::estimate::lqe;
+use plumbline_agent::estimate::filter::lqe;
 use plumbline_agent::recordings::shared;
+use plumbline_agent::sensor::Accuracy;
 use serde_json::Value;
 
 use crate::scored::{Scored, Target};
@@ -74,7 +76,7 @@ fn point_mass(csv: &std::path::Path) -> f64 {
         filter.predict(0.02);
         for (k, (state, sigma)) in [(0, 3.0), (1, 3.0), (2, 0.5), (6, 0.2), (7, 0.2), (8, 0.2)].into_iter().enumerate()
         {
-            filter.correct(state, v[1 + k], sigma, f64::INFINITY);
+            filter.correct(state, v[1 + k], Accuracy::ungated(sigma), None, &mut Residuals::new());
         }
         worst = worst.max((filter.x - SVector::<f64, 9>::from_column_slice(&v[16..25])).amax());
     }

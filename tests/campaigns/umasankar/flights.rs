@@ -1,7 +1,9 @@
 //! The four paths, flown by an LQR on the corrected model with process noise; what the cameras and the IMU saw.
 
 use nalgebra::{DMatrix, DVector, Vector3};
-use plumbline_agent::estimate::mocap_recipe::{ANGLE_SIGMA_RAD, CAMERAS_ENU_M, LOG_RATE_HZ, LogRow, RANGE_SIGMA_M};
+use plumbline_agent::estimate::filter::mocap_recipe::{
+    ANGLE_SIGMA_RAD, CAMERAS_ENU_M, LOG_RATE_HZ, LogRow, RANGE_SIGMA_M,
+};
 use plumbline_agent::linalg::care;
 use plumbline_agent::model::euler_body::{EulerBody, U, X, ix};
 use plumbline_agent::sensor::noise::Stream;

@@ -1,7 +1,7 @@
 //! Algorithm 1 as it is printed: to show what the errata say, never to be flown.
 
 use nalgebra::{SMatrix, SVector};
-use plumbline_agent::estimate::mocap_recipe::{LOG_RATE_HZ, measurements};
+use plumbline_agent::estimate::filter::mocap_recipe::{LOG_RATE_HZ, measurements};
 use plumbline_agent::frames::wrap_pi;
 use plumbline_agent::model::euler_body::{EulerBody, M, ix};
 
@@ -86,7 +86,7 @@ pub fn run(flown: &Flown, plant: Plant, hz: usize, variant: Literal) -> Outcome 
         let mut innovation = SVector::<f64, MEASURED>::zeros();
         for (i, row) in rows.iter().enumerate() {
             jacobian.set_row(i, &row.jacobian(&x).transpose());
-            r[(i, i)] = row.sigma.powi(2);
+            r[(i, i)] = row.noise.sigma.powi(2);
             innovation[i] = row.difference(row.value, row.predict(&x));
         }
         let s = jacobian * p * jacobian.transpose() + r;

@@ -2,9 +2,10 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
-use plumbline_agent::estimate::ekf_hybrid::EkfHybrid;
-use plumbline_agent::estimate::mocap_recipe::{LOG_RATE_HZ, LogRow, TwelveState, measurements};
-use plumbline_agent::estimate::ukf::Ukf;
+use plumbline_agent::estimate::filter::ekf_hybrid::EkfHybrid;
+use plumbline_agent::estimate::filter::measurement::TwelveState;
+use plumbline_agent::estimate::filter::mocap_recipe::{LOG_RATE_HZ, LogRow, measurements};
+use plumbline_agent::estimate::filter::ukf::Ukf;
 use plumbline_agent::frames::wrap_pi;
 use plumbline_agent::model::euler_body::{EulerBody, M, X, ix, process_noise};
 
@@ -148,7 +149,7 @@ fn floor(flown: &Flown, plant: Plant, hz: usize) -> [f64; 3] {
             for row in measurements(&pair[1]) {
                 let jacobian = row.jacobian(&pair[1].truth);
                 let ph = p * jacobian;
-                let s = jacobian.dot(&ph) + row.sigma * row.sigma;
+                let s = jacobian.dot(&ph) + row.noise.sigma * row.noise.sigma;
                 p -= ph * ph.transpose() / s;
             }
             p = (p + p.transpose()) * 0.5;

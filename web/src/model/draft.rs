@@ -1,6 +1,6 @@
 //! A schedule of attacks being written: what the form says, checked before it leaves the page.
 
-use plumbline_proto::v1::{AttackChannel, AttackKind, Limits, SensorKind};
+use plumbline_proto::v1::{AttackChannel, AttackKind, Description, SensorChannel, SensorKind};
 
 use super::{api::AttackBody, format, names};
 
@@ -40,14 +40,9 @@ impl Draft {
         Some(Self { sensor, instance, channel, kind, magnitude, start_s, duration_s })
     }
 
-    /// "height 2: bias +0.5 m, from +5 s for 10 s"
-    pub fn sentence(&self) -> String {
-        format!("{}, from +{} s for {} s", self.subject(), trimmed(self.start_s), trimmed(self.duration_s))
-    }
-
     /// "height 2: bias +0.5 m"
-    pub fn subject(&self) -> String {
-        subject(self.sensor, self.instance, self.channel, self.kind, self.magnitude)
+    pub fn subject(&self, vehicle: Option<&Description>) -> String {
+        subject(self.sensor, self.instance, self.channel, self.kind, self.magnitude, vehicle)
     }
 
     /// As the ground wants it; attacks of one schedule get different seeds.
@@ -65,14 +60,36 @@ impl Draft {
     }
 }
 
+/// What an attack can name of a sensor, as its `vehicle` describes it; nothing before it has.
+pub fn channels(vehicle: Option<&Description>, sensor: SensorKind, instance: u32) -> &[SensorChannel] {
+    let found = vehicle.and_then(|v| v.sensors.iter().find(|s| s.kind() == sensor && s.instance == instance));
+    found.map_or(&[], |s| s.channels.as_slice())
+}
+
+/// Those of `channels` that an attack of this kind can cover: what it adds needs a unit, and one offset for all of an IMU
+/// has none.
+pub fn offered(channels: &[SensorChannel], kind: AttackKind) -> Vec<AttackChannel> {
+    let additive = matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise);
+    let found: Vec<_> =
+        channels.iter().filter(|c| !additive || !c.unit.is_empty()).map(SensorChannel::channel).collect();
+    if channels.is_empty() { vec![AttackChannel::All] } else { found }
+}
+
 /// "height 2: bias +0.5 m"
-pub fn subject(sensor: SensorKind, instance: u32, channel: AttackChannel, kind: AttackKind, magnitude: f64) -> String {
+pub fn subject(
+    sensor: SensorKind,
+    instance: u32,
+    channel: AttackChannel,
+    kind: AttackKind,
+    magnitude: f64,
+    vehicle: Option<&Description>,
+) -> String {
     let what = match channel {
         AttackChannel::All => String::new(),
         other => format!(" {}", names::attack_channel(other)),
     };
     let mut text = format!("{}{what}: {}", names::instance(sensor, instance), names::attack_kind(kind));
-    if let Some(unit) = magnitude_unit(kind, sensor, channel) {
+    if let Some(unit) = magnitude_unit(kind, channels(vehicle, sensor, instance), channel) {
         let signed = matches!(kind, AttackKind::Bias | AttackKind::Ramp);
         let sign = if signed && magnitude > 0.0 { "+" } else { "" };
         let number = trimmed(magnitude).replace('-', "\u{2212}");
@@ -90,22 +107,9 @@ fn trimmed(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// The unit of a channel of a sensor, as the agent takes it (SI).
-fn channel_unit(sensor: SensorKind, channel: AttackChannel) -> &'static str {
-    use AttackChannel::{Accel, AccelX, AccelY, AccelZ, All, Gyro, GyroX, GyroY, GyroZ, Mag};
-    match (sensor, channel) {
-        (SensorKind::Imu, Gyro | GyroX | GyroY | GyroZ) => "rad/s",
-        (SensorKind::Imu, Accel | AccelX | AccelY | AccelZ) => "m/s²",
-        (SensorKind::Imu, Mag) => "µT",
-        (SensorKind::Imu, All) => "SI",
-        (SensorKind::Barometer, _) => "Pa",
-        _ => "m",
-    }
-}
-
-/// Unit of the magnitude; `None` for kinds that have none.
-pub fn magnitude_unit(kind: AttackKind, sensor: SensorKind, channel: AttackChannel) -> Option<String> {
-    let unit = channel_unit(sensor, channel);
+/// Unit of the magnitude, as the agent takes it (SI); `None` for kinds that have none.
+pub fn magnitude_unit(kind: AttackKind, channels: &[SensorChannel], channel: AttackChannel) -> Option<String> {
+    let unit = channels.iter().find(|c| c.channel() == channel).map_or("", |c| c.unit.as_str());
     match kind {
         AttackKind::Bias | AttackKind::Noise => Some(unit.to_owned()),
         AttackKind::Ramp => Some(format!("{unit}/s")),
@@ -148,11 +152,12 @@ impl Form {
     ///
     /// # Errors
     /// What is wrong, with the value. The agent checks again, against its own bounds.
-    pub fn check(&self, limits: Option<&Limits>) -> Result<Draft, String> {
+    pub fn check(&self, vehicle: Option<&Description>) -> Result<Draft, String> {
         let number = |name: &str, text: &str| format::parse_number(text).map_err(|e| format!("{name}: {e}"));
         let start_s = number("start", &self.start)?;
         let duration_s = number("duration", &self.duration)?;
-        let needs_magnitude = magnitude_unit(self.kind, self.sensor, self.channel).is_some();
+        let channels = channels(vehicle, self.sensor, self.instance);
+        let needs_magnitude = magnitude_unit(self.kind, channels, self.channel).is_some();
         let magnitude = if needs_magnitude { number("magnitude", &self.magnitude)? } else { 0.0 };
         if start_s < 0.0 {
             return Err(format!("start: {start_s} s lies in the past"));
@@ -160,11 +165,11 @@ impl Form {
         if duration_s <= 0.0 {
             return Err(format!("duration: {duration_s} s is not positive"));
         }
-        let longest = limits.map_or(0.0, |l| l.attack_max_duration_s);
+        let longest = vehicle.and_then(|v| v.limits).map_or(0.0, |l| l.attack_max_duration_s);
         if longest > 0.0 && duration_s > longest {
             return Err(format!("duration: {duration_s} s above the vehicle's limit {longest} s"));
         }
-        if !names::attack_channels(self.sensor, self.kind).contains(&self.channel) {
+        if !offered(channels, self.kind).contains(&self.channel) {
             let (kind, channel) = (names::attack_kind(self.kind), names::attack_channel(self.channel));
             return Err(format!("{kind} cannot cover {channel} of {}: their units differ", names::sensor(self.sensor)));
         }
@@ -189,11 +194,42 @@ impl Form {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_proto::v1::{Limits, SensorDescription};
+
+    /// A vehicle with two heights, an IMU and GNSS.
+    fn vehicle() -> Description {
+        use AttackChannel::{Accel, All, Gyro, GyroX, X};
+        let sensor = |kind, instance, channels: &[(AttackChannel, &str)]| SensorDescription {
+            kind: SensorKind::into(kind),
+            instance,
+            channels: channels
+                .iter()
+                .map(|(channel, unit)| SensorChannel {
+                    channel: (*channel).into(),
+                    unit: (*unit).into(),
+                    offset_max: 5.0,
+                })
+                .collect(),
+            ..SensorDescription::default()
+        };
+        Description {
+            sensors: vec![
+                sensor(SensorKind::Height, 1, &[(All, "m")]),
+                sensor(SensorKind::Height, 2, &[(All, "m")]),
+                sensor(SensorKind::Imu, 1, &[(All, ""), (Gyro, "rad/s"), (Accel, "m/s²"), (GyroX, "rad/s")]),
+                sensor(SensorKind::Gnss, 1, &[(All, "m"), (X, "m")]),
+            ],
+            limits: Some(Limits { attack_max_duration_s: 60.0, ..Default::default() }),
+            ..Description::default()
+        }
+    }
 
     #[test]
     fn the_example_of_the_issue() {
-        let draft = Form::default().check(None).unwrap();
-        assert_eq!(draft.sentence(), "height 2: bias +0.5 m, from +5 s for 10 s");
+        let draft = Form::default().check(Some(&vehicle())).unwrap();
+        assert_eq!(draft.subject(Some(&vehicle())), "height 2: bias +0.5 m");
+        // Before the vehicle has described itself there is no unit to show.
+        assert_eq!(draft.subject(None), "height 2: bias +0.5");
         let body = serde_json::to_value(draft.body(1)).unwrap();
         assert_eq!(
             body,
@@ -204,7 +240,7 @@ mod tests {
 
     #[test]
     fn a_draft_outlives_a_reload() {
-        let draft = Form::default().check(None).unwrap();
+        let draft = Form::default().check(Some(&vehicle())).unwrap();
         let text = serde_json::to_string(&draft.row()).unwrap();
         assert_eq!(Draft::from_row(serde_json::from_str(&text).unwrap()), Some(draft));
         assert_eq!(Draft::from_row((99, 1, 0, 0, 0.0, 0.0, 0.0)), None);
@@ -214,12 +250,13 @@ mod tests {
     fn one_offset_for_all_channels_of_an_imu_is_neither_offered_nor_taken() {
         let form = |kind, channel| Form { sensor: SensorKind::Imu, instance: 1, kind, channel, ..Form::default() };
         for kind in [AttackKind::Bias, AttackKind::Ramp, AttackKind::Noise] {
-            let refused = form(kind, AttackChannel::All).check(None).unwrap_err();
+            let refused = form(kind, AttackChannel::All).check(Some(&vehicle())).unwrap_err();
             assert!(refused.contains("units differ"), "{refused}");
-            assert!(form(kind, AttackChannel::GyroX).check(None).is_ok());
+            assert!(form(kind, AttackChannel::GyroX).check(Some(&vehicle())).is_ok());
         }
-        assert!(form(AttackKind::Freeze, AttackChannel::All).check(None).is_ok());
-        assert!(Form { sensor: SensorKind::Gnss, ..Form::default() }.check(None).is_ok(), "all three are lengths");
+        assert!(form(AttackKind::Freeze, AttackChannel::All).check(Some(&vehicle())).is_ok());
+        let gnss = Form { sensor: SensorKind::Gnss, instance: 1, ..Form::default() };
+        assert!(gnss.check(Some(&vehicle())).is_ok(), "all three are lengths");
     }
 
     #[test]
@@ -227,8 +264,7 @@ mod tests {
         let check = |change: fn(&mut Form)| {
             let mut form = Form::default();
             change(&mut form);
-            let limits = Limits { attack_max_duration_s: 60.0, ..Default::default() };
-            form.check(Some(&limits)).unwrap_err()
+            form.check(Some(&vehicle())).unwrap_err()
         };
         assert_eq!(check(|f| f.start = "-1".into()), "start: -1 s lies in the past");
         assert_eq!(check(|f| f.duration = "0".into()), "duration: 0 s is not positive");
@@ -246,7 +282,7 @@ mod tests {
     #[test]
     fn kinds_without_magnitude_need_none() {
         let form = Form { kind: AttackKind::Freeze, magnitude: "".into(), ..Form::default() };
-        assert_eq!(form.check(None).unwrap().subject(), "height 2: freeze");
+        assert_eq!(form.check(Some(&vehicle())).unwrap().subject(None), "height 2: freeze");
         let gyro = Form {
             sensor: SensorKind::Imu,
             instance: 1,
@@ -255,6 +291,10 @@ mod tests {
             magnitude: "-0.01".into(),
             ..Form::default()
         };
-        assert_eq!(gyro.check(None).unwrap().subject(), "IMU 1 gyro x: ramp \u{2212}0.01 rad/s/s");
+        let vehicle = vehicle();
+        assert_eq!(
+            gyro.check(Some(&vehicle)).unwrap().subject(Some(&vehicle)),
+            "IMU 1 gyro x: ramp \u{2212}0.01 rad/s/s"
+        );
     }
 }

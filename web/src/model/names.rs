@@ -100,16 +100,13 @@ pub fn estimator_numbered(number: u16) -> &'static str {
     estimator(EstimatorKind::try_from(i32::from(number)).unwrap_or_default())
 }
 
-/// A sensor kind for people.
-pub fn sensor(kind: SensorKind) -> &'static str {
+/// A sensor kind for people: the words of its name in the schema, so that a new kind needs none here.
+pub fn sensor(kind: SensorKind) -> String {
     match kind {
-        SensorKind::Unspecified => "sensor",
-        SensorKind::Imu => "IMU",
-        SensorKind::Height => "height",
-        SensorKind::Barometer => "barometer",
-        SensorKind::Gnss => "GNSS",
-        SensorKind::MocapPose => "mocap pose",
-        SensorKind::CameraRanges => "camera ranges",
+        SensorKind::Unspecified => "sensor".to_owned(),
+        SensorKind::Imu => "IMU".to_owned(),
+        SensorKind::Gnss => "GNSS".to_owned(),
+        other => sensor_json(other).replace('_', " "),
     }
 }
 
@@ -251,22 +248,6 @@ pub const ATTACK_KINDS: [AttackKind; 10] = [
     AttackKind::SignFlip,
 ];
 
-/// The channels of a sensor that an attack of this kind can cover: one offset for all of an IMU has no unit.
-pub fn attack_channels(sensor: SensorKind, kind: AttackKind) -> &'static [AttackChannel] {
-    let all = channels(sensor);
-    let additive = matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise);
-    if additive && sensor == SensorKind::Imu { all.split_first().map_or(all, |(_, single)| single) } else { all }
-}
-
-fn channels(sensor: SensorKind) -> &'static [AttackChannel] {
-    use AttackChannel::{Accel, AccelX, AccelY, AccelZ, All, Gyro, GyroX, GyroY, GyroZ, Mag, X, Y, Z};
-    match sensor {
-        SensorKind::Imu => &[All, Gyro, Accel, Mag, GyroX, GyroY, GyroZ, AccelX, AccelY, AccelZ],
-        SensorKind::Gnss | SensorKind::MocapPose => &[All, X, Y, Z],
-        _ => &[All],
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -277,6 +258,10 @@ mod tests {
         assert_eq!(estimator_json(EstimatorKind::EkfBias), "ekf_bias");
         assert_eq!(decoder_json(Decoder::L1Split), "l1_split");
         assert_eq!(sensor_json(SensorKind::MocapPose), "mocap_pose");
+        assert_eq!(
+            (sensor(SensorKind::MocapPose), instance(SensorKind::Imu, 2)),
+            ("mocap pose".into(), "IMU 2".into())
+        );
         assert_eq!(attack_kind_json(AttackKind::SignFlip), "sign_flip");
         assert_eq!(attack_channel_json(AttackChannel::GyroX), "gyro_x");
     }

@@ -9,7 +9,7 @@ use crate::{
     store,
 };
 
-fn fact(name: &'static str, value: impl IntoView + 'static) -> impl IntoView {
+fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
     view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> }
 }
 

@@ -1,14 +1,14 @@
 //! Attacks: a schedule written on a timeline, sent whole, watched from accepted to active to done.
 
 use leptos::{html, prelude::*};
-use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, AttackProgress, SensorKind};
+use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, AttackProgress, Description, SensorKind};
 use serde_json::json;
 
 use crate::{
     ctx::ctx,
     event::Tone,
     model::{
-        draft::{Draft, Form, magnitude_unit, subject},
+        draft::{self, Draft, Form, magnitude_unit, subject},
         format, names,
     },
 };
@@ -31,7 +31,7 @@ struct Running {
     elapsed_s: Option<f64>,
 }
 
-fn running(state: &[AttackProgress], now_us: f64) -> Running {
+fn running(state: &[AttackProgress], vehicle: Option<&Description>, now_us: f64) -> Running {
     let bars = state
         .iter()
         .filter_map(|p| {
@@ -40,7 +40,7 @@ fn running(state: &[AttackProgress], now_us: f64) -> Running {
             Some(Bar {
                 key: a.id,
                 phase: p.phase(),
-                title: subject(a.sensor(), a.instance, a.channel(), a.kind(), a.magnitude),
+                title: subject(a.sensor(), a.instance, a.channel(), a.kind(), a.magnitude, vehicle),
                 start_s: a.start_s,
                 end_s: p.ended_time_us.map_or(a.start_s + a.duration_s, relative).max(a.start_s),
                 altered: p.altered_samples,
@@ -84,7 +84,7 @@ pub fn AttacksCard() -> impl IntoView {
             ctx.tick.track();
             ctx.flight_now_us()
         };
-        ctx.live(|live| running(live.attacks.get().map_or(&[], |a| a.attacks.as_slice()), now))
+        ctx.live(|live| running(live.attacks.get().map_or(&[], |a| a.attacks.as_slice()), live.description.get(), now))
     });
     let alive = Memo::new(move |_| state.with(|s| s.elapsed_s.is_some()));
     // While a draft is being written the timeline shows the draft, else the vehicle's schedule.
@@ -96,7 +96,7 @@ pub fn AttacksCard() -> impl IntoView {
         let bar = |(i, d): (usize, &Draft)| Bar {
             key: i as u32,
             phase: AttackPhase::Unspecified,
-            title: d.subject(),
+            title: ctx.live(|live| d.subject(live.description.get())),
             start_s: d.start_s,
             end_s: d.start_s + d.duration_s,
             altered: 0,
@@ -242,22 +242,32 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                 .unwrap_or_default()
         })
     });
-    let limits = move || ctx.live.with_value(|live| live.description.get().and_then(|d| d.limits));
     let add = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
-        match form.get_untracked().check(limits().as_ref()) {
+        match ctx.live.with_value(|live| form.get_untracked().check(live.description.get())) {
             Ok(draft) => drafts.update(|all| all.push(draft)),
             Err(error) => ctx.tell(Tone::Error, format!("Attack: {error}")),
         }
     };
-    let unit = Memo::new(move |_| form.with(|f| magnitude_unit(f.kind, f.sensor, f.channel)));
+    // What the vehicle says of the chosen sensor.
+    let channels = Memo::new(move |_| {
+        let (sensor, instance) = form.with(|f| (f.sensor, f.instance));
+        ctx.live(|live| draft::channels(live.description.get(), sensor, instance).to_vec())
+    });
+    let unit = Memo::new(move |_| form.with(|f| channels.with(|c| magnitude_unit(f.kind, c, f.channel))));
+    // Another sensor or kind may not cover the channel chosen before.
+    Effect::new(move |_| {
+        let offered = channels.with(|c| draft::offered(c, form.with(|f| f.kind)));
+        if !offered.contains(&form.with_untracked(|f| f.channel)) {
+            form.update(|f| f.channel = offered.first().copied().unwrap_or_default());
+        }
+    });
     let choose_sensor = move |value: String| {
         let Some((kind, instance)) = value.split_once('/') else { return };
         let (Ok(kind), Ok(instance)) = (kind.parse::<i32>(), instance.parse()) else { return };
         form.update(|f| {
             f.sensor = SensorKind::try_from(kind).unwrap_or_default();
             f.instance = instance;
-            fit_channel(f);
         });
     };
     view! {
@@ -277,8 +287,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                     let channel = e.target().value().parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
                     form.update(|f| f.channel = channel.unwrap_or_default());
                 }>
-                    {move || form.with(|f| names::attack_channels(f.sensor, f.kind)).iter().map(|c| {
-                        let c = *c;
+                    {move || channels.with(|c| draft::offered(c, form.with(|f| f.kind))).into_iter().map(|c| {
                         view! { <option value=(c as i32).to_string() selected=move || form.with(|f| f.channel == c)>{names::attack_channel(c)}</option> }
                     }).collect::<Vec<_>>()}
                 </select>
@@ -286,10 +295,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
             <label class="field wide"><span>"kind"</span>
                 <select on:change:target=move |e| {
                     let kind = e.target().value().parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
-                    form.update(|f| {
-                        f.kind = kind.unwrap_or_default();
-                        fit_channel(f);
-                    });
+                    form.update(|f| f.kind = kind.unwrap_or_default());
                 }>
                     {names::ATTACK_KINDS.into_iter().map(|k| view! {
                         <option value=(k as i32).to_string() selected=move || form.with(|f| f.kind == k)>{names::attack_kind(k)}</option>
@@ -319,14 +325,6 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     }
 }
 
-/// Another sensor or kind may not cover the channel chosen before.
-fn fit_channel(form: &mut Form) {
-    let offered = names::attack_channels(form.sensor, form.kind);
-    if !offered.contains(&form.channel) {
-        form.channel = offered.first().copied().unwrap_or_default();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -346,13 +344,13 @@ mod tests {
         };
         let mut progress = AttackProgress { attack: Some(attack), accepted_time_us: 1_000_000, ..Default::default() };
         progress.set_phase(AttackPhase::Active);
-        let state = running(std::slice::from_ref(&progress), 8e6);
+        let state = running(std::slice::from_ref(&progress), None, 8e6);
         assert_eq!(state.elapsed_s, Some(7.0));
         assert_eq!((state.bars[0].start_s, state.bars[0].end_s), (5.0, 15.0));
-        assert_eq!(state.bars[0].title, "height 2: bias +0.5 m");
+        assert_eq!(state.bars[0].title, "height 2: bias +0.5");
         progress.set_phase(AttackPhase::Aborted);
         progress.ended_time_us = Some(9_000_000);
-        let state = running(&[progress], 20e6);
+        let state = running(&[progress], None, 20e6);
         assert_eq!((state.elapsed_s, state.bars[0].end_s), (None, 8.0));
         assert_eq!(horizon_s(&state.bars), 10.0);
         assert_eq!(horizon_s(&[]), 10.0);

@@ -1,4 +1,4 @@
-//! Attacks on sensors: what lies between the samples sensed and the samples received ([Clinic] 2, 4.2).
+//! Attacks on sensors: what lies between the samples sensed and the samples received (\[Clinic\] 2, 4.2).
 //!
 //! A schedule is uploaded whole and runs on flight time, so the radio's delay never shifts an onset.
 //! Attacks are off unless the agent's own configuration enables them, bounded in size and time

@@ -9,8 +9,8 @@
 //! | ν | innovation F − |c − d|, one scalar: H = −(c − d)/|c − d| | µT |
 //!
 //! A Kalman filter over d: turning, the three parts are seen one after the other. The mean of ν²/S over
-//! [`MEMORY_S`] says whether the calibration fits; when it does not, P is opened and d is found anew. Until it is,
-//! and has explained [`PROBATION`] directions, the samples are withheld: a wrong heading is worse than none. A field
+//! `MEMORY_S` says whether the calibration fits; when it does not, P is opened and d is found anew. Until it is,
+//! and has explained `PROBATION` directions, the samples are withheld: a wrong heading is worse than none. A field
 //! that no constant d explains (a magnet in the room) stays withheld.
 
 use nalgebra::{Matrix3, Vector3};

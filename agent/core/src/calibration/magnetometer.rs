@@ -9,7 +9,7 @@
 //!
 //! |W (m − b)| = F whatever the attitude: an ellipsoid becomes a sphere. Samples are thinned so that a direction
 //! held for long counts once, and weighted (Tukey) so that a stretch in another field does not bend the fit. S is
-//! drawn to zero by a weak prior ([`SOFT_SIGMA`]): where the directions do not tell an ellipsoid from a sphere the
+//! drawn to zero by a weak prior (`SOFT_SIGMA`): where the directions do not tell an ellipsoid from a sphere the
 //! answer is the sphere. A rotation common to all axes cannot be seen and is taken as none.
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};

@@ -11,7 +11,7 @@
 //! | accelerometer, gyroscope | [`inertial`] | Skog & Händel 2006; Tedaldi, Pretto & Menegatti 2014 |
 //! | magnetometer | [`magnetometer`], watched in flight by [`field_monitor`] | ellipsoid fit |
 //! | thermal | [`thermal`] | polynomial of the die temperature |
-//! | motor curve | [`motor_curve`] | [Clinic] 5.5 |
+//! | motor curve | [`motor_curve`] | \[Clinic\] 5.5 |
 //! | thrust | [`thrust`] | T = k ω², Q = b ω² |
 //! | mass | [`mass`] | scales and a bifilar pendulum |
 //! | allan | [`allan`] | IEEE Std 952, overlapping estimator |

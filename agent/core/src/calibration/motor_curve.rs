@@ -1,6 +1,6 @@
 //! Command ─► rotor speed ─► speed squared, and back.
 //!
-//! [Clinic] 5.5 measures propeller speed against the pulse width with a tachometer and fits a straight
+//! \[Clinic\] 5.5 measures propeller speed against the pulse width with a tachometer and fits a straight
 //! line through eight points: speed = offset + slope · command. The command here is the pulse width
 //! scaled to 0..1 (1000..2000 µs). A motor told 0 stands still, so the line holds above 0 only.
 //! The line is measured at the battery's nominal voltage; a brushless motor's speed at a given command
@@ -17,7 +17,7 @@ const SPAN_MIN: f64 = 0.2;
 /// Largest residual, as a fraction of the fastest speed.
 const RESIDUAL_MAX: f64 = 0.1;
 
-/// Least-squares line through `(command 0..1, speed rad/s)` points, all taken at nominal voltage ([Clinic] Fig. 27).
+/// Least-squares line through `(command 0..1, speed rad/s)` points, all taken at nominal voltage (\[Clinic\] Fig. 27).
 ///
 /// # Errors
 /// [`CalibrationError`]: a value that is not finite or out of range, too few points, commands too near to each

@@ -5,7 +5,7 @@
 //! | T, T₀ | die temperature, and the mean of the recording | °C |
 //! | b(T) | drift of one axis: c₁ (T − T₀) + c₂ (T − T₀)² | rad/s, m/s² |
 //!
-//! c₂ is fitted only over a span of [`SPAN_SQUARE_C`] and more. The drift is zero at T₀: the bias there belongs to
+//! c₂ is fitted only over a span of `SPAN_SQUARE_C` and more. The drift is zero at T₀: the bias there belongs to
 //! the accelerometer's and the gyroscope's own calibration.
 
 use nalgebra::{DMatrix, DVector, Vector3};

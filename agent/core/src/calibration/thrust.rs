@@ -3,7 +3,7 @@
 //! Least squares in thrust (and torque), over all points: full speed weighs most, as it does in flight. This is
 //! how k = 1.616e-5 N s² was obtained for an APC Slow Flyer 10x4.7 from the UIUC static data, at the density of the
 //! standard atmosphere; the coefficient really grows with speed, which leaves a relative residual of 9 %. Points
-//! more than [`OUTLIER`] sigmas off are left out (a slipped belt, a gust), and said so.
+//! more than `OUTLIER` sigmas off are left out (a slipped belt, a gust), and said so.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|

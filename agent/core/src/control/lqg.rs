@@ -1,15 +1,15 @@
-//! LQG ([Strategies]): an LQR behind a steady-state Kalman filter.
+//! LQG (\[Strategies\]): an LQR behind a steady-state Kalman filter.
 //!
 //! What flies ([`Lqg`]) has nine outputs (position, angles, rates of the estimate in the loop) and is sampled;
 //! the four-output design of the source, with a phase margin of 5°, is [`Replica`].
 //!
 //! | symbol | meaning |
 //! |---|---|
-//! | F, F_e | regulator and estimator gains of [Strategies]: u = F x̂ + v r, F = −K, F_e = −L |
+//! | F, F_e | regulator and estimator gains of \[Strategies\]: u = F x̂ + v r, F = −K, F_e = −L |
 //! | v | −(C (A + BF)⁻¹ B)⁻¹ |
 //! | x̂ | filter's state; here x y z vx vy vz roll pitch yaw p q r |
 //!
-//! Deviations from [Strategies]: the closed loop is [A, BF; −F_eC, A+BF+F_eC] (ERRATA 2), v without F_eC
+//! Deviations from \[Strategies\]: the closed loop is [A, BF; −F_eC, A+BF+F_eC] (ERRATA 2), v without F_eC
 //! (ERRATA 3; the literal one gives a gain of 25.66 in x and y).
 
 use nalgebra::{DMatrix, SMatrix, SVector, Vector3};
@@ -18,7 +18,7 @@ use super::gains::{Gain, GainsError, lqr_gains};
 use super::lqr_integral::{LqrIntegral, Weights};
 use super::tuning::Parameter;
 use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
-use crate::estimate::{Estimate, lqe};
+use crate::estimate::{Estimate, filter::lqe};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::linalg::{LinalgError, care, expm_with_integral};
 use crate::model::airframe::Airframe;
@@ -264,7 +264,7 @@ impl Controller for Lqg {
     }
 }
 
-/// The continuous LQG of [Strategies] for any outputs, noise and weights: what its chapter plots.
+/// The continuous LQG of \[Strategies\] for any outputs, noise and weights: what its chapter plots.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replica {
     /// The plant: its outputs are those measured.

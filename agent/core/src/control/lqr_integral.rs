@@ -1,16 +1,16 @@
-//! LQR with integrals of the tracking error ([Paternain] VI-B), anti-windup and error limiting
-//! ([Paternain] VII-B).
+//! LQR with integrals of the tracking error (\[Paternain\] VI-B), anti-windup and error limiting
+//! (\[Paternain\] VII-B).
 //!
 //! u = [m g, 0, 0, 0] − K [x − x_ref; ∫e], e = [x, y, z, yaw] − reference (deviation from
-//! [Paternain] VI-B as ERRATA 8: the integrals are of the tracking error). Position and velocity
-//! errors are turned into the heading frame, so that one K serves every yaw (ERRATA [Umasankar] 6).
+//! \[Paternain\] VI-B as ERRATA 8: the integrals are of the tracking error). Position and velocity
+//! errors are turned into the heading frame, so that one K serves every yaw (ERRATA \[Umasankar\] 6).
 //! Thrust is divided by cos(roll) cos(pitch): the vertical component is what K asks for. The reference's
 //! acceleration is fed forward, as thrust and tilt.
 //!
 //! - Error limiting: position, velocity and yaw errors are limited before they meet K, and the
-//!   horizontal loop's torque to what holds [`TILT_FROM_POSITION_RAD`].
+//!   horizontal loop's torque to what holds `TILT_FROM_POSITION_RAD`.
 //! - Anti-windup: an integral is frozen while what the mixer could not give would be asked for
-//!   even more, be it by the mixer or because something else holds the vehicle up, and limited to [`INTEGRAL_LIMIT`]; that of yaw
+//!   even more, be it by the mixer or because something else holds the vehicle up, and limited to `INTEGRAL_LIMIT`; that of yaw
 //!   also while the error is large.
 //! - While the horizontal loop is open, gains designed without x and y are used.
 

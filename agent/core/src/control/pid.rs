@@ -37,7 +37,7 @@ const INTEGRATOR_MAX: [f64; 4] = [1.5, 3.0, 20.0, 5.0];
 /// Time constant of the derivative's filter, s.
 const DERIVATIVE_FILTER_S: f64 = 0.01;
 
-/// Its parameters, in the order of [`Gains`].
+/// Its parameters, in the order of `Gains`.
 pub const PARAMETERS: [Parameter; 13] = [
     Parameter::new("position_p", "1/s", 0.0, 10.0),
     Parameter::new("velocity_p", "1/s", 0.0, 20.0),

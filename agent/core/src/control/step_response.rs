@@ -13,7 +13,7 @@
 //! 10 % no rise time is told, and what lies beyond the target counts as overshoot only after z has been
 //! on the near side: both belong to the step before.
 //!
-//! Bound: [`BINS`] bins of 0.1 s for the steady error, whatever the tick rate; nothing allocates.
+//! Bound: `BINS` bins of 0.1 s for the steady error, whatever the tick rate; nothing allocates.
 
 use plumbline_proto::time::FlightTime;
 

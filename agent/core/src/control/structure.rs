@@ -1,6 +1,6 @@
 //! Can every state be moved, and seen? Ranks, modes and finite-horizon Gramians.
 //!
-//! Deviation from [Strategies]: the Gramians over [0, ∞) diverge, because every pole of the hovering vehicle is
+//! Deviation from \[Strategies\]: the Gramians over [0, ∞) diverge, because every pole of the hovering vehicle is
 //! at zero (ERRATA 1); here they run to a finite horizon, and rank and PBH tests answer the question.
 //!
 //! | symbol | meaning |

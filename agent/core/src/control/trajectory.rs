@@ -1,7 +1,7 @@
-//! Paths over time: circle, sine, square, heave ([Umasankar] flies hover, circle and sine), and a list of
+//! Paths over time: circle, sine, square, heave (\[Umasankar\] flies hover, circle and sine), and a list of
 //! altitudes.
 //!
-//! A path begins softly: its own time runs from standstill to full speed within [`SOFT_START_S`], so that
+//! A path begins softly: its own time runs from standstill to full speed within `SOFT_START_S`, so that
 //! position and velocity are continuous. Velocity and acceleration are fed forward.
 
 use arrayvec::ArrayVec;

@@ -1,7 +1,7 @@
 //! Estimators side by side, one of them in the loop, switched in flight without a bump.
 //!
 //! Every estimator sees every frame. When another one is put in the loop, the difference between
-//! the two is added to its estimate and dies away with [`BLEND_TIME_CONSTANT_S`]: no estimator is
+//! the two is added to its estimate and dies away with `BLEND_TIME_CONSTANT_S`: no estimator is
 //! reset, so the effect of an attack on one is not handed on to the next for longer than that.
 
 use arrayvec::ArrayVec;
@@ -9,16 +9,16 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::complementary::Complementary;
 use super::constant_acceleration::ConstantAccelerationEstimator;
-use super::ekf_bias::{EkfBias, EkfOptions};
-use super::ekf_hybrid::EkfHybrid;
+use super::ekf_bias::EkfBias;
+use super::filter::ekf_hybrid::EkfHybrid;
+use super::filter::ukf::Ukf;
 use super::secure::Decoder;
 use super::secure::Secure;
 use super::twelve_state::TwelveStateEstimator;
-use super::ukf::Ukf;
-use super::vqf::{VqfEstimator, VqfOptions};
+use super::vqf::VqfEstimator;
 use super::{Estimate, Estimator, EstimatorKind};
 use crate::model::airframe::Airframe;
-use crate::sensor::SensorFrame;
+use crate::sensor::{SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Most estimators of one bank.
@@ -62,8 +62,8 @@ pub const EVERY_KIND: [EstimatorKind; 7] = [
 pub struct Assumptions<'a> {
     /// The vehicle; matters to those that know what the motors do.
     pub airframe: &'a Airframe,
-    /// Sigmas, gates and places of its sensors.
-    pub sensors: &'a EkfOptions,
+    /// Its sensors.
+    pub sensors: &'a SensorModel,
     /// Slots in the window of the secure estimator.
     pub window_slots: usize,
 }
@@ -73,31 +73,20 @@ pub struct Assumptions<'a> {
 /// # Errors
 /// [`BankError::NotAvailable`] for a kind that cannot be built.
 pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estimator>, BankError> {
-    let (airframe, options) = (assumed.airframe, assumed.sensors.clone());
-    let attitude = attitude_options(&options);
+    let (airframe, sensors) = (assumed.airframe, assumed.sensors.clone());
     Ok(match kind {
-        EstimatorKind::EkfBias => Box::new(EkfBias::new(options)),
-        EstimatorKind::Complementary => Box::new(Complementary::new(options)),
-        EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, options, attitude)),
-        EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, options, attitude)),
-        EstimatorKind::ConstantAcceleration => Box::new(ConstantAccelerationEstimator::new(options, attitude)),
-        EstimatorKind::Vqf => Box::new(VqfEstimator::new(attitude)),
+        EstimatorKind::EkfBias => Box::new(EkfBias::new(sensors)),
+        EstimatorKind::Complementary => Box::new(Complementary::new(sensors)),
+        EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, sensors)),
+        EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, sensors)),
+        EstimatorKind::ConstantAcceleration => Box::new(ConstantAccelerationEstimator::new(sensors)),
+        EstimatorKind::Vqf => Box::new(VqfEstimator::new(&sensors.imus)),
         EstimatorKind::Secure => {
-            let secure = Secure::new(options, airframe, assumed.window_slots);
+            let secure = Secure::new(sensors, airframe, assumed.window_slots);
             Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
         }
         other => return Err(BankError::NotAvailable(other)),
     })
-}
-
-/// The attitude filter's part of `options`.
-fn attitude_options(options: &EkfOptions) -> VqfOptions {
-    VqfOptions {
-        declination_rad: options.declination_rad,
-        gyro_consensus: options.gyro_consensus,
-        accel_consensus: options.accel_consensus,
-        ..VqfOptions::default()
-    }
 }
 
 /// The bank.
@@ -343,8 +332,8 @@ mod tests {
 
     #[test]
     fn what_can_be_configured_is_built_and_the_rest_is_refused() {
-        let (airframe, options) = (Airframe::iris(), EkfOptions::default());
-        let assumed = Assumptions { airframe: &airframe, sensors: &options, window_slots: SLOTS };
+        let (airframe, sensors) = (Airframe::iris(), SensorModel::default());
+        let assumed = Assumptions { airframe: &airframe, sensors: &sensors, window_slots: SLOTS };
         use EstimatorKind as K;
         for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
             assert_eq!(build(kind, &assumed).unwrap().kind(), kind);

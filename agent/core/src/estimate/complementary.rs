@@ -1,8 +1,8 @@
-//! Complementary filter: tilt, heading and height straight from the sensors ([Paternain] IV), low-passed.
+//! Complementary filter: tilt, heading and height straight from the sensors (\[Paternain\] IV), low-passed.
 //!
-//! No model and no memory beyond the low-pass: what [Paternain] feeds his filter with, flown beside the
+//! No model and no memory beyond the low-pass: what \[Paternain\] feeds his filter with, flown beside the
 //! Kalman filter for comparison. Tilt is that of the specific force (errata 5), so it is wrong while
-//! the vehicle accelerates, and it lags by the time constant: [Paternain] V found 60 ms to be too much for
+//! the vehicle accelerates, and it lags by the time constant: \[Paternain\] V found 60 ms to be too much for
 //! control, which is why it should not be in the loop.
 //!
 //! | symbol | meaning | unit |
@@ -16,12 +16,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::ekf_bias::EkfOptions;
 use super::fdir::consensus::{self, Consensus};
 use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, median};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw};
-use crate::model::measure::{attitude, barometer};
-use crate::sensor::{MAX_HEIGHTS, SensorFrame};
+use crate::model::attitude;
+use crate::sensor::imu::TriaxialModel;
+use crate::sensor::{MAX_HEIGHTS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Silence of the IMUs that is degraded, s.
@@ -37,7 +37,7 @@ const FORCE_TOLERANCE: f64 = 0.2;
 
 /// Straight from the sensors. See the module.
 pub struct Complementary {
-    options: EkfOptions,
+    model: SensorModel,
     time_constant_s: f64,
     gyro_consensus: Consensus,
     accel_consensus: Consensus,
@@ -53,19 +53,15 @@ pub struct Complementary {
 }
 
 impl Complementary {
-    /// With the sigmas and gates of `options`, low-passed over 50 ms.
-    pub fn new(options: EkfOptions) -> Self {
+    /// On sensors like these, low-passed over 50 ms.
+    pub fn new(model: SensorModel) -> Self {
         // Magnetometers differ by iron, not noise: a wide gate that only keeps a magnet out.
-        let mag =
-            consensus::ConsensusOptions { sigma: 3.0, spread: 5.0, largest_deviation: 15.0, ..options.accel_consensus };
+        let mag = TriaxialModel { sigma: 3.0, spread: 5.0, largest_deviation: 15.0, ..model.imus.accel };
         Self {
-            gyro_consensus: Consensus::new(options.gyro_consensus, [Channel::GyroX, Channel::GyroY, Channel::GyroZ]),
-            accel_consensus: Consensus::new(
-                options.accel_consensus,
-                [Channel::AccelX, Channel::AccelY, Channel::AccelZ],
-            ),
+            gyro_consensus: Consensus::of_gyros(&model.imus),
+            accel_consensus: Consensus::of_accels(&model.imus),
             mag_consensus: Consensus::new(mag, [Channel::X, Channel::Y, Channel::Z]),
-            options,
+            model,
             time_constant_s: 0.05,
             force: None,
             field: None,
@@ -101,7 +97,8 @@ impl Complementary {
         }
         if let Some(force) = &self.force {
             let (roll, pitch) = attitude::tilt(force);
-            let heading = self.field.and_then(|m| attitude::heading(&m, roll, pitch, self.options.declination_rad));
+            let heading =
+                self.field.and_then(|m| attitude::heading(&m, roll, pitch, self.model.imus.mag.declination_rad));
             let yaw = heading.unwrap_or(roll_pitch_yaw(&self.estimate.world_from_body).z);
             self.estimate.world_from_body = from_roll_pitch_yaw(&Vector3::new(roll, pitch, yaw));
         }
@@ -118,23 +115,18 @@ impl Complementary {
         let fresh = self.heights.iter().flatten().filter(|(t, _)| frame.time.seconds_since(*t) < HEIGHT_FRESH_S);
         let median = Some(median(fresh.map(|(_, h)| *h))).filter(|median| median.is_finite());
         if let Some(median) = median {
-            let sigma = self.options.height_sigma_m * std::f64::consts::SQRT_2;
+            let sigma = self.model.heights.sigma * std::f64::consts::SQRT_2;
             for (i, sample) in frame.heights.iter().enumerate() {
                 let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
                 let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
                 let innovation = sample.height_m - median;
-                let gate = self.options.gates.height;
+                let gate = self.model.heights.gate;
                 let _ =
                     self.estimate.residuals.try_push(Residual::gated(sensor, Channel::Height, innovation, sigma, gate));
             }
         }
         let mocap = frame.mocap_pose.map(|s| s.position_enu_m.z);
-        let pressure = frame
-            .barometers
-            .iter()
-            .flatten()
-            .next()
-            .map(|s| barometer::pressure_altitude_m(s.pressure_pa, self.options.reference_pressure_pa));
+        let pressure = frame.barometers.iter().flatten().next().map(|s| self.model.barometers.altitude_m(s));
         let origin = pressure.filter(|a| a.is_finite()).map(|a| a - *self.barometer_origin_m.get_or_insert(a));
         let gnss = frame.gnss.map(|s| s.position_enu_m.z);
         let had_laser = self.heights.iter().any(Option::is_some);
@@ -184,7 +176,7 @@ impl Complementary {
     fn health(&self, now: FlightTime) -> Health {
         let since = |t: Option<FlightTime>| t.map_or(f64::INFINITY, |t| now.seconds_since(t));
         let Some(force) = self.force else { return Health::Initialising };
-        let off = (force.norm() / self.options.gravity_mps2 - 1.0).abs();
+        let off = (force.norm() / self.model.imus.gravity_mps2 - 1.0).abs();
         let altitude_lost = self.altitude.is_some() && !self.estimate.altitude_known;
         if since(self.last_imu) > IMU_SILENCE_S || altitude_lost || off > FORCE_TOLERANCE {
             Health::Degraded
@@ -222,7 +214,7 @@ impl Estimator for Complementary {
         self.estimate = estimate.clone();
         self.estimate.residuals.clear();
         self.altitude = Some((estimate.time, estimate.position_enu_m.z));
-        self.force = Some(estimate.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.options.gravity_mps2));
+        self.force = Some(estimate.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.model.imus.gravity_mps2));
     }
 }
 
@@ -231,6 +223,7 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     use super::*;
+    use crate::sensor::barometer;
     use crate::sensor::{BarometerSample, HeightSample, ImuSample};
 
     fn frame(k: u64, q: &UnitQuaternion<f64>, heights: [f64; 3]) -> SensorFrame {
@@ -256,7 +249,7 @@ mod tests {
     #[test]
     fn attitude_and_height_are_those_of_the_sensors() {
         let q = UnitQuaternion::from_euler_angles(0.2, -0.1, 2.5);
-        let mut primary = Complementary::new(EkfOptions::default());
+        let mut primary = Complementary::new(SensorModel::default());
         for k in 0..400 {
             primary.step(&frame(k, &q, [1.0, 1.6, 1.01]), &MotorCommand::default());
         }
@@ -270,7 +263,7 @@ mod tests {
 
     #[test]
     fn an_attacked_height_is_over_its_gate() {
-        let mut primary = Complementary::new(EkfOptions::default());
+        let mut primary = Complementary::new(SensorModel::default());
         let e = primary.step(&frame(0, &UnitQuaternion::identity(), [1.0, 1.6, 1.01]), &MotorCommand::default());
         let ratio =
             |i: u8| e.residuals.iter().find(|r| r.channel == Channel::Height && r.sensor.instance == i).unwrap();
@@ -279,7 +272,7 @@ mod tests {
 
     #[test]
     fn a_barometer_alone_measures_height_from_its_first_reading() {
-        let mut primary = Complementary::new(EkfOptions::default());
+        let mut primary = Complementary::new(SensorModel::default());
         for k in 0..400u64 {
             let time = FlightTime(k * 5000);
             let mut frame = SensorFrame { time, ..SensorFrame::default() };
@@ -295,7 +288,7 @@ mod tests {
     #[test]
     fn not_finite_is_skipped() {
         let q = UnitQuaternion::identity();
-        let mut primary = Complementary::new(EkfOptions::default());
+        let mut primary = Complementary::new(SensorModel::default());
         for k in 0..100 {
             let mut f = frame(k, &q, [1.0, f64::NAN, 1.0]);
             if k % 2 == 0 {

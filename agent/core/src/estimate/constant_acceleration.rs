@@ -1,4 +1,4 @@
-//! Nine-state position filter of [Strategies]: a particle whose acceleration is constant between samples
+//! Nine-state position filter of \[Strategies\]: a particle whose acceleration is constant between samples
 //! and jumps at random ("particle" names the moving point, nothing Monte Carlo).
 //!
 //! | symbol | meaning | unit |
@@ -8,7 +8,7 @@
 //! | Q | white jerk of density q: q [t⁵/20 t⁴/8 t³/6; t⁴/8 t³/3 t²/2; t³/6 t²/2 t] for each axis | |
 //! | H, R | the rows that arrived, and their noise | |
 //!
-//! Deviations from [Strategies] (ERRATA): Γ(3,9) is t²/2 (9); the exponent of the barometer belongs to the
+//! Deviations from \[Strategies\] (ERRATA): Γ(3,9) is t²/2 (9); the exponent of the barometer belongs to the
 //! ratio (10); gravity is taken off the rotated specific force (11); H holds the rows that arrived, since
 //! GNSS comes once a second (12).
 
@@ -17,12 +17,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::aiding::freshness::Freshness;
-use super::ekf_bias::EkfOptions;
-use super::vqf::{VqfEstimator, VqfOptions};
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, kalman};
-use crate::model::measure::barometer;
-use crate::sensor::SensorFrame;
+use super::aiding::freshness::{Freshness, RECOVERY_S};
+use super::filter::kalman;
+use super::filter::row::ScalarRow;
+use super::vqf::VqfEstimator;
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
+use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// States.
@@ -88,35 +88,35 @@ impl ConstantAcceleration {
         self.p = kalman::predict(&self.p, &gamma, &self.process_noise(t));
     }
 
-    /// Corrects state `i` with `value`; innovation, its sigma, and whether it passed `gate` sigmas.
-    pub fn correct(&mut self, i: usize, value: f64, sigma: f64, gate: f64) -> (f64, f64, bool) {
-        let mut h = E::zeros();
-        h[i] = 1.0;
-        let (ph, s) = kalman::innovation_variance(&self.p, &h, sigma * sigma);
-        let innovation = value - self.x[i];
-        let accepted = innovation.is_finite() && s > 0.0 && innovation.abs() <= gate * s.sqrt();
-        if accepted {
-            let k = ph / s;
-            self.x += k * innovation;
-            kalman::correct_scalar(&mut self.p, &h, sigma * sigma, &k);
+    /// Corrects state `i` with a `value`: was it accepted?
+    pub fn correct(
+        &mut self,
+        i: usize,
+        value: f64,
+        noise: Accuracy,
+        of: Option<(SensorId, Channel)>,
+        residuals: &mut Residuals,
+    ) -> bool {
+        let pseudo = ScalarRow::pseudo(i, value - self.x[i], noise.sigma * noise.sigma);
+        let correction = ScalarRow { of, gate: noise.gate, ..pseudo }.correct(&mut self.p, residuals);
+        if let Some(dx) = &correction {
+            self.x += dx;
         }
-        (innovation, s.sqrt(), accepted)
+        correction.is_some()
     }
 }
 
 /// Largest jerk of a vehicle in a lab, (m/s³)²/Hz.
 const JERK_DENSITY: f64 = 4.0;
-/// One-sigma of the acceleration measured: attitude error times g, and vibration, m/s².
-const ACCELERATION_SIGMA_MPS2: f64 = 0.5;
+/// Of the acceleration measured: attitude error times g, and vibration, m/s².
+const ACCELERATION: Accuracy = Accuracy { sigma: 0.5, gate: 10.0 };
 /// Position is known this long after the last sample, s.
 const MEMORY_S: f64 = 3.0;
-/// Rejections for this long make the filter start again where the sensors say, s.
-const RECOVERY_S: f64 = 2.0;
 
 /// The filter as an estimator: its attitude comes from the gyroscope-integrating filter, its acceleration
 /// from the specific force turned by it, gravity taken off.
 pub struct ConstantAccelerationEstimator {
-    options: EkfOptions,
+    model: SensorModel,
     attitude: VqfEstimator,
     filter: ConstantAcceleration,
     last: Option<FlightTime>,
@@ -127,15 +127,15 @@ pub struct ConstantAccelerationEstimator {
 }
 
 impl ConstantAccelerationEstimator {
-    /// With the sigmas and gates of `options`.
-    pub fn new(options: EkfOptions, attitude: VqfOptions) -> Self {
+    /// On sensors like these.
+    pub fn new(model: SensorModel) -> Self {
         let mut p = M::identity() * 100.0;
         for i in 3..N {
             p[(i, i)] = 1.0;
         }
         Self {
-            options,
-            attitude: VqfEstimator::new(attitude),
+            attitude: VqfEstimator::new(&model.imus),
+            model,
             filter: ConstantAcceleration::new(E::zeros(), p, JERK_DENSITY),
             last: None,
             axes: [Freshness::default(); 3],
@@ -145,8 +145,8 @@ impl ConstantAccelerationEstimator {
         }
     }
 
-    /// One scalar `(what, state, value)` with `(sigma, gate)`.
-    fn take(&mut self, id: SensorId, (channel, i, value): (Channel, usize, f64), (sigma, gate): (f64, f64)) {
+    /// One scalar of `sensor`: state `i` is `value`.
+    fn take(&mut self, sensor: SensorId, channel: Channel, i: usize, value: f64, noise: Accuracy) {
         let now = self.last.unwrap_or_default();
         if !value.is_finite() {
             return;
@@ -155,20 +155,10 @@ impl ConstantAccelerationEstimator {
         let position = i < 3;
         if position && self.axes[axis].rejected_s(now) > RECOVERY_S {
             self.filter.x[i] = value;
-            self.filter.p.row_mut(i).fill(0.0);
-            self.filter.p.column_mut(i).fill(0.0);
-            self.filter.p[(i, i)] = sigma * sigma;
+            kalman::forget(&mut self.filter.p, i, noise.sigma * noise.sigma);
             self.filter.p[(i + 3, i + 3)] += 1.0;
         }
-        let (innovation, s, accepted) = self.filter.correct(i, value, sigma, gate);
-        let _ = self.estimate.residuals.try_push(Residual {
-            sensor: id,
-            channel,
-            innovation,
-            sigma: s,
-            gate: gate * s,
-            accepted,
-        });
+        let accepted = self.filter.correct(i, value, noise, Some((sensor, channel)), &mut self.estimate.residuals);
         if position {
             self.axes[axis].note(now, accepted);
         }
@@ -177,42 +167,37 @@ impl ConstantAccelerationEstimator {
     fn take_positions(&mut self, frame: &SensorFrame) {
         const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
         const V: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
-        let gates = self.options.gates;
+        let model = self.model.clone();
         for (i, sample) in frame.heights.iter().enumerate() {
             if let Some(sample) = sample {
                 self.heights_present = true;
-                let id = SensorId::new(SensorKind::Height, i as u8 + 1);
-                self.take(id, (Channel::Height, 2, sample.height_m), (self.options.height_sigma_m, gates.height));
+                let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
+                self.take(sensor, Channel::Height, 2, sample.height_m, model.heights);
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let id = SensorId::new(SensorKind::MocapPose, 1);
+            let sensor = SensorId::new(SensorKind::MocapPose, 1);
             for (axis, channel) in XYZ.into_iter().enumerate() {
-                let sigma = self.options.mocap_position_sigma_m;
-                self.take(id, (channel, axis, sample.position_enu_m[axis]), (sigma, gates.mocap_pose));
+                self.take(sensor, channel, axis, sample.position_enu_m[axis], model.mocap_pose.position);
             }
         }
         if let Some(sample) = frame.gnss {
-            let id = SensorId::new(SensorKind::Gnss, 1);
-            let horizontal = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
-            let vertical = sample.vertical_sigma_m.max(self.options.gnss_floor_m);
+            let sensor = SensorId::new(SensorKind::Gnss, 1);
             for axis in 0..3 {
                 if axis < 2 || !self.heights_present {
-                    let sigma = if axis < 2 { horizontal } else { vertical };
-                    self.take(id, (XYZ[axis], axis, sample.position_enu_m[axis]), (sigma, gates.gnss));
+                    let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
+                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], model.gnss.position(claimed_m));
                 }
-                let sigma = self.options.gnss_velocity_sigma_mps;
-                self.take(id, (V[axis], axis + 3, sample.velocity_enu_mps[axis]), (sigma, gates.gnss));
+                self.take(sensor, V[axis], axis + 3, sample.velocity_enu_mps[axis], model.gnss.velocity);
             }
         }
         // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.
         if let Some(sample) = frame.barometers[0].filter(|_| !self.heights_present && frame.gnss.is_none()) {
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            let altitude = model.barometers.altitude_m(&sample);
             if altitude.is_finite() {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - self.filter.x[2]);
-                let id = SensorId::new(SensorKind::Barometer, 1);
-                let sigma = self.options.barometer_sigma_m;
-                self.take(id, (Channel::PressureAltitude, 2, altitude - origin), (sigma, gates.barometer));
+                let sensor = SensorId::new(SensorKind::Barometer, 1);
+                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, model.barometers.altitude);
             }
         }
     }
@@ -241,9 +226,9 @@ impl Estimator for ConstantAccelerationEstimator {
         }
         if count > 0.0 && ready {
             // Deviation from [Strategies], errata 11: Q a Q* still holds gravity.
-            let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.options.gravity_mps2);
+            let acceleration = world_from_body * (force / count) - Vector3::new(0.0, 0.0, self.model.imus.gravity_mps2);
             for axis in 0..3 {
-                self.filter.correct(6 + axis, acceleration[axis], ACCELERATION_SIGMA_MPS2, 10.0);
+                self.filter.correct(6 + axis, acceleration[axis], ACCELERATION, None, &mut self.estimate.residuals);
             }
         }
         self.take_positions(received);
@@ -252,8 +237,9 @@ impl Estimator for ConstantAccelerationEstimator {
         for (axis, aided) in [(0, horizontal), (1, horizontal), (2, vertical)] {
             // Where nothing is measured the double integral must not run away.
             if !aided {
-                self.filter.correct(axis + 3, 0.0, 5.0, f64::INFINITY);
-                self.filter.correct(axis, self.filter.x[axis], 30.0, f64::INFINITY);
+                let (filter, residuals) = (&mut self.filter, &mut self.estimate.residuals);
+                filter.correct(axis + 3, 0.0, Accuracy::ungated(5.0), None, residuals);
+                filter.correct(axis, filter.x[axis], Accuracy::ungated(30.0), None, residuals);
             }
         }
 
@@ -264,8 +250,8 @@ impl Estimator for ConstantAccelerationEstimator {
         e.position_enu_m = x.fixed_rows::<3>(0).into_owned();
         e.velocity_enu_mps = x.fixed_rows::<3>(3).into_owned();
         e.world_from_body = world_from_body;
-        e.position_sigma_m = sigma(0);
-        e.velocity_sigma_mps = sigma(3);
+        e.position_sigma_m = Some(sigma(0));
+        e.velocity_sigma_mps = Some(sigma(3));
         e.horizontal_known = horizontal;
         e.altitude_known = vertical;
         e.health = if !ready {
@@ -309,7 +295,7 @@ mod tests {
             let v: Vec<f64> = record.unwrap().iter().map(|x| x.parse().unwrap()).collect();
             filter.predict(0.02);
             for k in 0..6 {
-                filter.correct(places[k], v[1 + k], sigmas[k], f64::INFINITY);
+                filter.correct(places[k], v[1 + k], Accuracy::ungated(sigmas[k]), None, &mut Residuals::new());
             }
             worst = worst.max((filter.x - E::from_column_slice(&v[16..25])).amax());
         }
@@ -319,7 +305,7 @@ mod tests {
 
     #[test]
     fn height_is_followed_and_horizontal_stays_bounded() {
-        let mut estimator = ConstantAccelerationEstimator::new(EkfOptions::default(), VqfOptions::default());
+        let mut estimator = ConstantAccelerationEstimator::new(SensorModel::default());
         for k in 0..6000u64 {
             let time = FlightTime(k * 5000);
             let t = k as f64 * 0.005;

@@ -1,7 +1,7 @@
-//! Error-state EKF with accelerometer- and gyroscope-bias states ([Paternain] V, on the corrected model).
+//! Error-state EKF with accelerometer- and gyroscope-bias states (\[Paternain\] V, on the corrected model).
 //!
 //! The IMUs are the process input, not measurements: their errors are the biases and the noise in Q.
-//! [Paternain] feeds velocities integrated from the accelerometer back as measurements, which counts the
+//! \[Paternain\] feeds velocities integrated from the accelerometer back as measurements, which counts the
 //! same noise twice (errata 8); here velocity is predicted by them and corrected by what really measures it.
 //!
 //! | symbol | meaning | unit |
@@ -28,7 +28,6 @@ mod heading;
 mod history;
 mod idle;
 mod imus;
-mod options;
 #[cfg(test)]
 mod tests;
 mod vertical;
@@ -37,22 +36,21 @@ mod yaw;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
-pub use options::{EkfOptions, Gates};
-
 use self::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use self::align::{Aligned, Alignment};
 use self::covariance::{Covariance, ErrorState, Noise, ix};
 use self::heading::Headings;
 use self::history::History;
-use self::idle::Idle;
 use self::imus::{Imus, Inertial, Rest};
 use self::vertical::{Barometers, Heights};
 use super::aiding::freshness::Freshness;
-use super::consistency::{self, Nees};
+use super::aiding::idle::{Idle, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
+use super::filter::consistency::{self, Nees};
 use super::yaw_mixture::YawMixture;
 use super::{Estimate, Estimator, EstimatorKind, Health};
-use crate::model::measure::Kinematics;
-use crate::sensor::{MAX_BAROMETERS, SensorFrame};
+use crate::sensor::imu::{ImuModel, TriaxialModel};
+use crate::sensor::measure::Kinematics;
+use crate::sensor::{Accuracy, MAX_BAROMETERS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Longest step integrated at once, s; longer ones are divided.
@@ -76,7 +74,7 @@ struct State {
 /// The filter. See the module.
 #[derive(Clone)]
 pub struct EkfBias {
-    options: EkfOptions,
+    model: SensorModel,
     state: State,
     p: Covariance,
     history: History,
@@ -90,26 +88,30 @@ pub struct EkfBias {
     inertial: Option<Inertial>,
     rest: Rest,
 
+    aided: Aided,
+    /// Measured by a magnetometer or motion capture.
+    yaw_known: bool,
+    mixture: YawMixture,
+}
+
+/// What has been corrected by which sensors, and when.
+#[derive(Debug, Clone, Copy, Default)]
+struct Aided {
     horizontal: Freshness,
     vertical: Freshness,
     heights: Heights,
     barometers: Barometers,
     headings: Headings,
     pose_yaw: Freshness,
-    /// Measured by a magnetometer or motion capture.
-    yaw_known: bool,
-    mixture: YawMixture,
     idle: Idle,
-    /// Sums of the corrections of height (m) and climb (m/s).
-    corrected: (f64, f64),
 }
 
 impl EkfBias {
     /// Nothing known yet; it aligns itself on the first second of samples.
-    pub fn new(options: EkfOptions) -> Self {
+    pub fn new(model: SensorModel) -> Self {
         Self {
-            imus: Imus::new(&options),
-            options,
+            imus: Imus::new(&model.imus),
+            model,
             state: State {
                 kinematics: Kinematics {
                     position_enu_m: Vector3::zeros(),
@@ -128,17 +130,18 @@ impl EkfBias {
             now: None,
             inertial: None,
             rest: Rest::default(),
-            horizontal: Freshness::default(),
-            vertical: Freshness::default(),
-            heights: Heights::default(),
-            barometers: Barometers::default(),
-            headings: Headings::default(),
-            pose_yaw: Freshness::default(),
+            aided: Aided::default(),
             yaw_known: false,
             mixture: YawMixture::new(),
-            idle: Idle::default(),
-            corrected: (0.0, 0.0),
         }
+    }
+
+    /// A height further than so many sigmas from the median of those of the last moments (at least three) moves the
+    /// state as if it were so far (Huber).
+    #[must_use]
+    pub fn with_height_reach(mut self, sigmas: f64) -> Self {
+        self.aided.heights.reach = Some(sigmas);
+        self
     }
 
     /// Covariance of the error state: δp, δv, δφ (about the world axes), δb_a, δb_g, barometer offsets.
@@ -150,25 +153,24 @@ impl EkfBias {
     /// Sums of all corrections of height (m) and climb (m/s) so far: what lies between its path and the one that
     /// the IMUs alone would have given.
     pub fn vertical_corrections(&self) -> (f64, f64) {
-        self.corrected
+        self.history.vertical_corrections()
     }
 
     /// From now on a height's noise is taken for `sigma_m`; its gate and its reach stay what they are in metres.
     pub fn assume_height_sigma(&mut self, sigma_m: f64) {
-        let o = &mut self.options;
-        let factor = o.height_sigma_m / sigma_m;
-        (o.height_sigma_m, o.gates.height, o.height_reach) =
-            (sigma_m, o.gates.height * factor, o.height_reach * factor);
+        let factor = self.model.heights.sigma / sigma_m;
+        self.model.heights = Accuracy { sigma: sigma_m, gate: self.model.heights.gate * factor };
+        self.aided.heights.reach.iter_mut().for_each(|reach| *reach *= factor);
     }
 
     /// An attacked IMU was used: up to half a gate of its attack may have been taken for a bias. Opens the
     /// variance of the accelerometer's bias again where something measures it: upward, and in the plane while the
     /// horizontal position is known.
     pub fn open_accel_bias(&mut self) {
-        let consensus = &self.options.accel_consensus;
-        let sigma = 0.5 * consensus.gate * consensus.sigma;
+        let accel = &self.model.imus.accel;
+        let sigma = 0.5 * accel.gate * accel.sigma;
         let up = self.state.kinematics.world_from_body.inverse() * Vector3::z();
-        let plane = self.now.is_some_and(|now| self.horizontal.within(now, HORIZONTAL_MEMORY_S));
+        let plane = self.now.is_some_and(|now| self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S));
         let measured = if plane { Matrix3::identity() } else { up * up.transpose() };
         let mut block = self.p.fixed_view_mut::<3, 3>(ix::ACCEL_BIAS, ix::ACCEL_BIAS);
         block += measured * (sigma * sigma);
@@ -177,11 +179,6 @@ impl EkfBias {
     /// Specific force at the last IMU sample, biases removed, body FLU, m/s²; `None` before the first.
     pub fn specific_force_mps2(&self) -> Option<Vector3<f64>> {
         self.inertial.map(|i| i.accel_mps2 - self.state.accel_bias_mps2)
-    }
-
-    /// The options in use.
-    pub fn options(&self) -> &EkfOptions {
-        &self.options
     }
 
     /// The state when a sample of `time` was taken, and its age, s.
@@ -202,15 +199,12 @@ impl EkfBias {
         for (i, offset) in self.state.barometer_offset_m.iter_mut().enumerate() {
             *offset += dx[ix::BAROMETER + i];
         }
-        self.corrected.0 += position.z;
-        self.corrected.1 += velocity.z;
         self.history.corrected(&position, &velocity, &attitude);
     }
 
     /// Moves the position without touching P.
     fn shift(&mut self, by: Vector3<f64>) {
         self.state.kinematics.position_enu_m += by;
-        self.corrected.0 += by.z;
         self.history.corrected(&by, &Vector3::zeros(), &Vector3::zeros());
     }
 
@@ -231,7 +225,7 @@ impl EkfBias {
             fields += 1.0;
         }
         let field = (fields > 0.0).then(|| field / fields);
-        let (gravity, declination) = (self.options.gravity_mps2, self.options.declination_rad);
+        let (gravity, declination) = (self.model.imus.gravity_mps2, self.model.imus.mag.declination_rad);
         let (gyro, accel) = (&inertial.gyro_radps, &inertial.accel_mps2);
         if let Some(found) = self.alignment.push(dt_s, gyro, accel, field.as_ref(), gravity, declination) {
             self.begin(&found);
@@ -239,48 +233,49 @@ impl EkfBias {
     }
 
     fn begin(&mut self, found: &Aligned) {
-        let o = &self.options;
+        let imus = &self.model.imus;
         self.state.kinematics.world_from_body = found.world_from_body;
         self.state.gyro_bias_radps = found.gyro_bias_radps;
         let (tilt, gyro_bias, velocity) = if found.at_rest {
             (align::TILT_SIGMA_REST_RAD, align::GYRO_BIAS_SIGMA_REST_RADPS, 0.1)
         } else {
-            (align::TILT_SIGMA_MOVING_RAD, o.gyro_bias_prior_radps, 3.0)
+            (align::TILT_SIGMA_MOVING_RAD, imus.gyro.bias_prior, 3.0)
         };
         self.yaw_known = found.field_ut.is_some();
-        let yaw = if self.yaw_known { align::YAW_SIGMA_FIELD_RAD } else { o.unknown_yaw_sigma_rad };
+        let yaw = if self.yaw_known { align::YAW_SIGMA_FIELD_RAD } else { UNKNOWN_YAW_SIGMA_RAD };
         self.p = Covariance::zeros();
         for i in 0..3 {
-            self.p[(ix::POSITION + i, ix::POSITION + i)] = o.idle_position_sigma_m.powi(2);
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = POSITION_SIGMA_M.powi(2);
             self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = velocity * velocity;
             self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = if i == 2 { yaw * yaw } else { tilt * tilt };
-            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = o.accel_bias_prior_mps2.powi(2);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
             self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = gyro_bias * gyro_bias;
         }
         self.aligned = true;
-        self.vertical = Freshness::default();
+        self.aided.vertical = Freshness::default();
         if self.yaw_known || self.mixture.horizontal().is_none() {
-            self.horizontal = Freshness::default();
+            self.aided.horizontal = Freshness::default();
         }
-        self.heights.freshness = Freshness::default();
-        self.barometers.forget();
+        self.aided.heights.freshness = Freshness::default();
+        self.aided.barometers.forget();
         self.history.clear();
     }
 
     /// Propagates state and covariance to `frame.time`.
     fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
-        let o = &self.options;
+        let ImuModel { gyro, accel, gravity_mps2, .. } = &self.model.imus;
         let share = 1.0 / self.imus.used() as f64;
+        let density = |of: &TriaxialModel| of.noise_density.powi(2) * share + of.common_noise_density.powi(2);
         let noise = Noise {
-            accel: o.accel_noise_density.powi(2) * share + o.common_accel_noise_density.powi(2),
-            gyro: o.gyro_noise_density.powi(2) * share + o.common_gyro_noise_density.powi(2),
-            accel_bias: (o.accel_bias_walk.powi(2), o.accel_bias_prior_mps2.powi(2)),
-            gyro_bias: (o.gyro_bias_walk.powi(2), o.gyro_bias_prior_radps.powi(2)),
-            barometer: o.barometer_walk.powi(2),
+            accel: density(accel),
+            gyro: density(gyro),
+            accel_bias: (accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
+            gyro_bias: (gyro.bias_walk.powi(2), gyro.bias_prior.powi(2)),
+            barometer: self.model.barometers.walk.powi(2),
         };
         let rate = rate_radps - self.state.gyro_bias_radps;
         let force = force_mps2 - self.state.accel_bias_mps2;
-        let gravity = Vector3::new(0.0, 0.0, -o.gravity_mps2);
+        let gravity = Vector3::new(0.0, 0.0, -gravity_mps2);
         let steps = (dt_s / LONGEST_STEP_S).ceil().clamp(1.0, 64.0);
         let dt = dt_s / steps;
         for _ in 0..steps as usize {
@@ -315,15 +310,15 @@ impl EkfBias {
         let tilt = self.p[(ix::ATTITUDE, ix::ATTITUDE)].max(self.p[(ix::ATTITUDE + 1, ix::ATTITUDE + 1)]);
         let silent = self.inertial.is_none_or(|i| now.seconds_since(i.time) > IMU_SILENCE_S);
         // Altitude was measured once and is not any more.
-        let altitude_lost = (self.heights.present || self.vertical.ever()) && !self.altitude_known(now);
+        let altitude_lost = (self.aided.heights.present || self.aided.vertical.ever()) && !self.altitude_known(now);
         let tilted = tilt.is_nan() || tilt > TILT_SIGMA_DEGRADED_RAD.powi(2);
         if silent || !self.imus.trusted() || altitude_lost || tilted { Health::Degraded } else { Health::Healthy }
     }
 
     /// Measured lately; by lasers, where there are any.
     fn altitude_known(&self, now: FlightTime) -> bool {
-        self.vertical.within(now, VERTICAL_MEMORY_S)
-            && (!self.heights.present || self.heights.freshness.within(now, VERTICAL_MEMORY_S))
+        self.aided.vertical.within(now, VERTICAL_MEMORY_S)
+            && (!self.aided.heights.present || self.aided.heights.freshness.within(now, VERTICAL_MEMORY_S))
     }
 
     fn publish(&mut self, now: FlightTime) {
@@ -334,15 +329,15 @@ impl EkfBias {
         e.position_enu_m = k.position_enu_m;
         e.velocity_enu_mps = k.velocity_enu_mps;
         e.world_from_body = k.world_from_body;
-        e.accel_bias_mps2 = self.state.accel_bias_mps2;
-        e.gyro_bias_radps = self.state.gyro_bias_radps;
+        e.accel_bias_mps2 = Some(self.state.accel_bias_mps2);
+        e.gyro_bias_radps = Some(self.state.gyro_bias_radps);
         if let Some(i) = &self.inertial {
             e.body_rates_radps = i.gyro_radps - self.state.gyro_bias_radps;
         }
-        e.position_sigma_m = sigma(ix::POSITION);
-        e.velocity_sigma_mps = sigma(ix::VELOCITY);
-        e.attitude_sigma_rad = sigma(ix::ATTITUDE);
-        e.horizontal_known = self.horizontal.within(now, HORIZONTAL_MEMORY_S);
+        e.position_sigma_m = Some(sigma(ix::POSITION));
+        e.velocity_sigma_mps = Some(sigma(ix::VELOCITY));
+        e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
+        e.horizontal_known = self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S);
         self.estimate.altitude_known = self.altitude_known(now);
         self.estimate.health = self.health(now);
     }
@@ -369,7 +364,7 @@ impl Estimator for EkfBias {
             self.aligned = false;
             self.alignment = Alignment::new();
             self.inertial = None;
-            self.heights.since = None;
+            self.aided.heights.since = None;
         }
 
         let previous = self.inertial;
@@ -398,7 +393,7 @@ impl Estimator for EkfBias {
         }
         if let Some(inertial) = current {
             self.inertial = Some(inertial);
-            self.rest.take(dt_s, &inertial, &self.state.gyro_bias_radps, applied, &self.options);
+            self.rest.take(dt_s, &inertial, &self.state.gyro_bias_radps, applied, &self.model.imus);
         }
         self.history.push(now, &self.state.kinematics);
         self.aid(received);
@@ -422,27 +417,29 @@ impl Estimator for EkfBias {
     }
 
     fn reset_to(&mut self, estimate: &Estimate) {
-        let o = &self.options;
-        let or =
-            |given: f64, default: f64| if given.is_finite() && given > 0.0 { given * given } else { default * default };
+        let imus = &self.model.imus;
+        let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
+            let sigma = sigma.map(|s| s[i]).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(default);
+            sigma * sigma
+        };
         self.p = Covariance::zeros();
         for i in 0..3 {
-            self.p[(ix::POSITION + i, ix::POSITION + i)] = or(estimate.position_sigma_m[i], 0.5);
-            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = or(estimate.velocity_sigma_mps[i], 0.5);
-            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = or(estimate.attitude_sigma_rad[i], 0.1);
-            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = o.accel_bias_prior_mps2.powi(2);
-            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = o.gyro_bias_prior_radps.powi(2);
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = variance(&estimate.position_sigma_m, i, 0.5);
+            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = variance(&estimate.velocity_sigma_mps, i, 0.5);
+            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = variance(&estimate.attitude_sigma_rad, i, 0.1);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
+            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = imus.gyro.bias_prior.powi(2);
         }
         self.state.kinematics = Kinematics {
             position_enu_m: estimate.position_enu_m,
             velocity_enu_mps: estimate.velocity_enu_mps,
             world_from_body: estimate.world_from_body,
         };
-        self.state.accel_bias_mps2 = estimate.accel_bias_mps2;
-        self.state.gyro_bias_radps = estimate.gyro_bias_radps;
-        self.barometers.forget();
+        self.state.accel_bias_mps2 = estimate.accel_bias_mps2.unwrap_or_default();
+        self.state.gyro_bias_radps = estimate.gyro_bias_radps.unwrap_or_default();
+        self.aided.barometers.forget();
         self.history.clear();
-        self.idle.anchor = estimate.position_enu_m;
+        self.aided.idle.anchor = estimate.position_enu_m;
         self.yaw_known = true;
         self.aligned = estimate.health != Health::Initialising;
         self.alignment = Alignment::new();
@@ -460,7 +457,7 @@ impl Estimator for EkfBias {
 impl EkfBias {
     /// The specific force of a vehicle that does not accelerate: held when there has never been a sample.
     fn gravity_in_body(&self) -> Vector3<f64> {
-        let up = self.state.kinematics.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.options.gravity_mps2);
+        let up = self.state.kinematics.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.model.imus.gravity_mps2);
         up + self.state.accel_bias_mps2
     }
 }

@@ -6,18 +6,12 @@
 pub mod aiding;
 pub mod bank;
 pub mod complementary;
-pub mod consistency;
 pub mod constant_acceleration;
 pub mod ekf_bias;
-pub mod ekf_hybrid;
 pub mod fdir;
-pub mod kalman;
-pub mod low_pass;
-pub mod lqe;
-pub mod mocap_recipe;
-pub mod scalar_row;
+pub mod filter;
+pub mod secure;
 pub mod twelve_state;
-pub mod ukf;
 pub mod vqf;
 pub mod yaw_mixture;
 
@@ -25,16 +19,17 @@ use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{ids::SensorId, time::FlightTime};
 
-pub mod secure;
-
 pub use plumbline_proto::v1::{Channel, Health};
 
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 use crate::sensor::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
 use crate::types::{EstimatorKind, MotorCommand};
 
 /// Most residuals one step can produce: five IMUs with seven channels, and every other sensor.
 pub const MAX_RESIDUALS: usize = 64;
+
+/// Residuals of one step.
+pub type Residuals = ArrayVec<Residual, MAX_RESIDUALS>;
 
 /// Median of the readings of one kind of sensor, the mean of the middle two for an even number; NaN of nothing.
 pub(crate) fn median(readings: impl Iterator<Item = f64>) -> f64 {
@@ -88,16 +83,16 @@ pub struct Estimate {
     pub world_from_body: UnitQuaternion<f64>,
     /// Angular rate in the body frame FLU, bias removed, rad/s.
     pub body_rates_radps: Vector3<f64>,
-    /// Accelerometer bias, m/s².
-    pub accel_bias_mps2: Vector3<f64>,
+    /// Accelerometer bias, m/s²; `None` where it is not estimated, here and below.
+    pub accel_bias_mps2: Option<Vector3<f64>>,
     /// Gyroscope bias, rad/s.
-    pub gyro_bias_radps: Vector3<f64>,
-    /// One-sigma of the position, m; zero when the estimator does not say.
-    pub position_sigma_m: Vector3<f64>,
+    pub gyro_bias_radps: Option<Vector3<f64>>,
+    /// One-sigma of the position, m.
+    pub position_sigma_m: Option<Vector3<f64>>,
     /// One-sigma of the velocity, m/s.
-    pub velocity_sigma_mps: Vector3<f64>,
+    pub velocity_sigma_mps: Option<Vector3<f64>>,
     /// One-sigma of the attitude error about the world axes, rad.
-    pub attitude_sigma_rad: Vector3<f64>,
+    pub attitude_sigma_rad: Option<Vector3<f64>>,
     /// Is the horizontal position known (GNSS or motion capture lately)?
     pub horizontal_known: bool,
     /// Is the altitude known (lasers, barometer, motion capture or GNSS lately)?
@@ -105,10 +100,20 @@ pub struct Estimate {
     /// Can it be trusted?
     pub health: Health,
     /// Residuals of the samples used in this step.
-    pub residuals: ArrayVec<Residual, MAX_RESIDUALS>,
+    pub residuals: Residuals,
 }
 
 impl Estimate {
+    /// Altitude, m; `None` where no sensor has said it lately, although a filter carries its prediction on.
+    pub fn altitude_m(&self) -> Option<f64> {
+        self.altitude_known.then_some(self.position_enu_m.z)
+    }
+
+    /// Climb, m/s; `None` where the altitude is not known.
+    pub fn climb_mps(&self) -> Option<f64> {
+        self.altitude_known.then_some(self.velocity_enu_mps.z)
+    }
+
     /// Position, velocity, attitude.
     pub fn kinematics(&self) -> Kinematics {
         Kinematics {
@@ -127,15 +132,15 @@ impl Default for Estimate {
             velocity_enu_mps: Vector3::zeros(),
             world_from_body: UnitQuaternion::identity(),
             body_rates_radps: Vector3::zeros(),
-            accel_bias_mps2: Vector3::zeros(),
-            gyro_bias_radps: Vector3::zeros(),
-            position_sigma_m: Vector3::zeros(),
-            velocity_sigma_mps: Vector3::zeros(),
-            attitude_sigma_rad: Vector3::zeros(),
+            accel_bias_mps2: None,
+            gyro_bias_radps: None,
+            position_sigma_m: None,
+            velocity_sigma_mps: None,
+            attitude_sigma_rad: None,
             horizontal_known: false,
             altitude_known: false,
             health: Health::Initialising,
-            residuals: ArrayVec::new(),
+            residuals: Residuals::new(),
         }
     }
 }
@@ -160,7 +165,7 @@ pub trait Estimator: std::any::Any + Send {
 
     /// How far from `truth` for the covariance it claims; `None` for estimators without one. For tests and
     /// offline scores: nothing in flight knows the truth.
-    fn nees(&self, _truth: &Kinematics) -> Option<consistency::Nees> {
+    fn nees(&self, _truth: &Kinematics) -> Option<filter::consistency::Nees> {
         None
     }
 }

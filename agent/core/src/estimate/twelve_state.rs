@@ -1,4 +1,4 @@
-//! The twelve-state filters of [Umasankar] as estimators: what feeds the hybrid EKF and the UKF in flight and
+//! The twelve-state filters of \[Umasankar\] as estimators: what feeds the hybrid EKF and the UKF in flight and
 //! over recordings.
 //!
 //! | symbol | meaning | unit |
@@ -7,7 +7,7 @@
 //! | f | specific force, consensus of the accelerometers | m/s² |
 //! | τ | torque of the motors as commanded: curve, lag, allocation of the airframe | N m |
 //!
-//! Deviations from [Umasankar], which flies in the open with known thrust and four cameras:
+//! Deviations from \[Umasankar\], which flies in the open with known thrust and four cameras:
 //! - Translation is driven by the specific force measured, not by T/m: strings, ground and drag then need no
 //!   model. Without accelerometers for 0.1 s the commanded thrust takes over, as in the source. An
 //!   accelerometer's bias, which the twelve states do not hold, enters as process noise.
@@ -28,22 +28,26 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
-use super::aiding::freshness::Freshness;
-use super::consistency::{self, Nees};
-use super::ekf_bias::EkfOptions;
-use super::ekf_hybrid::EkfHybrid;
-use super::mocap_recipe::{ANGLE_SIGMA_RAD, TwelveState};
-use super::scalar_row::{MAX_ROWS, ScalarRow, What};
-use super::ukf::Ukf;
-use super::vqf::{VqfEstimator, VqfOptions};
+use super::aiding::freshness::{Freshness, RECOVERY_S};
+use super::aiding::idle::{
+    Idle, POSITION_CORRELATION_S, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS,
+    whitening,
+};
+use super::filter::consistency::{self, Nees};
+use super::filter::kalman::forget;
+use super::filter::measurement::{MAX_ROWS, Measurement, TwelveState, What};
+use super::filter::mocap_recipe::ANGLE_SIGMA_RAD;
+use super::vqf::VqfEstimator;
 use super::yaw_mixture::YawMixture;
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
-use crate::model::measure::{Kinematics, barometer, camera_range};
 use crate::model::motor::Rotors;
-use crate::sensor::SensorFrame;
+use crate::sensor::camera_ranges;
+use crate::sensor::camera_ranges::CameraRangesModel;
+use crate::sensor::measure::Kinematics;
+use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::{CAMERAS, MotorCommand};
 
 /// Longest step integrated at once, s.
@@ -60,58 +64,24 @@ const TURN_DENSITY: f64 = 5.0;
 const MEMORY_S: f64 = 3.0;
 /// A motion-capture attitude replaces that of the attitude filter this long, s.
 const POSE_MEMORY_S: f64 = 0.5;
-/// What is refused for this long is the new truth, s.
-const RECOVERY_S: f64 = 2.0;
-/// Period of the rows that keep the unaided where it is, s.
-const IDLE_PERIOD_S: f64 = 0.1;
 /// cos(pitch) below which roll and yaw mean little (80°).
 const COS_PITCH_MIN: f64 = 0.17;
 /// One-sigma at start: position m, velocity m/s, angles and rates rad, rad/s.
 const START_SIGMA: [f64; 4] = [10.0, 2.0, 0.05, 0.05];
 
+const fn first(kind: SensorKind) -> SensorId {
+    SensorId { kind, instance: 1 }
+}
+const IMU: SensorId = first(SensorKind::Imu);
+const BAROMETER: SensorId = first(SensorKind::Barometer);
+const GNSS: SensorId = first(SensorKind::Gnss);
+const MOCAP_POSE: SensorId = first(SensorKind::MocapPose);
+const CAMERA_RANGES: SensorId = first(SensorKind::CameraRanges);
 const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
 const VELOCITY: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
 const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
 const RATES: [Channel; 3] = [Channel::GyroX, Channel::GyroY, Channel::GyroZ];
 const RANGES: [Channel; CAMERAS] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
-
-/// A twelve-state filter that can be flown.
-pub trait Filter: TwelveState + Send + 'static {
-    /// Its name.
-    const KIND: EstimatorKind;
-    /// Starts at `x` with covariance `p`.
-    fn begin(body: EulerBody, x: X, p: M) -> Self;
-    /// Starts again at `x` with covariance `p`.
-    fn restart(&mut self, x: X, p: M);
-    /// Propagates by `h` seconds under a force that need not be the motors'; `q` is the noise of such a step.
-    fn propagate(&mut self, action: &Action, h: f64, q: &M);
-}
-
-impl Filter for EkfHybrid {
-    const KIND: EstimatorKind = EstimatorKind::EkfHybrid;
-    fn begin(body: EulerBody, x: X, p: M) -> Self {
-        Self::new(body, x, p)
-    }
-    fn restart(&mut self, x: X, p: M) {
-        (self.x, self.p) = (x, p);
-    }
-    fn propagate(&mut self, action: &Action, h: f64, q: &M) {
-        self.predict(action, h, q);
-    }
-}
-
-impl Filter for Ukf {
-    const KIND: EstimatorKind = EstimatorKind::Ukf;
-    fn begin(body: EulerBody, x: X, p: M) -> Self {
-        Self::new(body, x, p)
-    }
-    fn restart(&mut self, x: X, p: M) {
-        Ukf::restart(self, x, p);
-    }
-    fn propagate(&mut self, action: &Action, h: f64, q: &M) {
-        self.predict(action, h, q);
-    }
-}
 
 /// The wrench that the commands and the motors' lag make.
 #[derive(Debug, Clone)]
@@ -141,7 +111,7 @@ impl Propulsion {
 
 /// A twelve-state filter in flight. See the module.
 pub struct TwelveStateEstimator<F> {
-    options: EkfOptions,
+    model: SensorModel,
     filter: F,
     attitude: VqfEstimator,
     propulsion: Propulsion,
@@ -149,34 +119,34 @@ pub struct TwelveStateEstimator<F> {
     now: Option<FlightTime>,
     started: bool,
     force: Option<(FlightTime, Vector3<f64>)>,
-    rows: ArrayVec<ScalarRow, MAX_ROWS>,
+    rows: ArrayVec<Measurement, MAX_ROWS>,
     axes: [Freshness; 3],
     pose_seen: Option<FlightTime>,
     field_seen: bool,
     mixture: YawMixture,
     heights_present: bool,
     barometer_origin_m: Option<f64>,
-    anchor: Vector3<f64>,
-    idle_last: Option<FlightTime>,
+    idle: Idle,
     estimate: Estimate,
 }
 
-impl<F: Filter> TwelveStateEstimator<F> {
-    /// On `airframe`, with the sigmas and gates of `options`.
-    pub fn new(airframe: &Airframe, options: EkfOptions, attitude: VqfOptions) -> Self {
+impl<F: TwelveState> TwelveStateEstimator<F> {
+    /// On `airframe`, with sensors like these.
+    pub fn new(airframe: &Airframe, model: SensorModel) -> Self {
         let body = EulerBody {
             mass_kg: airframe.mass_kg,
             inertia_kgm2: airframe.inertia_kgm2,
-            gravity_mps2: options.gravity_mps2,
+            gravity_mps2: model.imus.gravity_mps2,
         };
-        let bias = options.accel_bias_prior_mps2 * (2.0 * BIAS_CORRELATION_S).sqrt();
-        let accel_density = options.accel_noise_density.hypot(options.common_accel_noise_density).hypot(bias);
+        let accel = &model.imus.accel;
+        let bias = accel.bias_prior * (2.0 * BIAS_CORRELATION_S).sqrt();
+        let accel_density = accel.noise_density.hypot(accel.common_noise_density).hypot(bias);
         Self {
-            filter: F::begin(body, X::zeros(), M::identity()),
-            attitude: VqfEstimator::new(attitude),
+            filter: F::new(body, X::zeros(), M::identity()),
+            attitude: VqfEstimator::new(&model.imus),
             propulsion: Propulsion::new(airframe),
             accel_density,
-            options,
+            model,
             now: None,
             started: false,
             force: None,
@@ -187,8 +157,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             mixture: YawMixture::new(),
             heights_present: false,
             barometer_origin_m: None,
-            anchor: Vector3::zeros(),
-            idle_last: None,
+            idle: Idle::default(),
             estimate: Estimate::default(),
         }
     }
@@ -201,7 +170,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
     fn start(&mut self) {
         let e = self.attitude.estimate();
         let mut x = X::zeros();
-        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.anchor);
+        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.idle.anchor);
         x.fixed_rows_mut::<3>(ix::ROLL).copy_from(&roll_pitch_yaw(&e.world_from_body));
         x.fixed_rows_mut::<3>(ix::P).copy_from(&e.body_rates_radps);
         let mut p = M::identity();
@@ -209,7 +178,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             p[(i, i)] = START_SIGMA[i / 3].powi(2);
         }
         if !self.field_seen {
-            p[(ix::YAW, ix::YAW)] = self.options.unknown_yaw_sigma_rad.powi(2);
+            p[(ix::YAW, ix::YAW)] = UNKNOWN_YAW_SIGMA_RAD.powi(2);
         }
         self.filter.restart(x, p);
         self.axes = [Freshness::default(); 3];
@@ -228,20 +197,19 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let h = dt_s / steps;
         let q = process_noise(self.accel_density, TURN_DENSITY, h);
         for _ in 0..steps as usize {
-            self.filter.propagate(action, h, &q);
+            self.filter.predict(action, h, &q);
         }
     }
 
     /// One more row; the rows so far are used up when there is no room.
-    fn take(&mut self, kind: SensorKind, instance: usize, channel: Channel, (what, value): (What, f64), noise: Noise) {
+    fn take(&mut self, sensor: SensorId, channel: Channel, what: What, value: f64, noise: Accuracy) {
         if !value.is_finite() {
             return;
         }
         if self.rows.is_full() {
             self.flush();
         }
-        let sensor = SensorId::new(kind, instance as u8);
-        self.rows.push(ScalarRow { sensor, channel, what, value, sigma: noise.sigma, gate: noise.gate });
+        self.rows.push(Measurement { of: Some((sensor, channel)), what, value, noise });
     }
 
     /// Corrects with the rows gathered; notes which axes were corrected.
@@ -281,28 +249,26 @@ impl<F: Filter> TwelveStateEstimator<F> {
         self.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
         if let Some(pose) = frame.mocap_pose.filter(|s| s.world_from_body.coords.iter().all(|x| x.is_finite())) {
             self.pose_seen = Some(frame.time);
-            let noise = Noise { sigma: self.options.mocap_attitude_sigma_rad, gate: self.options.gates.mocap_pose };
-            let angles = roll_pitch_yaw(&pose.world_from_body);
+            let (noise, angles) = (self.model.mocap_pose.attitude, roll_pitch_yaw(&pose.world_from_body));
             for i in 0..3 {
-                let row = (What::Angle(ix::ROLL + i), angles[i]);
-                self.take(SensorKind::MocapPose, 1, ANGLES[i], row, noise);
+                self.take(MOCAP_POSE, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
             }
         }
         if !fresh {
             return;
         }
         let (attitude, rates) = (self.attitude.estimate().world_from_body, self.attitude.estimate().body_rates_radps);
-        let noise = Noise { sigma: self.options.gyro_consensus.sigma, gate: f64::INFINITY };
+        let noise = Accuracy::ungated(self.model.imus.gyro.sigma);
         for i in 0..3 {
-            self.take(SensorKind::Imu, 1, RATES[i], (What::State(ix::P + i), rates[i]), noise);
+            self.take(IMU, RATES[i], What::State(ix::P + i), rates[i], noise);
         }
         if self.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
             return;
         }
         let angles = roll_pitch_yaw(&attitude);
-        let noise = Noise { sigma: ANGLE_SIGMA_RAD, gate: f64::INFINITY };
+        let noise = Accuracy::ungated(ANGLE_SIGMA_RAD);
         for i in 0..3 {
-            self.take(SensorKind::Imu, 1, ANGLES[i], (What::Angle(ix::ROLL + i), angles[i]), noise);
+            self.take(IMU, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
         }
     }
 
@@ -311,64 +277,65 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let velocity = Vector3::new(x[ix::VX], x[ix::VY], x[ix::VZ]);
         // A late sample, brought forward by the velocity.
         let late = |time: FlightTime| velocity * frame.time.seconds_since(time).clamp(0.0, 0.5);
-        let gates = self.options.gates;
+        let model = self.model.clone();
         if let Some(sample) = frame.camera_ranges {
-            let o = &self.options;
-            let (cameras, sigmas) = (o.cameras_enu_m, o.camera_sigma_m);
+            let CameraRangesModel { cameras_enu_m: cameras, sigma_m: sigmas, gate } = model.camera_ranges;
             if self.axes[0].lost(frame.time, RECOVERY_S)
-                && let Some(place) = camera_range::trilaterate(&cameras, &sample.range_m, &sigmas)
+                && let Some(place) = camera_ranges::trilaterate(&cameras, &sample.range_m, &sigmas)
             {
                 (0..3).for_each(|axis| self.relocate(axis, place[axis], 0.1));
             }
             let moved = late(sample.time);
             for (i, range_m) in sample.range_m.into_iter().enumerate() {
-                let toward = camera_range::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
-                let row = (What::Range(cameras[i]), range_m + toward.dot(&moved));
-                let noise = Noise { sigma: sigmas[i], gate: gates.camera_ranges };
-                self.take(SensorKind::CameraRanges, 1, RANGES[i], row, noise);
+                let toward = camera_ranges::predict(&Vector3::new(x[ix::X], x[ix::Y], x[ix::Z]), &cameras[i]).1;
+                let noise = Accuracy { sigma: sigmas[i], gate };
+                let value = range_m + toward.dot(&moved);
+                self.take(CAMERA_RANGES, RANGES[i], What::Range(cameras[i]), value, noise);
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let noise = Noise { sigma: self.options.mocap_position_sigma_m, gate: gates.mocap_pose };
+            let noise = model.mocap_pose.position;
             let place = sample.position_enu_m + late(sample.time);
             for axis in 0..3 {
                 self.recover(frame.time, axis, place[axis], noise.sigma);
-                self.take(SensorKind::MocapPose, 1, XYZ[axis], (What::State(axis), place[axis]), noise);
+                self.take(MOCAP_POSE, XYZ[axis], What::State(axis), place[axis], noise);
             }
         }
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
             self.heights_present = true;
             let height_m = sample.height_m + late(sample.time).z;
-            let noise = Noise { sigma: self.options.height_sigma_m, gate: gates.height };
-            self.recover(frame.time, 2, height_m, noise.sigma);
-            self.take(SensorKind::Height, i + 1, Channel::Height, (What::State(ix::Z), height_m), noise);
+            self.recover(frame.time, 2, height_m, model.heights.sigma);
+            let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
+            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, model.heights);
         }
         let yaw_measured = self.yaw_measured();
         if let Some(sample) = frame.gnss {
             let place = sample.position_enu_m + late(sample.time);
             for axis in if yaw_measured { 0..3 } else { 2..3 } {
-                let sigma = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                let sigma = if sigma.is_finite() { sigma.max(self.options.gnss_floor_m) } else { 10.0 };
-                let noise = Noise { sigma, gate: gates.gnss };
+                let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
+                let noise = model.gnss.position(claimed_m);
                 // A laser has the floor as its zero: it alone tells the height where there is one.
                 if axis < 2 || !self.heights_present {
-                    self.recover(frame.time, axis, place[axis], sigma);
-                    self.take(SensorKind::Gnss, 1, XYZ[axis], (What::State(axis), place[axis]), noise);
+                    self.recover(frame.time, axis, place[axis], noise.sigma);
+                    self.take(GNSS, XYZ[axis], What::State(axis), place[axis], noise);
                 }
-                let noise = Noise { sigma: self.options.gnss_velocity_sigma_mps, gate: gates.gnss };
-                let row = (What::State(ix::VX + axis), sample.velocity_enu_mps[axis]);
-                self.take(SensorKind::Gnss, 1, VELOCITY[axis], row, noise);
+                let speed = sample.velocity_enu_mps[axis];
+                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, model.gnss.velocity);
             }
         }
         let measured = self.heights_present || frame.gnss.is_some() || self.axes[2].ever();
         if let Some(sample) = frame.barometers[0].filter(|_| !measured || self.barometer_origin_m.is_some()) {
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            let altitude = model.barometers.altitude_m(&sample);
             if altitude.is_finite() && !self.heights_present {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - x[ix::Z]);
-                let row = (What::State(ix::Z), altitude - origin);
-                let noise = Noise { sigma: self.options.barometer_sigma_m, gate: gates.barometer };
-                self.take(SensorKind::Barometer, 1, Channel::PressureAltitude, row, noise);
+                self.take(
+                    BAROMETER,
+                    Channel::PressureAltitude,
+                    What::State(ix::Z),
+                    altitude - origin,
+                    model.barometers.altitude,
+                );
             }
         }
     }
@@ -386,12 +353,12 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let now = frame.time;
         if let Some(force) = force {
             let since = self.force.map_or(0.0, |(before, _)| now.seconds_since(before)).clamp(0.0, 0.2);
-            let gyro = self.attitude.estimate().body_rates_radps + self.attitude.estimate().gyro_bias_radps;
+            let gyro = self.attitude.estimate().body_rates_radps + self.attitude.filter().gyro_bias_radps();
             self.mixture.push(since, &gyro, &force);
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
-        let sigma = sample.horizontal_sigma_m.max(self.options.gnss_floor_m);
-        self.mixture.take(now, &sample, sigma, self.options.gnss_velocity_sigma_mps);
+        let gnss = &self.model.gnss;
+        self.mixture.take(now, &sample, gnss.position(sample.horizontal_sigma_m).sigma, gnss.velocity.sigma);
         (0..2).for_each(|axis| self.axes[axis].note(now, true));
     }
 
@@ -402,16 +369,14 @@ impl<F: Filter> TwelveStateEstimator<F> {
         let angles = roll_pitch_yaw(&self.mixture.world_from_body());
         let mut set = |i: usize, value: f64, variance: f64| {
             x[i] = value;
-            p.row_mut(i).fill(0.0);
-            p.column_mut(i).fill(0.0);
-            p[(i, i)] = variance;
+            forget(&mut p, i, variance);
         };
         for axis in 0..2 {
             set(ix::X + axis, found.position_m[axis], found.position_variance[axis]);
             set(ix::VX + axis, found.velocity_mps[axis], found.velocity_variance[axis]);
             set(ix::ROLL + axis, angles[axis], START_SIGMA[2].powi(2));
         }
-        let yaw_sigma = found.yaw_sigma_rad.min(self.options.unknown_yaw_sigma_rad);
+        let yaw_sigma = found.yaw_sigma_rad.min(UNKNOWN_YAW_SIGMA_RAD);
         set(ix::YAW, angles.z, yaw_sigma * yaw_sigma);
         self.filter.restart(x, p);
     }
@@ -427,45 +392,34 @@ impl<F: Filter> TwelveStateEstimator<F> {
     fn relocate(&mut self, axis: usize, value: f64, sigma: f64) {
         let (mut x, mut p) = self.filter.moments();
         x[axis] = value;
-        p.row_mut(axis).fill(0.0);
-        p.column_mut(axis).fill(0.0);
-        p[(axis, axis)] = sigma * sigma;
+        forget(&mut p, axis, sigma * sigma);
         p[(axis + 3, axis + 3)] += 1.0;
         self.filter.restart(x, p);
     }
 
     /// Without aiding: on average it goes nowhere, and not far (as in `ekf_bias`, where the reasons are).
     fn take_idle(&mut self, now: FlightTime) {
-        if self.idle_last.is_some_and(|t| now.seconds_since(t) < IDLE_PERIOD_S - 1e-4) {
-            return;
-        }
-        let since = self.idle_last.map_or(IDLE_PERIOD_S, |t| now.seconds_since(t).min(1.0));
-        self.idle_last = Some(now);
-        let o = &self.options;
-        let white = |sigma: f64, tau: f64| sigma * (2.0 * tau / since).max(1.0).sqrt();
-        let velocity = white(o.idle_velocity_sigma_mps, o.idle_velocity_correlation_s);
-        let position = white(o.idle_position_sigma_m, 10.0);
+        let Some(since_s) = self.idle.due(now) else { return };
+        let velocity = VELOCITY_SIGMA_MPS * whitening(VELOCITY_CORRELATION_S, since_s).sqrt();
+        let position = POSITION_SIGMA_M * whitening(POSITION_CORRELATION_S, since_s).sqrt();
         let (x, _) = self.filter.moments();
-        let mut rows: ArrayVec<ScalarRow, 6> = ArrayVec::new();
-        let still = |i: usize, value: f64, sigma: f64| ScalarRow {
-            sensor: SensorId::new(SensorKind::Unspecified, 1),
-            channel: Channel::Unspecified,
+        let mut rows: ArrayVec<Measurement, 6> = ArrayVec::new();
+        let still = |i: usize, value: f64, sigma: f64| Measurement {
+            of: None,
             what: What::State(i),
             value,
-            sigma,
-            gate: f64::INFINITY,
+            noise: Accuracy::ungated(sigma),
         };
         for axis in 0..3 {
             if self.axes[axis].within(now, MEMORY_S) {
-                self.anchor[axis] = x[axis];
+                self.idle.anchor[axis] = x[axis];
             } else {
                 rows.push(still(ix::VX + axis, 0.0, velocity));
-                rows.push(still(axis, self.anchor[axis], position));
+                rows.push(still(axis, self.idle.anchor[axis], position));
             }
         }
         if !rows.is_empty() {
-            // Pseudo-measurements leave no residuals.
-            self.filter.correct(&rows, &mut ArrayVec::new());
+            self.filter.correct(&rows, &mut Residuals::new());
         }
     }
 
@@ -481,9 +435,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
             let angles = roll_pitch_yaw(&self.attitude.estimate().world_from_body);
             x.fixed_rows_mut::<3>(ix::ROLL).copy_from(&angles);
             for i in ix::ROLL..=ix::YAW {
-                p.row_mut(i).fill(0.0);
-                p.column_mut(i).fill(0.0);
-                p[(i, i)] = START_SIGMA[2].powi(2);
+                forget(&mut p, i, START_SIGMA[2].powi(2));
             }
         }
         let wrapped = singular || (ix::ROLL..=ix::YAW).any(|i| x[i].abs() > std::f64::consts::PI);
@@ -506,9 +458,9 @@ impl<F: Filter> TwelveStateEstimator<F> {
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));
         e.body_rates_radps = part(ix::P);
         e.gyro_bias_radps = attitude.gyro_bias_radps;
-        e.position_sigma_m = sigma(ix::X);
-        e.velocity_sigma_mps = sigma(ix::VX);
-        e.attitude_sigma_rad = sigma(ix::ROLL);
+        e.position_sigma_m = Some(sigma(ix::X));
+        e.velocity_sigma_mps = Some(sigma(ix::VX));
+        e.attitude_sigma_rad = Some(sigma(ix::ROLL));
         e.horizontal_known = self.axes[0].within(now, MEMORY_S) && self.axes[1].within(now, MEMORY_S);
         e.altitude_known = self.axes[2].within(now, MEMORY_S);
         let altitude_lost = self.axes[2].lapsed(now, MEMORY_S);
@@ -520,14 +472,7 @@ impl<F: Filter> TwelveStateEstimator<F> {
     }
 }
 
-/// One-sigma and gate (in sigmas) of a row.
-#[derive(Debug, Clone, Copy)]
-struct Noise {
-    sigma: f64,
-    gate: f64,
-}
-
-impl<F: Filter> Estimator for TwelveStateEstimator<F> {
+impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
     fn kind(&self) -> EstimatorKind {
         F::KIND
     }
@@ -574,15 +519,15 @@ impl<F: Filter> Estimator for TwelveStateEstimator<F> {
 
     fn reset_to(&mut self, estimate: &Estimate) {
         self.attitude.reset_to(estimate);
-        self.anchor = estimate.position_enu_m;
+        self.idle.anchor = estimate.position_enu_m;
         self.start();
         let (mut x, mut p) = self.filter.moments();
         x.fixed_rows_mut::<3>(ix::VX).copy_from(&estimate.velocity_enu_mps);
         let sigmas = [estimate.position_sigma_m, estimate.velocity_sigma_mps, estimate.attitude_sigma_rad];
         for (block, sigma) in sigmas.iter().enumerate() {
             for axis in 0..3 {
-                if sigma[axis] > 0.0 && sigma[axis].is_finite() {
-                    p[(3 * block + axis, 3 * block + axis)] = sigma[axis] * sigma[axis];
+                if let Some(sigma) = sigma.map(|s| s[axis]).filter(|s| *s > 0.0 && s.is_finite()) {
+                    p[(3 * block + axis, 3 * block + axis)] = sigma * sigma;
                 }
             }
         }

@@ -31,55 +31,36 @@ pub use self::estimator::VqfEstimator;
 
 use self::bias::{Bias, Rest};
 use self::heading::Heading;
-use super::fdir::consensus::ConsensusOptions;
-use super::low_pass::LowPass;
+use super::filter::low_pass::LowPass;
 
 /// One degree, rad.
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Time constants and thresholds; the defaults are those of the paper.
+/// Low-pass of the specific force, s (this and what follows: the paper's defaults).
+pub const TAU_ACCEL_S: f64 = 3.0;
+/// Heading correction, s.
+const TAU_MAG_S: f64 = 9.0;
+/// Gyroscope bias at start, one-sigma, rad/s.
+const BIAS_SIGMA_RADPS: f64 = 0.5 * DEGREE;
+/// Time in which an uncorrected bias becomes 0.1 °/s uncertain, s.
+const BIAS_FORGETTING_S: f64 = 100.0;
+/// Largest bias, rad/s.
+const BIAS_LIMIT_RADPS: f64 = 2.0 * DEGREE;
+
+/// What differs from use to use.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VqfOptions {
     /// Nominal time between IMU samples, s; what really arrives is measured and used.
     pub period_s: f64,
-    /// Low-pass of the specific force, s.
-    pub tau_accel_s: f64,
-    /// Heading correction, s.
-    pub tau_mag_s: f64,
-    /// Gyroscope bias at start, one-sigma, rad/s.
-    pub bias_sigma_radps: f64,
-    /// Time in which an uncorrected bias becomes 0.1 °/s uncertain, s.
-    pub bias_forgetting_s: f64,
-    /// Largest bias, rad/s.
-    pub bias_limit_radps: f64,
     /// Use the magnetometer.
     pub use_mag: bool,
     /// Magnetic declination, rad, east positive.
     pub declination_rad: f64,
-    /// Use only this IMU (index from 0); `None` uses the consensus of all.
-    pub imu: Option<usize>,
-    /// Consensus of the gyroscopes.
-    pub gyro_consensus: ConsensusOptions,
-    /// Consensus of the accelerometers.
-    pub accel_consensus: ConsensusOptions,
 }
 
 impl Default for VqfOptions {
     fn default() -> Self {
-        let ekf = super::ekf_bias::EkfOptions::default();
-        Self {
-            period_s: 0.005,
-            tau_accel_s: 3.0,
-            tau_mag_s: 9.0,
-            bias_sigma_radps: 0.5 * DEGREE,
-            bias_forgetting_s: 100.0,
-            bias_limit_radps: 2.0 * DEGREE,
-            use_mag: true,
-            declination_rad: 0.0,
-            imu: None,
-            gyro_consensus: ekf.gyro_consensus,
-            accel_consensus: ekf.accel_consensus,
-        }
+        Self { period_s: 0.005, use_mag: true, declination_rad: 0.0 }
     }
 }
 
@@ -131,8 +112,8 @@ impl Vqf {
             period: Period { used_s: t, measured_s: t, samples: 0 },
             inertial_from_body: UnitQuaternion::identity(),
             level_from_inertial: UnitQuaternion::identity(),
-            force: LowPass::new(options.tau_accel_s, t),
-            bias: Bias::new(&options),
+            force: LowPass::new(TAU_ACCEL_S, t),
+            bias: Bias::new(t),
             rest: Rest::new(t),
             heading: Heading::new(t),
         }
@@ -151,7 +132,7 @@ impl Vqf {
         self.heading.wait(dt_s);
         if let Some(field) = field.filter(|_| self.options.use_mag) {
             let level = self.level_from_inertial * self.inertial_from_body * field;
-            self.heading.push(&level, self.rest.slow_rate(), self.options.tau_mag_s);
+            self.heading.push(&level, self.rest.slow_rate(), TAU_MAG_S);
         }
     }
 
@@ -195,7 +176,7 @@ impl Vqf {
     }
 
     fn push_gyro(&mut self, dt_s: f64, gyro: &Vector3<f64>) {
-        self.rest.push_gyro(gyro, self.options.bias_limit_radps);
+        self.rest.push_gyro(gyro);
         self.inertial_from_body *= UnitQuaternion::from_scaled_axis((gyro - self.bias.radps()) * dt_s);
         self.inertial_from_body.renormalize_fast();
     }

@@ -30,8 +30,8 @@
 use nalgebra::{Matrix2, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use super::kalman;
-use super::vqf::{Vqf, VqfOptions};
+use super::filter::kalman;
+use super::vqf::{TAU_ACCEL_S, Vqf, VqfOptions};
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::sensor::GnssSample;
 
@@ -118,8 +118,6 @@ pub struct YawMixture {
     attitude: Vqf,
     /// How long the attitude filter has run, s.
     levelled_s: f64,
-    /// Time constant of its error, s.
-    forgetting_s: f64,
     gaussians: [Gaussian; HYPOTHESES],
     started: bool,
     unexplained: u32,
@@ -145,11 +143,9 @@ impl YawMixture {
             acceleration_mps2: Vector2::zeros(),
             log_weight: 0.0,
         };
-        let options = VqfOptions { use_mag: false, ..VqfOptions::default() };
         Self {
-            attitude: Vqf::new(options),
+            attitude: Vqf::new(VqfOptions { use_mag: false, ..VqfOptions::default() }),
             levelled_s: 0.0,
-            forgetting_s: options.tau_accel_s,
             gaussians: [nothing; HYPOTHESES],
             started: false,
             unexplained: 0,
@@ -183,7 +179,7 @@ impl YawMixture {
             return;
         }
         // Of b after this time.
-        let kept = (-t / self.forgetting_s).exp();
+        let kept = (-t / TAU_ACCEL_S).exp();
         let mut q = M::zeros();
         for axis in 0..2 {
             let (p, v) = (ix::POSITION + axis, ix::VELOCITY + axis);
@@ -274,7 +270,7 @@ impl YawMixture {
         let (place, sigma) = fix.position;
         let (velocity, speed_sigma) = fix.velocity.unwrap_or((Vector2::zeros(), SPEED_SIGMA_MPS));
         let spacing = std::f64::consts::TAU / YAWS as f64;
-        let error = ERROR_SIGMA_MPS2.hypot(FIRST_ERROR_SIGMA_MPS2 * (-self.levelled_s / self.forgetting_s).exp());
+        let error = ERROR_SIGMA_MPS2.hypot(FIRST_ERROR_SIGMA_MPS2 * (-self.levelled_s / TAU_ACCEL_S).exp());
         for (i, gaussian) in self.gaussians.iter_mut().enumerate() {
             let (yaw, lead_s) = (wrap_pi(spacing * (i / LEADS_S.len()) as f64), LEADS_S[i % LEADS_S.len()]);
             let x = [place.x, place.y, velocity.x, velocity.y, yaw, 0.0, 0.0];

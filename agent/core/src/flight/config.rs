@@ -7,10 +7,10 @@ use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
 use crate::control::tuning::Design;
 use crate::estimate::bank::{Assumptions, EVERY_KIND, build};
-use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::secure::Decoder;
 use crate::estimate::secure::SLOTS;
 use crate::model::airframe::Airframe;
+use crate::sensor::SensorModel;
 use crate::sensor::suite::Suite;
 use crate::supervisor::Settings;
 use crate::types::{ControllerKind, EstimatorKind};
@@ -26,9 +26,9 @@ pub enum RigKind {
     Free,
     /// Turns about one axis only; cannot lift.
     SingleAxis,
-    /// Hanging from strings with the thrust kept below lift-off ([Paternain] VIII-B).
+    /// Hanging from strings with the thrust kept below lift-off (\[Paternain\] VIII-B).
     StringsOrientation,
-    /// Hanging from strings, lifting itself within their reach ([Paternain] VIII-C).
+    /// Hanging from strings, lifting itself within their reach (\[Paternain\] VIII-C).
     StringsFlight {
         /// Highest altitude at which the strings still catch gently, m.
         reach_m: f64,
@@ -100,10 +100,10 @@ pub struct FlightConfig {
     pub in_loop: EstimatorKind,
     /// The program that the secure estimator solves first; `None` leaves it the default.
     pub decoder: Option<Decoder>,
-    /// Slots of 40 ms in its window: T of [Clinic].
+    /// Slots of 40 ms in its window: T of \[Clinic\].
     pub window_slots: usize,
     /// What the estimators assume of the sensors.
-    pub ekf: EkfOptions,
+    pub sensor_model: SensorModel,
     /// Sensors of the vehicle.
     pub sensors: Vec<SensorId>,
     /// Those on a wire of their own: the watchdog reads only them, of their kind, and nothing can be injected there.
@@ -131,7 +131,7 @@ impl FlightConfig {
             in_loop: EstimatorKind::EkfBias,
             decoder: None,
             window_slots: SLOTS,
-            ekf: EkfOptions::from(suite),
+            sensor_model: SensorModel::from(suite),
             sensors: suite.descriptions().iter().map(|d| d.id).collect(),
             independent: Vec::new(),
             attack_bounds: attack::Bounds::default(),
@@ -142,7 +142,7 @@ impl FlightConfig {
 
     /// What its estimators assume.
     pub fn assumptions(&self) -> Assumptions<'_> {
-        Assumptions { airframe: &self.airframe, sensors: &self.ekf, window_slots: self.window_slots }
+        Assumptions { airframe: &self.airframe, sensors: &self.sensor_model, window_slots: self.window_slots }
     }
 
     /// With every estimator there is running side by side, for a vehicle that can spare the time: the simulator and

@@ -85,16 +85,13 @@ impl Flight {
         };
         let imu_age_s = self.watchdog.imu_age_s(now);
         let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
-        let climb_mps = match estimate.altitude_known {
-            true => estimate.velocity_enu_mps.z.max(raw_climb_mps),
-            false => raw_climb_mps,
-        };
+        let climb_mps = estimate.climb_mps().map_or(raw_climb_mps, |climb| climb.max(raw_climb_mps));
         // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
         let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| outward(axis, side));
         let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
         let raw_height_m = self.watchdog.height_m();
-        let astray = raw_height_m
-            .is_some_and(|raw| estimate.altitude_known && (raw - estimate.position_enu_m.z).abs() > ASTRAY_M);
+        let astray =
+            raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
         let agree = self.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD;
         self.position_lost &= !estimate.horizontal_known;
         Inputs {
@@ -104,7 +101,7 @@ impl Flight {
             tilt_rad: self.watchdog.tilt_rad(),
             rate_radps: self.watchdog.rates_radps().norm(),
             raw_height_m,
-            altitude_m: estimate.altitude_known.then_some(estimate.position_enu_m.z),
+            altitude_m: estimate.altitude_m(),
             climb_mps,
             lift_mps2: self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_enu.z - GRAVITY_MPS2,
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),

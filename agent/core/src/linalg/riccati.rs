@@ -310,7 +310,7 @@ pub fn care_by_sign(a: &DMatrix<f64>, g: &DMatrix<f64>, q: &DMatrix<f64>) -> Res
 }
 
 /// Stabilising solution of AᵀX + XA − XGX + Q = 0 with G and Q symmetric, possibly indefinite, by the matrix
-/// sign and at most [`MAX_CORRECTIONS`] Newton corrections: the equation of H∞ synthesis, where the parameter
+/// sign and at most `MAX_CORRECTIONS` Newton corrections: the equation of H∞ synthesis, where the parameter
 /// of a Cayley transform may meet a pole.
 ///
 /// # Errors

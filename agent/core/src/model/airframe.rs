@@ -1,7 +1,7 @@
 //! Airframes as data: mass, inertia, rotor places and spins; no sign is written in code elsewhere.
 //!
-//! Sources: the 3DR Iris of [Umasankar] (mass and inertia), the vehicle of [Paternain] II–III, the model
-//! of [Clinic] 3.2. What a source does not give is said at the constructor that chose it.
+//! Sources: the 3DR Iris of \[Umasankar\] (mass and inertia), the vehicle of \[Paternain\] II–III, the model
+//! of \[Clinic\] 3.2. What a source does not give is said at the constructor that chose it.
 //!
 //! | symbol | field | unit |
 //! |---|---|---|
@@ -9,10 +9,10 @@
 //! | Ixx Iyy Izz | `inertia_kgm2` | kg m², about the centre of mass, body axes principal |
 //! | k | `thrust_coefficient_ns2` | N s² (T = k ω²) |
 //! | b | `drag_torque_coefficient_nms2` | N m s² (Q = b ω²) |
-//! | k_d | `linear_drag_nspm` | N s/m ([Clinic] Eq. 2: F_D = −k_d v) |
+//! | k_d | `linear_drag_nspm` | N s/m (\[Clinic\] Eq. 2: F_D = −k_d v) |
 //! | – | `propeller_diameter_m` | m; the power that thrust takes |
 //! | I_zzm | `rotor_inertia_kgm2` | kg m², one rotor with its motor bell |
-//! | d | `cg_below_rotors_m` | m; matters on a pivot rig only (ERRATA [Paternain] 4) |
+//! | d | `cg_below_rotors_m` | m; matters on a pivot rig only (ERRATA \[Paternain\] 4) |
 
 use nalgebra::{Matrix4, Vector3};
 use serde::Deserialize;
@@ -70,7 +70,7 @@ pub struct Airframe {
     pub thrust_coefficient_ns2: f64,
     /// Q = b ω², N m s².
     pub drag_torque_coefficient_nms2: f64,
-    /// F_D = −k_d v, N s/m ([Clinic] Eq. 2).
+    /// F_D = −k_d v, N s/m (\[Clinic\] Eq. 2).
     pub linear_drag_nspm: f64,
     /// Diameter of its propellers, m: with the thrust it gives the power, which b of a Gazebo model does not.
     #[serde(default = "ten_inches")]
@@ -81,9 +81,9 @@ pub struct Airframe {
     pub motor_rise_time_constant_s: f64,
     /// The same when it slows down, s.
     pub motor_fall_time_constant_s: f64,
-    /// Command ─► speed at nominal voltage ([Clinic] 5.5).
+    /// Command ─► speed at nominal voltage (\[Clinic\] 5.5).
     pub motor_curve: MotorCurve,
-    /// How far the centre of mass lies below the rotor plane, m ([Paternain] Eq. 2, `d`).
+    /// How far the centre of mass lies below the rotor plane, m (\[Paternain\] Eq. 2, `d`).
     pub cg_below_rotors_m: f64,
     /// Feet, from the centre of mass, body FLU, m.
     pub feet_flu_m: [Vector3<f64>; 4],
@@ -141,7 +141,7 @@ impl Airframe {
         Ok(airframe)
     }
 
-    /// 3DR Iris: mass and inertia of [Umasankar]. Rotor places, thrust (5.84e-6 N s²) and torque
+    /// 3DR Iris: mass and inertia of \[Umasankar\]. Rotor places, thrust (5.84e-6 N s²) and torque
     /// (0.06 m × thrust) coefficients, time constants (12.5 and 25 ms) and the curve 100 + 1000 · command
     /// rad/s are those of the Gazebo Iris model which that paper flies. Chosen here: rotor inertia (an 11 g,
     /// 10-inch blade pair as a thin rod), linear drag, feet, battery (3S, 5.1 Ah).
@@ -171,7 +171,7 @@ impl Airframe {
         }
     }
 
-    /// The vehicle of [Paternain]: rotors on the axes, 61.5 cm between opposite ones, 2 and 4 clockwise,
+    /// The vehicle of \[Paternain\]: rotors on the axes, 61.5 cm between opposite ones, 2 and 4 clockwise,
     /// 990 g without payload. The source gives neither inertia nor coefficients; chosen here: 0.41 kg of
     /// payload (computer, box, guards) so 1.40 kg, inertia of crossed rods with motors at their ends,
     /// thrust and drag torque of a 10-inch propeller, d = 5 cm (also used for the figure in ERRATA).
@@ -203,9 +203,9 @@ impl Airframe {
         }
     }
 
-    /// The model of [Clinic] 3.2, whose constants are not in the source: these are of the tutorial it
-    /// adapted ([Clinic] reference 8), as in the reference linear models. Motor curve, lag, rotor inertia,
-    /// feet and battery (14.8 V, [Clinic] 5.7) are chosen here.
+    /// The model of \[Clinic\] 3.2, whose constants are not in the source: these are of the tutorial it
+    /// adapted (\[Clinic\] reference 8), as in the reference linear models. Motor curve, lag, rotor inertia,
+    /// feet and battery (14.8 V, \[Clinic\] 5.7) are chosen here.
     pub fn clinic() -> Self {
         const L: f64 = 0.25;
         let rotor = |x, y, spin| Rotor { position_flu_m: Vector3::new(x, y, 0.02), spin };

@@ -14,7 +14,7 @@ use world_magnetic_model::uom::si::length::meter;
 
 pub use world_magnetic_model::time::Date;
 
-use crate::model::measure::gnss::Geodetic;
+use crate::model::geodesy::Geodetic;
 
 /// Why there is no declination for a place and a day.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

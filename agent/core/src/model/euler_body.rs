@@ -1,4 +1,4 @@
-//! The twelve-state rigid body of [Umasankar] Eq. 8 with roll, pitch, yaw as states, its Jacobian and its
+//! The twelve-state rigid body of \[Umasankar\] Eq. 8 with roll, pitch, yaw as states, its Jacobian and its
 //! Runge–Kutta step: what the hybrid EKF and the UKF propagate.
 //!
 //! | symbol | meaning | unit |
@@ -8,7 +8,7 @@
 //! | f | specific force in the body frame: (0, 0, T/m), or what accelerometers measured | m/s² |
 //! | I | principal moments of inertia | kg m² |
 //!
-//! Deviations from [Umasankar] Eq. 8 (ERRATA 3, 4): sign of cos ψ sin φ in v̇y; ṙ is its own row. No drag and
+//! Deviations from \[Umasankar\] Eq. 8 (ERRATA 3, 4): sign of cos ψ sin φ in v̇y; ṙ is its own row. No drag and
 //! no rotor inertia, as in the source. Singular at pitch ±90°.
 
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -67,12 +67,12 @@ impl Input for Action {
 }
 
 impl EulerBody {
-    /// The 3DR Iris of [Umasankar].
+    /// The 3DR Iris of \[Umasankar\].
     pub fn iris() -> Self {
         Self { mass_kg: 1.545, inertia_kgm2: Vector3::new(0.029125, 0.029125, 0.055225), gravity_mps2: 9.81 }
     }
 
-    /// ẋ = f(x, u), [Umasankar] Eq. 8.
+    /// ẋ = f(x, u), \[Umasankar\] Eq. 8.
     pub fn derivative(&self, x: &X, u: &impl Input) -> X {
         self.derivative_under(x, &u.action(self))
     }
@@ -106,7 +106,7 @@ impl EulerBody {
         ])
     }
 
-    /// A = ∂f/∂x, [Umasankar] Eq. 9.
+    /// A = ∂f/∂x, \[Umasankar\] Eq. 9.
     pub fn jacobian(&self, x: &X, u: &impl Input) -> M {
         let (sf, cf) = x[ix::ROLL].sin_cos();
         let (st, ct) = x[ix::PITCH].sin_cos();

@@ -1,4 +1,4 @@
-//! ẋ ≈ A x + B u about a trim point of the corrected rigid body ([Paternain] VI, Eq. 3).
+//! ẋ ≈ A x + B u about a trim point of the corrected rigid body (\[Paternain\] VI, Eq. 3).
 //!
 //! State, in this order ([`ix`]): x y z vx vy vz (ENU, m, m/s), roll pitch yaw (rad), p q r (body
 //! rates, rad/s). Input: thrust minus the trim thrust (N), torque about body x y z (N m). All are

@@ -1,4 +1,4 @@
-//! Command ─► rotor speed, and back: a straight line at nominal voltage ([Clinic] 5.5).
+//! Command ─► rotor speed, and back: a straight line at nominal voltage (\[Clinic\] 5.5).
 //!
 //! The command is the pulse width scaled to 0..1. A brushless motor's speed at a given command is proportional to the
 //! voltage, hence `voltage_ratio` = voltage / nominal voltage.

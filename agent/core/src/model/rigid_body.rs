@@ -1,4 +1,4 @@
-//! The corrected nonlinear rigid body of [Paternain] Eq. 2, in quaternion form: ẋ = f(x, u).
+//! The corrected nonlinear rigid body of \[Paternain\] Eq. 2, in quaternion form: ẋ = f(x, u).
 //!
 //! | symbol | meaning | unit, frame |
 //! |---|---|---|
@@ -11,10 +11,10 @@
 //! ṗ = v, v̇ = −g ẑ + (R T ẑ − k_d (v − wind) + F) / m, q̇ = ½ q ⊗ (0, ω),
 //! I ω̇ = τ + τ_ext − ω × (I ω + h ẑ) − ḣ ẑ.
 //!
-//! Deviations from [Paternain] Eq. 2 (ERRATA): attitude by quaternion, so that no row carries the faulty
+//! Deviations from \[Paternain\] Eq. 2 (ERRATA): attitude by quaternion, so that no row carries the faulty
 //! product of item 1; the rotor term has opposite signs in ω̇x and ω̇y (2); (Ixx − Iyy) ωx ωy and the rotor
 //! acceleration stand in ω̇z (3); no gravity moment −dMg in free flight, a pivot rig adds its own (4).
-//! Drag is [Clinic] Eq. 2, divided by m as its appendix forgets. Assumes principal body axes and a rigid frame.
+//! Drag is \[Clinic\] Eq. 2, divided by m as its appendix forgets. Assumes principal body axes and a rigid frame.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -150,7 +150,7 @@ pub fn derivative(airframe: &Airframe, x: &State, u: &Input) -> Derivative {
     }
 }
 
-/// ω̇, rad/s²: [Paternain] Eq. 2 rows ω̇x, ω̇y, ω̇z as corrected.
+/// ω̇, rad/s²: \[Paternain\] Eq. 2 rows ω̇x, ω̇y, ω̇z as corrected.
 pub fn angular_acceleration(airframe: &Airframe, body_rates_radps: &Vector3<f64>, u: &Input) -> Vector3<f64> {
     let w = body_rates_radps;
     let i = airframe.inertia_kgm2;

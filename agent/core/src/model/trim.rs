@@ -1,4 +1,4 @@
-//! Trim points: hover, straight flight, circles about the vertical ([Paternain] VI).
+//! Trim points: hover, straight flight, circles about the vertical (\[Paternain\] VI).
 //!
 //! In steady flight with yaw rate Ω the velocity seen from the heading frame is constant, so the
 //! force that rotors must give is f = m (Ω ẑ × v + g ẑ) + k_d v; its length is the thrust and its

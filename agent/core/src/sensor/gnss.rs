@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars, put, xyz};
-use super::suite::{Quality, Sheet, Timing};
+use super::sample::{Accuracy, Quantity, Sample, Scalars, put, xyz};
+use super::suite::{self, Quality, Sheet, Timing};
 use super::wire::{self, Received};
 
 /// One GNSS fix, in local metres about the configured origin.
@@ -34,10 +34,15 @@ impl Sample for GnssSample {
         Quantity { name: "position", unit: "m", scalars: 3, named: false },
         Quantity { name: "velocity", unit: "m/s", scalars: 3, named: false },
     ];
-    type Wire = v1::GnssSample;
+    type Sheet = Gnss;
+    type Model = GnssModel;
 
-    fn time(&self) -> FlightTime {
-        self.time
+    fn model(sheets: &[Gnss]) -> GnssModel {
+        let velocity = sheets.first().map_or(Accuracy { sigma: 0.1, gate: 5.0 }, |s| Accuracy {
+            sigma: s.velocity.total_sigma(),
+            gate: s.horizontal.gate_sigmas,
+        });
+        GnssModel { floor_m: 0.05, velocity }
     }
 
     fn scalars(&self) -> Scalars {
@@ -54,8 +59,9 @@ impl Sample for GnssSample {
         self
     }
 
-    fn to_wire(&self, received: Option<&Self>, into: &mut v1::GnssSample) {
-        let reading = |s: &Self| {
+    wire::message! {
+        GnssSample of GnssReading,
+        |s| {
             let [latitude_deg, longitude_deg, altitude_m] = s.geodetic;
             v1::GnssReading {
                 position_enu_m: wire::vector(&s.position_enu_m),
@@ -67,14 +73,8 @@ impl Sample for GnssSample {
                 vertical_sigma_m: s.vertical_sigma_m,
                 satellites: s.satellites,
             }
-        };
-        let (reception, received) = wire::reception(self, received, reading);
-        *into = v1::GnssSample { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
-    }
-
-    fn from_wire(m: v1::GnssSample) -> Option<(Self, Received<Self>)> {
-        let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), m.sensed, m.received, |r: v1::GnssReading| {
+        },
+        |time, r| {
             Some(Self {
                 time,
                 position_enu_m: wire::xyz(r.position_enu_m.as_ref()?),
@@ -84,7 +84,27 @@ impl Sample for GnssSample {
                 vertical_sigma_m: r.vertical_sigma_m,
                 satellites: r.satellites,
             })
-        })
+        }
+    }
+}
+
+/// One-sigma of a position that does not say how good it is, m.
+const UNKNOWN_SIGMA_M: f64 = 10.0;
+
+/// What estimators assume of GNSS.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GnssModel {
+    /// Smallest one-sigma assumed of a position, m.
+    pub floor_m: f64,
+    /// Velocity, m/s; its gate is that of positions, too.
+    pub velocity: Accuracy,
+}
+
+impl GnssModel {
+    /// Of a position with the one-sigma `claimed_m`.
+    pub fn position(&self, claimed_m: f64) -> Accuracy {
+        let sigma = if claimed_m.is_finite() { claimed_m.max(self.floor_m) } else { UNKNOWN_SIGMA_M };
+        Accuracy { sigma, ..self.velocity }
     }
 }
 
@@ -105,7 +125,7 @@ pub struct Gnss {
 }
 
 impl Sheet for Gnss {
-    /// GNSS: 1 Hz ([Paternain] Table I), 2–3 m with good sky ([Paternain] IV-B): 2 m of slow error and 0.8 m
+    /// GNSS: 1 Hz (\[Paternain\] Table I), 2–3 m with good sky (\[Paternain\] IV-B): 2 m of slow error and 0.8 m
     /// of noise per axis, 0.2 s late (chosen).
     fn typical(_instance: usize) -> Self {
         Self {
@@ -117,17 +137,7 @@ impl Sheet for Gnss {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("horizontal", &mut self.horizontal);

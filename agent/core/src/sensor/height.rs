@@ -1,11 +1,14 @@
 //! Laser height above the floor.
+//!
+//! Laser height: the sample is already the distance along the world's vertical, so y = z.
 
 use nalgebra::Vector3;
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars};
-use super::suite::{Checker, Quality, Sheet, SuiteError, Timing};
+use super::measure::{Kinematics, Row};
+use super::sample::{Accuracy, Quantity, Sample, Scalars};
+use super::suite::{self, Checker, Quality, Sheet, SuiteError, Timing};
 use super::wire::{self, Received};
 
 /// Distance to the floor along the world's vertical, mounting removed.
@@ -22,6 +25,17 @@ impl Sample for HeightSample {
     const KIND: v1::SensorKind = v1::SensorKind::Height;
     const QUANTITIES: &'static [Quantity] = &[Quantity { name: "height", unit: "m", scalars: 1, named: false }];
     type Wire = v1::HeightSample;
+    type Sheet = Height;
+    type Model = Accuracy;
+
+    /// The worst of them.
+    fn model(sheets: &[Height]) -> Accuracy {
+        let worst = sheets.iter().map(|s| s.height).reduce(|a, b| if a.sigma > b.sigma { a } else { b });
+        worst.map_or(Accuracy { sigma: 0.01, gate: 5.0 }, |height| Accuracy {
+            sigma: height.total_sigma().hypot(height.bias_sigma).max(2e-3),
+            gate: height.gate_sigmas,
+        })
+    }
 
     fn time(&self) -> FlightTime {
         self.time
@@ -47,6 +61,11 @@ impl Sample for HeightSample {
         let time = FlightTime(m.time_us);
         wire::sample(m.reception(), Some(m.sensed_m), m.received_m, |height_m| Some(Self { time, height_m }))
     }
+}
+
+/// Row of one height `height_m` above the floor.
+pub fn height(state: &Kinematics, height_m: f64) -> Row {
+    Row::new(height_m - state.position_enu_m.z).position(Vector3::z())
 }
 
 /// A laser height, looking down.
@@ -78,17 +97,7 @@ impl Sheet for Height {
         Self::laser(instance, instance)
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("height", &mut self.height);
@@ -102,7 +111,7 @@ impl Sheet for Height {
 }
 
 impl Height {
-    /// Laser height `instance` of `of`: 10 Hz, 1 mm resolution ([Clinic] 5.4.2), the units staggered evenly
+    /// Laser height `instance` of `of`: 10 Hz, 1 mm resolution (\[Clinic\] 5.4.2), the units staggered evenly
     /// over the period. The source guarantees 3 cm; sigma 7 mm and a 4 mm mounting error are chosen.
     pub fn laser(instance: usize, of: usize) -> Self {
         const RATE_HZ: f64 = 10.0;
@@ -124,5 +133,17 @@ impl Height {
             nearest_m: 0.02,
             tilt_max_rad: default_tilt(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::measure::check;
+    use super::*;
+
+    #[test]
+    fn jacobian_matches_differences() {
+        check::jacobian(&check::state(), |s| height(s, 1.5), 1e-8);
+        assert!((height(&check::state(), 1.9).innovation - 0.2).abs() < 1e-12);
     }
 }

@@ -1,12 +1,20 @@
 //! Pose of the body by motion capture.
+//!
+//! Attitude given whole (motion capture): three angles about the heading frame's axes.
+//!
+//! δφ = log(R_measured R̂ᵀ) is the rotation, about world axes, from the estimate to the measurement. Its
+//! components along the vehicle's heading, to its left and up are, for small errors, the errors of roll,
+//! pitch and yaw.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::{Kind, time::FlightTime, v1};
 use serde::Deserialize;
 
-use super::sample::{Quantity, Sample, Scalars, put, xyz};
-use super::suite::{Quality, Sheet, Timing};
+use super::measure::{Kinematics, Row};
+use super::sample::{Accuracy, Quantity, Sample, Scalars, put, xyz};
+use super::suite::{self, Quality, Sheet, Timing};
 use super::wire::{self, Received};
+use crate::frames::roll_pitch_yaw;
 
 /// One motion-capture pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,10 +34,14 @@ impl Sample for MocapPoseSample {
         Quantity { name: "position", unit: "m", scalars: 3, named: false },
         Quantity { name: "attitude", unit: "", scalars: 4, named: false },
     ];
-    type Wire = v1::MocapPoseSample;
+    type Sheet = MocapPose;
+    type Model = MocapPoseModel;
 
-    fn time(&self) -> FlightTime {
-        self.time
+    fn model(sheets: &[MocapPose]) -> MocapPoseModel {
+        let (position, attitude, gate) = sheets.first().map_or((0.005, 0.01, 5.0), |s| {
+            (s.position.total_sigma().max(1e-4), s.attitude.total_sigma().max(1e-4), s.position.gate_sigmas)
+        });
+        MocapPoseModel { position: Accuracy { sigma: position, gate }, attitude: Accuracy { sigma: attitude, gate } }
     }
 
     /// Position and the attitude as a quaternion (w, x, y, z).
@@ -49,25 +61,37 @@ impl Sample for MocapPoseSample {
         self
     }
 
-    fn to_wire(&self, received: Option<&Self>, into: &mut v1::MocapPoseSample) {
-        let reading = |s: &Self| v1::MocapPoseReading {
+    wire::message! {
+        MocapPoseSample of MocapPoseReading,
+        |s| v1::MocapPoseReading {
             position_enu_m: wire::vector(&s.position_enu_m),
             world_from_body: wire::quaternion(&s.world_from_body),
-        };
-        let (reception, received) = wire::reception(self, received, reading);
-        *into = v1::MocapPoseSample { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
-    }
-
-    fn from_wire(m: v1::MocapPoseSample) -> Option<(Self, Received<Self>)> {
-        let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), m.sensed, m.received, |r: v1::MocapPoseReading| {
+        },
+        |time, r| {
             Some(Self {
                 time,
                 position_enu_m: wire::xyz(r.position_enu_m.as_ref()?),
                 world_from_body: wire::unit_quaternion(r.world_from_body.as_ref()?)?,
             })
-        })
+        }
     }
+}
+
+/// What estimators assume of motion-capture poses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MocapPoseModel {
+    /// Position per axis, m.
+    pub position: Accuracy,
+    /// Attitude about each axis, rad.
+    pub attitude: Accuracy,
+}
+
+/// Rows of roll, pitch and yaw.
+pub fn attitude(state: &Kinematics, measured: &UnitQuaternion<f64>) -> [Row; 3] {
+    let error = (measured * state.world_from_body.inverse()).scaled_axis();
+    let (sin_yaw, cos_yaw) = roll_pitch_yaw(&state.world_from_body).z.sin_cos();
+    let axes = [Vector3::new(cos_yaw, sin_yaw, 0.0), Vector3::new(-sin_yaw, cos_yaw, 0.0), Vector3::z()];
+    axes.map(|axis| Row::new(axis.dot(&error)).attitude(axis))
 }
 
 /// Motion-capture pose.
@@ -95,20 +119,34 @@ impl Sheet for MocapPose {
         }
     }
 
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn timing(&self) -> &Timing {
-        &self.timing
-    }
-
-    fn timing_mut(&mut self) -> &mut Timing {
-        &mut self.timing
-    }
+    suite::named_and_timed!();
 
     fn qualities(&mut self, each: &mut dyn FnMut(&'static str, &mut Quality)) {
         each("position", &mut self.position);
         each("attitude", &mut self.attitude);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::measure::check;
+    use super::*;
+
+    #[test]
+    fn jacobian_matches_differences_at_the_estimate() {
+        // The row is linearised at zero error, where an update that is accepted lands.
+        let measured = check::state().world_from_body;
+        for i in 0..3 {
+            check::jacobian(&check::state(), |s| attitude(s, &measured)[i], 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_pure_yaw_error_is_seen_by_yaw_alone() {
+        let state = check::state();
+        let measured = UnitQuaternion::from_scaled_axis(Vector3::z() * 0.05) * state.world_from_body;
+        let rows = attitude(&state, &measured);
+        assert!(rows[0].innovation.abs() < 1e-12 && rows[1].innovation.abs() < 1e-12);
+        assert!((rows[2].innovation - 0.05).abs() < 1e-12);
     }
 }

@@ -1,14 +1,16 @@
 //! Sensors: what their samples hold, what arrives in a tick, and what a data sheet says of them.
 //!
-//! One file a kind: its sample with scalars, quantities and wire form, and its data sheet. The table below registers it;
-//! its device is the simulator's, its measurement model is in `model/measure`. Everything is SI, calibrated, in the body
+//! One file a kind: its sample with scalars, quantities and wire form, its measurement model and what estimators assume of
+//! it, and its data sheet. The table below registers it; its device is the simulator's. Everything is SI, calibrated, in the body
 //! frame FLU or the world frame ENU; NED, FRD and degrees stay inside the driver that speaks them.
 
 pub mod barometer;
 pub mod camera_ranges;
 pub mod gnss;
+pub mod heading;
 pub mod height;
 pub mod imu;
+pub mod measure;
 pub mod mocap_pose;
 pub mod noise;
 pub mod sample;
@@ -16,7 +18,6 @@ pub mod suite;
 mod table;
 pub mod wire;
 
-use arrayvec::ArrayVec;
 use plumbline_proto::{Kind, Message, ids::SensorId, time::FlightTime, v1::SensorKind};
 use serde::Deserialize;
 
@@ -26,6 +27,8 @@ pub use gnss::GnssSample;
 pub use height::HeightSample;
 pub use imu::ImuSample;
 pub use mocap_pose::MocapPoseSample;
+
+pub use sample::Accuracy;
 
 use sample::{Places, Quantity, Sample};
 use suite::{Fill, Sheet, key};
@@ -40,18 +43,17 @@ pub const MAX_BAROMETERS: usize = 2;
 
 table::sensors! {
     /// IMUs; index 0 is instance 1.
-    imus: [Option<ImuSample>; MAX_IMUS], ArrayVec<imu::Imu, MAX_IMUS> => Imu(ImuSample);
+    imus: [Option<ImuSample>; MAX_IMUS] => Imu(ImuSample);
     /// Laser heights.
-    heights: [Option<HeightSample>; MAX_HEIGHTS], ArrayVec<height::Height, MAX_HEIGHTS> => Height(HeightSample);
+    heights: [Option<HeightSample>; MAX_HEIGHTS] => Height(HeightSample);
     /// Barometers.
-    barometers: [Option<BarometerSample>; MAX_BAROMETERS], ArrayVec<barometer::Barometer, MAX_BAROMETERS>
-        => Barometer(BarometerSample);
+    barometers: [Option<BarometerSample>; MAX_BAROMETERS] => Barometer(BarometerSample);
     /// GNSS.
-    gnss: Option<GnssSample>, Option<gnss::Gnss> => Gnss(GnssSample);
+    gnss: Option<GnssSample> => Gnss(GnssSample);
     /// Motion-capture pose.
-    mocap_pose: Option<MocapPoseSample>, Option<mocap_pose::MocapPose> => MocapPose(MocapPoseSample);
+    mocap_pose: Option<MocapPoseSample> => MocapPose(MocapPoseSample);
     /// Motion-capture camera ranges.
-    camera_ranges: Option<CameraRangesSample>, Option<camera_ranges::CameraRanges> => CameraRanges(CameraRangesSample);
+    camera_ranges: Option<CameraRangesSample> => CameraRanges(CameraRangesSample);
 }
 
 /// A sample with a place in the frame.

@@ -1,8 +1,10 @@
 //! What every kind of sensor is made of: a sample, its scalars, its quantities and its form on the wire.
 
+use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::{Kind, Message, time::FlightTime, v1};
 
+use super::suite::{Fill, Sheet};
 use super::wire::Received;
 
 /// A sample as scalars, in the order of its quantities; zero beyond them.
@@ -21,6 +23,22 @@ pub struct Quantity {
     pub named: bool,
 }
 
+/// What an estimator assumes of one scalar: the one-sigma of its noise, and the gate of its innovation, in sigmas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Accuracy {
+    /// One-sigma, in the scalar's unit.
+    pub sigma: f64,
+    /// An innovation of more sigmas is rejected; infinite for no gate.
+    pub gate: f64,
+}
+
+impl Accuracy {
+    /// Whatever its innovation, it is taken.
+    pub const fn ungated(sigma: f64) -> Self {
+        Self { sigma, gate: f64::INFINITY }
+    }
+}
+
 /// A sample of one kind of sensor: the seam between a kind and everything that handles samples of any kind.
 pub trait Sample: Copy + PartialEq + std::fmt::Debug {
     /// The kind.
@@ -31,6 +49,14 @@ pub trait Sample: Copy + PartialEq + std::fmt::Debug {
     const QUANTITIES: &'static [Quantity];
     /// Its message: sensed and received.
     type Wire: Message + Default;
+    /// Its data sheet.
+    type Sheet: Sheet;
+    /// What estimators assume of the sensors of this kind.
+    type Model: Clone + PartialEq + std::fmt::Debug;
+
+    /// What estimators assume of sensors with these data sheets; of sensors of which nothing is known, where there are
+    /// none.
+    fn model(sheets: &[Self::Sheet]) -> Self::Model;
 
     /// When it was measured.
     fn time(&self) -> FlightTime;
@@ -55,7 +81,9 @@ pub trait Sample: Copy + PartialEq + std::fmt::Debug {
 }
 
 /// Where a frame keeps the samples of one kind: one place, or one for each instance.
-pub trait Places<S> {
+pub trait Places<S: Sample> {
+    /// As many data sheets, at most.
+    type Sheets: Fill<S::Sheet>;
     /// How many.
     const LEN: usize;
     /// Is it a list?
@@ -66,7 +94,8 @@ pub trait Places<S> {
     fn places_mut(&mut self) -> &mut [Option<S>];
 }
 
-impl<S> Places<S> for Option<S> {
+impl<S: Sample> Places<S> for Option<S> {
+    type Sheets = Option<S::Sheet>;
     const LEN: usize = 1;
     const MANY: bool = false;
     fn places(&self) -> &[Option<S>] {
@@ -77,7 +106,8 @@ impl<S> Places<S> for Option<S> {
     }
 }
 
-impl<S, const N: usize> Places<S> for [Option<S>; N] {
+impl<S: Sample, const N: usize> Places<S> for [Option<S>; N] {
+    type Sheets = ArrayVec<S::Sheet, N>;
     const LEN: usize = N;
     const MANY: bool = true;
     fn places(&self) -> &[Option<S>] {

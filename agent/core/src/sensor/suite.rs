@@ -4,8 +4,8 @@
 //! telemetry (the description of the vehicle). It holds what a data sheet or a calibration would say; the
 //! biases a simulated sensor really has are drawn by the simulator and are known to nothing else.
 //!
-//! Default rates and resolutions: IMU and barometer [Paternain] Table I, ranges [Clinic] 5.4.1, laser
-//! height [Clinic] 5.4.2, cameras [Umasankar] Tables 1–2. Sigmas, biases and drifts are not in the sources
+//! Default rates and resolutions: IMU and barometer \[Paternain\] Table I, ranges \[Clinic\] 5.4.1, laser
+//! height \[Clinic\] 5.4.2, cameras \[Umasankar\] Tables 1–2. Sigmas, biases and drifts are not in the sources
 //! (beyond the accuracies they quote) and are chosen here.
 
 use arrayvec::ArrayVec;
@@ -149,7 +149,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Clinic] 5.4: four 9-DOF IMUs, two laser heights.
+    /// The suite of \[Clinic\] 5.4: four 9-DOF IMUs, two laser heights.
     pub fn clinic() -> Self {
         let mut suite = Self::string_rig();
         suite.barometers.clear();
@@ -160,7 +160,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Paternain] Table I: one IMU, barometer, GNSS.
+    /// The suite of \[Paternain\] Table I: one IMU, barometer, GNSS.
     pub fn paternain() -> Self {
         let mut suite = Self::empty();
         let mut imu = Imu::typical(1);
@@ -171,7 +171,7 @@ impl Suite {
         suite
     }
 
-    /// The suite of [Umasankar]: one IMU at the centroid, ranges from four cameras.
+    /// The suite of \[Umasankar\]: one IMU at the centroid, ranges from four cameras.
     pub fn umasankar() -> Self {
         let mut suite = Self::empty();
         let mut imu = Imu::typical(1);
@@ -241,7 +241,7 @@ pub(super) fn key(list: &str, many: bool, index: usize) -> String {
 }
 
 /// Takes one more sheet; one that has no room is given up.
-pub(super) trait Fill<S> {
+pub trait Fill<S> {
     /// Takes `sheet`.
     fn fill(&mut self, sheet: S);
 }
@@ -288,6 +288,24 @@ pub trait Sheet {
         Ok(())
     }
 }
+
+/// Name and timing of a data sheet that has fields of these names, in its `impl Sheet`.
+macro_rules! named_and_timed {
+    () => {
+        fn name(&self) -> &str {
+            &self.name
+        }
+
+        fn timing(&self) -> &Timing {
+            &self.timing
+        }
+
+        fn timing_mut(&mut self) -> &mut Timing {
+            &mut self.timing
+        }
+    };
+}
+pub(super) use named_and_timed;
 
 /// Checks the values of a suite, for one tick rate.
 #[derive(Debug, Clone, Copy)]
@@ -344,6 +362,8 @@ impl Checker {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::SensorModel;
+    use crate::sensor::imu::TriaxialModel;
     use plumbline_proto::v1::SensorKind;
 
     #[test]
@@ -352,6 +372,24 @@ mod tests {
             Suite::preset(name).unwrap().validate(200.0).unwrap();
         }
         assert!(Suite::preset("nothing").is_none());
+    }
+
+    #[test]
+    fn every_preset_makes_a_usable_model() {
+        for name in PRESETS {
+            let m = SensorModel::from(&Suite::preset(name).unwrap());
+            let triaxial = |q: &TriaxialModel| [q.noise_density, q.bias_prior, q.sigma, q.memory_s];
+            let others = [
+                m.heights.sigma,
+                m.barometers.altitude.sigma,
+                m.imus.mag.sigma_ut,
+                m.gnss.velocity.sigma,
+                m.mocap_pose.position.sigma,
+                m.camera_ranges.sigma_m[0],
+            ];
+            let all = [&triaxial(&m.imus.gyro)[..], &triaxial(&m.imus.accel), &others].concat();
+            assert!(all.iter().all(|x| x.is_finite() && *x > 0.0), "{name}: {m:?}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! estimator names what it uses (`frame.heights`). Whatever handles any kind goes through [`super::Registered`].
 
 macro_rules! sensors {
-    ($($(#[$doc:meta])* $field:ident: $places:ty, $sheets:ty => $name:ident($sample:ty);)*) => {
+    ($($(#[$doc:meta])* $field:ident: $places:ty => $name:ident($sample:ty);)*) => {
         /// Everything that arrived since the frame before. A place is `None` when that sensor had nothing new.
         #[derive(Debug, Clone, Copy, PartialEq, Default)]
         pub struct SensorFrame {
@@ -20,8 +20,12 @@ macro_rules! sensors {
 
         /// One sample, of whatever kind.
         #[derive(Debug, Clone, Copy, PartialEq)]
-        #[allow(missing_docs, reason = "each variant is named after its kind")]
-        pub enum AnySample { $($name($sample),)* }
+        pub enum AnySample {
+            $(
+                #[doc = concat!("A [`", stringify!($sample), "`].")]
+                $name($sample),
+            )*
+        }
 
         /// A message of each kind, kept from tick to tick so that filling one allocates nothing.
         #[derive(Debug)]
@@ -108,10 +112,31 @@ macro_rules! sensors {
         #[derive(Debug, Clone, PartialEq, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct Suite {
-            $($(#[$doc])* #[serde(default)] pub $field: $sheets,)*
+            $($(#[$doc])* #[serde(default)] pub $field: <$places as Places<$sample>>::Sheets,)*
             /// Battery voltage noise, V; `None` when it is not measured.
             #[serde(default)]
             pub battery_sigma_v: Option<f64>,
+        }
+
+        /// What estimators assume of the sensors, shared by all of them: noise, walks, gates and places as configured.
+        /// Neither what the sensors really do nor, in a simulation, what is simulated.
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct SensorModel {
+            $($(#[$doc])* pub $field: <$sample as Sample>::Model,)*
+        }
+
+        impl From<&Suite> for SensorModel {
+            /// As the data sheets of `suite` say; what they do not say keeps its default.
+            fn from(suite: &Suite) -> Self {
+                Self { $($field: <$sample>::model(suite.$field.as_slice()),)* }
+            }
+        }
+
+        impl Default for SensorModel {
+            /// Consumer MEMS in a lab: figures of \[Paternain\] Table I and \[Clinic\] 5.4, cameras of \[Umasankar\].
+            fn default() -> Self {
+                Self::from(&Suite::empty())
+            }
         }
 
         impl Suite {

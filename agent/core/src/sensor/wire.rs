@@ -36,6 +36,31 @@ pub fn sample<R, S>(
     Some((make(sensed?)?, received))
 }
 
+/// Time and message of a sample, in its `impl Sample`: the message holds a reading as sensed and, where it differs, one as
+/// received. `$reading` makes it of a sample, `$sample` the inverse (`None` where a part is missing).
+macro_rules! message {
+    ($message:ident of $reading_type:ident, $reading:expr, $sample:expr) => {
+        type Wire = v1::$message;
+
+        fn time(&self) -> FlightTime {
+            self.time
+        }
+
+        fn to_wire(&self, received: Option<&Self>, into: &mut v1::$message) {
+            let reading: fn(&Self) -> v1::$reading_type = $reading;
+            let (reception, received) = wire::reception(self, received, reading);
+            *into = v1::$message { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
+        }
+
+        fn from_wire(m: v1::$message) -> Option<(Self, Received<Self>)> {
+            let sample: fn(FlightTime, v1::$reading_type) -> Option<Self> = $sample;
+            let time = FlightTime(m.time_us);
+            wire::sample(m.reception(), m.sensed, m.received, |reading| sample(time, reading))
+        }
+    };
+}
+pub(super) use message;
+
 /// A vector for the wire; always there.
 pub fn vector(v: &Vector3<f64>) -> Option<v1::Vector3> {
     Some(v1::Vector3 { x: v.x, y: v.y, z: v.z })

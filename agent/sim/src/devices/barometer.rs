@@ -14,7 +14,6 @@ pub(super) struct Barometer {
 
 impl Device for Barometer {
     type Sample = BarometerSample;
-    type Sheet = barometer::Barometer;
 
     fn new(s: &barometer::Barometer, stream: &mut Stream) -> Self {
         let error = ScalarError::new(s.pressure, s.timing.period_s(), stream);

@@ -19,7 +19,6 @@ pub(super) struct CameraRanges {
 
 impl Device for CameraRanges {
     type Sample = CameraRangesSample;
-    type Sheet = camera_ranges::CameraRanges;
 
     fn new(s: &camera_ranges::CameraRanges, stream: &mut Stream) -> Self {
         let period_s = s.timing.period_s();

@@ -15,7 +15,6 @@ pub(super) struct Gnss {
 
 impl Device for Gnss {
     type Sample = GnssSample;
-    type Sheet = gnss::Gnss;
 
     fn new(s: &gnss::Gnss, stream: &mut Stream) -> Self {
         let [x, y, _] = triple(s.horizontal, &s.timing, stream);

@@ -17,7 +17,6 @@ pub(super) struct Height {
 
 impl Device for Height {
     type Sample = HeightSample;
-    type Sheet = height::Height;
 
     fn new(s: &height::Height, stream: &mut Stream) -> Self {
         // Its range is checked before the reading, not cut.

@@ -29,7 +29,6 @@ struct Distort {
 
 impl Device for Imu {
     type Sample = ImuSample;
-    type Sheet = imu::Imu;
 
     fn new(s: &imu::Imu, stream: &mut Stream) -> Self {
         let rpy = s.mounting_rpy_rad;

@@ -15,7 +15,6 @@ pub(super) struct MocapPose {
 
 impl Device for MocapPose {
     type Sample = MocapPoseSample;
-    type Sheet = mocap_pose::MocapPose;
 
     fn new(s: &mocap_pose::MocapPose, stream: &mut Stream) -> Self {
         let position = triple(s.position, &s.timing, stream);

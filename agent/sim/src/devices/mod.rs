@@ -95,11 +95,9 @@ impl Now<'_> {
 trait Device {
     /// Its samples.
     type Sample: Registered;
-    /// Its data sheet.
-    type Sheet: Sheet;
 
     /// A unit of this data sheet; `stream` draws its biases.
-    fn new(sheet: &Self::Sheet, stream: &mut Stream) -> Self;
+    fn new(sheet: &<Self::Sample as Sample>::Sheet, stream: &mut Stream) -> Self;
 
     /// One reading; `None` when it sees nothing. Draws the same numbers either way.
     fn measure(&mut self, now: &Now<'_>, stream: &mut Stream) -> Option<Self::Sample>;
@@ -113,7 +111,7 @@ struct Unit<D: Device> {
 }
 
 impl<D: Device> Unit<D> {
-    fn new(instance: u8, sheet: &D::Sheet, seed: u64) -> Self {
+    fn new(instance: u8, sheet: &<D::Sample as Sample>::Sheet, seed: u64) -> Self {
         let mut clock = Clock::new(SensorId::new(D::Sample::KIND, instance), *sheet.timing(), seed);
         Self { device: D::new(sheet, &mut clock.stream), clock }
     }

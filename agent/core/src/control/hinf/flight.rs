@@ -1,7 +1,7 @@
 //! The H∞ controller that flies: mixed sensitivity on the double integrators of roll, pitch, yaw, altitude and
 //! position, each with one fast pole residualised: six channels of order 3.
 //!
-//! Deviation from [Strategies], whose controller sees x, y, z and yaw only and holds no attitude: position acts
+//! Deviation from \[Strategies\], whose controller sees x, y, z and yaw only and holds no attitude: position acts
 //! through the tilt that the inner channels hold, so that the same controller flies with and without a
 //! horizontal position. One normalised problem, 1/s² with W_S at ω₀, serves every channel: K(s) = k² K₀(s/k)
 //! has the bandwidth k ω₀. Angular accelerations are multiplied by the inertia, linear ones by the mass.

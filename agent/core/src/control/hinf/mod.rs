@@ -1,4 +1,4 @@
-//! H∞ mixed sensitivity ([Strategies]): weights, synthesis, reduction, and the controller that flies.
+//! H∞ mixed sensitivity (\[Strategies\]): weights, synthesis, reduction, and the controller that flies.
 //!
 //! [`strategies`] is the design of the source by the recipe that works: 20 states, and 16 after one fast pole
 //! of each channel is residualised. [`flight`] is what the vehicle flies: the same synthesis on the double

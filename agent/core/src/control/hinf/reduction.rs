@@ -1,7 +1,7 @@
 //! Fewer states: Hankel singular values, balanced truncation and residualisation, and residualisation of one
 //! fast pole.
 //!
-//! Deviation from [Strategies]: its Hankel matrix does not fit (ERRATA 4). With Gramians P and Q the values are
+//! Deviation from \[Strategies\]: its Hankel matrix does not fit (ERRATA 4). With Gramians P and Q the values are
 //! √λ(PQ); here Q = R Rᵀ and RᵀPR = U Σ² Uᵀ, so that T = Σ^−½ Uᵀ Rᵀ balances. Truncating the last four of the
 //! twenty states, as the source does, destabilises the loop (ERRATA 5): each channel's own fast pole is
 //! residualised instead, which keeps the response at low frequencies.

@@ -1,10 +1,10 @@
-//! The H∞ design of [Strategies]: four outputs (x, y, z, yaw), four inputs, 20 states, and 16.
+//! The H∞ design of \[Strategies\]: four outputs (x, y, z, yaw), four inputs, 20 states, and 16.
 //!
 //! The plant without drag falls into four channels: x from torque y and y from torque x through four
 //! integrators, z from thrust and yaw from torque z through two. Each channel is its own problem (orders 6, 6,
 //! 4, 4); side by side they are the controller of the source.
 //!
-//! Deviations from [Strategies]: a disturbance ε at the plant's input (ERRATA 7); one fast pole of each channel
+//! Deviations from \[Strategies\]: a disturbance ε at the plant's input (ERRATA 7); one fast pole of each channel
 //! is residualised instead of truncating four balanced states (ERRATA 5).
 
 use nalgebra::DMatrix;

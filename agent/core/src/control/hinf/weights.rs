@@ -1,6 +1,6 @@
 //! First-order weights and the generalised plant of a mixed-sensitivity problem.
 //!
-//! min ‖[W_S S; W_K K S]‖∞ ([Strategies]), S = (I + G K)⁻¹. Deviations from [Strategies], whose problem as
+//! min ‖[W_S S; W_K K S]‖∞ (\[Strategies\]), S = (I + G K)⁻¹. Deviations from \[Strategies\], whose problem as
 //! printed is ill-posed because the plant's poles at zero are on the axis (ERRATA 6, 7): a small disturbance
 //! ε d enters at the plant's input, and the weights that fly have a floor 1/M_S.
 //!
@@ -37,14 +37,14 @@ impl Weight {
         Self { a: -corner_radps, c: corner_radps / low - corner_radps / high, d: 1.0 / high }
     }
 
-    /// W_S of [Strategies] as printed: (ω_s/M_s)/(s + ω_s).
+    /// W_S of \[Strategies\] as printed: (ω_s/M_s)/(s + ω_s).
     pub fn strategies_performance() -> Self {
         const W: f64 = 1e-4;
         const M: f64 = 1e-4;
         Self { a: -W, c: W / M, d: 0.0 }
     }
 
-    /// W_K of [Strategies] as printed: (c/M_k)(s + ω_k)/(s + c ω_k).
+    /// W_K of \[Strategies\] as printed: (c/M_k)(s + ω_k)/(s + c ω_k).
     pub fn strategies_effort() -> Self {
         const W: f64 = 20.0;
         const M: f64 = 20.0;

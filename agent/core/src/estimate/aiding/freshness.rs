@@ -4,6 +4,9 @@
 
 use plumbline_proto::time::FlightTime;
 
+/// What is rejected for this long is the new truth, s.
+pub const RECOVERY_S: f64 = 2.0;
+
 /// See the module.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Freshness {

@@ -10,10 +10,15 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
-use super::covariance::{ErrorState, forget, ix};
-use crate::estimate::{Channel, Residual, kalman};
-use crate::model::measure::{self, Row, camera_range};
-use crate::sensor::SensorFrame;
+use super::covariance::{ErrorState, N, ix};
+use crate::estimate::Channel;
+use crate::estimate::aiding::freshness::RECOVERY_S;
+use crate::estimate::filter::kalman::forget;
+use crate::estimate::filter::row::ScalarRow;
+use crate::sensor::camera_ranges::CameraRangesModel;
+use crate::sensor::measure::{self, Row};
+use crate::sensor::{Accuracy, SensorFrame};
+use crate::sensor::{camera_ranges, mocap_pose};
 use crate::types::CAMERAS;
 
 const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
@@ -25,47 +30,15 @@ pub const HORIZONTAL_MEMORY_S: f64 = 3.0;
 /// Vertical position stays known this long after the last accepted sample, s.
 pub const VERTICAL_MEMORY_S: f64 = 2.0;
 
-/// One scalar on its way into the filter.
-pub(super) struct Scalar {
-    sensor: SensorId,
-    channel: Channel,
-    row: Row,
-    /// Error state seen with coefficient 1 beside the row (a barometer's offset).
-    pub offset: Option<usize>,
-    /// Variance of the noise.
-    r: f64,
-    /// Gate, sigmas.
-    gate: f64,
-    /// Age of the sample, s.
-    delay_s: f64,
-    /// Leave roll and pitch alone (their error enters the variance instead).
-    pub yaw_only: bool,
-    /// Refused for a reason of its own, whatever the gate says.
-    pub refused: bool,
-}
-
-impl Scalar {
-    pub fn new(
-        kind: SensorKind,
-        instance: usize,
-        channel: Channel,
-        row: Row,
-        sigma: f64,
-        gate: f64,
-        delay_s: f64,
-    ) -> Self {
-        Self {
-            sensor: SensorId::new(kind, instance as u8),
-            channel,
-            row,
-            offset: None,
-            r: sigma * sigma,
-            gate,
-            delay_s,
-            yaw_only: false,
-            refused: false,
-        }
-    }
+/// The row over the error states of a scalar `of` a sensor, `delay_s` old.
+pub(super) fn row(of: (SensorId, Channel), measured: &Row, noise: Accuracy, delay_s: f64) -> ScalarRow<N> {
+    let mut h = ErrorState::zeros();
+    h.fixed_rows_mut::<3>(ix::POSITION).copy_from(&measured.d_position);
+    // A sample of age τ saw p(t − τ) ≈ p − τ v.
+    h.fixed_rows_mut::<3>(ix::VELOCITY).copy_from(&(measured.d_velocity - delay_s * measured.d_position));
+    h.fixed_rows_mut::<3>(ix::ATTITUDE).copy_from(&measured.d_attitude);
+    let variance = noise.sigma * noise.sigma;
+    ScalarRow { of: Some(of), innovation: measured.innovation, h, variance, gate: noise.gate, refused: false }
 }
 
 impl EkfBias {
@@ -79,43 +52,13 @@ impl EkfBias {
         self.aid_headings(frame);
     }
 
-    /// One scalar: innovation, gate, residual, correction. True when it was used.
-    pub(super) fn correct(&mut self, scalar: &Scalar) -> bool {
-        let row = &scalar.row;
-        let mut h = ErrorState::zeros();
-        h.fixed_rows_mut::<3>(ix::POSITION).copy_from(&row.d_position);
-        // A sample of age τ saw p(t − τ) ≈ p − τ v.
-        h.fixed_rows_mut::<3>(ix::VELOCITY).copy_from(&(row.d_velocity - scalar.delay_s * row.d_position));
-        h.fixed_rows_mut::<3>(ix::ATTITUDE).copy_from(&row.d_attitude);
-        if let Some(i) = scalar.offset {
-            h[i] = 1.0;
+    /// One scalar: x ← x ⊕ k (y − ŷ) and P where its row is accepted. True when it was.
+    pub(super) fn correct(&mut self, row: &ScalarRow<N>) -> bool {
+        let correction = row.correct(&mut self.p, &mut self.estimate.residuals);
+        if let Some(dx) = &correction {
+            self.inject(dx);
         }
-        let mut r = scalar.r;
-        if scalar.yaw_only {
-            let tilt = Vector3::new(row.d_attitude.x, row.d_attitude.y, 0.0);
-            let p_tilt = self.p.fixed_view::<3, 3>(ix::ATTITUDE, ix::ATTITUDE);
-            r += (tilt.transpose() * p_tilt * tilt).x;
-            h[ix::ATTITUDE] = 0.0;
-            h[ix::ATTITUDE + 1] = 0.0;
-        }
-        let (ph, s) = kalman::innovation_variance(&self.p, &h, r);
-        if !(row.innovation.is_finite() && s.is_finite() && s > 0.0) {
-            return false;
-        }
-        let mut residual = Residual::gated(scalar.sensor, scalar.channel, row.innovation, s.sqrt(), scalar.gate);
-        residual.accepted &= !scalar.refused;
-        let accepted = residual.accepted;
-        let _ = self.estimate.residuals.try_push(residual);
-        if accepted {
-            self.apply(&h, r, &(ph / s), row.innovation);
-        }
-        accepted
-    }
-
-    /// x ← x ⊕ k (y − ŷ), P in Joseph's form.
-    pub(super) fn apply(&mut self, h: &ErrorState, r: f64, k: &ErrorState, innovation: f64) {
-        kalman::correct_scalar(&mut self.p, h, r, k);
-        self.inject(&(k * innovation));
+        correction.is_some()
     }
 
     fn aid_mocap_pose(&mut self, frame: &SensorFrame) {
@@ -124,39 +67,35 @@ impl EkfBias {
         if !finite(&position) || !sample.world_from_body.coords.iter().all(|x| x.is_finite()) {
             return;
         }
-        let (sigma, gate) = (self.options.mocap_position_sigma_m, self.options.gates.mocap_pose);
-        self.allow_horizontal_reset(frame.time, &position, sigma);
+        let sensor = SensorId::new(SensorKind::MocapPose, 1);
+        let noise = self.model.mocap_pose.position;
+        self.allow_horizontal_reset(frame.time, &position, noise.sigma);
         let mut used = [false; 3];
         for axis in 0..3 {
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let row = measure::gnss::position(&past, axis, position[axis]);
-            used[axis] = self.correct(&Scalar::new(SensorKind::MocapPose, 1, XYZ[axis], row, sigma, gate, delay_s));
+            let measured = measure::position(&past, axis, position[axis]);
+            used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
-        self.horizontal.note(frame.time, used[0] && used[1]);
+        self.aided.horizontal.note(frame.time, used[0] && used[1]);
         if used[2] {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
 
-        let sigma = self.options.mocap_attitude_sigma_rad;
-        if !self.yaw_known || self.pose_yaw.rejected_s(frame.time) > self.options.recovery_s {
+        let noise = self.model.mocap_pose.attitude;
+        if !self.yaw_known || self.aided.pose_yaw.rejected_s(frame.time) > RECOVERY_S {
             let past = self.past(sample.time, frame.time).0;
-            self.turn(measure::pose::attitude(&past, &sample.world_from_body)[2].innovation);
-            forget(&mut self.p, ix::ATTITUDE + 2, sigma * sigma);
+            self.turn(mocap_pose::attitude(&past, &sample.world_from_body)[2].innovation);
+            forget(&mut self.p, ix::ATTITUDE + 2, noise.sigma * noise.sigma);
             self.yaw_known = true;
         }
         for (i, channel) in ANGLES.into_iter().enumerate() {
             let (past, _) = self.past(sample.time, frame.time);
-            let row = measure::pose::attitude(&past, &sample.world_from_body)[i];
-            let used = self.correct(&Scalar::new(SensorKind::MocapPose, 1, channel, row, sigma, gate, 0.0));
+            let measured = mocap_pose::attitude(&past, &sample.world_from_body)[i];
+            let used = self.correct(&row((sensor, channel), &measured, noise, 0.0));
             if i == 2 {
-                self.pose_yaw.note(frame.time, used);
+                self.aided.pose_yaw.note(frame.time, used);
             }
         }
-    }
-
-    /// The one-sigma assumed of a position that claims `claimed_m`.
-    pub(super) fn gnss_sigma_m(&self, claimed_m: f64) -> f64 {
-        if claimed_m.is_finite() { claimed_m.max(self.options.gnss_floor_m) } else { 10.0 }
     }
 
     fn aid_gnss(&mut self, frame: &SensorFrame) {
@@ -164,72 +103,69 @@ impl EkfBias {
         if !finite(&sample.position_enu_m) {
             return;
         }
-        let gate = self.options.gates.gnss;
-        let horizontal = self.gnss_sigma_m(sample.horizontal_sigma_m);
-        let vertical = self.gnss_sigma_m(sample.vertical_sigma_m);
-        let velocity_sigma = self.options.gnss_velocity_sigma_mps;
+        let (sensor, model) = (SensorId::new(SensorKind::Gnss, 1), self.model.gnss);
+        let horizontal = model.position(sample.horizontal_sigma_m);
+        let vertical = model.position(sample.vertical_sigma_m);
         // Horizontally the mixture has had it already where nothing else tells the yaw.
         let yaw_known = self.yaw_known;
         if yaw_known {
-            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal);
-        } else if !self.vertical.ever() {
+            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal.sigma);
+        } else if !self.aided.vertical.ever() {
             self.shift(Vector3::new(0.0, 0.0, sample.position_enu_m.z - self.state.kinematics.position_enu_m.z));
-            forget(&mut self.p, ix::POSITION + 2, vertical * vertical);
+            forget(&mut self.p, ix::POSITION + 2, vertical.sigma * vertical.sigma);
         }
         let mut used = [false; 3];
         for axis in if yaw_known { 0..3 } else { 2..3 } {
             // GNSS altitude is not height above this floor: only where no laser or barometer says more.
-            if axis == 2 && self.heights.freshness.within(frame.time, VERTICAL_MEMORY_S) {
+            if axis == 2 && self.aided.heights.freshness.within(frame.time, VERTICAL_MEMORY_S) {
                 continue;
             }
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let s = if axis == 2 { vertical } else { horizontal };
-            let row = measure::gnss::position(&past, axis, sample.position_enu_m[axis]);
-            used[axis] = self.correct(&Scalar::new(SensorKind::Gnss, 1, XYZ[axis], row, s, gate, delay_s));
+            let noise = if axis == 2 { vertical } else { horizontal };
+            let measured = measure::position(&past, axis, sample.position_enu_m[axis]);
+            used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
         for (axis, channel) in VELOCITY.into_iter().enumerate().skip(if yaw_known { 0 } else { 2 }) {
             let (past, delay_s) = self.past(sample.time, frame.time);
             let v = sample.velocity_enu_mps[axis];
             if v.is_finite() {
-                let row = measure::velocity::velocity(&past, axis, v);
-                let s = Scalar::new(SensorKind::Gnss, 1, channel, row, velocity_sigma, gate, delay_s);
-                self.correct(&s);
+                let measured = measure::velocity(&past, axis, v);
+                self.correct(&row((sensor, channel), &measured, model.velocity, delay_s));
             }
         }
         if yaw_known {
-            self.horizontal.note(frame.time, used[0] && used[1]);
+            self.aided.horizontal.note(frame.time, used[0] && used[1]);
         }
         if used[2] {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
     }
 
     fn aid_camera_ranges(&mut self, frame: &SensorFrame) {
         let Some(sample) = frame.camera_ranges else { return };
+        let CameraRangesModel { cameras_enu_m, sigma_m, gate } = self.model.camera_ranges;
         if self.horizontal_lost(frame.time)
-            && let Some(position) =
-                camera_range::trilaterate(&self.options.cameras_enu_m, &sample.range_m, &self.options.camera_sigma_m)
+            && let Some(position) = camera_ranges::trilaterate(&cameras_enu_m, &sample.range_m, &sigma_m)
         {
             self.reset_horizontal(frame.time, &position, 0.1);
         }
-        let gate = self.options.gates.camera_ranges;
+        let sensor = SensorId::new(SensorKind::CameraRanges, 1);
         let mut used = 0;
         for (i, range_m) in sample.range_m.into_iter().enumerate() {
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let row = measure::camera_range::range(&past, &self.options.cameras_enu_m[i], range_m);
-            let sigma = self.options.camera_sigma_m[i];
-            let scalar = Scalar::new(SensorKind::CameraRanges, 1, RANGES[i], row, sigma, gate, delay_s);
-            used += usize::from(self.correct(&scalar));
+            let measured = camera_ranges::range(&past, &cameras_enu_m[i], range_m);
+            let noise = Accuracy { sigma: sigma_m[i], gate };
+            used += usize::from(self.correct(&row((sensor, RANGES[i]), &measured, noise, delay_s)));
         }
-        self.horizontal.note(frame.time, used >= 3);
+        self.aided.horizontal.note(frame.time, used >= 3);
         if used >= 3 {
-            self.vertical.note(frame.time, true);
+            self.aided.vertical.note(frame.time, true);
         }
     }
 
     /// Nothing horizontal has been accepted for `recovery_s`, or ever.
     fn horizontal_lost(&self, now: FlightTime) -> bool {
-        self.horizontal.lost(now, self.options.recovery_s)
+        self.aided.horizontal.lost(now, RECOVERY_S)
     }
 
     fn allow_horizontal_reset(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
@@ -240,7 +176,7 @@ impl EkfBias {
 
     fn reset_horizontal(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
         let mut shift = position - self.state.kinematics.position_enu_m;
-        let vertical = self.vertical.within(now, VERTICAL_MEMORY_S);
+        let vertical = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
         if vertical {
             shift.z = 0.0;
         }
@@ -250,7 +186,7 @@ impl EkfBias {
             let v = ix::VELOCITY + axis;
             self.p[(v, v)] += if axis == 2 { 0.25 } else { 4.0 };
         }
-        self.horizontal.note(now, true);
+        self.aided.horizontal.note(now, true);
     }
 }
 

@@ -7,7 +7,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::model::measure::attitude;
+use crate::model::attitude;
 
 /// Averaging time at rest, s.
 const REST_S: f64 = 0.5;

@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::estimate::kalman;
+use crate::estimate::filter::kalman;
 use crate::frames::skew;
 
 /// Places of the error states.
@@ -123,17 +123,10 @@ fn add(sum: &mut [f64; N], factor: f64, column: &[f64; N]) {
     }
 }
 
-/// Forgets everything about state `i` except that its variance is `variance`.
-pub fn forget(p: &mut Covariance, i: usize, variance: f64) {
-    p.row_mut(i).fill(0.0);
-    p.column_mut(i).fill(0.0);
-    p[(i, i)] = variance;
-}
-
 /// Adds a barometer's offset to the estimate: offset = reading − z, so its error is −δz plus noise.
 pub fn augment_barometer(p: &mut Covariance, i: usize, variance: f64) {
     let z = ix::POSITION + 2;
-    forget(p, i, 0.0);
+    kalman::forget(p, i, 0.0);
     for j in 0..N {
         if j != i {
             let covariance = -p[(z, j)];

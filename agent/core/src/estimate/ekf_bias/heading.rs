@@ -1,17 +1,23 @@
 //! Magnetic headings: yaw alone.
 
 use arrayvec::ArrayVec;
+use nalgebra::Vector3;
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
-use super::aiding::{Scalar, finite};
-use super::covariance::{forget, ix};
-use crate::estimate::aiding::freshness::Freshness;
+use super::aiding::{finite, row};
+use super::covariance::ix;
+use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
 use crate::frames::wrap_pi;
-use crate::model::measure;
-use crate::sensor::{MAX_IMUS, SensorFrame};
+use crate::sensor::heading;
+use crate::sensor::{Accuracy, MAX_IMUS, SensorFrame};
+
+/// Headings of one instance are taken at most this often, s.
+const HEADING_PERIOD_S: f64 = 0.1;
 
 /// The magnetometers.
 #[derive(Debug, Clone, Copy, Default)]
@@ -24,17 +30,16 @@ pub(super) struct Headings {
 
 impl EkfBias {
     pub(super) fn aid_headings(&mut self, frame: &SensorFrame) {
+        let model = self.model.imus.mag;
         let mut arrived: ArrayVec<(usize, f64), MAX_IMUS> = ArrayVec::new();
         for (i, imu) in frame.imus.iter().enumerate() {
             let Some(field) = imu.and_then(|s| s.mag_ut).filter(finite) else { continue };
-            if self.headings.latest[i]
-                .is_some_and(|t| frame.time.seconds_since(t) < self.options.heading_period_s - 1e-4)
-            {
+            if self.aided.headings.latest[i].is_some_and(|t| frame.time.seconds_since(t) < HEADING_PERIOD_S - 1e-4) {
                 continue;
             }
             let at = &self.state.kinematics;
-            if let Some(heading) = measure::heading::heading(at, &field, self.options.declination_rad) {
-                self.headings.latest[i] = Some(frame.time);
+            if let Some(heading) = heading::heading(at, &field, model.declination_rad) {
+                self.aided.headings.latest[i] = Some(frame.time);
                 arrived.push((i, heading.row.innovation));
             }
         }
@@ -54,26 +59,32 @@ impl EkfBias {
         for (i, _) in arrived {
             let Some(field) = frame.imus[i].and_then(|s| s.mag_ut) else { continue };
             let at = &self.state.kinematics;
-            let Some(heading) = measure::heading::heading(at, &field, self.options.declination_rad) else { continue };
-            let strength = *self.headings.strength_ut[i].get_or_insert_with(|| field.norm());
-            let disturbed = (field.norm() / strength - 1.0).abs() > self.options.field_tolerance;
-            let sigma = (self.options.mag_sigma_ut / heading.horizontal_ut).hypot(self.options.heading_floor_rad);
-            let gate = self.options.gates.heading;
-            let mut scalar = Scalar::new(SensorKind::Imu, i + 1, Channel::Heading, heading.row, sigma, gate, 0.0);
-            scalar.yaw_only = true;
-            scalar.refused = disturbed;
+            let Some(heading) = heading::heading(at, &field, model.declination_rad) else { continue };
+            let strength = *self.aided.headings.strength_ut[i].get_or_insert_with(|| field.norm());
+            let disturbed = (field.norm() / strength - 1.0).abs() > model.field_tolerance;
+            let sigma = (model.sigma_ut / heading.horizontal_ut).hypot(model.floor_rad);
+            let noise = Accuracy { sigma, gate: model.gate };
+            let of = (SensorId::new(SensorKind::Imu, i as u8 + 1), Channel::Heading);
+            let mut row = row(of, &heading.row, noise, 0.0);
+            // Roll and pitch are left alone: their error enters the variance instead.
+            let tilt = Vector3::new(heading.row.d_attitude.x, heading.row.d_attitude.y, 0.0);
+            let p_tilt = self.p.fixed_view::<3, 3>(ix::ATTITUDE, ix::ATTITUDE);
+            row.variance += (tilt.transpose() * p_tilt * tilt).x;
+            row.h[ix::ATTITUDE] = 0.0;
+            row.h[ix::ATTITUDE + 1] = 0.0;
+            row.refused = disturbed;
             undisturbed |= !disturbed;
-            used |= self.correct(&scalar);
+            used |= self.correct(&row);
         }
         if used || undisturbed {
-            self.headings.freshness.note(frame.time, used);
+            self.aided.headings.freshness.note(frame.time, used);
         }
-        if !used && undisturbed && self.headings.freshness.rejected_s(frame.time) > 5.0 * self.options.recovery_s {
+        if !used && undisturbed && self.aided.headings.freshness.rejected_s(frame.time) > 5.0 * RECOVERY_S {
             // A field of the right strength that has pointed elsewhere for long: let yaw's variance
             // grow by 1°/√s until the gate lets it in. Gyroscopes hold yaw much longer than an iron
             // shelf passes by.
             let z = ix::ATTITUDE + 2;
-            self.p[(z, z)] += 0.0175f64.powi(2) * self.options.heading_period_s;
+            self.p[(z, z)] += 0.0175f64.powi(2) * HEADING_PERIOD_S;
         }
     }
 }

@@ -6,7 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use crate::model::measure::Kinematics;
+use crate::sensor::measure::Kinematics;
 
 const LENGTH: usize = 256;
 const SPACING_US: u64 = 4_000;
@@ -72,6 +72,11 @@ impl History {
         self.corrected.position += position;
         self.corrected.velocity += velocity;
         self.corrected.attitude += attitude;
+    }
+
+    /// Sums of the corrections of height (m) and climb (m/s).
+    pub fn vertical_corrections(&self) -> (f64, f64) {
+        (self.corrected.position.z, self.corrected.velocity.z)
     }
 
     /// The state at `time`, brought up to date, and how long ago that was (s); `now` where nothing that

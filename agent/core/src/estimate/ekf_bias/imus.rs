@@ -1,13 +1,12 @@
 //! The IMUs as one: their consensus, where each sits, and whether they are at rest.
 
-use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
-use super::EkfOptions;
+use crate::estimate::Residuals;
 use crate::estimate::aiding::lever_arm::LeverArm;
 use crate::estimate::fdir::consensus::{self, Consensus};
-use crate::estimate::{Channel, MAX_RESIDUALS, Residual};
+use crate::sensor::imu::ImuModel;
 use crate::sensor::{MAX_IMUS, SensorFrame};
 use crate::types::MotorCommand;
 
@@ -40,11 +39,11 @@ pub(super) struct Imus {
 }
 
 impl Imus {
-    pub fn new(options: &EkfOptions) -> Self {
+    pub fn new(model: &ImuModel) -> Self {
         Self {
-            gyro: Consensus::new(options.gyro_consensus, [Channel::GyroX, Channel::GyroY, Channel::GyroZ]),
-            accel: Consensus::new(options.accel_consensus, [Channel::AccelX, Channel::AccelY, Channel::AccelZ]),
-            place_flu_m: options.imu_position_flu_m,
+            gyro: Consensus::of_gyros(model),
+            accel: Consensus::of_accels(model),
+            place_flu_m: model.position_flu_m,
             lever_arm: LeverArm::default(),
             used: 1,
             trusted: true,
@@ -66,7 +65,7 @@ impl Imus {
         &mut self,
         frame: &SensorFrame,
         gyro_bias_radps: &Vector3<f64>,
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) -> Option<Inertial> {
         let gyro = self.gyro.take(frame.time, &consensus::gyros(frame), residuals)?;
         self.lever_arm.push(frame.time, &gyro.value);
@@ -103,14 +102,14 @@ impl Rest {
         inertial: &Inertial,
         gyro_bias_radps: &Vector3<f64>,
         applied: &MotorCommand,
-        options: &EkfOptions,
+        model: &ImuModel,
     ) {
         let slow = self.slow_force.get_or_insert(inertial.accel_mps2);
         *slow += (inertial.accel_mps2 - *slow) * (dt_s / SLOW_S).min(1.0);
-        let rate_limit = REST_RATE_RADPS + 3.0 * options.gyro_consensus.sigma;
-        let still = (inertial.accel_mps2 - *slow).amax() < 3.0 * options.accel_consensus.sigma
+        let rate_limit = REST_RATE_RADPS + 3.0 * model.gyro.sigma;
+        let still = (inertial.accel_mps2 - *slow).amax() < 3.0 * model.accel.sigma
             && (inertial.gyro_radps - gyro_bias_radps).amax() < rate_limit
-            && (slow.norm() - options.gravity_mps2).abs() < REST_FORCE_MPS2;
+            && (slow.norm() - model.gravity_mps2).abs() < REST_FORCE_MPS2;
         let standing = applied.throttle.iter().all(|t| t.abs() < STANDING);
         self.lasts_s = if still && standing { self.lasts_s + dt_s } else { 0.0 };
     }

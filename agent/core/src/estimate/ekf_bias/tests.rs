@@ -9,7 +9,7 @@ use super::*;
 use crate::estimate::Channel;
 use crate::estimate::Residual;
 use crate::frames::from_roll_pitch_yaw;
-use crate::model::measure::barometer;
+use crate::sensor::barometer;
 use crate::sensor::{BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample};
 use crate::vehicle::Truth;
 
@@ -40,15 +40,15 @@ struct World {
 
 impl World {
     fn new(motion: Motion, seed: u64) -> Self {
-        let o = EkfOptions::default();
+        let o = SensorModel::default();
         let mut w = Self {
             motion,
             rng: Xoshiro256PlusPlus::seed_from_u64(seed),
             accel_bias: [Vector3::zeros(); 4],
             gyro_bias: [Vector3::zeros(); 4],
             imus: 1,
-            gyro_sigma: o.gyro_noise_density * RATE_HZ.sqrt(),
-            accel_sigma: o.accel_noise_density * RATE_HZ.sqrt(),
+            gyro_sigma: o.imus.gyro.noise_density * RATE_HZ.sqrt(),
+            accel_sigma: o.imus.accel.noise_density * RATE_HZ.sqrt(),
             tick: 0,
         };
         for i in 0..4 {
@@ -173,8 +173,8 @@ fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<f64, 15> {
     x.fixed_rows_mut::<3>(0).copy_from(&(truth.position_enu_m - e.position_enu_m));
     x.fixed_rows_mut::<3>(3).copy_from(&(truth.velocity_enu_mps - e.velocity_enu_mps));
     x.fixed_rows_mut::<3>(6).copy_from(&(truth.world_from_body * e.world_from_body.inverse()).scaled_axis());
-    x.fixed_rows_mut::<3>(9).copy_from(&(world.accel_bias[0] - e.accel_bias_mps2));
-    x.fixed_rows_mut::<3>(12).copy_from(&(world.gyro_bias[0] - e.gyro_bias_radps));
+    x.fixed_rows_mut::<3>(9).copy_from(&(world.accel_bias[0] - e.accel_bias_mps2.unwrap()));
+    x.fixed_rows_mut::<3>(12).copy_from(&(world.gyro_bias[0] - e.gyro_bias_radps.unwrap()));
     x
 }
 
@@ -183,8 +183,10 @@ fn height_residual(e: &Estimate, instance: u8) -> Option<Residual> {
 }
 
 /// Noise exactly as simulated, nothing assumed on top.
-fn exact() -> EkfOptions {
-    EkfOptions { common_gyro_noise_density: 0.0, common_accel_noise_density: 0.0, ..EkfOptions::default() }
+fn exact() -> SensorModel {
+    let mut model = SensorModel::default();
+    (model.imus.gyro.common_noise_density, model.imus.accel.common_noise_density) = (0.0, 0.0);
+    model
 }
 
 #[test]
@@ -223,14 +225,11 @@ fn transition_matches_finite_differences() {
     // GIVEN a state and one shifted along each error state, WHEN both are propagated 5 ms, THEN they
     // differ by that column of Φ, read from P = eᵢeᵢᵀ propagated without noise.
     const STEP: f64 = 1e-5;
-    let quiet = EkfOptions {
-        gyro_noise_density: 0.0,
-        accel_noise_density: 0.0,
-        gyro_bias_walk: 0.0,
-        accel_bias_walk: 0.0,
-        barometer_walk: 0.0,
-        ..exact()
-    };
+    let mut quiet = exact();
+    for quantity in [&mut quiet.imus.gyro, &mut quiet.imus.accel] {
+        (quantity.noise_density, quantity.bias_walk) = (0.0, 0.0);
+    }
+    quiet.barometers.walk = 0.0;
     let start = || {
         let mut f = EkfBias::new(quiet.clone());
         f.state.kinematics = Kinematics {
@@ -275,7 +274,7 @@ fn one_attacked_height_of_three_never_wins() {
     for ramp_mps in [0.0, 0.02, 0.2] {
         let mut world = World::new(Motion { position_m: 0.5, tilt_rad: 0.1, yaw_radps: 0.0 }, 7);
         world.imus = 4;
-        let mut filter = EkfBias::new(EkfOptions::default());
+        let mut filter = EkfBias::new(SensorModel::default());
         let mut worst: f64 = 0.0;
         let mut seen_after = None;
         for k in 0..(40.0 * RATE_HZ) as usize {
@@ -319,7 +318,7 @@ fn one_attacked_height_of_three_never_wins() {
 #[test]
 fn a_height_attacked_from_the_first_sample_is_rejected() {
     let mut world = World::new(HOVER, 11);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     for k in 0..2000 {
         let (mut frame, truth) = world.frame(true);
         world.heights(&mut frame, &truth, -0.8);
@@ -334,7 +333,7 @@ fn a_height_attacked_from_the_first_sample_is_rejected() {
 #[test]
 fn a_new_floor_is_accepted_after_two_seconds_when_most_heights_say_so() {
     let mut world = World::new(HOVER, 5);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     let mut reset_at = None;
     for k in 0..(20.0 * RATE_HZ) as usize {
         let t = k as f64 / RATE_HZ;
@@ -358,7 +357,7 @@ fn on_strings_tilt_velocity_and_position_stay_bounded_for_ten_minutes() {
     // Nothing horizontal is measured; the vehicle swings and the biases are unknown.
     let mut world = World::new(Motion { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.0 }, 3);
     world.imus = 4;
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     let (mut tilt, mut speed, mut place): (f64, f64, f64) = (0.0, 0.0, 0.0);
     for k in 0..(600.0 * RATE_HZ) as usize {
         let (mut frame, truth) = world.frame(true);
@@ -381,7 +380,7 @@ fn on_strings_tilt_velocity_and_position_stay_bounded_for_ten_minutes() {
 #[test]
 fn samples_that_are_not_finite_are_skipped() {
     let mut world = World::new(LIVELY, 9);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     let nan = f64::NAN;
     for k in 0..6000 {
         let (mut frame, truth) = world.frame(true);
@@ -427,7 +426,7 @@ fn starts_in_motion() {
     for seed in 0..8 {
         let mut world = World::new(LIVELY, 100 + seed);
         world.tick = seed * 137;
-        let mut filter = EkfBias::new(EkfOptions::default());
+        let mut filter = EkfBias::new(SensorModel::default());
         for k in 0..(20.0 * RATE_HZ) as usize {
             let (mut frame, truth) = world.frame(true);
             if world.every(5.0) {
@@ -452,7 +451,9 @@ fn late_gnss_is_compared_with_its_own_time() {
     let mut worst = [0.0f64; 2];
     for (case, stamp_is_known) in [true, false].into_iter().enumerate() {
         let mut world = World::new(LIVELY, 21);
-        let mut filter = EkfBias::new(EkfOptions { gnss_floor_m: 0.01, ..EkfOptions::default() });
+        let mut model = SensorModel::default();
+        model.gnss.floor_m = 0.01;
+        let mut filter = EkfBias::new(model);
         let mut waiting: std::collections::VecDeque<GnssSample> = std::collections::VecDeque::new();
         for k in 0..(30.0 * RATE_HZ) as usize {
             let (mut frame, truth) = world.frame(true);
@@ -479,14 +480,15 @@ fn late_gnss_is_compared_with_its_own_time() {
 #[test]
 fn camera_ranges_alone_find_the_position() {
     let mut world = World::new(LIVELY, 31);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     for k in 0..(20.0 * RATE_HZ) as usize {
         let (mut frame, truth) = world.frame(true);
         if world.every(20.0) {
-            let o = EkfOptions::default();
+            let o = SensorModel::default();
             let mut range_m = [0.0; 4];
             for (i, r) in range_m.iter_mut().enumerate() {
-                *r = (truth.position_enu_m - o.cameras_enu_m[i]).norm() + world.scalar(o.camera_sigma_m[i]);
+                *r = (truth.position_enu_m - o.camera_ranges.cameras_enu_m[i]).norm()
+                    + world.scalar(o.camera_ranges.sigma_m[i]);
             }
             frame.camera_ranges = Some(CameraRangesSample { time: truth.time, range_m });
         }
@@ -500,7 +502,7 @@ fn camera_ranges_alone_find_the_position() {
 #[test]
 fn a_barometer_that_jumps_moves_its_offset_not_the_altitude() {
     let mut world = World::new(HOVER, 41);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     for k in 0..(30.0 * RATE_HZ) as usize {
         let t = k as f64 / RATE_HZ;
         let (mut frame, truth) = world.frame(true);
@@ -523,7 +525,7 @@ fn a_barometer_that_jumps_moves_its_offset_not_the_altitude() {
 fn a_wrong_magnet_is_refused_and_yaw_holds() {
     let mut world = World::new(Motion { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.5 }, 51);
     world.imus = 4;
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     for k in 0..(40.0 * RATE_HZ) as usize {
         let (mut frame, truth) = world.frame(true);
         world.heights(&mut frame, &truth, 0.0);
@@ -545,7 +547,7 @@ fn a_wrong_magnet_is_refused_and_yaw_holds() {
 #[test]
 fn a_majority_of_no_imus_is_degraded_and_silence_too() {
     let mut world = World::new(HOVER, 61);
-    let mut filter = EkfBias::new(EkfOptions::default());
+    let mut filter = EkfBias::new(SensorModel::default());
     for _ in 0..1000 {
         let (mut frame, truth) = world.frame(true);
         world.heights(&mut frame, &truth, 0.0);
@@ -569,13 +571,13 @@ fn a_majority_of_no_imus_is_degraded_and_silence_too() {
 #[test]
 fn switching_in_flight_starts_from_the_other_estimate() {
     let mut world = World::new(LIVELY, 71);
-    let mut first = EkfBias::new(EkfOptions::default());
+    let mut first = EkfBias::new(SensorModel::default());
     for _ in 0..4000 {
         let (mut frame, truth) = world.frame(true);
         world.mocap(&mut frame, &truth);
         first.step(&frame, &MotorCommand::default());
     }
-    let mut second = EkfBias::new(EkfOptions::default());
+    let mut second = EkfBias::new(SensorModel::default());
     second.reset_to(first.estimate());
     for _ in 0..1000 {
         let (mut frame, truth) = world.frame(true);
@@ -596,7 +598,7 @@ fn without_magnetometer_fixes_once_a_second_show_the_place() {
     for (seed, start_s) in [(1, 0.0), (2, 3.1), (3, 7.7), (4, 11.0)] {
         let mut world = World::new(Motion { position_m: 1.5, tilt_rad: 0.2, yaw_radps: 0.3 }, seed);
         world.tick = (start_s * RATE_HZ) as u64;
-        let mut filter = EkfBias::new(EkfOptions::default());
+        let mut filter = EkfBias::new(SensorModel::default());
         let mut yaw_error = f64::NAN;
         for k in 0..(25.0 * RATE_HZ) as usize {
             let (mut frame, truth) = world.frame(false);

@@ -2,16 +2,18 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
-use super::aiding::{Scalar, VERTICAL_MEMORY_S};
-use super::covariance::{augment_barometer, forget, ix};
-use crate::estimate::aiding::freshness::Freshness;
+use super::aiding::{VERTICAL_MEMORY_S, row};
+use super::covariance::{augment_barometer, ix};
+use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
-use crate::model::measure::{self, barometer};
 use crate::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, SensorFrame};
+use crate::sensor::{barometer, height};
 
 /// Heights older than this do not take part in deciding where the floor is, s.
 const HEIGHT_FRESH_S: f64 = 0.3;
@@ -23,6 +25,8 @@ pub(super) struct Heights {
     pub present: bool,
     /// Time of the first.
     pub since: Option<FlightTime>,
+    /// Sigmas beyond which one is taken as if it were so far from the median; `None` for no limit.
+    pub reach: Option<f64>,
     /// Time and innovation of the last of each, against the sum of corrections.
     latest: [Option<(FlightTime, f64)>; MAX_HEIGHTS],
 }
@@ -51,11 +55,11 @@ impl EkfBias {
             let innovation = sample.height_m - self.past(sample.time, frame.time).0.position_enu_m.z;
             arrived.push((i, innovation));
             // Kept against the sum of corrections, so that it stays comparable after more of them.
-            self.heights.latest[i] = Some((frame.time, innovation + self.corrected.0));
+            self.aided.heights.latest[i] = Some((frame.time, innovation + self.history.vertical_corrections().0));
         }
         if !arrived.is_empty() {
-            self.heights.present = true;
-            self.heights.since.get_or_insert(frame.time);
+            self.aided.heights.present = true;
+            self.aided.heights.since.get_or_insert(frame.time);
         }
         arrived
     }
@@ -65,30 +69,31 @@ impl EkfBias {
         if arrived.is_empty() {
             return;
         }
-        if !self.heights.freshness.ever() {
+        if !self.aided.heights.freshness.ever() {
             // All of them before one is used: instances may report in turns.
-            if self.heights.since.is_none_or(|since| frame.time.seconds_since(since) < HEIGHT_FRESH_S) {
+            if self.aided.heights.since.is_none_or(|since| frame.time.seconds_since(since) < HEIGHT_FRESH_S) {
                 return;
             }
             self.recover_height(frame.time, true);
         }
         let centre = if arrived.len() == 2 { 0.0 } else { median(arrived.iter().map(|(_, y)| *y)) };
         arrived.sort_unstable_by(|a, b| (a.1 - centre).abs().total_cmp(&(b.1 - centre).abs()));
-        let (sigma, gate) = (self.options.height_sigma_m, self.options.gates.height);
+        let noise = self.model.heights;
         let mut used = false;
         for (i, _) in arrived {
             let Some(sample) = frame.heights[i] else { continue };
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let mut row = measure::height::height(&past, sample.height_m);
+            let measured = height::height(&past, sample.height_m);
+            let of = (SensorId::new(SensorKind::Height, i as u8 + 1), Channel::Height);
+            let mut row = row(of, &measured, noise, delay_s);
             row.innovation -= self.beyond_reach(i, frame.time);
-            let mut scalar = Scalar::new(SensorKind::Height, i + 1, Channel::Height, row, sigma, gate, delay_s);
-            scalar.refused = self.contradicted(i, frame.time);
-            used |= self.correct(&scalar);
+            row.refused = self.contradicted(i, frame.time);
+            used |= self.correct(&row);
         }
-        self.heights.freshness.note(frame.time, used);
+        self.aided.heights.freshness.note(frame.time, used);
         if used {
-            self.vertical.note(frame.time, true);
-        } else if self.heights.freshness.rejected_s(frame.time) > self.options.recovery_s {
+            self.aided.vertical.note(frame.time, true);
+        } else if self.aided.heights.freshness.rejected_s(frame.time) > RECOVERY_S {
             self.recover_height(frame.time, false);
         }
     }
@@ -96,23 +101,24 @@ impl EkfBias {
     /// Innovations of the recent heights, as they would be now.
     fn fresh_heights(&self, now: FlightTime) -> ArrayVec<(usize, f64), MAX_HEIGHTS> {
         let fresh = |(i, last): (usize, &Option<(FlightTime, f64)>)| {
-            last.filter(|(time, _)| now.seconds_since(*time) < HEIGHT_FRESH_S).map(|(_, y)| (i, y - self.corrected.0))
+            last.filter(|(time, _)| now.seconds_since(*time) < HEIGHT_FRESH_S)
+                .map(|(_, y)| (i, y - self.history.vertical_corrections().0))
         };
-        self.heights.latest.iter().enumerate().filter_map(fresh).collect()
+        self.aided.heights.latest.iter().enumerate().filter_map(fresh).collect()
     }
 
     /// How far two healthy recent heights may differ, m.
     fn heights_differ_m(&self) -> f64 {
         // Samples up to 0.3 s apart in a climb predicted to 0.2 m/s: another 6 cm.
-        std::f64::consts::SQRT_2 * self.options.gates.height * self.options.height_sigma_m + 0.06
+        std::f64::consts::SQRT_2 * self.model.heights.gate * self.model.heights.sigma + 0.06
     }
 
     /// How much further height `i` lies from the median of at least three than it can reach, m.
     fn beyond_reach(&self, i: usize, now: FlightTime) -> f64 {
-        let reach = self.options.height_reach * self.options.height_sigma_m;
+        let Some(reach) = self.aided.heights.reach.map(|reach| reach * self.model.heights.sigma) else { return 0.0 };
         let fresh = self.fresh_heights(now);
         let centre = median(fresh.iter().map(|(_, y)| *y));
-        let own = fresh.iter().find(|(k, _)| *k == i).filter(|_| fresh.len() >= 3 && reach.is_finite());
+        let own = fresh.iter().find(|(k, _)| *k == i).filter(|_| fresh.len() >= 3);
         own.map_or(0.0, |(_, y)| (y - centre) - (y - centre).clamp(-reach, reach))
     }
 
@@ -132,8 +138,8 @@ impl EkfBias {
         let near = self.heights_differ_m();
         let agree = fresh.iter().filter(|(_, y)| (y - centre).abs() <= near).count();
         let majority = agree >= 2 && 2 * agree > fresh.len();
-        let alone =
-            fresh.len() == 1 && (first || !(self.vertical.within(now, VERTICAL_MEMORY_S) || self.barometers.present));
+        let alone = fresh.len() == 1
+            && (first || !(self.aided.vertical.within(now, VERTICAL_MEMORY_S) || self.aided.barometers.present));
         // Two that differ from the first sample on: nothing can choose; the middle is taken, and their rejections
         // degrade the estimate.
         if majority || alone || first {
@@ -143,45 +149,44 @@ impl EkfBias {
                 let v = ix::VELOCITY + 2;
                 self.p[(v, v)] += 0.5;
             }
-            self.barometers.forget();
-            self.heights.freshness.note(now, true);
-            self.vertical.note(now, true);
+            self.aided.barometers.forget();
+            self.aided.heights.freshness.note(now, true);
+            self.aided.vertical.note(now, true);
         }
     }
 
     pub(super) fn aid_barometers(&mut self, frame: &SensorFrame) {
         for (i, sample) in frame.barometers.iter().enumerate() {
             let Some(sample) = sample else { continue };
-            let altitude = barometer::pressure_altitude_m(sample.pressure_pa, self.options.reference_pressure_pa);
+            let altitude = self.model.barometers.altitude_m(sample);
             if !altitude.is_finite() {
                 continue;
             }
-            self.barometers.present = true;
+            self.aided.barometers.present = true;
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let sigma = self.options.barometer_sigma_m;
+            let noise = self.model.barometers.altitude;
             let state = ix::BAROMETER + i;
-            if !self.barometers.known[i] {
-                self.barometers.known[i] = true;
+            if !self.aided.barometers.known[i] {
+                self.aided.barometers.known[i] = true;
                 self.state.barometer_offset_m[i] = altitude - past.position_enu_m.z;
-                augment_barometer(&mut self.p, state, sigma * sigma);
+                augment_barometer(&mut self.p, state, noise.sigma * noise.sigma);
                 continue;
             }
-            let row = barometer::altitude(&past, altitude, self.state.barometer_offset_m[i]);
-            let gate = self.options.gates.barometer;
-            let mut scalar =
-                Scalar::new(SensorKind::Barometer, i + 1, Channel::PressureAltitude, row, sigma, gate, delay_s);
-            scalar.offset = Some(state);
-            let used = self.correct(&scalar);
-            self.barometers.freshness[i].note(frame.time, used);
+            let measured = barometer::altitude(&past, altitude, self.state.barometer_offset_m[i]);
+            let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
+            let mut row = row(of, &measured, noise, delay_s);
+            row.h[state] = 1.0;
+            let used = self.correct(&row);
+            self.aided.barometers.freshness[i].note(frame.time, used);
             if used {
-                if !self.heights.present {
-                    self.vertical.note(frame.time, true);
+                if !self.aided.heights.present {
+                    self.aided.vertical.note(frame.time, true);
                 }
-            } else if self.barometers.freshness[i].rejected_s(frame.time) > self.options.recovery_s {
+            } else if self.aided.barometers.freshness[i].rejected_s(frame.time) > RECOVERY_S {
                 // A door opened: the offset is new, the altitude is not.
                 self.state.barometer_offset_m[i] = altitude - past.position_enu_m.z;
-                augment_barometer(&mut self.p, state, sigma * sigma);
-                self.barometers.freshness[i].note(frame.time, true);
+                augment_barometer(&mut self.p, state, noise.sigma * noise.sigma);
+                self.aided.barometers.freshness[i].note(frame.time, true);
             }
         }
     }

@@ -10,11 +10,13 @@ use nalgebra::Vector2;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::covariance::{forget, ix};
+use super::covariance::ix;
 use super::{EkfBias, Inertial};
+use crate::estimate::aiding::idle::UNKNOWN_YAW_SIGMA_RAD;
+use crate::estimate::filter::kalman::forget;
 use crate::estimate::yaw_mixture::Horizontal;
 use crate::estimate::{Channel, Residual};
-use crate::sensor::SensorFrame;
+use crate::sensor::{Accuracy, SensorFrame};
 
 /// One-sigma of roll and pitch as the attitude filter has them, rad.
 const TILT_SIGMA_RAD: f64 = 0.06;
@@ -30,13 +32,13 @@ impl EkfBias {
             self.mixture.push(dt_s.clamp(0.0, 0.2), &inertial.gyro_radps, &inertial.accel_mps2);
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
-        let sigma_m = self.gnss_sigma_m(sample.horizontal_sigma_m);
+        let (position, velocity) = (self.model.gnss.position(sample.horizontal_sigma_m), self.model.gnss.velocity);
         let before = self.mixture.horizontal();
-        self.mixture.take(frame.time, &sample, sigma_m, self.options.gnss_velocity_sigma_mps);
+        self.mixture.take(frame.time, &sample, position.sigma, velocity.sigma);
         if let Some(found) = before {
-            self.show(&found, &sample.position_enu_m.xy(), sigma_m);
+            self.show(&found, &sample.position_enu_m.xy(), position);
         }
-        self.horizontal.note(frame.time, true);
+        self.aided.horizontal.note(frame.time, true);
     }
 
     /// In a tick in which nothing but the mixture measures the yaw.
@@ -52,17 +54,17 @@ impl EkfBias {
             forget(&mut self.p, ix::VELOCITY + axis, found.velocity_variance[axis]);
             forget(&mut self.p, ix::ATTITUDE + axis, TILT_SIGMA_RAD * TILT_SIGMA_RAD);
         }
-        let yaw = found.yaw_sigma_rad.min(self.options.unknown_yaw_sigma_rad);
+        let yaw = found.yaw_sigma_rad.min(UNKNOWN_YAW_SIGMA_RAD);
         forget(&mut self.p, ix::ATTITUDE + 2, yaw * yaw);
     }
 
     /// Residuals of a fix that only the mixture has used.
-    fn show(&mut self, before: &Horizontal, place: &Vector2<f64>, sigma_m: f64) {
+    fn show(&mut self, before: &Horizontal, place: &Vector2<f64>, noise: Accuracy) {
         for (axis, channel) in [Channel::X, Channel::Y].into_iter().enumerate() {
-            let sigma = (before.position_variance[axis] + sigma_m * sigma_m).sqrt();
+            let sigma = (before.position_variance[axis] + noise.sigma * noise.sigma).sqrt();
             let innovation = place[axis] - before.position_m[axis];
             let sensor = SensorId::new(SensorKind::Gnss, 1);
-            let residual = Residual::gated(sensor, channel, innovation, sigma, self.options.gates.gnss);
+            let residual = Residual::gated(sensor, channel, innovation, sigma, noise.gate);
             let _ = self.estimate.residuals.try_push(residual);
         }
     }

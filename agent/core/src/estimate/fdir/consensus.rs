@@ -32,37 +32,23 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::baseline::Baseline;
-use crate::estimate::{Channel, MAX_RESIDUALS, Residual, median};
+use crate::estimate::{Channel, Residual, Residuals, median};
+use crate::sensor::imu::{ImuModel, TriaxialModel};
 use crate::sensor::{MAX_IMUS, SensorFrame};
 
 /// Samples after which the prior spread between instances no longer widens the gate by half of σ.
 const SAMPLES_TO_KNOW: f64 = 50.0;
 /// A baseline's first value weighs one of so many.
 const FIRST_WEIGHS: u32 = 20;
+/// Window over which baselines are learned, samples.
+const LEARNING_SAMPLES: f64 = 4000.0;
+/// An instance that left its gate stays excluded this long after it came back, s.
+const HOLD_OFF_S: f64 = 0.5;
 /// Time constant of the slope, s: it measures motion rather than noise.
 const SLOPE_S: f64 = 0.025;
 /// Fresh samples may contradict those of the tick before for this long, s: a shock and its ringing. Pairs
 /// that are attacked in the same way are trusted no longer than this either.
 const SHOCK_S: f64 = 0.1;
-
-/// What the consensus assumes of one quantity (gyroscope or accelerometer).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ConsensusOptions {
-    /// One-sigma of one sample: noise, and what mounting and scale let instances differ in motion.
-    pub sigma: f64,
-    /// One-sigma between instances before anything is learned (their biases).
-    pub spread: f64,
-    /// Largest baseline, per axis.
-    pub largest_deviation: f64,
-    /// Window over which it is learned, samples.
-    pub learning_samples: f64,
-    /// Gate, in sigmas.
-    pub gate: f64,
-    /// A sample takes part this long, s: a little more than the period of one IMU.
-    pub memory_s: f64,
-    /// An instance that left its gate stays excluded this long after it came back, s.
-    pub hold_off_s: f64,
-}
 
 /// What the instances agree on in one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,7 +64,7 @@ pub struct Agreed {
 /// Consensus over one quantity.
 #[derive(Debug, Clone)]
 pub struct Consensus {
-    options: ConsensusOptions,
+    model: TriaxialModel,
     channels: [Channel; 3],
     latest: [Option<(FlightTime, Vector3<f64>)>; MAX_IMUS],
     baseline: [Baseline<3>; MAX_IMUS],
@@ -103,10 +89,20 @@ struct Member {
 type Members = ArrayVec<Member, MAX_IMUS>;
 
 impl Consensus {
-    /// Of gyroscope (`channels` GYRO_*) or accelerometer (ACCEL_*) samples.
-    pub fn new(options: ConsensusOptions, channels: [Channel; 3]) -> Self {
+    /// Of the gyroscopes.
+    pub fn of_gyros(imus: &ImuModel) -> Self {
+        Self::new(imus.gyro, [Channel::GyroX, Channel::GyroY, Channel::GyroZ])
+    }
+
+    /// Of the accelerometers.
+    pub fn of_accels(imus: &ImuModel) -> Self {
+        Self::new(imus.accel, [Channel::AccelX, Channel::AccelY, Channel::AccelZ])
+    }
+
+    /// Of a quantity whose deviations go by these `channels`.
+    pub fn new(model: TriaxialModel, channels: [Channel; 3]) -> Self {
         Self {
-            options,
+            model,
             channels,
             latest: [None; MAX_IMUS],
             baseline: [Baseline::after(0); MAX_IMUS],
@@ -123,7 +119,7 @@ impl Consensus {
         &mut self,
         now: FlightTime,
         samples: &[Option<Vector3<f64>>; MAX_IMUS],
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) -> Option<Agreed> {
         let mut members = self.gather(now, samples);
         if !members.iter().any(|m| m.fresh) {
@@ -175,7 +171,7 @@ impl Consensus {
             }
             if let Some((time, value)) = self.latest[index] {
                 let age_s = now.seconds_since(time);
-                if (0.0..=self.options.memory_s).contains(&age_s) {
+                if (0.0..=self.model.memory_s).contains(&age_s) {
                     let value = value - Vector3::from(*self.baseline[index].offset());
                     members.push(Member { index, value, age_s, fresh: fresh.is_some(), accepted: true });
                 }
@@ -194,20 +190,20 @@ impl Consensus {
         members: &mut Members,
         centre: &Vector3<f64>,
         moved: f64,
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
+        residuals: &mut Residuals,
     ) {
         let n = members.len();
-        let gate_of = |m: &Member| self.options.gate * self.sigma_of(m.index, n, moved);
+        let gate_of = |m: &Member| self.model.gate * self.sigma_of(m.index, n, moved);
         // Two that are attacked in the same way can exclude others; where all contradict each other, none is excluded.
         let majority = members.iter().filter(|m| (m.value - centre).amax() <= gate_of(m)).count() >= 2;
         for member in members {
             let i = member.index;
             let sigma = self.sigma_of(i, n, moved);
-            let gate = self.options.gate * sigma;
+            let gate = self.model.gate * sigma;
             let innovation = member.value - centre;
             let inside = innovation.iter().all(|x| x.abs() <= gate);
             if !inside && member.fresh && majority {
-                let hold_off_us = (self.options.hold_off_s * 1e6) as u64;
+                let hold_off_us = (HOLD_OFF_S * 1e6) as u64;
                 self.excluded_until[i] = Some(FlightTime(now.0.saturating_add(hold_off_us)));
             }
             member.accepted = inside && !self.is_excluded(i, now);
@@ -233,22 +229,22 @@ impl Consensus {
 
     /// One-sigma of the deviation of instance `i` among `n`, with `moved` between their samples.
     fn sigma_of(&self, i: usize, n: usize, moved: f64) -> f64 {
-        let o = &self.options;
+        let m = &self.model;
         let known = SAMPLES_TO_KNOW / (SAMPLES_TO_KNOW + f64::from(self.baseline[i].values()));
-        (o.sigma * o.sigma * (1.0 + 1.0 / n as f64) + (o.spread * known).powi(2) + moved * moved).sqrt()
+        (m.sigma * m.sigma * (1.0 + 1.0 / n as f64) + (m.spread * known).powi(2) + moved * moved).sqrt()
     }
 
     /// Do the fresh samples contradict the stale ones, but not one another, and not for too long?
     fn is_shock(&mut self, now: FlightTime, members: &[Member], centre: &Vector3<f64>, moved: f64) -> bool {
         let outside = |m: &Member, centre: &Vector3<f64>, n: usize, moved: f64| {
-            (m.value - centre).amax() > self.options.gate * self.sigma_of(m.index, n, moved)
+            (m.value - centre).amax() > self.model.gate * self.sigma_of(m.index, n, moved)
         };
         let fresh = || members.iter().filter(|m| m.fresh && !self.is_excluded(m.index, now));
         let n = fresh().count();
         let contradicted = n < members.len() && fresh().any(|m| outside(m, centre, members.len(), moved));
         let own = centre_of(fresh());
         let agree = n >= 2 && fresh().all(|m| !outside(m, &own, n, 0.0));
-        let dt_s = self.settled.map_or(0.0, |time| now.seconds_since(time).clamp(0.0, self.options.memory_s));
+        let dt_s = self.settled.map_or(0.0, |time| now.seconds_since(time).clamp(0.0, self.model.memory_s));
         let shock = contradicted && agree;
         // Leaks, so that a contradiction that flickers counts as well.
         self.shock_s = (self.shock_s + if shock { dt_s } else { -0.5 * dt_s }).clamp(0.0, 2.0 * SHOCK_S);
@@ -265,7 +261,7 @@ impl Consensus {
     fn learn_slope(&mut self, now: FlightTime, change: f64, period_s: f64) {
         let dt_s = self.settled.map_or(0.0, |time| now.seconds_since(time));
         if period_s > 0.0 && dt_s > 0.0 {
-            let slope = (change - 2.0 * self.options.sigma).max(0.0) / (0.5 * period_s);
+            let slope = (change - 2.0 * self.model.sigma).max(0.0) / (0.5 * period_s);
             self.slope += (slope - self.slope) * (dt_s / SLOPE_S).min(1.0);
         }
     }
@@ -276,7 +272,7 @@ impl Consensus {
         if agreeing < 2 {
             return;
         }
-        let (window, limit) = (1.0 / self.options.learning_samples, self.options.largest_deviation);
+        let (window, limit) = (1.0 / LEARNING_SAMPLES, self.model.largest_deviation);
         for member in members.iter().filter(|m| m.accepted && m.fresh) {
             let baseline = &mut self.baseline[member.index];
             baseline.count();
@@ -304,18 +300,11 @@ pub fn accels(frame: &SensorFrame) -> [Option<Vector3<f64>>; MAX_IMUS] {
 mod tests {
     use super::*;
 
-    const OPTIONS: ConsensusOptions = ConsensusOptions {
-        sigma: 0.05,
-        spread: 0.2,
-        largest_deviation: 0.5,
-        learning_samples: 2000.0,
-        gate: 5.0,
-        memory_s: 0.012,
-        hold_off_s: 0.5,
-    };
-
     fn consensus() -> Consensus {
-        Consensus::new(OPTIONS, [Channel::AccelX, Channel::AccelY, Channel::AccelZ])
+        let typical = ImuModel::default().accel;
+        let model =
+            TriaxialModel { sigma: 0.05, spread: 0.2, largest_deviation: 0.5, gate: 5.0, memory_s: 0.012, ..typical };
+        Consensus::new(model, [Channel::AccelX, Channel::AccelY, Channel::AccelZ])
     }
 
     /// Deterministic noise of about σ 0.03.
@@ -323,7 +312,7 @@ mod tests {
         Vector3::from_fn(|a, _| 0.04 * ((k * 37 + i * 101 + a * 17) as f64 * 1.618).sin())
     }
 
-    fn run(v: &mut Consensus, k: usize, bias: [f64; 4], attack: f64) -> (Agreed, ArrayVec<Residual, MAX_RESIDUALS>) {
+    fn run(v: &mut Consensus, k: usize, bias: [f64; 4], attack: f64) -> (Agreed, Residuals) {
         let mut samples = [None; MAX_IMUS];
         for (i, s) in samples.iter_mut().enumerate().take(4) {
             let added = if i == 1 { attack } else { 0.0 };

@@ -7,7 +7,7 @@
 //! | stuck | equal samples in a row while others of the type move | by σ and resolution | freeze |
 //!
 //! One window in a thousand is suspect without any attack, and there are 25 a second: nothing is flagged
-//! for one. A flag falls after [`CALM`] windows within every limit. The rank guard keeps a group that measures the same
+//! for one. A flag falls after `CALM` windows within every limit. The rank guard keeps a group that measures the same
 //! quantity from being emptied, and where a group contradicts itself without a majority only a sensor far worse
 //! than the rest is flagged: the group is inconsistent ([`Isolation::contradicted`]).
 //!

@@ -8,9 +8,9 @@
 //! | symbol | meaning |
 //! |---|---|
 //! | d | slot mean of one IMU, its constant offset removed, less the median of those that sample with it |
-//! | σ_d | rms of d over [`SPREAD_S`], at least what d changed by since the slot before; scale errors in motion on top |
+//! | σ_d | rms of d over `SPREAD_S`, at least what d changed by since the slot before; scale errors in motion on top |
 //!
-//! A CUSUM of d/σ_d above [`DIVERGING`] of its limit begins a divergence: with independent values once in some minutes
+//! A CUSUM of d/σ_d above `DIVERGING` of its limit begins a divergence: with independent values once in some minutes
 //! for all axes of four IMUs (Wald). It ends where noise takes the sum.
 
 use super::baseline::Baseline;

@@ -9,7 +9,7 @@ use super::newton::{Deadline, Settings};
 use super::signals::{SIGNALS, Signals};
 use super::window::{Statistic, Window, room};
 use super::{Decoded, Decoder, SLOTS_MAX, SLOTS_MIN, SecureError, parts};
-use crate::estimate::ekf_bias::EkfOptions;
+use crate::sensor::SensorModel;
 
 /// Gap at which the flying decoder stops.
 pub(super) const GAP: f64 = 1e-6;
@@ -56,15 +56,15 @@ impl FlyingDecoder {
     /// An empty window of `slots` slots over `signals`.
     ///
     /// # Errors
-    /// Options without noise, which cannot be whitened; less than [`SLOTS_MIN`] or more than [`SLOTS_MAX`] slots.
-    pub fn new(signals: &Signals, options: &EkfOptions, slots: usize) -> Result<Self, SecureError> {
+    /// Sensors without noise, which cannot be whitened; less than [`SLOTS_MIN`] or more than [`SLOTS_MAX`] slots.
+    pub fn new(signals: &Signals, model: &SensorModel, slots: usize) -> Result<Self, SecureError> {
         if !(SLOTS_MIN..=SLOTS_MAX).contains(&slots) {
             return Err(SecureError::Slots { slots, least: SLOTS_MIN, most: SLOTS_MAX });
         }
         let settings = Settings { tolerance: GAP, ..Settings::default() };
         let kinds: Vec<usize> = signals.iter().map(|signal| signal.quantity.row()).collect();
-        let rows: [_; Quantity::ALL.len()] = rows(options);
-        let window = |split| Window::new(&transition(options, split), &rows, &kinds, slots, settings);
+        let rows: [_; Quantity::ALL.len()] = rows(model);
+        let window = |split| Window::new(&transition(model, split), &rows, &kinds, slots, settings);
         Ok(Self { decoder: Decoder::L2, window: window(false)?, spare: window(true)?, start: None })
     }
 

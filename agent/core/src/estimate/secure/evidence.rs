@@ -6,10 +6,10 @@ use plumbline_proto::v1::SensorKind;
 use super::decode::FlyingDecoder;
 use super::model::SLOT_S;
 use super::signals::Signals;
-use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::fdir::isolation::{CERTAIN, Evidence, Z_999, chi_square};
 use crate::estimate::fdir::stuck::{Stuck, stuck_limit};
 use crate::estimate::fdir::synchronous::Synchronous;
+use crate::sensor::SensorModel;
 use crate::sensor::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
 
 /// Windows during which deviations are only learned: 2 s.
@@ -65,13 +65,13 @@ pub(super) struct StuckTests {
 }
 
 impl StuckTests {
-    /// For sensors as `options` describe them.
-    pub fn new(options: &EkfOptions) -> Self {
+    /// For sensors like these.
+    pub fn new(model: &SensorModel) -> Self {
         Self {
             imus: [Stuck::default(); MAX_IMUS],
             heights: [Stuck::default(); MAX_HEIGHTS],
-            imu_limit: stuck_limit(options.gyro_consensus.sigma, 0.5 * options.gyro_consensus.sigma),
-            height_limit: stuck_limit(options.height_sigma_m, HEIGHT_RESOLUTION_M),
+            imu_limit: stuck_limit(model.imus.gyro.sigma, 0.5 * model.imus.gyro.sigma),
+            height_limit: stuck_limit(model.heights.sigma, HEIGHT_RESOLUTION_M),
         }
     }
 

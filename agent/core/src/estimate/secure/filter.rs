@@ -28,12 +28,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
 use super::rewind::Rewind;
-use crate::estimate::ekf_bias::{EkfBias, EkfOptions};
+use crate::estimate::ekf_bias::EkfBias;
 use crate::estimate::fdir::isolation::{Device, Isolation, SensorSet};
 use crate::estimate::{Estimate, Estimator};
 use crate::model::airframe::Airframe;
 use crate::model::motor::Rotors;
-use crate::sensor::{MAX_HEIGHTS, SensorFrame};
+use crate::sensor::{MAX_HEIGHTS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Noise of the disturbance, N/√s: strings go taut within a few ticks.
@@ -65,9 +65,9 @@ pub struct CleanFilter {
 
 impl CleanFilter {
     /// Nothing known yet.
-    pub fn new(options: EkfOptions, airframe: &Airframe) -> Self {
-        let height_sigma_m = options.height_sigma_m;
-        let mut filter = EkfBias::new(EkfOptions { height_reach: HEIGHT_REACH, ..options });
+    pub fn new(model: SensorModel, airframe: &Airframe) -> Self {
+        let height_sigma_m = model.heights.sigma;
+        let mut filter = EkfBias::new(model).with_height_reach(HEIGHT_REACH);
         filter.assume_height_sigma(HEIGHT_CAUTION * height_sigma_m);
         Self {
             height_sigma_m,

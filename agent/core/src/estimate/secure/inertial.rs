@@ -15,9 +15,9 @@ use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
 use crate::estimate::aiding::lever_arm::LeverArm;
-use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::fdir::synchronous::SlotMean;
 use crate::estimate::median;
+use crate::sensor::SensorModel;
 use crate::sensor::{MAX_IMUS, SensorFrame};
 
 /// Vibration is averaged over this long, s; a slot that is rougher than the average counts by itself.
@@ -68,13 +68,13 @@ pub struct Inertial {
 }
 
 impl Inertial {
-    /// IMUs as `options` describe them.
-    pub fn new(options: &EkfOptions) -> Self {
+    /// IMUs like these.
+    pub fn new(model: &SensorModel) -> Self {
         Self {
             units: [Unit::default(); MAX_IMUS],
-            place_flu_m: options.imu_position_flu_m,
-            sigma: [options.gyro_consensus.sigma, options.accel_consensus.sigma],
-            memory_s: options.gyro_consensus.memory_s.max(options.accel_consensus.memory_s),
+            place_flu_m: model.imus.position_flu_m,
+            sigma: [model.imus.gyro.sigma, model.imus.accel.sigma],
+            memory_s: model.imus.gyro.memory_s.max(model.imus.accel.memory_s),
             began: FlightTime::default(),
             lever_arm: LeverArm::default(),
             rough: [1.0; 6],
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn an_attacked_one_deviates_in_a_motion_that_all_share() {
-        let mut inertial = Inertial::new(&EkfOptions::default());
+        let mut inertial = Inertial::new(&SensorModel::default());
         inertial.begin(FlightTime(0));
         // All feel a ramp, each at its own times.
         for k in 0..8 {
@@ -232,7 +232,7 @@ mod tests {
     #[test]
     fn half_of_them_make_a_shock_and_one_does_not() {
         let run = |shock: fn(u64, usize) -> bool| {
-            let mut inertial = Inertial::new(&EkfOptions::default());
+            let mut inertial = Inertial::new(&SensorModel::default());
             for k in 0..8 {
                 inertial.take(&frame(k, |i| if shock(k, i) { 30.0 } else { 0.0 }));
             }

@@ -1,9 +1,9 @@
-//! Secure state estimation: the state recovered although some sensors are attacked ([Clinic] 3).
+//! Secure state estimation: the state recovered although some sensors are attacked (\[Clinic\] 3).
 //!
 //! The decoder of Fawzi, Tabuada and Diggavi: over a window of T samples, with Y the outputs of each
 //! sensor after the forced response is removed,
 //!
-//! x̂ = argmin over x of Σᵢ ‖Yᵢ − Φᵢ x‖₂   (ℓ1/ℓ2, [Clinic] Eq. 19) or Σᵢ ‖Yᵢ − Φᵢ x‖₁ (ℓ1/ℓ1).
+//! x̂ = argmin over x of Σᵢ ‖Yᵢ − Φᵢ x‖₂   (ℓ1/ℓ2, \[Clinic\] Eq. 19) or Σᵢ ‖Yᵢ − Φᵢ x‖₁ (ℓ1/ℓ1).
 //!
 //! | symbol | meaning | shape |
 //! |---|---|---|

@@ -17,8 +17,8 @@ use nalgebra::{SMatrix, SVector};
 
 use super::window::{Model, Row};
 use crate::estimate::Estimate;
-use crate::estimate::ekf_bias::EkfOptions;
-use crate::estimate::fdir::consensus::ConsensusOptions;
+use crate::sensor::SensorModel;
+use crate::sensor::imu::TriaxialModel;
 
 /// States of the window.
 pub const STATES: usize = 13;
@@ -112,46 +112,46 @@ pub(super) struct Assumed {
 }
 
 impl Assumed {
-    /// Of `quantity` by sensors as `options` describe them.
-    pub fn of(quantity: Quantity, options: &EkfOptions) -> Self {
+    /// Of `quantity` by sensors like these.
+    pub fn of(quantity: Quantity, model: &SensorModel) -> Self {
         // The consensus' memory is 1.25 periods of an IMU.
         let samples = |memory_s: f64| (SLOT_S / (memory_s / 1.25).clamp(1e-3, SLOT_S)).max(1.0);
         // IMUs that sample in turns see the ripple of the loop at their own phase: as much as healthy units spread.
-        let imu = |assumed: &ConsensusOptions, least: f64| Self {
+        let imu = |assumed: &TriaxialModel, least: f64| Self {
             sigma: assumed.sigma.max(least) / samples(assumed.memory_s).sqrt(),
             bias: assumed.spread,
             limit: 3.0 * assumed.spread,
         };
-        let height = options.height_sigma_m.max(1e-3);
-        let barometer = options.barometer_sigma_m.max(0.01);
-        let heading = options.heading_floor_rad.max(1e-3);
+        let height = model.heights.sigma.max(1e-3);
+        let barometer = model.barometers.altitude.sigma.max(0.01);
+        let heading = model.imus.mag.floor_rad.max(1e-3);
         match quantity {
             Quantity::Height => Self { sigma: height, bias: 0.25 * height, limit: 2.0 * height },
             Quantity::Barometer => Self { sigma: barometer, bias: 0.5 * barometer, limit: f64::INFINITY },
-            Quantity::Inertial(channel) if channel < 3 => imu(&options.gyro_consensus, 1e-4),
-            Quantity::Inertial(_) => imu(&options.accel_consensus, 1e-3),
+            Quantity::Inertial(channel) if channel < 3 => imu(&model.imus.gyro, 1e-4),
+            Quantity::Inertial(_) => imu(&model.imus.accel, 1e-3),
             Quantity::Heading => Self { sigma: heading, bias: heading, limit: 6.0 * heading },
         }
     }
 }
 
 /// One row for each quantity.
-pub(super) fn rows(options: &EkfOptions) -> [Row<STATES>; Quantity::ALL.len()] {
+pub(super) fn rows(model: &SensorModel) -> [Row<STATES>; Quantity::ALL.len()] {
     Quantity::ALL.map(|quantity| {
         let mut c = SVector::zeros();
         c[quantity.state()] = 1.0;
-        let Assumed { sigma, bias, .. } = Assumed::of(quantity, options);
+        let Assumed { sigma, bias, .. } = Assumed::of(quantity, model);
         Row { c, sigma, bias_sigma: bias }
     })
 }
 
 /// Deviations about the trim over one slot, exact: F⁴ = 0. Split, a tilt makes no speed.
-pub(super) fn transition(options: &EkfOptions, split: bool) -> Model<STATES> {
+pub(super) fn transition(model: &SensorModel, split: bool) -> Model<STATES> {
     let mut f = SMatrix::<f64, STATES, STATES>::zeros();
     f[(ix::Z, ix::VZ)] = 1.0;
     if !split {
-        f[(ix::VX, ix::PITCH)] = options.gravity_mps2;
-        f[(ix::VY, ix::ROLL)] = -options.gravity_mps2;
+        f[(ix::VX, ix::PITCH)] = model.imus.gravity_mps2;
+        f[(ix::VY, ix::ROLL)] = -model.imus.gravity_mps2;
     }
     for k in 0..3 {
         f[(ix::ROLL + k, ix::P + k)] = 1.0;
@@ -160,14 +160,14 @@ pub(super) fn transition(options: &EkfOptions, split: bool) -> Model<STATES> {
     let a = SMatrix::identity() + f + f * f * 0.5 + f * f * f * (1.0 / 6.0);
     let mut q = SVector::<f64, STATES>::zeros();
     // The IMUs' path over a slot: a quarter of a bias, vibration, and what turns between samples.
-    let climb = 0.25 * options.accel_bias_prior_mps2 * SLOT_S + options.accel_noise_density * SLOT_S.sqrt();
+    let climb = 0.25 * model.imus.accel.bias_prior * SLOT_S + model.imus.accel.noise_density * SLOT_S.sqrt();
     q[ix::Z] = (0.2e-3f64).powi(2);
     q[ix::VZ] = climb * climb;
     for (state, sigma) in [(ix::VX, 0.02), (ix::VY, 0.02), (ix::ROLL, 1e-3), (ix::PITCH, 1e-3), (ix::YAW, 1e-3)] {
         q[state] = sigma * sigma;
     }
-    let gyro = Assumed::of(Quantity::Inertial(0), options).sigma;
-    let accel = Assumed::of(Quantity::Inertial(3), options).sigma;
+    let gyro = Assumed::of(Quantity::Inertial(0), model).sigma;
+    let accel = Assumed::of(Quantity::Inertial(3), model).sigma;
     for k in 0..3 {
         q[ix::P + k] = (0.3 * gyro).powi(2);
         q[ix::AX + k] = (0.3 * accel).powi(2);
@@ -178,9 +178,10 @@ pub(super) fn transition(options: &EkfOptions, split: bool) -> Model<STATES> {
 /// States and one-sigmas that `estimate` knows around zero; height among them only without `vertical` sensors, so that
 /// a vehicle without heights and barometers still has its IMUs examined.
 pub(super) fn prior(estimate: &Estimate, vertical: bool) -> [(usize, f64); STATES] {
-    let (v, a) = (estimate.velocity_sigma_mps, estimate.attitude_sigma_rad);
+    let [p, v, a] = [estimate.position_sigma_m, estimate.velocity_sigma_mps, estimate.attitude_sigma_rad]
+        .map(Option::unwrap_or_default);
     [
-        (ix::Z, if vertical { f64::INFINITY } else { estimate.position_sigma_m.z.clamp(0.05, 10.0) }),
+        (ix::Z, if vertical { f64::INFINITY } else { p.z.clamp(0.05, 10.0) }),
         (ix::VX, v.x.clamp(0.05, 5.0)),
         (ix::VY, v.y.clamp(0.05, 5.0)),
         (ix::VZ, 2.0),

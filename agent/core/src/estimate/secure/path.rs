@@ -78,8 +78,8 @@ impl ResetRule {
         let mut to = estimate.clone();
         to.position_enu_m.z += x[ix::Z];
         to.velocity_enu_mps.z += x[ix::VZ];
-        to.position_sigma_m.z = bound_m.unwrap_or(0.1);
-        to.velocity_sigma_mps.z = 0.2;
+        to.position_sigma_m.get_or_insert_default().z = bound_m.unwrap_or(0.1);
+        to.velocity_sigma_mps.get_or_insert_default().z = 0.2;
         Some(to)
     }
 }

@@ -28,18 +28,17 @@ use super::newton::Deadline;
 use super::path::{Path, ResetRule};
 use super::signals::{Context, Signals};
 use super::{Decoded, Decoder, SecureError, Status};
-use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::fdir::isolation::{Isolation, Z_999};
 use crate::estimate::fdir::synchronous::Synchronous;
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
 use crate::frames::tilt_rad;
 use crate::model::airframe::Airframe;
-use crate::model::measure::barometer::pressure_altitude_m;
-use crate::model::measure::heading;
 use crate::sensor::SensorFrame;
+use crate::sensor::SensorModel;
+use crate::sensor::heading;
 use crate::types::MotorCommand;
 
-/// Slots of the window unless configured otherwise ([Clinic]: T = 10).
+/// Slots of the window unless configured otherwise (\[Clinic\]: T = 10).
 pub const SLOTS: usize = 10;
 /// Least: through 2 slots a sensor whose attack has ended was still excluded 15 s later, through 5 after 2 s.
 pub const SLOTS_MIN: usize = 5;
@@ -97,7 +96,7 @@ impl Default for WindowReport {
 
 /// The estimator. See the module.
 pub struct Secure {
-    options: EkfOptions,
+    model: SensorModel,
     signals: Signals,
     inertial: Inertial,
     synchronous: Synchronous,
@@ -120,18 +119,18 @@ impl Secure {
     /// Nothing known yet; `slots` in its window.
     ///
     /// # Errors
-    /// Options without noise, which cannot be whitened; a window of less than [`SLOTS_MIN`] or more than [`SLOTS_MAX`].
-    pub fn new(options: EkfOptions, airframe: &Airframe, slots: usize) -> Result<Self, SecureError> {
-        let signals = Signals::new(&options);
+    /// Sensors without noise, which cannot be whitened; a window of less than [`SLOTS_MIN`] or more than [`SLOTS_MAX`].
+    pub fn new(model: SensorModel, airframe: &Airframe, slots: usize) -> Result<Self, SecureError> {
+        let signals = Signals::new(&model);
         Ok(Self {
-            decoder: FlyingDecoder::new(&signals, &options, slots)?,
+            decoder: FlyingDecoder::new(&signals, &model, slots)?,
             signals,
-            inertial: Inertial::new(&options),
+            inertial: Inertial::new(&model),
             synchronous: Synchronous::default(),
-            stuck: StuckTests::new(&options),
+            stuck: StuckTests::new(&model),
             training: Training::default(),
             isolation: Isolation::new(slots),
-            filter: CleanFilter::new(options.clone(), airframe),
+            filter: CleanFilter::new(model.clone(), airframe),
             path: Path::default(),
             reset_rule: ResetRule::default(),
             report: WindowReport::default(),
@@ -139,7 +138,7 @@ impl Secure {
             now: None,
             slot: 0,
             stopwatch: None,
-            options,
+            model,
         })
     }
 
@@ -205,7 +204,7 @@ impl Secure {
         if !decoded || self.isolation.contradicted() || m <= 2 * unseen || margin.margin() <= 0 {
             return None;
         }
-        let Assumed { sigma, bias, .. } = Assumed::of(Quantity::Height, &self.options);
+        let Assumed { sigma, bias, .. } = Assumed::of(Quantity::Height, &self.model);
         let heights = self.signals.iter().enumerate().filter(|(_, signal)| signal.quantity == Quantity::Height);
         let values = heights.map(|(index, _)| self.decoder.count(index)).filter(|n| *n > 0).min()?;
         let radius = Z_999 * (sigma * sigma / values as f64 + bias * bias).sqrt();
@@ -249,7 +248,9 @@ impl Secure {
             let Some(imu) = imu else { continue };
             self.isolation.saw(id(SensorKind::Imu, i), frame.time);
             let mag = imu.mag_ut.filter(|m| m.iter().all(|v| v.is_finite()));
-            if let Some(heading) = mag.and_then(|mag| heading::heading(&state, &mag, self.options.declination_rad)) {
+            if let Some(heading) =
+                mag.and_then(|mag| heading::heading(&state, &mag, self.model.imus.mag.declination_rad))
+            {
                 self.signals.add(id(SensorKind::Imu, i), Quantity::Heading, heading.row.innovation);
             }
         }
@@ -263,7 +264,7 @@ impl Secure {
         for (i, barometer) in frame.barometers.iter().enumerate() {
             let Some(barometer) = barometer else { continue };
             self.isolation.saw(id(SensorKind::Barometer, i), frame.time);
-            let altitude_m = pressure_altitude_m(barometer.pressure_pa, self.options.reference_pressure_pa);
+            let altitude_m = self.model.barometers.altitude_m(barometer);
             self.signals.add(id(SensorKind::Barometer, i), Quantity::Barometer, altitude_m - path_m);
         }
         self.stuck.take(frame);
@@ -391,9 +392,9 @@ impl Secure {
         for (i, height) in received.heights.iter().enumerate() {
             let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
             if let Some(height) = height.filter(|_| self.isolation.is_flagged(sensor)) {
-                let sigma = self.options.height_sigma_m.hypot(e.position_sigma_m.z);
+                let sigma = self.model.heights.sigma.hypot(e.position_sigma_m.map_or(0.0, |sigma| sigma.z));
                 let innovation = height.height_m - e.position_enu_m.z;
-                let residual = Residual::gated(sensor, Channel::Height, innovation, sigma, self.options.gates.height);
+                let residual = Residual::gated(sensor, Channel::Height, innovation, sigma, self.model.heights.gate);
                 let _ = e.residuals.try_push(Residual { accepted: false, ..residual });
             }
         }

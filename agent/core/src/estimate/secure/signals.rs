@@ -14,10 +14,10 @@ use plumbline_proto::v1::SensorKind;
 
 use super::inertial;
 use super::model::{Assumed, Quantity, SLOT_S};
-use crate::estimate::ekf_bias::EkfOptions;
 use crate::estimate::fdir::baseline::Baseline;
 use crate::estimate::fdir::cusum::Cusum;
 use crate::estimate::median;
+use crate::sensor::SensorModel;
 use crate::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS};
 
 /// Signals of one IMU: six inertial channels and the heading.
@@ -75,11 +75,11 @@ pub(super) struct Signal {
 }
 
 impl Signal {
-    fn new(sensor: SensorId, quantity: Quantity, options: &EkfOptions) -> Self {
+    fn new(sensor: SensorId, quantity: Quantity, model: &SensorModel) -> Self {
         Self {
             sensor,
             quantity,
-            assumed: Assumed::of(quantity, options),
+            assumed: Assumed::of(quantity, model),
             running: Mean::default(),
             value: None,
             discount: 1.0,
@@ -145,8 +145,8 @@ pub(super) struct Signals {
 }
 
 impl Signals {
-    /// Of sensors as `options` describe them.
-    pub fn new(options: &EkfOptions) -> Self {
+    /// Of sensors like these.
+    pub fn new(model: &SensorModel) -> Self {
         let all = std::array::from_fn(|index| {
             let (kind, instance, quantity) = match index {
                 i if i < MAX_HEIGHTS => (SensorKind::Height, i, Quantity::Height),
@@ -157,7 +157,7 @@ impl Signals {
                     (SensorKind::Imu, imu, quantity)
                 }
             };
-            Signal::new(SensorId::new(kind, instance as u8 + 1), quantity, options)
+            Signal::new(SensorId::new(kind, instance as u8 + 1), quantity, model)
         });
         Self { all, slot: 0 }
     }

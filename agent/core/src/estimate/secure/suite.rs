@@ -1,6 +1,6 @@
 //! What a set of sensors can promise before it flies: observability, and how many attacks are correctable.
 //!
-//! The ten states of [Clinic] 3.1 (z, velocity, roll pitch yaw, body rates) about a trim point, in the heading
+//! The ten states of \[Clinic\] 3.1 (z, velocity, roll pitch yaw, body rates) about a trim point, in the heading
 //! frame; one row for every scalar a sensor gives. Attacks on q sensors are correctable exactly when the
 //! state stays observable without any 2q of them (Fawzi, Tabuada and Diggavi 2014, Prop. 2); equal rows are
 //! indistinguishable, so whole groups of them are removed, and every combination of groups is tried.
@@ -127,7 +127,7 @@ impl Observed {
     ///
     /// Heights and barometers see z, gyroscopes p q r, magnetometers yaw (levelled), GNSS z and velocity,
     /// motion capture z and angles. Accelerometers see what neither thrust nor gravity gives: drag
-    /// ([Clinic] Eq. 2), −k_d/m Rᵀv, and through it the velocity; nothing is integrated.
+    /// (\[Clinic\] Eq. 2), −k_d/m Rᵀv, and through it the velocity; nothing is integrated.
     pub fn of(suite: &Suite, airframe: &Airframe, trim: &Trim) -> Self {
         let mut observed = Self::at(airframe, trim);
         let drag = airframe.linear_drag_nspm / airframe.mass_kg;
@@ -183,7 +183,7 @@ impl Observed {
         Self::of(suite, airframe, &Trim::hover(airframe)).promise()
     }
 
-    /// The suite of [Clinic] Eq. 18: `heights` lasers and four units that each give velocity, angles and rates,
+    /// The suite of \[Clinic\] Eq. 18: `heights` lasers and four units that each give velocity, angles and rates,
     /// 38 rows with two lasers. Velocities there are integrated accelerations, which we never fly.
     pub fn clinic(heights: usize, airframe: &Airframe, trim: &Trim) -> Self {
         let mut observed = Self::at(airframe, trim);

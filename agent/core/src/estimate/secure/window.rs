@@ -2,13 +2,13 @@
 //!
 //! Slots are equally long; a sensor has at most one value in a slot, or none (multi-rate masks, drop-outs).
 //! The state is anchored at the window's **end**: x_k = A⁻¹(x_{k+1} − w_k − b_k), so that what the model does
-//! not know (process noise w) costs the old samples, not the state that is wanted. [Clinic] Eq. 22 anchors at
+//! not know (process noise w) costs the old samples, not the state that is wanted. \[Clinic\] Eq. 22 anchors at
 //! the beginning, where the newest samples carry all of it.
 //!
 //! | symbol | meaning | shape |
 //! |---|---|---|
 //! | A | transition over one slot | N × N |
-//! | b_k | forced response of slot k: B u of the applied motor commands ([Clinic] Eq. 21) | N |
+//! | b_k | forced response of slot k: B u of the applied motor commands (\[Clinic\] Eq. 21) | N |
 //! | Q | process noise of one slot | N × N |
 //! | c, σ, β | row of a sensor, noise of one value, constant bias (one-sigma) | N, 1, 1 |
 //! | Φᵢ | rows c A^{−k}, newest first | T × N |
@@ -142,7 +142,7 @@ impl<const N: usize> Window<N> {
         })
     }
 
-    /// Decodes from the first slot on, while it is not yet full ([Clinic] 3.4.2: the window that grows).
+    /// Decodes from the first slot on, while it is not yet full (\[Clinic\] 3.4.2: the window that grows).
     #[must_use]
     pub fn growing(mut self) -> Self {
         self.growing = true;

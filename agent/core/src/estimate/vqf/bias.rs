@@ -5,9 +5,9 @@
 
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
-use super::{DEGREE, VqfOptions};
-use crate::estimate::kalman;
-use crate::estimate::low_pass::LowPass;
+use super::{BIAS_FORGETTING_S, BIAS_LIMIT_RADPS, BIAS_SIGMA_RADPS, DEGREE, TAU_ACCEL_S};
+use crate::estimate::filter::kalman;
+use crate::estimate::filter::low_pass::LowPass;
 
 /// Bias uncertainty reached in motion, rad/s.
 const BIAS_SIGMA_MOTION: f64 = 0.1 * DEGREE;
@@ -47,9 +47,9 @@ impl Rest {
         self.force.retune(period_s);
     }
 
-    pub fn push_gyro(&mut self, gyro: &Vector3<f64>, bias_limit_radps: f64) {
+    pub fn push_gyro(&mut self, gyro: &Vector3<f64>) {
         self.slow_rate = self.rate.push(*gyro);
-        if (gyro - self.slow_rate).norm() >= REST_RATE_RADPS || self.slow_rate.amax() > bias_limit_radps {
+        if (gyro - self.slow_rate).norm() >= REST_RATE_RADPS || self.slow_rate.amax() > BIAS_LIMIT_RADPS {
             self.lasts_s = 0.0;
         }
     }
@@ -85,22 +85,15 @@ pub(super) struct Bias {
     p: Matrix3<f64>,
     turn: LowPass<9>,
     turned: LowPass<2>,
-    sigma_radps: f64,
-    forgetting_s: f64,
-    limit_radps: f64,
 }
 
 impl Bias {
-    pub fn new(options: &VqfOptions) -> Self {
-        let (tau_s, period_s) = (options.tau_accel_s, options.period_s);
+    pub fn new(period_s: f64) -> Self {
         Self {
             b: Vector3::zeros(),
-            p: Matrix3::identity() * options.bias_sigma_radps.powi(2),
-            turn: LowPass::new(tau_s, period_s),
-            turned: LowPass::new(tau_s, period_s),
-            sigma_radps: options.bias_sigma_radps,
-            forgetting_s: options.bias_forgetting_s,
-            limit_radps: options.bias_limit_radps,
+            p: Matrix3::identity() * BIAS_SIGMA_RADPS.powi(2),
+            turn: LowPass::new(TAU_ACCEL_S, period_s),
+            turned: LowPass::new(TAU_ACCEL_S, period_s),
         }
     }
 
@@ -136,7 +129,7 @@ impl Bias {
         let slow_turn = Matrix3::from_column_slice(turn.as_slice());
         let slow_bias = self.turned.push(Vector2::new(turned.x, turned.y));
 
-        let walk = BIAS_SIGMA_MOTION.powi(2) * t / self.forgetting_s;
+        let walk = BIAS_SIGMA_MOTION.powi(2) * t / BIAS_FORGETTING_S;
         // The measurement noise whose steady state, against this walk, has the wanted variance.
         let noise = |sigma: f64| sigma.powi(4) / walk + sigma * sigma;
         let (h, mut innovation, r) = if let Some(rate) = rate_at_rest {
@@ -147,13 +140,13 @@ impl Bias {
             let r = noise(BIAS_SIGMA_MOTION);
             (slow_turn, error, Vector3::new(r, r, r / BIAS_VERTICAL_FORGETTING))
         };
-        let most = self.sigma_radps.powi(2);
+        let most = BIAS_SIGMA_RADPS.powi(2);
         for i in 0..3 {
             if self.p[(i, i)] < most {
                 self.p[(i, i)] += walk;
             }
         }
-        let limit = self.limit_radps;
+        let limit = BIAS_LIMIT_RADPS;
         innovation = innovation.map(|e| e.clamp(-limit, limit));
         let s = h * self.p * h.transpose() + Matrix3::from_diagonal(&r);
         let Some(cholesky) = s.cholesky() else { return };

@@ -1,4 +1,4 @@
-//! The filter as an estimator, on the consensus of the IMUs or on one of them.
+//! The filter as an estimator, on the consensus of the IMUs.
 
 use nalgebra::Vector3;
 use plumbline_proto::ids::SensorId;
@@ -8,7 +8,8 @@ use plumbline_proto::v1::SensorKind;
 use super::{Vqf, VqfOptions};
 use crate::estimate::fdir::consensus::{self, Consensus};
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
-use crate::sensor::{MAX_IMUS, SensorFrame};
+use crate::sensor::SensorFrame;
+use crate::sensor::imu::ImuModel;
 use crate::types::MotorCommand;
 
 /// No IMU for this long is degraded, s.
@@ -23,25 +24,20 @@ pub struct VqfEstimator {
     accel_consensus: Consensus,
     last: Option<FlightTime>,
     force_mps2: Vector3<f64>,
-    fields: [Option<Vector3<f64>>; MAX_IMUS],
     trusted: bool,
     age_s: f64,
     estimate: Estimate,
 }
 
 impl VqfEstimator {
-    /// With `options`.
-    pub fn new(options: VqfOptions) -> Self {
+    /// On the consensus of these IMUs.
+    pub fn new(imus: &ImuModel) -> Self {
         Self {
-            filter: Vqf::new(options),
-            gyro_consensus: Consensus::new(options.gyro_consensus, [Channel::GyroX, Channel::GyroY, Channel::GyroZ]),
-            accel_consensus: Consensus::new(
-                options.accel_consensus,
-                [Channel::AccelX, Channel::AccelY, Channel::AccelZ],
-            ),
+            filter: Vqf::new(VqfOptions { declination_rad: imus.mag.declination_rad, ..VqfOptions::default() }),
+            gyro_consensus: Consensus::of_gyros(imus),
+            accel_consensus: Consensus::of_accels(imus),
             last: None,
             force_mps2: Vector3::zeros(),
-            fields: [None; MAX_IMUS],
             trusted: true,
             age_s: 0.0,
             estimate: Estimate::default(),
@@ -68,38 +64,31 @@ impl Estimator for VqfEstimator {
         let now = received.time;
         self.estimate.time = now;
         self.estimate.residuals.clear();
-        let (mut gyros, mut accels) = (consensus::gyros(received), consensus::accels(received));
-        if let Some(only) = self.filter.options.imu {
-            for i in (0..MAX_IMUS).filter(|i| *i != only) {
-                (gyros[i], accels[i]) = (None, None);
-            }
-        }
-        let gyro = self.gyro_consensus.take(now, &gyros, &mut self.estimate.residuals);
-        let accel = self.accel_consensus.take(now, &accels, &mut self.estimate.residuals);
+        let residuals = &mut self.estimate.residuals;
+        let gyro = self.gyro_consensus.take(now, &consensus::gyros(received), residuals);
+        let accel = self.accel_consensus.take(now, &consensus::accels(received), residuals);
         if let (Some(gyro), Some(accel)) = (gyro, accel) {
             let dt_s = self.last.map_or(0.0, |t| now.seconds_since(t)).clamp(0.0, 0.2);
             self.last = Some(now);
             self.force_mps2 = accel.value;
             self.age_s += dt_s;
             self.trusted = gyro.trusted && accel.trusted;
-            let wanted = |i: usize| self.filter.options.imu.is_none_or(|only| only == i);
             let mut sum = Vector3::zeros();
             let mut fields = 0.0;
-            for (i, imu) in received.imus.iter().enumerate().filter(|(i, _)| wanted(*i)) {
-                if let Some(field) = imu.and_then(|s| s.mag_ut).filter(|m| m.iter().all(|x| x.is_finite())) {
-                    self.fields[i] = Some(field);
+            for imu in received.imus.iter().flatten() {
+                if let Some(field) = imu.mag_ut.filter(|m| m.iter().all(|x| x.is_finite())) {
                     sum += field;
                     fields += 1.0;
                 }
             }
             let field = (fields > 0.0).then(|| sum / fields);
             self.filter.push(dt_s, &gyro.value, &accel.value, field.as_ref());
-            if field.is_some() && self.filter.options.use_mag {
+            if field.is_some() {
                 // Between the noise of a magnetometer and a field that points elsewhere.
                 let sigma = 0.1;
                 let innovation = self.filter.heading_disagreement_rad();
                 let _ = self.estimate.residuals.try_push(Residual {
-                    sensor: SensorId::new(SensorKind::Imu, self.filter.options.imu.unwrap_or(0) as u8 + 1),
+                    sensor: SensorId::new(SensorKind::Imu, 1),
                     channel: Channel::Heading,
                     innovation,
                     sigma,
@@ -110,7 +99,7 @@ impl Estimator for VqfEstimator {
             self.estimate.body_rates_radps = gyro.value - self.filter.gyro_bias_radps();
         }
         self.estimate.world_from_body = self.filter.world_from_body();
-        self.estimate.gyro_bias_radps = self.filter.gyro_bias_radps();
+        self.estimate.gyro_bias_radps = Some(self.filter.gyro_bias_radps());
         let silent = self.last.is_none_or(|t| now.seconds_since(t) > SILENCE_S);
         self.estimate.health = if self.age_s < SETTLED_S {
             Health::Initialising
@@ -127,7 +116,7 @@ impl Estimator for VqfEstimator {
     }
 
     fn reset_to(&mut self, estimate: &Estimate) {
-        self.filter.reset_to(&estimate.world_from_body, &estimate.gyro_bias_radps);
+        self.filter.reset_to(&estimate.world_from_body, &estimate.gyro_bias_radps.unwrap_or_default());
         self.estimate = estimate.clone();
         self.estimate.residuals.clear();
         self.age_s = SETTLED_S;

@@ -7,7 +7,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::DEGREE;
-use crate::estimate::low_pass::LowPass;
+use crate::estimate::filter::low_pass::LowPass;
 use crate::frames::wrap_pi;
 
 /// Low-pass of the field's strength and dip before they are judged, s.

@@ -33,7 +33,7 @@ fn frame(k: u64, heights: &[f64]) -> SensorFrame {
 }
 
 fn secure() -> Secure {
-    Secure::new(EkfOptions::default(), &Airframe::iris(), SLOTS).unwrap()
+    Secure::new(SensorModel::default(), &Airframe::iris(), SLOTS).unwrap()
 }
 
 fn fly(secure: &mut Secure, from_s: f64, to_s: f64, heights: &[f64]) {
@@ -106,7 +106,7 @@ fn an_imu_that_drifted_is_excluded_from_the_last_moments_as_well() {
     let (ramped, at, rewinds) = flown(0.5);
     assert!(never.is_none() && none == 0 && rewinds >= 1, "{never:?} {none} {rewinds}");
     assert!(at.unwrap() < 8.0, "{at:?}");
-    let bias = (ramped.accel_bias_mps2.z - clean.accel_bias_mps2.z).abs();
+    let bias = (ramped.accel_bias_mps2.unwrap().z - clean.accel_bias_mps2.unwrap().z).abs();
     let climb = ramped.velocity_enu_mps.z.abs();
     assert!(bias < 0.02 && climb < 0.01, "{bias} {climb}");
 }
@@ -149,7 +149,7 @@ fn every_decoder_finds_the_attack_and_a_change_of_decoder_keeps_the_attacked_set
 #[test]
 fn windows_of_any_length_find_the_attack_and_nothing_else() {
     for slots in [SLOTS_MIN, 20, SLOTS_MAX] {
-        let mut s = Secure::new(EkfOptions::default(), &Airframe::iris(), slots).unwrap();
+        let mut s = Secure::new(SensorModel::default(), &Airframe::iris(), slots).unwrap();
         fly(&mut s, 0.0, 8.0, &[0.0; 3]);
         assert_eq!(s.window().status, DecoderStatus::Solved, "{slots} slots");
         assert!(s.isolation().devices().iter().all(|d| d.flagged.is_none()), "{slots} slots");
@@ -162,7 +162,7 @@ fn windows_of_any_length_find_the_attack_and_nothing_else() {
         assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.01, "{slots}: {}", s.estimate().position_enu_m.z);
     }
     for slots in [SLOTS_MIN - 1, SLOTS_MAX + 1] {
-        assert!(Secure::new(EkfOptions::default(), &Airframe::iris(), slots).is_err());
+        assert!(Secure::new(SensorModel::default(), &Airframe::iris(), slots).is_err());
     }
 }
 

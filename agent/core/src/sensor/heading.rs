@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Kinematics, Row};
+use super::measure::{Kinematics, Row};
 use crate::frames::wrap_pi;
 
 /// A heading row and what it needs beside it.
@@ -35,7 +35,7 @@ pub fn heading(state: &Kinematics, mag_body_ut: &Vector3<f64>, declination_rad: 
 
 #[cfg(test)]
 mod tests {
-    use super::super::check;
+    use super::super::measure::check;
     use super::*;
 
     #[test]

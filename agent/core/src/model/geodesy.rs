@@ -1,12 +1,10 @@
-//! GNSS: position in local metres, and the projection that makes metres of degrees.
+//! The projection that makes local metres of degrees.
 //!
 //! The local frame is the tangent plane at an origin (ENU), through ECEF on the WGS 84 ellipsoid: exact,
 //! no small-area approximation. GRS 80 (SIRGAS 2000, the datum of MAGNA-SIRGAS) differs from WGS 84 by
 //! less than 0.1 mm in its axes, so the same code serves an origin given in either.
 
 use nalgebra::Vector3;
-
-use super::{Kinematics, Row};
 
 /// Semi-major axis of WGS 84, m.
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
@@ -85,24 +83,9 @@ impl Projection for TangentPlane {
     }
 }
 
-/// Row of one position component; `axis` 0, 1, 2 is east, north, up.
-pub fn position(state: &Kinematics, axis: usize, position_m: f64) -> Row {
-    let mut row = Vector3::zeros();
-    row[axis] = 1.0;
-    Row::new(position_m - state.position_enu_m[axis]).position(row)
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::check;
     use super::*;
-
-    #[test]
-    fn jacobian_matches_differences() {
-        for axis in 0..3 {
-            check::jacobian(&check::state(), |s| position(s, axis, 0.1), 1e-8);
-        }
-    }
 
     #[test]
     fn a_minute_of_arc_is_a_nautical_mile() {

@@ -1,4 +1,4 @@
-//! Hybrid extended Kalman filter: continuous propagation, discrete update ([Umasankar] Algorithm 1).
+//! Hybrid extended Kalman filter: continuous propagation, discrete update (\[Umasankar\] Algorithm 1).
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,15 +6,13 @@
 //! | Φ, Q_d | transition and process noise of one step of h |
 //! | y, h(x), H, R | measurements of one instant, prediction, Jacobian, noise |
 //!
-//! Deviations from [Umasankar] Alg. 1 (ERRATA 7): P ← ΦPΦᵀ + Q_d instead of P + dt(AP + PAᵀ + Q), which
+//! Deviations from \[Umasankar\] Alg. 1 (ERRATA 7): P ← ΦPΦᵀ + Q_d instead of P + dt(AP + PAᵀ + Q), which
 //! loses positivity; line 14 adds K R Kᵀ, not R. Rows are taken one at a time against one linearisation,
 //! which equals the batch update for uncorrelated noise and gives every scalar its own gate.
 
-use arrayvec::ArrayVec;
-
 use super::kalman;
-use super::scalar_row::ScalarRow;
-use super::{MAX_RESIDUALS, Residual};
+use super::measurement::{Measurement, TwelveState};
+use crate::estimate::{EstimatorKind, Residuals};
 use crate::model::euler_body::{EulerBody, Input, M, X};
 
 /// State, covariance and model.
@@ -28,14 +26,19 @@ pub struct EkfHybrid {
     pub p: M,
 }
 
-impl EkfHybrid {
-    /// Starts at `x` with covariance `p`.
-    pub fn new(body: EulerBody, x: X, p: M) -> Self {
+impl TwelveState for EkfHybrid {
+    const KIND: EstimatorKind = EstimatorKind::EkfHybrid;
+
+    fn new(body: EulerBody, x: X, p: M) -> Self {
         Self { body, x, p }
     }
 
-    /// Propagates by `h` seconds under the held input `u`; `q` is Q_d of such a step. Alg. 1, lines 6–11.
-    pub fn predict(&mut self, u: &impl Input, h: f64, q: &M) {
+    fn restart(&mut self, x: X, p: M) {
+        (self.x, self.p) = (x, p);
+    }
+
+    /// Alg. 1, lines 6–11.
+    fn predict(&mut self, u: &impl Input, h: f64, q: &M) {
         let u = &u.action(&self.body);
         let next = self.body.step(&self.x, u, h);
         let phi = self.body.transition(&self.x, &next, u, h);
@@ -43,26 +46,18 @@ impl EkfHybrid {
         self.x = next;
     }
 
-    /// Corrects with the rows of one instant; each leaves a residual. Alg. 1, lines 10–14.
-    pub fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
+    /// Alg. 1, lines 10–14.
+    fn correct(&mut self, rows: &[Measurement], residuals: &mut Residuals) {
         let predicted = self.x;
         for row in rows {
-            let h = row.jacobian(&predicted);
-            // y − ŷ − H δx: what the rows before have already explained is taken off.
-            let innovation = row.difference(row.value, row.predict(&predicted)) - h.dot(&(self.x - predicted));
-            let r = row.sigma * row.sigma;
-            let (ph, s) = kalman::innovation_variance(&self.p, &h, r);
-            if !(innovation.is_finite() && s.is_finite() && s > 0.0) {
-                continue;
-            }
-            let residual = Residual::gated(row.sensor, row.channel, innovation, s.sqrt(), row.gate);
-            let _ = residuals.try_push(residual);
-            if residual.accepted {
-                let k = ph / s;
-                self.x += k * innovation;
-                kalman::correct_scalar(&mut self.p, &h, r, &k);
+            if let Some(dx) = row.row(&predicted, &self.x).correct(&mut self.p, residuals) {
+                self.x += dx;
             }
         }
+    }
+
+    fn moments(&self) -> (X, M) {
+        (self.x, self.p)
     }
 }
 

@@ -6,23 +6,21 @@ use nalgebra::Vector3;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::Channel;
-use super::ekf_hybrid::EkfHybrid;
-use super::scalar_row::{ScalarRow, What};
-use super::ukf::Ukf;
-use super::{MAX_RESIDUALS, Residual};
+use super::measurement::{Measurement, TwelveState, What};
+use crate::estimate::{Channel, Residuals};
 use crate::model::euler_body::{M, U, X, ix, process_noise};
+use crate::sensor::Accuracy;
 
 /// Rows a second.
 pub const LOG_RATE_HZ: usize = 120;
-/// Cameras of [Umasankar] Table 2, m.
+/// Cameras of \[Umasankar\] Table 2, m.
 pub const CAMERAS_ENU_M: [Vector3<f64>; 4] = [
     Vector3::new(10.0, 10.0, 10.0),
     Vector3::new(-10.0, 10.0, 10.0),
     Vector3::new(-10.0, -10.0, 10.0),
     Vector3::new(10.0, -10.0, 10.0),
 ];
-/// One-sigma of each range, m: the rated one and three exaggerated ([Umasankar], Results).
+/// One-sigma of each range, m: the rated one and three exaggerated (\[Umasankar\], Results).
 pub const RANGE_SIGMA_M: [f64; 4] = [1.5e-3, 15e-3, 2e-3, 100e-3];
 /// One-sigma of roll, pitch and yaw, rad (chosen by the reference; the source gives none).
 pub const ANGLE_SIGMA_RAD: f64 = 5e-3;
@@ -46,66 +44,23 @@ pub struct LogRow {
     pub angle_rad: [f64; 3],
 }
 
-/// A filter that can run the recipe.
-pub trait TwelveState {
-    /// Propagates one step.
-    fn predict(&mut self, u: &U, h: f64, q: &M);
-    /// Corrects with the rows of one instant.
-    fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>);
-    /// State and covariance now.
-    fn moments(&self) -> (X, M);
-}
-
-impl TwelveState for EkfHybrid {
-    fn predict(&mut self, u: &U, h: f64, q: &M) {
-        EkfHybrid::predict(self, u, h, q);
-    }
-    fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
-        EkfHybrid::correct(self, rows, residuals);
-    }
-    fn moments(&self) -> (X, M) {
-        (self.x, self.p)
-    }
-}
-
-impl TwelveState for Ukf {
-    fn predict(&mut self, u: &U, h: f64, q: &M) {
-        Ukf::predict(self, u, h, q);
-    }
-    fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
-        Ukf::correct(self, rows, residuals);
-    }
-    fn moments(&self) -> (X, M) {
-        Ukf::moments(self)
-    }
-}
-
-/// The seven measurements of `row` ([Umasankar] Eq. 13, errata 5), without gates.
-pub fn measurements(row: &LogRow) -> ArrayVec<ScalarRow, 7> {
+/// The seven measurements of `row` (\[Umasankar\] Eq. 13, errata 5), without gates.
+pub fn measurements(row: &LogRow) -> ArrayVec<Measurement, 7> {
     const RANGES: [Channel; 4] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
     const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
-    let mut rows = ArrayVec::new();
-    for (i, channel) in RANGES.into_iter().enumerate() {
-        rows.push(ScalarRow {
-            sensor: SensorId::new(SensorKind::CameraRanges, 1),
-            channel,
-            what: What::Range(CAMERAS_ENU_M[i]),
-            value: row.range_m[i],
-            sigma: RANGE_SIGMA_M[i],
-            gate: f64::INFINITY,
-        });
-    }
-    for (i, channel) in ANGLES.into_iter().enumerate() {
-        rows.push(ScalarRow {
-            sensor: SensorId::new(SensorKind::Imu, 1),
-            channel,
-            what: What::Angle(ix::ROLL + i),
-            value: row.angle_rad[i],
-            sigma: ANGLE_SIGMA_RAD,
-            gate: f64::INFINITY,
-        });
-    }
-    rows
+    let one = |kind, channel, what, value, sigma| Measurement {
+        of: Some((SensorId::new(kind, 1), channel)),
+        what,
+        value,
+        noise: Accuracy::ungated(sigma),
+    };
+    let ranges = (0..4).map(|i| {
+        let what = What::Range(CAMERAS_ENU_M[i]);
+        one(SensorKind::CameraRanges, RANGES[i], what, row.range_m[i], RANGE_SIGMA_M[i])
+    });
+    let angles =
+        (0..3).map(|i| one(SensorKind::Imu, ANGLES[i], What::Angle(ix::ROLL + i), row.angle_rad[i], ANGLE_SIGMA_RAD));
+    ranges.chain(angles).collect()
 }
 
 /// Runs `filter` over `log` with measurements at `rate_hz`; state and covariance after each row but the first are
@@ -114,7 +69,7 @@ pub fn run_each(log: &[LogRow], rate_hz: usize, filter: &mut impl TwelveState, m
     let every = LOG_RATE_HZ / rate_hz.clamp(1, LOG_RATE_HZ);
     let h = 1.0 / LOG_RATE_HZ as f64;
     let q = process_noise(PROCESS_DENSITY.0, PROCESS_DENSITY.1, h);
-    let mut residuals = ArrayVec::new();
+    let mut residuals = Residuals::new();
     for (k, pair) in log.windows(2).enumerate() {
         filter.predict(&pair[0].input, h, &q);
         if (k + 1) % every == 0 {

@@ -1,4 +1,4 @@
-//! Attitude straight from the accelerometer and magnetometer ([Paternain] IV-A), and what gravity says of
+//! Attitude straight from the accelerometer and magnetometer (\[Paternain\] IV-A), and what gravity says of
 //! the tilt.
 //!
 //! | symbol | meaning | unit |
@@ -16,7 +16,7 @@ pub const GRAVITY_MPS2: f64 = 9.81;
 
 /// Roll and pitch (rad) from the specific force, exact when the vehicle does not accelerate.
 ///
-/// [Paternain] IV with errata 5: roll = +atan2(a_y, a_z); pitch = −arcsin(a_x/|a|), written with atan2 so
+/// \[Paternain\] IV with errata 5: roll = +atan2(a_y, a_z); pitch = −arcsin(a_x/|a|), written with atan2 so
 /// that it needs no norm and no clamp.
 pub fn tilt(specific_force_mps2: &Vector3<f64>) -> (f64, f64) {
     let a = specific_force_mps2;
@@ -25,8 +25,8 @@ pub fn tilt(specific_force_mps2: &Vector3<f64>) -> (f64, f64) {
 
 /// Yaw (rad, ENU) from the field in the body frame, given roll and pitch.
 ///
-/// The field is levelled by M = Ry(pitch) Rx(roll) ([Paternain] IV); its horizontal part points to
-/// magnetic north, D east of true north, which is yaw π/2 − D. Deviation from [Paternain], errata 6:
+/// The field is levelled by M = Ry(pitch) Rx(roll) (\[Paternain\] IV); its horizontal part points to
+/// magnetic north, D east of true north, which is yaw π/2 − D. Deviation from \[Paternain\], errata 6:
 /// atan2 instead of arctan, and ENU instead of north-west-up.
 /// `None` when the field is vertical or not finite.
 pub fn heading(mag_body_ut: &Vector3<f64>, roll_rad: f64, pitch_rad: f64, declination_rad: f64) -> Option<f64> {

@@ -10,7 +10,7 @@
 //!
 //! Vector measurements with independent noise are taken one scalar at a time: no inverse, and each
 //! scalar has its own gate. Corrections use Joseph's form, which keeps P symmetric and positive for any
-//! gain, the literal "P ← P + dt(AP + PAᵀ + Q)" of [Umasankar] Alg. 1 does not (errata 7).
+//! gain, the literal "P ← P + dt(AP + PAᵀ + Q)" of \[Umasankar\] Alg. 1 does not (errata 7).
 
 use nalgebra::{SMatrix, SVector};
 
@@ -58,6 +58,13 @@ pub fn symmetrise<const N: usize>(p: &mut SMatrix<f64, N, N>) {
             p[(column, row)] = mean;
         }
     }
+}
+
+/// Forgets everything about state `i` except that its variance is `variance`.
+pub fn forget<const N: usize>(p: &mut SMatrix<f64, N, N>, i: usize, variance: f64) {
+    p.row_mut(i).fill(0.0);
+    p.column_mut(i).fill(0.0);
+    p[(i, i)] = variance;
 }
 
 #[cfg(test)]

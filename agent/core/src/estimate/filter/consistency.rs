@@ -12,8 +12,8 @@ use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 use plumbline_proto::ids::SensorId;
 
-use super::{Channel, MAX_RESIDUALS, Residual};
-use crate::model::measure::Kinematics;
+use crate::estimate::{Channel, MAX_RESIDUALS, Residual};
+use crate::sensor::measure::Kinematics;
 
 /// A running mean.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

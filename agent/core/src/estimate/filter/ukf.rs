@@ -1,4 +1,4 @@
-//! Unscented Kalman filter with 2n sigma points ([Umasankar] Algorithm 2).
+//! Unscented Kalman filter with 2n sigma points (\[Umasankar\] Algorithm 2).
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -7,17 +7,16 @@
 //! | Q_k | process noise of the interval, accumulated along the mean's trajectory |
 //! | P_y, P_xy, K | covariance of the prediction, cross covariance, gain |
 //!
-//! Deviations from [Umasankar] Alg. 2 (ERRATA 8): the second set of points is drawn from x̂⁻, P⁻, which are
+//! Deviations from \[Umasankar\] Alg. 2 (ERRATA 8): the second set of points is drawn from x̂⁻, P⁻, which are
 //! known, not from x̂⁺, P⁺, which are not yet; columns of a lower factor (rows would need an upper one);
 //! the yaw innovation is wrapped. An interval between measurements is one prediction: the points are kept
 //! through all its steps, as in the reference.
 
-use arrayvec::ArrayVec;
 use nalgebra::{SMatrix, SVector};
 
 use super::kalman;
-use super::scalar_row::{MAX_ROWS, ScalarRow};
-use super::{MAX_RESIDUALS, Residual};
+use super::measurement::{MAX_ROWS, Measurement, TwelveState};
+use crate::estimate::{EstimatorKind, Residual, Residuals};
 use crate::model::euler_body::{EulerBody, Input, M, N, X};
 
 /// Number of sigma points.
@@ -30,7 +29,7 @@ const JITTER: f64 = 1e-12;
 pub struct Ukf {
     /// The model.
     pub body: EulerBody,
-    /// x̂ at the last measurement, or predicted by [`Ukf::mean`] since.
+    /// x̂ at the last measurement, or predicted since.
     x: X,
     p: M,
     points: [X; POINTS],
@@ -40,15 +39,19 @@ pub struct Ukf {
     predicting: bool,
 }
 
-impl Ukf {
-    /// Starts at `x` with covariance `p`.
-    pub fn new(body: EulerBody, x: X, p: M) -> Self {
+impl TwelveState for Ukf {
+    const KIND: EstimatorKind = EstimatorKind::Ukf;
+
+    fn new(body: EulerBody, x: X, p: M) -> Self {
         Self { body, x, p, points: [X::zeros(); POINTS], centre: x, q: M::zeros(), predicting: false }
     }
 
-    /// Propagates by `h` seconds under the held input `u`; `q` is the process noise of such a step.
+    fn restart(&mut self, x: X, p: M) {
+        (self.x, self.p, self.predicting) = (x, p, false);
+    }
+
     /// Alg. 2, lines 7–12.
-    pub fn predict(&mut self, u: &impl Input, h: f64, q: &M) {
+    fn predict(&mut self, u: &impl Input, h: f64, q: &M) {
         let first = !self.predicting;
         if first {
             self.points = sigma_points(&self.x, &self.p);
@@ -69,40 +72,8 @@ impl Ukf {
         self.centre = next;
     }
 
-    /// Mean and covariance now. Alg. 2, lines 13–14.
-    pub fn moments(&self) -> (X, M) {
-        if !self.predicting {
-            return (self.x, self.p);
-        }
-        let mean = self.mean();
-        let mut p = self.q;
-        for point in &self.points {
-            let d = point - mean;
-            p.ger(1.0 / POINTS as f64, &d, &d, 1.0);
-        }
-        kalman::symmetrise(&mut p);
-        (mean, p)
-    }
-
-    /// Mean now.
-    pub fn mean(&self) -> X {
-        if self.predicting { self.points.iter().sum::<X>() / POINTS as f64 } else { self.x }
-    }
-
-    /// Starts again at `x` with covariance `p`.
-    pub fn restart(&mut self, x: X, p: M) {
-        (self.x, self.p, self.predicting) = (x, p, false);
-    }
-
-    /// Ends the interval: from here on the points are drawn afresh. For use between measurements that are
-    /// far apart, where one set of points would spread too wide.
-    pub fn settle(&mut self) {
-        (self.x, self.p) = self.moments();
-        self.predicting = false;
-    }
-
-    /// Corrects with the rows of one instant; each leaves a residual. Alg. 2, lines 15–26.
-    pub fn correct(&mut self, rows: &[ScalarRow], residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>) {
+    /// Alg. 2, lines 15–26.
+    fn correct(&mut self, rows: &[Measurement], residuals: &mut Residuals) {
         // The smallest size that holds them: the work grows with it.
         match rows.len() {
             0 => self.settle(),
@@ -112,11 +83,31 @@ impl Ukf {
         }
     }
 
-    fn correct_up_to<const ROWS: usize>(
-        &mut self,
-        rows: &[ScalarRow],
-        residuals: &mut ArrayVec<Residual, MAX_RESIDUALS>,
-    ) {
+    /// Alg. 2, lines 13–14.
+    fn moments(&self) -> (X, M) {
+        if !self.predicting {
+            return (self.x, self.p);
+        }
+        let mean = self.points.iter().sum::<X>() / POINTS as f64;
+        let mut p = self.q;
+        for point in &self.points {
+            let d = point - mean;
+            p.ger(1.0 / POINTS as f64, &d, &d, 1.0);
+        }
+        kalman::symmetrise(&mut p);
+        (mean, p)
+    }
+}
+
+impl Ukf {
+    /// Ends the interval: from here on the points are drawn afresh. For use between measurements that are
+    /// far apart, where one set of points would spread too wide.
+    pub fn settle(&mut self) {
+        (self.x, self.p) = self.moments();
+        self.predicting = false;
+    }
+
+    fn correct_up_to<const ROWS: usize>(&mut self, rows: &[Measurement], residuals: &mut Residuals) {
         self.settle();
         let points = sigma_points(&self.x, &self.p);
         let mut y_points = [SVector::<f64, ROWS>::zeros(); POINTS];
@@ -132,17 +123,16 @@ impl Ukf {
                 y[j] = row.difference(row.predict(point), central);
                 mean += y[j] / POINTS as f64;
             }
-            let mut s = row.sigma * row.sigma;
+            let mut s = row.noise.sigma * row.noise.sigma;
             for y in &mut y_points {
                 y[j] -= mean;
                 s += y[j] * y[j] / POINTS as f64;
             }
             let nu = row.difference(row.value, central + mean);
-            let residual = Residual::gated(row.sensor, row.channel, nu, s.sqrt(), row.gate);
-            let finite = nu.is_finite() && s.is_finite();
-            used[j] = finite && residual.accepted;
-            if finite {
-                let _ = residuals.try_push(residual);
+            let (finite, sigma) = (nu.is_finite() && s.is_finite(), s.sqrt());
+            used[j] = finite && nu.abs() <= row.noise.gate * sigma;
+            if let Some((sensor, channel)) = row.of.filter(|_| finite) {
+                let _ = residuals.try_push(Residual::gated(sensor, channel, nu, sigma, row.noise.gate));
             }
             if used[j] {
                 innovation[j] = nu;
@@ -158,7 +148,7 @@ impl Ukf {
         }
         for (j, row) in rows.iter().enumerate().take(ROWS) {
             if used[j] {
-                p_y[(j, j)] = row.sigma * row.sigma;
+                p_y[(j, j)] = row.noise.sigma * row.noise.sigma;
             }
         }
         p_y += spread;

@@ -1,18 +1,8 @@
-//! Measurement models, one sensor per file: what a sensor should read in a given state, and how that
-//! reading changes with the state.
+//! What measurement models are made of: what a sensor should read in a given state, and how that reading changes with
+//! the state. The model of a kind is in its own file.
 //!
-//! Adding a sensor adds a file and touches nothing else. Jacobians are with respect to position,
-//! velocity and the attitude error δφ about the **world** axes, R = exp(δφ×) R̂; each is checked against
-//! finite differences by its own test.
-
-pub mod attitude;
-pub mod barometer;
-pub mod camera_range;
-pub mod gnss;
-pub mod heading;
-pub mod height;
-pub mod pose;
-pub mod velocity;
+//! Jacobians are with respect to position, velocity and the attitude error δφ about the **world** axes,
+//! R = exp(δφ×) R̂; each is checked against finite differences by its own test.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -68,6 +58,20 @@ impl Row {
     }
 }
 
+/// Row of one position component; `axis` 0, 1, 2 is east, north, up.
+pub fn position(state: &Kinematics, axis: usize, position_m: f64) -> Row {
+    let mut row = Vector3::zeros();
+    row[axis] = 1.0;
+    Row::new(position_m - state.position_enu_m[axis]).position(row)
+}
+
+/// Row of one velocity component; `axis` 0, 1, 2 is east, north, up.
+pub fn velocity(state: &Kinematics, axis: usize, velocity_mps: f64) -> Row {
+    let mut row = Vector3::zeros();
+    row[axis] = 1.0;
+    Row::new(velocity_mps - state.velocity_enu_mps[axis]).velocity(row)
+}
+
 #[cfg(test)]
 pub(crate) mod check {
     use super::*;
@@ -96,6 +100,14 @@ pub(crate) mod check {
                     analytic[axis]
                 );
             }
+        }
+    }
+
+    #[test]
+    fn positions_and_velocities_match_differences() {
+        for axis in 0..3 {
+            jacobian(&state(), |s| position(s, axis, 0.1), 1e-8);
+            jacobian(&state(), |s| velocity(s, axis, 0.1), 1e-8);
         }
     }
 

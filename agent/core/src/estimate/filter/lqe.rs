@@ -1,4 +1,4 @@
-//! Steady-state Kalman gain (LQE), the estimator half of LQG ([Strategies]).
+//! Steady-state Kalman gain (LQE), the estimator half of LQG (\[Strategies\]).
 //!
 //! The filter's Riccati equation is the regulator's with A → Aᵀ, B → Cᵀ: one solver serves both.
 //!
@@ -16,7 +16,7 @@ use crate::linalg::{LinalgError, care, dare};
 /// A steady-state gain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SteadyGain {
-    /// L. [Strategies] writes F_e = −L.
+    /// L. \[Strategies\] writes F_e = −L.
     pub gain: DMatrix<f64>,
     /// P.
     pub covariance: DMatrix<f64>,
