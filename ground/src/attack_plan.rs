@@ -3,50 +3,11 @@
 //! The ground checks shape (names, finite numbers, sensors the vehicle has); the agent alone checks
 //! bounds and whether attacks are enabled at all, and its answer counts.
 
+use plumbline_proto::limits::MAX_ATTACKS;
 use plumbline_proto::v1;
-use serde::{Deserialize, Serialize};
+use plumbline_rest::command::{AttackPlan, PlannedAttack};
 
 use crate::names::JsonName;
-
-/// Most attacks in one schedule.
-pub const MAX_ATTACKS: usize = 64;
-
-/// A schedule as JSON.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct AttackPlan {
-    /// Attacks, in any order.
-    pub attacks: Vec<PlannedAttack>,
-}
-
-/// One attack as JSON. Names are those of the schema in lower snake case.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct PlannedAttack {
-    /// Kind of sensor.
-    pub sensor: String,
-    /// Instance, from 1.
-    pub instance: u32,
-    /// Channels covered.
-    #[serde(default = "all_channels")]
-    pub channel: String,
-    /// What it does.
-    pub kind: String,
-    /// After the schedule is accepted, s.
-    pub start_s: f64,
-    /// How long, s.
-    pub duration_s: f64,
-    /// As `kind` says.
-    #[serde(default)]
-    pub magnitude: f64,
-    /// Of its random numbers.
-    #[serde(default)]
-    pub seed: u64,
-}
-
-fn all_channels() -> String {
-    v1::AttackChannel::All.json_name()
-}
 
 /// Why a plan is not one.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -67,67 +28,64 @@ pub enum PlanError {
     },
 }
 
-impl AttackPlan {
-    /// Checks the plan against the vehicle's suite (when known) and converts it.
-    ///
-    /// # Errors
-    /// [`PlanError`] naming the attack and the value.
-    pub fn to_schedule(
-        &self,
-        schedule_id: u32,
-        suite: Option<&[v1::SensorDescription]>,
-    ) -> Result<v1::AttackSchedule, PlanError> {
-        if self.attacks.is_empty() {
-            return Err(PlanError::Empty);
-        }
-        if self.attacks.len() > MAX_ATTACKS {
-            return Err(PlanError::TooMany(self.attacks.len()));
-        }
-        let convert = |(index, planned): (usize, &PlannedAttack)| {
-            planned.to_attack(index as u32 + 1, suite).map_err(|reason| PlanError::Attack { number: index + 1, reason })
-        };
-        let attacks = self.attacks.iter().enumerate().map(convert).collect::<Result<_, _>>()?;
-        Ok(v1::AttackSchedule { schedule_id, attacks })
+/// Checks the plan against the vehicle's suite (when known) and converts it.
+///
+/// # Errors
+/// [`PlanError`] naming the attack and the value.
+pub fn to_schedule(
+    plan: &AttackPlan,
+    schedule_id: u32,
+    suite: Option<&[v1::SensorDescription]>,
+) -> Result<v1::AttackSchedule, PlanError> {
+    if plan.attacks.is_empty() {
+        return Err(PlanError::Empty);
     }
+    if plan.attacks.len() > MAX_ATTACKS {
+        return Err(PlanError::TooMany(plan.attacks.len()));
+    }
+    let convert = |(index, planned): (usize, &PlannedAttack)| {
+        to_attack(planned, index as u32 + 1, suite).map_err(|reason| PlanError::Attack { number: index + 1, reason })
+    };
+    let attacks = plan.attacks.iter().enumerate().map(convert).collect::<Result<_, _>>()?;
+    Ok(v1::AttackSchedule { schedule_id, attacks })
 }
 
-impl PlannedAttack {
-    fn to_attack(&self, id: u32, suite: Option<&[v1::SensorDescription]>) -> Result<v1::Attack, String> {
-        let sensor = v1::SensorKind::from_json_name(&self.sensor)?;
-        let kind = v1::AttackKind::from_json_name(&self.kind)?;
-        let channel = v1::AttackChannel::from_json_name(&self.channel)?;
-        if sensor == v1::SensorKind::Unspecified || kind == v1::AttackKind::Unspecified {
-            return Err("sensor and kind must be given".into());
-        }
-        for (name, value) in [("start_s", self.start_s), ("duration_s", self.duration_s), ("magnitude", self.magnitude)]
-        {
-            if !value.is_finite() {
-                return Err(format!("{name} is {value}, a finite number is needed"));
-            }
-        }
-        if self.start_s < 0.0 {
-            return Err(format!("start_s is {}, it cannot be in the past", self.start_s));
-        }
-        if self.duration_s <= 0.0 {
-            return Err(format!("duration_s is {}, it must be above 0", self.duration_s));
-        }
-        if let Some(suite) = suite
-            && !suite.iter().any(|s| s.kind == sensor as i32 && s.instance == self.instance)
-        {
-            return Err(format!("the vehicle has no {} {}", self.sensor, self.instance));
-        }
-        Ok(v1::Attack {
-            id,
-            sensor: sensor as i32,
-            instance: self.instance,
-            channel: channel as i32,
-            kind: kind as i32,
-            start_s: self.start_s,
-            duration_s: self.duration_s,
-            magnitude: self.magnitude,
-            seed: self.seed,
-        })
+fn to_attack(planned: &PlannedAttack, id: u32, suite: Option<&[v1::SensorDescription]>) -> Result<v1::Attack, String> {
+    let sensor = v1::SensorKind::from_json_name(&planned.sensor)?;
+    let kind = v1::AttackKind::from_json_name(&planned.kind)?;
+    let channel = v1::AttackChannel::from_json_name(&planned.channel)?;
+    if sensor == v1::SensorKind::Unspecified || kind == v1::AttackKind::Unspecified {
+        return Err("sensor and kind must be given".into());
     }
+    for (name, value) in
+        [("start_s", planned.start_s), ("duration_s", planned.duration_s), ("magnitude", planned.magnitude)]
+    {
+        if !value.is_finite() {
+            return Err(format!("{name} is {value}, a finite number is needed"));
+        }
+    }
+    if planned.start_s < 0.0 {
+        return Err(format!("start_s is {}, it cannot be in the past", planned.start_s));
+    }
+    if planned.duration_s <= 0.0 {
+        return Err(format!("duration_s is {}, it must be above 0", planned.duration_s));
+    }
+    if let Some(suite) = suite
+        && !suite.iter().any(|s| s.kind == sensor as i32 && s.instance == planned.instance)
+    {
+        return Err(format!("the vehicle has no {} {}", planned.sensor, planned.instance));
+    }
+    Ok(v1::Attack {
+        id,
+        sensor: sensor as i32,
+        instance: planned.instance,
+        channel: channel as i32,
+        kind: kind as i32,
+        start_s: planned.start_s,
+        duration_s: planned.duration_s,
+        magnitude: planned.magnitude,
+        seed: planned.seed,
+    })
 }
 
 /// The JSON of an attack that came back from the agent.
@@ -164,7 +122,7 @@ mod tests {
     #[test]
     fn a_plan_becomes_a_schedule_and_comes_back() {
         let plan: AttackPlan = serde_json::from_str(PLAN).unwrap();
-        let schedule = plan.to_schedule(7, Some(&suite())).unwrap();
+        let schedule = to_schedule(&plan, 7, Some(&suite())).unwrap();
         assert_eq!((schedule.schedule_id, schedule.attacks[0].id), (7, 1));
         assert_eq!(planned(&schedule.attacks[0]), plan.attacks[0]);
     }
@@ -175,12 +133,12 @@ mod tests {
         let reason = |change: &dyn Fn(&mut PlannedAttack)| {
             let mut plan = good.clone();
             change(&mut plan.attacks[0]);
-            plan.to_schedule(1, Some(&suite())).unwrap_err().to_string()
+            to_schedule(&plan, 1, Some(&suite())).unwrap_err().to_string()
         };
         assert!(reason(&|a| a.instance = 9).contains("no height 9"));
         assert!(reason(&|a| a.duration_s = -1.0).contains("-1"));
         assert!(reason(&|a| a.magnitude = f64::NAN).contains("NaN"));
         assert!(reason(&|a| a.kind = "explode".into()).contains("\"explode\""));
-        assert_eq!(AttackPlan { attacks: vec![] }.to_schedule(1, None), Err(PlanError::Empty));
+        assert_eq!(to_schedule(&AttackPlan::default(), 1, None), Err(PlanError::Empty));
     }
 }

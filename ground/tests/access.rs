@@ -14,7 +14,7 @@ use plumbline_ground::{GroundConfig, GroundError, access_table};
 use serde_json::Value;
 
 const PASSWORD: &str = "a long enough password";
-const ROLES: [Role; 4] = [Role::Viewer, Role::Operator, Role::Attacker, Role::Admin];
+const ROLES: [Role; 4] = Role::ALL;
 
 fn accounts(folder: &Path) {
     ROLES.iter().for_each(|role| Accounts::of(folder).add(role.name(), *role, PASSWORD).unwrap());
@@ -78,7 +78,7 @@ async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
                 } else {
                     let expected = match role {
                         None => Some(401),
-                        Some(role) if !role.may(need) => Some(403),
+                        Some(role) if !need.open_to(*role) => Some(403),
                         Some(_) if changes && origin.is_none() => Some(403),
                         Some(_) => None,
                     };

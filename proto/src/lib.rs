@@ -19,6 +19,7 @@ pub mod descriptor;
 mod error;
 pub mod ids;
 mod kind;
+pub mod limits;
 mod names;
 pub mod time;
 

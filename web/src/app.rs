@@ -3,14 +3,12 @@
 //! [`App::update`] is pure: events in, effects out. What flies is in [`Live`]; the runtime that does
 //! the effects is `ctx.rs`, the drawing `paint.rs`.
 
+use plumbline_rest::ground::{Ground, Vehicle};
 use std::collections::VecDeque;
 
 use crate::{
     event::{Effect, Event, Failure, Tone},
-    model::{
-        api::{Ground, Vehicle},
-        live::Live,
-    },
+    model::live::Live,
 };
 
 /// Notices on screen; older ones go first.
@@ -189,7 +187,7 @@ impl App {
         }
     }
 
-    fn answered(&mut self, what: &str, result: Result<crate::model::api::Answer, Failure>) -> Vec<Effect> {
+    fn answered(&mut self, what: &str, result: Result<plumbline_rest::command::Answer, Failure>) -> Vec<Effect> {
         match result {
             Ok(answer) if answer.reason.is_empty() => self.tell(Tone::Done, format!("{what}: accepted")),
             Ok(answer) => self.tell(Tone::Done, format!("{what}: {}", answer.reason)),
@@ -213,7 +211,7 @@ impl App {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::api::Answer;
+    use plumbline_rest::command::Answer;
 
     fn vehicle(id: &str, connected: bool) -> Vehicle {
         Vehicle { id: id.into(), connected, ..Default::default() }

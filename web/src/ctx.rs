@@ -7,19 +7,15 @@ use std::time::Duration;
 
 use leptos::prelude::*;
 use plumbline_proto::{codec, v1::Mode};
+use plumbline_rest::command as rest;
+use plumbline_rest::people::{Role, Session};
 use serde_json::{Value, json};
 
 use crate::{
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Failure, Tone},
-    model::{
-        api::{Answer, Session},
-        draft::Draft,
-        live::Live,
-        route::Route,
-        topic::Topic,
-    },
+    model::{draft::Draft, live::Live, route::Route, topic::Topic},
     net, store,
 };
 
@@ -260,7 +256,7 @@ impl Ctx {
 
     /// Why the vehicle would not be commanded from this page; `None` where it would.
     pub fn refusal(self) -> Option<String> {
-        if self.session.with(|session| session.role.as_deref() == Some("viewer")) {
+        if self.session.with(|session| session.role == Some(Role::Viewer)) {
             return Some("You are signed in as a viewer".to_owned());
         }
         let operator = self.operator.get();
@@ -315,7 +311,8 @@ impl Ctx {
         let url = format!("/api/vehicles/{id}/{action}");
         let operator = self.operator.get_untracked();
         leptos::task::spawn_local(async move {
-            let answer: Result<Answer, Failure> = net::json(method, &url, Some(body.to_string()), &operator).await;
+            let answer: Result<rest::Answer, Failure> =
+                net::json(method, &url, Some(body.to_string()), &operator).await;
             then(answer.is_ok());
             self.dispatch(Event::Answered(what, answer));
         });
@@ -337,11 +334,17 @@ impl Ctx {
         let rounded = (altitude_m * 1e4).round() / 1e4;
         let what = format!("Setpoint {} m", crate::model::format::fixed(rounded, 2));
         self.asked_m.set_value(Some(rounded));
-        self.command_then(what, "POST", "setpoint", json!({ "altitude_m": rounded }), move |accepted| {
-            if !accepted && self.asked_m.get_value() == Some(rounded) {
-                self.asked_m.set_value(None);
-            }
-        });
+        self.command_then(
+            what,
+            "POST",
+            "setpoint",
+            json!(rest::Setpoint { altitude_m: Some(rounded), ..rest::Setpoint::default() }),
+            move |accepted| {
+                if !accepted && self.asked_m.get_value() == Some(rounded) {
+                    self.asked_m.set_value(None);
+                }
+            },
+        );
     }
 
     /// What was asked for counts until the vehicle's profile is there, or another mode begins.
@@ -377,7 +380,7 @@ impl Ctx {
     pub fn toggle_recording(self) {
         let on = self.live.with_value(|live| live.recording.as_ref().is_some_and(|r| r.recording));
         let what = if on { "Stop recording" } else { "Start recording" };
-        self.command(what, "POST", "recording", json!({ "on": !on }));
+        self.command(what, "POST", "recording", json!(rest::Recording { on: !on }));
     }
 
     /// Aborts every attack.

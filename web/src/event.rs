@@ -1,9 +1,9 @@
 //! Everything that can happen to the page's state. Closed: what is not here cannot happen.
 
-use crate::model::{
-    api::{Answer, Ground, Vehicle},
-    live::Live,
-};
+use plumbline_rest::command::Answer;
+use plumbline_rest::ground::{Ground, Vehicle};
+
+use crate::model::live::Live;
 
 /// Why a request failed.
 #[derive(Debug, Clone, PartialEq)]

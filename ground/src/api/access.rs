@@ -122,7 +122,7 @@ fn permit(app: &App, need: Access, method: &Method, headers: &HeaderMap) -> Resu
     let Some(person) = person else {
         return Err(ApiError::SignIn("sign in first".into()));
     };
-    if !person.role.may(need) {
+    if !need.open_to(person.role) {
         let (role, least) = (person.role.name(), need.least().name());
         return Err(ApiError::Foreign(format!("a {role} may not do this; it needs the role {least}")));
     }

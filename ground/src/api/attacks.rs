@@ -4,11 +4,13 @@ use axum::extract::{Path, State};
 use plumbline_proto::Kind;
 use plumbline_proto::v1::{self, command};
 
+use plumbline_rest::command::AttackPlan;
+
 use super::App;
 use super::body::Body;
 use super::control::{Answer, send};
 use super::operator::Operator;
-use crate::attack_plan::AttackPlan;
+use crate::attack_plan::to_schedule;
 
 pub(crate) async fn upload(
     State(app): State<App>,
@@ -20,7 +22,7 @@ pub(crate) async fn upload(
     let suite = description.as_ref().map(|d| d.sensors.as_slice());
     let running: Option<v1::AttackState> = app.hub.latest(&id, Kind::Attacks);
     let schedule_id = running.map_or(0, |state| state.schedule_id).wrapping_add(1);
-    let schedule = plan.to_schedule(schedule_id, suite)?;
+    let schedule = to_schedule(&plan, schedule_id, suite)?;
     send(&app, &id, &who, command::Body::AttackSchedule(schedule)).await
 }
 

@@ -3,9 +3,9 @@
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
+use plumbline_proto::limits::MAX_REPLAY_SPEED;
 use plumbline_proto::v1::{self, command};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use plumbline_rest::command as rest;
 
 use super::App;
 use super::body::Body;
@@ -14,18 +14,19 @@ use super::operator::Operator;
 use crate::names::JsonName;
 
 /// The answer to a command: 200 accepted, 409 rejected, the same body.
-pub(crate) type Answer = Result<(StatusCode, Json<Value>), ApiError>;
+pub(crate) type Answer = Result<(StatusCode, Json<rest::Answer>), ApiError>;
 
 /// The HTTP form of an acknowledgement.
-pub(crate) fn answer(ack: &v1::Ack) -> (StatusCode, Json<Value>) {
+pub(crate) fn answer(ack: &v1::Ack) -> (StatusCode, Json<rest::Answer>) {
     let accepted = ack.stage == v1::AckStage::Accepted as i32;
-    let status = if accepted { StatusCode::OK } else { StatusCode::CONFLICT };
-    let stage = v1::AckStage::json_name_of(ack.stage);
-    let mut body = json!({ "command_id": ack.command_id, "stage": stage, "reason": ack.reason });
-    if !accepted && let Some(body) = body.as_object_mut() {
-        body.insert("error".into(), ack.reason.clone().into());
-    }
-    (status, Json(body))
+    let body = rest::Answer {
+        command_id: ack.command_id,
+        stage: v1::AckStage::json_name_of(ack.stage),
+        reason: ack.reason.clone(),
+        error: (!accepted).then(|| ack.reason.clone()),
+        revision: None,
+    };
+    (if accepted { StatusCode::OK } else { StatusCode::CONFLICT }, Json(body))
 }
 
 /// Sends `body` as the operator in control.
@@ -57,17 +58,11 @@ pub(crate) async fn release_cut(State(app): State<App>, Path(id): Path<String>, 
     send(&app, &id, &who, command::Body::ReleaseCut(v1::ReleaseCut {})).await
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Mode {
-    mode: String,
-}
-
 pub(crate) async fn mode(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Mode>,
+    Body(asked): Body<rest::Mode>,
 ) -> Answer {
     let mode = v1::Mode::from_json_name(&asked.mode).map_err(ApiError::Invalid)?;
     // Disarmed and cut are left and entered by their own commands, which say what they do.
@@ -78,17 +73,11 @@ pub(crate) async fn mode(
     send(&app, &id, &who, command::Body::SetMode(v1::SetMode { mode: mode as i32 })).await
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Estimator {
-    estimator: String,
-}
-
 pub(crate) async fn estimator(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Estimator>,
+    Body(asked): Body<rest::Estimator>,
 ) -> Answer {
     let kind = v1::EstimatorKind::from_json_name(&asked.estimator).map_err(ApiError::Invalid)?;
     if kind == v1::EstimatorKind::Unspecified {
@@ -98,17 +87,11 @@ pub(crate) async fn estimator(
     send(&app, &id, &who, body).await
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Decoder {
-    decoder: String,
-}
-
 pub(crate) async fn decoder(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Decoder>,
+    Body(asked): Body<rest::Decoder>,
 ) -> Answer {
     let decoder = v1::Decoder::from_json_name(&asked.decoder).map_err(ApiError::Invalid)?;
     if decoder == v1::Decoder::Unspecified {
@@ -118,23 +101,14 @@ pub(crate) async fn decoder(
     send(&app, &id, &who, body).await
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Simulator {
-    #[serde(default)]
-    battery: bool,
-    #[serde(default)]
-    reset: bool,
-}
-
 /// What only a simulated vehicle can be given; the agent refuses it for any other.
 pub(crate) async fn simulator(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Simulator>,
+    Body(asked): Body<rest::Simulator>,
 ) -> Answer {
-    let Simulator { battery, reset } = asked;
+    let rest::Simulator { battery, reset } = asked;
     if !battery && !reset {
         return Err(ApiError::Invalid("nothing is asked for: battery or reset".into()));
     }
@@ -142,40 +116,23 @@ pub(crate) async fn simulator(
     send(&app, &id, &who, body).await
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Recording {
-    on: bool,
-}
-
 pub(crate) async fn recording(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Recording>,
+    Body(asked): Body<rest::Recording>,
 ) -> Answer {
     send(&app, &id, &who, command::Body::SetRecording(v1::SetRecording { on: asked.on })).await
 }
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Replay {
-    speed: f64,
-    #[serde(default)]
-    step: u32,
-}
-
-/// Fastest replay that can be asked for.
-const MAX_SPEED: f64 = 1000.0;
 
 pub(crate) async fn replay(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Body(asked): Body<Replay>,
+    Body(asked): Body<rest::Replay>,
 ) -> Answer {
-    if !asked.speed.is_finite() || !(0.0..=MAX_SPEED).contains(&asked.speed) {
-        return Err(ApiError::Invalid(format!("speed {} is outside 0 to {MAX_SPEED}", asked.speed)));
+    if !asked.speed.is_finite() || !(0.0..=MAX_REPLAY_SPEED).contains(&asked.speed) {
+        return Err(ApiError::Invalid(format!("speed {} is outside 0 to {MAX_REPLAY_SPEED}", asked.speed)));
     }
     let body = command::Body::SetReplay(v1::SetReplay { speed: asked.speed, step: asked.step });
     send(&app, &id, &who, body).await

@@ -18,7 +18,8 @@ use plumbline_agent::estimate::{Estimate, Health};
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::offline::{EstimateArgs, OfflineError, run_flight};
 use plumbline_proto::v1;
-use serde::{Deserialize, Serialize};
+use plumbline_rest::flight::Curves;
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::App;
@@ -37,33 +38,19 @@ pub(crate) struct Asked {
     sensors: Option<String>,
 }
 
-/// The samples of an answer, as columns.
-#[derive(Debug, Default, Serialize)]
-struct Columns {
-    /// Does the estimator know of a place?
-    #[serde(skip)]
-    placed: bool,
-    time_s: Vec<f64>,
-    altitude_m: Vec<Option<f32>>,
-    roll_rad: Vec<Option<f32>>,
-    pitch_rad: Vec<Option<f32>>,
-    yaw_rad: Vec<Option<f32>>,
-}
-
-impl Columns {
-    fn push(&mut self, estimate: &Estimate) {
-        let time_s = estimate.time.as_seconds();
-        if self.time_s.last().is_some_and(|last| time_s - last < PERIOD_S) {
-            return;
-        }
-        let told = |value: f64| (estimate.health != Health::Initialising && value.is_finite()).then_some(value as f32);
-        let angles = roll_pitch_yaw(&estimate.world_from_body);
-        self.time_s.push(time_s);
-        self.altitude_m.push(told(estimate.position_enu_m.z).filter(|_| self.placed));
-        self.roll_rad.push(told(angles.x));
-        self.pitch_rad.push(told(angles.y));
-        self.yaw_rad.push(told(angles.z));
+/// Adds an estimate, unless it follows the last one too closely.
+fn push(curves: &mut Curves, estimate: &Estimate) {
+    let time_s = estimate.time.as_seconds();
+    if curves.time_s.last().is_some_and(|last| time_s - last < PERIOD_S) {
+        return;
     }
+    let told = |value: f64| (estimate.health != Health::Initialising && value.is_finite()).then_some(value as f32);
+    let angles = roll_pitch_yaw(&estimate.world_from_body);
+    curves.time_s.push(time_s);
+    curves.altitude_m.push(estimate.altitude_m().and_then(told));
+    curves.roll_rad.push(told(angles.x));
+    curves.pitch_rad.push(told(angles.y));
+    curves.yaw_rad.push(told(angles.z));
 }
 
 pub(crate) async fn again(
@@ -92,13 +79,13 @@ fn estimate(
     // The command line has dashes where JSON has underscores.
     let mut args = EstimateArgs::new(FilePath::new(id), &name.replace('_', "-"), FilePath::new(""));
     args.sensors = sensors.map(|s| s.split(',').map(str::to_owned).collect()).unwrap_or_default();
-    let mut columns = Columns { placed: estimator != v1::EstimatorKind::Vqf, ..Columns::default() };
+    let mut curves = Curves::default();
     let each = |estimate: &Estimate| {
-        columns.push(estimate);
+        push(&mut curves, estimate);
         waited.check().map_err(|_| OfflineError::GivenUp)
     };
     let score = run_flight(&bytes, &args, each).map_err(refused)?;
-    let mut answer = json!(columns);
+    let mut answer = json!(curves);
     answer["estimator"] = json!(name);
     answer["score"] = score.to_value();
     Ok(answer)
@@ -120,14 +107,14 @@ mod tests {
 
     #[test]
     fn samples_are_thinned_and_what_is_not_known_is_null() {
-        let mut columns = Columns { placed: true, ..Columns::default() };
+        let mut curves = Curves::default();
         for tick in 0..200_u64 {
             let health = if tick < 100 { Health::Initialising } else { Health::Healthy };
             let mut estimate = Estimate { time: FlightTime(tick * 5_000), health, ..Estimate::default() };
             estimate.position_enu_m.z = 1.5;
-            columns.push(&estimate);
+            push(&mut curves, &estimate);
         }
-        assert_eq!(columns.time_s.len(), 25);
-        assert_eq!((columns.altitude_m.first(), columns.altitude_m.last()), (Some(&None), Some(&Some(1.5))));
+        assert_eq!(curves.time_s.len(), 25);
+        assert_eq!((curves.altitude_m.first(), curves.altitude_m.last()), (Some(&None), Some(&Some(1.5))));
     }
 }

@@ -4,8 +4,8 @@ use axum::Json;
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use plumbline_rest::flight::{Flights, Labels};
 use serde::Deserialize;
-use serde_json::{Value, json};
 
 use super::App;
 use super::body::Body;
@@ -24,24 +24,17 @@ async fn on_disk<T: Send + 'static>(
     }
 }
 
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn list(State(app): State<App>) -> Result<Json<Flights>, ApiError> {
     let recorder = app.recorder.clone();
     // Asked before the list: a list that says it is ready lacks nothing.
     let ready = recorder.ready();
     let (flights, storage) = on_disk(move || Ok((recorder.flights()?, recorder.storage()))).await?;
-    Ok(Json(json!({ "flights": flights, "storage": storage, "ready": ready })))
+    Ok(Json(Flights { flights, storage, ready }))
 }
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Flight>, ApiError> {
     let recorder = app.recorder.clone();
     Ok(Json(on_disk(move || recorder.flight(&id)).await?))
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Labels {
-    name: Option<String>,
-    notes: Option<String>,
 }
 
 pub(crate) async fn annotate(

@@ -11,7 +11,7 @@ use plumbline_agent::design::DesignError;
 use plumbline_agent::design::file::{DesignFile, export, push_message};
 use plumbline_proto::Kind;
 use plumbline_proto::v1::{self, command};
-use serde::Deserialize;
+use plumbline_rest::command::{self as rest, Which};
 use serde_json::{Map, Value, json};
 
 use super::App;
@@ -55,12 +55,6 @@ pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Resu
 fn exported(app: &App, id: &str, gains: &v1::GainsInUse) -> Value {
     let description: v1::Description = app.hub.latest(id, Kind::Description).unwrap_or_default();
     export(gains, &description.airframe, description.tick_rate_hz)
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Which {
-    revision: Option<u32>,
 }
 
 pub(crate) async fn download(
@@ -110,9 +104,6 @@ async fn send(app: &App, id: &str, who: &Operator, file: &DesignFile, design: Ma
     let body = command::Body::PushGains(push_message(&proposal, revision));
     let ack = app.command(id, &sender, who, body).await?;
     app.gains.answered(id, revision, &v1::AckStage::json_name_of(ack.stage), &ack.reason);
-    let (status, Json(mut body)) = answer(&ack);
-    if let Some(body) = body.as_object_mut() {
-        body.insert("revision".into(), revision.into());
-    }
-    Ok((status, Json(body)))
+    let (status, Json(body)) = answer(&ack);
+    Ok((status, Json(rest::Answer { revision: Some(revision), ..body })))
 }

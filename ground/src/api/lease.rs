@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::{Path, State};
-use serde_json::{Value, json};
+use plumbline_rest::ground::Lease;
 
 use super::App;
 use super::error::ApiError;
@@ -13,32 +13,32 @@ fn known(app: &App, id: &str) -> Result<(), ApiError> {
     if app.hub.knows(id) { Ok(()) } else { Err(VehicleError::Unknown(id.to_owned()).into()) }
 }
 
-pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Lease>, ApiError> {
     known(&app, &id)?;
-    Ok(Json(json!({ "holder": app.leases.holder(&id) })))
+    Ok(Json(Lease { holder: app.leases.holder(&id), taken_from: None }))
 }
 
 pub(crate) async fn take(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-) -> Result<Json<Value>, ApiError> {
+) -> Result<Json<Lease>, ApiError> {
     known(&app, &id)?;
     let before = app.leases.take(&id, who.name());
     if before.as_deref() != Some(who.name()) {
         tracing::info!(vehicle = %id, operator = who.name(), from = ?before, "control taken");
         app.show_lease(&id, before.as_deref().unwrap_or_default());
     }
-    Ok(Json(json!({ "holder": who.name(), "taken_from": before.filter(|b| b != who.name()) })))
+    Ok(Json(Lease { holder: Some(who.name().into()), taken_from: before.filter(|b| b != who.name()) }))
 }
 
 pub(crate) async fn release(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-) -> Result<Json<Value>, ApiError> {
+) -> Result<Json<Lease>, ApiError> {
     known(&app, &id)?;
     app.leases.release(&id, who.name())?;
     app.show_lease(&id, "");
-    Ok(Json(json!({ "holder": null })))
+    Ok(Json(Lease::default()))
 }

@@ -3,19 +3,13 @@
 use axum::extract::State;
 use axum::http::StatusCode;
 use plumbline_link::pairing::{Code, PairingError, expect};
-use serde::Deserialize;
+use plumbline_rest::people;
 
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Asked {
-    code: String,
-}
-
-pub(crate) async fn begin(State(app): State<App>, Body(asked): Body<Asked>) -> Result<StatusCode, ApiError> {
+pub(crate) async fn begin(State(app): State<App>, Body(asked): Body<people::Code>) -> Result<StatusCode, ApiError> {
     let Some(identity) = &app.config.link_identity else {
         return Err(ApiError::Unavailable("this ground has no link to agents".into()));
     };

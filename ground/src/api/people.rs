@@ -3,48 +3,30 @@
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
-use serde::Deserialize;
-use serde_json::{Value, json};
+use plumbline_rest::people::{Account, AccountChange, NewAccount, People};
 
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
 use super::operator::Signed;
-use crate::people::{AccountError, Role};
+use crate::people::{self, AccountError, Role};
 
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn list(State(app): State<App>) -> Result<Json<People>, ApiError> {
     let accounts = app.people.accounts().all()?;
-    let accounts: Vec<_> =
-        accounts.iter().map(|a| json!({ "name": a.name, "role": a.role, "two_steps": a.two_steps() })).collect();
-    Ok(Json(json!({ "accounts": accounts, "sessions": app.people.sessions(None) })))
+    let shown =
+        |known: &people::Account| Account { name: known.name.clone(), role: known.role, two_steps: known.two_steps() };
+    Ok(Json(People { accounts: accounts.iter().map(shown).collect(), sessions: app.people.sessions(None) }))
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Added {
-    name: String,
-    role: Role,
-    password: String,
-}
-
-pub(crate) async fn add(State(app): State<App>, Body(asked): Body<Added>) -> Result<StatusCode, ApiError> {
+pub(crate) async fn add(State(app): State<App>, Body(asked): Body<NewAccount>) -> Result<StatusCode, ApiError> {
     app.people.change(move |accounts| accounts.add(&asked.name, asked.role, &asked.password)).await?;
     Ok(StatusCode::CREATED)
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Changed {
-    role: Option<Role>,
-    password: Option<String>,
-    /// `false` takes the authenticator away, as from somebody who lost it. Nobody sets one up for another.
-    two_steps: Option<bool>,
 }
 
 pub(crate) async fn change(
     State(app): State<App>,
     Path(name): Path<String>,
-    Body(asked): Body<Changed>,
+    Body(asked): Body<AccountChange>,
 ) -> Result<StatusCode, ApiError> {
     if asked.two_steps == Some(true) {
         return Err(ApiError::Invalid("whoever is to sign in by two steps sets it up themselves".into()));
@@ -64,9 +46,9 @@ pub(crate) async fn remove(State(app): State<App>, Path(name): Path<String>) -> 
 }
 
 /// The sessions of whoever asks.
-pub(crate) async fn sessions(State(app): State<App>, Signed(person): Signed) -> Json<Value> {
+pub(crate) async fn sessions(State(app): State<App>, Signed(person): Signed) -> Json<People> {
     let sessions = person.account.map_or_else(Vec::new, |account| app.people.sessions(Some(&account)));
-    Json(json!({ "sessions": sessions }))
+    Json(People { sessions, ..People::default() })
 }
 
 /// Ends a session: one's own, or for an admin anybody's.

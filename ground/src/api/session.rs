@@ -8,8 +8,7 @@ use axum::extract::{FromRequestParts, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{Html, IntoResponse, Redirect, Response};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use plumbline_rest::people::{Code, Confirmation, Credentials, NewAuthenticator, Session};
 
 use super::App;
 use super::access::token;
@@ -20,16 +19,6 @@ use crate::audit::Deed;
 use crate::front::Peer;
 use crate::people::{Account, AccountError, Authenticator, COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
 use crate::sync::wall_time_us;
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Credentials {
-    name: String,
-    password: String,
-    /// Of the account's authenticator, where it has one.
-    #[serde(default)]
-    code: String,
-}
 
 /// Address of the client, where it is known.
 pub(crate) struct From(Option<IpAddr>);
@@ -42,15 +31,16 @@ impl<S: Sync> FromRequestParts<S> for From {
     }
 }
 
-pub(crate) async fn show(State(app): State<App>, headers: HeaderMap) -> Json<Value> {
+pub(crate) async fn show(State(app): State<App>, headers: HeaderMap) -> Json<Session> {
     let person = app.people.person(token(&headers).as_ref());
-    Json(json!({
-        "sign_in_needed": app.people.sign_in_needed(),
-        "signed_in": person.is_some(),
-        "name": person.as_ref().and_then(|person| person.account.clone()),
-        "two_steps": person.as_ref().and_then(|person| person.account.as_deref()).is_some_and(|name| two_steps(&app, name)),
-        "role": person.map(|person| person.role),
-    }))
+    let name = person.as_ref().and_then(|person| person.account.clone());
+    Json(Session {
+        sign_in_needed: app.people.sign_in_needed(),
+        signed_in: person.is_some(),
+        two_steps: name.as_ref().is_some_and(|name| two_steps(&app, name)),
+        name,
+        role: person.map(|person| person.role),
+    })
 }
 
 fn two_steps(app: &App, name: &str) -> bool {
@@ -63,8 +53,10 @@ pub(crate) async fn begin(
     Body(credentials): Body<Credentials>,
 ) -> Result<Response, ApiError> {
     let (token, person) = sign_in(&app, &from, credentials).await?;
-    let body = Json(json!({ "name": person.account, "role": person.role }));
-    Ok((StatusCode::OK, cookie(&app, token.as_str(), SESSION_LONGEST_S), body).into_response())
+    let two_steps = two_steps(&app, person.account.as_deref().unwrap_or_default());
+    let body =
+        Session { sign_in_needed: true, signed_in: true, name: person.account, role: Some(person.role), two_steps };
+    Ok((StatusCode::OK, cookie(&app, token.as_str(), SESSION_LONGEST_S), Json(body)).into_response())
 }
 
 pub(crate) async fn end(State(app): State<App>, from: From, headers: HeaderMap) -> Response {
@@ -78,16 +70,9 @@ fn account(person: Person) -> Result<String, ApiError> {
 }
 
 /// A new authenticator; it counts once a code of it has come back ([`confirm`]).
-pub(crate) async fn offer(Signed(person): Signed) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn offer(Signed(person): Signed) -> Result<Json<NewAuthenticator>, ApiError> {
     let new = Authenticator::new(&account(person)?)?;
-    Ok(Json(json!({ "secret": new.secret(), "url": new.url(), "svg": new.picture() })))
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Confirmation {
-    secret: String,
-    code: String,
+    Ok(Json(NewAuthenticator { secret: new.secret(), url: new.url(), svg: new.picture() }))
 }
 
 /// From now on this account signs in by two steps.
@@ -101,12 +86,6 @@ pub(crate) async fn confirm(
     authenticator.step(&asked.code, wall_time_us() / 1_000_000).ok_or(AccountError::Code)?;
     app.people.change(move |accounts| accounts.set_totp(&name, Some(&authenticator))).await?;
     Ok(StatusCode::NO_CONTENT)
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Code {
-    code: String,
 }
 
 /// From now on its password is enough; a code is asked for, so that a page left open is not.

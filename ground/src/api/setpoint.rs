@@ -2,32 +2,13 @@
 
 use axum::extract::{Path, State};
 use plumbline_proto::v1::{self, command};
-use serde::Deserialize;
+use plumbline_rest::command::Setpoint;
 
 use super::App;
-use super::body::{Body, number};
+use super::body::Body;
 use super::control::{Answer, send};
 use super::error::ApiError;
 use super::operator::Operator;
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Setpoint {
-    #[serde(default, deserialize_with = "number")]
-    altitude_m: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    x_m: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    y_m: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    roll_rad: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    pitch_rad: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    yaw_rad: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    throttle: Option<f64>,
-}
 
 pub(crate) async fn set(
     State(app): State<App>,

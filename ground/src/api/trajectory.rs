@@ -5,32 +5,14 @@
 
 use axum::extract::{Path, State};
 use plumbline_proto::v1::{self, command};
-use serde::Deserialize;
+use plumbline_rest::command::Trajectory;
 
 use super::App;
-use super::body::{Body, number};
+use super::body::Body;
 use super::control::{Answer, send};
 use super::error::ApiError;
 use super::operator::Operator;
 use crate::names::JsonName;
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Trajectory {
-    shape: String,
-    #[serde(default, deserialize_with = "number")]
-    size_m: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    period_s: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    speed_mps: Option<f64>,
-    #[serde(default, deserialize_with = "number")]
-    duration_s: Option<f64>,
-    #[serde(default)]
-    altitude_m: Vec<f64>,
-    #[serde(default, deserialize_with = "number")]
-    hold_s: Option<f64>,
-}
 
 pub(crate) async fn fly(
     State(app): State<App>,

@@ -3,6 +3,7 @@
 use std::io::{BufRead as _, IsTerminal as _, Write as _};
 
 use clap::Subcommand;
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use plumbline_ground::people::{Accounts, Role};
 
 use super::DataFolder;
@@ -21,7 +22,7 @@ enum Deed {
         /// Name to sign in with.
         name: String,
         /// What it may do.
-        #[arg(long, value_enum)]
+        #[arg(long, value_parser = PossibleValuesParser::new(Role::ALL.map(Role::name)).map(role))]
         role: Role,
         #[command(flatten)]
         data: DataFolder,
@@ -52,6 +53,11 @@ enum Deed {
         #[command(flatten)]
         data: DataFolder,
     },
+}
+
+/// Of a name that is one of theirs.
+fn role(name: String) -> Role {
+    Role::named(&name).unwrap_or(Role::Viewer)
 }
 
 /// Does it.

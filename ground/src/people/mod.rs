@@ -23,8 +23,10 @@ pub(crate) use attempts::origin;
 pub use attempts::{FAILURES, FAILURES_WITHIN};
 pub use role::{Access, Role};
 pub(crate) use sessions::LONGEST_S as SESSION_LONGEST_S;
-pub use sessions::{COOKIE, Sessions, Shown, Token};
+pub use sessions::{COOKIE, Sessions, Token};
 pub use totp::Authenticator;
+
+use plumbline_rest::people::SignedIn;
 
 use crate::sync::{lock, wall_time_us};
 
@@ -186,7 +188,7 @@ impl People {
     }
 
     /// The sessions of an account, or of everybody.
-    pub fn sessions(&self, account: Option<&str>) -> Vec<Shown> {
+    pub fn sessions(&self, account: Option<&str>) -> Vec<SignedIn> {
         let Ok(accounts) = self.accounts.all() else { return Vec::new() };
         self.sessions.list(|session| {
             account.is_none_or(|account| session.account == account)
@@ -205,7 +207,7 @@ impl People {
             return true;
         }
         let Ok(accounts) = self.accounts.all() else { return true };
-        let may = accounts.iter().any(|account| account.name == name && account.role.may(Access::Operate));
+        let may = accounts.iter().any(|account| account.name == name && Access::Operate.open_to(account.role));
         may && !self.sessions(Some(name)).is_empty()
     }
 

@@ -13,6 +13,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
+use plumbline_rest::people::SignedIn;
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -85,21 +86,6 @@ pub(super) struct Session {
     /// Address it began from.
     #[serde(default)]
     from: String,
-}
-
-/// A session, as it is shown.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Shown {
-    /// Says nothing about the token.
-    pub id: String,
-    /// Whose.
-    pub account: String,
-    /// Address it began from.
-    pub from: String,
-    /// When it began, s since the Unix epoch.
-    pub begun_s: u64,
-    /// When it was in use last, to about ten minutes.
-    pub seen_s: u64,
 }
 
 /// Digits of a session's key that are shown.
@@ -207,12 +193,12 @@ impl Sessions {
     }
 
     /// Sessions that are not over and that `counts` lets pass.
-    pub(super) fn list(&self, counts: impl Fn(&Session) -> bool) -> Vec<Shown> {
+    pub(super) fn list(&self, counts: impl Fn(&Session) -> bool) -> Vec<SignedIn> {
         let now_s = now_s();
         let known = lock(&self.known);
         let live = known.sessions.iter().filter(|(_, session)| !session.over(now_s) && counts(session));
-        let mut list: Vec<Shown> = live
-            .map(|(key, session)| Shown {
+        let mut list: Vec<SignedIn> = live
+            .map(|(key, session)| SignedIn {
                 id: key.chars().take(SHOWN).collect(),
                 account: session.account.clone(),
                 from: session.from.clone(),

@@ -1,113 +1,12 @@
-//! What is known of one recorded flight: the record that lists, pages and the index show.
+//! What is known of one recorded flight, learnt from its messages.
 
 use std::collections::BTreeMap;
 
 use plumbline_proto::{Kind, Message, v1};
-use serde::{Deserialize, Serialize};
+pub use plumbline_rest::flight::{Completeness, Flight, FlownAttack, Step};
 
-use crate::attack_plan::{PlannedAttack, planned};
+use crate::attack_plan::planned;
 use crate::names::JsonName;
-
-/// Is everything there that the agent sent?
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
-#[serde(rename_all = "snake_case")]
-pub enum Completeness {
-    /// It goes on.
-    #[default]
-    Recording,
-    /// Every message of the flight is in the file.
-    Complete,
-    /// Messages are missing and the agent may still have them.
-    Filling,
-    /// Messages are missing for good, or the end of the flight was never seen.
-    Truncated,
-}
-
-/// One setpoint step of a flight.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Step {
-    /// Since the start of the flight, s.
-    pub start_s: f64,
-    /// From, m.
-    pub from_m: f64,
-    /// To, m.
-    pub to_m: f64,
-    /// 10 % to 90 %, s.
-    pub rise_time_s: Option<f64>,
-    /// Overshoot, %.
-    pub overshoot_percent: f64,
-    /// Into the band for good, s.
-    pub settling_time_s: Option<f64>,
-    /// Mean error of the last second, m.
-    pub steady_error_m: Option<f64>,
-    /// The next step began before this one was inside the band.
-    #[serde(default)]
-    pub interrupted: bool,
-}
-
-/// One attack of a flight; `start_s` counts from the start of the flight.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FlownAttack {
-    /// The attack.
-    #[serde(flatten)]
-    pub planned: PlannedAttack,
-    /// How far it came.
-    pub phase: String,
-}
-
-/// One flight.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
-pub struct Flight {
-    /// Id, safe as a file name.
-    pub id: String,
-    /// Given by people.
-    pub name: String,
-    /// Written by people.
-    pub notes: String,
-    /// Agent that flew.
-    pub vehicle_id: String,
-    /// Boot of that agent.
-    pub boot_id: u64,
-    /// sim, replay or hardware.
-    pub vehicle: String,
-    /// Rig.
-    pub rig: String,
-    /// Airframe.
-    pub airframe: String,
-    /// Seed of the scenario.
-    pub seed: u64,
-    /// Version of the agent.
-    pub agent_version: String,
-    /// Start, µs since the Unix epoch, by the agent's clock.
-    pub started_unix_us: u64,
-    /// Length, s.
-    pub duration_s: f64,
-    /// Messages in the file.
-    pub messages: u64,
-    /// Of them, received live by this recording.
-    pub live: u64,
-    /// Of them, sent again by the agent.
-    pub filled: u64,
-    /// Messages of the flight that are not in the file.
-    pub missing: u64,
-    /// First sequence number.
-    pub first_sequence: Option<u64>,
-    /// Last sequence number; absent while unknown.
-    pub last_sequence: Option<u64>,
-    /// Is everything there?
-    pub completeness: Completeness,
-    /// Size of its files, bytes.
-    pub size_bytes: u64,
-    /// RMS of altitude setpoint minus altitude while altitude was held, m: against truth where the
-    /// flight has it, else against the estimate in the loop.
-    pub tracking_rms_m: Option<f64>,
-    /// Setpoint steps.
-    pub steps: Vec<Step>,
-    /// Attacks.
-    pub attacks: Vec<FlownAttack>,
-    /// Messages of each topic.
-    pub counts: BTreeMap<String, u64>,
-}
 
 /// Samples further apart than this are not compared, µs.
 const COMPARE_WITHIN_US: u64 = 100_000;

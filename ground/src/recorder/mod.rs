@@ -42,6 +42,7 @@ pub use export::{Export, Sink};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use index::FlightIndex;
 pub use intervals::IntervalSet;
+pub use plumbline_rest::ground::Storage;
 pub use snapshot::Snapshot;
 use store::RecordingStore;
 pub use store::{Labels, MAX_NAME, MAX_NOTES};
@@ -94,17 +95,6 @@ pub enum RecordingError {
     /// The index failed; it can be rebuilt from the files.
     #[error("index of flights: {0}")]
     Index(#[from] rusqlite::Error),
-}
-
-/// What the recordings take and leave.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-pub struct Storage {
-    /// Size of all flight files, bytes.
-    pub used_bytes: u64,
-    /// Free on their disk, bytes.
-    pub free_bytes: u64,
-    /// Flights.
-    pub flights: u64,
 }
 
 /// What the recorder is told.

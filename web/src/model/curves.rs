@@ -5,7 +5,9 @@ use std::ops::Range;
 
 use plumbline_proto::v1;
 
-use super::{api::Again, series::Series};
+use plumbline_rest::flight::Curves as Recomputed;
+
+use super::series::Series;
 
 /// Samples kept of a live curve: ten minutes at 200 Hz.
 pub const LIVE_SAMPLES: usize = 120_000;
@@ -223,7 +225,7 @@ impl Curves {
     }
 
     /// The recording estimated again by estimator `number`, instead of what it said before.
-    pub fn set_again(&mut self, number: u16, again: &Again) {
+    pub fn set_again(&mut self, number: u16, again: &Recomputed) {
         self.remove_again(number);
         let angles = [&again.roll_rad, &again.pitch_rad, &again.yaw_rad];
         for (k, time_s) in again.time_s.iter().enumerate() {
@@ -311,7 +313,7 @@ mod tests {
         );
         assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 1.0), Some(180.0));
         assert_eq!(curves.value_at(Curve::Attitude(1, Axis::Roll), 0.9), None);
-        let again = Again { time_s: vec![2.0, 2.04], altitude_m: vec![None, Some(1.5)], ..Again::default() };
+        let again = Recomputed { time_s: vec![2.0, 2.04], altitude_m: vec![None, Some(1.5)], ..Recomputed::default() };
         curves.set_again(4, &again);
         assert_eq!((curves.value_at(Curve::AgainAltitude(4), 2.0), curves.len(Curve::AgainAltitude(4))), (None, 2));
         assert_eq!(curves.value_at(Curve::AgainAltitude(4), 2.1), Some(1.5));

@@ -2,7 +2,9 @@
 
 use plumbline_proto::v1::{AttackChannel, AttackKind, Description, SensorChannel, SensorKind};
 
-use super::{api::AttackBody, format, names};
+use plumbline_rest::command::PlannedAttack;
+
+use super::{format, names};
 
 /// One attack of the draft.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,8 +48,8 @@ impl Draft {
     }
 
     /// As the ground wants it; attacks of one schedule get different seeds.
-    pub fn body(&self, seed: u64) -> AttackBody {
-        AttackBody {
+    pub fn body(&self, seed: u64) -> PlannedAttack {
+        PlannedAttack {
             sensor: names::sensor_json(self.sensor),
             instance: self.instance,
             channel: names::attack_channel_json(self.channel),

@@ -1,6 +1,6 @@
 //! The list of flights: what is shown, in which order.
 
-use super::api::Flight;
+use plumbline_rest::flight::Flight;
 
 /// A column of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,8 +68,12 @@ impl Column {
 pub fn select(mut flights: Vec<Flight>, filter: &str, column: Column, descending: bool) -> Vec<Flight> {
     let words: Vec<String> = filter.split_whitespace().map(str::to_lowercase).collect();
     flights.retain(|f| {
-        let attacks: String = f.attacks.iter().map(|a| format!(" {} {} {}", a.sensor, a.instance, a.kind)).collect();
-        let notes = f.notes.as_deref().unwrap_or_default();
+        let attacks: String = f
+            .attacks
+            .iter()
+            .map(|a| format!(" {} {} {}", a.planned.sensor, a.planned.instance, a.planned.kind))
+            .collect();
+        let notes = &f.notes;
         let text = format!(
             "{} {} {notes} {} {} {} {}{attacks}",
             f.id,
@@ -77,7 +81,7 @@ pub fn select(mut flights: Vec<Flight>, filter: &str, column: Column, descending
             f.vehicle_id,
             f.vehicle,
             f.rig,
-            f.completeness
+            f.completeness.name()
         );
         let text = text.to_lowercase();
         words.iter().all(|w| text.contains(w))
@@ -93,8 +97,8 @@ pub fn select(mut flights: Vec<Flight>, filter: &str, column: Column, descending
             Column::Attacks => a.attacks.len().cmp(&b.attacks.len()),
             // Flights without a figure come last when the worst is wanted first.
             Column::Tracking => a.tracking_rms_m.unwrap_or(-1.0).total_cmp(&b.tracking_rms_m.unwrap_or(-1.0)),
-            Column::Completeness => a.completeness.cmp(&b.completeness),
-            Column::Size => a.size_bytes.total_cmp(&b.size_bytes),
+            Column::Completeness => a.completeness.name().cmp(b.completeness.name()),
+            Column::Size => a.size_bytes.cmp(&b.size_bytes),
         };
         let by = if descending { by.reverse() } else { by };
         by.then_with(|| b.started_unix_us.cmp(&a.started_unix_us)).then_with(|| a.id.cmp(&b.id))

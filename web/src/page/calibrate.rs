@@ -1,6 +1,7 @@
 //! Calibrate: guidance for each kind, a fit from a flight or a table, its picture, and what is kept.
 
 use leptos::prelude::*;
+use plumbline_rest::flight::{Flight, Flights};
 use serde_json::{Value, json};
 use wasm_bindgen_futures::JsFuture;
 
@@ -8,7 +9,6 @@ use crate::{
     ctx::{Ctx, ctx},
     event::Tone,
     model::{
-        api::{Flight, Flights},
         calibration::{Calibration, Calibrations, KINDS, Kind, Picture, drawn},
         format, listing,
         tuning::short,

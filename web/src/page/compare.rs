@@ -1,12 +1,12 @@
 //! Compare: the altitude of several recordings over the same time axis, each from its own begin.
 
 use leptos::prelude::*;
+use plumbline_rest::flight::Flight;
 
 use crate::{
     ctx::ctx,
     deck::{Deck, Picture},
     model::{
-        api::Flight,
         curves::{Curve, Curves},
         format,
         live::Live,
@@ -133,7 +133,7 @@ fn Overlay(deck: Deck, flights: Vec<Flight>) -> impl IntoView {
                                 <td class="num">{format::clock(f.duration_s)}</td>
                                 <td class="num">{f.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)))}</td>
                                 <td class="num">{seconds(first.rise_time_s)}</td>
-                                <td class="num">{first.overshoot_percent.map_or_else(|| format::NONE.to_owned(), |p| format!("{} %", format::fixed(p, 1)))}</td>
+                                <td class="num">{format!("{} %", format::fixed(first.overshoot_percent, 1))}</td>
                                 <td class="num">{seconds(first.settling_time_s)}</td>
                                 <td class="num">{f.attacks.len()}</td>
                             </tr>

@@ -6,6 +6,7 @@ mod reestimate;
 mod scrub;
 
 use leptos::prelude::*;
+use plumbline_rest::flight::{Flight, Labels};
 use serde_json::json;
 
 use crate::{
@@ -13,7 +14,6 @@ use crate::{
     deck::Deck,
     event::{Failure, Tone},
     model::{
-        api::Flight,
         format::{self, NONE},
         listing,
         live::Live,
@@ -116,7 +116,8 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             name.set(flight.title().to_owned());
         }
     });
-    let rename = move |_| save(ctx, url.get_value(), json!({ "name": name.get_untracked() }), summary);
+    let rename =
+        move |_| save(ctx, url.get_value(), json!(Labels { name: Some(name.get_untracked()), notes: None }), summary);
     let delete = Callback::new(move |()| {
         leptos::task::spawn_local(async move {
             match net::json::<serde_json::Value>("DELETE", &url.get_value(), None, &ctx.operator()).await {
@@ -135,7 +136,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
                 listing::when(f.started_unix_us, local_offset_min()),
                 format::clock(f.duration_s),
                 if f.rig.is_empty() { NONE } else { &f.rig },
-                f.completeness
+                f.completeness.name()
             ),
             Some(Err(e)) => e.text.clone(),
             None => String::new(),

@@ -1,12 +1,12 @@
 //! Flights: every recording, to find, compare, download.
 
 use leptos::prelude::*;
+use plumbline_rest::flight::{Completeness, Flight, Flights};
 
 use crate::{
     ctx::ctx,
     event::Failure,
     model::{
-        api::{Flight, Flights},
         format,
         listing::{self, Column},
         route::Route,
@@ -163,10 +163,10 @@ fn Row(flight: Flight) -> impl IntoView {
     let (id, title) = (flight.id.clone(), flight.title().to_owned());
     let steps = flight.steps.len();
     let attacks = flight.attacks.len();
-    let state = match flight.completeness.as_str() {
-        "complete" => "good",
-        "truncated" => "bad",
-        _ => "warn",
+    let state = match flight.completeness {
+        Completeness::Complete => "good",
+        Completeness::Truncated => "bad",
+        Completeness::Recording | Completeness::Filling => "warn",
     };
     let missing = if flight.missing > 0 {
         format!("{} messages missing", format::count(flight.missing))
@@ -182,7 +182,7 @@ fn Row(flight: Flight) -> impl IntoView {
         <td class="num">{steps}</td>
         <td class="num">{attacks}</td>
         <td class="num">{flight.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 0)))}</td>
-        <td class=state title=missing>{flight.completeness.clone()}</td>
+        <td class=state title=missing>{flight.completeness.name()}</td>
         <td class="num">{format::bytes(flight.size_bytes)}</td>
     }
 }

@@ -1,20 +1,19 @@
 //! People: who is signed in from where, and, for admins, the accounts.
 
 use leptos::prelude::*;
+use plumbline_rest::people::{
+    AccountChange, Code, Confirmation, NewAccount, NewAuthenticator, People, Role, Session, SignedIn,
+};
 use serde_json::{Value, json};
 
 use crate::{
     ctx::{Ctx, ctx},
     event::Tone,
-    model::{
-        api::{NewAuthenticator, People, Session, SignedIn},
-        format,
-    },
+    model::format,
     net,
     panel::hold::HoldButton,
 };
 
-const ROLES: [&str; 4] = ["viewer", "operator", "attacker", "admin"];
 const PEOPLE: &str = "/api/people";
 
 /// Sends a change and says what came of it; then `after`.
@@ -41,10 +40,10 @@ pub fn PeopleCard() -> impl IntoView {
     let ctx = ctx();
     let people = RwSignal::new(People::default());
     let trouble = RwSignal::new(String::new());
-    let role = Memo::new(move |_| ctx.session.with(|session| session.role.clone()));
-    let admin = move || role.get().as_deref() == Some("admin");
+    let role = Memo::new(move |_| ctx.session.with(|session| session.role));
+    let admin = move || role.get() == Some(Role::Admin);
     let load = move || {
-        let url = if role.get_untracked().as_deref() == Some("admin") { PEOPLE } else { "/api/sessions" };
+        let url = if role.get_untracked() == Some(Role::Admin) { PEOPLE } else { "/api/sessions" };
         leptos::task::spawn_local(async move {
             match net::json::<People>("GET", url, None, "").await {
                 Ok(found) => {
@@ -80,7 +79,7 @@ pub fn PeopleCard() -> impl IntoView {
                         <tr>
                             <th scope="row">{session.account.clone()}</th>
                             <td>{session.from.clone()}</td>
-                            <td class="num">{format!("{} ago", format::age(now_s - session.begun_s))}</td>
+                            <td class="num">{format!("{} ago", format::age(now_s - session.begun_s as f64))}</td>
                             <td><button type="button" aria-label=format!("End the session of {} from {}", session.account, session.from)
                                 on:click=move |_| end(ending.clone())>"End"</button></td>
                         </tr>
@@ -122,8 +121,10 @@ fn TwoSteps() -> impl IntoView {
         event.prevent_default();
         let code = code.get_untracked();
         let (method, body, done) = match new.get_untracked() {
-            Some(new) => ("PUT", json!({ "secret": new.secret, "code": code }), "You sign in by two steps from now on"),
-            None => ("DELETE", json!({ "code": code }), "Your password is enough from now on"),
+            Some(new) => {
+                ("PUT", json!(Confirmation { secret: new.secret, code }), "You sign in by two steps from now on")
+            }
+            None => ("DELETE", json!(Code { code }), "Your password is enough from now on"),
         };
         change(ctx, (method, URL.to_owned()), Some(body), done.to_owned(), again);
     };
@@ -162,11 +163,14 @@ fn TwoSteps() -> impl IntoView {
 fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
     let ctx = ctx();
     let (name, password, role) =
-        (RwSignal::new(String::new()), RwSignal::new(String::new()), RwSignal::new("operator"));
+        (RwSignal::new(String::new()), RwSignal::new(String::new()), RwSignal::new(Role::Operator));
     let add = move |event: leptos::ev::SubmitEvent| {
         event.prevent_default();
-        let body =
-            json!({ "name": name.get_untracked(), "role": role.get_untracked(), "password": password.get_untracked() });
+        let body = json!(NewAccount {
+            name: name.get_untracked(),
+            role: role.get_untracked(),
+            password: password.get_untracked()
+        });
         let done = format!("Account {} made", name.get_untracked());
         password.set(String::new());
         change(ctx, ("POST", PEOPLE.to_owned()), Some(body), done, move || load.run(()));
@@ -176,20 +180,21 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
             let url = format!("{PEOPLE}/{}", account.name);
             let url = StoredValue::new(url);
             let who = StoredValue::new(account.name.clone());
-            let set_role = move |role: String| {
-                let done = format!("{} is {role} now", who.get_value());
-                change(ctx, ("PATCH", url.get_value()), Some(json!({ "role": role })), done, move || load.run(()));
+            let set_role = move |name: String| {
+                let Some(role) = Role::named(&name) else { return };
+                let done = format!("{} is {name} now", who.get_value());
+                change(ctx, ("PATCH", url.get_value()), Some(json!(AccountChange { role: Some(role), ..AccountChange::default() })), done, move || load.run(()));
             };
             let remove = Callback::new(move |()| {
                 let done = format!("Account {} removed", who.get_value());
                 change(ctx, ("DELETE", url.get_value()), None, done, move || load.run(()));
             });
-            let current = account.role.clone();
+            let current = account.role;
             view! {
                 <tr>
                     <th scope="row">{account.name.clone()}</th>
                     <td><select aria-label=format!("Role of {}", account.name) on:change:target=move |e| set_role(e.target().value())>
-                        {ROLES.iter().map(|r| view! { <option value={*r} selected={*r == current}>{*r}</option> }).collect::<Vec<_>>()}
+                        {Role::ALL.map(|r| view! { <option value={r.name()} selected={r == current}>{r.name()}</option> }).collect_view()}
                     </select></td>
                     <td><HoldButton label="Remove" class="warn" action=remove /></td>
                 </tr>
@@ -204,8 +209,8 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
             <label class="field"><span>"Password"</span>
                 <input type="password" autocomplete="new-password" required minlength="10" prop:value=password on:input:target=move |e| password.set(e.target().value()) /></label>
             <label class="field"><span>"Role"</span>
-                <select on:change:target=move |e| role.set(ROLES.iter().find(|r| **r == e.target().value()).copied().unwrap_or("viewer"))>
-                    {ROLES.iter().map(|r| view! { <option value={*r} selected={*r == "operator"}>{*r}</option> }).collect::<Vec<_>>()}
+                <select on:change:target=move |e| role.set(Role::named(&e.target().value()).unwrap_or(Role::Viewer))>
+                    {Role::ALL.map(|r| view! { <option value={r.name()} selected={r == Role::Operator}>{r.name()}</option> }).collect_view()}
                 </select></label>
             <button type="submit">"Add account"</button>
         </form>

@@ -5,7 +5,7 @@ use leptos::prelude::*;
 use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
-    model::{api::Session, curves::DEGREES, format, names},
+    model::{api, curves::DEGREES, format, names},
     store,
 };
 
@@ -80,7 +80,7 @@ pub fn Setup() -> impl IntoView {
                         {fact("schema", plumbline_proto::SCHEMA.to_string())}
                         {fact("graphics", graphics)}
                         {fact("you are", view! { <Name /> })}
-                        {move || ctx.session.with(Session::who).map(|who| {
+                        {move || ctx.session.with(api::who).map(|who| {
                             fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
                         })}
                         {fact("unreadable messages", move || ctx.live(|live| {

@@ -144,7 +144,7 @@ impl Bench {
         let operator = self.ctx.operator();
         leptos::task::spawn_local(async move {
             let url = format!("/api/vehicles/{id}/{action}");
-            let answer: Result<crate::model::api::Answer, Failure> =
+            let answer: Result<plumbline_rest::command::Answer, Failure> =
                 net::json(method, &url, Some(body.to_string()), &operator).await;
             let done = answer.is_ok();
             self.ctx.dispatch(crate::event::Event::Answered(what, answer));

@@ -3,6 +3,7 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::Failsafe;
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use crate::{
@@ -78,7 +79,7 @@ pub fn Alarms() -> impl IntoView {
                 <p class="alarm" class:bad=empty>
                     <b>{text}</b>
                     {simulated.get().then(|| view! {
-                        <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!({ "battery": true }))>"New battery"</button>
+                        <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!(rest::Simulator { battery: true, reset: false }))>"New battery"</button>
                     })}
                 </p>
             })}

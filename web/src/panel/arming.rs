@@ -3,6 +3,7 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::{Check, EstimatorKind, Mode, RecordingStatus, Status};
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use super::hold::HoldButton;
@@ -95,7 +96,7 @@ pub fn ArmingCard() -> impl IntoView {
                                 disabled=move || !known.get()
                                 on:click=move |_| match unfit.get_untracked() {
                                     Some(why) => ctx.refuse(why),
-                                    None => ctx.command(names::mode(m), "POST", "mode", json!({ "mode": names::mode_json(m) })),
+                                    None => ctx.command(names::mode(m), "POST", "mode", json!(rest::Mode { mode: names::mode_json(m) })),
                                 }
                             >{names::mode(m)}</button>
                         }

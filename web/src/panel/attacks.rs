@@ -2,6 +2,7 @@
 
 use leptos::{html, prelude::*};
 use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, AttackProgress, Description, SensorKind};
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use crate::{
@@ -107,11 +108,17 @@ pub fn AttacksCard() -> impl IntoView {
         let bodies: Vec<_> = drafts.get_untracked().iter().enumerate().map(|(i, d)| d.body(i as u64 + 1)).collect();
         let sent = drafts.get_untracked();
         // What is refused is still here to be mended.
-        ctx.command_then("Attack schedule", "PUT", "attacks", json!({ "attacks": bodies }), move |accepted| {
-            if accepted && drafts.with_untracked(|all| *all == sent) {
-                drafts.set(Vec::new());
-            }
-        });
+        ctx.command_then(
+            "Attack schedule",
+            "PUT",
+            "attacks",
+            json!(rest::AttackPlan { attacks: bodies }),
+            move |accepted| {
+                if accepted && drafts.with_untracked(|all| *all == sent) {
+                    drafts.set(Vec::new());
+                }
+            },
+        );
     };
     view! {
         <section class="card attacks" aria-label="Attacks">

@@ -2,6 +2,7 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::{EstimatorKind, Mode};
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use crate::{
@@ -40,7 +41,7 @@ pub fn EstimatorCard() -> impl IntoView {
         keys::let_go();
         if let Some(kind) = kind.filter(|kind| *kind as i32 != in_loop.get_untracked()) {
             let what = format!("Estimator {}", names::estimator(kind));
-            ctx.command(what, "POST", "estimator", json!({ "estimator": names::estimator_json(kind) }));
+            ctx.command(what, "POST", "estimator", json!(rest::Estimator { estimator: names::estimator_json(kind) }));
         }
     };
     view! {

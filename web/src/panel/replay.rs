@@ -1,6 +1,7 @@
 //! Controls of a replayed vehicle: faster, slower, one tick at a time. Only there when a recording flies.
 
 use leptos::prelude::*;
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use crate::{ctx::ctx, model::format};
@@ -23,7 +24,7 @@ pub fn ReplayCard() -> impl IntoView {
     let ended = Memo::new(move |_| !running.get() && progress.get() >= 1.0);
     let resume = RwSignal::new(1.0);
     let send = move |what: String, speed: f64, step: u32| {
-        ctx.command(what, "POST", "replay", json!({ "speed": speed, "step": step }))
+        ctx.command(what, "POST", "replay", json!(rest::Replay { speed, step }))
     };
     let toggle = move |_| {
         if speed.get_untracked() > 0.0 {

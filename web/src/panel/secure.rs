@@ -5,6 +5,7 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::{self, Decoder, DecoderStatus, FlagReason, SecureFallback, SensorKind};
+use plumbline_rest::command as rest;
 use serde_json::json;
 
 use super::plot::Plot;
@@ -56,7 +57,7 @@ fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl Int
     let choose = move |value: String| {
         let Some(decoder) = value.parse().ok().and_then(|n: i32| Decoder::try_from(n).ok()) else { return };
         let what = format!("Decoder {}", names::decoder(decoder));
-        ctx.command(what, "POST", "decoder", json!({ "decoder": names::decoder_json(decoder) }));
+        ctx.command(what, "POST", "decoder", json!(rest::Decoder { decoder: names::decoder_json(decoder) }));
     };
     view! {
         <select

@@ -8,7 +8,7 @@ use crate::{
     app::Socket,
     ctx::{Ctx, ctx},
     event::Event,
-    model::{api::Session, format, names, route::Route},
+    model::{api, format, names, route::Route},
     store,
 };
 
@@ -102,7 +102,7 @@ fn recording_state(ctx: Ctx) -> (String, &'static str, String) {
                 "{}: {} messages, {}; {} missing, which the agent's own log still has to fill in",
                 r.flight_id,
                 format::count(r.messages),
-                format::bytes(r.bytes as f64),
+                format::bytes(r.bytes),
                 format::count(r.missing)
             );
             (format!("REC {} {whole}", format::clock(r.duration_s)), "recording", more)
@@ -228,7 +228,7 @@ pub fn Toolbar() -> impl IntoView {
                 <small>{move || if mine() { "you control".to_owned() } else if holder.get().is_empty() { "nobody controls".to_owned() } else { holder.get() }}</small>
                 <b>{move || if mine() { "Release" } else if holder.get().is_empty() { "Take control" } else { "Take over" }}</b>
             </button>
-            {move || ctx.session.with(Session::who).map(|who| view! {
+            {move || ctx.session.with(api::who).map(|who| view! {
                 <a class="tag" href="/login" title=format!("Signed in as {who}")>"sign out"</a>
             })}
             <button type="button" class="icon" aria-label="Keys and help" title="Keys (?)" on:click=move |_| ctx.help.set(true)>"?"</button>

@@ -7,7 +7,7 @@ use super::kinds::{Channel, Kind};
 use crate::sensor::quantities;
 
 /// Most attacks of one schedule.
-pub const MAX_ATTACKS: usize = 32;
+pub use plumbline_proto::limits::MAX_ATTACKS;
 
 /// One attack on one sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,11 +2,12 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::EstimatorKind;
+use plumbline_rest::flight::Flight;
 
 use crate::{
     app::GroundState,
     ctx::ctx,
-    model::{api::Flight, names, route::Route},
+    model::{names, route::Route},
     panel::toolbar::Link,
 };
 

@@ -1,16 +1,14 @@
 //! Everything known about a recorded flight: steps, attacks, configuration, notes.
 
 use leptos::prelude::*;
+use plumbline_rest::flight::{Flight, FlownAttack, Labels, Step};
 use serde_json::json;
 
 use super::{again::FlyAgain, reestimate::Reestimate, save};
 use crate::{
     ctx::ctx,
     event::Failure,
-    model::{
-        api::{Flight, FlownAttack, Step},
-        format::{self, NONE},
-    },
+    model::format::{self, NONE},
 };
 
 /// Everything known about the flight, beside its charts.
@@ -29,7 +27,7 @@ pub(super) fn Summary(summary: RwSignal<Option<Result<Flight, Failure>>>) -> imp
 fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
     let url = StoredValue::new(format!("/api/flights/{}", flight.id));
-    let notes = RwSignal::new(flight.notes.clone().unwrap_or_default());
+    let notes = RwSignal::new(flight.notes.clone());
     let fact = |name: &'static str, value: String| view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> };
     let missing = if flight.missing == 0 { "none".to_owned() } else { format::count(flight.missing) };
     let rms =
@@ -50,7 +48,7 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
                 {fact("vehicle", format!("{} ({})", flight.vehicle_id, flight.vehicle))}
                 {fact("airframe", flight.airframe.clone())}
                 {fact("rig", flight.rig.clone())}
-                {fact("seed", flight.seed.map_or_else(|| NONE.to_owned(), |s| s.to_string()))}
+                {fact("seed", flight.seed.to_string())}
                 {fact("agent", flight.agent_version.clone())}
                 {fact("messages", format::count(flight.messages))}
                 {fact("missing", missing)}
@@ -73,7 +71,7 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
                 placeholder="What was tried, what was seen"
                 prop:value=notes
                 on:input:target=move |e| notes.set(e.target().value())
-                on:change=move |_| save(ctx, url.get_value(), json!({ "notes": notes.get_untracked() }), summary)
+                on:change=move |_| save(ctx, url.get_value(), json!(Labels { name: None, notes: Some(notes.get_untracked()) }), summary)
             ></textarea>
         </section>
     }
@@ -94,7 +92,7 @@ fn StepTable(steps: Vec<Step>) -> impl IntoView {
                         <td class="num">{format::fixed(s.start_s, 1)}</td>
                         <td class="num">{format!("{}→{}", format::fixed(s.from_m, 1), format::fixed(s.to_m, 1))}</td>
                         <td class="num">{seconds(s.rise_time_s)}</td>
-                        <td class="num">{format::maybe(s.overshoot_percent, 1)}</td>
+                        <td class="num">{format::fixed(s.overshoot_percent, 1)}</td>
                         {if s.interrupted {
                             view! { <td class="quiet" colspan="2" title="The next step began before this one was inside the band">"interrupted"</td> }.into_any()
                         } else {
@@ -118,12 +116,12 @@ fn AttackTable(attacks: Vec<FlownAttack>) -> impl IntoView {
     view! {
         <ul class="attack-list">
             {attacks.into_iter().map(|a| {
-                let channel = if a.channel == "all" || a.channel.is_empty() { String::new() } else { format!(" {}", a.channel.replace('_', " ")) };
-                let what = format!("{} {}{channel}: {} {}", a.sensor.replace('_', " "), a.instance, a.kind.replace('_', " "), format::signed(a.magnitude, 2));
+                let channel = if a.planned.channel == "all" || a.planned.channel.is_empty() { String::new() } else { format!(" {}", a.planned.channel.replace('_', " ")) };
+                let what = format!("{} {}{channel}: {} {}", a.planned.sensor.replace('_', " "), a.planned.instance, a.planned.kind.replace('_', " "), format::signed(a.planned.magnitude, 2));
                 view! {
                     <li>
                         <span class="attack-title" title=what.clone()>{what.clone()}</span>
-                        <span class="num quiet">{format!("{} s, {} s", format::fixed(a.start_s, 1), format::fixed(a.duration_s, 1))}</span>
+                        <span class="num quiet">{format!("{} s, {} s", format::fixed(a.planned.start_s, 1), format::fixed(a.planned.duration_s, 1))}</span>
                         <span class=format!("chip {}", a.phase)>{a.phase.clone()}</span>
                     </li>
                 }

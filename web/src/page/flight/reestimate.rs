@@ -87,7 +87,7 @@ pub(super) fn Reestimate(
             }
             match answer {
                 Ok(again) => {
-                    deck.data.update_value(|live| live.curves.set_again(kind as u16, &again));
+                    deck.data.update_value(|live| live.curves.set_again(kind as u16, &again.curves));
                     done.update(|done| {
                         done.retain(|(known, ..)| *known != kind);
                         done.push((kind, from, again.score));

@@ -1,6 +1,7 @@
 //! Verdict and push; what is in use; revisions and the way back; files.
 
 use leptos::prelude::*;
+use plumbline_rest::command as rest;
 use serde_json::{Value, json};
 
 use super::Bench;
@@ -151,7 +152,12 @@ fn Entry(entry: Revision, now: Option<u32>) -> impl IntoView {
     let flying = now == Some(number);
     let accepted = entry.stage == "accepted";
     let revert = move |_| {
-        bench.send(format!("Revert to revision {number}"), "POST", "gains/revert", json!({ "revision": number }))
+        bench.send(
+            format!("Revert to revision {number}"),
+            "POST",
+            "gains/revert",
+            json!(rest::Which { revision: Some(number) }),
+        )
     };
     let when = listing::when(entry.pushed_unix_us, local_offset_min());
     view! {

@@ -1,0 +1,191 @@
+//! Recorded flights: `GET /api/flights`, `GET` and `PATCH /api/flights/{id}`.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::command::PlannedAttack;
+use crate::ground::Storage;
+
+/// `GET /api/flights`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Flights {
+    /// Newest first.
+    pub flights: Vec<Flight>,
+    /// How full the storage is.
+    pub storage: Storage,
+    /// Is the list whole? Not while the files are still being read after a start.
+    pub ready: bool,
+}
+
+/// Is everything there that the agent sent?
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Completeness {
+    /// It goes on.
+    #[default]
+    Recording,
+    /// Every message of the flight is in the file.
+    Complete,
+    /// Messages are missing and the agent may still have them.
+    Filling,
+    /// Messages are missing for good, or the end of the flight was never seen.
+    Truncated,
+}
+
+impl Completeness {
+    /// As JSON and people name it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Recording => "recording",
+            Self::Complete => "complete",
+            Self::Filling => "filling",
+            Self::Truncated => "truncated",
+        }
+    }
+}
+
+/// One setpoint step of a flight.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Step {
+    /// Since the start of the flight, s.
+    pub start_s: f64,
+    /// From, m.
+    pub from_m: f64,
+    /// To, m.
+    pub to_m: f64,
+    /// 10 % to 90 %, s.
+    pub rise_time_s: Option<f64>,
+    /// Overshoot, %.
+    pub overshoot_percent: f64,
+    /// Into the band for good, s.
+    pub settling_time_s: Option<f64>,
+    /// Mean error of the last second, m.
+    pub steady_error_m: Option<f64>,
+    /// The next step began before this one was inside the band.
+    pub interrupted: bool,
+}
+
+/// One attack of a flight; `start_s` counts from the start of the flight.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct FlownAttack {
+    /// The attack.
+    #[serde(flatten)]
+    pub planned: PlannedAttack,
+    /// How far it came.
+    #[serde(default)]
+    pub phase: String,
+}
+
+/// One flight.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Flight {
+    /// Id, safe as a file name.
+    pub id: String,
+    /// Given by people.
+    pub name: String,
+    /// Written by people.
+    pub notes: String,
+    /// Agent that flew.
+    pub vehicle_id: String,
+    /// Boot of that agent.
+    pub boot_id: u64,
+    /// `sim`, `replay` or `hardware`.
+    pub vehicle: String,
+    /// Rig.
+    pub rig: String,
+    /// Airframe.
+    pub airframe: String,
+    /// Seed of the scenario.
+    pub seed: u64,
+    /// Version of the agent.
+    pub agent_version: String,
+    /// Start, µs since the Unix epoch, by the agent's clock.
+    pub started_unix_us: u64,
+    /// Length, s.
+    pub duration_s: f64,
+    /// Messages in the file.
+    pub messages: u64,
+    /// Of them, received live by this recording.
+    pub live: u64,
+    /// Of them, sent again by the agent.
+    pub filled: u64,
+    /// Messages of the flight that are not in the file.
+    pub missing: u64,
+    /// First sequence number.
+    pub first_sequence: Option<u64>,
+    /// Last sequence number; absent while unknown.
+    pub last_sequence: Option<u64>,
+    /// Is everything there?
+    pub completeness: Completeness,
+    /// Size of its files, bytes.
+    pub size_bytes: u64,
+    /// RMS of altitude setpoint minus altitude while altitude was held, m: against truth where the
+    /// flight has it, else against the estimate in the loop.
+    pub tracking_rms_m: Option<f64>,
+    /// Setpoint steps.
+    pub steps: Vec<Step>,
+    /// Attacks.
+    pub attacks: Vec<FlownAttack>,
+    /// Messages of each topic.
+    pub counts: BTreeMap<String, u64>,
+}
+
+impl Flight {
+    /// Its name, or the id where it has none.
+    pub fn title(&self) -> &str {
+        if self.name.trim().is_empty() { &self.id } else { &self.name }
+    }
+}
+
+/// `PATCH /api/flights/{id}`; what is absent stays.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Labels {
+    /// Its name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Notes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub notes: Option<String>,
+}
+
+/// `GET /api/flights/{id}/estimate`: the curves of a recording estimated again, columns of equal length. Beside them the
+/// answer has the estimator and its score, as the agent's own command prints it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Curves {
+    /// Flight time, s.
+    pub time_s: Vec<f64>,
+    /// Altitude, m; absent where the estimator knows none.
+    pub altitude_m: Vec<Option<f32>>,
+    /// Roll, rad.
+    pub roll_rad: Vec<Option<f32>>,
+    /// Pitch, rad.
+    pub pitch_rad: Vec<Option<f32>>,
+    /// Yaw, rad.
+    pub yaw_rad: Vec<Option<f32>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flights_are_read_with_whatever_is_absent() {
+        let text = r#"{"flights":[{"id":"a","name":"","duration_s":42.5,"completeness":"complete","seed":7,
+            "steps":[{"start_s":1,"from_m":0.5,"to_m":0.8,"rise_time_s":null,"overshoot_percent":3.0}],
+            "counts":{"/estimate/1":1234},"new_field":1}],"storage":{"used_bytes":10,"free_bytes":20,"flights":1}}"#;
+        let flights: Flights = serde_json::from_str(text).unwrap();
+        let flight = &flights.flights[0];
+        assert_eq!((flight.title(), flight.completeness), ("a", Completeness::Complete));
+        assert_eq!(flight.steps[0].rise_time_s, None);
+        assert_eq!(flight.counts["/estimate/1"], 1234);
+        for state in [Completeness::Recording, Completeness::Complete, Completeness::Filling, Completeness::Truncated] {
+            assert_eq!(serde_json::to_value(state).unwrap(), state.name());
+        }
+    }
+}
