@@ -234,15 +234,6 @@ impl Flight {
         self.monitor.ticks_lost(now, count);
     }
 
-    /// The flight thread was silent for `gap_s`: after the motors' time-out they stay cut.
-    pub fn stalled(&mut self, gap_s: f64) {
-        let limit_s = self.config.failsafe.stall_cut_s;
-        if self.armed() && gap_s > limit_s {
-            let reason = text(format_args!("flight thread silent for {gap_s:.2} s (limit {limit_s} s): motors cut"));
-            self.cut(Failsafe::StallCut, reason);
-        }
-    }
-
     /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
     pub fn log_health(&mut self, error: Option<&str>) {
         self.log_error = error.map(|e| text(format_args!("{e}")));

@@ -84,8 +84,7 @@ impl Flight {
             pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
         };
         let imu_age_s = self.watchdog.imu_age_s(now);
-        let raw_climb_mps = self.watchdog.climb_mps().unwrap_or(0.0);
-        let climb_mps = estimate.climb_mps().map_or(raw_climb_mps, |climb| climb.max(raw_climb_mps));
+        let (climb_mps, lift_mps2) = self.climb();
         // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
         let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| outward(axis, side));
         let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
@@ -103,7 +102,7 @@ impl Flight {
             raw_height_m,
             altitude_m: estimate.altitude_m(),
             climb_mps,
-            lift_mps2: self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_enu.z - GRAVITY_MPS2,
+            lift_mps2,
             altitude_needed: (loops.altitude || self.has_box()) && self.blind_since.is_none(),
             lateral: sides.into_iter().reduce(farther).filter(|_| estimate.horizontal_known),
             position_lost: self.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),
@@ -116,6 +115,15 @@ impl Flight {
             altitude_max_m: self.config.altitude_max_m(),
             lateral_max_m: self.config.limits.lateral_max_m,
         }
+    }
+
+    /// The larger of the climb rates by estimate and by raw heights, m/s, and what the present thrust accelerates it by, m/s².
+    fn climb(&self) -> (f64, f64) {
+        let estimate = self.bank.in_loop();
+        let raw_mps = self.watchdog.climb_mps().unwrap_or(0.0);
+        let climb_mps = estimate.climb_mps().map_or(raw_mps, |climb| climb.max(raw_mps));
+        let thrust_up = (estimate.world_from_body * nalgebra::Vector3::z()).z;
+        (climb_mps, self.report.given.thrust_n / self.config.airframe.mass_kg * thrust_up - GRAVITY_MPS2)
     }
 
     /// More thrust is commanded than hovers, and the vehicle does not follow: an empty battery, a lost propeller, something
@@ -169,14 +177,18 @@ impl Flight {
             self.clear_failsafe();
             return;
         }
-        let reason = self.monitor.reason(verdict, inputs);
-        let severity = if severity(verdict) >= DESCENDS { Severity::Critical } else { Severity::Warning };
+        self.act(verdict, self.monitor.reason(verdict, inputs));
+    }
+
+    /// Does what `failsafe` asks for, and says why.
+    fn act(&mut self, failsafe: Failsafe, reason: Text) {
+        let severity = if severity(failsafe) >= DESCENDS { Severity::Critical } else { Severity::Warning };
         self.event(severity, EventKind::Failsafe, reason);
-        (self.failsafe, self.failsafe_reason) = (verdict, reason);
-        match verdict {
+        (self.failsafe, self.failsafe_reason) = (failsafe, reason);
+        match failsafe {
             Failsafe::None | Failsafe::DeadlineWarn | Failsafe::BatteryLow | Failsafe::TakeoffTimeout => {}
             Failsafe::LinkFreeze | Failsafe::OperatorFreeze => self.freeze(),
-            Failsafe::BoxHold => self.hold_at_edge(inputs),
+            Failsafe::BoxHold => self.hold_at_edge(),
             Failsafe::PositionHold => self.leave_hold(),
             Failsafe::LinkDescend
             | Failsafe::OperatorDescend
@@ -186,27 +198,28 @@ impl Flight {
             | Failsafe::ThrustDescend
             | Failsafe::ShutdownDescend
             | Failsafe::BoxDescend => self.descend(),
-            Failsafe::EstimatorDescend | Failsafe::AltitudeDescend => self.descend_blindly(inputs.now),
+            Failsafe::EstimatorDescend | Failsafe::AltitudeDescend => self.descend_blindly(),
             Failsafe::TiltCut
             | Failsafe::RateCut
             | Failsafe::ImuCut
             | Failsafe::StallCut
             | Failsafe::ShutdownCut
-            | Failsafe::OperatorCut => self.cut(verdict, reason),
+            | Failsafe::OperatorCut => self.cut(failsafe, reason),
         }
     }
 
     /// Stays at the edge of the box. A mode that does not control what leads out of it is taken over by one that does.
-    fn hold_at_edge(&mut self, inputs: &Inputs) {
+    fn hold_at_edge(&mut self) {
         let (estimate, mode) = (self.bank.in_loop(), self.edge_mode());
         if self.mode == mode || self.mode == Mode::Hold || self.mode == Mode::Land {
             self.freeze();
         } else if !self.config.rig.can_lift() {
             self.descend();
         } else if !estimate.altitude_known || estimate.health != Health::Healthy {
-            self.descend_blindly(inputs.now);
+            self.descend_blindly();
         } else {
-            let stops_m = estimate.position_enu_m.z + climb_stops_m(inputs.climb_mps, inputs.lift_mps2);
+            let (climb_mps, lift_mps2) = self.climb();
+            let stops_m = estimate.position_enu_m.z + climb_stops_m(climb_mps, lift_mps2);
             self.enter(mode);
             let (least, most) = (self.config.limits.altitude_min_m, self.config.altitude_max_m());
             self.target.position_enu_m.z = stops_m.clamp(least, most);
@@ -227,8 +240,8 @@ impl Flight {
         self.position_lost = true;
     }
 
-    fn descend_blindly(&mut self, now: FlightTime) {
-        self.blind_since = Some(now);
+    fn descend_blindly(&mut self) {
+        self.blind_since = self.ticked;
         self.descend();
     }
 
@@ -238,12 +251,18 @@ impl Flight {
             return;
         }
         if cut {
-            self.cut(Failsafe::ShutdownCut, text(format_args!("{why}: motors cut")));
+            self.act(Failsafe::ShutdownCut, text(format_args!("{why}: motors cut")));
         } else if severity(self.failsafe) < DESCENDS {
-            let reason = text(format_args!("{why}: descending"));
-            (self.failsafe, self.failsafe_reason) = (Failsafe::ShutdownDescend, reason);
-            self.event(Severity::Critical, EventKind::Failsafe, reason);
-            self.descend();
+            self.act(Failsafe::ShutdownDescend, text(format_args!("{why}: descending")));
+        }
+    }
+
+    /// The flight thread was silent for `gap_s`: after the motors' time-out they stay cut.
+    pub fn stalled(&mut self, gap_s: f64) {
+        let limit_s = self.config.failsafe.stall_cut_s;
+        if self.armed() && gap_s > limit_s {
+            let reason = text(format_args!("flight thread silent for {gap_s:.2} s (limit {limit_s} s): motors cut"));
+            self.act(Failsafe::StallCut, reason);
         }
     }
 

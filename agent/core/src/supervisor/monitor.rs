@@ -228,7 +228,6 @@ impl Monitor {
     pub fn reason(&self, failsafe: Failsafe, i: &Inputs) -> Text {
         let s = &self.settings;
         match failsafe {
-            Failsafe::None => Text::new(),
             Failsafe::LinkFreeze => text(format_args!(
                 "no heartbeat for {:.2} s (limit {} s): setpoint frozen, attacks aborted",
                 i.link_age_s, s.link_freeze_s
@@ -295,12 +294,13 @@ impl Monitor {
                 self.lost_within_a_second(i.now),
                 s.deadline_descend
             )),
-            Failsafe::OperatorCut => text(format_args!("motors cut by the operator")),
-            // Their reasons come with them: nothing seen here leads to them.
-            Failsafe::StallCut | Failsafe::ShutdownDescend | Failsafe::ShutdownCut => Text::new(),
-            Failsafe::TakeoffTimeout => {
-                text(format_args!("armed for {} s without take-off: disarmed", s.takeoff_timeout_s))
-            }
+            // Nothing that is seen here leads to them: their reasons come with them.
+            Failsafe::None
+            | Failsafe::StallCut
+            | Failsafe::ShutdownDescend
+            | Failsafe::ShutdownCut
+            | Failsafe::OperatorCut
+            | Failsafe::TakeoffTimeout => Text::new(),
         }
     }
 }
