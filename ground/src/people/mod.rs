@@ -296,7 +296,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         Accounts::of(folder.path()).add("ann", Role::Viewer, ANN).unwrap();
         let before = people(folder.path(), "0.0.0.0:1");
-        let (token, _) = before.sign_in(None, "ann", ANN.into()).await.unwrap();
+        let (token, _) = before.sign_in(None, "ann", ANN.into(), "").await.unwrap();
         let begun_s = before.sessions(None)[0].begun_s;
         drop(before);
         // GIVEN a session that a clock a year ahead began WHEN the ground starts with a right one THEN it begins now
