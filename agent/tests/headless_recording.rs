@@ -1,18 +1,18 @@
 //! GIVEN a scripted scenario WHEN it is flown without a ground THEN the onboard log holds the whole flight.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
 use std::collections::BTreeMap;
 
 use plumbline_agent::flight::Flight;
 use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::runner::pace::Pace;
-use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
+use plumbline_agent::runner::{Runner, RunnerPorts};
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_proto::time::{FlightTime, WallTime};
+use plumbline_agent::telemetry::{Outlet, Telemetry};
+use plumbline_proto::time::FlightTime;
 use plumbline_proto::{Kind, Message, v1};
-
-const BOOT: WallTime = WallTime(1_795_262_400_000_000);
 
 #[test]
 fn a_scripted_flight_is_recorded_whole() {
@@ -25,35 +25,13 @@ fn a_scripted_flight_is_recorded_whole() {
             folder: folder.path().to_owned(),
             max_bytes: log::DEFAULT_MAX_BYTES,
             agent_id: "iris-1".into(),
-            boot_wall_time: BOOT,
+            boot_wall_time: common::BOOT,
         },
         frames,
     )
     .unwrap();
-    let identification = Identification {
-        agent_id: "iris-1".into(),
-        boot_id: 7,
-        boot_wall_time: BOOT,
-        vehicle: "sim",
-        rig: scenario.rig.name().into(),
-        scenario: scenario.text.clone(),
-        seed: scenario.seed,
-        source_file: String::new(),
-        sensors: scenario.suite.descriptions(),
-        strings: scenario.rig.lines(&scenario.airframe),
-        promise: None,
-    };
-    let telemetry = Telemetry::new(identification, &flight, None, Some(Outlet::new(ring)));
-    let options = RunnerOptions {
-        pace: Pace::Free,
-        replay: false,
-        end: Some(FlightTime::from_seconds(15.0)),
-        script: Some(scenario.script.clone()),
-        attacks: None,
-        own_operator: true,
-        stay: false,
-        real_time: false,
-    };
+    let telemetry = Telemetry::new(common::identification(&scenario), &flight, None, Some(Outlet::new(ring)));
+    let options = common::runner_options(Pace::Free, Some(15.0), Some(scenario.script.clone()));
     let ports = RunnerPorts { log: Some(log.state().clone()), ..RunnerPorts::default() };
     let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
     let summary = Runner::new(vehicle, flight, telemetry, options, ports)
@@ -81,7 +59,7 @@ fn a_scripted_flight_is_recorded_whole() {
             Kind::Flight => marks.push(v1::FlightMark::decode(&*message.data).unwrap()),
             Kind::Control => {
                 let control = v1::Control::decode(&*message.data).unwrap();
-                assert_eq!(message.log_time, BOOT.at(FlightTime(control.time_us)).as_nanos());
+                assert_eq!(message.log_time, common::BOOT.at(FlightTime(control.time_us)).as_nanos());
             }
             _ => {}
         }

@@ -1,7 +1,7 @@
 //! Full and read-only data folders, of ground and agent: recording stops loudly, the flight goes on.
 //!
 //! Each folder is a small file system in memory, filled up by a ballast file or mounted read-only. Where nothing may be
-//! mounted, the campaign says so and does nothing.
+//! mounted, the campaign says that it was skipped, and why.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "chaos/figures.rs"]
@@ -32,11 +32,15 @@ struct Disk {
 }
 
 impl Disk {
-    fn mount(at: &Path) -> Option<Self> {
+    fn mount(at: &Path) -> Result<Self, String> {
         std::fs::create_dir_all(at).unwrap();
         let size = format!("size={DISK_MIB}m");
         let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(at).output();
-        mounted.is_ok_and(|ran| ran.status.success()).then(|| Self { at: at.to_owned() })
+        match mounted {
+            Ok(ran) if ran.status.success() => Ok(Self { at: at.to_owned() }),
+            Ok(ran) => Err(String::from_utf8_lossy(&ran.stderr).trim().to_owned()),
+            Err(error) => Err(format!("mount: {error}")),
+        }
     }
 
     /// Leaves `left` free bytes.
@@ -145,11 +149,14 @@ fn main() -> std::process::ExitCode {
     let mut figures = Figures::new("disk", setting("PLUMBLINE_SEED", 1));
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
-    let (Some(ground), Some(log)) =
-        (Disk::mount(&options.data.join("ground")), Disk::mount(&options.data.join("iris-1/log")))
-    else {
-        println!("skipped: no file system can be mounted here");
-        return std::process::ExitCode::SUCCESS;
+    let mounted = Disk::mount(&options.data.join("ground"))
+        .and_then(|ground| Ok((ground, Disk::mount(&options.data.join("iris-1/log"))?)));
+    let (ground, log) = match mounted {
+        Ok(disks) => disks,
+        Err(reason) => {
+            figures.skip("disk", &reason);
+            return figures.finish();
+        }
     };
     let vehicle = scenario("altitude_step");
     let system = System::start(&options, &vehicle).unwrap();

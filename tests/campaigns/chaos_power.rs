@@ -47,9 +47,12 @@ fn main() -> std::process::ExitCode {
     let (flights, log) = (data.join("ground/flights"), data.join("iris-1/log"));
     let mut chance = Chance(seed);
     let (mut ground_ms, mut agent_ms, mut faults, mut opened) = (Vec::new(), Vec::new(), Vec::<String>::new(), 0);
-    let Some(mut disk) = Disk::mount(&data) else {
-        println!("skipped: power; no file system can be mounted here");
-        return std::process::ExitCode::SUCCESS;
+    let mut disk = match Disk::mount(&data) {
+        Ok(disk) => disk,
+        Err(reason) => {
+            figures.skip("power", &reason);
+            return figures.finish();
+        }
     };
     let vehicle = support::scenario("altitude_step");
     for round in 0..rounds {

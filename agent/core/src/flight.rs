@@ -1,11 +1,12 @@
 //! The heart: one tick, and the commands between ticks.
 //!
 //! [`Flight::step`] is the whole tick: no I/O, no clock, no allocation. What may happen between
-//! ticks is in `flight/orders.rs`, what the flight does by itself (modes, landing, failsafes) in
-//! `flight/guard.rs`.
+//! ticks is in `flight/orders.rs`, what the flight does by itself in `flight/guard.rs`
+//! (modes, failsafes) and `flight/landing.rs`.
 
 mod config;
 mod guard;
+mod landing;
 mod orders;
 mod path;
 pub mod report;
@@ -65,29 +66,29 @@ enum Phase {
     Landed { since: FlightTime },
 }
 
-/// One vehicle's flight code.
+/// What watches, and what it decided.
 #[derive(Debug)]
-pub struct Flight {
-    config: FlightConfig,
-    attacks: Injector,
+struct Supervision {
     watchdog: Watchdog,
     monitor: Monitor,
-    bank: Bank,
-    controller: InLoop,
-    gains: Certified,
-    mixer: Mixer,
-    support: Support,
-    profile: Profile,
-    /// What the operator asks for, within limits.
-    target: Setpoint,
-    path: Option<Path>,
-    mode: Mode,
-    phase: Phase,
     failsafe: Failsafe,
     failsafe_reason: Text,
     cut_latched: bool,
     /// Descending on attitude alone since.
     blind_since: Option<FlightTime>,
+    /// Hold was left because the horizontal position was lost.
+    position_lost: bool,
+    /// The controller's last output was no number.
+    wrench_invalid: bool,
+}
+
+/// Where the vehicle is to go, and how far it came.
+#[derive(Debug)]
+struct Guidance {
+    profile: Profile,
+    /// What the operator asks for, within limits.
+    target: Setpoint,
+    path: Option<Path>,
     /// Thrust and climb have looked like standing since.
     quiet_since: Option<FlightTime>,
     /// Close to where it took off, not turning, since.
@@ -97,24 +98,48 @@ pub struct Flight {
     /// Thrust that hovers, learned in flight, N.
     hover_thrust_n: f64,
     meter: StepMeter,
-    meter_sent: FlightTime,
-    setpoint_told: FlightTime,
-    events: EventQueue,
-    attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
-    attack_changes: u64,
+}
+
+/// Signs of life: of the tick, the link, the operator, the battery, the onboard log.
+#[derive(Debug, Default)]
+struct Liveness {
+    ticked: Option<FlightTime>,
     heartbeat: Option<FlightTime>,
     /// Last sign of life of the operator; `None` while none was given since the motors stood.
     operator: Option<FlightTime>,
     battery_v: Option<f64>,
     /// Charge left, 0..1, averaged over the sag of manoeuvres.
     charge: Option<f64>,
-    /// Hold was left because the horizontal position was lost.
-    position_lost: bool,
-    /// The controller's last output was no number.
-    wrench_invalid: bool,
     log_error: Option<Text>,
     deadline_misses: u64,
-    ticked: Option<FlightTime>,
+}
+
+/// What was told last of what changes often.
+#[derive(Debug, Default)]
+struct Told {
+    attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
+    attack_changes: u64,
+    meter_sent: FlightTime,
+    setpoint_told: FlightTime,
+}
+
+/// One vehicle's flight code: the parts of a tick in their order, and the state between ticks.
+#[derive(Debug)]
+pub struct Flight {
+    config: FlightConfig,
+    attacks: Injector,
+    bank: Bank,
+    support: Support,
+    gains: Certified,
+    controller: InLoop,
+    mixer: Mixer,
+    mode: Mode,
+    phase: Phase,
+    supervision: Supervision,
+    guidance: Guidance,
+    liveness: Liveness,
+    told: Told,
+    events: EventQueue,
     report: StepReport,
 }
 
@@ -147,41 +172,36 @@ impl Flight {
         Ok(Self {
             attacks: Injector::new(config.attack_bounds, config.attacks_enabled, &config.sensors)
                 .sparing(&config.independent),
-            watchdog: Watchdog::new(&config.independent),
-            monitor: Monitor::new(config.failsafe),
             bank,
+            support: Support::default(),
             controller: InLoop::new(gains.law.clone()),
             gains,
             mixer,
-            support: Support::default(),
-            profile: Profile::default(),
-            target: Setpoint::default(),
-            path: None,
             mode: Mode::Disarmed,
             phase: Phase::Idle { since: FlightTime(0) },
-            failsafe: Failsafe::None,
-            failsafe_reason: Text::new(),
-            cut_latched: false,
-            blind_since: None,
-            quiet_since: None,
-            low_since: None,
-            takeoff_height_m: None,
-            hover_thrust_n: weight_n,
-            meter: StepMeter::default(),
-            meter_sent: FlightTime(0),
-            setpoint_told: FlightTime(0),
+            supervision: Supervision {
+                watchdog: Watchdog::new(&config.independent),
+                monitor: Monitor::new(config.failsafe),
+                failsafe: Failsafe::None,
+                failsafe_reason: Text::new(),
+                cut_latched: false,
+                blind_since: None,
+                position_lost: false,
+                wrench_invalid: false,
+            },
+            guidance: Guidance {
+                profile: Profile::default(),
+                target: Setpoint::default(),
+                path: None,
+                quiet_since: None,
+                low_since: None,
+                takeoff_height_m: None,
+                hover_thrust_n: weight_n,
+                meter: StepMeter::default(),
+            },
+            liveness: Liveness::default(),
+            told: Told::default(),
             events: EventQueue::default(),
-            attack_phases: ArrayVec::new(),
-            attack_changes: 0,
-            heartbeat: None,
-            operator: None,
-            battery_v: None,
-            charge: None,
-            position_lost: false,
-            wrench_invalid: false,
-            log_error: None,
-            deadline_misses: 0,
-            ticked: None,
             report: StepReport { mode: Mode::Disarmed, ..StepReport::default() },
             config,
         })
@@ -197,11 +217,11 @@ impl Flight {
     pub fn step_received(&mut self, sensed: &SensorFrame, received: &SensorFrame) -> &StepReport {
         let dt_s = self.tick(sensed);
         let received = self.attacks.apply(received);
-        self.watchdog.step(&received, dt_s);
+        self.supervision.watchdog.step(&received, dt_s);
         self.bank.step(&received, &self.report.applied, dt_s);
         self.guard(sensed.time);
         let voltage_ratio =
-            self.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
+            self.liveness.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
         let flying = self.phase == Phase::Flying;
         self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
         let (wrench, mixed) = self.drive(dt_s);
@@ -217,35 +237,26 @@ impl Flight {
 
     /// An authenticated sign of life from the ground.
     pub fn heartbeat(&mut self, now: FlightTime) {
-        self.heartbeat = Some(now);
+        self.liveness.heartbeat = Some(now);
     }
 
     /// The operator's page answered the challenge of `at`. Once there is a sign of life, it must go on while armed; what
     /// was seen of a page before arming demands nothing.
     pub fn operator_alive(&mut self, at: FlightTime) {
         if self.armed() {
-            self.operator = self.operator.max(Some(at));
+            self.liveness.operator = self.liveness.operator.max(Some(at));
         }
     }
 
     /// `count` control ticks were not begun in time, or not at all.
     pub fn ticks_lost(&mut self, now: FlightTime, count: u32) {
-        self.deadline_misses += u64::from(count);
-        self.monitor.ticks_lost(now, count);
-    }
-
-    /// The flight thread was silent for `gap_s`: after the motors' time-out they stay cut.
-    pub fn stalled(&mut self, gap_s: f64) {
-        let limit_s = self.config.failsafe.stall_cut_s;
-        if self.armed() && gap_s > limit_s {
-            let reason = text(format_args!("flight thread silent for {gap_s:.2} s (limit {limit_s} s): motors cut"));
-            self.cut(Failsafe::StallCut, reason);
-        }
+        self.liveness.deadline_misses += u64::from(count);
+        self.supervision.monitor.ticks_lost(now, count);
     }
 
     /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
     pub fn log_health(&mut self, error: Option<&str>) {
-        self.log_error = error.map(|e| text(format_args!("{e}")));
+        self.liveness.log_error = error.map(|e| text(format_args!("{e}")));
     }
 
     /// Hands over every event since the last call, oldest first.
@@ -291,7 +302,7 @@ impl Flight {
 
     /// Failsafe acting now.
     pub fn failsafe(&self) -> Failsafe {
-        self.failsafe
+        self.supervision.failsafe
     }
 
     /// Revision of the gains in use.
@@ -317,11 +328,11 @@ impl Flight {
     /// Time since the tick before, s; the nominal period at the first tick or after a jump.
     fn tick(&mut self, sensed: &SensorFrame) -> f64 {
         let nominal = 1.0 / self.config.tick_rate_hz;
-        let dt_s = self.ticked.map_or(nominal, |last| sensed.time.seconds_since(last));
-        self.ticked = Some(sensed.time);
+        let dt_s = self.liveness.ticked.map_or(nominal, |last| sensed.time.seconds_since(last));
+        self.liveness.ticked = Some(sensed.time);
         let dt_s = if dt_s > 0.0 && dt_s < 10.0 * nominal { dt_s } else { nominal };
         if let Some(v) = sensed.battery_v.filter(|v| v.is_finite()) {
-            self.battery_v = Some(v);
+            self.liveness.battery_v = Some(v);
         }
         self.mixer.battery(sensed.battery_v, dt_s);
         self.follow_charge(dt_s);
@@ -331,7 +342,7 @@ impl Flight {
     /// What else holds the vehicle up above its setpoint, N: it does not sink, however little is asked for. To land it
     /// must come to ask for little.
     fn support_n(&self) -> f64 {
-        let above = self.bank.in_loop().position_enu_m.z > self.profile.setpoint().position_enu_m.z;
+        let above = self.bank.in_loop().position_enu_m.z > self.guidance.profile.setpoint().position_enu_m.z;
         let holding = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
         if above && holding { self.support.force_n() } else { 0.0 }
     }
@@ -348,13 +359,13 @@ impl Flight {
             return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
         }
         let setpoint = self.setpoint_now(dt_s);
-        let wrench = match self.blind_since {
+        let wrench = match self.supervision.blind_since {
             None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
             // Attitude from the watchdog; its yaw is zero, so the yaw error is too.
             Some(_) => {
                 let estimate = Estimate {
-                    world_from_body: self.watchdog.attitude(),
-                    body_rates_radps: self.watchdog.rates_radps(),
+                    world_from_body: self.supervision.watchdog.attitude(),
+                    body_rates_radps: self.supervision.watchdog.rates_radps(),
                     ..Estimate::default()
                 };
                 let level = Setpoint { throttle: self.blind_throttle(), ..Setpoint::default() };
@@ -362,28 +373,28 @@ impl Flight {
             }
         };
         let mixed = self.mixer.mix(&wrench);
-        if mixed.invalid && !self.wrench_invalid {
+        if mixed.invalid && !self.supervision.wrench_invalid {
             let line = text(format_args!("controller output is not a number: least thrust until it is"));
             self.event(Severity::Critical, EventKind::Failsafe, line);
         }
-        self.wrench_invalid = mixed.invalid;
+        self.supervision.wrench_invalid = mixed.invalid;
         self.learn_hover(&mixed, dt_s);
         (wrench, mixed)
     }
 
     fn write_report(&mut self, sensed: &SensorFrame, received: SensorFrame, wrench: Wrench, mixed: Mixed) {
         let now = sensed.time;
-        let setpoint = *self.profile.setpoint();
+        let setpoint = *self.guidance.profile.setpoint();
         let altitude_m = self.bank.in_loop().position_enu_m.z;
         let response = if self.phase == Phase::Flying && self.loops().altitude {
-            self.meter.update(now, altitude_m, setpoint.position_enu_m.z)
+            self.guidance.meter.update(now, altitude_m, setpoint.position_enu_m.z)
         } else {
             None
         };
-        let due = now.seconds_since(self.meter_sent) >= 0.1;
+        let due = now.seconds_since(self.told.meter_sent) >= 0.1;
         let response = response.filter(|r| due || r.finished);
         if response.is_some() {
-            self.meter_sent = now;
+            self.told.meter_sent = now;
         }
         self.report = StepReport {
             sensed: *sensed,
@@ -408,7 +419,8 @@ impl Flight {
 
     /// Which errors the loop closes now.
     fn loops(&self) -> Loops {
-        let altitude = matches!(self.mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && self.blind_since.is_none();
+        let altitude =
+            matches!(self.mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && self.supervision.blind_since.is_none();
         let horizontal = altitude
             && matches!(self.mode, Mode::Hold | Mode::Land)
             && self.bank.in_loop().horizontal_known
@@ -419,7 +431,7 @@ impl Flight {
     /// While nothing is controlled the profile stays where the vehicle is, and integrators at zero.
     fn follow_estimate(&mut self) {
         self.controller.reset();
-        self.profile.restart(self.here());
+        self.guidance.profile.restart(self.here());
     }
 
     /// Where the vehicle is, level, as a setpoint.
@@ -435,6 +447,6 @@ impl Flight {
     }
 
     fn event(&mut self, severity: Severity, kind: EventKind, text: Text) {
-        self.events.push(Event { time: self.ticked.unwrap_or_default(), severity, kind, text });
+        self.events.push(Event { time: self.liveness.ticked.unwrap_or_default(), severity, kind, text });
     }
 }

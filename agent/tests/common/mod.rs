@@ -6,9 +6,13 @@ use plumbline_agent::control::step_response::StepResponse;
 use plumbline_agent::estimate::Estimate;
 use plumbline_agent::event::Event;
 use plumbline_agent::flight::{Flight, FlightConfig, StepReport};
+use plumbline_agent::runner::RunnerOptions;
+use plumbline_agent::runner::pace::Pace;
+use plumbline_agent::sim::script::Script;
 use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::telemetry::Identification;
 use plumbline_agent::vehicle::{Truth, Vehicle};
-use plumbline_proto::time::FlightTime;
+use plumbline_proto::time::{FlightTime, WallTime};
 
 /// A scenario in the air.
 pub struct Flown {
@@ -153,6 +157,40 @@ pub fn check(toml: &str, expectation: impl FnOnce(&Flown) -> Result<(), String>)
         panic!("scenario {}: {broken}\n{}", flown.scenario.name, flown.log());
     }
     flown
+}
+
+/// When a simulated agent of these tests started.
+pub const BOOT: WallTime = WallTime(1_795_262_400_000_000);
+
+/// What an agent that flies `scenario` says of itself.
+pub fn identification(scenario: &Scenario) -> Identification {
+    Identification {
+        agent_id: "iris-1".into(),
+        boot_id: 7,
+        boot_wall_time: BOOT,
+        vehicle: "sim",
+        rig: scenario.rig.name().into(),
+        scenario: scenario.text.clone(),
+        seed: scenario.seed,
+        source_file: String::new(),
+        sensors: scenario.suite.descriptions(),
+        strings: scenario.rig.lines(&scenario.airframe),
+        promise: None,
+    }
+}
+
+/// A flight that is its own operator.
+pub fn runner_options(pace: Pace, end_s: Option<f64>, script: Option<Script>) -> RunnerOptions {
+    RunnerOptions {
+        pace,
+        replay: false,
+        end: end_s.map(FlightTime::from_seconds),
+        script,
+        attacks: None,
+        own_operator: true,
+        stay: false,
+        real_time: false,
+    }
 }
 
 /// A scenario file of the workspace.

@@ -94,6 +94,7 @@ pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
     let pause_s = if rng.random_bool(0.3) { 0.005..0.01 } else { 0.05..1.0 };
     let (mut next_s, mut beyond_m, mut seen) = (FROM_S, (-f64::INFINITY, -f64::INFINITY), Seen::default());
     let (altitude_max_m, lateral_max_m) = (f.flight.config().altitude_max_m(), f.flight.config().limits.lateral_max_m);
+    let mut blind = false;
     while f.last().t_s < LENGTH_S {
         if f.last().t_s >= next_s {
             next_s += rng.random_range(pause_s.clone());
@@ -116,8 +117,8 @@ pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
         let place = row.truth.position_enu_m;
         seen.note(failsafe, row.report.armed, place.z);
         beyond_m.0 = beyond_m.0.max(place.z - altitude_max_m);
-        // What descends on attitude alone goes where it goes.
-        let blind = matches!(failsafe, Failsafe::EstimatorDescend | Failsafe::AltitudeDescend);
+        // What descends on attitude alone goes where it goes, and stays there.
+        blind |= matches!(failsafe, Failsafe::EstimatorDescend | Failsafe::AltitudeDescend);
         if row.estimate.horizontal_known && !blind {
             beyond_m.1 = beyond_m.1.max(place.x.abs().max(place.y.abs()) - lateral_max_m);
         }

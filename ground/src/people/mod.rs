@@ -294,6 +294,25 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_clock_that_was_set_back_lengthens_no_session() {
+        let folder = tempfile::tempdir().unwrap();
+        Accounts::of(folder.path()).add("ann", Role::Viewer, ANN).unwrap();
+        let before = people(folder.path(), "0.0.0.0:1");
+        let (token, _) = before.sign_in(None, "ann", ANN.into(), "").await.unwrap();
+        let begun_s = before.sessions(None)[0].begun_s;
+        drop(before);
+        // GIVEN a session that a clock a year ahead began WHEN the ground starts with a right one THEN it begins now
+        let path = folder.path().join("people/sessions.json");
+        let kept = std::fs::read_to_string(&path).unwrap();
+        let ahead = kept.replace(&begun_s.to_string(), &(begun_s + 31_536_000).to_string());
+        assert_ne!(kept, ahead);
+        std::fs::write(&path, ahead).unwrap();
+        let after = people(folder.path(), "0.0.0.0:1");
+        assert!(after.sessions(None)[0].begun_s <= begun_s + 60, "{:?}", after.sessions(None));
+        assert!(after.person(Some(&token)).is_some());
+    }
+
+    #[tokio::test]
     async fn guessing_is_slowed_down() {
         let folder = tempfile::tempdir().unwrap();
         Accounts::of(folder.path()).add("ann", Role::Viewer, ANN).unwrap();

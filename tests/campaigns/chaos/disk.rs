@@ -28,25 +28,28 @@ impl Disk {
         folder.join(format!("plumbline-disk-{}-{number}", std::process::id()))
     }
 
-    /// Mounts a new one at `at`; `None` where that is not allowed.
-    pub fn mount(at: &Path) -> Option<Self> {
+    /// Mounts a new one at `at`; where that is not allowed, why not.
+    pub fn mount(at: &Path) -> Result<Self, String> {
         let image = &Self::image(0);
         std::fs::File::create(image).unwrap().set_len(SIZE).unwrap();
         if !ran("mkfs.ext4", &["-q".as_ref(), "-F".as_ref(), image.as_os_str()]) {
             let _ = std::fs::remove_file(image);
-            return None;
+            return Err("mkfs.ext4 is missing or failed".into());
         }
         Self::of(image, at)
     }
 
     /// Mounts `image`, which is removed in the end, at `at`.
-    pub fn of(image: &Path, at: &Path) -> Option<Self> {
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn of(image: &Path, at: &Path) -> Result<Self, String> {
         std::fs::create_dir_all(at).unwrap();
         if !ran("mount", &["-o".as_ref(), "loop".as_ref(), image.as_os_str(), at.as_os_str()]) {
             let _ = std::fs::remove_file(image);
-            return None;
+            return Err(format!("nothing can be mounted at {} (it takes root, and loop devices)", at.display()));
         }
-        Some(Self { at: at.to_owned(), image: image.to_owned() })
+        Ok(Self { at: at.to_owned(), image: image.to_owned() })
     }
 
     /// Copies what the device holds at this moment: what the file system has not sent to it yet is not in the copy.

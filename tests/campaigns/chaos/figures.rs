@@ -50,6 +50,12 @@ impl Figures {
         }
     }
 
+    /// What cannot be found out here, and why: nothing is promised of it.
+    pub fn skip(&self, name: &str, reason: &str) {
+        println!("{}", json!({ "chaos": self.campaign, "name": name, "skipped": reason, "seed": self.seed }));
+        eprintln!("chaos {}: {name} skipped: {reason}", self.campaign);
+    }
+
     /// Ends the program: in failure when a promise was broken.
     pub fn finish(self) -> std::process::ExitCode {
         for broken in &self.broken {

@@ -16,7 +16,7 @@ pub struct Options {
     /// (clients: 20), a random walk is flown (sensors: 10 000).
     #[arg(long)]
     pub rounds: Option<u64>,
-    /// Length of each phase, s (link: 15, jitter: 7).
+    /// Length of each phase, s (link: 15, jitter: 7); simulated hours of drift (clock: 25).
     #[arg(long)]
     pub seconds: Option<u64>,
     /// Build without optimisation: starts sooner after a change.
@@ -41,6 +41,8 @@ pub enum Campaign {
     Clients,
     /// Random commands, lost sensors, weak motors, stalls: the failsafe table's invariants.
     Sensors,
+    /// Clocks that drift, stand, are slewed or set; a ground that is stopped.
+    Clock,
 }
 
 impl Campaign {
@@ -53,6 +55,7 @@ impl Campaign {
             Campaign::Jitter => "chaos_jitter",
             Campaign::Clients => "chaos_clients",
             Campaign::Sensors => "chaos_sensors",
+            Campaign::Clock => "chaos_clock",
         }
     }
 }

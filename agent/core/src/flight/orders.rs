@@ -37,7 +37,7 @@ impl Flight {
     /// Carries out one command. `now` is the time of the last tick, or later.
     pub fn apply(&mut self, command: &Command, now: FlightTime) -> Ack {
         // Who commands is there, page or not.
-        if self.operator.is_some() {
+        if self.liveness.operator.is_some() {
             self.operator_alive(now);
         }
         let outcome = match command {
@@ -76,11 +76,11 @@ impl Flight {
                 _ => text(format_args!("{}: {}; and {others} more checks fail", failed.name, failed.reason)),
             });
         }
-        self.monitor.reset();
-        self.meter.reset();
-        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
-        self.operator = None;
-        self.phase = Phase::Idle { since: self.ticked.unwrap_or(now) };
+        self.supervision.monitor.reset();
+        self.guidance.meter.reset();
+        (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
+        self.liveness.operator = None;
+        self.phase = Phase::Idle { since: self.liveness.ticked.unwrap_or(now) };
         self.event(Severity::Info, EventKind::Armed, text(format_args!("armed, {}", self.config.rig.name())));
         self.enter(Mode::Stabilise);
         Ok(text(format_args!("armed, mode stabilise")))
@@ -101,26 +101,26 @@ impl Flight {
 
     fn order_cut(&mut self) -> Outcome {
         let reason = text(format_args!("motors cut by the operator"));
-        if !self.cut_latched {
+        if !self.supervision.cut_latched {
             self.cut(Failsafe::OperatorCut, reason);
         }
         Ok(reason)
     }
 
     fn release_cut(&mut self) -> Outcome {
-        if !self.cut_latched {
+        if !self.supervision.cut_latched {
             return Err(text(format_args!("no cut is latched")));
         }
-        let imu_age_s = self.watchdog.imu_age_s(self.ticked.unwrap_or_default());
+        let imu_age_s = self.supervision.watchdog.imu_age_s(self.liveness.ticked.unwrap_or_default());
         if imu_age_s > IMU_MAX_AGE_S {
             return Err(text(format_args!("no IMU sample for {imu_age_s:.2} s: whether it stands is not known")));
         }
-        let rate = self.watchdog.rates_radps().norm();
+        let rate = self.supervision.watchdog.rates_radps().norm();
         if rate > STILL_RADPS {
             return Err(text(format_args!("still turning at {:.0} °/s, wait until it stands", rate.to_degrees())));
         }
-        self.cut_latched = false;
-        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
+        self.supervision.cut_latched = false;
+        (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
         let done = text(format_args!("cut released, disarmed"));
         self.disarm(done);
         Ok(done)
@@ -141,9 +141,9 @@ impl Flight {
             .map_or(Ok(()), |decoder| bank.use_decoder(decoder))
             .map_err(|e| text(format_args!("{e}")))?;
         self.bank = bank;
-        (self.watchdog, self.support) = (Watchdog::new(&self.config.independent), Support::default());
-        self.cut_latched = false;
-        (self.failsafe, self.failsafe_reason) = (Failsafe::None, Text::new());
+        (self.supervision.watchdog, self.support) = (Watchdog::new(&self.config.independent), Support::default());
+        self.supervision.cut_latched = false;
+        (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
         let done = text(format_args!("begun anew, disarmed"));
         self.disarm(done);
         Ok(done)
@@ -168,7 +168,7 @@ impl Flight {
         if matches!(mode, Mode::AltitudeHold | Mode::Hold) && estimate.health != Health::Healthy {
             return Err(text(format_args!("estimator {kind:?} is {:?}", estimate.health)));
         }
-        let unmeasured_s = self.watchdog.altitude_age_s(self.ticked.unwrap_or_default());
+        let unmeasured_s = self.supervision.watchdog.altitude_age_s(self.liveness.ticked.unwrap_or_default());
         let closes_altitude = matches!(mode, Mode::AltitudeHold | Mode::Hold);
         if self.phase == Phase::Flying && closes_altitude && self.lasers() > 0 && unmeasured_s > ALTITUDE_MAX_AGE_S {
             return Err(text(format_args!("no altitude was measured for {unmeasured_s:.2} s")));
@@ -182,23 +182,23 @@ impl Flight {
             return Ok(text(format_args!("on the ground: disarmed")));
         }
         // Handed over and taken back in turns, a vehicle would be in neither mode.
-        if self.monitor.blinded() && mode != Mode::Land {
+        if self.supervision.monitor.blinded() && mode != Mode::Land {
             return Err(text(format_args!(
                 "{}; the cause lasts: {} is refused",
-                self.failsafe_reason,
+                self.supervision.failsafe_reason,
                 mode_name(mode)
             )));
         }
-        if self.monitor.leaving() && ![self.edge_mode(), Mode::Hold, Mode::Land].contains(&mode) {
+        if self.supervision.monitor.leaving() && ![self.edge_mode(), Mode::Hold, Mode::Land].contains(&mode) {
             let (asked, keeps) = (mode_name(mode), mode_name(self.edge_mode()));
             return Err(text(format_args!("at the edge of the box: {asked} is refused there, {keeps} keeps it")));
         }
         // The operator takes over from a failsafe; if its cause lasts, it acts again.
-        self.monitor.operator_acted();
-        self.position_lost = false;
+        self.supervision.monitor.operator_acted();
+        self.supervision.position_lost = false;
         self.clear_failsafe();
         if let Phase::Landed { .. } = self.phase {
-            self.phase = Phase::Idle { since: self.ticked.unwrap_or_default() };
+            self.phase = Phase::Idle { since: self.liveness.ticked.unwrap_or_default() };
         }
         self.enter(mode);
         Ok(text(format_args!("mode {}", mode_name(mode))))
@@ -211,8 +211,8 @@ impl Flight {
         if self.mode == Mode::Land {
             return Err(text(format_args!("landing: choose another mode first")));
         }
-        if self.failsafe == Failsafe::LinkFreeze {
-            return Err(text(format_args!("{}", self.failsafe_reason)));
+        if self.supervision.failsafe == Failsafe::LinkFreeze {
+            return Err(text(format_args!("{}", self.supervision.failsafe_reason)));
         }
         let limits = self.config.limits;
         let altitude_modes = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
@@ -244,17 +244,17 @@ impl Flight {
                 return Err(text(format_args!("{name} is not controlled in mode {}", mode_name(self.mode))));
             }
         }
-        self.monitor.operator_acted();
+        self.supervision.monitor.operator_acted();
         if change.altitude_m.is_some() || change.x_m.is_some() || change.y_m.is_some() {
             self.end_path();
         }
         if let Some(z) = change.altitude_m {
             let altitude_m = self.bank.in_loop().position_enu_m.z;
-            let from = if self.phase == Phase::Flying { self.target.position_enu_m.z } else { altitude_m };
-            self.meter.begin(now, from, z, altitude_m);
-            self.target.position_enu_m.z = z;
+            let from = if self.phase == Phase::Flying { self.guidance.target.position_enu_m.z } else { altitude_m };
+            self.guidance.meter.begin(now, from, z, altitude_m);
+            self.guidance.target.position_enu_m.z = z;
         }
-        let target = &mut self.target;
+        let target = &mut self.guidance.target;
         let set = |field: &mut f64, value: Option<f64>| {
             if let Some(value) = value {
                 *field = value;
@@ -274,8 +274,8 @@ impl Flight {
             }
         }
         // A trajectory changes the setpoint at every tick: one event in a while says so.
-        if now.seconds_since(self.setpoint_told) > SETPOINT_EVENT_S {
-            self.setpoint_told = now;
+        if now.seconds_since(self.told.setpoint_told) > SETPOINT_EVENT_S {
+            self.told.setpoint_told = now;
             self.event(Severity::Info, EventKind::Setpoint, done);
         }
         Ok(done)

@@ -24,7 +24,7 @@ impl Flight {
     /// Begins or ends a path.
     pub(super) fn set_trajectory(&mut self, trajectory: Option<&Trajectory>, now: FlightTime) -> Result<Text, Text> {
         let Some(trajectory) = trajectory else {
-            if self.path.is_none() {
+            if self.guidance.path.is_none() {
                 return Ok(text(format_args!("no path is flown")));
             }
             self.end_path();
@@ -44,11 +44,11 @@ impl Flight {
         if shape.is_some() && self.phase != Phase::Flying {
             return Err(text(format_args!("take off first: a shape begins in the air")));
         }
-        let from_enu_m = self.profile.setpoint().position_enu_m;
+        let from_enu_m = self.guidance.profile.setpoint().position_enu_m;
         trajectory
             .check(&from_enu_m, &self.config.limits, self.config.altitude_max_m())
             .map_err(|e| text(format_args!("{e}")))?;
-        self.path = Some(Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 });
+        self.guidance.path = Some(Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 });
         let done = match trajectory {
             Trajectory::Shape { shape, .. } => text(format_args!("path begins: {shape:?}")),
             Trajectory::Altitudes { altitude_m, hold_s } => {
@@ -61,10 +61,10 @@ impl Flight {
 
     /// Stops a path where its setpoint is.
     pub(super) fn end_path(&mut self) {
-        if self.path.take().is_some() {
-            let here = *self.profile.setpoint();
-            self.target.position_enu_m = here.position_enu_m;
-            (self.target.roll_pitch_yaw_rad.x, self.target.roll_pitch_yaw_rad.y) = (0.0, 0.0);
+        if self.guidance.path.take().is_some() {
+            let here = *self.guidance.profile.setpoint();
+            self.guidance.target.position_enu_m = here.position_enu_m;
+            (self.guidance.target.roll_pitch_yaw_rad.x, self.guidance.target.roll_pitch_yaw_rad.y) = (0.0, 0.0);
             self.event(Severity::Info, EventKind::Setpoint, text(format_args!("path ended")));
         }
     }
@@ -72,31 +72,31 @@ impl Flight {
     /// The setpoint of this tick.
     pub(super) fn setpoint_now(&mut self, dt_s: f64) -> Setpoint {
         if let Some(setpoint) = self.path_now(dt_s) {
-            return *self.profile.follow(setpoint);
+            return *self.guidance.profile.follow(setpoint);
         }
         let (target, limits) = (self.target_now(), self.limits_now());
-        *self.profile.step(&target, &limits, dt_s)
+        *self.guidance.profile.step(&target, &limits, dt_s)
     }
 
     /// The setpoint of a shape being flown; sets the target of a list of altitudes.
     fn path_now(&mut self, dt_s: f64) -> Option<Setpoint> {
-        let now = self.ticked.unwrap_or_default();
-        let path = self.path.as_mut()?;
+        let now = self.liveness.ticked.unwrap_or_default();
+        let path = self.guidance.path.as_mut()?;
         let since_s = now.seconds_since(path.start);
         match &path.trajectory {
             Trajectory::Altitudes { altitude_m, hold_s } => {
                 let due = (since_s / hold_s) as usize;
                 if due >= altitude_m.len() {
-                    self.path = None;
+                    self.guidance.path = None;
                     self.event(Severity::Info, EventKind::Setpoint, text(format_args!("path ended")));
                 } else if due >= path.set {
                     path.set = due + 1;
                     if let Some(&to) = altitude_m.get(due) {
                         let altitude_m = self.bank.in_loop().position_enu_m.z;
                         let flying = self.phase == Phase::Flying;
-                        let from = if flying { self.target.position_enu_m.z } else { altitude_m };
-                        self.meter.begin(now, from, to, altitude_m);
-                        self.target.position_enu_m.z = to;
+                        let from = if flying { self.guidance.target.position_enu_m.z } else { altitude_m };
+                        self.guidance.meter.begin(now, from, to, altitude_m);
+                        self.guidance.target.position_enu_m.z = to;
                     }
                 }
                 None
@@ -109,7 +109,7 @@ impl Flight {
                 let at = moment(shape, &path.from_enu_m, since_s);
                 // Yaw and throttle go on with the target; what is accelerated against the drag too.
                 let (target, limits) = (self.target_now(), self.limits_now());
-                let mut setpoint = *self.profile.step(&target, &limits, dt_s);
+                let mut setpoint = *self.guidance.profile.step(&target, &limits, dt_s);
                 let airframe = &self.config.airframe;
                 let drag = at.velocity_enu_mps * (airframe.linear_drag_nspm / airframe.mass_kg);
                 setpoint.position_enu_m = at.position_enu_m;

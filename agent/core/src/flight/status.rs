@@ -38,12 +38,12 @@ impl Flight {
             check("altitude", estimate.altitude_known, text(format_args!("{known} to {kind:?}, which is in the loop")));
         }
 
-        let tilt = self.watchdog.tilt_rad();
+        let tilt = self.supervision.watchdog.tilt_rad();
         let tilt_max = if self.config.rig == RigKind::SingleAxis { 0.9 } else { TILT_MAX_RAD };
         let degrees = (tilt.to_degrees(), tilt_max.to_degrees());
         check("tilt", tilt <= tilt_max, text(format_args!("{:.1}°, at most {:.0}°", degrees.0, degrees.1)));
 
-        let rate = self.watchdog.rates_radps().norm();
+        let rate = self.supervision.watchdog.rates_radps().norm();
         let degrees = (rate.to_degrees(), RATE_MAX_RADPS.to_degrees());
         check(
             "still",
@@ -51,16 +51,16 @@ impl Flight {
             text(format_args!("turning {:.0} °/s, at most {:.0} °/s", degrees.0, degrees.1)),
         );
 
-        let age = self.watchdog.imu_age_s(now);
+        let age = self.supervision.watchdog.imu_age_s(now);
         check("imu", age <= IMU_MAX_AGE_S, text(format_args!("last sample {age:.2} s ago, at most {IMU_MAX_AGE_S} s")));
 
         let heights = self.lasers();
         if heights > 0 {
-            let fresh = self.watchdog.heights_fresh();
+            let fresh = self.supervision.watchdog.heights_fresh();
             check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));
         }
 
-        match (self.battery_v, self.charge) {
+        match (self.liveness.battery_v, self.liveness.charge) {
             (Some(v), Some(charge)) => {
                 let least = self.config.failsafe.battery_warn + CHARGE_RESERVE;
                 let line = text(format_args!("{v:.2} V, {:.0} %, at least {:.0} %", 100.0 * charge, 100.0 * least));
@@ -77,16 +77,16 @@ impl Flight {
         let (z, most) = (estimate.position_enu_m.z, self.config.altitude_max_m());
         check("box", z <= most, text(format_args!("altitude {z:.2} m, at most {most:.2} m")));
 
-        match &self.log_error {
+        match &self.liveness.log_error {
             None => check("log", true, text(format_args!("writing"))),
             Some(error) => check("log", false, *error),
         }
         check(
             "cut",
-            !self.cut_latched,
+            !self.supervision.cut_latched,
             text(format_args!(
                 "{}",
-                if self.cut_latched { "motor cut latched: release it first" } else { "not latched" }
+                if self.supervision.cut_latched { "motor cut latched: release it first" } else { "not latched" }
             )),
         );
         out
@@ -100,16 +100,16 @@ impl Flight {
             time: now,
             mode: self.mode,
             armed: self.armed(),
-            cut_latched: self.cut_latched,
-            failsafe: self.failsafe,
-            failsafe_reason: self.failsafe_reason,
+            cut_latched: self.supervision.cut_latched,
+            failsafe: self.supervision.failsafe,
+            failsafe_reason: self.supervision.failsafe_reason,
             disarms_in_s: self.disarms_in_s(now),
             ready_to_arm: !self.armed() && checks.iter().all(|c| c.passed),
             checks,
-            battery_v: self.battery_v,
-            battery_fraction: self.charge,
+            battery_v: self.liveness.battery_v,
+            battery_fraction: self.liveness.charge,
             estimator_in_loop: self.bank.in_loop_kind(),
-            deadline_misses: self.deadline_misses,
+            deadline_misses: self.liveness.deadline_misses,
             gains_revision: self.gains.revision,
         }
     }
@@ -133,14 +133,14 @@ impl Flight {
 
     /// Follows the charge left: the voltage with the sag of what the motors draw taken out.
     pub(super) fn follow_charge(&mut self, dt_s: f64) {
-        let Some(voltage_v) = self.battery_v else { return };
+        let Some(voltage_v) = self.liveness.battery_v else { return };
         let airframe = &self.config.airframe;
         let ratio = voltage_v / airframe.battery.nominal_v();
         let speeds = motor::steady_speed(airframe, &self.report.applied.throttle, ratio);
         let current_a = airframe.battery.current_a(airframe.induced_power_w(&speeds), voltage_v);
         let now = airframe.battery.charge_from_voltage(voltage_v, current_a);
-        let before = self.charge.unwrap_or(now);
-        self.charge = Some(before + (now - before) * (dt_s / (CHARGE_TIME_CONSTANT_S + dt_s)));
+        let before = self.liveness.charge.unwrap_or(now);
+        self.liveness.charge = Some(before + (now - before) * (dt_s / (CHARGE_TIME_CONSTANT_S + dt_s)));
     }
 }
 

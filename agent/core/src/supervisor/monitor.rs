@@ -228,7 +228,6 @@ impl Monitor {
     pub fn reason(&self, failsafe: Failsafe, i: &Inputs) -> Text {
         let s = &self.settings;
         match failsafe {
-            Failsafe::None => Text::new(),
             Failsafe::LinkFreeze => text(format_args!(
                 "no heartbeat for {:.2} s (limit {} s): setpoint frozen, attacks aborted",
                 i.link_age_s, s.link_freeze_s
@@ -295,12 +294,13 @@ impl Monitor {
                 self.lost_within_a_second(i.now),
                 s.deadline_descend
             )),
-            Failsafe::OperatorCut => text(format_args!("motors cut by the operator")),
-            // Their reasons come with them: nothing seen here leads to them.
-            Failsafe::StallCut | Failsafe::ShutdownDescend | Failsafe::ShutdownCut => Text::new(),
-            Failsafe::TakeoffTimeout => {
-                text(format_args!("armed for {} s without take-off: disarmed", s.takeoff_timeout_s))
-            }
+            // Nothing that is seen here leads to them: their reasons come with them.
+            Failsafe::None
+            | Failsafe::StallCut
+            | Failsafe::ShutdownDescend
+            | Failsafe::ShutdownCut
+            | Failsafe::OperatorCut
+            | Failsafe::TakeoffTimeout => Text::new(),
         }
     }
 }
@@ -379,132 +379,4 @@ pub fn severity(failsafe: Failsafe) -> u8 {
 pub const DESCENDS: u8 = 5;
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn fine(now_s: f64) -> Inputs {
-        Inputs {
-            now: FlightTime::from_seconds(now_s),
-            flying: true,
-            imu_age_s: 0.01,
-            tilt_rad: 0.1,
-            rate_radps: 1.0,
-            raw_height_m: Some(1.0),
-            altitude_m: Some(1.0),
-            climb_mps: 0.0,
-            lift_mps2: 0.0,
-            altitude_needed: true,
-            lateral: None,
-            position_lost: false,
-            degraded: false,
-            corroborated: false,
-            not_moving: false,
-            charge: Some(0.8),
-            link_age_s: 0.1,
-            operator_age_s: 0.0,
-            altitude_max_m: 2.0,
-            lateral_max_m: 2.0,
-        }
-    }
-
-    /// Runs `change` from 1 s on and returns when each verdict first appears.
-    fn first_seen(change: impl Fn(f64, &mut Inputs)) -> Vec<(Failsafe, f64)> {
-        let mut monitor = Monitor::new(Settings::default());
-        let mut seen: Vec<(Failsafe, f64)> = Vec::new();
-        for k in 0..1200 {
-            let t = f64::from(k) * 0.005;
-            let mut inputs = fine(t);
-            if t >= 1.0 {
-                change(t - 1.0, &mut inputs);
-            }
-            let verdict = monitor.judge(&inputs);
-            if seen.last().is_none_or(|s| s.0 != verdict) {
-                seen.push((verdict, t - 1.0));
-            }
-        }
-        seen
-    }
-
-    fn expect(seen: &[(Failsafe, f64)], expected: &[(Failsafe, f64)]) {
-        assert_eq!(seen.len(), expected.len() + 1, "{seen:?}");
-        for (s, e) in seen.iter().skip(1).zip(expected) {
-            assert!(s.0 == e.0 && (s.1 - e.1).abs() < 0.011, "{seen:?}, expected {expected:?}");
-        }
-    }
-
-    #[test]
-    fn every_row_of_the_table_comes_at_its_time() {
-        expect(&first_seen(|t, i| i.link_age_s = t), &[(Failsafe::LinkFreeze, 0.5), (Failsafe::LinkDescend, 2.0)]);
-        expect(
-            &first_seen(|t, i| i.operator_age_s = 4.0 * t),
-            &[(Failsafe::OperatorFreeze, 0.75), (Failsafe::OperatorDescend, 2.5)],
-        );
-        expect(&first_seen(|_, i| i.tilt_rad = 61.0_f64.to_radians()), &[(Failsafe::TiltCut, 0.3)]);
-        expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
-        expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
-        expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-        // The estimate lies, the raw heights do not.
-        expect(
-            &first_seen(|_, i| i.raw_height_m = Some(2.4)),
-            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
-        );
-        expect(
-            &first_seen(|_, i| i.lateral = Some(Outward { distance_m: 2.4, speed_mps: 0.0, pull_mps2: 0.0 })),
-            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
-        );
-        // Inside and slow, but tilted outwards: 0.5 m/s need 0.12 m, and with 20 degrees 0.28 m.
-        let tilted = |pull_mps2| Some(Outward { distance_m: 2.05, speed_mps: 0.5, pull_mps2 });
-        expect(&first_seen(|_, i| i.lateral = tilted(0.0)), &[]);
-        expect(&first_seen(|_, i| i.lateral = tilted(3.5)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-        expect(&first_seen(|_, i| i.degraded = true), &[(Failsafe::EstimatorDescend, 0.2)]);
-        expect(&first_seen(|_, i| (i.degraded, i.corroborated) = (true, true)), &[(Failsafe::EstimatorDescend, 1.0)]);
-        expect(&first_seen(|t, i| i.imu_age_s = t), &[(Failsafe::ImuCut, 0.08)]);
-        expect(&first_seen(|_, i| i.altitude_m = None), &[(Failsafe::AltitudeDescend, 0.0)]);
-        expect(&first_seen(|_, i| (i.altitude_m, i.altitude_needed) = (None, false)), &[]);
-        expect(&first_seen(|t, i| i.position_lost = t < 4.0), &[(Failsafe::PositionHold, 0.0), (Failsafe::None, 4.0)]);
-        expect(&first_seen(|_, i| i.charge = Some(0.24)), &[(Failsafe::BatteryLow, 3.0)]);
-        expect(&first_seen(|_, i| i.charge = Some(0.14)), &[(Failsafe::BatteryDescend, 3.0)]);
-        expect(&first_seen(|_, i| i.not_moving = true), &[(Failsafe::ThrustDescend, 1.5)]);
-        // Inside, but too fast to stop there: 4 m/s need 1.8 m.
-        expect(&first_seen(|_, i| i.climb_mps = 4.0), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-        expect(&first_seen(|_, i| i.climb_mps = 3.0), &[]);
-        // With half a g of thrust to spare 3 m/s are too many.
-        expect(
-            &first_seen(|_, i| (i.climb_mps, i.lift_mps2) = (3.0, 4.9)),
-            &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
-        );
-        // A short tilt is forgiven.
-        expect(&first_seen(|t, i| i.tilt_rad = if t < 0.28 { 1.2 } else { 0.0 }), &[]);
-    }
-
-    #[test]
-    fn lost_ticks_warn_then_descend_and_are_forgotten_after_a_second() {
-        let mut monitor = Monitor::new(Settings::default());
-        monitor.ticks_lost(FlightTime(10_000), 4);
-        assert_eq!(monitor.judge(&fine(0.02)), Failsafe::None);
-        monitor.ticks_lost(FlightTime(25_000), 1);
-        assert_eq!(monitor.judge(&fine(0.03)), Failsafe::DeadlineWarn);
-        monitor.ticks_lost(FlightTime(150_000), 15);
-        assert_eq!(monitor.judge(&fine(0.16)), Failsafe::DeadlineDescend);
-        assert_eq!(monitor.judge(&fine(1.2)), Failsafe::None);
-        // One gap of three seconds is as many ticks as it lasted.
-        monitor.ticks_lost(FlightTime(4_000_000), 600);
-        assert_eq!(monitor.judge(&fine(4.0)), Failsafe::DeadlineDescend);
-    }
-
-    #[test]
-    fn the_edge_of_the_box_comes_before_a_frozen_setpoint() {
-        let leaving = |i: &mut Inputs, age_s: f64| (i.climb_mps, i.link_age_s, i.operator_age_s) = (4.0, age_s, 4.0);
-        expect(&first_seen(|_, i| leaving(i, 1.0)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-    }
-
-    #[test]
-    fn what_was_taken_over_stays_so_until_the_operator_acts() {
-        let mut monitor = Monitor::new(Settings::default());
-        monitor.took_over();
-        assert_eq!(monitor.judge(&fine(1.0)), Failsafe::BoxHold);
-        assert_eq!(monitor.judge(&fine(3.1)), Failsafe::BoxDescend);
-        monitor.operator_acted();
-        assert_eq!(monitor.judge(&fine(3.2)), Failsafe::None);
-    }
-}
+mod tests;

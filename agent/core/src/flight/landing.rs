@@ -1,0 +1,145 @@
+//! Take-off, landing and their time-outs; the thrust of a descent on attitude alone.
+
+use plumbline_proto::time::FlightTime;
+
+use super::{Failsafe, Flight, Phase};
+use crate::estimate::Health;
+use crate::event::{EventKind, Severity, text};
+use crate::mix::Mixed;
+use crate::types::{Mode, Setpoint};
+
+/// A target this far above the vehicle is a take-off, m.
+const TAKEOFF_STEP_M: f64 = 0.05;
+/// Throttle that puts the loops to work in stabilise mode.
+const THROTTLE_ACTIVE: f64 = 0.1;
+/// Less thrust than this fraction of the weight, without moving, is standing (or hanging).
+const STANDING_THRUST: f64 = 0.6;
+/// Slower than this is not moving, m/s.
+pub(super) const STANDING_SPEED_MPS: f64 = 0.15;
+/// Standing for this long is landed, s.
+const STANDING_S: f64 = 0.5;
+/// Raw heights within this of where it took off, m …
+const TOUCHING_M: f64 = 0.05;
+/// … turning slower than this, rad/s …
+pub(super) const TOUCHING_RADPS: f64 = 0.2;
+/// … for this long, s, is landed too, whatever estimator and thrust say.
+const TOUCHING_S: f64 = 1.0;
+/// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard …
+const BLIND_THRUST: f64 = 0.96;
+/// … and else so much less or more for each m/s that it sinks too slowly or too fast, …
+const BLIND_GAIN_SPM: f64 = 0.2;
+/// … within these: heights may be attacked, and must not make it fall or climb away.
+const BLIND_RANGE: (f64, f64) = (0.5, 1.05);
+/// The hover thrust is learned with this time constant, s.
+const HOVER_TIME_CONSTANT_S: f64 = 1.0;
+
+impl Flight {
+    /// Take-off, landing and their time-outs.
+    pub(super) fn advance(&mut self, now: FlightTime) {
+        let settings = self.config.failsafe;
+        match self.phase {
+            Phase::Idle { since } => {
+                if self.wants_to_fly() {
+                    self.controller.reset();
+                    self.guidance.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
+                    self.phase = Phase::Flying;
+                    self.guidance.takeoff_height_m = self.supervision.watchdog.height_m();
+                    (self.guidance.quiet_since, self.guidance.low_since) = (None, None);
+                } else if now.seconds_since(since) > settings.takeoff_timeout_s {
+                    let why = text(format_args!("armed for {} s without take-off", settings.takeoff_timeout_s));
+                    (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::TakeoffTimeout, why);
+                    self.event(Severity::Warning, EventKind::Failsafe, why);
+                    self.disarm(text(format_args!("disarmed: {why}")));
+                }
+            }
+            Phase::Flying => {
+                let blind_over =
+                    self.supervision.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
+                let (standing, touching) = (self.standing(now), self.touching(now));
+                if blind_over || standing || touching {
+                    if self.mode == Mode::Stabilise {
+                        self.phase = Phase::Idle { since: now };
+                    } else {
+                        self.phase = Phase::Landed { since: now };
+                        self.event(Severity::Info, EventKind::Mode, text(format_args!("landed")));
+                    }
+                }
+            }
+            Phase::Landed { since } => {
+                if now.seconds_since(since) > settings.landed_s {
+                    self.disarm(text(format_args!("disarmed: landed for {} s", settings.landed_s)));
+                }
+            }
+        }
+    }
+
+    fn wants_to_fly(&self) -> bool {
+        match self.mode {
+            Mode::Stabilise => self.guidance.target.throttle > THROTTLE_ACTIVE,
+            // What an estimator makes of a landing without any measurement of the altitude is nothing to climb from.
+            Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.supervision.watchdog.heights_fresh() == 0 => {
+                false
+            }
+            Mode::AltitudeHold | Mode::Hold => {
+                self.guidance.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
+            }
+            _ => false,
+        }
+    }
+
+    /// On the ground, or hanging, with nothing left to do: little thrust and no motion.
+    fn standing(&mut self, now: FlightTime) -> bool {
+        let down = match self.mode {
+            Mode::Land => self.supervision.blind_since.is_none(),
+            Mode::Stabilise => self.guidance.target.throttle < THROTTLE_ACTIVE,
+            _ => false,
+        };
+        let light = self.report.given.thrust_n < STANDING_THRUST * self.config.airframe.weight_n();
+        let still = self.bank.in_loop().velocity_enu_mps.z.abs() < STANDING_SPEED_MPS;
+        if !(down && light && still) {
+            self.guidance.quiet_since = None;
+            return false;
+        }
+        now.seconds_since(*self.guidance.quiet_since.get_or_insert(now)) > STANDING_S
+    }
+
+    /// Back where it took off by the raw heights, and quiet: down, whatever the estimator says.
+    fn touching(&mut self, now: FlightTime) -> bool {
+        if self.mode != Mode::Land
+            || !self.at_takeoff_height()
+            || self.supervision.watchdog.rates_radps().norm() > TOUCHING_RADPS
+        {
+            self.guidance.low_since = None;
+            return false;
+        }
+        now.seconds_since(*self.guidance.low_since.get_or_insert(now)) > TOUCHING_S
+    }
+
+    pub(super) fn at_takeoff_height(&self) -> bool {
+        let heights = self.supervision.watchdog.height_m().zip(self.guidance.takeoff_height_m);
+        heights.is_some_and(|(height_m, takeoff_m)| height_m < takeoff_m + TOUCHING_M)
+    }
+
+    /// Throttle of a descent on attitude alone: with the slope of the raw heights where there are any.
+    pub(super) fn blind_throttle(&self) -> f64 {
+        let sinks_mps = self.config.failsafe.descend_mps;
+        let share = match self.supervision.watchdog.climb_mps() {
+            _ if self.at_takeoff_height() => BLIND_RANGE.0,
+            Some(climb_mps) => (1.0 - BLIND_GAIN_SPM * (climb_mps + sinks_mps)).clamp(BLIND_RANGE.0, BLIND_RANGE.1),
+            None => BLIND_THRUST,
+        };
+        share * self.guidance.hover_thrust_n / self.config.airframe.weight_n()
+    }
+
+    /// Learns what hovering takes while the altitude is held.
+    pub(super) fn learn_hover(&mut self, mixed: &Mixed, dt_s: f64) {
+        let estimate = self.bank.in_loop();
+        let steady = estimate.velocity_enu_mps.z.abs() < 0.2 && estimate.health == Health::Healthy;
+        if self.loops().altitude && self.mode != Mode::Land && steady && !mixed.saturated {
+            let lifted = mixed.given.thrust_n * self.supervision.watchdog.tilt_rad().cos();
+            let weight = self.config.airframe.weight_n();
+            self.guidance.hover_thrust_n += dt_s / HOVER_TIME_CONSTANT_S * (lifted - self.guidance.hover_thrust_n);
+            self.guidance.hover_thrust_n = self.guidance.hover_thrust_n.clamp(0.8 * weight, 1.25 * weight);
+        }
+    }
+}
