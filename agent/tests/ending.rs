@@ -13,10 +13,10 @@ use plumbline_agent::runner::stop::Stop;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::telemetry::{Identification, Telemetry};
+use plumbline_agent::telemetry::Telemetry;
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::{MotorStop, Truth, Vehicle, VehicleError};
-use plumbline_proto::time::{FlightTime, WallTime};
+use plumbline_proto::time::FlightTime;
 
 /// What happens at a time of the flight, once.
 type Moment = Box<dyn FnMut(&SimVehicle) + Send>;
@@ -64,19 +64,6 @@ fn flown(pace: Pace, end_s: f64, stop: &Stop, moments: Vec<(f64, Moment)>) -> (E
     let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
     scenario.script.steps.retain(|s| s.at_s < 6.0);
     let flight = Flight::new(scenario.flight_config()).unwrap();
-    let identification = Identification {
-        agent_id: "iris-1".into(),
-        boot_id: 7,
-        boot_wall_time: WallTime(1_795_262_400_000_000),
-        vehicle: "sim",
-        rig: scenario.rig.name().into(),
-        scenario: scenario.text.clone(),
-        seed: scenario.seed,
-        source_file: String::new(),
-        sensors: scenario.suite.descriptions(),
-        strings: scenario.rig.lines(&scenario.airframe),
-        promise: None,
-    };
     let options = RunnerOptions {
         pace,
         replay: false,
@@ -90,7 +77,7 @@ fn flown(pace: Pace, end_s: f64, stop: &Stop, moments: Vec<(f64, Moment)>) -> (E
     let truths = Arc::new(Mutex::new(Vec::new()));
     let sim = SimVehicle::new(&scenario).unwrap();
     let vehicle = Box::new(Watched { sim, moments, truths: truths.clone() });
-    let telemetry = Telemetry::new(identification, &flight, None, None);
+    let telemetry = Telemetry::new(common::identification(&scenario), &flight, None, None);
     let mut runner = Runner::new(vehicle, flight, telemetry, options, RunnerPorts::default());
     let summary = runner.run(stop).unwrap();
     let status = runner.flight().status();

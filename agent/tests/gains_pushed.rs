@@ -2,6 +2,8 @@
 //! flight and acknowledged once in use, or refused; commands behind them do not wait.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,10 +15,9 @@ use plumbline_agent::link::inbound::{Inbound, Request};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
+use plumbline_agent::telemetry::{Outlet, Telemetry};
 use plumbline_proto::codec::decode_frames;
 use plumbline_proto::ids::{CommandId, GainsRevision};
-use plumbline_proto::time::WallTime;
 use plumbline_proto::{Kind, v1};
 
 #[test]
@@ -25,21 +26,8 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
     let flight = Flight::new(scenario.flight_config()).unwrap();
     let good = Weights::for_airframe(&flight.config().airframe);
     let before = flight.gains_in_use().sha256;
-    let identification = Identification {
-        agent_id: "iris-1".into(),
-        boot_id: 7,
-        boot_wall_time: WallTime(1_795_262_400_000_000),
-        vehicle: "sim",
-        rig: scenario.rig.name().into(),
-        scenario: scenario.text.clone(),
-        seed: scenario.seed,
-        source_file: String::new(),
-        sensors: scenario.suite.descriptions(),
-        strings: scenario.rig.lines(&scenario.airframe),
-        promise: None,
-    };
     let (ring, mut radio) = rtrb::RingBuffer::new(64 << 20);
-    let telemetry = Telemetry::new(identification, &flight, Some(Outlet::new(ring)), None);
+    let telemetry = Telemetry::new(common::identification(&scenario), &flight, Some(Outlet::new(ring)), None);
     let options = RunnerOptions {
         pace: Pace::Times(1.0),
         replay: false,

@@ -1,6 +1,8 @@
 //! GIVEN a scripted scenario WHEN it is flown without a ground THEN the onboard log holds the whole flight.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
 use std::collections::BTreeMap;
 
 use plumbline_agent::flight::Flight;
@@ -8,7 +10,7 @@ use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
+use plumbline_agent::telemetry::{Outlet, Telemetry};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, Message, v1};
 
@@ -30,20 +32,7 @@ fn a_scripted_flight_is_recorded_whole() {
         frames,
     )
     .unwrap();
-    let identification = Identification {
-        agent_id: "iris-1".into(),
-        boot_id: 7,
-        boot_wall_time: BOOT,
-        vehicle: "sim",
-        rig: scenario.rig.name().into(),
-        scenario: scenario.text.clone(),
-        seed: scenario.seed,
-        source_file: String::new(),
-        sensors: scenario.suite.descriptions(),
-        strings: scenario.rig.lines(&scenario.airframe),
-        promise: None,
-    };
-    let telemetry = Telemetry::new(identification, &flight, None, Some(Outlet::new(ring)));
+    let telemetry = Telemetry::new(common::identification(&scenario), &flight, None, Some(Outlet::new(ring)));
     let options = RunnerOptions {
         pace: Pace::Free,
         replay: false,

@@ -7,8 +7,9 @@ use plumbline_agent::estimate::Estimate;
 use plumbline_agent::event::Event;
 use plumbline_agent::flight::{Flight, FlightConfig, StepReport};
 use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::telemetry::Identification;
 use plumbline_agent::vehicle::{Truth, Vehicle};
-use plumbline_proto::time::FlightTime;
+use plumbline_proto::time::{FlightTime, WallTime};
 
 /// A scenario in the air.
 pub struct Flown {
@@ -153,6 +154,23 @@ pub fn check(toml: &str, expectation: impl FnOnce(&Flown) -> Result<(), String>)
         panic!("scenario {}: {broken}\n{}", flown.scenario.name, flown.log());
     }
     flown
+}
+
+/// Who tells of a simulated flight of `scenario`.
+pub fn identification(scenario: &Scenario) -> Identification {
+    Identification {
+        agent_id: "iris-1".into(),
+        boot_id: 7,
+        boot_wall_time: WallTime(1_795_262_400_000_000),
+        vehicle: "sim",
+        rig: scenario.rig.name().into(),
+        scenario: scenario.text.clone(),
+        seed: scenario.seed,
+        source_file: String::new(),
+        sensors: scenario.suite.descriptions(),
+        strings: scenario.rig.lines(&scenario.airframe),
+        promise: None,
+    }
 }
 
 /// A scenario file of the workspace.
