@@ -5,9 +5,8 @@ mod common;
 mod counting;
 
 use common::{Flown, scenario};
-use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
+use plumbline_agent::telemetry::{Around, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
-use plumbline_proto::time::WallTime;
 
 #[test]
 fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
@@ -54,21 +53,8 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
 
 /// Telemetry into a ring as wide as `bytes`, and the far end of it.
 fn telemetry_of(f: &Flown, bytes: usize) -> (Telemetry, rtrb::Consumer<u8>) {
-    let identification = Identification {
-        agent_id: "iris-1".into(),
-        boot_id: 0xabcd,
-        boot_wall_time: WallTime(1_795_262_400_000_000),
-        vehicle: "sim",
-        rig: f.scenario.rig.name().into(),
-        scenario: f.scenario.text.clone(),
-        seed: f.scenario.seed,
-        source_file: String::new(),
-        sensors: f.scenario.suite.descriptions(),
-        strings: Default::default(),
-        promise: None,
-    };
     let (ring, far_end) = rtrb::RingBuffer::new(bytes);
-    (Telemetry::new(identification, &f.flight, Some(Outlet::new(ring)), None), far_end)
+    (Telemetry::new(common::identification(&f.scenario), &f.flight, Some(Outlet::new(ring)), None), far_end)
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! Nonlinear least squares: Gauss–Newton with Levenberg's damping, Jacobian by central differences.
+//! Nonlinear least squares: Gauss–Newton with Levenberg's damping, Jacobian by central differences. Own code, since the crate
+//! `levenberg-marquardt` (0.15) is built on another nalgebra (0.34) and gives neither covariance nor an account of what is free.
 //!
 //! | symbol | meaning |
 //! |---|---|

@@ -18,6 +18,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::aiding::freshness::{Freshness, RECOVERY_S};
+use super::aiding::{VELOCITY, XYZ};
 use super::filter::kalman;
 use super::filter::row::ScalarRow;
 use super::vqf::VqfEstimator;
@@ -165,8 +166,6 @@ impl ConstantAccelerationEstimator {
     }
 
     fn take_positions(&mut self, frame: &SensorFrame) {
-        const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
-        const V: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
         let model = self.model.clone();
         for (i, sample) in frame.heights.iter().enumerate() {
             if let Some(sample) = sample {
@@ -188,7 +187,7 @@ impl ConstantAccelerationEstimator {
                     let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
                     self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], model.gnss.position(claimed_m));
                 }
-                self.take(sensor, V[axis], axis + 3, sample.velocity_enu_mps[axis], model.gnss.velocity);
+                self.take(sensor, VELOCITY[axis], axis + 3, sample.velocity_enu_mps[axis], model.gnss.velocity);
             }
         }
         // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.

@@ -1,7 +1,8 @@
 //! Matrix exponential by scaling and squaring with the diagonal Padé approximant of degree 13.
 //!
 //! Source: N. J. Higham, The scaling and squaring method for the matrix exponential revisited,
-//! SIAM J. Matrix Anal. Appl. 26 (2005), Algorithm 2.3 (degree 13 only: our matrices are small).
+//! SIAM J. Matrix Anal. Appl. 26 (2005), Algorithm 2.3 (degree 13 only: our matrices are small). Own code, since
+//! nalgebra's `exp` unwraps its solve where there is no exponential; what is asked here may come from a user's design.
 
 use nalgebra::DMatrix;
 

@@ -13,18 +13,14 @@ use super::EkfBias;
 use super::covariance::{ErrorState, N, ix};
 use crate::estimate::Channel;
 use crate::estimate::aiding::freshness::RECOVERY_S;
+use crate::estimate::aiding::{ANGLES, RANGES, VELOCITY, XYZ};
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::filter::row::ScalarRow;
 use crate::sensor::camera_ranges::CameraRangesModel;
 use crate::sensor::measure::{self, Row};
 use crate::sensor::{Accuracy, SensorFrame};
 use crate::sensor::{camera_ranges, mocap_pose};
-use crate::types::CAMERAS;
 
-const XYZ: [Channel; 3] = [Channel::X, Channel::Y, Channel::Z];
-const VELOCITY: [Channel; 3] = [Channel::VelocityX, Channel::VelocityY, Channel::VelocityZ];
-const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
-const RANGES: [Channel; CAMERAS] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
 /// Horizontal position stays known this long after the last accepted sample, s.
 pub const HORIZONTAL_MEMORY_S: f64 = 3.0;
 /// Vertical position stays known this long after the last accepted sample, s.

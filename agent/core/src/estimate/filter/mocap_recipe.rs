@@ -7,7 +7,8 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
 use super::measurement::{Measurement, TwelveState, What};
-use crate::estimate::{Channel, Residuals};
+use crate::estimate::Residuals;
+use crate::estimate::aiding::{ANGLES, RANGES};
 use crate::model::euler_body::{M, U, X, ix, process_noise};
 use crate::sensor::Accuracy;
 
@@ -46,8 +47,6 @@ pub struct LogRow {
 
 /// The seven measurements of `row` (\[Umasankar\] Eq. 13, errata 5), without gates.
 pub fn measurements(row: &LogRow) -> ArrayVec<Measurement, 7> {
-    const RANGES: [Channel; 4] = [Channel::Range1, Channel::Range2, Channel::Range3, Channel::Range4];
-    const ANGLES: [Channel; 3] = [Channel::Roll, Channel::Pitch, Channel::Yaw];
     let one = |kind, channel, what, value, sigma| Measurement {
         of: Some((SensorId::new(kind, 1), channel)),
         what,
