@@ -91,8 +91,9 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-link"), names(&["proto"]), "the radio knows no vehicle");
     assert_eq!(knows("plumbline-sim"), names(&["core", "proto"]));
     assert_eq!(knows("plumbline-agent"), names(&["core", "link", "proto", "sim"]));
-    assert_eq!(knows("plumbline-web"), names(&["proto"]), "the page speaks the contract only");
-    assert_eq!(knows("plumbline-ground"), names(&["agent", "link", "proto"]));
+    assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
+    assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
+    assert_eq!(knows("plumbline-ground"), names(&["agent", "link", "proto", "rest"]));
 }
 
 #[test]

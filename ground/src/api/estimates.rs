@@ -110,7 +110,8 @@ mod tests {
         let mut curves = Curves::default();
         for tick in 0..200_u64 {
             let health = if tick < 100 { Health::Initialising } else { Health::Healthy };
-            let mut estimate = Estimate { time: FlightTime(tick * 5_000), health, ..Estimate::default() };
+            let mut estimate =
+                Estimate { time: FlightTime(tick * 5_000), health, altitude_known: true, ..Estimate::default() };
             estimate.position_enu_m.z = 1.5;
             push(&mut curves, &estimate);
         }

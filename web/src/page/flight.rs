@@ -168,9 +168,8 @@ fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option
     leptos::task::spawn_local(async move {
         match net::json::<Flight>("PATCH", &url, Some(body.to_string()), &ctx.operator()).await {
             Ok(flight) => {
-                if !flight.id.is_empty() {
-                    summary.try_set(Some(Ok(flight)));
-                }
+                // Told to nobody: the tables would be built anew, and what is being typed into them lost.
+                summary.try_update_untracked(|known| *known = Some(Ok(flight)));
                 ctx.tell(Tone::Done, "Saved");
             }
             Err(failure) => ctx.tell(Tone::Error, format!("Not saved: {}", failure.text)),

@@ -41,6 +41,7 @@ pub fn PeopleCard() -> impl IntoView {
     let people = RwSignal::new(People::default());
     let trouble = RwSignal::new(String::new());
     let role = Memo::new(move |_| ctx.session.with(|session| session.role));
+    let account = Memo::new(move |_| ctx.session.with(|session| session.name.is_some()));
     let admin = move || role.get() == Some(Role::Admin);
     let load = move || {
         let url = if role.get_untracked() == Some(Role::Admin) { PEOPLE } else { "/api/sessions" };
@@ -68,7 +69,7 @@ pub fn PeopleCard() -> impl IntoView {
             <header><h2>"People"</h2></header>
             {move || (!trouble.with(String::is_empty)).then(|| view! { <p class="bad" role="alert">{trouble.get()}</p> })}
             {move || admin().then(|| view! { <Accounts people load=Callback::new(move |()| load()) /> })}
-            {move || ctx.session.with(|session| session.name.is_some()).then(|| view! { <TwoSteps /> })}
+            {move || account.get().then(|| view! { <TwoSteps /> })}
             <h3>"Signed in"</h3>
             {move || people.with(|p| p.sessions.is_empty()).then(|| view! { <p class="quiet">"Nobody: no account is needed on this machine, or none is in use."</p> })}
             <table class="dense">
