@@ -1,8 +1,6 @@
 //! LQG and H∞ of [Strategies] against the independent references; skipped where those are absent.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use std::path::PathBuf;
-
 use nalgebra::{DMatrix, DVector};
 use plumbline_agent::control::hinf::reduction::{balance, residualise_fastest};
 use plumbline_agent::control::hinf::strategies::{ChannelWeights, assemble, channel, tracking, whole_plant};
@@ -19,6 +17,7 @@ use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::discretize::zero_order_hold;
 use plumbline_agent::model::linearize::ix;
 use plumbline_agent::model::state_space::StateSpace;
+use plumbline_agent::recordings::shared;
 use serde_json::Value;
 
 /// Gains, relative to their largest entry.
@@ -33,14 +32,7 @@ const GAMMA_TOLERANCE: f64 = 1e-6;
 const NORM_TOLERANCE: f64 = 1e-5;
 
 fn text(name: &str) -> Option<String> {
-    let folder = std::env::var_os("PLUMBLINE_DATA")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = folder.join("reference").join(name);
-    let found = std::fs::read_to_string(&path).ok();
-    if found.is_none() {
-        eprintln!("skipped: {} is absent", path.display());
-    }
-    found
+    std::fs::read_to_string(shared(&format!("reference/{name}"))?).ok()
 }
 
 fn json(name: &str) -> Option<Value> {

@@ -112,14 +112,26 @@ fn a_second_agent_of_the_same_name_is_refused_and_the_first_flies_on() {
     rig.stop();
 }
 
-/// Starts a program whose log goes into a pipe that is full, and that nobody reads while the reader is kept.
-fn mute(mut command: Command) -> (Child, PipeReader) {
+/// A program whose log goes into a pipe that is full and that nobody reads. Killed when it is dropped.
+struct Muted {
+    child: Child,
+    _log: PipeReader,
+}
+
+impl Drop for Muted {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn mute(mut command: Command) -> Muted {
     let (reader, mut writer) = std::io::pipe().unwrap();
     // SAFETY: the pipe is open; its size becomes that of a page, and is answered.
     let size = unsafe { libc::fcntl(writer.as_raw_fd(), libc::F_SETPIPE_SZ, 4096) };
     writer.write_all(&vec![b'.'; usize::try_from(size).unwrap()]).unwrap();
     let child = command.stdout(Stdio::piped()).stderr(writer).stdin(Stdio::null()).spawn().unwrap();
-    (child, reader)
+    Muted { child, _log: reader }
 }
 
 #[test]
@@ -127,9 +139,9 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
     let folder = tempfile::tempdir().unwrap();
     let mut ground = Command::new(options(folder.path()).binaries.ground);
     ground.args(["--listen", "127.0.0.1:0", "--agent-listen", "127.0.0.1:0", "--data"]).arg(folder.path().join("data"));
-    let (mut ground, _ground_log) = mute(ground);
+    let mut ground = mute(ground);
     let mut said = String::new();
-    let mut stdout = BufReader::new(ground.stdout.take().unwrap());
+    let mut stdout = BufReader::new(ground.child.stdout.take().unwrap());
     stdout.read_line(&mut said).unwrap();
     let address = said.trim().split("http://").nth(1).unwrap().trim_end_matches('/').parse().unwrap();
     let api = Api { address, operator: "test".into() };
@@ -141,11 +153,9 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
     let mut scripted = Command::new(options(folder.path()).binaries.agent);
     scripted.args(["--vehicle", "sim", "--script", "--ground", "none", "--speed", "max", "--scenario"]).arg(scenario);
     keep_in(&mut scripted, folder.path());
-    let (mut agent, _agent_log) = mute(scripted);
-    let ended = wait_until(PATIENCE, || agent.try_wait().unwrap());
+    let mut agent = mute(scripted);
+    let ended = wait_until(PATIENCE, || agent.child.try_wait().unwrap());
     assert!(ended.is_some_and(|status| status.success()), "the flight stands still: {ended:?}");
-    ground.kill().unwrap();
-    ground.wait().unwrap();
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::io::Write;
 pub struct Tally {
     passed: u64,
     failed: u64,
+    skipped: u64,
     failures: Vec<String>,
     silent: bool,
 }
@@ -14,7 +15,7 @@ pub struct Tally {
 impl Tally {
     /// One without a closing line, where checks are not the point.
     pub fn silent() -> Self {
-        Self { passed: 0, failed: 0, failures: Vec::new(), silent: true }
+        Self { silent: true, ..Self::default() }
     }
 
     /// Several at once, of what `name` ran.
@@ -24,6 +25,14 @@ impl Tally {
         if failed > 0 {
             self.failures.push(format!("{name}: {failed} failed"));
         }
+    }
+
+    /// Tests that were left out, and those that passed without having what they compare with: their names are told.
+    pub fn skip(&mut self, ignored: u64, tests: &std::collections::BTreeSet<String>) {
+        let skipped = (tests.len() as u64).min(self.passed);
+        self.passed -= skipped;
+        self.skipped += skipped + ignored;
+        tests.iter().for_each(|test| eprintln!("xtask: skipped: {test}"));
     }
 
     /// One check that either worked or tells why not.
@@ -48,9 +57,10 @@ impl Tally {
         self.failed == 0 && self.passed > 0
     }
 
-    /// `N passed, N failed`.
+    /// `N passed, N failed`, and `N skipped` where some were.
     pub fn closing_line(&self) -> String {
-        format!("{} passed, {} failed", self.passed, self.failed)
+        let skipped = if self.skipped > 0 { format!(", {} skipped", self.skipped) } else { String::new() };
+        format!("{} passed, {} failed{skipped}", self.passed, self.failed)
     }
 }
 
@@ -163,5 +173,7 @@ mod tests {
         assert_eq!((tally.closing_line().as_str(), tally.good()), ("3 passed, 0 failed", true));
         assert!(tally.check("format", Err::<(), _>("differs")).is_none());
         assert_eq!((tally.closing_line().as_str(), tally.good()), ("3 passed, 1 failed", false));
+        tally.skip(0, &["a".to_owned(), "b".to_owned()].into());
+        assert_eq!(tally.closing_line(), "1 passed, 1 failed, 2 skipped");
     }
 }

@@ -82,6 +82,11 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     if let Some(python) = tally.check("python with mcap", tools::python(workspace)) {
         cargo.env("PLUMBLINE_PYTHON", python);
     }
+    // What is absent is told here by the tests that wanted it.
+    let absent = workspace.target.join("skipped.txt");
+    if tally.check("list of skipped tests", std::fs::write(&absent, "")).is_some() {
+        cargo.env("PLUMBLINE_SKIPPED", &absent);
+    }
     let mut output = CargoTestOutput::default();
     let ran = run_and_read(&mut cargo, |line| {
         output.line(line);
@@ -93,10 +98,9 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
             tally.check::<(), _>("cargo test", Err(error));
         }
     }
-    if output.ignored > 0 {
-        eprintln!("xtask: {} tests ignored", output.ignored);
-    }
     tally.add("cargo test", output.passed, output.failed);
+    let absent = std::fs::read_to_string(&absent).unwrap_or_default();
+    tally.skip(output.ignored, &absent.lines().filter_map(|line| Some(line.split_once(": ")?.0.to_owned())).collect());
 }
 
 /// Runs to the end, passing on each line of its standard output. True when it says success.

@@ -215,10 +215,3 @@ pub fn promised_counts(flight: &Value) -> std::collections::BTreeMap<String, u64
     let counts = flight["counts"].as_object().expect("counts");
     counts.iter().map(|(topic, count)| (topic.clone(), count.as_u64().unwrap())).collect()
 }
-
-/// Folder with the shared data, where there is one.
-pub fn shared_data() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let folder = std::env::var_os("PLUMBLINE_DATA").map_or(beside, PathBuf::from);
-    folder.join("data").is_dir().then_some(folder)
-}

@@ -101,9 +101,9 @@ mod golden {
     impl Golden {
         /// `None`, and a word about it, where the references are absent.
         pub(crate) fn load() -> Option<Self> {
-            let folder = crate::shared::shared("reference")?;
-            let text = std::fs::read_to_string(folder.join("mocap_filter_golden.json")).unwrap();
-            Some(Self { folder, json: serde_json::from_str(&text).unwrap() })
+            let file = crate::shared::shared("reference/mocap_filter_golden.json")?;
+            let text = std::fs::read_to_string(&file).unwrap();
+            Some(Self { folder: file.parent().unwrap().to_owned(), json: serde_json::from_str(&text).unwrap() })
         }
 
         pub(crate) fn log(&self, path: &str) -> Vec<LogRow> {
