@@ -54,16 +54,21 @@ impl Flight {
         let loops = self.loops();
         let estimate = self.bank.in_loop();
         let thrust_enu = estimate.world_from_body * nalgebra::Vector3::z();
-        let outward = |axis: usize, side: f64| Outward {
-            distance_m: estimate.position_enu_m[axis] * side,
-            speed_mps: estimate.velocity_enu_mps[axis] * side,
+        let outward = |axis: usize, side: f64, (place_m, speed_mps): (f64, f64)| Outward {
+            distance_m: place_m * side,
+            speed_mps: speed_mps * side,
             pull_mps2: GRAVITY_MPS2 * thrust_enu[axis] * side,
         };
         let imu_age_s = self.supervision.watchdog.imu_age_s(now);
         let (climb_mps, lift_mps2) = self.climb();
         // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
-        let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| outward(axis, side));
         let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
+        // After a bump an estimator may refuse right measurements for a while: what is measured has a veto beside it.
+        let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| {
+            let estimated = outward(axis, side, (estimate.position_enu_m[axis], estimate.velocity_enu_mps[axis]));
+            let measured = self.supervision.watchdog.place(axis).map(|place| outward(axis, side, place));
+            measured.map_or(estimated, |measured| farther(estimated, measured))
+        });
         let raw_height_m = self.supervision.watchdog.height_m();
         let astray =
             raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
@@ -342,6 +347,16 @@ impl Flight {
         } else if let Some(raw_m) = self.supervision.watchdog.height_m().filter(|raw_m| *raw_m > most_m.max(z_m)) {
             // By the raw heights it is too high already: the limit is theirs then.
             target.position_enu_m.z = target.position_enu_m.z.min(most_m - (raw_m - z_m));
+        }
+        // The same for a place that is measured too far out.
+        let side_m = self.config.limits.lateral_max_m;
+        for axis in 0..2 {
+            let measured = self.supervision.watchdog.place(axis);
+            if let Some((place_m, _)) = measured.filter(|(place_m, _)| place_m.abs() > side_m) {
+                let astray_m = place_m - self.bank.in_loop().position_enu_m[axis];
+                let along = &mut target.position_enu_m[axis];
+                *along = along.max(-side_m - astray_m).min(side_m - astray_m);
+            }
         }
         target
     }

@@ -6,7 +6,7 @@ use super::{Failsafe, Flight, Phase};
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, text};
 use crate::mix::Mixed;
-use crate::types::{Mode, Setpoint};
+use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
 
 /// A target this far above the vehicle is a take-off, m.
 const TAKEOFF_STEP_M: f64 = 0.05;
@@ -30,8 +30,14 @@ const BLIND_THRUST: f64 = 0.96;
 const BLIND_GAIN_SPM: f64 = 0.2;
 /// … within these: heights may be attacked, and must not make it fall or climb away.
 const BLIND_RANGE: (f64, f64) = (0.5, 1.05);
-/// The hover thrust is learned with this time constant, s.
+/// The hover thrust is learned with this time constant, s …
 const HOVER_TIME_CONSTANT_S: f64 = 1.0;
+/// … from an altitude measured within this time, s: what coasts looks steady, whatever the thrust …
+const HOVER_MAX_AGE_S: f64 = 0.25;
+/// … and in a descent on attitude alone from forces above this part of the hovering ones.
+const HOVER_LEAST: f64 = 0.3;
+/// An estimate that moves faster than this on the ground is none to take off on, m/s.
+const ASTRAY_MPS: f64 = 0.5;
 
 impl Flight {
     /// Take-off, landing and their time-outs.
@@ -80,6 +86,7 @@ impl Flight {
             Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.supervision.watchdog.heights_fresh() == 0 => {
                 false
             }
+            Mode::AltitudeHold | Mode::Hold if self.bank.in_loop().velocity_enu_mps.z.abs() > ASTRAY_MPS => false,
             Mode::AltitudeHold | Mode::Hold => {
                 self.guidance.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
             }
@@ -131,14 +138,24 @@ impl Flight {
         share * self.guidance.hover_thrust_n / self.config.airframe.weight_n()
     }
 
-    /// Learns what hovering takes while the altitude is held.
+    /// Learns what hovering takes: while the altitude is held, the thrust itself; in a descent on attitude alone, what the
+    /// thrust is worth by the accelerometers, whose force stays right where the altitude is lost.
     pub(super) fn learn_hover(&mut self, mixed: &Mixed, dt_s: f64) {
-        let estimate = self.bank.in_loop();
+        let (estimate, watchdog) = (self.bank.in_loop(), &self.supervision.watchdog);
+        let weight = self.config.airframe.weight_n();
+        let unmeasured_s = watchdog.altitude_age_s(self.liveness.ticked.unwrap_or_default());
         let steady = estimate.velocity_enu_mps.z.abs() < 0.2 && estimate.health == Health::Healthy;
-        if self.loops().altitude && self.mode != Mode::Land && steady && !mixed.saturated {
-            let lifted = mixed.given.thrust_n * self.supervision.watchdog.tilt_rad().cos();
-            let weight = self.config.airframe.weight_n();
-            self.guidance.hover_thrust_n += dt_s / HOVER_TIME_CONSTANT_S * (lifted - self.guidance.hover_thrust_n);
+        let thrust_n = mixed.given.thrust_n;
+        let hover_n = if self.supervision.blind_since.is_some() {
+            let felt = watchdog.force_mps2().z / GRAVITY_MPS2;
+            (felt > HOVER_LEAST && thrust_n > HOVER_LEAST * weight).then(|| thrust_n / felt)
+        } else {
+            let lately = self.lasers() == 0 || unmeasured_s < HOVER_MAX_AGE_S;
+            let held = lately && self.loops().altitude && self.mode != Mode::Land;
+            (held && steady && !mixed.saturated).then(|| thrust_n * watchdog.tilt_rad().cos())
+        };
+        if let Some(hover_n) = hover_n {
+            self.guidance.hover_thrust_n += dt_s / HOVER_TIME_CONSTANT_S * (hover_n - self.guidance.hover_thrust_n);
             self.guidance.hover_thrust_n = self.guidance.hover_thrust_n.clamp(0.8 * weight, 1.25 * weight);
         }
     }

@@ -1,4 +1,4 @@
-//! Tilt, rate and height straight from the sensors: the median over instances, an attitude filter of its own
+//! Tilt, rate, height and place straight from the sensors: the median over instances, an attitude filter of its own
 //! (`estimate/vqf`, without magnetometer), no estimator.
 //!
 //! It receives what the estimators receive: a vehicle that is really attacked has no other samples. Where the
@@ -16,10 +16,10 @@ use crate::frames::tilt_rad;
 use crate::sensor::{MAX_HEIGHTS, MAX_IMUS, SensorFrame};
 use crate::types::GRAVITY_MPS2;
 
-/// Heights older than this are forgotten, s.
-const HEIGHT_MAX_AGE_S: f64 = 0.5;
-/// Slopes of heights are taken over at least this long, s: shorter, they are noise.
-const CLIMB_BASELINE_S: f64 = 0.08;
+/// Heights and places older than this are forgotten, s.
+const MEASURED_MAX_AGE_S: f64 = 0.5;
+/// Their slopes are taken over at least this long, s: shorter, they are noise.
+const SLOPE_BASELINE_S: f64 = 0.08;
 /// A sample takes part in the median this long, s: IMUs sample in turns at 100 Hz and faster.
 const IMU_MEMORY_S: f64 = 0.015;
 /// Specific forces further from 1 g than this fraction say nothing of the vertical.
@@ -28,28 +28,38 @@ const ACCEL_TRUST: f64 = 0.2;
 /// Angular rate and specific force of one IMU, body FLU, rad/s and m/s².
 type Inertial = (Vector3<f64>, Vector3<f64>);
 
-/// Last height of one laser, and how it changes.
+/// Last height of one laser, or place along one axis, and how it changes.
 #[derive(Debug, Clone, Copy)]
-struct Height {
+struct Measured {
     time: FlightTime,
-    height_m: f64,
+    value_m: f64,
     /// Where its present slope is measured from.
     from: (FlightTime, f64),
-    climb_mps: Option<f64>,
+    slope_mps: Option<f64>,
 }
 
-impl Height {
-    fn first(time: FlightTime, height_m: f64) -> Self {
-        Self { time, height_m, from: (time, height_m), climb_mps: None }
+impl Measured {
+    fn first(time: FlightTime, value_m: f64) -> Self {
+        Self { time, value_m, from: (time, value_m), slope_mps: None }
     }
 
-    fn then(self, time: FlightTime, height_m: f64) -> Self {
+    fn then(self, time: FlightTime, value_m: f64) -> Self {
         let (since, from_m) = self.from;
         let baseline_s = time.seconds_since(since);
-        if baseline_s < CLIMB_BASELINE_S {
-            return Self { time, height_m, ..self };
+        if baseline_s < SLOPE_BASELINE_S {
+            return Self { time, value_m, ..self };
         }
-        Self { time, height_m, from: (time, height_m), climb_mps: Some((height_m - from_m) / baseline_s) }
+        Self { time, value_m, from: (time, value_m), slope_mps: Some((value_m - from_m) / baseline_s) }
+    }
+
+    /// Takes `new` where there is one, and forgets what is too old.
+    fn take(kept: &mut Option<Self>, new: Option<f64>, time: FlightTime) {
+        if kept.is_some_and(|last| time.seconds_since(last.time) > MEASURED_MAX_AGE_S) {
+            *kept = None;
+        }
+        if let Some(value_m) = new.filter(|value| value.is_finite()) {
+            *kept = Some(kept.map_or(Self::first(time, value_m), |last| last.then(time, value_m)));
+        }
     }
 }
 
@@ -58,10 +68,12 @@ impl Height {
 pub struct Watchdog {
     filter: Vqf,
     rates_radps: Vector3<f64>,
+    force_mps2: Vector3<f64>,
     since_imu_s: f64,
     imu_time: Option<FlightTime>,
     imus: [Option<(FlightTime, Inertial)>; MAX_IMUS],
-    heights: [Option<Height>; MAX_HEIGHTS],
+    heights: [Option<Measured>; MAX_HEIGHTS],
+    places: [Option<Measured>; 2],
     altitude_time: Option<FlightTime>,
     reads_imu: [bool; MAX_IMUS],
     reads_height: [bool; MAX_HEIGHTS],
@@ -80,10 +92,12 @@ impl Watchdog {
         Self {
             filter: Vqf::new(VqfOptions { use_mag: false, ..VqfOptions::default() }),
             rates_radps: Vector3::zeros(),
+            force_mps2: Vector3::zeros(),
             since_imu_s: 0.0,
             imu_time: None,
             imus: [None; MAX_IMUS],
             heights: [None; MAX_HEIGHTS],
+            places: [None; 2],
             altitude_time: None,
             reads_imu: instances(SensorKind::Imu, independent),
             reads_height: instances(SensorKind::Height, independent),
@@ -100,13 +114,11 @@ impl Watchdog {
             || received.camera_ranges.is_some();
         self.altitude_time = if measured { Some(received.time) } else { self.altitude_time };
         for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
-            if kept.is_some_and(|last| received.time.seconds_since(last.time) > HEIGHT_MAX_AGE_S) {
-                *kept = None;
-            }
-            if let Some(new) = new.filter(|h| reads && h.height_m.is_finite()) {
-                let (time, height_m) = (received.time, new.height_m);
-                *kept = Some(kept.map_or(Height::first(time, height_m), |last| last.then(time, height_m)));
-            }
+            Measured::take(kept, new.filter(|_| reads).map(|h| h.height_m), received.time);
+        }
+        for (axis, kept) in self.places.iter_mut().enumerate() {
+            let place_m = received.mocap_pose.and_then(|pose| pose.position_enu_m.get(axis).copied());
+            Measured::take(kept, place_m, received.time);
         }
     }
 
@@ -133,7 +145,8 @@ impl Watchdog {
         let near_1_g = (accel.norm() / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST;
         let force = if near_1_g { accel } else { Vector3::zeros() };
         self.filter.push(since_s, &gyro, &force, None);
-        (self.rates_radps, self.imu_time, self.since_imu_s) = (gyro, Some(received.time), 0.0);
+        (self.rates_radps, self.force_mps2) = (gyro, accel);
+        (self.imu_time, self.since_imu_s) = (Some(received.time), 0.0);
     }
 
     /// Angle between body z and the vertical, rad; zero before the first sample.
@@ -159,6 +172,11 @@ impl Watchdog {
         self.rates_radps
     }
 
+    /// Specific force, body FLU, median over the IMUs, m/s².
+    pub fn force_mps2(&self) -> Vector3<f64> {
+        self.force_mps2
+    }
+
     /// Attitude with yaw zero, for a descent without estimator.
     pub fn attitude(&self) -> UnitQuaternion<f64> {
         let up = self.up_flu();
@@ -167,12 +185,18 @@ impl Watchdog {
 
     /// Median of the heights of the last half second, m.
     pub fn height_m(&self) -> Option<f64> {
-        Some(median(self.heights.iter().flatten().map(|h| h.height_m))).filter(|height| height.is_finite())
+        Some(median(self.heights.iter().flatten().map(|h| h.value_m))).filter(|height| height.is_finite())
     }
 
     /// Median of the slopes of these heights, m/s.
     pub fn climb_mps(&self) -> Option<f64> {
-        Some(median(self.heights.iter().flatten().filter_map(|h| h.climb_mps))).filter(|climb| climb.is_finite())
+        Some(median(self.heights.iter().flatten().filter_map(|h| h.slope_mps))).filter(|climb| climb.is_finite())
+    }
+
+    /// Place along `axis` (0 east, 1 north) as motion capture measured it within the last half second, m, and its slope, m/s.
+    pub fn place(&self, axis: usize) -> Option<(f64, f64)> {
+        let place = self.places.get(axis).copied().flatten()?;
+        Some((place.value_m, place.slope_mps.unwrap_or(0.0)))
     }
 
     /// Time since a fresh IMU sample, s; infinite before the first.
