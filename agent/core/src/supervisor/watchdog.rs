@@ -218,7 +218,7 @@ impl Watchdog {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::{HeightSample, ImuSample};
+    use crate::sensor::{HeightSample, ImuSample, MocapPoseSample};
 
     const DT_S: f64 = 0.005;
 
@@ -295,6 +295,24 @@ mod tests {
             }
             assert!((watchdog.climb_mps().unwrap() - 0.7).abs() < 1e-6, "{:?}", watchdog.climb_mps());
         }
+    }
+
+    #[test]
+    fn a_place_is_the_last_one_measured_with_its_slope_and_is_forgotten() {
+        let mut watchdog = Watchdog::new(&[]);
+        for k in 0..100_u64 {
+            let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
+            let (t_s, time) = (frame.time.as_seconds(), frame.time);
+            let position_enu_m = Vector3::new(1.5 * t_s, if k == 60 { f64::NAN } else { 2.0 - t_s }, 1.0);
+            let pose = MocapPoseSample { time, position_enu_m, world_from_body: UnitQuaternion::identity() };
+            frame.mocap_pose = (k % 2 == 0).then_some(pose);
+            watchdog.step(&frame, DT_S);
+        }
+        let ((east_m, east_mps), (north_m, north_mps)) = (watchdog.place(0).unwrap(), watchdog.place(1).unwrap());
+        assert!((east_m - 0.735).abs() < 1e-9 && (east_mps - 1.5).abs() < 1e-6, "{east_m} m, {east_mps} m/s");
+        assert!((north_m - 1.51).abs() < 1e-9 && (north_mps + 1.0).abs() < 1e-6, "{north_m} m, {north_mps} m/s");
+        watchdog.step(&SensorFrame { time: FlightTime(1_000_000), ..SensorFrame::default() }, DT_S);
+        assert_eq!((watchdog.place(0), watchdog.place(2)), (None, None));
     }
 
     #[test]
