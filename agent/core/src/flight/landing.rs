@@ -24,7 +24,7 @@ const TOUCHING_M: f64 = 0.05;
 pub(super) const TOUCHING_RADPS: f64 = 0.2;
 /// … for this long, s, is landed too, whatever estimator and thrust say.
 const TOUCHING_S: f64 = 1.0;
-/// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard …
+/// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard, less what brakes a climb …
 const BLIND_THRUST: f64 = 0.96;
 /// … and else so much less or more for each m/s that it sinks too slowly or too fast, …
 const BLIND_GAIN_SPM: f64 = 0.2;
@@ -133,7 +133,10 @@ impl Flight {
         let share = match self.supervision.watchdog.climb_mps() {
             _ if self.at_takeoff_height() => BLIND_RANGE.0,
             Some(climb_mps) => (1.0 - BLIND_GAIN_SPM * (climb_mps + sinks_mps)).clamp(BLIND_RANGE.0, BLIND_RANGE.1),
-            None => BLIND_THRUST,
+            None => {
+                let climb_mps = self.supervision.watchdog.coasting_mps().unwrap_or(0.0);
+                (BLIND_THRUST - BLIND_GAIN_SPM * climb_mps.max(0.0)).max(BLIND_RANGE.0)
+            }
         };
         share * self.guidance.hover_thrust_n / self.config.airframe.weight_n()
     }

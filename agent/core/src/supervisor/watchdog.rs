@@ -20,6 +20,10 @@ use crate::types::GRAVITY_MPS2;
 const MEASURED_MAX_AGE_S: f64 = 0.5;
 /// Their slopes are taken over at least this long, s: shorter, they are noise.
 const SLOPE_BASELINE_S: f64 = 0.08;
+/// The climb by the accelerometers is corrected by this part of its difference from each slope …
+const COAST_SHARE: f64 = 0.3;
+/// … and is worth something this long after the last one, s.
+const COAST_MAX_S: f64 = 8.0;
 /// A sample takes part in the median this long, s: IMUs sample in turns at 100 Hz and faster.
 const IMU_MEMORY_S: f64 = 0.015;
 /// Specific forces further from 1 g than this fraction say nothing of the vertical.
@@ -75,6 +79,8 @@ pub struct Watchdog {
     heights: [Option<Measured>; MAX_HEIGHTS],
     places: [Option<Measured>; 2],
     altitude_time: Option<FlightTime>,
+    /// Climb by the accelerometers since the last slope of the heights, m/s, and when that was.
+    coasting: Option<(FlightTime, f64)>,
     reads_imu: [bool; MAX_IMUS],
     reads_height: [bool; MAX_HEIGHTS],
 }
@@ -99,6 +105,7 @@ impl Watchdog {
             heights: [None; MAX_HEIGHTS],
             places: [None; 2],
             altitude_time: None,
+            coasting: None,
             reads_imu: instances(SensorKind::Imu, independent),
             reads_height: instances(SensorKind::Height, independent),
         }
@@ -115,6 +122,10 @@ impl Watchdog {
         self.altitude_time = if measured { Some(received.time) } else { self.altitude_time };
         for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
             Measured::take(kept, new.filter(|_| reads).map(|h| h.height_m), received.time);
+        }
+        if let Some(slope_mps) = self.climb_mps().filter(|_| received.heights.iter().any(Option::is_some)) {
+            let before_mps = self.coasting.map_or(slope_mps, |(_, climb_mps)| climb_mps);
+            self.coasting = Some((received.time, before_mps + COAST_SHARE * (slope_mps - before_mps)));
         }
         for (axis, kept) in self.places.iter_mut().enumerate() {
             let place_m = received.mocap_pose.and_then(|pose| pose.position_enu_m.get(axis).copied());
@@ -145,6 +156,9 @@ impl Watchdog {
         let near_1_g = (accel.norm() / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST;
         let force = if near_1_g { accel } else { Vector3::zeros() };
         self.filter.push(since_s, &gyro, &force, None);
+        let lift_mps2 = (self.filter.world_from_body() * accel).z - GRAVITY_MPS2;
+        let lasting = self.coasting.filter(|(from, _)| received.time.seconds_since(*from) < COAST_MAX_S);
+        self.coasting = lasting.map(|(from, climb_mps)| (from, climb_mps + lift_mps2 * since_s));
         (self.rates_radps, self.force_mps2) = (gyro, accel);
         (self.imu_time, self.since_imu_s) = (Some(received.time), 0.0);
     }
@@ -197,6 +211,11 @@ impl Watchdog {
     pub fn place(&self, axis: usize) -> Option<(f64, f64)> {
         let place = self.places.get(axis).copied().flatten()?;
         Some((place.value_m, place.slope_mps.unwrap_or(0.0)))
+    }
+
+    /// Climb by the accelerometers, m/s, from the last slope of the heights on, for as long as that is worth something.
+    pub fn coasting_mps(&self) -> Option<f64> {
+        self.coasting.map(|(_, climb_mps)| climb_mps)
     }
 
     /// Time since a fresh IMU sample, s; infinite before the first.
@@ -294,6 +313,20 @@ mod tests {
                 watchdog.step(&frame, DT_S);
             }
             assert!((watchdog.climb_mps().unwrap() - 0.7).abs() < 1e-6, "{:?}", watchdog.climb_mps());
+            assert!((watchdog.coasting_mps().unwrap() - 0.7).abs() < 1e-3, "{:?}", watchdog.coasting_mps());
+            // Without heights it falls at 0.5 m/s² for a second; what is older than eight is worth nothing.
+            for k in 400..2001_u64 {
+                let mut frame = SensorFrame { time: FlightTime(k * 5000), ..SensorFrame::default() };
+                let force = Vector3::new(0.0, 0.0, GRAVITY_MPS2 - 0.5 + 1e-6 * (k % 2) as f64);
+                frame.imus[0] = Some(imu(frame.time, Vector3::zeros(), force));
+                watchdog.step(&frame, DT_S);
+                if k == 600 {
+                    assert_eq!(watchdog.climb_mps(), None);
+                    let climb_mps = watchdog.coasting_mps().unwrap();
+                    assert!((climb_mps - 0.2).abs() < 0.01, "{climb_mps} m/s");
+                }
+            }
+            assert_eq!(watchdog.coasting_mps(), None);
         }
     }
 
