@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 use std::net::{TcpListener, TcpStream, UdpSocket};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use plumbline_proto::{Kind, Message, codec, v1};
