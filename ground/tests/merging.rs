@@ -20,7 +20,7 @@ const AGE_MAX_ONCE: Duration = Duration::from_secs(1);
 /// What merging may take beyond what was there before: chunks of 1 MiB being read and written, and their compression.
 const GROWN_MAX_MIB: f64 = 48.0;
 /// Two parts that a crash left, of this much each.
-const PART_MESSAGES: u32 = 40_000;
+const PART_MESSAGES: u32 = 46_000;
 const MESSAGE_BYTES: usize = 1_000;
 
 /// Most memory this process ever held, MiB.
@@ -130,7 +130,7 @@ async fn live_messages_are_flushed_in_time_while_a_long_flight_is_merged() {
         ages.len()
     );
     assert!(ages.len() >= 50, "looked {} times: too little", ages.len());
-    assert!(merged_s > 1.5 * AGE_MAX_ONCE.as_secs_f64(), "merged within {merged_s} s: no trial of anything");
+    assert!(merged_s > 2.0 * AGE_MAX_ONCE.as_secs_f64(), "merged within {merged_s} s: no trial of anything");
     assert!(most <= AGE_MAX && oldest <= AGE_MAX_ONCE, "a message waited {oldest:?}, one in fifty {most:?}");
     assert!(grown < GROWN_MAX_MIB, "{grown:.0} MiB more");
     // AND both flights are whole
