@@ -188,10 +188,7 @@ async fn a_flight_in_progress_is_served_as_it_is_and_a_download_of_it_goes_on() 
     let mut agent = ground.agent("iris-1", 1).await;
     let first = agent.begin("f1").await;
     let fly = async |ground: &Ground, agent: &mut Agent| {
-        for _ in 0..40 {
-            let tick = agent.tick();
-            agent.send(tick, false).await;
-        }
+        agent.fly(40).await;
         let sent = agent.sequence + 1 - first;
         ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() >= Some(sent)).await;
     };
@@ -235,10 +232,7 @@ async fn a_flight_in_several_parts_is_one_file_with_each_message_once() {
     let mut agent = ground.agent("iris-1", 1).await;
     let first = agent.begin("f1").await;
     let fly = async |ground: &Ground, agent: &mut Agent| {
-        for _ in 0..40 {
-            let tick = agent.tick();
-            agent.send(tick, false).await;
-        }
+        agent.fly(40).await;
         ground.wait_json("/api/flights/f1", |f| f["last_sequence"].is_null() && f["messages"].as_u64() > Some(0)).await;
     };
     fly(&ground, &mut agent).await;

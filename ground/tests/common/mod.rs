@@ -412,6 +412,14 @@ impl Agent {
         ]
     }
 
+    /// So many ticks, sent as they come.
+    pub async fn fly(&mut self, ticks: usize) {
+        for _ in 0..ticks {
+            let tick = self.tick();
+            self.send(tick, false).await;
+        }
+    }
+
     pub async fn describe(&mut self) {
         let sensor = |instance| v1::SensorDescription {
             kind: v1::SensorKind::Height as i32,
