@@ -2,9 +2,6 @@
 //! Python that has filterpy (`PLUMBLINE_FILTERPY`, set by xtask) its filters run over the same log beside ours.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-#[path = "../tests/counting/mod.rs"]
-mod counting;
-
 use std::hint::black_box;
 use std::path::Path;
 use std::process::Command;
@@ -27,7 +24,11 @@ use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::MotorCommand;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_proto::time::FlightTime;
+use plumbline_support::counting::{self, Counting};
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// Limits of the issue.
 const EKF_LIMIT_US: f64 = 3.0;

@@ -2,9 +2,6 @@
 //! thread, one run, JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-#[path = "../tests/counting/mod.rs"]
-mod counting;
-
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -21,6 +18,10 @@ use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::{EstimatorKind, MotorCommand};
 use plumbline_agent::vehicle::Vehicle;
+use plumbline_support::counting::{self, Counting};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// CPU time of this thread.
 fn cpu_time() -> Duration {

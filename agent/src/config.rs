@@ -3,28 +3,23 @@
 //! Every key has a default; unknown keys and values out of range are errors that name the key and
 //! its value. What is set here limits what any ground may ask for.
 
-use std::collections::BTreeMap;
+mod sections;
+
 use std::path::{Path, PathBuf};
 
 use arrayvec::ArrayString;
-
-use plumbline_proto::ids::{FlightId, SensorId};
+use plumbline_proto::ids::FlightId;
 use serde::Deserialize;
 
-use crate::control::policy::MarginPolicy;
 use crate::control::tuning::{Design, kind_by_name};
-use crate::estimate::secure::Decoder;
-use crate::estimate::secure::{SLOTS_MAX, SLOTS_MIN};
+use crate::estimate::secure::{Decoder, SLOTS_MAX, SLOTS_MIN};
 use crate::flight::FlightConfig;
-use crate::model::declination::{DeclinationError, day, declination_rad};
-use crate::model::geodesy::Geodetic;
+use crate::model::declination::DeclinationError;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::{Suite, SuiteError};
-use crate::types::{ControllerKind, EstimatorKind};
-use crate::{link, log};
+use crate::types::{ControllerKind, EstimatorKind, TICK_RATE_HZ};
 
-/// Slowest and fastest flight loop, Hz.
-pub const TICK_RATE_HZ: std::ops::RangeInclusive<f64> = 50.0..=1000.0;
+pub use sections::{Attacks, Controller, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Weights};
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +53,7 @@ pub enum ConfigError {
     },
 }
 
-/// The agent's configuration, valid.
+/// The agent's configuration, valid: one field for each key or table of its file, hence so many.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AgentConfig {
@@ -101,180 +96,6 @@ pub struct AgentConfig {
     pub link: Link,
 }
 
-/// Limits of setpoints; what is left out keeps its default.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Limits {
-    /// Lowest altitude setpoint, m.
-    pub altitude_min_m: Option<f64>,
-    /// Highest altitude setpoint, m.
-    pub altitude_max_m: Option<f64>,
-    /// Largest |x| and |y|, m.
-    pub lateral_max_m: Option<f64>,
-    /// Fastest climb, m/s.
-    pub climb_max_mps: Option<f64>,
-    /// Fastest descent, m/s.
-    pub descent_max_mps: Option<f64>,
-    /// Largest roll and pitch setpoint, rad.
-    pub tilt_max_rad: Option<f64>,
-    /// Highest collective throttle in stabilise mode, fraction of the weight.
-    pub throttle_max: Option<f64>,
-}
-
-/// May sensors be attacked, and how far?
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Attacks {
-    /// Off unless set; on in the simulator and in replays, where nothing can fall.
-    pub enabled: Option<bool>,
-    /// Longest duration, s.
-    pub duration_max_s: Option<f64>,
-    /// Largest offset of a length, m.
-    pub length_max_m: Option<f64>,
-    /// Largest offset of an angular rate, rad/s.
-    pub rate_max_radps: Option<f64>,
-    /// Largest offset of a specific force, m/s².
-    pub accel_max_mps2: Option<f64>,
-}
-
-/// What the failsafes rely on.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Failsafe {
-    /// Sensors on a wire of their own, as "height 3": the watchdog reads only these of their kind, and they cannot be attacked.
-    pub independent: Vec<String>,
-}
-
-/// Which estimators run.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Estimators {
-    /// Side by side, by name.
-    pub run: Option<Vec<String>>,
-    /// The one in the loop.
-    pub in_loop: Option<String>,
-    /// The program that the secure estimator solves: l2, l1, l2_split or l1_split.
-    pub decoder: Option<String>,
-    /// Slots of 40 ms in its window, 5 to 50.
-    pub window: Option<usize>,
-}
-
-/// Diagonals of the LQR weights.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Weights {
-    /// x y z vx vy vz roll pitch yaw p q r, integrals of x y z yaw.
-    pub state: [f64; 16],
-    /// Thrust, torque x y z.
-    pub input: [f64; 4],
-}
-
-/// A place and a day: the World Magnetic Model gives the declination there.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Site {
-    /// Latitude, degrees, north positive.
-    pub latitude_deg: f64,
-    /// Longitude, degrees, east positive.
-    pub longitude_deg: f64,
-    /// Altitude, m.
-    #[serde(default)]
-    pub altitude_m: f64,
-    /// Day, as 2026-11-21; the declination changes by about a tenth of a degree a year.
-    pub date: String,
-}
-
-impl Site {
-    fn declination_rad(&self) -> Result<f64, DeclinationError> {
-        let place = Geodetic::from_degrees(self.latitude_deg, self.longitude_deg, self.altitude_m);
-        declination_rad(&place, day(&self.date)?)
-    }
-}
-
-/// The controller to start with.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Controller {
-    /// `lqr_integral`, `lqr`, `lqg`, `hinf` or `pid`.
-    pub kind: Option<String>,
-    /// Its parameters by name.
-    pub parameters: BTreeMap<String, f64>,
-}
-
-/// A named margin policy, and what of it is changed.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Margins {
-    /// `standard`, `careful` or `experimental`.
-    pub policy: Option<String>,
-    /// Least factor by which the gain of each loop may rise.
-    pub gain_up_min: Option<f64>,
-    /// Largest factor to which it may have to fall.
-    pub gain_down_max: Option<f64>,
-    /// Least phase margin, rad.
-    pub phase_min_rad: Option<f64>,
-    /// Least delay margin, s.
-    pub delay_min_s: Option<f64>,
-    /// Largest sensitivity.
-    pub sensitivity_max: Option<f64>,
-    /// The slowest pole, 1/s (negative).
-    pub slowest_pole_per_s: Option<f64>,
-    /// Largest change of a row of K while armed, of the one in use.
-    pub change_max: Option<f64>,
-    /// Largest share of the motors' room that a unit step may ask for.
-    pub unit_step_max: Option<f64>,
-}
-
-impl Margins {
-    fn policy(&self) -> Result<MarginPolicy, ConfigError> {
-        let name = self.policy.as_deref().unwrap_or(MarginPolicy::STANDARD.name);
-        let mut policy = MarginPolicy::by_name(name).ok_or_else(|| ConfigError::Value {
-            key: "margins.policy".to_owned(),
-            value: format!("{name:?}"),
-            expected: "standard, careful or experimental",
-        })?;
-        let named = policy;
-        for (into, value) in [
-            (&mut policy.gain_up_min, self.gain_up_min),
-            (&mut policy.gain_down_max, self.gain_down_max),
-            (&mut policy.phase_min_rad, self.phase_min_rad),
-            (&mut policy.delay_min_s, self.delay_min_s),
-            (&mut policy.sensitivity_max, self.sensitivity_max),
-            (&mut policy.slowest_pole_per_s, self.slowest_pole_per_s),
-            (&mut policy.change_max, self.change_max),
-            (&mut policy.unit_step_max, self.unit_step_max),
-        ] {
-            if let Some(value) = value {
-                *into = value;
-            }
-        }
-        if policy != named {
-            policy.name = "custom";
-        }
-        Ok(policy)
-    }
-}
-
-/// The onboard log.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Log {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// The folder stays below this, MiB.
-    pub max_mib: u64,
-}
-
-/// The radio.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Link {
-    /// Telemetry cap, kB/s.
-    pub telemetry_kb_per_s: f64,
-    /// Backfill, kB/s.
-    pub backfill_kb_per_s: f64,
-}
-
 impl Default for AgentConfig {
     fn default() -> Self {
         Self {
@@ -298,47 +119,6 @@ impl Default for AgentConfig {
             link: Link::default(),
         }
     }
-}
-
-impl Default for Log {
-    fn default() -> Self {
-        Self { folder: PathBuf::from("data/agent/log"), max_mib: log::DEFAULT_MAX_BYTES >> 20 }
-    }
-}
-
-impl Default for Link {
-    fn default() -> Self {
-        Self {
-            telemetry_kb_per_s: link::TELEMETRY_BYTES_PER_S * 1e-3,
-            backfill_kb_per_s: link::BACKFILL_BYTES_PER_S * 1e-3,
-        }
-    }
-}
-
-/// The estimator called `name`: the lower-snake-case name of the wire, or a former one.
-///
-/// # Errors
-/// [`ConfigError::Value`] for `key`.
-pub fn estimator(key: &str, name: &str) -> Result<EstimatorKind, ConfigError> {
-    EstimatorKind::named(name).ok_or_else(|| ConfigError::Value {
-        key: key.to_owned(),
-        value: format!("{name:?}"),
-        expected: "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf or secure",
-    })
-}
-
-/// The decoder called `name`: the lower-snake-case name of the wire.
-///
-/// # Errors
-/// [`ConfigError::Value`] for `key`.
-pub fn decoder(key: &str, name: &str) -> Result<Decoder, ConfigError> {
-    Decoder::from_str_name(&format!("DECODER_{}", name.to_uppercase()))
-        .filter(|decoder| *decoder != Decoder::Unspecified)
-        .ok_or_else(|| ConfigError::Value {
-            key: key.to_owned(),
-            value: format!("{name:?}"),
-            expected: "l2, l1, l2_split or l1_split",
-        })
 }
 
 impl AgentConfig {
@@ -455,12 +235,12 @@ impl AgentConfig {
         put(&mut flight.limits.descent_max_mps, self.limits.descent_max_mps);
         put(&mut flight.limits.tilt_max_rad, self.limits.tilt_max_rad);
         put(&mut flight.limits.throttle_max, self.limits.throttle_max);
-        put(&mut flight.attacks_enabled, self.attacks.enabled);
+        put(&mut flight.attacks.enabled, self.attacks.enabled);
         flight.independent = self.failsafe.independent(&flight.sensors)?;
-        put(&mut flight.attack_bounds.duration_max_s, self.attacks.duration_max_s);
-        put(&mut flight.attack_bounds.length_max_m, self.attacks.length_max_m);
-        put(&mut flight.attack_bounds.rate_max_radps, self.attacks.rate_max_radps);
-        put(&mut flight.attack_bounds.accel_max_mps2, self.attacks.accel_max_mps2);
+        put(&mut flight.attacks.bounds.duration_max_s, self.attacks.duration_max_s);
+        put(&mut flight.attacks.bounds.length_max_m, self.attacks.length_max_m);
+        put(&mut flight.attacks.bounds.rate_max_radps, self.attacks.rate_max_radps);
+        put(&mut flight.attacks.bounds.accel_max_mps2, self.attacks.accel_max_mps2);
         if let Some(names) = &self.estimators.run {
             flight.estimators = names.iter().map(|name| estimator("estimators.run", name)).collect::<Result<_, _>>()?;
         }
@@ -503,19 +283,28 @@ impl AgentConfig {
     }
 }
 
-impl Failsafe {
-    /// The independent ones of these `sensors`.
-    fn independent(&self, sensors: &[SensorId]) -> Result<Vec<SensorId>, ConfigError> {
-        let read = |name: &String| {
-            let sensor = name.parse::<SensorId>().ok().filter(|sensor| sensors.contains(sensor));
-            sensor.ok_or_else(|| ConfigError::Value {
-                key: "failsafe.independent".to_owned(),
-                value: format!("{name:?}"),
-                expected: "a sensor of this vehicle, as \"height 3\"",
-            })
-        };
-        self.independent.iter().map(read).collect()
-    }
+/// The estimator called `name`: the lower-snake-case name of the wire, or a former one.
+///
+/// # Errors
+/// [`ConfigError::Value`] for `key`.
+pub fn estimator(key: &str, name: &str) -> Result<EstimatorKind, ConfigError> {
+    EstimatorKind::named(name).ok_or_else(|| ConfigError::Value {
+        key: key.to_owned(),
+        value: format!("{name:?}"),
+        expected: "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf or secure",
+    })
+}
+
+/// The decoder called `name`: the lower-snake-case name of the wire.
+///
+/// # Errors
+/// [`ConfigError::Value`] for `key`.
+pub fn decoder(key: &str, name: &str) -> Result<Decoder, ConfigError> {
+    Decoder::named(name).ok_or_else(|| ConfigError::Value {
+        key: key.to_owned(),
+        value: format!("{name:?}"),
+        expected: "l2, l1, l2_split or l1_split",
+    })
 }
 
 fn controller(name: &str) -> Result<ControllerKind, ConfigError> {
@@ -527,73 +316,4 @@ fn controller(name: &str) -> Result<ControllerKind, ConfigError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::flight::RigKind;
-    use crate::model::airframe::Airframe;
-    use crate::sensor::Accuracy;
-    use plumbline_proto::v1::SensorKind;
-
-    #[test]
-    fn what_is_set_reaches_the_flight_and_the_rest_keeps_its_default() {
-        let config = AgentConfig::from_toml(
-            "id = \"clinic-2\"\ntick_rate_hz = 400\n[limits]\naltitude_max_m = 1.5\n[attacks]\nenabled = true\n\
- [failsafe]\nindependent = [\"imu 4\"]\n\
-             [estimators]\nrun = [\"primary\", \"ekf_bias\"]\nin_loop = \"ekf_bias\"\n[log]\nmax_mib = 100\n\
-             [site]\nlatitude_deg = 4.6\nlongitude_deg = -74.1\naltitude_m = 2600\ndate = \"2026-11-21\"\n\
-             [[sensors.heights]]\nname = \"h\"\ntiming = { rate_hz = 10 }\nposition_flu_m = [0, 0, 0]\n\
-             height = { sigma = 0.2, gate_sigmas = 3 }\n",
-        )
-        .unwrap();
-        let mut flight = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::string_rig());
-        let before = flight.limits;
-        config.apply(&mut flight).unwrap();
-        assert_eq!(flight.independent, [SensorId::new(SensorKind::Imu, 4)]);
-        let none = AgentConfig::from_toml("[failsafe]\nindependent = [\"imu 9\"]").unwrap();
-        let refused = none.apply(&mut flight.clone()).unwrap_err().to_string();
-        assert!(refused.contains("failsafe.independent = \"imu 9\" is not a sensor of this vehicle"), "{refused}");
-        assert_eq!((flight.tick_rate_hz, flight.limits.altitude_max_m), (400.0, 1.5));
-        assert_eq!(flight.limits.lateral_max_m, before.lateral_max_m);
-        assert!(flight.attacks_enabled);
-        assert_eq!(flight.sensor_model.heights, Accuracy { sigma: 0.2, gate: 3.0 });
-        // Bogotá: about 8° west.
-        assert!(
-            (flight.sensor_model.imus.mag.declination_rad.to_degrees() + 7.9).abs() < 1.0,
-            "{}",
-            flight.sensor_model.imus.mag.declination_rad
-        );
-        assert_eq!(flight.estimators, [EstimatorKind::Complementary, EstimatorKind::EkfBias]);
-        assert_eq!((config.id.as_str(), config.log.max_mib), ("clinic-2", 100));
-        assert_eq!(AgentConfig::from_toml("").unwrap(), AgentConfig::default());
-    }
-
-    #[test]
-    fn errors_name_key_and_value() {
-        for (text, expected) in [
-            ("flavour = 3", "flavour"),
-            ("tick_rate_hz = 20", "tick_rate_hz = 20 is not 50 to 1000 Hz"),
-            ("tick_rate_hz = nan", "tick_rate_hz = NaN"),
-            ("id = \"../x\"", "../x"),
-            ("ground = \"nowhere\"", "ground = \"nowhere\" is not host:port"),
-            ("[limits]\naltitude_max_m = -1", "limits.altitude_max_m = -1"),
-            ("[limits]\naltitude_min_m = 2\naltitude_max_m = 1", "limits.altitude_min_m = 2"),
-            ("[estimators]\nin_loop = \"oracle\"", "estimators.in_loop = \"oracle\""),
-            ("[estimators]\ndecoder = \"l3\"", "estimators.decoder = \"l3\""),
-            ("[estimators]\nwindow = 51", "estimators.window = 51 is not 5 to 50 slots"),
-            ("[weights]\nstate = [1]\ninput = [1, 1, 1, 1]", "state"),
-            ("[site]\nlatitude_deg = 95\nlongitude_deg = 0\ndate = \"2026-11-21\"", "latitude 95"),
-            ("[site]\nlatitude_deg = 5\nlongitude_deg = 0\ndate = \"now\"", "site: \"now\" is not a day"),
-            (
-                "[[sensors.heights]]\nname = \"h\"\ntiming = { rate_hz = 10 }\nposition_flu_m = [0, 0, 0]\nheight = { sigma = -1 }",
-                "sensors: suite: heights[0].height.sigma = -1",
-            ),
-            ("[controller]\nkind = \"magic\"", "controller.kind = \"magic\""),
-            ("[margins]\npolicy = \"none\"", "margins.policy = \"none\""),
-            ("[margins]\nphase_min_rad = 2", "margins.phase_min_rad = 2"),
-            ("[log]\nmax_mib = 1", "log.max_mib = 1"),
-        ] {
-            let message = AgentConfig::from_toml(text).unwrap_err().to_string();
-            assert!(message.contains(expected), "{text}\ngives: {message}");
-        }
-    }
-}
+mod tests;

@@ -1,5 +1,6 @@
 //! The agent: everything that runs on the vehicle. What computes is the crate `plumbline-core`, the simulator
-//! `plumbline-sim`, what both ends of the radio need `plumbline-link`; their rooms are re-exported here.
+//! `plumbline-sim`, what the ground runs on recordings and designs as well `plumbline-analysis`; their rooms are
+//! re-exported here. What both ends of the radio need is `plumbline-link`.
 //!
 //! The DOWN lane, in flow order:
 //! ```text
@@ -10,6 +11,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub use plumbline_analysis::{design, offline, recordings};
 pub use plumbline_core::{
     attack, calibration, command, control, estimate, event, flight, frames, linalg, mix, model, sensor, supervisor,
     types, vehicle,
@@ -17,10 +19,7 @@ pub use plumbline_core::{
 pub use plumbline_sim as sim;
 
 pub mod config;
-pub mod design;
 pub mod link;
 pub mod log;
-pub mod offline;
-pub mod recordings;
 pub mod runner;
 pub mod telemetry;

@@ -7,15 +7,14 @@
 //! sync the one before.
 //!
 //! The folder stays below its configured size: finished flights go, those that the ground has confirmed to hold
-//! first, the oldest of each first. What a killed agent left is finished at the next start. A full or
+//! first, the oldest of each first, by the number that each flight has. What a killed agent left is finished at the next start. A full or
 //! broken disk ends the file, is reported ([`LogState::error`]) and never stops the flight; the next
 //! flight tries again.
 
 mod archive;
-mod chunk;
 mod records;
 mod repair;
-mod sync;
+mod room;
 mod writer;
 
 use std::path::PathBuf;
@@ -24,15 +23,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use plumbline_file::Syncer;
 use plumbline_proto::codec::{Frame, decode_frames};
 use plumbline_proto::time::WallTime;
 use plumbline_proto::{Kind, v1};
 use rtrb::Consumer;
 
 pub use archive::LogArchive;
-pub use chunk::{MAX_RECORD, chunk_records};
 pub use repair::{finish_all, unfinished};
-pub use sync::{SyncedFile, Syncer};
 use writer::LogFile;
 
 /// A chunk is closed, handed to the system and sent on to the disk at least this often.
@@ -180,7 +178,7 @@ pub fn spawn(config: LogConfig, ring: Consumer<u8>) -> Result<LogHandle, LogErro
     let stop = Arc::new(AtomicBool::new(false));
     let archive = Arc::new(LogArchive::new(config.folder.clone(), state.clone()));
     let io = |source| LogError::Io { path: config.folder.clone(), source };
-    let usable = writer::probe(&config);
+    let usable = room::probe(&config);
     state.report(usable.err().map(|error| error.to_string()));
     // Found before the first flight begins: none of them is being written.
     let left = repair::unfinished(&config.folder);
@@ -192,8 +190,15 @@ pub fn spawn(config: LogConfig, ring: Consumer<u8>) -> Result<LogHandle, LogErro
         }
     };
     let syncer = Syncer::start().map_err(io)?;
-    let mut log =
-        Log { config: config.clone(), state: state.clone(), file: None, buffer: Vec::new(), syncer, in_flight: false };
+    let mut log = Log {
+        config: config.clone(),
+        state: state.clone(),
+        file: None,
+        buffer: Vec::new(),
+        syncer,
+        in_flight: false,
+        newest: 0,
+    };
     let thread = {
         let stop = stop.clone();
         std::thread::Builder::new().name("log".into()).spawn(move || log.run(ring, &stop)).map_err(io)?
@@ -209,10 +214,14 @@ struct Log {
     syncer: Syncer,
     /// Between its marks, written or not.
     in_flight: bool,
+    /// Number of the newest flight in the folder; 0 while none is known.
+    newest: u64,
 }
 
 impl Log {
     fn run(&mut self, mut ring: Consumer<u8>, stop: &AtomicBool) {
+        // Looked up before anything flies, as far as the folder can be read already.
+        self.newest = room::newest(&self.config.folder);
         let mut flushed = Instant::now();
         let mut looked = Instant::now();
         loop {
@@ -279,7 +288,12 @@ impl Log {
     fn open(&mut self, mark: &v1::FlightMark) {
         self.state.flushed.store(0, Ordering::Release);
         mark.flight_id.clone_into(&mut self.state.current());
-        let opened = writer::make_room(&self.config, None).and_then(|()| LogFile::create(&self.config, mark));
+        if self.newest == 0 {
+            self.newest = room::newest(&self.config.folder);
+        }
+        self.newest += 1;
+        let opened =
+            room::make_room(&self.config, None).and_then(|()| LogFile::create(&self.config, mark, self.newest));
         match opened {
             Ok(file) => {
                 self.state.report(None);
@@ -297,7 +311,7 @@ impl Log {
 
     fn keep_within_size(&mut self) {
         if let Some(file) = &self.file
-            && let Err(error) = writer::make_room(&self.config, Some(file.path()))
+            && let Err(error) = room::make_room(&self.config, Some(file.path()))
         {
             self.fail(&error);
         }
@@ -306,8 +320,7 @@ impl Log {
     /// After a failure, and after the flight that it cost: can the next one be written? Without this a disk that has room again would keep the vehicle
     /// on the ground.
     fn look_again(&mut self) {
-        if !self.in_flight && self.file.is_none() && self.state.error().is_some() && writer::probe(&self.config).is_ok()
-        {
+        if !self.in_flight && self.file.is_none() && self.state.error().is_some() && room::probe(&self.config).is_ok() {
             self.state.report(None);
         }
     }

@@ -14,6 +14,7 @@ mod motor_watch;
 pub mod pace;
 pub mod stop;
 mod timing;
+mod uplane;
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
@@ -24,21 +25,20 @@ use rtrb::Consumer;
 
 use crate::attack::Schedule;
 use crate::command::Command;
-use crate::control::gains::refusal;
 use crate::estimate::secure::DEADLINE_US;
-use crate::event::{EventKind, Severity, Text, text};
+use crate::event::{EventKind, Severity, text};
 use crate::flight::Flight;
 use crate::link::LinkState;
 use crate::link::clock::FlightClock;
-use crate::link::inbound::{Inbound, ReplayRate, Request};
+use crate::link::inbound::Inbound;
 use crate::log::LogState;
 use crate::sensor::MAX_IMUS;
 use crate::sim::script::Script;
 use crate::telemetry::{Around, Telemetry};
-use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Service, Vehicle, VehicleError};
+use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Vehicle, VehicleError};
 
 use auditor::Auditor;
-use certifier::{Answer, Certifier};
+use certifier::Certifier;
 use challenge::Challenges;
 use motor_watch::MotorWatch;
 use pace::{Pace, Pacer};
@@ -122,39 +122,31 @@ pub struct Runner {
     telemetry: Telemetry,
     options: RunnerOptions,
     ports: RunnerPorts,
-    certifier: Option<Certifier>,
-    auditor: Option<Auditor>,
-    motor_watch: Option<MotorWatch>,
+    beside: Beside,
     pacer: Pacer,
     timing: Timing,
-    heartbeats: u64,
-    challenges: Challenges,
-    answered: u64,
-    log_changes: u64,
-    log_error: Option<String>,
+    heard: Heard,
+    log_health: LogHealth,
     /// Calibrated magnetometers that stopped fitting, as last told.
     unfit: [bool; MAX_IMUS],
     scripted: Option<FlightTime>,
-    ended: bool,
-    /// How often the end was asked for, as obeyed, and since when.
-    ending: (u8, FlightTime),
+    ending: Ending,
     ticks: u64,
     deadline_misses: u64,
 }
 
-impl Runner {
-    /// Ready to fly.
-    pub fn new(
-        vehicle: Box<dyn Vehicle>,
-        mut flight: Flight,
-        telemetry: Telemetry,
-        options: RunnerOptions,
-        ports: RunnerPorts,
-    ) -> Self {
-        let tick_rate_hz = flight.config().tick_rate_hz;
-        time_steps(&mut flight, options.pace);
-        // Before real-time priority is asked for: the thread would inherit it.
-        let certifier = Certifier::start(&flight.config().airframe, 1.0 / tick_rate_hz, flight.config().margins)
+/// The threads beside the flight thread.
+struct Beside {
+    certifier: Option<Certifier>,
+    auditor: Option<Auditor>,
+    motor_watch: Option<MotorWatch>,
+}
+
+impl Beside {
+    /// Starts those that this flight needs; one that cannot be had is logged, and done without.
+    fn start(flight: &Flight, vehicle: &dyn Vehicle, options: &RunnerOptions) -> Self {
+        let config = flight.config();
+        let certifier = Certifier::start(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)
             .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
             .ok();
         let auditor = flight.secure().and_then(|_| {
@@ -166,31 +158,67 @@ impl Runner {
                 .inspect_err(|error| tracing::error!(%error, "nothing watches over the flight thread"))
                 .ok()
         });
+        Self { certifier, auditor, motor_watch }
+    }
+}
+
+/// What has been heard of the ground and of its operator.
+#[derive(Debug, Default)]
+struct Heard {
+    heartbeats: u64,
+    challenges: Challenges,
+    /// The last challenge answered.
+    answered: u64,
+}
+
+/// The onboard log, as last looked at.
+#[derive(Debug)]
+struct LogHealth {
+    changes: u64,
+    error: Option<String>,
+}
+
+/// How far the end has come.
+#[derive(Debug, Default)]
+struct Ending {
+    /// The recording has no more ticks.
+    recording_over: bool,
+    /// How often the program was asked to end, as obeyed.
+    obeyed: u8,
+    /// Flight time of the last time.
+    since: FlightTime,
+}
+
+impl Runner {
+    /// Ready to fly.
+    pub fn new(
+        vehicle: Box<dyn Vehicle>,
+        mut flight: Flight,
+        telemetry: Telemetry,
+        options: RunnerOptions,
+        ports: RunnerPorts,
+    ) -> Self {
+        time_steps(&mut flight, options.pace);
         let mut pacer = Pacer::new(options.pace);
         if let Some(zero) = ports.zero {
             pacer.begin_at(zero, &ports.clock);
         }
         Self {
-            auditor,
-            motor_watch,
-            certifier,
+            // Before real-time priority is asked for: the threads would inherit it.
+            beside: Beside::start(&flight, vehicle.as_ref(), &options),
             pacer,
-            timing: Timing::new(tick_rate_hz),
+            timing: Timing::new(flight.config().tick_rate_hz),
             vehicle,
             flight,
             telemetry,
             options,
             ports,
-            heartbeats: 0,
-            challenges: Challenges::default(),
-            answered: 0,
+            heard: Heard::default(),
             // Differs from every state, so that the first tick looks.
-            log_changes: u64::MAX,
-            log_error: None,
+            log_health: LogHealth { changes: u64::MAX, error: None },
             unfit: [false; MAX_IMUS],
             scripted: None,
-            ended: false,
-            ending: (0, FlightTime(0)),
+            ending: Ending::default(),
             ticks: 0,
             deadline_misses: 0,
         }
@@ -230,7 +258,7 @@ impl Runner {
 
     fn fly(&mut self, stop: &Stop) -> Result<(), VehicleError> {
         while !self.may_end(stop.asked()) {
-            if self.ended || self.pacer.stands_still() {
+            if self.ending.recording_over || self.pacer.stands_still() {
                 self.stand_still(stop);
                 continue;
             }
@@ -246,7 +274,7 @@ impl Runner {
                     if !self.options.stay {
                         return Ok(());
                     }
-                    self.ended = true;
+                    self.ending.recording_over = true;
                 }
                 Err(error) => return Err(error),
             }
@@ -263,15 +291,15 @@ impl Runner {
         if asked == 0 {
             return false;
         }
-        if !self.flight.report().armed || self.ended || self.pacer.stands_still() {
+        if !self.flight.report().armed || self.ending.recording_over || self.pacer.stands_still() {
             return true;
         }
-        let (obeyed, since) = self.ending;
-        let too_long = obeyed == 1 && self.now().seconds_since(since) > LANDING_MAX_S;
+        let too_long = self.ending.obeyed == 1 && self.now().seconds_since(self.ending.since) > LANDING_MAX_S;
         let due = if too_long { 2 } else { asked.min(2) };
-        if due > obeyed {
+        if due > self.ending.obeyed {
             self.flight.shutdown(due > 1, "the program was asked to end");
-            self.ending = (due, self.now());
+            self.ending.obeyed = due;
+            self.ending.since = self.now();
         }
         false
     }
@@ -282,7 +310,7 @@ impl Runner {
         let due = self.pacer.wait_for(time, &self.ports.clock);
         let started = Instant::now();
         let mut silent_s = due.map_or(0.0, |due| started.saturating_duration_since(due).as_secs_f64());
-        if let Some(watch) = &self.motor_watch {
+        if let Some(watch) = &self.beside.motor_watch {
             if watch.stopped() {
                 silent_s = silent_s.max(2.0 * MOTOR_TIMEOUT_S);
             }
@@ -316,14 +344,14 @@ impl Runner {
         }
         self.wait_for_log();
         let truth = self.vehicle.truth();
-        let audit = match (&mut self.auditor, self.flight.secure()) {
+        let audit = match (&mut self.beside.auditor, self.flight.secure()) {
             (Some(auditor), Some(secure)) => auditor.tick(frame.time, secure),
             _ => None,
         };
         let around = Around {
-            challenge: self.challenges.current(frame.time),
+            challenge: self.heard.challenges.current(frame.time),
             audit,
-            ..around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state())
+            ..around(&self.timing, &self.ports, self.log_health.error.as_deref(), self.replay_state())
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
 
@@ -371,157 +399,34 @@ impl Runner {
     /// Commands, but no time.
     fn stand_still(&mut self, stop: &Stop) {
         let mut told = Instant::now();
-        while stop.asked() == 0 && (self.ended || self.pacer.stands_still()) {
+        while stop.asked() == 0 && (self.ending.recording_over || self.pacer.stands_still()) {
             self.commands(self.now());
             self.certified(self.now());
             self.log_health();
             if told.elapsed() >= STANDSTILL_STATUS {
                 told = Instant::now();
-                let around = around(&self.timing, &self.ports, self.log_error.as_deref(), self.replay_state());
+                let around = around(&self.timing, &self.ports, self.log_health.error.as_deref(), self.replay_state());
                 self.telemetry.status_now(&self.flight, &around);
             }
             std::thread::sleep(STANDSTILL);
         }
     }
 
-    fn commands(&mut self, now: FlightTime) {
-        for _ in 0..COMMANDS_PER_TICK {
-            let Some(inbound) = self.ports.inbound.as_mut().and_then(|queue| queue.pop().ok()) else { return };
-            match inbound.request {
-                Request::Flight(command) if self.options.replay && controls(&command) => {
-                    let reason = "a recording is flown: its motors and setpoints are those of then";
-                    self.telemetry.ack(now, inbound.id, false, reason);
-                }
-                Request::Flight(command) => {
-                    let ack = self.flight.apply(&command, now);
-                    self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
-                }
-                Request::Gains { revision, proposal } => {
-                    // Answered when they are in use, or refused.
-                    let asked = match &mut self.certifier {
-                        Some(certifier) => certifier.ask(inbound.id, revision, &proposal),
-                        None => Err("gains cannot be certified: no thread for it"),
-                    };
-                    if let Err(reason) = asked {
-                        self.telemetry.ack(now, inbound.id, false, reason);
-                    }
-                }
-                Request::Recording(on) => {
-                    let armed = self.flight.report().armed;
-                    let (accepted, reason) = self.telemetry.record(now, on, armed);
-                    self.telemetry.ack(now, inbound.id, accepted, reason);
-                }
-                Request::Replay(rate) => {
-                    let (accepted, reason) = self.replay(rate);
-                    self.telemetry.ack(now, inbound.id, accepted, reason);
-                }
-                Request::Simulator(service) => {
-                    let (accepted, reason) = self.serve(service, now);
-                    self.telemetry.ack(now, inbound.id, accepted, &reason);
-                }
-                Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
-            }
-        }
-    }
-
-    /// Gains that have been examined since the last tick.
-    fn certified(&mut self, now: FlightTime) {
-        while let Some(Answer { id, revision, outcome }) = self.certifier.as_mut().and_then(Certifier::answer) {
-            let (accepted, reason) = match outcome {
-                Ok(gains) => {
-                    let ack = self.flight.apply(&Command::UseGains(gains), now);
-                    (ack.accepted, ack.reason)
-                }
-                Err(error) => {
-                    let reason = refusal(revision, &error);
-                    self.telemetry.event(now, Severity::Warning, EventKind::Gains, format_args!("{reason}"));
-                    (false, reason)
-                }
-            };
-            self.telemetry.ack(now, id, accepted, &reason);
-        }
-    }
-
-    /// What only a simulated vehicle can be given.
-    fn serve(&mut self, service: Service, now: FlightTime) -> (bool, Text) {
-        let armed = self.flight.report().armed;
-        if service.reset && armed {
-            return (false, text(format_args!("armed: land or cut first")));
-        }
-        if !self.vehicle.serve(service) {
-            return (false, text(format_args!("only a simulated vehicle can be given this")));
-        }
-        if !service.reset {
-            return (true, text(format_args!("a full battery")));
-        }
-        let ack = self.flight.apply(&Command::BeginAnew, now);
-        time_steps(&mut self.flight, self.options.pace);
-        (ack.accepted, ack.reason)
-    }
-
-    fn replay(&mut self, rate: ReplayRate) -> (bool, &'static str) {
-        if !self.options.replay {
-            return (false, "only a recording can be paused, stepped or sped up");
-        }
-        if self.ended {
-            return (false, "the recording has ended");
-        }
-        self.pacer.set(if rate.speed > 0.0 { Pace::Times(rate.speed) } else { Pace::Stepped });
-        self.pacer.allow(rate.step);
-        (true, if rate.speed > 0.0 { "playing" } else { "standing" })
-    }
-
     fn replay_state(&self) -> Option<ReplayState> {
         self.options.replay.then(|| ReplayState {
-            speed: if self.ended { 0.0 } else { self.pacer.speed() },
+            speed: if self.ending.recording_over { 0.0 } else { self.pacer.speed() },
             progress: self.vehicle.progress().unwrap_or(0.0),
             recorded: self.vehicle.recorded_control(),
         })
     }
 
-    fn script(&mut self, now: FlightTime) {
-        let Some(script) = &self.options.script else { return };
-        let flight = &mut self.flight;
-        let telemetry = &mut self.telemetry;
-        script.commands(self.scripted, now, |command| {
-            let ack = flight.apply(command, now);
-            // A trajectory gives a setpoint every tick; only refusals are worth a line.
-            if !ack.accepted {
-                telemetry.event(now, Severity::Warning, EventKind::Warning, format_args!("script: {}", ack.reason));
-            }
-        });
-        self.scripted = Some(now);
-    }
-
-    fn heartbeat(&mut self, now: FlightTime) {
-        let answered = self.ports.link.as_ref().map_or(0, |link| link.answered.load(Ordering::Acquire));
-        if answered != self.answered {
-            self.answered = answered;
-            if let Some(at) = self.challenges.answered(answered) {
-                self.flight.operator_alive(at);
-            }
-        }
-        let heartbeats = self.ports.link.as_ref().map_or(0, |link| link.heartbeats.load(Ordering::Acquire));
-        if heartbeats == self.heartbeats && !self.options.own_operator {
-            return;
-        }
-        self.heartbeats = heartbeats;
-        self.flight.heartbeat(now);
-        // Attacks end on link loss, so they begin with the link.
-        if let Some(schedule) = self.options.attacks.take() {
-            let ack = self.flight.apply(&Command::Attack(schedule), now);
-            let severity = if ack.accepted { Severity::Info } else { Severity::Warning };
-            self.telemetry.event(now, severity, EventKind::Attack, format_args!("attack schedule: {}", ack.reason));
-        }
-    }
-
     fn log_health(&mut self) {
         if let Some(log) = &self.ports.log
-            && log.changes() != self.log_changes
+            && log.changes() != self.log_health.changes
         {
-            self.log_changes = log.changes();
-            self.log_error = log.error();
-            self.flight.log_health(self.log_error.as_deref());
+            self.log_health.changes = log.changes();
+            self.log_health.error = log.error();
+            self.flight.log_health(self.log_health.error.as_deref());
         }
     }
 
@@ -545,14 +450,6 @@ impl Runner {
         }
         Ok(())
     }
-}
-
-/// Would the command move something? A recording's motors cannot be.
-fn controls(command: &Command) -> bool {
-    !matches!(
-        command,
-        Command::Attack(_) | Command::AbortAttacks | Command::SelectEstimator(_) | Command::SelectDecoder(_)
-    )
 }
 
 /// Gives the estimators a clock for their own cost.

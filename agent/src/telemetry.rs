@@ -18,6 +18,7 @@
 //! | description | on connect, at the start of a flight, every 5 s |
 
 mod convert;
+mod kept;
 mod outlet;
 mod recording;
 mod secure;
@@ -27,31 +28,25 @@ use plumbline_proto::ids::{CommandId, SensorId};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
 
-use crate::attack::MAX_ATTACKS;
-use crate::control::gains::Certified;
-use crate::control::tuning::MAX_PARAMETERS;
 use crate::estimate::Estimate;
 use crate::estimate::secure::suite::{Promise, SuiteError};
-use crate::event::{Event, EventKind, Severity, Text, text};
+use crate::event::{Event, EventKind, Severity, text};
 use crate::flight::Flight;
-use crate::flight::report::MAX_CHECKS;
 use crate::sensor::suite::Description as SensorDescription;
 use crate::sensor::{MAX_SENSORS, PairVisitor, Registered, SensorFrame, Wires};
 use crate::sim::rig::{Line, MAX_STRINGS};
 use crate::types::EstimatorKind;
 use crate::vehicle::{RecordedControl, Truth};
 
+use kept::Kept;
 pub use outlet::Outlet;
 use outlet::Outlets;
 pub use recording::Recording;
-pub(crate) use recording::civil;
 use secure::Tracking;
 
 /// Residuals of one message: as many as fit into a datagram.
 pub const RESIDUALS_PER_MESSAGE: usize = 20;
 
-/// Motors, strings, integrators, cameras: no list of a tick is longer.
-const MAX_ROTORS_AND_STRINGS: usize = 8;
 const OTHER_ESTIMATES_S: f64 = 0.04;
 const TRUTH_S: f64 = 0.01;
 const STATUS_S: f64 = 0.1;
@@ -162,75 +157,6 @@ struct Due {
 
 /// A change of any of these is worth a status at once.
 type StatusKey = (v1::Mode, bool, v1::Failsafe, bool, EstimatorKind, bool);
-
-/// Messages that own memory, kept from tick to tick.
-#[derive(Debug)]
-struct Kept {
-    control: v1::Control,
-    residuals: v1::Residuals,
-    samples: Wires,
-    truth: v1::Truth,
-    status: v1::Status,
-    attacks: v1::AttackState,
-    gains: v1::GainsInUse,
-    event: v1::Event,
-    ack: v1::Ack,
-    secure: v1::SecureStatus,
-}
-
-impl Kept {
-    /// With room for the longest text and list, so that no tick allocates.
-    fn with_room() -> Self {
-        let text = || String::with_capacity(Text::new().capacity());
-        let four = || Vec::with_capacity(MAX_ROTORS_AND_STRINGS);
-        let matrix = || Some(v1::Matrix { values: Vec::with_capacity(64), ..v1::Matrix::default() });
-        let weights = v1::LqrWeights { state_weight: Vec::with_capacity(16), input_weight: Vec::with_capacity(4) };
-        let check = || v1::Check { name: text(), passed: false, reason: text() };
-        Self {
-            control: v1::Control {
-                motor_command: four(),
-                motor_applied: four(),
-                integrator: four(),
-                ..v1::Control::default()
-            },
-            residuals: v1::Residuals {
-                residuals: Vec::with_capacity(RESIDUALS_PER_MESSAGE),
-                ..v1::Residuals::default()
-            },
-            samples: Wires::with_room(),
-            truth: v1::Truth { rotor_speed_radps: four(), string_tension_n: four(), ..v1::Truth::default() },
-            status: v1::Status {
-                failsafe_reason: text(),
-                checks: (0..MAX_CHECKS).map(|_| check()).collect(),
-                flight_id: text(),
-                log_error: text(),
-                ..v1::Status::default()
-            },
-            attacks: v1::AttackState { attacks: Vec::with_capacity(MAX_ATTACKS), ..v1::AttackState::default() },
-            gains: v1::GainsInUse {
-                sha256: text(),
-                controller: text(),
-                weights: Some(weights),
-                k: matrix(),
-                k_attitude: matrix(),
-                parameters: (0..MAX_PARAMETERS).map(|_| v1::Parameter { name: text(), value: 0.0 }).collect(),
-                margins: (0..4).map(|_| v1::LoopMargins { input: text(), ..v1::LoopMargins::default() }).collect(),
-                margin_policy: text(),
-                ..v1::GainsInUse::default()
-            },
-            event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
-            ack: v1::Ack { reason: text(), ..v1::Ack::default() },
-            secure: secure::with_room(),
-        }
-    }
-}
-
-/// Gains as they go over the wire, for whoever examines them on the ground.
-pub fn gains_message(gains: &Certified) -> v1::GainsInUse {
-    let mut message = v1::GainsInUse::default();
-    convert::gains(&mut message, FlightTime(0), gains);
-    message
-}
 
 fn due(last: &mut Option<FlightTime>, now: FlightTime, period_s: f64) -> bool {
     // Half a millisecond of slack, so that a period of whole ticks is not missed by rounding.
@@ -465,7 +391,7 @@ impl Telemetry {
         if self.gains_revision != Some(revision) || due(&mut self.due.gains, now, GAINS_S) {
             self.gains_revision = Some(revision);
             self.due.gains = Some(now);
-            convert::gains(&mut self.kept.gains, now, flight.gains_in_use());
+            flight.gains_in_use().to_wire(now, &mut self.kept.gains);
             self.outlets.send(Kind::Gains, 0, now, &self.kept.gains);
         }
         let attacks = flight.attacks();
@@ -537,16 +463,17 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         sensors: identification
             .sensors
             .iter()
-            .map(|sensor| convert::sensor_description(sensor, &config.attack_bounds))
+            .map(|sensor| convert::sensor_description(sensor, &config.attacks.bounds))
             .collect(),
         estimators: config.estimators.iter().map(|kind| *kind as i32).collect(),
         limits: Some(convert::limits(config)),
-        attacks_enabled: config.attacks_enabled,
+        attacks_enabled: config.attacks.enabled,
         boot_wall_time_us: identification.boot_wall_time.0,
         source_file: identification.source_file.clone(),
         rotors: config.airframe.rotors.iter().map(convert::rotor_description).collect(),
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
+        boot_id: identification.boot_id,
     }
 }
 

@@ -1,10 +1,8 @@
 //! Altitude on the string rig and in free flight: the figures that must be reached.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Flown, check, expect, scenario};
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_support::flown::{Flown, check, expect, scenario};
 
 /// 0.5 → 1.0 m settles within ±5 cm in this time, s.
 const SETTLING_S: f64 = 4.0;

@@ -1,9 +1,7 @@
 //! Attitude on the single-axis rig and on strings, against [Paternain] VIII-A and B.
 
-mod common;
-
-use common::{check, expect, scenario};
 use plumbline_agent::frames::{roll_pitch_yaw, wrap_pi};
+use plumbline_support::flown::{check, expect, scenario};
 
 /// Recovery from a held angle: time from 90 % to 10 % of it, and the largest swing past zero.
 fn recovery(samples: &[(f64, f64)], released_s: f64) -> Option<(f64, f64)> {

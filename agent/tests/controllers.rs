@@ -2,9 +2,6 @@
 //! replaces another in flight THEN nothing bumps.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
-use common::{Flown, Row, scenario};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::control::gains::Examiner;
 use plumbline_agent::control::trajectory::{Shape, Trajectory, moment};
@@ -14,6 +11,7 @@ use plumbline_agent::frames::wrap_pi;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{ControllerKind, Mode};
 use plumbline_proto::ids::GainsRevision;
+use plumbline_support::flown::{Flown, Row, scenario};
 
 /// [Paternain] VIII-A: roll let go at 20° is back in 0.4 s, at most 4° beyond.
 const ROLL_RISE_S: f64 = 0.4;

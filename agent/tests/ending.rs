@@ -1,12 +1,9 @@
 //! GIVEN a vehicle in flight WHEN the program is asked to end, or its flight thread hangs THEN it lands, or its motors stand.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::scenario;
 use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::stop::Stop;
@@ -16,6 +13,7 @@ use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::telemetry::Telemetry;
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::{MotorStop, Truth, Vehicle, VehicleError};
+use plumbline_support::flown::{identification, runner_options, scenario};
 
 /// What happens at a time of the flight, once.
 type Moment = Box<dyn FnMut(&SimVehicle) + Send>;
@@ -63,11 +61,11 @@ fn flown(pace: Pace, end_s: f64, stop: &Stop, moments: Vec<(f64, Moment)>) -> (E
     let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
     scenario.script.steps.retain(|s| s.at_s < 6.0);
     let flight = Flight::new(scenario.flight_config()).unwrap();
-    let options = common::runner_options(pace, Some(end_s), Some(scenario.script.clone()));
+    let options = runner_options(pace, Some(end_s), Some(scenario.script.clone()));
     let truths = Arc::new(Mutex::new(Vec::new()));
     let sim = SimVehicle::new(&scenario).unwrap();
     let vehicle = Box::new(Watched { sim, moments, truths: truths.clone() });
-    let telemetry = Telemetry::new(common::identification(&scenario), &flight, None, None);
+    let telemetry = Telemetry::new(identification(&scenario), &flight, None, None);
     let mut runner = Runner::new(vehicle, flight, telemetry, options, RunnerPorts::default());
     let summary = runner.run(stop).unwrap();
     let status = runner.flight().status();

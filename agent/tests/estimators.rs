@@ -1,13 +1,11 @@
 //! Every estimator whose sensors suffice holds the altitude when it is put in the loop in flight, without a bump.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Flown, scenario};
 use plumbline_agent::command::Command;
 use plumbline_agent::estimate::Health;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
+use plumbline_support::flown::{Flown, scenario};
 
 /// Each flies for this long, s.
 const TURN_S: f64 = 3.0;

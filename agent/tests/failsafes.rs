@@ -1,9 +1,6 @@
 //! DESIGN's failsafe table, row by row, through the simulator.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Flown, scenario};
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Failsafe, FlightConfig};
@@ -11,6 +8,7 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::Mode;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
+use plumbline_support::flown::{Flown, scenario};
 
 /// The string rig, hovering at 0.8 m at 12 s, without script from there.
 fn hovering() -> Flown {

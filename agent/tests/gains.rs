@@ -1,14 +1,12 @@
 //! Gains pushed in flight: bad ones refused, good ones applied without a bump.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Flown, scenario};
 use plumbline_agent::command::{Ack, Command};
 use plumbline_agent::control::gains::{Examiner, refusal};
 use plumbline_agent::control::lqr_integral::Weights;
 use plumbline_agent::control::tuning::Design;
 use plumbline_proto::ids::GainsRevision;
+use plumbline_support::flown::{Flown, scenario};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 

@@ -2,8 +2,6 @@
 //! flight and acknowledged once in use, or refused; commands behind them do not wait.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -19,6 +17,7 @@ use plumbline_agent::telemetry::{Outlet, Telemetry};
 use plumbline_proto::codec::decode_frames;
 use plumbline_proto::ids::{CommandId, GainsRevision};
 use plumbline_proto::{Kind, v1};
+use plumbline_support::flown::{identification, runner_options};
 
 #[test]
 fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
@@ -27,8 +26,8 @@ fn a_push_is_answered_when_it_is_in_use_and_nothing_waits_for_it() {
     let good = Weights::for_airframe(&flight.config().airframe);
     let before = flight.gains_in_use().sha256;
     let (ring, mut radio) = rtrb::RingBuffer::new(64 << 20);
-    let telemetry = Telemetry::new(common::identification(&scenario), &flight, Some(Outlet::new(ring)), None);
-    let options = common::runner_options(Pace::Times(1.0), None, None);
+    let telemetry = Telemetry::new(identification(&scenario), &flight, Some(Outlet::new(ring)), None);
+    let options = runner_options(Pace::Times(1.0), None, None);
     let (mut commands, inbound) = rtrb::RingBuffer::new(16);
     let ports = RunnerPorts { inbound: Some(inbound), ..RunnerPorts::default() };
     let (mut better, mut bad) = (good, good);

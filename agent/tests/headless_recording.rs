@@ -1,8 +1,6 @@
 //! GIVEN a scripted scenario WHEN it is flown without a ground THEN the onboard log holds the whole flight.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::collections::BTreeMap;
 
 use plumbline_agent::flight::Flight;
@@ -13,6 +11,7 @@ use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::telemetry::{Outlet, Telemetry};
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::{Kind, Message, v1};
+use plumbline_support::flown::{BOOT, identification, runner_options};
 
 #[test]
 fn a_scripted_flight_is_recorded_whole() {
@@ -25,13 +24,13 @@ fn a_scripted_flight_is_recorded_whole() {
             folder: folder.path().to_owned(),
             max_bytes: log::DEFAULT_MAX_BYTES,
             agent_id: "iris-1".into(),
-            boot_wall_time: common::BOOT,
+            boot_wall_time: BOOT,
         },
         frames,
     )
     .unwrap();
-    let telemetry = Telemetry::new(common::identification(&scenario), &flight, None, Some(Outlet::new(ring)));
-    let options = common::runner_options(Pace::Free, Some(15.0), Some(scenario.script.clone()));
+    let telemetry = Telemetry::new(identification(&scenario), &flight, None, Some(Outlet::new(ring)));
+    let options = runner_options(Pace::Free, Some(15.0), Some(scenario.script.clone()));
     let ports = RunnerPorts { log: Some(log.state().clone()), ..RunnerPorts::default() };
     let vehicle = Box::new(SimVehicle::new(&scenario).unwrap());
     let summary = Runner::new(vehicle, flight, telemetry, options, ports)
@@ -59,7 +58,7 @@ fn a_scripted_flight_is_recorded_whole() {
             Kind::Flight => marks.push(v1::FlightMark::decode(&*message.data).unwrap()),
             Kind::Control => {
                 let control = v1::Control::decode(&*message.data).unwrap();
-                assert_eq!(message.log_time, common::BOOT.at(FlightTime(control.time_us)).as_nanos());
+                assert_eq!(message.log_time, BOOT.at(FlightTime(control.time_us)).as_nanos());
             }
             _ => {}
         }

@@ -2,15 +2,13 @@
 //! THEN the vehicle stands, disarmed, and no failsafe had to help.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::{Flown, scenario};
 use plumbline_agent::command::Command;
 use plumbline_agent::estimate::{Estimate, Estimator, Health, ekf_bias::EkfBias};
 use plumbline_agent::event::EventKind;
 use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::types::{EstimatorKind, Mode, MotorCommand};
+use plumbline_support::flown::{Flown, scenario};
 
 /// Most ticks of an armed flight on which the estimator in the loop may be anything but healthy: a fifth
 /// of the patience of the failsafe (40 ticks).
@@ -84,7 +82,7 @@ impl Estimator for Lost {
         self.estimate = self.filter.step(received, applied).clone();
         if received.time.as_seconds() > self.from_s {
             self.estimate.health = Health::Degraded;
-            self.estimate.position_enu_m.z += 1.0;
+            self.estimate.motion.as_mut().unwrap().position_enu_m.z += 1.0;
             // So that neither the estimate nor the watchdog's agreement with it can help.
             self.estimate.world_from_body *= nalgebra::UnitQuaternion::from_euler_angles(0.3, 0.0, 0.0);
         }
@@ -93,10 +91,6 @@ impl Estimator for Lost {
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.filter.reset_to(estimate);
     }
 }
 

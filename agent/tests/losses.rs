@@ -1,9 +1,6 @@
 //! The failsafe table, by losing the real thing in the simulator: sensors, battery, a rotor's thrust, the pose.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
-use common::{Flown, scenario};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::event::EventKind;
 use plumbline_agent::flight::{Failsafe, FlightConfig};
@@ -13,6 +10,7 @@ use plumbline_agent::sim::devices::Outage;
 use plumbline_agent::types::{EstimatorKind, Mode};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
+use plumbline_support::flown::{Flown, scenario};
 
 /// `name`, with its script up to `until_s`, changed, and in the air at 1 m or what its script asks for.
 fn flying(name: &str, until_s: f64, change: impl FnOnce(&mut Scenario, &mut Option<FlightConfig>)) -> Flown {

@@ -1,12 +1,13 @@
 //! The tick allocates nothing, and the same seed gives the same bits.
 #![allow(clippy::unwrap_used)]
 
-mod common;
-mod counting;
-
-use common::{Flown, scenario};
 use plumbline_agent::telemetry::{Around, Outlet, Telemetry};
 use plumbline_agent::vehicle::Vehicle;
+use plumbline_support::counting::{self, Counting};
+use plumbline_support::flown::{Flown, identification, scenario};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
@@ -54,7 +55,7 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
 /// Telemetry into a ring as wide as `bytes`, and the far end of it.
 fn telemetry_of(f: &Flown, bytes: usize) -> (Telemetry, rtrb::Consumer<u8>) {
     let (ring, far_end) = rtrb::RingBuffer::new(bytes);
-    (Telemetry::new(common::identification(&f.scenario), &f.flight, Some(Outlet::new(ring)), None), far_end)
+    (Telemetry::new(identification(&f.scenario), &f.flight, Some(Outlet::new(ring)), None), far_end)
 }
 
 #[test]
@@ -68,8 +69,8 @@ fn the_same_seed_gives_the_same_bits_and_another_seed_does_not() {
             .iter()
             .flat_map(|r| {
                 let truth = r.truth.position_enu_m.iter().chain(r.truth.body_rates_radps.iter()).copied();
-                let estimate =
-                    r.estimate.position_enu_m.iter().chain(r.estimate.accel_bias_mps2.iter().flatten()).copied();
+                let estimated = r.estimate.kinematics().position_enu_m;
+                let estimate = estimated.iter().chain(r.estimate.accel_bias_mps2.iter().flatten()).copied();
                 truth.chain(estimate).chain(r.report.command.throttle).map(f64::to_bits).collect::<Vec<_>>()
             })
             .collect();

@@ -1,14 +1,12 @@
 //! The secure estimator in the loop: attacks are found, healthy sensors are not excluded, the altitude is kept.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::collections::BTreeMap;
 
-use common::Flown;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_proto::ids::SensorId;
+use plumbline_support::flown::Flown;
 
 /// Altitude steps on the string rig.
 const STEPS: &str = r#"

@@ -4,8 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use plumbline_agent::calibration::CalibrationFile;
-use serde_json::{Value, json};
+use plumbline_core::calibration::CalibrationFile;
+use plumbline_core::calibration::file::{Parameter, Plot, Series};
+use plumbline_rest::calibration::{self as rest, Calibration};
 
 use crate::gains_book::write_atomically;
 use crate::sync::lock;
@@ -62,27 +63,51 @@ impl Calibrations {
     }
 
     /// All of them, newest first, without covariance and picture.
-    pub fn list(&self) -> Vec<Value> {
+    pub fn list(&self) -> Vec<Calibration> {
         let Ok(entries) = fs::read_dir(&self.folder) else { return Vec::new() };
         let ids = entries.flatten().filter_map(|entry| {
             let path = entry.path();
             (path.extension()? == "json").then(|| path.file_stem().map(|s| s.to_string_lossy().into_owned()))?
         });
-        let mut all: Vec<(String, Value)> = ids
-            .filter_map(|id| {
-                let file = self.read(&id)?;
-                Some((file.date.clone(), with_id(&id, file.summary())))
-            })
-            .collect();
-        all.sort_by(|a, b| b.0.cmp(&a.0));
-        all.into_iter().map(|(_, value)| value).collect()
+        let short = |id: String| {
+            let whole = answer(&id, self.read(&id)?);
+            Some(Calibration { covariance: None, picture: Vec::new(), ..whole })
+        };
+        let mut all: Vec<Calibration> = ids.filter_map(short).collect();
+        all.sort_by(|a, b| b.date.cmp(&a.date));
+        all
     }
 }
 
-/// `value` with its name in it.
-pub fn with_id(id: &str, mut value: Value) -> Value {
-    if let Some(object) = value.as_object_mut() {
-        object.insert("id".into(), json!(id));
+/// The file kept as `id`, as it is answered.
+pub fn answer(id: &str, file: CalibrationFile) -> Calibration {
+    let parameter = |p: Parameter| rest::Parameter { name: p.name, value: p.value, sigma: p.sigma, unit: p.unit };
+    let known = |v: f64| v.is_finite().then_some(v);
+    let series = |s: Series| rest::Series {
+        name: s.name,
+        line: s.line,
+        points: s.points.into_iter().map(|point| point.map(known)).collect(),
+    };
+    let picture = |p: Plot| rest::Picture {
+        title: p.title,
+        x: p.x,
+        y: p.y,
+        log: p.log,
+        series: p.series.into_iter().map(series).collect(),
+    };
+    Calibration {
+        id: id.to_owned(),
+        schema: file.schema,
+        kind: file.kind.name().to_owned(),
+        date: file.date,
+        input: file.input,
+        sensor: file.sensor,
+        span_s: file.span_s,
+        samples: file.samples as u64,
+        residual: rest::Residual { value: known(file.residual.value), unit: file.residual.unit },
+        parameters: file.parameters.into_iter().map(parameter).collect(),
+        covariance: Some(file.covariance),
+        notes: file.notes,
+        picture: file.picture.into_iter().map(picture).collect(),
     }
-    value
 }

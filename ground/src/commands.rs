@@ -46,6 +46,17 @@ pub enum CommandError {
     },
 }
 
+/// One command, and on whose word.
+#[derive(Debug)]
+pub struct Asked<'a> {
+    /// Who asks.
+    pub operator: &'a str,
+    /// Flight time of the newest message their page showed, µs, where a page asks.
+    pub seen_us: Option<u64>,
+    /// What.
+    pub body: Body,
+}
+
 /// Numbers commands and matches acknowledgements.
 #[derive(Debug, Default)]
 pub struct Commands {
@@ -61,7 +72,7 @@ struct Waiter {
 }
 
 impl Commands {
-    /// Sends `body` to `vehicle` and waits for its acknowledgement.
+    /// Sends what is asked to `vehicle` and waits for its acknowledgement.
     ///
     /// # Errors
     /// [`CommandError`]. A rejection is not an error: it is an [`v1::Ack`].
@@ -69,10 +80,10 @@ impl Commands {
         &self,
         vehicle: &str,
         to: &CommandSender,
-        operator: &str,
-        body: Body,
+        asked: Asked<'_>,
         timeout: Duration,
     ) -> Result<v1::Ack, CommandError> {
+        let Asked { operator, seen_us, body } = asked;
         let command_id = self.last_id.fetch_add(1, Ordering::Relaxed) + 1;
         let key = (vehicle.to_owned(), command_id);
         let answer = {
@@ -86,7 +97,7 @@ impl Commands {
         // Also when this future is dropped (the client hung up), the entry goes.
         let _entry = Entry { commands: self, key };
         tracing::info!(vehicle, operator, command_id, command = name(&body), "command");
-        let command = v1::Command { command_id, operator: operator.to_owned(), body: Some(body) };
+        let command = v1::Command { command_id, operator: operator.to_owned(), seen_us, body: Some(body) };
         let exchange = async {
             to.send(command).await.map_err(|_| CommandError::Disconnected)?;
             answer.await.map_err(|_| CommandError::Disconnected)
@@ -158,6 +169,10 @@ mod tests {
     use std::pin::Pin;
     use std::task::{Context, Waker};
 
+    fn asked(operator: &str, body: Body) -> Asked<'_> {
+        Asked { operator, seen_us: None, body }
+    }
+
     /// Polls once: does it wait?
     fn waits(exchange: &mut Pin<Box<impl Future>>) -> bool {
         exchange.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending()
@@ -167,7 +182,7 @@ mod tests {
     async fn acks_find_their_command_and_only_that() {
         let commands = Commands::default();
         let (sender, mut outgoing) = CommandSender::channel();
-        let exchange = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), Duration::from_secs(5));
+        let exchange = commands.send("a", &sender, asked("me", Body::Arm(v1::Arm {})), Duration::from_secs(5));
         let agent = async {
             let Some(Outgoing::Command(command)) = outgoing.recv().await else { panic!("no command") };
             let ack = |id| v1::Ack { command_id: id, stage: v1::AckStage::Accepted as i32, ..Default::default() };
@@ -186,7 +201,7 @@ mod tests {
         let commands = Commands::default();
         let (sender, mut outgoing) = CommandSender::channel();
         let wait = Duration::from_secs(60);
-        let send = |operator, body| commands.send("a", &sender, operator, body, wait);
+        let send = |operator, body| commands.send("a", &sender, asked(operator, body), wait);
         // GIVEN one operator with as many commands on their way as it may have
         let mut flood: Vec<_> =
             (0..MAX_WAITING_EACH).map(|_| Box::pin(send("ann", Body::Disarm(v1::Disarm {})))).collect();
@@ -206,10 +221,10 @@ mod tests {
         let commands = Commands::default();
         let (sender, outgoing) = CommandSender::channel();
         let wait = Duration::from_millis(20);
-        let silence = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), wait).await;
+        let silence = commands.send("a", &sender, asked("me", Body::Arm(v1::Arm {})), wait).await;
         assert!(matches!(silence, Err(CommandError::TimedOut { command_id: 1, .. })));
         drop(outgoing);
-        let lost = commands.send("a", &sender, "me", Body::Arm(v1::Arm {}), wait).await;
+        let lost = commands.send("a", &sender, asked("me", Body::Arm(v1::Arm {})), wait).await;
         assert_eq!(lost, Err(CommandError::Disconnected));
         assert!(lock(&commands.waiting).is_empty());
     }

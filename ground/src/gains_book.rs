@@ -6,32 +6,13 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use serde::{Deserialize, Serialize};
+use plumbline_rest::design::Revision;
 use serde_json::{Map, Value};
 
 use crate::sync::lock;
 
 /// Most revisions kept per vehicle; the oldest go first.
 pub const MAX_REVISIONS: usize = 1000;
-
-/// One push.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-pub struct Revision {
-    /// From 1.
-    pub revision: u32,
-    /// Who pushed it.
-    pub operator: String,
-    /// When, µs since the Unix epoch.
-    pub pushed_unix_us: u64,
-    /// `accepted`, `rejected` or `unanswered`.
-    pub stage: String,
-    /// What the agent said.
-    pub reason: String,
-    /// What was pushed: a design as the agent reads it (`controller`, `state_weight`, `input_weight`,
-    /// `parameters`, `k`, `k_attitude`).
-    #[serde(flatten)]
-    pub design: Map<String, Value>,
-}
 
 /// All revisions of all vehicles.
 #[derive(Debug)]

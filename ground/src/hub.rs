@@ -8,74 +8,39 @@
 mod health;
 mod history;
 mod past;
+mod vehicle;
 mod viewer;
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, Weak};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bytes::BytesMut;
-use plumbline_proto::codec::{self, Frame};
-use plumbline_proto::{DecodeError, Kind, Message, v1};
+use plumbline_proto::codec::{Batch, Frame};
+use plumbline_proto::{Kind, Message, v1};
 
 use crate::agent_link::CommandSender;
 use crate::agent_link::clock::wall_us;
 use crate::sync::{lock, wall_time_us};
-use health::Health;
-use history::History;
 pub use history::{MAX_BYTES as MAX_HISTORY_BYTES, MAX_SECONDS as MAX_HISTORY_SECONDS};
 pub use past::thin;
+pub use vehicle::SILENT_AFTER;
+use vehicle::Vehicle;
 pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};
 
 /// How long live frames are gathered into one WebSocket message. Per-message cost dominates the
 /// browser's decoding, and 10 ms is a third of the delay the page may have in total.
 pub const FLUSH_EVERY: Duration = Duration::from_millis(10);
-/// Gathered frames are flushed early beyond this many bytes.
-const FLUSH_BYTES: usize = 256 << 10;
-/// A vehicle that says nothing for this long is shown as not connected, whatever its connection may yet become.
-pub const SILENT_AFTER: Duration = Duration::from_secs(2);
-/// Batches are kept side by side in blocks of this size, which go back to the system whole: batches of minutes between
-/// what lives for milliseconds would leave the memory in pieces.
-const BLOCK_BYTES: usize = 512 << 10;
 /// A vehicle that is not connected and unseen for this long is forgotten.
 pub const FORGOTTEN_AFTER: Duration = Duration::from_secs(24 * 3600);
 /// Most vehicles; the one unseen for longest gives way to a new one.
 pub const MAX_VEHICLES: usize = 64;
 /// Most bytes of history, all vehicles together.
 const ALL_HISTORIES: usize = 256 << 20;
-/// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
-const MAX_TOPICS: usize = 512;
 
 /// The latest messages, histories and viewers of all vehicles.
 #[derive(Debug, Default)]
 pub struct Hub {
     vehicles: Mutex<BTreeMap<String, Vehicle>>,
-}
-
-#[derive(Debug)]
-struct Vehicle {
-    boot_id: u64,
-    boot_wall_time_us: u64,
-    version: String,
-    /// `None` while disconnected.
-    commands: Option<CommandSender>,
-    /// When anything came from it last.
-    heard: Instant,
-    latest: BTreeMap<(u16, u16), Latest>,
-    history: History,
-    health: Health,
-    pending: Vec<u8>,
-    pending_messages: u32,
-    /// What is left of the block that batches are put into.
-    block: BytesMut,
-    viewers: Vec<Weak<ViewerQueue>>,
-    malformed: u64,
-}
-
-#[derive(Debug)]
-struct Latest {
-    at: Instant,
-    frame: Vec<u8>,
 }
 
 /// What a list of vehicles shows.
@@ -172,22 +137,16 @@ impl Hub {
     }
 
     /// Takes one live batch and returns the acknowledgements in it.
-    ///
-    /// # Errors
-    /// The first [`DecodeError`]; the frames before it are passed on.
-    pub fn batch(&self, id: &str, batch: &[u8]) -> Result<Vec<v1::Ack>, DecodeError> {
+    pub fn batch(&self, id: &str, batch: &Batch) -> Vec<v1::Ack> {
         let now = Instant::now();
         let mut acks = Vec::new();
         let mut vehicles = lock(&self.vehicles);
-        let Some(vehicle) = vehicles.get_mut(id) else { return Ok(acks) };
+        let Some(vehicle) = vehicles.get_mut(id) else { return acks };
         vehicle.heard = now;
         vehicle.health.roll(now);
-        let frames = codec::decode_batch(batch).inspect_err(|_| vehicle.malformed += 1)?;
-        for frame in frames {
-            let frame = frame.inspect_err(|_| vehicle.malformed += 1)?;
+        for frame in batch.frames() {
             if frame.known_kind().is_some_and(Kind::is_ground_made) {
                 // Only the ground speaks of leases, links and recordings.
-                vehicle.malformed += 1;
                 continue;
             }
             vehicle.health.observe(&frame);
@@ -196,7 +155,7 @@ impl Hub {
             }
             vehicle.take(&frame, now);
         }
-        Ok(acks)
+        acks
     }
 
     /// Sends a message made by the ground to the viewers of `id`.
@@ -317,126 +276,17 @@ fn share(vehicles: &mut BTreeMap<String, Vehicle>, now: Instant) {
     vehicles.values_mut().for_each(|vehicle| vehicle.history.keep(bytes, now));
 }
 
-impl Vehicle {
-    fn new(boot_id: u64, now: Instant) -> Self {
-        Self {
-            boot_id,
-            boot_wall_time_us: 0,
-            version: String::new(),
-            commands: None,
-            heard: now,
-            latest: BTreeMap::new(),
-            history: History::default(),
-            health: Health::new(now),
-            pending: Vec::new(),
-            pending_messages: 0,
-            block: BytesMut::new(),
-            viewers: Vec::new(),
-            malformed: 0,
-        }
-    }
-
-    fn linked(&self) -> bool {
-        self.commands.as_ref().is_some_and(|c| !c.is_closed())
-    }
-
-    fn connected(&self) -> bool {
-        self.linked() && self.heard.elapsed() < SILENT_AFTER
-    }
-
-    fn reboot(&mut self, boot_id: u64, now: Instant) {
-        self.flush(now);
-        self.boot_id = boot_id;
-        self.latest.retain(|(kind, _), _| Kind::from_wire(*kind).is_some_and(Kind::is_ground_made));
-        self.history.clear();
-        self.health = Health::new(now);
-    }
-
-    fn take(&mut self, frame: &Frame<'_>, now: Instant) {
-        let key = (frame.kind, frame.instance);
-        if self.latest.len() < MAX_TOPICS || self.latest.contains_key(&key) {
-            let latest = self.latest.entry(key).or_insert_with(|| Latest { at: now, frame: Vec::new() });
-            latest.at = now;
-            latest.frame.clear();
-            frame.encode(&mut latest.frame);
-        }
-        if self.pending.is_empty() {
-            codec::begin_batch(&mut self.pending);
-        }
-        frame.encode(&mut self.pending);
-        self.pending_messages += 1;
-        if self.pending.len() >= FLUSH_BYTES {
-            self.flush(now);
-        }
-    }
-
-    fn flush(&mut self, now: Instant) {
-        if self.pending.is_empty() {
-            return;
-        }
-        if self.block.capacity() < self.pending.len() {
-            self.block = BytesMut::with_capacity(BLOCK_BYTES.max(self.pending.len()));
-        }
-        self.block.extend_from_slice(&self.pending);
-        let shared = Shared { batch: self.block.split().freeze(), messages: self.pending_messages };
-        self.pending.clear();
-        self.pending_messages = 0;
-        self.viewers.retain(|viewer| match viewer.upgrade() {
-            Some(queue) => {
-                queue.push(shared.clone());
-                true
-            }
-            None => false,
-        });
-        self.history.push(now, shared);
-    }
-
-    /// The latest of every topic as one batch. States come always; samples only when the history,
-    /// which begins at `history_start`, does not hold them: nothing is plotted twice.
-    fn snapshot(&self, history_start: Instant) -> Shared {
-        let mut batch = Vec::new();
-        codec::begin_batch(&mut batch);
-        let mut messages = 0;
-        for ((kind, _), latest) in &self.latest {
-            let wanted = match Kind::from_wire(*kind) {
-                Some(Kind::Event | Kind::Ack) => false,
-                Some(
-                    Kind::Description
-                    | Kind::Gains
-                    | Kind::Status
-                    | Kind::Attacks
-                    | Kind::Flight
-                    | Kind::StepResponse
-                    | Kind::Secure
-                    | Kind::Recording
-                    | Kind::Lease
-                    | Kind::Link,
-                ) => true,
-                _ => latest.at < history_start,
-            };
-            if wanted {
-                batch.extend_from_slice(&latest.frame);
-                messages += 1;
-            }
-        }
-        Shared { batch: batch.into(), messages }
-    }
-
-    fn latest_message<M: Message + Default>(&self, kind: Kind) -> Option<M> {
-        let latest = self.latest.get(&(kind.to_wire(), 0))?;
-        codec::decode_frames(&latest.frame).next()?.ok()?.message().ok()
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use plumbline_proto::codec;
+
     use super::*;
 
-    fn batch(sequence: u64, kind: Kind) -> Vec<u8> {
+    fn batch(sequence: u64, kind: Kind) -> Batch {
         let mut out = Vec::new();
         codec::begin_batch(&mut out);
         codec::encode_message(&mut out, kind, 0, sequence, sequence * 10, &v1::Control::default());
-        out
+        Batch::parse(out.into()).unwrap()
     }
 
     fn sequences(shared: &Shared) -> Vec<u64> {
@@ -447,11 +297,11 @@ mod tests {
     async fn history_and_live_meet_without_gap_or_repetition() {
         let hub = Hub::default();
         hub.connected("a", 1, 0, "0", CommandSender::channel().0);
-        hub.batch("a", &batch(1, Kind::Control)).unwrap();
+        hub.batch("a", &batch(1, Kind::Control));
         hub.flush();
-        hub.batch("a", &batch(2, Kind::Control)).unwrap();
+        hub.batch("a", &batch(2, Kind::Control));
         let viewer = hub.subscribe("a", Duration::from_secs(60)).unwrap();
-        hub.batch("a", &batch(3, Kind::Control)).unwrap();
+        hub.batch("a", &batch(3, Kind::Control));
         hub.flush();
         let mut seen: Vec<u64> = viewer.backlog.iter().flat_map(sequences).collect();
         seen.extend(sequences(&viewer.queue.next().await));
@@ -472,7 +322,7 @@ mod tests {
         }
         assert_eq!(hub.list().len(), MAX_VEHICLES);
         assert!(hub.knows("here") && hub.knows("191") && !hub.knows("0"));
-        hub.batch("191", &batch(1, Kind::Control)).unwrap();
+        hub.batch("191", &batch(1, Kind::Control));
         hub.flush();
         let held = || lock(&hub.vehicles)["191"].history.since(Instant::now() - Duration::from_secs(1)).1.len();
         assert_eq!(held(), 1);
@@ -489,7 +339,7 @@ mod tests {
         let hub = Hub::default();
         let (old, _old_end) = CommandSender::channel();
         hub.connected("a", 1, 0, "0", old);
-        hub.batch("a", &batch(9, Kind::Control)).unwrap();
+        hub.batch("a", &batch(9, Kind::Control));
         let (new, new_end) = CommandSender::channel();
         hub.connected("a", 2, 0, "0", new);
         hub.disconnected("a");
@@ -500,20 +350,11 @@ mod tests {
     }
 
     #[test]
-    fn frames_before_an_error_are_kept_and_ground_kinds_are_refused() {
+    fn ground_kinds_are_refused() {
         let hub = Hub::default();
         hub.connected("a", 1, 0, "0", CommandSender::channel().0);
-        let mut bytes = batch(1, Kind::Control);
-        codec::encode_message(
-            &mut bytes,
-            Kind::Lease,
-            0,
-            2,
-            2,
-            &v1::ControlLease { wall_time_us: 1, holder: "x".into(), ..Default::default() },
-        );
-        bytes.extend_from_slice(&[1, 2, 3]);
-        assert!(matches!(hub.batch("a", &bytes), Err(DecodeError::Truncated { .. })));
+        hub.batch("a", &batch(1, Kind::Control));
+        hub.batch("a", &batch(2, Kind::Lease));
         assert!(hub.latest::<v1::Control>("a", Kind::Control).is_some());
         assert!(hub.latest::<v1::ControlLease>("a", Kind::Lease).is_none());
     }

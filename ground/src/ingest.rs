@@ -2,11 +2,11 @@
 //! commands. It never waits for any of them.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use plumbline_proto::{Kind, v1};
 use tokio::sync::{mpsc, watch};
-use tokio::time::{Instant, MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval};
 
 use crate::agent_link::LinkEvent;
 use crate::commands::Commands;
@@ -36,18 +36,17 @@ pub(crate) async fn run(mut link: mpsc::Receiver<LinkEvent>, ground: Ground, mut
     flush.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut status = interval(STATUS_EVERY);
     status.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut complaints = Complaints::default();
     let mut link_open = true;
     loop {
         tokio::select! {
             event = link.recv(), if link_open => match event {
-                Some(event) => take(event, &hub, &commands, &recorder, &mut complaints),
+                Some(event) => take(event, &hub, &commands, &recorder),
                 None => link_open = false,
             },
             _ = flush.tick() => hub.flush(),
             _ = status.tick() => {
                 publish_recordings(&hub, &recorder);
-                hub.expire(std::time::Instant::now());
+                hub.expire(Instant::now());
                 for (vehicle, holder) in leases.expire(lease_idle, PAGE_GONE, |holder| people.may_command(holder)) {
                     tracing::info!(%vehicle, %holder, "control ended: unused, the page closed, or its holder may no more");
                     publish_lease(&hub, &leases, &vehicle, "");
@@ -59,12 +58,12 @@ pub(crate) async fn run(mut link: mpsc::Receiver<LinkEvent>, ground: Ground, mut
     }
     // What is already here is recorded before the files are finished.
     while let Ok(event) = link.try_recv() {
-        take(event, &hub, &commands, &recorder, &mut complaints);
+        take(event, &hub, &commands, &recorder);
     }
     hub.flush();
 }
 
-fn take(event: LinkEvent, hub: &Hub, commands: &Commands, recorder: &RecorderHandle, complaints: &mut Complaints) {
+fn take(event: LinkEvent, hub: &Hub, commands: &Commands, recorder: &RecorderHandle) {
     match event {
         LinkEvent::Connected { agent_id, boot_id, boot_wall_time_us, version, commands } => {
             tracing::info!(%agent_id, boot_id, %version, "agent connected");
@@ -73,10 +72,7 @@ fn take(event: LinkEvent, hub: &Hub, commands: &Commands, recorder: &RecorderHan
         }
         LinkEvent::Batch { agent_id, batch, received: _, backfill } => {
             if !backfill {
-                match hub.batch(&agent_id, &batch) {
-                    Ok(acks) => acks.into_iter().for_each(|ack| commands.resolve(&agent_id, ack)),
-                    Err(error) => complaints.malformed(&agent_id, &error.to_string()),
-                }
+                hub.batch(&agent_id, &batch).into_iter().for_each(|ack| commands.resolve(&agent_id, ack));
             }
             recorder.batch(agent_id, batch, backfill);
         }
@@ -104,24 +100,5 @@ fn publish_recordings(hub: &Hub, recorder: &RecorderHandle) {
         let mut status = recorder.status(&id);
         status.wall_time_us = wall_time_us();
         hub.publish(&id, Kind::Recording, &status);
-    }
-}
-
-/// One log line a second about malformed batches, however many arrive.
-#[derive(Default)]
-struct Complaints {
-    last: Option<Instant>,
-    silent: u64,
-}
-
-impl Complaints {
-    fn malformed(&mut self, agent_id: &str, reason: &str) {
-        if self.last.is_some_and(|at| at.elapsed() < Duration::from_secs(1)) {
-            self.silent += 1;
-            return;
-        }
-        tracing::warn!(%agent_id, reason, not_logged = self.silent, "malformed batch");
-        self.last = Some(Instant::now());
-        self.silent = 0;
     }
 }

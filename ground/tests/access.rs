@@ -7,7 +7,8 @@ mod common;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{Ground, Response, Viewer};
+use common::viewer::Viewer;
+use common::{Ground, Response};
 use futures_util::StreamExt as _;
 use plumbline_ground::people::{Access, Accounts, Role};
 use plumbline_ground::{GroundConfig, GroundError, access_table};

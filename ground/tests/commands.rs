@@ -42,6 +42,32 @@ async fn a_command_is_numbered_sent_and_answered() {
     ground.stop().await;
 }
 
+/// GIVEN a page that tells what its operator saw WHEN it commands THEN the agent hears it; an odd header is refused with
+/// its value, and never takes the cut away.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_operator_saw_goes_with_the_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    let seen = |seen| [ANN[0], ("x-plumbline-seen", seen)];
+    let (arm, cut) = ("/api/vehicles/iris-1/arm", "/api/vehicles/iris-1/cut");
+
+    let headers = seen("5000000");
+    let (answer, command) = tokio::join!(ground.request_as("POST", arm, "{}", &headers), agent.accept());
+    assert_eq!((answer.status, command.seen_us), (200, Some(5_000_000)));
+
+    let headers = seen("yesterday");
+    let refused = ground.request_as("POST", arm, "{}", &headers).await;
+    assert_eq!(refused.status, 422);
+    assert!(refused.error().contains("yesterday"), "{}", refused.error());
+    assert!(agent.outgoing.try_recv().is_err(), "it reached the agent");
+    let (answer, command) = tokio::join!(ground.request_as("POST", cut, "{}", &headers), agent.accept());
+    assert_eq!((answer.status, command.body), (200, Some(Body::CutMotors(v1::CutMotors {}))));
+    ground.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn every_command_reaches_the_agent_as_what_it_is() {
     let folder = tempfile::tempdir().unwrap();
@@ -200,6 +226,24 @@ async fn what_is_invalid_is_refused_with_its_value() {
     let answer = ground.request_as("POST", "/api/vehicles/iris-1/arm", "{}", &[("x-plumbline-operator", &long)]).await;
     assert_eq!(answer.status, 422);
     assert!(agent.outgoing.try_recv().is_err(), "nothing invalid reached the agent");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cut_is_done_whatever_the_operator_is_called() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    let long = "x".repeat(65);
+    let names = [(long.as_str(), "unnamed"), ("", "unnamed"), ("Zo\u{eb}", "unnamed"), ("ann", "ann")];
+    for (name, heard) in names {
+        let header = [("x-plumbline-operator", name)];
+        let cut = ground.request_as("POST", "/api/vehicles/iris-1/cut", "", &header);
+        let (answer, command) = tokio::join!(cut, agent.accept());
+        assert_eq!(answer.status, 200, "{name:?}: {}", answer.text());
+        assert_eq!((command.body, command.operator.as_str()), (Some(Body::CutMotors(v1::CutMotors {})), heard));
+    }
     ground.stop().await;
 }
 

@@ -4,7 +4,9 @@
 
 mod common;
 
-use common::{Agent, Ground, api_counts, frames, mcap_counts};
+use common::agent::Agent;
+use common::viewer::frames;
+use common::{Ground, api_counts, mcap_counts};
 use plumbline_proto::{Kind, v1};
 
 async fn flown(ground: &Ground) -> (Agent, u64) {

@@ -10,7 +10,9 @@ mod common;
 use std::path::Path;
 use std::time::Instant;
 
-use common::{Agent, Ground, PATIENCE, Response, Viewer, frames, mcap_counts};
+use common::agent::Agent;
+use common::viewer::{Viewer, frames};
+use common::{Ground, PATIENCE, Response, mcap_counts};
 use plumbline_ground::people::{Accounts, Role};
 use plumbline_ground::{GroundConfig, front};
 use plumbline_proto::v1::{self, command};

@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use common::{BOOT_WALL_US, Ground, PATIENCE, mcap_counts};
+use common::agent::BOOT_WALL_US;
+use common::{Ground, PATIENCE, mcap_counts};
 
 /// The promise: a kill costs at most the last flush.
 const AGE_MAX: Duration = Duration::from_millis(250);

@@ -4,7 +4,8 @@
 
 mod common;
 
-use common::{Ground, Viewer};
+use common::Ground;
+use common::viewer::Viewer;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn foreign_pages_can_neither_watch_nor_write() {

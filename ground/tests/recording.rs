@@ -7,7 +7,9 @@ mod common;
 
 use std::time::Duration;
 
-use common::{Agent, Ground, api_counts, frames, freeze, mcap_counts};
+use common::agent::Agent;
+use common::viewer::frames;
+use common::{Ground, api_counts, freeze, mcap_counts};
 use plumbline_ground::agent_link::LinkEvent;
 use plumbline_proto::{Kind, v1};
 use serde_json::Value;

@@ -12,8 +12,13 @@
 //! The command connection carries length-delimited [`CommandFrame`]s: `length u32 | message`,
 //! read by [`Delimited`].
 
-use crate::{DecodeError, Kind, SCHEMA, v1::CommandFrame};
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytes::Bytes;
 use prost::Message;
+
+use crate::{DecodeError, Kind, SCHEMA, v1::CommandFrame};
 
 /// First byte of every batch.
 pub const MAGIC: u8 = 0x50;
@@ -167,6 +172,63 @@ fn split_frame(bytes: &[u8]) -> Result<(Frame<'_>, &[u8]), DecodeError> {
     Ok((frame, rest))
 }
 
+/// A batch that came from elsewhere, every frame of it checked: parsed once, where it comes in. Cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Batch {
+    bytes: Bytes,
+    frames: Arc<[Place]>,
+}
+
+/// A frame whose payload is a place in the batch.
+#[derive(Debug)]
+struct Place {
+    kind: u16,
+    instance: u16,
+    sequence: u64,
+    time_us: u64,
+    payload: Range<usize>,
+}
+
+impl Batch {
+    /// Parses a whole batch.
+    ///
+    /// # Errors
+    /// The first [`DecodeError`] of its header or of any frame.
+    pub fn parse(bytes: Bytes) -> Result<Self, DecodeError> {
+        let mut places = Vec::new();
+        let mut start = BATCH_HEADER;
+        for frame in decode_batch(&bytes)? {
+            let Frame { kind, instance, sequence, time_us, payload } = frame?;
+            let first = start + FRAME_HEADER;
+            start = first + payload.len();
+            places.push(Place { kind, instance, sequence, time_us, payload: first..start });
+        }
+        Ok(Self { bytes, frames: places.into() })
+    }
+
+    /// The frames, in the order they came.
+    pub fn frames(&self) -> impl Iterator<Item = Frame<'_>> {
+        self.frames.iter().map(|place| Frame {
+            kind: place.kind,
+            instance: place.instance,
+            sequence: place.sequence,
+            time_us: place.time_us,
+            // Always there: the places are those of these bytes.
+            payload: self.bytes.get(place.payload.clone()).unwrap_or_default(),
+        })
+    }
+
+    /// Bytes on the wire.
+    pub fn wire_len(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// Bytes in memory, shared by all clones.
+    pub fn held_bytes(&self) -> usize {
+        self.bytes.len() + std::mem::size_of_val(&*self.frames)
+    }
+}
+
 /// Appends `frame` with its length in front.
 pub fn encode_delimited(out: &mut Vec<u8>, frame: &CommandFrame) {
     out.extend_from_slice(&(frame.encoded_len() as u32).to_le_bytes());
@@ -237,6 +299,9 @@ mod tests {
         assert_eq!(frames[0].known_kind(), Some(Kind::Height));
         assert_eq!(frames[0].message::<v1::HeightSample>().unwrap().sensed_m, 0.812);
         assert_eq!((frames[1], frames[1].known_kind()), (unknown, None));
+        let parsed = Batch::parse(Bytes::copy_from_slice(&batch)).unwrap();
+        assert_eq!(parsed.frames().collect::<Vec<_>>(), frames);
+        assert!(parsed.wire_len() == batch.len() && parsed.held_bytes() > batch.len());
     }
 
     #[test]
@@ -247,6 +312,7 @@ mod tests {
         let whole = batch.len();
         batch.extend(height(2));
         for cut in whole + 1..batch.len() {
+            assert!(Batch::parse(Bytes::copy_from_slice(&batch[..cut])).is_err());
             let results: Vec<_> = decode_batch(&batch[..cut]).unwrap().collect();
             assert_eq!(results.len(), 2);
             assert!(results[0].is_ok());

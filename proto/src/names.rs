@@ -1,6 +1,6 @@
-//! Names of estimators in configuration, scenarios, the HTTP API and on the command line.
+//! Names of estimators and decoders in configuration, scenarios, the HTTP API and on the command line.
 
-use crate::v1::EstimatorKind;
+use crate::v1::{Decoder, EstimatorKind};
 
 /// Names that older files and scripts use.
 const FORMER: [(&str, EstimatorKind); 3] = [
@@ -16,6 +16,14 @@ impl EstimatorKind {
         let lower = || name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
         let present = || Self::from_str_name(&format!("ESTIMATOR_KIND_{}", name.to_ascii_uppercase()));
         former.or_else(|| if lower() { present() } else { None }).filter(|kind| *kind != Self::Unspecified)
+    }
+}
+
+impl Decoder {
+    /// The decoder called `name`: the lower-snake-case name of the wire (`l2_split`).
+    pub fn named(name: &str) -> Option<Self> {
+        let present = Self::from_str_name(&format!("DECODER_{}", name.to_ascii_uppercase()));
+        present.filter(|decoder| *decoder != Self::Unspecified)
     }
 }
 
@@ -40,5 +48,11 @@ mod tests {
         for name in ["magic", "unspecified", "SECURE", "", "ekf-bias"] {
             assert_eq!(EstimatorKind::named(name), None, "{name}");
         }
+    }
+
+    #[test]
+    fn decoders_have_the_names_of_the_wire() {
+        assert_eq!(Decoder::named("l2_split"), Some(Decoder::L2Split));
+        assert_eq!((Decoder::named("l3"), Decoder::named("unspecified"), Decoder::named("")), (None, None, None));
     }
 }

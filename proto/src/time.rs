@@ -59,4 +59,37 @@ impl WallTime {
     pub fn as_nanos(self) -> u64 {
         self.0.saturating_mul(1000)
     }
+
+    /// Year, month, day and hour, minute, second, UTC.
+    /// Days to date after Howard Hinnant, "chrono-compatible low-level date algorithms".
+    pub fn utc(self) -> ((u64, u64, u64), (u64, u64, u64)) {
+        let unix_s = self.0 / 1_000_000;
+        let (days, second) = (unix_s / 86_400, unix_s % 86_400);
+        let z = days + 719_468;
+        let (era, doe) = (z / 146_097, z % 146_097);
+        let yoe = (doe - doe / 1_460 + doe / 36_524 - doe / 146_096) / 365;
+        let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
+        let mp = (5 * doy + 2) / 153;
+        let day = doy - (153 * mp + 2) / 5 + 1;
+        let month = if mp < 10 { mp + 3 } else { mp - 9 };
+        let year = yoe + era * 400 + u64::from(month <= 2);
+        ((year, month, day), (second / 3600, second / 60 % 60, second % 60))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates() {
+        for (unix_s, date, time) in [
+            (0, (1970, 1, 1), (0, 0, 0)),
+            (951_782_399, (2000, 2, 28), (23, 59, 59)),
+            (951_782_400, (2000, 2, 29), (0, 0, 0)),
+            (1_795_262_400, (2026, 11, 21), (12, 0, 0)),
+        ] {
+            assert_eq!(WallTime(unix_s * 1_000_000).utc(), (date, time), "{unix_s} s");
+        }
+    }
 }

@@ -2,32 +2,31 @@
 //! same cases by scipy and slycot, and pushes by the thousand. Prints JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod headless;
-
 use std::hint::black_box;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command as Process, Stdio};
 use std::time::Instant;
 
-use headless::Headless;
 use nalgebra::DMatrix;
-use plumbline_agent::command::Command;
+use plumbline_agent::command::{Ack, Command};
 use plumbline_agent::control::Controller as _;
-use plumbline_agent::control::gains::{Examiner, Gain};
+use plumbline_agent::control::gains::{Certified, Examiner, Gain};
 use plumbline_agent::control::hinf::strategies::{ChannelWeights, controllers, whole_plant};
 use plumbline_agent::control::hinf::synthesis::optimal_gamma;
 use plumbline_agent::control::hinf::weights::{Generalised, mixed_sensitivity};
 use plumbline_agent::control::lqr_integral::Weights;
 use plumbline_agent::control::policy::MarginPolicy;
 use plumbline_agent::control::tuning::{Design, KINDS, kind_name};
-use plumbline_agent::estimate::Estimate;
+use plumbline_agent::estimate::{Estimate, Motion};
+use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::linalg::{care, dare};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::discretize::zero_order_hold;
 use plumbline_agent::model::linearize::hover;
 use plumbline_agent::types::{Loops, Setpoint};
 use plumbline_proto::ids::GainsRevision;
+use plumbline_support::headless::Headless;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::{Value, json};
@@ -120,7 +119,8 @@ fn main() {
         });
         line(&format!("certify_{}", kind_name(kind)), time / 1e3, "ms", None);
         let mut law = examiner.solve(&design).unwrap();
-        let estimate = Estimate { position_enu_m: nalgebra::Vector3::new(0.1, -0.2, 0.9), ..Estimate::default() };
+        let position_enu_m = nalgebra::Vector3::new(0.1, -0.2, 0.9);
+        let estimate = Estimate { motion: Some(Motion { position_enu_m, ..Motion::default() }), ..Estimate::default() };
         let setpoint = Setpoint { position_enu_m: nalgebra::Vector3::z(), ..Setpoint::default() };
         let loops = Loops { horizontal: true, altitude: true };
         // A thousand at a time: one is shorter than the clock is fine.
@@ -182,27 +182,39 @@ fn python(cases: &[Case], problem: &Generalised) {
     }
 }
 
-/// Ten thousand bad designs refused, a thousand good ones applied, one after the other in one flight.
-fn pushes() {
-    let mut flown = Headless::start("altitude_step");
-    flown.scenario.script.steps.retain(|step| step.at_s < 6.0);
-    let rate = flown.scenario.tick_rate_hz;
-    let tick = |flown: &mut Headless, ticks: usize| {
-        for _ in 0..ticks {
-            let sensed = flown.sense();
-            flown.fly(&sensed);
-        }
-    };
-    tick(&mut flown, (12.0 * rate) as usize);
-    let config = flown.flight.config().clone();
-    let examiner = Examiner::new(&config.airframe, 1.0 / rate, config.margins).unwrap();
-    let mut rng = Xoshiro256PlusPlus::seed_from_u64(11);
-    let good = config.design.weights;
-    let k: [Gain; 2] = flown.flight.gains_in_use().law.gains().map(|[k, attitude]| [*k, *attitude]).unwrap();
-    let before = flown.flight.gains_in_use().sha256;
-    let mut applied = 0;
-    for n in 0..BAD {
-        let mut design = Design::from_weights(good);
+/// A flight in altitude hold, and what new gains for it are made of.
+struct Pushed {
+    flown: Headless,
+    config: FlightConfig,
+    examiner: Examiner,
+    rng: Xoshiro256PlusPlus,
+    /// Good pushes that were not to be, by the policy: for their change, for their margins.
+    refused: u32,
+    uncertified: u32,
+}
+
+impl Pushed {
+    fn start() -> Self {
+        let mut flown = Headless::start("altitude_step");
+        flown.scenario.script.steps.retain(|step| step.at_s < 6.0);
+        let rate = flown.scenario.tick_rate_hz;
+        fly(&mut flown, (12.0 * rate) as usize);
+        let config = flown.flight.config().clone();
+        let examiner = Examiner::new(&config.airframe, 1.0 / rate, config.margins).unwrap();
+        let rng = Xoshiro256PlusPlus::seed_from_u64(11);
+        Self { flown, config, examiner, rng, refused: 0, uncertified: 0 }
+    }
+
+    fn push(&mut self, gains: Certified) -> Ack {
+        let now = self.flown.flight.report().sensed.time;
+        self.flown.flight.apply(&Command::UseGains(gains), now)
+    }
+
+    /// A design that must not be flown, of one of five sorts.
+    fn bad_design(&mut self, n: u32) -> Design {
+        let k: [Gain; 2] = self.flown.flight.gains_in_use().law.gains().map(|[k, attitude]| [*k, *attitude]).unwrap();
+        let rng = &mut self.rng;
+        let mut design = Design::from_weights(self.config.design.weights);
         match n % 5 {
             // Malformed weights.
             0 => {
@@ -241,65 +253,94 @@ fn pushes() {
                 design.weights.state = design.weights.state.map(|w| (w / eager).min(1e12));
             }
         }
-        if let Ok(gains) = examiner.certify(&design, GainsRevision(n + 1)) {
-            let now = flown.flight.report().sensed.time;
-            applied += u32::from(flown.flight.apply(&Command::UseGains(gains), now).accepted);
+        design
+    }
+
+    /// Certified gains no further from those in use than the policy allows while armed. Weights four times more or less
+    /// each give a K up to sixteen times the one before: those few are refused, and drawn again, as are those whose
+    /// margins the policy does not admit.
+    fn good_gains(&mut self, revision: u32) -> Certified {
+        loop {
+            let mut design = Design::from_weights(self.config.design.weights);
+            let mut spread = || 4.0_f64.powf(self.rng.random_range(-1.0..1.0));
+            design.weights.state = design.weights.state.map(|w| w * spread());
+            design.weights.input = design.weights.input.map(|w| w * spread());
+            let gains = match self.examiner.certify(&design, GainsRevision(revision)) {
+                Ok(gains) => gains,
+                Err(error) => {
+                    self.uncertified += 1;
+                    assert!(self.uncertified <= GOOD, "more designs refused than certified: {error}");
+                    continue;
+                }
+            };
+            let (_, change) = gains.change_from(self.flown.flight.gains_in_use()).unwrap();
+            if change <= self.config.margins.change_max {
+                return gains;
+            }
+            let ack = self.push(gains);
+            assert!(!ack.accepted && ack.reason.contains("change"), "{change}: {}", ack.reason);
+            self.refused += 1;
+        }
+    }
+}
+
+fn fly(flown: &mut Headless, ticks: usize) {
+    for _ in 0..ticks {
+        let sensed = flown.sense();
+        flown.fly(&sensed);
+    }
+}
+
+/// Ten thousand bad designs refused, a thousand good ones applied, one after the other in one flight.
+fn pushes() {
+    let mut pushed = Pushed::start();
+    bad_pushes(&mut pushed);
+    good_pushes(&mut pushed);
+}
+
+fn bad_pushes(pushed: &mut Pushed) {
+    let before = pushed.flown.flight.gains_in_use().sha256;
+    let mut applied = 0;
+    for n in 0..BAD {
+        let design = pushed.bad_design(n);
+        if let Ok(gains) = pushed.examiner.certify(&design, GainsRevision(n + 1)) {
+            applied += u32::from(pushed.push(gains).accepted);
         }
         if n % 20 == 0 {
-            tick(&mut flown, 1);
+            fly(&mut pushed.flown, 1);
         }
     }
     line("bad_pushes", f64::from(BAD), "pushes", None);
     line("bad_pushes_applied", f64::from(applied), "pushes", Some(0.0));
-    assert_eq!(before, flown.flight.gains_in_use().sha256, "a refused push changed the gains");
+    assert_eq!(before, pushed.flown.flight.gains_in_use().sha256, "a refused push changed the gains");
+}
 
-    // Good: certified by itself, and no further from the K in use than the policy allows while armed. Weights four
-    // times more or less each give a K up to sixteen times the one before: those few are refused, and drawn again, as
-    // are those whose margins the policy does not admit.
-    let (mut applied, mut refused, mut uncertified, mut worst, mut lost) = (0, 0, 0, 0.0_f64, 0);
+fn good_pushes(pushed: &mut Pushed) {
+    let rate = pushed.flown.scenario.tick_rate_hz;
+    let (mut applied, mut worst, mut lost) = (0, 0.0_f64, 0);
     let (mut least_up, mut least_phase, mut peak) = (f64::INFINITY, f64::INFINITY, 0.0_f64);
     for n in 0..GOOD {
-        let gains = loop {
-            let mut design = Design::from_weights(good);
-            let mut spread = || 4.0_f64.powf(rng.random_range(-1.0..1.0));
-            design.weights.state = design.weights.state.map(|w| w * spread());
-            design.weights.input = design.weights.input.map(|w| w * spread());
-            let gains = match examiner.certify(&design, GainsRevision(BAD + n + 1)) {
-                Ok(gains) => gains,
-                Err(error) => {
-                    uncertified += 1;
-                    assert!(uncertified <= GOOD, "more designs refused than certified: {error}");
-                    continue;
-                }
-            };
-            let (_, change) = gains.change_from(flown.flight.gains_in_use()).unwrap();
-            if change <= config.margins.change_max {
-                break gains;
-            }
-            let now = flown.flight.report().sensed.time;
-            let ack = flown.flight.apply(&Command::UseGains(gains), now);
-            assert!(!ack.accepted && ack.reason.contains("change"), "{change}: {}", ack.reason);
-            refused += 1;
-        };
+        let gains = pushed.good_gains(BAD + n + 1);
         for found in &gains.margins.loops {
             least_up = least_up.min(found.gain_up);
             least_phase = least_phase.min(found.phase_rad.to_degrees());
             peak = peak.max(found.peak_sensitivity);
         }
-        let thrust_n = flown.flight.report().given.thrust_n;
-        let now = flown.flight.report().sensed.time;
-        applied += u32::from(flown.flight.apply(&Command::UseGains(gains), now).accepted);
-        tick(&mut flown, 1);
-        worst = worst.max((flown.flight.report().given.thrust_n - thrust_n).abs() / config.airframe.weight_n());
-        tick(&mut flown, (0.1 * rate) as usize);
-        let z = flown.truth().position_enu_m.z;
-        lost += u32::from(!z.is_finite() || (z - 0.5).abs() > 0.3 || !flown.flight.report().armed);
+        let thrust_n = pushed.flown.flight.report().given.thrust_n;
+        applied += u32::from(pushed.push(gains).accepted);
+        fly(&mut pushed.flown, 1);
+        let jump_n = (pushed.flown.flight.report().given.thrust_n - thrust_n).abs();
+        worst = worst.max(jump_n / pushed.config.airframe.weight_n());
+        fly(&mut pushed.flown, (0.1 * rate) as usize);
+        let z = pushed.flown.truth().position_enu_m.z;
+        lost += u32::from(!z.is_finite() || (z - 0.5).abs() > 0.3 || !pushed.flown.flight.report().armed);
     }
-    line("good_pushes_least_gain_margin", least_up, "1", Some(config.margins.gain_up_min));
-    line("good_pushes_least_phase_margin", least_phase, "deg", Some(config.margins.phase_min_rad.to_degrees()));
-    line("good_pushes_largest_sensitivity", peak, "1", Some(config.margins.sensitivity_max));
-    line("designs_refused_for_their_margins", f64::from(uncertified), "designs", None);
-    line("pushes_refused_for_their_change", f64::from(refused), "pushes", None);
+    let margins = pushed.config.margins;
+    line("good_pushes_least_gain_margin", least_up, "1", Some(margins.gain_up_min));
+    line("good_pushes_least_phase_margin", least_phase, "deg", Some(margins.phase_min_rad.to_degrees()));
+    line("good_pushes_largest_sensitivity", peak, "1", Some(margins.sensitivity_max));
+    line("designs_refused_for_their_margins", f64::from(pushed.uncertified), "designs", None);
+    line("pushes_refused_for_their_change", f64::from(pushed.refused), "pushes", None);
     line("good_pushes_applied", f64::from(applied), "pushes", Some(f64::from(GOOD)));
     line("good_pushes_largest_bump", 100.0 * worst, "% of the weight", Some(100.0 * BUMP));
     line("good_pushes_that_lost_the_altitude", f64::from(lost), "pushes", Some(0.0));

@@ -4,16 +4,13 @@
 //! time minus the sample's flight time: one machine, one clock. Prints JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../tests/support/mod.rs"]
-mod support;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use plumbline_proto::{Kind, v1};
+use plumbline_support::system::{Live, PATIENCE, Rig, scenario};
 use serde_json::json;
-use support::{Live, PATIENCE, Rig, scenario};
 
 const VIEWERS: usize = 20;
 const SPAN: Duration = Duration::from_secs(15);
@@ -32,7 +29,7 @@ fn main() {
             let (mut live, ended) = (rig.live(), ended.clone());
             std::thread::spawn(move || {
                 while !ended.load(Ordering::Relaxed) {
-                    live.next();
+                    live.frame();
                 }
             })
         })
@@ -74,7 +71,7 @@ fn measure(live: &mut Live, boot_wall_time_us: u64) -> Ages {
     let mut ages = Vec::new();
     let mut sequences = Vec::new();
     while begun.elapsed() < SPAN {
-        let frame = live.next();
+        let frame = live.frame();
         if frame.sequence > 0 {
             sequences.push(frame.sequence);
         }

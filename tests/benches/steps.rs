@@ -3,9 +3,7 @@
 //! The step meter's figures come from the estimate; beside each stands the same figure from the simulator's truth.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod headless;
-
-use headless::{Headless, paternain};
+use plumbline_support::headless::{Headless, paternain};
 use serde_json::json;
 
 fn main() {

@@ -2,14 +2,14 @@
 //! whole simulated flight runs on one core. Prints JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../agent/tests/counting/mod.rs"]
-mod counting;
-mod headless;
-
 use std::time::Instant;
 
-use headless::Headless;
+use plumbline_support::counting::{self, Counting};
+use plumbline_support::headless::Headless;
 use serde_json::json;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 const TICK_LIMIT_US: f64 = 100.0;
 const SPEED_LIMIT: f64 = 200.0;

@@ -82,10 +82,13 @@ await step(page, 'an admin makes accounts, changes their roles and removes them'
   await form.getByLabel('Password').fill(PASSWORD);
   await form.getByRole('button', { name: 'Add account' }).click();
   await people.getByLabel('Role of bob').selectOption('viewer');
-  await page.getByText('bob is viewer now').first().waitFor();
+  // Said beside the form; a notice would lie over it.
+  await people.getByText('bob is viewer now').waitFor();
+  assert((await page.locator('.notice').count()) === 0, 'a notice lies over the form');
   await page.screenshot({ path: `${screenshots}/people.png` });
   const remove = people.getByRole('row', { name: /^bob/ }).getByRole('button', { name: 'Remove' });
   const box = await remove.boundingBox();
+  assert(box.width < 180, `Remove is ${box.width} px wide`);
   await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
   await page.mouse.down();
   await until('bob to be gone', async () => (await people.getByLabel('Role of bob').count()) === 0);

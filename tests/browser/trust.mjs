@@ -219,10 +219,17 @@ await step(page, 'a draft of attacks is neither impossible nor lost', async () =
   assert((await form.getByLabel('channel').locator('option').allTextContents()).includes('all channels'), 'freeze covers all');
   await form.getByLabel('kind').selectOption({ label: 'bias' });
   await form.getByLabel('channel').selectOption({ label: 'gyro x' });
-  // Above what the vehicle allows: refused there, kept here.
+  // Above what the vehicle says it allows: refused beside the form, and no draft.
+  const items = region('Attacks').getByRole('listitem');
+  const before = await items.count();
   await form.getByLabel(/^magnitude/).fill('99.5');
   await form.getByRole('button', { name: 'Add' }).click();
-  const items = region('Attacks').getByRole('listitem');
+  await form.getByText("magnitude: 99.5 rad/s beyond the vehicle's limit 5 rad/s").waitFor();
+  assert((await items.count()) === before, 'it became a draft all the same');
+  // Later than the vehicle takes, which it does not say: refused there, kept here.
+  await form.getByLabel(/^magnitude/).fill('0.5');
+  await form.getByLabel(/^start/).fill('700');
+  await form.getByRole('button', { name: 'Add' }).click();
   await until('the draft', async () => (await items.count()) === 1);
   await button('Schedule 1 attack').click();
   await page.getByText(/Attack schedule refused/).first().waitFor();
@@ -333,6 +340,62 @@ await step(page, 'the simulator gives a new battery, and makes a cut vehicle rea
   await arm();
   await hold(button('Disarm (hold)'));
   await until('disarmed', () => !vehicle.armed);
+});
+
+await step(page, 'the operator has a name: kept, seen by others, and control does not go along', async () => {
+  const guest = await context.newPage();
+  await guest.addInitScript(() => sessionStorage.setItem('plumbline.operator', 'Berta 0b0b'));
+  await guest.goto(url);
+  const other = on(guest);
+  await until('control', async () => /you control/.test(await bar.textContent()));
+  await go('Setup');
+  const field = page.getByLabel('Your name, as other operators see it');
+  const rename = async (name) => {
+    await field.fill(name);
+    await page.keyboard.press('Tab');
+  };
+  const seen = async () => /others see “(.*) ([0-9a-f]{4})”/.exec(await region('Page').textContent())?.slice(1);
+  const [, tab] = await until('the name that others see', seen);
+  // Only what a header may carry.
+  await rename('  Carla \u00d6 ');
+  await until('Carla', async () => (await seen())?.join() === `Carla,${tab}`);
+  await until('control given up', async () => /nobody controls/.test(await other.bar.textContent()));
+  await bar.getByRole('button', { name: /Take control/ }).click();
+  await until('the name in the other page', async () => (await other.bar.textContent()).includes(`Carla ${tab}`));
+  await page.reload();
+  await until('the same name after a reload', async () => (await seen())?.join() === `Carla,${tab}`);
+  await until('control still', async () => /you control/.test(await bar.textContent()));
+  await rename('');
+  await until('no name', async () => (await seen())?.join() === `Operator,${tab}`);
+  await guest.close();
+  await go('Fly');
+});
+
+await step(page, 'the banner says what is missing, and goes by itself', async () => {
+  const alone = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
+  const viewer = await alone.newPage();
+  let [ground, vehicles] = [true, () => []];
+  await viewer.route('**/api/ground', (route) => (ground ? route.continue() : route.abort()));
+  await viewer.route('**/api/vehicles', async (route) => {
+    // A request that the end of this step cuts off is no failure.
+    const answer = await route.fetch().then((real) => real.json()).catch(() => undefined);
+    if (answer) await route.fulfill({ json: vehicles(answer) }).catch(() => {});
+  });
+  const banner = viewer.locator('.banner');
+  const says = (what) => until(what, async () => (await banner.count()) === 1 && (await banner.textContent()).includes(what));
+  const gone = () => until('no banner', async () => (await banner.count()) === 0);
+  await viewer.goto(url);
+  await says('No vehicle yet.');
+  vehicles = (all) => all.map((each) => ({ ...each, connected: false }));
+  await says('iris-1 is not connected.');
+  vehicles = (all) => all;
+  await gone();
+  ground = false;
+  await says('No ground station.');
+  await viewer.screenshot({ path: `${screenshots}/trust-banner-light-1280x720.png` });
+  ground = true;
+  await gone();
+  await alone.close();
 });
 
 await step(page, 'no complaint in the console', async () => {

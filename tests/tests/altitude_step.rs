@@ -1,11 +1,9 @@
 //! The everyday use: a hanging-string test with altitude steps, through the real programs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use plumbline_proto::{Kind, v1};
+use plumbline_support::system::{PATIENCE, Rig, scenario};
 use serde_json::json;
-use support::{Rig, scenario};
 
 /// "Must reach" of the main job: 0.5 → 1.0 m on the strings.
 const SETTLING_LIMIT_S: f64 = 4.0;
@@ -22,7 +20,7 @@ fn an_altitude_step_on_the_strings_settles_as_promised() {
     let mut live = rig.live();
     rig.fly_to(0.5);
     live.step_response(0.5);
-    live.until(support::PATIENCE, "steady 0.5 m", |frame| {
+    live.until(PATIENCE, "steady 0.5 m", |frame| {
         let truth: v1::Truth = frame.message(Kind::Truth)?;
         ((truth.position_enu_m?.z - 0.5).abs() < HOLDING_M && truth.velocity_enu_mps?.z.abs() < HOLDING_M).then_some(())
     });
@@ -37,9 +35,22 @@ fn an_altitude_step_on_the_strings_settles_as_promised() {
     assert!(step.steady_error_m.is_some_and(|error| error.abs() < BAND_M), "{step:?}");
     assert_eq!(step.band_m, BAND_M);
     // AND what the meter says is what the truth did
-    let truth = live.until(support::PATIENCE, "truth", |frame| frame.message::<v1::Truth>(Kind::Truth));
+    let truth = live.until(PATIENCE, "truth", |frame| frame.message::<v1::Truth>(Kind::Truth));
     let altitude = truth.position_enu_m.unwrap().z;
     assert!((altitude - 1.0).abs() < 2.0 * BAND_M, "true altitude {altitude} m");
+    // AND what was asked on a picture of seconds ago is refused, whatever held it up
+    let asked_on = |time_us: u64| {
+        let body = json!({ "altitude_m": 0.7 }).to_string();
+        let seen = [("X-Plumbline-Seen", &*time_us.to_string())];
+        rig.api().request("POST", &rig.system().vehicle("setpoint"), Some(body.as_bytes()), &seen).unwrap()
+    };
+    let seen_us = live.status("a status", |status| status.armed).time_us;
+    let stale = asked_on(seen_us - 3_000_000);
+    assert!(stale.status == 409 && stale.text().contains("picture 3."), "{} {}", stale.status, stale.text());
+    let rebooted = asked_on(seen_us + 60_000_000);
+    assert!(rebooted.status == 409 && rebooted.text().contains("before the agent's start"), "{}", rebooted.text());
+    let newest_us = rig.live().status("a new status", |status| status.time_us > seen_us).time_us;
+    assert_eq!(asked_on(newest_us).status, 200);
     rig.disarm();
     live.status("disarmed status", |status| !status.armed);
     rig.stop();

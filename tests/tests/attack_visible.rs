@@ -1,18 +1,16 @@
 //! Inject an attack, watch which sensor is attacked, abort it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use std::time::Duration;
 
 use plumbline_proto::{Kind, v1};
+use plumbline_support::system::{Live, OwnedFrame, Rig, scenario};
 use serde_json::json;
-use support::{Rig, scenario};
 
 const SECONDS_20: Duration = Duration::from_secs(20);
 
 /// Largest |innovation| / gate of each height sensor in this frame, if it holds any, for the estimator in the loop.
-fn height_ratio(frame: &support::OwnedFrame, instance: u32) -> Option<f64> {
+fn height_ratio(frame: &OwnedFrame, instance: u32) -> Option<f64> {
     let residuals: v1::Residuals = frame.message(Kind::Residuals)?;
     let mine = residuals.residuals.iter();
     mine.filter(|r| r.sensor() == v1::SensorKind::Height && r.instance == instance).map(|r| r.ratio).reduce(f64::max)
@@ -30,7 +28,7 @@ fn an_attack_is_accepted_seen_active_crosses_its_gate_and_is_aborted() {
         "start_s": 1.0, "duration_s": 10.0, "magnitude": 0.5, "seed": 1 });
     rig.command("PUT", "attacks", json!({ "attacks": [attack] }));
     // THEN it is accepted first, and seen active only once a sample was altered
-    let phase = |frame: &support::OwnedFrame, wanted: v1::AttackPhase| {
+    let phase = |frame: &OwnedFrame, wanted: v1::AttackPhase| {
         let state: v1::AttackState = frame.message(Kind::Attacks)?;
         let progress = state.attacks.first()?;
         (progress.phase() == wanted).then_some(*progress)
@@ -53,7 +51,7 @@ fn an_attack_is_accepted_seen_active_crosses_its_gate_and_is_aborted() {
     healthy.sort_by(f64::total_cmp);
     assert!(healthy[healthy.len() / 2] < 0.8, "the healthy sensors are rejected: {healthy:?}");
     // AND sensed and received samples differ by the bias, only on that sensor
-    let sample = |live: &mut support::Live, instance: u16| {
+    let sample = |live: &mut Live, instance: u16| {
         live.until(SECONDS_20, "height sample", |frame| {
             (frame.instance == instance).then(|| frame.message::<v1::HeightSample>(Kind::Height)).flatten()
         })

@@ -1,16 +1,14 @@
 //! What cannot work says so at once, with the offending value, and disturbs nobody.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use std::io::{BufRead as _, BufReader, PipeReader, Write as _};
 use std::os::fd::AsRawFd as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use plumbline_support::system::{PATIENCE, Rig, options, scenario};
 use plumbline_tests::harness::{Agent, Api, Process, Vehicle, wait_until};
-use support::{PATIENCE, Rig, options, scenario};
 
 /// Runs a program that must end by itself with an error; what it said.
 fn refused(name: &str, command: Command) -> String {

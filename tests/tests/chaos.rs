@@ -1,12 +1,8 @@
 //! The fast part of `cargo xtask chaos kill`: a few kills, each file whole afterwards.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../campaigns/chaos/files.rs"]
-mod files;
-#[path = "../campaigns/chaos/kill.rs"]
-mod kill;
-mod support;
-
+use plumbline_support::kill;
+use plumbline_support::system::{free_port, options};
 use plumbline_tests::harness::SystemOptions;
 
 /// The promise, here as in the campaign.
@@ -16,7 +12,7 @@ const TAIL_MAX_MS: f64 = 250.0;
 fn a_kill_costs_no_more_than_the_last_flush() {
     // GIVEN a flight WHEN ground or agent is killed, four times
     let folder = tempfile::tempdir().unwrap();
-    let options = SystemOptions { port: support::free_port(), ..support::options(folder.path()) };
+    let options = SystemOptions { port: free_port(), ..options(folder.path()) };
     let tally = kill::run(&options, 4, 7);
     // THEN files, index and the third-party reader agree, and what was flushed is there
     assert!(tally.faults.is_empty(), "{:#?}", tally.faults);

@@ -90,10 +90,13 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-core"), names(&["proto"]), "what computes knows the contract only");
     assert_eq!(knows("plumbline-link"), names(&["proto"]), "the radio knows no vehicle");
     assert_eq!(knows("plumbline-sim"), names(&["core", "proto"]));
-    assert_eq!(knows("plumbline-agent"), names(&["core", "link", "proto", "sim"]));
+    assert_eq!(knows("plumbline-file"), names(&[]), "the format of a flight file knows no vehicle");
+    assert_eq!(knows("plumbline-analysis"), names(&["core", "file", "proto", "rest"]), "no flight thread, no socket");
+    assert_eq!(knows("plumbline-agent"), names(&["analysis", "core", "file", "link", "proto", "rest", "sim"]));
     assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
     assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
-    assert_eq!(knows("plumbline-ground"), names(&["agent", "link", "proto", "rest"]));
+    let ground = names(&["analysis", "core", "file", "link", "proto", "rest"]);
+    assert_eq!(knows("plumbline-ground"), ground, "the ground is built without the vehicle");
 }
 
 #[test]
@@ -174,7 +177,14 @@ fn own_types_of_the_agent_are_no_wire_types() {
 
 #[test]
 fn the_lints_against_panics_stay_on_in_library_code() {
-    for folder in MEMBERS.into_iter().chain(["agent/core", "agent/link", "agent/sim"]) {
+    for folder in MEMBERS.into_iter().chain([
+        "agent/analysis",
+        "agent/core",
+        "agent/link",
+        "agent/sim",
+        "proto/file",
+        "proto/rest",
+    ]) {
         let manifest = std::fs::read_to_string(root().join(folder).join("Cargo.toml")).unwrap();
         assert!(
             manifest.contains("[lints]\nworkspace = true"),
@@ -187,11 +197,14 @@ fn the_lints_against_panics_stay_on_in_library_code() {
         let mut off = Vec::new();
         for file in rust_files(&[
             "agent/src",
+            "agent/analysis/src",
             "agent/core/src",
             "agent/link/src",
             "agent/sim/src",
             "ground/src",
             "proto/src",
+            "proto/file/src",
+            "proto/rest/src",
             "web/src",
             "tests/src",
         ]) {

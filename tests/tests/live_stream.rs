@@ -1,16 +1,14 @@
 //! Viewers: what they are told first, that they miss nothing, and that a stalled one is alone with it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use plumbline_proto::{Kind, v1};
+use plumbline_support::system::{Live, PATIENCE, Rig, scenario};
 use serde_json::json;
-use support::{Live, PATIENCE, Rig, scenario};
 
 #[test]
 fn a_viewer_learns_everything_in_its_first_two_seconds() {
@@ -32,7 +30,7 @@ fn a_viewer_learns_everything_in_its_first_two_seconds() {
         Kind::Recording,
     ]);
     while !waiting.is_empty() {
-        let frame = live.next();
+        let frame = live.frame();
         waiting.retain(|kind| !frame.is(*kind));
         assert!(opened.elapsed() < Duration::from_secs(2), "still nothing of {waiting:?}");
     }
@@ -45,7 +43,7 @@ fn sequences(live: &mut Live, span: Duration) -> Vec<u64> {
     let begin = Instant::now();
     let mut seen = Vec::new();
     while begin.elapsed() < span {
-        let frame = live.next();
+        let frame = live.frame();
         if frame.sequence > 0 {
             seen.push(frame.sequence);
         }

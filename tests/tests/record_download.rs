@@ -1,27 +1,9 @@
 //! Recording is on by default; what is downloaded is what was promised, whoever reads it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::process::Command;
-
+use plumbline_support::files;
+use plumbline_support::system::{Rig, options, promised_counts, scenario};
 use serde_json::{Value, json};
-use support::{Rig, mcap_counts, promised_counts, scenario};
-
-/// Topic → messages, as the third-party Python reader counts them.
-fn python_counts(file: &std::path::Path) -> Option<BTreeMap<String, u64>> {
-    let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
-    if !Command::new(&python).args(["-c", "import mcap.reader"]).output().is_ok_and(|ran| ran.status.success()) {
-        println!("skipped: no Python with the mcap package; `cargo xtask test` provides one");
-        return None;
-    }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("browser/count.py");
-    let ran = Command::new(python).arg(script).arg(file).output().unwrap();
-    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
-    Some(serde_json::from_slice::<BTreeMap<String, u64>>(&ran.stdout).unwrap())
-}
 
 #[test]
 fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
@@ -49,11 +31,11 @@ fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
     let file = rig.api().get(&route("/mcap")).unwrap();
     assert_eq!(file.status, 200);
     assert!(file.header("content-disposition").is_some_and(|value| value.contains(".mcap")), "{:?}", file.headers);
-    assert_eq!(mcap_counts(&file.body), promised);
+    assert_eq!(files::counts(&file.body), promised);
     let path = rig.folder.path().join("downloaded.mcap");
     std::fs::write(&path, &file.body).unwrap();
-    if let Some(counted) = python_counts(&path) {
-        assert_eq!(counted, promised);
+    if let Some(python) = files::python() {
+        assert_eq!(files::counts_by(&python, &path).unwrap(), promised);
     }
     // AND every message of one topic is a row of its CSV; the wide one has a row per control tick, thinned to 100 Hz
     let rows = |part: &str| {
@@ -113,8 +95,7 @@ fn flights_outlive_the_ground() {
     let flight = rig.finished_flight();
     let folder = rig.stop();
     // WHEN they are started again on the same folder
-    let system =
-        plumbline_tests::harness::System::start(&support::options(folder.path()), &scenario("altitude_step")).unwrap();
+    let system = plumbline_tests::harness::System::start(&options(folder.path()), &scenario("altitude_step")).unwrap();
     // THEN the flight is still there, the same
     let listed = system.api().get_json("/api/flights").unwrap();
     assert_eq!(listed["flights"][0]["id"], flight["id"]);

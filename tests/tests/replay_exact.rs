@@ -1,15 +1,13 @@
 //! A flight file flown again goes through the same pipeline: the same every time, and as it was.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 use plumbline_proto::{Kind, Message, v1};
+use plumbline_support::system::{Live, Rig, scenario};
 use plumbline_tests::harness::Vehicle;
-use support::{Live, Rig, scenario};
 
 /// The replay's estimator starts in mid-flight without knowing anything; after this it must know as much as it did then.
 const CONVERGENCE_S: f64 = 6.0;

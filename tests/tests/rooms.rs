@@ -14,7 +14,7 @@ use source::{code, root, rust_files};
 
 /// Crates and their rooms, the lowest first: each room may use those before it, and no other. A crate without rooms
 /// is one itself.
-const CRATES: [(&str, &str, &[&str]); 4] = [
+const CRATES: [(&str, &str, &[&str]); 5] = [
     (
         "plumbline-core",
         "agent/core/src",
@@ -38,11 +38,8 @@ const CRATES: [(&str, &str, &[&str]); 4] = [
     ),
     ("plumbline-sim", "agent/sim/src", &[]),
     ("plumbline-link", "agent/link/src", &[]),
-    (
-        "plumbline-agent",
-        "agent/src",
-        &["link", "log", "telemetry", "recordings", "config", "design", "offline", "runner", "cli"],
-    ),
+    ("plumbline-analysis", "agent/analysis/src", &["recordings", "design", "offline"]),
+    ("plumbline-agent", "agent/src", &["link", "log", "telemetry", "config", "runner", "cli"]),
 ];
 const PICTURE: &str = "docs/rooms.svg";
 
@@ -88,9 +85,10 @@ fn named(own: &'static str, depth: usize, file: &Path) -> BTreeSet<Room> {
     let text: String = code(file).into_iter().map(|(_, line)| line + "\n").collect();
     let mut found = BTreeSet::new();
     let mut add = |name: &'static str, head: &str| {
-        // The agent re-exports the rooms of the core, and the simulator.
+        // The agent re-exports the rooms of the core and of the analysis, and the simulator.
         let known = order().into_iter().rev().find(|(of, room)| {
-            let here = *of == name || (name == "plumbline-agent" && *of == "plumbline-core");
+            let exported = ["plumbline-core", "plumbline-analysis"].contains(of);
+            let here = *of == name || (name == "plumbline-agent" && exported);
             here && (*room == head || room.is_empty())
         });
         let simulator = (name == "plumbline-agent" && head == "sim").then_some(("plumbline-sim", ""));
@@ -185,6 +183,7 @@ fn picture() -> String {
         "plumbline-core" => "#2f6f4f",
         "plumbline-sim" => "#8a5a00",
         "plumbline-link" => "#5b3f8c",
+        "plumbline-analysis" => "#8c2f39",
         _ => "#1f5f8b",
     };
     let height = 40 + ROW * order.len();

@@ -2,15 +2,13 @@
 //! either side. Whoever is trusted no more is refused and counted; the vehicle flies on and comes back by itself.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod support;
-
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use plumbline_support::system::{Live, PATIENCE, free_port, options, scenario};
 use plumbline_tests::harness::{Agent, Ground, Process, SystemOptions, wait_until};
 use serde_json::{Value, json};
-use support::{Live, PATIENCE, options, scenario};
 
 /// Revoked connections end within a second; and what a machine that compiles beside us adds to it.
 const REVOKED_WITHIN: Duration = Duration::from_secs(3);
@@ -60,7 +58,7 @@ fn former(folder: &Path, to: &Path) {
 #[test]
 fn trust_is_revoked_renewed_and_rotated_in_flight() {
     let folder = tempfile::tempdir().unwrap();
-    let options = SystemOptions { port: support::free_port(), ..options(folder.path()) };
+    let options = SystemOptions { port: free_port(), ..options(folder.path()) };
     let ground_program = options.binaries.ground.clone();
     let agent_program = options.binaries.agent.clone();
     let mut ground = Ground::start(&options).unwrap();

@@ -254,9 +254,9 @@ mod tests {
         app.update(&mut live, Event::Choose("a".into()));
         let first = app.update(&mut live, Event::SocketOpened);
         assert_eq!(first, [Effect::FetchHistory("a".into(), HISTORY_S)]);
-        let then = app.update(&mut live, Event::History("a".into(), HISTORY_S, Box::new(Live::past())));
+        let then = app.update(&mut live, Event::History("a".into(), HISTORY_S, Box::new(Live::past(0))));
         assert_eq!(then, [Effect::FetchHistory("a".into(), MOST_HISTORY_S)]);
-        assert!(app.update(&mut live, Event::History("a".into(), MOST_HISTORY_S, Box::new(Live::past()))).is_empty());
+        assert!(app.update(&mut live, Event::History("a".into(), MOST_HISTORY_S, Box::new(Live::past(0)))).is_empty());
         app.update(&mut live, Event::SocketClosed);
         app.update(&mut live, Event::Vehicles(Ok(vec![vehicle("b", true)])));
         assert_eq!(app.vehicle.as_deref(), Some("b"));

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::{
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
-    event::{Effect, Event, Failure, Tone},
+    event::{Effect, Event, Tone},
     model::{draft::Draft, live::Live, route::Route, topic::Topic},
     net, store,
 };
@@ -56,7 +56,8 @@ pub struct Hint {
     pub y: f64,
 }
 
-/// See the module documentation.
+/// See the module documentation. Over fifteen fields: each is the handle of something that panels read and follow by
+/// itself; in groups, every use of one would only be longer.
 #[derive(Clone, Copy)]
 pub struct Ctx {
     /// Ground, vehicles, socket, notices.
@@ -190,11 +191,13 @@ impl Ctx {
     /// Asks for the past of vehicle `id` and reads it in pieces: what arrives meanwhile is shown meanwhile.
     async fn history(self, id: String, seconds: f64) {
         net::pause(HISTORY_AFTER_MS).await;
+        // The newest state, its boot included, is here by now.
+        let boot = self.live.with_value(Live::boot);
         let url = format!("/api/vehicles/{}/history?seconds={seconds:.0}", js_sys::encode_uri_component(&id));
         // Without it the charts begin now; the socket says when the ground is gone.
         let Ok(batch) = net::bytes(&url).await else { return };
         let Ok(mut frames) = codec::decode_batch(&batch) else { return };
-        let mut past = Box::new(Live::past());
+        let mut past = Box::new(Live::past(boot));
         loop {
             let begun = net::now_ms();
             while net::now_ms() - begun < PIECE_MS {
@@ -221,7 +224,7 @@ impl Ctx {
 
     /// Flight time now, µs; 0 before the first message.
     pub fn flight_now_us(self) -> f64 {
-        self.live.with_value(|live| live.clock.flight_now_us(net::now_ms()).unwrap_or(live.newest_us as f64))
+        self.live.with_value(|live| live.clock.now_us(net::now_ms()))
     }
 
     /// How old what is shown is, s; runs again ten times a second.
@@ -309,13 +312,17 @@ impl Ctx {
         };
         let id = String::from(js_sys::encode_uri_component(&vehicle));
         let url = format!("/api/vehicles/{id}/{action}");
-        let operator = self.operator.get_untracked();
+        let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
         leptos::task::spawn_local(async move {
-            let answer: Result<rest::Answer, Failure> =
-                net::json(method, &url, Some(body.to_string()), &operator).await;
+            let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
             then(answer.is_ok());
             self.dispatch(Event::Answered(what, answer));
         });
+    }
+
+    /// Flight time of the newest message shown, µs; zero before the first.
+    pub fn seen_us(self) -> u64 {
+        self.live.with_value(|live| live.clock.newest_us())
     }
 
     /// Cuts the motors. Needs no lease, no confirmation.
@@ -378,7 +385,7 @@ impl Ctx {
 
     /// Starts or stops a recording by hand.
     pub fn toggle_recording(self) {
-        let on = self.live.with_value(|live| live.recording.as_ref().is_some_and(|r| r.recording));
+        let on = self.live.with_value(|live| live.ground.recording.as_ref().is_some_and(|r| r.recording));
         let what = if on { "Stop recording" } else { "Start recording" };
         self.command(what, "POST", "recording", json!(rest::Recording { on: !on }));
     }

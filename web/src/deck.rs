@@ -77,7 +77,8 @@ pub enum Source {
     Recorded,
 }
 
-/// See the module documentation.
+/// See the module documentation. Over fifteen fields: each is a choice that a chart, a key or a card makes by itself, and
+/// holds no more than a handle; in groups, every use of one would only be longer.
 #[derive(Clone, Copy)]
 pub struct Deck {
     /// Live or recorded.
@@ -220,10 +221,7 @@ impl Deck {
     pub fn instrument(self) -> Instrument {
         self.tick.track();
         match self.source {
-            Source::Live => self.data.with_value(|live| {
-                let now = live.clock.flight_now_us(net::now_ms()).unwrap_or(live.newest_us as f64);
-                Instrument::newest(live, now)
-            }),
+            Source::Live => self.data.with_value(|live| Instrument::newest(live, live.clock.now_us(net::now_ms()))),
             Source::Recorded => {
                 let time = self.playhead.get();
                 self.data.with_value(|live| Instrument::at(live, time))

@@ -12,6 +12,8 @@ use crate::{
 
 /// Header that tells the ground which page sends a command.
 const OPERATOR: &str = "X-Plumbline-Operator";
+/// Header that tells the vehicle what its operator saw: flight time of the newest message shown, µs.
+const SEEN: &str = "X-Plumbline-Seen";
 
 /// The browser's monotonic clock, ms.
 pub fn now_ms() -> f64 {
@@ -27,7 +29,13 @@ fn unreachable_ground() -> Failure {
     Failure { status: 0, text: failure_text(0, "") }
 }
 
-async fn send(method: &str, url: &str, body: Option<String>, operator: &str) -> Result<Response, Failure> {
+async fn send(
+    method: &str,
+    url: &str,
+    body: Option<String>,
+    operator: &str,
+    seen_us: u64,
+) -> Result<Response, Failure> {
     let init = RequestInit::new();
     init.set_method(method);
     if let Some(body) = &body {
@@ -42,6 +50,9 @@ async fn send(method: &str, url: &str, body: Option<String>, operator: &str) -> 
     let operator = if operator.is_empty() && method != "GET" { "page" } else { operator };
     if !operator.is_empty() {
         headers.set(OPERATOR, operator).map_err(|_| unreachable_ground())?;
+    }
+    if seen_us > 0 {
+        headers.set(SEEN, &seen_us.to_string()).map_err(|_| unreachable_ground())?;
     }
     let window = web_sys::window().ok_or_else(unreachable_ground)?;
     let response = JsFuture::from(window.fetch_with_request(&request)).await.map_err(|_| unreachable_ground())?;
@@ -74,7 +85,24 @@ pub async fn json<T: DeserializeOwned>(
     body: Option<String>,
     operator: &str,
 ) -> Result<T, Failure> {
-    let response = send(method, url, body, operator).await?;
+    read(send(method, url, body, operator, 0).await?, url).await
+}
+
+/// A command to a vehicle, asked while the newest message shown was of flight time `seen_us` (0: none was).
+///
+/// # Errors
+/// [`Failure`] with the ground's own words, or the vehicle's.
+pub async fn command(
+    method: &str,
+    url: &str,
+    body: String,
+    operator: &str,
+    seen_us: u64,
+) -> Result<plumbline_rest::command::Answer, Failure> {
+    read(send(method, url, Some(body), operator, seen_us).await?, url).await
+}
+
+async fn read<T: DeserializeOwned>(response: Response, url: &str) -> Result<T, Failure> {
     let text = text(&response).await?;
     let text = if text.trim().is_empty() { "{}" } else { &text };
     serde_json::from_str(text)
@@ -86,7 +114,7 @@ pub async fn json<T: DeserializeOwned>(
 /// # Errors
 /// [`Failure`] with the ground's own words.
 pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
-    let response = send("GET", url, None, "").await?;
+    let response = send("GET", url, None, "", 0).await?;
     let promise = response.array_buffer().map_err(|_| unreachable_ground())?;
     let buffer = JsFuture::from(promise).await.map_err(|_| unreachable_ground())?;
     Ok(js_sys::Uint8Array::new(&buffer).to_vec())

@@ -125,4 +125,52 @@ mod tests {
             assert!(with_altitude[..i].iter().all(|other| estimator(*one, 1) != estimator(*other, 1)), "{one}");
         }
     }
+
+    /// Relative luminance of `#rrggbb` (WCAG 2).
+    fn luminance(hex: &str) -> f64 {
+        let channel = |at: usize| {
+            let c = f64::from(u8::from_str_radix(&hex[at..at + 2], 16).unwrap()) / 255.0;
+            if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+        };
+        0.2126 * channel(1) + 0.7152 * channel(3) + 0.0722 * channel(5)
+    }
+
+    #[test]
+    fn the_style_sheet_names_every_colour_and_words_stand_out_from_what_they_are_written_on() {
+        let style = include_str!("../style.css");
+        let (light, rest) = style.split_once("\n}\n").unwrap();
+        let (dark, rules) = rest.split_once("\n}\n").unwrap();
+        for literal in ["rgb(", "hsl(", "#"] {
+            assert!(!rules.contains(literal), "{literal} outside of the two themes: the dark one would not change it");
+        }
+        let of = |theme: &str, name: &str| {
+            let name = format!("--{name}: ");
+            theme.split_once(&name).map(|(_, value)| value[..7].to_owned())
+        };
+        let pairs = [
+            ("ink", "card"),
+            ("ink", "page"),
+            ("quiet", "card"),
+            ("quiet", "page"),
+            ("good", "card"),
+            ("warn", "card"),
+            ("bad", "card"),
+            ("ink", "warn-fill"),
+            ("ink", "bad-fill"),
+            ("pressed-ink", "pressed"),
+            ("cut-ink", "cut"),
+            ("armed-ink", "armed"),
+            ("attack-ink", "attack"),
+            ("rejected-ink", "rejected"),
+        ];
+        for (name, theme) in [("light", light), ("dark", dark)] {
+            // What the dark theme does not name is as in the light one.
+            let color = |part| of(theme, part).or_else(|| of(light, part)).unwrap();
+            for (ink, fill) in pairs {
+                let (a, b) = (luminance(&color(ink)), luminance(&color(fill)));
+                let contrast = (a.max(b) + 0.05) / (a.min(b) + 0.05);
+                assert!(contrast >= 4.5, "{name}: --{ink} on --{fill} has a contrast of {contrast:.2}");
+            }
+        }
+    }
 }

@@ -3,7 +3,10 @@
 use leptos::prelude::window;
 
 use crate::{
-    model::draft::{Draft, Row},
+    model::{
+        draft::{Draft, Row},
+        operator,
+    },
     net::Early,
 };
 
@@ -30,19 +33,11 @@ pub fn operator() -> String {
     session().and_then(|s| s.get_item(&key("operator")).ok().flatten()).or_else(Early::operator).unwrap_or_default()
 }
 
-/// The operator's name without what tells the tab.
-pub fn operator_name(operator: &str) -> &str {
-    operator.rsplit_once(' ').map_or(operator, |(name, _)| name)
-}
-
-/// Another name for the operator; answers this page's. The ground takes 64 printable ASCII characters.
+/// Another name for the operator; answers this page's.
 pub fn rename(name: &str) -> String {
-    let printable: String = name.trim().chars().filter(|c| c.is_ascii_graphic() || *c == ' ').take(40).collect();
-    let before = operator();
-    let tab = before.rsplit_once(' ').map_or("", |(_, tab)| tab);
-    let name = if printable.is_empty() { "Operator" } else { &printable };
-    let operator = format!("{name} {tab}");
-    set("name", name);
+    let name = operator::cleaned(name);
+    let operator = operator::renamed(&operator(), &name);
+    set("name", &name);
     if let Some(storage) = session() {
         // A forbidden storage costs the name after a reload, nothing else.
         let _ = storage.set_item(&key("operator"), &operator);

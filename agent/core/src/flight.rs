@@ -24,18 +24,18 @@ use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
 use crate::estimate::bank::{Bank, BankError, build};
 use crate::estimate::secure::Secure;
-use crate::estimate::{Estimate, Estimator};
+use crate::estimate::{Estimate, Estimator, Motion};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::frames::roll_pitch_yaw;
 use crate::mix::{Mixed, Mixer};
 use crate::sensor::SensorFrame;
 use crate::supervisor::{Monitor, Watchdog};
-use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, Wrench};
+use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, TICK_RATE_HZ, Wrench};
 
 use path::Path;
 use support::Support;
 
-pub use config::{FlightConfig, RigKind};
+pub use config::{AttackPolicy, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
 
 /// Why a flight cannot be set up.
@@ -159,7 +159,7 @@ impl Flight {
     /// # Errors
     /// [`FlightError`] naming what does not fit.
     pub fn with_estimators(config: FlightConfig, estimators: Vec<Box<dyn Estimator>>) -> Result<Self, FlightError> {
-        if !(50.0..=1000.0).contains(&config.tick_rate_hz) {
+        if !TICK_RATE_HZ.contains(&config.tick_rate_hz) {
             return Err(FlightError::TickRate(config.tick_rate_hz));
         }
         let examiner = Examiner::new(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)?;
@@ -170,7 +170,7 @@ impl Flight {
         let mut bank = Bank::new(estimators, config.in_loop)?;
         config.decoder.map_or(Ok(()), |decoder| bank.use_decoder(decoder))?;
         Ok(Self {
-            attacks: Injector::new(config.attack_bounds, config.attacks_enabled, &config.sensors)
+            attacks: Injector::new(config.attacks.bounds, config.attacks.enabled, &config.sensors)
                 .sparing(&config.independent),
             bank,
             support: Support::default(),
@@ -342,7 +342,7 @@ impl Flight {
     /// What else holds the vehicle up above its setpoint, N: it does not sink, however little is asked for. To land it
     /// must come to ask for little.
     fn support_n(&self) -> f64 {
-        let above = self.bank.in_loop().position_enu_m.z > self.guidance.profile.setpoint().position_enu_m.z;
+        let above = self.motion().position_enu_m.z > self.guidance.profile.setpoint().position_enu_m.z;
         let holding = matches!(self.mode, Mode::AltitudeHold | Mode::Hold);
         if above && holding { self.support.force_n() } else { 0.0 }
     }
@@ -385,7 +385,7 @@ impl Flight {
     fn write_report(&mut self, sensed: &SensorFrame, received: SensorFrame, wrench: Wrench, mixed: Mixed) {
         let now = sensed.time;
         let setpoint = *self.guidance.profile.setpoint();
-        let altitude_m = self.bank.in_loop().position_enu_m.z;
+        let altitude_m = self.motion().position_enu_m.z;
         let response = if self.phase == Phase::Flying && self.loops().altitude {
             self.guidance.meter.update(now, altitude_m, setpoint.position_enu_m.z)
         } else {
@@ -423,7 +423,7 @@ impl Flight {
             matches!(self.mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && self.supervision.blind_since.is_none();
         let horizontal = altitude
             && matches!(self.mode, Mode::Hold | Mode::Land)
-            && self.bank.in_loop().horizontal_known
+            && self.bank.in_loop().horizontal_known()
             && self.config.rig.can_lift();
         Loops { horizontal, altitude }
     }
@@ -434,12 +434,16 @@ impl Flight {
         self.guidance.profile.restart(self.here());
     }
 
+    /// Motion by the estimator in the loop.
+    fn motion(&self) -> Motion {
+        self.bank.in_loop().motion_or_rest()
+    }
+
     /// Where the vehicle is, level, as a setpoint.
     fn here(&self) -> Setpoint {
-        let estimate = self.bank.in_loop();
-        let yaw = roll_pitch_yaw(&estimate.world_from_body).z;
+        let yaw = roll_pitch_yaw(&self.bank.in_loop().world_from_body).z;
         Setpoint {
-            position_enu_m: estimate.position_enu_m,
+            position_enu_m: self.motion().position_enu_m,
             roll_pitch_yaw_rad: nalgebra::Vector3::new(0.0, 0.0, yaw),
             throttle: self.report.given.thrust_n / self.config.airframe.weight_n(),
             ..Setpoint::default()

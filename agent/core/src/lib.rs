@@ -40,5 +40,5 @@ pub mod flight;
 pub mod vehicle;
 
 #[cfg(test)]
-#[path = "../../src/recordings/shared.rs"]
+#[path = "../../analysis/src/recordings/shared.rs"]
 mod shared;

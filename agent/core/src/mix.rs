@@ -1,8 +1,8 @@
 //! Wrench ─► rotor thrusts ─► speeds ─► motor commands, with the saturation reported.
 //!
 //! t = A⁻¹ [T, τ]; A is the airframe's allocation. When that leaves the range of the rotors, what
-//! is given up, in this order: yaw torque, then thrust, last roll and pitch torque. The command
-//! inverts the motor curve at the battery's present voltage.
+//! is given up, in this order: yaw torque, then thrust, last roll and pitch torque; for these thrust is raised above
+//! what was asked by [`LENT`] at most. The command inverts the motor curve at the battery's present voltage.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -13,6 +13,9 @@ use crate::types::{MotorCommand, ROTORS, Wrench};
 pub const IDLE_COMMAND: f64 = 0.05;
 /// Relative to the largest rotor thrust: less is not reported as saturation.
 const UNNOTICED: f64 = 1e-6;
+/// Thrust that roll and pitch torque may add to what was asked, in weights: a vehicle that strings throw upwards is not
+/// levelled at the price of a climb out of its box.
+const LENT: f64 = 0.5;
 /// Battery ratio is followed with this time constant, s: sag is slow, its measurement is not.
 const VOLTAGE_TIME_CONSTANT_S: f64 = 0.2;
 /// Voltage ratios outside this range are measurement errors.
@@ -83,14 +86,16 @@ impl Mixer {
         let column = |wrench: Vector4<f64>| self.inverse * wrench;
         let torque = asked.torque_flu_nm;
 
-        // Roll and pitch torque first: as much as the range between idle and full can hold.
+        // Roll and pitch torque first: as much as the range between idle and full can hold, and as it may lend.
         let tilt = column(Vector4::new(0.0, torque.x, torque.y, 0.0));
         let lift = column(Vector4::new(1.0, 0.0, 0.0, 0.0));
+        let idle = thrust_range(&Vector4::zeros(), &lift, low, high).0;
+        let ceiling = self.thrust_ceiling_n.min(asked.thrust_n.max(idle) + LENT * self.airframe.weight_n());
         let share = (0..=TILT_STEPS)
             .map(|step| 1.0 - f64::from(step) / f64::from(TILT_STEPS))
             .find(|&share| {
                 let (least, most) = thrust_range(&(tilt * share), &lift, low, high);
-                least <= most.min(self.thrust_ceiling_n)
+                least <= most.min(ceiling)
             })
             .unwrap_or(0.0);
         let tilt = tilt * share;
@@ -186,6 +191,19 @@ mod tests {
         // No thrust asked: the torque is still given, with thrust.
         let mixed = mixer.mix(&wrench(0.0, 0.3, 0.0, 0.0));
         assert!((mixed.given.torque_flu_nm.x - 0.3).abs() < 1e-9 && mixed.given.thrust_n > 0.0);
+    }
+
+    #[test]
+    fn levelling_lends_half_a_weight_of_thrust_at_most() {
+        let airframe = Airframe::iris();
+        let mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+        let weight = airframe.weight_n();
+        for asked_n in [0.0, 0.3 * weight, weight] {
+            let idle_n = mixer.mix(&wrench(asked_n, 0.0, 0.0, 0.0)).given.thrust_n;
+            let levelled = mixer.mix(&wrench(asked_n, 4.0, 0.0, 0.0)).given;
+            assert!(levelled.thrust_n <= idle_n + LENT * weight + 1e-9, "{asked_n}: {levelled:?}");
+            assert!(levelled.torque_flu_nm.x > 1.0, "{asked_n}: {levelled:?}");
+        }
     }
 
     #[test]

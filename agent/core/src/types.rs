@@ -6,6 +6,8 @@ pub use plumbline_proto::v1::{ControllerKind, EstimatorKind, Mode};
 
 /// Standard gravity of the sources, m/s² (\[Umasankar\]).
 pub const GRAVITY_MPS2: f64 = 9.81;
+/// Slowest and fastest flight loop, Hz.
+pub const TICK_RATE_HZ: std::ops::RangeInclusive<f64> = 50.0..=1000.0;
 /// Rotors of the vehicle.
 pub const ROTORS: usize = 4;
 /// Cameras of the motion-capture system.

@@ -31,7 +31,7 @@ use spake2::{Ed25519Group, Identity as Side, Password, Spake2};
 use super::hello;
 use super::identity::{Fingerprint, Identity, IdentityError, write_new};
 use super::tls::{self, Purpose};
-use super::transport::{CloseCode, FrameReader, FrameWriter, StreamError};
+use super::transport::{CloseCode, FrameReader, FrameWriter, StreamError, any_port};
 
 /// How long a code may be used.
 pub const VALID: Duration = Duration::from_secs(600);
@@ -268,12 +268,8 @@ pub async fn meet(
     agent_id: &str,
     code: &Code,
 ) -> Result<Fingerprint, PairingError> {
-    let any: SocketAddr = match ground {
-        SocketAddr::V4(_) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
-        SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
-    };
     let failed = |error: &dyn std::fmt::Display| PairingError::Connection(error.to_string());
-    let endpoint = Endpoint::client(any).map_err(|e| failed(&e))?;
+    let endpoint = Endpoint::client(any_port(ground)).map_err(|e| failed(&e))?;
     let config = ClientConfig::new(Arc::new(tls::client(identity, Purpose::Pairing)?));
     let exchange = async {
         let connecting = endpoint.connect_with(config, ground, tls::SERVER_NAME).map_err(|e| failed(&e))?;

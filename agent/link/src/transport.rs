@@ -1,21 +1,21 @@
 //! Settings of the two QUIC connections, the reasons they are closed with, and framed streams.
 
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
 use plumbline_proto::DecodeError;
 use plumbline_proto::codec::{Delimited, encode_delimited};
 use plumbline_proto::v1::{CommandFrame, command_frame::Body};
-use quinn::congestion::CubicConfig;
 use quinn::{Connection, ConnectionError, IdleTimeout, RecvStream, SendStream, TransportConfig, VarInt};
 
 use super::tls::Purpose;
-use super::window::FixedWindowFactory;
+use super::window::{CubicAboveFirst, FixedWindowFactory};
 
 /// Silence after which a connection is lost for good. Longer than a fade, so that sending goes on through it
 /// and the first packet after it arrives at once; nothing waits for it: failsafes have their own times, a
 /// restarted ground says at once that it knows the connection no more, and what comes late is refused
-/// (`lateness.rs` of the agent).
+/// (`lateness.rs` of the agent). After a longer fade the agent connects anew (`connect.rs`).
 pub const IDLE_TIMEOUT_MS: u32 = 8_000;
 /// Largest datagram, batch header included: fits every path of 1200 bytes.
 pub const MAX_DATAGRAM: usize = 1_100;
@@ -69,6 +69,14 @@ pub fn reason(error: &ConnectionError) -> String {
     }
 }
 
+/// Where to bind a socket that speaks to `peer`: any port of its address family.
+pub fn any_port(peer: SocketAddr) -> SocketAddr {
+    match peer {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    }
+}
+
 /// Settings of the side that connects. `rate_bytes_per_s` is the telemetry cap.
 pub fn client(purpose: Purpose, rate_bytes_per_s: f64) -> Arc<TransportConfig> {
     let mut config = common();
@@ -84,7 +92,7 @@ pub fn client(purpose: Purpose, rate_bytes_per_s: f64) -> Arc<TransportConfig> {
                 .congestion_controller_factory(Arc::new(FixedWindowFactory(window)));
         }
         Purpose::Commands | Purpose::Pairing => {
-            config.datagram_receive_buffer_size(None).congestion_controller_factory(Arc::new(CubicConfig::default()));
+            config.datagram_receive_buffer_size(None).congestion_controller_factory(Arc::new(CubicAboveFirst));
         }
     }
     Arc::new(config)
@@ -95,7 +103,7 @@ pub fn server() -> Arc<TransportConfig> {
     let mut config = common();
     config
         .datagram_receive_buffer_size(Some(DATAGRAM_RECEIVE_BUFFER))
-        .congestion_controller_factory(Arc::new(CubicConfig::default()));
+        .congestion_controller_factory(Arc::new(CubicAboveFirst));
     Arc::new(config)
 }
 

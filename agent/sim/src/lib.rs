@@ -6,12 +6,15 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod conditions;
 pub mod devices;
 mod reading;
 pub mod rig;
 pub mod scenario;
 pub mod script;
 pub mod site;
+mod surrounded;
+mod vibration;
 pub mod world;
 
 pub use rig::Rig;
@@ -66,7 +69,7 @@ impl SimVehicle {
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         scenario.validate()?;
         let world = World::new(scenario.beginning());
-        let sensors = Sensors::new(&scenario.suite, scenario.site, &scenario.outages, scenario.seed);
+        let sensors = Sensors::new(scenario);
         Ok(Self {
             scenario: scenario.clone(),
             world,

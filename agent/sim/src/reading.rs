@@ -1,24 +1,28 @@
 //! The words of a scenario file, and what they mean. Only [`super::scenario`] uses it.
 
+mod steps;
+
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
 use serde::Deserialize;
 
+use super::conditions::Conditions;
 use super::devices::Outage;
 use super::rig::{Axis, HangingStrings, Rig};
 use super::scenario::{Initial, Scenario, ScenarioError};
-use super::script::{PushEvent, Script, Shape, Step, Trajectory};
+use super::script::{PushEvent, Script, Step};
 use super::site::Site;
 use super::world::{Disturbance, Push};
 use plumbline_core::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
-use plumbline_core::command::{Command, SetpointChange};
+use plumbline_core::command::Command;
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::imu::Distortion;
 use plumbline_core::sensor::suite::{PRESETS, Suite};
-use plumbline_core::types::{EstimatorKind, Mode};
 
-/// A scenario as written.
+use steps::{RawStep, read_step};
+
+/// A scenario as written: one field for each key or table of the file, hence so many.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RawScenario {
@@ -40,8 +44,9 @@ pub(super) struct RawScenario {
     sensor: Vec<RawSensor>,
     #[serde(default)]
     site: Site,
-    #[serde(default)]
-    disturbance: Disturbance,
+    /// `bench`, or one of the worlds of [`Conditions`].
+    world: Option<String>,
+    disturbance: Option<Disturbance>,
     #[serde(default)]
     battery: RawBattery,
     #[serde(default)]
@@ -114,29 +119,6 @@ impl Default for RawBattery {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawStep {
-    at_s: f64,
-    #[serde(rename = "do")]
-    action: String,
-    mode: Option<String>,
-    estimator: Option<String>,
-    altitude_m: Option<f64>,
-    x_m: Option<f64>,
-    y_m: Option<f64>,
-    roll_rad: Option<f64>,
-    pitch_rad: Option<f64>,
-    yaw_rad: Option<f64>,
-    throttle: Option<f64>,
-    duration_s: Option<f64>,
-    radius_m: Option<f64>,
-    amplitude_m: Option<f64>,
-    period_s: Option<f64>,
-    speed_mps: Option<f64>,
-    side_m: Option<f64>,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct RawPush {
     at_s: f64,
     duration_s: f64,
@@ -167,7 +149,7 @@ struct RawAttack {
     instance: u8,
     #[serde(default = "all")]
     channel: String,
-    kind: String,
+    kind: Kind,
     start_s: f64,
     duration_s: f64,
     #[serde(default)]
@@ -206,6 +188,10 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
     for change in &raw.sensor {
         change_sensor(&mut suite, change)?;
     }
+    let conditions = raw.world.as_deref().map(Conditions::of_world).transpose()?.flatten();
+    if let (Some(conditions), Some(_)) = (&conditions, &raw.disturbance) {
+        return bad("disturbance", "given", format!("beside world = {:?}, which has its own", conditions.world));
+    }
     let attacks = read_attacks(&raw.attack)?;
     let mut script = Script::default();
     if !attacks.attacks.is_empty() {
@@ -213,7 +199,7 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
     }
     let mut steps = raw.script;
     steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-    for step in &steps {
+    for step in steps {
         read_step(step, &mut script)?;
     }
     script.pushes = raw.push.iter().map(read_push).collect::<Read<_>>()?;
@@ -228,7 +214,8 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
         rig: raw.rig.unwrap_or_else(|| Rig::HangingStrings(HangingStrings::default())),
         suite,
         site: raw.site,
-        disturbance: raw.disturbance,
+        disturbance: raw.disturbance.unwrap_or_default(),
+        conditions,
         battery_charge: raw.battery.sags.then_some(raw.battery.charge),
         initial: raw.initial,
         script,
@@ -346,7 +333,7 @@ fn read_attacks(raw: &[RawAttack]) -> Read<Schedule> {
             id: index as u32 + 1,
             sensor: SensorId::new(sensor_kind("attack.sensor", &a.sensor)?, a.instance),
             channel: attack_channel(&a.channel)?,
-            kind: attack_kind(&a.kind)?,
+            kind: a.kind,
             start_s: a.start_s,
             duration_s: a.duration_s,
             magnitude: a.magnitude,
@@ -357,28 +344,6 @@ fn read_attacks(raw: &[RawAttack]) -> Read<Schedule> {
         }
     }
     Ok(Schedule { id: u32::from(!attacks.is_empty()), attacks })
-}
-
-fn attack_kind(name: &str) -> Read<Kind> {
-    Ok(match name {
-        "zero" => Kind::Zero,
-        "bias" => Kind::Bias,
-        "ramp" => Kind::Ramp,
-        "scale" => Kind::Scale,
-        "noise" => Kind::Noise,
-        "freeze" => Kind::Freeze,
-        "replay" => Kind::Replay,
-        "delay" => Kind::Delay,
-        "dropout" => Kind::Dropout,
-        "sign_flip" => Kind::SignFlip,
-        other => {
-            return bad(
-                "attack.kind",
-                other,
-                "one of zero, bias, ramp, scale, noise, freeze, replay, delay, dropout, sign_flip",
-            );
-        }
-    })
 }
 
 fn attack_channel(name: &str) -> Read<Channel> {
@@ -400,125 +365,4 @@ fn attack_channel(name: &str) -> Read<Channel> {
             return bad("attack.channel", other, "one of all, gyro, accel, mag, x, y, z, gyro_x … accel_z");
         }
     })
-}
-
-/// Adds what one `[[script]]` entry says.
-fn read_step(raw: &RawStep, script: &mut Script) -> Read<()> {
-    let at_s = within("script.at_s", raw.at_s, 0.0, 86_400.0)?;
-    // Every optional number, so that one that does not belong to the action is named with its value.
-    let numbers = [
-        ("altitude_m", raw.altitude_m),
-        ("x_m", raw.x_m),
-        ("y_m", raw.y_m),
-        ("roll_rad", raw.roll_rad),
-        ("pitch_rad", raw.pitch_rad),
-        ("yaw_rad", raw.yaw_rad),
-        ("throttle", raw.throttle),
-        ("duration_s", raw.duration_s),
-        ("radius_m", raw.radius_m),
-        ("amplitude_m", raw.amplitude_m),
-        ("period_s", raw.period_s),
-        ("speed_mps", raw.speed_mps),
-        ("side_m", raw.side_m),
-    ];
-    const PLACE: [&str; 3] = ["altitude_m", "x_m", "y_m"];
-    let allowed: &[&str] = match raw.action.as_str() {
-        "arm" | "disarm" | "cut" | "release_cut" | "abort_attacks" | "mode" | "estimator" => &[],
-        "setpoint" => &["altitude_m", "x_m", "y_m", "roll_rad", "pitch_rad", "yaw_rad", "throttle"],
-        "circle" => &["altitude_m", "x_m", "y_m", "duration_s", "radius_m", "period_s"],
-        "sine" => &["altitude_m", "x_m", "y_m", "duration_s", "amplitude_m", "period_s", "speed_mps"],
-        "heave" => &["altitude_m", "x_m", "y_m", "duration_s", "amplitude_m", "period_s"],
-        "square" => &["altitude_m", "x_m", "y_m", "duration_s", "side_m", "period_s"],
-        other => {
-            return bad(
-                "script.do",
-                other,
-                "one of arm, disarm, cut, release_cut, mode, setpoint, estimator, abort_attacks, circle, sine, \
-                 heave, square",
-            );
-        }
-    };
-    for (key, value) in numbers {
-        let Some(value) = value else { continue };
-        if !allowed.contains(&key) {
-            return bad(format!("script.{key}"), value, format!("part of do = \"{}\"", raw.action));
-        }
-        within(&format!("script.{key}"), value, -1000.0, 86_400.0)?;
-    }
-    for (key, value, action) in [("mode", &raw.mode, "mode"), ("estimator", &raw.estimator, "estimator")] {
-        if let (Some(value), true) = (value, raw.action != action) {
-            return bad(format!("script.{key}"), value, format!("part of do = \"{}\"", raw.action));
-        }
-    }
-    // The number of that name, which a shape cannot do without.
-    let needed = |key: &str| -> Read<f64> {
-        let found = numbers.iter().find(|(name, _)| *name == key).and_then(|(_, value)| *value);
-        match found {
-            Some(value) if PLACE.contains(&key) => Ok(value),
-            Some(value) => within(&format!("script.{key}"), value, 1e-3, 3600.0),
-            None => bad(format!("script.{key}"), "absent", format!("optional for do = \"{}\"", raw.action)),
-        }
-    };
-    let mut trajectory = |shape: Shape| -> Read<()> {
-        let duration_s = needed("duration_s")?;
-        let from_enu_m = Vector3::new(raw.x_m.unwrap_or(0.0), raw.y_m.unwrap_or(0.0), needed("altitude_m")?);
-        script.trajectories.push(Trajectory { start_s: at_s, duration_s, from_enu_m, shape });
-        Ok(())
-    };
-    let command = match raw.action.as_str() {
-        "circle" => {
-            return trajectory(Shape::Circle { radius_m: needed("radius_m")?, period_s: needed("period_s")? });
-        }
-        "sine" => {
-            let (amplitude_m, period_s) = (needed("amplitude_m")?, needed("period_s")?);
-            return trajectory(Shape::Sine { amplitude_m, period_s, speed_mps: needed("speed_mps")? });
-        }
-        "heave" => {
-            let (amplitude_m, period_s) = (needed("amplitude_m")?, needed("period_s")?);
-            return trajectory(Shape::Heave { amplitude_m, period_s });
-        }
-        "square" => {
-            return trajectory(Shape::Square { side_m: needed("side_m")?, period_s: needed("period_s")? });
-        }
-        "arm" => Command::Arm,
-        "disarm" => Command::Disarm,
-        "cut" => Command::CutMotors,
-        "release_cut" => Command::ReleaseCut,
-        "abort_attacks" => Command::AbortAttacks,
-        "mode" => Command::SetMode(read_mode(raw.mode.as_deref())?),
-        "estimator" => Command::SelectEstimator(read_estimator(raw.estimator.as_deref())?),
-        _ => {
-            let change = SetpointChange {
-                altitude_m: raw.altitude_m,
-                x_m: raw.x_m,
-                y_m: raw.y_m,
-                roll_rad: raw.roll_rad,
-                pitch_rad: raw.pitch_rad,
-                yaw_rad: raw.yaw_rad,
-                throttle: raw.throttle,
-            };
-            if change == SetpointChange::default() {
-                return bad("script.do", "setpoint", "without any value");
-            }
-            Command::Setpoint(change)
-        }
-    };
-    script.steps.push(Step { at_s, command });
-    Ok(())
-}
-
-fn read_mode(name: Option<&str>) -> Read<Mode> {
-    Ok(match name.unwrap_or("absent") {
-        "stabilise" => Mode::Stabilise,
-        "altitude_hold" => Mode::AltitudeHold,
-        "hold" => Mode::Hold,
-        "land" => Mode::Land,
-        other => return bad("script.mode", other, "one of stabilise, altitude_hold, hold, land"),
-    })
-}
-
-fn read_estimator(name: Option<&str>) -> Read<EstimatorKind> {
-    const KNOWN: &str = "one of ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf, secure";
-    let name = name.unwrap_or("absent");
-    EstimatorKind::named(name).map_or_else(|| bad("script.estimator", name, KNOWN), Ok)
 }

@@ -7,6 +7,7 @@
 use nalgebra::Vector3;
 use serde::Deserialize;
 
+use super::conditions::{Conditions, TICK_RATE_MIN_HZ};
 use super::devices::Outage;
 use super::reading::{RawScenario, read};
 use super::rig::{HangingStrings, Rig, RigError};
@@ -17,12 +18,10 @@ use plumbline_core::attack::{Bounds, Schedule};
 use plumbline_core::flight::FlightConfig;
 use plumbline_core::model::airframe::{Airframe, AirframeError};
 use plumbline_core::sensor::suite::{Suite, SuiteError};
+use plumbline_core::types::TICK_RATE_HZ;
 
 /// Text of the default scenario: altitude steps on the string rig.
 pub const ALTITUDE_STEP_TOML: &str = include_str!("../../../tests/scenarios/altitude_step.toml");
-
-/// Slowest and fastest flight loop, Hz.
-pub const TICK_RATE_HZ: std::ops::RangeInclusive<f64> = 50.0..=1000.0;
 
 /// Why a scenario cannot be flown.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -74,7 +73,7 @@ pub struct Initial {
     pub body_rates_radps: Vector3<f64>,
 }
 
-/// A simulated flight, valid.
+/// A simulated flight, valid: one field for each key or table of its file, hence so many.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scenario {
     /// Short name.
@@ -99,6 +98,8 @@ pub struct Scenario {
     pub site: Site,
     /// How rough the world is.
     pub disturbance: Disturbance,
+    /// The named world it flies in; `None` on the bench, where sensors and airframe are what they are said to be.
+    pub conditions: Option<Conditions>,
     /// Battery charge at the start, 0..1; `None` holds the nominal voltage for ever.
     pub battery_charge: Option<f64>,
     /// How it starts.
@@ -135,9 +136,9 @@ impl Scenario {
     pub fn flight_config(&self) -> FlightConfig {
         let mut config = FlightConfig {
             tick_rate_hz: self.tick_rate_hz,
-            attacks_enabled: true,
             ..FlightConfig::new(self.airframe.clone(), self.rig.kind(&self.airframe), &self.suite)
         };
+        config.attacks.enabled = true;
         // Known of a place, as a map would say it.
         config.sensor_model.imus.mag.declination_rad = self.site.declination_rad();
         config
@@ -157,6 +158,7 @@ impl Scenario {
             suite: Suite::string_rig(),
             site: Site::default(),
             disturbance: Disturbance::default(),
+            conditions: None,
             battery_charge: Some(0.95),
             initial: Initial::default(),
             script: Script::default(),
@@ -171,6 +173,7 @@ impl Scenario {
             airframe: self.airframe.clone(),
             rig: self.rig,
             disturbance: self.disturbance,
+            conditions: self.conditions.clone(),
             battery_charge: self.battery_charge,
             offset_enu_m: self.initial.offset_enu_m,
             velocity_enu_mps: self.initial.velocity_enu_mps,
@@ -216,6 +219,9 @@ impl Scenario {
             if !(value >= min && value <= max) {
                 return bad(key.into(), value.to_string(), expected);
             }
+        }
+        if self.conditions.is_some() && self.tick_rate_hz < TICK_RATE_MIN_HZ {
+            return bad("tick_rate_hz".into(), self.tick_rate_hz.to_string(), "150 Hz or more, which its world needs");
         }
         if let Some((key, value, expected)) = self.site.fault() {
             return bad(key.into(), value.to_string(), expected);
@@ -338,6 +344,8 @@ mod tests {
             ("name = \"a\"\n[[script]]\nat_s = 1\ndo = \"mode\"\nmode = \"loop\"", "loop"),
             ("name = \"a\"\n[[script]]\nat_s = 1\ndo = \"setpoint\"\naltitude_m = inf", "altitude_m = inf"),
             ("name = \"a\"\n[[script]]\nat_s = 1\ndo = \"circle\"\nduration_s = 1", "radius_m"),
+            ("name = \"a\"\n[[script]]\nat_s = 1\ndo = \"setpoint\"\nflavour = 3", "script.flavour = 3"),
+            ("name = \"a\"\n[[script]]\nat_s = 1\ndo = \"setpoint\"\nx_m = \"far\"", "script.x_m = \"far\""),
             ("name = \"a\"\n[[push]]\nat_s = 1\nduration_s = 0\ntorque_flu_nm = [1, 0, 0]", "duration_s = 0"),
             ("name = \"a\"\n[site]\nlatitude_deg = 100", "latitude_deg = 100"),
             ("name = \"a\"\n[battery]\ncharge = 2", "battery.charge = 2"),

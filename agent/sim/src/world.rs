@@ -7,7 +7,9 @@
 
 use nalgebra::Vector3;
 
+use super::conditions::Conditions;
 use super::rig::{Load, Mounted, Rig};
+use super::surrounded::Surrounded;
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::battery::Battery;
 use plumbline_core::model::integrate::{Integrable, rk4};
@@ -123,6 +125,7 @@ pub struct World {
     battery: Battery,
     battery_sags: bool,
     disturbance: Disturbance,
+    surrounded: Option<Surrounded>,
     noise: Stream,
     wind_enu_mps: Vector3<f64>,
     // What acted at the end of the last sub-step, for the sensors.
@@ -140,6 +143,8 @@ pub struct Beginning {
     pub rig: Rig,
     /// How rough the world is.
     pub disturbance: Disturbance,
+    /// Of a named world; they take the place of `disturbance`.
+    pub conditions: Option<Conditions>,
     /// Battery charge, 0..1; `None` holds the nominal voltage for ever.
     pub battery_charge: Option<f64>,
     /// Added to the rig's resting state: position (ENU, m).
@@ -161,6 +166,7 @@ impl Beginning {
             airframe,
             rig,
             disturbance: Disturbance::NONE,
+            conditions: None,
             battery_charge: None,
             offset_enu_m: Vector3::zeros(),
             velocity_enu_mps: Vector3::zeros(),
@@ -174,7 +180,12 @@ impl Beginning {
 impl World {
     /// The world at time zero, motors stopped.
     pub fn new(beginning: Beginning) -> Self {
-        let Beginning { airframe, rig, disturbance, battery_charge, seed, .. } = beginning;
+        let Beginning { airframe, rig, disturbance, conditions, battery_charge, seed, .. } = beginning;
+        let surrounded = conditions.map(|conditions| Surrounded::new(&conditions, &airframe, seed));
+        let (airframe, disturbance) = match &surrounded {
+            Some(surrounded) => (surrounded.airframe.clone(), surrounded.disturbance),
+            None => (airframe, disturbance),
+        };
         let mounted = Mounted::new(&rig, &airframe);
         let mut body = mounted.start;
         body.position_enu_m += beginning.offset_enu_m;
@@ -195,6 +206,7 @@ impl World {
             steady_speed_radps: [0.0; ROTORS],
             motor_factor,
             disturbance,
+            surrounded,
             noise: Stream::new(seed, "disturbance"),
             wind_enu_mps: Vector3::zeros(),
             angular_acceleration_radps2: Vector3::zeros(),
@@ -208,6 +220,10 @@ impl World {
     /// Moves on by `dt_s` with each motor told `throttle` (0..1) and a hand's `push`.
     pub fn step(&mut self, throttle: &[f64; ROTORS], push: &Push, dt_s: f64) {
         let voltage_ratio = if self.battery_sags { self.battery.voltage_ratio() } else { 1.0 };
+        let throttle = match &mut self.surrounded {
+            Some(surrounded) => &surrounded.esc.command(throttle, dt_s),
+            None => throttle,
+        };
         self.steady_speed_radps = motor::steady_speed(&self.airframe, throttle, voltage_ratio);
         for (speed, factor) in self.steady_speed_radps.iter_mut().zip(self.motor_factor) {
             *speed *= factor;
@@ -227,6 +243,9 @@ impl World {
         if d.accel_noise > 0.0 {
             input.force_enu_n += self.normal3() * (d.accel_noise * stirred * self.airframe.mass_kg);
         }
+        if let Some(surrounded) = &mut self.surrounded {
+            surrounded.stir(dt_s);
+        }
         let noise_torque = if d.angular_noise > 0.0 {
             (self.normal3() * (d.angular_noise * stirred)).component_mul(&self.airframe.inertia_kgm2)
         } else {
@@ -245,7 +264,8 @@ impl World {
         }
         self.settle(&input);
         if self.battery_sags {
-            self.battery.draw(self.airframe.induced_power_w(&self.moving.rotor_speed_radps), dt_s);
+            let power_gain = self.surrounded.as_ref().map_or(1.0, |surrounded| surrounded.power_gain);
+            self.battery.draw(power_gain * self.airframe.induced_power_w(&self.moving.rotor_speed_radps), dt_s);
         }
     }
 
@@ -262,6 +282,9 @@ impl World {
         input.force_enu_n = outside.force_enu_n + load.force_enu_n;
         input.torque_flu_nm = outside.torque_flu_nm + load.torque_flu_nm;
         input.wind_enu_mps = outside.wind_enu_mps;
+        if let Some(surrounded) = &self.surrounded {
+            surrounded.act(&x.body, &x.rotor_speed_radps, &mut input);
+        }
         let mut body = rigid_body::derivative(&self.airframe, &x.body, &input);
         if let Some(pivot) = &self.mounted.pivot {
             let torque =

@@ -5,7 +5,11 @@ use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use plumbline_agent::calibration::Kind;
+use plumbline_agent::offline::ArgumentError;
 use plumbline_agent::offline::calibrate::{Request, from_path, iso_8601, read, write};
+use plumbline_proto::time::WallTime;
+
+use super::Failure;
 
 #[derive(Debug, clap::Args)]
 pub struct CalibrateArguments {
@@ -51,14 +55,14 @@ pub struct CalibrateArguments {
 }
 
 impl CalibrateArguments {
-    pub fn run(&self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(&self) -> Result<(), Failure> {
         let date = match &self.date {
             Some(date) => date.clone(),
-            None => iso_8601(SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs()),
+            None => iso_8601(WallTime(SystemTime::now().duration_since(UNIX_EPOCH)?.as_micros() as u64)),
         };
         for (name, value) in [("gravity", self.gravity), ("air-density", self.air_density)] {
             if value.is_some_and(|v| !(v.is_finite() && v > 0.0)) {
-                return Err(format!("--{name} {}: not a number above 0", value.unwrap_or_default()).into());
+                return Err(ArgumentError::new(name, value.unwrap_or_default(), "not a number above 0").into());
             }
         }
         let standard = Request::new(self.kind, date);

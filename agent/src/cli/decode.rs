@@ -36,7 +36,7 @@ enum EngineChoice {
 }
 
 impl DecodeArguments {
-    pub fn run(&self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(&self) -> Result<(), super::Failure> {
         let program = match self.program {
             ProgramChoice::L2 => Program::L2,
             ProgramChoice::L1 => Program::L1,

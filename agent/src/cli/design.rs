@@ -1,13 +1,17 @@
 //! `plumbline-agent design`: weights in, certified gains out.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use plumbline_agent::control::gains::Examiner;
 use plumbline_agent::control::policy::MarginPolicy;
-use plumbline_agent::design::file::{DesignFile, controller, export};
+use plumbline_agent::design::file::{self, controller, export_certified, proposal};
 use plumbline_agent::model::airframe::Airframe;
-use plumbline_agent::telemetry::gains_message;
+use plumbline_agent::offline::ArgumentError;
+use plumbline_agent::types::TICK_RATE_HZ;
 use plumbline_proto::ids::GainsRevision;
+use plumbline_rest::design::Design;
+
+use super::{Failure, in_file, read};
 
 /// Solves, examines and writes gains. Files are JSON:
 ///
@@ -40,40 +44,37 @@ pub struct DesignArguments {
 }
 
 impl DesignArguments {
-    pub fn run(&self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(&self) -> Result<(), Failure> {
         let airframe = self.airframe()?;
         let kind = controller(&self.controller)?;
         let mut file = match &self.weights {
-            Some(path) => {
-                let text = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
-                DesignFile::from_json(&text).map_err(|e| format!("{}: {e}", path.display()))?
-            }
-            None => DesignFile::default(),
+            Some(path) => file::read(read(path)?.as_bytes()).map_err(|e| in_file(path, e))?,
+            None => Design::default(),
         };
         if let Some(named) = &file.controller
             && controller(named)? != kind
         {
-            return Err(format!("the weights are for controller {named:?}, asked for is {:?}", self.controller).into());
+            let reason = format!("the weights are for controller {named:?}");
+            return Err(ArgumentError::new("controller", &self.controller, reason).into());
         }
         file.controller = Some(self.controller.clone());
-        if !plumbline_agent::config::TICK_RATE_HZ.contains(&self.tick_rate_hz) {
-            return Err(format!("--tick-rate-hz is {}, it must be 50 to 1000", self.tick_rate_hz).into());
+        if !TICK_RATE_HZ.contains(&self.tick_rate_hz) {
+            return Err(ArgumentError::new("tick-rate-hz", self.tick_rate_hz, "not 50 to 1000").into());
         }
         let policy = MarginPolicy::by_name(&self.policy)
-            .ok_or_else(|| format!("--policy {:?} is not standard, careful or experimental", self.policy))?;
+            .ok_or_else(|| ArgumentError::new("policy", &self.policy, "not standard, careful or experimental"))?;
         let examiner = Examiner::new(&airframe, 1.0 / self.tick_rate_hz, policy)?;
-        let gains = examiner.certify(&file.proposal()?.complete(&airframe)?, GainsRevision(0))?;
-        let out = export(&gains_message(&gains), &airframe.name, self.tick_rate_hz);
+        let gains = examiner.certify(&proposal(&file)?.complete(&airframe)?, GainsRevision(0))?;
+        let out = export_certified(&gains, &airframe.name, self.tick_rate_hz);
         let text = serde_json::to_string_pretty(&out)? + "\n";
-        std::fs::write(&self.output, text).map_err(|e| format!("{}: {e}", self.output.display()))?;
-        Ok(())
+        std::fs::write(&self.output, text).map_err(|e| in_file(&self.output, e))
     }
 
-    fn airframe(&self) -> Result<Airframe, Box<dyn std::error::Error>> {
+    fn airframe(&self) -> Result<Airframe, Failure> {
         if Airframe::NAMES.contains(&self.airframe.as_str()) {
             return Ok(Airframe::by_name(&self.airframe)?);
         }
-        let text = std::fs::read_to_string(&self.airframe).map_err(|e| format!("{}: {e}", self.airframe))?;
-        Airframe::from_toml(&text).map_err(|e| format!("{}: {e}", self.airframe).into())
+        let path = Path::new(&self.airframe);
+        Airframe::from_toml(&read(path)?).map_err(|e| in_file(path, e))
     }
 }

@@ -4,7 +4,7 @@ use std::io::Write as _;
 
 use plumbline_agent::offline::{EstimateArgs, run};
 
-pub fn estimate(arguments: &EstimateArgs) -> Result<(), Box<dyn std::error::Error>> {
+pub fn estimate(arguments: &EstimateArgs) -> Result<(), super::Failure> {
     let score = run(arguments)?;
     Ok(writeln!(std::io::stdout(), "{}", score.to_json())?)
 }

@@ -1,6 +1,5 @@
 //! Flying: vehicle, flight thread, log, link.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -10,10 +9,10 @@ use plumbline_agent::estimate::secure::suite::{Observed, Promise, SuiteError};
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
 use plumbline_agent::link::backfill::Archive;
 use plumbline_agent::link::clock::FlightClock;
-use plumbline_agent::link::{self, INBOUND_QUEUE, LinkConfig, LinkPorts, identity};
-use plumbline_agent::log::{self, LogConfig, RING_BYTES};
+use plumbline_agent::link::{self, INBOUND_QUEUE, LinkConfig, LinkHandle, LinkPorts, identity};
+use plumbline_agent::log::{self, LogConfig, LogHandle, RING_BYTES};
 use plumbline_agent::model::airframe::Airframe;
-use plumbline_agent::offline::calibrate;
+use plumbline_agent::offline::{ArgumentError, calibrate};
 use plumbline_agent::recordings;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::runner::pace::Pace;
@@ -24,19 +23,18 @@ use plumbline_agent::sim::rig::{Line, MAX_STRINGS};
 use plumbline_agent::sim::script::Script;
 use plumbline_agent::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
+use plumbline_agent::types::TICK_RATE_HZ;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::calibrated::CalibratedVehicle;
 use plumbline_proto::SCHEMA;
 use plumbline_proto::time::{FlightTime, WallTime};
 
-use super::{FlyArguments, VehicleChoice};
+use super::{Failure, FlyArguments, VehicleChoice, in_file, read};
 
 /// Bytes that may wait for the radio's thread: several seconds of a full suite.
 const LINK_RING_BYTES: usize = 2 << 20;
 /// From here to the first tick: log, link, solvers and threads are set up in it.
 const SET_UP: Duration = Duration::from_millis(100);
-
-type Failure = Box<dyn std::error::Error>;
 
 /// A vehicle and all that follows from it.
 struct Chosen {
@@ -54,97 +52,60 @@ struct Chosen {
     end: Option<FlightTime>,
 }
 
+impl Chosen {
+    /// The vehicle, and what telemetry says of it.
+    fn identified(self, agent_id: &str, boot: &Boot) -> (Box<dyn Vehicle>, Identification) {
+        let identification = Identification {
+            agent_id: agent_id.to_owned(),
+            boot_id: boot.id,
+            boot_wall_time: boot.wall_time,
+            vehicle: self.kind,
+            rig: self.rig,
+            scenario: self.scenario,
+            seed: self.seed,
+            source_file: self.source_file,
+            sensors: self.sensors,
+            strings: self.strings,
+            promise: self.promise,
+        };
+        (self.vehicle, identification)
+    }
+}
+
 /// Flies until the end, Ctrl-C or SIGTERM.
 pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let config = configuration(arguments)?;
     let pace = pace(&arguments.speed)?;
-    let mut chosen = match arguments.vehicle {
-        VehicleChoice::Sim => simulated(arguments)?,
-        VehicleChoice::Replay => recorded(arguments, &config)?,
-        VehicleChoice::Hardware => {
-            return Err("no quadrotor is attached: this build flies sim and replay".into());
-        }
-    };
-    let frame_rate_hz = chosen.flight.tick_rate_hz;
-    config.apply(&mut chosen.flight)?;
-    if !config.calibrations.is_empty() {
-        let calibration = calibrate::load(&config.calibrations)?;
-        calibration.apply_to_airframe(&mut chosen.flight.airframe);
-        chosen.vehicle = Box::new(CalibratedVehicle::new(chosen.vehicle, calibration));
-    }
-    // Frames come at the rate of the scenario or the recording, whatever the configuration says.
-    chosen.flight.tick_rate_hz = frame_rate_hz;
+    let mut chosen = chosen(arguments, &config)?;
     let attacks = match &arguments.attack_schedule {
-        Some(path) => Some(attacks_from_toml(&read(path)?).map_err(|e| format!("{}: {e}", path.display()))?),
+        Some(path) => Some(attacks_from_toml(&read(path)?).map_err(|e| in_file(path, e))?),
         None => None,
     };
-    let flight = Flight::new(chosen.flight)?;
-
+    let flight = Flight::new(chosen.flight.clone())?;
     // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
-    let zero = Instant::now() + SET_UP;
-    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH)? + SET_UP;
-    let boot_id = since_epoch.as_nanos() as u64 ^ u64::from(std::process::id());
-    let boot_wall_time = WallTime(since_epoch.as_micros() as u64);
-    let with_ground = !config.ground.is_empty();
+    let boot = Boot::in_a_moment()?;
 
-    let (log_ring, log_frames) = rtrb::RingBuffer::new(RING_BYTES);
-    let log = log::spawn(
-        LogConfig {
-            folder: config.log.folder.clone(),
-            max_bytes: config.log.max_mib << 20,
-            agent_id: config.id.clone(),
-            boot_wall_time,
-        },
-        log_frames,
-    )?;
+    let (log_ring, log) = start_log(&config, &boot)?;
     let clock = Arc::new(FlightClock::default());
     let (link_ring, link_frames) = rtrb::RingBuffer::new(LINK_RING_BYTES);
     let (commands, inbound) = rtrb::RingBuffer::new(INBOUND_QUEUE);
+    let with_ground = !config.ground.is_empty();
     let link = if with_ground {
-        let identity = identity::load_or_create(&config.identity)?;
-        tracing::info!(agent = config.id, ground = config.ground, fingerprint = %identity.fingerprint(), "link");
         let archive: Arc<dyn Archive> = log.archive();
         let ports = LinkPorts { telemetry: link_frames, inbound: commands, clock: clock.clone(), archive };
-        Some(link::spawn(
-            LinkConfig {
-                ground: config.ground.clone(),
-                agent_id: config.id.clone(),
-                version: env!("CARGO_PKG_VERSION").to_owned(),
-                schema: u32::from(SCHEMA),
-                boot_id,
-                boot_wall_time,
-                identity,
-                telemetry_bytes_per_s: config.link.telemetry_kb_per_s * 1e3,
-                backfill_bytes_per_s: config.link.backfill_kb_per_s * 1e3,
-            },
-            ports,
-        )?)
+        Some(start_link(&config, &boot, ports)?)
     } else {
         None
     };
 
-    let identification = Identification {
-        agent_id: config.id.clone(),
-        boot_id,
-        boot_wall_time,
-        vehicle: chosen.kind,
-        rig: chosen.rig,
-        scenario: chosen.scenario,
-        seed: chosen.seed,
-        source_file: chosen.source_file,
-        sensors: chosen.sensors,
-        strings: chosen.strings,
-        promise: chosen.promise,
-    };
     let replay = arguments.vehicle == VehicleChoice::Replay;
     let radio = link.is_some().then(|| Outlet::new(link_ring));
-    let telemetry = Telemetry::new(identification, &flight, radio, Some(Outlet::new(log_ring)));
     let options = RunnerOptions {
         pace,
         replay,
         end: chosen.end,
         own_operator: chosen.script.is_some() || (replay && !with_ground),
-        script: chosen.script,
+        script: chosen.script.take(),
         attacks,
         stay: replay && with_ground,
         real_time: config.real_time && matches!(pace, Pace::Times(_)),
@@ -155,12 +116,13 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         log: Some(log.state().clone()),
         clock,
         // A recording has a time of its own.
-        zero: (!replay).then_some(zero),
+        zero: (!replay).then_some(boot.zero),
     };
+    let (vehicle, identification) = chosen.identified(&config.id, &boot);
+    let telemetry = Telemetry::new(identification, &flight, radio, Some(Outlet::new(log_ring)));
 
     let stop = Arc::new(Stop::default());
     stop_on_signal(stop.clone())?;
-    let vehicle = chosen.vehicle;
     let flying = std::thread::Builder::new()
         .name("flight".into())
         .spawn(move || Runner::new(vehicle, flight, telemetry, options, ports).run(&stop))?;
@@ -180,6 +142,77 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         "ended"
     );
     Ok(())
+}
+
+/// One start of the agent.
+struct Boot {
+    /// Differs from every other start.
+    id: u64,
+    /// When flight time is zero.
+    zero: Instant,
+    /// The same on the wall clock.
+    wall_time: WallTime,
+}
+
+impl Boot {
+    /// Leaves [`SET_UP`] for log, link, solvers and threads.
+    fn in_a_moment() -> Result<Self, Failure> {
+        let zero = Instant::now() + SET_UP;
+        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH)? + SET_UP;
+        let id = since_epoch.as_nanos() as u64 ^ u64::from(std::process::id());
+        Ok(Self { id, zero, wall_time: WallTime(since_epoch.as_micros() as u64) })
+    }
+}
+
+/// The vehicle asked for, its flight as configured, calibrations applied.
+fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Failure> {
+    let mut chosen = match arguments.vehicle {
+        VehicleChoice::Sim => simulated(arguments)?,
+        VehicleChoice::Replay => recorded(arguments, config)?,
+        VehicleChoice::Hardware => {
+            return Err("no quadrotor is attached: this build flies sim and replay".into());
+        }
+    };
+    let frame_rate_hz = chosen.flight.tick_rate_hz;
+    config.apply(&mut chosen.flight)?;
+    if !config.calibrations.is_empty() {
+        let calibration = calibrate::load(&config.calibrations)?;
+        calibration.apply_to_airframe(&mut chosen.flight.airframe);
+        chosen.vehicle = Box::new(CalibratedVehicle::new(chosen.vehicle, calibration));
+    }
+    // Frames come at the rate of the scenario or the recording, whatever the configuration says.
+    chosen.flight.tick_rate_hz = frame_rate_hz;
+    Ok(chosen)
+}
+
+/// The onboard log, and the ring that it is filled through.
+fn start_log(config: &AgentConfig, boot: &Boot) -> Result<(rtrb::Producer<u8>, LogHandle), Failure> {
+    let (ring, frames) = rtrb::RingBuffer::new(RING_BYTES);
+    let settings = LogConfig {
+        folder: config.log.folder.clone(),
+        max_bytes: config.log.max_mib << 20,
+        agent_id: config.id.clone(),
+        boot_wall_time: boot.wall_time,
+    };
+    Ok((ring, log::spawn(settings, frames)?))
+}
+
+/// The radio to the configured ground.
+fn start_link(config: &AgentConfig, boot: &Boot, ports: LinkPorts) -> Result<LinkHandle, Failure> {
+    let identity = identity::load_or_create(&config.identity)?;
+    tracing::info!(agent = config.id, ground = config.ground, fingerprint = %identity.fingerprint(), "link");
+    let settings = LinkConfig {
+        ground: config.ground.clone(),
+        agent_id: config.id.clone(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        schema: u32::from(SCHEMA),
+        boot_id: boot.id,
+        boot_wall_time: boot.wall_time,
+        identity,
+        telemetry_bytes_per_s: config.link.telemetry_kb_per_s * 1e3,
+        backfill_bytes_per_s: config.link.backfill_kb_per_s * 1e3,
+    };
+    Ok(link::spawn(settings, ports)?)
 }
 
 fn configuration(arguments: &FlyArguments) -> Result<AgentConfig, Failure> {
@@ -216,16 +249,19 @@ fn pace(speed: &str) -> Result<Pace, Failure> {
     match speed.parse::<f64>() {
         Ok(0.0) => Ok(Pace::Stepped),
         Ok(times) if times > 0.0 && times <= link::inbound::REPLAY_SPEED_MAX => Ok(Pace::Times(times)),
-        _ => Err(format!("--speed {speed} is not 0 to {} or max", link::inbound::REPLAY_SPEED_MAX).into()),
+        _ => {
+            let reason = format!("not 0 to {} or max", link::inbound::REPLAY_SPEED_MAX);
+            Err(ArgumentError::new("speed", speed, reason).into())
+        }
     }
 }
 
 fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
     if let Some(file) = &arguments.file {
-        return Err(format!("{}: only --vehicle replay takes a file", file.display()).into());
+        return Err(in_file(file, "only --vehicle replay takes a file"));
     }
     let scenario = match &arguments.scenario {
-        Some(path) => Scenario::from_toml(&read(path)?).map_err(|e| format!("{}: {e}", path.display()))?,
+        Some(path) => Scenario::from_toml(&read(path)?).map_err(|e| in_file(path, e))?,
         None => Scenario::default_string_rig(),
     };
     Ok(Chosen {
@@ -254,7 +290,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     // Our own simulated flights bring their scenario: airframe, rig and suite are known.
     let scenario = match &info.scenario {
         Some(text) if !text.is_empty() => {
-            Some(Scenario::from_toml(text).map_err(|e| format!("{}: its scenario: {e}", path.display()))?)
+            Some(Scenario::from_toml(text).map_err(|e| in_file(path, format!("its scenario: {e}")))?)
         }
         _ => None,
     };
@@ -267,11 +303,11 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
             FlightConfig { sensor_model: info.sensor_model(), ..assumed }
         }
     };
-    flight.attacks_enabled = true;
+    flight.attacks.enabled = true;
     flight.sensors = info.sensors.iter().map(|sensor| sensor.id).collect();
     let flown_s = info.span.1.seconds_since(info.span.0);
     if scenario.is_none() && flown_s > 0.0 {
-        flight.tick_rate_hz = (info.ticks as f64 / flown_s).round().clamp(50.0, 1000.0);
+        flight.tick_rate_hz = (info.ticks as f64 / flown_s).round().clamp(*TICK_RATE_HZ.start(), *TICK_RATE_HZ.end());
     }
     let suite = scenario.as_ref().map(|scenario| scenario.suite.descriptions()).unwrap_or_default();
     let sensors = info
@@ -317,10 +353,6 @@ fn airframe_of(recorded: Option<&str>, configured: &str) -> Result<Airframe, Fai
     let mut airframe = Airframe::by_name(configured)?;
     airframe.name = format!("{}{TAKEN}{configured}", recorded.unwrap_or("unknown airframe"));
     Ok(airframe)
-}
-
-fn read(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()).into())
 }
 
 /// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs.

@@ -32,7 +32,7 @@ pub struct IdentityArguments {
 }
 
 impl IdentityArguments {
-    pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(self) -> Result<(), super::Failure> {
         let identity = if self.rotate { rotate(&self.identity)? } else { load_or_create(&self.identity)? };
         if let Some(fingerprint) = &self.trust {
             identity.trust(Fingerprint::parse(fingerprint)?, &self.name)?;
@@ -63,7 +63,7 @@ pub struct PairArguments {
 }
 
 impl PairArguments {
-    pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(self) -> Result<(), super::Failure> {
         let config = match &self.config {
             Some(path) => AgentConfig::read(path)?,
             None => AgentConfig::default(),

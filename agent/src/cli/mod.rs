@@ -9,11 +9,15 @@ mod identity;
 mod observability;
 mod riccati;
 
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand, ValueEnum};
 use plumbline_agent::design::Equation;
 use plumbline_agent::offline::EstimateArgs;
+
+/// What ends the program, for people.
+type Failure = Box<dyn std::error::Error>;
 
 /// The onboard agent: sensors, estimation, control, attacks, log and link.
 #[derive(Debug, Parser)]
@@ -103,7 +107,7 @@ struct FlyArguments {
 
 impl Arguments {
     /// Does what is asked.
-    pub fn run(self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(self) -> Result<(), Failure> {
         match self.tool {
             Some(Tool::Identity(arguments)) => arguments.run(),
             Some(Tool::Pair(arguments)) => arguments.run(),
@@ -117,4 +121,14 @@ impl Arguments {
             None => fly::fly(&self.fly),
         }
     }
+}
+
+/// What is wrong with a file, its name in front.
+fn in_file(path: &Path, error: impl Display) -> Failure {
+    format!("{}: {error}", path.display()).into()
+}
+
+/// The text of a file.
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|error| in_file(path, error))
 }

@@ -7,8 +7,12 @@ use plumbline_agent::estimate::secure::suite::{NAMES, Observed, STATES};
 use plumbline_agent::estimate::secure::{SLOT_S, SLOTS};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::trim::Trim;
+use plumbline_agent::offline::ArgumentError;
 use plumbline_agent::sensor::suite::{PRESETS, Suite};
+use plumbline_proto::v1::SensorKind;
 use serde_json::json;
+
+use super::{Failure, in_file, read};
 
 /// Sampling phases shown: the default rig's rates repeat after five slots.
 const PHASES: usize = 5;
@@ -33,7 +37,7 @@ pub struct ObservabilityArguments {
 
 impl ObservabilityArguments {
     /// Prints the report; an unobservable suite is an error that names the states.
-    pub fn run(&self) -> Result<(), Box<dyn std::error::Error>> {
+    pub fn run(&self) -> Result<(), Failure> {
         let clinic = ["clinic", "clinic-3"].contains(&self.suite.as_str());
         let name = self.airframe.as_deref().unwrap_or(if clinic { "clinic" } else { "iris" });
         let airframe = Airframe::by_name(name)?;
@@ -48,7 +52,7 @@ impl ObservabilityArguments {
             .scalars
             .iter()
             .map(|s| {
-                json!({ "sensor": s.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_lowercase(),
+                json!({ "sensor": kind_name(s.kind),
                     "instance": s.instance, "measures": s.name, "row": s.c.as_slice(), "sigma": s.sigma,
                     "rate_hz": s.timing.rate_hz })
             })
@@ -57,7 +61,7 @@ impl ObservabilityArguments {
             .kinds
             .iter()
             .map(|(kind, count, correctable)| {
-                json!({ "sensor": kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_lowercase(),
+                json!({ "sensor": kind_name(*kind),
                     "rows": count, "correctable": correctable })
             })
             .collect();
@@ -83,38 +87,40 @@ impl ObservabilityArguments {
     }
 }
 
-fn suite(name: &str) -> Result<Suite, Box<dyn std::error::Error>> {
+/// A kind by its name in scenarios: `mocap_pose`.
+fn kind_name(kind: SensorKind) -> String {
+    kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_lowercase()
+}
+
+fn suite(name: &str) -> Result<Suite, Failure> {
     let name = if name == "default" { "string_rig" } else { name };
     if let Some(suite) = Suite::preset(name) {
         return Ok(suite);
     }
     let path = Path::new(name);
     if !path.is_file() {
-        return Err(format!(
-            "--suite {name}: neither a file nor one of default, clinic, clinic-3, {}",
-            PRESETS.join(", ")
-        )
-        .into());
+        let reason = format!("neither a file nor one of default, clinic, clinic-3, {}", PRESETS.join(", "));
+        return Err(ArgumentError::new("suite", name, reason).into());
     }
-    let text = std::fs::read_to_string(path).map_err(|e| format!("{name}: {e}"))?;
-    let suite: Suite = toml::from_str(&text).map_err(|e| format!("{name}: {e}"))?;
+    let suite: Suite = toml::from_str(&read(path)?).map_err(|e| in_file(path, e))?;
     // The fastest loop there is: rates are judged when the suite flies.
     suite.validate(1000.0)?;
     Ok(suite)
 }
 
-fn trim(text: &str, airframe: &Airframe) -> Result<Trim, String> {
+fn trim(text: &str, airframe: &Airframe) -> Result<Trim, ArgumentError> {
+    let bad = |reason: String| ArgumentError::new("trim", text, reason);
     let (what, values) = text.split_once(':').unwrap_or((text, ""));
     let numbers: Vec<f64> = values
         .split(',')
         .filter(|v| !v.is_empty())
         .map(|v| v.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0))
         .collect::<Option<_>>()
-        .ok_or_else(|| format!("--trim {text}: {values} is not a list of positive numbers"))?;
+        .ok_or_else(|| bad(format!("{values} is not a list of positive numbers")))?;
     match (what, numbers.as_slice()) {
         ("hover", []) => Ok(Trim::hover(airframe)),
         ("straight", [speed]) => Ok(Trim::straight(airframe, nalgebra::Vector3::new(*speed, 0.0, 0.0))),
         ("circle", [radius, speed]) => Ok(Trim::circle(airframe, *radius, *speed)),
-        _ => Err(format!("--trim {text}: not hover, straight:SPEED or circle:RADIUS,SPEED")),
+        _ => Err(bad("not hover, straight:SPEED or circle:RADIUS,SPEED".to_owned())),
     }
 }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use plumbline_agent::design::{Equation, solve_cases};
 
+use super::{Failure, in_file, read};
+
 #[derive(Debug, clap::Args)]
 pub struct RiccatiArguments {
     /// JSON: one case, a list of cases or `{"cases": [...]}`, each with A, B, Q and R as lists of rows.
@@ -13,9 +15,8 @@ pub struct RiccatiArguments {
 }
 
 impl RiccatiArguments {
-    pub fn run(&self, equation: Equation) -> Result<(), Box<dyn std::error::Error>> {
-        let file = self.input.display();
-        let text = std::fs::read_to_string(&self.input).map_err(|e| format!("{file}: {e}"))?;
+    pub fn run(&self, equation: Equation) -> Result<(), Failure> {
+        let text = read(&self.input)?;
         let mut out = std::io::stdout().lock();
         let mut written = Ok(());
         solve_cases(equation, &text, |line| {
@@ -23,7 +24,7 @@ impl RiccatiArguments {
                 written = writeln!(out, "{line}");
             }
         })
-        .map_err(|e| format!("{file}: {e}"))?;
+        .map_err(|e| in_file(&self.input, e))?;
         Ok(written?)
     }
 }

@@ -9,6 +9,9 @@ use std::time::Instant;
 
 use plumbline_proto::time::FlightTime;
 
+/// A tick may carry a time this far ahead of the clock, s.
+const AHEAD_MAX_S: f64 = 0.5;
+
 /// Flight time that can be asked for at any moment.
 #[derive(Debug)]
 pub struct FlightClock {
@@ -46,6 +49,18 @@ impl FlightClock {
         self.latest_us.store(time.0, Ordering::Relaxed);
     }
 
+    /// How long ago flight time was `seen`, s of the machine's clock; infinite for a time that has not come (of another
+    /// start of the agent), zero where time stands or is stepped.
+    pub fn since_s(&self, seen: FlightTime) -> f64 {
+        let speed = self.anchor.read().unwrap_or_else(PoisonError::into_inner).map_or(0.0, |anchor| anchor.speed);
+        let since_s = self.now().seconds_since(seen);
+        match (since_s < -AHEAD_MAX_S, speed > 0.0) {
+            (true, _) => f64::INFINITY,
+            (false, true) => (since_s / speed).max(0.0),
+            (false, false) => 0.0,
+        }
+    }
+
     /// Flight time now.
     pub fn now(&self) -> FlightTime {
         match *self.anchor.read().unwrap_or_else(PoisonError::into_inner) {
@@ -71,7 +86,11 @@ mod tests {
         clock.run(Instant::now() - Duration::from_millis(100), FlightTime(1_000_000), 2.0);
         let now = clock.now().0;
         assert!((1_200_000..1_300_000).contains(&now), "{now}");
+        let since_s = clock.since_s(FlightTime(1_000_000));
+        assert!((0.099..0.15).contains(&since_s), "{since_s}");
+        assert_eq!(clock.since_s(FlightTime(9_000_000)), f64::INFINITY);
         clock.stop();
         assert_eq!(clock.now(), FlightTime(5_000));
+        assert_eq!(clock.since_s(FlightTime(0)), 0.0);
     }
 }

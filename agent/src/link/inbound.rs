@@ -272,7 +272,7 @@ mod tests {
     use super::*;
 
     fn refusal(body: Body) -> String {
-        match parse(v1::Command { command_id: 7, operator: "t".into(), body: Some(body) }) {
+        match parse(v1::Command { command_id: 7, operator: "t".into(), seen_us: None, body: Some(body) }) {
             Inbound { id: CommandId(7), request: Request::Refused(reason) } => reason,
             other => panic!("{other:?}"),
         }

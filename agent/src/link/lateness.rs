@@ -17,6 +17,10 @@ use crate::types::Mode;
 /// A command older than this is refused, s: beyond any retransmission, below any failsafe's end.
 pub const COMMAND_MAX_AGE_S: f64 = 1.0;
 
+/// Nor is one whose operator saw a picture older than this, s: it waited where no heartbeat tells of it, in the socket of
+/// a ground that stood still, or its page had stopped.
+pub const PICTURE_MAX_AGE_S: f64 = 2.0;
+
 /// Two clocks differ by less than this fraction; crystals by 100 ppm.
 const DRIFT_MAX: f64 = 300e-6;
 /// The measure is the quickest of the present span of this length and of the one before …
@@ -71,6 +75,23 @@ impl Lateness {
         let Some(quickest_us) = self.quickest_us.into_iter().flatten().min() else { return 0.0 };
         let since_heartbeat_s = (self.way_us(now) - self.drifted_us(quickest_us, now)) as f64 * 1e-6;
         (since_heartbeat_s - HEARTBEAT_PERIOD.as_secs_f64()).max(0.0)
+    }
+}
+
+/// Why a command that was `way_s` on its way, and asked on a picture `picture_s` old, comes too late; `None` in time.
+pub fn too_late(way_s: f64, picture_s: f64) -> Option<String> {
+    if way_s > COMMAND_MAX_AGE_S {
+        Some(format!(
+            "it was {way_s:.1} s on its way (limit {COMMAND_MAX_AGE_S} s): the link had failed; send it again"
+        ))
+    } else if picture_s == f64::INFINITY {
+        Some("it was asked on a picture from before the agent's start; look again, then ask again".to_owned())
+    } else if picture_s > PICTURE_MAX_AGE_S {
+        Some(format!(
+            "it was asked on a picture {picture_s:.1} s old (limit {PICTURE_MAX_AGE_S} s); look again, then ask again"
+        ))
+    } else {
+        None
     }
 }
 

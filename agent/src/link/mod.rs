@@ -6,7 +6,17 @@
 //! never waited for and never made to wait: it writes frames into a ring and reads commands from a
 //! queue, and nothing here can slow it down.
 //!
-//! Whatever ends a session, the link tries again for ever.
+//! Whatever ends a session, the link tries again for ever. How soon it is back after a fade:
+//!
+//! | fade | what happens | commands again after |
+//! |---|---|---|
+//! | up to 8 s ([`transport::IDLE_TIMEOUT_MS`]) | both connections live; heartbeats were sent all the time | 0.1 s |
+//! | the same, the window full of backfill | given up when silent for 1.5 s beside telemetry (`stall.rs`) | 2 s |
+//! | up to a minute | a new attempt every 0.25 s (`connect.rs`) | 0.25 s and a handshake |
+//! | longer | a new attempt every second | 1 s and a handshake |
+//!
+//! A greeting that the radio swallows costs 2 s ([`hello::HELLO_TIMEOUT`]) and is repeated at once; only whom the ground
+//! refuses waits longer each time.
 
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -30,6 +40,7 @@ pub mod lateness;
 mod pump;
 pub mod rate;
 mod session;
+mod stall;
 
 use backfill::Archive;
 use clock::FlightClock;
@@ -43,7 +54,7 @@ pub const TELEMETRY_BYTES_PER_S: f64 = 1.5e6;
 /// Default cap of backfill, bytes a second.
 pub const BACKFILL_BYTES_PER_S: f64 = 500e3;
 
-/// Longest wait between two sessions that end before they begin.
+/// Longest wait between two sessions that the ground refuses.
 const MAX_BACKOFF: Duration = Duration::from_secs(5);
 
 /// What the link needs to know.
@@ -227,11 +238,7 @@ impl Endpoints {
         {
             return Ok(endpoint.clone());
         }
-        let any: SocketAddr = match ground {
-            SocketAddr::V4(_) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
-            SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
-        };
-        let endpoint = Endpoint::client(any)?;
+        let endpoint = Endpoint::client(transport::any_port(ground))?;
         *kept = Some((ground.is_ipv6(), endpoint.clone()));
         Ok(endpoint)
     }
@@ -260,11 +267,11 @@ async fn forever(link: &mut Link, configs: &session::Configs, endpoints: &Endpoi
             Ok((ground, endpoint)) => session::run(link, &endpoint, configs, ground).await,
             Err(error) => {
                 let reason = format!("ground address {:?}: {error}", link.config.ground);
-                session::Ended { reason, established: false }
+                session::Ended { reason, again: false }
             }
         };
         link.state.tell(&ended.reason);
-        if ended.established {
+        if ended.again {
             backoff = Duration::from_millis(100);
             continue;
         }

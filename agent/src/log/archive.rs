@@ -1,6 +1,5 @@
 //! Reads frames back out of the log, for backfill.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::ControlFlow;
@@ -11,13 +10,13 @@ use std::time::{Duration, Instant};
 
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use plumbline_file::{MAX_RECORD, METADATA, chunk_records};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::Frame;
 use plumbline_proto::ids::FlightId;
 use plumbline_proto::v1::BackfillRequest;
 
-use super::writer::{self, METADATA};
-use super::{LogState, MAX_RECORD, chunk_records};
+use super::{LogState, room};
 use crate::link::backfill::Archive;
 
 /// Longest wait for the writer to flush what is asked for.
@@ -107,43 +106,11 @@ impl Archive for LogArchive {
         let Ok(id) = FlightId::new(flight_id) else { return };
         let path = self.folder.join(format!("{id}.mcap"));
         if path.exists()
-            && let Err(error) = File::create(writer::kept_mark(&path))
+            && let Err(error) = File::create(room::kept_mark(&path))
         {
             tracing::warn!(flight = flight_id, %error, "it is not noted that the ground holds this flight");
         }
     }
-}
-
-/// What a file says of itself at its beginning; `None` when it does not.
-pub(super) fn metadata(path: &Path) -> Option<BTreeMap<String, String>> {
-    let mut file = File::open(path).ok()?;
-    let options = LinearReaderOptions::default()
-        .with_skip_end_magic(true)
-        .with_emit_chunks(true)
-        .with_record_length_limit(MAX_RECORD);
-    let mut reader = LinearReader::new_with_options(options);
-    // Header, then our metadata: nothing of ours comes later.
-    let mut records = 0;
-    while let Some(Ok(event)) = reader.next_event() {
-        match event {
-            LinearReadEvent::ReadRequest(bytes) => {
-                let read = file.read(reader.insert(bytes)).ok()?;
-                reader.notify_read(read);
-            }
-            LinearReadEvent::Record { opcode, data } => {
-                if let Ok(Record::Metadata(found)) = mcap::parse_record(opcode, data)
-                    && found.name == METADATA
-                {
-                    return Some(found.metadata);
-                }
-                records += 1;
-                if records > 4 {
-                    return None;
-                }
-            }
-        }
-    }
-    None
 }
 
 /// What is known of a file after reading some of it, so that the next request begins near what it asks for.

@@ -4,7 +4,6 @@
 //! and synced one over it. What cannot be read at all is set aside as `*.corrupt`, never deleted.
 
 use std::fs::{self, File};
-use std::io::{Read, Seek, SeekFrom};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -13,9 +12,6 @@ use plumbline_proto::v1::BackfillRequest;
 use super::LogError;
 use super::archive;
 use super::writer::LogFile;
-
-/// Beginning and end of every finished file.
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// The flights in `folder` that were not finished; half-made repairs of before are removed.
 pub fn unfinished(folder: &Path) -> Vec<PathBuf> {
@@ -34,17 +30,12 @@ pub fn unfinished(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn finished(path: &Path) -> bool {
-    let tail = || -> std::io::Result<[u8; 8]> {
-        let mut file = File::open(path)?;
-        let mut tail = [0; 8];
+    let file = || -> std::io::Result<bool> {
+        let file = File::open(path)?;
         // The shortest finished file holds both magics.
-        if file.metadata()?.len() > 2 * MAGIC.len() as u64 {
-            file.seek(SeekFrom::End(-(MAGIC.len() as i64)))?;
-            file.read_exact(&mut tail)?;
-        }
-        Ok(tail)
+        Ok(file.metadata()?.len() > 2 * mcap::MAGIC.len() as u64 && plumbline_file::ends_with_magic(&file))
     };
-    tail().is_ok_and(|tail| tail == *MAGIC)
+    file().unwrap_or(false)
 }
 
 /// Finishes each of `files`; what fails is reported and left as it is.
@@ -61,7 +52,7 @@ pub fn finish_all(files: &[PathBuf]) {
 fn finish(path: &Path) -> Result<u64, LogError> {
     let io = |source| LogError::Io { path: path.to_owned(), source };
     let whole = BackfillRequest { last_sequence: u64::MAX, ..BackfillRequest::default() };
-    let Some(metadata) = archive::metadata(path) else {
+    let Some(metadata) = plumbline_file::metadata(path) else {
         fs::rename(path, with_suffix(path, "corrupt")).map_err(io)?;
         return Ok(0);
     };

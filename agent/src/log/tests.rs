@@ -107,7 +107,7 @@ fn a_flight_is_kept_whole_and_can_be_asked_for_again() {
 fn a_file_that_cannot_be_gone_on_with_is_ended_where_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let mark = v1::FlightMark { flight_id: "f-1".into(), first_sequence: 1, ..Default::default() };
-    let mut file = LogFile::create(&config(folder.path()), &mark).unwrap();
+    let mut file = LogFile::create(&config(folder.path()), &mark, 1).unwrap();
     let payload = [7; 1000];
     let frame = |sequence: u64| Frame {
         kind: Kind::Event.to_wire(),
@@ -179,13 +179,45 @@ fn the_oldest_flights_make_room_and_a_full_log_is_reported() {
     archive.kept("new");
     archive.kept("never-flown");
     assert!(!folder.path().join("never-flown.kept").exists());
-    writer::make_room(&bounded, None).unwrap();
+    room::make_room(&bounded, None).unwrap();
     assert!(!folder.path().join("new.mcap").exists() && !folder.path().join("new.kept").exists());
     assert_eq!([left(1), left(2)], [true, true]);
     let open = folder.path().join("open.mcap");
     std::fs::write(&open, vec![0; 2_000_000]).unwrap();
-    let error = writer::make_room(&bounded, Some(&open)).unwrap_err().to_string();
+    let error = room::make_room(&bounded, Some(&open)).unwrap_err().to_string();
     assert!(error.contains("no room") && open.exists(), "{error}");
+}
+
+#[test]
+fn the_newest_flight_stays_whatever_the_wall_clock_was_set_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(format!("{name}.mcap"));
+    // GIVEN a flight from before flights had numbers, and three flights of two starts, named and dated by a wall clock
+    // that was set back by years before the last one
+    std::fs::write(path("20260101-old"), finished(1000)).unwrap();
+    let fly = |names: &[&str]| {
+        let (mut ring, consumer) = RingBuffer::new(RING_BYTES);
+        let log = spawn(config(folder.path()), consumer).unwrap();
+        for (n, name) in (0..).zip(names) {
+            mark(&mut ring, name, 1000 * n + 1, None);
+            mark(&mut ring, name, 1000 * n + 2, Some(1000 * n + 2));
+        }
+        log.stop();
+    };
+    fly(&["20261121-a", "20261121-b"]);
+    fly(&["19700101-c"]);
+    for (name, seconds) in [("20260101-old", 1_900_000_000), ("20261121-a", 1_795_262_400), ("19700101-c", 100)] {
+        let date = std::time::SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
+        std::fs::File::options().write(true).open(path(name)).unwrap().set_modified(date).unwrap();
+    }
+    // WHEN room is needed for all but one after the other THEN the newest is the last to go
+    let mut left = ["20260101-old", "20261121-a", "20261121-b", "19700101-c"].to_vec();
+    while left.len() > 1 {
+        let used: u64 = left.iter().map(|name| std::fs::metadata(path(name)).unwrap().len()).sum();
+        let bounded = LogConfig { max_bytes: used - 1, ..config(folder.path()) };
+        room::make_room(&bounded, Some(Path::new("another"))).unwrap();
+        assert!(!path(left.remove(0)).exists() && left.iter().all(|name| path(name).exists()), "{left:?}");
+    }
 }
 
 #[test]

@@ -1,11 +1,12 @@
-//! One flight's file, and the room for it.
+//! One flight's file.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use plumbline_file::{METADATA, SyncedFile, Syncer};
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::ids::FlightId;
@@ -13,13 +14,14 @@ use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::v1;
 
 use super::records::{self, Channel, Chunk, Contents};
-use super::{LogConfig, LogError, MIN_FREE_BYTES, SyncedFile, Syncer};
+use super::{LogConfig, LogError};
 
 /// Bytes of a chunk before compression; the flush period usually ends it earlier.
 const CHUNK_BYTES: usize = 512 << 10;
 
-/// Name of the metadata record that makes a file answer for itself.
-pub(super) const METADATA: &str = "plumbline";
+/// What of the metadata says which flight is older, whatever the wall clock was set to: one more than that of the flight
+/// before.
+pub(super) const NUMBER: &str = "flight_number";
 
 /// An open flight.
 pub(super) struct LogFile {
@@ -42,7 +44,8 @@ pub(super) struct LogFile {
 }
 
 impl LogFile {
-    pub(super) fn create(config: &LogConfig, mark: &v1::FlightMark) -> Result<Self, LogError> {
+    /// The file of the flight that `mark` opens, with its place among the flights of this folder.
+    pub(super) fn create(config: &LogConfig, mark: &v1::FlightMark, number: u64) -> Result<Self, LogError> {
         let id = FlightId::new(mark.flight_id.as_str())
             .map_err(|error| LogError::Full { path: config.folder.clone(), reason: error.to_string() })?;
         let metadata = BTreeMap::from([
@@ -50,6 +53,7 @@ impl LogFile {
             ("agent_id".to_owned(), config.agent_id.clone()),
             ("agent_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("schema".to_owned(), plumbline_proto::SCHEMA.to_string()),
+            (NUMBER.to_owned(), number.to_string()),
             ("first_sequence".to_owned(), mark.first_sequence.to_string()),
             ("boot_wall_time_us".to_owned(), config.boot_wall_time.0.to_string()),
         ]);
@@ -188,76 +192,4 @@ impl LogFile {
     fn io(&self, source: io::Error) -> LogError {
         LogError::Io { path: self.path.clone(), source }
     }
-}
-
-/// Could a flight be begun now?
-pub(super) fn probe(config: &LogConfig) -> Result<(), LogError> {
-    fs::create_dir_all(&config.folder).map_err(|source| LogError::Io { path: config.folder.clone(), source })?;
-    make_room(config, None)?;
-    let path = config.folder.join("probe.tmp");
-    let io = |source| LogError::Io { path: path.clone(), source };
-    fs::write(&path, b"can be written").map_err(io)?;
-    fs::remove_file(&path).map_err(io)
-}
-
-/// Stands beside a flight that the ground holds, too.
-pub(super) fn kept_mark(path: &Path) -> PathBuf {
-    path.with_extension("kept")
-}
-
-/// Deletes finished flights, those that the ground holds first and the oldest of each first, until the folder is below its bound and the disk has some
-/// space left. `open` is never deleted.
-pub(super) fn make_room(config: &LogConfig, open: Option<&Path>) -> Result<(), LogError> {
-    let folder = &config.folder;
-    let io = |source| LogError::Io { path: folder.clone(), source };
-    let mut flights = Vec::new();
-    for entry in fs::read_dir(folder).map_err(io)? {
-        let path = entry.map_err(io)?.path();
-        // What was set aside takes room as well, and goes like any other.
-        if path.extension().is_some_and(|extension| extension == "mcap" || extension == "corrupt") {
-            let meta = fs::metadata(&path).map_err(io)?;
-            let kept = kept_mark(&path).exists();
-            flights.push((!kept, meta.modified().map_err(io)?, meta.len(), path));
-        }
-    }
-    flights.sort();
-    let mut used: u64 = flights.iter().map(|(_, _, bytes, _)| bytes).sum();
-    let mut oldest = flights.iter().filter(|(.., path)| Some(path.as_path()) != open);
-    // A new flight begins with some room to grow; an open one may fill the bound.
-    let bound = if open.is_some() { config.max_bytes } else { config.max_bytes - config.max_bytes / 10 };
-    while used > bound || free_bytes(folder).is_some_and(|free| free < MIN_FREE_BYTES) {
-        let Some((only_here, _, bytes, path)) = oldest.next() else {
-            let free = free_bytes(folder).map_or_else(|| "unknown".to_owned(), |free| (free >> 20).to_string());
-            let reason = format!(
-                "no room: {} MiB used of {} MiB, {free} MiB free on the disk, at least {} needed",
-                used >> 20,
-                config.max_bytes >> 20,
-                MIN_FREE_BYTES >> 20
-            );
-            return Err(LogError::Full { path: folder.clone(), reason });
-        };
-        if *only_here {
-            tracing::warn!(flight = %path.display(), bytes, "deleted to make room: no ground is known to hold it");
-        } else {
-            tracing::info!(flight = %path.display(), bytes, "deleted to make room: the ground holds it");
-        }
-        fs::remove_file(path).map_err(|source| LogError::Io { path: path.clone(), source })?;
-        let _ = fs::remove_file(kept_mark(path));
-        used -= bytes;
-    }
-    Ok(())
-}
-
-fn free_bytes(folder: &Path) -> Option<u64> {
-    use std::os::unix::ffi::OsStrExt;
-    let path = std::ffi::CString::new(folder.as_os_str().as_bytes()).ok()?;
-    let mut stat = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: `path` is a C string and `stat` has room for the answer, which is read only on success.
-    let stat = unsafe {
-        if libc::statvfs(path.as_ptr(), stat.as_mut_ptr()) != 0 {
-            return None;
-        }
-        stat.assume_init()
-    };
-    Some(stat.f_bavail as u64 * stat.f_frsize as u64)
 }

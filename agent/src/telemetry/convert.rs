@@ -4,10 +4,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{self, SensorKind};
 
 use crate::attack::{Attack, Bounds, Channel, Injector, Kind, Phase, Progress, offered};
-use crate::control::Controller;
-use crate::control::gains::{Certified, INPUT_NAMES};
 use crate::control::step_response::StepResponse;
-use crate::control::tuning::parameters;
 use crate::estimate::secure::suite::{NAMES, Promise, SuiteError};
 use crate::estimate::{Estimate, Residual};
 use crate::event::Event;
@@ -34,26 +31,25 @@ pub(super) fn estimate(
     in_loop: bool,
     step_time_us: f64,
 ) -> v1::Estimate {
-    // The attitude filter knows nothing of place or speed: absent, not 0 m.
-    let placed = kind != EstimatorKind::Vqf;
+    let motion = estimate.motion;
     v1::Estimate {
         time_us: now.0,
         estimator: kind as i32,
         in_loop,
         health: estimate.health as i32,
-        position_enu_m: vector(&estimate.position_enu_m).filter(|_| placed),
-        velocity_enu_mps: vector(&estimate.velocity_enu_mps).filter(|_| placed),
+        position_enu_m: motion.and_then(|m| vector(&m.position_enu_m)),
+        velocity_enu_mps: motion.and_then(|m| vector(&m.velocity_enu_mps)),
         world_from_body: quaternion(&estimate.world_from_body),
         roll_pitch_yaw_rad: vector(&roll_pitch_yaw(&estimate.world_from_body)),
         body_rates_radps: vector(&estimate.body_rates_radps),
         accel_bias_mps2: estimate.accel_bias_mps2.as_ref().and_then(vector),
         gyro_bias_radps: estimate.gyro_bias_radps.as_ref().and_then(vector),
-        position_sigma_m: estimate.position_sigma_m.as_ref().and_then(vector),
-        velocity_sigma_mps: estimate.velocity_sigma_mps.as_ref().and_then(vector),
+        position_sigma_m: motion.and_then(|m| vector(&m.position_sigma_m?)),
+        velocity_sigma_mps: motion.and_then(|m| vector(&m.velocity_sigma_mps?)),
         attitude_sigma_rad: estimate.attitude_sigma_rad.as_ref().and_then(vector),
         step_time_us,
-        altitude_known: estimate.altitude_known,
-        horizontal_known: estimate.horizontal_known,
+        altitude_known: estimate.altitude_known(),
+        horizontal_known: estimate.horizontal_known(),
     }
 }
 
@@ -193,48 +189,6 @@ pub(super) fn replay_status(into: &mut v1::Status, recorded: Option<&RecordedCon
     }
 }
 
-pub(super) fn gains(into: &mut v1::GainsInUse, now: FlightTime, gains: &Certified) {
-    use std::fmt::Write;
-    into.time_us = now.0;
-    into.revision = gains.revision.0;
-    into.sha256.clear();
-    for byte in gains.sha256 {
-        let _ = write!(into.sha256, "{byte:02x}");
-    }
-    set(&mut into.controller, gains.controller());
-    into.kind = gains.law.kind() as i32;
-    let weights = into.weights.get_or_insert_default();
-    // A K given outright comes from no weights.
-    let of = if gains.design.k.is_none() { Some(&gains.design.weights) } else { None };
-    values(&mut weights.state_weight, of.map_or(&[], |w| &w.state));
-    values(&mut weights.input_weight, of.map_or(&[], |w| &w.input));
-    let k = gains.law.gains();
-    for (into, k) in [&mut into.k, &mut into.k_attitude].into_iter().zip([k.map(|k| k[0]), k.map(|k| k[1])]) {
-        let into = into.get_or_insert_default();
-        (into.rows, into.columns) = k.map_or((0, 0), |k| (k.nrows() as u32, k.ncols() as u32));
-        // The wire is row-major, nalgebra column-major.
-        values(&mut into.values, k.map(|k| k.transpose()).as_ref().map_or(&[], |k| k.as_slice()));
-    }
-    into.slowest_pole_per_s = gains.margins.slowest_pole_per_s;
-    let table = parameters(gains.design.kind);
-    into.parameters.resize_with(table.len(), v1::Parameter::default);
-    for ((into, parameter), value) in into.parameters.iter_mut().zip(table).zip(&gains.design.parameters) {
-        set(&mut into.name, parameter.name);
-        into.value = *value;
-    }
-    into.margins.resize_with(INPUT_NAMES.len(), v1::LoopMargins::default);
-    for ((into, name), found) in into.margins.iter_mut().zip(INPUT_NAMES).zip(&gains.margins.loops) {
-        set(&mut into.input, name);
-        into.gain_up = found.gain_up;
-        into.gain_down = found.gain_down;
-        into.phase_rad = found.phase_rad;
-        into.delay_s = found.delay_s;
-        into.crossover_radps = found.crossover_radps;
-        into.peak_sensitivity = found.peak_sensitivity;
-    }
-    set(&mut into.margin_policy, gains.policy.name);
-}
-
 pub(super) fn attacks(into: &mut v1::AttackState, now: FlightTime, injector: &Injector) {
     into.time_us = now.0;
     into.enabled = injector.enabled();
@@ -372,6 +326,6 @@ pub(super) fn limits(config: &FlightConfig) -> v1::Limits {
         descent_max_mps: limits.descent_max_mps,
         tilt_max_rad: limits.tilt_max_rad,
         thrust_max_n: config.airframe.max_thrust_n().min(config.rig.thrust_ceiling_n(config.airframe.weight_n())),
-        attack_max_duration_s: config.attack_bounds.duration_max_s,
+        attack_max_duration_s: config.attacks.bounds.duration_max_s,
     }
 }

@@ -80,7 +80,7 @@ impl Recording {
         self.count += 1;
         self.open = Some(now);
         self.disarmed = None;
-        let (date, time) = civil(self.boot_wall_time.at(now).0 / 1_000_000);
+        let (date, time) = self.boot_wall_time.at(now).utc();
         let mark = &mut self.mark;
         mark.flight_id.clear();
         let _ = write!(
@@ -103,33 +103,5 @@ impl Recording {
         self.mark.last_sequence = Some(sequence);
         super::convert::set(&mut self.mark.reason, reason);
         &self.mark
-    }
-}
-
-/// Year, month, day and hour, minute, second (UTC) of a Unix time.
-/// Days to date after Howard Hinnant, "chrono-compatible low-level date algorithms".
-pub(crate) fn civil(unix_s: u64) -> ((u64, u64, u64), (u64, u64, u64)) {
-    let (days, second) = (unix_s / 86_400, unix_s % 86_400);
-    let z = days + 719_468;
-    let (era, doe) = (z / 146_097, z % 146_097);
-    let yoe = (doe - doe / 1_460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let day = doy - (153 * mp + 2) / 5 + 1;
-    let month = if mp < 10 { mp + 3 } else { mp - 9 };
-    let year = yoe + era * 400 + u64::from(month <= 2);
-    ((year, month, day), (second / 3600, second / 60 % 60, second % 60))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::civil;
-
-    #[test]
-    fn dates() {
-        assert_eq!(civil(0), ((1970, 1, 1), (0, 0, 0)));
-        assert_eq!(civil(951_782_399), ((2000, 2, 28), (23, 59, 59)));
-        assert_eq!(civil(951_782_400), ((2000, 2, 29), (0, 0, 0)));
-        assert_eq!(civil(1_795_262_400), ((2026, 11, 21), (12, 0, 0)));
     }
 }

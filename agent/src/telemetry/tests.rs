@@ -128,6 +128,8 @@ fn arming_records_a_flight_and_the_log_gets_the_same_bytes() {
         let at = frames.iter().position(|f| f.known_kind() == Some(kind)).unwrap();
         assert!(at < 60, "{kind:?} only comes as message {at}");
     }
+    let description = frames.iter().find(|f| f.known_kind() == Some(Kind::Description)).unwrap();
+    assert_eq!(description.message::<v1::Description>().unwrap().boot_id, 0xabcd);
 }
 
 #[test]

@@ -14,7 +14,7 @@ pub use server::{AgentLink, AgentLinkConfig, AgentLinkError, run};
 
 use std::time::Instant;
 
-use bytes::Bytes;
+use plumbline_proto::codec::Batch;
 use plumbline_proto::v1;
 use tokio::sync::mpsc;
 
@@ -41,12 +41,12 @@ pub enum LinkEvent {
         /// Way down to the agent, valid until its `Disconnected`.
         commands: CommandSender,
     },
-    /// One codec batch, header included, as the agent encoded it.
+    /// Messages of the agent.
     Batch {
         /// Which agent.
         agent_id: String,
-        /// The batch.
-        batch: Bytes,
+        /// As the agent encoded them.
+        batch: Batch,
         /// When it was received.
         received: Instant,
         /// An answer to a backfill: belongs into the file, not into the live view.

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use plumbline_link::identity::{Identity, IdentityError};
+use plumbline_link::identity::{Fingerprint, Identity, IdentityError};
 use plumbline_link::tls::{self, Purpose};
 use plumbline_link::transport::{self, CloseCode, FrameReader, FrameWriter};
 use plumbline_link::{hello, pairing};
@@ -201,7 +201,8 @@ async fn serve(incoming: Incoming, shared: Shared) {
     };
     match connection {
         Ok(connection) => {
-            if let Err(reason) = greet(connection, &shared).await {
+            if let Err(Refusal { code, reason }) = greet(&connection, &shared).await {
+                code.close(&connection, &reason);
                 tracing::warn!(%peer, reason, "agent refused");
             }
         }
@@ -213,65 +214,41 @@ async fn serve(incoming: Incoming, shared: Shared) {
     }
 }
 
+/// Why a connection is closed again, as it is said to the other end.
+struct Refusal {
+    code: CloseCode,
+    reason: String,
+}
+
+impl Refusal {
+    fn protocol(reason: impl ToString) -> Self {
+        Self { code: CloseCode::Protocol, reason: reason.to_string() }
+    }
+}
+
 /// Checks who it is, answers, and serves the connection to its end.
-async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
-    let refuse = |code: CloseCode, reason: String| {
-        code.close(&connection, &reason);
-        Err(reason)
+async fn greet(connection: &Connection, shared: &Shared) -> Result<(), Refusal> {
+    let (Some(purpose), Some(fingerprint)) = (Purpose::of(connection), tls::peer_fingerprint(connection)) else {
+        return Err(Refusal::protocol("the handshake names no purpose or no certificate"));
     };
-    let (Some(purpose), Some(fingerprint)) = (Purpose::of(&connection), tls::peer_fingerprint(&connection)) else {
-        return refuse(CloseCode::Protocol, "the handshake names no purpose or no certificate".to_owned());
-    };
-    let identity = &shared.config.identity;
     if purpose == Purpose::Pairing {
-        let from = crate::people::origin(Some(connection.remote_address().ip()));
-        let may_try = || {
-            let (mut proofs, now) = (lock(&shared.proofs), Instant::now());
-            let may = proofs.wait(&from, now).is_none();
-            if may {
-                proofs.failed(from, now);
-            }
-            may
-        };
-        return match pairing::serve(&connection, identity, &shared.config.ground_id, may_try).await {
-            Ok(name) => {
-                tracing::warn!(agent = name, %fingerprint, "paired");
-                Ok(())
-            }
-            Err(error) => refuse(CloseCode::Protocol, error.to_string()),
-        };
+        return pair(connection, fingerprint, shared).await;
     }
     // While a pairing code waits, strangers pass the handshake; for anything but pairing they get nothing.
+    let identity = &shared.config.identity;
     if identity.peer(fingerprint).is_none() {
         identity.refuse(fingerprint);
-        return refuse(CloseCode::Protocol, "not paired".to_owned());
+        return Err(Refusal::protocol("not paired"));
     }
-    let (send, receive) = match tokio::time::timeout(hello::HELLO_TIMEOUT, connection.accept_bi()).await {
-        Ok(Ok(streams)) => streams,
-        Ok(Err(error)) => {
-            // An attempt that lost the race against another one of the same agent.
-            tracing::debug!(reason = transport::reason(&error), "left before hello");
-            return Ok(());
-        }
-        Err(_) => return refuse(CloseCode::Protocol, "no hello".to_owned()),
-    };
-    let mut reader = FrameReader::new(receive);
-    let mut writer = FrameWriter::new(send).priority(1);
-    let theirs = match hello::receive(&mut reader).await {
-        Ok(hello) => hello,
-        Err(error) => return refuse(CloseCode::Protocol, error.to_string()),
-    };
-    if let Err(error) = hello::check(&theirs) {
-        return refuse(CloseCode::Schema, error.to_string());
-    }
+    let Some((reader, mut writer, theirs)) = introduced(connection).await? else { return Ok(()) };
     // Whoever is trusted is trusted under its own name: nobody else's commands, flights or revocation are its.
     match identity.peer(fingerprint) {
         Some(name) if name == theirs.id => {}
         Some(name) => {
             let id = &theirs.id;
-            return refuse(CloseCode::Protocol, format!("this certificate is paired as {name:?}, not as {id:?}"));
+            return Err(Refusal::protocol(format!("this certificate is paired as {name:?}, not as {id:?}")));
         }
-        None => return refuse(CloseCode::Protocol, "not paired".to_owned()),
+        None => return Err(Refusal::protocol("not paired")),
     }
     let who = Who { agent_id: theirs.id.clone(), boot_id: theirs.boot_id, fingerprint };
     let mine = Hello {
@@ -281,27 +258,54 @@ async fn greet(connection: Connection, shared: &Shared) -> Result<(), String> {
         boot_id: 0,
         boot_wall_time_us: 0,
     };
-    match purpose {
-        Purpose::Commands => {
-            let claim = match shared.registry.claim(who, &connection).await {
-                Ok(claim) => claim,
-                Err(reason) => return refuse(CloseCode::Duplicate, reason),
-            };
-            writer.send(Body::Hello(mine)).await.map_err(|error| error.to_string())?;
-            session::commands(connection, reader, writer, theirs, claim, fingerprint, shared).await;
-        }
-        Purpose::Pairing => {}
-        Purpose::Telemetry => {
-            if let Err(reason) = shared.registry.join(&who, &connection) {
-                return refuse(CloseCode::Protocol, reason);
-            }
-            writer.send(Body::Hello(mine)).await.map_err(|error| error.to_string())?;
-            session::telemetry(connection, &theirs.id, shared).await;
-        }
+    if purpose == Purpose::Commands {
+        let claim = shared.registry.claim(who, connection).await;
+        let claim = claim.map_err(|reason| Refusal { code: CloseCode::Duplicate, reason })?;
+        writer.send(Body::Hello(mine)).await.map_err(Refusal::protocol)?;
+        session::commands(connection.clone(), reader, writer, theirs, claim, fingerprint, shared).await;
+    } else {
+        shared.registry.join(&who, connection).map_err(Refusal::protocol)?;
+        writer.send(Body::Hello(mine)).await.map_err(Refusal::protocol)?;
+        session::telemetry(connection.clone(), &theirs.id, shared).await;
     }
     let dropped = shared.dropped.load(Ordering::Relaxed);
     if dropped > 0 {
         tracing::warn!(dropped, "batches given up since the start: the hub was busy");
     }
     Ok(())
+}
+
+/// Looks at a proof of the pairing code that waits; of one address at so many in a minute.
+async fn pair(connection: &Connection, fingerprint: Fingerprint, shared: &Shared) -> Result<(), Refusal> {
+    let from = crate::people::origin(Some(connection.remote_address().ip()));
+    let may_try = || {
+        let (mut proofs, now) = (lock(&shared.proofs), Instant::now());
+        let may = proofs.wait(&from, now).is_none();
+        if may {
+            proofs.failed(from, now);
+        }
+        may
+    };
+    let AgentLinkConfig { identity, ground_id, .. } = &*shared.config;
+    let name = pairing::serve(connection, identity, ground_id, may_try).await.map_err(Refusal::protocol)?;
+    tracing::warn!(agent = name, %fingerprint, "paired");
+    Ok(())
+}
+
+/// What the other end says of itself, and the stream it says it on; `None` when it left before.
+async fn introduced(connection: &Connection) -> Result<Option<(FrameReader, FrameWriter, Hello)>, Refusal> {
+    let (send, receive) = match tokio::time::timeout(hello::HELLO_TIMEOUT, connection.accept_bi()).await {
+        Ok(Ok(streams)) => streams,
+        Ok(Err(error)) => {
+            // An attempt that lost the race against another one of the same agent.
+            tracing::debug!(reason = transport::reason(&error), "left before hello");
+            return Ok(None);
+        }
+        Err(_) => return Err(Refusal::protocol("no hello")),
+    };
+    let mut reader = FrameReader::new(receive);
+    let writer = FrameWriter::new(send).priority(1);
+    let theirs = hello::receive(&mut reader).await.map_err(Refusal::protocol)?;
+    hello::check(&theirs).map_err(|error| Refusal { code: CloseCode::Schema, reason: error.to_string() })?;
+    Ok(Some((reader, writer, theirs)))
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use plumbline_link::identity::Fingerprint;
 use plumbline_link::transport::{self, CloseCode, FrameReader, FrameWriter, HEARTBEAT_PERIOD, StreamError};
-use plumbline_proto::codec::decode_batch;
+use plumbline_proto::codec::Batch;
 use plumbline_proto::v1::{self, Heartbeat, Hello, command_frame::Body};
 use quinn::{Connection, RecvStream};
 use tokio::sync::mpsc::error::TrySendError;
@@ -142,16 +142,9 @@ async fn stream_of_batches(stream: RecvStream, agent_id: String, shared: Shared)
                 backfill = true;
                 continue;
             }
-            Body::Frames(batch) => {
-                if !is_batch(&batch, &agent_id, &shared) {
-                    continue;
-                }
-                LinkEvent::Batch {
-                    agent_id: agent_id.clone(),
-                    batch: Bytes::from(batch),
-                    received: Instant::now(),
-                    backfill,
-                }
+            Body::Frames(bytes) => {
+                let Some(batch) = parse(Bytes::from(bytes), &agent_id, &shared) else { continue };
+                LinkEvent::Batch { agent_id: agent_id.clone(), batch, received: Instant::now(), backfill }
             }
             Body::BackfillUnavailable(request) => {
                 LinkEvent::BackfillUnavailable { agent_id: agent_id.clone(), request }
@@ -178,11 +171,9 @@ async fn stream_of_batches(stream: RecvStream, agent_id: String, shared: Shared)
 pub(super) async fn telemetry(connection: Connection, agent_id: &str, shared: &Shared) {
     loop {
         match connection.read_datagram().await {
-            Ok(batch) => {
+            Ok(bytes) => {
                 let received = Instant::now();
-                if !is_batch(&batch, agent_id, shared) {
-                    continue;
-                }
+                let Some(batch) = parse(bytes, agent_id, shared) else { continue };
                 let event = LinkEvent::Batch { agent_id: agent_id.to_owned(), batch, received, backfill: false };
                 match shared.events.try_send(event) {
                     Ok(()) => {}
@@ -201,15 +192,17 @@ pub(super) async fn telemetry(connection: Connection, agent_id: &str, shared: &S
     }
 }
 
-fn is_batch(batch: &[u8], agent_id: &str, shared: &Shared) -> bool {
-    let error = match decode_batch(batch) {
-        Ok(mut frames) => frames.find_map(Result::err),
-        Err(error) => Some(error),
-    };
-    let Some(error) = error else { return true };
-    let malformed = shared.malformed.fetch_add(1, Ordering::Relaxed) + 1;
-    if malformed <= 10 || malformed.is_multiple_of(1000) {
-        tracing::warn!(agent = agent_id, %error, malformed, bytes = batch.len(), "malformed batch dropped");
+/// The batch; `None` of what is none, which is counted.
+fn parse(bytes: Bytes, agent_id: &str, shared: &Shared) -> Option<Batch> {
+    let length = bytes.len();
+    match Batch::parse(bytes) {
+        Ok(batch) => Some(batch),
+        Err(error) => {
+            let malformed = shared.malformed.fetch_add(1, Ordering::Relaxed) + 1;
+            if malformed <= 10 || malformed.is_multiple_of(1000) {
+                tracing::warn!(agent = agent_id, %error, malformed, bytes = length, "malformed batch dropped");
+            }
+            None
+        }
     }
-    false
 }

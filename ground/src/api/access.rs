@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use axum::body::{Body, to_bytes};
 use axum::extract::connect_info::ConnectInfo;
-use axum::extract::{Request, State};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -36,13 +36,21 @@ pub(crate) async fn admit(
     next: Next,
 ) -> Response {
     let mut deed = deed(&request);
-    let admitted = permit(&app, need, request.method(), request.headers())
-        .and_then(|person| operator::called(request.headers()).map(|called| (person, called)));
-    let (person, called) = match admitted {
+    let admitted = permit(&app, need, request.method(), request.headers()).and_then(|person| {
+        let who = match person.as_ref().and_then(|person| person.account.clone()) {
+            Some(account) => account,
+            None if is_cut(&request) => {
+                operator::called(request.headers()).unwrap_or_else(|_| operator::UNNAMED.into())
+            }
+            None => operator::called(request.headers())?,
+        };
+        Ok((person, who))
+    });
+    let person;
+    (person, deed.who) = match admitted {
         Ok(admitted) => admitted,
         Err(error) => return refuse(&app, deed, error),
     };
-    deed.who = person.as_ref().and_then(|person| person.account.clone()).unwrap_or(called);
     deed.role = person.as_ref().map_or("nobody", |person| person.role.name());
     // Whoever is known keeps their connection when there are too many clients.
     if let Some(place) = request.extensions().get::<Arc<Place>>().filter(|_| need != Access::Open) {
@@ -51,7 +59,8 @@ pub(crate) async fn admit(
     if let Some(person) = person {
         request.extensions_mut().insert(Signed(person));
     }
-    request.extensions_mut().insert(Operator(deed.who.clone()));
+    let operator = Operator::new(deed.who.clone(), request.headers());
+    request.extensions_mut().insert(operator);
     // Signing in and out write their own lines, without the password.
     if need == Access::Open || !changes(request.method()) {
         return next.run(request).await;
@@ -103,6 +112,11 @@ pub(super) fn deed(request: &Request) -> Deed {
         status: 0,
         times: 1,
     }
+}
+
+/// The motors are cut whatever somebody is called.
+fn is_cut(request: &Request) -> bool {
+    request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == super::CUT)
 }
 
 fn changes(method: &Method) -> bool {

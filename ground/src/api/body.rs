@@ -42,8 +42,3 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
         serde_json::from_slice(raw.json()).map(Self).map_err(|e| ApiError::Invalid(e.to_string()))
     }
 }
-
-/// For optional numbers: `null` is not absence but a NaN that JSON swallowed.
-pub(crate) fn number<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    <f64 as serde::Deserialize>::deserialize(from).map(Some)
-}

@@ -1,18 +1,18 @@
-//! `POST /api/v1/design/preview[?vehicle=ID]`: what a design would do; question and answer as in
-//! `plumbline_agent::design::preview`. With a vehicle, its airframe, tick rate, margin policy and K in use stand in for what
-//! the question leaves out. `GET /api/v1/design/controllers[?airframe=NAME|vehicle=ID]`: every controller with
-//! its parameters and defaults. The agent's library answers; nothing is sent to a vehicle.
+//! `POST /api/v1/design/preview[?vehicle=ID]`: what a design would do. With a vehicle, its airframe, tick rate, margin
+//! policy and K in use stand in for what the question leaves out. `GET
+//! /api/v1/design/controllers[?airframe=NAME|vehicle=ID]`: every controller with its parameters and defaults.
+//! `plumbline_analysis` answers; nothing is sent to a vehicle.
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
-use plumbline_agent::control::gains::Gain;
-use plumbline_agent::control::policy::MarginPolicy;
-use plumbline_agent::design::preview::{Around, controllers_json, preview_json};
+use plumbline_analysis::design::preview::{self, Around};
+use plumbline_core::control::gains::Gain;
+use plumbline_core::control::policy::MarginPolicy;
 use plumbline_proto::Kind;
 use plumbline_proto::v1;
+use plumbline_rest::design::{Controllers, Preview};
 use serde::Deserialize;
-use serde_json::Value;
 
 use super::App;
 use super::body::Raw;
@@ -53,12 +53,12 @@ fn around(app: &App, asked: Asked) -> Result<Around, ApiError> {
     Ok(around)
 }
 
-pub(crate) async fn preview(State(app): State<App>, asked: Asked, body: Raw) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn preview(State(app): State<App>, asked: Asked, body: Raw) -> Result<Json<Preview>, ApiError> {
     let around = around(&app, asked)?;
     // A preview is tens of milliseconds of computing: not on the threads that answer everybody.
-    Ok(Json(app.computing.run(move |_| Ok(preview_json(body.json(), &around)?)).await?))
+    Ok(Json(app.computing.run(move |_| Ok(preview::answer(body.json(), &around)?)).await?))
 }
 
-pub(crate) async fn controllers(State(app): State<App>, asked: Asked) -> Result<Json<Value>, ApiError> {
-    Ok(Json(controllers_json(&around(&app, asked)?.airframe)?))
+pub(crate) async fn controllers(State(app): State<App>, asked: Asked) -> Result<Json<Controllers>, ApiError> {
+    Ok(Json(preview::controllers(&around(&app, asked)?.airframe)?))
 }

@@ -15,7 +15,6 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
 use super::error::ApiError;
-use super::operator::Operator;
 use crate::recorder::{RecordingError, Snapshot};
 use crate::sync::lock;
 
@@ -43,17 +42,17 @@ pub(crate) struct Download {
 
 impl Downloads {
     /// Begins one.
-    pub(crate) fn begin(self: &Arc<Self>, who: &Operator) -> Result<Download, ApiError> {
+    pub(crate) fn begin(self: &Arc<Self>, who: &str) -> Result<Download, ApiError> {
         let mut open = lock(&self.0);
-        let (all, theirs) = (open.values().sum::<usize>(), open.get(who.name()).copied().unwrap_or(0));
+        let (all, theirs) = (open.values().sum::<usize>(), open.get(who).copied().unwrap_or(0));
         if theirs >= MAX_DOWNLOADS_EACH {
             return Err(ApiError::Throttled(AGAIN_S, format!("{theirs} of your downloads go on, no more are allowed")));
         }
         if all >= MAX_DOWNLOADS {
             return Err(ApiError::Throttled(AGAIN_S, format!("{all} downloads go on, no more are allowed")));
         }
-        *open.entry(who.name().to_owned()).or_default() += 1;
-        Ok(Download { downloads: self.clone(), who: who.name().to_owned() })
+        *open.entry(who.to_owned()).or_default() += 1;
+        Ok(Download { downloads: self.clone(), who: who.to_owned() })
     }
 }
 
@@ -145,12 +144,12 @@ mod tests {
     #[test]
     fn one_person_takes_no_place_of_others_and_a_place_comes_back() {
         let downloads = Arc::new(Downloads::default());
-        let (ann, bob) = (Operator("ann".into()), Operator("bob".into()));
-        let mut open: Vec<_> = (0..MAX_DOWNLOADS_EACH).map(|_| downloads.begin(&ann).unwrap()).collect();
-        assert!(matches!(downloads.begin(&ann), Err(ApiError::Throttled(AGAIN_S, _))));
-        assert!(downloads.begin(&bob).is_ok());
+        let (ann, bob) = ("ann", "bob");
+        let mut open: Vec<_> = (0..MAX_DOWNLOADS_EACH).map(|_| downloads.begin(ann).unwrap()).collect();
+        assert!(matches!(downloads.begin(ann), Err(ApiError::Throttled(AGAIN_S, _))));
+        assert!(downloads.begin(bob).is_ok());
         open.pop();
-        assert!(downloads.begin(&ann).is_ok());
+        assert!(downloads.begin(ann).is_ok());
         drop(open);
         assert!(lock(&downloads.0).is_empty());
     }

@@ -14,9 +14,9 @@ use std::path::Path as FilePath;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State};
-use plumbline_agent::estimate::{Estimate, Health};
-use plumbline_agent::frames::roll_pitch_yaw;
-use plumbline_agent::offline::{EstimateArgs, OfflineError, run_flight};
+use plumbline_analysis::offline::{ArgumentError, EstimateArgs, OfflineError, run_flight};
+use plumbline_core::estimate::{Estimate, Health};
+use plumbline_core::frames::roll_pitch_yaw;
 use plumbline_proto::v1;
 use plumbline_rest::flight::Curves;
 use serde::Deserialize;
@@ -93,7 +93,7 @@ fn estimate(
 
 fn refused(error: OfflineError) -> ApiError {
     match error {
-        OfflineError::Argument { argument, value, reason } => {
+        OfflineError::Argument(ArgumentError { argument, value, reason }) => {
             ApiError::Invalid(format!("{argument} {}: {reason}", crate::names::clip(&value)))
         }
         other => ApiError::Invalid(other.to_string()),
@@ -103,6 +103,7 @@ fn refused(error: OfflineError) -> ApiError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_agent::estimate::Motion;
     use plumbline_proto::time::FlightTime;
 
     #[test]
@@ -110,9 +111,10 @@ mod tests {
         let mut curves = Curves::default();
         for tick in 0..200_u64 {
             let health = if tick < 100 { Health::Initialising } else { Health::Healthy };
-            let mut estimate =
-                Estimate { time: FlightTime(tick * 5_000), health, altitude_known: true, ..Estimate::default() };
-            estimate.position_enu_m.z = 1.5;
+            let mut motion = Motion { altitude_known: true, ..Motion::default() };
+            motion.position_enu_m.z = 1.5;
+            let time = FlightTime(tick * 5_000);
+            let estimate = Estimate { time, health, motion: Some(motion), ..Estimate::default() };
             push(&mut curves, &estimate);
         }
         assert_eq!(curves.time_s.len(), 25);

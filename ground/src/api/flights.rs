@@ -58,7 +58,7 @@ pub(crate) async fn mcap(
     who: Operator,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let place = app.downloads.begin(&who)?;
+    let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let name = attachment(&id, "mcap");
     let flight = on_disk(move || recorder.open(&id)).await?;
@@ -76,7 +76,7 @@ pub(crate) async fn csv(
     who: Operator,
     Query(asked): Query<Topic>,
 ) -> Result<Response, ApiError> {
-    let place = app.downloads.begin(&who)?;
+    let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let name = attachment(&id, "csv");
     let export = on_disk(move || {
@@ -102,7 +102,7 @@ pub(crate) async fn frames(
     who: Operator,
     Query(asked): Query<Kinds>,
 ) -> Result<Response, ApiError> {
-    let place = app.downloads.begin(&who)?;
+    let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let export = on_disk(move || Export::frames(recorder.open(&id)?, asked.kinds.as_deref())).await?;
     let kind = [(header::CONTENT_TYPE, "application/octet-stream")];

@@ -1,4 +1,4 @@
-//! Gains of a vehicle, as JSON of the agent's own reader (`plumbline_agent::design::file`).
+//! Gains of a vehicle, as JSON of the agent's own reader (`plumbline_analysis::design::file`).
 //!
 //! - `GET …/gains`: those in use and every revision.
 //! - `PUT …/gains`: pushes a design, or exported gains; the agent solves, examines, applies or refuses.
@@ -7,12 +7,13 @@
 
 use axum::Json;
 use axum::extract::{Path, Query, State};
-use plumbline_agent::design::DesignError;
-use plumbline_agent::design::file::{DesignFile, export, push_message};
+use plumbline_analysis::design::DesignError;
+use plumbline_analysis::design::file::{export, proposal, push_message, read};
 use plumbline_proto::Kind;
 use plumbline_proto::v1::{self, command};
 use plumbline_rest::command::{self as rest, Which};
-use serde_json::{Map, Value, json};
+use plumbline_rest::design::{Design, Gains, Matrix};
+use serde_json::{Map, Value};
 
 use super::App;
 use super::body::{Body, Raw};
@@ -29,27 +30,27 @@ impl From<DesignError> for ApiError {
     }
 }
 
-pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Value>, ApiError> {
+pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Gains>, ApiError> {
     if !app.hub.knows(&id) {
         return Err(VehicleError::Unknown(id).into());
     }
     let in_use: Option<v1::GainsInUse> = app.hub.latest(&id, Kind::Gains);
-    let in_use = in_use.as_ref();
-    let weights = in_use.and_then(|g| g.weights.clone());
-    let k = in_use.and_then(|g| g.k.as_ref());
-    let exported = in_use.map(|gains| exported(&app, &id, gains));
-    Ok(Json(json!({
-        "state_weight": weights.as_ref().map(|w| &w.state_weight),
-        "input_weight": weights.as_ref().map(|w| &w.input_weight),
-        "revision": in_use.map(|g| g.revision),
-        "sha256": in_use.map(|g| &g.sha256),
-        "controller": in_use.map(|g| &g.controller),
-        "slowest_pole_per_s": in_use.map(|g| g.slowest_pole_per_s),
-        "parameters": exported.as_ref().map(|e| &e["parameters"]),
-        "certificate": exported.as_ref().map(|e| &e["certificate"]),
-        "k": k.map(|k| json!({ "rows": k.rows, "columns": k.columns, "values": k.values })),
-        "revisions": app.gains.revisions(&id),
-    })))
+    let revisions = app.gains.revisions(&id);
+    let Some(gains) = in_use else { return Ok(Json(Gains { revisions, ..Gains::default() })) };
+    let certificate = exported(&app, &id, &gains).get("certificate").cloned();
+    let (state_weight, input_weight) = gains.weights.map(|w| (w.state_weight, w.input_weight)).unzip();
+    Ok(Json(Gains {
+        revision: Some(gains.revision),
+        sha256: Some(gains.sha256),
+        controller: Some(gains.controller),
+        state_weight,
+        input_weight,
+        parameters: Some(gains.parameters.into_iter().map(|p| (p.name, p.value)).collect()),
+        slowest_pole_per_s: Some(gains.slowest_pole_per_s),
+        certificate,
+        k: gains.k.map(|k| Matrix { rows: k.rows, columns: k.columns, values: k.values }),
+        revisions,
+    }))
 }
 
 fn exported(app: &App, id: &str, gains: &v1::GainsInUse) -> Value {
@@ -79,7 +80,7 @@ pub(crate) async fn push(State(app): State<App>, Path(id): Path<String>, who: Op
     let text = body.json();
     let mut design: Map<String, Value> = serde_json::from_slice(text).map_err(|e| ApiError::Invalid(e.to_string()))?;
     // What exported gains carry beside their design is not kept: the agent certifies anew.
-    let file = DesignFile::from_json(text)?;
+    let file = read(text)?;
     design.retain(|key, _| !["format", "airframe", "tick_rate_hz", "units", "certificate"].contains(&key.as_str()));
     send(&app, &id, &who, &file, design).await
 }
@@ -93,11 +94,11 @@ pub(crate) async fn revert(
     let in_use = app.hub.latest::<v1::GainsInUse>(&id, Kind::Gains).map_or(0, |gains| gains.revision);
     let earlier = app.gains.earlier(&id, which.revision, in_use).map_err(ApiError::NotFound)?;
     let text = serde_json::to_vec(&earlier.design).map_err(|e| ApiError::Broken(e.to_string()))?;
-    send(&app, &id, &who, &DesignFile::from_json(&text)?, earlier.design).await
+    send(&app, &id, &who, &read(&text)?, earlier.design).await
 }
 
-async fn send(app: &App, id: &str, who: &Operator, file: &DesignFile, design: Map<String, Value>) -> Answer {
-    let proposal = file.proposal()?;
+async fn send(app: &App, id: &str, who: &Operator, file: &Design, design: Map<String, Value>) -> Answer {
+    let proposal = proposal(file)?;
     let sender = app.controlled(id, who)?;
     let in_use = app.hub.latest::<v1::GainsInUse>(id, Kind::Gains).map_or(0, |gains| gains.revision);
     let revision = app.gains.begin(id, in_use, design, who.name(), wall_time_us());

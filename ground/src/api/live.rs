@@ -61,7 +61,7 @@ pub(crate) async fn live(
         return Err(ApiError::Invalid(format!("history {} is not a number of seconds", asked.history)));
     }
     let history = Duration::from_secs_f64(asked.history.min(MAX_HISTORY_SECONDS as f64));
-    let who = if app.people.sign_in_needed() { who.0 } else { asked.operator.unwrap_or(who.0) };
+    let who = if app.people.sign_in_needed() { who.name } else { asked.operator.unwrap_or(who.name) };
     if !app.hub.knows(&id) {
         return Err(crate::hub::VehicleError::Unknown(id).into());
     }

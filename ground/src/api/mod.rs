@@ -44,7 +44,7 @@ use tokio::sync::{Semaphore, watch};
 
 use crate::agent_link::CommandSender;
 use crate::audit::Audit;
-use crate::commands::Commands;
+use crate::commands::{Asked, Commands};
 use crate::config::GroundConfig;
 use crate::gains_book::GainsBook;
 use crate::hub::Hub;
@@ -60,6 +60,8 @@ use operator::Operator;
 
 /// Largest body of a request. A plan of 64 attacks is about 10 kB.
 const MAX_BODY: usize = 256 << 10;
+/// Path of the motor cut.
+const CUT: &str = "/api/vehicles/{id}/cut";
 /// Histories thinned at a time; more wait.
 const THINNING: usize = 1;
 
@@ -143,7 +145,8 @@ impl App {
         body: command::Body,
     ) -> Result<v1::Ack, ApiError> {
         let timeout = self.config.command_timeout;
-        Ok(self.commands.send(vehicle, to, operator.name(), body, timeout).await?)
+        let asked = Asked { operator: operator.name(), seen_us: operator.seen_us(&body)?, body };
+        Ok(self.commands.send(vehicle, to, asked, timeout).await?)
     }
 
     /// Tells every viewer who holds control, and who lost it to them.

@@ -3,21 +3,49 @@
 use axum::extract::FromRequestParts;
 use axum::http::HeaderMap;
 use axum::http::request::Parts;
+use plumbline_proto::v1::command;
 
 use super::error::ApiError;
 use crate::people::Person;
 
 /// The name a page gave itself; with a session, a proof that the request is the page's own.
 pub(crate) const HEADER: &str = "x-plumbline-operator";
+/// Flight time of the newest message a page showed when its operator asked, µs: the agent refuses what was asked on an
+/// old picture, and so a command that waited in the socket of a ground that stood still.
+const SEEN: &str = "x-plumbline-seen";
 const MAX_LEN: usize = 64;
+/// Whoever cuts the motors under a name that cannot be used.
+pub(crate) const UNNAMED: &str = "unnamed";
 
 /// The operator of one request.
 #[derive(Debug, Clone)]
-pub(crate) struct Operator(pub(crate) String);
+pub(crate) struct Operator {
+    pub(crate) name: String,
+    /// What of [`SEEN`] is passed on, or why it cannot be.
+    seen_us: Result<Option<u64>, String>,
+}
 
 impl Operator {
+    /// `name`, with the rest of a request's `headers`.
+    pub(crate) fn new(name: String, headers: &HeaderMap) -> Self {
+        let seen_us = headers.get(SEEN).map(|value| {
+            let number = value.to_str().ok().and_then(|text| text.parse().ok());
+            number.ok_or_else(|| format!("{SEEN} is {value:?}: a flight time in whole microseconds is needed"))
+        });
+        Self { name, seen_us: seen_us.transpose() }
+    }
+
     pub(crate) fn name(&self) -> &str {
-        &self.0
+        &self.name
+    }
+
+    /// Flight time of the picture on which `body` was asked, µs; a cut is refused for no odd header.
+    pub(crate) fn seen_us(&self, body: &command::Body) -> Result<Option<u64>, ApiError> {
+        match &self.seen_us {
+            Ok(seen_us) => Ok(*seen_us),
+            Err(_) if matches!(body, command::Body::CutMotors(_)) => Ok(None),
+            Err(odd) => Err(ApiError::Invalid(odd.clone())),
+        }
     }
 }
 
@@ -35,6 +63,9 @@ impl<S: Sync> FromRequestParts<S> for Signed {
 }
 
 /// What the request calls its operator; scripts that send no header are one operator together.
+///
+/// # Errors
+/// [`ApiError::Invalid`] for a name that is empty, too long or not printable.
 pub(crate) fn called(headers: &HeaderMap) -> Result<String, ApiError> {
     let Some(value) = headers.get(HEADER) else { return Ok("script".into()) };
     match value.to_str() {

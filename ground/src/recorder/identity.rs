@@ -2,13 +2,13 @@
 //! always be rebuilt from the files.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use mcap::records::Metadata;
+use plumbline_file::METADATA;
 
 use super::flight::Completeness;
 
-/// Name of the record at the beginning of a file.
-pub(super) const BEGIN: &str = "plumbline";
 /// Name of the record at the end of a finished file.
 pub(super) const END: &str = "plumbline.end";
 
@@ -24,6 +24,11 @@ pub(super) struct Identity {
 }
 
 impl Identity {
+    /// What the file at `path` says; `None` when it does not.
+    pub(super) fn of(path: &Path) -> Option<Self> {
+        plumbline_file::metadata(path).map(|found| Self::from_metadata(&found))
+    }
+
     pub(super) fn to_metadata(&self) -> Metadata {
         let mut metadata = BTreeMap::from([
             ("flight_id".to_owned(), self.flight_id.clone()),
@@ -35,7 +40,7 @@ impl Identity {
         if let Some(first) = self.first_sequence {
             metadata.insert("first_sequence".to_owned(), first.to_string());
         }
-        Metadata { name: BEGIN.to_owned(), metadata }
+        Metadata { name: METADATA.to_owned(), metadata }
     }
 
     pub(super) fn from_metadata(metadata: &BTreeMap<String, String>) -> Self {

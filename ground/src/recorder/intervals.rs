@@ -1,68 +1,47 @@
 //! A set of sequence numbers, kept as inclusive ranges: what a recording has, and what it lacks.
 
-use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+
+use rangemap::RangeInclusiveSet;
 
 /// Disjoint, non-touching, inclusive ranges of `u64`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct IntervalSet {
-    /// start → end
-    ranges: BTreeMap<u64, u64>,
+    ranges: RangeInclusiveSet<u64>,
+    /// How many numbers: asked for fifty times a second, however many ranges there are.
     count: u64,
 }
 
 impl IntervalSet {
     /// Adds `first..=last`; answers how many numbers were new.
     pub fn insert(&mut self, first: u64, last: u64) -> u64 {
-        if first > last {
-            return 0;
+        let new = self.missing(first, last);
+        if new > 0 {
+            self.ranges.insert(first..=last);
+            self.count = self.count.saturating_add(new);
         }
-        let before = self.count;
-        let (mut start, mut end) = (first, last);
-        // Ranges that overlap or touch: at most one begins before `first`, the others begin inside.
-        if let Some((&s, &e)) = self.ranges.range(..=first).next_back()
-            && e.saturating_add(1) >= first
-        {
-            if e >= last {
-                return 0;
-            }
-            self.take(s, e);
-            start = s;
-        }
-        while let Some((&s, &e)) = self.ranges.range(first..=last.saturating_add(1)).next() {
-            self.take(s, e);
-            end = end.max(e);
-        }
-        self.ranges.insert(start, end);
-        self.count = self.count.saturating_add((end - start).saturating_add(1));
-        self.count - before
-    }
-
-    fn take(&mut self, start: u64, end: u64) {
-        self.ranges.remove(&start);
-        self.count -= end - start + 1;
+        new
     }
 
     /// Adds everything of `other`.
     pub fn absorb(&mut self, other: &Self) {
-        for (&start, &end) in &other.ranges {
-            self.insert(start, end);
+        for range in other.ranges.iter() {
+            self.insert(*range.start(), *range.end());
         }
     }
 
     /// What is in this set and not in `other`.
     pub fn without(&self, other: &Self) -> Self {
         let mut left = Self::default();
-        for (&start, &end) in &self.ranges {
-            for (first, last) in other.gaps(start, end, usize::MAX) {
-                left.insert(first, last);
-            }
+        for gap in self.ranges.iter().flat_map(|range| other.ranges.gaps(range)) {
+            left.insert(*gap.start(), *gap.end());
         }
         left
     }
 
     /// Is `number` in the set?
     pub fn contains(&self, number: u64) -> bool {
-        self.ranges.range(..=number).next_back().is_some_and(|(_, &end)| end >= number)
+        self.ranges.contains(&number)
     }
 
     /// How many numbers.
@@ -72,58 +51,39 @@ impl IntervalSet {
 
     /// Smallest number.
     pub fn min(&self) -> Option<u64> {
-        self.ranges.first_key_value().map(|(&start, _)| start)
+        self.ranges.first().map(|range| *range.start())
     }
 
     /// Largest number.
     pub fn max(&self) -> Option<u64> {
-        self.ranges.last_key_value().map(|(_, &end)| end)
+        self.ranges.last().map(|range| *range.end())
     }
 
     /// The ranges of `first..=last` that are not in the set, in order, at most `limit`.
     pub fn gaps(&self, first: u64, last: u64, limit: usize) -> Vec<(u64, u64)> {
-        let mut gaps = Vec::new();
-        let mut next = first;
-        if let Some((_, &end)) = self.ranges.range(..=first).next_back()
-            && end >= first
-        {
-            next = end.saturating_add(1);
+        let asked = first..=last;
+        if asked.is_empty() {
+            return Vec::new();
         }
-        for (&start, &end) in self.ranges.range(first.saturating_add(1)..) {
-            if start > last || gaps.len() >= limit || next > last {
-                break;
-            }
-            if start > next {
-                gaps.push((next, start - 1));
-            }
-            next = next.max(end.saturating_add(1));
-        }
-        if next <= last && gaps.len() < limit && !self.contains(last) {
-            gaps.push((next, last));
-        }
-        gaps
+        self.ranges.gaps(&asked).take(limit).map(RangeInclusive::into_inner).collect()
     }
 
     /// How many numbers of `first..=last` are not in the set.
     pub fn missing(&self, first: u64, last: u64) -> u64 {
-        if first > last {
+        let asked = first..=last;
+        if asked.is_empty() {
             return 0;
         }
         if self.min().is_none_or(|min| min >= first) && self.max().is_none_or(|max| max <= last) {
             // The usual question, and cheap however many ranges there are.
-            return (last - first).saturating_add(1) - self.count;
+            return length(&asked) - self.count;
         }
-        let mut held: u64 = 0;
-        if let Some((_, &end)) = self.ranges.range(..first).next_back()
-            && end >= first
-        {
-            held += end.min(last) - first + 1;
-        }
-        for (&start, &end) in self.ranges.range(first..=last) {
-            held += end.min(last) - start + 1;
-        }
-        (last - first).saturating_add(1) - held
+        self.ranges.gaps(&asked).map(|gap| length(&gap)).fold(0, u64::saturating_add)
     }
+}
+
+fn length(range: &RangeInclusive<u64>) -> u64 {
+    (range.end() - range.start()).saturating_add(1)
 }
 
 #[cfg(test)]

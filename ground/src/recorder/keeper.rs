@@ -17,8 +17,9 @@ use std::time::Instant;
 
 use super::flight::{Completeness, Flight};
 use super::index::{FlightIndex, Stamp};
+use super::reading::Reading;
 use super::repair::Damage;
-use super::store::{Files, Reading, RecordingStore};
+use super::store::{Files, RecordingStore};
 use super::track::Track;
 use super::writer::FlightWriter;
 use super::{RecordingError, Shared, explain};
@@ -232,7 +233,7 @@ impl Desk {
 
     fn close(&self, id: &str, mut track: Track, mut completeness: Completeness) -> Completeness {
         let now = Instant::now();
-        let finished = track.flush(now, true).and_then(|()| match track.writer.take() {
+        let finished = track.flush(now, true).and_then(|()| match track.output.writer.take() {
             Some((path, writer)) => {
                 let ending = track.ending(completeness).to_metadata();
                 writer.finish(Some(&ending)).map(|()| Some(path))
@@ -249,7 +250,7 @@ impl Desk {
                 if let Err(error) = outcome {
                     self.shared.complain(&explain(&error));
                 }
-                self.store.merge(id, &files, track.last, &self.shared.stopping).map(|reading| {
+                self.store.merge(id, &files, track.ends.last, &self.shared.stopping).map(|reading| {
                     let whole = reading.whole();
                     completeness = match completeness {
                         _ if whole => Completeness::Complete,

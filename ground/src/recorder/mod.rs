@@ -9,11 +9,14 @@ mod asking;
 mod export;
 mod flatten;
 mod flight;
+mod folder;
 mod identity;
 mod index;
 mod intervals;
 mod keeper;
+mod numbers;
 mod reader;
+mod reading;
 mod repair;
 mod snapshot;
 mod store;
@@ -29,7 +32,7 @@ use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use bytes::Bytes;
+use plumbline_proto::codec::Batch;
 use plumbline_proto::v1;
 use serde::Serialize;
 use tokio::sync::Notify;
@@ -40,6 +43,7 @@ use crate::error::GroundError;
 use crate::sync::lock;
 pub use export::{Export, Sink};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
+use folder::free_bytes;
 use index::FlightIndex;
 pub use intervals::IntervalSet;
 pub use plumbline_rest::ground::Storage;
@@ -101,7 +105,7 @@ pub enum RecordingError {
 #[derive(Debug)]
 enum Input {
     Connected { agent_id: String, boot_id: u64, boot_wall_time_us: u64, commands: CommandSender },
-    Batch { agent_id: String, batch: Bytes, backfill: bool },
+    Batch { agent_id: String, batch: Batch, backfill: bool },
     Unavailable { agent_id: String, request: v1::BackfillRequest },
     Disconnected { agent_id: String },
     Delete { id: String, answer: SyncSender<Result<(), RecordingError>> },
@@ -167,14 +171,14 @@ pub struct RecorderHandle {
 /// [`GroundError`] when another ground uses the data folder, or the thread or the index cannot start.
 /// A folder that cannot be written is no such error: it is shown, and flying goes on.
 pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
-    let folder = worker::lock_folder(&config.data_folder)?;
+    let folder = folder::lock(&config.data_folder)?;
     let (queue, inputs) = sync_channel(MAX_QUEUED);
     let shared = Arc::new(Shared::default());
     let store = RecordingStore::new(&config.data_folder);
     let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
     let index = Arc::new(index);
     let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };
-    let syncer = plumbline_agent::log::Syncer::start().map_err(GroundError::Thread)?;
+    let syncer = plumbline_file::Syncer::start().map_err(GroundError::Thread)?;
     let keeper = keeper::Keeper::start(store.clone(), index, shared.clone()).map_err(GroundError::Thread)?;
     let worker = worker::Worker::new(config.clone(), store, keeper, shared, syncer);
     let thread = std::thread::Builder::new()
@@ -205,8 +209,8 @@ impl RecorderHandle {
         self.put(Input::Connected { agent_id, boot_id, boot_wall_time_us, commands });
     }
 
-    pub(crate) fn batch(&self, agent_id: String, batch: Bytes, backfill: bool) {
-        let length = batch.len();
+    pub(crate) fn batch(&self, agent_id: String, batch: Batch, backfill: bool) {
+        let length = batch.held_bytes();
         if self.shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES {
             self.shared.refused.fetch_add(1, Ordering::Relaxed);
             return;
@@ -378,20 +382,4 @@ fn explain(error: &mcap::McapError) -> String {
         mcap::McapError::Io(source) => source.to_string(),
         other => other.to_string(),
     }
-}
-
-/// Free space of the disk that holds `folder`, bytes; of its nearest parent where it does not exist.
-fn free_bytes(folder: &Path) -> u64 {
-    use std::os::unix::ffi::OsStrExt as _;
-    let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new("/"));
-    let Ok(path) = std::ffi::CString::new(existing.as_os_str().as_bytes()) else { return 0 };
-    let mut found = std::mem::MaybeUninit::<libc::statvfs>::zeroed();
-    // SAFETY: `path` is a C string and `found` is as large as the structure asked for.
-    let outcome = unsafe { libc::statvfs(path.as_ptr(), found.as_mut_ptr()) };
-    if outcome != 0 {
-        return 0;
-    }
-    // SAFETY: zero is a valid value of every field, and the call filled them in.
-    let found = unsafe { found.assume_init() };
-    found.f_bavail.saturating_mul(found.f_frsize)
 }

@@ -8,13 +8,11 @@ use mcap::records::Record;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Channel, McapError, McapResult, Summary};
+use plumbline_file::{MAX_RECORD, METADATA};
 
-use super::identity::{BEGIN, Identity, widen};
+use super::identity::{Identity, widen};
 use super::intervals::IntervalSet;
 use super::snapshot::Snapshot;
-
-/// Largest record or chunk read.
-const MAX_RECORD: usize = 256 << 20;
 
 /// One message of a file.
 pub(super) struct Recorded<'a> {
@@ -129,7 +127,7 @@ fn read_summary(flight: &Snapshot) -> McapResult<Summary> {
 }
 
 fn read_identity(flight: &Snapshot, summary: &Summary) -> Option<Identity> {
-    let index = summary.metadata_indexes.iter().find(|index| index.name == BEGIN)?;
+    let index = summary.metadata_indexes.iter().find(|index| index.name == METADATA)?;
     let length = usize::try_from(index.length).ok().filter(|l| *l <= 1 << 20)?;
     let mut record = vec![0; length];
     flight.read_exact_at(&mut record, index.offset).ok()?;

@@ -7,17 +7,16 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufReader, Read as _, Seek as _, SeekFrom};
+use std::io::{BufReader, Read as _};
 use std::path::Path;
 use std::sync::Arc;
 
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{Channel, MAGIC, McapError, McapResult, Schema};
+use mcap::{Channel, McapError, McapResult, Schema};
+use plumbline_file::{MAX_RECORD, METADATA, chunk_records, ends_with_magic};
 
-use plumbline_agent::log::{MAX_RECORD, chunk_records};
-
-use super::identity::{BEGIN, END, Ending, Identity};
+use super::identity::{END, Ending, Identity};
 
 /// What is wrong with a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -103,42 +102,6 @@ fn chunk_name(data: &[u8]) -> String {
     format!("the chunk of {start} ns")
 }
 
-/// The identity of a file, read from its first records only.
-pub(super) fn identity(path: &Path) -> Option<Identity> {
-    let mut reader = LinearReader::new_with_options(
-        LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(MAX_RECORD),
-    );
-    let mut source = BufReader::new(File::open(path).ok()?);
-    // Header, then our metadata: nothing of ours comes later.
-    let mut records = 0;
-    while let Some(Ok(event)) = reader.next_event() {
-        match event {
-            LinearReadEvent::ReadRequest(need) => {
-                let got = source.read(reader.insert(need.min(MAX_RECORD))).ok()?;
-                reader.notify_read(got);
-            }
-            LinearReadEvent::Record { opcode, data } => {
-                if let Ok(Record::Metadata(m)) = mcap::parse_record(opcode, data)
-                    && m.name == BEGIN
-                {
-                    return Some(Identity::from_metadata(&m.metadata));
-                }
-                records += 1;
-                if records > 4 {
-                    return None;
-                }
-            }
-        }
-    }
-    None
-}
-
-fn ends_with_magic(mut file: &File) -> bool {
-    let mut tail = [0; 8];
-    let end = -(MAGIC.len() as i64);
-    file.seek(SeekFrom::End(end)).is_ok() && file.read_exact(&mut tail).is_ok() && tail == *MAGIC
-}
-
 #[derive(Default)]
 struct Channels {
     schemas: HashMap<u16, Arc<Schema<'static>>>,
@@ -178,7 +141,7 @@ fn take(
             }
             None => found.damage = Damage::Corrupt(format!("a message of unknown channel {}", header.channel_id)),
         },
-        Record::Metadata(m) if m.name == BEGIN => found.identity = Some(Identity::from_metadata(&m.metadata)),
+        Record::Metadata(m) if m.name == METADATA => found.identity = Some(Identity::from_metadata(&m.metadata)),
         Record::Metadata(m) if m.name == END => found.ending = Some(Ending::from_metadata(&m.metadata)),
         _ => {}
     }

@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use mcap::records::{ChunkIndex, MetadataIndex, Record, op};
 use mcap::{Channel, MAGIC, McapError, McapResult, Schema, Summary};
-use plumbline_agent::log::{MAX_RECORD, chunk_records};
+use plumbline_file::{MAX_RECORD, chunk_records};
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::store::Files;

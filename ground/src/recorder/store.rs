@@ -27,10 +27,8 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 
 use super::RecordingError;
-use super::flight::{Completeness, Flight, Learner};
-use super::identity::{Ending, Identity, widen};
-use super::intervals::IntervalSet;
-use super::repair::{self, Damage};
+use super::identity::Identity;
+use super::reading::{Reading, gather};
 use super::snapshot::Snapshot;
 use super::writer;
 use crate::gains_book::write_atomically;
@@ -89,23 +87,13 @@ impl Files {
 
     /// What the first readable one of them says of itself.
     pub(super) fn identity(&self) -> Identity {
-        self.finished.iter().chain(&self.parts).find_map(|path| repair::identity(path)).unwrap_or_default()
+        self.finished.iter().chain(&self.parts).find_map(|path| Identity::of(path)).unwrap_or_default()
     }
 }
 
 /// Number of a part; 0 for one that somebody else has named.
 fn number(part: &Path) -> u32 {
     part.file_stem().and_then(|stem| stem.to_str()?.rsplit('.').next()?.parse().ok()).unwrap_or(0)
-}
-
-/// Everything that the files of a flight say.
-#[derive(Debug, Default)]
-pub(super) struct Reading {
-    pub(super) identity: Identity,
-    pub(super) ending: Option<Ending>,
-    pub(super) learner: Learner,
-    pub(super) have: IntervalSet,
-    pub(super) damage: Damage,
 }
 
 impl RecordingStore {
@@ -121,12 +109,12 @@ impl RecordingStore {
     /// again: one that was moved away or unmounted is missed loudly, not begun anew beside itself.
     pub(super) fn probe(&self) -> Result<(), RecordingError> {
         match fs::create_dir(&self.folder) {
-            Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => return Err(self.io(&self.folder, error)),
+            Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => return Err(io(&self.folder, error)),
             _ => {}
         }
         let probe = self.folder.join("probe.tmp");
-        fs::write(&probe, b"can be written").map_err(|e| self.io(&probe, e))?;
-        fs::remove_file(&probe).map_err(|e| self.io(&probe, e))
+        fs::write(&probe, b"can be written").map_err(|e| io(&probe, e))?;
+        fs::remove_file(&probe).map_err(|e| io(&probe, e))
     }
 
     pub(super) fn finished_path(&self, id: &str) -> PathBuf {
@@ -182,7 +170,8 @@ impl RecordingStore {
 
     /// Reads all messages of a flight's files, each once, without writing.
     pub(super) fn read(&self, files: &Files) -> Result<Reading, RecordingError> {
-        self.gather(files, |_, _, _| Ok(())).map(|(reading, _)| reading)
+        let gathered = gather(files, None, |_, _, _| Ok(())).map_err(|e| damaged_file(&self.folder, e));
+        gathered.map(|(reading, _)| reading)
     }
 
     /// Merges these files of a flight, up to message `last`, into one finished file. Answers what it holds.
@@ -207,15 +196,15 @@ impl RecordingStore {
         let (reading, damaged) = merged?;
         let finished = self.finished_path(id);
         if reading.learner.messages() == 0 {
-            fs::remove_file(&temporary).map_err(|e| self.io(&temporary, e))?;
+            fs::remove_file(&temporary).map_err(|e| io(&temporary, e))?;
         } else {
             for (path, _) in damaged.iter().filter(|(path, _)| *path == finished) {
                 // The original stays beside the repaired file; a link, so that no moment is without one.
                 let aside = aside(path);
                 let _ = fs::remove_file(&aside);
-                fs::hard_link(path, &aside).map_err(|e| self.io(path, e))?;
+                fs::hard_link(path, &aside).map_err(|e| io(path, e))?;
             }
-            fs::rename(&temporary, &finished).map_err(|e| self.io(&finished, e))?;
+            fs::rename(&temporary, &finished).map_err(|e| io(&finished, e))?;
             self.sync_folder()?;
         }
         // A file that was finished once and gives nothing now is evidence: it is never removed.
@@ -225,9 +214,9 @@ impl RecordingStore {
             match damage.or((*path == finished).then_some("no message can be read")) {
                 Some(reason) => {
                     tracing::error!(file = %path.display(), reason, "damaged, set aside as *.corrupt");
-                    fs::rename(path, aside(path)).map_err(|e| self.io(path, e))?;
+                    fs::rename(path, aside(path)).map_err(|e| io(path, e))?;
                 }
-                None => fs::remove_file(path).map_err(|e| self.io(path, e))?,
+                None => fs::remove_file(path).map_err(|e| io(path, e))?,
             }
         }
         Ok(reading)
@@ -236,7 +225,7 @@ impl RecordingStore {
     /// Makes the only, finished part of a flight its file.
     pub(super) fn promote(&self, id: &str, part: &Path) -> Result<(), RecordingError> {
         let finished = self.finished_path(id);
-        fs::rename(part, &finished).map_err(|e| self.io(&finished, e))?;
+        fs::rename(part, &finished).map_err(|e| io(&finished, e))?;
         self.sync_folder()
     }
 
@@ -257,11 +246,11 @@ impl RecordingStore {
     pub(super) fn delete(&self, id: &str) -> Result<(), RecordingError> {
         let files = self.files(id);
         for path in files.finished.iter().chain(&files.parts) {
-            fs::remove_file(path).map_err(|e| self.io(path, e))?;
+            fs::remove_file(path).map_err(|e| io(path, e))?;
         }
         let labels = self.folder.join(format!("{id}.json"));
         match fs::remove_file(&labels) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(self.io(&labels, error)),
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(io(&labels, error)),
             _ => self.sync_folder(),
         }
     }
@@ -276,7 +265,7 @@ impl RecordingStore {
     pub(super) fn label(&self, id: &str, labels: &Labels) -> Result<(), RecordingError> {
         let path = self.folder.join(format!("{id}.json"));
         let text = serde_json::to_vec_pretty(labels).unwrap_or_default();
-        write_atomically(&path, &text).map_err(|e| self.io(&path, e))
+        write_atomically(&path, &text).map_err(|e| io(&path, e))
     }
 
     /// Size of a flight's files, bytes.
@@ -332,83 +321,13 @@ impl RecordingStore {
         attempt().map_err(|e| damaged_file(path, e))
     }
 
-    fn gather(
-        &self,
-        files: &Files,
-        each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
-    ) -> Result<(Reading, Vec<(PathBuf, String)>), RecordingError> {
-        gather(files, None, each).map_err(|e| damaged_file(&self.folder, e))
-    }
-
     fn sync_folder(&self) -> Result<(), RecordingError> {
-        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(|e| self.io(&self.folder, e))
-    }
-
-    #[allow(clippy::unused_self)]
-    fn io(&self, path: &Path, source: std::io::Error) -> RecordingError {
-        RecordingError::Io { path: path.to_owned(), source }
+        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(|e| io(&self.folder, e))
     }
 }
 
-impl Reading {
-    /// First sequence number of the flight, where a mark says it.
-    pub(super) fn first(&self) -> Option<u64> {
-        self.identity.first_sequence.or(self.learner.first_sequence)
-    }
-
-    /// First and last sequence number of the flight, as far as known.
-    pub(super) fn range(&self) -> (Option<u64>, Option<u64>) {
-        (self.first().or(self.have.min()), self.learner.last_sequence.or(self.ending.and_then(|e| e.last_sequence)))
-    }
-
-    /// Messages that are not there.
-    pub(super) fn missing(&self) -> u64 {
-        let (first, last) = self.range();
-        match (first, last.or(self.have.max())) {
-            (Some(first), Some(last)) => self.have.missing(first, last),
-            _ => 0,
-        }
-    }
-
-    /// Is the flight here from its first message to its last? Without its marks nobody knows.
-    pub(super) fn whole(&self) -> bool {
-        self.first().is_some() && self.range().1.is_some() && self.missing() == 0
-    }
-
-    /// What these files, by themselves, amount to.
-    pub(super) fn ending(&self) -> Ending {
-        let before = self.ending.unwrap_or_default();
-        let completeness = match before.completeness {
-            _ if self.whole() => Completeness::Complete,
-            Completeness::Truncated => Completeness::Truncated,
-            _ => Completeness::Filling,
-        };
-        let live = self.learner.messages().saturating_sub(before.filled);
-        Ending { last_sequence: self.range().1, completeness, live, filled: before.filled }
-    }
-
-    /// The record of the flight.
-    pub(super) fn flight(&self, id: &str, labels: Labels, size_bytes: u64) -> Flight {
-        let ending = self.ending();
-        let (first_sequence, last_sequence) = self.range();
-        let mut flight = Flight {
-            id: id.to_owned(),
-            name: labels.name,
-            notes: labels.notes,
-            vehicle_id: self.identity.agent_id.clone(),
-            boot_id: self.identity.boot_id,
-            live: ending.live,
-            filled: ending.filled,
-            missing: self.missing(),
-            first_sequence,
-            last_sequence,
-            completeness: ending.completeness,
-            size_bytes,
-            ..Flight::default()
-        };
-        self.learner.describe(&mut flight, self.identity.boot_wall_time_us);
-        flight
-    }
+fn io(path: &Path, source: std::io::Error) -> RecordingError {
+    RecordingError::Io { path: path.to_owned(), source }
 }
 
 fn aside(path: &Path) -> PathBuf {
@@ -419,50 +338,7 @@ fn aside(path: &Path) -> PathBuf {
 
 fn damaged_file(path: &Path, error: mcap::McapError) -> RecordingError {
     match error {
-        mcap::McapError::Io(source) => RecordingError::Io { path: path.to_owned(), source },
+        mcap::McapError::Io(source) => io(path, source),
         other => RecordingError::Damaged { path: path.to_owned(), reason: other.to_string() },
     }
-}
-
-/// Reads the files one after the other and passes on each message once.
-fn gather(
-    files: &Files,
-    last: Option<u64>,
-    mut each: impl FnMut(&Arc<mcap::Channel<'static>>, &MessageHeader, &[u8]) -> McapResult<()>,
-) -> McapResult<(Reading, Vec<(PathBuf, String)>)> {
-    let identity = files.identity();
-    let learner = Learner::of(&identity.flight_id);
-    let mut reading = Reading { identity, learner, ..Reading::default() };
-    let mut damaged = Vec::new();
-    let mut near = reading.identity.first_sequence;
-    let boot_us = reading.identity.boot_wall_time_us;
-    for path in files.finished.iter().chain(&files.parts) {
-        let (learner, have) = (&mut reading.learner, &mut reading.have);
-        let found = repair::scan(path, |channel, header, data| {
-            // Other writers' files number nothing: 0 is always new.
-            let mut sequence = 0;
-            if header.sequence != 0 || near.is_some_and(|near| near > u64::from(u32::MAX)) {
-                sequence = widen(header.sequence, *near.get_or_insert(u64::from(header.sequence)));
-                if last.is_some_and(|last| sequence > last) || have.insert(sequence, sequence) == 0 {
-                    return Ok(());
-                }
-            }
-            learner.observe(&channel.topic, sequence, (header.log_time / 1000).saturating_sub(boot_us), data);
-            each(channel, header, data)
-        })?;
-        if let Some(ending) = found.ending {
-            let before = reading.ending.unwrap_or_default();
-            reading.ending =
-                Some(Ending { filled: before.filled.max(ending.filled), live: before.live.max(ending.live), ..ending });
-        }
-        match found.damage {
-            Damage::Corrupt(reason) => {
-                damaged.push((path.clone(), reason.clone()));
-                reading.damage = Damage::Corrupt(reason);
-            }
-            Damage::Unfinished if reading.damage == Damage::None => reading.damage = Damage::Unfinished,
-            _ => {}
-        }
-    }
-    Ok((reading, damaged))
 }

@@ -9,8 +9,9 @@ use plumbline_proto::v1;
 
 use super::flight::{Completeness, Flight, Learner, in_place};
 use super::identity::{Ending, Identity};
-use super::intervals::IntervalSet;
-use super::store::{Labels, Reading};
+use super::numbers::Numbers;
+use super::reading::Reading;
+use super::store::Labels;
 use super::writer::FlightWriter;
 
 /// Messages recorded after the end of a flight, before its end was known, are of this time at most, µs.
@@ -27,9 +28,9 @@ pub(super) enum Past {
     Asked,
 }
 
-/// Sequence-number accounting of one flight, and its open file.
-pub(super) struct Track {
-    pub(super) identity: Identity,
+/// Where a flight begins and ends, beside its first message, which its identity names.
+#[derive(Debug, Default)]
+pub(super) struct Ends {
     /// Where the beginning was not seen: messages sensed from here on belong to the flight.
     pub(super) start_us: Option<u64>,
     /// Where the beginning was not seen: nobody holds an earlier message than this one.
@@ -38,6 +39,30 @@ pub(super) struct Track {
     pub(super) last: Option<u64>,
     /// No message of the flight comes after this one, where the closing mark was not seen.
     pub(super) limit: Option<u64>,
+}
+
+/// The part of a flight that is being written.
+pub(super) struct Output {
+    pub(super) writer: Option<(PathBuf, FlightWriter)>,
+    /// Number of the next part.
+    pub(super) part: u32,
+    /// Bytes of the parts that this track has ended.
+    pub(super) ended_bytes: u64,
+    /// No new file before this moment: the last one failed.
+    pub(super) retry: Option<Instant>,
+}
+
+impl Output {
+    /// Bytes written so far, all parts together.
+    pub(super) fn bytes(&self) -> u64 {
+        self.ended_bytes + self.writer.as_ref().map_or(0, |(_, writer)| writer.size())
+    }
+}
+
+/// Sequence-number accounting of one flight, and its open file.
+pub(super) struct Track {
+    pub(super) identity: Identity,
+    pub(super) ends: Ends,
     /// When the flight ended, as far as the ground can tell.
     pub(super) ended: Option<Instant>,
     /// The status has contradicted this flight since then.
@@ -48,24 +73,13 @@ pub(super) struct Track {
     pub(super) progressed: Instant,
     /// What files from before this track hold.
     pub(super) past: Past,
-    /// Number of the next part.
-    pub(super) part: u32,
     pub(super) learner: Learner,
     /// As the learner was at the last flush.
     flushed: Learner,
     live: u64,
     filled: u64,
-    /// Flushed.
-    have: IntervalSet,
-    /// Written, not flushed.
-    pending: IntervalSet,
-    /// `have`, `pending` and what the agent's log does not hold (any more).
-    covered: IntervalSet,
-    pub(super) writer: Option<(PathBuf, FlightWriter)>,
-    /// Bytes of the parts that this track has ended.
-    pub(super) ended_bytes: u64,
-    /// No new file before this moment: the last one failed.
-    pub(super) retry: Option<Instant>,
+    numbers: Numbers,
+    pub(super) output: Output,
 }
 
 impl Track {
@@ -73,12 +87,8 @@ impl Track {
         let learner = Learner::of(&identity.flight_id);
         Self {
             identity,
-            earliest: None,
+            ends: Ends::default(),
             past: Past::Known,
-            part,
-            start_us: None,
-            last: None,
-            limit: None,
             ended: None,
             contradicted: None,
             rechecked: false,
@@ -87,12 +97,8 @@ impl Track {
             learner,
             live: 0,
             filled: 0,
-            have: IntervalSet::default(),
-            pending: IntervalSet::default(),
-            covered: IntervalSet::default(),
-            writer: None,
-            ended_bytes: 0,
-            retry: None,
+            numbers: Numbers::default(),
+            output: Output { writer: None, part, ended_bytes: 0, retry: None },
         }
     }
 
@@ -109,28 +115,19 @@ impl Track {
         let ending = past.ending();
         self.past = Past::Known;
         self.identity.first_sequence = self.identity.first_sequence.or(first);
-        self.last = self.last.or(last);
+        self.ends.last = self.ends.last.or(last);
         self.live += ending.live;
         self.filled += ending.filled;
         self.learner.absorb(&past.learner);
         self.flushed.absorb(&past.learner);
-        self.pending = self.pending.without(&past.have);
-        self.covered.absorb(&past.have);
-        self.have.absorb(&past.have);
+        self.numbers.absorb(&past.have);
     }
 
     /// Forgets what was written and not flushed: the file has failed.
     pub(super) fn fall_back(&mut self) {
-        let unavailable = self.unavailable();
-        self.pending = IntervalSet::default();
+        self.numbers.fall_back();
         self.learner = self.flushed.clone();
         self.live = self.learner.messages().saturating_sub(self.filled);
-        self.covered = self.have.clone();
-        self.covered.absorb(&unavailable);
-    }
-
-    fn unavailable(&self) -> IntervalSet {
-        self.covered.without(&self.have).without(&self.pending)
     }
 
     /// Takes in what a mark says of the flight. Answers whether it counts: a mark that is not in its place, whose
@@ -140,42 +137,36 @@ impl Track {
         let newest_us = self.learner.times_us().map_or(0, |(_, last)| last);
         let other = |known: Option<u64>, named: u64| known.is_some_and(|known| known != named);
         if !in_place(mark, sequence)
-            || self.holds(sequence)
+            || self.numbers.holds(sequence)
             || other(self.identity.first_sequence, mark.first_sequence)
-            || mark.last_sequence.is_some_and(|last| other(self.last, last))
+            || mark.last_sequence.is_some_and(|last| other(self.ends.last, last))
             || mark.last_sequence.is_some() && mark.time_us.saturating_add(OVERSHOOT_US) < newest_us
         {
             return false;
         }
         self.identity.first_sequence = Some(mark.first_sequence);
         if let Some(last) = mark.last_sequence {
-            self.last = Some(last);
+            self.ends.last = Some(last);
             self.ended.get_or_insert(now);
         }
         true
     }
 
-    /// Is the message of this number held?
-    pub(super) fn holds(&self, sequence: u64) -> bool {
-        self.have.contains(sequence) || self.pending.contains(sequence)
-    }
-
     /// Does this message belong to the flight, and is it new?
     pub(super) fn wants(&self, sequence: u64, time_us: u64) -> bool {
-        let after_start = match (self.identity.first_sequence, self.start_us) {
+        let after_start = match (self.identity.first_sequence, self.ends.start_us) {
             (Some(first), _) => sequence >= first,
             (None, Some(start)) => time_us >= start,
             (None, None) => true,
         };
-        after_start && self.last.is_none_or(|last| sequence <= last) && !self.holds(sequence)
+        after_start && self.ends.last.is_none_or(|last| sequence <= last) && !self.numbers.holds(sequence)
     }
 
     /// Writes a message that the flight [wants](Track::wants). The writer must be open.
     pub(super) fn write(&mut self, frame: &Frame<'_>, topic: &str, backfill: bool, now: Instant) -> McapResult<()> {
-        let Some((_, writer)) = &mut self.writer else { return Ok(()) };
+        let Some((_, writer)) = &mut self.output.writer else { return Ok(()) };
         writer.write(frame, topic)?;
-        self.pending.insert(frame.sequence, frame.sequence);
-        self.covered.insert(frame.sequence, frame.sequence);
+        self.numbers.written(frame.sequence);
         self.learner.observe(topic, frame.sequence, frame.time_us, frame.payload);
         *(if backfill { &mut self.filled } else { &mut self.live }) += 1;
         self.progressed = now;
@@ -184,11 +175,10 @@ impl Track {
 
     /// Makes what was written durable, when due or `now_or_never`.
     pub(super) fn flush(&mut self, now: Instant, always: bool) -> McapResult<()> {
-        let Some((_, writer)) = &mut self.writer else { return Ok(()) };
+        let Some((_, writer)) = &mut self.output.writer else { return Ok(()) };
         if always || writer.due(now) {
             writer.flush(now)?;
-            self.have.absorb(&self.pending);
-            self.pending = IntervalSet::default();
+            self.numbers.flushed();
             self.flushed.clone_from(&self.learner);
         }
         Ok(())
@@ -196,65 +186,65 @@ impl Track {
 
     /// The agent's log does not hold these.
     pub(super) fn refuse(&mut self, first: u64, last: u64) {
-        self.covered.insert(first, last);
-        let nothing_before = self.have.min().or(self.pending.min()).is_some_and(|min| last.saturating_add(1) == min);
-        if self.identity.first_sequence.is_none() && nothing_before {
-            self.earliest = self.have.min().or(self.pending.min());
+        self.numbers.refuse(first, last);
+        let oldest = self.numbers.oldest();
+        if self.identity.first_sequence.is_none() && oldest.is_some_and(|oldest| last.saturating_add(1) == oldest) {
+            self.ends.earliest = oldest;
         }
     }
 
     /// Asks once more for everything that was refused while the agent was still writing its log.
     pub(super) fn recheck(&mut self) {
         self.rechecked = true;
-        self.covered = self.have.clone();
-        self.covered.absorb(&self.pending);
+        self.numbers.recheck();
     }
 
     /// First sequence number to account for.
     fn begin(&self) -> u64 {
-        self.identity.first_sequence.or(self.earliest).unwrap_or(1)
+        self.identity.first_sequence.or(self.ends.earliest).unwrap_or(1)
     }
 
     /// Largest number held.
     pub(super) fn newest(&self) -> Option<u64> {
-        self.have.max().max(self.pending.max())
+        self.numbers.newest()
     }
 
     /// Ranges worth asking the agent for, up to `horizon` while the flight goes on.
     pub(super) fn gaps(&self, horizon: u64, limit: usize) -> Vec<(u64, u64)> {
-        let end = self.last.or(self.limit).unwrap_or(horizon);
-        self.covered.gaps(self.begin(), end, limit)
+        let end = self.ends.last.or(self.ends.limit).unwrap_or(horizon);
+        self.numbers.gaps(self.begin(), end, limit)
     }
 
     /// Is `first..=last` settled: held, refused, or beyond the end?
     pub(super) fn settled(&self, first: u64, last: u64) -> bool {
-        let last = self.last.map_or(last, |end| last.min(end));
+        let last = self.ends.last.map_or(last, |end| last.min(end));
         let first = first.max(self.begin());
-        first > last || self.covered.missing(first, last) == 0
+        first > last || self.numbers.settled(first, last)
     }
 
     /// Messages known to be missing.
     pub(super) fn missing(&self) -> u64 {
-        let Some(end) = self.last.or(self.newest()) else { return 0 };
-        let begin = self.identity.first_sequence.or(self.have.min()).or(self.pending.min()).unwrap_or(end);
-        let both = self.have.missing(begin, end);
-        // Pending numbers are few and disjoint from `have`.
-        both.saturating_sub(self.pending.count())
+        let Some(end) = self.ends.last.or(self.newest()) else { return 0 };
+        let begin = self.identity.first_sequence.or(self.numbers.oldest()).unwrap_or(end);
+        self.numbers.missing(begin, end)
     }
 
     /// Were messages written that came after the end, before the end was known?
     pub(super) fn overshot(&self) -> bool {
-        self.last.is_some_and(|last| self.newest().is_some_and(|newest| newest > last))
+        self.ends.last.is_some_and(|last| self.newest().is_some_and(|newest| newest > last))
     }
 
     /// Is the flight over and everything of it here?
     pub(super) fn complete(&self) -> bool {
-        self.past == Past::Known && self.last.is_some() && self.identity.first_sequence.is_some() && self.missing() == 0
+        self.past == Past::Known
+            && self.ends.last.is_some()
+            && self.identity.first_sequence.is_some()
+            && self.missing() == 0
     }
 
     /// What is said at the end of the file.
     pub(super) fn ending(&self, completeness: Completeness) -> Ending {
-        Ending { last_sequence: self.last, completeness, live: self.live, filled: self.filled }
+        Ending { last_sequence: self.ends.last, completeness, live: self.live, filled: self.filled }
     }
 
     /// The record of the flight as it stands.
@@ -269,7 +259,7 @@ impl Track {
             filled: self.filled,
             missing: self.missing(),
             first_sequence: self.identity.first_sequence,
-            last_sequence: self.last,
+            last_sequence: self.ends.last,
             completeness,
             size_bytes,
             ..Flight::default()
@@ -291,17 +281,13 @@ mod tests {
     #[test]
     fn gaps_are_what_is_neither_held_nor_refused() {
         let mut track = track(10);
-        track.have.insert(10, 19);
-        track.pending.insert(30, 39);
-        track.covered.insert(10, 19);
-        track.covered.insert(30, 39);
+        (10..20).chain(30..40).for_each(|sequence| track.numbers.written(sequence));
         assert_eq!(track.gaps(45, 9), [(20, 29), (40, 45)]);
         assert_eq!(track.missing(), 10);
         track.refuse(22, 24);
         assert_eq!(track.gaps(39, 9), [(20, 21), (25, 29)]);
         assert_eq!(track.missing(), 10, "refused is still missing");
-        assert_eq!(track.unavailable().gaps(20, 26, 9), [(20, 21), (25, 26)]);
-        track.last = Some(39);
+        track.ends.last = Some(39);
         assert!(!track.complete());
         assert!(track.settled(22, 24) && !track.settled(20, 24) && track.settled(40, u64::MAX));
         track.recheck();
@@ -318,13 +304,13 @@ mod tests {
             ..Default::default()
         };
         let mut track = track(10);
-        track.have.insert(10, 80);
+        (10..=80).for_each(|sequence| track.numbers.written(sequence));
         assert!(!track.learn(&mark(10, Some(60), 0), 90, now), "it speaks of another place");
         assert!(!track.learn(&mark(10, Some(60), 0), 60, now), "a message of this number is held");
         assert!(!track.learn(&mark(70, None, 0), 70, now) && !track.learn(&mark(11, Some(90), 0), 90, now));
         assert!(track.learn(&mark(10, Some(90), 0), 90, now));
         assert!(!track.learn(&mark(10, Some(85), 0), 85, now), "it has ended already");
-        assert_eq!((track.identity.first_sequence, track.last), (Some(10), Some(90)));
+        assert_eq!((track.identity.first_sequence, track.ends.last), (Some(10), Some(90)));
         let mut track = Track::new(Identity::default(), 1, now);
         track.learner.observe("/control", 90, OVERSHOOT_US + 2, &[]);
         assert!(!track.learn(&mark(10, Some(60), 1), 60, now), "seconds of messages would be lost");
@@ -335,14 +321,13 @@ mod tests {
     fn nothing_is_asked_before_the_earliest_there_is_and_a_flight_without_its_beginning_is_not_complete() {
         let mut track = track(1);
         track.identity.first_sequence = None;
-        track.start_us = Some(100);
+        track.ends.start_us = Some(100);
         assert!(!track.wants(50, 99) && track.wants(50, 100));
-        track.have.insert(50, 60);
-        track.covered.insert(50, 60);
+        (50..=60).for_each(|sequence| track.numbers.written(sequence));
         assert_eq!(track.gaps(60, 9), [(1, 49)]);
         track.refuse(1, 49);
         assert_eq!((track.begin(), track.gaps(60, 9)), (50, vec![]));
-        track.last = Some(60);
+        track.ends.last = Some(60);
         assert!(track.missing() == 0 && !track.complete());
     }
 }

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Compression, McapError, McapResult, WriteOptions};
-use plumbline_agent::log::{SyncedFile, Syncer};
+use plumbline_file::{SyncedFile, Syncer};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::Frame;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;

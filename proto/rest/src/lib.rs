@@ -2,12 +2,12 @@
 //!
 //! What is asked refuses fields it does not know: a name misspelt is told, and changes nothing. What is answered takes
 //! fields that are not there for their defaults: a page may be older or newer than its ground.
-//!
-//! Designs of gains and calibrations have readers of their own beside what they describe, in the agent.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod calibration;
 pub mod command;
+pub mod design;
 pub mod flight;
 pub mod ground;
 pub mod people;

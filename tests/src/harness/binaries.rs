@@ -22,19 +22,24 @@ impl Binaries {
         Self { agent: program("plumbline-agent"), ground: program("plumbline-ground") }
     }
 
-    /// Those that belong to the running test: `PLUMBLINE_BINARIES`, or the folder above the test's own, built first.
+    /// Those that belong to the running program: in the folder that `PLUMBLINE_BINARIES` names, or beside it. Those of a
+    /// test or a bench lie one folder higher, and are built first.
     ///
     /// # Errors
     /// The build failed.
-    pub fn for_tests() -> Result<Self, XtaskError> {
+    pub fn of_this_build() -> Result<Self, XtaskError> {
         if let Some(folder) = std::env::var_os("PLUMBLINE_BINARIES") {
             return Ok(Self::inside(Path::new(&folder)));
         }
-        let test = std::env::current_exe().map_err(XtaskError::file("the running test"))?;
-        let folder = test.ancestors().nth(2).unwrap_or(Path::new(".")).to_path_buf();
+        let program = std::env::current_exe().map_err(XtaskError::file("the running program"))?;
+        let folder = program.parent().unwrap_or(Path::new("."));
+        // Where cargo puts tests and benches.
+        let Some(folder) = folder.parent().filter(|_| folder.ends_with("deps")) else {
+            return Ok(Self::inside(folder));
+        };
         static BUILT: OnceLock<bool> = OnceLock::new();
-        if *BUILT.get_or_init(|| build(&folder)) {
-            Ok(Self::inside(&folder))
+        if *BUILT.get_or_init(|| build(folder)) {
+            Ok(Self::inside(folder))
         } else {
             Err(XtaskError::Other(format!("the binaries for {} could not be built", folder.display())))
         }
@@ -47,7 +52,7 @@ fn build(folder: &Path) -> bool {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null()).stdout(Stdio::null());
     // The whole workspace, as the tests are built: fewer packages would ask other features of the libraries.
-    cargo.args(["build", "--quiet", "--workspace", "--bins"]);
+    cargo.args(["build", "--quiet", "--workspace", "--bin", "plumbline-ground", "--bin", "plumbline-agent"]);
     if release {
         cargo.arg("--release");
     }

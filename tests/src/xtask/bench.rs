@@ -47,31 +47,30 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     if whole {
         // The page first: the ground embeds it.
         web::build(workspace, &web::Options::default())?;
-        workspace::run(workspace.cargo().args(["build", "--locked", "--workspace", "--release", "--bins"]))?;
+        let programs = ["--bin", "plumbline-ground", "--bin", "plumbline-agent"];
+        let mut cargo = workspace.cargo();
+        workspace::run(cargo.args(["build", "--locked", "--workspace", "--release"]).args(programs))?;
     }
     for (name, bench) in chosen {
         eprintln!("xtask: bench {name}");
         match bench {
             Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
             Bench::Charts => browser::bench(workspace)?,
-            Bench::Program(name) => program(workspace, name, &[])?,
+            Bench::Program(name) => program(workspace, name)?,
         }
     }
     Ok(())
 }
 
-/// Runs a program without a harness, in release, with `arguments`. Built with the whole workspace: a package alone would
-/// ask other features of the libraries, and build them again.
+/// Runs a bench without a harness, in release. Built with the whole workspace: a package alone would ask other features
+/// of the libraries, and build them again.
 ///
 /// # Errors
 /// It could not be built, or failed.
-pub fn program(workspace: &Workspace, name: &str, arguments: &[&str]) -> Result<(), XtaskError> {
+pub fn program(workspace: &Workspace, name: &str) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
     cargo.args(["bench", "--locked", "--workspace", "--bench", name]);
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("release"));
-    if !arguments.is_empty() {
-        cargo.arg("--").args(arguments);
-    }
     // Without pip the bench says so itself and measures the rest.
     let peers = match name {
         "estimate" => Some(("PLUMBLINE_FILTERPY", tools::filterpy(workspace))),

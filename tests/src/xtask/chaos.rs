@@ -1,8 +1,8 @@
 //! `cargo xtask chaos CAMPAIGN`: the promises of the link and the recordings under faults, one JSON line a figure.
 
-use std::process::Stdio;
+use std::ffi::OsString;
 
-use super::{Workspace, XtaskError, tools, workspace};
+use super::{Workspace, XtaskError, campaign, tools};
 
 /// Which faults, and how many.
 #[derive(Debug, Clone, clap::Args)]
@@ -24,7 +24,7 @@ pub struct Options {
     pub dev: bool,
 }
 
-/// The campaigns, each a program in `tests/campaigns`.
+/// The campaigns, each a module in `tests/campaigns`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Campaign {
     /// A bad radio: loss, bursts, reordering, fades.
@@ -46,7 +46,7 @@ pub enum Campaign {
 }
 
 impl Campaign {
-    fn program(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Campaign::Link => "chaos_link",
             Campaign::Kill => "chaos_kill",
@@ -68,7 +68,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let mut settings = vec![("PLUMBLINE_SEED", options.seed)];
     settings.extend(options.rounds.map(|rounds| ("PLUMBLINE_ROUNDS", rounds)));
     settings.extend(options.seconds.map(|seconds| ("PLUMBLINE_SECONDS", seconds)));
-    program(workspace, options.campaign.program(), options.dev, &settings)
+    start(workspace, options.campaign.name(), options.dev, &settings)
 }
 
 /// How long to soak.
@@ -87,24 +87,12 @@ pub struct SoakOptions {
 /// # Errors
 /// What could not be built, or a promise that was broken.
 pub fn soak(workspace: &Workspace, options: &SoakOptions) -> Result<(), XtaskError> {
-    program(workspace, "soak", options.dev, &[("PLUMBLINE_MINUTES", options.minutes)])
+    start(workspace, "soak", options.dev, &[("PLUMBLINE_MINUTES", options.minutes)])
 }
 
-/// Builds ground and agent, then builds and runs a campaign with these settings.
-fn program(workspace: &Workspace, name: &str, dev: bool, settings: &[(&str, u64)]) -> Result<(), XtaskError> {
-    let (profile, folder) = if dev { ("dev", "debug") } else { ("release", "release") };
-    let programs = ["--bin", "plumbline-ground", "--bin", "plumbline-agent"];
-    let build = ["build", "--locked", "--workspace", "--profile", profile];
-    workspace::run(workspace.cargo().args(build).args(programs))?;
-    let mut cargo = workspace.cargo();
-    cargo.args(["bench", "--locked", "--workspace", "--bench", name]);
-    cargo.args(["--profile", if dev { "dev" } else { "bench" }]).stdin(Stdio::null());
-    cargo.env("PLUMBLINE_BINARIES", workspace.target.join(folder));
-    if let Ok(python) = tools::python(workspace) {
-        cargo.env("PLUMBLINE_PYTHON", python);
-    }
-    settings.iter().for_each(|(key, value)| {
-        cargo.env(key, value.to_string());
-    });
-    workspace::run(&mut cargo)
+/// Runs a campaign with these numbers, and with the third-party reader: without pip it says itself what it skips.
+fn start(workspace: &Workspace, name: &str, dev: bool, numbers: &[(&str, u64)]) -> Result<(), XtaskError> {
+    let mut settings: Vec<_> = numbers.iter().map(|(key, value)| (*key, OsString::from(value.to_string()))).collect();
+    settings.extend(tools::python(workspace).ok().map(|python| ("PLUMBLINE_PYTHON", python.into())));
+    campaign::run(workspace, &campaign::Run { name, dev, arguments: &[], settings: &settings })
 }

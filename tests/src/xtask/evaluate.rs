@@ -1,7 +1,7 @@
 //! `cargo xtask evaluate`: estimation and calibration against everything promised of them: references, recordings,
 //! peers, the sources' tables, times.
 
-use super::{Workspace, XtaskError, bench, reproduce};
+use super::{Workspace, XtaskError, bench, campaign, reproduce};
 
 /// The sources whose tables are about estimation.
 const SOURCES: [&str; 2] = ["umasankar", "paternain"];
@@ -11,7 +11,7 @@ const SOURCES: [&str; 2] = ["umasankar", "paternain"];
 /// # Errors
 /// The first part that could not be run.
 pub fn run(workspace: &Workspace) -> Result<(), XtaskError> {
-    bench::program(workspace, "evaluate", &[])?;
+    campaign::run(workspace, &campaign::Run { name: "evaluate", dev: false, arguments: &[], settings: &[] })?;
     bench::run(workspace, &bench::Options { name: Some("estimate".into()) })?;
     for source in SOURCES {
         reproduce::run(workspace, &reproduce::Options { source: Some(source.into()), quick: false })?;

@@ -4,6 +4,7 @@
 
 mod bench;
 mod browser;
+mod campaign;
 mod chaos;
 mod error;
 mod evaluate;
@@ -87,7 +88,8 @@ fn verdict(good: bool) -> ExitCode {
 
 fn bless(workspace: &Workspace) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
-    cargo.args(["test", "--locked", "--package", "plumbline-proto", "--package", "plumbline-tests"]);
+    // The whole workspace: with fewer packages other features would have everything built again.
+    cargo.args(["test", "--locked", "--workspace"]);
     cargo.args(["--test", "wire_snapshots", "--test", "rooms"]);
     workspace::run(cargo.env("PLUMBLINE_BLESS", "1"))
 }

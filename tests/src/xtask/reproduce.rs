@@ -1,6 +1,6 @@
 //! `cargo xtask reproduce [SOURCE]`: the sources' tables beside ours.
 
-use super::{Workspace, XtaskError, bench};
+use super::{Workspace, XtaskError, bench, campaign};
 
 /// Which source.
 #[derive(Debug, Clone, clap::Args)]
@@ -12,18 +12,18 @@ pub struct Options {
     pub quick: bool,
 }
 
-/// Source, its programs, and what comes with later work.
-const SOURCES: [(&str, &[&str], &str); 4] = [
-    ("paternain", &["paternain"], "VIII: the three experiments; report in target/reproduce/paternain"),
-    ("umasankar", &["umasankar"], "Tables 3 to 5; report in target/reproduce/umasankar"),
+/// Source, also the name of its campaign; the bench that goes with it; what they show.
+const SOURCES: [(&str, Option<&str>, &str); 4] = [
+    ("paternain", None, "VIII: the three experiments; report in target/reproduce/paternain"),
+    ("umasankar", None, "Tables 3 to 5; report in target/reproduce/umasankar"),
     (
         "strategies",
-        &["strategies"],
+        None,
         "LQG, H-infinity and every controller on the same flights; report in target/reproduce/strategies",
     ),
     (
         "clinic",
-        &["sse", "clinic"],
+        Some("sse"),
         "decoder times; Figures 8 to 13, Table 1 in closed loop, four real IMUs; report in target/reproduce/clinic",
     ),
 ];
@@ -31,7 +31,7 @@ const SOURCES: [(&str, &[&str], &str); 4] = [
 /// Runs what there is and names what there is not.
 ///
 /// # Errors
-/// No such source, or a bench that failed.
+/// No such source, or a bench or campaign that failed.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let wanted = |name: &str| options.source.as_deref().is_none_or(|source| source == name);
     let chosen: Vec<_> = SOURCES.iter().filter(|(name, ..)| wanted(name)).collect();
@@ -41,11 +41,12 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         return Err(XtaskError::Other(format!("no source is called `{source}`; there are: {names}")));
     }
     let arguments: &[&str] = if options.quick { &["--quick"] } else { &[] };
-    for (name, programs, note) in chosen {
+    for (name, bench, note) in chosen {
         eprintln!("[{name}] {note}");
-        for program in *programs {
-            bench::program(workspace, program, arguments)?;
+        if let Some(bench) = bench {
+            bench::program(workspace, bench)?;
         }
+        campaign::run(workspace, &campaign::Run { name, dev: false, arguments, settings: &[] })?;
     }
     Ok(())
 }

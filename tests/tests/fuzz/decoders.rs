@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use plumbline_agent::calibration::{CalibrationFile, Kind as Calibrated};
-use plumbline_agent::design::file::DesignFile;
+use plumbline_agent::design::file::{proposal, read};
 use plumbline_agent::link::backfill::Archive as _;
 use plumbline_agent::link::inbound;
 use plumbline_agent::log::{self, LogArchive};
@@ -46,6 +46,12 @@ fn fuzz_wire_codec() {
                 assert_eq!(again.len(), frame.encoded_len());
             }
         }
+        // What the ground parses at once is what comes frame by frame.
+        let frames = codec::decode_batch(input).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+        match (codec::Batch::parse(input.to_vec().into()), frames) {
+            (Ok(batch), Ok(frames)) => assert!(batch.frames().eq(frames)),
+            (batch, frames) => assert_eq!(batch.err(), frames.err()),
+        }
     });
 }
 
@@ -57,6 +63,7 @@ fn fuzz_command_stream() {
         v1::command_frame::Body::Command(v1::Command {
             command_id: 3,
             operator: "ann".into(),
+            seen_us: Some(5_000_000),
             body: Some(v1::command::Body::Setpoint(v1::Setpoint { altitude_m: Some(0.5), ..Default::default() })),
         }),
     ];
@@ -90,7 +97,9 @@ fn fuzz_commands() {
     ];
     let seeds: Vec<_> = bodies
         .into_iter()
-        .map(|body| v1::Command { command_id: 1, operator: "t".into(), body: Some(body) }.encode_to_vec())
+        .map(|body| {
+            v1::Command { command_id: 1, operator: "t".into(), seen_us: Some(7), body: Some(body) }.encode_to_vec()
+        })
         .collect();
     fuzz("commands", &seeds, |input| {
         if let Ok(command) = v1::Command::decode(input) {
@@ -257,8 +266,8 @@ fn fuzz_plans() {
 fn fuzz_gains() {
     let gains =
         serde_json::json!({ "state_weight": vec![1.0; 16], "input_weight": vec![0.5; 4] }).to_string().into_bytes();
-    assert!(DesignFile::from_json(&gains).is_ok());
-    fuzz("gains", &[gains], |input| drop(DesignFile::from_json(input).and_then(|design| design.proposal())));
+    assert!(read(&gains).is_ok());
+    fuzz("gains", &[gains], |input| drop(read(input).and_then(|design| proposal(&design))));
 }
 
 #[test]

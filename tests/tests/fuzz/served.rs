@@ -144,7 +144,8 @@ impl Agent {
                     }
                 }
                 let backfill = kind == 5;
-                LinkEvent::Batch { agent_id, batch: batch.into(), received: Instant::now(), backfill }
+                let Ok(batch) = codec::Batch::parse(batch.into()) else { return Ok(()) };
+                LinkEvent::Batch { agent_id, batch, received: Instant::now(), backfill }
             }
         };
         ground.send(event);

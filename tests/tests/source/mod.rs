@@ -26,7 +26,11 @@ pub fn files() -> Vec<PathBuf> {
 /// Rust files under any of these files or folders, relative to the root.
 pub fn rust_files(under: &[&str]) -> Vec<PathBuf> {
     let inside = |file: &PathBuf| under.iter().any(|place| file.starts_with(place));
-    let test = |file: &PathBuf| file.file_name().is_some_and(|name| name == "tests.rs");
+    // `…/src/…/tests.rs`, and what lies in a folder `tests` there.
+    let test = |file: &PathBuf| {
+        let mut below = file.iter().skip_while(|part| *part != "src");
+        below.any(|part| part == "tests" || part == "tests.rs")
+    };
     let rust = |file: &PathBuf| file.extension().is_some_and(|extension| extension == "rs");
     files().into_iter().filter(rust).filter(inside).filter(|file| !test(file)).collect()
 }

@@ -57,8 +57,8 @@ impl Flight {
         let height = |instance: usize| {
             Series::from_samples((0..600).filter(|i| instance != 3 || !(460..520).contains(i)).map(|i| {
                 let t = i as f32 / 10.0;
-                let lie = if instance == 2 && attacked(t) { 0.5 } else { 0.0 };
-                (f64::from(t), altitude(t) + lie + 0.02 * scatter(i * 3 + instance))
+                let offset = if instance == 2 && attacked(t) { 0.5 } else { 0.0 };
+                (f64::from(t), altitude(t) + offset + 0.02 * scatter(i * 3 + instance))
             }))
             .with_max_gap(0.5)
         };
@@ -130,65 +130,80 @@ fn rotors() -> Vec<Rotor> {
         .collect()
 }
 
-fn panels<'a>(
-    flight: &'a Flight,
-    theme: &Theme,
-    rotors: &'a [Rotor],
-    strings: &'a [StringLine],
-    width: f32,
-) -> Vec<Panel<'a>> {
-    let attack = Color::hex(0xd55e00);
-    let time = TimeAxis::new(0.0, 60.0);
-    let spans = vec![
-        Span { start_s: 28.0, end_s: 36.0, color: attack, planned: false },
-        Span { start_s: 52.0, end_s: 57.0, color: attack, planned: true },
-    ];
-    let sensors = [0xe69f00, 0x56b4e9, if theme.dark { 0xd8c83a } else { 0xa89a1a }].map(Color::hex);
-    let estimate = Color::hex(if theme.dark { 0x3d9fe0 } else { 0x0072b2 });
-    let mut heights = ChartView::new(time, ValueAxis::new(-0.2, 1.6), *theme);
-    for (series, color) in flight.heights.iter().zip(sensors) {
+/// Of attacks and of gates.
+const ATTACK: u32 = 0xd55e00;
+
+fn sensor_colors(theme: &Theme) -> [Color; 3] {
+    [0xe69f00, 0x56b4e9, if theme.dark { 0xd8c83a } else { 0xa89a1a }].map(Color::hex)
+}
+
+fn estimate_color(theme: &Theme) -> Color {
+    Color::hex(if theme.dark { 0x3d9fe0 } else { 0x0072b2 })
+}
+
+fn whole_flight() -> TimeAxis {
+    TimeAxis::new(0.0, 60.0)
+}
+
+fn spans() -> Vec<Span> {
+    let color = Color::hex(ATTACK);
+    vec![
+        Span { start_s: 28.0, end_s: 36.0, color, planned: false },
+        Span { start_s: 52.0, end_s: 57.0, color, planned: true },
+    ]
+}
+
+fn heights<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
+    let mut heights = ChartView::new(whole_flight(), ValueAxis::new(-0.2, 1.6), *theme);
+    for (series, color) in flight.heights.iter().zip(sensor_colors(theme)) {
         heights = heights.curve(series, color, Style::Thin);
     }
-    let heights = ChartView { spans: spans.clone(), cursor_s: Some(24.0), ..heights }
+    ChartView { spans: spans(), cursor_s: Some(24.0), ..heights }
         .curve(&flight.other, Color::hex(0x009e73), Style::Solid)
         .curve(&flight.truth, theme.ink.alpha(0.6), Style::Dashed)
         .curve(&flight.setpoint, theme.ink.alpha(0.85), Style::Step)
-        .curve(&flight.estimate, estimate, Style::Strong);
-    let zoomed = ChartView {
+        .curve(&flight.estimate, estimate_color(theme), Style::Strong)
+}
+
+fn zoomed<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
+    let [first, second, _] = sensor_colors(theme);
+    ChartView {
         selection: Some((29.3, 29.9)),
-        marks: vec![Mark { time_s: 28.0, color: attack }],
+        marks: vec![Mark { time_s: 28.0, color: Color::hex(ATTACK) }],
         ..ChartView::new(TimeAxis::new(26.0, 31.0), ValueAxis::new(0.6, 1.6), *theme)
     }
-    .curve(&flight.heights[1], sensors[1], Style::Points)
-    .curve(&flight.heights[0], sensors[0], Style::Points)
+    .curve(&flight.heights[1], second, Style::Points)
+    .curve(&flight.heights[0], first, Style::Points)
     .curve(&flight.truth, theme.ink.alpha(0.6), Style::Dashed)
-    .curve(&flight.estimate, estimate, Style::Strong);
-    let mut angles = ChartView::new(time, ValueAxis::new(-8.0, 8.0), *theme);
+    .curve(&flight.estimate, estimate_color(theme), Style::Strong)
+}
+
+fn angles<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
+    let mut angles = ChartView::new(whole_flight(), ValueAxis::new(-8.0, 8.0), *theme);
     for (series, color) in flight.angles.iter().zip([0x0072b2, 0x009e73, 0xcc79a7]) {
         angles.curves.push(Curve { series, color: Color::hex(color), style: Style::Solid, scale: 57.29578 });
     }
-    let gate = |value| LevelLine { value, color: attack, dashed: true };
-    angles.levels = vec![gate(6.0), gate(-6.0)];
-    angles.spans = spans.clone();
+    let gate = |value| LevelLine { value, color: Color::hex(ATTACK), dashed: true };
+    ChartView { levels: vec![gate(6.0), gate(-6.0)], spans: spans(), ..angles }
+}
+
+fn heat<'a>(flight: &'a Flight, theme: &Theme) -> HeatmapView<'a> {
     let rows = flight.ratios.iter().enumerate().map(|(i, ratio)| HeatRow { ratio, group_start: i % 3 == 0 });
-    let heat = HeatmapView {
-        time,
+    HeatmapView {
+        time: whole_flight(),
         rows: rows.collect(),
-        spans,
+        spans: spans(),
         cursor_s: Some(24.0),
         highlighted: Some(1),
         time_origin_s: 0.0,
         theme: *theme,
-    };
-    let horizon = HorizonView {
-        roll_rad: 0.21,
-        pitch_flu_rad: -0.09,
-        setpoint_rad: Some((0.05, 0.0)),
-        stale: false,
-        theme: *theme,
-    };
+    }
+}
+
+/// In flight on its strings with a ghost beside it, and standing.
+fn spaces<'a>(theme: &Theme, rotors: &'a [Rotor], strings: &'a [StringLine]) -> [Attitude3dView<'a>; 2] {
     let pose = Pose { position_enu_m: [0.1, 0.05, 0.85], world_from_body: [0.985, 0.10, -0.045, 0.13] };
-    let space = Attitude3dView {
+    let flying = Attitude3dView {
         pose,
         ghost: Some(Pose { position_enu_m: [0.16, 0.05, 0.95], ..pose }),
         rotors,
@@ -197,23 +212,41 @@ fn panels<'a>(
         stale: false,
         theme: *theme,
     };
-    let stand = Attitude3dView {
+    let standing = Attitude3dView {
         pose: Pose { position_enu_m: [0.0, 0.0, 0.08], ..Pose::ORIGIN },
         ghost: None,
         strings: &[],
         camera: Camera { azimuth_rad: 0.7, elevation_rad: 0.6, zoom_out: 1.4 },
-        ..space.clone()
+        ..flying.clone()
+    };
+    [flying, standing]
+}
+
+fn panels<'a>(
+    flight: &'a Flight,
+    theme: &Theme,
+    rotors: &'a [Rotor],
+    strings: &'a [StringLine],
+    width: f32,
+) -> Vec<Panel<'a>> {
+    let [flying, standing] = spaces(theme, rotors, strings);
+    let horizon = HorizonView {
+        roll_rad: 0.21,
+        pitch_flu_rad: -0.09,
+        setpoint_rad: Some((0.05, 0.0)),
+        stale: false,
+        theme: *theme,
     };
     let wide = (width - 330.0).max(200.0);
     let panel = |x, y, width, height, content| Panel { rect: Rect::new(x, y, width, height), content };
     vec![
         panel(10.0, 10.0, 300.0, 225.0, Content::Horizon(horizon)),
-        panel(10.0, 245.0, 300.0, 260.0, Content::Attitude3d(space)),
-        panel(10.0, 515.0, 145.0, 145.0, Content::Attitude3d(stand)),
+        panel(10.0, 245.0, 300.0, 260.0, Content::Attitude3d(flying)),
+        panel(10.0, 515.0, 145.0, 145.0, Content::Attitude3d(standing)),
         panel(165.0, 515.0, 145.0, 145.0, Content::Horizon(HorizonView { stale: true, ..horizon })),
-        panel(320.0, 10.0, wide, 200.0, Content::Chart(heights)),
-        panel(320.0, 220.0, wide, 140.0, Content::Chart(zoomed)),
-        panel(320.0, 370.0, wide, 130.0, Content::Chart(angles)),
-        panel(320.0, 510.0, wide, 150.0, Content::Heatmap(heat)),
+        panel(320.0, 10.0, wide, 200.0, Content::Chart(heights(flight, theme))),
+        panel(320.0, 220.0, wide, 140.0, Content::Chart(zoomed(flight, theme))),
+        panel(320.0, 370.0, wide, 130.0, Content::Chart(angles(flight, theme))),
+        panel(320.0, 510.0, wide, 150.0, Content::Heatmap(heat(flight, theme))),
     ]
 }

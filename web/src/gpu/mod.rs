@@ -1,7 +1,7 @@
 //! Everything that is drawn: one wgpu canvas behind the page, WebGPU where present, else WebGL2.
 //!
 //! - [`scene`] says what can be drawn; plain data, tested natively.
-//! - [`Renderer`] owns the device and draws a list of panels per frame.
+//! - [`Renderer`] draws a list of panels per frame: canvas and device are `screen`'s, what they draw with `pipelines`'.
 //! - Two kinds of triangles do all the work: [`shape`] (flat, anti-aliased by coverage) for charts,
 //!   heat maps and the horizon; [`mesh`] (lit, depth-tested, multisampled) for the vehicle in space.
 //! - `chart`, `heatmap`, `horizon` and `attitude3d` turn one content each into those triangles.
@@ -17,13 +17,16 @@ pub mod horizon;
 mod image;
 mod line;
 mod mesh;
+mod pipelines;
 #[cfg(test)]
 mod raster;
 pub mod scene;
+mod screen;
 mod shape;
 
 pub use color::{Color, Theme};
-pub use context::{Backend, FrameOutcome, FrameStats, Renderer};
+pub use context::{FrameOutcome, FrameStats, Renderer};
 pub use error::GpuError;
 pub use grid::{TIME_TICK_SPACING_PX, VALUE_TICK_SPACING_PX};
 pub use scene::*;
+pub use screen::Backend;

@@ -1,6 +1,6 @@
-//! Calibrations as the ground fits and keeps them, and how each kind is done well.
+//! Kinds of calibrations, how each is done well, and the points of a fit to draw.
 
-use serde::Deserialize;
+use plumbline_rest::calibration::Series;
 
 /// A kind of calibration: name on the wire, title, the data it needs, guidance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -94,73 +94,6 @@ pub const KINDS: [Kind; 8] = [
     },
 ];
 
-/// One fitted number.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Parameter {
-    pub name: String,
-    pub value: f64,
-    pub sigma: Option<f64>,
-    pub unit: String,
-}
-
-/// What is left after the fit.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Residual {
-    pub value: Option<f64>,
-    pub unit: String,
-}
-
-/// Points of a picture.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Series {
-    pub name: String,
-    pub line: bool,
-    pub points: Vec<[Option<f64>; 2]>,
-}
-
-/// A picture of the fit.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Picture {
-    pub title: String,
-    pub x: String,
-    pub y: String,
-    pub log: bool,
-    pub series: Vec<Series>,
-}
-
-/// A calibration; lists leave picture and parameters' covariance out.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Calibration {
-    pub id: String,
-    pub kind: String,
-    pub date: String,
-    pub input: String,
-    pub sensor: Option<u32>,
-    pub samples: u64,
-    pub residual: Residual,
-    pub parameters: Vec<Parameter>,
-    pub notes: Vec<String>,
-    pub picture: Vec<Picture>,
-}
-
-/// `GET /api/v1/calibrations`.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Calibrations {
-    pub calibrations: Vec<Calibration>,
-}
-
 /// At most this many points of a series are drawn.
 const MOST_POINTS: usize = 600;
 
@@ -180,14 +113,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_answer_is_read_and_its_picture_thinned() {
-        let text = r#"{"id":"m-1","kind":"magnetometer","date":"2026-01-31T12:00:00Z","input":"f1","sensor":1,"span_s":[5.0,60.0],
-            "samples":1109,"residual":{"value":0.6,"unit":"µT"},
-            "parameters":[{"name":"hard_x","value":-1.4,"sigma":0.3,"unit":"µT"}],"covariance":[[1.0]],"notes":["14 of 18"],
-            "picture":[{"title":"Field","x":"µT","y":"µT","log":true,"series":[{"name":"before","line":false,"points":[[10.0,100.0],[null,1.0]]}]}]}"#;
-        let read: Calibration = serde_json::from_str(text).unwrap();
-        assert_eq!((read.parameters[0].sigma, read.residual.value), (Some(0.3), Some(0.6)));
-        let points = drawn(&read.picture[0].series[0], true);
+    fn a_picture_is_thinned_and_its_logarithms_are_drawn() {
+        let series = Series { points: vec![[Some(10.0), Some(100.0)], [None, Some(1.0)]], ..Series::default() };
+        let points = drawn(&series, true);
         assert_eq!(points[0], [1.0, 2.0]);
         assert!(points[1][0].is_nan());
         let many = Series { points: vec![[Some(1.0), Some(1.0)]; 100_000], ..Series::default() };

@@ -13,6 +13,7 @@ const WITNESSES_MS: f64 = 10_000.0;
 /// Maps the browser's monotonic clock to flight time.
 #[derive(Debug, Clone, Default)]
 pub struct Clock {
+    newest_us: u64,
     /// Flight time minus local time, µs.
     offset_us: Option<f64>,
     /// Measurements that may still be the greatest: local time, ms, rising, and offset, falling.
@@ -20,9 +21,32 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A message of flight time `newest_us` is here at `local_ms`: without anything better, it is new.
-    pub fn arrived(&mut self, newest_us: u64, local_ms: f64) {
-        let offset = newest_us as f64 - local_ms * 1e3;
+    /// The clock of a vehicle whose first message is of flight time `time_us`.
+    pub fn starting_at(time_us: u64) -> Self {
+        Self { newest_us: time_us, ..Self::default() }
+    }
+
+    /// A message of flight time `time_us` was read.
+    pub fn seen(&mut self, time_us: u64) {
+        self.newest_us = self.newest_us.max(time_us);
+    }
+
+    /// Newest flight time seen, µs; 0 before the first message.
+    pub fn newest_us(&self) -> u64 {
+        self.newest_us
+    }
+
+    /// Forgets how flight time runs, but not how far it has come.
+    pub fn forget_measurements(&mut self) {
+        *self = Self::starting_at(self.newest_us);
+    }
+
+    /// The newest message seen is here at `local_ms`: without anything better, it is new.
+    pub fn arrived(&mut self, local_ms: f64) {
+        if self.newest_us == 0 {
+            return;
+        }
+        let offset = self.newest_us as f64 - local_ms * 1e3;
         match self.offset_us {
             // The least delayed message is the best witness; one from the future says that a measurement is out of date.
             Some(held) if held >= offset => {}
@@ -45,6 +69,11 @@ impl Clock {
     pub fn flight_now_us(&self, local_ms: f64) -> Option<f64> {
         self.offset_us.map(|offset| local_ms * 1e3 + offset)
     }
+
+    /// The same, or the newest flight time seen where nothing tells how it runs.
+    pub fn now_us(&self, local_ms: f64) -> f64 {
+        self.flight_now_us(local_ms).unwrap_or(self.newest_us as f64)
+    }
 }
 
 #[cfg(test)]
@@ -55,7 +84,12 @@ mod tests {
     fn runs_on_between_measurements_and_when_nothing_arrives() {
         let mut clock = Clock::default();
         assert_eq!(clock.flight_now_us(5.0), None);
-        clock.arrived(1_000_000, 50.0);
+        clock.arrived(0.0);
+        assert_eq!((clock.flight_now_us(5.0), clock.now_us(5.0)), (None, 0.0));
+        clock.seen(1_000_000);
+        clock.seen(900_000);
+        assert_eq!(clock.now_us(5.0), 1_000_000.0);
+        clock.arrived(50.0);
         clock.measure(1_000_000, 20.0, 50.0);
         assert_eq!(clock.flight_now_us(50.0), Some(1_020_000.0));
         assert_eq!(clock.flight_now_us(1050.0), Some(2_020_000.0));

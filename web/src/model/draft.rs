@@ -68,12 +68,16 @@ pub fn channels(vehicle: Option<&Description>, sensor: SensorKind, instance: u32
     found.map_or(&[], |s| s.channels.as_slice())
 }
 
+/// Does this kind add to what is sensed?
+fn is_additive(kind: AttackKind) -> bool {
+    matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise)
+}
+
 /// Those of `channels` that an attack of this kind can cover: what it adds needs a unit, and one offset for all of an IMU
 /// has none.
 pub fn offered(channels: &[SensorChannel], kind: AttackKind) -> Vec<AttackChannel> {
-    let additive = matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise);
     let found: Vec<_> =
-        channels.iter().filter(|c| !additive || !c.unit.is_empty()).map(SensorChannel::channel).collect();
+        channels.iter().filter(|c| !is_additive(kind) || !c.unit.is_empty()).map(SensorChannel::channel).collect();
     if channels.is_empty() { vec![AttackChannel::All] } else { found }
 }
 
@@ -178,6 +182,11 @@ impl Form {
         if self.kind == AttackKind::Dropout && !(0.0..=1.0).contains(&magnitude) {
             return Err(format!("magnitude: {magnitude} is not a probability 0..1"));
         }
+        let most = channels.iter().find(|c| c.channel() == self.channel).map_or(0.0, |c| c.offset_max);
+        if is_additive(self.kind) && most > 0.0 && magnitude.abs() > most {
+            let unit = magnitude_unit(self.kind, channels, self.channel).unwrap_or_default();
+            return Err(format!("magnitude: {magnitude} {unit} beyond the vehicle's limit {most} {unit}"));
+        }
         if matches!(self.kind, AttackKind::Replay | AttackKind::Delay | AttackKind::Noise) && magnitude <= 0.0 {
             return Err(format!("magnitude: {magnitude} is not positive"));
         }
@@ -272,6 +281,12 @@ mod tests {
         assert_eq!(check(|f| f.duration = "0".into()), "duration: 0 s is not positive");
         assert_eq!(check(|f| f.duration = "90".into()), "duration: 90 s above the vehicle's limit 60 s");
         assert_eq!(check(|f| f.magnitude = "x".into()), "magnitude: \u{201c}x\u{201d} is not a number");
+        assert_eq!(check(|f| f.magnitude = "-5.5".into()), "magnitude: -5.5 m beyond the vehicle's limit 5 m");
+        let steep = |f: &mut Form| {
+            f.kind = AttackKind::Ramp;
+            f.magnitude = "6".into();
+        };
+        assert_eq!(check(steep), "magnitude: 6 m/s beyond the vehicle's limit 5 m/s");
         assert_eq!(
             check(|f| {
                 f.kind = AttackKind::Dropout;

@@ -1,5 +1,6 @@
 //! The list of flights: what is shown, in which order.
 
+use plumbline_proto::time::WallTime;
 use plumbline_rest::flight::Flight;
 
 /// A column of the table.
@@ -111,19 +112,9 @@ pub fn when(unix_us: u64, offset_min: i64) -> String {
     if unix_us == 0 {
         return super::format::NONE.to_owned();
     }
-    let seconds = (unix_us / 1_000_000) as i64 - offset_min * 60;
-    let (days, of_day) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    // Civil date from days since 1970 (Hinnant, "chrono-compatible low-level date algorithms").
-    let z = days + 719_468;
-    let era = z.div_euclid(146_097);
-    let doe = z.rem_euclid(146_097);
-    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let day = doy - (153 * mp + 2) / 5 + 1;
-    let month = if mp < 10 { mp + 3 } else { mp - 9 };
-    let year = yoe + era * 400 + i64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}", of_day / 3600, of_day / 60 % 60)
+    let local = WallTime(unix_us.saturating_add_signed(-offset_min * 60_000_000));
+    let ((year, month, day), (hour, minute, _)) = local.utc();
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}")
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub mod listing;
 pub mod live;
 pub mod liveness;
 pub mod names;
+pub mod operator;
 pub mod route;
 pub mod series;
 pub mod spans;

@@ -1,12 +1,11 @@
-//! A design as people give it: deviations with units instead of weights, and what the ground answers.
+//! A design as people give it: deviations with units instead of weights.
 //!
 //! A weight is 1/(largest deviation)² (Bryson's rule): the page shows and takes the deviation, in degrees
 //! where it is an angle. A weight of zero is a deviation that costs nothing.
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
-use serde_json::{Value, json};
+use plumbline_rest::design::{Controller, Design, Gains, Preview};
 
 use super::curves::DEGREES;
 
@@ -34,45 +33,10 @@ pub const STATES: [(&str, &str, f64); 16] = [
 pub const INPUTS: [(&str, &str, f64); 4] =
     [("thrust", "N", 1.0), ("torque roll", "N m", 1.0), ("torque pitch", "N m", 1.0), ("torque yaw", "N m", 1.0)];
 
+/// The controller of a design that names none.
+const FIRST: &str = "lqr_integral";
 /// A slider covers this many times its middle, both ways.
 const SLIDER_RANGE: f64 = 30.0;
-
-/// One controller that can be chosen, as `GET /api/v1/design/controllers` lists it.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-pub struct Kind {
-    /// Its name on the wire.
-    pub controller: String,
-    /// Does it come from weights?
-    pub weighted: bool,
-    /// What it has beyond them.
-    pub parameters: Vec<Parameter>,
-    /// Bryson's rule for the airframe.
-    pub state_weight: Option<Vec<f64>>,
-    /// Bryson's rule for the airframe.
-    pub input_weight: Option<Vec<f64>>,
-}
-
-/// A parameter and what it may be.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Parameter {
-    pub name: String,
-    pub unit: String,
-    pub min: f64,
-    pub max: f64,
-    pub value: f64,
-}
-
-/// The answer of `GET /api/v1/design/controllers`.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Kinds {
-    pub airframe: String,
-    pub controllers: Vec<Kind>,
-}
 
 /// A controller's name for people.
 pub fn title(controller: &str) -> String {
@@ -109,7 +73,7 @@ fn weights(deviations: &[f64]) -> Vec<f64> {
 
 impl Draft {
     /// The defaults of `kind`: Bryson's rule.
-    pub fn default_of(kind: &Kind) -> Self {
+    pub fn default_of(kind: &Controller) -> Self {
         Self {
             controller: kind.controller.clone(),
             states: deviations(kind.state_weight.as_deref().unwrap_or_default()),
@@ -118,36 +82,33 @@ impl Draft {
         }
     }
 
-    /// A design or exported gains, as JSON; what it leaves out keeps the defaults of its kind.
+    /// A design or exported gains; what it leaves out keeps the defaults of its kind.
     ///
     /// # Errors
     /// What is wrong with it, with name and value.
-    pub fn from_json(design: &Value, kinds: &[Kind]) -> Result<Self, String> {
-        let name = design.get("controller").and_then(Value::as_str).unwrap_or("lqr_integral");
-        let name = if name == "lqi" { "lqr_integral" } else { name };
+    pub fn of(design: &Design, kinds: &[Controller]) -> Result<Self, String> {
+        let name = design.controller.as_deref().unwrap_or(FIRST);
+        let name = if name == "lqi" { FIRST } else { name };
         let kind =
             kinds.iter().find(|k| k.controller == name).ok_or_else(|| format!("controller {name:?} is not known"))?;
         let mut draft = Self::default_of(kind);
-        let list = |key: &str, length: usize| -> Result<Option<Vec<f64>>, String> {
-            let Some(values) = design.get(key).and_then(Value::as_array) else { return Ok(None) };
-            let values: Vec<f64> = values.iter().filter_map(Value::as_f64).collect();
-            if values.len() != length {
-                return Err(format!("{key} has {} numbers, {length} are needed", values.len()));
+        let list = |key: &str, values: &Option<Vec<f64>>, length: usize| match values {
+            Some(values) if values.len() != length => {
+                Err(format!("{key} has {} numbers, {length} are needed", values.len()))
             }
-            Ok(Some(values))
+            values => Ok(values.as_deref().map(deviations)),
         };
         if kind.weighted {
-            if let Some(state) = list("state_weight", STATES.len())? {
-                draft.states = deviations(&state);
+            if let Some(states) = list("state_weight", &design.state_weight, STATES.len())? {
+                draft.states = states;
             }
-            if let Some(input) = list("input_weight", INPUTS.len())? {
-                draft.inputs = deviations(&input);
+            if let Some(inputs) = list("input_weight", &design.input_weight, INPUTS.len())? {
+                draft.inputs = inputs;
             }
         }
-        for (name, value) in design.get("parameters").and_then(Value::as_object).into_iter().flatten() {
-            let value = value.as_f64().ok_or_else(|| format!("parameter {name} is {value}, a number is needed"))?;
+        for (name, value) in &design.parameters {
             match draft.parameters.get_mut(name) {
-                Some(known) => *known = value,
+                Some(known) => *known = *value,
                 None => return Err(format!("{} has no parameter {name:?}", draft.controller)),
             }
         }
@@ -155,13 +116,15 @@ impl Draft {
     }
 
     /// As the ground wants it.
-    pub fn to_json(&self) -> Value {
-        let mut out = json!({ "controller": self.controller, "parameters": self.parameters });
-        if !self.states.is_empty() {
-            out["state_weight"] = json!(weights(&self.states));
-            out["input_weight"] = json!(weights(&self.inputs));
+    pub fn design(&self) -> Design {
+        let weighted = !self.states.is_empty();
+        Design {
+            controller: Some(self.controller.clone()),
+            state_weight: weighted.then(|| weights(&self.states)),
+            input_weight: weighted.then(|| weights(&self.inputs)),
+            parameters: self.parameters.clone(),
+            ..Design::default()
         }
-        out
     }
 }
 
@@ -193,68 +156,6 @@ pub fn short(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// The answer of `POST /api/v1/design/preview`.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Preview {
-    pub tick_rate_hz: f64,
-    pub accepted: bool,
-    pub refusal: Option<String>,
-    pub policy: Policy,
-    pub position: Examined,
-    pub attitude: Examined,
-    pub unit_step: Vec<Share>,
-    pub change: Option<Change>,
-    /// K, rows thrust, torque roll, pitch, yaw; columns as the weights. Absent where the law has none.
-    pub k: Option<Vec<Vec<f64>>>,
-    /// The one in use, the same way.
-    pub k_in_use: Option<Vec<Vec<f64>>>,
-    pub steps: Vec<Flown>,
-    pub gains: Option<Value>,
-}
-
-/// What the vehicle's loops must forgive.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Policy {
-    pub name: String,
-    pub gain_up_min: f64,
-    pub gain_down_max: f64,
-    pub phase_min_rad: f64,
-    pub delay_min_s: f64,
-    pub sensitivity_max: f64,
-    pub slowest_pole_per_s: f64,
-    pub change_max: f64,
-    pub unit_step_max: f64,
-}
-
-/// Poles and margins of one loop.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Examined {
-    pub continuous_poles_per_s: Vec<[Option<f64>; 2]>,
-    pub sampled_poles: Vec<[Option<f64>; 2]>,
-    pub slowest_pole_per_s: Option<f64>,
-    pub peak_sensitivity: Option<f64>,
-    pub margins: Vec<Margin>,
-}
-
-/// Margins of one input; absent where there is no limit.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Margin {
-    pub input: String,
-    pub gain_up: Option<f64>,
-    pub gain_down: Option<f64>,
-    pub phase_rad: Option<f64>,
-    pub delay_s: Option<f64>,
-    pub peak_sensitivity: Option<f64>,
-}
-
 /// One entry of K in words: what it would be, and what is in use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
@@ -266,63 +167,23 @@ pub struct Entry {
     pub changed: bool,
 }
 
-impl Preview {
-    /// K against the K in use: a row for each state and integral that either uses, a column for each input.
-    pub fn gains_table(&self) -> Vec<(&'static str, Vec<Entry>)> {
-        let Some(k) = &self.k else { return Vec::new() };
-        let of = |k: &[Vec<f64>], input: usize, state: usize| k.get(input).and_then(|row| row.get(state)).copied();
-        let entry = |state: usize, input: usize| {
-            let new = of(k, input, state).unwrap_or(0.0);
-            let old = self.k_in_use.as_ref().and_then(|old| of(old, input, state));
-            let shown = |v: f64| if v.abs() < 5e-6 { "0".to_owned() } else { short(v) };
-            let (new, in_use) = (shown(new), old.map(shown).unwrap_or_default());
-            Entry { changed: !in_use.is_empty() && new != in_use, new, in_use }
-        };
-        let rows = STATES
-            .iter()
-            .enumerate()
-            .map(|(i, (name, ..))| (*name, (0..INPUTS.len()).map(|input| entry(i, input)).collect::<Vec<_>>()));
-        let used = |entries: &[Entry]| entries.iter().any(|e| e.new != "0" || !matches!(e.in_use.as_str(), "" | "0"));
-        rows.filter(|(_, entries)| used(entries)).collect()
-    }
-}
-
-/// Largest command of a unit step, as a share of what there is.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Share {
-    pub output: String,
-    pub unit: String,
-    pub share: Option<f64>,
-}
-
-/// Change of K against the one in use.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Change {
-    pub largest: Option<f64>,
-    pub row: Option<String>,
-    pub rows: BTreeMap<String, Option<f64>>,
-}
-
-/// A step flown on the nonlinear model.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Flown {
-    pub output: String,
-    pub unit: String,
-    pub size: f64,
-    pub t_s: Vec<Option<f64>>,
-    pub setpoint: Vec<Option<f64>>,
-    pub response: Vec<Option<f64>>,
-    pub rise_time_s: Option<f64>,
-    pub overshoot_percent: Option<f64>,
-    pub settling_time_s: Option<f64>,
-    pub saturated_s: Option<f64>,
-    pub stayed: Option<bool>,
+/// K against the K in use: a row for each state and integral that either uses, a column for each input.
+pub fn gains_table(preview: &Preview) -> Vec<(&'static str, Vec<Entry>)> {
+    let Some(k) = &preview.k else { return Vec::new() };
+    let of = |k: &[Vec<f64>], input: usize, state: usize| k.get(input).and_then(|row| row.get(state)).copied();
+    let entry = |state: usize, input: usize| {
+        let new = of(k, input, state).unwrap_or(0.0);
+        let old = preview.k_in_use.as_ref().and_then(|old| of(old, input, state));
+        let shown = |v: f64| if v.abs() < 5e-6 { "0".to_owned() } else { short(v) };
+        let (new, in_use) = (shown(new), old.map(shown).unwrap_or_default());
+        Entry { changed: !in_use.is_empty() && new != in_use, new, in_use }
+    };
+    let rows = STATES
+        .iter()
+        .enumerate()
+        .map(|(i, (name, ..))| (*name, (0..INPUTS.len()).map(|input| entry(i, input)).collect::<Vec<_>>()));
+    let used = |entries: &[Entry]| entries.iter().any(|e| e.new != "0" || !matches!(e.in_use.as_str(), "" | "0"));
+    rows.filter(|(_, entries)| used(entries)).collect()
 }
 
 /// A pole of a sampled loop as a rate, 1/s: ln(z)/T.
@@ -330,69 +191,37 @@ pub fn rate_of(z: [f64; 2], tick_rate_hz: f64) -> [f64; 2] {
     [z[0].hypot(z[1]).ln() * tick_rate_hz, z[1].atan2(z[0]) * tick_rate_hz]
 }
 
-/// What the ground says of a vehicle's gains.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-pub struct GainsBook {
-    /// Revision in use.
-    pub revision: Option<u32>,
-    /// Kind in use.
-    pub controller: Option<String>,
-    /// Its weights.
-    pub state_weight: Option<Vec<f64>>,
-    /// Its weights.
-    pub input_weight: Option<Vec<f64>>,
-    /// Its parameters, by name.
-    pub parameters: Option<BTreeMap<String, f64>>,
-    /// Every push, the oldest first.
-    pub revisions: Vec<Revision>,
-}
-
-impl GainsBook {
-    /// What is in use, as a design.
-    pub fn design(&self) -> Option<Value> {
-        self.revision?;
-        let controller = match self.controller.as_deref() {
-            Some(name) if !name.is_empty() => name,
-            _ => "lqr_integral",
-        };
-        let mut out = json!({ "controller": controller, "parameters": self.parameters.clone().unwrap_or_default() });
-        let full = |list: &Option<Vec<f64>>| list.clone().filter(|l| !l.is_empty());
-        if let (Some(state), Some(input)) = (full(&self.state_weight), full(&self.input_weight)) {
-            out["state_weight"] = json!(state);
-            out["input_weight"] = json!(input);
-        }
-        Some(out)
-    }
-}
-
-/// One push of gains.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
-#[serde(default)]
-#[allow(missing_docs)]
-pub struct Revision {
-    pub revision: u32,
-    pub operator: String,
-    pub pushed_unix_us: u64,
-    pub stage: String,
-    pub reason: String,
-    pub controller: Option<String>,
+/// What is in use, as a design; `None` until the vehicle has reported it.
+pub fn in_use(gains: &Gains) -> Option<Design> {
+    gains.revision?;
+    let full = |list: &Option<Vec<f64>>| list.clone().filter(|l| !l.is_empty());
+    let weights = full(&gains.state_weight).zip(full(&gains.input_weight));
+    let (state_weight, input_weight) = weights.unzip();
+    Some(Design {
+        controller: gains.controller.clone().filter(|name| !name.is_empty()),
+        state_weight,
+        input_weight,
+        parameters: gains.parameters.clone().unwrap_or_default(),
+        ..Design::default()
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use plumbline_rest::design::Parameter;
+
     use super::*;
 
-    fn kinds() -> Vec<Kind> {
-        let lqr = Kind {
+    fn kinds() -> Vec<Controller> {
+        let lqr = Controller {
             controller: "lqr_integral".into(),
             weighted: true,
             state_weight: Some(vec![4.0; 16]),
             input_weight: Some(vec![0.25; 4]),
-            ..Kind::default()
+            ..Controller::default()
         };
         let gain = Parameter { name: "tilt_p".into(), value: 6.0, min: 0.0, max: 20.0, unit: "1/s".into() };
-        let pid = Kind { controller: "pid".into(), parameters: vec![gain], ..Kind::default() };
+        let pid = Controller { controller: "pid".into(), parameters: vec![gain], ..Controller::default() };
         vec![lqr, pid]
     }
 
@@ -400,27 +229,31 @@ mod tests {
     fn deviations_become_weights_and_back() {
         let draft = Draft::default_of(&kinds()[0]);
         assert_eq!((draft.states[0], draft.inputs[0]), (0.5, 2.0));
-        let mut design = draft.to_json();
-        assert_eq!(design["state_weight"][3], 4.0);
-        design["state_weight"][0] = json!(0.0);
-        let read = Draft::from_json(&design, &kinds()).unwrap();
+        let mut design = draft.design();
+        let state_weight = design.state_weight.as_mut().unwrap();
+        assert_eq!(state_weight[3], 4.0);
+        state_weight[0] = 0.0;
+        let read = Draft::of(&design, &kinds()).unwrap();
         assert!(read.states[0].is_infinite());
-        assert_eq!(read.to_json()["state_weight"][0], 0.0);
+        assert_eq!(read.design().state_weight.unwrap()[0], 0.0);
     }
 
     #[test]
-    fn a_file_is_refused_with_what_is_wrong_in_it() {
+    fn a_design_is_refused_with_what_is_wrong_in_it() {
+        let tuned = |name: &str| Design {
+            controller: Some("pid".into()),
+            parameters: BTreeMap::from([(name.to_owned(), 7.5)]),
+            ..Design::default()
+        };
         for (design, mentions) in [
-            (json!({ "controller": "magic" }), "magic"),
-            (json!({ "state_weight": [1.0] }), "1 numbers"),
-            (json!({ "controller": "pid", "parameters": { "tilt_q": 1.0 } }), "tilt_q"),
-            (json!({ "controller": "pid", "parameters": { "tilt_p": "much" } }), "much"),
+            (Design { controller: Some("magic".into()), ..Design::default() }, "magic"),
+            (Design { state_weight: Some(vec![1.0]), ..Design::default() }, "1 numbers"),
+            (tuned("tilt_q"), "tilt_q"),
         ] {
-            let error = Draft::from_json(&design, &kinds()).unwrap_err();
+            let error = Draft::of(&design, &kinds()).unwrap_err();
             assert!(error.contains(mentions), "{error}");
         }
-        let pid = Draft::from_json(&json!({ "controller": "pid", "parameters": { "tilt_p": 7.5 } }), &kinds()).unwrap();
-        assert_eq!(pid.to_json(), json!({ "controller": "pid", "parameters": { "tilt_p": 7.5 } }));
+        assert_eq!(Draft::of(&tuned("tilt_p"), &kinds()).unwrap().design(), tuned("tilt_p"));
     }
 
     #[test]
@@ -442,28 +275,29 @@ mod tests {
         (k[0][2], k[0][5]) = (29.41234, 9.5);
         let mut old = k.clone();
         (old[0][5], old[3][15]) = (8.0, 0.25);
-        let table = Preview { k: Some(k.clone()), k_in_use: Some(old), ..Preview::default() }.gains_table();
+        let table = gains_table(&Preview { k: Some(k.clone()), k_in_use: Some(old), ..Preview::default() });
         let names: Vec<&str> = table.iter().map(|(name, _)| *name).collect();
         assert_eq!(names, ["altitude", "climb", "∫ yaw"], "rows that nobody uses are left out");
         assert_eq!(table[0].1[0], Entry { new: "29.4".into(), in_use: "29.4".into(), changed: false });
         assert_eq!(table[1].1[0], Entry { new: "9.5".into(), in_use: "8".into(), changed: true });
         assert_eq!(table[2].1[3], Entry { new: "0".into(), in_use: "0.25".into(), changed: true });
-        let alone = Preview { k: Some(k), ..Preview::default() }.gains_table();
+        let alone = gains_table(&Preview { k: Some(k), ..Preview::default() });
         assert!(alone.iter().all(|(_, entries)| entries.iter().all(|e| e.in_use.is_empty() && !e.changed)));
-        assert!(Preview::default().gains_table().is_empty(), "a law without K");
+        assert!(gains_table(&Preview::default()).is_empty(), "a law without K");
     }
 
     #[test]
-    fn an_answer_is_read_with_its_infinities() {
-        let text = r#"{"controller":"lqr","accepted":false,"refusal":"phase 12° below 30°","tick_rate_hz":200,
-            "position":{"continuous_poles_per_s":[[-3.0,1.0]],"sampled_poles":[[0.98,0.0]],"slowest_pole_per_s":-0.4,
-              "margins":[{"input":"thrust","gain_up":null,"gain_down":0.1,"phase_rad":1.0}]},
-            "unit_step":[{"output":"x","unit":"m","share":0.4}],
-            "steps":[{"output":"x","unit":"m","size":0.5,"t_s":[0,0.1],"setpoint":[0.5,0.5],"response":[0,null]}]}"#;
-        let preview: Preview = serde_json::from_str(text).unwrap();
-        assert_eq!(preview.position.margins[0].gain_up, None);
-        assert_eq!(preview.steps[0].response, [Some(0.0), None]);
+    fn a_pole_becomes_a_rate() {
         let rate = rate_of([0.98, 0.0], 200.0);
         assert!((rate[0] + 4.04).abs() < 0.01 && rate[1] == 0.0);
+    }
+
+    #[test]
+    fn what_is_in_use_is_a_design_once_it_was_reported() {
+        assert_eq!(in_use(&Gains::default()), None);
+        let outright = Gains { revision: Some(0), state_weight: Some(Vec::new()), ..Gains::default() };
+        assert_eq!(in_use(&outright), Some(Design::default()));
+        let weights = Gains { state_weight: Some(vec![4.0; 16]), input_weight: Some(vec![0.25; 4]), ..outright };
+        assert_eq!(Draft::of(&in_use(&weights).unwrap(), &kinds()).unwrap().states, [0.5; 16]);
     }
 }

@@ -1,15 +1,16 @@
 //! Calibrate: guidance for each kind, a fit from a flight or a table, its picture, and what is kept.
 
 use leptos::prelude::*;
+use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Picture};
 use plumbline_rest::flight::{Flight, Flights};
-use serde_json::{Value, json};
+use serde_json::json;
 use wasm_bindgen_futures::JsFuture;
 
 use crate::{
     ctx::{Ctx, ctx},
     event::Tone,
     model::{
-        calibration::{Calibration, Calibrations, KINDS, Kind, Picture, drawn},
+        calibration::{KINDS, Kind, drawn},
         format, listing,
         tuning::short,
     },
@@ -26,7 +27,7 @@ struct Bench {
     kind: RwSignal<Kind>,
     /// Flight to fit from; empty for a table.
     flight: RwSignal<String>,
-    imu: RwSignal<u32>,
+    imu: RwSignal<usize>,
     from_s: RwSignal<String>,
     to_s: RwSignal<String>,
     accelerometer: RwSignal<String>,
@@ -51,32 +52,32 @@ impl Bench {
     }
 
     /// The question, or what is missing in it.
-    fn question(self) -> Result<Value, String> {
+    fn question(self) -> Result<Fit, String> {
         let kind = self.kind.get_untracked();
-        let mut body = json!({ "kind": kind.name });
+        let number = |text: RwSignal<String>| {
+            let text = text.get_untracked();
+            if text.trim().is_empty() { Ok(None) } else { format::parse_number(&text).map(Some) }
+        };
+        let mut fit = Fit { kind: kind.name.into(), ..Fit::default() };
         let flight = self.flight.get_untracked();
         match self.table.get_untracked() {
             _ if kind.from_flight && !flight.is_empty() => {
-                body["flight"] = json!(flight);
-                body["imu"] = json!(self.imu.get_untracked());
+                fit.flight = Some(flight);
+                fit.imu = Some(self.imu.get_untracked());
             }
             Some((name, text)) => {
-                body["name"] = json!(name);
-                body["csv"] = json!(text);
+                fit.name = Some(name);
+                fit.csv = Some(text);
             }
             None if kind.from_flight => return Err("choose a flight, or open a table".into()),
             None => return Err("open a table first".into()),
         }
-        for (key, text) in [("from_s", self.from_s.get_untracked()), ("to_s", self.to_s.get_untracked())] {
-            if !text.trim().is_empty() {
-                body[key] = json!(format::parse_number(&text)?);
-            }
-        }
+        (fit.from_s, fit.to_s) = (number(self.from_s)?, number(self.to_s)?);
         let accelerometer = self.accelerometer.get_untracked();
         if kind.name == "gyroscope" && !accelerometer.is_empty() {
-            body["accelerometer"] = json!(accelerometer);
+            fit.accelerometer = Some(accelerometer);
         }
-        Ok(body)
+        Ok(fit)
     }
 
     fn fit(self) {
@@ -91,7 +92,8 @@ impl Bench {
         leptos::task::spawn_local(async move {
             let operator = self.ctx.operator();
             let answer =
-                net::json::<Calibration>("POST", "/api/v1/calibrations", Some(body.to_string()), &operator).await;
+                net::json::<Calibration>("POST", "/api/v1/calibrations", Some(json!(body).to_string()), &operator)
+                    .await;
             let _ = self.busy.try_set(false);
             let _ = self.shown.try_set(Some(answer.map_err(|failure| failure.text)));
             self.reload();
@@ -145,7 +147,7 @@ pub fn Calibrate() -> impl IntoView {
             <div class="sheet-head"><h1>"Calibrate"</h1></div>
             <div class="calibrate">
                 <div class="calibrate-side"><Form /><Kept /></div>
-                <Fit />
+                <Outcome />
             </div>
         </main>
     }
@@ -276,7 +278,7 @@ fn drawing(picture: &Picture) -> Drawing {
 
 /// Picture and numbers of the calibration shown.
 #[component]
-fn Fit() -> impl IntoView {
+fn Outcome() -> impl IntoView {
     let bench: Bench = expect_context();
     view! {
         <section class="card facts fit-result" aria-label="Fit" aria-live="polite">
@@ -335,7 +337,7 @@ fn precise(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::calibration::Series;
+    use plumbline_rest::calibration::Series;
 
     #[test]
     fn samples_are_dots_and_fits_are_lines() {

@@ -33,8 +33,8 @@ enum Obstacle {
 }
 
 fn obstacle(ctx: Ctx) -> Option<Obstacle> {
-    let has_data = ctx.live(|live| live.newest_us > 0);
-    let link_down = ctx.live(|live| live.link.as_ref().is_some_and(|l| !l.connected));
+    let has_data = ctx.live(|live| live.clock.newest_us() > 0);
+    let link_down = ctx.live(|live| live.ground.link.as_ref().is_some_and(|l| !l.connected));
     ctx.app(|app| {
         if let GroundState::Down(why) = &app.ground {
             return Some(Obstacle::Ground(why.clone()));

@@ -56,7 +56,7 @@ pub fn Numbers() -> impl IntoView {
         })
     };
     let steps = move || {
-        ctx.live(|live| live.steps.iter().rev().take(5).map(|s| (s.from_m, s.to_m, summary(s))).collect::<Vec<_>>())
+        ctx.live(|live| live.log.steps.iter().rev().take(5).map(|s| (s.from_m, s.to_m, summary(s))).collect::<Vec<_>>())
     };
     view! {
         <section class="card numbers" aria-label="Altitudes">

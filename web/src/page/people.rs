@@ -8,7 +8,6 @@ use serde_json::{Value, json};
 
 use crate::{
     ctx::{Ctx, ctx},
-    event::Tone,
     model::format,
     net,
     panel::hold::HoldButton,
@@ -16,9 +15,14 @@ use crate::{
 
 const PEOPLE: &str = "/api/people";
 
-/// Sends a change and says what came of it; then `after`.
+/// What came of the last change, or why it was refused.
+type Outcome = Option<Result<String, String>>;
+
+/// Sends a change and says what came of it beside the form that asked for it, where no notice covers the form; then
+/// `after`.
 fn change(
     ctx: Ctx,
+    outcome: RwSignal<Outcome>,
     (method, url): (&'static str, String),
     body: Option<Value>,
     done: String,
@@ -26,12 +30,23 @@ fn change(
 ) {
     let operator = ctx.operator();
     leptos::task::spawn_local(async move {
-        match net::json::<Value>(method, &url, body.map(|body| body.to_string()), &operator).await {
-            Ok(_) => ctx.tell(Tone::Done, done),
-            Err(failure) => ctx.tell(Tone::Error, format!("Refused: {}", failure.text)),
-        }
+        let answer = net::json::<Value>(method, &url, body.map(|body| body.to_string()), &operator).await;
+        // The card may be gone by now.
+        outcome.try_set(Some(answer.map(|_| done).map_err(|failure| failure.text)));
         after();
     });
+}
+
+/// The line that says it.
+#[component]
+fn Said(outcome: RwSignal<Outcome>) -> impl IntoView {
+    let text = move || match outcome.get() {
+        None => String::new(),
+        Some(Ok(done)) => done,
+        Some(Err(why)) => format!("Refused: {why}"),
+    };
+    let refused = move || outcome.with(|o| matches!(o, Some(Err(_))));
+    view! { <p class="said" class:bad=refused role="status">{text}</p> }
 }
 
 /// The card of people on the Setup page.
@@ -60,9 +75,10 @@ pub fn PeopleCard() -> impl IntoView {
             load();
         }
     });
+    let outcome = RwSignal::new(None);
     let end = move |session: SignedIn| {
         let done = format!("Session of {} ended", session.account);
-        change(ctx, ("DELETE", format!("/api/sessions/{}", session.id)), None, done, load);
+        change(ctx, outcome, ("DELETE", format!("/api/sessions/{}", session.id)), None, done, load);
     };
     view! {
         <section class="card facts wide" aria-label="People">
@@ -72,7 +88,7 @@ pub fn PeopleCard() -> impl IntoView {
             {move || account.get().then(|| view! { <TwoSteps /> })}
             <h3>"Signed in"</h3>
             {move || people.with(|p| p.sessions.is_empty()).then(|| view! { <p class="quiet">"Nobody: no account is needed on this machine, or none is in use."</p> })}
-            <table class="dense">
+            <table class="dense people">
                 <tbody>{move || people.get().sessions.into_iter().map(|session| {
                     let now_s = net::unix_s();
                     let ending = session.clone();
@@ -87,6 +103,7 @@ pub fn PeopleCard() -> impl IntoView {
                     }
                 }).collect::<Vec<_>>()}</tbody>
             </table>
+            <Said outcome />
         </section>
     }
 }
@@ -97,12 +114,13 @@ fn TwoSteps() -> impl IntoView {
     const URL: &str = "/api/session/authenticator";
     let ctx = ctx();
     let (new, code) = (RwSignal::new(None::<NewAuthenticator>), RwSignal::new(String::new()));
+    let outcome = RwSignal::new(None);
     let on = Memo::new(move |_| ctx.session.with(|session| session.two_steps));
     let offer = move |_| {
         leptos::task::spawn_local(async move {
             match net::json::<NewAuthenticator>("POST", URL, None, &ctx.operator()).await {
                 Ok(offered) => new.set(Some(offered)),
-                Err(failure) => ctx.tell(Tone::Error, format!("Refused: {}", failure.text)),
+                Err(failure) => drop(outcome.try_set(Some(Err(failure.text)))),
             }
         });
     };
@@ -127,7 +145,7 @@ fn TwoSteps() -> impl IntoView {
             }
             None => ("DELETE", json!(Code { code }), "Your password is enough from now on"),
         };
-        change(ctx, (method, URL.to_owned()), Some(body), done.to_owned(), again);
+        change(ctx, outcome, (method, URL.to_owned()), Some(body), done.to_owned(), again);
     };
     let field = move |label: &'static str| {
         view! {
@@ -156,6 +174,7 @@ fn TwoSteps() -> impl IntoView {
                 {field("Sign in by two steps")}
             }.into_any(),
         }}
+        <Said outcome />
     }
 }
 
@@ -165,6 +184,7 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
     let ctx = ctx();
     let (name, password, role) =
         (RwSignal::new(String::new()), RwSignal::new(String::new()), RwSignal::new(Role::Operator));
+    let outcome = RwSignal::new(None);
     let add = move |event: leptos::ev::SubmitEvent| {
         event.prevent_default();
         let body = json!(NewAccount {
@@ -174,7 +194,7 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
         });
         let done = format!("Account {} made", name.get_untracked());
         password.set(String::new());
-        change(ctx, ("POST", PEOPLE.to_owned()), Some(body), done, move || load.run(()));
+        change(ctx, outcome, ("POST", PEOPLE.to_owned()), Some(body), done, move || load.run(()));
     };
     let rows = move || {
         people.get().accounts.into_iter().map(|account| {
@@ -184,11 +204,11 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
             let set_role = move |name: String| {
                 let Some(role) = Role::named(&name) else { return };
                 let done = format!("{} is {name} now", who.get_value());
-                change(ctx, ("PATCH", url.get_value()), Some(json!(AccountChange { role: Some(role), ..AccountChange::default() })), done, move || load.run(()));
+                change(ctx, outcome, ("PATCH", url.get_value()), Some(json!(AccountChange { role: Some(role), ..AccountChange::default() })), done, move || load.run(()));
             };
             let remove = Callback::new(move |()| {
                 let done = format!("Account {} removed", who.get_value());
-                change(ctx, ("DELETE", url.get_value()), None, done, move || load.run(()));
+                change(ctx, outcome, ("DELETE", url.get_value()), None, done, move || load.run(()));
             });
             let current = account.role;
             view! {
@@ -197,13 +217,13 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
                     <td><select aria-label=format!("Role of {}", account.name) on:change:target=move |e| set_role(e.target().value())>
                         {Role::ALL.map(|r| view! { <option value={r.name()} selected={r == current}>{r.name()}</option> }).collect_view()}
                     </select></td>
-                    <td><HoldButton label="Remove" class="warn" action=remove /></td>
+                    <td><HoldButton label="Remove" class="warn delete" action=remove /></td>
                 </tr>
             }
         }).collect::<Vec<_>>()
     };
     view! {
-        <table class="dense"><tbody>{rows}</tbody></table>
+        <table class="dense people"><tbody>{rows}</tbody></table>
         <form class="fields" aria-label="New account" on:submit=add>
             <label class="field"><span>"Name"</span>
                 <input type="text" autocomplete="off" required prop:value=name on:input:target=move |e| name.set(e.target().value()) /></label>
@@ -215,5 +235,6 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
                 </select></label>
             <button type="submit">"Add account"</button>
         </form>
+        <Said outcome />
     }
 }

@@ -5,8 +5,7 @@ use leptos::prelude::*;
 use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
-    model::{api, curves::DEGREES, format, names},
-    store,
+    model::{api, curves::DEGREES, format, names, operator},
 };
 
 fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
@@ -26,7 +25,7 @@ fn Name() -> impl IntoView {
                     type="text"
                     aria-label="Your name, as other operators see it"
                     maxlength="40"
-                    prop:value=move || store::operator_name(&ctx.operator()).to_owned()
+                    prop:value=move || operator::name(&ctx.operator()).to_owned()
                     on:change:target=move |e| ctx.rename(&e.target().value())
                 />
                 <small class="quiet">{move || format!(" others see “{}”", ctx.operator())}</small>
@@ -41,7 +40,7 @@ pub fn Setup() -> impl IntoView {
     let ctx = ctx();
     let ground = Memo::new(move |_| ctx.app(|app| app.ground.clone()));
     let description = Memo::new(move |_| ctx.live(|live| live.description.get().cloned()));
-    let link = Memo::new(move |_| ctx.live(|live| live.link));
+    let link = Memo::new(move |_| ctx.live(|live| live.ground.link));
     let graphics = move || match ctx.graphics.get() {
         Graphics::Starting => "starting".to_owned(),
         Graphics::On(what) => what,
@@ -83,8 +82,9 @@ pub fn Setup() -> impl IntoView {
                         {move || ctx.session.with(api::who).map(|who| {
                             fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
                         })}
-                        {fact("unreadable messages", move || ctx.live(|live| {
-                            if live.unreadable == 0 { "none".to_owned() } else { format!("{}: {}", format::count(live.unreadable), live.unreadable_reason) }
+                        {fact("unreadable messages", move || ctx.live(|live| match live.unreadable() {
+                            (0, _) => "none".to_owned(),
+                            (number, reason) => format!("{}: {reason}", format::count(number)),
                         }))}
                     </dl>
                 </section>

@@ -7,12 +7,13 @@ mod outlook;
 use std::time::Duration;
 
 use leptos::{leptos_dom::helpers::TimeoutHandle, prelude::*};
+use plumbline_rest::design::{Controller, Controllers, Gains, Preview, Question, Steps};
 use serde_json::json;
 
 use crate::{
     ctx::{Ctx, ctx},
-    event::{Failure, Tone},
-    model::tuning::{Draft, GainsBook, Kind, Kinds, Preview},
+    event::Tone,
+    model::tuning::{self, Draft},
     net,
 };
 use book::Book;
@@ -25,17 +26,19 @@ const SETTLE: Duration = Duration::from_millis(250);
 const DURATION_S: f64 = 6.0;
 /// Altitude step previewed while none was measured, m.
 const STEP_M: f64 = 0.5;
+/// Yaw step previewed, rad.
+const YAW_STEP_RAD: f64 = 0.35;
 
 /// What the parts of the page share.
 #[derive(Clone, Copy)]
 struct Bench {
     ctx: Ctx,
     /// Controllers there are.
-    kinds: RwSignal<Vec<Kind>>,
+    kinds: RwSignal<Vec<Controller>>,
     /// The design being made.
     draft: RwSignal<Option<Draft>>,
     /// What the vehicle says of its gains.
-    book: RwSignal<GainsBook>,
+    book: RwSignal<Gains>,
     /// Answer to the newest question that was answered.
     preview: RwSignal<Option<Result<Preview, String>>>,
     /// Does it belong to the design as it is now?
@@ -57,7 +60,8 @@ impl Bench {
     fn load(self) {
         let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
         leptos::task::spawn_local(async move {
-            let mut kinds = net::json::<Kinds>("GET", &format!("/api/v1/design/controllers{query}"), None, "").await;
+            let mut kinds =
+                net::json::<Controllers>("GET", &format!("/api/v1/design/controllers{query}"), None, "").await;
             if kinds.is_err() {
                 // A vehicle that has not described itself yet: the default airframe.
                 kinds = net::json("GET", "/api/v1/design/controllers", None, "").await;
@@ -81,21 +85,21 @@ impl Bench {
 
     async fn reload_book(self) {
         let Some(id) = self.vehicle_path() else { return };
-        if let Ok(book) = net::json::<GainsBook>("GET", &format!("/api/vehicles/{id}/gains"), None, "").await {
+        if let Ok(book) = net::json::<Gains>("GET", &format!("/api/vehicles/{id}/gains"), None, "").await {
             let _ = self.book.try_set(book);
         }
     }
 
     /// The draft becomes what is in use, or the defaults where nothing is known.
     fn take_in_use(self) {
-        let design = self.book.try_with_untracked(GainsBook::design).flatten();
+        let design = self.book.try_with_untracked(tuning::in_use).flatten();
         let kinds = self.kinds.try_get_untracked().unwrap_or_default();
-        let made = design.and_then(|design| Draft::from_json(&design, &kinds).ok());
+        let made = design.and_then(|design| Draft::of(&design, &kinds).ok());
         let _ = self.draft.try_set(made.or_else(|| kinds.first().map(Draft::default_of)));
     }
 
     /// The kind of the draft.
-    fn kind(self) -> Option<Kind> {
+    fn kind(self) -> Option<Controller> {
         let name = self.draft.with(|d| d.as_ref().map(|d| d.controller.clone()))?;
         self.kinds.with(|all| all.iter().find(|k| k.controller == name).cloned())
     }
@@ -114,13 +118,16 @@ impl Bench {
         let Some(draft) = self.draft.get_untracked() else { return };
         let number = self.asked.get_value() + 1;
         self.asked.set_value(number);
-        let mut body = draft.to_json();
-        body["duration_s"] = json!(DURATION_S);
-        body["step"] = json!({ "z_m": self.measured_size().unwrap_or(STEP_M), "yaw_rad": 0.35 });
+        let z_m = Some(self.measured_size().unwrap_or(STEP_M));
+        let question = Question {
+            design: draft.design(),
+            step: Steps { z_m, yaw_rad: Some(YAW_STEP_RAD), ..Steps::default() },
+            duration_s: Some(DURATION_S),
+        };
         let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
         leptos::task::spawn_local(async move {
             let url = format!("/api/v1/design/preview{query}");
-            let answer = net::json::<Preview>("POST", &url, Some(body.to_string()), "").await;
+            let answer = net::json::<Preview>("POST", &url, Some(json!(question).to_string()), "").await;
             // An older question's answer says nothing about the draft of now.
             if self.asked.try_get_value() != Some(number) {
                 return;
@@ -132,7 +139,7 @@ impl Bench {
 
     /// Size of the newest altitude step measured in this flight, m.
     fn measured_size(self) -> Option<f64> {
-        self.ctx.live.with_value(|live| live.steps.back().map(|s| s.to_m - s.from_m)).filter(|s| s.abs() >= 0.05)
+        self.ctx.live.with_value(|live| live.log.steps.back().map(|s| s.to_m - s.from_m)).filter(|s| s.abs() >= 0.05)
     }
 
     /// Sends a request about the gains of this vehicle; afterwards the book is read again.
@@ -141,11 +148,10 @@ impl Bench {
             self.ctx.tell(Tone::Error, format!("{what}: no vehicle is connected"));
             return;
         };
-        let operator = self.ctx.operator();
+        let (operator, seen_us) = (self.ctx.operator(), self.ctx.seen_us());
         leptos::task::spawn_local(async move {
             let url = format!("/api/vehicles/{id}/{action}");
-            let answer: Result<plumbline_rest::command::Answer, Failure> =
-                net::json(method, &url, Some(body.to_string()), &operator).await;
+            let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
             let done = answer.is_ok();
             self.ctx.dispatch(crate::event::Event::Answered(what, answer));
             self.reload_book().await;
@@ -165,7 +171,7 @@ pub fn Tune() -> impl IntoView {
         ctx,
         kinds: RwSignal::new(Vec::new()),
         draft: RwSignal::new(None),
-        book: RwSignal::new(GainsBook::default()),
+        book: RwSignal::new(Gains::default()),
         preview: RwSignal::new(None),
         fresh: RwSignal::new(false),
         asked: StoredValue::new(0),

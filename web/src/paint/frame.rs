@@ -30,7 +30,7 @@ const ATTITUDE_SPAN_DEG: f64 = 6.0;
 /// Is a step's response written on this stretch?
 fn step_in_view(live: &Live, axis: TimeAxis) -> bool {
     let seconds = |us: u64| us as f64 * 1e-6;
-    live.steps.iter().any(|s| seconds(s.start_time_us) <= axis.end_s && seconds(s.time_us) >= axis.start_s)
+    live.log.steps.iter().any(|s| seconds(s.start_time_us) <= axis.end_s && seconds(s.time_us) >= axis.start_s)
 }
 
 /// What all charts of one frame share.
@@ -112,7 +112,8 @@ impl Frame {
     }
 
     fn spans(&self, live: &Live, axis: TimeAxis) -> Vec<Span> {
-        live.spans
+        live.log
+            .attacks
             .between(axis.start_s, axis.end_s)
             .map(|s| Span {
                 start_s: s.start_s,
@@ -265,7 +266,7 @@ impl Frame {
 
     /// The band the newest step in view must stay in, and the moment it did.
     fn step_lines(&self, live: &Live, axis: TimeAxis, view: &mut ChartView<'_>) {
-        let newest = live.steps.iter().rev().find(|s| s.start_time_us as f64 * 1e-6 <= axis.end_s);
+        let newest = live.log.steps.iter().rev().find(|s| s.start_time_us as f64 * 1e-6 <= axis.end_s);
         let Some(step) = newest.filter(|s| s.time_us as f64 * 1e-6 >= axis.start_s && s.band_m > 0.0) else { return };
         let color = palette::OTHER_1.on(self.dark);
         for side in [-1.0, 1.0] {
@@ -282,7 +283,8 @@ impl Frame {
 
     /// Warnings and worse, and changes of mode.
     fn marks(&self, live: &Live, axis: TimeAxis) -> Vec<Mark> {
-        live.events
+        live.log
+            .events
             .iter()
             .filter(|e| {
                 let loud = matches!(e.severity(), Severity::Warning | Severity::Critical);

@@ -45,7 +45,7 @@ fn battery(ctx: Ctx) -> Option<(String, bool)> {
 fn lost_to(ctx: Ctx) -> Option<(String, u64)> {
     let operator = ctx.operator();
     ctx.live(|live| {
-        let lease = live.lease.as_ref()?;
+        let lease = live.ground.lease.as_ref()?;
         (lease.taken_from == operator && lease.holder != operator && !lease.holder.is_empty())
             .then(|| (lease.holder.clone(), lease.wall_time_us))
     })

@@ -71,7 +71,7 @@ pub fn ArmingCard() -> impl IntoView {
     let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
     let old = Memo::new(move |_| ctx.is_old(|live| &live.status));
     let all = Memo::new(move |_| {
-        ctx.live(|live| live.status.get().map(|s| checks(s, live.recording.as_ref())).unwrap_or_default())
+        ctx.live(|live| live.status.get().map(|s| checks(s, live.ground.recording.as_ref())).unwrap_or_default())
     });
     let outlook = Memo::new(move |_| ctx.live(|live| all.with(|all| outlook(live.status.get(), all))));
     let arm = Callback::new(move |()| ctx.command("Arm", "POST", "arm", json!({})));

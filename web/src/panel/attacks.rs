@@ -7,7 +7,6 @@ use serde_json::json;
 
 use crate::{
     ctx::ctx,
-    event::Tone,
     model::{
         draft::{self, Draft, Form, magnitude_unit, subject},
         format, names,
@@ -230,6 +229,7 @@ fn List(bars: Memo<Vec<Bar>>, drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
 fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     let ctx = ctx();
     let form = RwSignal::new(Form::default());
+    let refusal = RwSignal::new(None::<String>);
     let first = NodeRef::<html::Select>::new();
     Effect::new(move |seen: Option<u64>| {
         let asked = ctx.attacks_focus.get();
@@ -251,11 +251,17 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     });
     let add = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
-        match ctx.live.with_value(|live| form.get_untracked().check(live.description.get())) {
-            Ok(draft) => drafts.update(|all| all.push(draft)),
-            Err(error) => ctx.tell(Tone::Error, format!("Attack: {error}")),
+        let checked = ctx.live.with_value(|live| form.get_untracked().check(live.description.get()));
+        refusal.set(checked.as_ref().err().cloned());
+        if let Ok(draft) = checked {
+            drafts.update(|all| all.push(draft));
         }
     };
+    // What is being mended is not refused yet.
+    Effect::new(move |_| {
+        form.track();
+        refusal.set(None);
+    });
     // What the vehicle says of the chosen sensor.
     let channels = Memo::new(move |_| {
         let (sensor, instance) = form.with(|f| (f.sensor, f.instance));
@@ -328,6 +334,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                     on:input:target=move |e| form.update(|f| f.duration = e.target().value()) />
             </label>
             <button type="submit">"Add"</button>
+            <p class="bad" role="alert">{move || refusal.get()}</p>
         </form>
     }
 }

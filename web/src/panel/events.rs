@@ -15,10 +15,10 @@ const LINES: usize = 60;
 #[component]
 pub fn Events() -> impl IntoView {
     let deck = deck();
-    let seen = Memo::new(move |_| deck.read(|live| live.events_seen));
+    let seen = Memo::new(move |_| deck.read(|live| live.log.events_seen));
     let newest = Memo::new(move |_| {
         seen.track();
-        deck.data.with_value(|live| live.events.back().map(|e| e.text.clone()).unwrap_or_default())
+        deck.data.with_value(|live| live.log.events.back().map(|e| e.text.clone()).unwrap_or_default())
     });
     let lines = move || {
         seen.track();
@@ -27,7 +27,8 @@ pub fn Events() -> impl IntoView {
             Source::Live => 0.0,
         };
         deck.data.with_value(|live| {
-            live.events
+            live.log
+                .events
                 .iter()
                 .rev()
                 .take(LINES)

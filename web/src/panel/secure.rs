@@ -120,6 +120,54 @@ fn ratio(s: &v1::SecureStatus) -> Option<f64> {
     (reference > 0.0).then(|| e / reference)
 }
 
+/// Flagged sensors named in one sentence; more are only counted.
+const NAMED: usize = 3;
+
+/// What it comes to, in one sentence, and how good that is.
+fn sentence(s: &v1::SecureStatus) -> (String, &'static str) {
+    match s.status() {
+        DecoderStatus::Unspecified | DecoderStatus::Filling => {
+            return ("The first window is filling: nothing can be isolated yet.".to_owned(), "quiet");
+        }
+        bad @ (DecoderStatus::Unobservable | DecoderStatus::OutsideModel) => {
+            return (format!("Nothing can be isolated: the window is {}.", status(bad).1), "bad");
+        }
+        _ => {}
+    }
+    let flagged: Vec<_> = s.sensors.iter().filter(|x| x.flagged).collect();
+    let known = s.sensors.iter().filter(|x| x.present || x.flagged).count();
+    let mut names: Vec<_> = flagged.iter().take(NAMED).map(|x| names::instance(kind(x.sensor), x.instance)).collect();
+    if flagged.len() > NAMED {
+        names.push(format!("{} more", flagged.len() - NAMED));
+    }
+    let who = match flagged.len() {
+        0 => format!("No sensor of {known} is excluded"),
+        n => format!("{n} of {known} sensors excluded ({})", names.join(", ")),
+    };
+    let height = s.height_bound_m.map_or_else(
+        || "no bound is promised for the height".to_owned(),
+        |bound| format!("height good to ±{} mm", format::fixed(bound * 1e3, 0)),
+    );
+    let lost = s.margins.iter().any(|m| m.margin <= 0);
+    let class = if lost {
+        "bad"
+    } else if flagged.is_empty() {
+        "good"
+    } else {
+        "warn"
+    };
+    (format!("{who}; {height}."), class)
+}
+
+/// How many more sensors of a type may be attacked before their majority no longer tells which: (text, class).
+fn margin(m: &v1::SecureMargin) -> (String, &'static str) {
+    let name = names::sensor(kind(m.sensor));
+    match m.margin {
+        left @ 1.. => (format!("{name}: {} more may be attacked", (left - 1) / 2), "good"),
+        _ => (format!("{name}: which are attacked cannot be told"), "bad"),
+    }
+}
+
 fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
     let (class, said) = status(s.status());
     let extra = fallback(s.fallback());
@@ -136,7 +184,7 @@ fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
     vec![
         ("decoder", decoder, class, "How the last window ended, and its slots of 40 ms"),
         (
-            "gap",
+            "optimality gap",
             format!("{:.0e}", s.gap),
             if s.gap <= GAP_GOOD { "good" } else { "warn" },
             "Certified: how far from optimal at most. It certifies optimality, not truth",
@@ -153,8 +201,8 @@ fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
             if s.audit_difference.is_none_or(|d| d < 1e-4) { "" } else { "bad" },
             "Relative difference to Clarabel on the same window, once a second",
         ),
-        ("e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
-        ("e*", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
+        ("error e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
+        ("e* unattacked", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
         (
             "e / e*",
             format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),
@@ -178,11 +226,20 @@ pub fn SecureCard() -> impl IntoView {
     let deck = deck();
     let newest = Memo::new(move |_| deck.read(|live| live.secure.get().cloned()));
     let margins = move || {
-        newest.get().map(|s| s.margins).unwrap_or_default().into_iter().map(|m| {
-            let class = if m.margin > 0 { "good" } else { "bad" };
-            let text = format!("{} {} − 2·{} = {}", names::sensor(kind(m.sensor)), m.present, m.flagged, m.margin);
-            view! { <li class=format!("num {class}") title="Margin: present − 2 · flagged; 0 or less promises nothing">{text}</li> }
-        }).collect::<Vec<_>>()
+        newest
+            .get()
+            .map(|s| s.margins)
+            .unwrap_or_default()
+            .into_iter()
+            .map(|m| {
+                let (text, class) = margin(&m);
+                let why = format!(
+                    "Margin: {} present − 2 · {} excluded = {}; 0 or less promises nothing",
+                    m.present, m.flagged, m.margin
+                );
+                view! { <li class=format!("num {class}") title=why>{text}</li> }
+            })
+            .collect::<Vec<_>>()
     };
     view! {
         <section class="card chart residuals secure" aria-label="Secure estimation">
@@ -192,10 +249,19 @@ pub fn SecureCard() -> impl IntoView {
                     <li><span class="heat raised"></span>"suspect"</li>
                     <li><span class="heat rejected"></span>"isolated: excluded"</li>
                 </ul>
-                <ul class="legend margins" aria-label="Margins">{margins}</ul>
+                <span class="push"></span>
                 <Show when=move || newest.get().is_some()><DecoderChoice deck newest /></Show>
                 <SecureSwitch />
             </header>
+            {move || newest.get().map(|s| {
+                let (text, class) = sentence(&s);
+                view! {
+                    <div class="secure-sentence">
+                        <p class=format!("num {class}")>{text}</p>
+                        <ul class="legend margins" aria-label="Margins">{margins}</ul>
+                    </div>
+                }
+            })}
             <div class="res-body">
                 <Sensors deck newest />
                 <Plot picture=Picture::Suspicion values=false label="Suspicion of each sensor over time; above 1 it is isolated and excluded" />
@@ -249,6 +315,46 @@ fn Sensors(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl IntoView 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_sentence_says_who_is_excluded_and_what_the_height_is_good_for() {
+        let sensor = |instance, flagged| v1::SecureSensor {
+            sensor: SensorKind::Height.into(),
+            instance,
+            present: true,
+            flagged,
+            ..Default::default()
+        };
+        let margin_of = |present, flagged| v1::SecureMargin {
+            sensor: SensorKind::Height.into(),
+            present,
+            flagged,
+            margin: present as i32 - 2 * flagged as i32,
+        };
+        let mut s = v1::SecureStatus {
+            sensors: (1..=5).map(|i| sensor(i, false)).collect(),
+            margins: vec![margin_of(5, 0)],
+            height_bound_m: Some(0.056),
+            ..Default::default()
+        };
+        assert_eq!(sentence(&s).1, "quiet");
+        s.set_status(DecoderStatus::Solved);
+        assert_eq!(sentence(&s), ("No sensor of 5 is excluded; height good to ±56 mm.".to_owned(), "good"));
+        s.sensors[1].flagged = true;
+        s.margins = vec![margin_of(5, 1)];
+        assert_eq!(sentence(&s).0, "1 of 5 sensors excluded (height 2); height good to ±56 mm.");
+        assert_eq!(margin(&s.margins[0]), ("height: 1 more may be attacked".to_owned(), "good"));
+        s.sensors.iter_mut().take(4).for_each(|x| x.flagged = true);
+        (s.margins, s.height_bound_m) = (vec![margin_of(5, 4)], None);
+        let (text, class) = sentence(&s);
+        assert_eq!(
+            text,
+            "4 of 5 sensors excluded (height 1, height 2, height 3, 1 more); no bound is promised for the height."
+        );
+        assert_eq!((class, margin(&s.margins[0]).1), ("bad", "bad"));
+        s.set_status(DecoderStatus::OutsideModel);
+        assert_eq!(sentence(&s).0, "Nothing can be isolated: the window is outside the linear model.");
+    }
 
     #[test]
     fn the_ratio_needs_both_errors_and_is_judged_by_table_1() {

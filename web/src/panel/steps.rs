@@ -75,7 +75,7 @@ pub fn StepMarks() -> impl IntoView {
         deck.window_s.track();
         deck.read(|live| {
             let axis = deck.axis(live);
-            let steps: Vec<StepResponse> = live.steps.iter().copied().collect();
+            let steps: Vec<StepResponse> = live.log.steps.iter().copied().collect();
             placed(&steps, axis)
         })
     });

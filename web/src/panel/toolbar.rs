@@ -58,7 +58,7 @@ fn link_state(ctx: Ctx) -> (String, &'static str, String) {
             "Live connection to the ground station".into(),
         );
     }
-    ctx.live(|live| match &live.link {
+    ctx.live(|live| match &live.ground.link {
         Some(l) if !l.connected => {
             (format!("link lost {}", format::age(l.age_ms * 1e-3)), "bad", "The vehicle is not connected to the ground station".to_owned())
         }
@@ -94,7 +94,7 @@ fn link_state(ctx: Ctx) -> (String, &'static str, String) {
 
 /// The recording, in words.
 fn recording_state(ctx: Ctx) -> (String, &'static str, String) {
-    ctx.live(|live| match &live.recording {
+    ctx.live(|live| match &live.ground.recording {
         Some(r) if !r.error.is_empty() => ("REC failed".to_owned(), "bad", r.error.clone()),
         Some(r) if r.recording => {
             let whole = if r.missing == 0 { "complete" } else { "filling" };

@@ -6,6 +6,7 @@
 //! equals, they must name one.
 
 use plumbline_proto::v1::SensorKind;
+use serde::Deserialize;
 
 use crate::sensor::quantities;
 use crate::sensor::sample::Quantity;
@@ -15,8 +16,9 @@ const GYRO: &str = "gyro";
 const ACCEL: &str = "accel";
 const MAG: &str = "mag";
 
-/// What is done to the covered scalars.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What is done to the covered scalars; in files in lower snake case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// v → 0
     Zero,

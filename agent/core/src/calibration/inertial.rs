@@ -212,39 +212,13 @@ pub fn gyroscope(samples: &[Sample], accel: &Triad) -> Result<CalibrationFile, C
         let what = "intervals at rest (a second each)";
         return Err(CalibrationError::TooFew { what, found: rests.len(), needed: TURNS_MIN + 1 });
     }
-    let still: Vec<Vector3<f64>> =
-        rests.iter().flat_map(|r| pairs[r.first..r.end].iter().filter_map(|p| p.gyro_radps)).collect();
-    let bias = still.iter().sum::<Vector3<f64>>() / still.len() as f64;
-    // White noise averages out; what differs from rest to rest does not.
-    let rest_means: Vec<Vector3<f64>> = rests.iter().filter_map(|r| r.gyro_radps).collect();
-    let bias_variance = rest_means.iter().map(|m| (m - bias).component_mul(&(m - bias))).sum::<Vector3<f64>>()
-        / (rest_means.len() * (rest_means.len() - 1).max(1)) as f64;
-
-    let turns: Vec<Turn> = rests
-        .windows(2)
-        .filter(|pair| pairs[pair[1].first].time_s - pairs[pair[0].end - 1].time_s <= TURN_MAX_S)
-        .filter_map(|pair| {
-            let from = accel.apply(&pair[0].accel_mps2).try_normalize(1e-9)?;
-            let to = accel.apply(&pair[1].accel_mps2).try_normalize(1e-9)?;
-            // From within the one rest to within the other: both ends stand still.
-            let between = &pairs[pair[0].end - 1..=pair[1].first];
-            let steps: Vec<_> = between
-                .windows(2)
-                .filter_map(|w| {
-                    let rate = (w[0].gyro_radps? + w[1].gyro_radps?) * 0.5 - bias;
-                    Some((w[1].time_s - w[0].time_s, rate))
-                })
-                .collect();
-            let turned: f64 = steps.iter().map(|(dt, rate)| dt * rate.norm()).sum();
-            (turned >= TURN_MIN_RAD).then_some(Turn { from, to, steps })
-        })
-        .collect();
+    let (bias, bias_variance) = still_bias(&pairs, &rests);
+    let turns = turns(&pairs, &rests, accel, &bias);
     if turns.len() < TURNS_MIN {
         let what = "turns of 30° and more between rests";
         return Err(CalibrationError::TooFew { what, found: turns.len(), needed: TURNS_MIN });
     }
-    let identity = Matrix3::<f64>::identity();
-    let start: Vec<f64> = identity.transpose().iter().copied().collect();
+    let start: Vec<f64> = Matrix3::<f64>::identity().transpose().iter().copied().collect();
     let fit = fit::least_squares(&start, &[0.1; 9], |x, r| {
         let matrix = Matrix3::from_row_slice(x);
         r.clear();
@@ -277,18 +251,56 @@ pub fn gyroscope(samples: &[Sample], accel: &Triad) -> Result<CalibrationFile, C
         row[9 + i] = bias_variance[i];
         file.covariance.push(row);
     }
+    file.picture.push(picture(&turns, &matrix));
+    Ok(file)
+}
+
+/// Mean rate at rest, and the variance of that mean by axis.
+fn still_bias(pairs: &[Pair], rests: &[Rest]) -> (Vector3<f64>, Vector3<f64>) {
+    let still: Vec<Vector3<f64>> =
+        rests.iter().flat_map(|r| pairs[r.first..r.end].iter().filter_map(|p| p.gyro_radps)).collect();
+    let bias = still.iter().sum::<Vector3<f64>>() / still.len() as f64;
+    // White noise averages out; what differs from rest to rest does not.
+    let means: Vec<Vector3<f64>> = rests.iter().filter_map(|r| r.gyro_radps).collect();
+    let squares = means.iter().map(|m| (m - bias).component_mul(&(m - bias))).sum::<Vector3<f64>>();
+    (bias, squares / (means.len() * (means.len() - 1).max(1)) as f64)
+}
+
+/// The turns from one rest to the next that are quick and large enough.
+fn turns(pairs: &[Pair], rests: &[Rest], accel: &Triad, bias: &Vector3<f64>) -> Vec<Turn> {
+    let quick = |pair: &&[Rest]| pairs[pair[1].first].time_s - pairs[pair[0].end - 1].time_s <= TURN_MAX_S;
+    let turn = |pair: &[Rest]| {
+        let from = accel.apply(&pair[0].accel_mps2).try_normalize(1e-9)?;
+        let to = accel.apply(&pair[1].accel_mps2).try_normalize(1e-9)?;
+        // From within the one rest to within the other: both ends stand still.
+        let between = &pairs[pair[0].end - 1..=pair[1].first];
+        let steps: Vec<_> = between
+            .windows(2)
+            .filter_map(|w| {
+                let rate = (w[0].gyro_radps? + w[1].gyro_radps?) * 0.5 - bias;
+                Some((w[1].time_s - w[0].time_s, rate))
+            })
+            .collect();
+        let turned: f64 = steps.iter().map(|(dt, rate)| dt * rate.norm()).sum();
+        (turned >= TURN_MIN_RAD).then_some(Turn { from, to, steps })
+    };
+    rests.windows(2).filter(quick).filter_map(turn).collect()
+}
+
+/// How far gravity is off after each turn, without and with `matrix`.
+fn picture(turns: &[Turn], matrix: &Matrix3<f64>) -> Plot {
     let miss = |m: &Matrix3<f64>| {
         let of = |(k, turn): (usize, &Turn)| [(k + 1) as f64, turned(turn, m).angle(&turn.to).to_degrees()];
         turns.iter().enumerate().map(of).collect::<Vec<_>>()
     };
-    file.picture.push(Plot {
+    let (before, after) = (miss(&Matrix3::identity()), miss(matrix));
+    Plot {
         title: "Gravity after a turn, against the accelerometer".into(),
         x: "turn".into(),
         y: "angle, °".into(),
         log: false,
-        series: vec![Series::new("before", false, miss(&identity)), Series::new("after", false, miss(&matrix))],
-    });
-    Ok(file)
+        series: vec![Series::new("before", false, before), Series::new("after", false, after)],
+    }
 }
 
 /// Gravity's direction at the end of a turn, by the gyroscope.

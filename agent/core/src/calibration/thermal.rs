@@ -73,6 +73,11 @@ pub fn thermal_of(file: &CalibrationFile) -> Result<Drift, CalibrationError> {
     })
 }
 
+/// One sensor's reading and its time, s.
+type Reading = (f64, Vector3<f64>);
+/// Mean temperature of a stretch and the mean of each axis in it.
+type Stretch = (f64, [f64; 6]);
+
 /// Fits the drift of gyroscope and accelerometer to a recording at rest while the unit warms up or cools down.
 ///
 /// # Errors
@@ -96,26 +101,7 @@ pub fn thermal(samples: &[Sample]) -> Result<CalibrationFile, CalibrationError> 
         let what = "span of temperature";
         return Err(CalibrationError::TooSmall { what, found: span, needed: SPAN_MIN_C, unit: "°C" });
     }
-    let per = warm.len().div_ceil(STRETCHES);
-    let mut rows: Vec<(f64, [f64; 6])> = Vec::new();
-    for first in (0..warm.len()).step_by(per) {
-        let end = (first + per).min(warm.len());
-        if end - first < per.min(3) {
-            continue;
-        }
-        let n = (end - first) as f64;
-        let mean = |list: &[(f64, Vector3<f64>)]| list[first..end].iter().map(|v| v.1).sum::<Vector3<f64>>() / n;
-        let (g, a) = (mean(&gyro), mean(&accel));
-        for (list, centre, limit, what, unit) in
-            [(&gyro, g, REST[0], "the angular rate", "rad/s"), (&accel, a, REST[1], "the specific force", "m/s²")]
-        {
-            let spread = (list[first..end].iter().map(|v| (v.1 - centre).norm_squared()).sum::<f64>() / n).sqrt();
-            if spread > limit {
-                return Err(CalibrationError::Moving { what, found: spread, limit, unit });
-            }
-        }
-        rows.push((temperature[first..end].iter().sum::<f64>() / n, [g.x, g.y, g.z, a.x, a.y, a.z]));
-    }
+    let rows = stretches(&temperature, &gyro, &accel)?;
     let reference = rows.iter().map(|r| r.0).sum::<f64>() / rows.len() as f64;
     let square = span >= SPAN_SQUARE_C;
     let unknowns = if square { 3 } else { 2 };
@@ -144,19 +130,8 @@ pub fn thermal(samples: &[Sample]) -> Result<CalibrationFile, CalibrationError> 
             file.push(&format!("{name}_{suffix}"), c[j], Some(of.max(0.0).sqrt()), &format!("{unit}/{per}"));
             variances.push(of);
         }
-        let curve = rows.iter().map(|r| [r.0, (0..unknowns).map(|j| c[j] * (r.0 - reference).powi(j as i32)).sum()]);
-        let mut line: Vec<[f64; 2]> = curve.collect();
-        line.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        file.picture.push(Plot {
-            title: format!("{name} at rest"),
-            x: "temperature, °C".into(),
-            y: (*unit).to_owned(),
-            log: false,
-            series: vec![
-                Series::new("reading", false, rows.iter().map(|r| [r.0, r.1[axis]])),
-                Series::new("fit", true, line),
-            ],
-        });
+        let fit = |t: f64| -> f64 { (0..unknowns).map(|j| c[j] * (t - reference).powi(j as i32)).sum() };
+        file.picture.push(picture(name, unit, rows.iter().map(|r| [r.0, r.1[axis]]), fit));
     }
     file.residual.value = (left / before.max(1e-300)).sqrt();
     let n = variances.len();
@@ -167,6 +142,45 @@ pub fn thermal(samples: &[Sample]) -> Result<CalibrationFile, CalibrationError> 
         file.notes.push(format!("a square term takes {SPAN_SQUARE_C} °C"));
     }
     Ok(file)
+}
+
+/// The recording in stretches, each of them at rest.
+fn stretches(temperature: &[f64], gyro: &[Reading], accel: &[Reading]) -> Result<Vec<Stretch>, CalibrationError> {
+    let samples = temperature.len();
+    let per = samples.div_ceil(STRETCHES);
+    let mut rows = Vec::new();
+    for first in (0..samples).step_by(per) {
+        let end = (first + per).min(samples);
+        if end - first < per.min(3) {
+            continue;
+        }
+        let n = (end - first) as f64;
+        let mean = |list: &[Reading]| list[first..end].iter().map(|v| v.1).sum::<Vector3<f64>>() / n;
+        let (g, a) = (mean(gyro), mean(accel));
+        for (list, centre, limit, what, unit) in
+            [(gyro, g, REST[0], "the angular rate", "rad/s"), (accel, a, REST[1], "the specific force", "m/s²")]
+        {
+            let spread = (list[first..end].iter().map(|v| (v.1 - centre).norm_squared()).sum::<f64>() / n).sqrt();
+            if spread > limit {
+                return Err(CalibrationError::Moving { what, found: spread, limit, unit });
+            }
+        }
+        rows.push((temperature[first..end].iter().sum::<f64>() / n, [g.x, g.y, g.z, a.x, a.y, a.z]));
+    }
+    Ok(rows)
+}
+
+/// What one axis read at each temperature, and the fit through it.
+fn picture(name: &str, unit: &str, readings: impl Iterator<Item = [f64; 2]> + Clone, fit: impl Fn(f64) -> f64) -> Plot {
+    let mut line: Vec<[f64; 2]> = readings.clone().map(|[t, _]| [t, fit(t)]).collect();
+    line.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    Plot {
+        title: format!("{name} at rest"),
+        x: "temperature, °C".into(),
+        y: unit.to_owned(),
+        log: false,
+        series: vec![Series::new("reading", false, readings), Series::new("fit", true, line)],
+    }
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 //! | T | tick period, s |
 
 mod error;
+mod wire;
 
 use nalgebra::{DMatrix, SMatrix, Vector4};
 use plumbline_proto::ids::GainsRevision;

@@ -18,7 +18,7 @@ use super::gains::{Gain, GainsError, lqr_gains};
 use super::lqr_integral::{LqrIntegral, Weights};
 use super::tuning::Parameter;
 use super::{Controller, ControllerKind, Loops, Setpoint, Trim, Wrench};
-use crate::estimate::{Estimate, filter::lqe};
+use crate::estimate::{Estimate, Motion, filter::lqe};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::linalg::{LinalgError, care, expm_with_integral};
 use crate::model::airframe::Airframe;
@@ -185,10 +185,11 @@ impl Lqg {
     /// Corrects the prediction with `estimate`'s outputs; the estimate as the filter has it.
     fn filtered(&mut self, estimate: &Estimate, loops: Loops) -> Estimate {
         let angles = roll_pitch_yaw(&estimate.world_from_body);
+        let motion = estimate.motion_or_rest();
         let mut measured = State::zeros();
         for (at, v) in [
-            (ix::X, estimate.position_enu_m),
-            (ix::VX, estimate.velocity_enu_mps),
+            (ix::X, motion.position_enu_m),
+            (ix::VX, motion.velocity_enu_mps),
             (ix::ROLL, angles),
             (ix::P, estimate.body_rates_radps),
         ] {
@@ -211,11 +212,10 @@ impl Lqg {
         self.predicted = Some(x);
         let part = |at: usize| Vector3::new(x[at], x[at + 1], x[at + 2]);
         Estimate {
-            position_enu_m: part(ix::X),
-            velocity_enu_mps: part(ix::VX),
+            motion: Some(Motion { position_enu_m: part(ix::X), velocity_enu_mps: part(ix::VX), ..motion }),
             world_from_body: from_roll_pitch_yaw(&part(ix::ROLL)),
             body_rates_radps: part(ix::P),
-            ..estimate.clone()
+            ..Estimate::default()
         }
     }
 }

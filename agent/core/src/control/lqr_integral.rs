@@ -137,8 +137,9 @@ impl Controller for LqrIntegral {
 
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench {
         let angles = roll_pitch_yaw(&estimate.world_from_body);
-        let position = limited(estimate.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
-        let velocity = limited(estimate.velocity_enu_mps - setpoint.velocity_enu_mps, &VELOCITY_ERROR_MAX_MPS);
+        let motion = estimate.motion_or_rest();
+        let position = limited(motion.position_enu_m - setpoint.position_enu_m, &POSITION_ERROR_MAX_M);
+        let velocity = limited(motion.velocity_enu_mps - setpoint.velocity_enu_mps, &VELOCITY_ERROR_MAX_MPS);
         let yaw = wrap_pi(angles.z - setpoint.roll_pitch_yaw_rad.z).clamp(-YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
         let tilt = angles.xy() - setpoint.tilt_rad(loops, angles.z);
         let rates = estimate.body_rates_radps;
@@ -303,6 +304,7 @@ fn limited(v: Vector3<f64>, limit: &[f64; 3]) -> Vector3<f64> {
 mod tests {
     use super::*;
     use crate::control::gains::lqr_gains;
+    use crate::estimate::Motion;
     use crate::frames::from_roll_pitch_yaw;
 
     const FULL: Loops = Loops { horizontal: true, altitude: true };
@@ -315,7 +317,7 @@ mod tests {
 
     fn at(x: f64, y: f64, yaw: f64) -> Estimate {
         Estimate {
-            position_enu_m: Vector3::new(x, y, 1.0),
+            motion: Some(Motion { position_enu_m: Vector3::new(x, y, 1.0), ..Motion::default() }),
             world_from_body: from_roll_pitch_yaw(&Vector3::new(0.0, 0.0, yaw)),
             ..Estimate::default()
         }
@@ -354,7 +356,7 @@ mod tests {
     fn integrals_stop_while_the_mixer_cannot_give_more() {
         let (mut controller, _) = iris();
         let mut low = at(0.0, 0.0, 0.0);
-        low.position_enu_m.z = 0.6;
+        low.motion.as_mut().unwrap().position_enu_m.z = 0.6;
         for _ in 0..200 {
             let asked = controller.control(&low, &hold(0.0), FULL, 0.005);
             let given = Wrench { thrust_n: asked.thrust_n - 1.0, ..asked };
@@ -363,7 +365,7 @@ mod tests {
         let stuck = controller.integrator()[2];
         assert!(stuck.abs() <= 0.4 * 0.005 + 1e-12, "wound up to {stuck}");
         // Above the setpoint it unwinds even while saturated.
-        low.position_enu_m.z = 1.4;
+        low.motion.as_mut().unwrap().position_enu_m.z = 1.4;
         controller.control(&low, &hold(0.0), FULL, 0.005);
         assert!(controller.integrator()[2] > stuck);
     }

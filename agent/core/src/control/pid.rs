@@ -217,8 +217,9 @@ impl Controller for Pid {
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, dt_s: f64) -> Wrench {
         let g = self.gains;
         let angles = roll_pitch_yaw(&estimate.world_from_body);
-        let error = setpoint.position_enu_m - estimate.position_enu_m;
-        let velocity_error = setpoint.velocity_enu_mps - estimate.velocity_enu_mps;
+        let motion = estimate.motion_or_rest();
+        let error = setpoint.position_enu_m - motion.position_enu_m;
+        let velocity_error = setpoint.velocity_enu_mps - motion.velocity_enu_mps;
 
         let mut tilt = setpoint.tilt_rad(loops, angles.z);
         if loops.horizontal {

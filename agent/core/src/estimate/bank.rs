@@ -25,6 +25,8 @@ use crate::types::MotorCommand;
 pub const MAX_ESTIMATORS: usize = 8;
 /// Time constant with which a switch dies away, s.
 const BLEND_TIME_CONSTANT_S: f64 = 0.5;
+/// A difference below this is gone: it changes no sum any more, and numbers much smaller are slow to multiply.
+const GONE: f64 = 1e-200;
 
 /// Why a bank cannot be built or an estimator not selected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -94,7 +96,8 @@ pub struct Bank {
     estimators: ArrayVec<Box<dyn Estimator>, MAX_ESTIMATORS>,
     in_loop: usize,
     estimate: Estimate,
-    offset: Offset,
+    /// What is left of the last switch.
+    offset: Option<Offset>,
     /// Counts nanoseconds; given from outside, since estimators have no clock.
     stopwatch: Option<fn() -> u64>,
     /// How long each took in the last step, ns.
@@ -109,12 +112,30 @@ struct Offset {
     rates_radps: Vector3<f64>,
 }
 
-const NO_OFFSET: fn() -> Offset = || Offset {
-    position_m: Vector3::zeros(),
-    velocity_mps: Vector3::zeros(),
-    attitude: UnitQuaternion::identity(),
-    rates_radps: Vector3::zeros(),
-};
+impl Offset {
+    /// What is left of it once the part `keep` remains; `None` when nothing is.
+    fn fade(mut self, keep: f64) -> Option<Self> {
+        self.position_m *= keep;
+        self.velocity_mps *= keep;
+        self.rates_radps *= keep;
+        self.attitude = UnitQuaternion::from_scaled_axis(self.attitude.scaled_axis() * keep);
+        (self.largest() > GONE).then_some(self)
+    }
+
+    fn largest(&self) -> f64 {
+        let vectors = self.position_m.amax().max(self.velocity_mps.amax()).max(self.rates_radps.amax());
+        vectors.max(self.attitude.imag().amax())
+    }
+
+    fn add_to(&self, estimate: &mut Estimate) {
+        if let Some(motion) = &mut estimate.motion {
+            motion.position_enu_m += self.position_m;
+            motion.velocity_enu_mps += self.velocity_mps;
+        }
+        estimate.body_rates_radps += self.rates_radps;
+        estimate.world_from_body = self.attitude * estimate.world_from_body;
+    }
+}
 
 impl Bank {
     /// `estimators` with the one of kind `in_loop` in the loop.
@@ -139,7 +160,7 @@ impl Bank {
             estimators: estimators.into_iter().collect(),
             in_loop: at,
             estimate: Estimate::default(),
-            offset: NO_OFFSET(),
+            offset: None,
             stopwatch: None,
             step_ns: [0; MAX_ESTIMATORS],
         })
@@ -190,18 +211,12 @@ impl Bank {
             *took = after.saturating_sub(before);
             before = after;
         }
-        let keep = (-dt_s / BLEND_TIME_CONSTANT_S).exp();
-        self.offset.position_m *= keep;
-        self.offset.velocity_mps *= keep;
-        self.offset.rates_radps *= keep;
-        self.offset.attitude = UnitQuaternion::from_scaled_axis(self.offset.attitude.scaled_axis() * keep);
         if let Some(own) = self.estimators.get(self.in_loop) {
             self.estimate.clone_from(own.estimate());
-            let o = &self.offset;
-            self.estimate.position_enu_m += o.position_m;
-            self.estimate.velocity_enu_mps += o.velocity_mps;
-            self.estimate.body_rates_radps += o.rates_radps;
-            self.estimate.world_from_body = o.attitude * self.estimate.world_from_body;
+        }
+        self.offset = self.offset.and_then(|offset| offset.fade((-dt_s / BLEND_TIME_CONSTANT_S).exp()));
+        if let Some(offset) = &self.offset {
+            offset.add_to(&mut self.estimate);
         }
         &self.estimate
     }
@@ -238,14 +253,18 @@ impl Bank {
         self.in_loop = at;
         if let Some(own) = self.estimators.get(at) {
             let (before, new) = (&self.estimate, own.estimate());
+            // From or to an estimator without a position there is nothing to blend.
+            let (position_m, velocity_mps) = before.motion.zip(new.motion).map_or_else(Default::default, |(a, b)| {
+                (a.position_enu_m - b.position_enu_m, a.velocity_enu_mps - b.velocity_enu_mps)
+            });
             let offset = Offset {
-                position_m: before.position_enu_m - new.position_enu_m,
-                velocity_mps: before.velocity_enu_mps - new.velocity_enu_mps,
+                position_m,
+                velocity_mps,
                 attitude: before.world_from_body * new.world_from_body.inverse(),
                 rates_radps: before.body_rates_radps - new.body_rates_radps,
             };
             let finite = offset.position_m.norm() + offset.velocity_mps.norm() + offset.rates_radps.norm();
-            self.offset = if finite.is_finite() { offset } else { NO_OFFSET() };
+            self.offset = finite.is_finite().then_some(offset);
         }
         Ok(())
     }
@@ -260,8 +279,8 @@ impl std::fmt::Debug for Bank {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::Health;
     use crate::estimate::secure::SLOTS;
+    use crate::estimate::{Health, Motion};
 
     struct Fixed(EstimatorKind, Estimate);
 
@@ -275,14 +294,11 @@ mod tests {
         fn estimate(&self) -> &Estimate {
             &self.1
         }
-        fn reset_to(&mut self, estimate: &Estimate) {
-            self.1 = estimate.clone();
-        }
     }
 
     fn fixed(kind: EstimatorKind, z: f64, yaw: f64) -> Box<dyn Estimator> {
         let estimate = Estimate {
-            position_enu_m: Vector3::new(0.0, 0.0, z),
+            motion: Some(Motion { position_enu_m: Vector3::new(0.0, 0.0, z), ..Motion::default() }),
             world_from_body: UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
             health: Health::Healthy,
             ..Estimate::default()
@@ -298,14 +314,26 @@ mod tests {
         let before = bank.step(&frame, &command, 0.005).clone();
         bank.select(EstimatorKind::Complementary).unwrap();
         let after = bank.step(&frame, &command, 0.005).clone();
-        assert!((after.position_enu_m.z - before.position_enu_m.z).abs() < 0.3 * 0.011);
+        let z = |estimate: &Estimate| estimate.motion.unwrap().position_enu_m.z;
+        assert!((z(&after) - z(&before)).abs() < 0.3 * 0.011);
         assert!(after.world_from_body.angle_to(&before.world_from_body) < 0.4 * 0.011);
         for _ in 0..1000 {
             bank.step(&frame, &command, 0.005);
         }
-        assert!((bank.in_loop().position_enu_m.z - 1.3).abs() < 1e-4);
+        assert!((z(bank.in_loop()) - 1.3).abs() < 1e-4);
         assert_eq!(bank.in_loop_kind(), EstimatorKind::Complementary);
-        assert_eq!(bank.estimate_of(EstimatorKind::EkfBias).unwrap().position_enu_m.z, 1.0);
+        assert_eq!(z(bank.estimate_of(EstimatorKind::EkfBias).unwrap()), 1.0);
+    }
+
+    #[test]
+    fn from_an_attitude_filter_the_altitude_is_right_at_once() {
+        let attitude = Fixed(EstimatorKind::Vqf, Estimate { health: Health::Healthy, ..Estimate::default() });
+        let both = vec![Box::new(attitude) as Box<dyn Estimator>, fixed(EstimatorKind::EkfBias, 1.3, 0.0)];
+        let mut bank = Bank::new(both, EstimatorKind::Vqf).unwrap();
+        let (frame, command) = (SensorFrame::default(), MotorCommand::default());
+        assert_eq!(bank.step(&frame, &command, 0.005).motion, None);
+        bank.select(EstimatorKind::EkfBias).unwrap();
+        assert_eq!(bank.step(&frame, &command, 0.005).motion.unwrap().position_enu_m.z, 1.3);
     }
 
     #[test]

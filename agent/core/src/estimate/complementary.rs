@@ -17,7 +17,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::fdir::consensus::{self, Consensus};
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual, median};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Motion, Residual, median};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw};
 use crate::model::attitude;
 use crate::sensor::imu::TriaxialModel;
@@ -49,6 +49,7 @@ pub struct Complementary {
     barometer_origin_m: Option<f64>,
     last_imu: Option<FlightTime>,
     last_horizontal: Option<FlightTime>,
+    motion: Motion,
     estimate: Estimate,
 }
 
@@ -70,6 +71,7 @@ impl Complementary {
             barometer_origin_m: None,
             last_imu: None,
             last_horizontal: None,
+            motion: Motion::default(),
             estimate: Estimate::default(),
         }
     }
@@ -141,21 +143,21 @@ impl Complementary {
         let (time, before) = self.altitude.unwrap_or((frame.time, z));
         let dt_s = frame.time.seconds_since(time);
         if dt_s > 0.0 && dt_s < HEIGHT_SILENCE_S {
-            let climb = self.estimate.velocity_enu_mps.z;
+            let climb = self.motion.velocity_enu_mps.z;
             let predicted = before + climb * dt_s;
             let alpha = dt_s / (self.time_constant_s + dt_s);
             let beta = alpha * alpha / (2.0 - alpha);
             let altitude = predicted + alpha * (z - predicted);
-            self.estimate.velocity_enu_mps.z = climb + beta / dt_s * (z - predicted);
+            self.motion.velocity_enu_mps.z = climb + beta / dt_s * (z - predicted);
             self.altitude = Some((frame.time, altitude));
         } else {
             self.altitude = Some((frame.time, if dt_s > 0.0 { z } else { before }));
             if dt_s > 0.0 {
-                self.estimate.velocity_enu_mps.z = 0.0;
+                self.motion.velocity_enu_mps.z = 0.0;
             }
         }
         if let Some((_, altitude)) = self.altitude {
-            self.estimate.position_enu_m.z = altitude;
+            self.motion.position_enu_m.z = altitude;
         }
     }
 
@@ -164,11 +166,11 @@ impl Complementary {
         let gnss = frame.gnss.map(|s| (s.position_enu_m, Some(s.velocity_enu_mps)));
         let Some((position, velocity)) = mocap.or(gnss) else { return };
         if position.xy().iter().all(|x| x.is_finite()) {
-            let e = &mut self.estimate;
-            (e.position_enu_m.x, e.position_enu_m.y) = (position.x, position.y);
+            let m = &mut self.motion;
+            (m.position_enu_m.x, m.position_enu_m.y) = (position.x, position.y);
             self.last_horizontal = Some(frame.time);
             if let Some(v) = velocity.filter(|v| v.iter().all(|x| x.is_finite())) {
-                (e.velocity_enu_mps.x, e.velocity_enu_mps.y) = (v.x, v.y);
+                (m.velocity_enu_mps.x, m.velocity_enu_mps.y) = (v.x, v.y);
             }
         }
     }
@@ -177,7 +179,7 @@ impl Complementary {
         let since = |t: Option<FlightTime>| t.map_or(f64::INFINITY, |t| now.seconds_since(t));
         let Some(force) = self.force else { return Health::Initialising };
         let off = (force.norm() / self.model.imus.gravity_mps2 - 1.0).abs();
-        let altitude_lost = self.altitude.is_some() && !self.estimate.altitude_known;
+        let altitude_lost = self.altitude.is_some() && !self.motion.altitude_known;
         if since(self.last_imu) > IMU_SILENCE_S || altitude_lost || off > FORCE_TOLERANCE {
             Health::Degraded
         } else {
@@ -199,22 +201,16 @@ impl Estimator for Complementary {
         self.take_heights(received);
         self.take_horizontal(received);
         let known = |t: FlightTime| received.time.seconds_since(t) <= HORIZONTAL_SILENCE_S;
-        self.estimate.horizontal_known = self.last_horizontal.is_some_and(known);
+        self.motion.horizontal_known = self.last_horizontal.is_some_and(known);
         let since = |(t, _): (FlightTime, f64)| received.time.seconds_since(t);
-        self.estimate.altitude_known = self.altitude.is_some_and(|altitude| since(altitude) <= HEIGHT_SILENCE_S);
+        self.motion.altitude_known = self.altitude.is_some_and(|altitude| since(altitude) <= HEIGHT_SILENCE_S);
+        self.estimate.motion = Some(self.motion);
         self.estimate.health = self.health(received.time);
         &self.estimate
     }
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.estimate = estimate.clone();
-        self.estimate.residuals.clear();
-        self.altitude = Some((estimate.time, estimate.position_enu_m.z));
-        self.force = Some(estimate.world_from_body.inverse() * Vector3::new(0.0, 0.0, self.model.imus.gravity_mps2));
     }
 }
 
@@ -256,9 +252,9 @@ mod tests {
         let e = primary.estimate();
         assert!(e.world_from_body.angle_to(&q) < 1e-6);
         // The attack on height 2 does not move the median, and shows.
-        assert!((e.position_enu_m.z - 1.01).abs() < 1e-3);
+        assert!((e.altitude_m().unwrap() - 1.01).abs() < 1e-3);
         assert_eq!(e.health, Health::Healthy);
-        assert!(!e.horizontal_known);
+        assert!(!e.horizontal_known());
     }
 
     #[test]
@@ -281,7 +277,7 @@ mod tests {
             frame.barometers[0] = Some(BarometerSample { time, pressure_pa, temperature_c: 20.0 });
             primary.step(&frame, &MotorCommand::default());
         }
-        assert!((primary.estimate().position_enu_m.z - 2.0).abs() < 0.01);
+        assert!((primary.estimate().motion.unwrap().position_enu_m.z - 2.0).abs() < 0.01);
         assert_eq!(primary.estimate().health, Health::Initialising);
     }
 
@@ -295,8 +291,8 @@ mod tests {
                 f.imus[0] = f.imus[0].map(|s| ImuSample { accel_mps2: Vector3::repeat(f64::NAN), ..s });
             }
             let e = primary.step(&f, &MotorCommand::default());
-            assert!(e.world_from_body.coords.iter().chain(e.position_enu_m.iter()).all(|x| x.is_finite()));
+            assert!(e.world_from_body.coords.iter().chain(e.kinematics().position_enu_m.iter()).all(|x| x.is_finite()));
         }
-        assert!((primary.estimate().position_enu_m.z - 1.0).abs() < 1e-9);
+        assert!((primary.estimate().motion.unwrap().position_enu_m.z - 1.0).abs() < 1e-9);
     }
 }

@@ -22,7 +22,7 @@ use super::aiding::{VELOCITY, XYZ};
 use super::filter::kalman;
 use super::filter::row::ScalarRow;
 use super::vqf::VqfEstimator;
-use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Residuals};
+use super::{Channel, Estimate, Estimator, EstimatorKind, Health, Motion, Residuals};
 use crate::sensor::{Accuracy, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
@@ -166,18 +166,17 @@ impl ConstantAccelerationEstimator {
     }
 
     fn take_positions(&mut self, frame: &SensorFrame) {
-        let model = self.model.clone();
         for (i, sample) in frame.heights.iter().enumerate() {
             if let Some(sample) = sample {
                 self.heights_present = true;
                 let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
-                self.take(sensor, Channel::Height, 2, sample.height_m, model.heights);
+                self.take(sensor, Channel::Height, 2, sample.height_m, self.model.heights);
             }
         }
         if let Some(sample) = frame.mocap_pose {
             let sensor = SensorId::new(SensorKind::MocapPose, 1);
             for (axis, channel) in XYZ.into_iter().enumerate() {
-                self.take(sensor, channel, axis, sample.position_enu_m[axis], model.mocap_pose.position);
+                self.take(sensor, channel, axis, sample.position_enu_m[axis], self.model.mocap_pose.position);
             }
         }
         if let Some(sample) = frame.gnss {
@@ -185,18 +184,24 @@ impl ConstantAccelerationEstimator {
             for axis in 0..3 {
                 if axis < 2 || !self.heights_present {
                     let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], model.gnss.position(claimed_m));
+                    self.take(
+                        sensor,
+                        XYZ[axis],
+                        axis,
+                        sample.position_enu_m[axis],
+                        self.model.gnss.position(claimed_m),
+                    );
                 }
-                self.take(sensor, VELOCITY[axis], axis + 3, sample.velocity_enu_mps[axis], model.gnss.velocity);
+                self.take(sensor, VELOCITY[axis], axis + 3, sample.velocity_enu_mps[axis], self.model.gnss.velocity);
             }
         }
         // Above its first reading; a laser or GNSS altitude, where there is one, has the floor as its zero.
         if let Some(sample) = frame.barometers[0].filter(|_| !self.heights_present && frame.gnss.is_none()) {
-            let altitude = model.barometers.altitude_m(&sample);
+            let altitude = self.model.barometers.altitude_m(&sample);
             if altitude.is_finite() {
                 let origin = *self.barometer_origin_m.get_or_insert(altitude - self.filter.x[2]);
                 let sensor = SensorId::new(SensorKind::Barometer, 1);
-                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, model.barometers.altitude);
+                self.take(sensor, Channel::PressureAltitude, 2, altitude - origin, self.model.barometers.altitude);
             }
         }
     }
@@ -246,13 +251,15 @@ impl Estimator for ConstantAccelerationEstimator {
         let sigma = |i: usize| Vector3::from_fn(|a, _| p[(i + a, i + a)].max(0.0).sqrt());
         let e = &mut self.estimate;
         e.time = now;
-        e.position_enu_m = x.fixed_rows::<3>(0).into_owned();
-        e.velocity_enu_mps = x.fixed_rows::<3>(3).into_owned();
+        e.motion = Some(Motion {
+            position_enu_m: x.fixed_rows::<3>(0).into_owned(),
+            velocity_enu_mps: x.fixed_rows::<3>(3).into_owned(),
+            position_sigma_m: Some(sigma(0)),
+            velocity_sigma_mps: Some(sigma(3)),
+            horizontal_known: horizontal,
+            altitude_known: vertical,
+        });
         e.world_from_body = world_from_body;
-        e.position_sigma_m = Some(sigma(0));
-        e.velocity_sigma_mps = Some(sigma(3));
-        e.horizontal_known = horizontal;
-        e.altitude_known = vertical;
         e.health = if !ready {
             Health::Initialising
         } else if self.axes[2].lapsed(now, MEMORY_S) || self.attitude.estimate().health == Health::Degraded {
@@ -265,16 +272,6 @@ impl Estimator for ConstantAccelerationEstimator {
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.attitude.reset_to(estimate);
-        self.filter.x = E::zeros();
-        self.filter.x.fixed_rows_mut::<3>(0).copy_from(&estimate.position_enu_m);
-        self.filter.x.fixed_rows_mut::<3>(3).copy_from(&estimate.velocity_enu_mps);
-        self.estimate = estimate.clone();
-        self.estimate.residuals.clear();
-        self.last = Some(estimate.time);
     }
 }
 
@@ -322,8 +319,9 @@ mod tests {
             }
             let e = estimator.step(&frame, &MotorCommand::default());
             if k > 1000 {
-                assert!((e.position_enu_m.z - z).abs() < 0.03, "{} for {z} at {t}", e.position_enu_m.z);
-                assert!(e.position_enu_m.xy().norm() < 5.0 && e.velocity_enu_mps.xy().norm() < 1.0, "{e:?}");
+                let Motion { position_enu_m: p, velocity_enu_mps: v, .. } = e.motion.unwrap();
+                assert!((p.z - z).abs() < 0.03, "{} for {z} at {t}", p.z);
+                assert!(p.xy().norm() < 5.0 && v.xy().norm() < 1.0, "{e:?}");
                 assert_eq!(e.health, Health::Healthy);
             }
         }

@@ -47,7 +47,7 @@ use super::aiding::freshness::Freshness;
 use super::aiding::idle::{Idle, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
 use super::filter::consistency::{self, Nees};
 use super::yaw_mixture::YawMixture;
-use super::{Estimate, Estimator, EstimatorKind, Health};
+use super::{Estimate, Estimator, EstimatorKind, Health, Motion};
 use crate::sensor::imu::{ImuModel, TriaxialModel};
 use crate::sensor::measure::Kinematics;
 use crate::sensor::{Accuracy, MAX_BAROMETERS, SensorFrame, SensorModel};
@@ -322,24 +322,57 @@ impl EkfBias {
     }
 
     fn publish(&mut self, now: FlightTime) {
+        let altitude_known = self.altitude_known(now);
         let k = &self.state.kinematics;
         let sigma = |i: usize| Vector3::from_fn(|a, _| self.p[(i + a, i + a)].max(0.0).sqrt());
         let e = &mut self.estimate;
         e.time = now;
-        e.position_enu_m = k.position_enu_m;
-        e.velocity_enu_mps = k.velocity_enu_mps;
+        e.motion = Some(Motion {
+            position_enu_m: k.position_enu_m,
+            velocity_enu_mps: k.velocity_enu_mps,
+            position_sigma_m: Some(sigma(ix::POSITION)),
+            velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
+            horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
+            altitude_known,
+        });
         e.world_from_body = k.world_from_body;
         e.accel_bias_mps2 = Some(self.state.accel_bias_mps2);
         e.gyro_bias_radps = Some(self.state.gyro_bias_radps);
         if let Some(i) = &self.inertial {
             e.body_rates_radps = i.gyro_radps - self.state.gyro_bias_radps;
         }
-        e.position_sigma_m = Some(sigma(ix::POSITION));
-        e.velocity_sigma_mps = Some(sigma(ix::VELOCITY));
         e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
-        e.horizontal_known = self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S);
-        self.estimate.altitude_known = self.altitude_known(now);
         self.estimate.health = self.health(now);
+    }
+
+    /// Starts again from `estimate`: at rest at the origin where that holds no motion, with the biases' prior.
+    pub fn reset_to(&mut self, estimate: &Estimate) {
+        let imus = &self.model.imus;
+        let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
+            let sigma = sigma.map(|s| s[i]).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(default);
+            sigma * sigma
+        };
+        let motion = estimate.motion_or_rest();
+        self.p = Covariance::zeros();
+        for i in 0..3 {
+            self.p[(ix::POSITION + i, ix::POSITION + i)] = variance(&motion.position_sigma_m, i, 0.5);
+            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = variance(&motion.velocity_sigma_mps, i, 0.5);
+            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = variance(&estimate.attitude_sigma_rad, i, 0.1);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
+            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = imus.gyro.bias_prior.powi(2);
+        }
+        self.state.kinematics = estimate.kinematics();
+        self.state.accel_bias_mps2 = estimate.accel_bias_mps2.unwrap_or_default();
+        self.state.gyro_bias_radps = estimate.gyro_bias_radps.unwrap_or_default();
+        self.aided.barometers.forget();
+        self.history.clear();
+        self.aided.idle.anchor = motion.position_enu_m;
+        self.yaw_known = true;
+        self.aligned = estimate.health != Health::Initialising;
+        self.alignment = Alignment::new();
+        self.now = Some(estimate.time.max(self.now.unwrap_or_default()));
+        self.estimate = estimate.clone();
+        self.estimate.residuals.clear();
     }
 
     /// Starts over where it last made sense: numbers that are not finite must never fly.
@@ -414,38 +447,6 @@ impl Estimator for EkfBias {
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        let imus = &self.model.imus;
-        let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
-            let sigma = sigma.map(|s| s[i]).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(default);
-            sigma * sigma
-        };
-        self.p = Covariance::zeros();
-        for i in 0..3 {
-            self.p[(ix::POSITION + i, ix::POSITION + i)] = variance(&estimate.position_sigma_m, i, 0.5);
-            self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = variance(&estimate.velocity_sigma_mps, i, 0.5);
-            self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = variance(&estimate.attitude_sigma_rad, i, 0.1);
-            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
-            self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = imus.gyro.bias_prior.powi(2);
-        }
-        self.state.kinematics = Kinematics {
-            position_enu_m: estimate.position_enu_m,
-            velocity_enu_mps: estimate.velocity_enu_mps,
-            world_from_body: estimate.world_from_body,
-        };
-        self.state.accel_bias_mps2 = estimate.accel_bias_mps2.unwrap_or_default();
-        self.state.gyro_bias_radps = estimate.gyro_bias_radps.unwrap_or_default();
-        self.aided.barometers.forget();
-        self.history.clear();
-        self.aided.idle.anchor = estimate.position_enu_m;
-        self.yaw_known = true;
-        self.aligned = estimate.health != Health::Initialising;
-        self.alignment = Alignment::new();
-        self.now = Some(estimate.time.max(self.now.unwrap_or_default()));
-        self.estimate = estimate.clone();
-        self.estimate.residuals.clear();
     }
 
     fn nees(&self, truth: &Kinematics) -> Option<Nees> {

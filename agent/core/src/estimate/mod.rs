@@ -70,33 +70,40 @@ impl Residual {
     }
 }
 
-/// What an estimator knows after one step.
-#[derive(Debug, Clone, PartialEq)]
+/// Position and velocity in the world frame ENU.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Motion {
+    /// Position, m.
+    pub position_enu_m: Vector3<f64>,
+    /// Velocity, m/s.
+    pub velocity_enu_mps: Vector3<f64>,
+    /// One-sigma of the position, m; `None` for an estimator without covariance.
+    pub position_sigma_m: Option<Vector3<f64>>,
+    /// One-sigma of the velocity, m/s.
+    pub velocity_sigma_mps: Option<Vector3<f64>>,
+    /// Is the horizontal position known (GNSS or motion capture lately)? If not, x and y are a prediction.
+    pub horizontal_known: bool,
+    /// Is the altitude known (lasers, barometer, motion capture or GNSS lately)? If not, z is a prediction.
+    pub altitude_known: bool,
+}
+
+/// What an estimator knows after one step; `None` where it does not estimate something at all.
+#[derive(Debug, PartialEq)]
 pub struct Estimate {
     /// Time of the frame it belongs to.
     pub time: FlightTime,
-    /// Position in the world frame ENU, m.
-    pub position_enu_m: Vector3<f64>,
-    /// Velocity in the world frame ENU, m/s.
-    pub velocity_enu_mps: Vector3<f64>,
+    /// Position and velocity; `None` for an attitude filter.
+    pub motion: Option<Motion>,
     /// Attitude.
     pub world_from_body: UnitQuaternion<f64>,
     /// Angular rate in the body frame FLU, bias removed, rad/s.
     pub body_rates_radps: Vector3<f64>,
-    /// Accelerometer bias, m/s²; `None` where it is not estimated, here and below.
+    /// Accelerometer bias, m/s².
     pub accel_bias_mps2: Option<Vector3<f64>>,
     /// Gyroscope bias, rad/s.
     pub gyro_bias_radps: Option<Vector3<f64>>,
-    /// One-sigma of the position, m.
-    pub position_sigma_m: Option<Vector3<f64>>,
-    /// One-sigma of the velocity, m/s.
-    pub velocity_sigma_mps: Option<Vector3<f64>>,
     /// One-sigma of the attitude error about the world axes, rad.
     pub attitude_sigma_rad: Option<Vector3<f64>>,
-    /// Is the horizontal position known (GNSS or motion capture lately)?
-    pub horizontal_known: bool,
-    /// Is the altitude known (lasers, barometer, motion capture or GNSS lately)?
-    pub altitude_known: bool,
     /// Can it be trusted?
     pub health: Health,
     /// Residuals of the samples used in this step.
@@ -104,23 +111,36 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Altitude, m; `None` where no sensor has said it lately, although a filter carries its prediction on.
+    /// The motion, or rest at the origin where none is estimated: for laws and displays that need numbers although
+    /// nothing closes a loop on them.
+    pub fn motion_or_rest(&self) -> Motion {
+        self.motion.unwrap_or_default()
+    }
+
+    /// Is the horizontal position known? See [`Motion::horizontal_known`].
+    pub fn horizontal_known(&self) -> bool {
+        self.motion.is_some_and(|motion| motion.horizontal_known)
+    }
+
+    /// Is the altitude known? See [`Motion::altitude_known`].
+    pub fn altitude_known(&self) -> bool {
+        self.motion.is_some_and(|motion| motion.altitude_known)
+    }
+
+    /// Altitude, m; `None` where it is not known, although a filter carries its prediction on.
     pub fn altitude_m(&self) -> Option<f64> {
-        self.altitude_known.then_some(self.position_enu_m.z)
+        self.motion.filter(|motion| motion.altitude_known).map(|motion| motion.position_enu_m.z)
     }
 
     /// Climb, m/s; `None` where the altitude is not known.
     pub fn climb_mps(&self) -> Option<f64> {
-        self.altitude_known.then_some(self.velocity_enu_mps.z)
+        self.motion.filter(|motion| motion.altitude_known).map(|motion| motion.velocity_enu_mps.z)
     }
 
-    /// Position, velocity, attitude.
+    /// Position, velocity, attitude; the first two as [`Estimate::motion_or_rest`].
     pub fn kinematics(&self) -> Kinematics {
-        Kinematics {
-            position_enu_m: self.position_enu_m,
-            velocity_enu_mps: self.velocity_enu_mps,
-            world_from_body: self.world_from_body,
-        }
+        let Motion { position_enu_m, velocity_enu_mps, .. } = self.motion_or_rest();
+        Kinematics { position_enu_m, velocity_enu_mps, world_from_body: self.world_from_body }
     }
 }
 
@@ -128,20 +148,43 @@ impl Default for Estimate {
     fn default() -> Self {
         Self {
             time: FlightTime::default(),
-            position_enu_m: Vector3::zeros(),
-            velocity_enu_mps: Vector3::zeros(),
+            motion: None,
             world_from_body: UnitQuaternion::identity(),
             body_rates_radps: Vector3::zeros(),
             accel_bias_mps2: None,
             gyro_bias_radps: None,
-            position_sigma_m: None,
-            velocity_sigma_mps: None,
             attitude_sigma_rad: None,
-            horizontal_known: false,
-            altitude_known: false,
             health: Health::Initialising,
             residuals: Residuals::new(),
         }
+    }
+}
+
+impl Clone for Estimate {
+    fn clone(&self) -> Self {
+        let mut copy = Self::default();
+        copy.clone_from(self);
+        copy
+    }
+
+    /// Copies only the residuals there are: room for all of them is 3 kB, and a tick copies several estimates.
+    fn clone_from(&mut self, source: &Self) {
+        let Self {
+            time,
+            motion,
+            world_from_body,
+            body_rates_radps,
+            accel_bias_mps2,
+            gyro_bias_radps,
+            attitude_sigma_rad,
+            health,
+            residuals,
+        } = source;
+        (self.time, self.motion, self.health) = (*time, *motion, *health);
+        (self.world_from_body, self.body_rates_radps) = (*world_from_body, *body_rates_radps);
+        (self.accel_bias_mps2, self.gyro_bias_radps) = (*accel_bias_mps2, *gyro_bias_radps);
+        self.attitude_sigma_rad = *attitude_sigma_rad;
+        self.residuals.clone_from(residuals);
     }
 }
 
@@ -159,9 +202,6 @@ pub trait Estimator: std::any::Any + Send {
 
     /// The estimate of the last step.
     fn estimate(&self) -> &Estimate;
-
-    /// Starts again from `estimate` (switching in flight without a bump).
-    fn reset_to(&mut self, estimate: &Estimate);
 
     /// How far from `truth` for the covariance it claims; `None` for estimators without one. For tests and
     /// offline scores: nothing in flight knows the truth.

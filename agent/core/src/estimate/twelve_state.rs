@@ -35,7 +35,7 @@ use super::filter::kalman::forget;
 use super::filter::measurement::{MAX_ROWS, Measurement, TwelveState};
 use super::vqf::VqfEstimator;
 use super::yaw_mixture::YawMixture;
-use super::{Estimate, Estimator, EstimatorKind, Health};
+use super::{Estimate, Estimator, EstimatorKind, Health, Motion};
 use crate::frames::{from_roll_pitch_yaw, roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
@@ -98,14 +98,20 @@ pub struct TwelveStateEstimator<F> {
     started: bool,
     force: Option<(FlightTime, Vector3<f64>)>,
     rows: ArrayVec<Measurement, MAX_ROWS>,
+    aided: Aided,
+    mixture: YawMixture,
+    estimate: Estimate,
+}
+
+/// What has been measured so far, and when.
+#[derive(Debug, Clone, Copy, Default)]
+struct Aided {
     axes: [Freshness; 3],
     pose_seen: Option<FlightTime>,
     field_seen: bool,
-    mixture: YawMixture,
     heights_present: bool,
     barometer_origin_m: Option<f64>,
     idle: Idle,
-    estimate: Estimate,
 }
 
 impl<F: TwelveState> TwelveStateEstimator<F> {
@@ -129,14 +135,10 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             started: false,
             force: None,
             rows: ArrayVec::new(),
-            axes: [Freshness::default(); 3],
-            pose_seen: None,
-            field_seen: false,
+            aided: Aided::default(),
             mixture: YawMixture::new(),
-            heights_present: false,
-            barometer_origin_m: None,
-            idle: Idle::default(),
-            estimate: Estimate::default(),
+            // At the origin until it starts, with a covariance only from then on.
+            estimate: Estimate { motion: Some(Motion::default()), ..Estimate::default() },
         }
     }
 
@@ -148,18 +150,18 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
     fn start(&mut self) {
         let e = self.attitude.estimate();
         let mut x = X::zeros();
-        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.idle.anchor);
+        x.fixed_rows_mut::<3>(ix::X).copy_from(&self.aided.idle.anchor);
         x.fixed_rows_mut::<3>(ix::ROLL).copy_from(&roll_pitch_yaw(&e.world_from_body));
         x.fixed_rows_mut::<3>(ix::P).copy_from(&e.body_rates_radps);
         let mut p = M::identity();
         for i in 0..12 {
             p[(i, i)] = START_SIGMA[i / 3].powi(2);
         }
-        if !self.field_seen {
+        if !self.aided.field_seen {
             p[(ix::YAW, ix::YAW)] = UNKNOWN_YAW_SIGMA_RAD.powi(2);
         }
         self.filter.restart(x, p);
-        self.axes = [Freshness::default(); 3];
+        self.aided.axes = [Freshness::default(); 3];
         self.started = true;
     }
 
@@ -209,17 +211,19 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let attitude = self.attitude.estimate();
         let e = &mut self.estimate;
         e.time = now;
-        e.position_enu_m = part(ix::X);
-        e.velocity_enu_mps = part(ix::VX);
+        e.motion = Some(Motion {
+            position_enu_m: part(ix::X),
+            velocity_enu_mps: part(ix::VX),
+            position_sigma_m: Some(sigma(ix::X)),
+            velocity_sigma_mps: Some(sigma(ix::VX)),
+            horizontal_known: self.aided.axes[0].within(now, MEMORY_S) && self.aided.axes[1].within(now, MEMORY_S),
+            altitude_known: self.aided.axes[2].within(now, MEMORY_S),
+        });
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));
         e.body_rates_radps = part(ix::P);
         e.gyro_bias_radps = attitude.gyro_bias_radps;
-        e.position_sigma_m = Some(sigma(ix::X));
-        e.velocity_sigma_mps = Some(sigma(ix::VX));
         e.attitude_sigma_rad = Some(sigma(ix::ROLL));
-        e.horizontal_known = self.axes[0].within(now, MEMORY_S) && self.axes[1].within(now, MEMORY_S);
-        e.altitude_known = self.axes[2].within(now, MEMORY_S);
-        let altitude_lost = self.axes[2].lapsed(now, MEMORY_S);
+        let altitude_lost = self.aided.axes[2].lapsed(now, MEMORY_S);
         e.health = if altitude_lost || !sound || attitude.health != Health::Healthy {
             Health::Degraded
         } else {
@@ -271,26 +275,6 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.attitude.reset_to(estimate);
-        self.idle.anchor = estimate.position_enu_m;
-        self.start();
-        let (mut x, mut p) = self.filter.moments();
-        x.fixed_rows_mut::<3>(ix::VX).copy_from(&estimate.velocity_enu_mps);
-        let sigmas = [estimate.position_sigma_m, estimate.velocity_sigma_mps, estimate.attitude_sigma_rad];
-        for (block, sigma) in sigmas.iter().enumerate() {
-            for axis in 0..3 {
-                if let Some(sigma) = sigma.map(|s| s[axis]).filter(|s| *s > 0.0 && s.is_finite()) {
-                    p[(3 * block + axis, 3 * block + axis)] = sigma * sigma;
-                }
-            }
-        }
-        self.filter.restart(x, p);
-        self.now = Some(estimate.time);
-        self.estimate = estimate.clone();
-        self.estimate.residuals.clear();
     }
 
     fn nees(&self, truth: &Kinematics) -> Option<Nees> {

@@ -167,14 +167,6 @@ impl Vqf {
         self.rest.holds()
     }
 
-    /// Starts again at an attitude and bias.
-    pub fn reset_to(&mut self, world_from_body: &UnitQuaternion<f64>, gyro_bias_radps: &Vector3<f64>) {
-        *self = Self::new(VqfOptions { period_s: self.period.used_s, ..self.options });
-        self.inertial_from_body = *world_from_body;
-        self.heading.begin(self.options.declination_rad);
-        self.bias.begin(gyro_bias_radps);
-    }
-
     fn push_gyro(&mut self, dt_s: f64, gyro: &Vector3<f64>) {
         self.rest.push_gyro(gyro);
         self.inertial_from_body *= UnitQuaternion::from_scaled_axis((gyro - self.bias.radps()) * dt_s);

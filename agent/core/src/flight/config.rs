@@ -2,7 +2,7 @@
 
 use plumbline_proto::ids::SensorId;
 
-use crate::attack;
+use crate::attack::Bounds;
 use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
 use crate::control::tuning::Design;
@@ -79,6 +79,15 @@ impl RigKind {
     }
 }
 
+/// May sensors be attacked, and how far?
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AttackPolicy {
+    /// At all?
+    pub enabled: bool,
+    /// How far.
+    pub bounds: Bounds,
+}
+
 /// Everything a [`super::Flight`] is built from.
 #[derive(Debug, Clone)]
 pub struct FlightConfig {
@@ -108,10 +117,8 @@ pub struct FlightConfig {
     pub sensors: Vec<SensorId>,
     /// Those on a wire of their own: the watchdog reads only them, of their kind, and nothing can be injected there.
     pub independent: Vec<SensorId>,
-    /// Bounds of attacks.
-    pub attack_bounds: attack::Bounds,
-    /// May sensors be attacked at all?
-    pub attacks_enabled: bool,
+    /// What may be done to sensors on purpose.
+    pub attacks: AttackPolicy,
     /// Thresholds of the failsafes.
     pub failsafe: Settings,
 }
@@ -134,8 +141,7 @@ impl FlightConfig {
             sensor_model: SensorModel::from(suite),
             sensors: suite.descriptions().iter().map(|d| d.id).collect(),
             independent: Vec::new(),
-            attack_bounds: attack::Bounds::default(),
-            attacks_enabled: false,
+            attacks: AttackPolicy::default(),
             failsafe: Settings::default(),
         }
     }

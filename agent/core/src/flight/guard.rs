@@ -24,6 +24,9 @@ const AGREEMENT_RAD: f64 = 0.14;
 /// An altitude further than this from the raw heights is no estimate, m: more than any delay or slant explains.
 const ASTRAY_M: f64 = 0.5;
 
+/// How long hold goes on at the speed it was taken over with, s.
+const INWARDS_S: f64 = 0.5;
+
 impl Flight {
     /// Judges the state of the vehicle and changes mode and phase accordingly.
     pub(super) fn guard(&mut self, now: FlightTime) {
@@ -52,7 +55,7 @@ impl Flight {
 
     fn failsafe_inputs(&mut self, now: FlightTime) -> Inputs {
         let loops = self.loops();
-        let estimate = self.bank.in_loop();
+        let (estimate, motion) = (self.bank.in_loop(), self.motion());
         let thrust_enu = estimate.world_from_body * nalgebra::Vector3::z();
         let outward = |axis: usize, side: f64, (place_m, speed_mps): (f64, f64)| Outward {
             distance_m: place_m * side,
@@ -64,16 +67,21 @@ impl Flight {
         // Also towards the other side of the box: what crosses its middle too fast cannot stop behind it.
         let farther = |a: Outward, b: Outward| if a.stops_m(climb_mps) >= b.stops_m(climb_mps) { a } else { b };
         // After a bump an estimator may refuse right measurements for a while: what is measured has a veto beside it.
-        let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].map(|(axis, side)| {
-            let estimated = outward(axis, side, (estimate.position_enu_m[axis], estimate.velocity_enu_mps[axis]));
+        let side = |(axis, side): (usize, f64)| {
+            let estimated = outward(axis, side, (motion.position_enu_m[axis], motion.velocity_enu_mps[axis]));
             let measured = self.supervision.watchdog.place(axis).map(|place| outward(axis, side, place));
             measured.map_or(estimated, |measured| farther(estimated, measured))
-        });
+        };
+        let lateral = if motion.horizontal_known {
+            [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)].into_iter().map(side).reduce(farther)
+        } else {
+            None
+        };
         let raw_height_m = self.supervision.watchdog.height_m();
         let astray =
             raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
         let agree = self.supervision.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD;
-        self.supervision.position_lost &= !estimate.horizontal_known;
+        self.supervision.position_lost &= !motion.horizontal_known;
         Inputs {
             now,
             flying: self.phase == Phase::Flying,
@@ -85,8 +93,8 @@ impl Flight {
             climb_mps,
             lift_mps2,
             altitude_needed: (loops.altitude || self.has_box()) && self.supervision.blind_since.is_none(),
-            lateral: sides.into_iter().reduce(farther).filter(|_| estimate.horizontal_known),
-            position_lost: self.supervision.position_lost || (self.mode == Mode::Hold && !estimate.horizontal_known),
+            lateral,
+            position_lost: self.supervision.position_lost || (self.mode == Mode::Hold && !motion.horizontal_known),
             degraded: estimate.health != Health::Healthy || self.supervision.wrench_invalid || astray,
             corroborated: agree && !astray && imu_age_s <= self.config.failsafe.imu_silent_s,
             not_moving: self.not_moving(),
@@ -115,18 +123,18 @@ impl Flight {
         {
             return false;
         }
-        let estimate = self.bank.in_loop();
+        let motion = self.motion();
         match self.mode {
             Mode::AltitudeHold | Mode::Hold => {
-                let missing_m = self.guidance.profile.setpoint().position_enu_m.z - estimate.position_enu_m.z;
-                missing_m > THRUST_DEFICIT_M && estimate.velocity_enu_mps.z < STANDING_SPEED_MPS
+                let missing_m = self.guidance.profile.setpoint().position_enu_m.z - motion.position_enu_m.z;
+                missing_m > THRUST_DEFICIT_M && motion.velocity_enu_mps.z < STANDING_SPEED_MPS
             }
             // Nothing but the throttle says what the operator wants: only where it took off.
             Mode::Stabilise => {
                 let rates = self.supervision.watchdog.rates_radps().norm();
                 self.at_takeoff_height()
                     && rates < TOUCHING_RADPS
-                    && estimate.velocity_enu_mps.z.abs() < STANDING_SPEED_MPS
+                    && motion.velocity_enu_mps.z.abs() < STANDING_SPEED_MPS
             }
             _ => false,
         }
@@ -192,21 +200,41 @@ impl Flight {
             self.freeze();
         } else if !self.config.rig.can_lift() {
             self.descend();
-        } else if !estimate.altitude_known || estimate.health != Health::Healthy {
+        } else if !estimate.altitude_known() || estimate.health != Health::Healthy {
             self.descend_blindly();
         } else {
             let (climb_mps, lift_mps2) = self.climb();
-            let stops_m = estimate.position_enu_m.z + climb_stops_m(climb_mps, lift_mps2);
+            let stops_m = self.motion().position_enu_m.z + climb_stops_m(climb_mps, lift_mps2);
             self.enter(mode);
             let (least, most) = (self.config.limits.altitude_min_m, self.config.altitude_max_m());
             self.guidance.target.position_enu_m.z = stops_m.clamp(least, most);
             self.supervision.monitor.took_over();
         }
+        self.lean_inwards();
+    }
+
+    /// At the edge, hold begins at rest where the vehicle is, and not where its profile was carried to on a path; and it comes
+    /// to rest behind its target by what its loop overshoots, so the target goes as far inwards.
+    fn lean_inwards(&mut self) {
+        if self.mode != Mode::Hold {
+            return;
+        }
+        let here = self.here();
+        self.guidance.profile.restart(here);
+        let (place, velocity) = (self.motion().position_enu_m, self.motion().velocity_enu_mps);
+        for axis in 0..2 {
+            let (outward_m, outward_mps) = (place[axis].abs(), velocity[axis] * place[axis].signum());
+            let target_m = (outward_m - INWARDS_S * outward_mps).max(0.0);
+            let target = &mut self.guidance.target.position_enu_m[axis];
+            if outward_mps > 0.0 && *target * place[axis].signum() > target_m {
+                *target = target_m * place[axis].signum();
+            }
+        }
     }
 
     /// The mode that controls whatever may lead out of the box.
     pub(super) fn edge_mode(&self) -> Mode {
-        if self.bank.in_loop().horizontal_known { Mode::Hold } else { Mode::AltitudeHold }
+        if self.bank.in_loop().horizontal_known() { Mode::Hold } else { Mode::AltitudeHold }
     }
 
     /// Hold without a horizontal position is altitude hold at the altitude that was asked for.
@@ -339,7 +367,7 @@ impl Flight {
 
     /// Where the profile is heading in this tick.
     pub(super) fn target_now(&self) -> Setpoint {
-        let (mut target, z_m) = (self.guidance.target, self.bank.in_loop().position_enu_m.z);
+        let (mut target, z_m) = (self.guidance.target, self.motion().position_enu_m.z);
         let most_m = self.config.altitude_max_m();
         if self.mode == Mode::Land {
             // Down until something carries the vehicle; never far below it.
@@ -353,7 +381,7 @@ impl Flight {
         for axis in 0..2 {
             let measured = self.supervision.watchdog.place(axis);
             if let Some((place_m, _)) = measured.filter(|(place_m, _)| place_m.abs() > side_m) {
-                let astray_m = place_m - self.bank.in_loop().position_enu_m[axis];
+                let astray_m = place_m - self.motion().position_enu_m[axis];
                 let along = &mut target.position_enu_m[axis];
                 *along = along.max(-side_m - astray_m).min(side_m - astray_m);
             }

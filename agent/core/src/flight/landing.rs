@@ -86,9 +86,9 @@ impl Flight {
             Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.supervision.watchdog.heights_fresh() == 0 => {
                 false
             }
-            Mode::AltitudeHold | Mode::Hold if self.bank.in_loop().velocity_enu_mps.z.abs() > ASTRAY_MPS => false,
+            Mode::AltitudeHold | Mode::Hold if self.motion().velocity_enu_mps.z.abs() > ASTRAY_MPS => false,
             Mode::AltitudeHold | Mode::Hold => {
-                self.guidance.target.position_enu_m.z > self.bank.in_loop().position_enu_m.z + TAKEOFF_STEP_M
+                self.guidance.target.position_enu_m.z > self.motion().position_enu_m.z + TAKEOFF_STEP_M
             }
             _ => false,
         }
@@ -102,7 +102,7 @@ impl Flight {
             _ => false,
         };
         let light = self.report.given.thrust_n < STANDING_THRUST * self.config.airframe.weight_n();
-        let still = self.bank.in_loop().velocity_enu_mps.z.abs() < STANDING_SPEED_MPS;
+        let still = self.motion().velocity_enu_mps.z.abs() < STANDING_SPEED_MPS;
         if !(down && light && still) {
             self.guidance.quiet_since = None;
             return false;
@@ -147,7 +147,7 @@ impl Flight {
         let (estimate, watchdog) = (self.bank.in_loop(), &self.supervision.watchdog);
         let weight = self.config.airframe.weight_n();
         let unmeasured_s = watchdog.altitude_age_s(self.liveness.ticked.unwrap_or_default());
-        let steady = estimate.velocity_enu_mps.z.abs() < 0.2 && estimate.health == Health::Healthy;
+        let steady = estimate.motion_or_rest().velocity_enu_mps.z.abs() < 0.2 && estimate.health == Health::Healthy;
         let thrust_n = mixed.given.thrust_n;
         let hover_n = if self.supervision.blind_since.is_some() {
             let felt = watchdog.force_mps2().z / GRAVITY_MPS2;

@@ -91,7 +91,7 @@ impl Flight {
             return Ok(text(format_args!("already {}", mode_name(self.mode))));
         }
         if self.phase == Phase::Flying && !self.config.rig.catches() {
-            let z = self.bank.in_loop().position_enu_m.z;
+            let z = self.motion().position_enu_m.z;
             return Err(text(format_args!("in the air at {z:.2} m: land first, or cut the motors")));
         }
         let done = text(format_args!("disarmed by the operator"));
@@ -249,7 +249,7 @@ impl Flight {
             self.end_path();
         }
         if let Some(z) = change.altitude_m {
-            let altitude_m = self.bank.in_loop().position_enu_m.z;
+            let altitude_m = self.motion().position_enu_m.z;
             let from = if self.phase == Phase::Flying { self.guidance.target.position_enu_m.z } else { altitude_m };
             self.guidance.meter.begin(now, from, z, altitude_m);
             self.guidance.target.position_enu_m.z = z;
@@ -350,10 +350,10 @@ impl Flight {
 /// Does `estimate` hold what `mode` closes a loop on?
 pub(super) fn can_fly(kind: EstimatorKind, estimate: &Estimate, mode: Mode) -> Result<(), Text> {
     let name = mode_name(mode);
-    if matches!(mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && !estimate.altitude_known {
+    if matches!(mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && !estimate.altitude_known() {
         return Err(text(format_args!("{name} needs the altitude, which estimator {kind:?} does not know")));
     }
-    if mode == Mode::Hold && !estimate.horizontal_known {
+    if mode == Mode::Hold && !estimate.horizontal_known() {
         return Err(text(format_args!("{name} needs the horizontal position, which estimator {kind:?} does not know")));
     }
     Ok(())

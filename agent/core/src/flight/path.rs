@@ -92,7 +92,7 @@ impl Flight {
                 } else if due >= path.set {
                     path.set = due + 1;
                     if let Some(&to) = altitude_m.get(due) {
-                        let altitude_m = self.bank.in_loop().position_enu_m.z;
+                        let altitude_m = self.motion().position_enu_m.z;
                         let flying = self.phase == Phase::Flying;
                         let from = if flying { self.guidance.target.position_enu_m.z } else { altitude_m };
                         self.guidance.meter.begin(now, from, to, altitude_m);

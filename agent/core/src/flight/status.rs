@@ -34,8 +34,12 @@ impl Flight {
         check("estimator", estimate.health == Health::Healthy, text(format_args!("{kind:?} is {:?}", estimate.health)));
 
         if self.has_box() {
-            let known = if estimate.altitude_known { "known" } else { "not known" };
-            check("altitude", estimate.altitude_known, text(format_args!("{known} to {kind:?}, which is in the loop")));
+            let known = if estimate.altitude_known() { "known" } else { "not known" };
+            check(
+                "altitude",
+                estimate.altitude_known(),
+                text(format_args!("{known} to {kind:?}, which is in the loop")),
+            );
         }
 
         let tilt = self.supervision.watchdog.tilt_rad();
@@ -74,7 +78,7 @@ impl Flight {
             text(format_args!("last heartbeat {link:.2} s ago, at most {} s", self.config.failsafe.link_freeze_s));
         check("link", link <= self.config.failsafe.link_freeze_s, line);
 
-        let (z, most) = (estimate.position_enu_m.z, self.config.altitude_max_m());
+        let (z, most) = (estimate.motion_or_rest().position_enu_m.z, self.config.altitude_max_m());
         check("box", z <= most, text(format_args!("altitude {z:.2} m, at most {most:.2} m")));
 
         match &self.liveness.log_error {

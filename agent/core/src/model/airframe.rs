@@ -22,7 +22,7 @@ use crate::model::motor_curve::MotorCurve;
 use crate::types::{GRAVITY_MPS2, ROTORS, Wrench};
 
 /// Density of the air at 15 °C and sea level, kg/m³.
-const AIR_DENSITY_KGPM3: f64 = 1.225;
+pub const AIR_DENSITY_KGPM3: f64 = 1.225;
 
 /// Which way a rotor turns, seen from above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -10,7 +10,7 @@ use serde::Deserialize;
 pub const CELL_NOMINAL_V: f64 = 3.7;
 /// Ideal induced power over electrical power: figure of merit of a small propeller in hover (0.69, UIUC static data)
 /// times motor and speed controller (0.76).
-const EFFICIENCY: f64 = 0.52;
+pub const EFFICIENCY: f64 = 0.52;
 /// Draw of the electronics, A (chosen).
 const ELECTRONICS_A: f64 = 0.6;
 /// Open-circuit voltage of a cell against the charge left.

@@ -56,6 +56,11 @@ impl ScalarError {
         if q.resolution > 0.0 { (cut / q.resolution).round() * q.resolution } else { cut }
     }
 
+    /// How large its errors may be.
+    pub fn quality(&self) -> &Quality {
+        &self.quality
+    }
+
     /// The bias it has now.
     pub fn bias(&self) -> f64 {
         self.bias

@@ -30,7 +30,7 @@ pub use watchdog::Watchdog;
 
 use crate::control::setpoint::Limits;
 
-/// Thresholds; the defaults are DESIGN's.
+/// Thresholds; the defaults are DESIGN's. Flat: one line for each threshold of the table above, as in the configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// Without a heartbeat for this long the setpoint freezes, s.
@@ -49,6 +49,10 @@ pub struct Settings {
     pub tilt_cut_rad: f64,
     /// After this long, s.
     pub tilt_cut_s: f64,
+    /// Below this height, m …
+    pub tilt_low_m: f64,
+    /// … after this long already, s.
+    pub tilt_low_s: f64,
     /// Rate that cuts the motors, rad/s.
     pub rate_cut_radps: f64,
     /// How far outside the limits the box ends, m.
@@ -93,6 +97,8 @@ impl Default for Settings {
             stall_cut_s: 0.1,
             tilt_cut_rad: 60.0_f64.to_radians(),
             tilt_cut_s: 0.3,
+            tilt_low_m: 0.5,
+            tilt_low_s: 0.1,
             rate_cut_radps: 1000.0_f64.to_radians(),
             box_margin_m: 0.3,
             box_hold_s: 2.0,

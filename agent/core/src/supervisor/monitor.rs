@@ -9,8 +9,8 @@ use crate::event::{Text, text};
 const CORROBORATED_PATIENCE: u32 = 5;
 /// What a climb is stopped with once altitude control has it, m/s²; a vehicle at idle falls with more.
 const BRAKE_UP_MPS2: f64 = 6.0;
-/// What stops a sideways motion, m/s²: two thirds of the default tilt limit.
-const BRAKE_SIDE_MPS2: f64 = 2.2;
+/// What stops a sideways motion, m/s²: 0.6 of the default tilt limit.
+const BRAKE_SIDE_MPS2: f64 = 2.0;
 /// Control and motors answer after this long, s.
 const BRAKE_DELAY_S: f64 = 0.12;
 /// The same without an estimator: a descent on attitude alone brakes less, and raw heights come late.
@@ -21,7 +21,8 @@ const BIN_S: f64 = 0.1;
 /// … as many as make one.
 const BINS: usize = 10;
 
-/// What the monitor looks at in one tick.
+/// What the monitor looks at in one tick. Flat: a fact for each row of the failsafe table, and nothing that belongs together
+/// beyond that.
 #[derive(Debug, Clone, Copy)]
 pub struct Inputs {
     /// Time of the tick.
@@ -173,7 +174,8 @@ impl Monitor {
     pub fn judge(&mut self, i: &Inputs) -> Failsafe {
         let s = self.settings;
         let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
-        self.leaving = self.leaves_box(i);
+        let (above, aside) = self.leaves_box(i);
+        self.leaving = above || aside;
         let outside_s = over_for(&mut self.since.outside, self.taken_over || self.leaving, i.now);
         let lost_s = over_for(&mut self.since.position_lost, i.position_lost, i.now);
         let not_moving_s = over_for(&mut self.since.not_moving, i.flying && i.not_moving, i.now);
@@ -182,13 +184,16 @@ impl Monitor {
         let empty_s = over_for(&mut self.since.battery_land, below(s.battery_land), i.now);
         self.degraded_ticks = if i.degraded { self.degraded_ticks.saturating_add(1) } else { 0 };
         let patience = if i.corroborated { CORROBORATED_PATIENCE } else { 1 };
-        let degraded = self.degraded_ticks > s.degraded_ticks.saturating_mul(patience);
+        // What is about to leave its box upwards is not held there by an estimator in doubt that takes it to be lower.
+        let lower = i.raw_height_m.zip(i.altitude_m).is_some_and(|(raw_m, altitude_m)| altitude_m < raw_m);
+        let fooled = i.degraded && above && lower;
+        let degraded = self.degraded_ticks > s.degraded_ticks.saturating_mul(patience) || fooled;
         let lost = self.lost_within_a_second(i.now);
         // Within one severity the first row counts.
         let rows = [
             (Failsafe::ImuCut, i.flying && i.imu_age_s > s.imu_silent_s),
             (Failsafe::RateCut, i.rate_radps > s.rate_cut_radps),
-            (Failsafe::TiltCut, tilted_s > s.tilt_cut_s),
+            (Failsafe::TiltCut, tilted_s > self.tilt_patience_s(i)),
             (Failsafe::AltitudeDescend, i.flying && i.altitude_needed && i.altitude_m.is_none()),
             (Failsafe::EstimatorDescend, i.flying && degraded),
             (Failsafe::DeadlineDescend, lost >= s.deadline_descend),
@@ -210,8 +215,9 @@ impl Monitor {
         self.verdict
     }
 
-    /// Outside, or so fast towards the edge that it cannot stop in time. The raw heights have a veto beside the estimate.
-    fn leaves_box(&self, i: &Inputs) -> bool {
+    /// Outside (above, aside), or so fast towards the edge that it cannot stop in time. The raw heights have a veto beside
+    /// the estimate.
+    fn leaves_box(&self, i: &Inputs) -> (bool, bool) {
         let margin_m = self.settings.box_margin_m;
         let altitude = [i.raw_height_m, i.altitude_m].into_iter().flatten().reduce(f64::max);
         let stops_m = if i.degraded {
@@ -221,7 +227,13 @@ impl Monitor {
         };
         let above = altitude.is_some_and(|z| z + stops_m > i.altitude_max_m + margin_m);
         let aside = i.lateral.is_some_and(|outward| outward.stops_m(i.climb_mps) > i.lateral_max_m + margin_m);
-        i.flying && (above || aside)
+        (i.flying && above, i.flying && aside)
+    }
+
+    /// How long a tilt may last, s. Near the floor a vehicle on its side drives along it, and has no room to recover.
+    fn tilt_patience_s(&self, i: &Inputs) -> f64 {
+        let low = i.raw_height_m.is_some_and(|height_m| height_m < self.settings.tilt_low_m);
+        if low { self.settings.tilt_low_s } else { self.settings.tilt_cut_s }
     }
 
     /// Why `failsafe` applies, with the values.
@@ -253,7 +265,7 @@ impl Monitor {
                 "tilt {:.0}° above {:.0}° for {} s: motors cut",
                 i.tilt_rad.to_degrees(),
                 s.tilt_cut_rad.to_degrees(),
-                s.tilt_cut_s
+                self.tilt_patience_s(i)
             )),
             Failsafe::RateCut => text(format_args!(
                 "rate {:.0} °/s above {:.0} °/s: motors cut",

@@ -67,10 +67,20 @@ impl Measured {
     }
 }
 
+/// What follows from the samples, worked out once a tick and asked for many times.
+#[derive(Debug, Clone, Copy, Default)]
+struct Judged {
+    world_from_body: UnitQuaternion<f64>,
+    tilt_rad: f64,
+    height_m: Option<f64>,
+    climb_mps: Option<f64>,
+}
+
 /// See the module.
 #[derive(Debug, Clone)]
 pub struct Watchdog {
     filter: Vqf,
+    judged: Judged,
     rates_radps: Vector3<f64>,
     force_mps2: Vector3<f64>,
     since_imu_s: f64,
@@ -97,6 +107,7 @@ impl Watchdog {
     pub fn new(independent: &[SensorId]) -> Self {
         Self {
             filter: Vqf::new(VqfOptions { use_mag: false, ..VqfOptions::default() }),
+            judged: Judged::default(),
             rates_radps: Vector3::zeros(),
             force_mps2: Vector3::zeros(),
             since_imu_s: 0.0,
@@ -123,6 +134,9 @@ impl Watchdog {
         for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
             Measured::take(kept, new.filter(|_| reads).map(|h| h.height_m), received.time);
         }
+        let heights = self.heights.iter().flatten();
+        self.judged.height_m = Some(median(heights.clone().map(|h| h.value_m))).filter(|height| height.is_finite());
+        self.judged.climb_mps = Some(median(heights.filter_map(|h| h.slope_mps))).filter(|climb| climb.is_finite());
         if let Some(slope_mps) = self.climb_mps().filter(|_| received.heights.iter().any(Option::is_some)) {
             let before_mps = self.coasting.map_or(slope_mps, |(_, climb_mps)| climb_mps);
             self.coasting = Some((received.time, before_mps + COAST_SHARE * (slope_mps - before_mps)));
@@ -156,7 +170,9 @@ impl Watchdog {
         let near_1_g = (accel.norm() / GRAVITY_MPS2 - 1.0).abs() < ACCEL_TRUST;
         let force = if near_1_g { accel } else { Vector3::zeros() };
         self.filter.push(since_s, &gyro, &force, None);
-        let lift_mps2 = (self.filter.world_from_body() * accel).z - GRAVITY_MPS2;
+        self.judged.world_from_body = self.filter.world_from_body();
+        self.judged.tilt_rad = tilt_rad(&self.judged.world_from_body);
+        let lift_mps2 = (self.judged.world_from_body * accel).z - GRAVITY_MPS2;
         let lasting = self.coasting.filter(|(from, _)| received.time.seconds_since(*from) < COAST_MAX_S);
         self.coasting = lasting.map(|(from, climb_mps)| (from, climb_mps + lift_mps2 * since_s));
         (self.rates_radps, self.force_mps2) = (gyro, accel);
@@ -165,7 +181,7 @@ impl Watchdog {
 
     /// Angle between body z and the vertical, rad; zero before the first sample.
     pub fn tilt_rad(&self) -> f64 {
-        tilt_rad(&self.filter.world_from_body())
+        self.judged.tilt_rad
     }
 
     /// Angle between its vertical and that of `attitude`, rad; infinite before the first sample.
@@ -178,7 +194,7 @@ impl Watchdog {
 
     /// World z seen from the body.
     fn up_flu(&self) -> Vector3<f64> {
-        self.filter.world_from_body().inverse() * Vector3::z()
+        self.judged.world_from_body.inverse() * Vector3::z()
     }
 
     /// Body rates, median over the IMUs, rad/s.
@@ -199,12 +215,12 @@ impl Watchdog {
 
     /// Median of the heights of the last half second, m.
     pub fn height_m(&self) -> Option<f64> {
-        Some(median(self.heights.iter().flatten().map(|h| h.value_m))).filter(|height| height.is_finite())
+        self.judged.height_m
     }
 
     /// Median of the slopes of these heights, m/s.
     pub fn climb_mps(&self) -> Option<f64> {
-        Some(median(self.heights.iter().flatten().filter_map(|h| h.slope_mps))).filter(|climb| climb.is_finite())
+        self.judged.climb_mps
     }
 
     /// Place along `axis` (0 east, 1 north) as motion capture measured it within the last half second, m, and its slope, m/s.

@@ -1,18 +1,50 @@
 //! A simulated laser height.
 
-use plumbline_core::frames::tilt_rad;
+use plumbline_core::frames::{roll_pitch_yaw, tilt_rad};
 use plumbline_core::model::rigid_body::rotate;
 use plumbline_core::sensor::HeightSample;
 use plumbline_core::sensor::height;
 use plumbline_core::sensor::noise::{ScalarError, Stream};
 use plumbline_core::sensor::suite::Quality;
 
-use super::{Device, Now};
+use super::{Device, Now, Surroundings, Transport};
+use crate::conditions::{Conditions, Laser};
+use plumbline_proto::time::FlightTime;
 
 #[derive(Debug, Clone)]
 pub(super) struct Height {
     spec: height::Height,
     error: ScalarError,
+    real: Option<Real>,
+}
+
+/// What a world makes of a laser.
+#[derive(Debug, Clone)]
+struct Real {
+    conditions: Laser,
+    stream: Stream,
+    scale: f64,
+    bias_m: f64,
+    warm_up_m_per_c: f64,
+    /// How far its scan is from the vertical plane it should be in, rad.
+    mounting_rad: f64,
+}
+
+impl Real {
+    /// Reading of a height of `own_m` with the vehicle pitched by `pitch_rad`, and by how much its stamp is too early, s;
+    /// `None` for a beam without echo. Draws the same numbers either way.
+    fn read(&mut self, own_m: f64, pitch_rad: f64, warm_c: f64) -> (Option<f64>, f64) {
+        let c = &self.conditions;
+        let [bad, invalid] = std::array::from_fn(|_| self.stream.uniform());
+        let (noise, jitter) = (self.stream.normal(), self.stream.normal());
+        // The scan finds the vertical in its own plane; out of it the distance is slant.
+        let slant_m = own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
+        let sigma_m = if slant_m < 2.0 { c.beam_sigma_m } else { c.beam_sigma_beyond_2m_m };
+        let sigma_m = if bad < c.bad_beam_fraction { c.bad_beam_gain * sigma_m } else { sigma_m };
+        let reading_m = slant_m * (1.0 + self.scale) + self.bias_m + self.warm_up_m_per_c * warm_c + sigma_m * noise;
+        let early_s = c.nadir_after_scan_start_s - c.host_stamp_jitter_s * jitter.abs();
+        (Some(reading_m).filter(|_| invalid >= c.intermittent_invalid_fraction), early_s)
+    }
 }
 
 impl Device for Height {
@@ -21,7 +53,26 @@ impl Device for Height {
     fn new(s: &height::Height, stream: &mut Stream) -> Self {
         // Its range is checked before the reading, not cut.
         let quality = Quality { range: f64::MAX, ..s.height };
-        Self { error: ScalarError::new(quality, s.timing.period_s(), stream), spec: s.clone() }
+        Self { error: ScalarError::new(quality, s.timing.period_s(), stream), spec: s.clone(), real: None }
+    }
+
+    fn within(mut self, around: &Surroundings, stream: &mut Stream) -> Self {
+        let c = &around.conditions.laser;
+        self.spec.height.range = self.spec.height.range.min(c.range_max_m);
+        self.real = Some(Real {
+            scale: c.scale_error_sigma * stream.normal(),
+            bias_m: c.bias_sigma_m * stream.normal(),
+            warm_up_m_per_c: c.warm_up_drift_m * stream.normal() / around.warm_up().0,
+            mounting_rad: c.mounting_tilt_sigma_rad * stream.normal(),
+            stream: stream.clone(),
+            conditions: c.clone(),
+        });
+        self
+    }
+
+    fn transport(conditions: &Conditions) -> Option<Transport> {
+        let c = &conditions.laser;
+        Some(Transport { delay_s: c.delivery_delay_s, jitter_s: c.host_stamp_jitter_s, ..Transport::default() })
     }
 
     fn measure(&mut self, now: &Now<'_>, stream: &mut Stream) -> Option<HeightSample> {
@@ -29,9 +80,14 @@ impl Device for Height {
         // The scan finds the vertical, so the unit's own height is measured; the driver adds its
         // mounting as if level. The lever's share of a tilt (millimetres) stays in.
         let own_m = x.position_enu_m.z + rotate(&x.world_from_body, &spec.position_flu_m).z;
-        let reading_m = self.error.read(own_m, stream);
+        let (reading_m, early_s) = match &mut self.real {
+            Some(real) => real.read(own_m, roll_pitch_yaw(&x.attitude()).y, now.warm_c),
+            None => (Some(self.error.read(own_m, stream)), 0.0),
+        };
+        let reading_m = reading_m?;
         let seen =
             (spec.nearest_m..=spec.height.range).contains(&reading_m) && tilt_rad(&x.attitude()) <= spec.tilt_max_rad;
-        seen.then(|| HeightSample { time: now.time, height_m: reading_m - spec.position_flu_m.z })
+        let time = FlightTime(now.time.0.saturating_sub((1e6 * early_s.max(0.0)) as u64));
+        seen.then(|| HeightSample { time, height_m: reading_m - spec.position_flu_m.z })
     }
 }

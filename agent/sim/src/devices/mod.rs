@@ -15,11 +15,14 @@ use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 use plumbline_core::sensor::noise::{ScalarError, Stream};
 use plumbline_core::sensor::sample::Sample;
-use plumbline_core::sensor::suite::{MAX_UNDER_WAY, Quality, Sheet, Suite, Timing};
+use plumbline_core::sensor::suite::{MAX_UNDER_WAY, Quality, Sheet, Timing};
 use plumbline_core::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS, Registered, SensorFrame};
 use plumbline_proto::{ids::SensorId, time::FlightTime};
 
+use super::conditions::Conditions;
+use super::scenario::Scenario;
 use super::site::Site;
+use super::vibration::Vibration;
 use super::world::World;
 
 /// A sensor warms up by this much, °C …
@@ -35,17 +38,23 @@ macro_rules! devices {
         pub struct Sensors {
             site: Site,
             outages: Vec<Outage>,
+            surroundings: Option<Surroundings>,
             $($field: $units,)*
             battery: Option<(f64, Stream)>,
         }
 
         impl Sensors {
-            /// The sensors of `suite` at `site`; `seed` draws their biases and their noise.
-            pub fn new(suite: &Suite, site: Site, outages: &[Outage], seed: u64) -> Self {
+            /// The sensors of `scenario`; its seed draws their biases and their noise.
+            pub fn new(scenario: &Scenario) -> Self {
+                let Scenario { suite, seed, .. } = scenario;
+                let seed = *seed;
+                let surroundings = scenario.conditions.as_ref().map(|c| Surroundings::new(c, scenario));
+                let around = surroundings.as_ref();
                 Self {
-                    site,
-                    outages: outages.to_vec(),
-                    $($field: (1..).zip(suite.$field.iter()).map(|(i, sheet)| Unit::new(i, sheet, seed)).collect(),)*
+                    site: scenario.site,
+                    outages: scenario.outages.clone(),
+                    $($field: (1..).zip(suite.$field.iter()).map(|(i, sheet)| Unit::new(i, sheet, seed, around)).collect(),)*
+                    surroundings,
                     battery: suite.battery_sigma_v.map(|sigma| (sigma, Stream::new(seed, "battery"))),
                 }
             }
@@ -53,8 +62,12 @@ macro_rules! devices {
             /// Everything that arrives at `time`. Never allocates.
             pub fn sense(&mut self, world: &World, time: FlightTime) -> SensorFrame {
                 let mut frame = SensorFrame { time, ..SensorFrame::default() };
-                let warm_c = WARM_UP_C * (1.0 - (-time.as_seconds() / WARM_UP_S).exp());
-                let now = Now { time, world, site: &self.site, warm_c };
+                let (warm_up_c, warm_up_s) = self.surroundings.as_ref().map_or((WARM_UP_C, WARM_UP_S), Surroundings::warm_up);
+                let warm_c = warm_up_c * (1.0 - (-time.as_seconds() / warm_up_s).exp());
+                if let Some(around) = &mut self.surroundings {
+                    around.vibration.step(world.rotor_speed_radps(), around.tick_s);
+                }
+                let now = Now { time, world, site: &self.site, warm_c, around: self.surroundings.as_ref() };
                 let outages = self.outages.as_slice();
                 $(tick(&mut self.$field, &now, outages, &mut frame);)*
                 if let Some((sigma, stream)) = &mut self.battery {
@@ -82,6 +95,29 @@ struct Now<'a> {
     site: &'a Site,
     /// By how much electronics are warmer than the air, °C.
     warm_c: f64,
+    around: Option<&'a Surroundings>,
+}
+
+/// What a world does to all its sensors.
+#[derive(Debug, Clone)]
+struct Surroundings {
+    conditions: Conditions,
+    vibration: Vibration,
+    tick_s: f64,
+    seed: u64,
+}
+
+impl Surroundings {
+    fn new(conditions: &Conditions, scenario: &Scenario) -> Self {
+        let vibration = Vibration::new(conditions.vibration.clone(), scenario.seed);
+        Self { conditions: conditions.clone(), vibration, tick_s: scenario.tick_s(), seed: scenario.seed }
+    }
+
+    /// How far sensors warm up, °C, and how fast, s.
+    fn warm_up(&self) -> (f64, f64) {
+        let t = &self.conditions.temperature;
+        (t.warm_up_k, t.warm_up_time_constant_s)
+    }
 }
 
 impl Now<'_> {
@@ -92,12 +128,25 @@ impl Now<'_> {
 }
 
 /// A simulated device of one kind.
-trait Device {
+trait Device: Sized {
     /// Its samples.
     type Sample: Registered;
 
     /// A unit of this data sheet; `stream` draws its biases.
     fn new(sheet: &<Self::Sample as Sample>::Sheet, stream: &mut Stream) -> Self;
+
+    /// The same unit in a world; `stream` draws what that world makes of it.
+    fn within(self, _around: &Surroundings, _stream: &mut Stream) -> Self {
+        self
+    }
+
+    /// How its samples travel in a world.
+    fn transport(_conditions: &Conditions) -> Option<Transport> {
+        None
+    }
+
+    /// Goes on by one tick, before it measures.
+    fn tick(&mut self, _now: &Now<'_>) {}
 
     /// One reading; `None` when it sees nothing. Draws the same numbers either way.
     fn measure(&mut self, now: &Now<'_>, stream: &mut Stream) -> Option<Self::Sample>;
@@ -111,15 +160,64 @@ struct Unit<D: Device> {
 }
 
 impl<D: Device> Unit<D> {
-    fn new(instance: u8, sheet: &<D::Sample as Sample>::Sheet, seed: u64) -> Self {
-        let mut clock = Clock::new(SensorId::new(D::Sample::KIND, instance), *sheet.timing(), seed);
-        Self { device: D::new(sheet, &mut clock.stream), clock }
+    fn new(instance: u8, sheet: &<D::Sample as Sample>::Sheet, seed: u64, around: Option<&Surroundings>) -> Self {
+        let sensor = SensorId::new(D::Sample::KIND, instance);
+        let mut clock = Clock::new(sensor, *sheet.timing(), seed);
+        let mut device = D::new(sheet, &mut clock.stream);
+        if let Some(around) = around {
+            let mut stream = Stream::new(around.seed, &format!("{sensor} in a world"));
+            device = device.within(around, &mut stream);
+            clock.transport = D::transport(&around.conditions).map(|transport| (transport, Way::new(stream)));
+        }
+        Self { device, clock }
+    }
+}
+
+/// How samples reach the flight loop: late, sometimes later, sometimes not.
+#[derive(Debug, Clone, Copy, Default)]
+struct Transport {
+    delay_s: f64,
+    /// One sigma of what comes on top of the delay; it only ever comes later.
+    jitter_s: f64,
+    /// Of single samples, 0..1.
+    missing_fraction: f64,
+    /// Stretches without any: how often, 1/s, and how long, s, at most or in the mean.
+    gap_rate_per_s: f64,
+    gap_max_s: f64,
+}
+
+/// The way of one sensor's samples.
+#[derive(Debug, Clone)]
+struct Way {
+    stream: Stream,
+    gap_until_us: u64,
+    last_arrival_us: u64,
+}
+
+impl Way {
+    fn new(stream: Stream) -> Self {
+        Self { stream, gap_until_us: 0, last_arrival_us: 0 }
+    }
+
+    /// When the sample of `time` arrives, µs; `None` when it is lost. Draws the same numbers either way.
+    fn arrival_us(&mut self, time: FlightTime, period_s: f64, by: &Transport) -> Option<u64> {
+        let [missing, gap, length] = std::array::from_fn(|_| self.stream.uniform());
+        let late_s = by.delay_s + by.jitter_s * self.stream.normal().abs();
+        if gap < by.gap_rate_per_s * period_s {
+            self.gap_until_us = time.0 + (1e6 * by.gap_max_s * length) as u64;
+        }
+        if missing < by.missing_fraction || time.0 < self.gap_until_us {
+            return None;
+        }
+        self.last_arrival_us = self.last_arrival_us.max(time.0 + (1e6 * late_s) as u64);
+        Some(self.last_arrival_us)
     }
 }
 
 /// Puts what arrives of one kind into its places.
 fn tick<D: Device>(units: &mut [Unit<D>], now: &Now<'_>, outages: &[Outage], frame: &mut SensorFrame) {
     for (Unit { clock, device }, place) in units.iter_mut().zip(D::Sample::places_mut(frame)) {
+        device.tick(now);
         *place = clock.tick(now.time, outages, |stream| device.measure(now, stream));
     }
 }
@@ -145,6 +243,7 @@ struct Clock<T> {
     delay_us: u64,
     under_way: ArrayVec<(u64, T), MAX_UNDER_WAY>,
     stream: Stream,
+    transport: Option<(Transport, Way)>,
 }
 
 impl<T: Copy> Clock<T> {
@@ -157,6 +256,7 @@ impl<T: Copy> Clock<T> {
             delay_us: (timing.delay_s * 1e6).round() as u64,
             under_way: ArrayVec::new(),
             stream: Stream::new(seed, &sensor.to_string()),
+            transport: None,
         };
         clock.plan();
         clock
@@ -173,7 +273,7 @@ impl<T: Copy> Clock<T> {
         outages: &[Outage],
         measure: impl FnOnce(&mut Stream) -> Option<T>,
     ) -> Option<T> {
-        let mut fresh = None;
+        let (mut fresh, mut arrival_us) = (None, time.0 + self.delay_us);
         if time.0 >= self.due_us {
             while time.0 >= self.due_us {
                 self.taken += 1;
@@ -189,13 +289,19 @@ impl<T: Copy> Clock<T> {
             if lost || out {
                 fresh = None;
             }
+            if let Some((transport, way)) = &mut self.transport {
+                match way.arrival_us(time, self.timing.period_s(), transport) {
+                    Some(us) => arrival_us = us.max(arrival_us),
+                    None => fresh = None,
+                }
+            }
         }
-        if self.delay_us == 0 {
+        if self.delay_us == 0 && self.transport.is_none() {
             return fresh;
         }
         // Bound: the suite's check keeps fewer than MAX_UNDER_WAY under way; were it full, the newest is lost.
         if let Some(sample) = fresh {
-            let _ = self.under_way.try_push((time.0 + self.delay_us, sample));
+            let _ = self.under_way.try_push((arrival_us, sample));
         }
         match self.under_way.first() {
             Some((arrival, _)) if *arrival <= time.0 => self.under_way.pop_at(0).map(|(_, sample)| sample),

@@ -70,11 +70,11 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
     };
     let percent = move |time: f64| (time - begin) / length * 100.0;
     let marks = deck.data.with_value(|live| {
-        let events = live.events.iter().map(|e| (e.time_us as f64 * 1e-6, e.kind.clone(), e.text.clone()));
+        let events = live.log.events.iter().map(|e| (e.time_us as f64 * 1e-6, e.kind.clone(), e.text.clone()));
         events.filter(|(t, _, _)| *t >= begin && *t <= end).collect::<Vec<_>>()
     });
     let spans = deck.data.with_value(|live| {
-        live.spans.iter().filter(|s| s.seen).map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
+        live.log.attacks.iter().filter(|s| s.seen).map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
     });
     view! {
         <div class="card scrub" role="group" aria-label="Replay">

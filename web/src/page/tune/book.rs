@@ -2,6 +2,7 @@
 
 use leptos::prelude::*;
 use plumbline_rest::command as rest;
+use plumbline_rest::design::{Design, Revision};
 use serde_json::{Value, json};
 
 use super::Bench;
@@ -9,7 +10,7 @@ use crate::{
     event::Tone,
     model::{
         format, listing,
-        tuning::{Draft, Revision, title},
+        tuning::{Draft, title},
     },
     page::flights::local_offset_min,
 };
@@ -48,7 +49,7 @@ fn Verdict() -> impl IntoView {
     };
     let push = move |_| {
         if let Some(draft) = bench.draft.get_untracked() {
-            bench.send(format!("Push {}", title(&draft.controller)), "PUT", "gains", draft.to_json());
+            bench.send(format!("Push {}", title(&draft.controller)), "PUT", "gains", json!(draft.design()));
         }
     };
     view! {
@@ -72,9 +73,9 @@ fn import(bench: Bench, input: web_sys::HtmlInputElement) {
     leptos::task::spawn_local(async move {
         let text = JsFuture::from(file.text()).await.ok().and_then(|t| t.as_string()).unwrap_or_default();
         let kinds = bench.kinds.get_untracked();
-        let read = serde_json::from_str::<Value>(&text)
-            .map_err(|e| format!("no JSON: {e}"))
-            .and_then(|design| Draft::from_json(&design, &kinds));
+        let read = serde_json::from_str::<Design>(&text)
+            .map_err(|e| format!("no design: {e}"))
+            .and_then(|design| Draft::of(&design, &kinds));
         match read {
             Ok(draft) => {
                 bench.draft.set(Some(draft));
@@ -91,7 +92,7 @@ fn import(bench: Bench, input: web_sys::HtmlInputElement) {
 fn export(bench: Bench) {
     let certified =
         bench.preview.with_untracked(|p| p.as_ref().and_then(|p| p.as_ref().ok()).and_then(|p| p.gains.clone()));
-    let design = bench.draft.with_untracked(|d| d.as_ref().map(Draft::to_json));
+    let design = bench.draft.with_untracked(|d| d.as_ref().map(|draft| json!(draft.design())));
     let Some(design) = certified.filter(|_| bench.fresh.get_untracked()).or(design) else { return };
     let text = serde_json::to_string_pretty(&design).unwrap_or_default();
     let url = format!("data:application/json;charset=utf-8,{}", String::from(js_sys::encode_uri_component(&text)));
@@ -163,7 +164,7 @@ fn Entry(entry: Revision, now: Option<u32>) -> impl IntoView {
     view! {
         <div class="revision" class:flying=flying>
             <b class="num">{number}</b>
-            <span>{title(entry.controller.as_deref().unwrap_or("lqr_integral"))}</span>
+            <span>{title(entry.design.get("controller").and_then(Value::as_str).unwrap_or("lqr_integral"))}</span>
             <span class="quiet num">{when}</span>
             <span class=if accepted { "chip" } else { "chip alert" } title=entry.reason.clone()>{if flying { "in use".to_owned() } else { entry.stage.clone() }}</span>
             {(accepted && !flying).then(|| view! { <button type="button" class="small" aria-label=format!("Revert to revision {number}") on:click=revert>"Revert"</button> })}

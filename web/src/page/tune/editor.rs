@@ -1,11 +1,12 @@
 //! The design as sliders and exact fields.
 
 use leptos::prelude::*;
+use plumbline_rest::design::Controller;
 
 use super::Bench;
 use crate::model::{
     format,
-    tuning::{Draft, INPUTS, Kind, STATES, short, slider_place, slider_value, title},
+    tuning::{Draft, INPUTS, STATES, short, slider_place, slider_value, title},
 };
 
 /// Which number of a draft a row edits.
@@ -49,7 +50,7 @@ struct Row {
 }
 
 /// Rows of a kind: states, inputs, parameters.
-fn rows(kind: &Kind) -> [Vec<Row>; 3] {
+fn rows(kind: &Controller) -> [Vec<Row>; 3] {
     let defaults = Draft::default_of(kind);
     let weight = |place: Place, (name, unit, factor): (&str, &str, f64)| {
         let middle = place.read(&defaults).filter(|v| v.is_finite()).unwrap_or(1.0) * factor;
@@ -220,17 +221,17 @@ fn Field(row: Row) -> impl IntoView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::tuning::Parameter;
+    use plumbline_rest::design::Parameter;
 
     #[test]
     fn rows_take_degrees_and_refuse_what_is_no_deviation() {
         let gain = Parameter { name: "tilt_p".into(), unit: "1/s".into(), min: 0.0, max: 50.0, value: 7.0 };
-        let kind = Kind {
+        let kind = Controller {
             weighted: true,
             state_weight: Some(vec![1.0; 16]),
             input_weight: Some(vec![1.0; 4]),
             parameters: vec![gain],
-            ..Kind::default()
+            ..Controller::default()
         };
         let [states, inputs, parameters] = rows(&kind);
         assert_eq!((states.len(), inputs.len(), parameters.len()), (16, 4, 1));

@@ -2,13 +2,14 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::StepResponse;
+use plumbline_rest::design::{Flown, Policy, Preview};
 
 use super::Bench;
 use crate::{
     model::{
         curves::{Curve, DEGREES},
         format::{self, NONE},
-        tuning::{Entry, Flown, INPUTS, Policy, Preview, rate_of},
+        tuning::{Entry, INPUTS, gains_table, rate_of},
     },
     palette,
     panel::{
@@ -45,7 +46,7 @@ fn points(t: &[Option<f64>], values: &[Option<f64>], begin: f64, factor: f64) ->
 /// The newest measured altitude step: its figures, and its curve relative to where it began.
 fn measured(bench: Bench) -> Option<(StepResponse, Vec<[f64; 2]>)> {
     bench.ctx.live(|live| {
-        let step = live.steps.back().copied()?;
+        let step = live.log.steps.back().copied()?;
         let start = step.start_time_us as f64 * 1e-6;
         let series = live.curves.get(Curve::Altitude(live.in_loop()))?;
         let range = series.lower_bound(start)..series.upper_bound(start + super::DURATION_S);
@@ -268,7 +269,7 @@ fn Margins(preview: Preview) -> impl IntoView {
 /// K against the K in use.
 #[component]
 fn Gains(preview: Preview) -> impl IntoView {
-    let table = preview.gains_table();
+    let table = gains_table(&preview);
     if table.is_empty() {
         return ().into_any();
     }
@@ -300,7 +301,7 @@ fn Gains(preview: Preview) -> impl IntoView {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::tuning::Examined;
+    use plumbline_rest::design::Examined;
 
     #[test]
     fn fast_poles_are_counted_and_unstable_ones_stay_in_the_picture() {

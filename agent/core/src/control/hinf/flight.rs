@@ -295,7 +295,7 @@ impl Controller for Hinf {
 
     fn control(&mut self, estimate: &Estimate, setpoint: &Setpoint, loops: Loops, _dt_s: f64) -> Wrench {
         let angles = roll_pitch_yaw(&estimate.world_from_body);
-        let error = setpoint.position_enu_m - estimate.position_enu_m;
+        let error = setpoint.position_enu_m - estimate.motion_or_rest().position_enu_m;
         let limited = |v: f64, limit: f64| v.clamp(-limit, limit);
         let (short, [x, y, z, roll, pitch, turn]) = (self.short, &mut self.memories);
 

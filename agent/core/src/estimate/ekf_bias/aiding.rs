@@ -65,7 +65,8 @@ impl EkfBias {
         }
         let sensor = SensorId::new(SensorKind::MocapPose, 1);
         let noise = self.model.mocap_pose.position;
-        self.allow_horizontal_reset(frame.time, &position, noise.sigma);
+        let past = self.past(sample.time, frame.time).0;
+        self.allow_horizontal_reset(frame.time, position - past.position_enu_m, noise.sigma);
         let mut used = [false; 3];
         for axis in 0..3 {
             let (past, delay_s) = self.past(sample.time, frame.time);
@@ -105,7 +106,8 @@ impl EkfBias {
         // Horizontally the mixture has had it already where nothing else tells the yaw.
         let yaw_known = self.yaw_known;
         if yaw_known {
-            self.allow_horizontal_reset(frame.time, &sample.position_enu_m, horizontal.sigma);
+            let past = self.past(sample.time, frame.time).0;
+            self.allow_horizontal_reset(frame.time, sample.position_enu_m - past.position_enu_m, horizontal.sigma);
         } else if !self.aided.vertical.ever() {
             self.shift(Vector3::new(0.0, 0.0, sample.position_enu_m.z - self.state.kinematics.position_enu_m.z));
             forget(&mut self.p, ix::POSITION + 2, vertical.sigma * vertical.sigma);
@@ -143,7 +145,8 @@ impl EkfBias {
         if self.horizontal_lost(frame.time)
             && let Some(position) = camera_ranges::trilaterate(&cameras_enu_m, &sample.range_m, &sigma_m)
         {
-            self.reset_horizontal(frame.time, &position, 0.1);
+            let past = self.past(sample.time, frame.time).0;
+            self.reset_horizontal(frame.time, position - past.position_enu_m, 0.1);
         }
         let sensor = SensorId::new(SensorKind::CameraRanges, 1);
         let mut used = 0;
@@ -164,14 +167,15 @@ impl EkfBias {
         self.aided.horizontal.lost(now, RECOVERY_S)
     }
 
-    fn allow_horizontal_reset(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
+    fn allow_horizontal_reset(&mut self, now: FlightTime, shift: Vector3<f64>, sigma: f64) {
         if self.horizontal_lost(now) {
-            self.reset_horizontal(now, position, sigma);
+            self.reset_horizontal(now, shift, sigma);
         }
     }
 
-    fn reset_horizontal(&mut self, now: FlightTime, position: &Vector3<f64>, sigma: f64) {
-        let mut shift = position - self.state.kinematics.position_enu_m;
+    /// Moves the position by what a sample differs from the place at *its* time: moved to where a late sample was, the
+    /// rows of that sample would take the way since for an error of the velocity, and stop it.
+    fn reset_horizontal(&mut self, now: FlightTime, mut shift: Vector3<f64>, sigma: f64) {
         let vertical = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
         if vertical {
             shift.z = 0.0;

@@ -1,186 +1,12 @@
 //! The filter in a small world of its own: smooth known motion, white noise of known size.
 
-use nalgebra::{SVector, UnitQuaternion, Vector3};
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_xoshiro::Xoshiro256PlusPlus;
+mod world;
 
+use self::world::{Course, HOVER, LIVELY, RATE_HZ, World, errors, height_residual, tilt_error};
 use super::*;
 use crate::estimate::Channel;
-use crate::estimate::Residual;
-use crate::frames::from_roll_pitch_yaw;
 use crate::sensor::barometer;
 use crate::sensor::{BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample};
-use crate::vehicle::Truth;
-
-const RATE_HZ: f64 = 200.0;
-const FIELD_ENU_UT: Vector3<f64> = Vector3::new(0.0, 22.0, -40.0);
-
-/// What moves, and how much.
-#[derive(Clone, Copy)]
-struct Motion {
-    position_m: f64,
-    tilt_rad: f64,
-    yaw_radps: f64,
-}
-
-const HOVER: Motion = Motion { position_m: 0.0, tilt_rad: 0.0, yaw_radps: 0.0 };
-const LIVELY: Motion = Motion { position_m: 1.5, tilt_rad: 0.4, yaw_radps: 0.5 };
-
-struct World {
-    motion: Motion,
-    rng: Xoshiro256PlusPlus,
-    accel_bias: [Vector3<f64>; 4],
-    gyro_bias: [Vector3<f64>; 4],
-    imus: usize,
-    gyro_sigma: f64,
-    accel_sigma: f64,
-    tick: u64,
-}
-
-impl World {
-    fn new(motion: Motion, seed: u64) -> Self {
-        let o = SensorModel::default();
-        let mut w = Self {
-            motion,
-            rng: Xoshiro256PlusPlus::seed_from_u64(seed),
-            accel_bias: [Vector3::zeros(); 4],
-            gyro_bias: [Vector3::zeros(); 4],
-            imus: 1,
-            gyro_sigma: o.imus.gyro.noise_density * RATE_HZ.sqrt(),
-            accel_sigma: o.imus.accel.noise_density * RATE_HZ.sqrt(),
-            tick: 0,
-        };
-        for i in 0..4 {
-            w.accel_bias[i] = w.noise(0.1);
-            w.gyro_bias[i] = w.noise(0.01);
-        }
-        w
-    }
-
-    fn scalar(&mut self, sigma: f64) -> f64 {
-        let x: f64 = StandardNormal.sample(&mut self.rng);
-        sigma * x
-    }
-
-    fn noise(&mut self, sigma: f64) -> Vector3<f64> {
-        Vector3::new(self.scalar(sigma), self.scalar(sigma), self.scalar(sigma))
-    }
-
-    fn time(&self) -> FlightTime {
-        FlightTime((self.tick as f64 / RATE_HZ * 1e6).round() as u64)
-    }
-
-    fn position(&self, t: f64) -> Vector3<f64> {
-        let a = self.motion.position_m;
-        Vector3::new(a * (0.9 * t).sin(), a * (0.7 * t + 1.0).sin(), 1.5 + 0.3 * a * (1.3 * t).cos())
-    }
-
-    fn attitude(&self, t: f64) -> UnitQuaternion<f64> {
-        let a = self.motion.tilt_rad;
-        from_roll_pitch_yaw(&Vector3::new(a * (1.7 * t).sin(), a * (1.1 * t).cos(), 0.3 + self.motion.yaw_radps * t))
-    }
-
-    fn truth(&self) -> Truth {
-        let t = self.tick as f64 / RATE_HZ;
-        let h = 1e-3;
-        let d = |f: &dyn Fn(f64) -> Vector3<f64>| (f(t + h) - f(t - h)) / (2.0 * h);
-        let acceleration = (self.position(t + h) - 2.0 * self.position(t) + self.position(t - h)) / (h * h);
-        let q = self.attitude(t);
-        Truth {
-            time: self.time(),
-            position_enu_m: self.position(t),
-            velocity_enu_mps: d(&|s| self.position(s)),
-            world_from_body: q,
-            body_rates_radps: (self.attitude(t - h).inverse() * self.attitude(t + h)).scaled_axis() / (2.0 * h),
-            specific_force_mps2: q.inverse() * (acceleration + Vector3::new(0.0, 0.0, 9.81)),
-            rotor_speed_radps: [0.0; 4],
-            string_tension_n: [0.0; 4],
-            ground_force_n: 0.0,
-        }
-    }
-
-    /// The next frame: IMUs only. The other sensors are added by the tests.
-    fn frame(&mut self, with_field: bool) -> (SensorFrame, Truth) {
-        self.tick += 1;
-        let truth = self.truth();
-        let mut frame = SensorFrame { time: truth.time, ..SensorFrame::default() };
-        for i in 0..self.imus {
-            // Four sample in pairs, in turns.
-            if self.imus == 4 && (self.tick + i as u64) % 2 == 1 {
-                continue;
-            }
-            let (gyro_noise, accel_noise, mag_noise) =
-                (self.noise(self.gyro_sigma), self.noise(self.accel_sigma), self.noise(0.5));
-            frame.imus[i] = Some(ImuSample {
-                time: truth.time,
-                gyro_radps: truth.body_rates_radps + self.gyro_bias[i] + gyro_noise,
-                accel_mps2: truth.specific_force_mps2 + self.accel_bias[i] + accel_noise,
-                mag_ut: with_field.then(|| truth.world_from_body.inverse() * FIELD_ENU_UT + mag_noise),
-                temperature_c: 25.0,
-            });
-        }
-        (frame, truth)
-    }
-
-    fn every(&self, hz: f64) -> bool {
-        self.tick.is_multiple_of((RATE_HZ / hz).round() as u64)
-    }
-
-    fn heights(&mut self, frame: &mut SensorFrame, truth: &Truth, attack: f64) {
-        // In turns, as the default suite does: 10 Hz each, 35 ms apart.
-        for i in 0..3 {
-            if (self.tick + 7 * i as u64).is_multiple_of(20) {
-                let e = self.scalar(0.01) + if i == 1 { attack } else { 0.0 };
-                let height_m = truth.position_enu_m.z + e;
-                frame.heights[i] = Some(HeightSample { time: truth.time, height_m });
-            }
-        }
-    }
-
-    fn mocap(&mut self, frame: &mut SensorFrame, truth: &Truth) {
-        if self.every(20.0) {
-            let turn = UnitQuaternion::from_scaled_axis(self.noise(0.01));
-            frame.mocap_pose = Some(MocapPoseSample {
-                time: truth.time,
-                position_enu_m: truth.position_enu_m + self.noise(0.005),
-                world_from_body: turn * truth.world_from_body,
-            });
-        }
-    }
-
-    fn gnss(&mut self, frame: &mut SensorFrame, truth: &Truth, sigma: f64) {
-        frame.gnss = Some(GnssSample {
-            time: truth.time,
-            position_enu_m: truth.position_enu_m + self.noise(sigma),
-            velocity_enu_mps: truth.velocity_enu_mps + self.noise(0.1),
-            geodetic: [0.0; 3],
-            horizontal_sigma_m: sigma,
-            vertical_sigma_m: sigma,
-            satellites: 12,
-        });
-    }
-}
-
-fn tilt_error(e: &Estimate, t: &Truth) -> f64 {
-    let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
-    up(&e.world_from_body).angle(&up(&t.world_from_body))
-}
-
-fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<f64, 15> {
-    let e = filter.estimate();
-    let mut x = SVector::<f64, 15>::zeros();
-    x.fixed_rows_mut::<3>(0).copy_from(&(truth.position_enu_m - e.position_enu_m));
-    x.fixed_rows_mut::<3>(3).copy_from(&(truth.velocity_enu_mps - e.velocity_enu_mps));
-    x.fixed_rows_mut::<3>(6).copy_from(&(truth.world_from_body * e.world_from_body.inverse()).scaled_axis());
-    x.fixed_rows_mut::<3>(9).copy_from(&(world.accel_bias[0] - e.accel_bias_mps2.unwrap()));
-    x.fixed_rows_mut::<3>(12).copy_from(&(world.gyro_bias[0] - e.gyro_bias_radps.unwrap()));
-    x
-}
-
-fn height_residual(e: &Estimate, instance: u8) -> Option<Residual> {
-    e.residuals.iter().find(|r| r.channel == Channel::Height && r.sensor.instance == instance).copied()
-}
 
 /// Noise exactly as simulated, nothing assumed on top.
 fn exact() -> SensorModel {
@@ -272,7 +98,7 @@ fn transition_matches_finite_differences() {
 #[test]
 fn one_attacked_height_of_three_never_wins() {
     for ramp_mps in [0.0, 0.02, 0.2] {
-        let mut world = World::new(Motion { position_m: 0.5, tilt_rad: 0.1, yaw_radps: 0.0 }, 7);
+        let mut world = World::new(Course { position_m: 0.5, tilt_rad: 0.1, yaw_radps: 0.0 }, 7);
         world.imus = 4;
         let mut filter = EkfBias::new(SensorModel::default());
         let mut worst: f64 = 0.0;
@@ -291,7 +117,7 @@ fn one_attacked_height_of_three_never_wins() {
             world.heights(&mut frame, &truth, attack);
             let e = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
             if t > 5.0 {
-                worst = worst.max((e.position_enu_m.z - truth.position_enu_m.z).abs());
+                worst = worst.max((e.kinematics().position_enu_m.z - truth.position_enu_m.z).abs());
             }
             if let Some(r) = height_residual(e, 2) {
                 // An attack within the gate of one sample cannot be distinguished from noise; twice that must be detected.
@@ -324,7 +150,7 @@ fn a_height_attacked_from_the_first_sample_is_rejected() {
         world.heights(&mut frame, &truth, -0.8);
         let e = filter.step(&frame, &MotorCommand::default());
         if k > 400 {
-            assert!((e.position_enu_m.z - truth.position_enu_m.z).abs() < 0.05);
+            assert!((e.kinematics().position_enu_m.z - truth.position_enu_m.z).abs() < 0.05);
             assert!(height_residual(e, 2).is_none_or(|r| r.ratio() > 1.0));
         }
     }
@@ -343,7 +169,7 @@ fn a_new_floor_is_accepted_after_two_seconds_when_most_heights_say_so() {
         }
         world.heights(&mut frame, &truth, 0.0);
         let e = filter.step(&frame, &MotorCommand::default());
-        if t > 10.0 && (e.position_enu_m.z - truth.position_enu_m.z).abs() < 0.05 {
+        if t > 10.0 && (e.kinematics().position_enu_m.z - truth.position_enu_m.z).abs() < 0.05 {
             reset_at.get_or_insert(t - 10.0);
         }
     }
@@ -355,7 +181,7 @@ fn a_new_floor_is_accepted_after_two_seconds_when_most_heights_say_so() {
 #[test]
 fn on_strings_tilt_velocity_and_position_stay_bounded_for_ten_minutes() {
     // Nothing horizontal is measured; the vehicle swings and the biases are unknown.
-    let mut world = World::new(Motion { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.0 }, 3);
+    let mut world = World::new(Course { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.0 }, 3);
     world.imus = 4;
     let mut filter = EkfBias::new(SensorModel::default());
     let (mut tilt, mut speed, mut place): (f64, f64, f64) = (0.0, 0.0, 0.0);
@@ -365,9 +191,9 @@ fn on_strings_tilt_velocity_and_position_stay_bounded_for_ten_minutes() {
         let e = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
         if k > 4000 {
             tilt = tilt.max(tilt_error(e, &truth));
-            speed = speed.max((e.velocity_enu_mps - truth.velocity_enu_mps).norm());
-            place = place.max((e.position_enu_m - truth.position_enu_m).norm());
-            assert!(!e.horizontal_known);
+            speed = speed.max((e.kinematics().velocity_enu_mps - truth.velocity_enu_mps).norm());
+            place = place.max((e.kinematics().position_enu_m - truth.position_enu_m).norm());
+            assert!(!e.horizontal_known());
         }
     }
     println!(
@@ -410,10 +236,10 @@ fn samples_that_are_not_finite_are_skipped() {
             _ => frame.imus[0] = frame.imus[0].map(|s| ImuSample { mag_ut: Some(Vector3::repeat(nan)), ..s }),
         }
         let e = filter.step(&frame, &MotorCommand::default());
-        assert!(e.position_enu_m.iter().chain(e.world_from_body.coords.iter()).all(|x| x.is_finite()));
+        assert!(e.kinematics().position_enu_m.iter().chain(e.world_from_body.coords.iter()).all(|x| x.is_finite()));
         assert!(e.residuals.iter().all(|r| r.innovation.is_finite() && r.sigma.is_finite()));
         if k > 2000 {
-            assert!((e.position_enu_m - truth.position_enu_m).norm() < 0.1);
+            assert!((e.kinematics().position_enu_m - truth.position_enu_m).norm() < 0.1);
             assert_ne!(e.health, Health::Initialising);
         }
     }
@@ -438,8 +264,8 @@ fn starts_in_motion() {
             }
             if k as f64 > 10.0 * RATE_HZ {
                 assert!(tilt_error(e, &truth) < 0.035, "seed {seed}: tilt error {} at {k}", tilt_error(e, &truth));
-                assert!((e.velocity_enu_mps - truth.velocity_enu_mps).norm() < 0.3, "seed {seed} at {k}");
-                assert!(e.horizontal_known);
+                assert!((e.kinematics().velocity_enu_mps - truth.velocity_enu_mps).norm() < 0.3, "seed {seed} at {k}");
+                assert!(e.horizontal_known());
             }
         }
     }
@@ -469,7 +295,7 @@ fn late_gnss_is_compared_with_its_own_time() {
             }
             let e = filter.step(&frame, &MotorCommand::default());
             if k > 3000 {
-                worst[case] = worst[case].max((e.position_enu_m - truth.position_enu_m).norm());
+                worst[case] = worst[case].max((e.kinematics().position_enu_m - truth.position_enu_m).norm());
             }
         }
     }
@@ -494,7 +320,7 @@ fn camera_ranges_alone_find_the_position() {
         }
         let e = filter.step(&frame, &MotorCommand::default());
         if k > 2000 {
-            assert!((e.position_enu_m - truth.position_enu_m).norm() < 0.1, "at {k}");
+            assert!((e.kinematics().position_enu_m - truth.position_enu_m).norm() < 0.1, "at {k}");
         }
     }
 }
@@ -515,7 +341,7 @@ fn a_barometer_that_jumps_moves_its_offset_not_the_altitude() {
         }
         let e = filter.step(&frame, &MotorCommand::default());
         if t > 3.0 {
-            assert!((e.position_enu_m.z - truth.position_enu_m.z).abs() < 0.05, "at {t}");
+            assert!((e.kinematics().position_enu_m.z - truth.position_enu_m.z).abs() < 0.05, "at {t}");
         }
     }
     assert!((filter.state.barometer_offset_m[0] - 123.0).abs() < 0.2, "{:?}", filter.state.barometer_offset_m);
@@ -523,7 +349,7 @@ fn a_barometer_that_jumps_moves_its_offset_not_the_altitude() {
 
 #[test]
 fn a_wrong_magnet_is_refused_and_yaw_holds() {
-    let mut world = World::new(Motion { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.5 }, 51);
+    let mut world = World::new(Course { position_m: 0.3, tilt_rad: 0.1, yaw_radps: 0.5 }, 51);
     world.imus = 4;
     let mut filter = EkfBias::new(SensorModel::default());
     for k in 0..(40.0 * RATE_HZ) as usize {
@@ -583,7 +409,7 @@ fn switching_in_flight_starts_from_the_other_estimate() {
         let (mut frame, truth) = world.frame(true);
         world.mocap(&mut frame, &truth);
         let e = second.step(&frame, &MotorCommand::default());
-        assert!((e.position_enu_m - truth.position_enu_m).norm() < 0.05 && tilt_error(e, &truth) < 0.05);
+        assert!((e.kinematics().position_enu_m - truth.position_enu_m).norm() < 0.05 && tilt_error(e, &truth) < 0.05);
         assert_ne!(e.health, Health::Initialising);
     }
 }
@@ -596,7 +422,7 @@ fn without_magnetometer_fixes_once_a_second_show_the_place() {
     const PLACE_M: f64 = 5.0;
     const SETTLED_S: f64 = 15.0;
     for (seed, start_s) in [(1, 0.0), (2, 3.1), (3, 7.7), (4, 11.0)] {
-        let mut world = World::new(Motion { position_m: 1.5, tilt_rad: 0.2, yaw_radps: 0.3 }, seed);
+        let mut world = World::new(Course { position_m: 1.5, tilt_rad: 0.2, yaw_radps: 0.3 }, seed);
         world.tick = (start_s * RATE_HZ) as u64;
         let mut filter = EkfBias::new(SensorModel::default());
         let mut yaw_error = f64::NAN;
@@ -608,10 +434,10 @@ fn without_magnetometer_fixes_once_a_second_show_the_place() {
             }
             let e = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
             if k > (1.2 * RATE_HZ) as usize {
-                let off = (e.position_enu_m - truth.position_enu_m).norm();
+                let off = (e.kinematics().position_enu_m - truth.position_enu_m).norm();
                 let t = k as f64 / RATE_HZ;
                 assert!(t < SETTLED_S || off < PLACE_M, "seed {seed}: {off:.2} m off at {t:.1} s");
-                assert!(e.horizontal_known && e.health != Health::Initialising);
+                assert!(e.horizontal_known() && e.health != Health::Initialising);
             }
             let turned = truth.world_from_body * e.world_from_body.inverse();
             yaw_error = crate::frames::wrap_pi(2.0 * turned.k.atan2(turned.w)).abs();

@@ -106,24 +106,37 @@ fn repeats<const N: usize>(group: &[Stuck<N>], index: usize, limit: u32) -> bool
     moving && group.get(index).is_some_and(|test| test.repeats() >= limit)
 }
 
+/// What is tested beside the decoder, over seconds.
+pub(super) struct Tests {
+    /// IMUs that sample together.
+    pub synchronous: Synchronous,
+    /// Sensors that repeat themselves.
+    pub stuck: StuckTests,
+    /// How far the baselines are learned.
+    pub training: Training,
+}
+
+impl Tests {
+    /// For sensors like these.
+    pub fn new(model: &SensorModel) -> Self {
+        Self { synchronous: Synchronous::default(), stuck: StuckTests::new(model), training: Training::default() }
+    }
+}
+
 /// Evidence of one window.
 pub(super) struct Window<'a> {
     /// Its decoder.
     pub decoder: &'a FlyingDecoder,
     /// Baselines and slow deviations.
     pub signals: &'a Signals,
-    /// IMUs that sample together.
-    pub synchronous: &'a Synchronous,
-    /// Sensors that repeat themselves.
-    pub stuck: &'a StuckTests,
-    /// Are the IMUs' baselines learned anew?
-    pub relearning: bool,
+    /// The tests beside it.
+    pub tests: &'a Tests,
 }
 
 impl Window<'_> {
     /// About `sensor`.
     pub fn about(&self, sensor: SensorId) -> Evidence {
-        let mut evidence = Evidence { stuck: self.stuck.is_stuck(sensor), ..Evidence::default() };
+        let mut evidence = Evidence { stuck: self.tests.stuck.is_stuck(sensor), ..Evidence::default() };
         for (index, signal) in self.signals.of(sensor) {
             let statistic = self.decoder.statistic(index);
             if statistic.values > 0 {
@@ -137,11 +150,11 @@ impl Window<'_> {
             }
         }
         if sensor.kind == SensorKind::Imu {
-            if let Some(slots) = self.synchronous.diverging_for(usize::from(sensor.instance.saturating_sub(1))) {
+            if let Some(slots) = self.tests.synchronous.diverging_for(usize::from(sensor.instance.saturating_sub(1))) {
                 evidence.diverging = true;
                 evidence.drift_s = evidence.drift_s.max(SLOT_S * f64::from(slots));
             }
-            if self.relearning {
+            if self.tests.training.is_relearning() {
                 // What is in the window was counted from the baselines of before: only what is certain counts.
                 evidence.window_ratio /= CERTAIN;
             }

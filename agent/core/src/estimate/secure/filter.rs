@@ -111,8 +111,8 @@ impl CleanFilter {
         }
         if let Some(replayed) = self.rewind.advance() {
             let vertical = |filter: &EkfBias| {
-                let (e, corrections) = (filter.estimate(), filter.vertical_corrections());
-                (e.position_enu_m.z - corrections.0, e.velocity_enu_mps.z - corrections.1)
+                let (motion, corrections) = (filter.estimate().motion_or_rest(), filter.vertical_corrections());
+                (motion.position_enu_m.z - corrections.0, motion.velocity_enu_mps.z - corrections.1)
             };
             let (before, after) = (vertical(&self.filter), vertical(replayed));
             self.moved.0 += after.0 - before.0;

@@ -178,7 +178,8 @@ pub(super) fn transition(model: &SensorModel, split: bool) -> Model<STATES> {
 /// States and one-sigmas that `estimate` knows around zero; height among them only without `vertical` sensors, so that
 /// a vehicle without heights and barometers still has its IMUs examined.
 pub(super) fn prior(estimate: &Estimate, vertical: bool) -> [(usize, f64); STATES] {
-    let [p, v, a] = [estimate.position_sigma_m, estimate.velocity_sigma_mps, estimate.attitude_sigma_rad]
+    let motion = estimate.motion_or_rest();
+    let [p, v, a] = [motion.position_sigma_m, motion.velocity_sigma_mps, estimate.attitude_sigma_rad]
         .map(Option::unwrap_or_default);
     [
         (ix::Z, if vertical { f64::INFINITY } else { p.z.clamp(0.05, 10.0) }),

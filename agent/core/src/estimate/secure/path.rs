@@ -76,10 +76,11 @@ impl ResetRule {
         self.diverged = 0;
         self.resets += 1;
         let mut to = estimate.clone();
-        to.position_enu_m.z += x[ix::Z];
-        to.velocity_enu_mps.z += x[ix::VZ];
-        to.position_sigma_m.get_or_insert_default().z = bound_m.unwrap_or(0.1);
-        to.velocity_sigma_mps.get_or_insert_default().z = 0.2;
+        let motion = to.motion.get_or_insert_default();
+        motion.position_enu_m.z += x[ix::Z];
+        motion.velocity_enu_mps.z += x[ix::VZ];
+        motion.position_sigma_m.get_or_insert_default().z = bound_m.unwrap_or(0.1);
+        motion.velocity_sigma_mps.get_or_insert_default().z = 0.2;
         Some(to)
     }
 }

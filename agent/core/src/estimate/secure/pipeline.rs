@@ -20,7 +20,7 @@ use plumbline_proto::v1::SensorKind;
 pub use plumbline_proto::v1::{DecoderStatus, SecureFallback};
 
 use super::decode::{AuditCase, FlyingDecoder};
-use super::evidence::{self, StuckTests, Training};
+use super::evidence::{self, Tests};
 use super::filter::CleanFilter;
 use super::inertial::Inertial;
 use super::model::{Assumed, Quantity, SLOT_S, STATES, ix, prior};
@@ -29,7 +29,6 @@ use super::path::{Path, ResetRule};
 use super::signals::{Context, Signals};
 use super::{Decoded, Decoder, SecureError, Status};
 use crate::estimate::fdir::isolation::{Isolation, Z_999};
-use crate::estimate::fdir::synchronous::Synchronous;
 use crate::estimate::{Channel, Estimate, Estimator, EstimatorKind, Health, Residual};
 use crate::frames::tilt_rad;
 use crate::model::airframe::Airframe;
@@ -99,9 +98,7 @@ pub struct Secure {
     model: SensorModel,
     signals: Signals,
     inertial: Inertial,
-    synchronous: Synchronous,
-    stuck: StuckTests,
-    training: Training,
+    tests: Tests,
     decoder: FlyingDecoder,
     isolation: Isolation,
     filter: CleanFilter,
@@ -109,9 +106,16 @@ pub struct Secure {
     reset_rule: ResetRule,
     report: WindowReport,
     estimate: Estimate,
+    clock: Clock,
+}
+
+/// Where it is in flight time.
+#[derive(Debug, Clone, Copy, Default)]
+struct Clock {
     /// Time of the last frame, and number of the slot it was in.
     now: Option<FlightTime>,
     slot: u64,
+    /// Counts nanoseconds, where windows are timed.
     stopwatch: Option<fn() -> u64>,
 }
 
@@ -126,18 +130,14 @@ impl Secure {
             decoder: FlyingDecoder::new(&signals, &model, slots)?,
             signals,
             inertial: Inertial::new(&model),
-            synchronous: Synchronous::default(),
-            stuck: StuckTests::new(&model),
-            training: Training::default(),
+            tests: Tests::new(&model),
             isolation: Isolation::new(slots),
             filter: CleanFilter::new(model.clone(), airframe),
             path: Path::default(),
             reset_rule: ResetRule::default(),
             report: WindowReport::default(),
             estimate: Estimate::default(),
-            now: None,
-            slot: 0,
-            stopwatch: None,
+            clock: Clock::default(),
             model,
         })
     }
@@ -161,7 +161,7 @@ impl Secure {
 
     /// Times its windows with `stopwatch` (ns), which may take `limit_us`.
     pub fn time_with(&mut self, stopwatch: fn() -> u64, limit_us: Option<u64>) {
-        self.stopwatch = Some(stopwatch);
+        self.clock.stopwatch = Some(stopwatch);
         self.decoder.limit(limit_us.map(|limit_us| Deadline { stopwatch, limit_us }));
     }
 
@@ -228,15 +228,15 @@ impl Secure {
 
     /// Time moves on to `now`: by how much, s, and whether a slot is over.
     fn advance(&mut self, now: FlightTime) -> (f64, bool) {
-        let dt_s = self.now.map_or(0.0, |last| now.seconds_since(last));
+        let dt_s = self.clock.now.map_or(0.0, |last| now.seconds_since(last));
         if !(0.0..=LONGEST_GAP_S).contains(&dt_s) {
             // Time went backwards, or stood: what is in the window belongs to another flight.
             self.restart_window();
         }
-        self.now = Some(now);
+        self.clock.now = Some(now);
         let slot = (now.as_seconds() / SLOT_S + 1e-6) as u64;
-        let over = slot != self.slot;
-        self.slot = slot;
+        let over = slot != self.clock.slot;
+        self.clock.slot = slot;
         (dt_s.clamp(0.0, LONGEST_GAP_S), over)
     }
 
@@ -267,12 +267,12 @@ impl Secure {
             let altitude_m = self.model.barometers.altitude_m(barometer);
             self.signals.add(id(SensorKind::Barometer, i), Quantity::Barometer, altitude_m - path_m);
         }
-        self.stuck.take(frame);
+        self.tests.stuck.take(frame);
     }
 
     /// The slot is over: its means go into the window, which is decoded, and the attacked set is isolated.
     fn close_slot(&mut self, now: FlightTime) {
-        let begun = self.stopwatch.map(|read| read());
+        let begun = self.clock.stopwatch.map(|read| read());
         self.compare(now);
         self.decoder.push(&self.signals, &self.path.rebase());
         self.report.time = now;
@@ -288,7 +288,7 @@ impl Secure {
             self.isolate(now);
             self.reset_filter(&x);
         }
-        if let (Some(read), Some(begun)) = (self.stopwatch, begun) {
+        if let (Some(read), Some(begun)) = (self.clock.stopwatch, begun) {
             self.report.solve_time_us = read().saturating_sub(begun) as f64 * 1e-3;
         }
     }
@@ -297,19 +297,19 @@ impl Secure {
     fn compare(&mut self, now: FlightTime) {
         let imus = self.inertial.slot(SLOT_S);
         self.inertial.begin(now);
-        self.signals.close(self.slot, &imus);
+        self.signals.close(self.clock.slot, &imus);
         let isolation = &self.isolation;
-        let learning = self.training.is_learning();
+        let learning = self.tests.training.is_learning();
         let context = Context {
             isolated: |sensor| isolation.is_flagged(sensor),
             suspect: |sensor| isolation.is_suspect(sensor),
             learning,
-            relearning: self.training.is_relearning(),
+            relearning: self.tests.training.is_relearning(),
         };
         self.signals.compare(self.path.below_m(), &context);
         let isolated = |i: usize| isolation.is_flagged(SensorId::new(SensorKind::Imu, i as u8 + 1));
         let from_median = self.signals.inertial_from_median();
-        self.synchronous.take(&imus.means, &from_median, isolated, &imus.scale, SLOT_S, learning);
+        self.tests.synchronous.take(&imus.means, &from_median, isolated, &imus.scale, SLOT_S, learning);
     }
 
     /// The deviation from the filter at the window's end; `None` where it cannot be used.
@@ -327,7 +327,7 @@ impl Secure {
         self.report.objective = objective;
         self.report.lower_bound = lower_bound;
         self.report.iterations = iterations;
-        self.report.height_m = self.filter.estimate().position_enu_m.z + x[ix::Z];
+        self.report.height_m = self.filter.estimate().motion_or_rest().position_enu_m.z + x[ix::Z];
         self.report.status = match status {
             Status::Solved => DecoderStatus::Solved,
             Status::MaxIterations => DecoderStatus::MaxIterations,
@@ -353,16 +353,10 @@ impl Secure {
 
     /// The attacked set, by the evidence of this window.
     fn isolate(&mut self, now: FlightTime) {
-        self.training.count();
-        let window = evidence::Window {
-            decoder: &self.decoder,
-            signals: &self.signals,
-            synchronous: &self.synchronous,
-            stuck: &self.stuck,
-            relearning: self.training.is_relearning(),
-        };
-        self.isolation.isolate(now, self.training.is_learning(), |sensor| window.about(sensor));
-        if self.training.isolated(self.isolation.margin(SensorKind::Imu).flagged) {
+        self.tests.training.count();
+        let window = evidence::Window { decoder: &self.decoder, signals: &self.signals, tests: &self.tests };
+        self.isolation.isolate(now, self.tests.training.is_learning(), |sensor| window.about(sensor));
+        if self.tests.training.isolated(self.isolation.margin(SensorKind::Imu).flagged) {
             self.signals.relearn_imus();
         }
     }
@@ -379,7 +373,7 @@ impl Secure {
     fn restart_window(&mut self) {
         self.decoder.clear();
         self.signals.restart_slot();
-        self.inertial.begin(self.now.unwrap_or_default());
+        self.inertial.begin(self.clock.now.unwrap_or_default());
         self.path.begin(self.filter.vertical_corrections());
         self.reset_rule.restart();
         self.report.status = DecoderStatus::Filling;
@@ -389,11 +383,12 @@ impl Secure {
         self.estimate.clone_from(self.filter.estimate());
         // Excluded sensors keep their residuals.
         let e = &mut self.estimate;
+        let motion = e.motion_or_rest();
         for (i, height) in received.heights.iter().enumerate() {
             let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
             if let Some(height) = height.filter(|_| self.isolation.is_flagged(sensor)) {
-                let sigma = self.model.heights.sigma.hypot(e.position_sigma_m.map_or(0.0, |sigma| sigma.z));
-                let innovation = height.height_m - e.position_enu_m.z;
+                let sigma = self.model.heights.sigma.hypot(motion.position_sigma_m.map_or(0.0, |sigma| sigma.z));
+                let innovation = height.height_m - motion.position_enu_m.z;
                 let residual = Residual::gated(sensor, Channel::Height, innovation, sigma, self.model.heights.gate);
                 let _ = e.residuals.try_push(Residual { accepted: false, ..residual });
             }
@@ -428,11 +423,5 @@ impl Estimator for Secure {
 
     fn estimate(&self) -> &Estimate {
         &self.estimate
-    }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.filter.reset_to(estimate);
-        self.estimate = self.filter.estimate().clone();
-        self.restart_window();
     }
 }

@@ -16,14 +16,16 @@
 //! Cov(yᵢ) = σ² I + β² 11ᵀ + what Q leaves in the row; its Cholesky factor whitens Y and Φ. The process noise
 //! that sensors share is counted for each alone: no sensor's window vouches for another's.
 //!
-//! The factors are in `window/whiten.rs`.
+//! The values are in `window/ring.rs`, the factors in `window/whiten.rs`.
 
+mod ring;
 #[cfg(test)]
 mod tests;
 mod whiten;
 
 use nalgebra::{DMatrix, SMatrix, SVector};
 
+use self::ring::Ring;
 use self::whiten::{Phase, forward};
 use super::compress::Compressed;
 use super::newton::{Newton, Settings};
@@ -67,21 +69,13 @@ pub struct Statistic {
 /// The window and its decoder.
 #[derive(Debug, Clone)]
 pub struct Window<const N: usize> {
-    slots: usize,
+    ring: Ring<N>,
     growing: bool,
     program: Program,
     a_inverse: SMatrix<f64, N, N>,
     phases: Vec<Phase>,
     /// Row kind of each sensor.
     kinds: Vec<usize>,
-    masks: Vec<u128>,
-    /// sensor × slots, by slot number modulo slots.
-    values: Vec<f64>,
-    /// Forced response from the slot before, by slot number modulo slots.
-    forced: Vec<SVector<f64, N>>,
-    is_forced: bool,
-    filled: usize,
-    head: usize,
     problem: Compressed<N>,
     newton: Newton<N>,
     /// Whitened values of all sensors, those decoded and those excluded.
@@ -121,17 +115,11 @@ impl<const N: usize> Window<N> {
         // Every value a term of its own (1-norm), or every sensor one: whichever needs more.
         let terms = sensors * slots + N;
         Ok(Self {
-            slots,
+            ring: Ring::new(sensors, slots),
             growing: false,
             program: Program::L2,
             a_inverse,
             kinds: kinds.to_vec(),
-            masks: vec![0; sensors],
-            values: vec![0.0; sensors * slots],
-            forced: vec![SVector::zeros(); slots],
-            is_forced: false,
-            filled: 0,
-            head: 0,
             problem: room(sensors, slots)?,
             newton: Newton::with_room(rank.max(sensors * slots) + N, terms, settings),
             whitened: vec![0.0; sensors * slots],
@@ -156,63 +144,47 @@ impl<const N: usize> Window<N> {
 
     /// Slots of a full window.
     pub fn slots(&self) -> usize {
-        self.slots
+        self.ring.slots()
     }
 
     /// Is it full?
     pub fn is_full(&self) -> bool {
-        self.filled >= self.slots
+        self.ring.filled() >= self.ring.slots()
     }
 
     /// May it be decoded: full, or growing with something in it?
     pub fn is_ready(&self) -> bool {
-        self.is_full() || (self.growing && self.filled > 0)
+        self.is_full() || (self.growing && self.ring.filled() > 0)
     }
 
     /// Forgets every value.
     pub fn clear(&mut self) {
-        self.filled = 0;
-        self.masks.fill(0);
-        self.is_forced = false;
-        self.forced.fill(SVector::zeros());
+        self.ring.clear();
     }
 
     /// Begins a new slot; `forced` is B u of the step into it. A response that is not finite counts as none.
     pub fn advance(&mut self, forced: Option<&SVector<f64, N>>) {
-        self.head = (self.head + 1) % self.slots;
-        self.filled = (self.filled + 1).min(self.slots);
-        let keep = if self.slots == MAX_SLOTS { u128::MAX } else { (1 << self.slots) - 1 };
-        self.masks.iter_mut().for_each(|mask| *mask = (*mask << 1) & keep);
-        if let Some(slot) = self.forced.get_mut(self.head) {
-            *slot = forced.copied().filter(|b| b.iter().all(|v| v.is_finite())).unwrap_or_else(SVector::zeros);
-        }
-        self.is_forced |= forced.is_some();
+        self.ring.advance(forced);
     }
 
     /// Value of `sensor` in the newest slot; what is not finite is skipped.
     pub fn put(&mut self, sensor: usize, value: f64) {
-        let at = sensor * self.slots + self.head;
-        if let (Some(mask), Some(slot), true) =
-            (self.masks.get_mut(sensor), self.values.get_mut(at), value.is_finite() && self.filled > 0)
-        {
-            *slot = value;
-            *mask |= 1;
-        }
+        self.ring.put(sensor, value);
     }
 
     /// Values of `sensor` in the window.
     pub fn count(&self, sensor: usize) -> usize {
-        self.masks.get(sensor).map_or(0, |mask| mask.count_ones() as usize)
+        self.ring.mask(sensor).count_ones() as usize
     }
 
     /// Moves the trajectory from which values are counted: its state at the window's end changes by `by`.
     pub fn rebase(&mut self, by: &SVector<f64, N>) {
-        for (sensor, mask) in self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0) {
-            let Some(phase) = self.kinds.get(sensor).and_then(|k| self.phases.get(*k)) else { continue };
+        for (sensor, kind) in self.kinds.iter().enumerate() {
+            let mask = self.ring.mask(sensor);
+            let Some(phase) = self.phases.get(*kind).filter(|_| mask != 0) else { continue };
             for (age, phi) in phase.phi.chunks_exact(phase.support.len().max(1)).enumerate() {
-                let at = sensor * self.slots + (self.head + self.slots - age) % self.slots;
                 if mask >> age & 1 == 1
-                    && let Some(value) = self.values.get_mut(at)
+                    && let Some(value) = self.ring.value_mut(sensor, age)
                 {
                     *value -= phase.support.iter().zip(phi).map(|(j, v)| v * by[*j]).sum::<f64>();
                 }
@@ -235,13 +207,13 @@ impl<const N: usize> Window<N> {
         self.whiten();
         self.problem.clear();
         self.samples.clear();
-        for (sensor, mask) in self.masks.iter().enumerate().filter(|(_, mask)| **mask != 0) {
+        for (sensor, mask) in self.ring.present() {
             if excluded(sensor) {
                 continue;
             }
             let Some(phase) = self.kinds.get(sensor).and_then(|k| self.phases.get(*k)) else { continue };
-            let Some(factor) = phase.known(*mask) else { continue };
-            let first = sensor * self.slots;
+            let Some(factor) = phase.known(mask) else { continue };
+            let first = sensor * self.ring.slots();
             self.samples.extend(self.whitened.iter().skip(first).take(factor.count));
             if self.program == Program::L1 {
                 for k in 0..factor.count {
@@ -280,7 +252,7 @@ impl<const N: usize> Window<N> {
     /// Φ of `sensor` over a full window, newest first.
     pub fn phi(&self, sensor: usize) -> DMatrix<f64> {
         let Some(phase) = self.kinds.get(sensor).and_then(|k| self.phases.get(*k)) else { return DMatrix::zeros(0, N) };
-        let mut phi = DMatrix::zeros(self.slots, N);
+        let mut phi = DMatrix::zeros(self.slots(), N);
         for (k, row) in phase.phi.chunks_exact(phase.support.len().max(1)).enumerate() {
             for (j, v) in phase.support.iter().zip(row) {
                 phi[(k, *j)] = *v;
@@ -291,34 +263,33 @@ impl<const N: usize> Window<N> {
 
     /// Forced response removed, newest first, then L⁻¹.
     fn whiten(&mut self) {
-        let Self { slots, head, values, whitened, phases, kinds, masks, forced, is_forced, a_inverse, scratch, .. } =
-            self;
-        for (sensor, mask) in masks.iter().enumerate().filter(|(_, mask)| **mask != 0) {
+        let Self { ring, whitened, phases, kinds, a_inverse, scratch, .. } = self;
+        let slots = ring.slots();
+        for (sensor, mask) in ring.present() {
             let Some(phase) = kinds.get(sensor).and_then(|k| phases.get_mut(*k)) else { continue };
-            let Some(factor) = phase.factor(*mask, *slots, scratch) else { continue };
-            let first = sensor * *slots;
-            let Some(out) = whitened.get_mut(first..first + *slots) else { continue };
+            let Some(factor) = phase.factor(mask, slots, scratch) else { continue };
+            let first = sensor * slots;
+            let Some(out) = whitened.get_mut(first..first + slots) else { continue };
             let mut filled = 0;
-            for age in (0..*slots).filter(|age| mask >> age & 1 == 1) {
-                let at = first + (*head + *slots - age) % *slots;
-                if let (Some(value), Some(slot)) = (values.get(at), out.get_mut(filled)) {
-                    *slot = *value;
+            for age in (0..slots).filter(|age| mask >> age & 1 == 1) {
+                if let (Some(value), Some(slot)) = (ring.value(sensor, age), out.get_mut(filled)) {
+                    *slot = value;
                     filled += 1;
                 }
             }
             forward(&factor.l, factor.count, out, 1, 0);
         }
-        if !*is_forced {
+        if !ring.is_forced() {
             return;
         }
         // y_k − c g_k, g_0 = 0, g_{k+1} = A⁻¹ (g_k − b_k): whitened like the values, and subtracted.
-        for (sensor, mask) in masks.iter().enumerate().filter(|(_, mask)| **mask != 0) {
+        for (sensor, mask) in ring.present() {
             let Some(phase) = kinds.get(sensor).and_then(|k| phases.get(*k)) else { continue };
-            let Some(factor) = phase.known(*mask) else { continue };
-            let Some(out) = whitened.get_mut(sensor * *slots..(sensor + 1) * *slots) else { continue };
+            let Some(factor) = phase.known(mask) else { continue };
+            let Some(out) = whitened.get_mut(sensor * slots..(sensor + 1) * slots) else { continue };
             let mut g = SVector::<f64, N>::zeros();
             let mut filled = 0;
-            for age in 0..*slots {
+            for age in 0..slots {
                 if mask >> age & 1 == 1
                     && let (Some(slot), Some(newest)) = (scratch.get_mut(filled), phase.phi.get(..phase.support.len()))
                 {
@@ -326,7 +297,7 @@ impl<const N: usize> Window<N> {
                     *slot = phase.support.iter().zip(newest).map(|(j, v)| v * g[*j]).sum();
                     filled += 1;
                 }
-                if let Some(b) = forced.get((*head + *slots - age) % *slots) {
+                if let Some(b) = ring.forced(age) {
                     g = *a_inverse * (g - b);
                 }
             }
@@ -350,17 +321,16 @@ impl<const N: usize> Window<N> {
 
     /// ‖L⁻¹(Y − Φx)‖² = ‖whitened − Q R x‖² of every sensor.
     fn judge(&mut self, x: &SVector<f64, N>) {
-        for (sensor, mask) in self.masks.iter().enumerate() {
-            let Some(statistic) = self.statistics.get_mut(sensor) else { continue };
+        for (sensor, statistic) in self.statistics.iter_mut().enumerate() {
             *statistic = Statistic::default();
             let Some(phase) = self.kinds.get(sensor).and_then(|k| self.phases.get(*k)) else { continue };
-            let Some(factor) = phase.known(*mask) else { continue };
+            let Some(factor) = phase.known(self.ring.mask(sensor)) else { continue };
             let mut rx = [0.0; N];
             for (slot, row) in rx.iter_mut().zip(factor.r.chunks_exact(phase.support.len().max(1))) {
                 *slot = phase.support.iter().zip(row).map(|(j, v)| v * x[*j]).sum();
             }
             let stride = factor.samples();
-            let y = self.whitened.iter().skip(sensor * self.slots).take(factor.count);
+            let y = self.whitened.iter().skip(sensor * self.ring.slots()).take(factor.count);
             let square = y.enumerate().fold(0.0, |sum, (k, y)| {
                 let column = |j: usize| factor.q.get(j * stride + k).copied().unwrap_or_default();
                 let explained: f64 = rx.iter().take(factor.rank).enumerate().map(|(j, v)| v * column(j)).sum();

@@ -56,9 +56,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let mut heights = None;
         for r in self.estimate.residuals.iter().skip(before) {
             match r.channel {
-                Channel::X => self.axes[0].note(now, r.accepted),
-                Channel::Y => self.axes[1].note(now, r.accepted),
-                Channel::Z | Channel::PressureAltitude => self.axes[2].note(now, r.accepted),
+                Channel::X => self.aided.axes[0].note(now, r.accepted),
+                Channel::Y => self.aided.axes[1].note(now, r.accepted),
+                Channel::Z | Channel::PressureAltitude => self.aided.axes[2].note(now, r.accepted),
                 Channel::Height => heights = Some(heights.unwrap_or(false) | r.accepted),
                 Channel::Range1 | Channel::Range2 | Channel::Range3 | Channel::Range4 => {
                     ranged = true;
@@ -68,11 +68,11 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             }
         }
         if ranged {
-            self.axes.iter_mut().for_each(|axis| axis.note(now, ranges >= 3));
+            self.aided.axes.iter_mut().for_each(|axis| axis.note(now, ranges >= 3));
         }
         // One accepted height of several is enough.
         if let Some(accepted) = heights {
-            self.axes[2].note(now, accepted);
+            self.aided.axes[2].note(now, accepted);
         }
         // The rates are an inner matter: the deviation of each IMU from the consensus is shown instead.
         self.estimate.residuals.retain(|r| !RATES.contains(&r.channel) || r.gate.is_finite());
@@ -80,9 +80,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
 
     /// Gyroscopes and attitude.
     pub(super) fn take_attitude(&mut self, frame: &SensorFrame, fresh: bool) {
-        self.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
+        self.aided.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
         if let Some(pose) = frame.mocap_pose.filter(|s| s.world_from_body.coords.iter().all(|x| x.is_finite())) {
-            self.pose_seen = Some(frame.time);
+            self.aided.pose_seen = Some(frame.time);
             let (noise, angles) = (self.model.mocap_pose.attitude, roll_pitch_yaw(&pose.world_from_body));
             for i in 0..3 {
                 self.take(MOCAP_POSE, ANGLES[i], What::Angle(ix::ROLL + i), angles[i], noise);
@@ -96,7 +96,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         for i in 0..3 {
             self.take(IMU, RATES[i], What::State(ix::P + i), rates[i], noise);
         }
-        if self.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
+        if self.aided.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
             return;
         }
         let angles = roll_pitch_yaw(&attitude);
@@ -111,10 +111,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let velocity = Vector3::new(x[ix::VX], x[ix::VY], x[ix::VZ]);
         // A late sample, brought forward by the velocity.
         let late = |time: FlightTime| velocity * frame.time.seconds_since(time).clamp(0.0, 0.5);
-        let model = self.model.clone();
         if let Some(sample) = frame.camera_ranges {
-            let CameraRangesModel { cameras_enu_m: cameras, sigma_m: sigmas, gate } = model.camera_ranges;
-            if self.axes[0].lost(frame.time, RECOVERY_S)
+            let CameraRangesModel { cameras_enu_m: cameras, sigma_m: sigmas, gate } = self.model.camera_ranges;
+            if self.aided.axes[0].lost(frame.time, RECOVERY_S)
                 && let Some(place) = camera_ranges::trilaterate(&cameras, &sample.range_m, &sigmas)
             {
                 (0..3).for_each(|axis| self.relocate(axis, place[axis], 0.1));
@@ -128,7 +127,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             }
         }
         if let Some(sample) = frame.mocap_pose {
-            let noise = model.mocap_pose.position;
+            let noise = self.model.mocap_pose.position;
             let place = sample.position_enu_m + late(sample.time);
             for axis in 0..3 {
                 self.recover(frame.time, axis, place[axis], noise.sigma);
@@ -137,38 +136,38 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         }
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|s| s.height_m.is_finite()) else { continue };
-            self.heights_present = true;
+            self.aided.heights_present = true;
             let height_m = sample.height_m + late(sample.time).z;
-            self.recover(frame.time, 2, height_m, model.heights.sigma);
+            self.recover(frame.time, 2, height_m, self.model.heights.sigma);
             let sensor = SensorId::new(SensorKind::Height, i as u8 + 1);
-            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, model.heights);
+            self.take(sensor, Channel::Height, What::State(ix::Z), height_m, self.model.heights);
         }
         let yaw_measured = self.yaw_measured();
         if let Some(sample) = frame.gnss {
             let place = sample.position_enu_m + late(sample.time);
             for axis in if yaw_measured { 0..3 } else { 2..3 } {
                 let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                let noise = model.gnss.position(claimed_m);
+                let noise = self.model.gnss.position(claimed_m);
                 // A laser has the floor as its zero: it alone tells the height where there is one.
-                if axis < 2 || !self.heights_present {
+                if axis < 2 || !self.aided.heights_present {
                     self.recover(frame.time, axis, place[axis], noise.sigma);
                     self.take(GNSS, XYZ[axis], What::State(axis), place[axis], noise);
                 }
                 let speed = sample.velocity_enu_mps[axis];
-                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, model.gnss.velocity);
+                self.take(GNSS, VELOCITY[axis], What::State(ix::VX + axis), speed, self.model.gnss.velocity);
             }
         }
-        let measured = self.heights_present || frame.gnss.is_some() || self.axes[2].ever();
-        if let Some(sample) = frame.barometers[0].filter(|_| !measured || self.barometer_origin_m.is_some()) {
-            let altitude = model.barometers.altitude_m(&sample);
-            if altitude.is_finite() && !self.heights_present {
-                let origin = *self.barometer_origin_m.get_or_insert(altitude - x[ix::Z]);
+        let measured = self.aided.heights_present || frame.gnss.is_some() || self.aided.axes[2].ever();
+        if let Some(sample) = frame.barometers[0].filter(|_| !measured || self.aided.barometer_origin_m.is_some()) {
+            let altitude = self.model.barometers.altitude_m(&sample);
+            if altitude.is_finite() && !self.aided.heights_present {
+                let origin = *self.aided.barometer_origin_m.get_or_insert(altitude - x[ix::Z]);
                 self.take(
                     BAROMETER,
                     Channel::PressureAltitude,
                     What::State(ix::Z),
                     altitude - origin,
-                    model.barometers.altitude,
+                    self.model.barometers.altitude,
                 );
             }
         }
@@ -176,7 +175,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
 
     /// Does anything but position fixes measure the yaw?
     fn yaw_measured(&self) -> bool {
-        self.field_seen || self.pose_seen.is_some()
+        self.aided.field_seen || self.aided.pose_seen.is_some()
     }
 
     /// Shows the mixture what arrived, from the first sample on.
@@ -193,7 +192,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
         let gnss = &self.model.gnss;
         self.mixture.take(now, &sample, gnss.position(sample.horizontal_sigma_m).sigma, gnss.velocity.sigma);
-        (0..2).for_each(|axis| self.axes[axis].note(now, true));
+        (0..2).for_each(|axis| self.aided.axes[axis].note(now, true));
     }
 
     /// Takes yaw, tilt and everything horizontal from the mixture where nothing else tells the yaw.
@@ -217,9 +216,9 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
 
     /// Moves to `value` on `axis` where nothing has been accepted for long, or ever.
     fn recover(&mut self, now: FlightTime, axis: usize, value: f64, sigma: f64) {
-        if value.is_finite() && self.axes[axis].lost(now, RECOVERY_S) {
+        if value.is_finite() && self.aided.axes[axis].lost(now, RECOVERY_S) {
             self.relocate(axis, value, 3.0 * sigma);
-            self.axes[axis].note(now, true);
+            self.aided.axes[axis].note(now, true);
         }
     }
 
@@ -233,7 +232,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
 
     /// Without aiding: on average it goes nowhere, and not far (as in `ekf_bias`, where the reasons are).
     pub(super) fn take_idle(&mut self, now: FlightTime) {
-        let Some(since_s) = self.idle.due(now) else { return };
+        let Some(since_s) = self.aided.idle.due(now) else { return };
         let velocity = VELOCITY_SIGMA_MPS * whitening(VELOCITY_CORRELATION_S, since_s).sqrt();
         let position = POSITION_SIGMA_M * whitening(POSITION_CORRELATION_S, since_s).sqrt();
         let (x, _) = self.filter.moments();
@@ -245,11 +244,11 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             noise: Accuracy::ungated(sigma),
         };
         for axis in 0..3 {
-            if self.axes[axis].within(now, MEMORY_S) {
-                self.idle.anchor[axis] = x[axis];
+            if self.aided.axes[axis].within(now, MEMORY_S) {
+                self.aided.idle.anchor[axis] = x[axis];
             } else {
                 rows.push(still(ix::VX + axis, 0.0, velocity));
-                rows.push(still(axis, self.idle.anchor[axis], position));
+                rows.push(still(axis, self.aided.idle.anchor[axis], position));
             }
         }
         if !rows.is_empty() {

@@ -97,10 +97,6 @@ impl Bias {
         }
     }
 
-    pub fn begin(&mut self, b: &Vector3<f64>) {
-        self.b = *b;
-    }
-
     pub fn retune(&mut self, period_s: f64) {
         self.turn.retune(period_s);
         self.turned.retune(period_s);

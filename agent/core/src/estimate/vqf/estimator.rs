@@ -114,11 +114,4 @@ impl Estimator for VqfEstimator {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
-
-    fn reset_to(&mut self, estimate: &Estimate) {
-        self.filter.reset_to(&estimate.world_from_body, &estimate.gyro_bias_radps.unwrap_or_default());
-        self.estimate = estimate.clone();
-        self.estimate.residuals.clear();
-        self.age_s = SETTLED_S;
-    }
 }

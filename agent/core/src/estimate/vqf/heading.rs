@@ -30,17 +30,12 @@ const FIELD_FIT_S: f64 = 0.5;
 const FIELD_REJECT_S: f64 = 60.0;
 const FIELD_SLOWER: f64 = 2.0;
 
-/// δ, and what is known of the field: strength (µT) and dip (rad).
+/// δ, and how it is corrected.
 #[derive(Debug, Clone)]
 pub(super) struct Heading {
     delta_rad: f64,
     field: LowPass<2>,
-    reference: Vector2<f64>,
-    candidate: Vector2<f64>,
-    candidate_s: f64,
-    steady_s: f64,
-    fit_s: f64,
-    disturbed: bool,
+    reference: Reference,
     rejected_s: f64,
     start_gain: f64,
     disagreement_rad: f64,
@@ -48,17 +43,30 @@ pub(super) struct Heading {
     since_s: f64,
 }
 
+/// The reference field, strength (µT) and dip (rad), and the candidate that may replace it.
+#[derive(Debug, Clone)]
+struct Reference {
+    field: Vector2<f64>,
+    candidate: Vector2<f64>,
+    candidate_s: f64,
+    steady_s: f64,
+    fit_s: f64,
+    disturbed: bool,
+}
+
 impl Heading {
     pub fn new(period_s: f64) -> Self {
         Self {
             delta_rad: 0.0,
             field: LowPass::new(FIELD_TAU_S, period_s),
-            reference: Vector2::zeros(),
-            candidate: Vector2::zeros(),
-            candidate_s: 0.0,
-            steady_s: 0.0,
-            fit_s: 0.0,
-            disturbed: true,
+            reference: Reference {
+                field: Vector2::zeros(),
+                candidate: Vector2::zeros(),
+                candidate_s: 0.0,
+                steady_s: 0.0,
+                fit_s: 0.0,
+                disturbed: true,
+            },
             rejected_s: 0.0,
             start_gain: 1.0,
             disagreement_rad: 0.0,
@@ -66,16 +74,12 @@ impl Heading {
         }
     }
 
-    pub fn begin(&mut self, delta_rad: f64) {
-        (self.delta_rad, self.start_gain) = (delta_rad, 0.0);
-    }
-
     pub fn delta_rad(&self) -> f64 {
         self.delta_rad
     }
 
     pub fn disturbed(&self) -> bool {
-        self.disturbed
+        self.reference.disturbed
     }
 
     pub fn disagreement_rad(&self) -> f64 {
@@ -95,13 +99,13 @@ impl Heading {
         let t = self.since_s.clamp(1e-4, 1.0);
         self.since_s = 0.0;
         let now = self.field.push(Vector2::new(strength, -(level.z / strength).clamp(-1.0, 1.0).asin()));
-        self.check(&now, slow_rate, t);
+        self.reference.check(&now, slow_rate, t);
 
         self.disagreement_rad = wrap_pi(level.x.atan2(level.y) - self.delta_rad);
         let mut gain = 1.0 - (-t / tau_s).exp();
-        if self.disturbed {
+        if self.reference.disturbed {
             // A vehicle that never turns fast finds no reference: it follows what has been steady from the start.
-            let steady = self.reference.x == 0.0 && self.steady_s >= FIELD_FIRST_S;
+            let steady = !self.reference.known() && self.reference.steady_s >= FIELD_FIRST_S;
             if self.rejected_s <= FIELD_REJECT_S && !steady {
                 self.rejected_s += t;
                 gain = 0.0;
@@ -121,6 +125,13 @@ impl Heading {
         }
         self.delta_rad = wrap_pi(self.delta_rad + gain * self.disagreement_rad);
     }
+}
+
+impl Reference {
+    /// Has there been one?
+    fn known(&self) -> bool {
+        self.field.x != 0.0
+    }
 
     /// Does the field fit the reference field, or another that has been steady for long?
     fn check(&mut self, now: &Vector2<f64>, slow_rate: &Vector3<f64>, t: f64) {
@@ -128,11 +139,11 @@ impl Heading {
             (now.x - other.x).abs() < FIELD_STRENGTH * other.x && (now.y - other.y).abs() < FIELD_DIP_RAD
         };
         let gain = 1.0 - (-t / FIELD_REFERENCE_TAU_S).exp();
-        if fits(&self.reference) {
+        if fits(&self.field) {
             self.fit_s += t;
             if self.fit_s >= FIELD_FIT_S {
                 self.disturbed = false;
-                self.reference += gain * (now - self.reference);
+                self.field += gain * (now - self.field);
             }
         } else {
             self.fit_s = 0.0;
@@ -144,9 +155,9 @@ impl Heading {
                 self.candidate_s += t;
             }
             self.candidate += gain * (now - self.candidate);
-            let wait = if self.reference.x == 0.0 { FIELD_FIRST_S } else { FIELD_NEW_S };
+            let wait = if self.known() { FIELD_NEW_S } else { FIELD_FIRST_S };
             if self.disturbed && self.candidate_s >= wait {
-                self.reference = self.candidate;
+                self.field = self.candidate;
                 self.disturbed = false;
                 self.fit_s = FIELD_FIT_S;
             }

@@ -53,11 +53,3 @@ fn at_rest_the_bias_is_the_mean_rate() {
     }
     assert!(filter.at_rest() && (filter.gyro_bias_radps() - bias).amax() < 0.05 * DEGREE);
 }
-
-#[test]
-fn reset_keeps_the_attitude_it_is_given() {
-    let q = from_roll_pitch_yaw(&Vector3::new(0.3, -0.2, 1.0));
-    let mut filter = Vqf::new(VqfOptions { declination_rad: 0.1, ..VqfOptions::default() });
-    filter.reset_to(&q, &Vector3::zeros());
-    assert!(filter.world_from_body().angle_to(&q) < 1e-6);
-}

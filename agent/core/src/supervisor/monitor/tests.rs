@@ -60,6 +60,15 @@ fn every_row_of_the_table_comes_at_its_time() {
         &[(Failsafe::OperatorFreeze, 0.75), (Failsafe::OperatorDescend, 2.5)],
     );
     expect(&first_seen(|_, i| i.tilt_rad = 61.0_f64.to_radians()), &[(Failsafe::TiltCut, 0.3)]);
+    // In doubt inside the box: patience. On its way out of it upwards: none for an estimator that takes it to be lower.
+    let doubted = |climb_mps: f64, altitude_m: f64| {
+        move |_, i: &mut Inputs| (i.degraded, i.climb_mps, i.altitude_m) = (true, climb_mps, Some(altitude_m))
+    };
+    expect(&first_seen(doubted(0.0, 0.4)), &[(Failsafe::EstimatorDescend, 0.2)]);
+    expect(&first_seen(doubted(3.0, 0.4)), &[(Failsafe::EstimatorDescend, 0.0)]);
+    expect(&first_seen(doubted(3.0, 1.6)), &[(Failsafe::BoxHold, 0.0), (Failsafe::EstimatorDescend, 0.2)]);
+    let low = |_, i: &mut Inputs| (i.tilt_rad, i.raw_height_m) = (61.0_f64.to_radians(), Some(0.4));
+    expect(&first_seen(low), &[(Failsafe::TiltCut, 0.1)]);
     expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
     expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
     expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);

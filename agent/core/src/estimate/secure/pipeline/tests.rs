@@ -60,7 +60,7 @@ fn an_attack_is_flagged_and_the_bound_follows_what_remains() {
     fly(&mut s, 0.0, 6.0, &[0.0; 3]);
     fly(&mut s, 6.0, 8.0, &[0.0, 0.3, 0.0]);
     assert!(s.isolation().is_flagged(SensorId::new(SensorKind::Height, 2)));
-    assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.02, "{}", s.estimate().position_enu_m.z);
+    assert!((s.estimate().altitude_m().unwrap() - 0.5).abs() < 0.02, "{}", s.estimate().altitude_m().unwrap());
     assert_eq!(s.isolation().margin(SensorKind::Height).margin(), 1);
     // A second attack: nothing is promised any more.
     fly(&mut s, 8.0, 10.0, &[0.4, 0.3, 0.0]);
@@ -71,7 +71,8 @@ fn an_attack_is_flagged_and_the_bound_follows_what_remains() {
 fn an_excluded_height_takes_its_baseline_with_it() {
     let mut s = secure();
     let mut mean = |from: u64, to: u64, heights: &[f64]| {
-        let estimated = (from..to).map(|k| s.step(&frame(k, heights), &MotorCommand::default()).position_enu_m.z);
+        let estimated =
+            (from..to).map(|k| s.step(&frame(k, heights), &MotorCommand::default()).motion.unwrap().position_enu_m.z);
         let last = estimated.skip((to - from) as usize - 400);
         (last.sum::<f64>() / 400.0, s.isolation().margin(SensorKind::Height).flagged)
     };
@@ -107,7 +108,7 @@ fn an_imu_that_drifted_is_excluded_from_the_last_moments_as_well() {
     assert!(never.is_none() && none == 0 && rewinds >= 1, "{never:?} {none} {rewinds}");
     assert!(at.unwrap() < 8.0, "{at:?}");
     let bias = (ramped.accel_bias_mps2.unwrap().z - clean.accel_bias_mps2.unwrap().z).abs();
-    let climb = ramped.velocity_enu_mps.z.abs();
+    let climb = ramped.motion.unwrap().velocity_enu_mps.z.abs();
     assert!(bias < 0.02 && climb < 0.01, "{bias} {climb}");
 }
 
@@ -159,7 +160,11 @@ fn windows_of_any_length_find_the_attack_and_nothing_else() {
             flagged.len() == 1 && flagged[0].sensor == SensorId::new(SensorKind::Height, 2),
             "{slots}: {flagged:?}"
         );
-        assert!((s.estimate().position_enu_m.z - 0.5).abs() < 0.01, "{slots}: {}", s.estimate().position_enu_m.z);
+        assert!(
+            (s.estimate().altitude_m().unwrap() - 0.5).abs() < 0.01,
+            "{slots}: {}",
+            s.estimate().altitude_m().unwrap()
+        );
     }
     for slots in [SLOTS_MIN - 1, SLOTS_MAX + 1] {
         assert!(Secure::new(SensorModel::default(), &Airframe::iris(), slots).is_err());
@@ -186,7 +191,7 @@ fn garbage_gaps_and_time_running_backwards_never_panic_nor_poison_the_estimate()
         bad.imus.iter_mut().flatten().for_each(|imu| imu.gyro_radps.x = f64::NAN);
         s.step(&bad, &MotorCommand { throttle: [f64::NAN; 4] });
     }
-    assert!(s.estimate().position_enu_m.iter().all(|v| v.is_finite()));
+    assert!(s.estimate().motion.unwrap().position_enu_m.iter().all(|v| v.is_finite()));
     assert!(s.disturbance_enu_n().iter().all(|v| v.is_finite()));
     fly(&mut s, 2.0, 2.1, &[0.0; 3]);
     assert_eq!(s.window().status, DecoderStatus::Filling, "time went backwards: another flight's window is void");

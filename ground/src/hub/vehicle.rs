@@ -1,0 +1,160 @@
+//! One vehicle as the hub keeps it: the latest of every topic, what is gathered for its viewers, and its history.
+
+use std::collections::BTreeMap;
+use std::sync::Weak;
+use std::time::{Duration, Instant};
+
+use bytes::BytesMut;
+use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::{Kind, Message};
+
+use super::health::Health;
+use super::history::History;
+use super::viewer::{Shared, ViewerQueue};
+use crate::agent_link::CommandSender;
+
+/// Gathered frames are flushed early beyond this many bytes.
+const FLUSH_BYTES: usize = 256 << 10;
+/// Batches are kept side by side in blocks of this size, which go back to the system whole: batches of minutes between
+/// what lives for milliseconds would leave the memory in pieces.
+const BLOCK_BYTES: usize = 512 << 10;
+/// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
+const MAX_TOPICS: usize = 512;
+/// A vehicle that says nothing for this long is shown as not connected, whatever its connection may yet become.
+pub const SILENT_AFTER: Duration = Duration::from_secs(2);
+
+/// What is known of one vehicle, and who watches it.
+#[derive(Debug)]
+pub(super) struct Vehicle {
+    pub(super) boot_id: u64,
+    pub(super) boot_wall_time_us: u64,
+    pub(super) version: String,
+    /// `None` while disconnected.
+    pub(super) commands: Option<CommandSender>,
+    /// When anything came from it last.
+    pub(super) heard: Instant,
+    latest: BTreeMap<(u16, u16), Latest>,
+    pub(super) history: History,
+    pub(super) health: Health,
+    pending: Vec<u8>,
+    pending_messages: u32,
+    /// What is left of the block that batches are put into.
+    block: BytesMut,
+    pub(super) viewers: Vec<Weak<ViewerQueue>>,
+}
+
+#[derive(Debug)]
+struct Latest {
+    at: Instant,
+    frame: Vec<u8>,
+}
+
+impl Vehicle {
+    pub(super) fn new(boot_id: u64, now: Instant) -> Self {
+        Self {
+            boot_id,
+            boot_wall_time_us: 0,
+            version: String::new(),
+            commands: None,
+            heard: now,
+            latest: BTreeMap::new(),
+            history: History::default(),
+            health: Health::new(now),
+            pending: Vec::new(),
+            pending_messages: 0,
+            block: BytesMut::new(),
+            viewers: Vec::new(),
+        }
+    }
+
+    pub(super) fn linked(&self) -> bool {
+        self.commands.as_ref().is_some_and(|c| !c.is_closed())
+    }
+
+    pub(super) fn connected(&self) -> bool {
+        self.linked() && self.heard.elapsed() < SILENT_AFTER
+    }
+
+    pub(super) fn reboot(&mut self, boot_id: u64, now: Instant) {
+        self.flush(now);
+        self.boot_id = boot_id;
+        self.latest.retain(|(kind, _), _| Kind::from_wire(*kind).is_some_and(Kind::is_ground_made));
+        self.history.clear();
+        self.health = Health::new(now);
+    }
+
+    pub(super) fn take(&mut self, frame: &Frame<'_>, now: Instant) {
+        let key = (frame.kind, frame.instance);
+        if self.latest.len() < MAX_TOPICS || self.latest.contains_key(&key) {
+            let latest = self.latest.entry(key).or_insert_with(|| Latest { at: now, frame: Vec::new() });
+            latest.at = now;
+            latest.frame.clear();
+            frame.encode(&mut latest.frame);
+        }
+        if self.pending.is_empty() {
+            codec::begin_batch(&mut self.pending);
+        }
+        frame.encode(&mut self.pending);
+        self.pending_messages += 1;
+        if self.pending.len() >= FLUSH_BYTES {
+            self.flush(now);
+        }
+    }
+
+    pub(super) fn flush(&mut self, now: Instant) {
+        if self.pending.is_empty() {
+            return;
+        }
+        if self.block.capacity() < self.pending.len() {
+            self.block = BytesMut::with_capacity(BLOCK_BYTES.max(self.pending.len()));
+        }
+        self.block.extend_from_slice(&self.pending);
+        let shared = Shared { batch: self.block.split().freeze(), messages: self.pending_messages };
+        self.pending.clear();
+        self.pending_messages = 0;
+        self.viewers.retain(|viewer| match viewer.upgrade() {
+            Some(queue) => {
+                queue.push(shared.clone());
+                true
+            }
+            None => false,
+        });
+        self.history.push(now, shared);
+    }
+
+    /// The latest of every topic as one batch. States come always; samples only when the history,
+    /// which begins at `history_start`, does not hold them: nothing is plotted twice.
+    pub(super) fn snapshot(&self, history_start: Instant) -> Shared {
+        let mut batch = Vec::new();
+        codec::begin_batch(&mut batch);
+        let mut messages = 0;
+        for ((kind, _), latest) in &self.latest {
+            let wanted = match Kind::from_wire(*kind) {
+                Some(Kind::Event | Kind::Ack) => false,
+                Some(
+                    Kind::Description
+                    | Kind::Gains
+                    | Kind::Status
+                    | Kind::Attacks
+                    | Kind::Flight
+                    | Kind::StepResponse
+                    | Kind::Secure
+                    | Kind::Recording
+                    | Kind::Lease
+                    | Kind::Link,
+                ) => true,
+                _ => latest.at < history_start,
+            };
+            if wanted {
+                batch.extend_from_slice(&latest.frame);
+                messages += 1;
+            }
+        }
+        Shared { batch: batch.into(), messages }
+    }
+
+    pub(super) fn latest_message<M: Message + Default>(&self, kind: Kind) -> Option<M> {
+        let latest = self.latest.get(&(kind.to_wire(), 0))?;
+        codec::decode_frames(&latest.frame).next()?.ok()?.message().ok()
+    }
+}

@@ -1,0 +1,16 @@
+//! A flight file (MCAP, with the messages of the downlink) as those who write and read one share it: the onboard log, the
+//! ground's recorder and whoever analyses a recording.
+//!
+//! Nothing here reads without bound or panics, whatever the bytes.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod chunk;
+mod ends;
+mod space;
+mod sync;
+
+pub use chunk::{MAX_RECORD, chunk_records};
+pub use ends::{METADATA, ends_with_magic, metadata};
+pub use space::free_bytes;
+pub use sync::{SyncedFile, Syncer};

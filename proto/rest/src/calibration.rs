@@ -1,0 +1,162 @@
+//! Calibrations: `POST /api/v1/calibrations` fits and keeps one, `GET` lists those kept, `GET …/{id}` is a whole one.
+
+use serde::{Deserialize, Serialize};
+
+use crate::number;
+
+/// `POST /api/v1/calibrations`: what to fit, from exactly one of `flight` and `csv`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fit {
+    /// `accelerometer`, `gyroscope`, `magnetometer`, `thermal`, `motor-curve`, `thrust`, `mass` or `allan`.
+    pub kind: String,
+    /// Id of a recorded flight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flight: Option<String>,
+    /// Text of a table.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub csv: Option<String>,
+    /// Name of the table, to be noted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Which IMU, from 1; 1 when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<usize>,
+    /// Flight time to begin at, s.
+    #[serde(default, deserialize_with = "number", skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<f64>,
+    /// Flight time to end at, s.
+    #[serde(default, deserialize_with = "number", skip_serializing_if = "Option::is_none")]
+    pub to_s: Option<f64>,
+    /// The first half of the recording only.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub first_half: bool,
+    /// Gravity of the place, m/s².
+    #[serde(default, deserialize_with = "number", skip_serializing_if = "Option::is_none")]
+    pub gravity_mps2: Option<f64>,
+    /// Which propeller of a table of many.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub propeller: Option<String>,
+    /// Air density for a tunnel's coefficients, kg/m³.
+    #[serde(default, deserialize_with = "number", skip_serializing_if = "Option::is_none")]
+    pub air_density_kgpm3: Option<f64>,
+    /// Id of a kept calibration, for a gyroscope.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accelerometer: Option<String>,
+}
+
+/// `GET /api/v1/calibrations`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Calibrations {
+    /// Newest first, without covariance and picture.
+    pub calibrations: Vec<Calibration>,
+}
+
+/// A calibration: the agent's file, with the name it is kept under. An agent reads it as it is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Calibration {
+    /// Kind and date, safe as a file name.
+    pub id: String,
+    /// Version of the file.
+    pub schema: u32,
+    /// What was fitted, as [`Fit::kind`].
+    pub kind: String,
+    /// When, ISO 8601.
+    pub date: String,
+    /// Recording or table it was fitted to.
+    pub input: String,
+    /// Which IMU, from 1; absent for what is no IMU.
+    pub sensor: Option<u8>,
+    /// Stretch of the recording used, s.
+    pub span_s: Option<[f64; 2]>,
+    /// How many samples, poses or points the fit rests on.
+    pub samples: u64,
+    /// What the model leaves.
+    pub residual: Residual,
+    /// The numbers.
+    pub parameters: Vec<Parameter>,
+    /// Over `parameters`, row by row; empty where nothing is known, absent in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<Vec<Vec<f64>>>,
+    /// What a user should know.
+    pub notes: Vec<String>,
+    /// What to draw; absent in a list.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub picture: Vec<Picture>,
+}
+
+/// One fitted number.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Parameter {
+    /// Name within its kind.
+    pub name: String,
+    /// In `unit`.
+    pub value: f64,
+    /// One-sigma; absent where nothing is known of it.
+    pub sigma: Option<f64>,
+    /// Unit; empty for a pure number.
+    pub unit: String,
+}
+
+/// What the model leaves.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Residual {
+    /// Root mean square.
+    pub value: Option<f64>,
+    /// Unit.
+    pub unit: String,
+}
+
+/// One plot of a fit.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Picture {
+    /// Headline.
+    pub title: String,
+    /// Label of the x axis, with unit.
+    pub x: String,
+    /// Label of the y axis, with unit.
+    pub y: String,
+    /// Both axes logarithmic?
+    pub log: bool,
+    /// What is in it.
+    pub series: Vec<Series>,
+}
+
+/// Points of one kind in a plot.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Series {
+    /// For the legend.
+    pub name: String,
+    /// Joined by a line?
+    pub line: bool,
+    /// x and y.
+    pub points: Vec<[Option<f64>; 2]>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_asked_is_strict_and_what_is_answered_is_not() {
+        let asked = Fit { kind: "thrust".into(), csv: Some("rpm,thrust_n\n".into()), ..Fit::default() };
+        let text = serde_json::to_string(&asked).unwrap();
+        assert_eq!(text, r#"{"kind":"thrust","csv":"rpm,thrust_n\n"}"#);
+        assert_eq!(serde_json::from_str::<Fit>(&text).unwrap(), asked);
+        for wrong in [r#"{"kind":"mass","from":1}"#, r#"{"kind":"mass","from_s":null}"#, "{}"] {
+            assert!(serde_json::from_str::<Fit>(wrong).is_err(), "{wrong}");
+        }
+        let text = r#"{"id":"m-1","kind":"magnetometer","sensor":1,"span_s":[5.0,60.0],"samples":1109,"new_field":1,
+            "residual":{"value":0.6,"unit":"µT"},"parameters":[{"name":"hard_x","value":-1.4,"sigma":0.3,"unit":"µT"}],
+            "picture":[{"title":"Field","log":true,"series":[{"name":"before","line":false,"points":[[10.0,null]]}]}]}"#;
+        let read: Calibration = serde_json::from_str(text).unwrap();
+        assert_eq!((read.parameters[0].sigma, read.residual.value), (Some(0.3), Some(0.6)));
+        assert_eq!(read.picture[0].series[0].points, [[Some(10.0), None]]);
+    }
+}

@@ -1,0 +1,121 @@
+//! `cargo xtask reproduce clinic`: [Clinic]'s figures and its Table 1 in closed loop, on the nonlinear simulator.
+//!
+//! `--quick` flies fewer seeds, `--seeds N` so many; `--only decoder|flights|phantom` runs one part. All cores;
+//! figures as JSON lines, an HTML page with plots and CSV beside it.
+
+mod decoder;
+mod flight;
+mod flights;
+mod phantom;
+mod sdof;
+
+use std::process::ExitCode;
+
+use plumbline_tests::report::Report;
+
+/// How much of it.
+pub struct Effort {
+    /// Seeds of each flight.
+    pub seeds: u64,
+    /// Trials of each point of a figure.
+    pub trials: u64,
+}
+
+pub fn run() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().collect();
+    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
+    let quick = arguments.iter().any(|a| a == "--quick");
+    let mut effort = if quick { Effort { seeds: 4, trials: 10 } } else { Effort { seeds: 20, trials: 50 } };
+    if let Some(seeds) = value("--seeds") {
+        effort.seeds = seeds.parse().expect("--seeds N");
+    }
+    let runs = |part: &str| value("--only").is_none_or(|only| only == part);
+    let mut report =
+        Report::open("reproduce", "clinic", "Secure state estimation: [Clinic] Figures 8 to 13 and Table 1").unwrap();
+    report.paragraph(&format!(
+        "{} seeds of each flight, {} trials of each point. Ratios are to e*, the tracking error of the plain EKF without attack.",
+        effort.seeds, effort.trials
+    ));
+    if runs("decoder") {
+        sdof::run(&mut report, &effort);
+        decoder::run(&mut report, &effort);
+    }
+    if runs("flights") {
+        flights::run(&mut report, &effort);
+    }
+    if runs("phantom") {
+        phantom::run(&mut report);
+    }
+    report.finish().unwrap();
+    ExitCode::SUCCESS
+}
+
+/// `work(0..count)` on all cores, in order.
+pub fn parallel<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let next = std::sync::atomic::AtomicUsize::new(0);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let run = || {
+            let mut mine = Vec::new();
+            loop {
+                let index = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                if index >= count {
+                    return mine;
+                }
+                mine.push((index, work(index)));
+            }
+        };
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
+        workers.into_iter().flat_map(|w| w.join().unwrap()).collect()
+    });
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, value)| value).collect()
+}
+
+/// Median; NaN of nothing.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    if n == 0 { f64::NAN } else { 0.5 * (sorted[(n - 1) / 2] + sorted[n / 2]) }
+}
+
+/// Largest.
+pub fn worst(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::NAN, f64::max)
+}
+
+/// Normal deviates from a seed (splitmix64, sum of twelve uniforms): the campaigns' own dice.
+pub struct Dice(u64);
+
+impl Dice {
+    /// Dice of this seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x1234_5678_9abc_def0)
+    }
+
+    /// 0 to 1.
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Zero mean, unit variance.
+    pub fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+
+    /// `count` different numbers below `below`.
+    pub fn choose(&mut self, count: usize, below: usize) -> Vec<usize> {
+        let mut all: Vec<usize> = (0..below).collect();
+        for i in 0..count.min(below) {
+            let j = i + (self.uniform() * (below - i) as f64) as usize;
+            all.swap(i, j.min(below - 1));
+        }
+        all.truncate(count);
+        all
+    }
+}

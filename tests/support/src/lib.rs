@@ -1,0 +1,25 @@
+//! What tests, benches and campaigns share. Like a test, it panics where something is not as it must be.
+//!
+//! - [`flown`], [`walk`]: scenarios and random walks flown in this process, every tick kept.
+//! - [`headless`]: scripted flights in this process for benches and reports, nothing kept.
+//! - [`counting`]: an allocator that counts.
+//! - [`system`], [`files`], [`kill`]: ground and agent as processes, what they record, and what a kill costs.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+pub mod counting;
+#[cfg(feature = "system")]
+pub mod files;
+pub mod flown;
+pub mod headless;
+#[cfg(feature = "system")]
+pub mod kill;
+#[cfg(feature = "system")]
+pub mod system;
+pub mod walk;
+
+use std::path::{Path, PathBuf};
+
+/// The scenario of that name, with or without its extension, in `tests/scenarios`.
+pub fn scenario_file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios").join(name).with_extension("toml")
+}

@@ -1,0 +1,229 @@
+//! The canvas and the device that draws on it: asked for, fitted to the page, noticed when lost.
+
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use wasm_bindgen::JsCast;
+use wasm_bindgen::closure::Closure;
+use web_sys::HtmlCanvasElement;
+
+use super::error::GpuError;
+
+/// Which interface of the browser draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Backend {
+    /// WebGPU.
+    WebGpu,
+    /// WebGL2.
+    WebGl,
+}
+
+/// Why there is nothing to draw on.
+pub(super) enum Missing {
+    /// Hidden, or busy: next time there may be.
+    Busy,
+    /// The context is lost, and not restored yet.
+    Lost,
+    /// The device is gone for good, and a new one can be had.
+    Gone,
+}
+
+/// See the module documentation.
+pub(super) struct Screen {
+    canvas: HtmlCanvasElement,
+    surface: wgpu::Surface<'static>,
+    config: wgpu::SurfaceConfiguration,
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) backend: Backend,
+    /// What the browser calls its graphics adapter.
+    pub(super) adapter_name: String,
+    /// Can pictures be drawn with four samples a pixel?
+    pub(super) multisampled: bool,
+    /// Pixels for one CSS pixel.
+    pub(super) scale: f32,
+    /// Most pixels a picture may be wide or high.
+    pub(super) most_pixels: u32,
+    watch: ContextWatch,
+    device_lost: Arc<AtomicBool>,
+}
+
+impl Screen {
+    /// Asks the browser for a device that draws on `canvas`, for pictures of format `picture` as well.
+    pub(super) async fn open(
+        canvas: HtmlCanvasElement,
+        backends: wgpu::Backends,
+        picture: wgpu::TextureFormat,
+    ) -> Result<Self, GpuError> {
+        let descriptor =
+            wgpu::InstanceDescriptor { backends, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+        let instance = wgpu::util::new_instance_with_webgpu_detection(descriptor).await;
+        let surface = surface_of(&instance, &canvas)?;
+        let adapter = instance
+            .request_adapter(&wgpu::RequestAdapterOptions {
+                compatible_surface: Some(&surface),
+                ..wgpu::RequestAdapterOptions::default()
+            })
+            .await
+            .map_err(|error| GpuError::Adapter(error.to_string()))?;
+        let info = adapter.get_info();
+        let backend = if info.backend == wgpu::Backend::BrowserWebGpu { Backend::WebGpu } else { Backend::WebGl };
+        let limits = wgpu::Limits::downlevel_webgl2_defaults().using_resolution(adapter.limits());
+        let most_pixels = limits.max_texture_dimension_2d;
+        let (device, queue) = adapter
+            .request_device(&wgpu::DeviceDescriptor { required_limits: limits, ..wgpu::DeviceDescriptor::default() })
+            .await
+            .map_err(|error| GpuError::Device(error.to_string()))?;
+        let config = configuration(&surface, &adapter, &canvas)
+            .ok_or_else(|| GpuError::Format { adapter: info.name.clone() })?;
+        let screen = Self {
+            watch: ContextWatch::new(canvas.clone()),
+            device_lost: watch_device(&device),
+            multisampled: adapter.get_texture_format_features(picture).flags.sample_count_supported(4),
+            adapter_name: info.name,
+            scale: 1.0,
+            canvas,
+            surface,
+            config,
+            device,
+            queue,
+            backend,
+            most_pixels,
+        };
+        screen.configure();
+        Ok(screen)
+    }
+
+    /// Format of the canvas.
+    pub(super) fn format(&self) -> wgpu::TextureFormat {
+        self.config.format
+    }
+
+    /// Width and height of the canvas, px.
+    pub(super) fn size(&self) -> [u32; 2] {
+        [self.config.width, self.config.height]
+    }
+
+    /// Fits the canvas to its size on the page (CSS pixels) and the device pixel ratio; did its size change?
+    pub(super) fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) -> bool {
+        let ratio = if device_pixel_ratio.is_finite() { device_pixel_ratio.clamp(0.25, 8.0) } else { 1.0 };
+        let pixels = |css: f64| ((css * ratio).round().max(1.0) as u32).min(self.most_pixels);
+        let (width, height) = (pixels(css_width), pixels(css_height));
+        self.scale = ratio as f32;
+        if [width, height] == self.size() {
+            return false;
+        }
+        self.canvas.set_width(width);
+        self.canvas.set_height(height);
+        (self.config.width, self.config.height) = (width, height);
+        self.configure();
+        true
+    }
+
+    fn configure(&self) {
+        self.surface.configure(&self.device, &self.config);
+    }
+
+    /// What the next frame is drawn on.
+    pub(super) fn texture(&self) -> Result<wgpu::SurfaceTexture, Missing> {
+        if self.watch.lost.get() {
+            return Err(if self.watch.restored.get() { Missing::Gone } else { Missing::Lost });
+        }
+        if self.device_lost.load(Ordering::Relaxed) {
+            return Err(Missing::Gone);
+        }
+        match self.surface.get_current_texture() {
+            wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => {
+                Ok(texture)
+            }
+            wgpu::CurrentSurfaceTexture::Timeout
+            | wgpu::CurrentSurfaceTexture::Occluded
+            | wgpu::CurrentSurfaceTexture::Validation => Err(Missing::Busy),
+            wgpu::CurrentSurfaceTexture::Outdated => {
+                self.configure();
+                Err(Missing::Busy)
+            }
+            wgpu::CurrentSurfaceTexture::Lost => Err(Missing::Gone),
+        }
+    }
+}
+
+/// A surface for the canvas; the page's code also compiles natively, where there is none.
+#[cfg(target_arch = "wasm32")]
+fn surface_of(instance: &wgpu::Instance, canvas: &HtmlCanvasElement) -> Result<wgpu::Surface<'static>, GpuError> {
+    instance
+        .create_surface(wgpu::SurfaceTarget::Canvas(canvas.clone()))
+        .map_err(|error| GpuError::Surface(error.to_string()))
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+fn surface_of(_: &wgpu::Instance, _: &HtmlCanvasElement) -> Result<wgpu::Surface<'static>, GpuError> {
+    Err(GpuError::Surface("a canvas needs a browser".to_owned()))
+}
+
+/// How the canvas is drawn on; `None` where the adapter cannot draw on it at all.
+fn configuration(
+    surface: &wgpu::Surface<'static>,
+    adapter: &wgpu::Adapter,
+    canvas: &HtmlCanvasElement,
+) -> Option<wgpu::SurfaceConfiguration> {
+    // A non-sRGB format: colours are given as the style sheet has them, and blend as there.
+    let formats = surface.get_capabilities(adapter).formats;
+    let format = formats.iter().find(|format| !format.is_srgb()).or(formats.first()).copied()?;
+    let mut config = surface.get_default_config(adapter, canvas.width().max(1), canvas.height().max(1))?;
+    config.format = format;
+    Some(config)
+}
+
+/// Set once the device is lost for another reason than that nobody wants it any more.
+fn watch_device(device: &wgpu::Device) -> Arc<AtomicBool> {
+    let lost = Arc::new(AtomicBool::new(false));
+    let flag = lost.clone();
+    device.set_device_lost_callback(move |reason, _| {
+        // Dropping the renderer destroys the device too; only the other reasons matter.
+        if reason != wgpu::DeviceLostReason::Destroyed {
+            flag.store(true, Ordering::Relaxed);
+        }
+    });
+    lost
+}
+
+/// Notices a lost WebGL context on the canvas.
+struct ContextWatch {
+    canvas: HtmlCanvasElement,
+    lost: Rc<Cell<bool>>,
+    restored: Rc<Cell<bool>>,
+    on_lost: Closure<dyn FnMut(web_sys::Event)>,
+    on_restored: Closure<dyn FnMut(web_sys::Event)>,
+}
+
+impl ContextWatch {
+    fn new(canvas: HtmlCanvasElement) -> Self {
+        let (lost, restored) = (Rc::new(Cell::new(false)), Rc::new(Cell::new(false)));
+        let flag = lost.clone();
+        let on_lost = Closure::<dyn FnMut(web_sys::Event)>::new(move |event: web_sys::Event| {
+            // Without this the browser never restores the context.
+            event.prevent_default();
+            flag.set(true);
+        });
+        let flag = restored.clone();
+        let on_restored = Closure::<dyn FnMut(web_sys::Event)>::new(move |_| flag.set(true));
+        let listen = |name: &str, closure: &Closure<dyn FnMut(web_sys::Event)>| {
+            // Fails only for names that are not strings.
+            let _ = canvas.add_event_listener_with_callback(name, closure.as_ref().unchecked_ref());
+        };
+        listen("webglcontextlost", &on_lost);
+        listen("webglcontextrestored", &on_restored);
+        Self { canvas, lost, restored, on_lost, on_restored }
+    }
+}
+
+impl Drop for ContextWatch {
+    fn drop(&mut self) {
+        for (name, closure) in [("webglcontextlost", &self.on_lost), ("webglcontextrestored", &self.on_restored)] {
+            let _ = self.canvas.remove_event_listener_with_callback(name, closure.as_ref().unchecked_ref());
+        }
+    }
+}
