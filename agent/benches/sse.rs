@@ -173,7 +173,7 @@ fn cvxpy(windows: &Path) -> Result<Vec<f64>, String> {
 }
 
 /// The whole tick of the secure estimator: decode, identify, filter, on the frames of a simulated flight in
-/// which one height and one IMU lie.
+/// which one height and one IMU are attacked.
 fn secure_tick() {
     let text = "name = \"bench\"\nduration_s = 40\n\
         [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\

@@ -34,8 +34,9 @@ use crate::link::inbound::Inbound;
 use crate::log::LogState;
 use crate::sensor::MAX_IMUS;
 use crate::sim::script::Script;
-use crate::telemetry::{Around, Telemetry};
-use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Vehicle, VehicleError};
+use crate::telemetry::{Around, Replay, Telemetry};
+use crate::vehicle::calibrated::CalibratedVehicle;
+use crate::vehicle::{MOTOR_TIMEOUT_S, Vehicle, VehicleError};
 
 use auditor::Auditor;
 use certifier::Certifier;
@@ -68,8 +69,6 @@ const PRIORITY: i32 = 50;
 pub struct RunnerOptions {
     /// How fast time runs.
     pub pace: Pace,
-    /// The vehicle can be paused, stepped and sped up.
-    pub replay: bool,
     /// Ends here, if anywhere.
     pub end: Option<FlightTime>,
     /// Commands given by themselves.
@@ -117,7 +116,7 @@ pub struct Summary {
 
 /// One flight thread.
 pub struct Runner {
-    vehicle: Box<dyn Vehicle>,
+    vehicle: CalibratedVehicle,
     flight: Flight,
     telemetry: Telemetry,
     options: RunnerOptions,
@@ -192,12 +191,13 @@ struct Ending {
 impl Runner {
     /// Ready to fly.
     pub fn new(
-        vehicle: Box<dyn Vehicle>,
+        vehicle: impl Into<CalibratedVehicle>,
         mut flight: Flight,
         telemetry: Telemetry,
         options: RunnerOptions,
         ports: RunnerPorts,
     ) -> Self {
+        let vehicle = vehicle.into();
         time_steps(&mut flight, options.pace);
         let mut pacer = Pacer::new(options.pace);
         if let Some(zero) = ports.zero {
@@ -205,7 +205,7 @@ impl Runner {
         }
         Self {
             // Before real-time priority is asked for: the threads would inherit it.
-            beside: Beside::start(&flight, vehicle.as_ref(), &options),
+            beside: Beside::start(&flight, vehicle.inner(), &options),
             pacer,
             timing: Timing::new(flight.config().tick_rate_hz),
             vehicle,
@@ -318,7 +318,7 @@ impl Runner {
         }
         if silent_s > MOTOR_TIMEOUT_S && self.pacer.is_real_time() {
             self.flight.stalled(silent_s);
-            let passed = Duration::from_secs_f64(self.vehicle.pass_over(silent_s));
+            let passed = Duration::from_secs_f64(self.vehicle.inner_mut().pass_over(silent_s));
             self.pacer.begin_anew(started, time + passed, &self.ports.clock);
         }
         (due, started)
@@ -335,15 +335,15 @@ impl Runner {
         self.script(frame.time);
         self.log_health();
 
-        let received = self.vehicle.recorded_reception();
-        let command = self.flight.step_received(&frame, received.as_ref().unwrap_or(&frame)).command;
-        let applied = self.vehicle.actuate(&command)?;
+        let received = self.vehicle.reception().unwrap_or(&frame);
+        let command = self.flight.step_received(&frame, received).command;
+        let applied = self.vehicle.inner_mut().actuate(&command)?;
         self.flight.applied(applied);
-        if self.ticks == 0 && self.options.replay && self.options.own_operator {
+        if self.ticks == 0 && self.vehicle.inner().recorded().is_some() && self.options.own_operator {
             self.telemetry.record(frame.time, true, false);
         }
         self.wait_for_log();
-        let truth = self.vehicle.truth();
+        let truth = self.vehicle.inner().truth();
         let audit = match (&mut self.beside.auditor, self.flight.secure()) {
             (Some(auditor), Some(secure)) => auditor.tick(frame.time, secure),
             _ => None,
@@ -412,11 +412,12 @@ impl Runner {
         }
     }
 
-    fn replay_state(&self) -> Option<ReplayState> {
-        self.options.replay.then(|| ReplayState {
+    fn replay_state(&self) -> Option<Replay> {
+        let recording = self.vehicle.inner().recorded()?;
+        Some(Replay {
             speed: if self.ending.recording_over { 0.0 } else { self.pacer.speed() },
-            progress: self.vehicle.progress().unwrap_or(0.0),
-            recorded: self.vehicle.recorded_control(),
+            progress: recording.progress(),
+            recorded: recording.control(),
         })
     }
 
@@ -467,20 +468,7 @@ fn stopwatch() -> u64 {
     START.elapsed().as_nanos() as u64
 }
 
-/// Where a replay stands.
-#[derive(Debug, Clone, Copy)]
-struct ReplayState {
-    speed: f64,
-    progress: f64,
-    recorded: Option<RecordedControl>,
-}
-
-fn around<'a>(
-    timing: &Timing,
-    ports: &RunnerPorts,
-    log_error: Option<&'a str>,
-    replay: Option<ReplayState>,
-) -> Around<'a> {
+fn around<'a>(timing: &Timing, ports: &RunnerPorts, log_error: Option<&'a str>, replay: Option<Replay>) -> Around<'a> {
     let link = ports.link.as_deref();
     Around {
         ticks: timing.stats(),
@@ -488,10 +476,7 @@ fn around<'a>(
         log_error,
         connections: link.map_or(0, |link| link.connections.load(Ordering::Acquire)),
         challenge: 0,
-        replay_speed: replay.map_or(0.0, |replay| replay.speed),
-        replay_progress: replay.map_or(0.0, |replay| replay.progress),
-        replay: replay.is_some(),
-        recorded: replay.and_then(|replay| replay.recorded),
+        replay,
         audit: None,
     }
 }

@@ -107,16 +107,27 @@ pub struct Around<'a> {
     pub connections: u64,
     /// What the operator's page has to answer.
     pub challenge: u64,
-    /// Replay only: times real time, 0 while standing.
-    pub replay_speed: f64,
-    /// Replay only: 0 to 1.
-    pub replay_progress: f64,
     /// A recording is flown: nothing can be armed.
-    pub replay: bool,
-    /// Replay only: what the recorded flight did in this tick, where the recording knows.
-    pub recorded: Option<RecordedControl>,
+    pub replay: Option<Replay>,
     /// What the audit of the flying decoder said last.
     pub audit: Option<Audit>,
+}
+
+/// How a recording is flown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Replay {
+    /// Times real time, 0 while standing.
+    pub speed: f64,
+    /// How much of it is flown, 0 to 1.
+    pub progress: f64,
+    /// What the recorded flight did in this tick.
+    pub recorded: RecordedControl,
+}
+
+impl Around<'_> {
+    fn recorded(&self) -> Option<&RecordedControl> {
+        self.replay.as_ref().map(|replay| &replay.recorded)
+    }
 }
 
 /// A decoded window, solved again by Clarabel.
@@ -201,14 +212,14 @@ impl Telemetry {
         self.sensors(&flight.report().sensed, &flight.report().received);
         self.estimates(flight, now);
         self.secure(flight, now, around);
-        self.control(flight, around.recorded.as_ref());
+        self.control(flight, around.recorded());
         if let Some(truth) = truth
             && due(&mut self.due.truth, now, TRUTH_S)
         {
             convert::truth(&mut self.kept.truth, truth);
             self.outlets.send(Kind::Truth, 0, now, &self.kept.truth);
         }
-        let step_response = around.recorded.as_ref().map_or(&flight.report().step_response, |then| &then.step_response);
+        let step_response = around.recorded().map_or(&flight.report().step_response, |then| &then.step_response);
         if let Some(response) = step_response {
             self.outlets.send(Kind::StepResponse, 0, now, &convert::step_response(now, response));
         }
@@ -368,7 +379,7 @@ impl Telemetry {
     /// With every window decoded.
     fn secure(&mut self, flight: &Flight, now: FlightTime, around: &Around<'_>) {
         let Some(secure) = flight.secure() else { return };
-        self.tracking.tick(flight, secure, around.recorded.as_ref());
+        self.tracking.tick(flight, secure, around.recorded());
         if self.windows != secure.window().count {
             self.windows = secure.window().count;
             secure::fill(&mut self.kept.secure, now, secure, &self.tracking, around.audit);
@@ -402,7 +413,7 @@ impl Telemetry {
             self.outlets.send(Kind::Attacks, 0, now, &self.kept.attacks);
         }
         let report = flight.report();
-        let (mode, armed) = around.recorded.map_or((report.mode, report.armed), |then| (then.mode, then.armed));
+        let (mode, armed) = around.recorded().map_or((report.mode, report.armed), |then| (then.mode, then.armed));
         let key = (
             mode,
             armed,
@@ -422,8 +433,8 @@ impl Telemetry {
         let (link_refused, log_refused) = self.outlets.refused();
         let status = &mut self.kept.status;
         convert::flight_status(status, &flight.status());
-        if around.replay {
-            convert::replay_status(status, around.recorded.as_ref());
+        if let Some(replay) = &around.replay {
+            convert::replay_status(status, replay);
         }
         status.time_us = now.0;
         convert::set(&mut status.flight_id, self.recording.flight_id());
@@ -440,8 +451,6 @@ impl Telemetry {
         status.tick_jitter_p99_us = around.ticks.jitter_p99_us;
         status.telemetry_dropped = link_refused + around.radio_dropped;
         status.challenge = around.challenge;
-        status.replay_speed = around.replay_speed;
-        status.replay_progress = around.replay_progress;
         self.outlets.send(Kind::Status, 0, now, status);
     }
 }

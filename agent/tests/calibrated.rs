@@ -55,16 +55,16 @@ fn a_distorted_simulator_reads_as_a_true_one_once_calibrated() {
         }
     }
     assert!(seen > 100, "{seen}");
-    assert!(calibrated.fields().iter().all(|field| field.imu == 1 && field.fits));
+    assert!(calibrated.fields().all(|field| field.imu == 1 && field.fits));
 
     // A magnet comes near: the calibration no longer fits, and says so.
     let near = scenario.suite.imus.first_mut().unwrap();
     near.distortion.hard_iron_ut[2] += 2.0 * field_ut;
     let mut other = CalibratedVehicle::new(sim(&scenario), calibration);
-    assert!(other.fields().iter().all(|field| field.fits), "fits until seen");
+    assert!(other.fields().all(|field| field.fits), "fits until seen");
     (0..400).for_each(|_| {
         other.sense().unwrap();
     });
-    let fields = other.fields();
+    let fields: Vec<_> = other.fields().collect();
     assert!(fields.len() == 1 && !fields[0].fits && fields[0].withheld > 50, "{fields:?}");
 }

@@ -72,7 +72,6 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
     let telemetry = Telemetry::new(identification, &flight, Some(Outlet::new(ring)), None);
     let options = RunnerOptions {
         pace: Pace::Free,
-        replay: true,
         end: None,
         script: None,
         attacks: None,

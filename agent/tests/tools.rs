@@ -202,11 +202,11 @@ fn a_suite_is_judged_before_it_flies() {
 
 #[test]
 fn a_recorded_flight_is_estimated_and_flown_again_under_every_decoder() {
-    // GIVEN a recorded flight in which height 2 lies.
+    // GIVEN a recorded flight in which height 2 is attacked.
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let scenario = path("lie.toml");
-    let text = "name = \"lie\"\nduration_s = 16\n[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\n\
+    let scenario = path("attack.toml");
+    let text = "name = \"attack\"\nduration_s = 16\n[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\n\
                 mode = \"altitude_hold\"\n[[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 0.6\n[[attack]]\n\
                 sensor = \"height\"\ninstance = 2\nkind = \"bias\"\nstart_s = 9\nduration_s = 5\nmagnitude = 0.5\n";
     std::fs::write(&scenario, text).unwrap();

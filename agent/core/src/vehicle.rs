@@ -4,13 +4,11 @@ pub mod calibrated;
 
 use std::sync::Arc;
 
-use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
-use crate::calibration::applied::FieldReport;
 use crate::control::step_response::StepResponse;
-use crate::sensor::{MAX_IMUS, SensorFrame};
+use crate::sensor::SensorFrame;
 use crate::types::{Mode, MotorCommand, ROTORS, Setpoint, Wrench};
 
 /// True state, known to the simulator and to some recordings. For telemetry and tests only:
@@ -124,31 +122,34 @@ pub trait Vehicle: Send {
         None
     }
 
-    /// Gives a simulated vehicle what is asked; false from any other.
-    fn serve(&mut self, _service: Service) -> bool {
-        false
-    }
-
-    /// How much of a recording is flown, 0 to 1; `None` where there is no end.
-    fn progress(&self) -> Option<f64> {
+    /// Itself, if it is simulated.
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
         None
     }
 
-    /// What the estimators received of the frame last sensed, when it comes from a recording in which that
-    /// differs from what was sensed: the attacks of then are seen again.
-    fn recorded_reception(&self) -> Option<SensorFrame> {
+    /// Itself, if it is a recording.
+    fn recorded(&self) -> Option<&dyn Recorded> {
         None
     }
+}
 
-    /// Mode and setpoint of the frame last sensed, when it comes from a recording that knows them.
-    fn recorded_control(&self) -> Option<RecordedControl> {
-        None
-    }
+/// What a simulated vehicle does besides.
+pub trait Simulated {
+    /// Gives it what is asked. May take memory: no tick calls it.
+    fn serve(&mut self, service: Service);
+}
 
-    /// How its calibrated magnetometers fare.
-    fn fields(&self) -> ArrayVec<FieldReport, MAX_IMUS> {
-        ArrayVec::new()
-    }
+/// What a recording knows besides.
+pub trait Recorded {
+    /// How much of it is flown, 0 to 1.
+    fn progress(&self) -> f64;
+
+    /// What the estimators received of the frame last sensed, where that differs from what was sensed: the attacks of
+    /// then are seen again.
+    fn reception(&self) -> Option<SensorFrame>;
+
+    /// Mode and setpoint of the frame last sensed.
+    fn control(&self) -> RecordedControl;
 }
 
 /// What the recorded flight was told to do, and did about it.

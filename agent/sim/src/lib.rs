@@ -30,7 +30,7 @@ use crate::world::World;
 use plumbline_core::model::battery::Battery;
 use plumbline_core::sensor::SensorFrame;
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{MOTOR_TIMEOUT_S, MotorStop, Service, Truth, Vehicle, VehicleError};
+use plumbline_core::vehicle::{MOTOR_TIMEOUT_S, MotorStop, Service, Simulated, Truth, Vehicle, VehicleError};
 
 /// A quadrotor that flies in memory.
 #[derive(Debug, Clone)]
@@ -157,18 +157,8 @@ impl Vehicle for SimVehicle {
         self.time_of(self.tick + self.passed_over).seconds_since(self.time())
     }
 
-    /// Begins the world anew where that is asked: it takes memory, and no tick does.
-    fn serve(&mut self, service: Service) -> bool {
-        if service.reset {
-            let battery = *self.world.battery();
-            self.world = World::new(self.scenario.beginning());
-            self.world.replace_battery(battery);
-            self.throttle = MotorCommand::default();
-        }
-        if service.battery {
-            self.world.replace_battery(Battery::new(self.scenario.airframe.battery, 1.0));
-        }
-        true
+    fn simulated(&mut self) -> Option<&mut dyn Simulated> {
+        Some(self)
     }
 
     fn truth(&self) -> Option<Truth> {
@@ -185,5 +175,20 @@ impl Vehicle for SimVehicle {
             string_tension_n: load.tension_n,
             ground_force_n: load.ground_n,
         })
+    }
+}
+
+impl Simulated for SimVehicle {
+    /// Begins the world anew where that is asked.
+    fn serve(&mut self, service: Service) {
+        if service.reset {
+            let battery = *self.world.battery();
+            self.world = World::new(self.scenario.beginning());
+            self.world.replace_battery(battery);
+            self.throttle = MotorCommand::default();
+        }
+        if service.battery {
+            self.world.replace_battery(Battery::new(self.scenario.airframe.battery, 1.0));
+        }
     }
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
+use plumbline_agent::calibration::Calibration;
 use plumbline_agent::config::AgentConfig;
 use plumbline_agent::estimate::secure::suite::{Observed, Promise, SuiteError};
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
@@ -39,6 +40,7 @@ const SET_UP: Duration = Duration::from_millis(100);
 /// A vehicle and all that follows from it.
 struct Chosen {
     vehicle: Box<dyn Vehicle>,
+    calibration: Calibration,
     flight: FlightConfig,
     kind: &'static str,
     rig: String,
@@ -54,7 +56,7 @@ struct Chosen {
 
 impl Chosen {
     /// The vehicle, and what telemetry says of it.
-    fn identified(self, agent_id: &str, boot: &Boot) -> (Box<dyn Vehicle>, Identification) {
+    fn identified(self, agent_id: &str, boot: &Boot) -> (CalibratedVehicle, Identification) {
         let identification = Identification {
             agent_id: agent_id.to_owned(),
             boot_id: boot.id,
@@ -68,7 +70,7 @@ impl Chosen {
             strings: self.strings,
             promise: self.promise,
         };
-        (self.vehicle, identification)
+        (CalibratedVehicle::new(self.vehicle, self.calibration), identification)
     }
 }
 
@@ -102,7 +104,6 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let radio = link.is_some().then(|| Outlet::new(link_ring));
     let options = RunnerOptions {
         pace,
-        replay,
         end: chosen.end,
         own_operator: chosen.script.is_some() || (replay && !with_ground),
         script: chosen.script.take(),
@@ -178,7 +179,7 @@ fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fail
     if !config.calibrations.is_empty() {
         let calibration = calibrate::load(&config.calibrations)?;
         calibration.apply_to_airframe(&mut chosen.flight.airframe);
-        chosen.vehicle = Box::new(CalibratedVehicle::new(chosen.vehicle, calibration));
+        chosen.calibration = calibration;
     }
     // Frames come at the rate of the scenario or the recording, whatever the configuration says.
     chosen.flight.tick_rate_hz = frame_rate_hz;
@@ -266,6 +267,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
     };
     Ok(Chosen {
         vehicle: Box::new(SimVehicle::new(&scenario)?),
+        calibration: Calibration::default(),
         flight: scenario.flight_config().with_every_estimator(),
         kind: "sim",
         rig: scenario.rig.name().to_owned(),
@@ -329,6 +331,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     Ok(Chosen {
         vehicle: Box::new(ReplayVehicle::new(recording, samples)),
         flight,
+        calibration: Calibration::default(),
         kind: "replay",
         rig: scenario.as_ref().map_or("recording", |scenario| scenario.rig.name()).to_owned(),
         seed: scenario.as_ref().map_or(0, |scenario| scenario.seed),

@@ -18,7 +18,7 @@ impl Runner {
         for _ in 0..COMMANDS_PER_TICK {
             let Some(inbound) = self.ports.inbound.as_mut().and_then(|queue| queue.pop().ok()) else { return };
             match inbound.request {
-                Request::Flight(command) if self.options.replay && controls(&command) => {
+                Request::Flight(command) if self.vehicle.inner().recorded().is_some() && controls(&command) => {
                     let reason = "a recording is flown: its motors and setpoints are those of then";
                     self.telemetry.ack(now, inbound.id, false, reason);
                 }
@@ -78,9 +78,10 @@ impl Runner {
         if service.reset && armed {
             return (false, text(format_args!("armed: land or cut first")));
         }
-        if !self.vehicle.serve(service) {
+        let Some(simulated) = self.vehicle.inner_mut().simulated() else {
             return (false, text(format_args!("only a simulated vehicle can be given this")));
-        }
+        };
+        simulated.serve(service);
         if !service.reset {
             return (true, text(format_args!("a full battery")));
         }
@@ -90,7 +91,7 @@ impl Runner {
     }
 
     fn replay(&mut self, rate: ReplayRate) -> (bool, &'static str) {
-        if !self.options.replay {
+        if self.vehicle.inner().recorded().is_none() {
             return (false, "only a recording can be paused, stepped or sped up");
         }
         if self.ending.recording_over {

@@ -15,6 +15,7 @@ use crate::sensor::quantities;
 use crate::sensor::suite::Description as SensorDescription;
 use crate::sensor::wire::{quaternion, vector};
 use crate::sim::rig::Line;
+use crate::telemetry::Replay;
 use crate::types::{EstimatorKind, Setpoint};
 use crate::vehicle::{RecordedControl, Truth};
 
@@ -175,11 +176,11 @@ pub(super) fn flight_status(into: &mut v1::Status, status: &FlightStatus) {
 }
 
 /// A recording cannot be armed, whatever its samples look like; its mode is the one of then.
-pub(super) fn replay_status(into: &mut v1::Status, recorded: Option<&RecordedControl>) {
-    if let Some(then) = recorded {
-        into.mode = then.mode as i32;
-        into.armed = then.armed;
-    }
+pub(super) fn replay_status(into: &mut v1::Status, replay: &Replay) {
+    into.mode = replay.recorded.mode as i32;
+    into.armed = replay.recorded.armed;
+    into.replay_speed = replay.speed;
+    into.replay_progress = replay.progress;
     into.ready_to_arm = false;
     into.checks.resize_with(1, v1::Check::default);
     if let Some(check) = into.checks.first_mut() {

@@ -5,6 +5,7 @@
 //! test, a campaign panics where something is not as it must be.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod attacks;
 mod chaos_clients;
 mod chaos_clock;
 mod chaos_disk;
@@ -15,6 +16,7 @@ mod chaos_power;
 mod chaos_sensors;
 mod clinic;
 mod disk;
+mod draw;
 mod evaluate;
 mod figures;
 mod paternain;
@@ -28,7 +30,8 @@ use std::process::{ExitCode, Termination as _};
 /// A campaign's name and what runs it.
 type Campaign = (&'static str, fn() -> ExitCode);
 
-const CAMPAIGNS: [Campaign; 14] = [
+const CAMPAIGNS: [Campaign; 15] = [
+    ("attacks", || attacks::run().report()),
     ("chaos_clients", chaos_clients::run),
     ("chaos_clock", chaos_clock::run),
     ("chaos_disk", chaos_disk::run),

@@ -14,7 +14,10 @@ pub fn run(workspace: &Workspace) -> Result<(), XtaskError> {
     campaign::run(workspace, &campaign::Run { name: "evaluate", dev: false, arguments: &[], settings: &[] })?;
     bench::run(workspace, &bench::Options { name: Some("estimate".into()) })?;
     for source in SOURCES {
-        reproduce::run(workspace, &reproduce::Options { source: Some(source.into()), quick: false })?;
+        reproduce::run(
+            workspace,
+            &reproduce::Options { source: Some(source.into()), ..reproduce::Options::default() },
+        )?;
     }
     Ok(())
 }

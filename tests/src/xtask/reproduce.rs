@@ -3,17 +3,39 @@
 use super::{Workspace, XtaskError, bench, campaign};
 
 /// Which source.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, Default, clap::Args)]
 pub struct Options {
-    /// `paternain`, `umasankar`, `strategies` or `clinic`; all of them without a name.
+    /// `paternain`, `umasankar`, `strategies`, `clinic`, or `attacks`, our own; all of them without a name.
     pub source: Option<String>,
     /// Fewer seeds and trials, where a program knows it.
     #[arg(long)]
     pub quick: bool,
+    /// First seed of `attacks`: anyone flies fresh ones.
+    #[arg(long)]
+    pub seed_base: Option<u64>,
+    /// Flights of each row of `attacks`.
+    #[arg(long)]
+    pub flights: Option<u64>,
+    /// One part of `clinic`, or one row of `attacks`.
+    #[arg(long)]
+    pub only: Option<String>,
+}
+
+impl Options {
+    /// Of the campaigns: what one of them does not know, it does not read.
+    fn arguments(&self) -> Vec<String> {
+        let numbers = [("--seed-base", self.seed_base), ("--flights", self.flights)];
+        let mut arguments: Vec<String> = self.quick.then(|| "--quick".into()).into_iter().collect();
+        for (name, value) in numbers {
+            arguments.extend(value.into_iter().flat_map(|value| [name.to_owned(), value.to_string()]));
+        }
+        arguments.extend(self.only.iter().flat_map(|only| ["--only".to_owned(), only.clone()]));
+        arguments
+    }
 }
 
 /// Source, also the name of its campaign; the bench that goes with it; what they show.
-const SOURCES: [(&str, Option<&str>, &str); 4] = [
+const SOURCES: [(&str, Option<&str>, &str); 5] = [
     ("paternain", None, "VIII: the three experiments; report in target/reproduce/paternain"),
     ("umasankar", None, "Tables 3 to 5; report in target/reproduce/umasankar"),
     (
@@ -26,6 +48,7 @@ const SOURCES: [(&str, Option<&str>, &str); 4] = [
         Some("sse"),
         "decoder times; Figures 8 to 13, Table 1 in closed loop, four real IMUs; report in target/reproduce/clinic",
     ),
+    ("attacks", None, "drawn attacks in the worlds of data sheets and rigs; report in target/reproduce/attacks"),
 ];
 
 /// Runs what there is and names what there is not.
@@ -40,13 +63,14 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         let names = SOURCES.map(|(name, ..)| name).join(", ");
         return Err(XtaskError::Other(format!("no source is called `{source}`; there are: {names}")));
     }
-    let arguments: &[&str] = if options.quick { &["--quick"] } else { &[] };
+    let arguments = options.arguments();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     for (name, bench, note) in chosen {
         eprintln!("[{name}] {note}");
         if let Some(bench) = bench {
             bench::program(workspace, bench)?;
         }
-        campaign::run(workspace, &campaign::Run { name, dev: false, arguments, settings: &[] })?;
+        campaign::run(workspace, &campaign::Run { name, dev: false, arguments: &arguments, settings: &[] })?;
     }
     Ok(())
 }

@@ -201,7 +201,6 @@ pub fn identification(scenario: &Scenario) -> Identification {
 pub fn runner_options(pace: Pace, end_s: Option<f64>, script: Option<Script>) -> RunnerOptions {
     RunnerOptions {
         pace,
-        replay: false,
         end: end_s.map(FlightTime::from_seconds),
         script,
         attacks: None,

@@ -2,7 +2,7 @@
 
 use plumbline_core::sensor::SensorFrame;
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{RecordedControl, Truth, Vehicle, VehicleError};
+use plumbline_core::vehicle::{Recorded, RecordedControl, Truth, Vehicle, VehicleError};
 
 use super::{RecordedTick, Recording, RecordingInfo};
 
@@ -53,20 +53,26 @@ impl Vehicle for ReplayVehicle {
         self.tick.truth
     }
 
-    fn progress(&self) -> Option<f64> {
-        Some(self.recording.progress())
+    fn recorded(&self) -> Option<&dyn Recorded> {
+        Some(self)
+    }
+}
+
+impl Recorded for ReplayVehicle {
+    fn progress(&self) -> f64 {
+        self.recording.progress()
     }
 
-    fn recorded_reception(&self) -> Option<SensorFrame> {
+    fn reception(&self) -> Option<SensorFrame> {
         self.tick.received.filter(|_| self.samples == Samples::Received)
     }
 
-    /// Always told: what a recording does not know is unknown, and not what the watching flight would do.
-    fn recorded_control(&self) -> Option<RecordedControl> {
+    /// What a recording does not know is unknown, and not what the watching flight would do.
+    fn control(&self) -> RecordedControl {
         let control = self.tick.control.unwrap_or_else(RecordedControl::unknown);
         let motors_known = self.recording.info().has_motors;
         // Formats with motors but without orders: what was applied is what was asked for.
         let command = if self.tick.control.is_some_and(|c| c.motors_known) { control.command } else { self.command };
-        Some(RecordedControl { motors_known, command, ..control })
+        RecordedControl { motors_known, command, ..control }
     }
 }

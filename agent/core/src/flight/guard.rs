@@ -23,6 +23,8 @@ const LANDING_LEAD_M: f64 = 0.6;
 const AGREEMENT_RAD: f64 = 0.14;
 /// An altitude further than this from the raw heights is no estimate, m: more than any delay or slant explains.
 const ASTRAY_M: f64 = 0.5;
+/// … nor does one that climbs otherwise than the accelerometers, by this much, m/s.
+const CLIMB_AGREEMENT_MPS: f64 = 0.5;
 
 /// How long hold goes on at the speed it was taken over with, s.
 const INWARDS_S: f64 = 0.5;
@@ -80,7 +82,9 @@ impl Flight {
         let raw_height_m = self.supervision.watchdog.height_m();
         let astray =
             raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
-        let agree = self.supervision.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD;
+        let climbs = self.supervision.watchdog.coasting_mps().zip(estimate.climb_mps());
+        let agree = self.supervision.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD
+            && climbs.is_none_or(|(felt, estimated)| (felt - estimated).abs() < CLIMB_AGREEMENT_MPS);
         self.supervision.position_lost &= !motion.horizontal_known;
         Inputs {
             now,

@@ -62,7 +62,7 @@ pub struct Settings {
     /// In hold without a horizontal position for this long: descend, s.
     pub position_lost_s: f64,
     /// Ticks with a degraded estimator before descending on attitude alone; five times as many while
-    /// the watchdog, which shares no state with it, agrees on the attitude.
+    /// the watchdog, which shares no state with it, agrees on the attitude and the climb.
     pub degraded_ticks: u32,
     /// Charge that warns, 0..1.
     pub battery_warn: f64,

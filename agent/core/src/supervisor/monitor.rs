@@ -51,7 +51,7 @@ pub struct Inputs {
     pub position_lost: bool,
     /// Is the estimator in the loop degraded, or the controller's output no number?
     pub degraded: bool,
-    /// Do estimator and watchdog, both with fresh samples, agree on where up is?
+    /// Do estimator and watchdog, both with fresh samples, agree on where up is, and how fast it climbs?
     pub corroborated: bool,
     /// More thrust is commanded than hovers, and the vehicle does not follow.
     pub not_moving: bool,

@@ -3,17 +3,12 @@
 //! The same for simulator, recordings and hardware. A recording of our own was calibrated when it was flown: give
 //! it a calibration only if it was flown without one.
 
-use std::sync::Arc;
-
-use arrayvec::ArrayVec;
-
-use super::{MotorStop, RecordedControl, Service, Truth, Vehicle, VehicleError};
+use super::{Vehicle, VehicleError};
 use crate::calibration::Calibration;
 use crate::calibration::applied::FieldReport;
-use crate::sensor::{MAX_IMUS, SensorFrame};
-use crate::types::MotorCommand;
+use crate::sensor::SensorFrame;
 
-/// `inner`, calibrated.
+/// A vehicle and its calibration.
 pub struct CalibratedVehicle {
     inner: Box<dyn Vehicle>,
     sensed: Calibration,
@@ -27,52 +22,45 @@ impl CalibratedVehicle {
     pub fn new(inner: Box<dyn Vehicle>, calibration: Calibration) -> Self {
         Self { inner, sensed: calibration, received: calibration, reception: None }
     }
-}
 
-impl Vehicle for CalibratedVehicle {
-    fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
+    /// The vehicle itself, for all but its readings.
+    pub fn inner(&self) -> &dyn Vehicle {
+        self.inner.as_ref()
+    }
+
+    /// The vehicle itself, to be commanded.
+    pub fn inner_mut(&mut self) -> &mut dyn Vehicle {
+        self.inner.as_mut()
+    }
+
+    /// The next frame, as [`Vehicle::sense`], calibrated.
+    ///
+    /// # Errors
+    /// As the vehicle's.
+    pub fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
         let mut frame = self.inner.sense()?;
         self.sensed.apply(&mut frame);
-        self.reception = self.inner.recorded_reception();
+        self.reception = self.inner.recorded().and_then(|recording| recording.reception());
         if let Some(received) = &mut self.reception {
             self.received.apply(received);
         }
         Ok(frame)
     }
 
-    fn actuate(&mut self, command: &MotorCommand) -> Result<MotorCommand, VehicleError> {
-        self.inner.actuate(command)
+    /// What the estimators received of the frame last sensed, calibrated, where a recording says that it differs.
+    pub fn reception(&self) -> Option<&SensorFrame> {
+        self.reception.as_ref()
     }
 
-    fn motor_stop(&self) -> Option<Arc<dyn MotorStop>> {
-        self.inner.motor_stop()
+    /// How its calibrated magnetometers fare.
+    pub fn fields(&self) -> impl Iterator<Item = FieldReport> + '_ {
+        self.sensed.fields()
     }
+}
 
-    fn pass_over(&mut self, gap_s: f64) -> f64 {
-        self.inner.pass_over(gap_s)
-    }
-
-    fn truth(&self) -> Option<Truth> {
-        self.inner.truth()
-    }
-
-    fn serve(&mut self, service: Service) -> bool {
-        self.inner.serve(service)
-    }
-
-    fn progress(&self) -> Option<f64> {
-        self.inner.progress()
-    }
-
-    fn recorded_reception(&self) -> Option<SensorFrame> {
-        self.reception
-    }
-
-    fn recorded_control(&self) -> Option<RecordedControl> {
-        self.inner.recorded_control()
-    }
-
-    fn fields(&self) -> ArrayVec<FieldReport, MAX_IMUS> {
-        self.sensed.fields().take(MAX_IMUS).collect()
+impl<V: Vehicle + 'static> From<Box<V>> for CalibratedVehicle {
+    /// Without a calibration: readings pass as they are.
+    fn from(vehicle: Box<V>) -> Self {
+        Self::new(vehicle, Calibration::default())
     }
 }

@@ -8,7 +8,8 @@ use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::model::trim::Trim;
 use plumbline_tests::report::{Plot, Report, Series};
 
-use super::{Dice, Effort, median, parallel};
+use super::Effort;
+use crate::draw::{Dice, median, parallel};
 
 const PERIOD_S: f64 = 0.05;
 const SLOTS: usize = 10;
@@ -21,7 +22,7 @@ const CLIMB: (f64, f64) = (2.0, 2.0);
 
 /// What the compromised sensors give.
 #[derive(Clone, Copy, PartialEq)]
-enum Lie {
+enum Attack {
     /// Zero ([Clinic] Fig. 11).
     Zero,
     /// Each its own noise.
@@ -69,7 +70,7 @@ impl Flight {
 }
 
 /// Height error relative to the true height after a climb, `attacked` of `heights` attacked.
-fn height_error(heights: usize, attacked: usize, lie: Lie, seed: u64) -> f64 {
+fn height_error(heights: usize, attacked: usize, attack: Attack, seed: u64) -> f64 {
     let mut flight = Flight::new(heights, 1.0);
     let mut window = flight.window(SLOTS);
     let mut dice = Dice::new(seed);
@@ -79,11 +80,11 @@ fn height_error(heights: usize, attacked: usize, lie: Lie, seed: u64) -> f64 {
         window.advance(Some(&forced));
         for sensor in 0..flight.observed.scalars.len() {
             let clean = flight.sample(sensor, &mut dice);
-            let value = match lie {
+            let value = match attack {
                 _ if !chosen.contains(&sensor) => clean,
-                Lie::Zero => 0.0,
-                Lie::Random => 3.0 * dice.normal(),
-                Lie::Colluding => 2.0 - 0.005 * f64::from(step) + 0.01 * dice.normal(),
+                Attack::Zero => 0.0,
+                Attack::Random => 3.0 * dice.normal(),
+                Attack::Colluding => 2.0 - 0.005 * f64::from(step) + 0.01 * dice.normal(),
             };
             window.put(sensor, value);
         }
@@ -104,7 +105,7 @@ fn figure_10(report: &mut Report) {
     let mut flight = Flight::new(3, 1.0);
     let mut window = flight.window(SLOTS);
     let mut dice = Dice::new(10);
-    let (mut truth, mut lie, mut decoded) = (vec![], vec![], vec![]);
+    let (mut truth, mut attack, mut decoded) = (vec![], vec![], vec![]);
     let (mut sensor_error, mut error) = (vec![], vec![]);
     for step in 0..100 {
         let forced = flight.step();
@@ -115,7 +116,7 @@ fn figure_10(report: &mut Report) {
                 if sensor == 1 { flight.x[0] * (1.0 + 2.4 * dice.uniform()) + 0.1 * dice.normal() } else { clean };
             window.put(sensor, value);
             if sensor == 1 {
-                lie.push((f64::from(step) * PERIOD_S, value));
+                attack.push((f64::from(step) * PERIOD_S, value));
                 sensor_error.push(((value - flight.x[0]) / flight.x[0]).abs());
             }
         }
@@ -129,23 +130,23 @@ fn figure_10(report: &mut Report) {
     let mean = |v: &[f64]| 100.0 * v.iter().sum::<f64>() / v.len() as f64;
     report.value("figure_10/compromised_sensor_error", mean(&sensor_error), "%", serde_json::json!({ "paper": 120.0 }));
     report.value("figure_10/estimate_error", mean(&error), "%", serde_json::json!({ "paper": 6.0 }));
-    let plot = Plot::new("Three height sensors, one lies", "t, s", "z, m")
+    let plot = Plot::new("Three height sensors, one attacked", "t, s", "z, m")
         .with(Series::line("truth", truth))
-        .with(Series::points("compromised sensor", lie))
+        .with(Series::points("compromised sensor", attack))
         .with(Series::line("decoded", decoded));
     report.figure("figure_10", "Figure 10: windowed ℓ1/ℓ2 decoder, 39 rows.", &plot).unwrap();
 }
 
 fn figures_11_and_12(report: &mut Report, effort: &Effort) {
     report.heading("Figures 11 and 12: up to all of 50 height sensors compromised");
-    let lies = [("zero", Lie::Zero), ("random", Lie::Random), ("colluding", Lie::Colluding)];
+    let attacks = [("zero", Attack::Zero), ("random", Attack::Random), ("colluding", Attack::Colluding)];
     let mut errors =
         Plot::new("Error against compromised sensors", "compromised of 50", "height error, %").y_range(0.0, 110.0);
     let mut fractions = Plot::new("Recovery", "compromised of 50", "fraction recovered").y_range(0.0, 1.05);
-    for (name, lie) in lies {
+    for (name, attack) in attacks {
         let points: Vec<usize> = (0..=MANY).step_by(2).collect();
         let trials = effort.trials.min(20) as usize;
-        let all = parallel(points.len() * trials, |i| height_error(MANY, points[i / trials], lie, 1000 + i as u64));
+        let all = parallel(points.len() * trials, |i| height_error(MANY, points[i / trials], attack, 1000 + i as u64));
         let of = |p: usize| &all[p * trials..(p + 1) * trials];
         let recovered = |p: usize| of(p).iter().filter(|e| **e <= RECOVERED).count() as f64 / trials as f64;
         errors = errors.with(Series::line(
@@ -155,7 +156,7 @@ fn figures_11_and_12(report: &mut Report, effort: &Effort) {
         fractions = fractions
             .with(Series::line(name, points.iter().enumerate().map(|(p, n)| (*n as f64, recovered(p))).collect()));
         for (p, n) in points.iter().enumerate().filter(|(_, n)| [0, 20, 24, 26, 30, 50].contains(n)) {
-            let more = serde_json::json!({ "error_percent": 100.0 * median(of(p)), "lie": name });
+            let more = serde_json::json!({ "error_percent": 100.0 * median(of(p)), "attack": name });
             report.value(&format!("figure_12/{name}/{n}_of_50"), recovered(p), "fraction", more);
         }
     }
@@ -175,7 +176,7 @@ fn figures_11_and_12(report: &mut Report, effort: &Effort) {
 /// program has twice as many rows to ask for it.
 fn coupled_and_split(report: &mut Report, effort: &Effort) {
     const PITCH: usize = 5;
-    const LIE_RAD: f64 = 0.2;
+    const BIAS_RAD: f64 = 0.2;
     report.heading("Coupled program against [Clinic]'s split");
     let trials = effort.trials.min(20) as usize;
     let error_deg = |split: bool, attacked: usize, seed: u64| {
@@ -195,8 +196,8 @@ fn coupled_and_split(report: &mut Report, effort: &Effort) {
             window.advance(Some(&forced));
             for sensor in 0..flight.observed.scalars.len() {
                 let scalar = &flight.observed.scalars[sensor];
-                let lies = scalar.c[PITCH] != 0.0 && scalar.instance <= attacked;
-                window.put(sensor, flight.sample(sensor, &mut dice) + if lies { LIE_RAD } else { 0.0 });
+                let biased = scalar.c[PITCH] != 0.0 && scalar.instance <= attacked;
+                window.put(sensor, flight.sample(sensor, &mut dice) + if biased { BIAS_RAD } else { 0.0 });
             }
         }
         let x = window.decode(|_| false, &[], None).unwrap().x;

@@ -80,7 +80,7 @@ pub struct Plan {
     pub profile: Vec<(f64, f64)>,
     pub duration_s: f64,
     pub attacked: Vec<SensorId>,
-    pub lie: &'static str,
+    pub attack: &'static str,
     pub heights: usize,
     pub imus: usize,
     pub seed: u64,
@@ -95,7 +95,7 @@ impl Plan {
             profile: profile.to_vec(),
             duration_s: 30.0,
             attacked: Vec::new(),
-            lie: "none",
+            attack: "none",
             heights: 3,
             imus: 4,
             seed,
@@ -104,7 +104,7 @@ impl Plan {
         }
     }
 
-    pub fn under_attack(self, place: &str, lie: &'static str) -> Self {
+    pub fn under_attack(self, place: &str, attack: &'static str) -> Self {
         let height = |i| SensorId::new(SensorKind::Height, i);
         let imu = |i| SensorId::new(SensorKind::Imu, i);
         let (attacked, count) = match place {
@@ -114,7 +114,7 @@ impl Plan {
             "none_of_5" => (Vec::new(), (5, 5)),
             _ => (Vec::new(), (3, 4)),
         };
-        Self { attacked, lie, heights: count.0, imus: count.1, ..self }
+        Self { attacked, attack, heights: count.0, imus: count.1, ..self }
     }
 
     pub fn raised(mut self, by_m: f64) -> Self {
@@ -144,7 +144,7 @@ impl Plan {
     fn schedule(&self) -> Schedule {
         let attack = |(i, sensor): (usize, &SensorId)| {
             let imu = sensor.kind == SensorKind::Imu;
-            let (kind, magnitude) = match (self.lie, imu) {
+            let (kind, magnitude) = match (self.attack, imu) {
                 ("zero", _) => (Kind::Zero, 0.0),
                 ("bias", true) => (Kind::Bias, 2.0),
                 ("bias", false) => (Kind::Bias, 0.5),

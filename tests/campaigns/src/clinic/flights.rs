@@ -8,7 +8,7 @@
 //! | augmented | the filter behind the secure estimator (specific force as input, so that strings and ground are in it), no gate, no vote, no decoder, its noise tuned on clean flights of other seeds |
 //! | gated | the EKF that flies by default, with its gates and votes |
 //! | secure | decoder, identification and the filter on what is clean |
-//! | oracle | secure, which never hears the attacked sensors while they lie: what no identification can beat but by filtering better |
+//! | oracle | secure, which never hears the attacked sensors while they attack: what no identification can beat but by filtering better |
 //!
 //! e is the rms of true altitude − setpoint; e* is the plain EKF's without attack, same rig and seed. A pilot that
 //! loses altitude hold is judged by the script's altitude from then on. Where strings or ground do not let the vehicle
@@ -20,10 +20,11 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 
+use super::Effort;
 use super::flight::{ATTACK_S, CLEAR_M, FREE, GROUND, Outcome, Pilot, Plan, RIGS, STEPS, STRINGS, TAUT, Tuning, fly};
-use super::{Effort, median, parallel, worst};
+use crate::draw::{median, parallel, worst};
 
-const LIES: [&str; 5] = ["zero", "bias", "ramp", "random", "replay"];
+const ATTACKS: [&str; 5] = ["zero", "bias", "ramp", "random", "replay"];
 const PLACES: [&str; 3] = ["height", "imu_and_height", "minority_of_5"];
 /// [Clinic] Table 1: with attack and secure estimation at most this, median over the seeds …
 const WITH: f64 = 1.2;
@@ -79,22 +80,22 @@ fn tune(report: &mut Report) -> Tuning {
 struct Cell {
     rig: (&'static str, &'static str),
     place: &'static str,
-    lie: &'static str,
+    attack: &'static str,
 }
 
 impl Cell {
     /// The flights that e* comes from.
     fn is_reference_of(&self, other: &Cell) -> bool {
         let five = |place: &str| place.ends_with("_of_5");
-        self.rig.0 == other.rig.0 && self.lie == "none" && five(self.place) == five(other.place)
+        self.rig.0 == other.rig.0 && self.attack == "none" && five(self.place) == five(other.place)
     }
 
     /// What is asked of median and worst ratio, and of the ratio without secure estimation.
     fn limits(&self) -> (Option<f64>, Option<f64>, Option<f64>) {
-        match (self.place, self.lie) {
+        match (self.place, self.attack) {
             ("none" | "none_of_5", _) => (Some(WITH), None, None),
             ("height", _) => (Some(WITH), Some(WORST), Some(WITHOUT)),
-            ("imu_and_height", lie) if lie != "replay" => (Some(WITH), None, None),
+            ("imu_and_height", attack) if attack != "replay" => (Some(WITH), None, None),
             // Replay on an IMU and a height, and 40 % of five: as measured.
             _ => (None, None, None),
         }
@@ -107,13 +108,13 @@ fn table_1(report: &mut Report, effort: &Effort, tuning: Tuning) {
     let seeds = effort.seeds as usize;
     let mut cells: Vec<Cell> = Vec::new();
     for rig in RIGS {
-        cells.extend(["none", "none_of_5"].map(|place| Cell { rig, place, lie: "none" }));
-        cells.extend(PLACES.iter().flat_map(|place| LIES.map(|lie| Cell { rig, place, lie })));
+        cells.extend(["none", "none_of_5"].map(|place| Cell { rig, place, attack: "none" }));
+        cells.extend(PLACES.iter().flat_map(|place| ATTACKS.map(|attack| Cell { rig, place, attack })));
     }
     let all = parallel(cells.len() * pilots.len() * seeds, |i| {
         let (cell, rest) = (cells[i / (pilots.len() * seeds)], i % (pilots.len() * seeds));
         let plan = Plan::new(cell.rig.1, STEPS, 1 + (rest % seeds) as u64, pilots[rest / seeds]);
-        fly(&plan.under_attack(cell.place, cell.lie))
+        fly(&plan.under_attack(cell.place, cell.attack))
     });
     let pilots_of = |cell: usize| {
         [0, 1, 2, 3, 4].map(|pilot| {
@@ -181,7 +182,7 @@ fn row(report: &mut Report, cell: &Cell, flown: &[&[Outcome]; 5], clean: &[&[Out
         limits.2.map(|limit| median(&plain) > limit),
     ];
     report.value(
-        &format!("table_1/{}/{}/{}", cell.rig.0, cell.place, cell.lie),
+        &format!("table_1/{}/{}/{}", cell.rig.0, cell.place, cell.attack),
         median(&own),
         "e*",
         json!({ "worst": worst(&own), "plain_median": median(&plain), "plain_worst": worst(&plain),
@@ -198,7 +199,7 @@ fn row(report: &mut Report, cell: &Cell, flown: &[&[Outcome]; 5], clean: &[&[Out
     vec![
         cell.rig.0.to_owned(),
         cell.place.to_owned(),
-        cell.lie.to_owned(),
+        cell.attack.to_owned(),
         number(median(&plain)),
         number(median(&augmented)),
         number(median(&gated)),
@@ -222,7 +223,7 @@ fn verdict(met: &[Option<bool>]) -> String {
     met.iter().map(word).collect::<Vec<_>>().join(" · ")
 }
 
-/// More and more of five heights lie together: up to two are recovered, three and more are the majority.
+/// More and more of five heights attack together: up to two are recovered, three and more are the majority.
 fn majority(report: &mut Report, effort: &Effort) {
     report.heading("Up to all heights compromised, in closed loop");
     let seeds = effort.seeds.min(8) as usize;
@@ -306,12 +307,12 @@ fn ten_minutes(report: &mut Report, effort: &Effort) {
 
 fn tracks(report: &mut Report, tuning: Tuning) {
     let names = ["plain", "augmented", "gated", "secure", "oracle"];
-    for lie in ["bias", "ramp", "replay"] {
+    for attack in ["bias", "ramp", "replay"] {
         let mut plot =
-            Plot::new(&format!("One of three heights: {lie}"), "t, s", "altitude, m").band(ATTACK_S.0, ATTACK_S.1);
+            Plot::new(&format!("One of three heights: {attack}"), "t, s", "altitude, m").band(ATTACK_S.0, ATTACK_S.1);
         let pilots = Pilot::every(tuning);
         let flown = parallel(pilots.len(), |i| {
-            let plan = Plan::new(STRINGS.1, STEPS, 1, pilots[i]).under_attack("height", lie);
+            let plan = Plan::new(STRINGS.1, STEPS, 1, pilots[i]).under_attack("height", attack);
             fly(&Plan { keep_track: true, ..plan })
         });
         let line = |o: &Outcome, pick: fn(&(f64, f64, f64)) -> f64| {
@@ -322,7 +323,7 @@ fn tracks(report: &mut Report, tuning: Tuning) {
             plot = plot.with(Series::line(name, line(outcome, |p| p.1)));
         }
         report
-            .figure(&format!("track_{lie}"), "True altitude on the string rig; the attack is shaded.", &plot)
+            .figure(&format!("track_{attack}"), "True altitude on the string rig; the attack is shaded.", &plot)
             .unwrap();
     }
 }

@@ -5,7 +5,8 @@ use plumbline_agent::estimate::secure::newton::Settings;
 use plumbline_agent::estimate::secure::window::{Model, Row, Window};
 use plumbline_tests::report::{Plot, Report, Series};
 
-use super::{Dice, Effort, median};
+use super::Effort;
+use crate::draw::{Dice, median};
 
 /// [Clinic] 9.2: Ts, b, M, reference, first state.
 const PERIOD_S: f64 = 0.05;

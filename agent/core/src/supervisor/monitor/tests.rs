@@ -72,7 +72,7 @@ fn every_row_of_the_table_comes_at_its_time() {
     expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
     expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
     expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-    // The estimate lies, the raw heights do not.
+    // The estimate is wrong, the raw heights are not.
     expect(&first_seen(|_, i| i.raw_height_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
     expect(
         &first_seen(|_, i| i.lateral = Some(Outward { distance_m: 2.4, speed_mps: 0.0, pull_mps2: 0.0 })),

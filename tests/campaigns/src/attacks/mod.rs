@@ -1,0 +1,218 @@
+//! `cargo xtask reproduce attacks`: attacks that nobody chose, on the vehicle as it is shipped, beside the estimators that a
+//! user could pick instead.
+//!
+//! Onset, sensor, channel, kind, size, sign and duration are drawn from each flight's seed. The error is the true altitude
+//! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack. A lost
+//! flight counts among the lost and not among the errors. `--flights N` flies so many of each row, `--seed-base N` begins
+//! elsewhere, `--only NAME` flies one row or the `curves`, `--quick` a tenth.
+
+mod case;
+mod flight;
+
+use std::collections::BTreeMap;
+
+use plumbline_agent::attack::Channel;
+use plumbline_agent::types::EstimatorKind;
+use plumbline_proto::v1::SensorKind;
+use plumbline_tests::report::{Axis, Plot, Report, ReportError, Series};
+use serde_json::json;
+
+use crate::draw::{median, median_interval, parallel, percentile, worst};
+use case::{Attacked, Case};
+use flight::{Outcome, Pilot, fly};
+
+/// A healthy sensor may be excluded so long, s.
+const FALSE_S: f64 = 1.0;
+
+/// What is asked for.
+struct Effort {
+    flights: u64,
+    seed_base: u64,
+    only: Option<String>,
+}
+
+impl Effort {
+    fn asked() -> Self {
+        let arguments: Vec<String> = std::env::args().collect();
+        let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
+        let number = |name: &str, default| {
+            value(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} {text}: not a number")))
+        };
+        let quick = arguments.iter().any(|a| a == "--quick");
+        Self {
+            flights: number("--flights", if quick { 10 } else { 100 }),
+            seed_base: number("--seed-base", 1_000),
+            only: value("--only").cloned(),
+        }
+    }
+
+    fn wants(&self, name: &str) -> bool {
+        self.only.as_deref().is_none_or(|only| only == name)
+    }
+}
+
+pub fn run() -> Result<(), ReportError> {
+    let effort = Effort::asked();
+    let mut report = Report::open("reproduce", "attacks", "Drawn attacks, in closed loop")?;
+    report.paragraph(&format!(
+        "{} flights of each row from seed {}, free and on strings by turns, steps of altitude throughout. Error: true \
+         altitude less setpoint, rms from the onset to the end of the flight. e* is the shipped EKF's in the same flight \
+         without the attack. Median, 95th percentile and worst are of flights that were not lost.",
+        effort.flights, effort.seed_base
+    ));
+    table(&mut report, &effort)?;
+    if effort.wants("curves") {
+        curves(&mut report, &effort)?;
+    }
+    report.finish().map(|_| ())
+}
+
+/// A flight of a row: with nobody attacked, and with each pilot.
+struct Flown {
+    clean: Outcome,
+    by: Vec<Outcome>,
+}
+
+fn fly_all(case: &Case, effort: &Effort, pilots: &[Pilot]) -> Vec<Flown> {
+    parallel(effort.flights as usize, |i| {
+        let seed = effort.seed_base + i as u64;
+        let attacks = case.attacks(seed);
+        let from_s = attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
+        let from_s = if from_s.is_finite() { from_s } else { 0.0 };
+        let clean = fly(case, Pilot::EKF, seed, &[], from_s);
+        let by = pilots.iter().map(|pilot| fly(case, *pilot, seed, &attacks, from_s)).collect();
+        Flown { clean, by }
+    })
+}
+
+fn table(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
+    report.heading("Altitude and tilt under drawn attacks");
+    let mut rows = Vec::new();
+    for case in Case::ALL.iter().filter(|case| effort.wants(case.name)) {
+        let flown = fly_all(case, effort, &Pilot::ALL);
+        for (p, pilot) in Pilot::ALL.iter().enumerate() {
+            rows.push(row(report, case, *pilot, effort, flown.iter().map(|f| (&f.clean, &f.by[p]))));
+        }
+    }
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let headers = [
+        "attacked",
+        "world",
+        "estimator",
+        "e/e* median",
+        "95 %",
+        "worst",
+        "tilt median",
+        "95 %",
+        "worst",
+        "lost of",
+        "flights",
+        "delay, s",
+        "missed",
+        "false > 1 s",
+        "declared",
+    ];
+    report.table("attacks", "Drawn attacks", &headers, &rows)
+}
+
+fn row<'a>(
+    report: &mut Report,
+    case: &Case,
+    pilot: Pilot,
+    effort: &Effort,
+    flights: impl Iterator<Item = (&'a Outcome, &'a Outcome)> + Clone,
+) -> Vec<String> {
+    let comparable = flights.clone().filter(|(clean, o)| clean.lost.is_none() && o.lost.is_none());
+    let altitude: Vec<f64> = comparable.clone().map(|(clean, o)| o.altitude_m / clean.altitude_m).collect();
+    let tilt: Vec<f64> = comparable.clone().map(|(clean, o)| o.tilt_rad / clean.tilt_rad).collect();
+    let all: Vec<&Outcome> = flights.clone().map(|(_, o)| o).collect();
+    let lost = all.iter().filter(|o| o.lost.is_some()).count();
+    let mut why: BTreeMap<&str, usize> = BTreeMap::new();
+    all.iter().filter_map(|o| o.lost.as_deref()).for_each(|reason| *why.entry(reason).or_default() += 1);
+    let delays: Vec<f64> = all.iter().flat_map(|o| o.delays_s.iter().copied()).collect();
+    let missed: usize = all.iter().map(|o| o.missed).sum();
+    let falsely = all.iter().filter(|o| o.false_longest_s > FALSE_S).count();
+    let declared: Vec<f64> = all.iter().filter_map(|o| o.declared_s).collect();
+    let of = |values: &[f64]| [median(values), percentile(values, 0.95), worst(values)];
+    let (altitude3, tilt3) = (of(&altitude), of(&tilt));
+    let within = |values: [f64; 3], most: [f64; 3]| values.iter().zip(most).all(|(value, most)| *value <= most);
+    let judged = pilot == Pilot::Shipped(EstimatorKind::Secure);
+    let lost_of_hundred = 100.0 * lost as f64 / all.len() as f64;
+    let holds =
+        judged.then(|| within(altitude3, case.altitude) && within(tilt3, case.tilt) && lost_of_hundred <= case.lost);
+    let bound: Vec<f64> = all.iter().map(|o| o.outside_bound).filter(|part| part.is_finite()).collect();
+    let clean_mm: Vec<f64> = flights.map(|(clean, _)| 1e3 * clean.altitude_m).collect();
+    let name = pilot.name();
+    let more = json!({
+        "world": case.world, "seed_base": effort.seed_base, "flights": all.len(), "percentile_95": altitude3[1],
+        "worst": altitude3[2], "median_interval": median_interval(&altitude), "limits": case.altitude,
+        "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "e_star_mm": median(&clean_mm),
+        "most_mm": 1e3 * worst(&all.iter().map(|o| o.altitude_most_m).collect::<Vec<_>>()),
+        "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": missed, "flights_with_false_exclusion": falsely,
+        "declared": declared.len(), "declared_within_s": worst(&declared),
+        "outside_bound": worst(&bound), "holds": holds,
+    });
+    report.value(&format!("{}/{name}", case.name), altitude3[0], "e*", more);
+    let number = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "–".into() };
+    let mut cells = vec![case.name.replace('_', " "), case.world.into(), name.into()];
+    cells.extend(altitude3.iter().chain(&tilt3).map(|value| number(*value)));
+    cells.extend([lost.to_string(), all.len().to_string(), number(median(&delays))]);
+    let attacked = case.attacked != Attacked::None;
+    cells.extend([if attacked && judged { missed.to_string() } else { "–".into() }]);
+    cells.extend([if judged { falsely.to_string() } else { "–".into() }, declared.len().to_string()]);
+    cells
+}
+
+/// A quantity whose attack grows: sensor, channel, name, unit, sizes.
+type Grown = (SensorKind, Channel, &'static str, &'static str, [f64; 7]);
+
+const GROWN: [Grown; 3] = [
+    (SensorKind::Height, Channel::All, "height", "m", [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0]),
+    (SensorKind::Imu, Channel::AccelAxis(2), "vertical specific force", "m/s²", [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]),
+    (SensorKind::Imu, Channel::Gyro, "angular rate", "rad/s", [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0]),
+];
+
+/// How likely and how soon a bias is found, and what it does meanwhile, against its size.
+fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
+    report.heading("Detectability of a bias on one sensor");
+    let secure = Pilot::Shipped(EstimatorKind::Secure);
+    let effort = Effort { flights: (effort.flights / 5).max(2), seed_base: effort.seed_base, only: None };
+    for (kind, channel, what, unit, sizes) in GROWN {
+        let (mut found, mut damage, mut gated) = (Vec::new(), Vec::new(), Vec::new());
+        for size in sizes {
+            let flown = fly_all(&Case::sized(kind, channel, size), &effort, &[secure, Pilot::EKF]);
+            let rate = flown.iter().filter(|f| f.by[0].missed == 0).count() as f64 / flown.len() as f64;
+            let delays: Vec<f64> = flown.iter().flat_map(|f| f.by[0].delays_s.iter().copied()).collect();
+            let error = |pilot: usize| {
+                let kept = flown.iter().filter(|f| f.by[pilot].lost.is_none());
+                median(&kept.map(|f| f.by[pilot].altitude_m / f.clean.altitude_m).collect::<Vec<_>>())
+            };
+            let lost = |pilot: usize| flown.iter().filter(|f| f.by[pilot].lost.is_some()).count();
+            found.push((size, rate));
+            damage.push((size, error(0)));
+            gated.push((size, error(1)));
+            report.value(
+                &format!("curve/{what}/{size}"),
+                rate,
+                "detected",
+                json!({ "unit_of_size": unit, "size": size, "flights": flown.len(), "delay_s": median(&delays),
+                    "delay_95_s": percentile(&delays, 0.95), "secure_e_star": error(0), "ekf_e_star": error(1),
+                    "secure_lost": lost(0), "ekf_lost": lost(1) }),
+            );
+        }
+        let stem = what.replace(' ', "_");
+        let x = format!("bias of {what}, {unit}");
+        let plot = Plot::new(&format!("Detected: {what}"), &x, "part of flights").axes(Axis::Log, Axis::Linear);
+        report.figure(
+            &format!("detected_{stem}"),
+            "Excluded before the flight ended",
+            &plot.with(Series::line("secure", found)),
+        )?;
+        let plot = Plot::new(&format!("Damage: {what}"), &x, "e / e*").axes(Axis::Log, Axis::Linear);
+        let plot = plot.with(Series::line("secure", damage)).with(Series::line("shipped EKF", gated));
+        report.figure(&format!("damage_{stem}"), "Median of the flights that were not lost", &plot)?;
+    }
+    Ok(())
+}
