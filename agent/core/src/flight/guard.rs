@@ -123,7 +123,8 @@ impl Flight {
     /// that holds it.
     fn not_moving(&self) -> bool {
         let hover_n = self.guidance.hover_thrust_n;
-        if self.phase != Phase::Flying || !self.config.rig.can_lift() || self.report.given.thrust_n < PUSHING * hover_n
+        // As commanded, not as the mixer could give it: a battery that is empty, or a torque that comes first, leaves less.
+        if self.phase != Phase::Flying || !self.config.rig.can_lift() || self.report.wrench.thrust_n < PUSHING * hover_n
         {
             return false;
         }

@@ -1,15 +1,19 @@
 //! One flight of a case: who estimates, and how it went.
 
 use plumbline_agent::attack::{Attack, Injector, Schedule};
-use plumbline_agent::command::Command;
+use std::collections::VecDeque;
+
+use nalgebra::Vector2;
+use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Failsafe, Flight};
+use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::height::Height;
 use plumbline_agent::sensor::imu::{Imu, ImuSample};
 use plumbline_agent::sensor::suite::Sheet as _;
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::types::{EstimatorKind, Mode};
-use plumbline_agent::vehicle::Vehicle as _;
+use plumbline_agent::types::{EstimatorKind, GRAVITY_MPS2, Mode};
+use plumbline_agent::vehicle::{Truth, Vehicle as _};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
@@ -91,6 +95,7 @@ pub fn fly(case: &Case, pilot: Pilot, seed: u64, attacks: &[Attack], judged_from
     let mut flight = Flight::new(config).unwrap();
     let mut medians = Medians::default();
     let mut judge = Judge::new(attacks, judged_from_s);
+    let mut operator = Operator::default();
     let mut before = None;
     for tick in 0..(END_S * scenario.tick_rate_hz) as usize {
         let frame = vehicle.sense().unwrap();
@@ -110,6 +115,9 @@ pub fn fly(case: &Case, pilot: Pilot, seed: u64, attacks: &[Attack], judged_from
             let _ = flight.apply(command, now);
         });
         before = Some(now);
+        if let Some(command) = operator.looks(t, &vehicle.truth().unwrap()) {
+            let _ = flight.apply(&command, now);
+        }
         let received = match pilot {
             Pilot::Shipped(_) => frame,
             Pilot::Oracle => without(frame, attacks, t),
@@ -192,6 +200,35 @@ impl Medians {
             out.heights[0] = Some(newest);
         }
         out
+    }
+}
+
+/// Whoever stands beside it and keeps it over its place by eye, with the stick: altitude hold knows no horizontal position.
+#[derive(Default)]
+struct Operator {
+    /// What was seen: place and speed, m and m/s.
+    seen: VecDeque<(Vector2<f64>, Vector2<f64>)>,
+    next_s: f64,
+}
+
+impl Operator {
+    const LOOKS_EVERY_S: f64 = 0.1;
+    /// Three looks ago: a person's reaction.
+    const LATE: usize = 3;
+    const STICK_MAX_RAD: f64 = 0.15;
+
+    fn looks(&mut self, t: f64, truth: &Truth) -> Option<Command> {
+        if t < self.next_s {
+            return None;
+        }
+        self.next_s = t + Self::LOOKS_EVERY_S;
+        let heading = nalgebra::Rotation2::new(-roll_pitch_yaw(&truth.world_from_body).z);
+        self.seen.push_back((heading * truth.position_enu_m.xy(), heading * truth.velocity_enu_mps.xy()));
+        let (place_m, speed_mps) = (self.seen.len() > Self::LATE).then(|| self.seen.pop_front()).flatten()?;
+        let wanted = (-0.4 * place_m - 0.8 * speed_mps) / GRAVITY_MPS2;
+        let stick = |rad: f64| Some(rad.clamp(-Self::STICK_MAX_RAD, Self::STICK_MAX_RAD));
+        let (roll_rad, pitch_rad) = (stick(-wanted.y), stick(wanted.x));
+        Some(Command::Setpoint(SetpointChange { roll_rad, pitch_rad, ..SetpointChange::default() }))
     }
 }
 

@@ -3,7 +3,7 @@
 //!
 //! Onset, sensor, channel, kind, size, sign and duration are drawn from each flight's seed. The error is the true altitude
 //! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack. A lost
-//! flight counts among the lost and not among the errors. `--flights N` flies so many of each row, `--seed-base N` begins
+//! flight counts among the lost and not among the errors. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many of each row, `--seed-base N` begins
 //! elsewhere, `--only NAME` flies one row or the `curves`, `--quick` a tenth.
 
 mod case;

@@ -157,7 +157,7 @@ fn a_height_attacked_from_the_first_sample_is_rejected() {
 }
 
 #[test]
-fn a_new_floor_is_accepted_after_two_seconds_when_most_heights_say_so() {
+fn a_new_floor_pulls_the_estimate_over_within_two_seconds_when_most_heights_say_so() {
     let mut world = World::new(HOVER, 5);
     let mut filter = EkfBias::new(SensorModel::default());
     let mut reset_at = None;
@@ -174,7 +174,7 @@ fn a_new_floor_is_accepted_after_two_seconds_when_most_heights_say_so() {
         }
     }
     let after = reset_at.unwrap();
-    assert!((2.0..2.5).contains(&after), "recovered after {after} s");
+    assert!((0.3..2.0).contains(&after), "recovered after {after} s");
     assert_eq!(filter.estimate().health, Health::Healthy);
 }
 

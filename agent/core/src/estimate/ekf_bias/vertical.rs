@@ -88,6 +88,11 @@ impl EkfBias {
             let mut row = row(of, &measured, noise, delay_s);
             row.innovation -= self.beyond_reach(i, frame.time);
             row.refused = self.contradicted(i, frame.time);
+            // Not one that most of the others agree with: then it is the estimate that is off, and a hard gate would
+            // lock all of them out.
+            if self.agreed(i, frame.time) {
+                row = row.huber(&self.p);
+            }
             used |= self.correct(&row);
         }
         self.aided.heights.freshness.note(frame.time, used);
@@ -128,6 +133,15 @@ impl EkfBias {
         let fresh = self.fresh_heights(now);
         let centre = median(fresh.iter().map(|(_, y)| *y));
         fresh.len() >= 3 && fresh.iter().any(|(k, y)| *k == i && (y - centre).abs() > self.heights_differ_m())
+    }
+
+    /// Is height `i` one of several recent ones, more than half of all, that agree with each other?
+    fn agreed(&self, i: usize, now: FlightTime) -> bool {
+        let fresh = self.fresh_heights(now);
+        let near = self.heights_differ_m();
+        let Some((_, own)) = fresh.iter().find(|(k, _)| *k == i) else { return false };
+        let agree = fresh.iter().filter(|(_, y)| (y - own).abs() <= near).count();
+        agree >= 2 && 2 * agree > fresh.len()
     }
 
     /// Every height has been rejected for long (or none has been used yet): the floor is where most of them

@@ -31,6 +31,15 @@ impl<const N: usize> ScalarRow<N> {
         Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false }
     }
 
+    /// The same with Huber's weight in the place of the gate: beyond it the noise grows with the innovation, so that what
+    /// the row adds to the state grows no further, but is not lost.
+    #[must_use]
+    pub fn huber(self, p: &SMatrix<f64, N, N>) -> Self {
+        let (_, s) = kalman::innovation_variance(p, &self.h, self.variance);
+        let beyond = self.innovation.abs() / (self.gate * s.sqrt());
+        if beyond > 1.0 { Self { variance: self.variance * beyond, gate: f64::INFINITY, ..self } } else { self }
+    }
+
     /// Corrects `p` and returns the correction δx = k (y − ŷ) of the state; `None` where the row is rejected or not
     /// finite. A finite one leaves its residual either way.
     #[must_use]
