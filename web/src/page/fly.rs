@@ -11,10 +11,12 @@ use crate::{
         arming::ArmingCard,
         attacks::AttacksCard,
         charts::{AltitudeChart, AttitudeChart},
+        cursors::CursorsCard,
         estimator::EstimatorCard,
         events::Events,
         horizon::HorizonCard,
         motors::MotorsAndTicks,
+        paths::PathsCard,
         readouts::Readouts,
         replay::ReplayCard,
         residuals::Evidence,
@@ -102,6 +104,7 @@ pub fn Fly() -> impl IntoView {
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
+                <CursorsCard />
             </div>
             <div class="centre">
                 {move || if drawn.get() {
@@ -123,6 +126,7 @@ pub fn Fly() -> impl IntoView {
                     <ArmingCard />
                     <AttacksCard />
                     <EstimatorCard />
+                    <PathsCard />
                     <SimulatorCard />
                     <ModeFields />
                 </Guarded>
