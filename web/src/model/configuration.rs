@@ -20,9 +20,14 @@ fn row(name: &str, value: impl Into<String>) -> Row {
     (name.to_owned(), value.into())
 }
 
-/// A number without needless zeros.
+/// A number with four digits or so, without needless zeros.
 fn short(value: f64) -> String {
-    let text = fixed(value, 4);
+    let decimals = match value.abs() {
+        large if large >= 100.0 => 1,
+        middle if middle >= 1.0 => 2,
+        _ => 4,
+    };
+    let text = fixed(value, decimals);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
@@ -31,7 +36,7 @@ pub fn vehicle(flight: &Flight, live: &Live) -> Vec<Row> {
     let mut rows = vec![
         row("vehicle", format!("{} ({})", flight.vehicle_id, flight.vehicle)),
         row("airframe", &flight.airframe),
-        row("rig", &flight.rig),
+        row("rig", flight.rig.replace('_', " ")),
         row("seed", flight.seed.to_string()),
         row("agent version", &flight.agent_version),
         row("estimator in the loop", names::estimator_numbered(live.in_loop())),
@@ -71,7 +76,7 @@ pub fn gains(live: &Live) -> Vec<Row> {
 
 fn in_use(gains: &GainsInUse) -> Vec<Row> {
     let mut rows = vec![
-        row("controller", &gains.controller),
+        row("controller", gains.controller.replace('_', " ")),
         row("gains revision", gains.revision.to_string()),
         row("gains hash", gains.sha256.chars().take(12).collect::<String>()),
         row("slowest pole", format!("{} 1/s", fixed(gains.slowest_pole_per_s, 2))),

@@ -51,10 +51,10 @@ impl Shape {
     /// What it does, from where the setpoint is.
     pub const fn help(self) -> &'static str {
         match self {
-            Self::Circle => "Counter-clockwise, its centre to the north of the setpoint.",
+            Self::Circle => "Counter-clockwise, its centre to the north. Duration 0: until stopped.",
             Self::Sine => "Eastward, swinging north and south.",
-            Self::Square => "Counter-clockwise, the setpoint at its south-west corner.",
-            Self::Heave => "Up and down about the setpoint.",
+            Self::Square => "Counter-clockwise from its south-west corner. Duration 0: until stopped.",
+            Self::Heave => "Up and down about the setpoint. Duration 0: until stopped.",
             Self::Altitudes => "One step after the other, each with its figures.",
         }
     }
@@ -201,8 +201,18 @@ pub fn plain(refusal: &str) -> String {
             return format!("{before}goes {value} {name} of the middle,{limit}");
         }
     }
-    refusal.replacen("reaches depth -", "goes down to ", 1)
+    let told = REACHES.iter().find(|(wire, _)| refusal.contains(wire));
+    told.map_or_else(|| refusal.to_owned(), |(wire, words)| refusal.replacen(wire, words, 1))
 }
+
+/// What a path does beyond a limit, as the vehicle says it and as people do.
+const REACHES: [(&str, &str); 5] = [
+    ("reaches climb", "climbs at"),
+    ("reaches descent", "descends at"),
+    ("reaches speed", "flies at"),
+    ("reaches acceleration", "accelerates at"),
+    ("reaches altitude", "goes up to"),
+];
 
 #[cfg(test)]
 mod tests {
@@ -247,6 +257,10 @@ mod tests {
         assert_eq!(
             plain("the path reaches y 2.40 m, limit 2 m"),
             "the path goes 2.40 m north or south of the middle, limit 2 m"
+        );
+        assert_eq!(
+            plain("the path reaches climb 0.64 m/s, limit 0.6 m/s"),
+            "the path climbs at 0.64 m/s, limit 0.6 m/s"
         );
         assert_eq!(plain("take off first: a shape begins in the air"), "take off first: a shape begins in the air");
     }

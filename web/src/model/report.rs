@@ -169,19 +169,25 @@ fn attacks(live: &Live, begin_s: f64) -> Vec<Attack> {
     all
 }
 
-/// The estimators by the error of their altitude; needs [`super::curves::Curves::follow_errors`].
-fn ranking(live: &Live) -> Vec<Ranked> {
-    if !live.curves.has_truth() {
-        return Vec::new();
+/// The stretch of a recording in which the vehicle was armed, s of flight time; all of it where that is not known. A vehicle
+/// that was let fall is no estimator's fault.
+pub fn armed_s(live: &Live) -> Option<(f64, f64)> {
+    let span = live.curves.time_span_s()?;
+    let mut marks = live.log.events.iter().filter(|e| e.kind == "armed").map(|e| e.time_us as f64 * 1e-6);
+    let first = marks.next();
+    match (first, marks.next_back()) {
+        (Some(first), Some(last)) => Some((first.max(span.start), last.min(span.end))),
+        _ => Some((span.start, span.end)),
     }
-    let off = |curve: Curve| {
-        let series = live.curves.get(curve)?;
-        let (start_s, end_s) = series.time_span_s()?;
-        rms(series, start_s, end_s)
-    };
+}
+
+/// The estimators by the error of their altitude while armed; needs [`super::curves::Curves::follow_errors`].
+fn ranking(live: &Live) -> Vec<Ranked> {
+    let Some((start_s, end_s)) = armed_s(live).filter(|_| live.curves.has_truth()) else { return Vec::new() };
+    let off = |curve: Curve| live.curves.get(curve).and_then(|series| rms(series, start_s, end_s));
     let number = |(number, _): (&u16, _)| {
         let number = *number;
-        let largest = live.curves.get(Curve::AltitudeError(number)).map(|s| s.extent(s.first()..s.end()));
+        let largest = live.curves.get(Curve::AltitudeError(number)).map(|s| s.extent_between(start_s, end_s));
         let largest = largest.map_or(0.0, |e| f64::from(e.min.abs().max(e.max.abs())));
         let axis = |axis| off(Curve::AttitudeError(number, axis));
         Ranked {
@@ -202,7 +208,7 @@ fn ranking(live: &Live) -> Vec<Ranked> {
 /// One sentence for each thing that happened.
 fn sentence(flight: &Flight, live: &Live, attacks: &[Attack], secure: bool) -> String {
     let kind = if flight.vehicle == "sim" { "simulated" } else { flight.vehicle.as_str() };
-    let rig = if flight.rig.is_empty() { String::new() } else { format!(", {}", flight.rig) };
+    let rig = if flight.rig.is_empty() { String::new() } else { format!(", {}", flight.rig.replace('_', " ")) };
     let mut out = format!("{} ({kind}{rig}) flew for {} min", flight.vehicle_id, clock(flight.duration_s));
     if !flight.steps.is_empty() {
         out += &format!(" with {} of altitude", plural(flight.steps.len() as u64, "step"));

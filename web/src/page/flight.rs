@@ -189,6 +189,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
         })
     };
     view! {
+        <h1 class="visually-hidden">{move || format!("Flight {}", name.get())}</h1>
         <div class="sheet-head">
             <Link to=Route::Flights>"← Flights"</Link>
             <input

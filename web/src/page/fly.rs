@@ -16,7 +16,6 @@ use crate::{
         events::Events,
         horizon::HorizonCard,
         motors::MotorsAndTicks,
-        paths::PathsCard,
         readouts::Readouts,
         replay::ReplayCard,
         residuals::Evidence,
@@ -100,6 +99,7 @@ pub fn Fly() -> impl IntoView {
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {
         <main class="fly" id="main">
+            <h1 class="visually-hidden">"Fly"</h1>
             <Banner />
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
@@ -126,7 +126,6 @@ pub fn Fly() -> impl IntoView {
                     <ArmingCard />
                     <AttacksCard />
                     <EstimatorCard />
-                    <PathsCard />
                     <SimulatorCard />
                     <ModeFields />
                 </Guarded>

@@ -101,7 +101,7 @@ pub fn Legend(
             aria-label=format!("{name}: what is visible as CSV")
             title="What is visible, as a table (CSV)"
             on:click=move |_| save(deck, name, unit, &entries.get_untracked())
-        >"CSV"</button>
+        >"⤓"</button>
     }
 }
 

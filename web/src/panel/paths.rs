@@ -32,29 +32,34 @@ fn flown(live: &Live) -> Option<String> {
     None
 }
 
-/// The card.
+/// The button that opens the form below, named after what is flown.
 #[component]
-pub fn PathsCard() -> impl IntoView {
+pub fn PathsButton(
+    /// Is the form open?
+    open: RwSignal<bool>,
+) -> impl IntoView {
     let ctx = ctx();
-    let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
     let flying = Memo::new(move |_| ctx.live(flown));
     view! {
-        <Show when=move || !replayed.get()>
-            <details class="card paths">
-                <summary>
-                    <h2>"Paths"</h2>
-                    <span class="quiet">{move || flying.get().unwrap_or_default()}</span>
-                </summary>
-                <PathForm flying />
-            </details>
-        </Show>
+        <button
+            type="button"
+            class="small"
+            aria-expanded=move || open.get().to_string()
+            aria-controls="path-form"
+            title="Circle, sine, square, heave, or a list of altitudes, from where the setpoint is"
+            on:click=move |_| open.update(|open| *open = !*open)
+        >{move || flying.get().map_or_else(|| "Paths".to_owned(), |path| format!("Path: {path}"))}</button>
     }
 }
 
 /// What is to be flown, and the way to end it.
 #[component]
-fn PathForm(flying: Memo<Option<String>>) -> impl IntoView {
+pub fn PathForm(
+    /// Shown?
+    open: RwSignal<bool>,
+) -> impl IntoView {
     let ctx = ctx();
+    let flying = Memo::new(move |_| ctx.live(flown));
     let form = RwSignal::new(Form::default());
     let refusal = RwSignal::new(None::<String>);
     let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
@@ -87,7 +92,7 @@ fn PathForm(flying: Memo<Option<String>>) -> impl IntoView {
         form.update(|f| f.shape = chosen.unwrap_or_default());
     };
     view! {
-        <form class="path-form" aria-label="Path" on:submit=fly>
+        <form class="path-form" id="path-form" aria-label="Path" hidden=move || !open.get() on:submit=fly>
             <label class="field wide"><span>"shape"</span>
                 <select on:change:target=move |e| choose(e.target().value())>
                     {Shape::ALL.map(|s| view! { <option value=s.json() selected=move || shape.get() == s>{s.name()}</option> }).collect_view()}
@@ -127,7 +132,7 @@ fn numbers(form: RwSignal<Form>, shape: Shape) -> AnyView {
         {field(shape.size(), "m", |f| &mut f.size)}
         {field("period", "s", |f| &mut f.period)}
         {sine.then(|| field("speed", "m/s", |f| &mut f.speed))}
-        {field("duration", if sine { "s" } else { "s, 0: on" }, |f| &mut f.duration)}
+        {field("duration", "s", |f| &mut f.duration)}
     }
     .into_any()
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::{Attack, Ranked, Report, Spread, step_spreads};
+use super::{Attack, Ranked, Report, Spread, armed_s, step_spreads};
 use crate::model::{
     axis::{TimeAxis, ValueAxis},
     configuration::Row,
@@ -166,7 +166,7 @@ fn ranking(report: &Report) -> String {
         vec![(i + 1).to_string(), names::estimator_numbered(r.number).to_owned(), rms, largest, tilt, yaw]
     };
     let heads = [
-        ("", true),
+        ("rank", true),
         ("estimator", false),
         ("altitude RMS mm", true),
         ("largest mm", true),
@@ -174,7 +174,7 @@ fn ranking(report: &Report) -> String {
         ("yaw RMS mrad", true),
     ];
     let rows: Vec<_> = report.ranking.iter().enumerate().map(row).collect();
-    table("Estimate minus truth over the whole recording, from an estimator's first estimate on.", &heads, &rows, None)
+    table("Estimate minus truth while armed, from an estimator's first estimate on.", &heads, &rows, None)
 }
 
 fn rows(caption: &str, rows: &[Row]) -> String {
@@ -193,7 +193,13 @@ struct Line<'a> {
 /// Size of a figure, its margins left and below, px.
 const FIGURE: [f64; 4] = [860.0, 230.0, 46.0, 20.0];
 
-fn figure(title: &str, unit: &str, lines: &[Line<'_>], live: &Live, axis: TimeAxis) -> String {
+/// So many times the range of the curve that leads is shown of the others.
+const REACH: f64 = 4.0;
+
+/// A figure; where a line `leads`, those that leave its range many times over run along the edge.
+fn figure(title: &str, unit: &str, lines: &[Line<'_>], live: &Live, leads: Option<Curve>) -> String {
+    let Some(span) = live.curves.time_span_s() else { return String::new() };
+    let axis = TimeAxis::new(span.start, span.end.max(span.start + 1e-3));
     let [width, height, left, below] = FIGURE;
     let (w, h) = (width - left - 6.0, height - below - 6.0);
     let extents = lines.iter().map(|l| l.series.extent_between(axis.start_s, axis.end_s)).filter(|e| !e.is_empty());
@@ -203,9 +209,13 @@ fn figure(title: &str, unit: &str, lines: &[Line<'_>], live: &Live, axis: TimeAx
     if low > high {
         return String::new();
     }
+    let leader = leads.and_then(|curve| live.curves.get(curve)).zip(armed_s(live));
+    let own = leader.map(|(series, (start_s, end_s))| series.extent_between(start_s, end_s));
+    let reach = own.filter(|e| !e.is_empty()).map_or(f64::INFINITY, |e| REACH * f64::from(e.max.max(-e.min)).max(1.0));
+    let (low, high) = (low.max(-reach), high.min(reach));
     let values = ValueAxis::fit(low, high, 1e-3, None);
     let x = |time_s: f64| left + axis.fraction(time_s).clamp(0.0, 1.0) * w;
-    let y = |value: f64| 6.0 + (1.0 - values.fraction(value)) * h;
+    let y = |value: f64| 6.0 + (1.0 - values.fraction(value).clamp(0.0, 1.0)) * h;
     let mut out = format!(
         "<figure><figcaption>{} <small>{}</small></figcaption><svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\">",
         plain(title),
@@ -285,8 +295,6 @@ fn path(series: &Series, axis: TimeAxis, columns: f64, place: impl Fn(f32, f32) 
 }
 
 fn figures(live: &Live) -> String {
-    let Some(span) = live.curves.time_span_s() else { return String::new() };
-    let axis = TimeAxis::new(span.start, span.end.max(span.start + 1e-3));
     let in_loop = live.in_loop();
     let line = |name: &str, curve: Curve, ink: Ink, dashed: bool| {
         live.curves.get(curve).map(|series| Line { name: name.to_owned(), series, ink, dashed })
@@ -306,7 +314,8 @@ fn figures(live: &Live) -> String {
         .collect();
     let against =
         if live.curves.has_truth() { "Altitude: estimate minus truth" } else { "Altitude: estimate minus setpoint" };
-    figure("Altitude", "m", &altitude, live, axis) + &figure(against, "mm", &errors, live, axis)
+    let leads = Some(Curve::AltitudeError(in_loop));
+    figure("Altitude", "m", &altitude, live, None) + &figure(against, "mm", &errors, live, leads)
 }
 
 impl Report {
