@@ -24,7 +24,8 @@ fn row(name: &str, value: impl Into<String>) -> Row {
 fn short(value: f64) -> String {
     let decimals = match value.abs() {
         large if large >= 100.0 => 1,
-        middle if middle >= 1.0 => 2,
+        middle if middle >= 10.0 => 2,
+        small if small >= 1.0 => 3,
         _ => 4,
     };
     let text = fixed(value, decimals);
