@@ -289,33 +289,33 @@ impl Ctx {
         self.command_then(what, method, action, body, |_| {});
     }
 
-    /// As [`Ctx::command`]; `then` is called with whether it was accepted.
+    /// As [`Ctx::command`]; `then` is called when it was accepted, or with why it was not.
     pub fn command_then(
         self,
         what: impl Into<String>,
         method: &'static str,
         action: &'static str,
         body: Value,
-        then: impl FnOnce(bool) + 'static,
+        then: impl FnOnce(Result<(), &str>) + 'static,
     ) {
         let what = what.into();
         // The cut asks nobody; who holds control is not asked for it.
         if !matches!(action, "cut" | "lease")
             && let Some(why) = untrack(|| self.refusal())
         {
-            self.refuse(why);
-            return then(false);
+            then(Err(&why));
+            return self.refuse(why);
         }
         let Some(vehicle) = self.app.with_value(|app| app.vehicle.clone()) else {
             self.dispatch(Event::Tell(Tone::Error, format!("{what}: no vehicle is connected")));
-            return then(false);
+            return then(Err("no vehicle is connected"));
         };
         let id = String::from(js_sys::encode_uri_component(&vehicle));
         let url = format!("/api/vehicles/{id}/{action}");
         let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
         leptos::task::spawn_local(async move {
             let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
-            then(answer.is_ok());
+            then(answer.as_ref().map(|_| ()).map_err(|failure| failure.text.as_str()));
             self.dispatch(Event::Answered(what, answer));
         });
     }
@@ -346,8 +346,8 @@ impl Ctx {
             "POST",
             "setpoint",
             json!(rest::Setpoint { altitude_m: Some(rounded), ..rest::Setpoint::default() }),
-            move |accepted| {
-                if !accepted && self.asked_m.get_value() == Some(rounded) {
+            move |answer| {
+                if answer.is_err() && self.asked_m.get_value() == Some(rounded) {
                     self.asked_m.set_value(None);
                 }
             },

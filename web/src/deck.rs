@@ -12,14 +12,20 @@ use crate::{
     ctx::Ctx,
     model::{
         axis::{Tick, TimeAxis, ValueAxis},
+        curves::{Axis, Curve},
         instrument::Instrument,
         live::Live,
     },
-    net, store,
+    net,
+    panel::legend::Entry,
+    store,
 };
 
 /// Windows offered, s.
 pub const WINDOWS_S: [f64; 6] = [10.0, 30.0, 60.0, 120.0, 300.0, 600.0];
+
+/// What the pinned cursors are called.
+pub const PIN_NAMES: [&str; 2] = ["A", "B"];
 
 /// What a chart shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,6 +46,12 @@ pub enum Picture {
     Ticks,
     /// Altitudes of several flights.
     Compare,
+    /// Their altitudes minus that of the first.
+    Difference,
+    /// What the estimators' altitudes are off by.
+    AltitudeError,
+    /// And their attitudes, one axis of it.
+    AttitudeError,
     /// Artificial horizon.
     Horizon,
     /// The vehicle in space.
@@ -53,6 +65,34 @@ pub struct Labels {
     pub time: Vec<Tick>,
     /// Up the side.
     pub value: Vec<Tick>,
+    /// The pinned cursors, where they are in view.
+    pub pins: Vec<Tick>,
+}
+
+/// What stands below altitude and attitude.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Evidence {
+    /// Innovation ratio of every sensor.
+    #[default]
+    Residuals,
+    /// What the secure estimator finds of every sensor.
+    Secure,
+    /// What each estimator is off by.
+    Errors,
+}
+
+/// A chart with a legend, for what reads its curves: the pinned cursors, a table.
+#[derive(Clone)]
+pub struct Listed {
+    /// Its name.
+    pub name: &'static str,
+    /// Unit of its values.
+    pub unit: &'static str,
+    /// Decimals worth writing.
+    pub decimals: usize,
+    /// Its curves.
+    pub entries: Signal<Vec<Entry>>,
+    mark: RwSignal<()>,
 }
 
 /// A place on the page where something is drawn.
@@ -99,8 +139,16 @@ pub struct Deck {
     pub residual: RwSignal<Option<(i32, u32)>>,
     /// Estimator whose residuals are shown; 0: the one in the loop.
     pub residuals_of: RwSignal<u16>,
-    /// The secure estimator's sensors instead of the residuals?
-    pub secure: RwSignal<bool>,
+    /// What stands below altitude and attitude.
+    pub evidence: RwSignal<Evidence>,
+    /// Axis whose errors are shown.
+    pub error_axis: RwSignal<Axis>,
+    /// Two pinned cursors, s of flight time.
+    pub pins: RwSignal<Option<[f64; 2]>>,
+    /// Curves that their legend was asked to hide.
+    pub hidden: RwSignal<Vec<Curve>>,
+    /// Charts on the page that have a legend.
+    pub listed: RwSignal<Vec<Listed>>,
     /// Recorded flights: where the replay stands, s.
     pub playhead: RwSignal<f64>,
     /// Recorded flights: begin of the flight, s of flight time.
@@ -126,7 +174,11 @@ impl Deck {
             selection: RwSignal::new(None),
             residual: RwSignal::new(None),
             residuals_of: RwSignal::new(0),
-            secure: RwSignal::new(false),
+            evidence: RwSignal::new(Evidence::default()),
+            error_axis: RwSignal::new(Axis::Roll),
+            pins: RwSignal::new(None),
+            hidden: RwSignal::new(Vec::new()),
+            listed: RwSignal::new(Vec::new()),
             playhead: RwSignal::new(0.0),
             origin_s: RwSignal::new(0.0),
             space: RwSignal::new(false),
@@ -157,6 +209,11 @@ impl Deck {
         self.data.with_value(read)
     }
 
+    /// Beats of the page so far; runs again with each.
+    pub fn beat(self) -> u64 {
+        self.tick.get()
+    }
+
     /// Adds a chart for as long as the calling component lives.
     pub fn slot(self, picture: Picture, node: NodeRef<html::Div>) -> RwSignal<Labels> {
         let labels = RwSignal::new(Labels::default());
@@ -166,6 +223,48 @@ impl Deck {
             self.slots.try_update_value(|slots| slots.retain(|s| s.labels != labels));
         });
         labels
+    }
+
+    /// Names the curves of a chart for as long as the calling component lives.
+    pub fn list(self, name: &'static str, unit: &'static str, decimals: usize, entries: Signal<Vec<Entry>>) {
+        let mark = RwSignal::new(());
+        self.listed.update(|all| all.push(Listed { name, unit, decimals, entries, mark }));
+        on_cleanup(move || {
+            self.listed.try_update(|all| all.retain(|l| l.mark != mark));
+        });
+    }
+
+    /// Is this curve not to be drawn?
+    pub fn hides(self, curve: Curve) -> bool {
+        self.hidden.with_untracked(|hidden| hidden.contains(&curve))
+    }
+
+    /// Hides a curve, or shows it again.
+    pub fn toggle_curve(self, curve: Curve) {
+        self.hidden.update(|hidden| match hidden.iter().position(|h| *h == curve) {
+            Some(at) => {
+                hidden.remove(at);
+            }
+            None => hidden.push(curve),
+        });
+    }
+
+    /// Pins two cursors a quarter from both edges, or takes them away.
+    pub fn toggle_pins(self) {
+        let axis = self.data.with_value(|live| self.axis(live));
+        self.pins.update(|pins| *pins = pins.is_none().then(|| [axis.time_s(0.25), axis.time_s(0.75)]));
+    }
+
+    /// Moves the nearer one of the pinned cursors here; false when there are none.
+    pub fn pin(self, time_s: f64) -> bool {
+        let moved = self
+            .pins
+            .get_untracked()
+            .map(|[a, b]| if (time_s - a).abs() <= (time_s - b).abs() { [time_s, b] } else { [a, time_s] });
+        if moved.is_some() {
+            self.pins.set(moved);
+        }
+        moved.is_some()
     }
 
     /// The charts now on the page.
@@ -193,12 +292,16 @@ impl Deck {
 
     /// Time that labels count from, s: the moving edge while live, else the flight's begin.
     pub fn label_origin_s(self, live: &Live, axis: TimeAxis) -> f64 {
+        if self.is_still() { self.begin_s(live) } else { axis.end_s }
+    }
+
+    /// Begin of the flight, s of flight time; that of the vehicle before there is a flight.
+    pub fn begin_s(self, live: &Live) -> f64 {
         match self.source {
             Source::Recorded => self.origin_s.get_untracked(),
-            Source::Live if self.is_still() => {
+            Source::Live => {
                 live.status.get().filter(|s| s.flight_start_us > 0).map_or(0.0, |s| s.flight_start_us as f64 * 1e-6)
             }
-            Source::Live => axis.end_s,
         }
     }
 

@@ -9,12 +9,13 @@ use wasm_bindgen::JsCast;
 use crate::{ctx::Ctx, deck::Source, model::route::Route};
 
 /// Every key and what it does.
-pub const KEYS: [(&str, &str); 9] = [
+pub const KEYS: [(&str, &str); 10] = [
     ("Ctrl+Shift+X", "cut motors – vehicle falls"),
     ("↑ ↓", "altitude setpoint ±0.1 m"),
     ("Space", "pause the charts; play a recorded flight"),
     ("R", "start or stop a recording"),
     ("A", "attacks: go to the form"),
+    ("M", "two cursors that stay, to measure between"),
     ("← →", "recorded flight: back or on by 1 s, with Shift 10 s"),
     ("1 … 5", "Fly, Flights, Tune, Calibrate, Setup"),
     ("Esc", "close; leave a zoom or a residual"),
@@ -126,6 +127,10 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
         }
         "r" | "R" if flying => ctx.toggle_recording(),
         "a" | "A" if flying => ctx.attacks_focus.update(|n| *n += 1),
+        "m" | "M" => match deck {
+            Some(deck) => deck.toggle_pins(),
+            None => return false,
+        },
         "1" => ctx.go(Route::Fly),
         "2" => ctx.go(Route::Flights),
         "3" => ctx.go(Route::Tune),

@@ -71,6 +71,7 @@ fn Root() -> impl IntoView {
                 Route::Fly => view! { <page::Fly /> }.into_any(),
                 Route::Flights => view! { <page::FlightsPage /> }.into_any(),
                 Route::Flight(id) => view! { <page::FlightPage id=id /> }.into_any(),
+                Route::Report(id) => view! { <page::ReportPage id=id /> }.into_any(),
                 Route::Compare(ids) => view! { <page::Compare ids=ids /> }.into_any(),
                 Route::Tune => view! { <page::Tune /> }.into_any(),
                 Route::Calibrate => view! { <page::Calibrate /> }.into_any(),

@@ -120,6 +120,29 @@ pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
     Ok(js_sys::Uint8Array::new(&buffer).to_vec())
 }
 
+/// Has the browser keep what is at an address, under a name (empty: as the ground calls it).
+pub fn download(url: &str, name: &str) {
+    let document = web_sys::window().and_then(|w| w.document());
+    let anchor = document.and_then(|d| d.create_element("a").ok());
+    if let Some(anchor) = anchor.and_then(|a| a.dyn_into::<web_sys::HtmlAnchorElement>().ok()) {
+        anchor.set_href(url);
+        anchor.set_download(name);
+        anchor.click();
+    }
+}
+
+/// Has the browser keep a text as a file.
+pub fn save(name: &str, mime: &str, text: &str) {
+    let kind = web_sys::BlobPropertyBag::new();
+    kind.set_type(mime);
+    let parts = js_sys::Array::of1(&JsValue::from_str(text));
+    let blob = web_sys::Blob::new_with_str_sequence_and_options(&parts, &kind);
+    // Without either there is no file, and nothing to say but that none came.
+    let Some(url) = blob.ok().and_then(|b| web_sys::Url::create_object_url_with_blob(&b).ok()) else { return };
+    download(&url, name);
+    let _ = web_sys::Url::revoke_object_url(&url);
+}
+
 /// Lets the browser do other things for `ms`.
 pub async fn pause(ms: f64) {
     let wait = js_sys::Promise::new(&mut |done, _| {

@@ -15,7 +15,12 @@ use crate::{
     ctx::{Ctx, Graphics},
     deck::{Deck, Picture, Slot, Source},
     gpu::{Backend, FrameOutcome, Panel, Rect, Renderer, Theme},
-    model::{axis::TimeAxis, instrument::Instrument, live::Live},
+    model::{
+        axis::TimeAxis,
+        curves::{Axis, Curve},
+        instrument::Instrument,
+        live::Live,
+    },
     net,
 };
 
@@ -133,6 +138,9 @@ struct Recorded {
     residual: Option<(i32, u32)>,
     residuals_of: u16,
     camera: (f32, f32, f32),
+    pins: Option<[f64; 2]>,
+    error_axis: Axis,
+    hidden: Vec<Curve>,
     /// Of all curves: another estimator's may be laid over them.
     samples: usize,
 }
@@ -149,6 +157,9 @@ impl Recorded {
             residual: deck.residual.get_untracked(),
             residuals_of: deck.residuals_of.get_untracked(),
             camera: deck.camera.get_untracked(),
+            pins: deck.pins.get_untracked(),
+            error_axis: deck.error_axis.get_untracked(),
+            hidden: deck.hidden.get_untracked(),
             samples,
         })
     }

@@ -152,6 +152,7 @@ mod tests {
             ("ink", "page"),
             ("quiet", "card"),
             ("quiet", "page"),
+            ("faint", "card"),
             ("good", "card"),
             ("warn", "card"),
             ("bad", "card"),

@@ -41,7 +41,8 @@ pub(crate) async fn serve(State(app): State<App>, method: Method, uri: Uri, head
         return ApiError::Method(format!("{} has no {method}", crate::names::clip(uri.path()))).into_response();
     }
     let path = uri.path().trim_matches('/');
-    let page = PAGES.contains(&path) || path.strip_prefix("flights/").is_some_and(|id| !id.contains('/'));
+    let flight = path.strip_prefix("flights/").map(|id| id.strip_suffix("/report").unwrap_or(id));
+    let page = PAGES.contains(&path) || flight.is_some_and(|id| !id.contains('/'));
     if page && app.people.person(token(&headers).as_ref()).is_none() {
         return Redirect::to("/login").into_response();
     }

@@ -26,6 +26,7 @@ impl Style {
             Style::Strong => 1.75,
             Style::Solid | Style::Step | Style::Dashed => 1.5,
             Style::Thin | Style::Points => 1.0,
+            Style::Band => 0.0,
         }
     }
 }
@@ -67,7 +68,8 @@ fn draw_curve(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &Cha
         let y = |value: f32| plot.y(view.value, f64::from(value * curve.scale));
         scratch.columns.clear();
         scratch.columns.extend(points.iter().map(|point| {
-            let (a, b) = (y(point.low), y(point.high));
+            let low = if curve.style == Style::Band { -point.high } else { point.low };
+            let (a, b) = (y(low), y(point.high));
             Column { x: plot.left + point.x, top: a.min(b), bottom: a.max(b) }
         }));
         let pieces = if curve.style == Style::Dashed {
@@ -76,7 +78,7 @@ fn draw_curve(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &Cha
             vec![scratch.columns.clone()]
         };
         for piece in &pieces {
-            if decimated.envelope {
+            if decimated.envelope || curve.style == Style::Band {
                 shapes.band(piece, width, curve.color);
                 continue;
             }
@@ -218,6 +220,18 @@ mod tests {
         // A dash begins at the same moment of flight in both windows.
         let middle = starts[starts.len() / 2];
         assert!(later.iter().any(|s| (s - middle).abs() < 2e-3), "{middle} not among {later:?}");
+    }
+
+    #[test]
+    fn a_band_reaches_as_far_down_as_up() {
+        let series = Series::from_samples((0..100).map(|i| (f64::from(i) * 0.1, 0.25)));
+        let view = ChartView::new(TimeAxis::new(0.0, 9.9), ValueAxis::new(-1.0, 1.0), Theme::LIGHT);
+        let view = view.curve(&series, Color::hex(0x123456), Style::Band);
+        let mut shapes = Shapes::default();
+        draw_chart(&mut shapes, &mut Scratch::default(), PLOT, &view);
+        let ys: Vec<f32> = curve_vertices(&shapes).iter().map(|v| v[1]).collect();
+        let (top, bottom) = ys.iter().fold((f32::MAX, f32::MIN), |(a, b), y| (a.min(*y), b.max(*y)));
+        assert!((top - 237.5).abs() < 1.5 && (bottom - 362.5).abs() < 1.5, "{top} {bottom}");
     }
 
     #[test]

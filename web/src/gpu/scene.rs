@@ -129,6 +129,8 @@ pub enum Style {
     Dashed,
     /// A dot for each sample, where they are far enough apart, on a thin line.
     Points,
+    /// Filled from minus the value to the value: ±3σ.
+    Band,
 }
 
 /// A shaded stretch of time.

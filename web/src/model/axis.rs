@@ -28,6 +28,9 @@ pub struct TickStep {
     pub decimals: usize,
 }
 
+/// Fewest ticks that an axis carries: two say where, three say how it goes.
+const LEAST_TICKS: usize = 3;
+
 /// At most `most` round-numbered ticks in `start..=end`. `None` when the axis has no length, or a
 /// border is not finite, or no tick is asked for.
 pub fn ticks(start: f64, end: f64, most: usize) -> Option<TickStep> {
@@ -113,10 +116,13 @@ impl ValueAxis {
         self.min + fraction * self.span()
     }
 
-    /// Ticks at least `spacing_px` apart on an axis `height_px` tall (CSS pixels).
+    /// Ticks at least `spacing_px` apart on an axis `height_px` tall (CSS pixels), closer where there would be fewer than
+    /// three.
     pub fn ticks(self, height_px: f64, spacing_px: f64) -> Vec<Tick> {
         let most = (height_px / spacing_px.max(1.0)).floor().max(1.0) as usize;
-        let Some(step) = ticks(self.min, self.max, most) else { return Vec::new() };
+        let enough = |step: &TickStep| step.count >= LEAST_TICKS;
+        let mut tried = (most..most + 2 * LEAST_TICKS).filter_map(|most| ticks(self.min, self.max, most));
+        let Some(step) = tried.find(enough) else { return Vec::new() };
         (0..step.count)
             .map(|i| {
                 let value = step.first + i as f64 * step.step;
@@ -177,8 +183,13 @@ impl TimeAxis {
         }
         let least = (end - start) / most;
         let longest = 3600.0 * (least / 3600.0).ceil();
-        let step = TIME_STEPS_S.into_iter().find(|step| *step >= least).unwrap_or(longest);
-        let (low, high) = ((start / step - 1e-9).ceil() as i64, (end / step + 1e-9).floor() as i64);
+        let within = |step: f64| ((start / step - 1e-9).ceil() as i64, (end / step + 1e-9).floor() as i64);
+        let enough = |step: f64| within(step).1 - within(step).0 + 1 >= LEAST_TICKS as i64;
+        let wide = TIME_STEPS_S.into_iter().find(|step| *step >= least).unwrap_or(longest);
+        // Closer, where there would be fewer than three.
+        let closer = || TIME_STEPS_S.into_iter().rev().find(|step| *step < wide && enough(*step));
+        let step = if enough(wide) { wide } else { closer().unwrap_or(wide) };
+        let (low, high) = within(step);
         (low..=high)
             .map(|i| {
                 let time_s = i as f64 * step;
@@ -213,6 +224,7 @@ mod tests {
     fn value_ticks_are_round_and_never_too_many() {
         let axis = ValueAxis::new(-0.13, 1.04);
         assert_eq!(labels(&axis.ticks(200.0, 40.0)), ["0.0", "0.5", "1.0"]);
+        assert_eq!(labels(&axis.ticks(40.0, 40.0)), ["0.0", "0.5", "1.0"], "three, however low the chart is");
         assert_eq!(labels(&axis.ticks(300.0, 40.0)), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
         assert_eq!(
             labels(&ValueAxis::new(-45.0, 45.0).ticks(200.0, 40.0)),
@@ -248,11 +260,25 @@ mod tests {
     fn time_ticks_read_like_a_clock() {
         let axis = TimeAxis::new(50.0, 110.0);
         assert_eq!(labels(&axis.ticks(600.0, 100.0, 0.0)), ["0:50", "1:00", "1:10", "1:20", "1:30", "1:40", "1:50"]);
+        let narrow = TimeAxis::new(50.0, 110.0).ticks(150.0, 90.0, 0.0);
+        assert_eq!(labels(&narrow), ["1:00", "1:15", "1:30", "1:45"], "three or more, however narrow the chart is");
         let axis = TimeAxis::new(59.7, 60.3);
         assert_eq!(labels(&axis.ticks(600.0, 150.0, 0.0)), ["0:59.8", "1:00.0", "1:00.2"]);
         let axis = TimeAxis::new(98.0, 103.0);
         assert_eq!(labels(&axis.ticks(600.0, 200.0, 100.0)), ["\u{2212}0:02", "0:00", "0:02"]);
         assert!((axis.ticks(600.0, 200.0, 100.0)[1].fraction - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn every_axis_carries_three_ticks() {
+        for i in 1..200 {
+            let span = 0.013 * f64::from(i) * f64::from(i);
+            let start = 17.3 - 0.4 * f64::from(i);
+            for px in [10.0, 40.0, 75.0, 300.0] {
+                assert!(ValueAxis::new(start, start + span).ticks(px, 36.0).len() >= 3, "{start} {span} {px}");
+                assert!(TimeAxis::new(start, start + span).ticks(px, 90.0, 2.2).len() >= 3, "{start} {span} {px}");
+            }
+        }
     }
 
     #[test]

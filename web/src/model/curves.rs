@@ -9,6 +9,8 @@ use plumbline_rest::flight::Curves as Recomputed;
 
 use super::series::Series;
 
+mod errors;
+
 /// Samples kept of a live curve: ten minutes at 200 Hz.
 pub const LIVE_SAMPLES: usize = 120_000;
 /// Samples of a curve that the ground thinned for this page, at most: two for each of its stretches of time.
@@ -90,6 +92,18 @@ pub enum Curve {
     Compared(u8),
     /// Its setpoint, m.
     ComparedSetpoint(u8),
+    /// Its altitude minus that of the first of them, mm.
+    Difference(u8),
+    /// Attitude setpoint, °.
+    SetpointAttitude(Axis),
+    /// One sigma of the altitude, as the estimator in the loop says, m.
+    AltitudeSigma,
+    /// One sigma of its attitude, rad.
+    AttitudeSigma(Axis),
+    /// Altitude of an estimator minus truth, or minus the setpoint where no truth is known, mm; see [`Curves::follow_errors`].
+    AltitudeError(u16),
+    /// The same of its attitude, mrad.
+    AttitudeError(u16, Axis),
 }
 
 /// The curves.
@@ -97,27 +111,34 @@ pub enum Curve {
 pub struct Curves {
     map: BTreeMap<Curve, Series>,
     samples: usize,
+    followed: errors::Followed,
 }
 
 impl Default for Curves {
     fn default() -> Self {
-        Self { map: BTreeMap::new(), samples: LIVE_SAMPLES }
+        Self::of(LIVE_SAMPLES)
     }
 }
 
 impl Curves {
+    fn of(samples: usize) -> Self {
+        Self { map: BTreeMap::new(), samples, followed: errors::Followed::default() }
+    }
+
     /// For a recorded flight: everything is kept.
     pub fn unbounded() -> Self {
-        Self { map: BTreeMap::new(), samples: RECORDED_SAMPLES }
+        Self::of(RECORDED_SAMPLES)
     }
 
     /// For a past that is to be laid under live curves.
     pub fn short() -> Self {
-        Self { map: BTreeMap::new(), samples: PAST_SAMPLES }
+        Self::of(PAST_SAMPLES)
     }
 
     /// Lays `past` under each curve, between `from_s` and the curve's first sample after that.
     pub fn fill(&mut self, from_s: f64, past: &Self) {
+        // Samples are numbered anew below.
+        self.forget_errors();
         let samples = self.samples;
         for (curve, past) in &past.map {
             let series = self.map.entry(*curve).or_insert_with(|| Series::new(samples).with_max_gap(GAP_S));
@@ -189,6 +210,13 @@ impl Curves {
         if let Some(altitude) = control.setpoint.as_ref().and_then(|s| s.altitude_m) {
             self.push(Curve::SetpointAltitude, control.time_us, altitude);
         }
+        if let Some(s) = &control.setpoint {
+            for (axis, angle) in Axis::ALL.into_iter().zip([s.roll_rad, s.pitch_rad, s.yaw_rad]) {
+                if let Some(angle) = angle {
+                    self.push(Curve::SetpointAttitude(axis), control.time_us, angle * DEGREES);
+                }
+            }
+        }
         for (i, applied) in control.motor_applied.iter().enumerate().take(8) {
             self.push(Curve::Motor(i as u8), control.time_us, *applied);
         }
@@ -208,6 +236,22 @@ impl Curves {
         if let Some(angles) = &estimate.roll_pitch_yaw_rad {
             for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
                 self.push(Curve::Attitude(number, axis), time, value * DEGREES * known);
+            }
+        }
+        if estimate.in_loop {
+            self.push_sigma(estimate, known);
+        }
+    }
+
+    /// How sure the estimator in the loop is of itself; zero says nothing.
+    fn push_sigma(&mut self, estimate: &v1::Estimate, known: f64) {
+        let told = |sigma: f64| if sigma > 0.0 { sigma * known } else { f64::NAN };
+        if let Some(sigma) = &estimate.position_sigma_m {
+            self.push(Curve::AltitudeSigma, estimate.time_us, told(sigma.z));
+        }
+        if let Some(sigma) = &estimate.attitude_sigma_rad {
+            for (axis, value) in Axis::ALL.into_iter().zip([sigma.x, sigma.y, sigma.z]) {
+                self.push(Curve::AttitudeSigma(axis), estimate.time_us, told(value));
             }
         }
     }

@@ -10,6 +10,8 @@ pub enum Route {
     Flights,
     /// One recorded flight.
     Flight(String),
+    /// The report of one.
+    Report(String),
     /// Several recorded flights, overlaid.
     Compare(Vec<String>),
     /// Controllers designed, previewed, pushed.
@@ -33,6 +35,7 @@ impl Route {
                 Self::Compare(id.split(',').filter(|p| !p.is_empty()).map(str::to_owned).collect())
             }
             ["flights", id] => Self::Flight((*id).to_owned()),
+            ["flights", id, "report"] => Self::Report((*id).to_owned()),
             ["tune"] => Self::Tune,
             ["calibrate"] => Self::Calibrate,
             ["setup"] => Self::Setup,
@@ -46,6 +49,7 @@ impl Route {
             Self::Fly => "/".to_owned(),
             Self::Flights => "/flights".to_owned(),
             Self::Flight(id) => format!("/flights/{id}"),
+            Self::Report(id) => format!("/flights/{id}/report"),
             Self::Compare(ids) => format!("/flights/{}", ids.join(",")),
             Self::Tune => "/tune".to_owned(),
             Self::Calibrate => "/calibrate".to_owned(),
@@ -60,6 +64,7 @@ impl Route {
             Self::Fly => "Fly – Plumbline",
             Self::Flights => "Flights – Plumbline",
             Self::Flight(_) => "Flight – Plumbline",
+            Self::Report(_) => "Report – Plumbline",
             Self::Compare(_) => "Compare flights – Plumbline",
             Self::Tune => "Tune – Plumbline",
             Self::Calibrate => "Calibrate – Plumbline",
@@ -79,6 +84,7 @@ mod tests {
             Route::Fly,
             Route::Flights,
             Route::Flight("20261121T120000-iris-1-0001".into()),
+            Route::Report("20261121T120000-iris-1-0001".into()),
             Route::Compare(vec!["a".into(), "b".into()]),
             Route::Tune,
             Route::Calibrate,

@@ -1,4 +1,5 @@
-//! Compare: the altitude of several recordings over the same time axis, each from its own begin.
+//! Compare: the altitude of several recordings over the same time axis, what each differs by from the first, and what
+//! they were flown with.
 
 use leptos::prelude::*;
 use plumbline_rest::flight::Flight;
@@ -7,10 +8,12 @@ use crate::{
     ctx::ctx,
     deck::{Deck, Picture},
     model::{
+        configuration::{Row, all, differences},
         curves::{Curve, Curves},
         format,
         live::Live,
         route::Route,
+        series::Series,
     },
     net,
     page::flight::load_frames,
@@ -24,25 +27,75 @@ use crate::{
 
 /// Most flights at once: more colours than this cannot be told apart.
 const MOST: usize = 6;
+/// A flight that leads by so much has taken off, m.
+const OFF_THE_GROUND_M: f64 = 0.1;
 
-/// Altitude and setpoint of each flight, from its own begin, as curves of one.
-fn overlay(flights: &[Live]) -> Live {
-    let mut out = Live::recorded();
-    out.curves = Curves::unbounded();
-    for (i, flight) in flights.iter().enumerate() {
+/// What is laid on top of each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Align {
+    Begin,
+    TakeOff,
+    Step,
+    Attack,
+}
+
+impl Align {
+    const ALL: [(Self, &'static str); 4] = [
+        (Self::Begin, "begin of the recording"),
+        (Self::TakeOff, "take-off"),
+        (Self::Step, "first step"),
+        (Self::Attack, "first attack"),
+    ];
+
+    /// When that is in a flight, s of its flight time; its begin where it never was.
+    fn time_s(self, flight: &Live) -> f64 {
         let begin = flight.curves.time_span_s().map_or(0.0, |s| s.start);
+        let found = match self {
+            Self::Begin => None,
+            Self::TakeOff => flight.curves.get(Curve::Altitude(flight.in_loop())).and_then(take_off),
+            Self::Step => flight.log.steps.front().map(|s| s.start_time_us as f64 * 1e-6),
+            Self::Attack => flight.log.attacks.iter().filter(|s| s.seen).map(|s| s.start_s).min_by(f64::total_cmp),
+        };
+        found.unwrap_or(begin)
+    }
+}
+
+/// When an altitude was first above what it was at first.
+fn take_off(altitude: &Series) -> Option<f64> {
+    let mut known = altitude.samples(altitude.first()..altitude.end()).filter(|(_, value)| value.is_finite());
+    let (_, ground) = known.next()?;
+    known.find(|(_, value)| f64::from(value - ground) > OFF_THE_GROUND_M).map(|(time_s, _)| time_s)
+}
+
+/// Altitude and setpoint of each flight as curves of one, what `align` names at the same time; and what each altitude
+/// differs by from the first.
+fn overlay(flights: &[Live], align: Align) -> Curves {
+    let mut out = Curves::unbounded();
+    // Nothing is before zero.
+    let lead = |flight: &Live| align.time_s(flight) - flight.curves.time_span_s().map_or(0.0, |s| s.start);
+    let longest = flights.iter().map(lead).fold(0.0, f64::max);
+    for (i, flight) in flights.iter().enumerate() {
+        let zero = align.time_s(flight) - longest;
         let mut copy = |from: Curve, to: Curve| {
             if let Some(series) = flight.curves.get(from) {
                 for (time, value) in series.samples(series.first()..series.end()) {
-                    out.curves.push(to, ((time - begin) * 1e6).max(0.0) as u64, f64::from(value));
+                    out.push(to, ((time - zero) * 1e6).round().max(0.0) as u64, f64::from(value));
                 }
             }
         };
         copy(Curve::Altitude(flight.in_loop()), Curve::Compared(i as u8));
         copy(Curve::SetpointAltitude, Curve::ComparedSetpoint(i as u8));
     }
+    for i in 1..flights.len() as u8 {
+        for (time_s, off_m) in out.minus(Curve::Compared(i), Curve::Compared(0)) {
+            out.push(Curve::Difference(i), (time_s * 1e6).round() as u64, off_m * 1e3);
+        }
+    }
     out
 }
+
+/// Flights to compare: their curves, and what is known of them.
+type Loaded = (StoredValue<Vec<Live>, LocalStorage>, Deck, Vec<Flight>, Vec<Vec<Row>>);
 
 /// The page of several flights.
 #[component]
@@ -54,7 +107,7 @@ pub fn Compare(
     let owner = Owner::current();
     let left_out = ids.len().saturating_sub(MOST);
     let ids: Vec<String> = ids.into_iter().take(MOST).collect();
-    let state = RwSignal::new(None::<Result<(Deck, Vec<Flight>), String>>);
+    let state = RwSignal::new(None::<Result<Loaded, String>>);
     leptos::task::spawn_local(async move {
         let mut flights = Vec::new();
         let mut summaries = Vec::new();
@@ -75,8 +128,11 @@ pub fn Compare(
             return;
         }
         if let Some(owner) = owner {
-            let deck = owner.with(|| Deck::recorded(ctx, overlay(&flights)));
-            state.set(Some(Ok((deck, summaries))));
+            let rows = summaries.iter().zip(&flights).map(|(flight, live)| all(flight, live)).collect();
+            let mut live = Live::recorded();
+            live.curves = overlay(&flights, Align::Begin);
+            let (flights, deck) = owner.with(|| (StoredValue::new_local(flights), Deck::recorded(ctx, live)));
+            state.set(Some(Ok((flights, deck, summaries, rows))));
         }
     });
     on_cleanup(move || ctx.deck.set(None));
@@ -90,45 +146,88 @@ pub fn Compare(
             {move || match state.get() {
                 None => view! { <p class="banner">"Loading the recordings…"</p> }.into_any(),
                 Some(Err(why)) => view! { <p class="banner bad" role="alert">{why}</p> }.into_any(),
-                Some(Ok((deck, flights))) => {
+                Some(Ok((lives, deck, flights, rows))) => {
                     ctx.deck.set(Some(deck));
-                    view! { <Overlay deck flights /> }.into_any()
+                    provide_context(deck);
+                    view! {
+                        <Overlay deck lives flights=flights.clone() />
+                        <Figures flights=flights.clone() />
+                        <Configuration flights rows />
+                    }.into_any()
                 }
             }}
         </main>
     }
 }
 
+/// The curves, and what they differ by.
 #[component]
-fn Overlay(deck: Deck, flights: Vec<Flight>) -> impl IntoView {
-    provide_context(deck);
-    let entries: Vec<Entry> = flights
-        .iter()
-        .enumerate()
-        .map(|(i, f)| Entry {
-            curve: Curve::Compared(i as u8),
+fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec<Flight>) -> impl IntoView {
+    let entries = |curve: fn(u8) -> Curve, from: usize| {
+        let entry = |(i, f): (usize, &Flight)| Entry {
+            curve: curve(i as u8),
             name: f.title().to_owned(),
             color: palette::series(i).css(),
             swatch: Swatch::Line,
-        })
-        .collect();
-    let entries = Signal::derive(move || entries.clone());
+        };
+        let all: Vec<Entry> = flights.iter().enumerate().skip(from).map(entry).collect();
+        Signal::derive(move || all.clone())
+    };
+    let (altitudes, differences) = (entries(Curve::Compared, 0), entries(Curve::Difference, 1));
+    let first = flights.first().map(|f| f.title().to_owned()).unwrap_or_default();
+    let align = move |text: String| {
+        let Some((align, _)) = Align::ALL.into_iter().find(|(_, name)| *name == text) else { return };
+        let curves = lives.with_value(|lives| overlay(lives, align));
+        let span = curves.time_span_s().unwrap_or(0.0..1.0);
+        deck.data.update_value(|live| live.curves = curves);
+        deck.zoom.set(None);
+        deck.origin_s.set(span.start);
+        deck.window_s.set((span.end - span.start).max(1.0));
+    };
     view! {
         <section class="card chart compare-chart" aria-label="Altitude of each flight">
-            <header><h2>"Altitude" <small>"m, from the begin of each flight"</small></h2><Legend entries decimals=3 /></header>
-            <Plot picture=Picture::Compare label="Altitude of each flight over time, in metres; setpoints dashed" />
+            <header>
+                <h2>"Altitude" <small>"m"</small></h2>
+                <Legend entries=altitudes name="Altitude" unit="m" decimals=3 />
+                <label class="row quiet">"same time: "
+                    <select class="small" aria-label="What is laid on top of each other" on:change:target=move |e| align(e.target().value())>
+                        {Align::ALL.map(|(_, name)| view! { <option>{name}</option> }).collect_view()}
+                    </select>
+                </label>
+            </header>
+            <Plot picture=Picture::Compare unit="m" label="Altitude of each flight over time, in metres; setpoints dashed" />
         </section>
+        <section class="card chart compare-chart difference" aria-label="Difference of altitude">
+            <header>
+                <h2>"Difference" <small>{format!("mm, minus {first}")}</small></h2>
+                <Legend entries=differences name="Difference" unit="mm" decimals=1 errors=true />
+            </header>
+            <Plot picture=Picture::Difference unit="mm" label="Altitude of each flight minus that of the first, in millimetres" />
+        </section>
+    }
+}
+
+/// The mark and the name of a flight.
+fn named(i: usize, flight: &Flight) -> impl IntoView + use<> {
+    let (id, title) = (flight.id.clone(), flight.title().to_owned());
+    let style =
+        format!("--swatch:{};display:inline-block;margin-right:6px;vertical-align:middle", palette::series(i).css());
+    view! { <i class="swatch" style=style></i><Link to=Route::Flight(id)>{title}</Link> }
+}
+
+#[component]
+fn Figures(flights: Vec<Flight>) -> impl IntoView {
+    view! {
         <section class="card table-wrap" aria-label="Figures">
             <table>
                 <thead><tr><th>"flight"</th><th>"rig"</th><th class="num">"duration"</th><th class="num">"error RMS"</th><th class="num">"first step: rise"</th><th class="num">"overshoot"</th><th class="num">"settling"</th><th class="num">"attacks"</th></tr></thead>
                 <tbody>
                     {flights.into_iter().enumerate().map(|(i, f)| {
                         let first = f.steps.first().cloned().unwrap_or_default();
-                        let (id, title) = (f.id.clone(), f.title().to_owned());
                         let seconds = |v: Option<f64>| v.map_or_else(|| format::NONE.to_owned(), |s| format!("{} s", format::fixed(s, 2)));
                         view! {
                             <tr>
-                                <th scope="row"><i class="swatch" style=format!("--swatch:{};display:inline-block;margin-right:6px;vertical-align:middle", palette::series(i).css())></i><Link to=Route::Flight(id)>{title}</Link></th>
+                                <th scope="row">{named(i, &f)}</th>
                                 <td>{f.rig.clone()}</td>
                                 <td class="num">{format::clock(f.duration_s)}</td>
                                 <td class="num">{f.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)))}</td>
@@ -145,21 +244,71 @@ fn Overlay(deck: Deck, flights: Vec<Flight>) -> impl IntoView {
     }
 }
 
+/// What the flights were flown with, where it is not the same.
+#[component]
+fn Configuration(flights: Vec<Flight>, rows: Vec<Vec<Row>>) -> impl IntoView {
+    let (rows, same) = differences(&rows);
+    let the_same = format!("{} the same", format::plural(same as u64, "value"));
+    view! {
+        <section class="card table-wrap" aria-label="Configuration and gains">
+            <header><h2>"Configuration and gains"</h2><span class="quiet">{the_same}</span></header>
+            {if rows.is_empty() {
+                view! { <p class="blank">"They were flown with the same configuration, gains and scenario."</p> }.into_any()
+            } else {
+                view! {
+                    <table>
+                        <thead><tr><th>"what differs"</th>{flights.iter().enumerate().map(|(i, f)| view! { <th scope="col">{named(i, f)}</th> }).collect_view()}</tr></thead>
+                        <tbody>
+                            {rows.into_iter().map(|(name, values)| view! {
+                                <tr><th scope="row">{name}</th>{values.into_iter().map(|value| view! { <td class="num-left">{value}</td> }).collect_view()}</tr>
+                            }).collect_view()}
+                        </tbody>
+                    </table>
+                }.into_any()
+            }}
+        </section>
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn flight(start: u64) -> Live {
+        let mut live = Live::recorded();
+        for i in 0..5_u64 {
+            live.curves.push(Curve::SetpointAltitude, start + i * 1000, i as f64);
+        }
+        live
+    }
+
     #[test]
     fn every_flight_begins_at_zero() {
-        let flight = |start: u64| {
+        let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin);
+        assert_eq!(out.value_at(Curve::ComparedSetpoint(0), 0.0), Some(0.0));
+        assert_eq!(out.value_at(Curve::ComparedSetpoint(1), 0.0041), Some(4.0));
+    }
+
+    #[test]
+    fn laid_together_at_take_off_the_same_flights_do_not_differ() {
+        let flown = |start: u64, waits: u64| {
             let mut live = Live::recorded();
-            for i in 0..5_u64 {
-                live.curves.push(Curve::SetpointAltitude, start + i * 1000, i as f64);
+            for i in 0..100_u64 {
+                live.curves.push(
+                    Curve::Altitude(0),
+                    start + i * 10_000,
+                    if i < waits { 0.0 } else { 0.02 * (i - waits) as f64 },
+                );
             }
             live
         };
-        let out = overlay(&[flight(7_000_000), flight(900_000_000)]);
-        assert_eq!(out.curves.value_at(Curve::ComparedSetpoint(0), 0.0), Some(0.0));
-        assert_eq!(out.curves.value_at(Curve::ComparedSetpoint(1), 0.0041), Some(4.0));
+        let flights = [flown(5_000_000, 20), flown(1_000_000, 50)];
+        let largest = |curves: &Curves| {
+            let series = curves.get(Curve::Difference(1)).unwrap();
+            let extent = series.extent(series.first()..series.end());
+            extent.max.max(-extent.min)
+        };
+        assert!(largest(&overlay(&flights, Align::TakeOff)) < 0.1);
+        assert!(largest(&overlay(&flights, Align::Begin)) > 500.0);
     }
 }

@@ -3,6 +3,7 @@
 mod again;
 mod facts;
 mod reestimate;
+mod report;
 mod scrub;
 
 use leptos::prelude::*;
@@ -23,6 +24,7 @@ use crate::{
     page::flights::local_offset_min,
     panel::{
         charts::{AltitudeChart, AttitudeChart},
+        cursors::CursorsCard,
         events::Events,
         hold::HoldButton,
         horizon::HorizonCard,
@@ -34,10 +36,11 @@ use crate::{
 };
 
 use facts::Summary;
+pub use report::ReportPage;
 use scrub::Scrub;
 
 /// Kinds the charts need; samples of IMUs and cameras stay in the file.
-const KINDS: &str = "estimate,control,residuals,truth,height,status,attacks,event,step,description,secure";
+const KINDS: &str = "estimate,control,residuals,truth,height,status,attacks,event,step,description,secure,gains";
 
 /// A recording, loaded.
 #[derive(Clone)]
@@ -49,7 +52,12 @@ enum Loaded {
 
 /// Loads the messages of a flight as a deck.
 pub async fn load_frames(id: &str) -> Result<Live, Failure> {
-    let bytes = net::bytes(&format!("/api/flights/{id}/frames?kinds={KINDS}")).await?;
+    load_kinds(id, KINDS).await
+}
+
+/// Messages of some kinds of a flight.
+async fn load_kinds(id: &str, kinds: &str) -> Result<Live, Failure> {
+    let bytes = net::bytes(&format!("/api/flights/{id}/frames?kinds={kinds}")).await?;
     let mut flight = Live::recorded();
     flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;
     Ok(flight)
@@ -69,7 +77,12 @@ pub fn FlightPage(
     {
         let (url, id) = (url.clone(), id.clone());
         leptos::task::spawn_local(async move {
-            summary.try_set(Some(net::json("GET", &url, None, "").await));
+            let known = net::json("GET", &url, None, "").await;
+            let missing = known.is_err();
+            summary.try_set(Some(known));
+            if missing {
+                return;
+            }
             let frames = load_frames(&id).await;
             // The page may have been left meanwhile: then its signals are gone.
             if loaded.is_disposed() {
@@ -87,6 +100,39 @@ pub fn FlightPage(
         });
     }
     on_cleanup(move || ctx.deck.set(None));
+    let refused = Memo::new(move |_| summary.with(|s| s.as_ref().and_then(|s| s.as_ref().err().cloned())));
+    move || match refused.get() {
+        Some(failure) if failure.status == 404 => {
+            view! { <main class="sheet" id="main"><NoFlight id=id.clone() /></main> }.into_any()
+        }
+        Some(failure) => view! {
+            <main class="sheet" id="main">
+                <h1>"The flight cannot be shown"</h1>
+                <p role="alert">{failure.text}</p>
+                <p><Link to=Route::Flights>"← Flights"</Link></p>
+            </main>
+        }
+        .into_any(),
+        None => view! { <Shown id=id.clone() summary loaded /> }.into_any(),
+    }
+}
+
+/// What is said of a flight that there is not.
+#[component]
+fn NoFlight(
+    /// As asked for.
+    id: String,
+) -> impl IntoView {
+    view! {
+        <h1>"No such flight"</h1>
+        <p>"There is no recording " <code>{id}</code> " on this ground. It may have been deleted, or the address is misspelt."</p>
+        <p><Link to=Route::Flights>"← All flights"</Link></p>
+    }
+}
+
+#[component]
+fn Shown(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>, loaded: RwSignal<Loaded>) -> impl IntoView {
+    let ctx = ctx();
     view! {
         <main class="flight-page" id="main">
             <Head id=id.clone() summary />
@@ -143,6 +189,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
         })
     };
     view! {
+        <h1 class="visually-hidden">{move || format!("Flight {}", name.get())}</h1>
         <div class="sheet-head">
             <Link to=Route::Flights>"← Flights"</Link>
             <input
@@ -155,6 +202,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             />
             <span class="quiet num one-line">{facts}</span>
             <span class="push downloads">
+                <Link to=Route::Report(id.clone())>"Report"</Link>
                 <a class="button" href=format!("/api/flights/{id}/mcap") download="">"MCAP"</a>
                 <a class="button" href=format!("/api/flights/{id}/csv") download="">"CSV"</a>
             </span>
@@ -188,6 +236,7 @@ fn Player(deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> imp
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
+                <CursorsCard />
             </div>
             <div class="centre">
                 <Show when=move || drawn.get()>

@@ -94,7 +94,7 @@ pub fn FlightsPage() -> impl IntoView {
     };
     let download = move |_| {
         for id in chosen.get_untracked() {
-            start_download(&format!("/api/flights/{id}/mcap"));
+            net::download(&format!("/api/flights/{id}/mcap"), "");
         }
     };
     view! {
@@ -190,15 +190,4 @@ fn Row(flight: Flight) -> impl IntoView {
 /// Minutes the browser's clock is behind UTC, as `Date` says.
 pub fn local_offset_min() -> i64 {
     js_sys::Date::new_0().get_timezone_offset() as i64
-}
-
-/// Lets the browser save `url`.
-pub fn start_download(url: &str) {
-    use wasm_bindgen::JsCast;
-    let anchor = document().create_element("a").ok().and_then(|a| a.dyn_into::<web_sys::HtmlAnchorElement>().ok());
-    if let Some(anchor) = anchor {
-        anchor.set_href(url);
-        anchor.set_download("");
-        anchor.click();
-    }
 }

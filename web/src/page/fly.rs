@@ -11,6 +11,7 @@ use crate::{
         arming::ArmingCard,
         attacks::AttacksCard,
         charts::{AltitudeChart, AttitudeChart},
+        cursors::CursorsCard,
         estimator::EstimatorCard,
         events::Events,
         horizon::HorizonCard,
@@ -98,10 +99,12 @@ pub fn Fly() -> impl IntoView {
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {
         <main class="fly" id="main">
+            <h1 class="visually-hidden">"Fly"</h1>
             <Banner />
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
+                <CursorsCard />
             </div>
             <div class="centre">
                 {move || if drawn.get() {

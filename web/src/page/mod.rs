@@ -13,7 +13,7 @@ mod tune;
 
 pub use calibrate::Calibrate;
 pub use compare::Compare;
-pub use flight::FlightPage;
+pub use flight::{FlightPage, ReportPage};
 pub use flights::FlightsPage;
 pub use fly::Fly;
 pub use help::Help;

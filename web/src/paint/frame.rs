@@ -4,13 +4,13 @@ use plumbline_proto::v1::{AttackPhase, Severity};
 
 use super::space::Body;
 use crate::{
-    deck::{Deck, Labels, Picture, Slot},
+    deck::{Deck, Labels, PIN_NAMES, Picture, Slot},
     gpu::{
         ChartView, Content, HeatRow, HeatmapView, HorizonView, LevelLine, Mark, Rect, Span, Style,
         TIME_TICK_SPACING_PX, Theme, VALUE_TICK_SPACING_PX,
     },
     model::{
-        axis::{TimeAxis, ValueAxis},
+        axis::{Tick, TimeAxis, ValueAxis},
         curves::{Axis, Curve, DEGREES},
         instrument::Instrument,
         live::Live,
@@ -26,6 +26,13 @@ const ALTITUDE_SPAN_M: f64 = 0.5;
 const STEP_ROOM: f64 = 0.35;
 /// Shortest attitude range shown, °.
 const ATTITUDE_SPAN_DEG: f64 = 6.0;
+
+/// Shortest range of errors and differences shown, mm or mrad.
+const ERROR_SPAN: f64 = 10.0;
+/// What an error of one estimator in the loop leaves to the others and to the band: so many times its own range.
+const ERROR_REACH: f64 = 4.0;
+/// Opacity of the band of ±3σ.
+const BAND_OPACITY: f32 = 0.16;
 
 /// Is a step's response written on this stretch?
 fn step_in_view(live: &Live, axis: TimeAxis) -> bool {
@@ -66,6 +73,14 @@ impl Frame {
                 Some(self.chart(slot, rect, live, axis, self.motors(live), 1.0, Some(ValueAxis::new(-0.02, 1.02))))
             }
             Picture::Ticks => Some(self.chart(slot, rect, live, axis, self.ticks(live), 20.0, None)),
+            Picture::AltitudeError => {
+                Some(self.chart(slot, rect, live, axis, self.errors(live, None), ERROR_SPAN, None))
+            }
+            Picture::AttitudeError => {
+                let of = Some(self.deck.error_axis.get_untracked());
+                Some(self.chart(slot, rect, live, axis, self.errors(live, of), ERROR_SPAN, None))
+            }
+            Picture::Difference => Some(self.chart(slot, rect, live, axis, self.differences(live), ERROR_SPAN, None)),
         }
     }
 
@@ -140,13 +155,13 @@ impl Frame {
             {
                 // One that diverges does not squeeze the rest.
                 let other = self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid);
-                out.extend(other.map(|drawn| Drawn { sets_scale: false, ..drawn }));
+                out.extend(other.map(|drawn| Drawn { room: Room::None, ..drawn }));
             }
         }
         for curve in live.curves.names() {
             if let Curve::AgainAltitude(number) = curve {
                 let again = self.drawn(live, curve, palette::again(number), Style::Dashed);
-                out.extend(again.map(|drawn| Drawn { sets_scale: false, ..drawn }));
+                out.extend(again.map(|drawn| Drawn { room: Room::None, ..drawn }));
             }
         }
         out.extend(self.drawn(live, Curve::SetpointAltitude, palette::SETPOINT, Style::Step));
@@ -193,6 +208,30 @@ impl Frame {
         setpoints.chain(altitudes).collect()
     }
 
+    fn differences<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let ink = |i: u8| palette::series(usize::from(i));
+        (0..16).filter_map(|i| self.drawn(live, Curve::Difference(i), ink(i), Style::Solid)).collect()
+    }
+
+    /// Errors of altitude or of one axis, and three sigma of the estimator in the loop around none.
+    fn errors<'a>(&self, live: &'a Live, axis: Option<Axis>) -> Vec<Drawn<'a>> {
+        let in_loop = live.in_loop();
+        // Sigmas are stored in m and rad, errors in mm and mrad.
+        let sigma = axis.map_or(Curve::AltitudeSigma, Curve::AttitudeSigma);
+        let band = self.drawn(live, sigma, palette::IN_LOOP, Style::Band);
+        let mut out: Vec<_> = band
+            .map(|band| Drawn { color: band.color.alpha(BAND_OPACITY), scale: 3e3, room: Room::Some, ..band })
+            .into_iter()
+            .collect();
+        let (own, others): (Vec<_>, Vec<_>) = live.curves.error_names(axis).partition(|(_, n)| *n == in_loop);
+        for (curve, number) in others {
+            let other = self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid);
+            out.extend(other.map(|drawn| Drawn { room: Room::Some, ..drawn }));
+        }
+        out.extend(own.into_iter().filter_map(|(curve, _)| self.drawn(live, curve, palette::IN_LOOP, Style::Strong)));
+        out
+    }
+
     fn motors<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
         (0..8)
             .filter_map(|i| self.drawn(live, Curve::Motor(i), palette::series(usize::from(i)), Style::Solid))
@@ -211,7 +250,10 @@ impl Frame {
     }
 
     fn drawn<'a>(&self, live: &'a Live, curve: Curve, ink: palette::Ink, style: Style) -> Option<Drawn<'a>> {
-        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0, sets_scale: true })
+        if self.deck.hides(curve) {
+            return None;
+        }
+        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0, room: Room::All })
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -226,14 +268,7 @@ impl Frame {
         fixed: Option<ValueAxis>,
     ) -> Content<'a> {
         let value = fixed.unwrap_or_else(|| {
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for d in drawn.iter().filter(|d| d.sets_scale) {
-                let extent = d.series.extent_between(axis.start_s, axis.end_s);
-                if !extent.is_empty() {
-                    let (a, b) = (f64::from(extent.min * d.scale), f64::from(extent.max * d.scale));
-                    (low, high) = (low.min(a.min(b)), high.max(a.max(b)));
-                }
-            }
+            let (low, mut high) = range(&drawn, axis, least_span);
             if slot.picture == Picture::Altitude && step_in_view(live, axis) {
                 // Room for the figures of the steps, written along the top.
                 high += STEP_ROOM * (high - low).max(0.0);
@@ -249,7 +284,12 @@ impl Frame {
         view.selection = self.deck.selection.get_untracked();
         view.spans = self.spans(live, axis);
         view.marks = self.marks(live, axis);
-        if slot.picture == Picture::Residual {
+        let pins = self.deck.pins.get_untracked();
+        view.marks.extend(pins.into_iter().flatten().map(|time_s| Mark { time_s, color: self.theme.ink }));
+        if matches!(
+            slot.picture,
+            Picture::Residual | Picture::AltitudeError | Picture::AttitudeError | Picture::Difference
+        ) {
             view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
         }
         if slot.picture == Picture::Altitude {
@@ -302,15 +342,26 @@ impl Frame {
     fn label(&self, slot: &Slot, rect: Rect, axis: TimeAxis, value: Option<ValueAxis>, origin_s: f64) {
         let time = axis.ticks(f64::from(rect.width), TIME_TICK_SPACING_PX, origin_s);
         let values = value.map(|v| v.ticks(f64::from(rect.height), VALUE_TICK_SPACING_PX)).unwrap_or_default();
+        let pinned = |(time_s, label): (f64, &str)| {
+            let fraction = axis.fraction(time_s);
+            (0.0..=1.0).contains(&fraction).then(|| Tick { value: time_s, fraction, label: label.to_owned() })
+        };
+        let pins: Vec<Tick> = self
+            .deck
+            .pins
+            .get_untracked()
+            .into_iter()
+            .flat_map(|p| p.into_iter().zip(PIN_NAMES).filter_map(pinned))
+            .collect();
         let same = slot.labels.with_untracked(|old| {
-            let near = |a: &[crate::model::axis::Tick], b: &[crate::model::axis::Tick]| {
+            let near = |a: &[Tick], b: &[Tick]| {
                 a.len() == b.len()
                     && a.iter().zip(b).all(|(x, y)| x.label == y.label && (x.fraction - y.fraction).abs() < 5e-4)
             };
-            near(&old.time, &time) && near(&old.value, &values)
+            near(&old.time, &time) && near(&old.value, &values) && near(&old.pins, &pins)
         });
         if !same {
-            slot.labels.set(Labels { time, value: values });
+            slot.labels.set(Labels { time, value: values, pins });
         }
     }
 }
@@ -322,6 +373,32 @@ struct Drawn<'a> {
     color: crate::gpu::Color,
     style: Style,
     scale: f32,
-    /// Does the value axis make room for it?
-    sets_scale: bool,
+    room: Room,
+}
+
+/// What the value axis does for a curve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Room {
+    /// It holds all of it.
+    All,
+    /// It holds it as far as it is not many times the range of those it holds all of.
+    Some,
+    /// Nothing.
+    None,
+}
+
+/// The values to be shown, least and largest.
+fn range(drawn: &[Drawn<'_>], axis: TimeAxis, least_span: f64) -> (f64, f64) {
+    let extent = |d: &Drawn<'_>| {
+        let extent = d.series.extent_between(axis.start_s, axis.end_s);
+        let (a, b) = (f64::from(extent.min * d.scale), f64::from(extent.max * d.scale));
+        let low = if d.style == Style::Band { -b } else { a.min(b) };
+        (!extent.is_empty()).then(|| (low, a.max(b)))
+    };
+    let of = |room: Room| drawn.iter().filter(move |d| d.room == room).filter_map(extent);
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) = of(Room::All).fold(none, |(low, high), (a, b)| (low.min(a), high.max(b)));
+    let own = if low > high { f64::INFINITY } else { low.abs().max(high.abs()).max(least_span / 2.0) };
+    let reach = ERROR_REACH * own;
+    of(Room::Some).fold((low, high), |(low, high), (a, b)| (low.min(a.max(-reach)), high.max(b.min(reach))))
 }

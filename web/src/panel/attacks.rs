@@ -112,8 +112,8 @@ pub fn AttacksCard() -> impl IntoView {
             "PUT",
             "attacks",
             json!(rest::AttackPlan { attacks: bodies }),
-            move |accepted| {
-                if accepted && drafts.with_untracked(|all| *all == sent) {
+            move |answer| {
+                if answer.is_ok() && drafts.with_untracked(|all| *all == sent) {
                     drafts.set(Vec::new());
                 }
             },

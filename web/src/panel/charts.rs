@@ -72,10 +72,10 @@ pub fn AltitudeChart() -> impl IntoView {
         <section class="card chart altitude" aria-label="Altitude chart">
             <header>
                 <h2>"Altitude" <small>"m"</small></h2>
-                <Legend entries=entries decimals=2 />
+                <Legend entries=entries name="Altitude" unit="m" decimals=2 />
                 <TimeBar />
             </header>
-            <Plot picture=Picture::Altitude label="Altitude over time: setpoint, estimates, heights and truth, in metres">
+            <Plot picture=Picture::Altitude unit="m" label="Altitude over time: setpoint, estimates, heights and truth, in metres">
                 <StepMarks />
             </Plot>
         </section>
@@ -122,9 +122,9 @@ pub fn AttitudeChart() -> impl IntoView {
         <section class="card chart attitude" aria-label="Attitude chart">
             <header>
                 <h2>"Attitude" <small>"°"</small></h2>
-                <Legend entries=entries decimals=1 />
+                <Legend entries=entries name="Attitude" unit="°" decimals=1 />
             </header>
-            <Plot picture=Picture::Attitude label="Roll, pitch and yaw over time, in degrees" />
+            <Plot picture=Picture::Attitude unit="°" label="Roll, pitch and yaw over time, in degrees" />
         </section>
     }
 }

@@ -50,7 +50,6 @@ pub fn HoldButton(
             class:holding=holding
             disabled=disabled
             title="Hold to confirm"
-            aria-label=move || format!("{} (hold)", label.get())
             on:pointerdown=move |e| {
                 if e.button() == 0 {
                     press();
@@ -77,7 +76,8 @@ pub fn HoldButton(
         >
             <span class="hold-fill" aria-hidden="true"></span>
             <span class="hold-label">{label}</span>
-            <span class="hold-hint" aria-hidden="true">"hold"</span>
+            " "
+            <span class="hold-hint">"(hold)"</span>
         </button>
     }
 }

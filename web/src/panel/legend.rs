@@ -1,11 +1,16 @@
-//! A chart's legend, which is also its read-out: swatch, name, value under the cursor or newest.
+//! A chart's legend, which is also its read-out: swatch, name, value under the cursor or newest. What the chart shows
+//! can be taken along as a table.
 
 use leptos::prelude::*;
 
 use crate::{
-    deck::deck,
-    model::{curves::Curve, format},
+    deck::{Deck, deck},
+    model::{csv::csv, curves::Curve, format, measure::rms},
+    net,
 };
+
+/// A mean over the window is taken anew every so many beats of the page.
+const BEATS: u64 = 5;
 
 /// How a curve looks in the legend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,10 +42,19 @@ pub fn Legend(
     /// Entries; those whose curve has no sample are left out.
     #[prop(into)]
     entries: Signal<Vec<Entry>>,
+    /// Name of the chart.
+    name: &'static str,
+    /// Unit of the values.
+    unit: &'static str,
     /// Decimals of the values.
     decimals: usize,
+    /// The root mean square over the window, instead of the newest value?
+    #[prop(default = false)]
+    errors: bool,
 ) -> impl IntoView {
     let deck = deck();
+    deck.list(name, unit, decimals, entries);
+    let beat = Memo::new(move |_| if errors { deck.beat() / BEATS } else { 0 });
     let present = Memo::new(move |_| {
         let entries = entries.get();
         deck.read(|live| entries.into_iter().filter(|e| live.curves.get(e.curve).is_some()).collect::<Vec<_>>())
@@ -48,17 +62,28 @@ pub fn Legend(
     view! {
         <ul class="legend">
             <For each=move || present.get() key=|e| (e.curve, e.color) let:entry>
-                <li>
-                    <span
-                        class="swatch"
-                        class:dashed=entry.swatch == Swatch::Dashed
-                        class:thin=entry.swatch == Swatch::Thin
-                        style=format!("--swatch:{}", entry.color)
-                        aria-hidden="true"
-                    ></span>
-                    <span class="legend-name">{entry.name.clone()}</span>
+                <li class:hidden=move || deck.hidden.with(|hidden| hidden.contains(&entry.curve))>
+                    <button
+                        type="button"
+                        class="plain"
+                        aria-pressed=move || (!deck.hidden.with(|hidden| hidden.contains(&entry.curve))).to_string()
+                        title="Show or hide this curve"
+                        on:click=move |_| deck.toggle_curve(entry.curve)
+                    >
+                        <span
+                            class="swatch"
+                            class:dashed=entry.swatch == Swatch::Dashed
+                            class:thin=entry.swatch == Swatch::Thin
+                            style=format!("--swatch:{}", entry.color)
+                            aria-hidden="true"
+                        ></span>
+                        <span class="legend-name">{entry.name.clone()}</span>
+                    </button>
                     <span class="value num">
-                        {move || {
+                        {move || if errors {
+                            beat.track();
+                            error_text(deck, entry.curve, decimals)
+                        } else {
                             let at = deck.reading_s();
                             let value = deck.read(|live| match at {
                                 Some(time) => live.curves.value_at(entry.curve, time),
@@ -70,5 +95,40 @@ pub fn Legend(
                 </li>
             </For>
         </ul>
+        <button
+            type="button"
+            class="small table-button"
+            aria-label=format!("{name}: what is visible as CSV")
+            title="What is visible, as a table (CSV)"
+            on:click=move |_| save(deck, name, unit, &entries.get_untracked())
+        >"⤓"</button>
     }
+}
+
+/// The value under the cursor, signed; else the root mean square of what is in view.
+fn error_text(deck: Deck, curve: Curve, decimals: usize) -> String {
+    let under = deck.cursor.get();
+    deck.zoom.track();
+    deck.window_s.track();
+    deck.data.with_value(|live| match under {
+        Some(time) => {
+            live.curves.value_at(curve, time).map_or_else(|| format::NONE.to_owned(), |v| format::signed(v, decimals))
+        }
+        None => {
+            let axis = deck.axis(live);
+            let rms = live.curves.get(curve).and_then(|series| rms(series, axis.start_s, axis.end_s));
+            format!("RMS {}", format::maybe(rms, decimals))
+        }
+    })
+}
+
+/// Keeps what is visible of some curves as a file.
+fn save(deck: Deck, name: &str, unit: &str, entries: &[Entry]) {
+    let text = deck.data.with_value(|live| {
+        let axis = deck.axis(live);
+        let head = |e: &Entry| format!("{} {unit}", e.name).trim_end().to_owned();
+        let columns: Vec<_> = entries.iter().filter_map(|e| Some((head(e), live.curves.get(e.curve)?))).collect();
+        csv(&columns, axis.start_s, axis.end_s)
+    });
+    net::save(&format!("{}.csv", name.to_lowercase().replace(' ', "-")), "text/csv", &text);
 }

@@ -69,12 +69,12 @@ pub fn MotorsAndTicks() -> impl IntoView {
             <Show when=move || open.get()>
                 <div class="twin">
                     <div class="half">
-                        <Legend entries=motors decimals=2 />
-                        <Plot picture=Picture::Motors label="Motor commands over time, 0 to 1" />
+                        <div class="legend-row"><Legend entries=motors name="Motors" unit="" decimals=2 /></div>
+                        <Plot picture=Picture::Motors unit="of 1" label="Motor commands over time, 0 to 1" />
                     </div>
                     <div class="half">
-                        <Legend entries=ticks decimals=0 />
-                        <Plot picture=Picture::Ticks label="Time of a control tick over time, in microseconds" />
+                        <div class="legend-row"><Legend entries=ticks name="Tick time" unit="µs" decimals=0 /></div>
+                        <Plot picture=Picture::Ticks unit="µs" label="Time of a control tick over time, in microseconds" />
                     </div>
                 </div>
             </Show>

@@ -15,6 +15,9 @@ pub fn Plot(
     /// Name for those who cannot see it.
     #[prop(into)]
     label: Signal<String>,
+    /// Unit of the values, written in the corner of the axes.
+    #[prop(optional)]
+    unit: &'static str,
     /// Labels up the side?
     #[prop(default = true)]
     values: bool,
@@ -55,7 +58,7 @@ pub fn Plot(
             // A drag of a few pixels is a click.
             if (to - from).abs() > axis.span_s() * 0.01 {
                 deck.zoom_to(from, to);
-            } else if deck.source == crate::deck::Source::Recorded {
+            } else if !deck.pin(to) && deck.source == crate::deck::Source::Recorded {
                 deck.playhead.set(to);
             }
         }
@@ -86,9 +89,16 @@ pub fn Plot(
                 on:dblclick=move |_| deck.zoom_out()
             ></div>
             <div class="plot-over">{children.map(|c| c())}</div>
+            <div class="axis-unit" aria-hidden="true">{unit}</div>
             <div class="x-labels" aria-hidden="true">
-                {move || labels.with(|l| l.time.iter().map(|tick| view! {
-                    <span style=format!("left:{:.2}%", tick.fraction * 100.0)>{tick.label.clone()}</span>
+                {move || labels.with(|l| {
+                    let last = l.time.len().saturating_sub(1);
+                    l.time.iter().enumerate().map(|(i, tick)| view! {
+                        <span style=format!("left:{:.2}%", tick.fraction * 100.0)>{tick.label.clone()}{(i == last).then_some(" min")}</span>
+                    }).collect::<Vec<_>>()
+                })}
+                {move || labels.with(|l| l.pins.iter().map(|pin| view! {
+                    <b class="pin" style=format!("left:{:.2}%", pin.fraction * 100.0)>{pin.label.clone()}</b>
                 }).collect::<Vec<_>>())}
             </div>
         </div>

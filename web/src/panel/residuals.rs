@@ -4,12 +4,13 @@ use leptos::prelude::*;
 use plumbline_proto::v1::{Channel, EstimatorKind, SensorKind};
 
 use super::{
+    errors::Errors,
     legend::{Entry, Legend, Swatch},
     plot::Plot,
-    secure::{SecureCard, SecureSwitch},
+    secure::SecureCard,
 };
 use crate::{
-    deck::{Picture, Source, deck},
+    deck::{Evidence as Shown, Picture, Source, deck},
     model::{curves::Curve, format, names},
     palette,
 };
@@ -29,20 +30,48 @@ fn level(ratio: Option<f64>) -> &'static str {
     }
 }
 
-/// Residuals, or the secure estimator's account, in one place. It opens by itself when the secure estimator
-/// takes the loop.
+/// Residuals, the secure estimator's account, or the errors, in one place. The account opens by itself when the secure
+/// estimator takes the loop, instead of the residuals.
 #[component]
 pub fn Evidence() -> impl IntoView {
     let deck = deck();
     let secure = Memo::new(move |_| deck.read(|live| i32::from(live.in_loop()) == EstimatorKind::Secure as i32));
     Effect::new(move |before: Option<bool>| {
         let now = secure.get();
-        if before.is_some_and(|before| before != now) {
-            deck.secure.set(now);
+        if before.is_some_and(|before| before != now) && deck.evidence.get_untracked() != Shown::Errors {
+            deck.evidence.set(if now { Shown::Secure } else { Shown::Residuals });
         }
         now
     });
-    move || if deck.secure.get() { view! { <SecureCard /> }.into_any() } else { view! { <Residuals /> }.into_any() }
+    move || match deck.evidence.get() {
+        Shown::Residuals => view! { <Residuals /> }.into_any(),
+        Shown::Secure => view! { <SecureCard /> }.into_any(),
+        Shown::Errors => view! { <Errors /> }.into_any(),
+    }
+}
+
+/// What stands here instead of the residuals: errors, or the secure estimator's sensors where it runs.
+#[component]
+pub fn EvidenceSwitch() -> impl IntoView {
+    let deck = deck();
+    let runs = Memo::new(move |_| deck.read(|live| live.secure.get().is_some()));
+    let button = move |name: &'static str, title: &'static str, shown: Shown| {
+        view! {
+            <button
+                type="button"
+                class="small"
+                title=title
+                aria-pressed=move || (deck.evidence.get() == shown).to_string()
+                on:click=move |_| deck.evidence.update(|e| *e = if *e == shown { Shown::Residuals } else { shown })
+            >{name}</button>
+        }
+    };
+    view! {
+        {button("Errors", "Each estimator minus truth, or minus the setpoint where truth is not known", Shown::Errors)}
+        <Show when=move || runs.get()>
+            {button("Secure", "Attacked set, margins and certificate of the secure estimator", Shown::Secure)}
+        </Show>
+    }
 }
 
 /// The residual card.
@@ -78,7 +107,7 @@ fn Residuals() -> impl IntoView {
                         <li><span class="heat rejected"></span>"1: rejected"</li>
                     </ul>
                 </Show>
-                <span class="push"><SecureSwitch /></span>
+                <span class="push buttons-row"><EvidenceSwitch /></span>
                 <Show when=move || { offered.get().len() > 1 }>
                     <select
                         class="small"
@@ -198,10 +227,19 @@ fn Channels(sensor: i32, instance: u32, estimator: Memo<u16>) -> impl IntoView {
             entries
         })
     });
+    // One axis for all channels: it has a unit where they have.
+    let units = deck.data.with_value(|live| {
+        let keys = live.residuals.keys().filter(|key| (key.1, key.2) == (sensor, instance));
+        let mut units: Vec<_> =
+            keys.map(|key| names::channel_unit(Channel::try_from(key.3).unwrap_or_default()).0).collect();
+        units.dedup();
+        units
+    });
+    let unit = if let [one] = units.as_slice() { *one } else { "" };
     view! {
         <div class="res-channels">
-            <Legend entries decimals=3 />
-            <Plot picture=Picture::Residual label="Innovation of each channel over time, with its gate" />
+            <div class="legend-row"><Legend entries name="Innovations" unit="" decimals=3 /></div>
+            <Plot picture=Picture::Residual unit label="Innovation of each channel over time, with its gate" />
         </div>
     }
 }

@@ -8,7 +8,7 @@ use plumbline_proto::v1::{self, Decoder, DecoderStatus, FlagReason, SecureFallba
 use plumbline_rest::command as rest;
 use serde_json::json;
 
-use super::plot::Plot;
+use super::{plot::Plot, residuals::EvidenceSwitch};
 use crate::{
     ctx::ctx,
     deck::{Deck, Picture, Source, deck},
@@ -23,24 +23,6 @@ use crate::{
 const RATIO_LIMIT: f64 = 1.2;
 /// A gap above this is no certificate any more.
 const GAP_GOOD: f64 = 1e-6;
-
-/// Residuals or the secure estimator's sensors; only there when it runs.
-#[component]
-pub fn SecureSwitch() -> impl IntoView {
-    let deck = deck();
-    let runs = Memo::new(move |_| deck.read(|live| live.secure.get().is_some()));
-    view! {
-        <Show when=move || runs.get()>
-            <button
-                type="button"
-                class="small"
-                aria-pressed=move || deck.secure.get().to_string()
-                title="Attacked set, margins and certificate of the secure estimator"
-                on:click=move |_| deck.secure.update(|s| *s = !*s)
-            >"Secure"</button>
-        </Show>
-    }
-}
 
 /// The programs that can be chosen in flight.
 const DECODERS: [Decoder; 4] = [Decoder::L2, Decoder::L1, Decoder::L2Split, Decoder::L1Split];
@@ -251,7 +233,7 @@ pub fn SecureCard() -> impl IntoView {
                 </ul>
                 <span class="push"></span>
                 <Show when=move || newest.get().is_some()><DecoderChoice deck newest /></Show>
-                <SecureSwitch />
+                <span class="buttons-row"><EvidenceSwitch /></span>
             </header>
             {move || newest.get().map(|s| {
                 let (text, class) = sentence(&s);

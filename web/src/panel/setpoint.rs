@@ -4,6 +4,7 @@ use leptos::prelude::*;
 use plumbline_proto::v1::Mode;
 use serde_json::json;
 
+use super::paths::{PathForm, PathsButton};
 use crate::{
     ctx::ctx,
     event::Tone,
@@ -28,6 +29,7 @@ pub fn stepped(from_m: f64, up: bool) -> f64 {
 pub fn SetpointCard() -> impl IntoView {
     let ctx = ctx();
     let typed = RwSignal::new(String::new());
+    let paths = RwSignal::new(false);
     let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
     let in_use = Memo::new(move |_| ctx.live(|live| live.setpoint_m()));
     let old = Memo::new(move |_| ctx.is_old(|live| &live.control));
@@ -48,6 +50,7 @@ pub fn SetpointCard() -> impl IntoView {
         <section class="card setpoint" aria-label="Setpoint">
             <header>
                 <h2>"Setpoint"</h2>
+                <Show when=move || !replayed.get()><PathsButton open=paths /></Show>
                 <output class="big num" class:stale=old aria-label="Altitude setpoint in use">{move || format::maybe(in_use.get(), 2)} <small>"m"</small></output>
             </header>
             <Show when=move || !replayed.get()>
@@ -78,6 +81,7 @@ pub fn SetpointCard() -> impl IntoView {
                     />
                     <button type="submit">"Set"</button>
                 </form>
+                <PathForm open=paths />
             </Show>
         </section>
     }

@@ -2,6 +2,7 @@
 
 use leptos::prelude::*;
 
+use super::cursors::PinButton;
 use crate::{
     deck::{Source, WINDOWS_S, deck},
     model::format,
@@ -24,6 +25,7 @@ pub fn TimeBar() -> impl IntoView {
                     {format!("zoom {} s ×", format::fixed(b - a, 1))}
                 </button>
             })}
+            <PinButton />
             {live.then(|| view! {
                 <select
                     class="small"

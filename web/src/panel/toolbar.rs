@@ -119,8 +119,9 @@ pub fn Toolbar() -> impl IntoView {
     let at = move |route: Route| {
         Signal::derive(move || ctx.route.with(|r| std::mem::discriminant(r) == std::mem::discriminant(&route)))
     };
-    let in_flights =
-        Signal::derive(move || matches!(ctx.route.get(), Route::Flights | Route::Flight(_) | Route::Compare(_)));
+    let in_flights = Signal::derive(move || {
+        matches!(ctx.route.get(), Route::Flights | Route::Flight(_) | Route::Report(_) | Route::Compare(_))
+    });
     let vehicles = Memo::new(move |_| {
         ctx.app(|app| {
             app.vehicles

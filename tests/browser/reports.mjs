@@ -1,0 +1,332 @@
+// What a flight is looked into with: paths, errors, pinned cursors, tables, its report, and two flights beside each other.
+
+import { readFileSync } from 'node:fs';
+
+import { assert, complaints, drawn, end, hold, launch, number, screenshots, step, until, url } from './support.mjs';
+
+const browser = await launch();
+const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true, colorScheme: 'light' });
+const page = await context.newPage();
+page.setDefaultTimeout(10_000);
+const errors = complaints(page);
+const region = (name) => page.getByRole('region', { name, exact: true });
+const button = (name) => page.getByRole('button', { name, exact: true });
+const banner = page.getByRole('banner');
+const setpoint = async () => number(await region('Setpoint').getByLabel('Altitude setpoint in use').textContent());
+const shots = async (name) => {
+  for (const theme of ['light', 'dark']) {
+    await page.waitForTimeout(400);
+    await page.screenshot({ path: `${screenshots}/${name}-${theme}-1280x720.png` });
+    await button('Dark theme').click();
+  }
+};
+
+const arm = async () => {
+  await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
+  await until('ARMED', async () => {
+    const arm = button('Arm (hold)');
+    if (await arm.count()) await hold(arm);
+    await page.waitForTimeout(500);
+    return /ARMED/.test(await banner.getByLabel('Arming').textContent());
+  });
+  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
+};
+const to = async (metres) => {
+  await button(`Altitude ${metres.toFixed(1)} m`).click();
+  await until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
+  await page.waitForTimeout(2500);
+};
+const disarm = async () => {
+  await to(0.5);
+  await hold(button('Disarm (hold)'));
+  await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()));
+};
+
+await step(page, 'reports: arm and climb to 0.8 m', async () => {
+  await page.goto(url);
+  await arm();
+  await to(0.8);
+});
+
+const form = page.getByRole('form', { name: 'Path', exact: true });
+const fill = async (values) => {
+  for (const [name, value] of Object.entries(values)) await form.getByLabel(new RegExp(`^${name}`)).fill(value);
+};
+const refused = form.getByRole('alert');
+
+await step(page, 'paths: a wrong number is refused beside the form, by its name', async () => {
+  await button('Paths').click();
+  await form.getByLabel('shape').selectOption({ label: 'Heave' });
+  await fill({ period: '0.2' });
+  await form.getByRole('button', { name: 'Fly path' }).click();
+  await until('the refusal', async () => /^period: 0.2 s is not within 1 to 3600 s/.test(await refused.textContent()));
+  await fill({ period: '6' });
+  await until('the refusal to go', async () => (await refused.textContent()) === '');
+});
+
+await step(page, 'paths: what the vehicle refuses is said there in plain words', async () => {
+  await fill({ amplitude: '1.9', duration: '20' });
+  await form.getByRole('button', { name: 'Fly path' }).click();
+  const why = await until('the refusal', async () => (await refused.textContent()) || false);
+  assert(/^the path (climbs at|goes up to) .* limit/.test(why), why);
+  await form.getByLabel('shape').selectOption({ label: 'Circle' });
+  assert(await form.getByRole('button', { name: 'Fly path' }).isDisabled(), 'a circle is offered in altitude hold');
+  await form.getByText('It needs mode Hold.').waitFor();
+  await shots('fly-paths');
+  return { why };
+});
+
+await step(page, 'paths: a heave is flown, named, and stopped', async () => {
+  await form.getByLabel('shape').selectOption({ label: 'Heave' });
+  await fill({ amplitude: '0.15', period: '5', duration: '0' });
+  await form.getByRole('button', { name: 'Fly path' }).click();
+  const seen = [];
+  await until('the setpoint to go up and down', async () => {
+    seen.push(await setpoint());
+    return Math.max(...seen) > 0.9 && Math.min(...seen) < 0.7;
+  });
+  await button('Path: Heave').waitFor();
+  await form.getByRole('button', { name: 'Stop' }).click();
+  await until('the path to end', async () => form.getByRole('button', { name: 'Stop' }).isDisabled());
+  return { least: Math.min(...seen), most: Math.max(...seen) };
+});
+
+await step(page, 'paths: a list of altitudes makes steps', async () => {
+  await form.getByLabel('shape').selectOption({ label: 'Altitude list' });
+  await fill({ altitudes: '0.6, 0.9', 'time at each': '4' });
+  await form.getByRole('button', { name: 'Fly path' }).click();
+  await until('0.9 m', async () => Math.abs((await setpoint()) - 0.9) < 1e-6);
+  await until('the path to end', async () => form.getByRole('button', { name: 'Stop' }).isDisabled());
+  await button('Paths').click();
+});
+
+const overlaps = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
+
+await step(page, 'errors: every estimator minus truth in mm and mrad, with its RMS', async () => {
+  await button('Errors').first().click();
+  const card = region('Errors');
+  await card.getByText(/estimate minus truth/).waitFor();
+  const seen = [];
+  for (const plot of await card.getByRole('img').all()) seen.push(await drawn(page, plot, await plot.getAttribute('aria-label')));
+  assert(seen.length === 2, `${seen.length} plots`);
+  const told = await until('an RMS for each', async () => {
+    const texts = await card.getByRole('listitem').allTextContents();
+    return texts.length >= 2 && texts.every((text) => /RMS \d+\.\d/.test(text)) ? texts : false;
+  });
+  const own = number(/RMS (\S+)/.exec(told[0])[1]);
+  assert(own > 0 && own < 500, `the estimator in the loop is off by ${own} mm`);
+  await card.getByLabel('Axis of the attitude errors').selectOption('yaw');
+  await until('yaw', async () => (await card.getByLabel('Axis of the attitude errors').inputValue()) === 'yaw');
+  await card.getByLabel('Axis of the attitude errors').selectOption('roll');
+  await shots('fly-errors');
+  return { told };
+});
+
+await step(page, 'every axis has three ticks or more, and a unit', async () => {
+  await page.getByText('Motors and tick time').click();
+  await page.waitForTimeout(600);
+  const axes = await page.locator('.plot-frame').evaluateAll((frames) => frames.filter((f) => f.getBoundingClientRect().height > 0).map((f) => ({
+    name: f.querySelector('.plot').getAttribute('aria-label'),
+    values: f.classList.contains('no-values') ? 3 : f.querySelectorAll('.y-labels span').length,
+    times: f.querySelectorAll('.x-labels > span').length,
+    unit: f.classList.contains('no-values') ? '-' : f.querySelector('.axis-unit').textContent,
+    clock: f.querySelector('.x-labels').textContent.includes('min'),
+  })));
+  for (const axis of axes) {
+    assert(axis.values >= 3 && axis.times >= 3 && axis.unit && axis.clock, JSON.stringify(axis));
+  }
+  assert(axes.length >= 6, `only ${axes.length} charts`);
+  await page.getByText('Motors and tick time').click();
+  return { axes: axes.length };
+});
+
+const cursors = region('Cursors');
+const rows = async () => {
+  const found = {};
+  const bodies = await cursors.locator('tbody').all();
+  for (const body of bodies) {
+    const [name] = await body.locator('th').allTextContents();
+    found[name.trim()] = (await body.locator('td').allTextContents()).map(number);
+  }
+  return found;
+};
+
+await step(page, 'cursors: two that stay, and what lies between them, beside the charts', async () => {
+  await button('Pause charts').click();
+  await button('Cursors').click();
+  const altitude = region('Altitude chart').getByRole('img').first();
+  const box = await altitude.boundingBox();
+  await page.mouse.click(box.x + 0.4 * box.width, box.y + box.height / 2);
+  const delta = async () => number(await cursors.getByLabel('Time between the cursors').textContent());
+  const length = Number(await page.getByLabel('Time window').inputValue());
+  const between = await until('the nearer one to move', async () => Math.abs((await delta()) - 0.35 * length) < 0.02 * length ? delta() : false);
+  const found = await until('means', async () => {
+    const found = await rows();
+    return Number.isFinite(found['setpoint m']?.[1]) ? found : false;
+  });
+  const [change, mean, rms] = found['setpoint m'];
+  assert(mean > 0.3 && mean < 1.2 && rms >= mean - 1e-3 && Math.abs(change) < 1, JSON.stringify(found));
+  const card = await cursors.boundingBox();
+  for (const plot of await page.locator('.plot').all()) {
+    const place = await plot.boundingBox();
+    assert(!place || !overlaps(card, place), `the card lies on ${await plot.getAttribute('aria-label')}`);
+  }
+  await cursors.getByLabel('Chart whose curves are measured').selectOption('Altitude error');
+  await until('errors between', async () => Object.keys(await rows()).some((name) => name.includes('mm')));
+  await shots('fly-cursors');
+  const field = cursors.getByLabel('Time of cursor B, in seconds of the flight');
+  await field.fill(String(number(await cursors.getByLabel('Time of cursor A, in seconds of the flight').inputValue()) + 2));
+  await field.press('Tab');
+  await until('two seconds', async () => Math.abs((await delta()) - 2) < 1e-3);
+  return { between };
+});
+
+const save = async (press) => {
+  const waiting = page.waitForEvent('download');
+  await press();
+  return (await waiting).path();
+};
+
+await step(page, 'a chart goes along as CSV: what is visible, a column per curve', async () => {
+  const file = await save(() => button('Altitude: what is visible as CSV').click());
+  const lines = readFileSync(file, 'utf8').trimEnd().split('\n');
+  const heads = lines[0].split(',');
+  assert(heads[0] === 'time_s' && heads.includes('setpoint m') && heads.includes('truth m'), lines[0]);
+  assert(lines.every((line) => line.split(',').length === heads.length), 'ragged rows');
+  const times = lines.slice(1).map((line) => Number(line.split(',')[0]));
+  const length = Number(await page.getByLabel('Time window').inputValue());
+  const span = times.at(-1) - times[0];
+  assert(times.length > 100 && span <= length + 1e-6 && span > 0.5 * length, `${times.length} rows over ${span} s`);
+  await button('Take the cursors away').click();
+  await button('Pause charts').click();
+  await button('Errors').first().click();
+  return { rows: times.length, columns: heads.length };
+});
+
+await step(page, 'reports: an attack, more steps, landed', async () => {
+  const attack = page.getByRole('form', { name: 'New attack' });
+  await attack.getByLabel('sensor').selectOption({ label: 'height 2' });
+  await attack.getByLabel('kind').selectOption({ label: 'bias' });
+  await attack.getByLabel(/^magnitude/).fill('0.5');
+  await attack.getByLabel(/^start/).fill('1');
+  await attack.getByLabel(/^duration/).fill('6');
+  await attack.getByRole('button', { name: 'Add' }).click();
+  await button('Schedule 1 attack').click();
+  await until('the end of the attack', async () => /done/i.test(await region('Attacks').getByRole('listitem').first().textContent()), 30_000);
+  await to(0.5);
+  await to(0.8);
+  await disarm();
+});
+
+const listed = async () => (await (await page.request.get(`${url}/api/flights`)).json()).flights;
+let first;
+await step(page, 'reports: the flight shows its errors', async () => {
+  [first] = await until('the flight to be complete', async () => {
+    const flights = await listed();
+    return flights.length && flights[0].completeness === 'complete' ? flights : false;
+  });
+  await page.goto(`${url}/flights/${first.id}`);
+  await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+  await button('Errors').first().click();
+  const card = region('Errors');
+  const seen = [];
+  for (const plot of await card.getByRole('img').all()) seen.push(await drawn(page, plot, await plot.getAttribute('aria-label')));
+  await button('Cursors').click();
+  await cursors.getByLabel('Time between the cursors').waitFor();
+  await shots('flight-errors');
+  return seen;
+});
+
+const report = page.locator('article.report');
+const section = (name) => report.locator('section').filter({ has: page.getByRole('heading', { name, exact: true }) });
+
+await step(page, 'the report says what happened, with figures', async () => {
+  await page.getByRole('link', { name: 'Report', exact: true }).click();
+  const lead = await report.locator('.lead').textContent();
+  assert(/iris-1 .* flew for \d+:\d\d min with \d+ steps of altitude/.test(lead) && /height 2: bias \+0\.5 m/.test(lead), lead);
+  const steps = await section('Steps').getByRole('row').allTextContents();
+  assert(steps.length === first.steps.length + 2 && /mean ± σ.*\d ± \d/.test(steps.at(-1)), JSON.stringify(steps));
+  const [attack] = (await section('Attacks').getByRole('row').all()).slice(1);
+  const cells = await attack.getByRole('cell').allTextContents();
+  assert(cells.length === 10 && number(cells[6]) > 0, JSON.stringify(cells));
+  const ranked = await section('Estimators').getByRole('row').allTextContents();
+  assert(ranked.length >= 3, JSON.stringify(ranked));
+  const rms = (await section('Estimators').locator('tbody tr td:nth-child(3)').allTextContents()).map(number).filter(Number.isFinite);
+  assert(rms.every((value, i) => i === 0 || value >= rms[i - 1]), `not in order: ${rms}`);
+  const recording = await section('Recording').textContent();
+  assert(/page\d/.test(recording) && /agent\d/.test(recording) && /ground\d/.test(recording), recording);
+  assert(/seed\d/.test(await section('Configuration').textContent()), 'no seed');
+  assert(/deviation of altitude/.test(await section('Controller').textContent()), 'no gains');
+  assert((await report.locator('svg path.line').count()) >= 4, 'no figures');
+  await shots('report');
+  return { lead, ranked };
+});
+
+await step(page, 'the report prints without the page around it, and keeps as one file', async () => {
+  await page.emulateMedia({ media: 'print', colorScheme: 'dark' });
+  assert(!(await banner.isVisible()) && !(await button('Print').isVisible()), 'the page is printed, too');
+  await page.screenshot({ path: `${screenshots}/report-print.png`, fullPage: true });
+  await page.emulateMedia({ media: 'screen', colorScheme: 'light' });
+  const html = readFileSync(await save(() => button('Save as HTML').click()), 'utf8');
+  assert(!/<script|https?:|src=|href=|url\(/.test(html), 'it needs something else');
+  const alone = await context.newPage();
+  await alone.setContent(html);
+  assert((await alone.locator('.lead').textContent()) === (await report.locator('.lead').textContent()), 'another sentence');
+  await alone.screenshot({ path: `${screenshots}/report-alone.png`, fullPage: true });
+  await alone.close();
+  await page.reload();
+  await report.locator('.lead').waitFor();
+  return { bytes: html.length };
+});
+
+await step(page, 'another flight, under other gains', async () => {
+  await page.goto(`${url}/tune`);
+  await until('a preview', async () => /certified/i.test(await region('Push').getByRole('status').textContent()));
+  await page.getByLabel('altitude, m', { exact: true }).fill('0.15');
+  await page.keyboard.press('Tab');
+  await until('solving', async () => /solving/i.test(await region('Push').getByRole('status').textContent()));
+  await until('the new preview', async () => /certified/i.test(await region('Push').getByRole('status').textContent()));
+  await button('Push to the vehicle').click();
+  await page.waitForTimeout(1000);
+  await page.getByRole('navigation', { name: 'Pages' }).getByRole('link', { name: 'Fly' }).click();
+  await arm();
+  await to(0.8);
+  await disarm();
+});
+
+await step(page, 'compare: laid together, their difference, and what was not the same', async () => {
+  const flights = await until('two flights', async () => {
+    const flights = await listed();
+    return flights.length >= 2 && flights.every((f) => f.completeness === 'complete') ? flights : false;
+  });
+  await page.goto(`${url}/flights/${flights[1].id},${flights[0].id}`);
+  const difference = region('Difference of altitude');
+  await drawn(page, difference.getByRole('img').first(), 'the difference');
+  const rms = async () => number(/RMS (\S+)/.exec(await difference.getByRole('listitem').first().textContent())?.[1]);
+  const before = await until('its RMS', async () => (await rms()) > 0 && rms());
+  await page.getByLabel('What is laid on top of each other').selectOption('take-off');
+  await until('another one', async () => (await rms()) !== before);
+  const differs = await region('Configuration and gains').getByRole('rowheader').allTextContents();
+  assert(differs.includes('deviation of altitude'), JSON.stringify(differs));
+  await shots('compare');
+  return { before, after: await rms(), differs };
+});
+
+await step(page, 'a flight that there is not is a page that says so', async () => {
+  for (const path of ['/flights/nonsense', '/flights/nonsense/report']) {
+    await page.goto(url + path);
+    await page.getByRole('heading', { name: 'No such flight', level: 1 }).waitFor();
+    assert((await page.getByRole('link', { name: 'MCAP' }).count()) === 0, 'it offers downloads');
+    await page.getByRole('link', { name: '← All flights' }).waitFor();
+  }
+  await shots('flight-nonsense');
+});
+
+await step(page, 'reports: no complaint in the console', async () => {
+  // Chromium itself writes a line for each refused request: the heave that leaves the box, and what there is not.
+  const own = errors.filter((text) => !/status of 4(04|09|22)/.test(text));
+  assert(own.length === 0, own.join('\n'));
+});
+
+await browser.close();
+end();

@@ -1,0 +1,269 @@
+//! The report of a flight: what happened, in figures. `page` writes it as a document of its own.
+
+mod page;
+
+use plumbline_rest::flight::{Flight, Step};
+
+use super::{
+    configuration::{self, Row},
+    curves::{Axis, Curve},
+    draft::subject,
+    format::{clock, fixed, plural},
+    live::Live,
+    measure::rms,
+    names,
+    series::Series,
+};
+
+pub use page::document;
+
+/// What an attack did.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Attack {
+    /// "height 2: bias +0.5 m"
+    pub what: String,
+    /// Onset and end, s of the report.
+    pub span_s: [f64; 2],
+    /// How it ended.
+    pub phase: &'static str,
+    /// Onset to isolation by the secure estimator, s.
+    pub isolated_after_s: Option<f64>,
+    /// Onset to the first sample that the estimator in the loop rejected, s.
+    pub rejected_after_s: Option<f64>,
+    /// Largest deviation of the altitude from its setpoint while it was on and two seconds after, m.
+    pub largest_m: Option<f64>,
+    /// RMS of that deviation meanwhile, and in as long a time before, m.
+    pub rms_m: [Option<f64>; 2],
+    /// Healthy sensors that the secure estimator excluded meanwhile.
+    pub false_exclusions: Vec<String>,
+}
+
+/// What an estimator was off by.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Ranked {
+    /// Its number.
+    pub number: u16,
+    /// RMS and largest error of the altitude, mm.
+    pub altitude_mm: Option<[f64; 2]>,
+    /// RMS of roll and pitch together, and of yaw, mrad.
+    pub attitude_mrad: Option<[f64; 2]>,
+}
+
+/// Mean, standard deviation and number of some values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Standard deviation of the sample; absent of one value.
+    pub sigma: Option<f64>,
+    /// Values.
+    pub count: usize,
+}
+
+/// A flight in figures.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Report {
+    /// As the ground has it.
+    pub flight: Flight,
+    /// What happened.
+    pub sentence: String,
+    /// Each attack that altered a sample.
+    pub attacks: Vec<Attack>,
+    /// Did the secure estimator run?
+    pub secure: bool,
+    /// Best altitude first; empty where no truth is known.
+    pub ranking: Vec<Ranked>,
+    /// What it was flown with.
+    pub vehicle: Vec<Row>,
+    /// And with which gains.
+    pub gains: Vec<Row>,
+    /// The scenario as it was given.
+    pub scenario: String,
+    /// Versions of what wrote this.
+    pub versions: Vec<Row>,
+}
+
+/// Mean ± σ of what is known.
+pub fn spread(values: impl Iterator<Item = Option<f64>>) -> Option<Spread> {
+    let known: Vec<f64> = values.flatten().filter(|v| v.is_finite()).collect();
+    let count = known.len();
+    if count == 0 {
+        return None;
+    }
+    let mean = known.iter().sum::<f64>() / count as f64;
+    let squares: f64 = known.iter().map(|v| (v - mean).powi(2)).sum();
+    Some(Spread { mean, sigma: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()), count })
+}
+
+/// The columns of the step table, each over all steps: rise, overshoot, settling, error in mm.
+pub fn step_spreads(steps: &[Step]) -> [Option<Spread>; 4] {
+    [
+        spread(steps.iter().map(|s| s.rise_time_s)),
+        spread(steps.iter().map(|s| Some(s.overshoot_percent))),
+        spread(steps.iter().map(|s| s.settling_time_s.filter(|_| !s.interrupted))),
+        spread(steps.iter().map(|s| s.steady_error_m.filter(|_| !s.interrupted).map(|e| e * 1e3))),
+    ]
+}
+
+/// The first time a curve is above one, in a stretch.
+fn first_above(series: &Series, start_s: f64, end_s: f64) -> Option<f64> {
+    let mut within = series.samples(series.lower_bound(start_s)..series.upper_bound(end_s));
+    within.find(|(_, value)| *value > 1.0).map(|(time_s, _)| time_s)
+}
+
+/// Largest and RMS of altitude minus setpoint in a stretch, its end not included, m: true altitude where it is known.
+fn deviation(live: &Live, start_s: f64, end_s: f64) -> Option<[f64; 2]> {
+    let own = Curve::Altitude(live.in_loop());
+    let altitude = live.curves.get(Curve::TruthAltitude).or_else(|| live.curves.get(own))?;
+    let setpoint = live.curves.get(Curve::SetpointAltitude)?;
+    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
+    for (time_s, value) in altitude.samples(altitude.lower_bound(start_s)..altitude.lower_bound(end_s)) {
+        let Some((_, wanted)) = setpoint.at(time_s).filter(|_| value.is_finite()) else { continue };
+        let off = f64::from(value) - f64::from(wanted);
+        largest = largest.max(off.abs());
+        squares += off * off;
+        count += 1;
+    }
+    (count > 0).then(|| [largest, (squares / f64::from(count)).sqrt()])
+}
+
+/// After the end of an attack its damage is still looked for so long, s.
+const AFTER_S: f64 = 2.0;
+
+fn attacks(live: &Live, begin_s: f64) -> Vec<Attack> {
+    let spans: Vec<_> = live.log.attacks.iter().filter(|s| s.seen).collect();
+    let judged = live.suspicion_rows();
+    let one = |span: &&super::spans::Span| {
+        let a = &span.attack;
+        let (start_s, end_s) = (span.start_s, span.end_s);
+        let key = (a.sensor, a.instance);
+        let after = |curve: Curve| {
+            let found = live.curves.get(curve).and_then(|s| first_above(s, start_s, end_s + AFTER_S));
+            found.map(|time_s| time_s - start_s)
+        };
+        let attacked_then = |key: &(i32, u32)| {
+            spans
+                .iter()
+                .any(|s| (s.attack.sensor, s.attack.instance) == *key && s.start_s <= end_s && s.end_s >= start_s)
+        };
+        let excluded = |key: &&(i32, u32)| {
+            let series = live.curves.get(Curve::Suspicion(key.0, key.1));
+            series.is_some_and(|s| first_above(s, start_s, end_s).is_some())
+        };
+        let name = |key: &(i32, u32)| names::instance(key.0.try_into().unwrap_or_default(), key.1);
+        let during = deviation(live, start_s, end_s + AFTER_S);
+        let before = deviation(live, (2.0 * start_s - end_s).max(begin_s), start_s);
+        Attack {
+            what: subject(a.sensor(), a.instance, a.channel(), a.kind(), a.magnitude, live.description.get()),
+            span_s: [start_s - begin_s, end_s - begin_s],
+            phase: names::phase(span.phase),
+            isolated_after_s: after(Curve::Suspicion(key.0, key.1)),
+            rejected_after_s: after(Curve::Worst(live.in_loop(), key.0, key.1)),
+            largest_m: during.map(|[largest, _]| largest),
+            rms_m: [during.map(|[_, rms]| rms), before.map(|[_, rms]| rms)],
+            false_exclusions: judged.iter().filter(|k| !attacked_then(k)).filter(excluded).map(name).collect(),
+        }
+    };
+    let mut all: Vec<Attack> = spans.iter().map(one).collect();
+    all.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
+    all
+}
+
+/// The stretch of a recording in which the vehicle was armed, s of flight time; all of it where that is not known. A vehicle
+/// that was let fall is no estimator's fault.
+pub fn armed_s(live: &Live) -> Option<(f64, f64)> {
+    let span = live.curves.time_span_s()?;
+    let mut marks = live.log.events.iter().filter(|e| e.kind == "armed").map(|e| e.time_us as f64 * 1e-6);
+    let first = marks.next();
+    match (first, marks.next_back()) {
+        (Some(first), Some(last)) => Some((first.max(span.start), last.min(span.end))),
+        _ => Some((span.start, span.end)),
+    }
+}
+
+/// The estimators by the error of their altitude while armed; needs [`super::curves::Curves::follow_errors`].
+fn ranking(live: &Live) -> Vec<Ranked> {
+    let Some((start_s, end_s)) = armed_s(live).filter(|_| live.curves.has_truth()) else { return Vec::new() };
+    let off = |curve: Curve| live.curves.get(curve).and_then(|series| rms(series, start_s, end_s));
+    let number = |(number, _): (&u16, _)| {
+        let number = *number;
+        let largest = live.curves.get(Curve::AltitudeError(number)).map(|s| s.extent_between(start_s, end_s));
+        let largest = largest.map_or(0.0, |e| f64::from(e.min.abs().max(e.max.abs())));
+        let axis = |axis| off(Curve::AttitudeError(number, axis));
+        Ranked {
+            number,
+            altitude_mm: off(Curve::AltitudeError(number)).map(|rms| [rms, largest]),
+            attitude_mrad: match (axis(Axis::Roll), axis(Axis::Pitch), axis(Axis::Yaw)) {
+                (Some(roll), Some(pitch), Some(yaw)) => Some([roll.hypot(pitch), yaw]),
+                _ => None,
+            },
+        }
+    };
+    let mut all: Vec<Ranked> = live.estimates.iter().map(number).collect();
+    let order = |r: &Ranked| r.altitude_mm.map_or(f64::INFINITY, |[rms, _]| rms);
+    all.sort_by(|a, b| order(a).total_cmp(&order(b)));
+    all
+}
+
+/// One sentence for each thing that happened.
+fn sentence(flight: &Flight, live: &Live, attacks: &[Attack], secure: bool) -> String {
+    let kind = if flight.vehicle == "sim" { "simulated" } else { flight.vehicle.as_str() };
+    let rig = if flight.rig.is_empty() { String::new() } else { format!(", {}", flight.rig.replace('_', " ")) };
+    let mut out = format!("{} ({kind}{rig}) flew for {} min", flight.vehicle_id, clock(flight.duration_s));
+    if !flight.steps.is_empty() {
+        out += &format!(" with {} of altitude", plural(flight.steps.len() as u64, "step"));
+    }
+    if let Some(off) = flight.tracking_rms_m {
+        out += &format!(", {} mm RMS off its setpoint", fixed(off * 1e3, 1));
+    }
+    out += match attacks.len() {
+        0 => ". No sensor was attacked.",
+        1 => ". One attack altered a sensor: ",
+        _ => ". Attacks altered sensors: ",
+    };
+    let told: Vec<String> = attacks.iter().map(|a| told(a, secure)).collect();
+    out += &told.join("; ");
+    if !told.is_empty() {
+        out.push('.');
+    }
+    let failsafe = live.log.events.iter().find(|e| e.kind == "failsafe");
+    out += &failsafe.map_or_else(|| " No failsafe acted.".to_owned(), |e| format!(" A failsafe acted: {}.", e.text));
+    out
+}
+
+fn told(attack: &Attack, secure: bool) -> String {
+    let mut out = format!("{} for {} s", attack.what, fixed(attack.span_s[1] - attack.span_s[0], 1));
+    match (attack.isolated_after_s, attack.rejected_after_s) {
+        (Some(s), _) => out += &format!(", isolated after {} s", fixed(s, 2)),
+        (None, Some(s)) => out += &format!(", first rejected after {} s", fixed(s, 2)),
+        (None, None) if secure => out += ", never isolated",
+        (None, None) => out += ", never rejected",
+    }
+    if let Some(largest) = attack.largest_m {
+        out += &format!(", altitude off by {} mm at most", fixed(largest * 1e3, 0));
+    }
+    out
+}
+
+impl Report {
+    /// Of a flight whose messages are in `live`, errors followed; `versions` of what writes it.
+    pub fn of(flight: Flight, live: &Live, versions: Vec<Row>) -> Self {
+        let begin_s = live.curves.time_span_s().map_or(0.0, |s| s.start);
+        let attacks = attacks(live, begin_s);
+        let secure = !live.suspicion_rows().is_empty();
+        Self {
+            sentence: sentence(&flight, live, &attacks, secure),
+            secure,
+            ranking: ranking(live),
+            vehicle: configuration::vehicle(&flight, live),
+            gains: configuration::gains(live),
+            scenario: live.description.get().map(|d| d.scenario.clone()).unwrap_or_default(),
+            attacks,
+            flight,
+            versions,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

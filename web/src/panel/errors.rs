@@ -1,0 +1,77 @@
+//! The error view: each estimator minus truth, or minus the setpoint where no truth is known, in mm and mrad, with ±3σ
+//! of the estimator in the loop, on the time axis of the charts above.
+
+use leptos::prelude::*;
+
+use super::{
+    legend::{Entry, Legend, Swatch},
+    plot::Plot,
+    residuals::EvidenceSwitch,
+};
+use crate::{
+    deck::{Deck, Picture, deck},
+    model::{curves::Axis, names},
+    palette,
+};
+
+/// The estimators with an error of altitude, or of an axis of attitude; the one in the loop first.
+fn entries(deck: Deck, axis: Option<Axis>) -> Vec<Entry> {
+    deck.read(|live| {
+        let in_loop = live.in_loop();
+        let entry = |(curve, number)| Entry {
+            curve,
+            name: names::estimator_numbered(number).to_owned(),
+            color: palette::estimator_css(number, in_loop),
+            swatch: Swatch::Line,
+        };
+        let (own, others): (Vec<_>, Vec<_>) = live.curves.error_names(axis).partition(|(_, n)| *n == in_loop);
+        own.into_iter().chain(others).map(entry).collect()
+    })
+}
+
+/// The card, in the place of the residuals.
+#[component]
+pub fn Errors() -> impl IntoView {
+    let deck = deck();
+    // They are found while somebody looks.
+    Effect::new(move |_| {
+        deck.beat();
+        deck.data.update_value(|live| live.curves.follow_errors());
+    });
+    on_cleanup(move || {
+        deck.data.try_update_value(|live| live.curves.forget_errors());
+    });
+    let against = Memo::new(move |_| deck.read(|live| live.curves.has_truth()));
+    let axis = deck.error_axis;
+    let altitude = Memo::new(move |_| entries(deck, None));
+    let attitude = Memo::new(move |_| entries(deck, Some(axis.get())));
+    let unknown = Memo::new(move |_| altitude.with(Vec::is_empty) && attitude.with(Vec::is_empty));
+    view! {
+        <section class="card chart residuals errors" aria-label="Errors">
+            <header>
+                <h2>"Errors"</h2>
+                <span class="quiet">{move || if against.get() { "estimate minus truth; band: ±3σ in the loop" } else { "estimate minus setpoint (no truth here); band: ±3σ in the loop" }}</span>
+                <span class="push buttons-row"><EvidenceSwitch /></span>
+            </header>
+            <Show when=move || unknown.get()><p class="empty">"No estimate and truth, or setpoint, to compare yet."</p></Show>
+            <div class="legend-row">
+                <h3>"Altitude" <small>"mm"</small></h3>
+                <Legend entries=altitude name="Altitude error" unit="mm" decimals=1 errors=true />
+            </div>
+            <Plot picture=Picture::AltitudeError unit="mm" times=false label="What each estimator's altitude is off by, in millimetres" />
+            <div class="legend-row">
+                <h3>
+                    <select class="small" aria-label="Axis of the attitude errors" on:change:target=move |e| {
+                        let chosen = Axis::ALL.into_iter().find(|a| a.name() == e.target().value());
+                        axis.set(chosen.unwrap_or(Axis::Roll));
+                    }>
+                        {Axis::ALL.map(|a| view! { <option selected=move || axis.get() == a>{a.name()}</option> }).collect_view()}
+                    </select>
+                    <small>"mrad"</small>
+                </h3>
+                <Legend entries=attitude name="Attitude error" unit="mrad" decimals=1 errors=true />
+            </div>
+            <Plot picture=Picture::AttitudeError unit="mrad" label="What each estimator's attitude is off by about one axis, in milliradians" />
+        </section>
+    }
+}
