@@ -291,7 +291,7 @@ pub fn estimator(key: &str, name: &str) -> Result<EstimatorKind, ConfigError> {
     EstimatorKind::named(name).ok_or_else(|| ConfigError::Value {
         key: key.to_owned(),
         value: format!("{name:?}"),
-        expected: "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf or secure",
+        expected: EstimatorKind::NAMES,
     })
 }
 

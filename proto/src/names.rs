@@ -10,12 +10,26 @@ const FORMER: [(&str, EstimatorKind); 3] = [
 ];
 
 impl EstimatorKind {
+    /// The names of all of them, for messages.
+    pub const NAMES: &str =
+        "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf, secure, attitude_ekf";
+
     /// The estimator called `name`: the lower-snake-case name of the wire (`ekf_bias`), or what it was called once.
     pub fn named(name: &str) -> Option<Self> {
         let former = FORMER.iter().find(|(former, _)| *former == name).map(|(_, kind)| *kind);
         let lower = || name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_');
         let present = || Self::from_str_name(&format!("ESTIMATOR_KIND_{}", name.to_ascii_uppercase()));
         former.or_else(|| if lower() { present() } else { None }).filter(|kind| *kind != Self::Unspecified)
+    }
+
+    /// Every estimator, by its number.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (1..).map_while(|number| Self::try_from(number).ok())
+    }
+
+    /// Does it estimate attitude alone, neither position nor altitude?
+    pub fn attitude_only(self) -> bool {
+        matches!(self, Self::Vqf | Self::AttitudeEkf)
     }
 }
 
@@ -48,6 +62,12 @@ mod tests {
         for name in ["magic", "unspecified", "SECURE", "", "ekf-bias"] {
             assert_eq!(EstimatorKind::named(name), None, "{name}");
         }
+    }
+
+    #[test]
+    fn messages_name_every_estimator() {
+        let named: Vec<_> = EstimatorKind::NAMES.split(", ").map(EstimatorKind::named).collect();
+        assert_eq!(named, EstimatorKind::all().map(Some).collect::<Vec<_>>());
     }
 
     #[test]

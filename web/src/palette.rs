@@ -66,8 +66,8 @@ pub fn estimator(number: u16, in_loop: u16) -> Ink {
         Kind::EkfHybrid => OTHER_3,
         Kind::Ukf => OTHER_4,
         Kind::ConstantAcceleration => OTHER_5,
-        // A VQF has no altitude: never in the same chart.
-        Kind::Secure | Kind::Vqf | Kind::Unspecified => OTHER_2,
+        // An attitude filter has no altitude: never in the same chart.
+        Kind::Secure | Kind::Vqf | Kind::AttitudeEkf | Kind::Unspecified => OTHER_2,
     }
 }
 

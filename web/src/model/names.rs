@@ -86,13 +86,14 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
         EstimatorKind::Ukf => "UKF",
         EstimatorKind::ConstantAcceleration => "Constant acceleration",
         EstimatorKind::Vqf => "VQF",
+        EstimatorKind::AttitudeEkf => "Attitude EKF",
         EstimatorKind::Secure => "Secure",
     }
 }
 
 /// Does an estimator of this kind estimate the altitude? Where it does not, no mode that holds one can be flown.
 pub fn estimates_altitude(kind: EstimatorKind) -> bool {
-    kind != EstimatorKind::Vqf
+    !kind.attitude_only()
 }
 
 /// As [`estimator`], by its number.

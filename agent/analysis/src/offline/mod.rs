@@ -42,7 +42,7 @@ pub struct EstimateArgs {
     /// plumbline, broad, phantom4, rotorpy, px4-ulog or mocap-log; judged by the content when left out.
     #[arg(long)]
     pub format: Option<String>,
-    /// ekf-bias, complementary, ekf-hybrid, ukf, constant-acceleration, vqf or secure.
+    /// Its name: ekf-bias, vqf, secure …; an unknown one is answered with all of them.
     #[arg(long)]
     pub estimator: String,
     /// Program of the secure estimator: l2 (the default), l1, l2_split or l1_split.
@@ -150,9 +150,6 @@ pub enum OfflineError {
 /// Name of the format that is not a recording of raw sensors.
 const MOCAP_LOG: &str = "mocap-log";
 
-/// Estimators by their name on the command line.
-const ESTIMATORS: &str = "ekf-bias, complementary, ekf-hybrid, ukf, constant-acceleration, vqf, secure";
-
 impl EstimateArgs {
     /// `--argument value` that cannot be used.
     fn bad(argument: &'static str, value: impl ToString, reason: impl Into<String>) -> OfflineError {
@@ -199,8 +196,9 @@ impl EstimateArgs {
 }
 
 fn named(estimator: &str) -> Result<EstimatorKind, OfflineError> {
-    EstimatorKind::named(&estimator.replace('-', "_"))
-        .ok_or_else(|| EstimateArgs::bad("estimator", estimator, format!("not one of {ESTIMATORS}")))
+    EstimatorKind::named(&estimator.replace('-', "_")).ok_or_else(|| {
+        EstimateArgs::bad("estimator", estimator, format!("not one of {}", EstimatorKind::NAMES.replace('_', "-")))
+    })
 }
 
 /// Estimates a flight file of our own that is in memory again, under the estimator and from the sensors of `args`, whose
@@ -340,10 +338,8 @@ impl Run {
         // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
         let airframe =
             info.airframe.as_deref().and_then(|name| Airframe::by_name(name).ok()).unwrap_or_else(Airframe::iris);
-        let known = match kind {
-            EstimatorKind::Vqf => Known { horizontal: false, vertical: false },
-            _ => selection.known(info),
-        };
+        let none = Known { horizontal: false, vertical: false };
+        let known = if kind.attitude_only() { none } else { selection.known(info) };
         let mut estimator = bank::build(kind, &Assumptions { airframe: &airframe, sensors: &sensors, window_slots })
             .map_err(|e| EstimateArgs::bad("estimator", &args.estimator, e.to_string()))?;
         if let Some(name) = &args.decoder {

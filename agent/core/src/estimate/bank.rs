@@ -7,6 +7,7 @@
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::attitude_ekf::AttitudeEkfEstimator;
 use super::complementary::Complementary;
 use super::constant_acceleration::ConstantAccelerationEstimator;
 use super::ekf_bias::EkfBias;
@@ -48,17 +49,6 @@ pub enum BankError {
     NotRunning(EstimatorKind),
 }
 
-/// Every kind of estimator.
-pub const EVERY_KIND: [EstimatorKind; 7] = [
-    EstimatorKind::EkfBias,
-    EstimatorKind::Complementary,
-    EstimatorKind::EkfHybrid,
-    EstimatorKind::Ukf,
-    EstimatorKind::ConstantAcceleration,
-    EstimatorKind::Vqf,
-    EstimatorKind::Secure,
-];
-
 /// What an estimator may assume of the vehicle it runs on.
 #[derive(Debug, Clone, Copy)]
 pub struct Assumptions<'a> {
@@ -83,6 +73,7 @@ pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estim
         EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, sensors)),
         EstimatorKind::ConstantAcceleration => Box::new(ConstantAccelerationEstimator::new(sensors)),
         EstimatorKind::Vqf => Box::new(VqfEstimator::new(&sensors.imus)),
+        EstimatorKind::AttitudeEkf => Box::new(AttitudeEkfEstimator::new(&sensors.imus)),
         EstimatorKind::Secure => {
             let secure = Secure::new(sensors, airframe, assumed.window_slots);
             Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
@@ -363,7 +354,7 @@ mod tests {
         let (airframe, sensors) = (Airframe::iris(), SensorModel::default());
         let assumed = Assumptions { airframe: &airframe, sensors: &sensors, window_slots: SLOTS };
         use EstimatorKind as K;
-        for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
+        for kind in K::all().filter(|kind| *kind != K::Secure) {
             assert_eq!(build(kind, &assumed).unwrap().kind(), kind);
         }
         assert_eq!(build(K::Unspecified, &assumed).err(), Some(BankError::NotAvailable(K::Unspecified)));

@@ -4,6 +4,8 @@
 //! can tell whether an attack is on, nor see the truth.
 
 pub mod aiding;
+pub mod attitude;
+pub mod attitude_ekf;
 pub mod bank;
 pub mod complementary;
 pub mod constant_acceleration;

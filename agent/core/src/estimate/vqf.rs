@@ -20,17 +20,18 @@
 //! | τ | time constants | s |
 
 mod bias;
-mod estimator;
 mod heading;
+pub(super) mod rest;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
-pub use self::estimator::VqfEstimator;
-
-use self::bias::{Bias, Rest};
+use self::bias::Bias;
 use self::heading::Heading;
+use self::rest::{Period, Rest};
+use super::EstimatorKind;
+use super::attitude::{AttitudeEstimator, AttitudeFilter, levelling};
 use super::filter::low_pass::LowPass;
 
 /// One degree, rad.
@@ -79,37 +80,13 @@ pub struct Vqf {
     heading: Heading,
 }
 
-/// The low-passes want the real sample rate: it is measured.
-#[derive(Debug, Clone, Copy)]
-struct Period {
-    used_s: f64,
-    measured_s: f64,
-    samples: u32,
-}
-
-impl Period {
-    /// Takes the time between two samples; true when the low-passes must be retuned.
-    fn take(&mut self, dt_s: f64) -> bool {
-        if dt_s > 0.0 && dt_s < 0.1 {
-            self.samples = self.samples.saturating_add(1);
-            let gain = (1.0 / f64::from(self.samples)).max(0.002);
-            self.measured_s += gain * (dt_s - self.measured_s);
-        }
-        let changed = (self.measured_s / self.used_s - 1.0).abs() > 0.05 && self.samples > 4;
-        if changed {
-            self.used_s = self.measured_s;
-        }
-        changed
-    }
-}
-
 impl Vqf {
     /// Level, heading zero, until the first samples.
     pub fn new(options: VqfOptions) -> Self {
         let t = options.period_s;
         Self {
             options,
-            period: Period { used_s: t, measured_s: t, samples: 0 },
+            period: Period::new(t),
             inertial_from_body: UnitQuaternion::identity(),
             level_from_inertial: UnitQuaternion::identity(),
             force: LowPass::new(TAU_ACCEL_S, t),
@@ -122,7 +99,7 @@ impl Vqf {
     /// One IMU sample, `dt_s` after the one before.
     pub fn push(&mut self, dt_s: f64, gyro: &Vector3<f64>, force: &Vector3<f64>, field: Option<&Vector3<f64>>) {
         if self.period.take(dt_s) {
-            let t = self.period.used_s;
+            let t = self.period.used_s();
             self.force.retune(t);
             self.bias.retune(t);
             self.rest.retune(t);
@@ -180,16 +157,40 @@ impl Vqf {
         self.rest.push_force(dt_s, force);
         let up = self.level_from_inertial * self.force.push(self.inertial_from_body * force);
         let Some(up) = up.try_normalize(1e-9) else { return };
-        // The shortest rotation that brings `up` to the vertical.
-        let w = (0.5 * (up.z + 1.0)).max(0.0).sqrt();
-        let correction = if w > 1e-6 {
-            UnitQuaternion::from_quaternion(Quaternion::new(w, 0.5 * up.y / w, -0.5 * up.x / w, 0.0))
-        } else {
-            UnitQuaternion::from_quaternion(Quaternion::new(0.0, 1.0, 0.0, 0.0))
-        };
-        self.level_from_inertial = correction * self.level_from_inertial;
+        self.level_from_inertial = levelling(&up) * self.level_from_inertial;
         self.level_from_inertial.renormalize_fast();
         let rotation = (self.level_from_inertial * self.inertial_from_body).to_rotation_matrix().into_inner();
-        self.bias.update(&up, &rotation, self.rest.rate_at_rest(), self.period.used_s);
+        self.bias.update(&up, &rotation, self.rest.rate_at_rest(), self.period.used_s());
+    }
+}
+
+/// The filter as an estimator.
+pub type VqfEstimator = AttitudeEstimator<Vqf>;
+
+impl AttitudeFilter for Vqf {
+    const KIND: EstimatorKind = EstimatorKind::Vqf;
+
+    fn with_declination(declination_rad: f64) -> Self {
+        Self::new(VqfOptions { declination_rad, ..VqfOptions::default() })
+    }
+
+    fn push(&mut self, dt_s: f64, gyro: &Vector3<f64>, force: &Vector3<f64>, field: Option<&Vector3<f64>>) {
+        Self::push(self, dt_s, gyro, force, field);
+    }
+
+    fn world_from_body(&self) -> UnitQuaternion<f64> {
+        Self::world_from_body(self)
+    }
+
+    fn gyro_bias_radps(&self) -> Vector3<f64> {
+        Self::gyro_bias_radps(self)
+    }
+
+    fn heading_disagreement_rad(&self) -> f64 {
+        Self::heading_disagreement_rad(self)
+    }
+
+    fn field_disturbed(&self) -> bool {
+        Self::field_disturbed(self)
     }
 }

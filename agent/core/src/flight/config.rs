@@ -6,7 +6,7 @@ use crate::attack::Bounds;
 use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
 use crate::control::tuning::Design;
-use crate::estimate::bank::{Assumptions, EVERY_KIND, build};
+use crate::estimate::bank::{Assumptions, build};
 use crate::estimate::secure::Decoder;
 use crate::estimate::secure::SLOTS;
 use crate::model::airframe::Airframe;
@@ -157,7 +157,7 @@ impl FlightConfig {
         let assumed = self.assumptions();
         let mut kinds = vec![self.in_loop];
         let built = |kind: &EstimatorKind| build(*kind, &assumed).is_ok();
-        kinds.extend(EVERY_KIND.into_iter().filter(|kind| *kind != self.in_loop).filter(built));
+        kinds.extend(EstimatorKind::all().filter(|kind| *kind != self.in_loop).filter(built));
         self.estimators = kinds;
         self
     }

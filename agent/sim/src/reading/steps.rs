@@ -149,6 +149,5 @@ fn mode(name: &str) -> Read<Mode> {
 }
 
 fn estimator(name: &str) -> Read<EstimatorKind> {
-    const KNOWN: &str = "one of ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf, secure";
-    EstimatorKind::named(name).map_or_else(|| bad("script.estimator", name, KNOWN), Ok)
+    EstimatorKind::named(name).map_or_else(|| bad("script.estimator", name, EstimatorKind::NAMES), Ok)
 }

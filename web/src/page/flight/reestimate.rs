@@ -12,15 +12,10 @@ use crate::{
     net,
 };
 
-/// Estimators that run over a recording.
-const ESTIMATORS: [EstimatorKind; 6] = [
-    EstimatorKind::EkfBias,
-    EstimatorKind::EkfHybrid,
-    EstimatorKind::Ukf,
-    EstimatorKind::ConstantAcceleration,
-    EstimatorKind::Vqf,
-    EstimatorKind::Secure,
-];
+/// Estimators that run over a recording: the complementary filter is there to be compared with in flight.
+fn estimators() -> impl Iterator<Item = EstimatorKind> {
+    EstimatorKind::all().filter(|kind| *kind != EstimatorKind::Complementary)
+}
 
 /// Sensors that may be left out: name in the request, name on screen, topic in a flight. IMUs are always needed; the
 /// magnetometers are part of them.
@@ -106,7 +101,7 @@ pub(super) fn Reestimate(
             <header><h2>"Re-estimate"</h2></header>
             <div class="row">
                 <select class="small" aria-label="Estimator to run over the recording" on:change:target=move |e| choose(e.target().value())>
-                    {ESTIMATORS.map(|k| view! {
+                    {estimators().map(|k| view! {
                         <option value=(k as i32).to_string() selected=k == EstimatorKind::Ukf>{names::estimator(k)}</option>
                     }).collect_view()}
                 </select>

@@ -1,4 +1,4 @@
-//! Gyroscope bias: a Kalman filter over b, and the detection of rest.
+//! Gyroscope bias: a Kalman filter over b.
 //!
 //! In motion the tilt correction of one sample, divided by the sample period, is the bias seen through the low-pass; at
 //! rest the slow rate is the bias (Laidig & Seel 2023, sections 3.4 and 3.5).
@@ -15,68 +15,6 @@ const BIAS_SIGMA_MOTION: f64 = 0.1 * DEGREE;
 const BIAS_SIGMA_REST: f64 = 0.03 * DEGREE;
 /// How much slower the vertical bias, invisible in motion, is drawn to zero.
 const BIAS_VERTICAL_FORGETTING: f64 = 1e-4;
-/// Rest: for this long, s …
-const REST_S: f64 = 1.5;
-/// … the rate stays this close to its low-pass, rad/s …
-const REST_RATE_RADPS: f64 = 2.0 * DEGREE;
-/// … and the specific force too, m/s² …
-const REST_FORCE_MPS2: f64 = 0.5;
-/// … low-passed over this, s.
-const REST_TAU_S: f64 = 0.5;
-/// Has nothing moved for a while?
-#[derive(Debug, Clone)]
-pub(super) struct Rest {
-    rate: LowPass<3>,
-    force: LowPass<3>,
-    slow_rate: Vector3<f64>,
-    lasts_s: f64,
-}
-
-impl Rest {
-    pub fn new(period_s: f64) -> Self {
-        Self {
-            rate: LowPass::new(REST_TAU_S, period_s),
-            force: LowPass::new(REST_TAU_S, period_s),
-            slow_rate: Vector3::zeros(),
-            lasts_s: 0.0,
-        }
-    }
-
-    pub fn retune(&mut self, period_s: f64) {
-        self.rate.retune(period_s);
-        self.force.retune(period_s);
-    }
-
-    pub fn push_gyro(&mut self, gyro: &Vector3<f64>) {
-        self.slow_rate = self.rate.push(*gyro);
-        if (gyro - self.slow_rate).norm() >= REST_RATE_RADPS || self.slow_rate.amax() > BIAS_LIMIT_RADPS {
-            self.lasts_s = 0.0;
-        }
-    }
-
-    pub fn push_force(&mut self, dt_s: f64, force: &Vector3<f64>) {
-        let slow = self.force.push(*force);
-        if (force - slow).norm() >= REST_FORCE_MPS2 {
-            self.lasts_s = 0.0;
-        } else {
-            self.lasts_s += dt_s;
-        }
-    }
-
-    pub fn holds(&self) -> bool {
-        self.lasts_s >= REST_S
-    }
-
-    /// The rate, low-passed, rad/s.
-    pub fn slow_rate(&self) -> &Vector3<f64> {
-        &self.slow_rate
-    }
-
-    /// … while at rest.
-    pub fn rate_at_rest(&self) -> Option<&Vector3<f64>> {
-        self.holds().then_some(&self.slow_rate)
-    }
-}
 
 /// b and P.
 #[derive(Debug, Clone)]
