@@ -87,6 +87,7 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
         EstimatorKind::ConstantAcceleration => "Constant acceleration",
         EstimatorKind::Vqf => "VQF",
         EstimatorKind::Secure => "Secure",
+        EstimatorKind::Lanes => "Lanes (secure)",
     }
 }
 

@@ -12,6 +12,7 @@ use super::constant_acceleration::ConstantAccelerationEstimator;
 use super::ekf_bias::EkfBias;
 use super::filter::ekf_hybrid::EkfHybrid;
 use super::filter::ukf::Ukf;
+use super::lanes::Lanes;
 use super::secure::Decoder;
 use super::secure::Secure;
 use super::twelve_state::TwelveStateEstimator;
@@ -49,7 +50,7 @@ pub enum BankError {
 }
 
 /// Every kind of estimator.
-pub const EVERY_KIND: [EstimatorKind; 7] = [
+pub const EVERY_KIND: [EstimatorKind; 8] = [
     EstimatorKind::EkfBias,
     EstimatorKind::Complementary,
     EstimatorKind::EkfHybrid,
@@ -57,6 +58,7 @@ pub const EVERY_KIND: [EstimatorKind; 7] = [
     EstimatorKind::ConstantAcceleration,
     EstimatorKind::Vqf,
     EstimatorKind::Secure,
+    EstimatorKind::Lanes,
 ];
 
 /// What an estimator may assume of the vehicle it runs on.
@@ -87,6 +89,7 @@ pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estim
             let secure = Secure::new(sensors, airframe, assumed.window_slots);
             Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
         }
+        EstimatorKind::Lanes => Box::new(Lanes::new(sensors, airframe)),
         other => return Err(BankError::NotAvailable(other)),
     })
 }
@@ -183,6 +186,11 @@ impl Bank {
     /// The secure estimator, where it runs.
     pub fn secure(&self) -> Option<&Secure> {
         self.estimators.iter().find_map(|estimator| estimator.secure())
+    }
+
+    /// The estimator by lanes, where it runs.
+    pub fn lanes(&self) -> Option<&Lanes> {
+        self.estimators.iter().find_map(|estimator| estimator.lanes())
     }
 
     /// Makes the secure estimator solve another program.
@@ -363,7 +371,7 @@ mod tests {
         let (airframe, sensors) = (Airframe::iris(), SensorModel::default());
         let assumed = Assumptions { airframe: &airframe, sensors: &sensors, window_slots: SLOTS };
         use EstimatorKind as K;
-        for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
+        for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf, K::Lanes] {
             assert_eq!(build(kind, &assumed).unwrap().kind(), kind);
         }
         assert_eq!(build(K::Unspecified, &assumed).err(), Some(BankError::NotAvailable(K::Unspecified)));
