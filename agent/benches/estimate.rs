@@ -148,7 +148,7 @@ fn in_flight() {
         .collect();
     let assumed = config.assumptions();
     use plumbline_agent::types::EstimatorKind as K;
-    for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf] {
+    for kind in [K::EkfBias, K::Complementary, K::EkfHybrid, K::Ukf, K::ConstantAcceleration, K::Vqf, K::Lanes] {
         let mut estimator = build(kind, &assumed).unwrap();
         let timing = time(frames.len() - BLOCK, |k| {
             black_box(estimator.step(&frames[k], &hover));

@@ -42,6 +42,7 @@ mod tests {
             ("point_mass", EstimatorKind::ConstantAcceleration),
             ("ekf_bias", EstimatorKind::EkfBias),
             ("secure", EstimatorKind::Secure),
+            ("lanes", EstimatorKind::Lanes),
         ] {
             assert_eq!(EstimatorKind::named(name), Some(kind), "{name}");
         }

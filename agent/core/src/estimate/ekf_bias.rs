@@ -29,7 +29,7 @@ mod history;
 mod idle;
 mod imus;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 mod vertical;
 mod yaw;
 

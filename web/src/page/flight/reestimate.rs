@@ -13,13 +13,14 @@ use crate::{
 };
 
 /// Estimators that run over a recording.
-const ESTIMATORS: [EstimatorKind; 6] = [
+const ESTIMATORS: [EstimatorKind; 7] = [
     EstimatorKind::EkfBias,
     EstimatorKind::EkfHybrid,
     EstimatorKind::Ukf,
     EstimatorKind::ConstantAcceleration,
     EstimatorKind::Vqf,
     EstimatorKind::Secure,
+    EstimatorKind::Lanes,
 ];
 
 /// Sensors that may be left out: name in the request, name on screen, topic in a flight. IMUs are always needed; the

@@ -4,7 +4,7 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{DecoderStatus, FlagReason, SensorKind};
 
-use super::integral::{Integral, Six};
+use super::integral::Six;
 use super::slot::Slot;
 use super::{LANES, Lanes, part};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
@@ -104,22 +104,31 @@ impl Lanes {
             horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
             altitude_known,
         });
-        e.world_from_body = state.world_from_body;
+        e.world_from_body = state.world_from_body * self.rates.lead();
         e.accel_bias_mps2 = Some(lane.accel_bias);
         e.gyro_bias_radps = Some(lane.gyro_bias);
         e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
-        let (mut rates, mut weights) = (Vector3::zeros(), 0.0);
-        let latest = |integral: &Integral| integral.latest(now);
+        e.body_rates_radps = self.rates.rate_radps();
+    }
+
+    /// Rate and lead of the attitude at `now`.
+    pub(super) fn turn(&mut self, now: FlightTime, dt_s: f64, thrust_mps2: f64) {
+        let (mut rate, mut late_s, mut weights) = (Vector3::zeros(), 0.0, 0.0);
         let mixture = self.fused.mixture.weights.iter().zip(&self.fused.mixture.biases);
-        for (latest, (weight, bias)) in self.slots.integrals().iter().map(latest).zip(mixture) {
-            if let Some(latest) = latest {
-                rates += part(&(latest - bias), 3) * *weight;
+        for (integral, (weight, bias)) in self.slots.integrals().iter().zip(mixture) {
+            if let Some((time, latest)) = integral.latest(now) {
+                rate += part(&(latest - bias), 3) * *weight;
+                late_s += now.seconds_since(time) * weight;
                 weights += weight;
             }
         }
-        if weights > 1e-6 {
-            self.estimate.body_rates_radps = rates / weights;
-        }
+        let measured = (weights > 1e-6).then(|| {
+            let late_us = 1e6 * late_s / weights;
+            (FlightTime(now.0.saturating_sub(late_us as u64)), rate / weights)
+        });
+        let flies = self.thrust.flies(thrust_mps2);
+        let turning = flies.then(|| self.thrust.turning_radps2(&self.rates.rate_radps()));
+        self.rates.step(now, dt_s.clamp(0.0, 0.1), turning.as_ref(), measured);
     }
 
     fn health(&self, now: FlightTime) -> Health {

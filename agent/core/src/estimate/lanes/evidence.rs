@@ -138,11 +138,8 @@ impl Evidence {
         for lane in &mut self.lanes {
             let excess = 0.5 * (lane.against - best) / scale;
             let tilted = up.is_some_and(|up| lane.up.cross(&up).norm() > TILT_RAD.sin());
-            lane.far = if excess > FAR { lane.far.saturating_add(1) } else { 0 };
+            lane.far = if excess > FAR || lane.excluded && tilted { lane.far.saturating_add(1) } else { 0 };
             lane.near = if excess < NEAR * FAR && !tilted { lane.near.saturating_add(1) } else { 0 };
-            if lane.excluded && tilted {
-                lane.far = lane.far.max(FAR_SLOTS) + 1;
-            }
             let out = lane.excluded || lane.far > FAR_SLOTS || lane.stuck > STUCK_SLOTS.1;
             lane.excluded = lane.present && out && (lane.near <= NEAR_SLOTS || lane.stuck > STUCK_SLOTS.1);
         }

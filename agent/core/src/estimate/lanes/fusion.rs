@@ -20,6 +20,8 @@ use crate::sensor::measure::Kinematics;
 /// Offsets and noise are learned fast for so long in the air, and no height is excluded for so long, s.
 const LEARNING_S: f64 = 7.0;
 const JUDGING_S: f64 = 3.0;
+/// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
+const RECTIFIED: f64 = 0.1;
 /// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
 const REST: (f64, f64) = (0.6, 0.06);
 /// Slots at rest before it counts.
@@ -64,9 +66,12 @@ impl Lanes {
         }
         let g = self.model.imus.gravity_mps2;
         let size = |first: usize| median(slot.imus.iter().flatten().map(|mean| part(mean, first).norm()));
-        let still = slot.standing && (size(0) - g).abs() < REST.0 && size(3) < REST.1;
+        let shaken = median(slot.roughness.iter().flatten().map(|roughness| part(roughness, 0).amax()));
+        let quiet = shaken < 3.0 * self.model.imus.accel.sigma;
+        let still = slot.standing && quiet && (size(0) - g).abs() < REST.0 && size(3) < REST.1;
         self.clock.resting = if still { self.clock.resting.saturating_add(1) } else { 0 };
-        if self.thrust.flies(slot.thrust_mps2) {
+        // A recording that does not tell what the motors did flies when it moves.
+        if self.thrust.flies(slot.thrust_mps2) || slot.standing && !still {
             if self.clock.flown == 0 {
                 // Running motors are another world: what was quiet before says nothing.
                 self.judges.noise = super::Noise::new();
@@ -140,13 +145,16 @@ impl Lanes {
             unaided,
         };
         let common = self.common(&slot.imus);
+        let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
         for (i, (lane, heard)) in self.lanes.iter_mut().zip(&mut heard).enumerate() {
             if self.fused.silent[i] > SILENT_SLOTS {
                 continue;
             }
-            let sigma = self.judges.noise.of(i);
+            // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
+            let shaken = shaken.map(|s| s * RECTIFIED);
+            let sigma = self.judges.noise.of(i).zip_map(&shaken, f64::hypot);
             // Without a sample of its own it goes on with the others'.
             let mean = slot.imus[i].unwrap_or_else(|| common + lane.biases());
             lane.predict(end, &mean, &sigma, &self.model);

@@ -139,13 +139,6 @@ impl Heights {
         from_centre - from_centre.clamp(-REACH_M, REACH_M)
     }
 
-    /// The altitude that the residuals are against moved by `by_m`.
-    pub fn moved(&mut self, by_m: f64) {
-        for laser in &mut self.lasers {
-            laser.residuals.iter_mut().for_each(|residual| *residual -= by_m);
-        }
-    }
-
     /// A slot is over: every fifth decodes, at altitude `z_m`; returns whether one was newly excluded. While `learning`
     /// offsets are learned fast, and unless `judging` none is excluded.
     pub fn decode(&mut self, now: FlightTime, z_m: f64, learning: bool, judging: bool) -> bool {

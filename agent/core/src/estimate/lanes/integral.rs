@@ -27,6 +27,8 @@ struct Boundary {
     total: Six,
     /// Was the slot that begins here sampled without a gap?
     whole: bool,
+    /// Sum of squared changes from sample to sample up to here, and their number.
+    changes: (Six, f64),
 }
 
 /// See the module.
@@ -36,6 +38,7 @@ pub struct Integral {
     /// Mean of the last two specific forces and the last rate: what is held until the next sample.
     held: Six,
     total: Six,
+    changes: (Six, f64),
     boundaries: [Option<Boundary>; KEPT],
     /// Time of the sample after the last gap.
     gap_end: FlightTime,
@@ -49,6 +52,7 @@ impl Integral {
             last: None,
             held: Six::zeros(),
             total: Six::zeros(),
+            changes: (Six::zeros(), 0.0),
             boundaries: [None; KEPT],
             gap_end: FlightTime(0),
             stuck: Stuck::default(),
@@ -86,10 +90,12 @@ impl Integral {
             let there = before + (value - before) * (part_s / whole_s);
             let total = self.total + (before + there) * (0.5 * part_s);
             if let Some(place) = self.boundaries.get_mut((slot % KEPT as u64) as usize) {
-                *place = Some(Boundary { slot, total, whole: !gap });
+                *place = Some(Boundary { slot, total, whole: !gap, changes: self.changes });
             }
         }
         self.total += (before + value) * (0.5 * whole_s);
+        let change = value - before;
+        self.changes = (self.changes.0 + change.component_mul(&change), self.changes.1 + 1.0);
         self.held = *value;
         self.held.fixed_rows_mut::<3>(0).copy_from(&((before + value) * 0.5).fixed_rows::<3>(0));
     }
@@ -113,6 +119,13 @@ impl Integral {
         Some((end.total - begin.total) / (1e-6 * SLOT_US as f64))
     }
 
+    /// One-sigma of a sample in `slot` about the one before, over √2: noise, and how much it is shaken.
+    pub fn roughness(&self, slot: u64) -> Option<Six> {
+        let (begin, end) = (self.boundary(slot)?.changes, self.boundary(slot + 1)?.changes);
+        let count = end.1 - begin.1;
+        (count > 0.0).then(|| ((end.0 - begin.0).map(|x| x.max(0.0)) / (2.0 * count)).map(f64::sqrt))
+    }
+
     /// Integral up to the beginning of `slot`, where that was sampled.
     pub fn total_at(&self, slot: u64) -> Option<Six> {
         self.boundary(slot).map(|boundary| boundary.total)
@@ -124,9 +137,9 @@ impl Integral {
         (age_s <= GAP_S).then(|| (self.total + self.held * age_s.max(0.0), self.gap_end))
     }
 
-    /// The last sample, where it is recent.
-    pub fn latest(&self, now: FlightTime) -> Option<Six> {
-        self.last.filter(|(time, _)| now.seconds_since(*time) <= GAP_S).map(|(_, value)| value)
+    /// The last sample and its time, where it is recent.
+    pub fn latest(&self, now: FlightTime) -> Option<(FlightTime, Six)> {
+        self.last.filter(|(time, _)| now.seconds_since(*time) <= GAP_S)
     }
 
     /// Does it repeat itself?

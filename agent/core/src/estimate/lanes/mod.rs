@@ -27,6 +27,7 @@ mod integral;
 mod lane;
 mod noise;
 mod predictor;
+mod rates;
 mod rows;
 mod slot;
 mod start;
@@ -44,6 +45,7 @@ use self::integral::Six;
 use self::lane::Lane;
 use self::noise::Noise;
 use self::predictor::{Mixture, Predictor};
+use self::rates::Rates;
 use self::rows::Field;
 use self::slot::Slots;
 use self::start::Start;
@@ -87,6 +89,7 @@ pub struct Lanes {
     judges: Judges,
     fused: Fused,
     predictor: Predictor,
+    rates: Rates,
     aided: Aided,
     clock: Clock,
     isolation: Isolation,
@@ -134,8 +137,6 @@ struct Clock {
     /// Slots flown since the start, and at rest in a row.
     flown: u32,
     resting: u32,
-    /// Counts nanoseconds, where slots are timed.
-    stopwatch: Option<fn() -> u64>,
 }
 
 impl Lanes {
@@ -164,6 +165,7 @@ impl Lanes {
                 contradicted: 0,
             },
             predictor,
+            rates: Rates::new(),
             aided: Aided::default(),
             clock: Clock::default(),
             isolation: Isolation::new(1),
@@ -186,11 +188,6 @@ impl Lanes {
     /// Weight of each lane; they sum to one.
     pub fn weights(&self) -> [f64; MAX_IMUS] {
         self.fused.mixture.weights
-    }
-
-    /// Times its slots with `stopwatch`, a count of nanoseconds.
-    pub fn time_with(&mut self, stopwatch: fn() -> u64) {
-        self.clock.stopwatch = Some(stopwatch);
     }
 
     /// Nothing of what was before belongs to this flight, but for what has been learned of the sensors.
@@ -220,12 +217,9 @@ impl Estimator for Lanes {
         self.slots.gather(received, thrust_mps2, standing);
         self.saw(received);
         self.predictor.follow(now, self.slots.integrals());
+        self.turn(now, dt_s, thrust_mps2);
         while let Some(slot) = self.slots.close(now) {
-            let begun = self.clock.stopwatch.map(|read| read());
             self.advance(&slot);
-            if let Some((read, begun)) = self.clock.stopwatch.zip(begun) {
-                self.report.solve_time_us = read().saturating_sub(begun) as f64 * 1e-3;
-            }
         }
         self.publish(now);
         &self.estimate

@@ -18,6 +18,8 @@ pub struct Slot {
     pub number: u64,
     /// Mean of each IMU.
     pub imus: PerLane<Option<Six>>,
+    /// How much each IMU was shaken.
+    pub roughness: PerLane<Option<Six>>,
     /// Does an IMU repeat itself?
     pub stuck: PerLane<bool>,
     /// Magnetic field, median of the magnetometers, body FLU, µT.
@@ -150,6 +152,7 @@ impl Slots {
         slot.field_ut = sampled().next().map(|_| Vector3::from_fn(axis));
         slot.thrust_mps2 = open.thrust.0 / open.thrust.1.max(1.0);
         slot.imus = std::array::from_fn(|i| self.integrals.get(i).and_then(|integral| integral.mean(number)));
+        slot.roughness = std::array::from_fn(|i| self.integrals.get(i).and_then(|integral| integral.roughness(number)));
         slot.stuck = std::array::from_fn(|i| self.integrals.get(i).is_some_and(Integral::is_stuck));
         *open = Open::new(number + OPEN as u64);
         self.next = Some(number + 1);

@@ -1,5 +1,7 @@
 //! What the motors do, as commanded: whether they stand, and whether anything but them and the air holds the vehicle.
 
+use nalgebra::Vector3;
+
 use crate::model::airframe::Airframe;
 use crate::model::motor::Rotors;
 use crate::sensor::SensorFrame;
@@ -35,6 +37,13 @@ impl Thrust {
         self.rotors.step(&self.airframe, &applied.throttle, self.voltage_ratio, dt_s.clamp(0.0, 0.1));
         let thrust_n = self.airframe.wrench(self.rotors.speed_radps()).thrust_n;
         (thrust_n / self.airframe.mass_kg, applied.throttle.iter().all(|t| t.abs() < STANDING))
+    }
+
+    /// Angular acceleration that the rotors' torques give a body turning at `rate_radps`, rad/s².
+    pub fn turning_radps2(&self, rate_radps: &Vector3<f64>) -> Vector3<f64> {
+        let inertia = self.airframe.inertia_kgm2;
+        let gyroscopic = rate_radps.cross(&inertia.component_mul(rate_radps));
+        (self.airframe.wrench(self.rotors.speed_radps()).torque_flu_nm - gyroscopic).component_div(&inertia)
     }
 
     /// Is so much thrust over mass meant to fly?
