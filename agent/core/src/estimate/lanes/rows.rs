@@ -39,7 +39,7 @@ const KNEE: f64 = 3.0;
 /// No height is taken for better, m: what lasers are off by, and the motion within a scan.
 const HEIGHT_SIGMA_M: f64 = 0.025;
 /// No pose is taken for better, m and rad.
-const POSE_SIGMA: (f64, f64) = (0.005, 0.01);
+const POSE_SIGMA: (f64, f64) = (0.002, 0.005);
 /// Specific force in the plane that drag does not explain, m/s²; and how much of the lane's own noise.
 const DRAG_SIGMA_MPS2: f64 = 0.85;
 const DRAG_OWN: f64 = 3.0;
