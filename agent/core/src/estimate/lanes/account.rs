@@ -6,7 +6,7 @@ use plumbline_proto::v1::{DecoderStatus, FlagReason, SensorKind};
 
 use super::integral::Six;
 use super::slot::Slot;
-use super::{LANES, Lanes, part};
+use super::{Lanes, part};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::estimate::fdir::isolation::Evidence;
@@ -49,10 +49,9 @@ impl Lanes {
     pub(super) fn account(&mut self, slot: &Slot) {
         let evidence = &self.judges.evidence;
         let votes = self.judges.vote.against(&evidence.are_present());
-        for i in 0..LANES {
+        for (i, (announced, vote)) in self.fused.announced.iter_mut().zip(votes).enumerate() {
             // Announced when physics and vote agree; taken back when physics says so.
-            let agreed = votes[i] > AGREED || evidence.is_stuck(i) || self.fused.announced[i];
-            self.fused.announced[i] = evidence.is_excluded(i) && agreed;
+            *announced = evidence.is_excluded(i) && (*announced || vote > AGREED || evidence.is_stuck(i));
         }
         let common = self.common(&slot.imus);
         for (i, mean) in slot.imus.iter().enumerate() {

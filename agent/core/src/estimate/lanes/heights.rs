@@ -247,7 +247,7 @@ mod tests {
         for k in from..from + slots {
             let now = FlightTime(u64::from(k) * 40_000);
             for (i, off) in off_m.iter().enumerate() {
-                if (k as usize + i) % 3 == 0 {
+                if (k as usize + i).is_multiple_of(3) {
                     let noise = 0.007 * f64::from(k * 37 + i as u32 * 101).sin();
                     heights.take(i, now, off + noise - heights.off_m(i, 1.0));
                 }

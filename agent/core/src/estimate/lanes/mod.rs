@@ -4,7 +4,8 @@
 //! of blinding it. All lanes are corrected by the same sensors and couplings (`rows.rs`), at a fusion horizon
 //! 100 ms back, once for each slot of 40 ms. Evidence from their predictions (`evidence.rs`) and a small majority vote
 //! (`vote.rs`) give their weights; the laser heights are judged as a group (`heights.rs`). The estimate is the
-//! weighted mean of the lanes, brought from the horizon to now (`predictor.rs`).
+//! weighted mean of the lanes, brought from the horizon to now (`predictor.rs`), rate and attitude by the torques as
+//! commanded (`rates.rs`).
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
