@@ -22,6 +22,8 @@ const LEARNING_S: f64 = 7.0;
 const JUDGING_S: f64 = 3.0;
 /// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
 const RECTIFIED: f64 = 0.1;
+/// One-sigma of the thrust as commanded, over the mass, m/s².
+const THRUST_SIGMA_MPS2: f64 = 1.2;
 /// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
 const REST: (f64, f64) = (0.6, 0.06);
 /// Slots at rest before it counts.
@@ -106,7 +108,8 @@ impl Lanes {
         self.judges.evidence.forgive();
         let there = slot.imus.map(|mean| f64::from(u8::from(mean.is_some())));
         let count: f64 = there.iter().sum();
-        self.fused.mixture = Mixture { weights: there.map(|one| one / count.max(1.0)), biases: found.biases };
+        self.fused.mixture =
+            Mixture { weights: there.map(|one| one / count.max(1.0)), biases: found.biases, thrust: 0.0 };
         self.fused.at = at;
         self.rebase(slot);
     }
@@ -145,18 +148,24 @@ impl Lanes {
             unaided,
         };
         let common = self.common(&slot.imus);
+        // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
         let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
+        let rectified = shaken * RECTIFIED;
+        // Where it does so along the thrust, the thrust as commanded says more.
+        let squares = (rectified[2].powi(2), THRUST_SIGMA_MPS2.powi(2));
+        let share = if self.thrust.flies(slot.thrust_mps2) { squares.0 / (squares.0 + squares.1) } else { 0.0 };
+        self.fused.mixture.thrust = share;
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
         for (i, (lane, heard)) in self.lanes.iter_mut().zip(&mut heard).enumerate() {
             if self.fused.silent[i] > SILENT_SLOTS {
                 continue;
             }
-            // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
-            let shaken = shaken.map(|s| s * RECTIFIED);
-            let sigma = self.judges.noise.of(i).zip_map(&shaken, f64::hypot);
+            let mut sigma = self.judges.noise.of(i).zip_map(&rectified, f64::hypot);
+            sigma[2] = ((1.0 - share) * sigma[2]).hypot(share * THRUST_SIGMA_MPS2);
             // Without a sample of its own it goes on with the others'.
-            let mean = slot.imus[i].unwrap_or_else(|| common + lane.biases());
+            let mut mean = slot.imus[i].unwrap_or_else(|| common + lane.biases());
+            mean[2] += share * (slot.thrust_mps2 - (mean[2] - lane.accel_bias.z));
             lane.predict(end, &mean, &sigma, &self.model);
             let named = i == self.fused.best;
             let residuals = if named { &mut self.estimate.residuals } else { &mut scratch };

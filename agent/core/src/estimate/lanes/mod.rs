@@ -159,7 +159,7 @@ impl Lanes {
             },
             fused: Fused {
                 at: *predictor.now(),
-                mixture: Mixture { weights: [0.0; LANES], biases: [Six::zeros(); LANES] },
+                mixture: Mixture { weights: [0.0; LANES], biases: [Six::zeros(); LANES], thrust: 0.0 },
                 best: 0,
                 silent: [0; LANES],
                 announced: [false; LANES],
@@ -217,7 +217,7 @@ impl Estimator for Lanes {
         let (thrust_mps2, standing) = self.thrust.step(received, applied, dt_s);
         self.slots.gather(received, thrust_mps2, standing);
         self.saw(received);
-        self.predictor.follow(now, self.slots.integrals());
+        self.predictor.follow(now, self.slots.integrals(), thrust_mps2);
         self.turn(now, dt_s, thrust_mps2);
         while let Some(slot) = self.slots.close(now) {
             self.advance(&slot);

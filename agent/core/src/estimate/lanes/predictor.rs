@@ -18,6 +18,8 @@ const KEPT: usize = 160;
 struct Tick {
     time: FlightTime,
     totals: PerLane<Option<(Six, FlightTime)>>,
+    /// Thrust as commanded, over the mass, m/s².
+    thrust_mps2: f64,
 }
 
 /// How much each lane counts, and what is taken from its IMU.
@@ -27,6 +29,8 @@ pub struct Mixture {
     pub weights: PerLane<f64>,
     /// Biases.
     pub biases: PerLane<Six>,
+    /// Part of the thrust as commanded in the specific force along body z, 0..1.
+    pub thrust: f64,
 }
 
 /// See the module.
@@ -45,10 +49,10 @@ impl Predictor {
     pub fn new(gravity_mps2: f64) -> Self {
         let (zero, world_from_body) = (Vector3::zeros(), UnitQuaternion::identity());
         Self {
-            ticks: [Tick { time: FlightTime(0), totals: [None; LANES] }; KEPT],
+            ticks: [Tick { time: FlightTime(0), totals: [None; LANES], thrust_mps2: 0.0 }; KEPT],
             next: 0,
             filled: 0,
-            mixture: Mixture { weights: [0.0; LANES], biases: [Six::zeros(); LANES] },
+            mixture: Mixture { weights: [0.0; LANES], biases: [Six::zeros(); LANES], thrust: 0.0 },
             now: Kinematics { position_enu_m: zero, velocity_enu_mps: zero, world_from_body },
             gravity_mps2,
         }
@@ -59,10 +63,10 @@ impl Predictor {
         &self.now
     }
 
-    /// Moves on to the tick at `now`.
-    pub fn follow(&mut self, now: FlightTime, integrals: &PerLane<Integral>) {
+    /// Moves on to the tick at `now`, before which the thrust over the mass was `thrust_mps2`.
+    pub fn follow(&mut self, now: FlightTime, integrals: &PerLane<Integral>, thrust_mps2: f64) {
         let totals = std::array::from_fn(|i| integrals.get(i).and_then(|integral| integral.total_now(now)));
-        let tick = Tick { time: now, totals };
+        let tick = Tick { time: now, totals, thrust_mps2 };
         if self.filled > 0 {
             let before = self.ticks[(self.next + KEPT - 1) % KEPT];
             self.advance(&before, &tick);
@@ -77,7 +81,8 @@ impl Predictor {
         self.mixture = *mixture;
         self.now = *at;
         // The stretch is that of the first tick: a gap in between is found there.
-        let mut before = Tick { time, totals: totals.map(|total| total.map(|total| (total, FlightTime(0)))) };
+        let totals = totals.map(|total| total.map(|total| (total, FlightTime(0))));
+        let mut before = Tick { time, totals, thrust_mps2: 0.0 };
         for back in (1..=self.filled).rev() {
             let tick = self.ticks[(self.next + KEPT - back) % KEPT];
             if tick.time > time {
@@ -94,7 +99,7 @@ impl Predictor {
             return;
         }
         let (mut grown, mut weights) = (Six::zeros(), 0.0);
-        let Mixture { weights: all, biases } = self.mixture;
+        let Mixture { weights: all, biases, thrust } = self.mixture;
         for (((before, after), weight), bias) in from.totals.iter().zip(&to.totals).zip(all).zip(&biases) {
             let Some(((before, _), (after, stretch))) = before.zip(*after) else { continue };
             // Before its stretch began there was a gap: what lies across it is no growth.
@@ -105,7 +110,8 @@ impl Predictor {
         }
         let k = &mut self.now;
         let (force, turned) = if weights > 1e-6 {
-            let grown = grown / weights;
+            let mut grown = grown / weights;
+            grown[2] += thrust * (to.thrust_mps2 * dt - grown[2]);
             (grown.fixed_rows::<3>(0).into_owned(), grown.fixed_rows::<3>(3).into_owned())
         } else {
             // No IMU: it goes on as it goes.
