@@ -91,7 +91,7 @@ fn hold(world: &str, rig: &str, seed: u64, attack: &str, kind: EstimatorKind) ->
 /// centimetres, the tilt known to half a degree, and no healthy sensor announced as excluded.
 #[test]
 fn with_one_sensor_attacked_it_holds_and_accuses_no_other() {
-    for (world, rms_m) in [("bench", 0.005), ("datasheet", 0.03)] {
+    for (world, rms_m) in [("bench", 0.003), ("datasheet", 0.025)] {
         for (attack, seed) in ATTACKS.into_iter().zip(1..) {
             let held = hold(world, RIGS[seed as usize % 2], seed, attack, EstimatorKind::Lanes);
             println!("{world}, seed {seed}, {attack:?}: {held:?}");
@@ -112,10 +112,10 @@ fn with_one_sensor_attacked_it_holds_and_accuses_no_other() {
     }
 }
 
-/// GIVEN the harshest world, in which `ekf_bias` and `secure` end in a failsafe every time WHEN the lanes are in the loop THEN most
-/// flights need none. It is no precise flight: decimetres.
+/// GIVEN the harshest world, in which `ekf_bias` and `secure` end in a failsafe every time WHEN the lanes are in the loop THEN it is
+/// flown. It is no precise flight: a decimetre.
 #[test]
-fn in_the_harshest_world_most_flights_need_no_failsafe() {
+fn in_the_harshest_world_it_flies() {
     let mut kept = 0;
     for rig in RIGS {
         for seed in 1..=4 {
@@ -123,11 +123,11 @@ fn in_the_harshest_world_most_flights_need_no_failsafe() {
             println!("{rig:?}, seed {seed}: {held:?}");
             if held.failsafes.is_empty() {
                 kept += 1;
-                assert!(held.rms_m < 0.35 && held.tilt_deg < 4.0, "seed {seed}: {held:?}");
+                assert!(held.rms_m < 0.25 && held.tilt_deg < 4.0, "seed {seed}: {held:?}");
             }
         }
         let other = hold("harsh", rig, 1, "", EstimatorKind::EkfBias);
         assert!(!other.failsafes.is_empty(), "ekf_bias flies it now: compare anew. {other:?}");
     }
-    assert!(kept >= 5, "{kept} of 8");
+    assert!(kept >= 7, "{kept} of 8");
 }

@@ -18,8 +18,9 @@ use nalgebra::Vector3;
 const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
 /// Lanes that contradict each other for so many slots degrade.
 const CONTRADICTED_SLOTS: u32 = 25;
-/// An exclusion is announced where the vote holds so much against the lane.
-const AGREED: f64 = 0.4;
+/// An exclusion is announced where the vote holds so much against the lane, and as long as it holds so much.
+const AGREED: f64 = 0.6;
+const STILL_AGREED: f64 = 0.2;
 /// Gate of an IMU's residual, in its σ.
 const GATE: f64 = 5.0;
 
@@ -50,8 +51,9 @@ impl Lanes {
         let evidence = &self.judges.evidence;
         let votes = self.judges.vote.against(&evidence.are_present());
         for (i, (announced, vote)) in self.fused.announced.iter_mut().zip(votes).enumerate() {
-            // Announced when physics and vote agree; taken back when physics says so.
-            *announced = evidence.is_excluded(i) && (*announced || vote > AGREED || evidence.is_stuck(i));
+            // Announced when physics and vote agree; taken back when either no longer does.
+            let agreed = vote > if *announced { STILL_AGREED } else { AGREED };
+            *announced = evidence.is_excluded(i) && (agreed || evidence.is_stuck(i));
         }
         let common = self.common(&slot.imus);
         for (i, mean) in slot.imus.iter().enumerate() {
