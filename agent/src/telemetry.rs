@@ -378,11 +378,11 @@ impl Telemetry {
 
     /// With every window decoded.
     fn secure(&mut self, flight: &Flight, now: FlightTime, around: &Around<'_>) {
-        let Some(secure) = flight.secure() else { return };
-        self.tracking.tick(flight, secure, around.recorded());
-        if self.windows != secure.window().count {
-            self.windows = secure.window().count;
-            secure::fill(&mut self.kept.secure, now, secure, &self.tracking, around.audit);
+        let Some(judge) = secure::Judge::of(flight) else { return };
+        self.tracking.tick(flight, judge, around.recorded());
+        if self.windows != judge.window().count {
+            self.windows = judge.window().count;
+            secure::fill(&mut self.kept.secure, now, judge, &self.tracking, around.audit);
             self.outlets.send(Kind::Secure, 0, now, &self.kept.secure);
         }
     }

@@ -1,7 +1,9 @@
 //! The tick allocates nothing, and the same seed gives the same bits.
 #![allow(clippy::unwrap_used)]
 
+use plumbline_agent::sim::Scenario;
 use plumbline_agent::telemetry::{Around, Outlet, Telemetry};
+use plumbline_agent::types::EstimatorKind;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_support::counting::{self, Counting};
 use plumbline_support::flown::{Flown, identification, scenario};
@@ -13,7 +15,10 @@ static ALLOCATOR: Counting = Counting;
 fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
     let toml = scenario("altitude_step")
         + &scenario("height_attack").split_once("[[attack]]").map_or(String::new(), |a| format!("[[attack]]{}", a.1));
-    let mut f = Flown::new(&toml);
+    let scenario = Scenario::from_toml(&toml).unwrap();
+    let mut config = scenario.flight_config();
+    config.estimators.push(EstimatorKind::Lanes);
+    let mut f = Flown::with_config(scenario, config);
     let schedule = f.scenario.attacks.clone();
     assert_eq!(schedule.attacks.len(), 1);
     let mut radio = telemetry_of(&f, 32 << 20);

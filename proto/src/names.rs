@@ -12,7 +12,7 @@ const FORMER: [(&str, EstimatorKind); 3] = [
 impl EstimatorKind {
     /// The names of all of them, for messages.
     pub const NAMES: &str =
-        "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf, secure, attitude_ekf";
+        "ekf_bias, complementary, ekf_hybrid, ukf, constant_acceleration, vqf, secure, attitude_ekf, lanes";
 
     /// The estimator called `name`: the lower-snake-case name of the wire (`ekf_bias`), or what it was called once.
     pub fn named(name: &str) -> Option<Self> {
@@ -56,6 +56,7 @@ mod tests {
             ("point_mass", EstimatorKind::ConstantAcceleration),
             ("ekf_bias", EstimatorKind::EkfBias),
             ("secure", EstimatorKind::Secure),
+            ("lanes", EstimatorKind::Lanes),
         ] {
             assert_eq!(EstimatorKind::named(name), Some(kind), "{name}");
         }

@@ -42,6 +42,7 @@ const OTHER_3: Ink = Ink::new(0x00573f, 0x0f7f60, "var(--other-3)");
 const OTHER_4: Ink = Ink::new(0x7d3a60, 0x9c567e, "var(--other-4)");
 const OTHER_5: Ink = Ink::new(0x5fb08f, 0xa5ecd4, "var(--other-5)");
 const OTHER_6: Ink = Ink::new(0xa78bd0, 0xc8b6f0, "var(--other-6)");
+const OTHER_7: Ink = Ink::new(0x4b3f9e, 0x8f86e8, "var(--other-7)");
 /// Raw sensor.
 pub const SENSOR_1: Ink = Ink::new(0xe69f00, 0xe69f00, "var(--sensor-1)");
 /// Raw sensor.
@@ -66,6 +67,7 @@ pub fn estimator(number: u16, in_loop: u16) -> Ink {
         Kind::EkfHybrid => OTHER_3,
         Kind::Ukf => OTHER_4,
         Kind::ConstantAcceleration => OTHER_5,
+        Kind::Lanes => OTHER_7,
         // An attitude filter has no altitude: never in the same chart.
         Kind::Secure | Kind::Vqf | Kind::AttitudeEkf | Kind::Unspecified => OTHER_2,
     }
@@ -120,7 +122,7 @@ mod tests {
             assert_ne!(ink.css(), ATTACK.css());
         }
         assert_eq!(estimator(3, 3), IN_LOOP);
-        let with_altitude = [1, 2, 3, 4, 5, 7];
+        let with_altitude = [1, 2, 3, 4, 5, 7, 9];
         for (i, one) in with_altitude.iter().enumerate() {
             assert!(with_altitude[..i].iter().all(|other| estimator(*one, 1) != estimator(*other, 1)), "{one}");
         }

@@ -23,6 +23,7 @@ use crate::control::in_loop::InLoop;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
 use crate::estimate::bank::{Bank, BankError, build};
+use crate::estimate::lanes::Lanes;
 use crate::estimate::secure::Secure;
 use crate::estimate::{Estimate, Estimator, Motion};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
@@ -278,6 +279,11 @@ impl Flight {
     /// The secure estimator, where it runs.
     pub fn secure(&self) -> Option<&Secure> {
         self.bank.secure()
+    }
+
+    /// The estimator by lanes, where it runs.
+    pub fn lanes(&self) -> Option<&Lanes> {
+        self.bank.lanes()
     }
 
     /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed.

@@ -4,14 +4,52 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1;
 
 use super::Audit;
-use crate::estimate::fdir::isolation::{FlagReason, KINDS, MAX_DEVICES};
-use crate::estimate::secure::Secure;
+use crate::estimate::fdir::isolation::{FlagReason, Isolation, KINDS, MAX_DEVICES};
+use crate::estimate::lanes::Lanes;
+use crate::estimate::secure::{Secure, WindowReport};
 use crate::flight::Flight;
-use crate::types::Mode;
+use crate::types::{EstimatorKind, Mode};
 use crate::vehicle::RecordedControl;
 
 /// e is taken over this long, s.
 const WINDOW_S: f64 = 10.0;
+
+/// Whose account is told: of the two that judge sensors, the one in the loop, else `secure`.
+#[derive(Clone, Copy)]
+pub(super) enum Judge<'a> {
+    Secure(&'a Secure),
+    Lanes(&'a Lanes),
+}
+
+impl<'a> Judge<'a> {
+    /// Of `flight`, where one runs.
+    pub(super) fn of(flight: &'a Flight) -> Option<Self> {
+        let lanes = flight.lanes().map(Self::Lanes);
+        let secure = flight.secure().map(Self::Secure);
+        if flight.estimator_in_loop() == EstimatorKind::Lanes { lanes } else { secure.or(lanes) }
+    }
+
+    pub(super) fn window(self) -> &'a WindowReport {
+        match self {
+            Self::Secure(secure) => secure.window(),
+            Self::Lanes(lanes) => lanes.window(),
+        }
+    }
+
+    fn isolation(self) -> &'a Isolation {
+        match self {
+            Self::Secure(secure) => secure.isolation(),
+            Self::Lanes(lanes) => lanes.isolation(),
+        }
+    }
+
+    fn secure(self) -> Option<&'a Secure> {
+        match self {
+            Self::Secure(secure) => Some(secure),
+            Self::Lanes(_) => None,
+        }
+    }
+}
 
 /// rms of altitude − setpoint while altitude is controlled: over the last seconds (e), and over all the time
 /// in which nothing was flagged (e*). By the estimate in the loop: the vehicle has no truth.
@@ -25,7 +63,7 @@ pub(super) struct Tracking {
 
 impl Tracking {
     /// One tick of `flight`, or of the recording that is flown again.
-    pub(super) fn tick(&mut self, flight: &Flight, secure: &Secure, recorded: Option<&RecordedControl>) {
+    pub(super) fn tick(&mut self, flight: &Flight, judge: Judge<'_>, recorded: Option<&RecordedControl>) {
         let report = flight.report();
         let now = report.sensed.time;
         let dt_s = self.last.map_or(0.0, |last| now.seconds_since(last)).clamp(0.0, 0.1);
@@ -44,7 +82,7 @@ impl Tracking {
         }
         let recent = self.recent_m2.get_or_insert(square);
         *recent += (square - *recent) * (dt_s / WINDOW_S).min(1.0);
-        if secure.isolation().devices().iter().all(|d| d.flagged.is_none()) {
+        if judge.isolation().devices().iter().all(|d| d.flagged.is_none()) {
             self.clean_ticks += 1.0;
             self.clean_m2 += (square - self.clean_m2) / self.clean_ticks;
         }
@@ -71,16 +109,16 @@ pub(super) fn with_room() -> v1::SecureStatus {
 pub(super) fn fill(
     into: &mut v1::SecureStatus,
     now: FlightTime,
-    secure: &Secure,
+    judge: Judge<'_>,
     tracking: &Tracking,
     audit: Option<Audit>,
 ) {
-    let window = secure.window();
+    let window = judge.window();
     into.time_us = now.0;
     into.set_status(window.status);
     into.set_fallback(window.fallback);
     into.sensors.clear();
-    into.sensors.extend(secure.isolation().devices().iter().map(|d| v1::SecureSensor {
+    into.sensors.extend(judge.isolation().devices().iter().map(|d| v1::SecureSensor {
         sensor: d.sensor.kind as i32,
         instance: u32::from(d.sensor.instance),
         present: d.present,
@@ -91,7 +129,7 @@ pub(super) fn fill(
         flagged_since_us: d.flagged.map_or(0, |(since, _)| since.0),
     }));
     into.margins.clear();
-    let margins = KINDS.iter().map(|kind| secure.isolation().margin(*kind)).filter(|m| m.present > 0);
+    let margins = KINDS.iter().map(|kind| judge.isolation().margin(*kind)).filter(|m| m.present > 0);
     into.margins.extend(margins.map(|m| v1::SecureMargin {
         sensor: m.kind as i32,
         present: m.present as u32,
@@ -107,12 +145,16 @@ pub(super) fn fill(
     into.audit_difference = audit.map(|a| a.difference);
     into.audit_time_us = audit.map_or(0, |a| a.time.0);
     into.decoded_height_m = window.height_m;
-    into.height_bound_m = secure.height_bound_m();
-    let d = secure.disturbance_enu_n();
-    into.disturbance_enu_n = Some(v1::Vector3 { x: d.x, y: d.y, z: d.z });
     into.tracking_error_m = tracking.error_m();
     into.reference_error_m = tracking.reference_m();
-    into.resets = secure.resets();
-    into.set_decoder(secure.decoder());
-    into.window_slots = secure.slots() as u32;
+    // What only the decoder of a window has.
+    let secure = judge.secure();
+    into.height_bound_m = secure.and_then(Secure::height_bound_m);
+    into.disturbance_enu_n = secure.map(|secure| {
+        let d = secure.disturbance_enu_n();
+        v1::Vector3 { x: d.x, y: d.y, z: d.z }
+    });
+    into.resets = secure.map_or(0, Secure::resets);
+    into.set_decoder(secure.map_or(v1::Decoder::Unspecified, Secure::decoder));
+    into.window_slots = secure.map_or(0, |secure| secure.slots() as u32);
 }

@@ -88,6 +88,7 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
         EstimatorKind::Vqf => "VQF",
         EstimatorKind::AttitudeEkf => "Attitude EKF",
         EstimatorKind::Secure => "Secure",
+        EstimatorKind::Lanes => "Lanes (secure)",
     }
 }
 

@@ -13,6 +13,7 @@ use super::constant_acceleration::ConstantAccelerationEstimator;
 use super::ekf_bias::EkfBias;
 use super::filter::ekf_hybrid::EkfHybrid;
 use super::filter::ukf::Ukf;
+use super::lanes::Lanes;
 use super::secure::Decoder;
 use super::secure::Secure;
 use super::twelve_state::TwelveStateEstimator;
@@ -78,6 +79,7 @@ pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estim
             let secure = Secure::new(sensors, airframe, assumed.window_slots);
             Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
         }
+        EstimatorKind::Lanes => Box::new(Lanes::new(sensors, airframe)),
         other => return Err(BankError::NotAvailable(other)),
     })
 }
@@ -174,6 +176,11 @@ impl Bank {
     /// The secure estimator, where it runs.
     pub fn secure(&self) -> Option<&Secure> {
         self.estimators.iter().find_map(|estimator| estimator.secure())
+    }
+
+    /// The estimator by lanes, where it runs.
+    pub fn lanes(&self) -> Option<&Lanes> {
+        self.estimators.iter().find_map(|estimator| estimator.lanes())
     }
 
     /// Makes the secure estimator solve another program.

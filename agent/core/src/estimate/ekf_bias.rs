@@ -21,15 +21,15 @@
 //!
 //! Assumes: a flat, still world (no Earth rate), IMUs near the centre of mass.
 
-mod aiding;
-mod align;
-mod covariance;
+pub(super) mod aiding;
+pub(super) mod align;
+pub(super) mod covariance;
 mod heading;
 mod history;
 mod idle;
 mod imus;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 mod vertical;
 mod yaw;
 
@@ -265,7 +265,8 @@ impl EkfBias {
     fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
         let ImuModel { gyro, accel, gravity_mps2, .. } = &self.model.imus;
         let share = 1.0 / self.imus.used() as f64;
-        let density = |of: &TriaxialModel| of.noise_density.powi(2) * share + of.common_noise_density.powi(2);
+        let density =
+            |of: &TriaxialModel| Vector3::repeat(of.noise_density.powi(2) * share + of.common_noise_density.powi(2));
         let noise = Noise {
             accel: density(accel),
             gyro: density(gyro),

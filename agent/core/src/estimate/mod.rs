@@ -12,6 +12,7 @@ pub mod constant_acceleration;
 pub mod ekf_bias;
 pub mod fdir;
 pub mod filter;
+pub mod lanes;
 pub mod secure;
 pub mod twelve_state;
 pub mod vqf;
@@ -215,6 +216,11 @@ pub trait Estimator: std::any::Any + Send {
 impl dyn Estimator {
     /// The secure estimator, where it is one.
     pub fn secure(&self) -> Option<&secure::Secure> {
+        (self as &dyn std::any::Any).downcast_ref()
+    }
+
+    /// The estimator by lanes, where it is one.
+    pub fn lanes(&self) -> Option<&lanes::Lanes> {
         (self as &dyn std::any::Any).downcast_ref()
     }
 

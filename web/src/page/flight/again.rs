@@ -12,9 +12,10 @@ use crate::{
 };
 
 /// Estimators that a recording can be flown under.
-const ESTIMATORS: [EstimatorKind; 5] = [
+const ESTIMATORS: [EstimatorKind; 6] = [
     EstimatorKind::EkfBias,
     EstimatorKind::Secure,
+    EstimatorKind::Lanes,
     EstimatorKind::EkfHybrid,
     EstimatorKind::Ukf,
     EstimatorKind::ConstantAcceleration,

@@ -27,7 +27,7 @@ pub const HORIZONTAL_MEMORY_S: f64 = 3.0;
 pub const VERTICAL_MEMORY_S: f64 = 2.0;
 
 /// The row over the error states of a scalar `of` a sensor, `delay_s` old.
-pub(super) fn row(of: (SensorId, Channel), measured: &Row, noise: Accuracy, delay_s: f64) -> ScalarRow<N> {
+pub fn row(of: (SensorId, Channel), measured: &Row, noise: Accuracy, delay_s: f64) -> ScalarRow<N> {
     let mut h = ErrorState::zeros();
     h.fixed_rows_mut::<3>(ix::POSITION).copy_from(&measured.d_position);
     // A sample of age τ saw p(t − τ) ≈ p − τ v.
@@ -190,6 +190,6 @@ impl EkfBias {
     }
 }
 
-pub(super) fn finite(v: &Vector3<f64>) -> bool {
+pub fn finite(v: &Vector3<f64>) -> bool {
     v.iter().all(|x| x.is_finite())
 }

@@ -39,10 +39,10 @@ pub type ErrorState = SVector<f64, N>;
 /// Noise added per second, as variances.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise {
-    /// Of the specific force, (m/s²)²/Hz.
-    pub accel: f64,
-    /// Of the angular rate, (rad/s)²/Hz.
-    pub gyro: f64,
+    /// Of the specific force along the world axes, (m/s²)²/Hz.
+    pub accel: Vector3<f64>,
+    /// Of the angular rate about the world axes, (rad/s)²/Hz.
+    pub gyro: Vector3<f64>,
     /// Walk of the accelerometer bias, (m/s²)²/s, and the variance beyond which it stops.
     pub accel_bias: (f64, f64),
     /// Walk of the gyroscope bias, (rad/s)²/s, and the variance beyond which it stops.
@@ -68,11 +68,11 @@ pub fn propagate(p: &mut Covariance, force_world: &Vector3<f64>, rotation: &Matr
 
     for i in 0..3 {
         let (position, velocity) = (ix::POSITION + i, ix::VELOCITY + i);
-        p[(position, position)] += noise.accel * dt * dt * dt / 3.0;
-        p[(position, velocity)] += noise.accel * dt * dt / 2.0;
-        p[(velocity, position)] += noise.accel * dt * dt / 2.0;
-        p[(velocity, velocity)] += noise.accel * dt;
-        p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] += noise.gyro * dt;
+        p[(position, position)] += noise.accel[i] * dt * dt * dt / 3.0;
+        p[(position, velocity)] += noise.accel[i] * dt * dt / 2.0;
+        p[(velocity, position)] += noise.accel[i] * dt * dt / 2.0;
+        p[(velocity, velocity)] += noise.accel[i] * dt;
+        p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] += noise.gyro[i] * dt;
         for (start, (walk, most)) in [(ix::ACCEL_BIAS, noise.accel_bias), (ix::GYRO_BIAS, noise.gyro_bias)] {
             if p[(start + i, start + i)] < most {
                 p[(start + i, start + i)] += walk * dt;
@@ -146,8 +146,13 @@ mod tests {
         a * a.transpose() + Covariance::identity() * 0.01
     }
 
-    const NOISE: Noise =
-        Noise { accel: 1e-4, gyro: 1e-6, accel_bias: (1e-7, 1e9), gyro_bias: (1e-10, 1e9), barometer: 1e-4 };
+    const NOISE: Noise = Noise {
+        accel: Vector3::new(1e-4, 1e-4, 1e-4),
+        gyro: Vector3::new(1e-6, 1e-6, 1e-6),
+        accel_bias: (1e-7, 1e9),
+        gyro_bias: (1e-10, 1e9),
+        barometer: 1e-4,
+    };
 
     fn dense(force: &Vector3<f64>, rotation: &Matrix3<f64>, dt: f64) -> Covariance {
         let (a, b) = (-skew(force), -rotation);
@@ -166,7 +171,9 @@ mod tests {
         for seed in 0..5 {
             let p0 = random_covariance(seed);
             let mut p = p0;
-            let quiet = Noise { accel: 0.0, gyro: 0.0, accel_bias: (0.0, 0.0), gyro_bias: (0.0, 0.0), barometer: 0.0 };
+            let none = Vector3::zeros();
+            let quiet =
+                Noise { accel: none, gyro: none, accel_bias: (0.0, 0.0), gyro_bias: (0.0, 0.0), barometer: 0.0 };
             propagate(&mut p, &force, &rotation, 0.01, &quiet);
             let phi = dense(&force, &rotation, 0.01);
             let expected = phi * p0 * phi.transpose();

@@ -1,6 +1,6 @@
 //! The filter in a small world of its own: smooth known motion, white noise of known size.
 
-mod world;
+pub(in crate::estimate) mod world;
 
 use self::world::{Course, HOVER, LIVELY, RATE_HZ, World, errors, height_residual, tilt_error};
 use super::*;

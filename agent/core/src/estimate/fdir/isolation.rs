@@ -269,6 +269,16 @@ impl Isolation {
         self.contradicted = 0;
     }
 
+    /// Takes evidence and verdict of another judge: the flags are what `judged` says of each sensor.
+    pub fn announce(&mut self, now: FlightTime, judged: impl Fn(SensorId) -> (Evidence, Option<FlagReason>)) {
+        for device in &mut self.devices {
+            device.present = now.seconds_since(device.seen) <= PRESENT_S;
+            let (evidence, verdict) = judged(device.sensor);
+            device.evidence = evidence;
+            device.flagged = verdict.map(|reason| (device.flagged.map_or(now, |(since, _)| since), reason));
+        }
+    }
+
     /// Why `index`, not yet flagged, should be.
     fn reason(&self, index: usize) -> Option<FlagReason> {
         let d = self.devices.get(index).filter(|d| d.flagged.is_none() && d.present)?;

@@ -44,21 +44,45 @@ impl<const N: usize> ScalarRow<N> {
     /// finite. A finite one leaves its residual either way.
     #[must_use]
     pub fn correct(&self, p: &mut SMatrix<f64, N, N>, residuals: &mut Residuals) -> Option<SVector<f64, N>> {
+        let (ph, s) = self.predicted(p)?;
+        let accepted = !self.refused && self.innovation.abs() <= self.gate * s.sqrt();
+        self.leave(s, accepted, residuals);
+        accepted.then(|| self.update(p, &ph, s, 0.0))
+    }
+
+    /// As [`Self::correct`], but no gate rejects: beyond `knee` sigmas the noise counts as larger, so that the correction
+    /// grows no further than with the square root of the innovation (after Huber 1964). Beside δx, the squared ratio
+    /// (y − ŷ)² / s.
+    #[must_use]
+    pub fn correct_robustly(
+        &self,
+        knee: f64,
+        p: &mut SMatrix<f64, N, N>,
+        residuals: &mut Residuals,
+    ) -> Option<(SVector<f64, N>, f64)> {
+        let (ph, s) = self.predicted(p)?;
+        self.leave(s, !self.refused, residuals);
+        let ratio = self.innovation.abs() / s.sqrt();
+        let widened = s * (ratio / knee - 1.0).max(0.0);
+        (!self.refused).then(|| (self.update(p, &ph, s, widened), ratio * ratio))
+    }
+
+    /// P hᵀ and s, where the row is finite.
+    fn predicted(&self, p: &SMatrix<f64, N, N>) -> Option<(SVector<f64, N>, f64)> {
         let (ph, s) = kalman::innovation_variance(p, &self.h, self.variance);
-        if !(self.innovation.is_finite() && s.is_finite() && s > 0.0) {
-            return None;
-        }
-        let sigma = s.sqrt();
-        let accepted = !self.refused && self.innovation.abs() <= self.gate * sigma;
+        (self.innovation.is_finite() && s.is_finite() && s > 0.0).then_some((ph, s))
+    }
+
+    fn leave(&self, s: f64, accepted: bool, residuals: &mut Residuals) {
         if let Some((sensor, channel)) = self.of {
-            let residual = Residual::gated(sensor, channel, self.innovation, sigma, self.gate);
+            let residual = Residual::gated(sensor, channel, self.innovation, s.sqrt(), self.gate);
             let _ = residuals.try_push(Residual { accepted, ..residual });
         }
-        if !accepted {
-            return None;
-        }
-        let k = ph / s;
-        kalman::correct_scalar(p, &self.h, self.variance, &k);
-        Some(k * self.innovation)
+    }
+
+    fn update(&self, p: &mut SMatrix<f64, N, N>, ph: &SVector<f64, N>, s: f64, widened: f64) -> SVector<f64, N> {
+        let k = ph / (s + widened);
+        kalman::correct_scalar(p, &self.h, self.variance + widened, &k);
+        k * self.innovation
     }
 }

@@ -12,33 +12,33 @@ use crate::frames::from_roll_pitch_yaw;
 use crate::sensor::{GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame, SensorModel};
 use crate::vehicle::Truth;
 
-pub(super) const RATE_HZ: f64 = 200.0;
+pub(in crate::estimate) const RATE_HZ: f64 = 200.0;
 const FIELD_ENU_UT: Vector3<f64> = Vector3::new(0.0, 22.0, -40.0);
 
 /// What moves, and how much.
 #[derive(Clone, Copy)]
-pub(super) struct Course {
-    pub(super) position_m: f64,
-    pub(super) tilt_rad: f64,
-    pub(super) yaw_radps: f64,
+pub(in crate::estimate) struct Course {
+    pub(in crate::estimate) position_m: f64,
+    pub(in crate::estimate) tilt_rad: f64,
+    pub(in crate::estimate) yaw_radps: f64,
 }
 
-pub(super) const HOVER: Course = Course { position_m: 0.0, tilt_rad: 0.0, yaw_radps: 0.0 };
-pub(super) const LIVELY: Course = Course { position_m: 1.5, tilt_rad: 0.4, yaw_radps: 0.5 };
+pub(in crate::estimate) const HOVER: Course = Course { position_m: 0.0, tilt_rad: 0.0, yaw_radps: 0.0 };
+pub(in crate::estimate) const LIVELY: Course = Course { position_m: 1.5, tilt_rad: 0.4, yaw_radps: 0.5 };
 
-pub(super) struct World {
+pub(in crate::estimate) struct World {
     motion: Course,
     rng: Xoshiro256PlusPlus,
-    pub(super) accel_bias: [Vector3<f64>; 4],
-    pub(super) gyro_bias: [Vector3<f64>; 4],
-    pub(super) imus: usize,
+    pub(in crate::estimate) accel_bias: [Vector3<f64>; 4],
+    pub(in crate::estimate) gyro_bias: [Vector3<f64>; 4],
+    pub(in crate::estimate) imus: usize,
     gyro_sigma: f64,
     accel_sigma: f64,
-    pub(super) tick: u64,
+    pub(in crate::estimate) tick: u64,
 }
 
 impl World {
-    pub(super) fn new(motion: Course, seed: u64) -> Self {
+    pub(in crate::estimate) fn new(motion: Course, seed: u64) -> Self {
         let o = SensorModel::default();
         let mut w = Self {
             motion,
@@ -57,30 +57,30 @@ impl World {
         w
     }
 
-    pub(super) fn scalar(&mut self, sigma: f64) -> f64 {
+    pub(in crate::estimate) fn scalar(&mut self, sigma: f64) -> f64 {
         let x: f64 = StandardNormal.sample(&mut self.rng);
         sigma * x
     }
 
-    pub(super) fn noise(&mut self, sigma: f64) -> Vector3<f64> {
+    pub(in crate::estimate) fn noise(&mut self, sigma: f64) -> Vector3<f64> {
         Vector3::new(self.scalar(sigma), self.scalar(sigma), self.scalar(sigma))
     }
 
-    pub(super) fn time(&self) -> FlightTime {
+    pub(in crate::estimate) fn time(&self) -> FlightTime {
         FlightTime((self.tick as f64 / RATE_HZ * 1e6).round() as u64)
     }
 
-    pub(super) fn position(&self, t: f64) -> Vector3<f64> {
+    pub(in crate::estimate) fn position(&self, t: f64) -> Vector3<f64> {
         let a = self.motion.position_m;
         Vector3::new(a * (0.9 * t).sin(), a * (0.7 * t + 1.0).sin(), 1.5 + 0.3 * a * (1.3 * t).cos())
     }
 
-    pub(super) fn attitude(&self, t: f64) -> UnitQuaternion<f64> {
+    pub(in crate::estimate) fn attitude(&self, t: f64) -> UnitQuaternion<f64> {
         let a = self.motion.tilt_rad;
         from_roll_pitch_yaw(&Vector3::new(a * (1.7 * t).sin(), a * (1.1 * t).cos(), 0.3 + self.motion.yaw_radps * t))
     }
 
-    pub(super) fn truth(&self) -> Truth {
+    pub(in crate::estimate) fn truth(&self) -> Truth {
         let t = self.tick as f64 / RATE_HZ;
         let h = 1e-3;
         let d = |f: &dyn Fn(f64) -> Vector3<f64>| (f(t + h) - f(t - h)) / (2.0 * h);
@@ -100,7 +100,7 @@ impl World {
     }
 
     /// The next frame: IMUs only. The other sensors are added by the tests.
-    pub(super) fn frame(&mut self, with_field: bool) -> (SensorFrame, Truth) {
+    pub(in crate::estimate) fn frame(&mut self, with_field: bool) -> (SensorFrame, Truth) {
         self.tick += 1;
         let truth = self.truth();
         let mut frame = SensorFrame { time: truth.time, ..SensorFrame::default() };
@@ -122,11 +122,11 @@ impl World {
         (frame, truth)
     }
 
-    pub(super) fn every(&self, hz: f64) -> bool {
+    pub(in crate::estimate) fn every(&self, hz: f64) -> bool {
         self.tick.is_multiple_of((RATE_HZ / hz).round() as u64)
     }
 
-    pub(super) fn heights(&mut self, frame: &mut SensorFrame, truth: &Truth, attack: f64) {
+    pub(in crate::estimate) fn heights(&mut self, frame: &mut SensorFrame, truth: &Truth, attack: f64) {
         // In turns, as the default suite does: 10 Hz each, 35 ms apart.
         for i in 0..3 {
             if (self.tick + 7 * i as u64).is_multiple_of(20) {
@@ -137,7 +137,7 @@ impl World {
         }
     }
 
-    pub(super) fn mocap(&mut self, frame: &mut SensorFrame, truth: &Truth) {
+    pub(in crate::estimate) fn mocap(&mut self, frame: &mut SensorFrame, truth: &Truth) {
         if self.every(20.0) {
             let turn = UnitQuaternion::from_scaled_axis(self.noise(0.01));
             frame.mocap_pose = Some(MocapPoseSample {
@@ -148,7 +148,7 @@ impl World {
         }
     }
 
-    pub(super) fn gnss(&mut self, frame: &mut SensorFrame, truth: &Truth, sigma: f64) {
+    pub(in crate::estimate) fn gnss(&mut self, frame: &mut SensorFrame, truth: &Truth, sigma: f64) {
         frame.gnss = Some(GnssSample {
             time: truth.time,
             position_enu_m: truth.position_enu_m + self.noise(sigma),
@@ -161,12 +161,12 @@ impl World {
     }
 }
 
-pub(super) fn tilt_error(e: &Estimate, t: &Truth) -> f64 {
+pub(in crate::estimate) fn tilt_error(e: &Estimate, t: &Truth) -> f64 {
     let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
     up(&e.world_from_body).angle(&up(&t.world_from_body))
 }
 
-pub(super) fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<f64, 15> {
+pub(in crate::estimate) fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<f64, 15> {
     let e = filter.estimate();
     let estimated = e.kinematics();
     let mut x = SVector::<f64, 15>::zeros();
@@ -178,6 +178,6 @@ pub(super) fn errors(filter: &EkfBias, world: &World, truth: &Truth) -> SVector<
     x
 }
 
-pub(super) fn height_residual(e: &Estimate, instance: u8) -> Option<Residual> {
+pub(in crate::estimate) fn height_residual(e: &Estimate, instance: u8) -> Option<Residual> {
     e.residuals.iter().find(|r| r.channel == Channel::Height && r.sensor.instance == instance).copied()
 }

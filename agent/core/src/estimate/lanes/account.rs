@@ -1,0 +1,147 @@
+//! What is told of it: the estimate, residuals, and the attacked set.
+
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::{DecoderStatus, FlagReason, SensorKind};
+
+use super::integral::Six;
+use super::slot::Slot;
+use super::{Lanes, part};
+use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
+use crate::estimate::ekf_bias::covariance::ix;
+use crate::estimate::fdir::isolation::Evidence;
+use crate::estimate::{Channel, Health, Motion, Residual};
+use crate::sensor::SensorFrame;
+use nalgebra::Vector3;
+
+/// A tilt less certain than this is degraded, rad.
+const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
+/// Lanes that contradict each other for so many slots degrade.
+const CONTRADICTED_SLOTS: u32 = 25;
+/// An exclusion is announced where the vote holds so much against the lane, and as long as it holds so much.
+const AGREED: f64 = 0.6;
+const STILL_AGREED: f64 = 0.2;
+/// Gate of an IMU's residual, in its σ.
+const GATE: f64 = 5.0;
+
+const CHANNELS: [Channel; 6] =
+    [Channel::AccelX, Channel::AccelY, Channel::AccelZ, Channel::GyroX, Channel::GyroY, Channel::GyroZ];
+
+fn imu(index: usize) -> SensorId {
+    SensorId::new(SensorKind::Imu, index as u8 + 1)
+}
+
+fn height(index: usize) -> SensorId {
+    SensorId::new(SensorKind::Height, index as u8 + 1)
+}
+
+impl Lanes {
+    /// Sensors of this frame are there.
+    pub(super) fn saw(&mut self, frame: &SensorFrame) {
+        for (i, _) in frame.imus.iter().enumerate().filter(|(_, sample)| sample.is_some()) {
+            self.isolation.saw(imu(i), frame.time);
+        }
+        for (i, _) in frame.heights.iter().enumerate().filter(|(_, sample)| sample.is_some()) {
+            self.isolation.saw(height(i), frame.time);
+        }
+    }
+
+    /// Residuals and attacked set of a slot.
+    pub(super) fn account(&mut self, slot: &Slot) {
+        let evidence = &self.judges.evidence;
+        let votes = self.judges.vote.against(&evidence.are_present());
+        for (i, (announced, vote)) in self.fused.announced.iter_mut().zip(votes).enumerate() {
+            // Announced when physics and vote agree; taken back when either no longer does.
+            let agreed = vote > if *announced { STILL_AGREED } else { AGREED };
+            *announced = evidence.is_excluded(i) && (agreed || evidence.is_stuck(i));
+        }
+        let common = self.common(&slot.imus);
+        for (i, mean) in slot.imus.iter().enumerate() {
+            let Some(mean) = mean else { continue };
+            let (off, sigma): (Six, Six) = (mean - self.lanes[i].biases() - common, self.judges.noise.of(i));
+            for ((channel, innovation), sigma) in CHANNELS.into_iter().zip(off.iter()).zip(sigma.iter()) {
+                let residual = Residual::gated(imu(i), channel, *innovation, *sigma, GATE);
+                let _ = self.estimate.residuals.try_push(Residual { accepted: !self.fused.announced[i], ..residual });
+            }
+        }
+        let (judges, announced) = (&self.judges, &self.fused.announced);
+        self.isolation.announce(slot.end(), |sensor| {
+            let i = usize::from(sensor.instance.saturating_sub(1));
+            let (window_ratio, drift_ratio, reason) = match sensor.kind {
+                SensorKind::Imu => {
+                    let stuck = judges.evidence.is_stuck(i);
+                    let reason = if stuck { FlagReason::Stuck } else { FlagReason::Window };
+                    (judges.evidence.ratio(i), votes[i], announced[i].then_some(reason))
+                }
+                _ => (judges.heights.ratio(i), 0.0, judges.heights.is_excluded(i).then_some(FlagReason::Window)),
+            };
+            let stuck = reason == Some(FlagReason::Stuck);
+            (Evidence { window_ratio, drift_ratio, stuck, ..Evidence::default() }, reason)
+        });
+        self.report.time = slot.end();
+        self.report.status = DecoderStatus::Solved;
+        self.report.height_m = self.fused.at.position_enu_m.z;
+    }
+
+    /// The estimate at `now`.
+    pub(super) fn publish(&mut self, now: FlightTime) {
+        let health = self.health(now);
+        let state = *self.predictor.now();
+        let e = &mut self.estimate;
+        e.time = now;
+        e.health = health;
+        if health == Health::Initialising {
+            e.motion = None;
+            return;
+        }
+        let lane = &self.lanes[self.fused.best];
+        let sigma = |i: usize| Vector3::from_fn(|a, _| lane.p[(i + a, i + a)].max(0.0).sqrt());
+        let altitude_known = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
+        e.motion = Some(Motion {
+            position_enu_m: state.position_enu_m,
+            velocity_enu_mps: state.velocity_enu_mps,
+            position_sigma_m: Some(sigma(ix::POSITION)),
+            velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
+            horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
+            altitude_known,
+        });
+        e.world_from_body = state.world_from_body * self.rates.lead();
+        e.accel_bias_mps2 = Some(lane.accel_bias);
+        e.gyro_bias_radps = Some(lane.gyro_bias);
+        e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
+        e.body_rates_radps = self.rates.rate_radps();
+    }
+
+    /// Rate and lead of the attitude at `now`.
+    pub(super) fn turn(&mut self, now: FlightTime, dt_s: f64, thrust_mps2: f64) {
+        let (mut rate, mut late_s, mut weights) = (Vector3::zeros(), 0.0, 0.0);
+        let mixture = self.fused.mixture.weights.iter().zip(&self.fused.mixture.biases);
+        for (integral, (weight, bias)) in self.slots.integrals().iter().zip(mixture) {
+            if let Some((time, latest)) = integral.latest(now) {
+                rate += part(&(latest - bias), 3) * *weight;
+                late_s += now.seconds_since(time) * weight;
+                weights += weight;
+            }
+        }
+        let measured = (weights > 1e-6).then(|| {
+            let late_us = 1e6 * late_s / weights;
+            (FlightTime(now.0.saturating_sub(late_us as u64)), rate / weights)
+        });
+        let flies = self.thrust.flies(thrust_mps2);
+        let turning = flies.then(|| self.thrust.turning_radps2(&self.rates.rate_radps()));
+        self.rates.step(now, dt_s.clamp(0.0, 0.1), turning.as_ref(), measured);
+    }
+
+    fn health(&self, now: FlightTime) -> Health {
+        if self.start.is_some() {
+            return Health::Initialising;
+        }
+        let p = &self.lanes[self.fused.best].p;
+        let tilt = p[(ix::ATTITUDE, ix::ATTITUDE)].max(p[(ix::ATTITUDE + 1, ix::ATTITUDE + 1)]);
+        let tilted = tilt.is_nan() || tilt > TILT_SIGMA_DEGRADED_RAD.powi(2);
+        let silent = self.fused.silent.iter().all(|slots| *slots > 2);
+        let altitude_lost = self.aided.vertical.lapsed(now, VERTICAL_MEMORY_S);
+        let contradicted = self.fused.contradicted > CONTRADICTED_SLOTS;
+        if silent || tilted || altitude_lost || contradicted { Health::Degraded } else { Health::Healthy }
+    }
+}

@@ -1,0 +1,284 @@
+//! One slot: every lane predicts and is corrected, all are judged, weighted and fused.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
+
+use super::evidence::Heard;
+use super::integral::{Integral, Six};
+use super::predictor::Mixture;
+use super::rows::{Around, Correction, Field, Unaided};
+use super::slot::Slot;
+use super::start::{Found, direction};
+use super::{LANES, Lanes, PerLane, SLOT_S, part};
+use crate::estimate::aiding::idle::{POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
+use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
+use crate::estimate::ekf_bias::align;
+use crate::estimate::{Residuals, median};
+use crate::frames::tilt_rad;
+use crate::sensor::measure::Kinematics;
+
+/// Offsets and noise are learned fast for so long in the air, and no height is excluded for so long, s.
+const LEARNING_S: f64 = 7.0;
+const JUDGING_S: f64 = 3.0;
+/// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
+const RECTIFIED: f64 = 0.1;
+/// One-sigma of the thrust as commanded, over the mass, m/s².
+const THRUST_SIGMA_MPS2: f64 = 1.2;
+/// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
+const REST: (f64, f64) = (0.6, 0.06);
+/// Slots at rest before it counts.
+const REST_SLOTS: u32 = 25;
+/// A lane whose IMU is silent for so many slots is not there.
+const SILENT_SLOTS: u32 = 25;
+/// What is known of the altitude at start without a laser's offset, m.
+const ALTITUDE_SIGMA_M: f64 = 0.3;
+/// Motion capture tells the yaw for so long, s: no magnetometer is asked.
+const POSE_MEMORY_S: f64 = 1.0;
+/// Lanes that weigh at least so much and differ in tilt by more, rad, contradict each other.
+const WEIGHTY: f64 = 0.15;
+const CONTRADICTION_RAD: f64 = 0.14;
+
+impl Lanes {
+    /// Takes a closed slot.
+    pub(super) fn advance(&mut self, slot: &Slot) {
+        self.report.count += 1;
+        self.count(slot);
+        if let Some(start) = &mut self.start {
+            if let Some(found) = start.take(slot, &self.model.imus) {
+                self.begin(&found, slot);
+            }
+            return;
+        }
+        let learning = f64::from(self.clock.flown) * SLOT_S < LEARNING_S;
+        self.judges.noise.take(&slot.imus, learning);
+        self.judges.vote.take(&slot.imus);
+        self.note(slot);
+        let heard = self.correct(slot);
+        self.judges.evidence.take(&heard);
+        self.fuse();
+        self.judge_heights(slot, learning);
+        self.heal(learning);
+        self.account(slot);
+        self.rebase(slot);
+    }
+
+    fn count(&mut self, slot: &Slot) {
+        for (silent, mean) in self.fused.silent.iter_mut().zip(&slot.imus) {
+            *silent = if mean.is_some() { 0 } else { silent.saturating_add(1) };
+        }
+        let g = self.model.imus.gravity_mps2;
+        let size = |first: usize| median(slot.imus.iter().flatten().map(|mean| part(mean, first).norm()));
+        let shaken = median(slot.roughness.iter().flatten().map(|roughness| part(roughness, 0).amax()));
+        let quiet = shaken < 3.0 * self.model.imus.accel.sigma;
+        let still = slot.standing && quiet && (size(0) - g).abs() < REST.0 && size(3) < REST.1;
+        self.clock.resting = if still { self.clock.resting.saturating_add(1) } else { 0 };
+        // A recording that does not tell what the motors did flies when it moves.
+        if self.thrust.flies(slot.thrust_mps2) || slot.standing && !still {
+            if self.clock.flown == 0 {
+                // Running motors are another world: what was quiet before says nothing.
+                self.judges.noise = super::Noise::new();
+                self.judges.evidence.forgive();
+            }
+            self.clock.flown = self.clock.flown.saturating_add(1);
+        }
+    }
+
+    fn begin(&mut self, found: &Found, slot: &Slot) {
+        let q = found.aligned.world_from_body;
+        let mut at = Kinematics {
+            position_enu_m: self.aided.idle.anchor,
+            velocity_enu_mps: Vector3::zeros(),
+            world_from_body: q,
+        };
+        at.position_enu_m.z = found.altitude_m.unwrap_or(at.position_enu_m.z);
+        let z = if found.altitude_m.is_some() { ALTITUDE_SIGMA_M } else { POSITION_SIGMA_M };
+        let yaw = if found.field_ut.is_some() { align::YAW_SIGMA_FIELD_RAD } else { UNKNOWN_YAW_SIGMA_RAD };
+        let (tilt, gyro_bias, velocity) = match found.aligned.at_rest {
+            true => (align::TILT_SIGMA_REST_RAD, align::GYRO_BIAS_SIGMA_REST_RADPS, 0.1),
+            false => (align::TILT_SIGMA_MOVING_RAD, self.model.imus.gyro.bias_prior, 3.0),
+        };
+        for (lane, biases) in self.lanes.iter_mut().zip(&found.biases) {
+            lane.begin(&at, biases, [POSITION_SIGMA_M, velocity, tilt, yaw, gyro_bias], &self.model);
+            lane.p[(2, 2)] = z * z;
+        }
+        self.aided.field = found
+            .field_ut
+            .and_then(|field| Some(Field { direction: direction(&q, &field)?, strength_ut: field.norm() }));
+        self.start = None;
+        self.judges.evidence.forgive();
+        let there = slot.imus.map(|mean| f64::from(u8::from(mean.is_some())));
+        let count: f64 = there.iter().sum();
+        self.fused.mixture =
+            Mixture { weights: there.map(|one| one / count.max(1.0)), biases: found.biases, thrust: 0.0 };
+        self.fused.at = at;
+        self.rebase(slot);
+    }
+
+    /// What this slot aids.
+    fn note(&mut self, slot: &Slot) {
+        let end = slot.end();
+        if slot.pose.is_some() {
+            self.aided.pose.note(end, true);
+        }
+        if slot.pose.is_some() || slot.gnss.is_some() {
+            self.aided.horizontal.note(end, true);
+        }
+        let used = |(i, height): (usize, &Option<_>)| height.is_some() && !self.judges.heights.is_excluded(i);
+        if slot.heights.iter().enumerate().any(used) {
+            self.aided.heights.note(end, true);
+        }
+        let other = slot.barometers.iter().any(Option::is_some) && !self.aided.heights.ever();
+        if self.aided.heights.within(end, 0.0) || slot.pose.is_some() || other {
+            self.aided.vertical.note(end, true);
+        }
+    }
+
+    /// Predicts and corrects every lane; what each makes of the slot.
+    fn correct(&mut self, slot: &Slot) -> PerLane<Option<Heard>> {
+        let end = slot.end();
+        let unaided = self.unaided(end);
+        let pose = self.aided.pose.within(end, POSE_MEMORY_S);
+        let up_mps2 = median(slot.imus.iter().flatten().map(|mean| mean[2]));
+        let around = Around {
+            model: &self.model,
+            heights: &self.judges.heights,
+            field: self.aided.field.filter(|_| !pose),
+            drag: self.thrust.drag(slot.thrust_mps2, up_mps2),
+            barometers: !self.aided.heights.ever(),
+            unaided,
+        };
+        let common = self.common(&slot.imus);
+        // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
+        let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
+        let rectified = shaken * RECTIFIED;
+        // Where it does so along the thrust, the thrust as commanded says more.
+        let squares = (rectified[2].powi(2), THRUST_SIGMA_MPS2.powi(2));
+        let share = if self.thrust.flies(slot.thrust_mps2) { squares.0 / (squares.0 + squares.1) } else { 0.0 };
+        self.fused.mixture.thrust = share;
+        let mut scratch = Residuals::new();
+        let mut heard = [None; LANES];
+        for (i, (lane, heard)) in self.lanes.iter_mut().zip(&mut heard).enumerate() {
+            if self.fused.silent[i] > SILENT_SLOTS {
+                continue;
+            }
+            let mut sigma = self.judges.noise.of(i).zip_map(&rectified, f64::hypot);
+            sigma[2] = ((1.0 - share) * sigma[2]).hypot(share * THRUST_SIGMA_MPS2);
+            // Without a sample of its own it goes on with the others'.
+            let mut mean = slot.imus[i].unwrap_or_else(|| common + lane.biases());
+            mean[2] += share * (slot.thrust_mps2 - (mean[2] - lane.accel_bias.z));
+            lane.predict(end, &mean, &sigma, &self.model);
+            let named = i == self.fused.best;
+            let residuals = if named { &mut self.estimate.residuals } else { &mut scratch };
+            let mut correction = Correction { lane, heard: Heard::default(), residuals, named };
+            correction.take(slot, &around, &sigma);
+            let Heard { surprise, rows, .. } = correction.heard;
+            let up = lane.at.world_from_body * Vector3::z();
+            if lane.is_sound() {
+                *heard = Some(Heard { surprise, rows, stuck: slot.stuck[i], up });
+            } else {
+                let best = self.fused.at;
+                lane.begin(&best, &Six::zeros(), [1.0, 0.5, 0.1, 0.2, 0.01], &self.model);
+            }
+        }
+        heard
+    }
+
+    /// What no sensor measures, where that is due.
+    fn unaided(&mut self, end: FlightTime) -> Option<Unaided> {
+        let horizontal = !self.aided.horizontal.within(end, HORIZONTAL_MEMORY_S);
+        let vertical = !self.aided.vertical.within(end, VERTICAL_MEMORY_S);
+        let axes = [horizontal, horizontal, vertical];
+        for (axis, unknown) in axes.into_iter().enumerate() {
+            if !unknown {
+                self.aided.idle.anchor[axis] = self.fused.at.position_enu_m[axis];
+            }
+        }
+        let resting = self.clock.resting > REST_SLOTS;
+        let anchor = self.aided.idle.anchor;
+        let due = self.aided.idle.due(end).filter(|_| resting || axes.contains(&true));
+        due.map(|since_s| Unaided { since_s, axes, resting, anchor })
+    }
+
+    /// Weighted mean of the IMUs less their biases; a vehicle that does not move where there is none.
+    pub(super) fn common(&self, means: &PerLane<Option<Six>>) -> Six {
+        let (mut sum, mut weights) = (Six::zeros(), 0.0);
+        for ((mean, lane), weight) in means.iter().zip(&self.lanes).zip(self.fused.mixture.weights) {
+            if let Some(mean) = mean {
+                sum += (mean - lane.biases()) * weight;
+                weights += weight;
+            }
+        }
+        if weights > 1e-6 {
+            return sum / weights;
+        }
+        let up = self.fused.at.world_from_body.inverse() * Vector3::z() * self.model.imus.gravity_mps2;
+        Six::new(up.x, up.y, up.z, 0.0, 0.0, 0.0)
+    }
+
+    fn fuse(&mut self) {
+        let votes = self.judges.vote.against(&self.judges.evidence.are_present());
+        let weights = self.judges.evidence.weights(&votes);
+        let heaviest = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+        let best = heaviest.map_or(0, |(i, _)| i);
+        let Some(reference) = self.lanes.get(best).map(|lane| lane.at.world_from_body) else { return };
+        let mut at = Kinematics {
+            position_enu_m: Vector3::zeros(),
+            velocity_enu_mps: Vector3::zeros(),
+            world_from_body: reference,
+        };
+        let mut turned = Vector3::zeros();
+        for (lane, weight) in self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > 0.0) {
+            at.position_enu_m += lane.at.position_enu_m * weight;
+            at.velocity_enu_mps += lane.at.velocity_enu_mps * weight;
+            turned += (lane.at.world_from_body * reference.inverse()).scaled_axis() * weight;
+        }
+        at.world_from_body = UnitQuaternion::from_scaled_axis(turned) * reference;
+        if weights.iter().sum::<f64>() > 0.5 {
+            self.fused.at = at;
+            self.fused.mixture.weights = weights;
+            self.fused.best = best;
+        }
+        let weighty = || self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > WEIGHTY).map(|(lane, _)| lane);
+        let apart = |lane: &super::Lane| tilt_rad(&(lane.at.world_from_body.inverse() * reference)) > CONTRADICTION_RAD;
+        let contradicted = weighty().any(apart);
+        self.fused.contradicted = if contradicted { self.fused.contradicted.saturating_add(1) } else { 0 };
+    }
+
+    fn judge_heights(&mut self, slot: &Slot, learning: bool) {
+        let Kinematics { position_enu_m, velocity_enu_mps, .. } = self.fused.at;
+        for (i, sample) in slot.heights.iter().enumerate() {
+            let Some((time, height_m)) = *sample else { continue };
+            let z_m = position_enu_m.z - velocity_enu_mps.z * slot.age_s(time);
+            let off_m = self.judges.heights.off_m(i, z_m);
+            self.judges.heights.take(i, time, height_m - off_m - z_m);
+        }
+        let judging = f64::from(self.clock.flown) * SLOT_S > JUDGING_S;
+        let _ = self.judges.heights.decode(slot.end(), position_enu_m.z, learning, judging);
+    }
+
+    /// Biases are learned by those in no doubt; a lane long excluded begins again from the others.
+    fn heal(&mut self, learning: bool) {
+        let present = self.judges.evidence.are_present();
+        let there = |i: usize| present[i].then(|| self.lanes[i].biases());
+        let biases: PerLane<Option<Six>> = std::array::from_fn(there);
+        let doubted: PerLane<bool> = std::array::from_fn(|i| self.judges.evidence.is_doubted(i));
+        self.judges.vote.learn(&biases, &doubted, learning);
+        let best = self.fused.best;
+        for i in (0..LANES).filter(|i| *i != best) {
+            if self.judges.evidence.is_to_heal(i) {
+                let biases = self.judges.vote.bias(i).unwrap_or_else(Six::zeros);
+                let (at, from) = (self.fused.at, self.lanes[best].clone());
+                self.lanes[i].heal(&from, &at, &biases);
+                self.judges.evidence.healed(i);
+            }
+        }
+        self.fused.mixture.biases = std::array::from_fn(|i| self.lanes[i].biases());
+    }
+
+    fn rebase(&mut self, slot: &Slot) {
+        let of = |integral: &Integral| integral.total_at(slot.number + 1);
+        let integrals = self.slots.integrals();
+        let totals = std::array::from_fn(|i| integrals.get(i).and_then(of));
+        self.predictor.rebase(slot.end(), &self.fused.at, &totals, &self.fused.mixture);
+    }
+}

@@ -1,0 +1,283 @@
+//! The laser heights as one group: which of them to believe, and what each is off by.
+//!
+//! Residuals against the altitude of all lanes, as means over five samples and over the whole memory, about a centre that a
+//! minority cannot move far; their scatter apart from their means. Each laser's offset and scale are learned slowly, about
+//! the mean of all, so that the altitude does not move when one is excluded.
+
+use arrayvec::ArrayVec;
+use plumbline_proto::time::FlightTime;
+
+use crate::estimate::median;
+use crate::sensor::MAX_HEIGHTS;
+
+/// Residuals of each laser kept: 2.4 s at 10 Hz.
+const KEPT: usize = 24;
+/// Of which the last are a test of their own.
+const SHORT: usize = 5;
+/// Slots between two decodes.
+const EVERY: u32 = 5;
+/// One-sigma of the means over a short and the whole memory, m; while offsets are learned.
+const SIGMA_M: [f64; 2] = [0.015, 0.010];
+const SIGMA_LEARNING_M: [f64; 2] = [0.026, 0.020];
+/// Beyond so many sigmas a mean is bad, and twice that it excludes at once.
+const LIMIT: f64 = 3.5;
+/// Beyond so many sigmas a laser weighs less.
+const SOFT: f64 = 2.2;
+/// Scatter beyond so many times the median laser's is bad; no laser is taken for steadier, m.
+const SCATTER: f64 = 4.5;
+const STEADY_M: f64 = 0.017;
+/// What is known of the centre without a laser, m.
+const PRIOR_M: f64 = 0.05;
+/// Altitude at which scale is no offset, m.
+const PIVOT_M: f64 = 1.4;
+/// Most that offset (m) and scale are learned to.
+const OFFSET_MAX_M: f64 = 0.06;
+const SCALE_MAX: f64 = 0.03;
+/// Parts learned of a deviation at each decode, at first and later.
+const GAINS: (f64, f64) = (0.08, 0.01);
+/// Decodes within 0.8 of every limit after which one comes back.
+const CALM: u32 = 10;
+/// One further from the median of those of the last moments counts as if it were so far, m: a step reaches no further.
+const REACH_M: f64 = 0.025;
+/// Those of the last moments, s.
+const RECENT_S: f64 = 0.3;
+/// Without a sample for so long one is not there, s.
+const SILENT_S: f64 = 1.0;
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Laser {
+    residuals: [f64; KEPT],
+    seen: usize,
+    latest: Option<(FlightTime, f64)>,
+    offset_m: f64,
+    scale: f64,
+    weight: f64,
+    ratio: f64,
+    bad: u32,
+    calm: u32,
+    excluded: bool,
+}
+
+impl Laser {
+    /// Mean of its last `n` residuals about their median, one far off counting little.
+    fn mean(&self, n: usize) -> f64 {
+        let of = || (1..=n.min(KEPT)).filter_map(|k| self.residuals.get((self.seen + KEPT - k) % KEPT).copied());
+        let mut sorted: ArrayVec<f64, KEPT> = of().collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let m = sorted.len();
+        let middle = sorted.get(m / 2).zip(sorted.get(m.saturating_sub(1) / 2)).map_or(0.0, |(a, b)| 0.5 * (a + b));
+        middle + of().map(|x| (x - middle).clamp(-0.05, 0.05)).sum::<f64>() / m.max(1) as f64
+    }
+
+    fn scatter(&self, mean: f64) -> f64 {
+        self.residuals.iter().map(|x| (x - mean).powi(2).min(0.0036)).sum::<f64>() / KEPT as f64
+    }
+
+    fn ready(&self, now: FlightTime) -> bool {
+        self.seen >= KEPT && self.latest.is_some_and(|(time, _)| now.seconds_since(time) < SILENT_S)
+    }
+}
+
+/// See the module.
+#[derive(Debug, Clone, Default)]
+pub struct Heights {
+    lasers: [Laser; MAX_HEIGHTS],
+    slots: u32,
+}
+
+/// The lasers that can be compared, with the mean of each.
+type Means = ArrayVec<(usize, f64), MAX_HEIGHTS>;
+
+impl Heights {
+    /// What laser `index` is off by at altitude `z_m`, m.
+    pub fn off_m(&self, index: usize, z_m: f64) -> f64 {
+        self.lasers.get(index).map_or(0.0, |laser| laser.offset_m + laser.scale * (z_m - PIVOT_M))
+    }
+
+    /// How much laser `index` counts, 0..1; an excluded one does not.
+    pub fn weight(&self, index: usize) -> f64 {
+        self.lasers.get(index).map_or(1.0, |laser| match laser {
+            Laser { excluded: true, .. } => 0.0,
+            Laser { weight, seen, .. } if *seen >= KEPT && *weight > 0.0 => *weight,
+            _ => 1.0,
+        })
+    }
+
+    /// Is laser `index` excluded?
+    pub fn is_excluded(&self, index: usize) -> bool {
+        self.lasers.get(index).is_some_and(|laser| laser.excluded)
+    }
+
+    /// Its worst statistic over its limit.
+    pub fn ratio(&self, index: usize) -> f64 {
+        self.lasers.get(index).map_or(0.0, |laser| laser.ratio)
+    }
+
+    /// A residual of laser `index`, what it is off by taken from it.
+    pub fn take(&mut self, index: usize, time: FlightTime, residual_m: f64) {
+        if let Some(laser) = self.lasers.get_mut(index) {
+            laser.residuals[laser.seen % KEPT] = residual_m;
+            laser.seen += 1;
+            // Counts on from where the ring is full, so that it never runs over.
+            laser.seen = if laser.seen >= 4 * KEPT { 2 * KEPT } else { laser.seen };
+            laser.latest = Some((time, residual_m));
+        }
+    }
+
+    /// What laser `index` reads further than it can reach from the median of at least three, m.
+    pub fn beyond_reach_m(&self, index: usize, residual_m: f64, now: FlightTime) -> f64 {
+        let mut recent: ArrayVec<f64, MAX_HEIGHTS> = ArrayVec::new();
+        for (i, laser) in self.lasers.iter().enumerate() {
+            let latest = laser.latest.filter(|(time, _)| now.seconds_since(*time).abs() < RECENT_S);
+            let value = if i == index { Some(residual_m) } else { latest.map(|(_, value)| value) };
+            recent.extend(value.filter(|_| !laser.excluded || i == index));
+        }
+        if recent.len() < 3 {
+            return 0.0;
+        }
+        let from_centre = residual_m - median(recent.iter().copied());
+        from_centre - from_centre.clamp(-REACH_M, REACH_M)
+    }
+
+    /// A slot is over: every fifth decodes, at altitude `z_m`; returns whether one was newly excluded. While `learning`
+    /// offsets are learned fast, and unless `judging` none is excluded.
+    pub fn decode(&mut self, now: FlightTime, z_m: f64, learning: bool, judging: bool) -> bool {
+        self.slots = (self.slots + 1) % EVERY;
+        if self.slots != 0 {
+            return false;
+        }
+        let ready = |n: usize| -> Means {
+            let of = self.lasers.iter().enumerate().filter(|(_, laser)| laser.ready(now));
+            of.map(|(i, laser)| (i, laser.mean(n))).collect()
+        };
+        let (short, long) = (ready(SHORT), ready(KEPT));
+        if long.len() < 2 {
+            return false;
+        }
+        let sigmas = if learning { SIGMA_LEARNING_M } else { SIGMA_M };
+        for laser in &mut self.lasers {
+            (laser.ratio, laser.weight) = (0.0, 1.0);
+        }
+        let mut centre_m = 0.0;
+        for (means, sigma) in [&short, &long].into_iter().zip(sigmas) {
+            centre_m = self.centre(means, sigma);
+            for (i, mean) in means {
+                let Some(laser) = self.lasers.get_mut(*i) else { continue };
+                let off = (mean - centre_m).abs() / sigma;
+                laser.ratio = laser.ratio.max(off / LIMIT);
+                laser.weight = laser.weight.min((SOFT / off.max(1e-6)).powi(2));
+            }
+        }
+        let scatters: Means = long.iter().filter_map(|(i, m)| Some((*i, self.lasers.get(*i)?.scatter(*m)))).collect();
+        let usual = median(scatters.iter().map(|(_, s)| *s)).max(STEADY_M * STEADY_M);
+        for (i, scatter) in &scatters {
+            if let Some(laser) = self.lasers.get_mut(*i) {
+                laser.ratio = laser.ratio.max(scatter / usual / SCATTER);
+            }
+        }
+        let new = self.exclude(&long, judging);
+        self.learn(&long, centre_m, z_m, if learning { GAINS.0 } else { GAINS.1 }, judging);
+        new
+    }
+
+    /// c = argmin Σ huber₂((m − c)/σ) + (c/5 cm)²/2 over those not excluded.
+    fn centre(&self, means: &Means, sigma: f64) -> f64 {
+        let mut centre = median(means.iter().map(|(_, mean)| *mean));
+        for _ in 0..12 {
+            let (mut sum, mut weights) = (0.0, (sigma / PRIOR_M).powi(2));
+            for (_, mean) in means.iter().filter(|(i, _)| !self.is_excluded(*i)) {
+                let weight = (2.0 * sigma / (mean - centre).abs().max(1e-6)).min(1.0);
+                sum += weight * mean;
+                weights += weight;
+            }
+            centre = sum / weights;
+        }
+        centre
+    }
+
+    /// At most a minority, the worst of those that should be; true when one is new.
+    fn exclude(&mut self, present: &Means, judging: bool) -> bool {
+        let mut wanted: ArrayVec<(usize, bool, f64), MAX_HEIGHTS> = ArrayVec::new();
+        for (i, _) in present {
+            let Some(laser) = self.lasers.get_mut(*i) else { continue };
+            laser.bad = if laser.ratio > 1.0 { laser.bad.saturating_add(1) } else { 0 };
+            let out = laser.excluded && laser.calm < CALM || laser.bad >= 2 || laser.ratio > 2.0;
+            laser.calm = if laser.ratio < 0.8 { laser.calm.saturating_add(1) } else { 0 };
+            if out && judging {
+                wanted.push((*i, laser.excluded, laser.ratio));
+            }
+            if !out {
+                laser.excluded = false;
+            }
+        }
+        wanted.sort_unstable_by(|a, b| b.1.cmp(&a.1).then(b.2.total_cmp(&a.2)));
+        let mut new = false;
+        for (rank, (i, was, _)) in wanted.iter().enumerate() {
+            if let Some(laser) = self.lasers.get_mut(*i) {
+                laser.excluded = rank < (present.len() - 1) / 2;
+                new |= laser.excluded && !was;
+            }
+        }
+        new
+    }
+
+    fn learn(&mut self, means: &Means, centre_m: f64, z_m: f64, gain: f64, judging: bool) {
+        let calm = |laser: &Laser| !judging || laser.ratio < 0.7 && !laser.excluded;
+        let used = || means.iter().filter(|(i, _)| self.lasers.get(*i).is_some_and(calm));
+        let count = used().count();
+        if count < 2 {
+            return;
+        }
+        let common = used().map(|(_, mean)| mean - centre_m).sum::<f64>() / count as f64;
+        for (i, mean) in means {
+            let Some(laser) = self.lasers.get_mut(*i).filter(|laser| calm(laser)) else { continue };
+            let off = mean - centre_m - common;
+            laser.offset_m = (laser.offset_m + gain * off).clamp(-OFFSET_MAX_M, OFFSET_MAX_M);
+            laser.scale = (laser.scale + 0.6 * gain * off * (z_m - PIVOT_M)).clamp(-SCALE_MAX, SCALE_MAX);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three lasers at 10 Hz with noise of some mm and these offsets, 4 of 5 slots empty for each.
+    fn run(heights: &mut Heights, from: u32, slots: u32, off_m: [f64; 3]) {
+        for k in from..from + slots {
+            let now = FlightTime(u64::from(k) * 40_000);
+            for (i, off) in off_m.iter().enumerate() {
+                if (k as usize + i).is_multiple_of(3) {
+                    let noise = 0.007 * f64::from(k * 37 + i as u32 * 101).sin();
+                    heights.take(i, now, off + noise - heights.off_m(i, 1.0));
+                }
+            }
+            heights.decode(now, 1.0, from < 200, from >= 200);
+        }
+    }
+
+    #[test]
+    fn constant_differences_are_learned_and_a_step_is_excluded_and_forgiven() {
+        let mut heights = Heights::default();
+        let own = [0.012, -0.01, 0.0];
+        run(&mut heights, 0, 400, own);
+        let learned: Vec<f64> = (0..3).map(|i| heights.off_m(i, 1.0)).collect();
+        assert!((learned[0] - learned[1] - 0.022).abs() < 0.005, "{learned:?}");
+        run(&mut heights, 400, 100, own);
+        assert!((0..3).all(|i| !heights.is_excluded(i)));
+        run(&mut heights, 500, 100, [0.112, -0.01, 0.0]);
+        assert_eq!([0, 1, 2].map(|i| heights.is_excluded(i)), [true, false, false]);
+        assert!(heights.weight(0) == 0.0 && heights.weight(1) > 0.9);
+        run(&mut heights, 600, 200, own);
+        assert!(!heights.is_excluded(0));
+    }
+
+    #[test]
+    fn a_step_reaches_no_further_than_its_reach_before_it_is_excluded() {
+        let mut heights = Heights::default();
+        run(&mut heights, 0, 30, [0.0; 3]);
+        let now = FlightTime(29 * 40_000);
+        assert!((heights.beyond_reach_m(0, 0.3, now) - 0.275).abs() < 0.01);
+        assert_eq!(heights.beyond_reach_m(0, 0.01, now), 0.0);
+    }
+}

@@ -1,0 +1,111 @@
+//! How much each IMU differs from the others from moment to moment: the noise of its lane, measured.
+//!
+//! Means over 0.8 s, less the median of all IMUs; how far they change from one to the next is the noise, its mean
+//! absolute value kept with forgetting. Vibration therefore widens what a lane takes for noise instead of blinding it. At most
+//! twice the median IMU, so that a faulty sensor cannot make room for itself.
+
+use super::integral::Six;
+use super::{LANES, PerLane, median_six};
+
+/// Slots of one mean: 0.8 s.
+const SLOTS: u32 = 20;
+/// E|x − y| of two normal numbers is 1.128 σ; larger by a quarter as caution.
+const SIGMA_OF_CHANGE: f64 = 1.25 / std::f64::consts::SQRT_2;
+/// Part of a new change in the mean, at first and later.
+const GAINS: (f64, f64) = (0.3, 0.08);
+/// No IMU is taken for better, m/s² and rad/s.
+const FLOOR: (f64, f64) = (0.05, 0.003);
+/// What is assumed before anything is measured, m/s² and rad/s.
+const FIRST: (f64, f64) = (0.15, 0.01);
+/// A sensor's own noise counts up to so many times the median one.
+const MOST: f64 = 2.0;
+
+fn six(of: (f64, f64)) -> Six {
+    Six::new(of.0, of.0, of.0, of.1, of.1, of.1)
+}
+
+/// See the module.
+#[derive(Debug, Clone)]
+pub struct Noise {
+    sums: PerLane<Six>,
+    counts: PerLane<u32>,
+    slots: u32,
+    deviations: PerLane<Option<Six>>,
+    sigmas: PerLane<Six>,
+    own: PerLane<Six>,
+}
+
+impl Noise {
+    /// As assumed.
+    pub fn new() -> Self {
+        Self {
+            sums: [Six::zeros(); LANES],
+            counts: [0; LANES],
+            slots: 0,
+            deviations: [None; LANES],
+            sigmas: [six(FIRST); LANES],
+            own: [six(FIRST); LANES],
+        }
+    }
+
+    /// One-sigma of each lane's means, per axis: m/s² and rad/s.
+    pub fn of(&self, lane: usize) -> Six {
+        self.own.get(lane).copied().unwrap_or_else(|| six(FIRST))
+    }
+
+    /// Takes the means of one slot.
+    pub fn take(&mut self, means: &PerLane<Option<Six>>, learning: bool) {
+        for ((sum, count), mean) in self.sums.iter_mut().zip(&mut self.counts).zip(means) {
+            if let Some(mean) = mean {
+                *sum += mean;
+                *count += 1;
+            }
+        }
+        self.slots += 1;
+        if self.slots < SLOTS {
+            return;
+        }
+        let known = |i: usize| (2 * self.counts[i] >= SLOTS).then(|| self.sums[i] / f64::from(self.counts[i]));
+        let means: PerLane<Option<Six>> = std::array::from_fn(known);
+        let centre = median_six(means.iter().flatten());
+        let gain = if learning { GAINS.0 } else { GAINS.1 };
+        for ((mean, before), sigma) in means.iter().zip(&mut self.deviations).zip(&mut self.sigmas) {
+            let deviation = mean.map(|mean| mean - centre);
+            if let (Some(now), Some(before)) = (deviation, *before) {
+                *sigma += ((now - before).abs() * SIGMA_OF_CHANGE - *sigma) * gain;
+            }
+            *before = deviation;
+        }
+        self.slots = 0;
+        (self.sums, self.counts) = ([Six::zeros(); LANES], [0; LANES]);
+        let present = self.sigmas.iter().zip(&self.deviations).filter(|(_, d)| d.is_some()).map(|(sigma, _)| sigma);
+        let typical = median_six(present);
+        for (own, sigma) in self.own.iter_mut().zip(&self.sigmas) {
+            let capped = if typical.iter().all(|t| t.is_finite()) { sigma.inf(&(typical * MOST)) } else { *sigma };
+            *own = capped.sup(&six(FLOOR));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn vibration_widens_all_and_a_faulty_one_not_itself_alone() {
+        let run = |size: [f64; 4]| {
+            let mut noise = Noise::new();
+            for k in 0..2000usize {
+                let x = |i: usize| size[i] * ((k * 7919 + i * 104_729) as f64 * 0.618).sin() * 1.41;
+                let mean = |i: usize| (i < 4).then(|| Six::new(x(i), 0.0, 9.81, 0.0, 0.0, 0.0));
+                noise.take(&std::array::from_fn(mean), false);
+            }
+            std::array::from_fn::<f64, 4, _>(|i| noise.of(i)[0])
+        };
+        let quiet = run([0.1; 4]);
+        let shaken = run([20.0; 4]);
+        assert!(quiet.iter().all(|s| *s == 0.05) && shaken.iter().all(|s| *s > 0.1), "{quiet:?} {shaken:?}");
+        let one = run([20.0, 20.0, 20.0, 2000.0]);
+        assert!(one[3] < 2.01 * one.iter().copied().fold(f64::INFINITY, f64::min).max(one[0]), "{one:?}");
+    }
+}

@@ -1,0 +1,271 @@
+//! What corrects every lane: the sensors that all of them share, and the couplings that add redundancy.
+//!
+//! | row | innovation | H |
+//! |---|---|---|
+//! | height l | y − off_l − z(t_s), its reach limited | z: 1, v_z: t_s − t |
+//! | pose | position and attitude at t_s | p: I, φ |
+//! | GNSS | position and velocity at t_s | p, v: I |
+//! | rotor drag | (f − b_a + d Rᵀv)_xy | v: −d Rᵀ, φ: −d Rᵀ[v]ₓ, b_a: I |
+//! | magnetometer, median | m − Rᵀ B, both over the strength at start | φ: Rᵀ[B]ₓ |
+//! | nothing horizontal | 0 − v, loosely | v: 1 |
+//!
+//! No gate rejects: beyond 3 σ the noise counts as larger. A filter that rejects locks itself out under vibration.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use super::evidence::Heard;
+use super::heights::Heights;
+use super::integral::Six;
+use super::lane::Lane;
+use super::slot::Slot;
+use crate::estimate::aiding::idle::{
+    POSITION_CORRELATION_S, POSITION_SIGMA_M, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS, whitening,
+};
+use crate::estimate::aiding::{ANGLES, VELOCITY, XYZ};
+use crate::estimate::ekf_bias::aiding::row;
+use crate::estimate::ekf_bias::covariance::{ErrorState, N, augment_barometer, ix};
+use crate::estimate::filter::row::ScalarRow;
+use crate::estimate::{Channel, Residuals};
+use crate::frames::skew;
+use crate::sensor::measure;
+use crate::sensor::{Accuracy, SensorModel};
+use crate::sensor::{barometer, height, mocap_pose};
+
+/// Beyond so many sigmas noise counts as larger.
+const KNEE: f64 = 3.0;
+/// No height is taken for better, m: what lasers are off by, and the motion within a scan.
+const HEIGHT_SIGMA_M: f64 = 0.025;
+/// No pose is taken for better, m and rad.
+const POSE_SIGMA: (f64, f64) = (0.002, 0.005);
+/// Specific force in the plane that drag does not explain, m/s²; and how much of the lane's own noise.
+const DRAG_SIGMA_MPS2: f64 = 0.85;
+const DRAG_OWN: f64 = 3.0;
+/// Magnetic field, over its strength.
+const FIELD_SIGMA: f64 = 0.15;
+/// One-sigma of the velocity of a vehicle at rest, m/s.
+const REST_SIGMA_MPS: f64 = 0.05;
+
+/// The magnetic field where the vehicle started.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Field {
+    /// Direction, ENU.
+    pub direction: Vector3<f64>,
+    /// Strength, µT.
+    pub strength_ut: f64,
+}
+
+/// What nothing measures is bounded by.
+#[derive(Debug, Clone, Copy)]
+pub struct Unaided {
+    /// Since the last pseudo-measurement, s.
+    pub since_s: f64,
+    /// Which axes no sensor aids.
+    pub axes: [bool; 3],
+    /// Does the vehicle rest?
+    pub resting: bool,
+    /// Where the position was last known, ENU, m.
+    pub anchor: Vector3<f64>,
+}
+
+/// What is known in a slot beside its samples.
+pub struct Around<'a> {
+    /// Of the sensors.
+    pub model: &'a SensorModel,
+    /// Of the lasers.
+    pub heights: &'a Heights,
+    /// The field, where it is to be used.
+    pub field: Option<Field>,
+    /// Drag over mass, 1/s, while nothing but drag acts in the rotors' plane.
+    pub drag: Option<f64>,
+    /// Are the barometers to be used?
+    pub barometers: bool,
+    /// Due in this slot?
+    pub unaided: Option<Unaided>,
+}
+
+/// A lane being corrected, and what is heard of it.
+pub struct Correction<'a> {
+    /// The lane.
+    pub lane: &'a mut Lane,
+    /// What it made of the rows.
+    pub heard: Heard,
+    /// Residuals go here …
+    pub residuals: &'a mut Residuals,
+    /// … with their sensors' names, or none at all.
+    pub named: bool,
+}
+
+impl Correction<'_> {
+    /// Everything in `slot`; `sigma` is that of the lane's own means.
+    pub fn take(&mut self, slot: &Slot, around: &Around, sigma: &Six) {
+        self.take_heights(slot, around);
+        self.take_pose(slot, around);
+        self.take_gnss(slot, around);
+        if around.barometers {
+            self.take_barometers(slot, around);
+        }
+        if let Some(drag) = around.drag {
+            self.take_drag(drag, sigma);
+        }
+        if let Some((field, measured)) = around.field.zip(slot.field_ut) {
+            self.take_field(&field, &measured, around.model.imus.mag.field_tolerance);
+        }
+        if let Some(unaided) = &around.unaided {
+            self.bound(unaided);
+        }
+    }
+
+    fn row(&mut self, mut row: ScalarRow<N>) {
+        row.of = row.of.filter(|_| self.named);
+        if let Some((dx, ratio)) = row.correct_robustly(KNEE, &mut self.lane.p, self.residuals) {
+            self.heard.hear(ratio);
+            self.lane.inject(&dx);
+        }
+    }
+
+    fn take_heights(&mut self, slot: &Slot, around: &Around) {
+        for (i, sample) in slot.heights.iter().enumerate() {
+            let Some((time, height_m)) = *sample else { continue };
+            let age_s = slot.age_s(time);
+            let past = self.lane.past(age_s);
+            let off_m = around.heights.off_m(i, past.position_enu_m.z);
+            let measured = height::height(&past, height_m - off_m);
+            let weight = around.heights.weight(i);
+            let sigma = around.model.heights.sigma.max(HEIGHT_SIGMA_M) / weight.max(1e-3).sqrt();
+            let of = (SensorId::new(SensorKind::Height, i as u8 + 1), Channel::Height);
+            let mut row = row(of, &measured, Accuracy { sigma, ..around.model.heights }, age_s);
+            row.innovation -= around.heights.beyond_reach_m(i, row.innovation, time);
+            row.refused = weight == 0.0;
+            self.row(row);
+        }
+    }
+
+    fn take_pose(&mut self, slot: &Slot, around: &Around) {
+        let Some(pose) = slot.pose else { return };
+        let (model, age_s) = (around.model.mocap_pose, slot.age_s(pose.time));
+        let sensor = SensorId::new(SensorKind::MocapPose, 1);
+        let noise = Accuracy { sigma: model.position.sigma.max(POSE_SIGMA.0), ..model.position };
+        for (axis, channel) in XYZ.into_iter().enumerate() {
+            let measured = measure::position(&self.lane.past(age_s), axis, pose.position_enu_m[axis]);
+            self.row(row((sensor, channel), &measured, noise, age_s));
+        }
+        let noise = Accuracy { sigma: model.attitude.sigma.max(POSE_SIGMA.1), ..model.attitude };
+        for (i, channel) in ANGLES.into_iter().enumerate() {
+            let measured = mocap_pose::attitude(&self.lane.past(age_s), &pose.world_from_body)[i];
+            self.row(row((sensor, channel), &measured, noise, 0.0));
+        }
+    }
+
+    fn take_gnss(&mut self, slot: &Slot, around: &Around) {
+        let Some(sample) = slot.gnss else { return };
+        let (model, age_s) = (around.model.gnss, slot.age_s(sample.time));
+        let sensor = SensorId::new(SensorKind::Gnss, 1);
+        let sigmas = [sample.horizontal_sigma_m, sample.horizontal_sigma_m, sample.vertical_sigma_m];
+        for (axis, channel) in XYZ.into_iter().enumerate() {
+            // GNSS altitude is not height above this floor: where there are lasers it says nothing.
+            if axis < 2 || around.barometers {
+                let measured = measure::position(&self.lane.past(age_s), axis, sample.position_enu_m[axis]);
+                self.row(row((sensor, channel), &measured, model.position(sigmas[axis]), age_s));
+            }
+        }
+        for (axis, channel) in VELOCITY.into_iter().enumerate() {
+            let measured = measure::velocity(&self.lane.past(age_s), axis, sample.velocity_enu_mps[axis]);
+            self.row(row((sensor, channel), &measured, model.velocity, age_s));
+        }
+    }
+
+    fn take_barometers(&mut self, slot: &Slot, around: &Around) {
+        let model = &around.model.barometers;
+        for (i, sample) in slot.barometers.iter().enumerate() {
+            let Some(sample) = sample else { continue };
+            let (altitude_m, age_s) = (model.altitude_m(sample), slot.age_s(sample.time));
+            let past = self.lane.past(age_s);
+            if !altitude_m.is_finite() {
+                continue;
+            }
+            let Some(offset_m) = self.lane.barometer_offset_m[i] else {
+                self.lane.barometer_offset_m[i] = Some(altitude_m - past.position_enu_m.z);
+                augment_barometer(&mut self.lane.p, ix::BAROMETER + i, model.altitude.sigma.powi(2));
+                continue;
+            };
+            let measured = barometer::altitude(&past, altitude_m, offset_m);
+            let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
+            let mut row = row(of, &measured, model.altitude, age_s);
+            row.h[ix::BAROMETER + i] = 1.0;
+            self.row(row);
+        }
+    }
+
+    /// A row that is no sensor's own.
+    fn coupling(&mut self, innovation: f64, h: ErrorState, sigma: f64) {
+        self.row(ScalarRow { of: None, innovation, h, variance: sigma * sigma, gate: f64::INFINITY, refused: false });
+    }
+
+    fn take_drag(&mut self, drag: f64, sigma: &Six) {
+        let sigma = DRAG_SIGMA_MPS2.hypot(DRAG_OWN * 0.5 * (sigma[0] + sigma[1]));
+        for axis in 0..2 {
+            let at = &self.lane.at;
+            let body_from_world = at.world_from_body.inverse().to_rotation_matrix().into_inner();
+            let innovation = self.lane.force[axis] + drag * (body_from_world * at.velocity_enu_mps)[axis];
+            let turned = body_from_world * skew(&at.velocity_enu_mps);
+            let mut h = ErrorState::zeros();
+            for j in 0..3 {
+                h[ix::VELOCITY + j] = -drag * body_from_world[(axis, j)];
+                h[ix::ATTITUDE + j] = -drag * turned[(axis, j)];
+            }
+            h[ix::ACCEL_BIAS + axis] = 1.0;
+            let before = self.lane.accel_bias[axis];
+            self.coupling(innovation, h, sigma);
+            self.lane.force[axis] -= self.lane.accel_bias[axis] - before;
+        }
+    }
+
+    fn take_field(&mut self, field: &Field, measured_ut: &Vector3<f64>, tolerance: f64) {
+        let measured = measured_ut / field.strength_ut;
+        if (measured.norm() - 1.0).abs() > tolerance {
+            return;
+        }
+        for axis in 0..3 {
+            let body_from_world: UnitQuaternion<f64> = self.lane.at.world_from_body.inverse();
+            let innovation = measured[axis] - (body_from_world * field.direction)[axis];
+            let turned = body_from_world.to_rotation_matrix().into_inner() * skew(&field.direction);
+            let mut h = ErrorState::zeros();
+            (0..3).for_each(|j| h[ix::ATTITUDE + j] = turned[(axis, j)]);
+            self.coupling(innovation, h, FIELD_SIGMA);
+        }
+    }
+
+    /// What nothing measures; see `ekf_bias/idle.rs`. No lane is judged by it.
+    fn bound(&mut self, unaided: &Unaided) {
+        let velocity = match unaided.resting {
+            true => REST_SIGMA_MPS.powi(2),
+            false => VELOCITY_SIGMA_MPS.powi(2) * whitening(VELOCITY_CORRELATION_S, unaided.since_s),
+        };
+        let position = POSITION_SIGMA_M.powi(2) * whitening(POSITION_CORRELATION_S, unaided.since_s);
+        for (axis, unknown) in unaided.axes.into_iter().enumerate() {
+            if unknown || unaided.resting {
+                self.pseudo(ix::VELOCITY + axis, -self.lane.at.velocity_enu_mps[axis], velocity);
+            }
+            if unknown {
+                let away = unaided.anchor[axis] - self.lane.at.position_enu_m[axis];
+                self.pseudo(ix::POSITION + axis, away, position);
+            }
+        }
+    }
+
+    fn pseudo(&mut self, i: usize, innovation: f64, variance: f64) {
+        if let Some(dx) = ScalarRow::pseudo(i, innovation, variance).correct(&mut self.lane.p, self.residuals) {
+            self.lane.inject(&dx);
+        }
+    }
+}
+
+impl Slot {
+    /// How long before the slot's end `time` was, s.
+    pub fn age_s(&self, time: FlightTime) -> f64 {
+        self.end().seconds_since(time).clamp(0.0, 0.5)
+    }
+}

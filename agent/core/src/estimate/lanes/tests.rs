@@ -1,0 +1,125 @@
+use nalgebra::Vector3;
+
+use super::*;
+use crate::estimate::Health;
+use crate::estimate::ekf_bias::tests::world::{Course, HOVER, LIVELY, World};
+use crate::estimate::fdir::isolation::SensorSet;
+use crate::frames::tilt_rad;
+use crate::sensor::{HeightSample, MocapPoseSample};
+use crate::vehicle::Truth;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+/// Four IMUs, three lasers of 8 mm at 10 Hz, and motion capture where `pose`.
+struct Flying {
+    world: World,
+    lanes: Lanes,
+    pose: bool,
+}
+
+impl Flying {
+    fn new(course: Course, seed: u64, pose: bool) -> Self {
+        let mut world = World::new(course, seed);
+        world.imus = 4;
+        Self { world, lanes: Lanes::new(SensorModel::default(), &Airframe::iris()), pose }
+    }
+
+    /// Until `t_s`; `attack` alters each frame. Largest errors of altitude, m, and tilt, rad, on the way.
+    fn until(&mut self, t_s: f64, attack: impl Fn(&mut SensorFrame)) -> (f64, f64) {
+        let (mut altitude_m, mut tilt) = (0.0f64, 0.0f64);
+        while self.world.time().as_seconds() < t_s {
+            let (mut frame, truth) = self.world.frame(true);
+            for i in 0..3u64 {
+                if (self.world.tick + 7 * i).is_multiple_of(20) {
+                    let height_m = truth.position_enu_m.z + self.world.scalar(0.008);
+                    frame.heights[i as usize] = Some(HeightSample { time: frame.time, height_m });
+                }
+            }
+            if self.pose && self.world.tick.is_multiple_of(4) {
+                let Truth { time, position_enu_m, world_from_body, .. } = truth;
+                frame.mocap_pose = Some(MocapPoseSample { time, position_enu_m, world_from_body });
+            }
+            attack(&mut frame);
+            let estimate = self.lanes.step(&frame, &MotorCommand::default());
+            let motion = estimate.motion_or_rest();
+            altitude_m = altitude_m.max((motion.position_enu_m.z - truth.position_enu_m.z).abs());
+            let (up, true_up) = (estimate.world_from_body * Vector3::z(), truth.world_from_body * Vector3::z());
+            tilt = tilt.max(up.angle(&true_up));
+        }
+        (altitude_m, tilt)
+    }
+
+    fn announced(&self) -> SensorSet {
+        let mut set = SensorSet::default();
+        let flagged = self.lanes.isolation().devices().iter().filter(|device| device.flagged.is_some());
+        flagged.for_each(|device| set.add(device.sensor));
+        set
+    }
+}
+
+fn one(kind: SensorKind, instance: u8) -> SensorSet {
+    let mut set = SensorSet::default();
+    set.add(SensorId::new(kind, instance));
+    set
+}
+
+#[test]
+fn it_follows_lively_motion_and_predicts_to_now() {
+    let mut flying = Flying::new(LIVELY, 3, true);
+    flying.until(8.0, |_| {});
+    let (altitude_m, tilt) = flying.until(20.0, |_| {});
+    // A horizon 100 ms back, not brought to now, would be 40 mm and 4° off here.
+    assert!(altitude_m < 0.02 && tilt < 2f64.to_radians(), "{altitude_m} m, {}°", tilt.to_degrees());
+    assert!(flying.announced().is_empty());
+}
+
+#[test]
+fn hovering_without_motion_capture_altitude_and_tilt_are_kept() {
+    let mut flying = Flying::new(HOVER, 4, false);
+    flying.until(8.0, |_| {});
+    let (altitude_m, tilt) = flying.until(30.0, |_| {});
+    assert!(altitude_m < 0.02 && tilt < 1.5f64.to_radians(), "{altitude_m} m, {}°", tilt.to_degrees());
+    assert_eq!(flying.lanes.estimate().health, Health::Healthy);
+    let weights = flying.lanes.weights();
+    assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9 && weights[4] == 0.0, "{weights:?}");
+}
+
+#[test]
+fn a_false_imu_is_excluded_announced_and_taken_back_afterwards() {
+    for (name, attack) in [
+        ("accelerometer", (|s: &mut crate::sensor::ImuSample| s.accel_mps2.z += 2.0) as fn(&mut _)),
+        ("gyroscope", |s: &mut crate::sensor::ImuSample| s.gyro_radps.y += 0.3),
+    ] {
+        let mut flying = Flying::new(HOVER, 5, true);
+        flying.until(10.0, |_| {});
+        let (altitude_m, tilt) = flying.until(16.0, |frame| frame.imus[1].iter_mut().for_each(attack));
+        assert_eq!(flying.announced(), one(SensorKind::Imu, 2), "{name}");
+        assert!(altitude_m < 0.03 && tilt < 2f64.to_radians(), "{name}: {altitude_m} m, {}°", tilt.to_degrees());
+        assert!(flying.lanes.weights()[1] < 0.01, "{name}: {:?}", flying.lanes.weights());
+        flying.until(26.0, |_| {});
+        assert!(flying.announced().is_empty(), "{name}");
+    }
+}
+
+#[test]
+fn nothing_that_is_no_number_and_no_time_that_goes_back_stops_it() {
+    let mut flying = Flying::new(HOVER, 6, false);
+    flying.until(6.0, |frame| {
+        let nothing = Vector3::repeat(f64::NAN);
+        if frame.time.0.is_multiple_of(35_000) {
+            frame.imus[0].iter_mut().for_each(|s| s.accel_mps2 = nothing);
+            frame.heights[0].iter_mut().for_each(|s| s.height_m = f64::INFINITY);
+        }
+    });
+    assert_eq!(flying.lanes.estimate().health, Health::Healthy);
+    // The IMUs are silent: degraded, and still numbers.
+    flying.until(7.0, |frame| frame.imus = [None; MAX_IMUS]);
+    assert_eq!(flying.lanes.estimate().health, Health::Degraded);
+    assert!(tilt_rad(&flying.lanes.estimate().world_from_body) < 0.5);
+    // Another flight.
+    flying.world.tick = 0;
+    flying.until(0.1, |_| {});
+    assert_eq!(flying.lanes.estimate().health, Health::Initialising);
+    let (altitude_m, _) = flying.until(9.0, |_| {});
+    assert!(flying.lanes.estimate().health == Health::Healthy && altitude_m < 2.0, "{altitude_m}");
+}
