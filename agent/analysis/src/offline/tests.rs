@@ -78,7 +78,7 @@ fn broad_errors_of_the_attitude_ekf_are_half_those_of_vqf() {
     }
     let (ours, vqf) = (mean(&ours), mean(&vqf));
     line("mean", &ours, &vqf);
-    assert!(ours[0] <= 1.2 && ours[1] <= 1.1 && ours[2] <= 0.6);
+    assert!(ours[0] <= 1.15 && ours[1] <= 1.0 && ours[2] <= 0.6);
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn a_stretch_of_broad_gives_the_attitudes_of_the_prototype() {
     let mut expected = golden.iter().peekable();
     while let Some(tick) = recording.next_tick() {
         let estimate = filter.step(&tick.sensed, &MotorCommand::default());
-        if let Some([t, w, x, y, z]) = expected.next_if(|row| row[0] <= estimate.time.as_seconds()) {
+        if let Some([t, w, x, y, z]) = expected.next_if(|row| row[0] <= estimate.time.as_seconds() + 1e-6) {
             let attitude = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(*w, *x, *y, *z));
             let apart = estimate.world_from_body.angle_to(&attitude).to_degrees();
             assert!(apart < 1e-3, "{apart}° apart at {t} s");

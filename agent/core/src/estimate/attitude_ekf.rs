@@ -36,7 +36,7 @@ mod tests;
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 
 use self::covariance::{Covariance, ErrorState, Propagation, ix};
-use self::field::Gate;
+use self::field::{Gate, Sample};
 use self::start::Start;
 use super::EstimatorKind;
 use super::attitude::{AttitudeEstimator, AttitudeFilter};
@@ -197,18 +197,20 @@ impl AttitudeEkf {
             *waiting = (waiting.0 + 1, waiting.1 + dt_s);
         }
         let mut x = ErrorState::zeros();
-        let due = self.waiting.0 >= CORRECT_EVERY;
+        let due = self.waiting.0 >= CORRECT_EVERY && self.waiting.1 > 0.0;
         if due {
             self.correct_motion(&mut x);
         }
-        let field = field.filter(|_| self.field_waiting.0 >= CORRECT_EVERY);
+        let field = field.filter(|_| self.field_waiting.0 >= CORRECT_EVERY && self.field_waiting.1 > 0.0);
         if let Some(field) = field {
             if self.state.field_ut == Vector3::zeros() {
                 // None came during the start.
                 self.state.field_ut = rotation * (field - self.state.hard_iron_ut);
             }
             let elapsed_s = std::mem::take(&mut self.field_waiting).1;
-            self.gate.correct(&mut self.p, &mut x, &self.state, (rotation, rate), field, elapsed_s);
+            let moving = !self.rest.holds();
+            let sample = Sample { field_ut: field, rotation, rate, moving, t: elapsed_s };
+            self.gate.correct(&mut self.p, &mut x, &self.state, &sample);
         }
         if due || field.is_some() {
             let tilt = self.state.correct(&x);

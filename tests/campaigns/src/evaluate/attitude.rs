@@ -11,7 +11,7 @@ use super::{entries, stem};
 /// The trials that the peers were measured on, by the number their names begin with.
 const PEERS_TRIALS: [&str; 6] = ["02", "06", "11", "15", "28", "33"];
 
-/// BROAD: the attitude estimator, nine and six axes, over every trial found.
+/// BROAD: VQF, nine and six axes, and the attitude EKF over every trial found.
 pub fn broad(scored: &mut Scored) -> Result<(), ReportError> {
     scored.report.heading("BROAD: attitude against optical motion capture");
     scored.report.paragraph(
@@ -23,9 +23,11 @@ pub fn broad(scored: &mut Scored) -> Result<(), ReportError> {
         return Ok(());
     };
     let of_peers = |path: &PathBuf| PEERS_TRIALS.iter().any(|number| stem(path).starts_with(number));
-    for (axes, sensors, limits) in
-        [("nine_axes", &[][..], [Some(2.8), Some(2.7), Some(0.7)]), ("six_axes", &["imu"][..], [None, None, Some(0.7)])]
-    {
+    for (axes, estimator, sensors, limits) in [
+        ("nine_axes", "vqf", &[][..], [Some(2.8), Some(2.7), Some(0.7)]),
+        ("six_axes", "vqf", &["imu"][..], [None, None, Some(0.7)]),
+        ("attitude_ekf", "attitude-ekf", &[][..], [Some(1.2), Some(1.1), Some(0.6)]),
+    ] {
         let mut sums = [[0.0; 3]; 2];
         let mut counts = [0.0; 2];
         let mut traces: Vec<(String, Vec<ErrorSample>)> = Vec::new();
@@ -33,10 +35,9 @@ pub fn broad(scored: &mut Scored) -> Result<(), ReportError> {
             let chosen = |args: &mut plumbline_agent::offline::EstimateArgs| {
                 args.sensors = sensors.iter().map(|s| (*s).to_owned()).collect();
             };
-            let (score, _) = scored.estimate(trial, "attitude", chosen);
+            let (score, _) = scored.estimate(trial, estimator, chosen);
             let errors = score.attitude_deg().unwrap();
-            let wanted = if axes == "nine_axes" { &[0, 1, 2][..] } else { &[2][..] };
-            for &i in wanted {
+            for i in (0..3).filter(|i| limits[*i].is_some()) {
                 let name = format!("broad/{axes}/{}/{}", stem(trial), NAMES[i]);
                 scored.value(&name, errors[i], "deg", Target::Peer(None));
             }

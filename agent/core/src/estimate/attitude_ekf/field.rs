@@ -5,11 +5,16 @@
 //! ```
 //! A field that does not fit is weighed down, and meanwhile hard iron and field become uncertain: iron on the vehicle
 //! ends up in m_b, which turns with it, and another place in h, which does not.
+//!
+//! Strength and dip of h, once they have fitted in motion, are the reference. While those of y differ from it, h and b
+//! are considered and not corrected: a magnet that stands nearby would otherwise become the field within a minute. After
+//! two minutes it does, since the reference may have been wrong. A magnet that leaves both nearly as they are is not
+//! told from a turn of the vehicle, and a field known from rest alone, at a place of iron, is slow to be given up. (The reference as in Laidig & Seel 2023, section 3.6.)
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::covariance::{Covariance, ErrorState, N, ix};
-use super::{State, correct_scalar};
+use super::{DEGREE, State, correct_scalar};
 use crate::frames::skew;
 
 /// Magnetometer, one-sigma, µT …
@@ -33,14 +38,53 @@ const DISTURBED_MAX_UT: f64 = 40.0;
 /// The field has to fit for so long before it is settled, s; each second beyond the gate takes off two.
 const SETTLED_S: f64 = 10.0;
 
+/// Strength may differ from that of the reference by this fraction …
+const STRENGTH: f64 = 0.08;
+/// … and dip by this, rad.
+const DIP_RAD: f64 = 8.0 * DEGREE;
+/// The reference holds once a settled field has fitted for so long in motion, s …
+const KNOWN_S: f64 = 5.0;
+/// … fits again after this long, s …
+const FITS_AGAIN_S: f64 = 1.0;
+/// … and is given up after so long without, s.
+const REJECT_S: f64 = 120.0;
+/// Time that fits makes up for so many times as much that does not.
+const MAKES_UP: f64 = 2.0;
+
 /// The gate.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Gate {
-    /// For how long the field has fitted.
+    /// For how long the field has been within it.
     fitting_s: f64,
     disturbed: bool,
     /// y.
     measured_ut: Vector3<f64>,
+    reference: Reference,
+}
+
+/// How well the strength and the dip of h are known.
+#[derive(Debug, Clone, Default)]
+struct Reference {
+    /// For how long they have fitted in motion.
+    known_s: f64,
+    /// For how long since they last did not.
+    fits_s: f64,
+    /// For how long they have not.
+    rejected_s: f64,
+}
+
+/// One magnetometer sample, and what it is looked at with.
+pub(super) struct Sample<'a> {
+    /// m, body frame, µT.
+    pub field_ut: &'a Vector3<f64>,
+    /// R.
+    pub rotation: &'a Matrix3<f64>,
+    /// ω, rad/s.
+    pub rate: &'a Vector3<f64>,
+    /// Does the vehicle move?
+    pub moving: bool,
+    /// What it stands for, s.
+    pub t: f64,
 }
 
 impl Gate {
@@ -54,17 +98,10 @@ impl Gate {
         &self.measured_ut
     }
 
-    /// Corrects `p` and `x` by the magnetometer sample `field`, which stands for `t` seconds; R and ω are those of now.
-    pub fn correct(
-        &mut self,
-        p: &mut Covariance,
-        x: &mut ErrorState,
-        state: &State,
-        (rotation, rate): (&Matrix3<f64>, &Vector3<f64>),
-        field: &Vector3<f64>,
-        t: f64,
-    ) {
-        let iron_free = field - state.hard_iron_ut;
+    /// Corrects `p` and `x` by a sample.
+    pub fn correct(&mut self, p: &mut Covariance, x: &mut ErrorState, state: &State, sample: &Sample) {
+        let Sample { rotation, rate, t, .. } = *sample;
+        let iron_free = sample.field_ut - state.hard_iron_ut;
         let change = rate.cross(&iron_free);
         let y = rotation * (iron_free - state.lag_s * change);
         let innovation = state.field_ut - y;
@@ -78,10 +115,40 @@ impl Gate {
 
         let weight = self.weigh(p, &h, &innovation, t);
         self.measured_ut = y;
+        let fits = (y.norm() / state.field_ut.norm() - 1.0).abs() <= STRENGTH
+            && (dip_rad(&y) - dip_rad(&state.field_ut)).abs() <= DIP_RAD;
+        let first = if self.holds_field(fits, sample) { ix::HARD_IRON } else { ix::GYRO_BIAS };
         let r = 2.0 * SIGMA_UT.powi(2) * CORRELATION_S / (t * weight);
         for i in 0..3 {
-            correct_scalar(p, x, &h.row(i).transpose(), innovation[i], r, ix::GYRO_BIAS);
+            correct_scalar(p, x, &h.row(i).transpose(), innovation[i], r, first);
         }
+    }
+
+    /// Is the reference to be held against this sample, which `fits` it or not?
+    fn holds_field(&mut self, fits: bool, &Sample { moving, t, .. }: &Sample) -> bool {
+        let reference = &mut self.reference;
+        if fits && !self.disturbed {
+            reference.known_s += if moving { t } else { 0.0 };
+        } else if reference.known_s < KNOWN_S {
+            reference.known_s = (reference.known_s - MAKES_UP * t).max(0.0);
+        }
+        if reference.known_s < KNOWN_S || self.fitting_s < SETTLED_S {
+            reference.rejected_s = 0.0;
+            return false;
+        }
+        if fits {
+            reference.fits_s += t;
+            reference.rejected_s = (reference.rejected_s - MAKES_UP * t).max(0.0);
+        } else {
+            reference.fits_s = 0.0;
+            reference.rejected_s += t;
+            if reference.rejected_s > REJECT_S {
+                *reference = Reference::default();
+                self.fitting_s = 0.0;
+                return false;
+            }
+        }
+        reference.fits_s < FITS_AGAIN_S
     }
 
     /// Weight of a sample of this `innovation`; a disturbed one makes hard iron and field uncertain.
@@ -107,4 +174,9 @@ impl Gate {
         }
         (gate / distance).powi(2).max(WEIGHT_MIN)
     }
+}
+
+/// How far the field points down, rad.
+fn dip_rad(field: &Vector3<f64>) -> f64 {
+    (-field.z).atan2(field.xy().norm())
 }
