@@ -24,7 +24,7 @@ use crate::sensor::{SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Most estimators of one bank.
-pub const MAX_ESTIMATORS: usize = 8;
+pub const MAX_ESTIMATORS: usize = 10;
 /// Time constant with which a switch dies away, s.
 const BLEND_TIME_CONSTANT_S: f64 = 0.5;
 /// A difference below this is gone: it changes no sum any more, and numbers much smaller are slow to multiply.
