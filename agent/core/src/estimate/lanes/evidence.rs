@@ -1,4 +1,4 @@
-//! Which lanes to believe: by what they predicted of the sensors that all of them share.
+//! Which lanes are healthy: by what they predicted of the sensors that all of them share.
 //!
 //! | symbol | meaning |
 //! |---|---|

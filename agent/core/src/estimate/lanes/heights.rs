@@ -1,4 +1,4 @@
-//! The laser heights as one group: which of them to believe, and what each is off by.
+//! The laser heights as one group: which of them are healthy, and what each is off by.
 //!
 //! Residuals against the altitude of all lanes, as means over five samples and over the whole memory, about a centre that a
 //! minority cannot move far; their scatter apart from their means. Each laser's offset and scale are learned slowly, about

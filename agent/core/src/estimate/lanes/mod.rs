@@ -1,6 +1,6 @@
 //! Secure estimation by lanes: one error-state filter for each IMU, weighted by what they predict of all other sensors.
 //!
-//! A lane has its own biases and a noise measured from data (`noise.rs`), so that vibration widens what it believes instead
+//! A lane has its own biases and a noise measured from data (`noise.rs`), so that vibration widens its covariance instead
 //! of blinding it. All lanes are corrected by the same sensors and couplings (`rows.rs`), at a fusion horizon
 //! 100 ms back, once for each slot of 40 ms. Evidence from their predictions (`evidence.rs`) and a small majority vote
 //! (`vote.rs`) give their weights; the laser heights are judged as a group (`heights.rs`). The estimate is the
@@ -98,7 +98,7 @@ pub struct Lanes {
     estimate: Estimate,
 }
 
-/// Who says which lanes and lasers to believe.
+/// Who says which lanes and lasers are healthy.
 struct Judges {
     noise: Noise,
     vote: Vote,
