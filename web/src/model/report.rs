@@ -131,7 +131,8 @@ fn deviation(live: &Live, start_s: f64, end_s: f64) -> Option<[f64; 2]> {
 const AFTER_S: f64 = 2.0;
 
 fn attacks(live: &Live, begin_s: f64) -> Vec<Attack> {
-    let spans: Vec<_> = live.log.attacks.iter().filter(|s| s.seen).collect();
+    // What was over before it began is told in its first status, and is another flight's.
+    let spans: Vec<_> = live.log.attacks.iter().filter(|s| s.seen && s.end_s >= begin_s).collect();
     let judged = live.suspicion_rows();
     let one = |span: &&super::spans::Span| {
         let a = &span.attack;
