@@ -90,7 +90,7 @@ fn hold(world: &str, rig: &str, seed: u64, attack: &str, kind: EstimatorKind) ->
 /// GIVEN the bench and the world of the data sheets WHEN one sensor is attacked THEN no flight is lost, the altitude is held to
 /// centimetres, the tilt known to half a degree, and no healthy sensor announced as excluded.
 #[test]
-fn with_one_sensor_attacked_it_holds_and_accuses_no_other() {
+fn with_one_sensor_attacked_it_holds_and_excludes_no_other() {
     for (world, rms_m) in [("bench", 0.003), ("datasheet", 0.025)] {
         for (attack, seed) in ATTACKS.into_iter().zip(1..) {
             let held = hold(world, RIGS[seed as usize % 2], seed, attack, EstimatorKind::Lanes);
