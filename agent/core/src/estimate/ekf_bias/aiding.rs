@@ -51,6 +51,16 @@ impl EkfBias {
     /// One scalar: x ← x ⊕ k (y − ŷ) and P where its row is accepted. True when it was.
     pub(super) fn correct(&mut self, row: &ScalarRow<N>) -> bool {
         let correction = row.correct(&mut self.p, &mut self.estimate.residuals);
+        self.take(correction)
+    }
+
+    /// Corrects by `row`, whose pull is limited beyond its gate.
+    pub(super) fn correct_past_gate(&mut self, row: &ScalarRow<N>) -> bool {
+        let correction = row.correct_past_gate(&mut self.p, &mut self.estimate.residuals);
+        self.take(correction)
+    }
+
+    fn take(&mut self, correction: Option<nalgebra::SVector<f64, N>>) -> bool {
         if let Some(dx) = &correction {
             self.inject(dx);
         }

@@ -90,10 +90,7 @@ impl EkfBias {
             row.refused = self.contradicted(i, frame.time);
             // Not one that most of the others agree with: then it is the estimate that is off, and a hard gate would
             // lock all of them out.
-            if self.agreed(i, frame.time) {
-                row = row.huber(&self.p);
-            }
-            used |= self.correct(&row);
+            used |= if self.agreed(i, frame.time) { self.correct_past_gate(&row) } else { self.correct(&row) };
         }
         self.aided.heights.freshness.note(frame.time, used);
         if used {

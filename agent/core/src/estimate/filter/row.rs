@@ -31,15 +31,6 @@ impl<const N: usize> ScalarRow<N> {
         Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false }
     }
 
-    /// The same with Huber's weight in the place of the gate: beyond it the noise grows with the innovation, so that what
-    /// the row adds to the state grows no further, but is not lost.
-    #[must_use]
-    pub fn huber(self, p: &SMatrix<f64, N, N>) -> Self {
-        let (_, s) = kalman::innovation_variance(p, &self.h, self.variance);
-        let beyond = self.innovation.abs() / (self.gate * s.sqrt());
-        if beyond > 1.0 { Self { variance: self.variance * beyond, gate: f64::INFINITY, ..self } } else { self }
-    }
-
     /// Corrects `p` and returns the correction δx = k (y − ŷ) of the state; `None` where the row is rejected or not
     /// finite. A finite one leaves its residual either way.
     #[must_use]
@@ -65,6 +56,16 @@ impl<const N: usize> ScalarRow<N> {
         let ratio = self.innovation.abs() / s.sqrt();
         let widened = s * (ratio / knee - 1.0).max(0.0);
         (!self.refused).then(|| (self.update(p, &ph, s, widened), ratio * ratio))
+    }
+
+    /// As [`Self::correct_robustly`], with the gate as the knee and r alone as what grows: where the state is uncertain, what
+    /// is far off still moves it far.
+    #[must_use]
+    pub fn correct_past_gate(&self, p: &mut SMatrix<f64, N, N>, residuals: &mut Residuals) -> Option<SVector<f64, N>> {
+        let (ph, s) = self.predicted(p)?;
+        self.leave(s, !self.refused, residuals);
+        let widened = self.variance * (self.innovation.abs() / (self.gate * s.sqrt()) - 1.0).max(0.0);
+        (!self.refused).then(|| self.update(p, &ph, s, widened))
     }
 
     /// P hᵀ and s, where the row is finite.
