@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_agent::estimate::fdir::isolation::Isolation;
 use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::sensor::SensorFrame;
@@ -45,16 +46,28 @@ pub enum Pilot {
 
 impl Pilot {
     pub const EKF: Self = Self::Shipped(EstimatorKind::EkfBias);
-    pub const ALL: [Self; 4] = [Self::EKF, Self::Median, Self::Shipped(EstimatorKind::Secure), Self::Oracle];
+    pub const ALL: [Self; 5] = [
+        Self::EKF,
+        Self::Median,
+        Self::Shipped(EstimatorKind::Secure),
+        Self::Shipped(EstimatorKind::Lanes),
+        Self::Oracle,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Shipped(EstimatorKind::EkfBias) => "shipped EKF",
             Self::Shipped(EstimatorKind::Secure) => "secure",
+            Self::Shipped(EstimatorKind::Lanes) => "lanes",
             Self::Shipped(_) => "another",
             Self::Oracle => "oracle",
             Self::Median => "median fusion",
         }
+    }
+
+    /// Does it say which sensors it excludes?
+    pub fn judges(self) -> bool {
+        matches!(self, Self::Shipped(EstimatorKind::Secure | EstimatorKind::Lanes))
     }
 
     fn estimator(self) -> EstimatorKind {
@@ -232,6 +245,11 @@ impl Operator {
     }
 }
 
+/// Of whichever estimator judges sensors.
+fn isolation(flight: &Flight) -> Option<&Isolation> {
+    flight.secure().map(|secure| secure.isolation()).or_else(|| flight.lanes().map(|lanes| lanes.isolation()))
+}
+
 /// Watches one flight.
 struct Judge {
     attacks: Vec<Attack>,
@@ -263,7 +281,7 @@ impl Judge {
     fn tick(&mut self, t: f64, flight: &Flight, vehicle: &SimVehicle) -> bool {
         self.exclusions(t, flight);
         let begun = self.attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
-        let contradicted = flight.secure().is_some_and(|secure| secure.isolation().contradicted());
+        let contradicted = isolation(flight).is_some_and(Isolation::contradicted);
         if t >= begun && (contradicted || flight.failsafe() != Failsafe::None) {
             self.outcome.declared_s.get_or_insert(t - begun);
         }
@@ -296,8 +314,8 @@ impl Judge {
     }
 
     fn exclusions(&mut self, t: f64, flight: &Flight) {
-        let Some(secure) = flight.secure() else { return };
-        for device in secure.isolation().devices() {
+        let Some(isolation) = isolation(flight) else { return };
+        for device in isolation.devices() {
             let sensor = device.sensor;
             let of = self.attacks.iter().find(|a| a.sensor == sensor);
             // What an attack left behind takes a while to be trusted again.

@@ -138,7 +138,7 @@ fn row<'a>(
     let of = |values: &[f64]| [median(values), percentile(values, 0.95), worst(values)];
     let (altitude3, tilt3) = (of(&altitude), of(&tilt));
     let within = |values: [f64; 3], most: [f64; 3]| values.iter().zip(most).all(|(value, most)| *value <= most);
-    let judged = pilot == Pilot::Shipped(EstimatorKind::Secure);
+    let judged = pilot.judges();
     let lost_of_hundred = 100.0 * lost as f64 / all.len() as f64;
     let holds =
         judged.then(|| within(altitude3, case.altitude) && within(tilt3, case.tilt) && lost_of_hundred <= case.lost);
@@ -150,7 +150,8 @@ fn row<'a>(
         "worst": altitude3[2], "median_interval": median_interval(&altitude), "limits": case.altitude,
         "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "e_star_mm": median(&clean_mm),
         "most_mm": 1e3 * worst(&all.iter().map(|o| o.altitude_most_m).collect::<Vec<_>>()),
-        "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": missed, "flights_with_false_exclusion": falsely,
+        "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
+        "flights_with_false_exclusion": judged.then_some(falsely),
         "declared": declared.len(), "declared_within_s": worst(&declared),
         "outside_bound": worst(&bound), "holds": holds,
     });
