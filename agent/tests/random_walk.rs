@@ -18,10 +18,11 @@ const BROKE: [u64; 5] = [1_000_399, 1_004_455, 2_003_980, 7_008_829, 11_005_329]
 /// strings, levelled with too much thrust; crashed onto the stand and driven along the floor; dropped onto the floor so hard that the
 /// accelerometers clipped, and held by an estimator that never heard of it; taken over a
 /// little late for what it can brake sideways; held where a path had carried its setpoint, outside; held by an
-/// estimator whose speed a reset of its place had stopped; bumped onto the floor, and right heights refused for two seconds.
-const LEFT: [u64; 11] = [
+/// estimator whose speed a reset of its place had stopped; bumped onto the floor, and right heights refused for two seconds; the same
+/// against its stand, and right places.
+const LEFT: [u64; 12] = [
     1_003_392, 2_000_096, 2_004_524, 2_002_628, 4_000_172, 6_007_936, 8_002_080, 8_008_334, 8_002_688, 9_004_076,
-    12_009_312,
+    12_009_312, 13_005_580,
 ];
 /// Flights of each mode on each rig.
 const FLIGHTS_EACH: usize = 5;

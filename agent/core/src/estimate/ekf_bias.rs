@@ -59,6 +59,8 @@ const LONGEST_STEP_S: f64 = 0.02;
 const LONGEST_GAP_S: f64 = 1.0;
 /// No IMU for this long is degraded, s.
 const IMU_SILENCE_S: f64 = 0.1;
+/// Specific force that changes by more than this between two samples was a blow, and not seen whole, m/s².
+const BLOW_MPS2: f64 = 30.0;
 /// A tilt less certain than this is degraded, rad.
 const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
 
@@ -261,14 +263,14 @@ impl EkfBias {
         self.history.clear();
     }
 
-    /// Propagates state and covariance to `frame.time`.
-    fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
+    /// Propagates state and covariance over `dt_s`; `unseen_mps` is the velocity that a blow may have given unseen.
+    fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>, unseen_mps: f64) {
         let ImuModel { gyro, accel, gravity_mps2, .. } = &self.model.imus;
         let share = 1.0 / self.imus.used() as f64;
         let density =
             |of: &TriaxialModel| Vector3::repeat(of.noise_density.powi(2) * share + of.common_noise_density.powi(2));
         let noise = Noise {
-            accel: density(accel),
+            accel: density(accel).add_scalar(unseen_mps * unseen_mps / dt_s),
             gyro: density(gyro),
             accel_bias: (accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
             gyro_bias: (gyro.bias_walk.powi(2), gyro.bias_prior.powi(2)),
@@ -384,6 +386,12 @@ impl EkfBias {
     }
 }
 
+/// Half of what the change of specific force makes of the time between two samples, m/s, where it was a blow.
+fn unseen(previous: &Inertial, current: &Inertial) -> f64 {
+    let change_mps2 = (current.accel_mps2 - previous.accel_mps2).norm();
+    if change_mps2 > BLOW_MPS2 { 0.5 * change_mps2 * current.time.seconds_since(previous.time) } else { 0.0 }
+}
+
 impl Estimator for EkfBias {
     fn kind(&self) -> EstimatorKind {
         EstimatorKind::EkfBias
@@ -423,7 +431,8 @@ impl Estimator for EkfBias {
             (None, None) => (self.state.gyro_bias_radps, self.gravity_in_body()),
         };
         if dt_s > 0.0 {
-            self.propagate(dt_s, &input.0, &input.1);
+            let unseen_mps = previous.zip(current).map_or(0.0, |(p, c)| unseen(&p, &c));
+            self.propagate(dt_s, &input.0, &input.1, unseen_mps);
         }
         if let Some(inertial) = current {
             self.inertial = Some(inertial);
