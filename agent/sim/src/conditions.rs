@@ -15,7 +15,7 @@ const WORLDS: [(&str, &str); 2] =
 /// Slowest flight loop in which the vibration's bands can be made, Hz.
 pub const TICK_RATE_MIN_HZ: f64 = 150.0;
 
-/// The conditions of one world.
+/// The conditions of one world: one field for each key or table of its file, hence so many.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
@@ -82,6 +82,7 @@ pub(crate) struct Vibration {
     pub(crate) rotor_unbalance_sigma: f64,
 }
 
+/// The IMUs: one field for each key of the table, hence so many.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Imu {

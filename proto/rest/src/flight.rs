@@ -79,7 +79,7 @@ pub struct FlownAttack {
     pub phase: String,
 }
 
-/// One flight.
+/// One flight: one field for each key of the answer, hence so many.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Flight {

@@ -62,10 +62,8 @@ pub fn fly_step(
 ) -> Option<Flown> {
     let mut law = law.clone();
     let mixer = Mixer::new(airframe, f64::INFINITY)?;
-    let mut state = State::at_rest(Vector3::new(0.0, 0.0, ALTITUDE_M));
-    let mut speeds = [airframe.hover_speed_radps(); ROTORS];
-    let mut waiting = MotorCommand { throttle: [airframe.hover_command(); ROTORS] };
-    let start = Setpoint { position_enu_m: state.position_enu_m, ..Setpoint::default() };
+    let mut plant = Plant::hovering(airframe, period_s);
+    let start = Setpoint { position_enu_m: plant.state.position_enu_m, ..Setpoint::default() };
     let mut target = start;
     match output {
         3 => target.roll_pitch_yaw_rad.z += size,
@@ -77,7 +75,6 @@ pub fn fly_step(
     let mut meter = StepMeter::default();
     let from = value(&start.position_enu_m, 0.0);
     meter.begin(FlightTime(0), from, from + size, from);
-    let mut measured = *meter.response()?;
     let mut flown = Flown {
         output: OUTPUT_NAMES.get(output).copied().unwrap_or("yaw"),
         size,
@@ -85,43 +82,26 @@ pub fn fly_step(
         setpoint: Vec::new(),
         response: Vec::new(),
         largest_command: Vec::new(),
-        measured,
+        measured: *meter.response()?,
         saturated_s: 0.0,
         stayed: true,
     };
-    let substeps = (period_s / LONGEST_STEP_S).ceil().max(1.0);
-    let h = period_s / substeps;
     let ticks = (duration_s / period_s).round() as u64;
     let mut due_s = 0.0;
     for tick in 0..=ticks {
         let t_s = tick as f64 * period_s;
-        let attitude = state.attitude();
-        let yaw = roll_pitch_yaw(&attitude).z;
-        let estimate = Estimate {
-            motion: Some(Motion {
-                position_enu_m: state.position_enu_m,
-                velocity_enu_mps: state.velocity_enu_mps,
-                horizontal_known: true,
-                altitude_known: true,
-                ..Motion::default()
-            }),
-            world_from_body: attitude,
-            body_rates_radps: state.body_rates_radps,
-            health: Health::Healthy,
-            ..Estimate::default()
-        };
         let setpoint = *profile.step(&target, limits, period_s);
-        let asked = law.control(&estimate, &setpoint, Loops { horizontal: true, altitude: true }, period_s);
+        let loops = Loops { horizontal: true, altitude: true };
+        let asked = law.control(&plant.estimate(), &setpoint, loops, period_s);
         let mixed = mixer.mix(&asked);
         law.applied(&asked, &mixed.given, 0.0);
         if mixed.saturated {
             flown.saturated_s += period_s;
         }
-        let now = FlightTime::from_seconds(t_s);
         let aim = value(&setpoint.position_enu_m, setpoint.roll_pitch_yaw_rad.z);
-        let reached = value(&state.position_enu_m, yaw);
-        if let Some(step) = meter.update(now, reached, aim) {
-            measured = step.to_owned();
+        let reached = value(&plant.state.position_enu_m, roll_pitch_yaw(&plant.state.attitude()).z);
+        if let Some(step) = meter.update(FlightTime::from_seconds(t_s), reached, aim) {
+            flown.measured = step.to_owned();
         }
         if t_s >= due_s - 1e-9 {
             due_s += CURVE_S.max(period_s);
@@ -130,20 +110,64 @@ pub fn fly_step(
             flown.response.push(reached);
             flown.largest_command.push(mixed.command.throttle.into_iter().fold(0.0, f64::max));
         }
+        let state = &plant.state;
         if !state.is_finite() || (state.position_enu_m - setpoint.position_enu_m).norm() > LOST_M {
             flown.stayed = false;
             break;
         }
-        // The command of the tick before acts during this one.
-        let acting = std::mem::replace(&mut waiting, mixed.command);
-        let steady = motor::steady_speed(airframe, &acting.throttle, 1.0);
-        for _ in 0..substeps as u32 {
-            let acceleration = motor::acceleration(airframe, &speeds, &steady);
-            let input = Input::from_rotors(airframe, &speeds, &acceleration);
-            state = rk4(&state, h, |x| derivative(airframe, x, &input)).normalised();
-            speeds = motor::after(airframe, &speeds, &steady, h);
+        plant.fly(mixed.command);
+    }
+    Some(flown)
+}
+
+/// Rigid body and rotors, in steps of the control period.
+struct Plant<'a> {
+    airframe: &'a Airframe,
+    period_s: f64,
+    state: State,
+    speeds_radps: [f64; ROTORS],
+    /// The command of the period before acts during the next one.
+    waiting: MotorCommand,
+}
+
+impl<'a> Plant<'a> {
+    fn hovering(airframe: &'a Airframe, period_s: f64) -> Self {
+        Self {
+            airframe,
+            period_s,
+            state: State::at_rest(Vector3::new(0.0, 0.0, ALTITUDE_M)),
+            speeds_radps: [airframe.hover_speed_radps(); ROTORS],
+            waiting: MotorCommand { throttle: [airframe.hover_command(); ROTORS] },
         }
     }
-    flown.measured = measured;
-    Some(flown)
+
+    /// Everything is known exactly.
+    fn estimate(&self) -> Estimate {
+        Estimate {
+            motion: Some(Motion {
+                position_enu_m: self.state.position_enu_m,
+                velocity_enu_mps: self.state.velocity_enu_mps,
+                horizontal_known: true,
+                altitude_known: true,
+                ..Motion::default()
+            }),
+            world_from_body: self.state.attitude(),
+            body_rates_radps: self.state.body_rates_radps,
+            health: Health::Healthy,
+            ..Estimate::default()
+        }
+    }
+
+    fn fly(&mut self, command: MotorCommand) {
+        let acting = std::mem::replace(&mut self.waiting, command);
+        let steady = motor::steady_speed(self.airframe, &acting.throttle, 1.0);
+        let substeps = (self.period_s / LONGEST_STEP_S).ceil().max(1.0);
+        let h = self.period_s / substeps;
+        for _ in 0..substeps as u32 {
+            let acceleration = motor::acceleration(self.airframe, &self.speeds_radps, &steady);
+            let input = Input::from_rotors(self.airframe, &self.speeds_radps, &acceleration);
+            self.state = rk4(&self.state, h, |x| derivative(self.airframe, x, &input)).normalised();
+            self.speeds_radps = motor::after(self.airframe, &self.speeds_radps, &steady, h);
+        }
+    }
 }

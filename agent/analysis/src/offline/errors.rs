@@ -28,6 +28,23 @@ impl Rms {
     }
 }
 
+/// Root mean squares so far: position and velocity by world axis, attitude as total angle, heading, inclination, degrees.
+#[derive(Debug, Clone, Copy, Default)]
+struct Errors {
+    position: [Rms; 3],
+    velocity: [Rms; 3],
+    attitude_deg: [Rms; 3],
+}
+
+fn add_each(of: &mut [Rms; 3], errors: [f64; 3]) {
+    of.iter_mut().zip(errors).for_each(|(rms, e)| rms.add(e));
+}
+
+/// Root mean square of the vector's length.
+fn length(axes: &[Rms; 3]) -> Option<f64> {
+    axes.iter().try_fold(0.0, |sum, axis| Some(sum + axis.0.value()?)).map(f64::sqrt)
+}
+
 /// Errors of a run. Attitude errors as in BROAD: total angle, rotation about the vertical (heading), and
 /// what is left (inclination).
 #[derive(Debug, Clone)]
@@ -36,13 +53,7 @@ pub struct Score {
     input: String,
     ticks: u64,
     initialised_s: Option<f64>,
-    position: Rms,
-    axes: [Rms; 3],
-    velocity: Rms,
-    velocity_axes: [Rms; 3],
-    total: Rms,
-    heading: Rms,
-    inclination: Rms,
+    errors: Errors,
     accel_bias_mps2: Vector3<f64>,
     gyro_bias_radps: Vector3<f64>,
     finite: bool,
@@ -101,14 +112,8 @@ impl Score {
             input: input.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default(),
             ticks: 0,
             initialised_s: None,
-            position: Rms::default(),
-            axes: [Rms::default(); 3],
-            velocity: Rms::default(),
-            velocity_axes: [Rms::default(); 3],
-            total: Rms::default(),
-            heading: Rms::default(),
+            errors: Errors::default(),
             notes: Vec::new(),
-            inclination: Rms::default(),
             accel_bias_mps2: Vector3::zeros(),
             gyro_bias_radps: Vector3::zeros(),
             finite: true,
@@ -142,8 +147,8 @@ impl Score {
             velocity_enu_mps: truth.velocity_enu_mps + knowable,
             world_from_body: truth.world_from_body,
         };
-        self.add_position(&(estimated.position_enu_m - state.position_enu_m));
-        self.add_velocity(&(estimated.velocity_enu_mps - state.velocity_enu_mps));
+        add_each(&mut self.errors.position, (estimated.position_enu_m - state.position_enu_m).into());
+        add_each(&mut self.errors.velocity, (estimated.velocity_enu_mps - state.velocity_enu_mps).into());
         let [_, heading_deg, inclination_deg] = self.add_attitude(&e.world_from_body, &truth.world_from_body);
         let position_m = Some((estimated.position_enu_m - state.position_enu_m).norm()).filter(|m| m.is_finite());
         let time_s = e.time.as_seconds();
@@ -173,8 +178,8 @@ impl Score {
         self.ticks += 1;
         self.finite &= x.iter().all(|v| v.is_finite());
         let part = |x: &X, i: usize| Vector3::new(x[i], x[i + 1], x[i + 2]);
-        self.add_position(&(part(x, ix::X) - part(truth, ix::X)));
-        self.add_velocity(&(part(x, ix::VX) - part(truth, ix::VX)));
+        add_each(&mut self.errors.position, (part(x, ix::X) - part(truth, ix::X)).into());
+        add_each(&mut self.errors.velocity, (part(x, ix::VX) - part(truth, ix::VX)).into());
         let attitude = |x: &X| from_roll_pitch_yaw(&part(x, ix::ROLL));
         self.add_attitude(&attitude(x), &attitude(truth));
         let mut error = truth - x;
@@ -184,26 +189,15 @@ impl Score {
         }
     }
 
-    fn add_position(&mut self, error: &Vector3<f64>) {
-        self.position.add(error.norm());
-        self.axes.iter_mut().zip(error.iter()).for_each(|(rms, e)| rms.add(*e));
-    }
-
-    fn add_velocity(&mut self, error: &Vector3<f64>) {
-        self.velocity.add(error.norm());
-        self.velocity_axes.iter_mut().zip(error.iter()).for_each(|(rms, e)| rms.add(*e));
-    }
-
     /// Total, heading and inclination errors, degrees.
     fn add_attitude(&mut self, estimate: &UnitQuaternion<f64>, truth: &UnitQuaternion<f64>) -> [f64; 3] {
         let e = truth * estimate.inverse();
         let total = 2.0 * e.imag().norm().atan2(e.w.abs()).to_degrees();
         let heading = wrap_pi(2.0 * e.k.atan2(e.w)).to_degrees();
         let inclination = 2.0 * e.i.hypot(e.j).atan2(e.w.hypot(e.k)).to_degrees();
-        self.total.add(total);
-        self.heading.add(heading);
-        self.inclination.add(inclination);
-        [total, heading, inclination]
+        let errors = [total, heading, inclination];
+        add_each(&mut self.errors.attitude_deg, errors);
+        errors
     }
 
     /// What the secure estimator flagged, one after the other; `None` for the others.
@@ -223,17 +217,18 @@ impl Score {
 
     /// Total, heading and inclination errors, root mean square, degrees, where attitude has a truth.
     pub fn attitude_deg(&self) -> Option<[f64; 3]> {
-        Some([self.total.value()?, self.heading.value()?, self.inclination.value()?])
+        let [total, heading, inclination] = self.errors.attitude_deg;
+        Some([total.value()?, heading.value()?, inclination.value()?])
     }
 
     /// Position error, root mean square, m.
     pub fn position_m(&self) -> Option<f64> {
-        self.position.value()
+        length(&self.errors.position)
     }
 
     /// Velocity error, root mean square, m/s.
     pub fn velocity_mps(&self) -> Option<f64> {
-        self.velocity.value()
+        length(&self.errors.velocity)
     }
 
     /// Accelerometer bias at the end, m/s².
@@ -272,6 +267,7 @@ impl Score {
             let reason = f.reason.as_str_name().trim_start_matches("FLAG_REASON_").to_lowercase();
             serde_json::json!({ "sensor": f.sensor.to_string(), "since_s": f.since_s, "until_s": f.until_s, "reason": reason })
         };
+        let [total, heading, inclination] = self.errors.attitude_deg;
         serde_json::json!({
             "estimate": self.input,
             "estimator": self.estimator,
@@ -279,13 +275,13 @@ impl Score {
             "ticks": self.ticks,
             "finite": self.finite,
             "initialised_s": self.initialised_s,
-            "position_rmse_m": self.position.value(),
-            "position_rmse_xyz_m": self.axes.map(|a| a.value()),
-            "velocity_rmse_mps": self.velocity.value(),
-            "velocity_rmse_xyz_mps": self.velocity_axes.map(|a| a.value()),
-            "total_rmse_deg": self.total.value(),
-            "heading_rmse_deg": self.heading.value(),
-            "inclination_rmse_deg": self.inclination.value(),
+            "position_rmse_m": length(&self.errors.position),
+            "position_rmse_xyz_m": self.errors.position.map(|a| a.value()),
+            "velocity_rmse_mps": length(&self.errors.velocity),
+            "velocity_rmse_xyz_mps": self.errors.velocity.map(|a| a.value()),
+            "total_rmse_deg": total.value(),
+            "heading_rmse_deg": heading.value(),
+            "inclination_rmse_deg": inclination.value(),
             "nees": self.nees().map(|n| n.0),
             "nees_states": self.nees().map(|n| n.1),
             "nis": nis,
