@@ -7,12 +7,13 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 use leptos::{html, prelude::*};
+use plumbline_proto::v1::SensorKind;
 
 use crate::{
     ctx::Ctx,
     model::{
         axis::{Tick, TimeAxis, ValueAxis},
-        curves::{Axis, Curve},
+        curves::{Axis, Curve, Group},
         instrument::Instrument,
         live::Live,
     },
@@ -147,6 +148,8 @@ pub struct Deck {
     pub pins: RwSignal<Option<[f64; 2]>>,
     /// Curves that their legend was asked to hide.
     pub hidden: RwSignal<Vec<Curve>>,
+    /// Groups of curves that are unfolded, and drawn.
+    pub unfolded: RwSignal<Vec<Group>>,
     /// Charts on the page that have a legend.
     pub listed: RwSignal<Vec<Listed>>,
     /// Recorded flights: where the replay stands, s.
@@ -178,6 +181,7 @@ impl Deck {
             error_axis: RwSignal::new(Axis::Roll),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
+            unfolded: RwSignal::new(store::unfolded()),
             listed: RwSignal::new(Vec::new()),
             playhead: RwSignal::new(0.0),
             origin_s: RwSignal::new(0.0),
@@ -234,9 +238,35 @@ impl Deck {
         });
     }
 
-    /// Is this curve not to be drawn?
-    pub fn hides(self, curve: Curve) -> bool {
-        self.hidden.with_untracked(|hidden| hidden.contains(&curve))
+    /// Is this curve folded away? One of an attacked sensor is not, while its attack is in view.
+    pub fn folds(self, live: &Live, curve: Curve) -> bool {
+        let shut = |group| !self.unfolded.with(|unfolded| unfolded.contains(&group));
+        curve.group(live.in_loop()).is_some_and(shut) && !self.attacked(live, curve)
+    }
+
+    fn attacked(self, live: &Live, curve: Curve) -> bool {
+        let Curve::Height(instance) = curve else { return false };
+        let axis = self.axis(live);
+        live.log.attacks.between(axis.start_s, axis.end_s).any(|span| {
+            let of = &span.attack;
+            span.seen && of.sensor() == SensorKind::Height && of.instance == u32::from(instance)
+        })
+    }
+
+    /// Is this curve to be drawn?
+    pub fn shows(self, live: &Live, curve: Curve) -> bool {
+        untrack(|| !self.hidden.with(|hidden| hidden.contains(&curve)) && !self.folds(live, curve))
+    }
+
+    /// Folds a group of curves, or unfolds it.
+    pub fn toggle_group(self, group: Group) {
+        self.unfolded.update(|unfolded| match unfolded.iter().position(|u| *u == group) {
+            Some(at) => {
+                unfolded.remove(at);
+            }
+            None => unfolded.push(group),
+        });
+        self.unfolded.with_untracked(|unfolded| store::keep_unfolded(unfolded));
     }
 
     /// Hides a curve, or shows it again.
@@ -364,6 +394,12 @@ impl Deck {
             self.toggle_pause();
         }
         self.zoom.set(Some((start, end)));
+    }
+
+    /// Zooms so that `share` of the present span remains, and what is at `time_s` stays where it is.
+    pub fn zoom_about(self, time_s: f64, share: f64) {
+        let axis = self.data.with_value(|live| self.axis(live));
+        self.zoom_to(time_s - share * (time_s - axis.start_s), time_s + share * (axis.end_s - time_s));
     }
 
     /// Back from a zoom, and back to the moving edge.

@@ -17,7 +17,7 @@ use crate::{
     gpu::{Backend, FrameOutcome, Panel, Rect, Renderer, Theme},
     model::{
         axis::TimeAxis,
-        curves::{Axis, Curve},
+        curves::{Axis, Curve, Group},
         instrument::Instrument,
         live::Live,
     },
@@ -141,6 +141,7 @@ struct Recorded {
     pins: Option<[f64; 2]>,
     error_axis: Axis,
     hidden: Vec<Curve>,
+    unfolded: Vec<Group>,
     /// Of all curves: another estimator's may be laid over them.
     samples: usize,
 }
@@ -160,6 +161,7 @@ impl Recorded {
             pins: deck.pins.get_untracked(),
             error_axis: deck.error_axis.get_untracked(),
             hidden: deck.hidden.get_untracked(),
+            unfolded: deck.unfolded.get_untracked(),
             samples,
         })
     }

@@ -4,6 +4,7 @@ use leptos::prelude::window;
 
 use crate::{
     model::{
+        curves::Group,
         draft::{Draft, Row},
         operator,
     },
@@ -25,6 +26,17 @@ pub fn set(name: &str, value: &str) {
         // A full or forbidden storage costs the choice, nothing else.
         let _ = storage.set_item(&key(name), value);
     }
+}
+
+/// Groups of curves that legends unfold: as left, else only what lies close to a curve of its own.
+pub fn unfolded() -> Vec<Group> {
+    let Some(names) = get("unfolded") else { return vec![Group::Truth] };
+    Group::ALL.into_iter().filter(|group| names.split(',').any(|name| name == group.name())).collect()
+}
+
+/// Keeps them.
+pub fn keep_unfolded(groups: &[Group]) {
+    set("unfolded", &groups.iter().map(|group| group.name()).collect::<Vec<_>>().join(","));
 }
 
 /// This page's name towards the ground: the operator's, and what tells this tab from others. `early.js` chose it; it

@@ -205,7 +205,10 @@ fn spaces<'a>(theme: &Theme, rotors: &'a [Rotor], strings: &'a [StringLine]) -> 
     let pose = Pose { position_enu_m: [0.1, 0.05, 0.85], world_from_body: [0.985, 0.10, -0.045, 0.13] };
     let flying = Attitude3dView {
         pose,
-        ghost: Some(Pose { position_enu_m: [0.16, 0.05, 0.95], ..pose }),
+        ghosts: vec![Ghost { pose: Pose { position_enu_m: [0.16, 0.05, 0.95], ..pose }, color: theme.ink }],
+        trail: (0..40).map(|i| [0.1 - 0.01 * i as f32, 0.05, 0.45 + 0.01 * i as f32]).collect(),
+        bounds: Some(Bounds { half_m: 2.0, top_m: 2.0 }),
+        goal: Some([0.1, 0.05, 1.0]),
         rotors,
         strings,
         camera: Camera::default(),
@@ -214,7 +217,10 @@ fn spaces<'a>(theme: &Theme, rotors: &'a [Rotor], strings: &'a [StringLine]) -> 
     };
     let standing = Attitude3dView {
         pose: Pose { position_enu_m: [0.0, 0.0, 0.08], ..Pose::ORIGIN },
-        ghost: None,
+        ghosts: Vec::new(),
+        trail: Vec::new(),
+        bounds: None,
+        goal: None,
         strings: &[],
         camera: Camera { azimuth_rad: 0.7, elevation_rad: 0.6, zoom_out: 1.4 },
         ..flying.clone()

@@ -5,7 +5,7 @@
 
 use super::color::{Color, Theme};
 use super::mesh::{Frame, Mesh, Vec3, View, add, cross, dot, length, scaled, sub, unit};
-use super::scene::{Attitude3dView, Pose, Rotor, StringLine};
+use super::scene::{Attitude3dView, Bounds, Ghost, Rotor, StringLine};
 
 /// Vertical field of view, rad.
 /// Size of a vehicle of which no rotor is known, m.
@@ -100,7 +100,14 @@ impl Space {
         for string in view.strings {
             self.string(&eye, view, string);
         }
-        if let Some(ghost) = view.ghost {
+        if let Some(bounds) = view.bounds {
+            self.bounds(&eye, view, bounds);
+        }
+        self.trail(&eye, view);
+        if let Some(goal) = view.goal {
+            self.goal(&eye, view, sub(goal, centre));
+        }
+        for ghost in &view.ghosts {
             self.outline(&eye, view, ghost);
         }
         self.vehicle(&eye, view);
@@ -195,11 +202,68 @@ impl Space {
         self.solid.cuboid(&Frame::WORLD, top, [0.02, 0.02, 0.008], view.theme.axis);
     }
 
-    /// A second opinion on the pose: lines only.
-    fn outline(&mut self, eye: &Eye, view: &Attitude3dView<'_>, ghost: Pose) {
-        let frame =
-            Frame { origin: sub(ghost.position_enu_m, view.pose.position_enu_m), rotation: ghost.world_from_body };
-        let color = view.theme.ink.alpha(0.55);
+    /// The edges of the box.
+    fn bounds(&mut self, eye: &Eye, view: &Attitude3dView<'_>, Bounds { half_m, top_m }: Bounds) {
+        let color = view.theme.axis.alpha(0.8);
+        let corner = |i: usize, z: f32| {
+            let [x, y] = [[-half_m, -half_m], [half_m, -half_m], [half_m, half_m], [-half_m, half_m]][i % 4];
+            sub([x, y, z], view.pose.position_enu_m)
+        };
+        for i in 0..4 {
+            let edges = [
+                (corner(i, 0.0), corner(i + 1, 0.0)),
+                (corner(i, top_m), corner(i + 1, top_m)),
+                (corner(i, 0.0), corner(i, top_m)),
+            ];
+            for (a, b) in edges {
+                self.line(eye, a, b, [color, color]);
+            }
+        }
+    }
+
+    /// A line in pieces, each as wide as it should be where it is.
+    fn line(&mut self, eye: &Eye, a: Vec3, b: Vec3, [from, to]: [Color; 2]) {
+        const PIECES: usize = 8;
+        let at = |n: usize| {
+            let share = n as f32 / PIECES as f32;
+            (add(a, scaled(sub(b, a), share)), from.mix(to, share))
+        };
+        for i in 0..PIECES {
+            let ((a, from), (b, to)) = (at(i), at(i + 1));
+            self.clear.ribbon(eye.position, a, b, eye.width_m(a, 1.2), [from, to]);
+        }
+    }
+
+    /// Where the vehicle was, the fainter the longer ago.
+    fn trail(&mut self, eye: &Eye, view: &Attitude3dView<'_>) {
+        let count = view.trail.len().max(1) as f32;
+        let color = |i: usize| UP.alpha(0.75 * i as f32 / count);
+        for (i, pair) in view.trail.windows(2).enumerate() {
+            if let [a, b] = pair {
+                let [a, b] = [a, b].map(|p| sub(*p, view.pose.position_enu_m));
+                self.clear.ribbon(eye.position, a, b, eye.width_m(a, 2.2), [color(i), color(i + 1)]);
+            }
+        }
+    }
+
+    /// A ring where the vehicle is to be.
+    fn goal(&mut self, eye: &Eye, view: &Attitude3dView<'_>, at: Vec3) {
+        let arm = view.rotors.iter().map(|rotor| length(rotor.position_flu_m)).fold(0.1, f32::max);
+        let color = view.theme.ink.alpha(0.8);
+        let width = eye.width_m(at, 1.6);
+        self.clear.annulus(&Frame::WORLD, at, [0.5 * arm, 0.5 * arm + width], [0.0, 0.0, 1.0], [color, color], 40);
+        for side in [[arm, 0.0, 0.0], [0.0, arm, 0.0]] {
+            let [a, b] = [sub(at, scaled(side, 0.25)), add(at, scaled(side, 0.25))];
+            self.clear.ribbon(eye.position, a, b, width, [color, color]);
+        }
+    }
+
+    /// Another opinion on the pose: lines only.
+    fn outline(&mut self, eye: &Eye, view: &Attitude3dView<'_>, ghost: &Ghost) {
+        let pose = &ghost.pose;
+        let origin = sub(pose.position_enu_m, view.pose.position_enu_m);
+        let frame = Frame { origin, rotation: pose.world_from_body };
+        let color = ghost.color.alpha(0.7);
         for rotor in view.rotors {
             let hub = frame.place(rotor.position_flu_m);
             let width = eye.width_m(hub, 1.2);
@@ -300,12 +364,15 @@ pub fn rotor_color(rotor: &Rotor, theme: &Theme) -> Color {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::scene::Camera;
+    use crate::gpu::scene::{Camera, Pose};
 
     fn view(rotors: &[Rotor]) -> Attitude3dView<'_> {
         Attitude3dView {
             pose: Pose { position_enu_m: [120.0, -40.0, 1.5], ..Pose::ORIGIN },
-            ghost: Some(Pose::ORIGIN),
+            ghosts: vec![Ghost { pose: Pose::ORIGIN, color: UP }],
+            trail: vec![[119.0, -40.0, 0.5], [119.5, -40.0, 1.0]],
+            bounds: Some(Bounds { half_m: 2.0, top_m: 2.0 }),
+            goal: Some([120.0, -40.0, 1.6]),
             rotors,
             strings: &[],
             camera: Camera::default(),

@@ -215,8 +215,14 @@ pub struct HorizonView {
 pub struct Attitude3dView<'a> {
     /// Where and how it hangs in the air.
     pub pose: Pose,
-    /// A second pose drawn as an outline: truth, or another estimator's opinion.
-    pub ghost: Option<Pose>,
+    /// Other poses, drawn as outlines: truth, and what other estimators say.
+    pub ghosts: Vec<Ghost>,
+    /// Where it came from, oldest first, world ENU, m.
+    pub trail: Vec<[f32; 3]>,
+    /// What it must not leave.
+    pub bounds: Option<Bounds>,
+    /// Where it is to be, world ENU, m.
+    pub goal: Option<[f32; 3]>,
     /// Its rotors.
     pub rotors: &'a [Rotor],
     /// Its strings.
@@ -241,6 +247,24 @@ pub struct Pose {
 impl Pose {
     /// At the world's origin, level, nose east.
     pub const ORIGIN: Self = Self { position_enu_m: [0.0; 3], world_from_body: [1.0, 0.0, 0.0, 0.0] };
+}
+
+/// An outline of the vehicle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ghost {
+    /// Where and how.
+    pub pose: Pose,
+    /// Whose.
+    pub color: Color,
+}
+
+/// A box on the floor about the origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Half its width, east and north, m.
+    pub half_m: f32,
+    /// Its height, m.
+    pub top_m: f32,
 }
 
 /// One rotor of the drawn vehicle.

@@ -48,6 +48,15 @@ impl Axis {
     }
 }
 
+/// An axis of the plane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Horizontal {
+    /// x of the world.
+    East,
+    /// y of it.
+    North,
+}
+
 /// One scalar residual: estimator, sensor kind, instance, channel, by their numbers.
 pub type ResidualKey = (u16, i32, u32, i32);
 
@@ -64,6 +73,10 @@ pub enum Curve {
     Height(u16),
     /// True altitude, m.
     TruthAltitude,
+    /// Position of the estimator in the loop while it knows one, east and north, m.
+    Plane(Horizontal),
+    /// True position, m.
+    TruthPlane(Horizontal),
     /// An estimator's attitude, °.
     Attitude(u16, Axis),
     /// True attitude, °.
@@ -104,6 +117,45 @@ pub enum Curve {
     AltitudeError(u16),
     /// The same of its attitude, mrad.
     AttitudeError(u16, Axis),
+}
+
+/// Curves that a legend folds into one line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Group {
+    /// Estimators that are not in the loop.
+    Estimators,
+    /// Laser heights as received.
+    Heights,
+    /// True angles.
+    Truth,
+}
+
+impl Group {
+    /// All of them, in the order of a legend.
+    pub const ALL: [Self; 3] = [Self::Estimators, Self::Heights, Self::Truth];
+
+    /// As a legend has it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Estimators => "estimators",
+            Self::Heights => "heights",
+            Self::Truth => "true angles",
+        }
+    }
+}
+
+impl Curve {
+    /// The group it is folded into; `None` for what is always worth a line.
+    pub fn group(self, in_loop: u16) -> Option<Group> {
+        match self {
+            Self::Altitude(n) | Self::AltitudeError(n) | Self::AttitudeError(n, _) if n != in_loop => {
+                Some(Group::Estimators)
+            }
+            Self::Height(_) => Some(Group::Heights),
+            Self::TruthAttitude(_) => Some(Group::Truth),
+            _ => None,
+        }
+    }
 }
 
 /// The curves.
@@ -240,6 +292,10 @@ impl Curves {
         }
         if estimate.in_loop {
             self.push_sigma(estimate, known);
+            if let Some(position) = estimate.position_enu_m.as_ref().filter(|_| estimate.horizontal_known) {
+                self.push(Curve::Plane(Horizontal::East), time, position.x * known);
+                self.push(Curve::Plane(Horizontal::North), time, position.y * known);
+            }
         }
     }
 
@@ -260,6 +316,8 @@ impl Curves {
     pub fn push_truth(&mut self, truth: &v1::Truth) {
         if let Some(position) = &truth.position_enu_m {
             self.push(Curve::TruthAltitude, truth.time_us, position.z);
+            self.push(Curve::TruthPlane(Horizontal::East), truth.time_us, position.x);
+            self.push(Curve::TruthPlane(Horizontal::North), truth.time_us, position.y);
         }
         if let Some(angles) = &truth.roll_pitch_yaw_rad {
             for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {

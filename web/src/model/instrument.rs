@@ -3,7 +3,7 @@
 use plumbline_proto::v1;
 
 use super::{
-    curves::{Axis, Curve, DEGREES},
+    curves::{Axis, Curve, DEGREES, Horizontal},
     live::Live,
 };
 
@@ -18,7 +18,7 @@ pub struct Instrument {
     pub climb_mps: Option<f64>,
     /// Altitude setpoint, m.
     pub setpoint_m: Option<f64>,
-    /// Position, m, east and north.
+    /// Position, m, east and north, where something measures it.
     pub east_north_m: Option<[f64; 2]>,
     /// Motors as applied, 0..1.
     pub motors: Vec<f64>,
@@ -45,7 +45,7 @@ impl Instrument {
                 let angles = estimate.roll_pitch_yaw_rad;
                 out.roll_pitch_yaw_deg = angles.map(|a| [a.x * DEGREES, a.y * DEGREES, a.z * DEGREES]);
                 out.altitude_m = estimate.position_enu_m.map(|p| p.z);
-                out.east_north_m = estimate.position_enu_m.map(|p| [p.x, p.y]);
+                out.east_north_m = estimate.position_enu_m.filter(|_| estimate.horizontal_known).map(|p| [p.x, p.y]);
                 out.climb_mps = estimate.velocity_enu_mps.map(|v| v.z);
                 out.world_from_body = estimate.world_from_body.map(|q| [q.w, q.x, q.y, q.z]);
                 out.health = estimate.health();
@@ -75,7 +75,9 @@ impl Instrument {
             altitude_m: read(Curve::Altitude(estimator)),
             climb_mps: read(Curve::Climb(estimator)),
             setpoint_m: read(Curve::SetpointAltitude),
-            east_north_m: None,
+            east_north_m: read(Curve::Plane(Horizontal::East))
+                .zip(read(Curve::Plane(Horizontal::North)))
+                .map(Into::into),
             motors: (0..8).map_while(|i| read(Curve::Motor(i))).collect(),
             saturated: false,
             age_s: None,
@@ -85,7 +87,7 @@ impl Instrument {
 }
 
 /// The quaternion w, x, y, z of yaw, pitch, roll (ZYX), rad.
-fn quaternion(roll: f64, pitch: f64, yaw: f64) -> [f64; 4] {
+pub fn quaternion(roll: f64, pitch: f64, yaw: f64) -> [f64; 4] {
     let ((sr, cr), (sp, cp), (sy, cy)) = ((roll / 2.0).sin_cos(), (pitch / 2.0).sin_cos(), (yaw / 2.0).sin_cos());
     [cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy]
 }

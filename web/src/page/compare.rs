@@ -19,7 +19,7 @@ use crate::{
     page::flight::load_frames,
     palette,
     panel::{
-        legend::{Entry, Legend, Swatch},
+        legend::{Entry, Legend, Swatch, TableButton},
         plot::Plot,
         toolbar::Link,
     },
@@ -188,21 +188,27 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
         <section class="card chart compare-chart" aria-label="Altitude of each flight">
             <header>
                 <h2>"Altitude" <small>"m"</small></h2>
-                <Legend entries=altitudes name="Altitude" unit="m" decimals=3 />
+                <TableButton entries=altitudes name="Altitude" unit="m" />
                 <label class="row quiet">"same time: "
                     <select class="small" aria-label="What is laid on top of each other" on:change:target=move |e| align(e.target().value())>
                         {Align::ALL.map(|(_, name)| view! { <option>{name}</option> }).collect_view()}
                     </select>
                 </label>
             </header>
-            <Plot picture=Picture::Compare unit="m" label="Altitude of each flight over time, in metres; setpoints dashed" />
+            <div class="chart-body">
+                <Legend entries=altitudes name="Altitude" unit="m" decimals=3 />
+                <Plot picture=Picture::Compare unit="m" label="Altitude of each flight over time, in metres; setpoints dashed" />
+            </div>
         </section>
         <section class="card chart compare-chart difference" aria-label="Difference of altitude">
             <header>
-                <h2>"Difference" <small>{format!("mm, minus {first}")}</small></h2>
-                <Legend entries=differences name="Difference" unit="mm" decimals=1 errors=true />
+                <h2>"Difference" <small>{format!("RMS mm, minus {first}")}</small></h2>
+                <TableButton entries=differences name="Difference" unit="mm" />
             </header>
-            <Plot picture=Picture::Difference unit="mm" label="Altitude of each flight minus that of the first, in millimetres" />
+            <div class="chart-body">
+                <Legend entries=differences name="Difference" unit="mm" decimals=1 errors=true />
+                <Plot picture=Picture::Difference unit="mm" label="Altitude of each flight minus that of the first, in millimetres" />
+            </div>
         </section>
     }
 }

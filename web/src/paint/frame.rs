@@ -173,7 +173,7 @@ impl Frame {
         let in_loop = live.in_loop();
         let truth = Axis::ALL
             .into_iter()
-            .filter_map(|a| self.drawn(live, Curve::TruthAttitude(a), palette::TRUTH, Style::Dashed));
+            .filter_map(|a| self.drawn(live, Curve::TruthAttitude(a), palette::axis(a), Style::Dashed));
         let own = Axis::ALL
             .into_iter()
             .filter_map(|a| self.drawn(live, Curve::Attitude(in_loop, a), palette::axis(a), Style::Solid));
@@ -250,7 +250,7 @@ impl Frame {
     }
 
     fn drawn<'a>(&self, live: &'a Live, curve: Curve, ink: palette::Ink, style: Style) -> Option<Drawn<'a>> {
-        if self.deck.hides(curve) {
+        if !self.deck.shows(live, curve) {
             return None;
         }
         Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0, room: Room::All })

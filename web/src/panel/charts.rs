@@ -3,7 +3,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, Swatch},
+    legend::{Entry, Legend, Swatch, TableButton},
     plot::Plot,
     steps::StepMarks,
     timebar::TimeBar,
@@ -72,12 +72,15 @@ pub fn AltitudeChart() -> impl IntoView {
         <section class="card chart altitude" aria-label="Altitude chart">
             <header>
                 <h2>"Altitude" <small>"m"</small></h2>
-                <Legend entries=entries name="Altitude" unit="m" decimals=2 />
+                <TableButton entries name="Altitude" unit="m" />
                 <TimeBar />
             </header>
-            <Plot picture=Picture::Altitude unit="m" label="Altitude over time: setpoint, estimates, heights and truth, in metres">
-                <StepMarks />
-            </Plot>
+            <div class="chart-body">
+                <Legend entries name="Altitude" unit="m" decimals=2 />
+                <Plot picture=Picture::Altitude unit="m" label="Altitude over time: setpoint, estimates, heights and truth, in metres">
+                    <StepMarks />
+                </Plot>
+            </div>
         </section>
     }
 }
@@ -102,7 +105,7 @@ pub fn AttitudeChart() -> impl IntoView {
                 entries.extend(Axis::ALL.into_iter().map(|axis| Entry {
                     curve: Curve::TruthAttitude(axis),
                     name: format!("true {}", axis.name()),
-                    color: "var(--truth)",
+                    color: palette::axis_css(axis),
                     swatch: Swatch::Dashed,
                 }));
             }
@@ -122,9 +125,12 @@ pub fn AttitudeChart() -> impl IntoView {
         <section class="card chart attitude" aria-label="Attitude chart">
             <header>
                 <h2>"Attitude" <small>"°"</small></h2>
-                <Legend entries=entries name="Attitude" unit="°" decimals=1 />
+                <TableButton entries name="Attitude" unit="°" />
             </header>
-            <Plot picture=Picture::Attitude unit="°" label="Roll, pitch and yaw over time, in degrees" />
+            <div class="chart-body">
+                <Legend entries name="Attitude" unit="°" decimals=1 />
+                <Plot picture=Picture::Attitude unit="°" label="Roll, pitch and yaw over time, in degrees" />
+            </div>
         </section>
     }
 }

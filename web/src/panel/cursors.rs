@@ -44,7 +44,7 @@ fn rows(deck: Deck, listed: &Listed, [a, b]: [f64; 2]) -> Vec<Row> {
             let series = live.curves.get(e.curve)?;
             Some(Row { name: e.name, color: e.color, found: measure(series, a, b) })
         };
-        entries.into_iter().filter_map(row).collect()
+        entries.into_iter().filter(|e| deck.shows(live, e.curve)).filter_map(row).collect()
     })
 }
 

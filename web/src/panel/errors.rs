@@ -4,7 +4,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, Swatch},
+    legend::{Entry, Legend, Swatch, TableButton},
     plot::Plot,
     residuals::EvidenceSwitch,
 };
@@ -46,6 +46,8 @@ pub fn Errors() -> impl IntoView {
     let altitude = Memo::new(move |_| entries(deck, None));
     let attitude = Memo::new(move |_| entries(deck, Some(axis.get())));
     let unknown = Memo::new(move |_| altitude.with(Vec::is_empty) && attitude.with(Vec::is_empty));
+    // Beside each name: the error under the cursor, else the mean over the window.
+    let rms = move || if deck.cursor.get().is_some() { "" } else { "RMS" };
     view! {
         <section class="card chart residuals errors" aria-label="Errors">
             <header>
@@ -54,24 +56,28 @@ pub fn Errors() -> impl IntoView {
                 <span class="push buttons-row"><EvidenceSwitch /></span>
             </header>
             <Show when=move || unknown.get()><p class="empty">"No estimate and truth, or setpoint, to compare yet."</p></Show>
-            <div class="legend-row">
-                <h3>"Altitude" <small>"mm"</small></h3>
-                <Legend entries=altitude name="Altitude error" unit="mm" decimals=1 errors=true />
+            <div class="chart-body">
+                <div class="chart-side">
+                    <h3>"Altitude" <small>{rms}" mm"</small><TableButton entries=altitude name="Altitude error" unit="mm" /></h3>
+                    <Legend entries=altitude name="Altitude error" unit="mm" decimals=1 errors=true />
+                </div>
+                <Plot picture=Picture::AltitudeError unit="mm" times=false label="What each estimator's altitude is off by, in millimetres" />
             </div>
-            <Plot picture=Picture::AltitudeError unit="mm" times=false label="What each estimator's altitude is off by, in millimetres" />
-            <div class="legend-row">
-                <h3>
-                    <select class="small" aria-label="Axis of the attitude errors" on:change:target=move |e| {
-                        let chosen = Axis::ALL.into_iter().find(|a| a.name() == e.target().value());
-                        axis.set(chosen.unwrap_or(Axis::Roll));
-                    }>
-                        {Axis::ALL.map(|a| view! { <option selected=move || axis.get() == a>{a.name()}</option> }).collect_view()}
-                    </select>
-                    <small>"mrad"</small>
-                </h3>
-                <Legend entries=attitude name="Attitude error" unit="mrad" decimals=1 errors=true />
+            <div class="chart-body">
+                <div class="chart-side">
+                    <h3>
+                        <select class="small" aria-label="Axis of the attitude errors" on:change:target=move |e| {
+                            let chosen = Axis::ALL.into_iter().find(|a| a.name() == e.target().value());
+                            axis.set(chosen.unwrap_or(Axis::Roll));
+                        }>
+                            {Axis::ALL.map(|a| view! { <option selected=move || axis.get() == a>{a.name()}</option> }).collect_view()}
+                        </select>
+                        <small>{rms}" mrad"</small><TableButton entries=attitude name="Attitude error" unit="mrad" />
+                    </h3>
+                    <Legend entries=attitude name="Attitude error" unit="mrad" decimals=1 errors=true />
+                </div>
+                <Plot picture=Picture::AttitudeError unit="mrad" label="What each estimator's attitude is off by about one axis, in milliradians" />
             </div>
-            <Plot picture=Picture::AttitudeError unit="mrad" label="What each estimator's attitude is off by about one axis, in milliradians" />
         </section>
     }
 }

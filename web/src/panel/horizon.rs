@@ -12,8 +12,13 @@ use crate::{
 
 /// Height of one metre on the tape, px.
 const TAPE_PX_PER_M: f64 = 100.0;
+/// Marks of a decimetre on each side of the middle.
+const TAPE_MARKS: i64 = 40;
 /// Width of one degree on the compass, px.
 const COMPASS_PX_PER_DEG: f64 = 1.7;
+
+/// The camera above the vehicle: azimuth, elevation, distance.
+const FROM_ABOVE: (f32, f32, f32) = (-std::f32::consts::FRAC_PI_2, 1.5, 3.0);
 
 /// The instrument at the top left.
 #[component]
@@ -36,6 +41,14 @@ pub fn HorizonCard() -> impl IntoView {
             >
                 {move || if deck.space.get() { "horizon" } else { "3D" }}
             </button>
+            <Show when=move || deck.space.get()>
+                <button
+                    type="button"
+                    class="small swap second"
+                    title="Seen from above, north up"
+                    on:click=move |_| deck.camera.set(FROM_ABOVE)
+                >"top"</button>
+            </Show>
         </section>
     }
 }
@@ -142,9 +155,9 @@ fn Tape() -> impl IntoView {
     let centre = Memo::new(move |_| altitude.get().map_or(0.0, |a| (a * 2.0).round() / 2.0));
     let labels = move || {
         let centre = centre.get();
-        (-20..=20)
+        (-TAPE_MARKS..=TAPE_MARKS)
             .map(|i| {
-                let value = centre + f64::from(i) * 0.1;
+                let value = centre + i as f64 * 0.1;
                 let y = -value * TAPE_PX_PER_M;
                 let tenth = (value * 10.0).round() as i64;
                 let major = tenth % 5 == 0;
@@ -157,7 +170,7 @@ fn Tape() -> impl IntoView {
     };
     view! {
         <div class="tape" class:stale=stale aria-hidden="true">
-            <svg viewBox="0 -200 48 400">
+            <svg viewBox="0 -400 48 800">
                 <g style=move || format!("transform:translateY({:.1}px)", altitude.get().unwrap_or(0.0) * TAPE_PX_PER_M)>
                     {labels}
                     {move || setpoint.get().map(|s| {

@@ -5,7 +5,12 @@ use leptos::prelude::*;
 
 use crate::{
     deck::{Deck, deck},
-    model::{csv::csv, curves::Curve, format, measure::rms},
+    model::{
+        csv::csv,
+        curves::{Curve, Group},
+        format,
+        measure::rms,
+    },
     net,
 };
 
@@ -36,7 +41,34 @@ pub struct Entry {
     pub swatch: Swatch,
 }
 
-/// The legend of some curves.
+/// A line of a legend.
+#[derive(Debug, Clone, PartialEq)]
+enum Line {
+    Curve(Entry),
+    /// Curves folded together: how many.
+    Group(Group, usize),
+}
+
+/// Curves of their own first, each group after its name and only while it is unfolded.
+fn lines(deck: Deck, entries: Vec<Entry>) -> Vec<Line> {
+    deck.read(|live| {
+        let in_loop = live.in_loop();
+        let present: Vec<_> = entries.into_iter().filter(|e| live.curves.get(e.curve).is_some()).collect();
+        let of = |group: Option<Group>| present.iter().filter(move |e| e.curve.group(in_loop) == group);
+        let mut lines: Vec<_> = of(None).cloned().map(Line::Curve).collect();
+        for group in Group::ALL {
+            let count = of(Some(group)).count();
+            if count > 0 {
+                lines.push(Line::Group(group, count));
+                let shown = of(Some(group)).filter(|e| !deck.folds(live, e.curve));
+                lines.extend(shown.cloned().map(Line::Curve));
+            }
+        }
+        lines
+    })
+}
+
+/// The legend of some curves, beside their plot.
 #[component]
 pub fn Legend(
     /// Entries; those whose curve has no sample are left out.
@@ -55,46 +87,92 @@ pub fn Legend(
     let deck = deck();
     deck.list(name, unit, decimals, entries);
     let beat = Memo::new(move |_| if errors { deck.beat() / BEATS } else { 0 });
-    let present = Memo::new(move |_| {
-        let entries = entries.get();
-        deck.read(|live| entries.into_iter().filter(|e| live.curves.get(e.curve).is_some()).collect::<Vec<_>>())
-    });
+    let present = Memo::new(move |_| lines(deck, entries.get()));
+    let value = move |curve: Curve| {
+        if errors {
+            beat.track();
+            return error_text(deck, curve, decimals);
+        }
+        let at = deck.reading_s();
+        let value = deck.read(|live| match at {
+            Some(time) => live.curves.value_at(curve, time),
+            None => live.curves.get(curve).and_then(|s| s.last()).map(|(_, v)| f64::from(v)),
+        });
+        format::maybe(value, decimals)
+    };
+    let of_curve = move |entry: Entry| {
+        let hidden = move || deck.hidden.with(|hidden| hidden.contains(&entry.curve));
+        view! {
+            <li class:hidden=hidden>
+                <button
+                    type="button"
+                    class="plain"
+                    aria-pressed=move || (!hidden()).to_string()
+                    title="Show or hide this curve"
+                    on:click=move |_| deck.toggle_curve(entry.curve)
+                >
+                    <span
+                        class="swatch"
+                        class:dashed=entry.swatch == Swatch::Dashed
+                        class:thin=entry.swatch == Swatch::Thin
+                        style=format!("--swatch:{}", entry.color)
+                        aria-hidden="true"
+                    ></span>
+                    <span class="legend-name" title=entry.name.clone()>{entry.name.clone()}</span>
+                </button>
+                <span class="value num">{move || value(entry.curve)}</span>
+            </li>
+        }
+    };
+    let of_group = move |group: Group, count: usize| {
+        let unfolded = move || deck.unfolded.with(|unfolded| unfolded.contains(&group));
+        view! {
+            <li class="group">
+                <button
+                    type="button"
+                    class="plain"
+                    aria-expanded=move || unfolded().to_string()
+                    title="Show or hide these curves"
+                    on:click=move |_| deck.toggle_group(group)
+                >
+                    <span aria-hidden="true">{move || if unfolded() { "▾" } else { "▸" }}</span>
+                    <span class="legend-name">{format!("{count} {}", group.name())}</span>
+                </button>
+            </li>
+        }
+    };
     view! {
         <ul class="legend">
-            <For each=move || present.get() key=|e| (e.curve, e.color) let:entry>
-                <li class:hidden=move || deck.hidden.with(|hidden| hidden.contains(&entry.curve))>
-                    <button
-                        type="button"
-                        class="plain"
-                        aria-pressed=move || (!deck.hidden.with(|hidden| hidden.contains(&entry.curve))).to_string()
-                        title="Show or hide this curve"
-                        on:click=move |_| deck.toggle_curve(entry.curve)
-                    >
-                        <span
-                            class="swatch"
-                            class:dashed=entry.swatch == Swatch::Dashed
-                            class:thin=entry.swatch == Swatch::Thin
-                            style=format!("--swatch:{}", entry.color)
-                            aria-hidden="true"
-                        ></span>
-                        <span class="legend-name">{entry.name.clone()}</span>
-                    </button>
-                    <span class="value num">
-                        {move || if errors {
-                            beat.track();
-                            error_text(deck, entry.curve, decimals)
-                        } else {
-                            let at = deck.reading_s();
-                            let value = deck.read(|live| match at {
-                                Some(time) => live.curves.value_at(entry.curve, time),
-                                None => live.curves.get(entry.curve).and_then(|s| s.last()).map(|(_, v)| f64::from(v)),
-                            });
-                            format::maybe(value, decimals)
-                        }}
-                    </span>
-                </li>
+            <For
+                each=move || present.get()
+                key=|line| match line {
+                    Line::Curve(e) => (Some((e.curve, e.color)), None, 0),
+                    Line::Group(group, count) => (None, Some(*group), *count),
+                }
+                let:line
+            >
+                {match line {
+                    Line::Curve(entry) => of_curve(entry).into_any(),
+                    Line::Group(group, count) => of_group(group, count).into_any(),
+                }}
             </For>
         </ul>
+    }
+}
+
+/// Keeps what a chart shows as a table.
+#[component]
+pub fn TableButton(
+    /// Curves of the chart.
+    #[prop(into)]
+    entries: Signal<Vec<Entry>>,
+    /// Name of the chart.
+    name: &'static str,
+    /// Unit of the values.
+    unit: &'static str,
+) -> impl IntoView {
+    let deck = deck();
+    view! {
         <button
             type="button"
             class="small table-button"
@@ -117,7 +195,7 @@ fn error_text(deck: Deck, curve: Curve, decimals: usize) -> String {
         None => {
             let axis = deck.axis(live);
             let rms = live.curves.get(curve).and_then(|series| rms(series, axis.start_s, axis.end_s));
-            format!("RMS {}", format::maybe(rms, decimals))
+            format::maybe(rms, decimals)
         }
     })
 }
@@ -127,7 +205,8 @@ fn save(deck: Deck, name: &str, unit: &str, entries: &[Entry]) {
     let text = deck.data.with_value(|live| {
         let axis = deck.axis(live);
         let head = |e: &Entry| format!("{} {unit}", e.name).trim_end().to_owned();
-        let columns: Vec<_> = entries.iter().filter_map(|e| Some((head(e), live.curves.get(e.curve)?))).collect();
+        let shown = entries.iter().filter(|e| deck.shows(live, e.curve));
+        let columns: Vec<_> = shown.filter_map(|e| Some((head(e), live.curves.get(e.curve)?))).collect();
         csv(&columns, axis.start_s, axis.end_s)
     });
     net::save(&format!("{}.csv", name.to_lowercase().replace(' ', "-")), "text/csv", &text);

@@ -67,15 +67,13 @@ pub fn MotorsAndTicks() -> impl IntoView {
                 <span class="num quiet">{summary}</span>
             </summary>
             <Show when=move || open.get()>
-                <div class="twin">
-                    <div class="half">
-                        <div class="legend-row"><Legend entries=motors name="Motors" unit="" decimals=2 /></div>
-                        <Plot picture=Picture::Motors unit="of 1" label="Motor commands over time, 0 to 1" />
-                    </div>
-                    <div class="half">
-                        <div class="legend-row"><Legend entries=ticks name="Tick time" unit="µs" decimals=0 /></div>
-                        <Plot picture=Picture::Ticks unit="µs" label="Time of a control tick over time, in microseconds" />
-                    </div>
+                <div class="chart-body folded">
+                    <Legend entries=motors name="Motors" unit="" decimals=2 />
+                    <Plot picture=Picture::Motors unit="of 1" times=false label="Motor commands over time, 0 to 1" />
+                </div>
+                <div class="chart-body folded">
+                    <Legend entries=ticks name="Tick time" unit="µs" decimals=0 />
+                    <Plot picture=Picture::Ticks unit="µs" label="Time of a control tick over time, in microseconds" />
                 </div>
             </Show>
         </details>

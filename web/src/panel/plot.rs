@@ -7,6 +7,9 @@ use crate::{
     model::axis::TimeAxis,
 };
 
+/// A turn of the wheel by a pixel changes the span by this share.
+const WHEEL_ZOOM: f64 = 0.002;
+
 /// A plot with its axis labels. Children are overlays in the plot's own coordinates.
 #[component]
 pub fn Plot(
@@ -65,6 +68,25 @@ pub fn Plot(
         dragging.set(None);
         deck.selection.set(None);
     };
+    // The wheel zooms about the pointer; sideways, or with Shift, it pans. A page that scrolls keeps its wheel.
+    let wheel = move |e: ev::WheelEvent| {
+        let scrolls = document().scrolling_element().is_some_and(|page| page.scroll_height() > page.client_height());
+        if scrolls && !e.ctrl_key() {
+            return;
+        }
+        let Some(node) = node.get_untracked() else { return };
+        e.prevent_default();
+        let rect = node.get_bounding_client_rect();
+        let axis = deck.data.with_value(|live| deck.axis(live));
+        let along = if e.shift_key() { e.delta_x() + e.delta_y() } else { e.delta_x() };
+        if along.abs() > e.delta_y().abs() || e.shift_key() {
+            let by = along / rect.width().max(1.0) * axis.span_s();
+            deck.zoom_to(axis.start_s + by, axis.end_s + by);
+        } else {
+            let fraction = ((f64::from(e.client_x()) - rect.left()) / rect.width().max(1.0)).clamp(0.0, 1.0);
+            deck.zoom_about(axis.time_s(fraction), (e.delta_y() * WHEEL_ZOOM).clamp(-1.0, 1.0).exp());
+        }
+    };
     let leave = move |_| {
         dragging.set(None);
         deck.selection.set(None);
@@ -86,6 +108,7 @@ pub fn Plot(
                 on:pointermove=moved
                 on:pointerup=up
                 on:pointerleave=leave
+                on:wheel=wheel
                 on:dblclick=move |_| deck.zoom_out()
             ></div>
             <div class="plot-over">{children.map(|c| c())}</div>

@@ -237,8 +237,8 @@ fn Channels(sensor: i32, instance: u32, estimator: Memo<u16>) -> impl IntoView {
     });
     let unit = if let [one] = units.as_slice() { *one } else { "" };
     view! {
-        <div class="res-channels">
-            <div class="legend-row"><Legend entries name="Innovations" unit="" decimals=3 /></div>
+        <div class="chart-body">
+            <Legend entries name="Innovations" unit="" decimals=3 />
             <Plot picture=Picture::Residual unit label="Innovation of each channel over time, with its gate" />
         </div>
     }

@@ -78,6 +78,7 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
     });
     view! {
         <div class="card scrub" role="group" aria-label="Replay">
+          <div class="scrub-side">
             <button type="button" class="play" aria-label=move || if playing.get() { "Pause replay" } else { "Play replay" } title="Space" on:click=move |_| toggle()>
                 {move || if playing.get() { "❚❚" } else { "▶" }}
             </button>
@@ -85,6 +86,7 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
                 {SPEEDS.into_iter().map(|s| view! { <option value=s.to_string() selected=move || speed.get() == s>{format!("{s}×")}</option> }).collect::<Vec<_>>()}
             </select>
             <output class="num">{move || format!("{} / {}", tenths(deck.playhead.get() - begin), tenths(length))}</output>
+          </div>
             <div
                 class="scrub-bar"
                 node_ref=bar
@@ -108,6 +110,9 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
                 {marks.into_iter().map(|(time, kind, text)| view! {
                     <i class=format!("scrub-mark {kind}") style=format!("left:{:.2}%", percent(time)) title=text></i>
                 }).collect::<Vec<_>>()}
+                {move || deck.zoom.get().map(|(a, b)| view! {
+                    <i class="scrub-zoom" style=format!("left:{:.2}%;width:{:.2}%", percent(a).max(0.0), (percent(b).min(100.0) - percent(a).max(0.0)).max(0.3))></i>
+                })}
                 <b class="scrub-head" style=move || format!("left:{:.2}%", percent(deck.playhead.get()))></b>
             </div>
         </div>
