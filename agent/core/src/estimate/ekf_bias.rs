@@ -24,7 +24,7 @@
 pub(super) mod aiding;
 pub(super) mod align;
 pub(super) mod covariance;
-mod heading;
+pub(super) mod heading;
 mod history;
 mod idle;
 mod imus;

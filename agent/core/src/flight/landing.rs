@@ -123,7 +123,10 @@ impl Flight {
     }
 
     pub(super) fn at_takeoff_height(&self) -> bool {
-        let heights = self.supervision.watchdog.height_m().zip(self.guidance.takeoff_height_m);
+        let watchdog = &self.supervision.watchdog;
+        // Blind, it may be that most heights are wrong: only all of them together say that it is down.
+        let height_m = if self.supervision.blind_since.is_some() { watchdog.highest_m() } else { watchdog.height_m() };
+        let heights = height_m.zip(self.guidance.takeoff_height_m);
         heights.is_some_and(|(height_m, takeoff_m)| height_m < takeoff_m + TOUCHING_M)
     }
 

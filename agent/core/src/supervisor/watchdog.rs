@@ -213,6 +213,11 @@ impl Watchdog {
         UnitQuaternion::from_euler_angles(up.y.atan2(up.z), (-up.x).clamp(-1.0, 1.0).asin(), 0.0)
     }
 
+    /// The highest of the raw heights, m.
+    pub fn highest_m(&self) -> Option<f64> {
+        self.heights.iter().flatten().map(|h| h.value_m).reduce(f64::max)
+    }
+
     /// Median of the heights of the last half second, m.
     pub fn height_m(&self) -> Option<f64> {
         self.judged.height_m

@@ -100,13 +100,7 @@ impl Case {
             tilt: [1.2, 2.2, 2.5],
             ..Self::PLAIN
         },
-        Self {
-            name: "two_of_three_heights_colluding",
-            attacked: Attacked::Colluding(2),
-            altitude: ANY,
-            lost: 100.0,
-            ..Self::PLAIN
-        },
+        Self { name: "two_of_three_heights_colluding", attacked: Attacked::Colluding(2), altitude: ANY, ..Self::PLAIN },
         Self { name: "harsh_none", world: "harsh", altitude: ANY, lost: 1.0, ..Self::PLAIN },
         Self {
             name: "harsh_one_sensor",

@@ -18,7 +18,7 @@ use plumbline_agent::vehicle::{Truth, Vehicle as _};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::case::Case;
+use super::case::{Attacked, Case};
 use crate::draw::median;
 
 /// Judged from here on, s; no attack begins before.
@@ -28,6 +28,9 @@ const END_S: f64 = 40.0;
 const STEPS: [(f64, f64); 3] = [(5.0, 0.9), (18.0, 1.2), (29.0, 0.8)];
 /// Further than this from its setpoint, m, a flight is lost whatever else it says.
 const ASTRAY_M: f64 = 0.5;
+/// A descent faster than this, m/s, is a fall; one that ends higher than this, m, ended in the air (strings begin at 0.3 m).
+const FALLS_MPS: f64 = 1.5;
+const DOWN_M: f64 = 0.45;
 /// Free, and on strings: by turns of the seed.
 const RIGS: [&str; 2] = ["[rig.free]\nheight_m = 0.0\n", "[rig.hanging_strings]\nmode = \"flight\"\nheight_m = 0.3\n"];
 /// A sample of a unit with a clock of its own is used for the median so long, s.
@@ -108,6 +111,7 @@ pub fn fly(case: &Case, pilot: Pilot, seed: u64, attacks: &[Attack], judged_from
     let mut flight = Flight::new(config).unwrap();
     let mut medians = Medians::default();
     let mut judge = Judge::new(attacks, judged_from_s);
+    judge.comes_down = matches!(case.attacked, Attacked::Colluding(_));
     let mut operator = Operator::default();
     let mut before = None;
     for tick in 0..(END_S * scenario.tick_rate_hz) as usize {
@@ -254,6 +258,9 @@ fn isolation(flight: &Flight) -> Option<&Isolation> {
 struct Judge {
     attacks: Vec<Attack>,
     from_s: f64,
+    /// Is a controlled descent what is asked for? From where it began, m.
+    comes_down: bool,
+    down_from_m: Option<f64>,
     outcome: Outcome,
     squares: [f64; 2],
     count: f64,
@@ -268,6 +275,8 @@ impl Judge {
         Self {
             attacks: attacks.to_vec(),
             from_s: from_s.max(STEADY_S),
+            comes_down: false,
+            down_from_m: None,
             outcome: Outcome::default(),
             squares: [0.0; 2],
             count: 0.0,
@@ -292,6 +301,9 @@ impl Judge {
         let report = flight.report();
         let error_m = truth.position_enu_m.z - report.setpoint.position_enu_m.z;
         let ended = !report.armed || report.mode != Mode::AltitudeHold;
+        if self.comes_down && (self.down_from_m.is_some() || ended && flight.failsafe() != Failsafe::None) {
+            return self.descends(&truth, report.armed);
+        }
         if ended || error_m.abs() > ASTRAY_M {
             let why = if ended { format!("{:?}", flight.failsafe()) } else { format!("{error_m:.2} m astray") };
             self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
@@ -311,6 +323,23 @@ impl Judge {
             self.bounded.1 += f64::from(off_m.abs() > bound_m);
         }
         false
+    }
+
+    /// One tick of a descent that a failsafe began; true when it is over.
+    fn descends(&mut self, truth: &Truth, armed: bool) -> bool {
+        let (z_m, climb_mps) = (truth.position_enu_m.z, truth.velocity_enu_mps.z);
+        let from_m = *self.down_from_m.get_or_insert(z_m);
+        let why = if z_m > from_m + ASTRAY_M {
+            Some("flew away")
+        } else if climb_mps < -FALLS_MPS {
+            Some("fell")
+        } else if !armed && z_m > DOWN_M {
+            Some("stopped in the air")
+        } else {
+            None
+        };
+        self.outcome.lost = why.or(armed.then_some("not down yet")).map(str::to_owned);
+        why.is_some() || !armed
     }
 
     fn exclusions(&mut self, t: f64, flight: &Flight) {

@@ -3,8 +3,9 @@
 //!
 //! Onset, sensor, channel, kind, size, sign and duration are drawn from each flight's seed. The error is the true altitude
 //! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack. A lost
-//! flight counts among the lost and not among the errors. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many of each row, `--seed-base N` begins
-//! elsewhere, `--only NAME` flies one row or the `curves`, `--quick` a tenth.
+//! flight counts among the lost and not among the errors; where the attack is beyond what can be borne, one that flies away,
+//! falls, or stops in the air. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many
+//! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row or the `curves`, `--quick` a tenth.
 
 mod case;
 mod flight;
@@ -21,6 +22,8 @@ use crate::draw::{median, median_interval, parallel, percentile, worst};
 use case::{Attacked, Case};
 use flight::{Outcome, Pilot, fly};
 
+/// What is beyond the bound is declared within this, s.
+const DECLARED_S: f64 = 1.0;
 /// A healthy sensor may be excluded so long, s.
 const FALSE_S: f64 = 1.0;
 
@@ -140,8 +143,10 @@ fn row<'a>(
     let within = |values: [f64; 3], most: [f64; 3]| values.iter().zip(most).all(|(value, most)| *value <= most);
     let judged = pilot.judges();
     let lost_of_hundred = 100.0 * lost as f64 / all.len() as f64;
-    let holds =
-        judged.then(|| within(altitude3, case.altitude) && within(tilt3, case.tilt) && lost_of_hundred <= case.lost);
+    let beyond = matches!(case.attacked, Attacked::Colluding(_));
+    let told = !beyond || declared.len() == all.len() && worst(&declared) <= DECLARED_S;
+    let held = beyond || within(altitude3, case.altitude) && within(tilt3, case.tilt);
+    let holds = judged.then_some(held && told && lost_of_hundred <= case.lost);
     let bound: Vec<f64> = all.iter().map(|o| o.outside_bound).filter(|part| part.is_finite()).collect();
     let clean_mm: Vec<f64> = flights.map(|(clean, _)| 1e3 * clean.altitude_m).collect();
     let name = pilot.name();

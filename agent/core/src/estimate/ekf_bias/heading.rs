@@ -8,12 +8,13 @@ use plumbline_proto::v1::SensorKind;
 
 use super::EkfBias;
 use super::aiding::{finite, row};
-use super::covariance::ix;
+use super::covariance::{Covariance, N, ix};
 use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
 use crate::estimate::filter::kalman::forget;
+use crate::estimate::filter::row::ScalarRow;
 use crate::estimate::{Channel, median};
 use crate::frames::wrap_pi;
-use crate::sensor::heading;
+use crate::sensor::heading::{self, Heading};
 use crate::sensor::{Accuracy, MAX_IMUS, SensorFrame};
 
 /// Headings of one instance are taken at most this often, s.
@@ -26,6 +27,18 @@ pub(super) struct Headings {
     latest: [Option<FlightTime>; MAX_IMUS],
     /// Strength of the field each measured first, µT.
     strength_ut: [Option<f64>; MAX_IMUS],
+}
+
+/// The row of a heading that corrects yaw alone: roll and pitch, which a field bent by motors and iron would pull along, are
+/// left alone; their error enters the variance instead.
+pub fn yaw_row(of: (SensorId, Channel), heading: &Heading, noise: Accuracy, p: &Covariance) -> ScalarRow<N> {
+    let mut row = row(of, &heading.row, noise, 0.0);
+    let tilt = Vector3::new(heading.row.d_attitude.x, heading.row.d_attitude.y, 0.0);
+    let p_tilt = p.fixed_view::<3, 3>(ix::ATTITUDE, ix::ATTITUDE);
+    row.variance += (tilt.transpose() * p_tilt * tilt).x;
+    row.h[ix::ATTITUDE] = 0.0;
+    row.h[ix::ATTITUDE + 1] = 0.0;
+    row
 }
 
 impl EkfBias {
@@ -65,13 +78,7 @@ impl EkfBias {
             let sigma = (model.sigma_ut / heading.horizontal_ut).hypot(model.floor_rad);
             let noise = Accuracy { sigma, gate: model.gate };
             let of = (SensorId::new(SensorKind::Imu, i as u8 + 1), Channel::Heading);
-            let mut row = row(of, &heading.row, noise, 0.0);
-            // Roll and pitch are left alone: their error enters the variance instead.
-            let tilt = Vector3::new(heading.row.d_attitude.x, heading.row.d_attitude.y, 0.0);
-            let p_tilt = self.p.fixed_view::<3, 3>(ix::ATTITUDE, ix::ATTITUDE);
-            row.variance += (tilt.transpose() * p_tilt * tilt).x;
-            row.h[ix::ATTITUDE] = 0.0;
-            row.h[ix::ATTITUDE + 1] = 0.0;
+            let mut row = yaw_row(of, &heading, noise, &self.p);
             row.refused = disturbed;
             undisturbed |= !disturbed;
             used |= self.correct(&row);

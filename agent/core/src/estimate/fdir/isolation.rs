@@ -269,14 +269,21 @@ impl Isolation {
         self.contradicted = 0;
     }
 
-    /// Takes evidence and verdict of another judge: the flags are what `judged` says of each sensor.
-    pub fn announce(&mut self, now: FlightTime, judged: impl Fn(SensorId) -> (Evidence, Option<FlagReason>)) {
+    /// Takes evidence and verdict of another judge: the flags are what `judged` says of each sensor, and whether a group is
+    /// `contradicted`.
+    pub fn announce(
+        &mut self,
+        now: FlightTime,
+        contradicted: bool,
+        judged: impl Fn(SensorId) -> (Evidence, Option<FlagReason>),
+    ) {
         for device in &mut self.devices {
             device.present = now.seconds_since(device.seen) <= PRESENT_S;
             let (evidence, verdict) = judged(device.sensor);
             device.evidence = evidence;
             device.flagged = verdict.map(|reason| (device.flagged.map_or(now, |(since, _)| since), reason));
         }
+        self.contradicted = if contradicted { self.confirm } else { 0 };
     }
 
     /// Why `index`, not yet flagged, should be.

@@ -64,8 +64,9 @@ impl Lanes {
                 let _ = self.estimate.residuals.try_push(Residual { accepted: !self.fused.announced[i], ..residual });
             }
         }
+        let contradicted = self.contradicted();
         let (judges, announced) = (&self.judges, &self.fused.announced);
-        self.isolation.announce(slot.end(), |sensor| {
+        self.isolation.announce(slot.end(), contradicted, |sensor| {
             let i = usize::from(sensor.instance.saturating_sub(1));
             let (window_ratio, drift_ratio, reason) = match sensor.kind {
                 SensorKind::Imu => {
@@ -132,6 +133,11 @@ impl Lanes {
         self.rates.step(now, dt_s.clamp(0.0, 0.1), turning.as_ref(), measured);
     }
 
+    /// Do sensors contradict each other so that none can be told to be healthy?
+    fn contradicted(&self) -> bool {
+        self.fused.contradicted > CONTRADICTED_SLOTS || self.judges.heights.split.is_contradicted()
+    }
+
     fn health(&self, now: FlightTime) -> Health {
         if self.start.is_some() {
             return Health::Initialising;
@@ -141,7 +147,6 @@ impl Lanes {
         let tilted = tilt.is_nan() || tilt > TILT_SIGMA_DEGRADED_RAD.powi(2);
         let silent = self.fused.silent.iter().all(|slots| *slots > 2);
         let altitude_lost = self.aided.vertical.lapsed(now, VERTICAL_MEMORY_S);
-        let contradicted = self.fused.contradicted > CONTRADICTED_SLOTS;
-        if silent || tilted || altitude_lost || contradicted { Health::Degraded } else { Health::Healthy }
+        if silent || tilted || altitude_lost || self.contradicted() { Health::Degraded } else { Health::Healthy }
     }
 }

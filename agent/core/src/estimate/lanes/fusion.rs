@@ -6,9 +6,9 @@ use plumbline_proto::time::FlightTime;
 use super::evidence::Heard;
 use super::integral::{Integral, Six};
 use super::predictor::Mixture;
-use super::rows::{Around, Correction, Field, Unaided};
+use super::rows::{Around, Correction, Unaided};
 use super::slot::Slot;
-use super::start::{Found, direction};
+use super::start::Found;
 use super::{LANES, Lanes, PerLane, SLOT_S, part};
 use crate::estimate::aiding::idle::{POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
@@ -52,6 +52,7 @@ impl Lanes {
         let learning = f64::from(self.clock.flown) * SLOT_S < LEARNING_S;
         self.judges.noise.take(&slot.imus, learning);
         self.judges.vote.take(&slot.imus);
+        self.compare_heights(slot);
         self.note(slot);
         let heard = self.correct(slot);
         self.judges.evidence.take(&heard);
@@ -84,11 +85,10 @@ impl Lanes {
     }
 
     fn begin(&mut self, found: &Found, slot: &Slot) {
-        let q = found.aligned.world_from_body;
         let mut at = Kinematics {
             position_enu_m: self.aided.idle.anchor,
             velocity_enu_mps: Vector3::zeros(),
-            world_from_body: q,
+            world_from_body: found.aligned.world_from_body,
         };
         at.position_enu_m.z = found.altitude_m.unwrap_or(at.position_enu_m.z);
         let z = if found.altitude_m.is_some() { ALTITUDE_SIGMA_M } else { POSITION_SIGMA_M };
@@ -101,9 +101,7 @@ impl Lanes {
             lane.begin(&at, biases, [POSITION_SIGMA_M, velocity, tilt, yaw, gyro_bias], &self.model);
             lane.p[(2, 2)] = z * z;
         }
-        self.aided.field = found
-            .field_ut
-            .and_then(|field| Some(Field { direction: direction(&q, &field)?, strength_ut: field.norm() }));
+        self.aided.field_ut = found.field_ut.map(|field| field.norm());
         self.start = None;
         self.judges.evidence.forgive();
         let there = slot.imus.map(|mean| f64::from(u8::from(mean.is_some())));
@@ -112,6 +110,22 @@ impl Lanes {
             Mixture { weights: there.map(|one| one / count.max(1.0)), biases: found.biases, thrust: 0.0 };
         self.fused.at = at;
         self.rebase(slot);
+    }
+
+    /// Lasers that step, against what the IMUs felt.
+    fn compare_heights(&mut self, slot: &Slot) {
+        let Kinematics { position_enu_m, velocity_enu_mps, world_from_body } = self.fused.at;
+        let mut felt = self.common(&slot.imus);
+        felt[2] += self.fused.mixture.thrust * (slot.thrust_mps2 - felt[2]);
+        let up_mps2 = (world_from_body * part(&felt, 0)).z - self.model.imus.gravity_mps2;
+        let climb_mps = velocity_enu_mps.z + up_mps2 * SLOT_S;
+        let z_m = position_enu_m.z + 0.5 * (velocity_enu_mps.z + climb_mps) * SLOT_S;
+        let heights = &mut self.judges.heights;
+        let mut samples = slot.heights;
+        for (i, sample) in samples.iter_mut().enumerate() {
+            sample.iter_mut().for_each(|(_, height_m)| *height_m -= heights.off_m(i, z_m));
+        }
+        heights.split.take(slot.end(), (z_m, climb_mps), up_mps2, &samples);
     }
 
     /// What this slot aids.
@@ -123,7 +137,7 @@ impl Lanes {
         if slot.pose.is_some() || slot.gnss.is_some() {
             self.aided.horizontal.note(end, true);
         }
-        let used = |(i, height): (usize, &Option<_>)| height.is_some() && !self.judges.heights.is_excluded(i);
+        let used = |(i, height): (usize, &Option<_>)| height.is_some() && self.judges.heights.weight(i) > 0.0;
         if slot.heights.iter().enumerate().any(used) {
             self.aided.heights.note(end, true);
         }
@@ -142,7 +156,7 @@ impl Lanes {
         let around = Around {
             model: &self.model,
             heights: &self.judges.heights,
-            field: self.aided.field.filter(|_| !pose),
+            field_ut: self.aided.field_ut.filter(|_| !pose),
             drag: self.thrust.drag(slot.thrust_mps2, up_mps2),
             barometers: !self.aided.heights.ever(),
             unaided,

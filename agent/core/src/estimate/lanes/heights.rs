@@ -7,6 +7,7 @@
 use arrayvec::ArrayVec;
 use plumbline_proto::time::FlightTime;
 
+use super::split::Split;
 use crate::estimate::median;
 use crate::sensor::MAX_HEIGHTS;
 
@@ -83,6 +84,8 @@ impl Laser {
 pub struct Heights {
     lasers: [Laser; MAX_HEIGHTS],
     slots: u32,
+    /// Those that step, against the accelerometers.
+    pub split: Split,
 }
 
 /// The lasers that can be compared, with the mean of each.
@@ -94,8 +97,11 @@ impl Heights {
         self.lasers.get(index).map_or(0.0, |laser| laser.offset_m + laser.scale * (z_m - PIVOT_M))
     }
 
-    /// How much laser `index` counts, 0..1; an excluded one does not.
+    /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps.
     pub fn weight(&self, index: usize) -> f64 {
+        if self.split.refuses(index) {
+            return 0.0;
+        }
         self.lasers.get(index).map_or(1.0, |laser| match laser {
             Laser { excluded: true, .. } => 0.0,
             Laser { weight, seen, .. } if *seen >= KEPT && *weight > 0.0 => *weight,
@@ -130,7 +136,7 @@ impl Heights {
         for (i, laser) in self.lasers.iter().enumerate() {
             let latest = laser.latest.filter(|(time, _)| now.seconds_since(*time).abs() < RECENT_S);
             let value = if i == index { Some(residual_m) } else { latest.map(|(_, value)| value) };
-            recent.extend(value.filter(|_| !laser.excluded || i == index));
+            recent.extend(value.filter(|_| i == index || !laser.excluded && !self.split.refuses(i)));
         }
         if recent.len() < 3 {
             return 0.0;
@@ -174,6 +180,10 @@ impl Heights {
             if let Some(laser) = self.lasers.get_mut(*i) {
                 laser.ratio = laser.ratio.max(scatter / usual / SCATTER);
             }
+        }
+        if self.split.is_open() {
+            // Their own majority says nothing now.
+            return false;
         }
         let new = self.exclude(&long, judging);
         self.learn(&long, centre_m, z_m, if learning { GAINS.0 } else { GAINS.1 }, judging);

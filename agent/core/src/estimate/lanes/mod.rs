@@ -3,9 +3,9 @@
 //! A lane has its own biases and a noise measured from data (`noise.rs`), so that vibration widens its covariance instead
 //! of blinding it. All lanes are corrected by the same sensors and couplings (`rows.rs`), at a fusion horizon
 //! 100 ms back, once for each slot of 40 ms. Evidence from their predictions (`evidence.rs`) and a small majority vote
-//! (`vote.rs`) give their weights; the laser heights are judged as a group (`heights.rs`). The estimate is the
-//! weighted mean of the lanes, brought from the horizon to now (`predictor.rs`), rate and attitude by the torques as
-//! commanded (`rates.rs`).
+//! (`vote.rs`) give their weights; the laser heights are judged as a group (`heights.rs`), and where they step against the
+//! accelerometers (`split.rs`). The estimate is the weighted mean of the lanes, brought from the horizon to now
+//! (`predictor.rs`), rate and attitude by the torques as commanded (`rates.rs`).
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -16,7 +16,8 @@
 //!
 //! An exclusion is announced only where evidence and vote agree, or where a sensor repeats itself: under vibration healthy
 //! lanes lose the evidence for a while, which costs nothing. Two IMUs against two others is a tie that no physics at this
-//! horizon breaks without pose or GNSS: it is declared, as degraded health.
+//! horizon breaks without pose or GNSS: it is declared, as degraded health; so are heights most of which step at once while
+//! the accelerometers say that the others are right: then no height is used and the supervisor descends.
 //!
 //! Valid as `ekf_bias` is; camera ranges are not used. Allocates nothing after construction.
 
@@ -31,6 +32,7 @@ mod predictor;
 mod rates;
 mod rows;
 mod slot;
+mod split;
 mod start;
 #[cfg(test)]
 mod tests;
@@ -47,7 +49,6 @@ use self::lane::Lane;
 use self::noise::Noise;
 use self::predictor::{Mixture, Predictor};
 use self::rates::Rates;
-use self::rows::Field;
 use self::slot::Slots;
 use self::start::Start;
 use self::thrust::Thrust;
@@ -128,7 +129,8 @@ struct Aided {
     heights: Freshness,
     pose: Freshness,
     idle: Idle,
-    field: Option<Field>,
+    /// Strength of the magnetic field where it started, µT.
+    field_ut: Option<f64>,
 }
 
 /// Where it is in time, and what it has lived through.

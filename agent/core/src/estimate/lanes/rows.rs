@@ -6,12 +6,15 @@
 //! | pose | position and attitude at t_s | p: I, φ |
 //! | GNSS | position and velocity at t_s | p, v: I |
 //! | rotor drag | (f − b_a + d Rᵀv)_xy | v: −d Rᵀ, φ: −d Rᵀ[v]ₓ, b_a: I |
-//! | magnetometer, median | m − Rᵀ B, both over the strength at start | φ: Rᵀ[B]ₓ |
+//! | magnetometers, median | angle from the levelled field to north | φ_z: 1 |
 //! | nothing horizontal | 0 − v, loosely | v: 1 |
+//!
+//! The field corrects yaw alone. Motors and the steel of a room bend it by a fifth and for as long as a flight lasts: as three
+//! components without correlation it tilted lanes by 10°, and what that made of gravity was taken for speed.
 //!
 //! No gate rejects: beyond 3 σ the noise counts as larger. A filter that rejects locks itself out under vibration.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
@@ -27,9 +30,12 @@ use crate::estimate::aiding::idle::{
 use crate::estimate::aiding::{ANGLES, VELOCITY, XYZ};
 use crate::estimate::ekf_bias::aiding::row;
 use crate::estimate::ekf_bias::covariance::{ErrorState, N, augment_barometer, ix};
+use crate::estimate::ekf_bias::heading::yaw_row;
 use crate::estimate::filter::row::ScalarRow;
 use crate::estimate::{Channel, Residuals};
 use crate::frames::skew;
+use crate::sensor::heading;
+use crate::sensor::imu::MagnetometerModel;
 use crate::sensor::measure;
 use crate::sensor::{Accuracy, SensorModel};
 use crate::sensor::{barometer, height, mocap_pose};
@@ -43,19 +49,10 @@ const POSE_SIGMA: (f64, f64) = (0.002, 0.005);
 /// Specific force in the plane that drag does not explain, m/s²; and how much of the lane's own noise.
 const DRAG_SIGMA_MPS2: f64 = 0.85;
 const DRAG_OWN: f64 = 3.0;
-/// Magnetic field, over its strength.
+/// Of the magnetic field, over its strength.
 const FIELD_SIGMA: f64 = 0.15;
 /// One-sigma of the velocity of a vehicle at rest, m/s.
 const REST_SIGMA_MPS: f64 = 0.05;
-
-/// The magnetic field where the vehicle started.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Field {
-    /// Direction, ENU.
-    pub direction: Vector3<f64>,
-    /// Strength, µT.
-    pub strength_ut: f64,
-}
 
 /// What nothing measures is bounded by.
 #[derive(Debug, Clone, Copy)]
@@ -76,8 +73,8 @@ pub struct Around<'a> {
     pub model: &'a SensorModel,
     /// Of the lasers.
     pub heights: &'a Heights,
-    /// The field, where it is to be used.
-    pub field: Option<Field>,
+    /// Strength of the magnetic field where the vehicle started, µT, where it is to be used.
+    pub field_ut: Option<f64>,
     /// Drag over mass, 1/s, while nothing but drag acts in the rotors' plane.
     pub drag: Option<f64>,
     /// Are the barometers to be used?
@@ -110,8 +107,8 @@ impl Correction<'_> {
         if let Some(drag) = around.drag {
             self.take_drag(drag, sigma);
         }
-        if let Some((field, measured)) = around.field.zip(slot.field_ut) {
-            self.take_field(&field, &measured, around.model.imus.mag.field_tolerance);
+        if let Some((strength_ut, measured_ut)) = around.field_ut.zip(slot.field_ut) {
+            self.take_heading(strength_ut, &measured_ut, &around.model.imus.mag);
         }
         if let Some(unaided) = &around.unaided {
             self.bound(unaided);
@@ -223,19 +220,15 @@ impl Correction<'_> {
         }
     }
 
-    fn take_field(&mut self, field: &Field, measured_ut: &Vector3<f64>, tolerance: f64) {
-        let measured = measured_ut / field.strength_ut;
-        if (measured.norm() - 1.0).abs() > tolerance {
+    fn take_heading(&mut self, strength_ut: f64, measured_ut: &Vector3<f64>, model: &MagnetometerModel) {
+        let Some(heading) = heading::heading(&self.lane.at, measured_ut, model.declination_rad) else { return };
+        if (measured_ut.norm() / strength_ut - 1.0).abs() > model.field_tolerance {
             return;
         }
-        for axis in 0..3 {
-            let body_from_world: UnitQuaternion<f64> = self.lane.at.world_from_body.inverse();
-            let innovation = measured[axis] - (body_from_world * field.direction)[axis];
-            let turned = body_from_world.to_rotation_matrix().into_inner() * skew(&field.direction);
-            let mut h = ErrorState::zeros();
-            (0..3).for_each(|j| h[ix::ATTITUDE + j] = turned[(axis, j)]);
-            self.coupling(innovation, h, FIELD_SIGMA);
-        }
+        let noise = Accuracy { sigma: FIELD_SIGMA * strength_ut / heading.horizontal_ut, gate: f64::INFINITY };
+        // The median of all: no sensor's own.
+        let of = (SensorId::new(SensorKind::Imu, 1), Channel::Heading);
+        self.row(ScalarRow { of: None, ..yaw_row(of, &heading, noise, &self.lane.p) });
     }
 
     /// What nothing measures; see `ekf_bias/idle.rs`. No lane is judged by it.

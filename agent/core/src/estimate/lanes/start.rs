@@ -1,6 +1,6 @@
 //! Where the lanes begin: one attitude for all, from the median of the IMUs, and what each IMU is off by against it.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
 use super::integral::Six;
 use super::slot::Slot;
@@ -80,9 +80,4 @@ impl Start {
             field_ut: (self.field.1 > 0.0 && aligned.field_ut.is_some()).then(|| self.field.0 / self.field.1),
         })
     }
-}
-
-/// Direction of `field` in the world.
-pub fn direction(world_from_body: &UnitQuaternion<f64>, field: &Vector3<f64>) -> Option<Vector3<f64>> {
-    (world_from_body * field).try_normalize(1e-6)
 }

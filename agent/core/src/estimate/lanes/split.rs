@@ -1,0 +1,210 @@
+//! Heights that part from each other, against the accelerometers: beside the lasers these have one voice.
+//!
+//! Two of three lasers that step together outvote the third. Only what the IMUs felt since says which of them moved with
+//! the vehicle: from the moment they part the altitude coasts on accelerations alone, and lasers far from the one nearest to
+//! it are off. Fewer than the others and the accelerometers together, they are held back until they return; otherwise
+//! nobody has a majority, the heights contradict each other, and none is used until they agree again. Where all of them have
+//! left the coasted altitude the floor is another, or the accelerometers know too little: nothing is said.
+//!
+//! Slow drifts of a majority stay unseen: an accelerometer's bias explains them.
+
+use plumbline_proto::time::FlightTime;
+
+use super::SLOT_S;
+use crate::sensor::MAX_HEIGHTS;
+
+/// Healthy lasers differ by less, m: offsets, scale, slant, stamps and the motion within a scan.
+const GAP_M: f64 = 0.12;
+/// Samples of each laser before it is judged, and the longest that is waited for them, s.
+const SAMPLES: u32 = 2;
+const LONGEST_S: f64 = 0.5;
+/// The coasted altitude is right to so much at first, m, and for each second, m/s.
+const COAST: (f64, f64) = (0.1, 0.2);
+/// One that is held back returns within this part of the gap.
+const BACK: f64 = 0.8;
+/// A laser is there so long after its last sample, s.
+const FRESH_S: f64 = 0.35;
+/// Agreement that ends a contradiction, s.
+const AGREED_S: f64 = 1.0;
+
+/// Altitude and climb by accelerations alone, m and m/s, since the lasers parted.
+#[derive(Debug, Clone, Copy)]
+struct Coast {
+    since: FlightTime,
+    z_m: f64,
+    climb_mps: f64,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Laser {
+    /// Its last sample, and how far that is from the altitude predicted, or coasted, m.
+    last: Option<(FlightTime, f64)>,
+    /// Samples since the lasers parted.
+    samples: u32,
+    held: bool,
+}
+
+/// See the module.
+#[derive(Debug, Clone, Default)]
+pub struct Split {
+    lasers: [Laser; MAX_HEIGHTS],
+    coast: Option<Coast>,
+    /// When the lasers that contradict each other last did.
+    contradicted: Option<FlightTime>,
+}
+
+impl Split {
+    /// Is laser `index` not to be used?
+    pub fn refuses(&self, index: usize) -> bool {
+        let apart = |laser: &Laser| self.coast.is_some() && laser.last.is_some_and(|(_, off_m)| off_m.abs() > GAP_M);
+        self.contradicted.is_some() || self.lasers.get(index).is_some_and(|laser| laser.held || apart(laser))
+    }
+
+    /// Have the lasers parted, and is it not settled which of them are off?
+    pub fn is_open(&self) -> bool {
+        self.coast.is_some()
+    }
+
+    /// Do the heights contradict each other, without a majority?
+    pub fn is_contradicted(&self) -> bool {
+        self.contradicted.is_some()
+    }
+
+    /// A slot that ends at `end`. Uncorrected, altitude and climb would be `predicted` there, m and m/s; felt was `up_mps2`.
+    /// `samples`: when each laser measured what, its offset removed, m.
+    pub fn take(
+        &mut self,
+        end: FlightTime,
+        predicted: (f64, f64),
+        up_mps2: f64,
+        samples: &[Option<(FlightTime, f64)>; MAX_HEIGHTS],
+    ) {
+        if let Some(coast) = &mut self.coast {
+            coast.z_m += (coast.climb_mps + 0.5 * up_mps2 * SLOT_S) * SLOT_S;
+            coast.climb_mps += up_mps2 * SLOT_S;
+        }
+        let (z_m, climb_mps) = self.coast.map_or(predicted, |coast| (coast.z_m, coast.climb_mps));
+        for (laser, sample) in self.lasers.iter_mut().zip(samples) {
+            if let Some((time, height_m)) = *sample {
+                let off_m = height_m - (z_m - climb_mps * end.seconds_since(time).clamp(0.0, 0.5));
+                laser.last = Some((time, off_m));
+                laser.samples = laser.samples.saturating_add(1);
+                laser.held &= off_m.abs() > BACK * GAP_M;
+            }
+        }
+        if let Some(coast) = self.coast {
+            self.judge(end, end.seconds_since(coast.since));
+        } else if self.have_parted(end) {
+            self.coast = Some(Coast { since: end, z_m, climb_mps });
+            for (laser, sample) in self.lasers.iter_mut().zip(samples) {
+                laser.samples = u32::from(sample.is_some());
+            }
+        }
+    }
+
+    /// How far the lasers that are there are off, m.
+    fn off_m(&self, now: FlightTime) -> impl Iterator<Item = (&Laser, f64)> + Clone {
+        let there = move |laser: &'_ Laser| laser.last.filter(|(time, _)| now.seconds_since(*time) < FRESH_S);
+        self.lasers.iter().filter_map(move |laser| Some((laser, there(laser)?.1)))
+    }
+
+    /// Do lasers that are used differ?
+    fn have_parted(&self, now: FlightTime) -> bool {
+        let used = self.off_m(now).filter(|(laser, _)| !laser.held).map(|(_, off_m)| off_m);
+        let (least, most) = used.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), off| (a.min(off), b.max(off)));
+        most - least > GAP_M
+    }
+
+    /// Which of them are off, `coasted_s` after they parted.
+    fn judge(&mut self, now: FlightTime, coasted_s: f64) {
+        let waits = self.off_m(now).any(|(laser, _)| laser.samples < SAMPLES);
+        if waits && coasted_s < LONGEST_S {
+            return;
+        }
+        let nearest = self.off_m(now).map(|(_, off_m)| off_m).min_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let anchor_m = nearest.unwrap_or_default();
+        let is_off = |off_m: f64| (off_m - anchor_m).abs() > GAP_M;
+        let there = self.off_m(now).count();
+        let off = self.off_m(now).filter(|(_, off_m)| is_off(*off_m)).count();
+        if let Some(last) = self.contradicted {
+            if off > 0 {
+                self.contradicted = Some(now);
+            } else if now.seconds_since(last) > AGREED_S {
+                *self = Self::default();
+            }
+            return;
+        }
+        if anchor_m.abs() > COAST.0 + COAST.1 * coasted_s {
+            *self = Self::default();
+        } else if 2 * off > there {
+            // One voice more for those that the accelerometers agree with: off ≥ near + 1 leaves no majority.
+            self.contradicted = Some(now);
+        } else {
+            self.coast = None;
+            for laser in &mut self.lasers {
+                laser.held = laser.last.is_some_and(|(_, off_m)| is_off(off_m));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three lasers in turns at 10 Hz on a vehicle that climbs with 0.2 m/s, off by these.
+    fn run(split: &mut Split, from: u32, slots: u32, off_m: [f64; 3]) {
+        for k in from..from + slots {
+            let end = FlightTime(u64::from(k + 1) * 40_000);
+            let (mut samples, z_m) = ([None; MAX_HEIGHTS], 0.2 * end.as_seconds());
+            for (i, off_m) in off_m.into_iter().enumerate() {
+                if (k as usize + i).is_multiple_of(3) {
+                    samples[i] = Some((end, z_m + off_m + 0.01 * f64::from(k * 37 + i as u32 * 101).sin()));
+                }
+            }
+            split.take(end, (z_m, 0.2), 0.0, &samples);
+        }
+    }
+
+    fn refused(split: &Split) -> [bool; 3] {
+        [0, 1, 2].map(|i| split.refuses(i))
+    }
+
+    #[test]
+    fn one_of_three_is_held_back_from_its_first_sample_until_it_returns() {
+        let mut split = Split::default();
+        run(&mut split, 0, 50, [0.0; 3]);
+        assert_eq!(refused(&split), [false; 3]);
+        for k in 50..80 {
+            run(&mut split, k, 1, [0.0, 0.4, 0.0]);
+            let seen = k >= 52;
+            assert!(!split.is_contradicted() && !split.refuses(0) && (!seen || split.refuses(1)), "slot {k}");
+        }
+        run(&mut split, 80, 4, [0.0; 3]);
+        assert_eq!(refused(&split), [false; 3]);
+    }
+
+    #[test]
+    fn two_of_three_contradict_the_accelerometers_within_half_a_second_until_all_agree() {
+        for off_m in [0.3, -1.5] {
+            let mut split = Split::default();
+            run(&mut split, 0, 50, [0.0; 3]);
+            run(&mut split, 50, 13, [off_m, 0.0, off_m]);
+            assert!(split.is_contradicted() && refused(&split) == [true; 3], "{off_m}");
+            run(&mut split, 63, 50, [off_m, 0.0, off_m]);
+            assert!(split.is_contradicted());
+            run(&mut split, 113, 40, [0.0; 3]);
+            assert_eq!(refused(&split), [false; 3]);
+        }
+    }
+
+    #[test]
+    fn another_floor_is_taken_by_all_of_them() {
+        let mut split = Split::default();
+        run(&mut split, 0, 50, [0.0; 3]);
+        run(&mut split, 50, 1, [0.5, 0.0, 0.0]);
+        run(&mut split, 51, 20, [0.5; 3]);
+        assert!(!split.is_contradicted());
+        assert_eq!(refused(&split), [false; 3]);
+    }
+}
