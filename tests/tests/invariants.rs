@@ -100,8 +100,8 @@ fn crates_know_only_those_below_them() {
         names(&["agent", "proto", "rest"]),
         "it flies the agent, and serves nobody"
     );
-    let ground = names(&["analysis", "core", "file", "link", "proto", "rest"]);
-    assert_eq!(knows("plumbline-ground"), ground, "the ground is built without the vehicle");
+    let ground = names(&["analysis", "core", "experiment", "file", "link", "proto", "rest"]);
+    assert_eq!(knows("plumbline-ground"), ground, "only experiments fly a vehicle");
 }
 
 #[test]
