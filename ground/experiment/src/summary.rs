@@ -62,12 +62,18 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
     })
 }
 
-/// A level as it is shown: text without quotes.
+/// A level as it is shown: text without quotes, tables without braces.
 pub fn shown(level: Option<&Value>) -> String {
     match level {
         None => String::new(),
         Some(Value::String(text)) => text.clone(),
+        // What six digits would swallow keeps them all.
+        Some(Value::Float(number)) if number.abs() < 1e-3 => number.to_string(),
         Some(Value::Float(number)) => format!("{number:.6}").trim_end_matches('0').trim_end_matches('.').to_owned(),
+        Some(table @ Value::Table(_)) => {
+            let plain = table.to_string().replace(" = {", ":").replace(['{', '}', '"'], " ");
+            plain.split_whitespace().collect::<Vec<_>>().join(" ").replace(" = ", "=").replace(" ,", ",")
+        }
         Some(other) => other.to_string(),
     }
 }
@@ -193,6 +199,21 @@ mod tests {
         let difference = difference(0, &[1.0, 2.0, 3.0]).unwrap();
         assert_eq!((difference.median, difference.effect), (2.0, Some(2.0)));
         assert!(super::spread(&[]).is_none() && super::difference(0, &[]).is_none());
+    }
+
+    #[test]
+    fn levels_are_shown_without_toml() {
+        let table: toml::Table = toml::from_str("a = { strings = { mode = \"flight\", height_m = 0.3 } }").unwrap();
+        assert_eq!(shown(table.get("a")), "strings: height_m=0.3, mode=flight");
+        let numbers = [
+            Value::Float(4e-7),
+            Value::Float(0.05),
+            Value::Float(2.0),
+            Value::Integer(7),
+            Value::String("none".into()),
+        ];
+        assert_eq!(numbers.map(|level| shown(Some(&level))), ["0.0000004", "0.05", "2", "7", "none"]);
+        assert_eq!(shown(None), "");
     }
 
     #[test]
