@@ -17,6 +17,7 @@ pub mod calibrations;
 pub mod commands;
 pub mod config;
 mod error;
+mod experiments;
 pub mod front;
 pub mod gains_book;
 pub mod hub;
@@ -80,6 +81,7 @@ pub async fn run(
     let limits = front::Limits::of(descriptors());
     let tls = config.tls.clone();
     let idle = config.lease_idle;
+    let experiments = Arc::new(experiments::Experiments::open(&config.data_folder));
     let app = api::App::new(api::Parts {
         config,
         address,
@@ -90,6 +92,7 @@ pub async fn run(
         people: people.clone(),
         audit: audit.clone(),
         recorder: recorder.handle(),
+        experiments: experiments.clone(),
         work: work.handle(),
         stopped: stopped.clone(),
     });
@@ -115,6 +118,7 @@ pub async fn run(
     }
     // The recorder finishes its files last: everything received before the stop is in them.
     let finish = move || {
+        experiments.finish();
         recorder.finish();
         audit.flush();
     };

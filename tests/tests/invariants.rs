@@ -95,8 +95,13 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-agent"), names(&["analysis", "core", "file", "link", "proto", "rest", "sim"]));
     assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
     assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
-    let ground = names(&["analysis", "core", "file", "link", "proto", "rest"]);
-    assert_eq!(knows("plumbline-ground"), ground, "the ground is built without the vehicle");
+    assert_eq!(
+        knows("plumbline-experiment"),
+        names(&["agent", "proto", "rest"]),
+        "it flies the agent, and serves nobody"
+    );
+    let ground = names(&["analysis", "core", "experiment", "file", "link", "proto", "rest"]);
+    assert_eq!(knows("plumbline-ground"), ground, "only experiments fly a vehicle");
 }
 
 #[test]
@@ -182,6 +187,7 @@ fn the_lints_against_panics_stay_on_in_library_code() {
         "agent/core",
         "agent/link",
         "agent/sim",
+        "ground/experiment",
         "proto/file",
         "proto/rest",
     ]) {
@@ -202,6 +208,7 @@ fn the_lints_against_panics_stay_on_in_library_code() {
             "agent/link/src",
             "agent/sim/src",
             "ground/src",
+            "ground/experiment/src",
             "proto/src",
             "proto/file/src",
             "proto/rest/src",

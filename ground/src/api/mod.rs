@@ -15,6 +15,7 @@ mod design;
 mod download;
 mod error;
 mod estimates;
+mod experiments;
 mod flights;
 mod gains;
 mod ground;
@@ -46,6 +47,7 @@ use crate::agent_link::CommandSender;
 use crate::audit::Audit;
 use crate::commands::{Asked, Commands};
 use crate::config::GroundConfig;
+use crate::experiments::Experiments;
 use crate::gains_book::GainsBook;
 use crate::hub::Hub;
 use crate::ingest::publish_lease;
@@ -80,6 +82,7 @@ pub(crate) struct Parts {
     pub(crate) people: Arc<People>,
     pub(crate) audit: Audit,
     pub(crate) recorder: RecorderHandle,
+    pub(crate) experiments: Arc<Experiments>,
     /// Threads for whatever takes long.
     pub(crate) work: Handle,
     pub(crate) stopped: watch::Receiver<bool>,
@@ -228,6 +231,18 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/calibrations"                View    calibrations::list;
         post   "/api/v1/calibrations"                Operate calibrations::create, calibrations::MAX_TABLE;
         get    "/api/v1/calibrations/{id}"           View    calibrations::show;
+        get    "/api/v1/experiments"                 View    experiments::list;
+        post   "/api/v1/experiments"                 Operate experiments::create;
+        post   "/api/v1/experiments/size"            View    experiments::size;
+        get    "/api/v1/experiments/{id}"            View    experiments::show;
+        post   "/api/v1/experiments/{id}/start"      Operate experiments::start;
+        post   "/api/v1/experiments/{id}/stop"       Operate experiments::stop;
+        get    "/api/v1/experiments/{id}/flights"    View    experiments::flights;
+        post   "/api/v1/experiments/{id}/flights/{index}" Operate experiments::fly_again;
+        get    "/api/v1/experiments/{id}/flights/{index}/open" Operate experiments::go;
+        get    "/api/v1/experiments/{id}/plan.toml"  View    experiments::plan;
+        get    "/api/v1/experiments/{id}/report.html" View   experiments::page;
+        get    "/api/v1/experiments/{id}/flights.parquet" View experiments::table;
         get    "/api/flights"                        View    flights::list;
         get    "/api/flights/{id}"                   View    flights::show;
         patch  "/api/flights/{id}"                   Operate flights::annotate;

@@ -4,6 +4,7 @@ mod account;
 mod agents;
 mod audit;
 mod check;
+mod experiment;
 mod serve;
 
 use std::path::PathBuf;
@@ -28,6 +29,8 @@ enum Tool {
     Audit(audit::AuditArguments),
     /// Says whether flight files are whole; one JSON line for each.
     Check(check::CheckArguments),
+    /// Flies plans of many simulated flights; reports, and opens any of them.
+    Experiment(experiment::ExperimentArguments),
     /// Pairs the agent that shows this code.
     Pair(agents::PairArguments),
     /// Shows this ground's fingerprint; trusts or revokes agents.
@@ -52,6 +55,7 @@ impl Arguments {
             Some(Tool::Account(arguments)) => account::run(arguments),
             Some(Tool::Audit(arguments)) => audit::run(&arguments),
             Some(Tool::Check(arguments)) => check::run(&arguments),
+            Some(Tool::Experiment(arguments)) => experiment::run(&arguments),
             Some(Tool::Pair(arguments)) => agents::pair(&arguments),
             Some(Tool::Identity(arguments)) => agents::identity(&arguments),
             None => serve::run(self.serve),

@@ -323,6 +323,32 @@ impl RecorderHandle {
         self.flight(id)
     }
 
+    /// Takes in a finished flight file from elsewhere on the same disk, under the name it has; one that is here already stays. Asks the
+    /// disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when its name is none of a flight, it cannot be read, or the disk refuses.
+    pub fn take_in(&self, file: &Path) -> Result<Flight, RecordingError> {
+        let id = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        if plumbline_proto::ids::FlightId::new(id).is_err() {
+            return Err(RecordingError::Invalid(format!("{:?} is no name of a flight", crate::names::clip(id))));
+        }
+        // The start reads the folder: a file that came meanwhile would be read twice.
+        if !self.ready() {
+            return Err(RecordingError::NotReady);
+        }
+        if let Some(known) = self.index.get(id)? {
+            return Ok(known);
+        }
+        let path = self.store.finished_path(id);
+        std::fs::rename(file, &path).map_err(|source| RecordingError::Io { path: path.clone(), source })?;
+        let reading = self.store.read(&self.store.files(id))?;
+        let stamp = index::Stamp::of(&path).unwrap_or_default();
+        let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);
+        self.index.put(&flight, stamp)?;
+        Ok(flight)
+    }
+
     /// Deletes a flight. Waits for the recorder and the disk.
     ///
     /// # Errors

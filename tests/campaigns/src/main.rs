@@ -16,7 +16,6 @@ mod chaos_power;
 mod chaos_sensors;
 mod clinic;
 mod disk;
-mod draw;
 mod evaluate;
 mod figures;
 mod paternain;

@@ -12,12 +12,13 @@ pub struct Options {
 }
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
-const BENCHES: [(&str, Bench); 8] = [
+const BENCHES: [(&str, Bench); 9] = [
     ("control", Bench::Program("control")),
     ("tick", Bench::Program("tick")),
     ("steps", Bench::Program("steps")),
     ("sse", Bench::Program("sse")),
     ("estimate", Bench::Program("estimate")),
+    ("experiment", Bench::Program("experiment")),
     ("page", Bench::Page),
     ("live", Bench::Program("live_latency")),
     ("charts", Bench::Charts),

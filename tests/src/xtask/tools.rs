@@ -9,9 +9,12 @@ use super::{Workspace, XtaskError};
 /// What the browser scripts are written for: what drives any recent Chromium, and the reader of flight files that
 /// Foxglove uses.
 const NODE_PACKAGES: [&str; 3] = ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1"];
-/// Third-party readers of our flight files.
-const READERS: PythonTools =
-    PythonTools { folder: "python", module: "mcap.reader", packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5"] };
+/// Third-party readers of our flight files and of the results of experiments.
+const READERS: PythonTools = PythonTools {
+    folder: "python",
+    module: "mcap.reader, duckdb, polars",
+    packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5", "duckdb>=1.1", "polars>=1.9"],
+};
 /// The peer of `bench estimate`.
 const FILTERPY: PythonTools =
     PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"] };

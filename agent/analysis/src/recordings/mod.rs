@@ -26,7 +26,7 @@ use plumbline_core::vehicle::{RecordedControl, Truth};
 use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 
 pub use phantom4::Phantom4Options;
-pub use shared::{VARIABLE as SHARED_VARIABLE, shared};
+pub use shared::{VARIABLE as SHARED_VARIABLE, shared, skipped};
 pub use timeline::Recording;
 
 /// One tick of a recording.

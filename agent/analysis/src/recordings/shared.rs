@@ -20,13 +20,19 @@ pub fn shared(file: &str) -> Option<PathBuf> {
     let whole = [root.join(file), root.join("..").join(file)].into_iter().find(|path| path.exists());
     let found = whole.or_else(|| Some(excerpt).filter(|path| path.is_file()));
     if found.is_none() {
-        println!("skipped: {} is absent", root.join(file).display());
-        let told = std::env::var_os(SKIPPED).and_then(|list| std::fs::File::options().append(true).open(list).ok());
-        if let Some(mut list) = told {
-            let test = std::thread::current().name().unwrap_or("?").to_owned();
-            // One write: tests run beside each other.
-            let _ = list.write_all(format!("{test}: {file} is absent\n").as_bytes());
-        }
+        println!("{} is looked for", root.join(file).display());
+        skipped(&format!("{file} is absent"));
     }
     found
+}
+
+/// Says that the test that runs on this thread is skipped, and why.
+pub fn skipped(why: &str) {
+    println!("skipped: {why}");
+    let told = std::env::var_os(SKIPPED).and_then(|list| std::fs::File::options().append(true).open(list).ok());
+    if let Some(mut list) = told {
+        let test = std::thread::current().name().unwrap_or("?").to_owned();
+        // One write: tests run beside each other.
+        let _ = list.write_all(format!("{test}: {why}\n").as_bytes());
+    }
 }

@@ -1,45 +1,20 @@
-//! What is attacked, and how: everything about an attack is drawn from the flight's seed.
+//! The rows of the table: who is attacked in which world, and how much it may cost.
 
-use plumbline_agent::attack::{Attack, Bounds, Channel, Kind, offered};
-use plumbline_proto::ids::SensorId;
+use plumbline_agent::attack::{Attack, Channel};
+use plumbline_agent::sensor::height::Height;
+use plumbline_agent::sensor::imu::Imu;
+use plumbline_agent::sensor::suite::Sheet as _;
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::EstimatorKind;
+use plumbline_experiment::attacked::{Attacked, Given};
+use plumbline_experiment::flight::{Reception, Setup};
 use plumbline_proto::v1::SensorKind;
 
-use crate::draw::Dice;
-
-/// Earliest and latest onset, s.
-const ONSET_S: (f64, f64) = (14.0, 22.0);
-/// Shortest and longest attack, s.
-const DURATION_S: (f64, f64) = (4.0, 14.0);
-/// The smallest that is added, as a part of the most that the vehicle allows: an attack in the noise is among them.
-const SMALLEST: f64 = 0.004;
-const KINDS: [Kind; 10] = [
-    Kind::Zero,
-    Kind::Bias,
-    Kind::Ramp,
-    Kind::Scale,
-    Kind::Noise,
-    Kind::Freeze,
-    Kind::Replay,
-    Kind::Delay,
-    Kind::Dropout,
-    Kind::SignFlip,
-];
-
-/// Which sensors are attacked.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Attacked {
-    None,
-    /// Any one IMU, height or barometer.
-    One,
-    /// One IMU and one height.
-    ImuAndHeight,
-    /// So many of a kind, each in its own way.
-    Several(SensorKind, usize),
-    /// So many heights, by the same bias at the same time.
-    Colluding(usize),
-    /// One sensor by one kind of attack of one size, for curves.
-    Sized(SensorKind, Channel, f64),
-}
+const END_S: f64 = 40.0;
+/// Altitudes: from when, s, and how high, m.
+const STEPS: [(f64, f64); 3] = [(5.0, 0.9), (18.0, 1.2), (29.0, 0.8)];
+/// Free, and on strings: by turns of the seed.
+const RIGS: [&str; 2] = ["[rig.free]\nheight_m = 0.0\n", "[rig.hanging_strings]\nmode = \"flight\"\nheight_m = 0.3\n"];
 
 /// A row of the table.
 #[derive(Debug, Clone, Copy)]
@@ -114,95 +89,88 @@ impl Case {
 
     /// One sensor attacked by a bias of this size.
     pub fn sized(sensor: SensorKind, channel: Channel, size: f64) -> Self {
-        Self { name: "curve", attacked: Attacked::Sized(sensor, channel, size), altitude: ANY, ..Self::PLAIN }
-    }
-
-    /// The attacks of the flight of this `seed`.
-    pub fn attacks(&self, seed: u64) -> Vec<Attack> {
-        let mut dice = Dice::new(seed ^ 0xa77a_c4ed);
-        let mut any = |kind, of| SensorId::new(kind, 1 + (dice.uniform() * of as f64) as u8);
-        match self.attacked {
-            Attacked::None => Vec::new(),
-            Attacked::One => {
-                let index = (dice.uniform() * (self.imus + self.heights + 1) as f64) as usize;
-                let sensor = if index < self.imus {
-                    SensorId::new(SensorKind::Imu, 1 + index as u8)
-                } else if index < self.imus + self.heights {
-                    SensorId::new(SensorKind::Height, 1 + (index - self.imus) as u8)
-                } else {
-                    SensorId::new(SensorKind::Barometer, 1)
-                };
-                vec![drawn(&mut dice, 1, sensor)]
-            }
-            Attacked::ImuAndHeight => {
-                let sensors = [any(SensorKind::Imu, self.imus), any(SensorKind::Height, self.heights)];
-                sensors.into_iter().zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
-            }
-            Attacked::Several(kind, count) => {
-                let of = if kind == SensorKind::Imu { self.imus } else { self.heights };
-                let chosen = dice.choose(count, of);
-                let sensors = chosen.into_iter().map(|index| SensorId::new(kind, 1 + index as u8));
-                sensors.zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
-            }
-            Attacked::Colluding(count) => {
-                let chosen = dice.choose(count, self.heights);
-                let size = sign(&mut dice) * (0.3 + 1.7 * dice.uniform());
-                let (start_s, duration_s) = when(&mut dice);
-                let attack = |(index, id): (usize, u32)| Attack {
-                    id,
-                    sensor: SensorId::new(SensorKind::Height, 1 + index as u8),
-                    channel: Channel::All,
-                    kind: Kind::Bias,
-                    start_s,
-                    duration_s,
-                    magnitude: size,
-                    seed,
-                };
-                chosen.into_iter().zip(1..).map(attack).collect()
-            }
-            Attacked::Sized(kind, channel, size) => {
-                let sensor = any(kind, if kind == SensorKind::Imu { self.imus } else { self.heights });
-                let magnitude = sign(&mut dice) * size;
-                let (start_s, _) = when(&mut dice);
-                let duration_s = DURATION_S.1;
-                vec![Attack { id: 1, sensor, channel, kind: Kind::Bias, start_s, duration_s, magnitude, seed }]
-            }
+        Self {
+            name: "curve",
+            attacked: Attacked::Given(Given::bias(sensor, channel, size)),
+            altitude: ANY,
+            ..Self::PLAIN
         }
     }
+
+    /// The flight of this `seed`, without its attacks.
+    pub fn scenario(&self, seed: u64) -> Scenario {
+        let mut text = format!("name = \"attacks\"\nseed = {seed}\nduration_s = {END_S}\nworld = \"{}\"\n", self.world);
+        text += "[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n";
+        for (at_s, altitude_m) in STEPS {
+            text += &format!("[[script]]\nat_s = {at_s}\ndo = \"setpoint\"\naltitude_m = {altitude_m}\n");
+        }
+        text += RIGS[(seed % 2) as usize];
+        text += "[suite]\npreset = \"string_rig\"\n";
+        let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        scenario.suite.heights = (1..=self.heights).map(|i| Height::laser(i, self.heights)).collect();
+        scenario.suite.imus = (1..=self.imus).map(Imu::typical).collect();
+        scenario
+    }
 }
 
-fn sign(dice: &mut Dice) -> f64 {
-    if dice.uniform() < 0.5 { -1.0 } else { 1.0 }
+/// Who estimates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pilot {
+    /// The estimator of this name, as it is shipped: gates, votes, cross-checks.
+    Shipped(EstimatorKind),
+    /// The shipped EKF, which never hears the attacked sensors while they are attacked.
+    Oracle,
+    /// The shipped EKF with one IMU and one height, each the median of all.
+    Median,
 }
 
-fn between(dice: &mut Dice, (low, high): (f64, f64)) -> f64 {
-    low + (high - low) * dice.uniform()
-}
+impl Pilot {
+    pub const EKF: Self = Self::Shipped(EstimatorKind::EkfBias);
+    pub const ALL: [Self; 5] = [
+        Self::EKF,
+        Self::Median,
+        Self::Shipped(EstimatorKind::Secure),
+        Self::Shipped(EstimatorKind::Lanes),
+        Self::Oracle,
+    ];
 
-/// Onset and duration, s.
-fn when(dice: &mut Dice) -> (f64, f64) {
-    (between(dice, ONSET_S), between(dice, DURATION_S))
-}
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Shipped(EstimatorKind::EkfBias) => "shipped EKF",
+            Self::Shipped(EstimatorKind::Secure) => "secure",
+            Self::Shipped(EstimatorKind::Lanes) => "lanes",
+            Self::Shipped(_) => "another",
+            Self::Oracle => "oracle",
+            Self::Median => "median fusion",
+        }
+    }
 
-/// Any attack on `sensor` that the vehicle takes: kind, channel, size, sign, onset and duration.
-fn drawn(dice: &mut Dice, id: u32, sensor: SensorId) -> Attack {
-    let bounds = Bounds::default();
-    let mut pick = |count: usize| ((dice.uniform() * count as f64) as usize).min(count - 1);
-    let kind = KINDS[pick(KINDS.len())];
-    let channels: Vec<_> =
-        offered(sensor.kind, &bounds).filter(|(_, _, most)| !kind.is_additive() || *most > 0.0).collect();
-    let (channel, _, most) = channels[pick(channels.len())];
-    let magnitude = match kind {
-        // Every size is as likely as the tenfold: most are small beside what the vehicle allows.
-        Kind::Bias | Kind::Ramp => sign(dice) * most * SMALLEST.powf(dice.uniform()),
-        Kind::Noise => most * SMALLEST.powf(dice.uniform()),
-        Kind::Scale => between(dice, (-2.0, 3.0)),
-        Kind::Replay => between(dice, (0.5, bounds.replay_max_s)),
-        Kind::Delay => between(dice, (0.05, bounds.delay_max_s)),
-        Kind::Dropout => between(dice, (0.2, 1.0)),
-        Kind::Zero | Kind::Freeze | Kind::SignFlip => 0.0,
-    };
-    let (start_s, duration_s) = when(dice);
-    let seed = (dice.uniform() * 1e9) as u64;
-    Attack { id, sensor, channel, kind, start_s, duration_s, magnitude, seed }
+    /// Does it say which sensors it excludes?
+    pub fn judges(self) -> bool {
+        matches!(self, Self::Shipped(EstimatorKind::Secure | EstimatorKind::Lanes))
+    }
+
+    fn estimator(self) -> EstimatorKind {
+        if let Self::Shipped(kind) = self { kind } else { EstimatorKind::EkfBias }
+    }
+
+    /// The flight of `scenario` that this one flies.
+    pub fn setup(self, scenario: &Scenario, attacks: &[Attack], judged_from_s: f64) -> Setup {
+        let mut config = scenario.flight_config();
+        config.estimators = vec![self.estimator()];
+        config.in_loop = self.estimator();
+        let reception = match self {
+            Self::Shipped(_) => Reception::All,
+            Self::Oracle => Reception::Oracle,
+            Self::Median => Reception::Median,
+        };
+        Setup {
+            scenario: scenario.clone(),
+            config,
+            reception,
+            attacks: attacks.to_vec(),
+            judged_from_s,
+            comes_down: false,
+        }
+    }
 }

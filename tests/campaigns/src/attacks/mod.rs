@@ -8,19 +8,20 @@
 //! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row or the `curves`, `--quick` a tenth.
 
 mod case;
-mod flight;
 
 use std::collections::BTreeMap;
 
 use plumbline_agent::attack::Channel;
 use plumbline_agent::types::EstimatorKind;
+use plumbline_experiment::attacked::Attacked;
+use plumbline_experiment::draw::{median, median_interval, parallel, percentile, worst};
+use plumbline_experiment::flight::{Setup, fly};
+use plumbline_experiment::judge::Outcome;
 use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::{Axis, Plot, Report, ReportError, Series};
 use serde_json::json;
 
-use crate::draw::{median, median_interval, parallel, percentile, worst};
-use case::{Attacked, Case};
-use flight::{Outcome, Pilot, fly};
+use case::{Case, Pilot};
 
 /// What is beyond the bound is declared within this, s.
 const DECLARED_S: f64 = 1.0;
@@ -79,11 +80,16 @@ struct Flown {
 fn fly_all(case: &Case, effort: &Effort, pilots: &[Pilot]) -> Vec<Flown> {
     parallel(effort.flights as usize, |i| {
         let seed = effort.seed_base + i as u64;
-        let attacks = case.attacks(seed);
+        let scenario = case.scenario(seed);
+        let attacks = case.attacked.attacks(&scenario.suite, seed);
         let from_s = attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
         let from_s = if from_s.is_finite() { from_s } else { 0.0 };
-        let clean = fly(case, Pilot::EKF, seed, &[], from_s);
-        let by = pilots.iter().map(|pilot| fly(case, *pilot, seed, &attacks, from_s)).collect();
+        let flown = |pilot: Pilot, attacks: &[_]| {
+            let comes_down = case.attacked.colludes() && !attacks.is_empty();
+            fly(&Setup { comes_down, ..pilot.setup(&scenario, attacks, from_s) }).unwrap()
+        };
+        let clean = flown(Pilot::EKF, &[]);
+        let by = pilots.iter().map(|pilot| flown(*pilot, &attacks)).collect();
         Flown { clean, by }
     })
 }
@@ -143,7 +149,7 @@ fn row<'a>(
     let within = |values: [f64; 3], most: [f64; 3]| values.iter().zip(most).all(|(value, most)| *value <= most);
     let judged = pilot.judges();
     let lost_of_hundred = 100.0 * lost as f64 / all.len() as f64;
-    let beyond = matches!(case.attacked, Attacked::Colluding(_));
+    let beyond = case.attacked.colludes();
     let told = !beyond || declared.len() == all.len() && worst(&declared) <= DECLARED_S;
     let held = beyond || within(altitude3, case.altitude) && within(tilt3, case.tilt);
     let holds = judged.then_some(held && told && lost_of_hundred <= case.lost);

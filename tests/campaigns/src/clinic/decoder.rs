@@ -9,7 +9,7 @@ use plumbline_agent::model::trim::Trim;
 use plumbline_tests::report::{Plot, Report, Series};
 
 use super::Effort;
-use crate::draw::{Dice, median, parallel};
+use plumbline_experiment::draw::{Dice, median, parallel};
 
 const PERIOD_S: f64 = 0.05;
 const SLOTS: usize = 10;

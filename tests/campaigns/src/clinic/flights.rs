@@ -22,7 +22,7 @@ use serde_json::json;
 
 use super::Effort;
 use super::flight::{ATTACK_S, CLEAR_M, FREE, GROUND, Outcome, Pilot, Plan, RIGS, STEPS, STRINGS, TAUT, Tuning, fly};
-use crate::draw::{median, parallel, worst};
+use plumbline_experiment::draw::{median, parallel, worst};
 
 const ATTACKS: [&str; 5] = ["zero", "bias", "ramp", "random", "replay"];
 const PLACES: [&str; 3] = ["height", "imu_and_height", "minority_of_5"];

@@ -14,7 +14,7 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::Report;
 use serde_json::json;
 
-use crate::draw::{median, parallel, worst};
+use plumbline_experiment::draw::{median, parallel, worst};
 
 /// Attacks begin this long after the first frame, s, and end with the recording.
 const ONSET_S: f64 = 10.0;

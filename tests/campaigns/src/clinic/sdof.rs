@@ -6,7 +6,7 @@ use plumbline_agent::estimate::secure::window::{Model, Row, Window};
 use plumbline_tests::report::{Plot, Report, Series};
 
 use super::Effort;
-use crate::draw::{Dice, median};
+use plumbline_experiment::draw::{Dice, median};
 
 /// [Clinic] 9.2: Ts, b, M, reference, first state.
 const PERIOD_S: f64 = 0.05;

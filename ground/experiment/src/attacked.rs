@@ -1,0 +1,177 @@
+//! What is attacked, and how: everything about an attack is drawn from the flight's seed.
+
+use plumbline_agent::attack::{Attack, Bounds, Channel, Kind, offered};
+use plumbline_agent::sensor::suite::Suite;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+use crate::draw::Dice;
+
+/// Earliest and latest onset, s.
+const ONSET_S: (f64, f64) = (14.0, 22.0);
+/// Shortest and longest attack, s.
+const DURATION_S: (f64, f64) = (4.0, 14.0);
+/// The smallest that is added, as a part of the most that the vehicle allows: an attack in the noise is among them.
+const SMALLEST: f64 = 0.004;
+const KINDS: [Kind; 10] = [
+    Kind::Zero,
+    Kind::Bias,
+    Kind::Ramp,
+    Kind::Scale,
+    Kind::Noise,
+    Kind::Freeze,
+    Kind::Replay,
+    Kind::Delay,
+    Kind::Dropout,
+    Kind::SignFlip,
+];
+
+/// Which sensors are attacked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Attacked {
+    /// None.
+    None,
+    /// Any one IMU, height or barometer.
+    One,
+    /// One IMU and one height.
+    ImuAndHeight,
+    /// So many of a kind, each in its own way.
+    Several(SensorKind, usize),
+    /// So many heights, by the same bias at the same time.
+    Colluding(usize),
+    /// One sensor in one way.
+    Given(Given),
+}
+
+/// An attack of which something is given; the rest is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Given {
+    /// The sensor's kind.
+    pub sensor: SensorKind,
+    /// Which of them.
+    pub instance: Option<u8>,
+    /// Its scalars.
+    pub channel: Channel,
+    /// What is done.
+    pub kind: Kind,
+    /// As [`Kind`] says; the sign of what is added is drawn unless it is negative.
+    pub magnitude: f64,
+    /// Onset, s.
+    pub start_s: Option<f64>,
+    /// Duration, s; the longest of those drawn otherwise.
+    pub duration_s: Option<f64>,
+}
+
+impl Given {
+    /// A bias of this size on one sensor.
+    pub fn bias(sensor: SensorKind, channel: Channel, magnitude: f64) -> Self {
+        Self { sensor, instance: None, channel, kind: Kind::Bias, magnitude, start_s: None, duration_s: None }
+    }
+}
+
+/// How many of a kind the vehicle has.
+fn count(suite: &Suite, kind: SensorKind) -> usize {
+    suite.descriptions().iter().filter(|described| described.id.kind == kind).count()
+}
+
+impl Attacked {
+    /// Is it more than any estimator can tell from the healthy ones?
+    pub fn colludes(&self) -> bool {
+        matches!(self, Self::Colluding(_))
+    }
+
+    /// The attacks of the flight of this `seed` on a vehicle with these sensors.
+    pub fn attacks(&self, suite: &Suite, seed: u64) -> Vec<Attack> {
+        let [imus, heights, barometers] =
+            [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer].map(|kind| count(suite, kind));
+        let mut dice = Dice::new(seed ^ 0xa77a_c4ed);
+        let mut any = |kind, of| SensorId::new(kind, 1 + (dice.uniform() * of as f64) as u8);
+        match *self {
+            Attacked::None => Vec::new(),
+            Attacked::One => {
+                let index = (dice.uniform() * (imus + heights + barometers) as f64) as usize;
+                let sensor = if index < imus {
+                    SensorId::new(SensorKind::Imu, 1 + index as u8)
+                } else if index < imus + heights {
+                    SensorId::new(SensorKind::Height, 1 + (index - imus) as u8)
+                } else {
+                    SensorId::new(SensorKind::Barometer, 1)
+                };
+                vec![drawn(&mut dice, 1, sensor)]
+            }
+            Attacked::ImuAndHeight => {
+                let sensors = [any(SensorKind::Imu, imus), any(SensorKind::Height, heights)];
+                sensors.into_iter().zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
+            }
+            Attacked::Several(kind, several) => {
+                let chosen = dice.choose(several, count(suite, kind));
+                let sensors = chosen.into_iter().map(|index| SensorId::new(kind, 1 + index as u8));
+                sensors.zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
+            }
+            Attacked::Colluding(several) => {
+                let chosen = dice.choose(several, heights);
+                let size = sign(&mut dice) * (0.3 + 1.7 * dice.uniform());
+                let (start_s, duration_s) = when(&mut dice);
+                let attack = |(index, id): (usize, u32)| Attack {
+                    id,
+                    sensor: SensorId::new(SensorKind::Height, 1 + index as u8),
+                    channel: Channel::All,
+                    kind: Kind::Bias,
+                    start_s,
+                    duration_s,
+                    magnitude: size,
+                    seed,
+                };
+                chosen.into_iter().zip(1..).map(attack).collect()
+            }
+            Attacked::Given(given) => {
+                let drawn = any(given.sensor, count(suite, given.sensor));
+                let sensor = given.instance.map_or(drawn, |instance| SensorId::new(given.sensor, instance));
+                let sign = sign(&mut dice);
+                let signed = matches!(given.kind, Kind::Bias | Kind::Ramp) && given.magnitude >= 0.0;
+                let magnitude = if signed { sign * given.magnitude } else { given.magnitude };
+                let (start_s, _) = when(&mut dice);
+                let (start_s, duration_s) =
+                    (given.start_s.unwrap_or(start_s), given.duration_s.unwrap_or(DURATION_S.1));
+                let Given { channel, kind, .. } = given;
+                vec![Attack { id: 1, sensor, channel, kind, start_s, duration_s, magnitude, seed }]
+            }
+        }
+    }
+}
+
+fn sign(dice: &mut Dice) -> f64 {
+    if dice.uniform() < 0.5 { -1.0 } else { 1.0 }
+}
+
+fn between(dice: &mut Dice, (low, high): (f64, f64)) -> f64 {
+    low + (high - low) * dice.uniform()
+}
+
+/// Onset and duration, s.
+fn when(dice: &mut Dice) -> (f64, f64) {
+    (between(dice, ONSET_S), between(dice, DURATION_S))
+}
+
+/// Any attack on `sensor` that the vehicle takes: kind, channel, size, sign, onset and duration.
+fn drawn(dice: &mut Dice, id: u32, sensor: SensorId) -> Attack {
+    let bounds = Bounds::default();
+    let mut pick = |count: usize| ((dice.uniform() * count as f64) as usize).min(count - 1);
+    let kind = KINDS[pick(KINDS.len())];
+    let channels: Vec<_> =
+        offered(sensor.kind, &bounds).filter(|(_, _, most)| !kind.is_additive() || *most > 0.0).collect();
+    let (channel, _, most) = channels[pick(channels.len())];
+    let magnitude = match kind {
+        // Every size is as likely as the tenfold: most are small beside what the vehicle allows.
+        Kind::Bias | Kind::Ramp => sign(dice) * most * SMALLEST.powf(dice.uniform()),
+        Kind::Noise => most * SMALLEST.powf(dice.uniform()),
+        Kind::Scale => between(dice, (-2.0, 3.0)),
+        Kind::Replay => between(dice, (0.5, bounds.replay_max_s)),
+        Kind::Delay => between(dice, (0.05, bounds.delay_max_s)),
+        Kind::Dropout => between(dice, (0.2, 1.0)),
+        Kind::Zero | Kind::Freeze | Kind::SignFlip => 0.0,
+    };
+    let (start_s, duration_s) = when(dice);
+    let seed = (dice.uniform() * 1e9) as u64;
+    Attack { id, sensor, channel, kind, start_s, duration_s, magnitude, seed }
+}

@@ -1,0 +1,281 @@
+//! How a flight went: the true state against setpoint and estimate, and the attacked sensors against those excluded.
+//!
+//! Judged from the first onset (no earlier than [`STEADY_S`]) to the end, or until the script lands.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_agent::attack::Attack;
+use plumbline_agent::command::Command;
+use plumbline_agent::estimate::Estimate;
+use plumbline_agent::estimate::fdir::isolation::Isolation;
+use plumbline_agent::flight::{Failsafe, Flight, StepReport};
+use plumbline_agent::types::{Mode, MotorCommand};
+use plumbline_agent::vehicle::Truth;
+use plumbline_proto::ids::SensorId;
+
+use crate::flight::Setup;
+
+/// Nothing is judged before, s: the vehicle takes off and settles.
+pub const STEADY_S: f64 = 12.0;
+/// Further than this from its setpoint, m, a flight is lost whatever else it says.
+const ASTRAY_M: f64 = 0.5;
+/// A descent faster than this, m/s, is a fall; one that ends higher than this, m, ended in the air (strings begin at 0.3 m).
+const FALLS_MPS: f64 = 1.5;
+const DOWN_M: f64 = 0.45;
+
+/// How it went. NaN where there was nothing to measure; a field for each column of a result, hence so many.
+#[derive(Debug, Clone, Default)]
+pub struct Outcome {
+    /// True altitude less setpoint, m rms.
+    pub altitude_m: f64,
+    /// The same, the most of it, m.
+    pub altitude_most_m: f64,
+    /// True horizontal place less setpoint, m rms; only where it is held.
+    pub lateral_m: f64,
+    /// Between the true and the estimated vertical, rad rms.
+    pub tilt_rad: f64,
+    /// Estimated less true altitude, m rms.
+    pub estimate_m: f64,
+    /// (Estimated less true altitude)² / σ², mean; 1 where σ is right.
+    pub nees: f64,
+    /// Innovation² / σ² of the samples accepted, mean; 1 where σ is right.
+    pub nis: f64,
+    /// Sum of what the four throttles changed, 1/s.
+    pub effort_per_s: f64,
+    /// Time that the vehicle was truly beyond its limits of altitude or place, s.
+    pub outside_s: f64,
+    /// Why it was lost: a failsafe that ends the flight, or astray.
+    pub lost: Option<String>,
+    /// From the onset to the exclusion of each attacked sensor that was, s.
+    pub delays_s: Vec<f64>,
+    /// Attacked sensors that were never excluded.
+    pub missed: usize,
+    /// Longest exclusion of a healthy sensor, s.
+    pub false_longest_s: f64,
+    /// How many there were.
+    pub false_exclusions: usize,
+    /// From the first onset until the flight said that it is contradicted, or a failsafe acted, s.
+    pub declared_s: Option<f64>,
+    /// Outside the bound on the height's error that was announced, as a part of the time there was one.
+    pub outside_bound: f64,
+}
+
+/// Of whichever estimator judges sensors.
+fn isolation(flight: &Flight) -> Option<&Isolation> {
+    flight.secure().map(|secure| secure.isolation()).or_else(|| flight.lanes().map(|lanes| lanes.isolation()))
+}
+
+/// A mean that is being made.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1.0;
+    }
+
+    /// NaN of nothing.
+    fn value(self) -> f64 {
+        self.sum / self.count
+    }
+}
+
+/// What is averaged, tick by tick.
+#[derive(Debug, Clone, Copy, Default)]
+struct Means {
+    altitude: Mean,
+    lateral: Mean,
+    tilt: Mean,
+    estimate: Mean,
+    nees: Mean,
+    nis: Mean,
+    effort: Mean,
+    beyond_bound: Mean,
+}
+
+/// Watches one flight.
+pub(crate) struct Judge {
+    attacks: Vec<Attack>,
+    from_s: f64,
+    /// The script lands or disarms here, s.
+    until_s: f64,
+    /// As commanded; left by itself, the flight is lost.
+    mode: Option<Mode>,
+    /// Is a controlled descent what is asked for? From where it began, m.
+    comes_down: bool,
+    down_from_m: Option<f64>,
+    /// Largest |x| and |y|, and altitude, m.
+    box_m: (f64, f64),
+    tick_s: f64,
+    outcome: Outcome,
+    means: Means,
+    command: Option<MotorCommand>,
+    /// Sensors excluded now, and since when, s.
+    excluded: Vec<(SensorId, f64)>,
+    found: Vec<SensorId>,
+}
+
+impl Judge {
+    pub(crate) fn new(setup: &Setup) -> Self {
+        let from_s = setup.judged_from_s.max(STEADY_S);
+        let steps = &setup.scenario.script.steps;
+        let mut modes = steps.iter().rev().filter(|step| step.at_s <= from_s).filter_map(|step| match step.command {
+            Command::SetMode(mode) => Some(mode),
+            _ => None,
+        });
+        let ends = |command: &Command| matches!(command, Command::Disarm | Command::SetMode(_));
+        let until = steps.iter().find(|step| step.at_s > from_s && ends(&step.command));
+        Self {
+            attacks: setup.attacks.clone(),
+            from_s,
+            until_s: until.map_or(f64::INFINITY, |step| step.at_s),
+            mode: modes.next(),
+            comes_down: setup.comes_down,
+            down_from_m: None,
+            box_m: (setup.config.limits.lateral_max_m, setup.config.altitude_max_m()),
+            tick_s: setup.scenario.tick_s(),
+            outcome: Outcome::default(),
+            means: Means::default(),
+            command: None,
+            excluded: Vec::new(),
+            found: Vec::new(),
+        }
+    }
+
+    /// One tick; true when the flight is over.
+    pub(crate) fn tick(&mut self, t: f64, flight: &Flight, truth: &Truth) -> bool {
+        self.exclusions(t, flight);
+        let begun = self.attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
+        let contradicted = isolation(flight).is_some_and(Isolation::contradicted);
+        if t >= begun && (contradicted || flight.failsafe() != Failsafe::None) {
+            self.outcome.declared_s.get_or_insert(t - begun);
+        }
+        if t < self.from_s {
+            return false;
+        }
+        if t >= self.until_s {
+            return true;
+        }
+        let report = flight.report();
+        let error_m = truth.position_enu_m.z - report.setpoint.position_enu_m.z;
+        let ended = !report.armed || self.mode.is_some_and(|mode| report.mode != mode);
+        if self.comes_down && (self.down_from_m.is_some() || ended && flight.failsafe() != Failsafe::None) {
+            return self.descends(truth, report.armed);
+        }
+        let steered = matches!(report.mode, Mode::AltitudeHold | Mode::Hold);
+        if ended || (steered && error_m.abs() > ASTRAY_M) {
+            let why = if ended { format!("{:?}", flight.failsafe()) } else { format!("{error_m:.2} m astray") };
+            self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
+            self.outcome.lost = Some(why);
+            return true;
+        }
+        let in_loop = flight.estimator_in_loop();
+        let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { return false };
+        self.compare(truth, report, estimate);
+        self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
+        if let Some(bound_m) = flight.secure().and_then(|secure| secure.height_bound_m()) {
+            let off_m = estimate.kinematics().position_enu_m.z - truth.position_enu_m.z;
+            self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));
+        }
+        false
+    }
+
+    /// One tick of a descent that a failsafe began; true when it is over.
+    fn descends(&mut self, truth: &Truth, armed: bool) -> bool {
+        let (z_m, climb_mps) = (truth.position_enu_m.z, truth.velocity_enu_mps.z);
+        let from_m = *self.down_from_m.get_or_insert(z_m);
+        let why = if z_m > from_m + ASTRAY_M {
+            Some("flew away")
+        } else if climb_mps < -FALLS_MPS {
+            Some("fell")
+        } else if !armed && z_m > DOWN_M {
+            Some("stopped in the air")
+        } else {
+            None
+        };
+        self.outcome.lost = why.or(armed.then_some("not down yet")).map(str::to_owned);
+        why.is_some() || !armed
+    }
+
+    /// Truth, setpoint and estimate of one tick.
+    fn compare(&mut self, truth: &Truth, report: &StepReport, estimate: &Estimate) {
+        let means = &mut self.means;
+        let off_m = truth.position_enu_m - report.setpoint.position_enu_m;
+        means.altitude.add(off_m.z * off_m.z);
+        if report.mode == Mode::Hold {
+            means.lateral.add(off_m.xy().norm_squared());
+        }
+        let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
+        let tilt = up(&truth.world_from_body).angle(&up(&estimate.world_from_body));
+        means.tilt.add(tilt * tilt);
+        if let Some(motion) = estimate.motion.filter(|motion| motion.altitude_known) {
+            let off_m = motion.position_enu_m.z - truth.position_enu_m.z;
+            means.estimate.add(off_m * off_m);
+            if let Some(sigma_m) = motion.position_sigma_m.filter(|sigma_m| sigma_m.z > 0.0) {
+                means.nees.add((off_m / sigma_m.z).powi(2));
+            }
+        }
+        for residual in estimate.residuals.iter().filter(|residual| residual.accepted && residual.sigma > 0.0) {
+            means.nis.add((residual.innovation / residual.sigma).powi(2));
+        }
+        if let Some(before) = self.command.replace(report.command) {
+            let changes = before.throttle.iter().zip(&report.command.throttle).map(|(old, new)| (new - old).abs());
+            means.effort.add(changes.sum::<f64>() / self.tick_s);
+        }
+        let (lateral_m, altitude_m) = self.box_m;
+        let place = truth.position_enu_m;
+        if place.x.abs() > lateral_m || place.y.abs() > lateral_m || place.z > altitude_m {
+            self.outcome.outside_s += self.tick_s;
+        }
+    }
+
+    fn exclusions(&mut self, t: f64, flight: &Flight) {
+        let Some(isolation) = isolation(flight) else { return };
+        for device in isolation.devices() {
+            let sensor = device.sensor;
+            let of = self.attacks.iter().find(|a| a.sensor == sensor);
+            // What an attack left behind takes a while to be trusted again.
+            let attacked = of.is_some_and(|a| t >= a.start_s);
+            let known = self.excluded.iter().position(|(id, _)| *id == sensor);
+            match (device.flagged.is_some(), known) {
+                (true, None) => {
+                    self.excluded.push((sensor, t));
+                    match of {
+                        Some(attack) if attacked => {
+                            if !self.found.contains(&sensor) {
+                                self.found.push(sensor);
+                                self.outcome.delays_s.push(t - attack.start_s);
+                            }
+                        }
+                        _ => self.outcome.false_exclusions += 1,
+                    }
+                }
+                (true, Some(known)) if !attacked => {
+                    let (_, since) = self.excluded[known];
+                    self.outcome.false_longest_s = self.outcome.false_longest_s.max(t - since);
+                }
+                (false, Some(known)) => {
+                    self.excluded.remove(known);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    pub(crate) fn verdict(mut self) -> Outcome {
+        let (outcome, means) = (&mut self.outcome, &self.means);
+        outcome.missed = self.attacks.len() - self.found.len();
+        outcome.altitude_m = means.altitude.value().sqrt();
+        outcome.lateral_m = means.lateral.value().sqrt();
+        outcome.tilt_rad = means.tilt.value().sqrt();
+        outcome.estimate_m = means.estimate.value().sqrt();
+        outcome.nees = means.nees.value();
+        outcome.nis = means.nis.value();
+        outcome.effort_per_s = means.effort.value();
+        outcome.outside_bound = means.beyond_bound.value();
+        self.outcome
+    }
+}

@@ -1,0 +1,24 @@
+//! Experiments: many simulated flights, each a function of its plan, its index and its seed.
+//!
+//! ```text
+//! plan.toml ─► plan (factors, conditions) ─► run (all cores) ─► store (a row a flight) ─┬─► summary ─► report.html, API
+//!                                              └ flight ─► judge ─► row                └─► parquet
+//!                                              └ open: one row, flown again ─► flight file (MCAP)
+//! ```
+//! [`flight`] flies one, [`judge`] says how it went, [`attacked`] draws what is done to its sensors, [`draw`] has the dice, the
+//! work on all cores and the medians. The project's own campaigns fly with these, too.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod attacked;
+pub mod draw;
+pub mod flight;
+pub mod judge;
+pub mod open;
+pub mod parquet;
+pub mod plan;
+pub mod report;
+pub mod row;
+pub mod run;
+pub mod store;
+pub mod summary;

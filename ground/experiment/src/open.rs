@@ -1,0 +1,118 @@
+//! A row becomes a flight again: flown from its seed, with the agent's own telemetry and log, into a flight file.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use plumbline_agent::estimate::secure::suite::Observed;
+use plumbline_agent::flight::{Flight, FlightError};
+use plumbline_agent::log::{self, LogConfig, LogError, RING_BYTES};
+use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
+use plumbline_proto::time::WallTime;
+
+use crate::flight::{FlyError, fly_watched};
+use crate::row::Row;
+use crate::store::{Experiment, StoreError};
+
+/// The flight waits for the log while its ring takes less than this: no message is lost.
+const ROOM_BYTES: usize = 256 << 10;
+
+/// Why a flight could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The plan has fewer.
+    #[error("flight {index} is not one of the {flights} of this plan")]
+    Unknown {
+        /// Asked for.
+        index: u64,
+        /// Flights of the plan.
+        flights: u64,
+    },
+    /// The experiment.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Its condition.
+    #[error("flight {index} cannot be flown: {reason}")]
+    Condition {
+        /// Asked for.
+        index: u64,
+        /// Why.
+        reason: String,
+    },
+    /// The flight.
+    #[error(transparent)]
+    Fly(#[from] FlyError),
+    /// Its set-up.
+    #[error(transparent)]
+    Flight(#[from] FlightError),
+    /// The flight file.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// It was flown, and nothing was recorded: it never armed.
+    #[error("flight {0} never armed: there is nothing to record")]
+    Nothing(u64),
+    /// It went otherwise than its row says. Nothing explains that but another program or a broken machine.
+    #[error("flight {0} went otherwise than before")]
+    Otherwise(u64),
+}
+
+/// Flies flight `index` again; the flight file is in a folder of its own, and for the caller to move away.
+///
+/// # Errors
+/// [`OpenError`].
+pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
+    experiment.own()?;
+    let plan = &experiment.plan;
+    let index_u32 = u32::try_from(index).ok().filter(|_| index < plan.flights());
+    let Some(row_index) = index_u32 else { return Err(OpenError::Unknown { index, flights: plan.flights() }) };
+    let (condition, repeat) = plan.place(index);
+    let seed = plan.seed_of(repeat);
+    let condition = plan.condition(condition).map_err(|reason| OpenError::Condition { index, reason })?;
+    let setup = condition.setup(seed);
+    let folder = experiment.folder.join(format!("opened-{index}"));
+    // What an attempt left that was killed.
+    let _ = std::fs::remove_dir_all(&folder);
+    let short = experiment.identity.hash.get(..8).unwrap_or_default();
+    let identification = Identification {
+        agent_id: format!("{short}-{index}"),
+        boot_id: seed,
+        boot_wall_time: WallTime(experiment.identity.made_unix_us),
+        vehicle: "sim",
+        rig: setup.scenario.rig.name().to_owned(),
+        scenario: condition.scenario_text(seed),
+        seed,
+        source_file: String::new(),
+        sensors: setup.scenario.suite.descriptions(),
+        strings: setup.scenario.rig.lines(&setup.scenario.airframe),
+        promise: Some(Observed::promise_at_hover(&setup.scenario.suite, &setup.scenario.airframe)),
+    };
+    let settings = LogConfig {
+        folder: folder.clone(),
+        max_bytes: log::DEFAULT_MAX_BYTES,
+        agent_id: identification.agent_id.clone(),
+        boot_wall_time: identification.boot_wall_time,
+    };
+    let (ring, frames) = rtrb::RingBuffer::new(RING_BYTES);
+    let kept = log::spawn(settings, frames)?;
+    let described = Flight::new(setup.config.clone())?;
+    let mut telemetry = Telemetry::new(identification, &described, None, Some(Outlet::new(ring)));
+    let mut last = None;
+    let flown = fly_watched(&setup, |flight, truth| {
+        while telemetry.log_room().is_some_and(|room| room < ROOM_BYTES) && kept.state().error().is_none() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        telemetry.tick(flight, Some(truth), &Around::default());
+        last = Some(flight.report().sensed.time);
+    });
+    if let Some(last) = last {
+        telemetry.shutdown(last);
+    }
+    kept.stop();
+    let row = Row::new(row_index, &flown?);
+    let before = experiment.rows()?.into_iter().find(|before| before.index == row_index);
+    if before.is_some_and(|before| before != row) {
+        return Err(OpenError::Otherwise(index));
+    }
+    let files = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut recorded = files.filter(|path| path.extension().is_some_and(|extension| extension == "mcap"));
+    recorded.next().ok_or(OpenError::Nothing(index))
+}

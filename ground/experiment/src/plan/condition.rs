@@ -1,0 +1,202 @@
+//! One condition: its tables, read as what they are elsewhere (a scenario, an agent's configuration, an attack).
+
+use plumbline_agent::attack::{Attack, AttackError, Injector, Schedule};
+use plumbline_agent::config::AgentConfig;
+use plumbline_agent::flight::{Flight, FlightConfig};
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::sim::scenario::attacks_from_toml;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use crate::attacked::{Attacked, Given};
+use crate::flight::{Reception, Setup};
+
+/// What an onset is drawn for when nothing is given.
+const DRAWN: [&str; 3] = ["any", "imu_and_height", "none"];
+
+/// Why a condition cannot be flown.
+pub(super) struct Wrong {
+    /// Which of its tables.
+    pub(super) section: &'static str,
+    /// In the words of whoever reads such a table.
+    pub(super) complaint: String,
+}
+
+/// A condition that can be flown with any seed.
+#[derive(Debug, Clone)]
+pub struct Condition {
+    scenario: Scenario,
+    table: Table,
+    config: FlightConfig,
+    reception: Reception,
+    attacked: Attacked,
+    /// Only the onset is drawn: the same part of the flight is judged as with the attack.
+    off: bool,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct RawAttack {
+    /// `none`, `any`, `imu_and_height`, or a kind of sensor.
+    sensor: String,
+    instance: Option<u8>,
+    channel: Option<String>,
+    /// `none`: only the onset counts; `drawn`: anything that the vehicle takes; `colluding`: the same bias on each; or a kind.
+    kind: String,
+    magnitude: f64,
+    start_s: Option<f64>,
+    duration_s: Option<f64>,
+    /// How many sensors, where attacks are drawn.
+    count: Option<usize>,
+}
+
+impl Default for RawAttack {
+    fn default() -> Self {
+        let (sensor, kind) = ("none".into(), "drawn".into());
+        Self {
+            sensor,
+            instance: None,
+            channel: None,
+            kind,
+            magnitude: 0.0,
+            start_s: None,
+            duration_s: None,
+            count: None,
+        }
+    }
+}
+
+impl Condition {
+    /// Reads and tries it: what it needs is built, its first attacks are checked.
+    pub(super) fn read(table: &Table) -> Result<Self, Wrong> {
+        let in_section = |section| move |complaint: String| Wrong { section, complaint };
+        let part = |key: &str| table.get(key).and_then(Value::as_table).cloned().unwrap_or_default();
+        let mut scenario_table = part("scenario");
+        scenario_table.entry("name").or_insert_with(|| Value::String("experiment".into()));
+        let scenario = Scenario::from_toml(&scenario_table.to_string())
+            .map_err(|error| in_section("scenario")(error.to_string().trim_start_matches("scenario: ").to_owned()))?;
+        let agent_table = part("agent");
+        let agent = AgentConfig::from_toml(&agent_table.to_string())
+            .map_err(|error| in_section("agent")(error.to_string().trim_start_matches("configuration: ").to_owned()))?;
+        let mut config = scenario.flight_config();
+        agent.apply(&mut config).map_err(|error| in_section("agent")(error.to_string()))?;
+        config.tick_rate_hz = scenario.tick_rate_hz;
+        // Nobody looks at the others: one estimator is a third of the time.
+        if agent.estimators.run.is_none() {
+            config.estimators = vec![config.in_loop];
+        }
+        let reception = match table.get("reception").and_then(Value::as_str) {
+            Some("all") => Reception::All,
+            Some("oracle") => Reception::Oracle,
+            Some("median") => Reception::Median,
+            other => {
+                let complaint = format!("{} is not all, oracle or median", other.unwrap_or("what is given"));
+                return Err(Wrong { section: "reception", complaint });
+            }
+        };
+        let raw: RawAttack = Value::Table(part("attack"))
+            .try_into()
+            .map_err(|error: toml::de::Error| in_section("attack")(error.message().to_owned()))?;
+        let off = raw.kind == "none";
+        let attacked = attacked(&raw).map_err(in_section("attack"))?;
+        let condition = Self { scenario, table: scenario_table, config, reception, attacked, off };
+        Flight::new(condition.config.clone()).map_err(|error| in_section("agent")(error.to_string()))?;
+        condition.check_attacks()?;
+        Ok(condition)
+    }
+
+    /// The flight of this seed.
+    pub fn setup(&self, seed: u64) -> Setup {
+        let drawn = self.attacked.attacks(&self.scenario.suite, seed);
+        let onset_s = drawn.iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min);
+        let mut scenario = self.scenario.clone();
+        scenario.seed = seed;
+        let attacks = if self.off { Vec::new() } else { drawn };
+        let judged_from_s = if onset_s.is_finite() { onset_s } else { 0.0 };
+        Setup {
+            scenario,
+            config: self.config.clone(),
+            reception: self.reception,
+            attacks,
+            judged_from_s,
+            comes_down: self.attacked.colludes(),
+        }
+    }
+
+    /// Length of a flight that is not lost, s.
+    pub fn duration_s(&self) -> f64 {
+        self.scenario.duration_s
+    }
+
+    /// Its scenario file, for a recording.
+    pub fn scenario_text(&self, seed: u64) -> String {
+        let mut table = self.table.clone();
+        table.insert("seed".into(), Value::Integer(seed.cast_signed()));
+        table.to_string()
+    }
+
+    fn check_attacks(&self) -> Result<(), Wrong> {
+        let Setup { attacks, config, scenario, .. } = self.setup(1);
+        let Some(last) = attacks.iter().map(|attack| attack.start_s).reduce(f64::max) else { return Ok(()) };
+        if last >= scenario.duration_s {
+            let complaint = format!("duration_s = {} ends before an onset at {last:.1} s", scenario.duration_s);
+            return Err(Wrong { section: "scenario", complaint });
+        }
+        let schedule = Schedule { id: 1, attacks: attacks.into_iter().collect() };
+        let mut injector = Injector::new(config.attacks.bounds, true, &config.sensors).sparing(&config.independent);
+        let refused = |error: AttackError| Wrong { section: "attack", complaint: error.to_string() };
+        injector.upload(&schedule, FlightTime(0)).map_err(refused)
+    }
+}
+
+fn attacked(raw: &RawAttack) -> Result<Attacked, String> {
+    let free = raw.instance.is_none() && raw.channel.is_none() && raw.magnitude == 0.0;
+    let drawn = matches!(raw.kind.as_str(), "drawn" | "colluding" | "none");
+    if drawn && !(free && raw.start_s.is_none() && raw.duration_s.is_none()) && raw.kind != "none" {
+        return Err(format!(
+            "kind = {:?} draws instance, channel, magnitude, start_s and duration_s: leave them out",
+            raw.kind
+        ));
+    }
+    let count = raw.count.unwrap_or(1);
+    if !(1..=5).contains(&count) || (count > 1 && !drawn) {
+        return Err(format!("count = {count} is not 1 to 5 sensors of drawn or colluding attacks"));
+    }
+    match (raw.sensor.as_str(), raw.kind.as_str()) {
+        ("none", _) => Ok(Attacked::None),
+        ("any", "drawn" | "none") => Ok(Attacked::One),
+        ("imu_and_height", "drawn" | "none") => Ok(Attacked::ImuAndHeight),
+        (sensor, kind) if DRAWN.contains(&sensor) => {
+            Err(format!("kind = {kind:?} needs one kind of sensor, not {sensor:?}"))
+        }
+        ("height", "colluding") => Ok(Attacked::Colluding(count)),
+        (sensor, "colluding") => Err(format!("sensor = {sensor:?}: only attacks on height collude")),
+        ("height", "drawn") => Ok(Attacked::Several(SensorKind::Height, count)),
+        ("imu", "drawn") => Ok(Attacked::Several(SensorKind::Imu, count)),
+        (sensor, "drawn") => Err(format!("sensor = {sensor:?}: attacks are drawn for imu and height")),
+        _ => given(raw).map(Attacked::Given),
+    }
+}
+
+/// Read by whoever reads the attacks of a scenario.
+fn given(raw: &RawAttack) -> Result<Given, String> {
+    let mut table = Table::new();
+    table.insert("sensor".into(), Value::String(raw.sensor.clone()));
+    table.insert("instance".into(), Value::Integer(raw.instance.unwrap_or(1).into()));
+    table.insert("channel".into(), Value::String(raw.channel.clone().unwrap_or_else(|| "all".into())));
+    let kind = if raw.kind == "none" { "zero" } else { &raw.kind };
+    table.insert("kind".into(), Value::String(kind.to_owned()));
+    table.insert("magnitude".into(), Value::Float(raw.magnitude));
+    table.insert("start_s".into(), Value::Float(0.0));
+    table.insert("duration_s".into(), Value::Float(1.0));
+    let text = Table::from_iter([("attack".to_owned(), Value::Array(vec![Value::Table(table)]))]).to_string();
+    let schedule =
+        attacks_from_toml(&text).map_err(|error| error.to_string().trim_start_matches("scenario: ").to_owned())?;
+    let Some(Attack { sensor, channel, kind, magnitude, .. }) = schedule.attacks.first().copied() else {
+        return Err("no attack".into());
+    };
+    let (start_s, duration_s) = (raw.start_s, raw.duration_s);
+    Ok(Given { sensor: sensor.kind, instance: raw.instance, channel, kind, magnitude, start_s, duration_s })
+}

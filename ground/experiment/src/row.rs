@@ -1,0 +1,173 @@
+//! One flight of a result: 144 bytes, the same on every machine.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 4 | index, little-endian like everything |
+//! | 15 × 8 | measures, each a `f64`; NaN where there is nothing |
+//! | 16 | why it was lost; empty when it was not |
+//! | 4 | CRC-32 of all before |
+
+use crate::judge::Outcome;
+
+/// A column of numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Measure {
+    /// Name, with its unit.
+    pub name: &'static str,
+    /// For people.
+    pub about: &'static str,
+}
+
+const fn measure(name: &'static str, about: &'static str) -> Measure {
+    Measure { name, about }
+}
+
+/// Every measure, in the order of the columns.
+pub const MEASURES: [Measure; 15] = [
+    measure("altitude_m", "true altitude less setpoint, rms"),
+    measure("altitude_most_m", "true altitude less setpoint, most"),
+    measure("lateral_m", "true place less setpoint, rms, where it is held"),
+    measure("tilt_rad", "between true and estimated vertical, rms"),
+    measure("estimate_m", "estimated less true altitude, rms"),
+    measure("nees", "altitude's error squared by its variance, mean"),
+    measure("nis", "innovations squared by their variance, mean"),
+    measure("effort_per_s", "change of the four throttles"),
+    measure("outside_s", "time beyond the limits of the vehicle"),
+    measure("delay_s", "onset to the first exclusion of an attacked sensor"),
+    measure("missed", "attacked sensors never excluded"),
+    measure("false_exclusions", "exclusions of healthy sensors"),
+    measure("false_longest_s", "the longest of them"),
+    measure("declared_s", "onset to the first doubt or failsafe"),
+    measure("outside_bound", "part of the time outside the bound announced"),
+];
+
+const LOST_BYTES: usize = 16;
+/// Size of a row.
+pub const ROW_BYTES: usize = 4 + 8 * MEASURES.len() + LOST_BYTES + 4;
+
+/// How one flight went.
+#[derive(Debug, Clone, Copy)]
+pub struct Row {
+    /// Which flight of the plan.
+    pub index: u32,
+    /// In the order of [`MEASURES`]; NaN where there was nothing to measure.
+    pub values: [f64; MEASURES.len()],
+    lost: [u8; LOST_BYTES],
+}
+
+impl PartialEq for Row {
+    /// Bit for bit: a NaN equals itself.
+    fn eq(&self, other: &Self) -> bool {
+        self.encode() == other.encode()
+    }
+}
+
+impl Row {
+    /// Of a flight that was flown.
+    pub fn new(index: u32, outcome: &Outcome) -> Self {
+        let first_delay_s = outcome.delays_s.iter().copied().fold(f64::NAN, f64::min);
+        Self {
+            index,
+            values: [
+                outcome.altitude_m,
+                outcome.altitude_most_m,
+                outcome.lateral_m,
+                outcome.tilt_rad,
+                outcome.estimate_m,
+                outcome.nees,
+                outcome.nis,
+                outcome.effort_per_s,
+                outcome.outside_s,
+                first_delay_s,
+                outcome.missed as f64,
+                outcome.false_exclusions as f64,
+                outcome.false_longest_s,
+                outcome.declared_s.unwrap_or(f64::NAN),
+                outcome.outside_bound,
+            ]
+            // One NaN: which bits a processor gives it is nobody's result.
+            .map(|value| if value.is_nan() { f64::NAN } else { value }),
+            lost: clipped(outcome.lost.as_deref().unwrap_or_default()),
+        }
+    }
+
+    /// Of a flight that could not be flown at all.
+    pub fn not_flown(index: u32) -> Self {
+        Self { index, values: [f64::NAN; MEASURES.len()], lost: clipped("not flown") }
+    }
+
+    /// Why it was lost; empty when it was not.
+    pub fn lost(&self) -> &str {
+        let end = self.lost.iter().position(|byte| *byte == 0).unwrap_or(LOST_BYTES);
+        self.lost.get(..end).and_then(|bytes| std::str::from_utf8(bytes).ok()).unwrap_or_default()
+    }
+
+    /// The value of a measure; NaN where there is no such.
+    pub fn value(&self, measure: &str) -> f64 {
+        let at = MEASURES.iter().position(|known| known.name == measure);
+        at.and_then(|at| self.values.get(at)).copied().unwrap_or(f64::NAN)
+    }
+
+    /// As it is kept.
+    pub fn encode(&self) -> [u8; ROW_BYTES] {
+        let mut bytes = [0; ROW_BYTES];
+        let values = self.values.iter().flat_map(|value| value.to_le_bytes());
+        let content = self.index.to_le_bytes().into_iter().chain(values).chain(self.lost);
+        bytes.iter_mut().zip(content).for_each(|(to, from)| *to = from);
+        let (content, check) = bytes.split_at_mut(ROW_BYTES - 4);
+        check.copy_from_slice(&crc32fast::hash(content).to_le_bytes());
+        bytes
+    }
+
+    /// Of what was kept; `None` when it is damaged.
+    pub fn decode(bytes: &[u8; ROW_BYTES]) -> Option<Self> {
+        let (content, check) = bytes.split_last_chunk::<4>()?;
+        if crc32fast::hash(content) != u32::from_le_bytes(*check) {
+            return None;
+        }
+        let (index, rest) = content.split_first_chunk::<4>()?;
+        let (values, lost) = rest.split_last_chunk::<LOST_BYTES>()?;
+        let mut row = Self { index: u32::from_le_bytes(*index), values: [f64::NAN; MEASURES.len()], lost: *lost };
+        for (value, bytes) in row.values.iter_mut().zip(values.as_chunks::<8>().0) {
+            *value = f64::from_le_bytes(*bytes);
+        }
+        Some(row)
+    }
+}
+
+/// The beginning of a text, not in the middle of a character.
+fn clipped(text: &str) -> [u8; LOST_BYTES] {
+    let mut end = text.len().min(LOST_BYTES);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    let mut lost = [0; LOST_BYTES];
+    lost.iter_mut().zip(text.bytes().take(end)).for_each(|(to, from)| *to = from);
+    lost
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_comes_back_bit_for_bit_and_damage_is_seen() {
+        let outcome = Outcome {
+            altitude_m: 0.1 + 0.2,
+            lateral_m: -f64::NAN,
+            lost: Some("EstimatorDescend und länger".into()),
+            delays_s: vec![0.4, 0.3],
+            ..Outcome::default()
+        };
+        let row = Row::new(7, &outcome);
+        let bytes = row.encode();
+        assert_eq!(Row::decode(&bytes), Some(row));
+        assert_eq!((row.lost(), row.value("delay_s")), ("EstimatorDescend", 0.3));
+        assert_eq!(row.value("lateral_m").to_bits(), f64::NAN.to_bits());
+        for at in 0..ROW_BYTES {
+            let mut damaged = bytes;
+            damaged[at] ^= 0x10;
+            assert_eq!(Row::decode(&damaged), None, "byte {at}");
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! Statistics of what is there: medians with intervals, parts, paired differences.
+
+use std::collections::BTreeMap;
+
+use plumbline_rest::experiment as rest;
+use toml::Value;
+
+use crate::draw::{median, median_interval, percentile, worst};
+use crate::plan::Plan;
+use crate::row::{MEASURES, Row};
+use crate::store::{Experiment, StoreError, now_unix_us};
+
+/// z of a 95 % interval.
+const Z_95: f64 = 1.959_963_984_540_054;
+
+/// How an experiment stands.
+pub fn state(experiment: &Experiment) -> rest::State {
+    let (done, flights) = (experiment.done(), experiment.identity.flights);
+    let since = experiment.since();
+    let per_s = since.and_then(|since| {
+        let for_s = now_unix_us().saturating_sub(since.unix_us) as f64 / 1e6;
+        (done > since.flights && for_s > 0.0).then(|| (done - since.flights) as f64 / for_s)
+    });
+    rest::State {
+        id: experiment.id.clone(),
+        name: experiment.plan.name.clone(),
+        description: experiment.plan.description.clone(),
+        made_unix_us: experiment.identity.made_unix_us,
+        flights,
+        done,
+        running: since.is_some(),
+        per_s,
+        left_s: per_s.map(|per_s| flights.saturating_sub(done) as f64 / per_s),
+        own: experiment.own().is_ok(),
+        error: None,
+    }
+}
+
+/// What is there, condition by condition.
+///
+/// # Errors
+/// [`StoreError::Io`].
+pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
+    let plan = &experiment.plan;
+    let rows = experiment.rows()?;
+    let mut by_condition: BTreeMap<u64, BTreeMap<u64, &Row>> = BTreeMap::new();
+    for row in &rows {
+        let (condition, repeat) = plan.place(row.index.into());
+        by_condition.entry(condition).or_default().insert(repeat, row);
+    }
+    let none = BTreeMap::new();
+    let conditions = by_condition.iter().map(|(number, rows)| {
+        let baseline = plan.baseline_of(*number);
+        let beside = baseline.and_then(|baseline| by_condition.get(&baseline)).unwrap_or(&none);
+        condition(plan, *number, rows, baseline.map(|baseline| (baseline, beside)))
+    });
+    Ok(rest::Results {
+        conditions: conditions.collect(),
+        factors: plan.factors.iter().map(|factor| factor.key.clone()).collect(),
+        measures: MEASURES.map(|m| rest::Measure { name: m.name.into(), about: m.about.into() }).into(),
+        state: state(experiment),
+    })
+}
+
+/// A level as it is shown: text without quotes, tables without braces.
+pub fn shown(level: Option<&Value>) -> String {
+    match level {
+        None => String::new(),
+        Some(Value::String(text)) => text.clone(),
+        // What six digits would swallow keeps them all.
+        Some(Value::Float(number)) if number.abs() < 1e-3 => number.to_string(),
+        Some(Value::Float(number)) => format!("{number:.6}").trim_end_matches('0').trim_end_matches('.').to_owned(),
+        Some(table @ Value::Table(_)) => {
+            let plain = table.to_string().replace(" = {", ":").replace(['{', '}', '"'], " ");
+            plain.split_whitespace().collect::<Vec<_>>().join(" ").replace(" = ", "=").replace(" ,", ",")
+        }
+        Some(other) => other.to_string(),
+    }
+}
+
+fn condition(
+    plan: &Plan,
+    number: u64,
+    rows: &BTreeMap<u64, &Row>,
+    baseline: Option<(u64, &BTreeMap<u64, &Row>)>,
+) -> rest::Condition {
+    let mut lost: BTreeMap<String, u64> = BTreeMap::new();
+    rows.values().filter(|row| !row.lost().is_empty()).for_each(|row| *lost.entry(kind_of_loss(row)).or_default() += 1);
+    let kept =
+        |measure: usize| rows.values().filter(|row| row.lost().is_empty()).filter_map(move |row| finite(row, measure));
+    let attacked = rows.values().any(|row| row.value("missed") > 0.0 || row.value("delay_s").is_finite());
+    let found = rows.values().filter(|row| row.value("missed") == 0.0).count() as u64;
+    let difference = |measure: usize| {
+        let (baseline, beside) = baseline?;
+        let pair = |(repeat, row): (&u64, &&Row)| {
+            let other = beside.get(repeat).filter(|other| other.lost().is_empty() && row.lost().is_empty())?;
+            Some(finite(row, measure)? - finite(other, measure)?)
+        };
+        difference(baseline, &rows.iter().filter_map(pair).collect::<Vec<_>>())
+    };
+    rest::Condition {
+        number,
+        levels: plan.levels(number).iter().map(|level| shown(level.as_ref())).collect(),
+        flights: rows.len() as u64,
+        lost,
+        measures: (0..MEASURES.len()).map(|measure| spread(&kept(measure).collect::<Vec<_>>())).collect(),
+        detected: attacked.then(|| part(found, rows.len() as u64)),
+        differences: (0..MEASURES.len()).map(difference).collect(),
+    }
+}
+
+/// "0.53 m astray" is one kind with every other.
+fn kind_of_loss(row: &Row) -> String {
+    if row.lost().contains("astray") { "astray".into() } else { row.lost().into() }
+}
+
+fn finite(row: &Row, measure: usize) -> Option<f64> {
+    row.values.get(measure).copied().filter(|value| value.is_finite())
+}
+
+/// Of these values; `None` of nothing.
+pub fn spread(values: &[f64]) -> Option<rest::Spread> {
+    let (low, high) = median_interval(values);
+    (!values.is_empty()).then(|| rest::Spread {
+        count: values.len() as u64,
+        least: values.iter().copied().fold(f64::NAN, f64::min),
+        quarter: percentile(values, 0.25),
+        median: median(values),
+        three_quarters: percentile(values, 0.75),
+        of_95: percentile(values, 0.95),
+        most: worst(values),
+        interval: [low, high],
+    })
+}
+
+/// `count` of `of`, with the interval of Wilson (1927).
+pub fn part(count: u64, of: u64) -> rest::Part {
+    let (k, n) = (count as f64, of as f64);
+    let (p, z2) = (k / n, Z_95 * Z_95);
+    let centre = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
+    let half = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
+    let interval = if of == 0 { [0.0, 1.0] } else { [(centre - half).max(0.0), (centre + half).min(1.0)] };
+    rest::Part { count, of, interval }
+}
+
+/// Of paired differences; `None` of nothing.
+pub fn difference(baseline: u64, of: &[f64]) -> Option<rest::Difference> {
+    let n = of.len() as f64;
+    let mean = of.iter().sum::<f64>() / n;
+    let deviation = (of.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    let (low, high) = median_interval(of);
+    let effect = (of.len() > 1 && deviation > 0.0).then(|| mean / deviation);
+    let pairs = of.len() as u64;
+    (pairs > 0).then(|| rest::Difference { baseline, pairs, median: median(of), interval: [low, high], effect })
+}
+
+/// Flights from the place `from` on, at most `count`, of one condition or of all.
+///
+/// # Errors
+/// [`StoreError::Io`].
+pub fn flights(
+    experiment: &Experiment,
+    from: usize,
+    count: usize,
+    condition: Option<u64>,
+) -> Result<rest::Flights, StoreError> {
+    let plan = &experiment.plan;
+    let rows = experiment.rows()?;
+    let wanted = |row: &&Row| condition.is_none_or(|condition| plan.place(row.index.into()).0 == condition);
+    let flight = |row: &Row| {
+        let (condition, repeat) = plan.place(row.index.into());
+        rest::Flight {
+            index: row.index.into(),
+            condition,
+            seed: plan.seed_of(repeat),
+            lost: row.lost().to_owned(),
+            values: (0..MEASURES.len()).map(|measure| finite(row, measure)).collect(),
+        }
+    };
+    let total = rows.iter().filter(wanted).count() as u64;
+    Ok(rest::Flights { total, flights: rows.iter().filter(wanted).skip(from).take(count).map(flight).collect() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_values() {
+        // Wilson's interval of 8 of 10, as published tables and other programs give it.
+        let part = part(8, 10);
+        assert!((part.interval[0] - 0.490_16).abs() < 1e-4 && (part.interval[1] - 0.943_31).abs() < 1e-4, "{part:?}");
+        // The ranks 2 and 9 of ten hold the median with 97.9 %.
+        let values: Vec<f64> = (1..=10).map(f64::from).collect();
+        let spread = spread(&values).unwrap();
+        assert_eq!((spread.median, spread.quarter, spread.three_quarters, spread.most), (5.5, 3.0, 8.0, 10.0));
+        assert!(spread.interval[0] <= 2.0 && spread.interval[1] >= 9.0, "{spread:?}");
+        // Mean 2, standard deviation 1.
+        let difference = difference(0, &[1.0, 2.0, 3.0]).unwrap();
+        assert_eq!((difference.median, difference.effect), (2.0, Some(2.0)));
+        assert!(super::spread(&[]).is_none() && super::difference(0, &[]).is_none());
+    }
+
+    #[test]
+    fn levels_are_shown_without_toml() {
+        let table: toml::Table = toml::from_str("a = { strings = { mode = \"flight\", height_m = 0.3 } }").unwrap();
+        assert_eq!(shown(table.get("a")), "strings: height_m=0.3, mode=flight");
+        let numbers = [
+            Value::Float(4e-7),
+            Value::Float(0.05),
+            Value::Float(2.0),
+            Value::Integer(7),
+            Value::String("none".into()),
+        ];
+        assert_eq!(numbers.map(|level| shown(Some(&level))), ["0.0000004", "0.05", "2", "7", "none"]);
+        assert_eq!(shown(None), "");
+    }
+
+    #[test]
+    fn the_interval_of_the_median_holds_it_as_often_as_it_says() {
+        let mut dice = crate::draw::Dice::new(3);
+        let holds = (0..2000).filter(|_| {
+            let values: Vec<f64> = (0..25).map(|_| dice.normal()).collect();
+            let (low, high) = median_interval(&values);
+            low <= 0.0 && 0.0 <= high
+        });
+        let part = holds.count() as f64 / 2000.0;
+        // Ranks are whole numbers: it can only be a little more.
+        assert!((0.94..=0.985).contains(&part), "{part}");
+    }
+}

@@ -1,0 +1,204 @@
+//! Experiments: asked and answered as [`plumbline_rest::experiment`] says. A plan that cannot be flown is a 422 with its line.
+
+use std::path::PathBuf;
+
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse as _, Redirect, Response};
+use plumbline_experiment::open::{OpenError, open};
+use plumbline_experiment::plan::Plan;
+use plumbline_experiment::run::expected_s;
+use plumbline_experiment::store::{Experiment, StoreError};
+use plumbline_experiment::{parquet, report, summary};
+use plumbline_rest::experiment::{self as rest, Asked, Opened, Results, Size};
+use serde::Deserialize;
+
+use super::App;
+use super::body::Body;
+use super::error::ApiError;
+use crate::experiments::Experiments;
+
+/// Most flights of one answer.
+const PAGE: usize = 1000;
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        match error {
+            StoreError::Unknown(_) => Self::NotFound(error.to_string()),
+            StoreError::Plan(_) => Self::Invalid(error.to_string()),
+            StoreError::Foreign { .. } | StoreError::Running(_) => Self::Conflict(error.to_string()),
+            StoreError::Io { .. } => Self::Broken(error.to_string()),
+        }
+    }
+}
+
+impl From<OpenError> for ApiError {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::Store(error) => error.into(),
+            OpenError::Unknown { .. } => Self::NotFound(error.to_string()),
+            OpenError::Condition { .. } | OpenError::Nothing(_) => Self::Invalid(error.to_string()),
+            other => Self::Broken(other.to_string()),
+        }
+    }
+}
+
+/// Runs `work`, which asks the disk, off the server's threads.
+async fn aside<T: Send + 'static>(
+    app: App,
+    work: impl FnOnce(&App) -> Result<T, ApiError> + Send + 'static,
+) -> Result<T, ApiError> {
+    let done = tokio::task::spawn_blocking(move || work(&app)).await;
+    done.map_err(|error| ApiError::Broken(error.to_string()))?
+}
+
+fn one(app: &App, id: &str) -> Result<Experiment, ApiError> {
+    Ok(Experiment::open(app.experiments.root(), id)?)
+}
+
+fn read(text: &str) -> Result<Plan, ApiError> {
+    Plan::from_toml(text).map_err(|error| ApiError::Invalid(error.to_string()))
+}
+
+pub(crate) async fn list(State(app): State<App>) -> Result<Json<rest::Experiments>, ApiError> {
+    let listed = aside(app, |app| {
+        let all = Experiment::all(app.experiments.root());
+        Ok(rest::Experiments { experiments: all.iter().map(|experiment| app.experiments.state(experiment)).collect() })
+    });
+    Ok(Json(listed.await?))
+}
+
+pub(crate) async fn size(State(app): State<App>, Body(asked): Body<Asked>) -> Result<Json<Size>, ApiError> {
+    let root = app.experiments.root().to_owned();
+    // Some flights are begun, to see how long they take.
+    let size = app.computing.run(move |waited| {
+        let plan = read(&asked.plan)?;
+        waited.check()?;
+        let id = format!("{}-{}", plan.name, plan.hash().get(..10).unwrap_or_default());
+        let done = Experiment::open(&root, &id).map_or(0, |experiment| experiment.done());
+        let (conditions, repeats, flights) = (plan.conditions(), plan.repeats, plan.flights());
+        let expected_s = expected_s(&plan, flights.saturating_sub(done), Experiments::threads());
+        Ok(Size { id, conditions, repeats, flights, done, expected_s: expected_s.map_err(ApiError::Invalid)? })
+    });
+    Ok(Json(size.await?))
+}
+
+pub(crate) async fn create(
+    State(app): State<App>,
+    Body(asked): Body<Asked>,
+) -> Result<(StatusCode, Json<rest::State>), ApiError> {
+    let made = aside(app, move |app| {
+        let experiment = Experiment::create(app.experiments.root(), read(&asked.plan)?)?;
+        app.experiments.start(experiment.clone())?;
+        Ok(app.experiments.state(&experiment))
+    });
+    Ok((StatusCode::CREATED, Json(made.await?)))
+}
+
+pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Results>, ApiError> {
+    let shown = aside(app, move |app| {
+        let experiment = one(app, &id)?;
+        Ok(Results { state: app.experiments.state(&experiment), ..summary::results(&experiment)? })
+    });
+    Ok(Json(shown.await?))
+}
+
+pub(crate) async fn start(State(app): State<App>, Path(id): Path<String>) -> Result<Json<rest::State>, ApiError> {
+    let started = aside(app, move |app| {
+        let experiment = one(app, &id)?;
+        app.experiments.start(experiment.clone())?;
+        Ok(app.experiments.state(&experiment))
+    });
+    Ok(Json(started.await?))
+}
+
+pub(crate) async fn stop(State(app): State<App>, Path(id): Path<String>) -> Result<Json<rest::State>, ApiError> {
+    let stopped = aside(app, move |app| {
+        let experiment = one(app, &id)?;
+        experiment.ask_to_stop()?;
+        Ok(app.experiments.state(&experiment))
+    });
+    Ok(Json(stopped.await?))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Which {
+    #[serde(default)]
+    from: usize,
+    count: Option<usize>,
+    condition: Option<u64>,
+}
+
+pub(crate) async fn flights(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    which: Result<Query<Which>, QueryRejection>,
+) -> Result<Json<rest::Flights>, ApiError> {
+    let Query(which) = which.map_err(|e| ApiError::Invalid(e.body_text()))?;
+    let count = which.count.unwrap_or(PAGE).min(PAGE);
+    let flights = aside(app, move |app| Ok(summary::flights(&one(app, &id)?, which.from, count, which.condition)?));
+    Ok(Json(flights.await?))
+}
+
+pub(crate) async fn fly_again(
+    State(app): State<App>,
+    Path((id, index)): Path<(String, u64)>,
+) -> Result<Json<Opened>, ApiError> {
+    Ok(Json(opened(app, id, index).await?))
+}
+
+/// What a dot of a report leads to. It adds a flight to the list, so a person must have asked for it: a click, or an address
+/// that was typed.
+pub(crate) async fn go(
+    State(app): State<App>,
+    Path((id, index)): Path<(String, u64)>,
+    headers: HeaderMap,
+) -> Result<Redirect, ApiError> {
+    let told = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
+    let own = matches!(told("sec-fetch-site"), None | Some("none" | "same-origin"));
+    if !own && told("sec-fetch-user") != Some("?1") {
+        return Err(ApiError::Foreign("a flight is opened by a click, not by another page".into()));
+    }
+    let Opened { flight } = opened(app, id, index).await?;
+    Ok(Redirect::to(&format!("/flights/{flight}")))
+}
+
+async fn opened(app: App, id: String, index: u64) -> Result<Opened, ApiError> {
+    let within = app.clone();
+    app.computing
+        .run(move |_| {
+            let experiment = one(&within, &id)?;
+            let file = open(&experiment, index)?;
+            let flight = within.recorder.take_in(&file)?.id;
+            if let Some(emptied) = file.parent() {
+                let _ = std::fs::remove_dir_all(emptied);
+            }
+            Ok(Opened { flight })
+        })
+        .await
+}
+
+pub(crate) async fn plan(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let text = aside(app, move |app| Ok(one(app, &id)?.plan.text)).await?;
+    Ok(([(header::CONTENT_TYPE, "application/toml")], text).into_response())
+}
+
+pub(crate) async fn page(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    // Links without an address lead to the ground that the page comes from.
+    let text = aside(app, move |app| Ok(report::page(&one(app, &id)?, "")?)).await?;
+    Ok(([(header::CONTENT_TYPE, "text/html; charset=utf-8")], text).into_response())
+}
+
+pub(crate) async fn table(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let name = format!("attachment; filename=\"{}.parquet\"", crate::names::clip(&id));
+    let bytes = aside(app, move |app| {
+        let path: PathBuf = parquet::export(&one(app, &id)?)?;
+        std::fs::read(&path).map_err(|error| ApiError::Broken(format!("{}: {error}", path.display())))
+    });
+    let bytes = bytes.await?;
+    let kind = "application/vnd.apache.parquet".to_owned();
+    Ok(([(header::CONTENT_TYPE, kind), (header::CONTENT_DISPOSITION, name)], bytes).into_response())
+}

@@ -1,0 +1,113 @@
+//! Experiments over HTTP: sized, refused with the line, flown, stopped, gone on with, read, opened.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::Ground;
+use serde_json::json;
+
+const PLAN: &str = r#"
+name = "over_http"
+repeats = 3
+[scenario]
+duration_s = 16
+rig = { hanging_strings = { mode = "flight", height_m = 0.3 } }
+script = [
+  { at_s = 3, do = "arm" }, { at_s = 4, do = "mode", mode = "altitude_hold" },
+  { at_s = 5, do = "setpoint", altitude_m = 0.9 },
+]
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "lanes"]
+"#;
+
+fn asked(plan: &str) -> String {
+    json!({ "plan": plan }).to_string()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [] }));
+    // GIVEN a plan WHEN its size is asked THEN nothing is kept
+    let size = ground.request("POST", "/api/v1/experiments/size", &asked(PLAN)).await.json();
+    assert_eq!((size["conditions"].as_u64(), size["flights"].as_u64()), (Some(2), Some(6)));
+    assert!(size["expected_s"].as_f64().unwrap() > 0.0, "{size}");
+    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [] }));
+
+    // WHEN it is flown THEN it completes, and each flight is there once
+    let made = ground.request("POST", "/api/v1/experiments", &asked(PLAN)).await;
+    assert_eq!(made.status, 201, "{}", made.text());
+    let id = made.json()["id"].as_str().unwrap().to_owned();
+    assert_eq!(made.json()["id"], size["id"]);
+    let at = format!("/api/v1/experiments/{id}");
+    let results = loop {
+        // Minutes on a machine that has much else to do.
+        let results = ground.json(&at).await;
+        if results["state"]["running"] == false {
+            break results;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+    };
+    assert_eq!((results["state"]["done"].as_u64(), &results["state"]["error"]), (Some(6), &json!(null)), "{results}");
+    assert_eq!(results["factors"], json!(["agent.estimators.in_loop"]));
+    assert_eq!(results["conditions"][1]["levels"], json!(["lanes"]));
+    assert_eq!(results["conditions"][1]["measures"][0]["count"], 3);
+    assert_eq!(results["conditions"][1]["differences"][0]["pairs"], 3);
+    let flights = ground.json(&format!("{at}/flights?from=1&count=2&condition=1")).await;
+    assert_eq!((flights["total"].as_u64(), flights["flights"].as_array().unwrap().len()), (Some(3), 2));
+    assert_eq!((flights["flights"][0]["index"].as_u64(), flights["flights"][0]["seed"].as_u64()), (Some(3), Some(2)));
+
+    // WHEN one is opened THEN it is among the flights, as often as one likes
+    let opened = ground.request("POST", &format!("{at}/flights/3"), "").await;
+    assert_eq!(opened.status, 200, "{}", opened.text());
+    let flight = opened.json()["flight"].as_str().unwrap().to_owned();
+    assert_eq!(ground.json(&format!("/api/flights/{flight}")).await["completeness"], "complete");
+    let go = ground.get(&format!("{at}/flights/3/open")).await;
+    assert_eq!((go.status, go.header("location")), (303, Some(format!("/flights/{flight}").as_str())));
+    let foreign = [("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "no-cors")];
+    assert_eq!(ground.request_as("GET", &format!("{at}/flights/3/open"), "", &foreign).await.status, 403);
+    assert_eq!(ground.json("/api/flights").await["flights"].as_array().unwrap().len(), 1);
+    assert_eq!(ground.request("POST", &format!("{at}/flights/6"), "").await.status, 404);
+
+    // THEN its files can be had
+    assert_eq!(ground.get(&format!("{at}/plan.toml")).await.text(), PLAN);
+    assert!(ground.get(&format!("{at}/report.html")).await.text().contains("6 of 6 flights"));
+    assert!(ground.get(&format!("{at}/flights.parquet")).await.body.starts_with(b"PAR1"));
+    assert_eq!(ground.get("/api/v1/experiments/none").await.status, 404);
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_is_flown_at_a_time_and_a_ground_that_ends_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let long = PLAN.replace("repeats = 3", "repeats = 10000");
+    let ground = Ground::start(folder.path()).await;
+    let bad = ground.request("POST", "/api/v1/experiments", &asked(&PLAN.replace("\"lanes\"", "\"nose\""))).await;
+    assert_eq!(
+        (bad.status, bad.error().contains("line 12"), bad.error().contains("nose")),
+        (422, true, true),
+        "{}",
+        bad.error()
+    );
+    let id =
+        ground.request("POST", "/api/v1/experiments", &asked(&long)).await.json()["id"].as_str().unwrap().to_owned();
+    let second = ground.request("POST", "/api/v1/experiments", &asked(PLAN)).await;
+    assert_eq!((second.status, second.error().contains(&id)), (409, true), "{}", second.error());
+    // WHEN it is stopped and started again THEN it goes on
+    let at = format!("/api/v1/experiments/{id}");
+    ground.wait_json(&at, |results| results["state"]["done"].as_u64() > Some(0)).await;
+    assert_eq!(ground.request("POST", &format!("{at}/stop"), "").await.status, 200);
+    let stopped = ground.wait_json(&at, |results| results["state"]["running"] == false).await;
+    let done = stopped["state"]["done"].as_u64().unwrap();
+    assert_eq!(ground.request("POST", &format!("{at}/start"), "").await.status, 200);
+    ground.wait_json(&at, |results| results["state"]["done"].as_u64() > Some(done)).await;
+    // WHEN the ground ends in the middle THEN the next one has every flight that was finished
+    ground.stop().await;
+    let ground = Ground::start(folder.path()).await;
+    let state = ground.json(&at).await["state"].clone();
+    assert!(state["done"].as_u64() > Some(done) && state["running"] == false && state["own"] == true, "{state}");
+    ground.stop().await;
+}
