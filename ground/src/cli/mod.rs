@@ -4,7 +4,10 @@ mod account;
 mod agents;
 mod audit;
 mod check;
+mod doctor;
+mod export;
 mod serve;
+mod settings;
 
 use std::path::PathBuf;
 
@@ -28,6 +31,10 @@ enum Tool {
     Audit(audit::AuditArguments),
     /// Says whether flight files are whole; one JSON line for each.
     Check(check::CheckArguments),
+    /// Says whether a ground would start here and record, and what to do where it would not.
+    Doctor(doctor::DoctorArguments),
+    /// Writes flights as tables (CSV, Parquet, MATLAB) or ROS 2 bags.
+    Export(export::ExportArguments),
     /// Pairs the agent that shows this code.
     Pair(agents::PairArguments),
     /// Shows this ground's fingerprint; trusts or revokes agents.
@@ -52,9 +59,11 @@ impl Arguments {
             Some(Tool::Account(arguments)) => account::run(arguments),
             Some(Tool::Audit(arguments)) => audit::run(&arguments),
             Some(Tool::Check(arguments)) => check::run(&arguments),
+            Some(Tool::Doctor(arguments)) => doctor::run(&arguments),
+            Some(Tool::Export(arguments)) => export::run(&arguments),
             Some(Tool::Pair(arguments)) => agents::pair(&arguments),
             Some(Tool::Identity(arguments)) => agents::identity(&arguments),
-            None => serve::run(self.serve),
+            None => serve::run(&self.serve),
         }
     }
 }

@@ -10,8 +10,18 @@ use super::{Workspace, XtaskError};
 /// Foxglove uses.
 const NODE_PACKAGES: [&str; 3] = ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1"];
 /// Third-party readers of our flight files.
-const READERS: PythonTools =
-    PythonTools { folder: "python", module: "mcap.reader", packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5"] };
+const READERS: PythonTools = PythonTools {
+    folder: "python",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel",
+    packages: &[
+        "mcap>=1.2",
+        "mcap-protobuf-support>=0.5",
+        "scipy>=1.11",
+        "duckdb>=1.0",
+        "polars>=1.0",
+        "rosbags>=0.11",
+    ],
+};
 /// The peer of `bench estimate`.
 const FILTERPY: PythonTools =
     PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"] };
@@ -71,7 +81,7 @@ pub fn rust_components(workspace: &Workspace) -> Result<(), XtaskError> {
     Ok(())
 }
 
-/// A Python that can read MCAP.
+/// A Python that can read MCAP, and the tables made of it.
 ///
 /// # Errors
 /// What is missing and how to get it.
