@@ -33,7 +33,7 @@ use crate::sync::stopping;
 use crate::viewers::MAX_VIEWERS;
 
 /// A viewer that takes nothing for this long is closed.
-const STALLED: Duration = Duration::from_secs(30);
+pub(super) const STALLED: Duration = Duration::from_secs(30);
 /// How often it is asked whether a viewer may still watch.
 const ASK_EVERY: Duration = Duration::from_millis(250);
 /// How often the state of the link is sent.
@@ -113,7 +113,7 @@ pub(crate) async fn history(
 }
 
 /// Completes when whoever showed `token` may watch no more: signed out, removed, or with another password.
-async fn expelled(app: &App, token: Option<&Token>) {
+pub(super) async fn expelled(app: &App, token: Option<&Token>) {
     let mut ask = interval(ASK_EVERY);
     ask.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while app.people.person(token).is_some() {

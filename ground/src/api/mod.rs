@@ -17,6 +17,7 @@ mod error;
 mod estimates;
 mod extract;
 mod flights;
+mod foxglove;
 mod gains;
 mod ground;
 mod guard;
@@ -211,6 +212,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/ground"                         View    ground::show;
         get    "/api/v1/vehicles"                       View    vehicles::list;
         get    "/api/v1/vehicles/{id}/live"             View    live::live;
+        get    "/api/v1/vehicles/{id}/foxglove"      View    foxglove::live;
         get    "/api/v1/vehicles/{id}/history"          View    live::history;
         post   "/api/v1/vehicles/{id}/cut"              Operate control::cut;
         post   "/api/v1/vehicles/{id}/arm"              Operate control::arm;

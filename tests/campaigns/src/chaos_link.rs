@@ -186,11 +186,11 @@ fn stop_recording(ground: &Ground, agent: &Agent) {
 /// The flight, once the ground has all of it.
 fn completed(ground: &Ground) -> Value {
     let complete = wait_until(COMPLETE_WITHIN, || {
-        let flights = ground.api.get_json("/api/v1/flights").ok()?;
+        let flights = ground.api.get_json("/api/v1/flights?limit=1000").ok()?;
         let flight = flights["flights"].get(0)?.clone();
         (flight["completeness"] == "complete").then_some(flight)
     });
-    complete.unwrap_or_else(|| panic!("not complete: {}", ground.api.get_json("/api/v1/flights").unwrap()))
+    complete.unwrap_or_else(|| panic!("not complete: {}", ground.api.get_json("/api/v1/flights?limit=1000").unwrap()))
 }
 
 /// What was delivered in each phase, and how soon again after each fade.

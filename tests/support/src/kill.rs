@@ -227,7 +227,7 @@ fn lost(notes: &Notes, folder: &Path, killed: Instant) -> Result<f64, String> {
 /// Where they differ.
 pub fn consistent(ground: &Ground, folder: &Path) -> Result<(), String> {
     let listed = wait_until(PATIENCE, || {
-        let list = ground.api.get_json("/api/v1/flights").ok()?;
+        let list = ground.api.get_json("/api/v1/flights?limit=1000").ok()?;
         (list["ready"] == true).then(|| list["flights"].as_array().cloned().unwrap_or_default())
     });
     let listed = listed.ok_or("the ground does not become ready")?;

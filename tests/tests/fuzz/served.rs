@@ -75,7 +75,7 @@ impl Ground {
     fn read_all(&self) {
         let begun = Instant::now();
         let flights = loop {
-            let list = self.api.get_json("/api/v1/flights").unwrap();
+            let list = self.api.get_json("/api/v1/flights?limit=1000").unwrap();
             if list["ready"] == true {
                 break list["flights"].as_array().unwrap().clone();
             }

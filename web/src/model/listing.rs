@@ -3,6 +3,10 @@
 use plumbline_proto::time::WallTime;
 use plumbline_rest::flight::Column;
 
+/// Forms of a flight to download: the route below it, and its name.
+pub const FORMS: [(&str, &str); 5] =
+    [("mcap", "MCAP"), ("csv", "CSV"), ("parquet", "Parquet"), ("mat", "MATLAB"), ("ros2", "ROS 2 bag")];
+
 /// Head of a column.
 pub const fn head(column: Column) -> &'static str {
     match column {

@@ -203,8 +203,9 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             <span class="quiet num one-line">{facts}</span>
             <span class="push downloads">
                 <Link to=Route::Report(id.clone())>"Report"</Link>
-                <a class="button" href=format!("/api/v1/flights/{id}/mcap") download="">"MCAP"</a>
-                <a class="button" href=format!("/api/v1/flights/{id}/csv") download="">"CSV"</a>
+                {listing::FORMS.map(|(form, name)| {
+                    view! { <a class="button" href=format!("/api/v1/flights/{id}/{form}") download="">{name}</a> }
+                })}
             </span>
             <span class="delete"><HoldButton label="Delete" class="warn" action=delete /></span>
         </div>

@@ -93,9 +93,10 @@ pub fn FlightsPage() -> impl IntoView {
             None => all.push(id),
         })
     };
+    let form = RwSignal::new(listing::FORMS[0].0.to_owned());
     let download = move |_| {
         for id in chosen.get_untracked() {
-            net::download(&format!("/api/v1/flights/{id}/mcap"), "");
+            net::download(&format!("/api/v1/flights/{id}/{}", form.get_untracked()), "");
         }
     };
     view! {
@@ -117,7 +118,10 @@ pub fn FlightsPage() -> impl IntoView {
                 <button type="button" disabled=move || chosen.with(|c| c.len() < 2) on:click=move |_| ctx.go(Route::Compare(chosen.get_untracked()))>
                     {move || format!("Compare {}", chosen.with(Vec::len).max(2))}
                 </button>
-                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>"Download MCAP"</button>
+                <select aria-label="Form of downloads" on:change:target=move |e| form.set(e.target().value())>
+                    {listing::FORMS.map(|(form, name)| view! { <option value=form>{name}</option> })}
+                </select>
+                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>"Download"</button>
             </div>
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
             <div class="card table-wrap">
@@ -166,11 +170,12 @@ pub fn FlightsPage() -> impl IntoView {
 #[component]
 fn Pages(asked: RwSignal<Listing>, found: Memo<u64>) -> impl IntoView {
     let offset = move || asked.with(|asked| asked.offset);
+    let several = move || found.get() as usize > asked.with(|asked| asked.limit);
     let end = move || (offset() + asked.with(|asked| asked.limit)).min(found.get() as usize);
     let turn = move |by: fn(usize, usize) -> usize| asked.update(|asked| asked.offset = by(asked.offset, asked.limit));
     view! {
-        <Show when=move || (found.get() as usize > asked.with(|asked| asked.limit))>
-            <nav class="sheet-head" aria-label="Pages of the list">
+        <Show when=several>
+            <nav class="sheet-head" aria-label="Further flights">
                 <span class="quiet num">{move || format!("{} to {} of {}", offset() + 1, end(), found.get())}</span>
                 <button type="button" class="push" disabled=move || offset() == 0 on:click=move |_| turn(usize::saturating_sub)>
                     "Previous page"

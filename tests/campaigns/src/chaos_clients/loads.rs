@@ -163,7 +163,7 @@ fn viewers(client: &Client) -> Box<dyn Any> {
 
 /// The flight being recorded, and the way to it.
 fn flight(client: &Client) -> String {
-    let (_, list) = client.get("/api/v1/flights", &client.pilot).expect("flights");
+    let (_, list) = client.get("/api/v1/flights?limit=1000", &client.pilot).expect("flights");
     let list: serde_json::Value = serde_json::from_str(&list).expect("a list");
     let id = list["flights"][0]["id"].as_str().expect("a flight");
     format!("/api/v1/flights/{id}")
