@@ -243,19 +243,19 @@ impl Client {
             self.boot_us = description.boot_wall_time_us;
         }
         let channel = u32::from(frame.kind) << 16 | u32::from(frame.instance);
-        if !self.channels.contains_key(&channel) {
+        self.channels.entry(channel).or_insert_with(|| {
             let topic = kind.topic(frame.instance);
             outbox.rare(client::advertise(channel, &topic, kind.message_name()));
-            self.channels.insert(channel, topic);
-        }
+            topic
+        });
         // The ground's own messages are stamped with the wall's time.
         let since_us = if kind.is_ground_made() { frame.time_us } else { self.boot_us + frame.time_us };
         self.put(channel, since_us * 1000, frame.payload, sampled(Some(kind)), outbox);
         for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since_us) {
-            if !self.channels.contains_key(&channel) {
+            self.channels.entry(channel).or_insert_with(|| {
                 outbox.rare(client::advertise_json(channel, topic, schema));
-                self.channels.insert(channel, topic.to_owned());
-            }
+                topic.to_owned()
+            });
             self.put(channel, since_us * 1000, json.to_string().as_bytes(), sampled, outbox);
         }
     }
