@@ -64,7 +64,7 @@
     if (globalThis.plumblineEarly !== early) return;
     const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
     const query = `operator=${encodeURIComponent(operator)}`;
-    const socket = new WebSocket(`${scheme}://${location.host}/api/vehicles/${encodeURIComponent(vehicle)}/live?${query}`);
+    const socket = new WebSocket(`${scheme}://${location.host}/api/v1/vehicles/${encodeURIComponent(vehicle)}/live?${query}`);
     socket.binaryType = 'arraybuffer';
     const begun = performance.now();
     let batches = [], bytes = 0;
@@ -87,7 +87,7 @@
   if (vehicle) open(vehicle);
   else {
     // The first visit: the vehicle that the page would choose, see app.rs.
-    fetch('/api/vehicles').then((answer) => (answer.ok ? answer.json() : [])).then((all) => {
+    fetch('/api/v1/vehicles').then((answer) => (answer.ok ? answer.json() : [])).then((all) => {
       const first = all.find((each) => each.connected) ?? all[0];
       if (first) open(first.id);
     }).catch(() => {});

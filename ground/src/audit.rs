@@ -300,7 +300,7 @@ mod tests {
             role: "operator",
             from: "192.0.2.1".into(),
             method: "POST".into(),
-            path: "/api/vehicles/iris-1/arm".into(),
+            path: "/api/v1/vehicles/iris-1/arm".into(),
             body: String::new(),
             status: 200,
             times: 1,

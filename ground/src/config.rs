@@ -18,6 +18,8 @@ pub struct GroundConfig {
     pub link_identity: Option<Identity>,
     /// TLS of page and API; needed on every address but the loopback.
     pub tls: Option<Arc<rustls::ServerConfig>>,
+    /// Are the figures of `/metrics` for everybody who reaches this ground, and not for those signed in alone?
+    pub metrics_open: bool,
     /// Control of a vehicle is given up when its holder does nothing and shows no sign of life for this long.
     pub lease_idle: Duration,
     /// How long a command waits for its acknowledgement.
@@ -40,6 +42,7 @@ impl GroundConfig {
             allowed_hosts: Vec::new(),
             link_identity: None,
             tls: None,
+            metrics_open: false,
             lease_idle: Duration::from_secs(60),
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,

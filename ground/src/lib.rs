@@ -23,6 +23,7 @@ pub mod gains_book;
 pub mod hub;
 mod ingest;
 pub mod lease;
+pub mod metrics;
 pub mod names;
 pub mod people;
 pub mod recorder;
@@ -37,7 +38,7 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 
-pub use api::access_table;
+pub use api::{access_table, page_is_built};
 pub use config::GroundConfig;
 pub use error::GroundError;
 

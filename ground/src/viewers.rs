@@ -54,6 +54,13 @@ impl Viewers {
     }
 }
 
+impl Viewers {
+    /// How many there are.
+    pub(crate) fn count(&self) -> usize {
+        lock(&self.0).taken.len()
+    }
+}
+
 impl Seat {
     /// Completes when a newer socket of the same person has taken the seat.
     pub(crate) async fn closed(&self) {

@@ -10,6 +10,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 use tokio::runtime::{Builder, Handle, Runtime};
 use tokio_util::task::AbortOnDropHandle;
+use tracing::Instrument as _;
 
 use crate::api::ApiError;
 use crate::sync::give_way;
@@ -51,6 +52,6 @@ impl Drop for Work {
 
 /// Answers a request on these threads; ends with the request.
 pub(crate) async fn there(State(threads): State<Handle>, request: Request, next: Next) -> Response {
-    let answer = AbortOnDropHandle::new(threads.spawn(next.run(request)));
+    let answer = AbortOnDropHandle::new(threads.spawn(next.run(request).in_current_span()));
     answer.await.unwrap_or_else(|error| ApiError::Broken(error.to_string()).into_response())
 }

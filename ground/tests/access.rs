@@ -24,7 +24,7 @@ fn accounts(folder: &Path) {
 /// The session cookie of an account.
 async fn sign_in(ground: &Ground, name: &str) -> String {
     let body = serde_json::json!({ "name": name, "password": PASSWORD }).to_string();
-    let answer = ground.request("POST", "/api/session", &body).await;
+    let answer = ground.request("POST", "/api/v1/session", &body).await;
     assert_eq!(answer.status, 200, "{}", answer.text());
     let cookie = answer.header("set-cookie").expect("a cookie");
     assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
@@ -99,7 +99,7 @@ async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
     assert!(asked > 600, "{asked} requests");
     // Beyond the table there is nothing, for anyone.
     let admin = sessions.last().and_then(|(_, cookie)| cookie.clone());
-    for path in ["/api/persons", "/api/vehicles/iris-1/fire", "/api/flights/x/y"] {
+    for path in ["/api/v1/persons", "/api/v1/vehicles/iris-1/fire", "/api/v1/flights/x/y", "/api/vehicles"] {
         assert_eq!(ask(&ground, ("get", path), admin.as_deref(), None, true).await.status, 404, "{path}");
     }
     // The page itself shows the way; its files are public.
@@ -117,7 +117,7 @@ async fn the_live_view_needs_a_session_and_its_origin() {
     let _agent = ground.agent("iris-1", 1).await;
     let cookie = sign_in(&ground, "viewer").await;
     let own = format!("http://{}", ground.address);
-    let url = format!("ws://{}/api/vehicles/iris-1/live", ground.address);
+    let url = format!("ws://{}/api/v1/vehicles/iris-1/live", ground.address);
     for (cookie, origin, status) in [
         (None, Some(own.as_str()), 401),
         (Some(cookie.as_str()), None, 403),
@@ -147,24 +147,24 @@ async fn deeds_are_written_down_under_the_account_and_the_cut_needs_no_lease() {
     let (ann, bob, admin) =
         (sign_in(&ground, "operator").await, sign_in(&ground, "attacker").await, sign_in(&ground, "admin").await);
     // Under another name in the header: the account counts.
-    let take = ask(&ground, ("put", "/api/vehicles/iris-1/lease"), Some(&ann), Some(&own), true).await;
+    let take = ask(&ground, ("put", "/api/v1/vehicles/iris-1/lease"), Some(&ann), Some(&own), true).await;
     assert_eq!(take.json()["holder"], "operator", "{}", take.text());
-    let held = ask(&ground, ("post", "/api/vehicles/iris-1/arm"), Some(&bob), Some(&own), true).await;
+    let held = ask(&ground, ("post", "/api/v1/vehicles/iris-1/arm"), Some(&bob), Some(&own), true).await;
     assert_eq!((held.status, held.json()["holder"].as_str()), (423, Some("operator")));
-    let cut = ask(&ground, ("post", "/api/vehicles/iris-1/cut"), Some(&bob), Some(&own), true);
+    let cut = ask(&ground, ("post", "/api/v1/vehicles/iris-1/cut"), Some(&bob), Some(&own), true);
     let (cut, _) = tokio::join!(cut, agent.accept());
     assert_eq!(cut.status, 200, "{}", cut.text());
-    let taken = ask(&ground, ("put", "/api/vehicles/iris-1/lease"), Some(&bob), Some(&own), true).await;
+    let taken = ask(&ground, ("put", "/api/v1/vehicles/iris-1/lease"), Some(&bob), Some(&own), true).await;
     assert_eq!(taken.json()["taken_from"], "operator");
     // A secret sent, a request refused, and somebody who leaves.
     let headers = [("cookie", admin.as_str()), ("origin", own.as_str()), ("x-plumbline-operator", "page")];
-    let pairing = ground.request_as("POST", "/api/pairing", r#"{"code":"ABCD-EFGH"}"#, &headers).await;
+    let pairing = ground.request_as("POST", "/api/v1/pairing", r#"{"code":"ABCD-EFGH"}"#, &headers).await;
     assert_eq!(pairing.status, 503);
-    assert_eq!(ask(&ground, ("get", "/api/audit"), Some(&bob), Some(&own), true).await.status, 403);
-    assert_eq!(ask(&ground, ("delete", "/api/session"), Some(&bob), Some(&own), true).await.status, 204);
+    assert_eq!(ask(&ground, ("get", "/api/v1/audit"), Some(&bob), Some(&own), true).await.status, 403);
+    assert_eq!(ask(&ground, ("delete", "/api/v1/session"), Some(&bob), Some(&own), true).await.status, 204);
     let begun = std::time::Instant::now();
     let deeds = loop {
-        let answer = ask(&ground, ("get", "/api/audit?limit=100"), Some(&admin), Some(&own), true).await;
+        let answer = ask(&ground, ("get", "/api/v1/audit?limit=100"), Some(&admin), Some(&own), true).await;
         let deeds = answer.json()["deeds"].as_array().cloned().unwrap();
         if deeds.len() >= 10 {
             break deeds;
@@ -173,17 +173,17 @@ async fn deeds_are_written_down_under_the_account_and_the_cut_needs_no_lease() {
         tokio::time::sleep(std::time::Duration::from_millis(10)).await;
     };
     let line = |who: &str, path: &str| {
-        let path = format!("/api/vehicles/iris-1/{path}");
+        let path = format!("/api/v1/vehicles/iris-1/{path}");
         deeds.iter().find(|deed| deed["who"] == who && deed["path"] == path.as_str()).cloned()
     };
     assert_eq!(line("attacker", "arm").unwrap()["status"], 423);
     assert_eq!(line("attacker", "cut").unwrap()["status"], 200);
     let lease = line("operator", "lease").unwrap();
     assert_eq!((lease["role"].as_str(), lease["from"].as_str()), (Some("operator"), Some("127.0.0.1")));
-    assert_eq!(deeds.iter().filter(|deed| deed["path"] == "/api/session").count(), 4);
-    let left = deeds.iter().find(|deed| deed["method"] == "DELETE" && deed["path"] == "/api/session").unwrap();
+    assert_eq!(deeds.iter().filter(|deed| deed["path"] == "/api/v1/session").count(), 4);
+    let left = deeds.iter().find(|deed| deed["method"] == "DELETE" && deed["path"] == "/api/v1/session").unwrap();
     assert_eq!((left["who"].as_str(), left["role"].as_str()), (Some("attacker"), Some("attacker")));
-    assert!(deeds.iter().any(|deed| deed["path"] == "/api/audit" && deed["status"] == 403));
+    assert!(deeds.iter().any(|deed| deed["path"] == "/api/v1/audit" && deed["status"] == 403));
     let text = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
     assert!(!text.contains(PASSWORD) && !text.contains("EFGH") && text.contains("redacted"));
     ground.stop().await;
@@ -200,7 +200,7 @@ async fn a_removed_account_loses_its_socket_and_control_at_once() {
     let own = format!("http://{}", ground.address);
     let (ann, admin) = (sign_in(&ground, "operator").await, sign_in(&ground, "admin").await);
     // GIVEN an operator who watches and is in control
-    let url = format!("ws://{}/api/vehicles/iris-1/live", ground.address);
+    let url = format!("ws://{}/api/v1/vehicles/iris-1/live", ground.address);
     let begun = Instant::now();
     let mut viewer = loop {
         match Viewer::connect_as(&url, Some(&own), Some(&ann)).await {
@@ -209,22 +209,22 @@ async fn a_removed_account_loses_its_socket_and_control_at_once() {
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
     };
-    let take = ask(&ground, ("put", "/api/vehicles/iris-1/lease"), Some(&ann), Some(&own), true).await;
+    let take = ask(&ground, ("put", "/api/v1/vehicles/iris-1/lease"), Some(&ann), Some(&own), true).await;
     assert_eq!(take.status, 200, "{}", take.text());
-    let people = ask(&ground, ("get", "/api/people"), Some(&admin), Some(&own), true).await.json();
+    let people = ask(&ground, ("get", "/api/v1/people"), Some(&admin), Some(&own), true).await.json();
     assert_eq!(people["accounts"].as_array().unwrap().len(), ROLES.len());
     assert_eq!(people["sessions"].as_array().unwrap().len(), 2);
-    let mine = ask(&ground, ("get", "/api/sessions"), Some(&ann), Some(&own), true).await.json();
+    let mine = ask(&ground, ("get", "/api/v1/sessions"), Some(&ann), Some(&own), true).await.json();
     assert_eq!((mine["sessions"][0]["account"].as_str(), &mine["sessions"][1]), (Some("operator"), &Value::Null));
     // WHEN an admin removes the account
-    let gone = ask(&ground, ("delete", "/api/people/operator"), Some(&admin), Some(&own), true).await;
+    let gone = ask(&ground, ("delete", "/api/v1/people/operator"), Some(&admin), Some(&own), true).await;
     assert_eq!(gone.status, 204, "{}", gone.text());
     let begun = Instant::now();
     // THEN the socket ends, and control with it
     let ended = async { while matches!(viewer.socket.next().await, Some(Ok(message)) if !message.is_close()) {} };
     tokio::time::timeout(common::PATIENCE, ended).await.expect("the socket ends");
     loop {
-        let lease = ask(&ground, ("get", "/api/vehicles/iris-1/lease"), Some(&admin), Some(&own), true).await;
+        let lease = ask(&ground, ("get", "/api/v1/vehicles/iris-1/lease"), Some(&admin), Some(&own), true).await;
         if lease.json()["holder"].is_null() {
             break;
         }
@@ -233,8 +233,8 @@ async fn a_removed_account_loses_its_socket_and_control_at_once() {
     }
     // Promised is a second; a busy machine may take another.
     assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
-    assert_eq!(ask(&ground, ("get", "/api/vehicles"), Some(&ann), Some(&own), true).await.status, 401);
-    let last = ask(&ground, ("delete", "/api/people/admin"), Some(&admin), Some(&own), true).await;
+    assert_eq!(ask(&ground, ("get", "/api/v1/vehicles"), Some(&ann), Some(&own), true).await.status, 401);
+    let last = ask(&ground, ("delete", "/api/v1/people/admin"), Some(&admin), Some(&own), true).await;
     assert_eq!(last.status, 409, "{}", last.text());
     ground.stop().await;
 }
@@ -246,7 +246,7 @@ async fn refused_sign_ins_fill_no_log() {
     let ground = Ground::start(folder.path()).await;
     for n in 0..300 {
         let body = serde_json::json!({ "name": format!("guess{n}"), "password": PASSWORD }).to_string();
-        let status = ground.request("POST", "/api/session", &body).await.status;
+        let status = ground.request("POST", "/api/v1/session", &body).await.status;
         assert!([401, 429].contains(&status), "{status}");
     }
     ground.stop().await;
@@ -282,7 +282,7 @@ async fn a_network_is_served_by_tls_to_accounts_only() {
     let mut tls = common::tls(&ground, &certificate).await;
     let body = format!("{{\"name\":\"admin\",\"password\":\"{PASSWORD}\"}}");
     let request = format!(
-        "POST /api/session HTTP/1.1\r\nhost: {host}\r\norigin: https://{host}\r\nconnection: close\r\n\
+        "POST /api/v1/session HTTP/1.1\r\nhost: {host}\r\norigin: https://{host}\r\nconnection: close\r\n\
          content-type: application/json\r\ncontent-length: {}\r\n\r\n{body}",
         body.len()
     );

@@ -71,7 +71,7 @@ async fn a_flight_is_read_by_the_agents_own_reader() {
     }
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "complete").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "complete").await;
     // Too short to hold an answer: the refusal shows that its samples were read.
     let body = json!({ "kind": "accelerometer", "flight": "f1" }).to_string();
     let answer = ground.request("POST", "/api/v1/calibrations", &body).await;

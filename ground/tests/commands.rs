@@ -17,9 +17,9 @@ async fn a_command_is_numbered_sent_and_answered() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
 
-    let path = "/api/vehicles/iris-1/setpoint";
+    let path = "/api/v1/vehicles/iris-1/setpoint";
     let (answer, command) =
         tokio::join!(ground.request_as("POST", path, r#"{"altitude_m":0.8}"#, &ANN), agent.accept());
     assert_eq!(answer.status, 200, "{}", answer.text());
@@ -35,9 +35,10 @@ async fn a_command_is_numbered_sent_and_answered() {
         assert_eq!(command.body, Some(Body::Arm(v1::Arm {})));
         agent.ack(command.command_id, AckStage::Rejected, "battery 9.9 V below 10.5 V").await;
     };
-    let (answer, ()) = tokio::join!(ground.request_as("POST", "/api/vehicles/iris-1/arm", "{}", &ANN), refuse);
+    let (answer, ()) = tokio::join!(ground.request_as("POST", "/api/v1/vehicles/iris-1/arm", "{}", &ANN), refuse);
     assert_eq!(answer.status, 409);
-    assert_eq!(answer.json()["stage"], "rejected");
+    assert_eq!(answer.json()["code"], "rejected");
+    assert!(answer.json()["command_id"].as_u64() > Some(command.command_id));
     assert_eq!(answer.error(), "battery 9.9 V below 10.5 V");
     ground.stop().await;
 }
@@ -50,9 +51,9 @@ async fn what_the_operator_saw_goes_with_the_command() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
     let seen = |seen| [ANN[0], ("x-plumbline-seen", seen)];
-    let (arm, cut) = ("/api/vehicles/iris-1/arm", "/api/vehicles/iris-1/cut");
+    let (arm, cut) = ("/api/v1/vehicles/iris-1/arm", "/api/v1/vehicles/iris-1/cut");
 
     let headers = seen("5000000");
     let (answer, command) = tokio::join!(ground.request_as("POST", arm, "{}", &headers), agent.accept());
@@ -74,7 +75,7 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
     let weights = format!(r#"{{"state_weight":{:?},"input_weight":{:?}}}"#, [1.0; 16], [0.5; 4]);
     let plan =
         r#"{"attacks":[{"sensor":"height","instance":2,"kind":"bias","start_s":5,"duration_s":10,"magnitude":0.5}]}"#;
@@ -124,12 +125,12 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
         ),
     ];
     for (method, resource, body, wanted) in expected {
-        let path = format!("/api/vehicles/iris-1/{resource}");
+        let path = format!("/api/v1/vehicles/iris-1/{resource}");
         let (answer, command) = tokio::join!(ground.request(method, &path, body), agent.accept());
         assert_eq!(answer.status, 200, "{resource}: {}", answer.text());
         assert_eq!(command.body, Some(wanted), "{resource}");
     }
-    let gains = ground.json("/api/vehicles/iris-1/gains").await;
+    let gains = ground.json("/api/v1/vehicles/iris-1/gains").await;
     assert_eq!(gains["revisions"][0]["stage"], "accepted");
     ground.stop().await;
 }
@@ -141,13 +142,13 @@ async fn silence_is_504_and_a_lost_link_503() {
     config.command_timeout = std::time::Duration::from_millis(100);
     let ground = Ground::start_with(config).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
-    let answer = ground.request("POST", "/api/vehicles/iris-1/arm", "{}").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
+    let answer = ground.request("POST", "/api/v1/vehicles/iris-1/arm", "{}").await;
     assert_eq!(answer.status, 504, "{}", answer.text());
     agent.disconnect().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == false).await;
-    assert_eq!(ground.request("POST", "/api/vehicles/iris-1/arm", "{}").await.status, 503);
-    let unknown = ground.request("POST", "/api/vehicles/nobody/arm", "{}").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == false).await;
+    assert_eq!(ground.request("POST", "/api/v1/vehicles/iris-1/arm", "{}").await.status, 503);
+    let unknown = ground.request("POST", "/api/v1/vehicles/nobody/arm", "{}").await;
     assert_eq!((unknown.status, unknown.error().as_str()), (404, "vehicle \"nobody\" is not known"));
     ground.stop().await;
 }
@@ -157,9 +158,9 @@ async fn one_operator_controls_anyone_cuts_and_control_can_be_taken() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     let mut viewer = ground.view("iris-1", 0).await;
-    let arm = "/api/vehicles/iris-1/arm";
+    let arm = "/api/v1/vehicles/iris-1/arm";
     let (answer, _) = tokio::join!(ground.request_as("POST", arm, "{}", &ANN), agent.accept());
     assert_eq!(answer.status, 200);
     assert_eq!(viewer.next_of(Kind::Lease).await.message::<v1::ControlLease>().holder, "ann");
@@ -167,18 +168,18 @@ async fn one_operator_controls_anyone_cuts_and_control_can_be_taken() {
     let answer = ground.request_as("POST", arm, "{}", &BOB).await;
     assert_eq!((answer.status, answer.error().as_str()), (423, "operator \"ann\" holds control"));
     let (answer, command) =
-        tokio::join!(ground.request_as("POST", "/api/vehicles/iris-1/cut", "{}", &BOB), agent.accept());
+        tokio::join!(ground.request_as("POST", "/api/v1/vehicles/iris-1/cut", "{}", &BOB), agent.accept());
     assert_eq!(answer.status, 200, "the cut is open to everyone");
     assert_eq!(command.body, Some(Body::CutMotors(v1::CutMotors {})));
-    assert_eq!(ground.json("/api/vehicles/iris-1/lease").await["holder"], "ann", "and takes no control");
+    assert_eq!(ground.json("/api/v1/vehicles/iris-1/lease").await["holder"], "ann", "and takes no control");
 
-    let answer = ground.request_as("DELETE", "/api/vehicles/iris-1/lease", "", &BOB).await;
+    let answer = ground.request_as("DELETE", "/api/v1/vehicles/iris-1/lease", "", &BOB).await;
     assert_eq!(answer.status, 423);
-    let answer = ground.request_as("PUT", "/api/vehicles/iris-1/lease", "{}", &BOB).await;
+    let answer = ground.request_as("PUT", "/api/v1/vehicles/iris-1/lease", "{}", &BOB).await;
     assert_eq!((answer.status, answer.json()["taken_from"].as_str()), (200, Some("ann")));
     assert_eq!(viewer.next_of(Kind::Lease).await.message::<v1::ControlLease>().holder, "bob");
     assert_eq!(ground.request_as("POST", arm, "{}", &ANN).await.status, 423);
-    let answer = ground.request_as("DELETE", "/api/vehicles/iris-1/lease", "", &BOB).await;
+    let answer = ground.request_as("DELETE", "/api/v1/vehicles/iris-1/lease", "", &BOB).await;
     assert_eq!(answer.status, 200);
     let mut late = ground.view("iris-1", 0).await;
     assert_eq!(late.next_of(Kind::Lease).await.message::<v1::ControlLease>().holder, "", "late viewers see it too");
@@ -191,7 +192,7 @@ async fn what_is_invalid_is_refused_with_its_value() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
     let big = format!(r#"{{"mode":"{}"}}"#, "x".repeat(300 << 10));
     let cases = [
         ("POST", "mode", r#"{"mode":"hover"}"#, 422, "\"hover\""),
@@ -218,12 +219,13 @@ async fn what_is_invalid_is_refused_with_its_value() {
         ("POST", "dance", "{}", 404, "dance"),
     ];
     for (method, resource, body, status, mentions) in cases {
-        let answer = ground.request(method, &format!("/api/vehicles/iris-1/{resource}"), body).await;
+        let answer = ground.request(method, &format!("/api/v1/vehicles/iris-1/{resource}"), body).await;
         assert_eq!(answer.status, status, "{resource} {}", answer.text());
         assert!(answer.error().contains(mentions), "{resource}: {}", answer.error());
     }
     let long = "x".repeat(65);
-    let answer = ground.request_as("POST", "/api/vehicles/iris-1/arm", "{}", &[("x-plumbline-operator", &long)]).await;
+    let answer =
+        ground.request_as("POST", "/api/v1/vehicles/iris-1/arm", "{}", &[("x-plumbline-operator", &long)]).await;
     assert_eq!(answer.status, 422);
     assert!(agent.outgoing.try_recv().is_err(), "nothing invalid reached the agent");
     ground.stop().await;
@@ -234,12 +236,12 @@ async fn a_cut_is_done_whatever_the_operator_is_called() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     let long = "x".repeat(65);
     let names = [(long.as_str(), "unnamed"), ("", "unnamed"), ("Zo\u{eb}", "unnamed"), ("ann", "ann")];
     for (name, heard) in names {
         let header = [("x-plumbline-operator", name)];
-        let cut = ground.request_as("POST", "/api/vehicles/iris-1/cut", "", &header);
+        let cut = ground.request_as("POST", "/api/v1/vehicles/iris-1/cut", "", &header);
         let (answer, command) = tokio::join!(cut, agent.accept());
         assert_eq!(answer.status, 200, "{name:?}: {}", answer.text());
         assert_eq!((command.body, command.operator.as_str()), (Some(Body::CutMotors(v1::CutMotors {})), heard));
@@ -255,9 +257,9 @@ async fn two_agents_are_two_vehicles() {
     let mut two = ground.agent("two", 2).await;
     one.describe().await;
     two.describe().await;
-    let both = ground.wait_json("/api/vehicles", |v| v[1]["rig"] == "strings").await;
+    let both = ground.wait_json("/api/v1/vehicles", |v| v[1]["rig"] == "strings").await;
     assert_eq!((both[0]["id"].as_str(), both[1]["boot_id"].as_u64()), (Some("one"), Some(2)));
-    let (answer, command) = tokio::join!(ground.request("POST", "/api/vehicles/two/arm", "{}"), two.accept());
+    let (answer, command) = tokio::join!(ground.request("POST", "/api/v1/vehicles/two/arm", "{}"), two.accept());
     assert_eq!((answer.status, command.body), (200, Some(Body::Arm(v1::Arm {}))));
     assert!(one.outgoing.try_recv().is_err());
     let mut viewer = ground.view("one", 0).await;

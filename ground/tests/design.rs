@@ -43,20 +43,20 @@ async fn gains_travel_as_files_and_the_way_back_is_one_request() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
     let preview = ground.request("POST", "/api/v1/design/preview", r#"{"duration_s":1}"#).await.json();
     let file = preview["gains"].to_string();
-    let push = "/api/vehicles/iris-1/gains";
+    let push = "/api/v1/vehicles/iris-1/gains";
     let pid = r#"{"controller":"pid","parameters":{"tilt_p":6.5}}"#;
     for body in [file.as_str(), pid] {
         let (answer, command) = tokio::join!(ground.request("PUT", push, body), agent.accept());
         assert_eq!(answer.status, 200, "{}", answer.text());
         assert!(matches!(command.body, Some(Body::PushGains(_))));
     }
-    let kept: Value = ground.json("/api/vehicles/iris-1/gains/export?revision=1").await;
+    let kept: Value = ground.json("/api/v1/vehicles/iris-1/gains/export?revision=1").await;
     assert_eq!(kept["controller"], "lqr_integral");
     assert!(kept["certificate"].is_null() && kept["state_weight"].is_array());
-    let revert = "/api/vehicles/iris-1/gains/revert";
+    let revert = "/api/v1/vehicles/iris-1/gains/revert";
     let (answer, command) = tokio::join!(ground.request("POST", revert, r#"{"revision":2}"#), agent.accept());
     assert_eq!(answer.json()["revision"], 3);
     let Some(Body::PushGains(again)) = command.body else { panic!("{command:?}") };
@@ -72,8 +72,8 @@ async fn paths_reach_the_agent_or_are_refused() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
-    let path = "/api/vehicles/iris-1/trajectory";
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
+    let path = "/api/v1/vehicles/iris-1/trajectory";
     let body = r#"{"shape":"circle","size_m":1,"period_s":10}"#;
     let (answer, command) = tokio::join!(ground.request("POST", path, body), agent.accept());
     assert_eq!(answer.status, 200, "{}", answer.text());

@@ -64,12 +64,12 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     let opened = ground.request("POST", &format!("{at}/flights/3"), "").await;
     assert_eq!(opened.status, 200, "{}", opened.text());
     let flight = opened.json()["flight"].as_str().unwrap().to_owned();
-    assert_eq!(ground.json(&format!("/api/flights/{flight}")).await["completeness"], "complete");
+    assert_eq!(ground.json(&format!("/api/v1/flights/{flight}")).await["completeness"], "complete");
     let go = ground.get(&format!("{at}/flights/3/open")).await;
     assert_eq!((go.status, go.header("location")), (303, Some(format!("/flights/{flight}").as_str())));
     let foreign = [("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "no-cors")];
     assert_eq!(ground.request_as("GET", &format!("{at}/flights/3/open"), "", &foreign).await.status, 403);
-    assert_eq!(ground.json("/api/flights").await["flights"].as_array().unwrap().len(), 1);
+    assert_eq!(ground.json("/api/v1/flights").await["flights"].as_array().unwrap().len(), 1);
     assert_eq!(ground.request("POST", &format!("{at}/flights/6"), "").await.status, 404);
 
     // THEN its files can be had

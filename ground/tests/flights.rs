@@ -32,7 +32,7 @@ async fn flown(ground: &Ground) -> (Agent, u64) {
 async fn land(ground: &Ground, agent: &mut Agent, first: u64) {
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "complete").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "complete").await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -40,27 +40,27 @@ async fn flights_are_named_annotated_and_deleted() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let (mut agent, first) = flown(&ground).await;
-    ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() > Some(0)).await;
-    let busy = ground.request("DELETE", "/api/flights/f1", "").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() > Some(0)).await;
+    let busy = ground.request("DELETE", "/api/v1/flights/f1", "").await;
     assert_eq!((busy.status, busy.error().as_str()), (409, "flight \"f1\" is being recorded"));
-    let named = ground.request("PATCH", "/api/flights/f1", r#"{"name":"in flight"}"#).await;
+    let named = ground.request("PATCH", "/api/v1/flights/f1", r#"{"name":"in flight"}"#).await;
     assert_eq!(named.json()["name"], "in flight", "a flight can be named while it goes on");
     land(&ground, &mut agent, first).await;
-    assert_eq!(ground.json("/api/flights/f1").await["name"], "in flight", "and keeps the name when it ends");
-    let noted = ground.request("PATCH", "/api/flights/f1", r#"{"notes":"calm"}"#).await.json();
+    assert_eq!(ground.json("/api/v1/flights/f1").await["name"], "in flight", "and keeps the name when it ends");
+    let noted = ground.request("PATCH", "/api/v1/flights/f1", r#"{"notes":"calm"}"#).await.json();
     assert_eq!((noted["name"].as_str(), noted["notes"].as_str()), (Some("in flight"), Some("calm")));
 
     let long = format!(r#"{{"name":"{}"}}"#, "x".repeat(201));
-    let refused = ground.request("PATCH", "/api/flights/f1", &long).await;
+    let refused = ground.request("PATCH", "/api/v1/flights/f1", &long).await;
     assert_eq!((refused.status, refused.error().as_str()), (422, "name has 201 characters, limit 200"));
-    assert_eq!(ground.request("PATCH", "/api/flights/f1", r#"{"seed":1}"#).await.status, 422);
-    for path in ["/api/flights/none", "/api/flights/none/mcap", "/api/flights/..%2Findex.sqlite/mcap"] {
+    assert_eq!(ground.request("PATCH", "/api/v1/flights/f1", r#"{"seed":1}"#).await.status, 422);
+    for path in ["/api/v1/flights/none", "/api/v1/flights/none/mcap", "/api/v1/flights/..%2Findex.sqlite/mcap"] {
         assert_eq!(ground.get(path).await.status, 404, "{path}");
     }
-    assert_eq!(ground.request("DELETE", "/api/flights/none", "").await.status, 404);
-    assert_eq!(ground.request("DELETE", "/api/flights/f1", "").await.status, 204);
-    assert_eq!(ground.get("/api/flights/f1").await.status, 404);
-    assert_eq!(ground.get("/api/flights/f1/mcap").await.status, 404);
+    assert_eq!(ground.request("DELETE", "/api/v1/flights/none", "").await.status, 404);
+    assert_eq!(ground.request("DELETE", "/api/v1/flights/f1", "").await.status, 204);
+    assert_eq!(ground.get("/api/v1/flights/f1").await.status, 404);
+    assert_eq!(ground.get("/api/v1/flights/f1/mcap").await.status, 404);
     let left: Vec<_> = std::fs::read_dir(folder.path().join("flights")).unwrap().flatten().collect();
     assert!(left.is_empty(), "{left:?}");
     ground.stop().await;
@@ -73,7 +73,7 @@ async fn csv_is_wide_or_by_topic() {
     let (mut agent, first) = flown(&ground).await;
     land(&ground, &mut agent, first).await;
 
-    let wide = ground.get("/api/flights/f1/csv").await;
+    let wide = ground.get("/api/v1/flights/f1/csv").await;
     assert_eq!((wide.status, wide.header("content-type")), (200, Some("text/csv; charset=utf-8")));
     assert_eq!(wide.header("content-disposition"), Some("attachment; filename=\"f1.csv\""));
     let mut rows = csv::Reader::from_reader(wide.body.as_slice());
@@ -90,13 +90,13 @@ async fn csv_is_wide_or_by_topic() {
     assert_eq!(&second[column("height_2.sensed_m")], "0.81");
     assert_eq!(&second[column("height_2.received_m")], "", "not attacked: nothing else was received");
 
-    let residuals = ground.get("/api/flights/f1/csv?topic=/residuals/1").await;
+    let residuals = ground.get("/api/v1/flights/f1/csv?topic=/residuals/1").await;
     let text = residuals.text();
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(lines.len(), 3, "{text}");
     assert!(lines[0].starts_with("time_s,sequence,time_us,estimator,residuals.sensor,residuals.instance"), "{text}");
     assert!(lines[2].contains(",height,2,"), "{text}");
-    let unknown = ground.get("/api/flights/f1/csv?topic=/nothing").await;
+    let unknown = ground.get("/api/v1/flights/f1/csv?topic=/nothing").await;
     assert_eq!((unknown.status, unknown.error().as_str()), (404, "the flight has no topic \"/nothing\""));
     ground.stop().await;
 }
@@ -107,13 +107,13 @@ async fn frames_can_be_asked_for_by_kind() {
     let ground = Ground::start(folder.path()).await;
     let (mut agent, first) = flown(&ground).await;
     land(&ground, &mut agent, first).await;
-    let some = frames(&ground.get("/api/flights/f1/frames?kinds=height,residuals").await.body);
+    let some = frames(&ground.get("/api/v1/flights/f1/frames?kinds=height,residuals").await.body);
     assert_eq!(some.len(), 41);
     assert!(some.iter().all(|f| matches!(f.kind, Some(Kind::Height | Kind::Residuals))));
     assert_eq!((some[0].instance, some[0].time_us), (2, 5000));
-    let none = frames(&ground.get("/api/flights/f1/frames?kinds=gnss").await.body);
+    let none = frames(&ground.get("/api/v1/flights/f1/frames?kinds=gnss").await.body);
     assert!(none.is_empty());
-    let wrong = ground.get("/api/flights/f1/frames?kinds=height,psychic").await;
+    let wrong = ground.get("/api/v1/flights/f1/frames?kinds=height,psychic").await;
     assert_eq!((wrong.status, wrong.error().as_str()), (422, "kind \"psychic\" is not known"));
     ground.stop().await;
 }
@@ -123,10 +123,10 @@ async fn a_flight_in_progress_can_be_downloaded() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let (mut agent, first) = flown(&ground).await;
-    ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() >= Some(agent.sequence - first)).await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() >= Some(agent.sequence - first)).await;
     tokio::time::sleep(std::time::Duration::from_millis(300)).await;
-    let soon = ground.get("/api/flights/f1/mcap").await;
-    let flight = ground.json("/api/flights/f1").await;
+    let soon = ground.get("/api/v1/flights/f1/mcap").await;
+    let flight = ground.json("/api/v1/flights/f1").await;
     assert_eq!(flight["completeness"], "recording");
     assert_eq!(mcap_counts(&soon.body), api_counts(&flight));
     land(&ground, &mut agent, first).await;

@@ -24,7 +24,7 @@ const PASSWORD: &str = "correct horse battery";
 /// Signs in; the cookie.
 async fn sign_in(ground: &Ground, name: &str) -> String {
     let body = format!(r#"{{"name":"{name}","password":"{PASSWORD}"}}"#);
-    let answer = ground.request("POST", "/api/session", &body).await;
+    let answer = ground.request("POST", "/api/v1/session", &body).await;
     assert_eq!(answer.status, 200, "{}", answer.text());
     answer.header("set-cookie").unwrap().split(';').next().unwrap().to_owned()
 }
@@ -33,7 +33,7 @@ async fn sign_in(ground: &Ground, name: &str) -> String {
 async fn cut(ground: &Ground, cookie: &str) -> Response {
     let origin = format!("http://{}", ground.address);
     let headers = [("cookie", cookie), ("origin", origin.as_str()), ("x-plumbline-operator", "page")];
-    ground.request_as("POST", "/api/vehicles/iris-1/cut", "{}", &headers).await
+    ground.request_as("POST", "/api/v1/vehicles/iris-1/cut", "{}", &headers).await
 }
 
 /// A pipe instead of a file: whoever opens it for writing waits until it is read, as for a disk that does not answer.
@@ -80,7 +80,7 @@ async fn a_sign_in_that_waits_for_the_disk_holds_up_nobody_else() {
 
 /// Cuts on the loopback, where nobody signs in.
 async fn cut_here(ground: &Ground, agent: &mut Agent) {
-    let cut = async { tokio::join!(ground.request("POST", "/api/vehicles/iris-1/cut", "{}"), agent.accept()) };
+    let cut = async { tokio::join!(ground.request("POST", "/api/v1/vehicles/iris-1/cut", "{}"), agent.accept()) };
     let (answer, command) = tokio::time::timeout(PATIENCE, cut).await.expect("a cut");
     assert_eq!(answer.status, 200, "{}", answer.text());
     assert!(matches!(command.body, Some(command::Body::CutMotors(_))), "{command:?}");
@@ -91,12 +91,12 @@ async fn half_sent_requests_take_no_place_of_the_cut() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     // GIVEN more half-sent requests than there are places
     let mut half = Vec::new();
     for _ in 0..front::MAX_CONNECTIONS + 100 {
         let mut stream = TcpStream::connect(ground.address).await.unwrap();
-        stream.write_all(b"POST /api/vehicles/iris-1/cut HTTP/1.1\r\n").await.unwrap();
+        stream.write_all(b"POST /api/v1/vehicles/iris-1/cut HTTP/1.1\r\n").await.unwrap();
         half.push(stream);
     }
     // WHEN somebody cuts THEN it is done
@@ -120,7 +120,7 @@ async fn silent_connections_keep_nobody_from_a_handshake() {
     // A handshake may take ten seconds: beside each other, not one after the other.
     let asked = async {
         let mut stream = common::tls(&ground, &certificate).await;
-        let request = format!("GET /api/session HTTP/1.1\r\nhost: {}\r\nconnection: close\r\n\r\n", ground.address);
+        let request = format!("GET /api/v1/session HTTP/1.1\r\nhost: {}\r\nconnection: close\r\n\r\n", ground.address);
         Response::parse(&common::exchange(&mut stream, &request).await)
     };
     assert_eq!(tokio::time::timeout(PATIENCE, asked).await.expect("an answer").status, 200);
@@ -133,8 +133,8 @@ async fn whoever_holds_control_may_reload_behind_any_number_of_viewers() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
-    let url = |who: &str| format!("ws://{}/api/vehicles/iris-1/live?operator={who}", ground.address);
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
+    let url = |who: &str| format!("ws://{}/api/v1/vehicles/iris-1/live?operator={who}", ground.address);
     let mut crowd = Vec::new();
     let refused = loop {
         match Viewer::connect(&url(&format!("viewer-{}", crowd.len())), None).await {
@@ -144,7 +144,7 @@ async fn whoever_holds_control_may_reload_behind_any_number_of_viewers() {
     };
     assert!(refused.contains("503"), "{refused}");
     let headers = [("x-plumbline-operator", "page")];
-    let arm = ground.request_as("POST", "/api/vehicles/iris-1/disarm", "{}", &headers);
+    let arm = ground.request_as("POST", "/api/v1/vehicles/iris-1/disarm", "{}", &headers);
     assert_eq!(tokio::join!(arm, agent.accept()).0.status, 200);
     let reloaded = Viewer::connect(&url("page"), None).await;
     assert!(reloaded.is_ok(), "{:?}", reloaded.err());
@@ -159,9 +159,9 @@ async fn a_cut_goes_past_the_commands_that_wait() {
     config.command_timeout = PATIENCE;
     let ground = Ground::start_with(config).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     // GIVEN an operator with as many commands waiting as there may be, more than the link's queue takes
-    let flood = (0..300).map(|_| ground.request("POST", "/api/vehicles/iris-1/disarm", "{}"));
+    let flood = (0..300).map(|_| ground.request("POST", "/api/v1/vehicles/iris-1/disarm", "{}"));
     let mut flood = Box::pin(futures_util::future::select_all(flood.map(Box::pin)));
     let (refused, _, rest) = flood.as_mut().await;
     assert_eq!(refused.status, 503, "the first answer says that there are too many");
@@ -174,7 +174,7 @@ async fn a_cut_goes_past_the_commands_that_wait() {
             }
         }
     };
-    let cut = async { tokio::join!(ground.request("POST", "/api/vehicles/iris-1/cut", "{}"), heard) };
+    let cut = async { tokio::join!(ground.request("POST", "/api/v1/vehicles/iris-1/cut", "{}"), heard) };
     tokio::select! {
         (answer, ()) = cut => assert_eq!(answer.status, 200, "{}", answer.text()),
         _ = futures_util::future::join_all(rest) => panic!("the flood was answered before the cut"),
@@ -192,11 +192,11 @@ async fn a_flight_in_progress_is_served_as_it_is_and_a_download_of_it_goes_on() 
     let fly = async |ground: &Ground, agent: &mut Agent| {
         agent.fly(40).await;
         let sent = agent.sequence + 1 - first;
-        ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() >= Some(sent)).await;
+        ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() >= Some(sent)).await;
     };
     fly(&ground, &mut agent).await;
     // GIVEN a download that broke off in the middle
-    let path = "/api/flights/f1/mcap";
+    let path = "/api/v1/flights/f1/mcap";
     let whole = ground.get(path).await;
     let tag = whole.header("etag").expect("a tag").to_owned();
     assert_eq!((whole.status, whole.header("accept-ranges")), (200, Some("bytes")));
@@ -221,7 +221,7 @@ async fn a_flight_in_progress_is_served_as_it_is_and_a_download_of_it_goes_on() 
     // AND when it is finished, another file is sent, as a whole
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "complete").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "complete").await;
     let finished = ranged("bytes=10-99", &tag).await;
     assert_eq!((finished.status, finished.header("content-range")), (200, None));
     ground.stop().await;
@@ -235,7 +235,9 @@ async fn a_flight_in_several_parts_is_one_file_with_each_message_once() {
     let first = agent.begin("f1").await;
     let fly = async |ground: &Ground, agent: &mut Agent| {
         agent.fly(40).await;
-        ground.wait_json("/api/flights/f1", |f| f["last_sequence"].is_null() && f["messages"].as_u64() > Some(0)).await;
+        ground
+            .wait_json("/api/v1/flights/f1", |f| f["last_sequence"].is_null() && f["messages"].as_u64() > Some(0))
+            .await;
     };
     fly(&ground, &mut agent).await;
     ground.stop().await;
@@ -245,13 +247,13 @@ async fn a_flight_in_several_parts_is_one_file_with_each_message_once() {
     agent.status("f1", 0).await;
     fly(&ground, &mut agent).await;
     let all = agent.sequence + 1 - first;
-    ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() >= Some(all)).await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() >= Some(all)).await;
     // THEN it is read as one file, each message once, in the order of time
-    let got = frames(&ground.get("/api/flights/f1/frames").await.body);
+    let got = frames(&ground.get("/api/v1/flights/f1/frames").await.body);
     let sequences: Vec<u64> = got.iter().map(|frame| frame.sequence).collect();
     assert_eq!(sequences.len() as u64, all);
     assert!(sequences.is_sorted());
-    let file = ground.get("/api/flights/f1/mcap").await;
+    let file = ground.get("/api/v1/flights/f1/mcap").await;
     assert!(mcap_counts(&file.body).values().sum::<u64>() >= all);
     ground.stop().await;
 }

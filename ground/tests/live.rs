@@ -63,14 +63,14 @@ async fn the_past_is_asked_for_apart_and_the_newest_state_does_not_wait_for_it()
     let link = fresh.next_of(Kind::Link).await.message::<v1::LinkStatus>();
     assert_eq!(link.newest_time_us, agent.time_us);
     assert_eq!(fresh.next_of(Kind::Height).await.sequence, agent.sequence);
-    let past = ground.get("/api/vehicles/iris-1/history?seconds=60").await;
+    let past = ground.get("/api/v1/vehicles/iris-1/history?seconds=60").await;
     assert_eq!(past.status, 200);
     let frames = plumbline_proto::codec::decode_batch(&past.body).unwrap().map(Result::unwrap);
     let heights: Vec<u64> = frames.filter(|f| f.known_kind() == Some(Kind::Height)).map(|f| f.sequence).collect();
     assert!((900..=962).contains(&heights.len()), "{} heights", heights.len());
     assert!(heights.is_sorted() && heights.contains(&agent.sequence));
     for (path, status) in [("iris-1/history?seconds=0", 422), ("iris-1/history", 422), ("no/history?seconds=9", 404)] {
-        assert_eq!(ground.get(&format!("/api/vehicles/{path}")).await.status, status, "{path}");
+        assert_eq!(ground.get(&format!("/api/v1/vehicles/{path}")).await.status, status, "{path}");
     }
     ground.stop().await;
 }
@@ -81,7 +81,7 @@ async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/vehicles", |v| v[0]["rig"] == "strings").await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
     let mut stalled = ground.view("iris-1", 0).await;
     let first = agent.sequence + 1;
     let messages = 4000_u64;
@@ -141,7 +141,7 @@ async fn unknown_kinds_are_passed_on() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
-    ground.wait_json("/api/vehicles", |v| v[0]["connected"] == true).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     let mut viewer = ground.view("iris-1", 0).await;
     let mut newer = Vec::new();
     plumbline_proto::codec::begin_batch(&mut newer);

@@ -113,7 +113,7 @@ async fn live_messages_are_flushed_in_time_while_a_long_flight_is_merged() {
         let asked = Instant::now();
         sent = sent.split_off(&(newest(&flights) + 1));
         ages.push(sent.first_key_value().map_or(Duration::ZERO, |(_, at)| asked - *at));
-        if ground.json("/api/flights").await["ready"] == true {
+        if ground.json("/api/v1/flights").await["ready"] == true {
             break;
         }
         assert!(begun.elapsed() < 3 * PATIENCE, "still merging");
@@ -137,8 +137,8 @@ async fn live_messages_are_flushed_in_time_while_a_long_flight_is_merged() {
     // AND both flights are whole
     let last = agent.end("live", first);
     agent.send([last], false).await;
-    ground.wait_json("/api/flights/live", |flight| flight["completeness"] == "complete").await;
-    let long = ground.json("/api/flights/long").await;
+    ground.wait_json("/api/v1/flights/live", |flight| flight["completeness"] == "complete").await;
+    let long = ground.json("/api/v1/flights/long").await;
     assert_eq!(long["messages"], 2 * PART_MESSAGES);
     let file = std::fs::read(flights.join("long.mcap")).unwrap();
     assert_eq!(mcap_counts(&file)["/unknown/900/0"], u64::from(2 * PART_MESSAGES));

@@ -28,19 +28,19 @@ async fn fly(agent: &mut Agent, ticks: u32, arrives: impl Fn(u64) -> bool) {
 
 /// The file, the API and the agent's log agree on every message.
 async fn check_whole(ground: &Ground, agent: &Agent, id: &str, first: u64, last: u64) {
-    let flight = ground.json(&format!("/api/flights/{id}")).await;
+    let flight = ground.json(&format!("/api/v1/flights/{id}")).await;
     let expected = agent.counts(first, last);
     assert_eq!(api_counts(&flight), expected);
     assert_eq!(flight["messages"], last - first + 1);
     assert_eq!((flight["missing"].as_u64(), flight["first_sequence"].as_u64()), (Some(0), Some(first)));
     assert_eq!(flight["last_sequence"], last);
-    let file = ground.get(&format!("/api/flights/{id}/mcap")).await.body;
+    let file = ground.get(&format!("/api/v1/flights/{id}/mcap")).await.body;
     assert_eq!(flight["size_bytes"], file.len());
     assert_eq!(mcap_counts(&file), expected);
     let stats = mcap::Summary::read(&file).unwrap().unwrap().stats.unwrap();
     assert_eq!(stats.message_count, last - first + 1);
     // Byte for byte what the agent encoded, in the order of time.
-    let mut replayed = frames(&ground.get(&format!("/api/flights/{id}/frames")).await.body);
+    let mut replayed = frames(&ground.get(&format!("/api/v1/flights/{id}/frames")).await.body);
     assert!(replayed.is_sorted_by_key(|f| f.time_us));
     replayed.sort_by_key(|f| f.sequence);
     let log: Vec<_> = agent.log[first as usize - 1..last as usize]
@@ -67,14 +67,14 @@ async fn a_flight_over_a_bad_link_becomes_complete() {
     let last = agent.end("f1", first);
     agent.send([last], false).await;
     fly(&mut agent, 20, |_| true).await;
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
-    let flight = ground.json("/api/flights/f1").await;
+    let flight = ground.json("/api/v1/flights/f1").await;
     assert!(flight["filled"].as_u64().unwrap() > 300, "{flight:#}");
     assert_eq!(flight["live"].as_u64().unwrap() + flight["filled"].as_u64().unwrap(), last - first + 1);
     // The estimate is 0.1 m above the setpoint throughout.
     assert!((flight["tracking_rms_m"].as_f64().unwrap() - 0.1).abs() < 1e-9);
-    let again = ground.json("/api/flights").await;
+    let again = ground.json("/api/v1/flights").await;
     assert_eq!(again["flights"][0]["id"], "f1");
     assert_eq!(again["storage"]["flights"], 1);
     ground.stop().await;
@@ -89,7 +89,7 @@ async fn nobody_ends_or_shortens_another_s_recording() {
     let mut other = ground.agent("iris-2", 1).await;
     let first = agent.begin("f1").await;
     fly(&mut agent, 100, |s| !(40..60).contains(&s)).await;
-    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "recording").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "recording").await;
     // WHEN the other one says that this flight is over, began late, is not to be had, and is its own
     (0..200).for_each(|_| drop(other.tick()));
     let last = other.end("f1", first);
@@ -113,16 +113,16 @@ async fn nobody_ends_or_shortens_another_s_recording() {
     let last = agent.end("f1", first);
     agent.send([last], false).await;
     // THEN the flight becomes complete, with every message
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
-    assert_eq!(ground.json("/api/flights").await["flights"].as_array().unwrap().len(), 1);
+    assert_eq!(ground.json("/api/v1/flights").await["flights"].as_array().unwrap().len(), 1);
     ground.stop().await;
     // AND so it is read again without the index
     for file in ["index.sqlite", "index.sqlite-wal", "index.sqlite-shm"] {
         let _ = std::fs::remove_file(folder.path().join(file));
     }
     let ground = Ground::start(folder.path()).await;
-    ground.wait_json("/api/flights/f1", complete).await;
+    ground.wait_json("/api/v1/flights/f1", complete).await;
     check_whole(&ground, &agent, "f1", first, last).await;
     // AND its name is not to be had for a flight of another vehicle
     let mut other = ground.agent("iris-2", 1).await;
@@ -130,7 +130,7 @@ async fn nobody_ends_or_shortens_another_s_recording() {
     let last_of_other = other.end("f1", begun);
     other.send([last_of_other], false).await;
     other.begin("f2").await;
-    ground.wait_json("/api/flights/f2", |f| f["completeness"] == "recording").await;
+    ground.wait_json("/api/v1/flights/f2", |f| f["completeness"] == "recording").await;
     check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
@@ -148,7 +148,7 @@ async fn messages_around_a_late_opening_mark_are_in_the_flight() {
     let last = agent.end("late", 1);
     agent.send([last], false).await;
     // The agent answers nothing: all of it came live.
-    ground.wait_json("/api/flights/late", complete).await;
+    ground.wait_json("/api/v1/flights/late", complete).await;
     check_whole(&ground, &agent, "late", 1, last).await;
     ground.stop().await;
 }
@@ -164,9 +164,9 @@ async fn what_the_agent_has_lost_leaves_a_truncated_flight_that_says_so() {
     let last = agent.end("f1", first);
     agent.send([last], false).await;
     let truncated = |f: &Value| f["completeness"] == "truncated";
-    let flight = agent.answering(ground.wait_json("/api/flights/f1", truncated)).await;
+    let flight = agent.answering(ground.wait_json("/api/v1/flights/f1", truncated)).await;
     assert_eq!((flight["missing"].as_u64(), flight["messages"].as_u64()), (Some(10), Some(last - first + 1 - 10)));
-    let file = ground.get("/api/flights/f1/mcap").await.body;
+    let file = ground.get("/api/v1/flights/f1/mcap").await.body;
     assert_eq!(mcap_counts(&file), api_counts(&flight));
     ground.stop().await;
 }
@@ -185,11 +185,11 @@ async fn a_flight_that_ended_out_of_reach_is_completed_when_the_agent_is_back() 
     let last = agent.end("f1", first);
     // Out of reach the recording stays open: for all the ground knows, the flight goes on.
     tokio::time::sleep(Duration::from_millis(300)).await;
-    ground.wait_json("/api/flights/f1", |f| f["completeness"] == "recording").await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "recording").await;
     agent.reconnect(ground.link.clone()).await;
     agent.status("", 0).await;
     let talk = async {
-        ground.wait_json("/api/flights/f1", |f| f["completeness"] == "filling" || complete(f)).await;
+        ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "filling" || complete(f)).await;
     };
     // The status contradicts the open flight; the ground looks for its end by itself.
     let mut beats = tokio::time::interval(Duration::from_millis(200));
@@ -209,7 +209,7 @@ async fn a_flight_that_ended_out_of_reach_is_completed_when_the_agent_is_back() 
         }
     }
     drop(talk);
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
@@ -222,19 +222,22 @@ async fn a_ground_restarted_in_flight_completes_the_recording() {
     agent.describe().await;
     let first = agent.begin("f1").await;
     fly(&mut agent, 100, |_| true).await;
-    ground.wait_json("/api/flights/f1", |f| f["messages"].as_u64() > Some(100)).await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() > Some(100)).await;
     ground.stop().await;
     for _ in 0..100 {
         agent.tick();
     }
     let ground = Ground::start(folder.path()).await;
-    assert_eq!(ground.wait_json("/api/flights", |f| f["ready"] == true).await["flights"][0]["completeness"], "filling");
+    assert_eq!(
+        ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await["flights"][0]["completeness"],
+        "filling"
+    );
     agent.reconnect(ground.link.clone()).await;
     agent.status("f1", 0).await;
     fly(&mut agent, 100, |_| true).await;
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
@@ -256,17 +259,17 @@ async fn a_ground_killed_in_flight_loses_no_more_than_its_last_flush() {
     ground.stop().await;
 
     let ground = Ground::start(&killed).await;
-    let listed = ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    let listed = ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     let flight = &listed["flights"][0];
     assert_eq!((flight["id"].as_str(), flight["completeness"].as_str()), (Some("f1"), Some("filling")));
     assert!(flight["messages"].as_u64().unwrap() > safe - first, "{flight:#}");
     assert_eq!((flight["missing"].as_u64(), flight["vehicle_id"].as_str()), (Some(0), Some("iris-1")));
-    let file = ground.get("/api/flights/f1/mcap").await.body;
+    let file = ground.get("/api/v1/flights/f1/mcap").await.body;
     assert_eq!(mcap_counts(&file), api_counts(flight));
     agent.reconnect(ground.link.clone()).await;
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
@@ -290,8 +293,8 @@ async fn an_agent_restarted_in_flight_ends_one_flight_and_begins_another() {
     let nothing = |agent: &mut Agent| agent.log.clone();
     let kept = nothing(&mut new);
     let wait = async {
-        ground.wait_json("/api/flights/new", complete).await;
-        ground.wait_json("/api/flights/old", |f| f["completeness"] == "truncated").await
+        ground.wait_json("/api/v1/flights/new", complete).await;
+        ground.wait_json("/api/v1/flights/old", |f| f["completeness"] == "truncated").await
     };
     let mut wait = Box::pin(wait);
     let flight = loop {
@@ -331,8 +334,8 @@ async fn two_agents_record_side_by_side() {
     one.send([a_last], false).await;
     let b_last = two.end("b", b);
     two.send([b_last], false).await;
-    ground.wait_json("/api/flights/a", complete).await;
-    two.answering(ground.wait_json("/api/flights/b", complete)).await;
+    ground.wait_json("/api/v1/flights/a", complete).await;
+    two.answering(ground.wait_json("/api/v1/flights/b", complete)).await;
     check_whole(&ground, &one, "a", a, a_last).await;
     check_whole(&ground, &two, "b", b, b_last).await;
     ground.stop().await;
@@ -344,11 +347,11 @@ async fn an_unwritable_folder_is_loud_the_flight_goes_on_and_nothing_is_lost() {
     let ground = Ground::start(folder.path()).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     let flights = folder.path().join("flights");
     std::fs::remove_dir_all(&flights).unwrap();
     std::fs::write(&flights, b"in the way").unwrap();
-    let said = ground.wait_json("/api/ground", |g| g["recording_error"].is_string()).await;
+    let said = ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_string()).await;
     assert!(said["recording_error"].as_str().unwrap().contains("flights"), "{said}");
 
     let mut viewer = ground.view("iris-1", 0).await;
@@ -367,9 +370,9 @@ async fn an_unwritable_folder_is_loud_the_flight_goes_on_and_nothing_is_lost() {
     fly(&mut agent, 50, |_| true).await;
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
-    assert!(ground.json("/api/ground").await["recording_error"].is_null());
+    assert!(ground.json("/api/v1/ground").await["recording_error"].is_null());
     ground.stop().await;
 }
 
@@ -380,9 +383,9 @@ async fn a_data_folder_that_is_moved_away_is_missed_and_not_begun_anew() {
     let ground = Ground::start(&here).await;
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
-    ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     std::fs::rename(&here, &away).unwrap();
-    let said = ground.wait_json("/api/ground", |g| g["recording_error"].is_string()).await;
+    let said = ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_string()).await;
     assert!(said["recording_error"].as_str().unwrap().contains("data"), "{said}");
     let first = agent.begin("f1").await;
     fly(&mut agent, 50, |_| true).await;
@@ -391,7 +394,7 @@ async fn a_data_folder_that_is_moved_away_is_missed_and_not_begun_anew() {
     fly(&mut agent, 50, |_| true).await;
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/flights/f1", complete)).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
     check_whole(&ground, &agent, "f1", first, last).await;
     ground.stop().await;
 }
@@ -405,7 +408,7 @@ async fn a_disk_below_its_reserve_is_said_with_both_numbers() {
     let mut agent = ground.agent("iris-1", 1).await;
     agent.begin("f1").await;
     fly(&mut agent, 5, |_| true).await;
-    let said = ground.wait_json("/api/ground", |g| g["recording_error"].is_string()).await;
+    let said = ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_string()).await;
     let text = said["recording_error"].as_str().unwrap();
     assert!(text.contains(&u64::MAX.to_string()) && text.contains("bytes are free"), "{text}");
     ground.stop().await;

@@ -28,8 +28,8 @@ async fn record(folder: &Path) -> Vec<u8> {
     }
     let last = agent.end("f1", first);
     agent.send([last], false).await;
-    ground.wait_json("/api/flights/f1", complete).await;
-    let file = ground.get("/api/flights/f1/mcap").await.body;
+    ground.wait_json("/api/v1/flights/f1", complete).await;
+    let file = ground.get("/api/v1/flights/f1/mcap").await.body;
     ground.stop().await;
     file
 }
@@ -39,7 +39,7 @@ async fn start_on(name: &str, content: &[u8]) -> (tempfile::TempDir, Ground, Val
     std::fs::create_dir(folder.path().join("flights")).unwrap();
     std::fs::write(folder.path().join("flights").join(name), content).unwrap();
     let ground = Ground::start(folder.path()).await;
-    let listed = ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    let listed = ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     (folder, ground, listed)
 }
 
@@ -69,7 +69,7 @@ async fn a_file_cut_anywhere_is_repaired_to_its_last_whole_chunk() {
             let held = match flights.as_slice() {
                 [] => 0,
                 [flight] => {
-                    let file = ground.get("/api/flights/f1/mcap").await.body;
+                    let file = ground.get("/api/v1/flights/f1/mcap").await.body;
                     assert_eq!(mcap_counts(&file), api_counts(flight), "cut at {cut}");
                     assert!(mcap::Summary::read(&file).unwrap().unwrap().stats.is_some());
                     assert_eq!(flight["missing"], 0, "only the end is missing");
@@ -100,12 +100,12 @@ async fn a_corrupted_chunk_is_left_out_named_and_the_rest_served() {
     bad[inside..inside + 8].iter_mut().for_each(|b| *b ^= 0xff);
     let (data, ground, listed) = start_on("f1.mcap", &bad).await;
     let flight = &listed["flights"][0];
-    let file = ground.get("/api/flights/f1/mcap").await.body;
+    let file = ground.get("/api/v1/flights/f1/mcap").await.body;
     assert_eq!(mcap_counts(&file), api_counts(flight));
     let (messages, missing) = (flight["messages"].as_u64().unwrap(), flight["missing"].as_u64().unwrap());
     assert!(messages < 122 && messages + missing == 122, "{flight:#}");
     assert_eq!(flight["completeness"], "filling", "the agent may still have it");
-    assert_eq!(ground.json("/api/ground").await["set_aside"], serde_json::json!(["f1.mcap.corrupt"]));
+    assert_eq!(ground.json("/api/v1/ground").await["set_aside"], serde_json::json!(["f1.mcap.corrupt"]));
     assert_eq!(std::fs::read(data.path().join("flights/f1.mcap.corrupt")).unwrap(), bad, "evidence is kept");
     ground.stop().await;
 }
@@ -119,9 +119,9 @@ async fn rubbish_is_set_aside_and_the_others_are_served() {
     std::fs::write(flights.join("zeros.001.part"), [0; 5000]).unwrap();
     std::fs::write(flights.join("old.merge.tmp"), b"half").unwrap();
     let ground = Ground::start(folder.path()).await;
-    let listed = ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    let listed = ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     assert_eq!(listed["flights"].as_array().unwrap().len(), 1);
-    let aside = ground.json("/api/ground").await["set_aside"].clone();
+    let aside = ground.json("/api/v1/ground").await["set_aside"].clone();
     assert_eq!(aside, serde_json::json!(["rubbish.mcap.corrupt", "zeros.001.part.corrupt"]));
     assert!(!flights.join("old.merge.tmp").exists());
     ground.stop().await;
@@ -132,11 +132,11 @@ async fn the_index_is_rebuilt_from_the_files_with_names_and_notes() {
     let folder = tempfile::tempdir().unwrap();
     record(folder.path()).await;
     let ground = Ground::start(folder.path()).await;
-    ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     let body = r#"{"name":"step test","notes":"string slack at 0.9 m\nsecond line"}"#;
-    let answer = ground.request("PATCH", "/api/flights/f1", body).await;
+    let answer = ground.request("PATCH", "/api/v1/flights/f1", body).await;
     assert_eq!(answer.status, 200, "{}", answer.text());
-    let before = ground.json("/api/flights/f1").await;
+    let before = ground.json("/api/v1/flights/f1").await;
     assert_eq!(before["name"], "step test");
     ground.stop().await;
     for damage in ["removed", "damaged", "of another version"] {
@@ -152,8 +152,8 @@ async fn the_index_is_rebuilt_from_the_files_with_names_and_notes() {
             }
         }
         let ground = Ground::start(folder.path()).await;
-        ground.wait_json("/api/flights", |f| f["ready"] == true).await;
-        assert_eq!(ground.json("/api/flights/f1").await, before, "{damage}");
+        ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
+        assert_eq!(ground.json("/api/v1/flights/f1").await, before, "{damage}");
         ground.stop().await;
     }
 }
@@ -165,10 +165,10 @@ async fn files_removed_or_added_by_hand_are_noticed() {
     std::fs::remove_file(folder.path().join("flights/f1.mcap")).unwrap();
     std::fs::write(folder.path().join("flights/copied.mcap"), &file).unwrap();
     let ground = Ground::start(folder.path()).await;
-    let listed = ground.wait_json("/api/flights", |f| f["ready"] == true).await;
+    let listed = ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
     let ids: Vec<_> = listed["flights"].as_array().unwrap().iter().map(|f| f["id"].as_str().unwrap()).collect();
     assert_eq!(ids, ["copied"]);
-    assert_eq!(ground.get("/api/flights/f1").await.status, 404);
+    assert_eq!(ground.get("/api/v1/flights/f1").await.status, 404);
     ground.stop().await;
 }
 
@@ -176,7 +176,7 @@ async fn files_removed_or_added_by_hand_are_noticed() {
 async fn one_data_folder_serves_one_ground() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
-    ground.json("/api/ground").await;
+    ground.json("/api/v1/ground").await;
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (_link, events) = tokio::sync::mpsc::channel(1);
     let config = plumbline_ground::GroundConfig::new(folder.path());

@@ -71,9 +71,9 @@ await page.send('Page.addScriptToEvaluateOnNewDocument', {
 });
 await page.send('Page.navigate', { url });
 
-const vehicle = async () => (await (await fetch(`${url}/api/vehicles`)).json())[0];
+const vehicle = async () => (await (await fetch(`${url}/api/v1/vehicles`)).json())[0];
 const order = (method, action, body = {}) =>
-  page.evaluate(`fetch('/api/vehicles/iris-1/${action}', { method: '${method}', body: '${JSON.stringify(body)}',
+  page.evaluate(`fetch('/api/v1/vehicles/iris-1/${action}', { method: '${method}', body: '${JSON.stringify(body)}',
     headers: { 'content-type': 'application/json', 'x-plumbline-operator': sessionStorage.getItem('plumbline.operator') } })
     .then((answer) => answer.status)`);
 /** Timer beats and signs of life a second, over so many seconds. */

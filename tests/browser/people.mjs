@@ -100,7 +100,7 @@ await step(page, 'ending a session ends it within a second', async () => {
     // Two of ann's are there, one of them this page's.
     const other = people.getByRole('button', { name: /End the session of ann/ }).first();
     await other.click({ timeout: 1000 }).catch(() => {});
-    return page.evaluate(async () => (await (await fetch('/api/session')).json()).signed_in === false);
+    return page.evaluate(async () => (await (await fetch('/api/v1/session')).json()).signed_in === false);
   });
   // The page may be on its way to the form by itself.
   await page.goto(`${url}/setup`).catch(() => {});

@@ -225,7 +225,7 @@ await step(page, 'reports: an attack, more steps, landed', async () => {
   await disarm();
 });
 
-const listed = async () => (await (await page.request.get(`${url}/api/flights`)).json()).flights;
+const listed = async () => (await (await page.request.get(`${url}/api/v1/flights`)).json()).flights;
 let first;
 await step(page, 'reports: the flight shows its errors', async () => {
   [first] = await until('the flight to be complete', async () => {

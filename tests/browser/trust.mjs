@@ -31,7 +31,7 @@ const varints = (bytes, wanted) => {
   }
   return wanted.map((field) => found[field] ?? 0);
 };
-const watch = new Socket(`${url.replace('http', 'ws')}/api/vehicles/iris-1/live`);
+const watch = new Socket(`${url.replace('http', 'ws')}/api/v1/vehicles/iris-1/live`);
 watch.on('message', (data) => {
   for (let at = 2; at + 24 <= data.length;) {
     const end = at + 24 + data.readUInt32LE(at + 4);
@@ -375,8 +375,8 @@ await step(page, 'the banner says what is missing, and goes by itself', async ()
   const alone = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
   const viewer = await alone.newPage();
   let [ground, vehicles] = [true, () => []];
-  await viewer.route('**/api/ground', (route) => (ground ? route.continue() : route.abort()));
-  await viewer.route('**/api/vehicles', async (route) => {
+  await viewer.route('**/api/v1/ground', (route) => (ground ? route.continue() : route.abort()));
+  await viewer.route('**/api/v1/vehicles', async (route) => {
     // A request that the end of this step cuts off is no failure.
     const answer = await route.fetch().then((real) => real.json()).catch(() => undefined);
     if (answer) await route.fulfill({ json: vehicles(answer) }).catch(() => {});

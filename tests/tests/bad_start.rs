@@ -90,7 +90,7 @@ fn a_second_agent_of_the_same_name_is_refused_and_the_first_flies_on() {
     // GIVEN a flying vehicle
     let rig = Rig::start(&scenario("altitude_step"));
     rig.fly_to(0.5);
-    let vehicles = || rig.api().get_json("/api/vehicles").unwrap();
+    let vehicles = || rig.api().get_json("/api/v1/vehicles").unwrap();
     let boot = vehicles()[0]["boot_id"].clone();
     // WHEN another agent with its name, as well trusted, connects
     let folder = tempfile::tempdir().unwrap();
@@ -144,7 +144,7 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
     let address = said.trim().split("http://").nth(1).unwrap().trim_end_matches('/').parse().unwrap();
     let api = Api { address, operator: "test".into() };
     let begun = Instant::now();
-    (0..200).for_each(|_| assert_eq!(api.get("/api/ground").unwrap().status, 200));
+    (0..200).for_each(|_| assert_eq!(api.get("/api/v1/ground").unwrap().status, 200));
     assert!(begun.elapsed() < PATIENCE, "{:?}", begun.elapsed());
 
     let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
@@ -169,7 +169,7 @@ fn nobody_gets_in_unpaired() {
     keep_in(&mut stranger, folder.path());
     let mut stranger = Process::start("stranger", stranger, false).unwrap();
     let listed = wait_until(Duration::from_secs(2), || {
-        let vehicles = rig.api().get_json("/api/vehicles").unwrap();
+        let vehicles = rig.api().get_json("/api/v1/vehicles").unwrap();
         vehicles.as_array().unwrap().iter().any(|vehicle| vehicle["id"] == "stranger").then_some(())
     });
     // THEN it never shows

@@ -27,7 +27,7 @@ fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
         assert!(promised.get(topic).is_some_and(|count| *count > 0), "nothing of {topic}: {promised:?}");
     }
     // AND its file holds exactly the promised messages, for our reader and for a stranger's
-    let route = |part: &str| format!("/api/flights/{id}{part}");
+    let route = |part: &str| format!("/api/v1/flights/{id}{part}");
     let file = rig.api().get(&route("/mcap")).unwrap();
     assert_eq!(file.status, 200);
     assert!(file.header("content-disposition").is_some_and(|value| value.contains(".mcap")), "{:?}", file.headers);
@@ -80,7 +80,7 @@ fn a_flight_is_recorded_listed_downloaded_renamed_and_deleted() {
     let deleted = rig.api().send("DELETE", &route(""), &json!({})).unwrap();
     assert!((200..300).contains(&deleted.status), "{} {}", deleted.status, deleted.text());
     assert_eq!(rig.api().get(&route("/mcap")).unwrap().status, 404);
-    let list: Value = rig.api().get_json("/api/flights").unwrap();
+    let list: Value = rig.api().get_json("/api/v1/flights?limit=1000").unwrap();
     assert_eq!(list["flights"], json!([]));
     rig.stop();
 }
@@ -97,7 +97,7 @@ fn flights_outlive_the_ground() {
     // WHEN they are started again on the same folder
     let system = plumbline_tests::harness::System::start(&options(folder.path()), &scenario("altitude_step")).unwrap();
     // THEN the flight is still there, the same
-    let listed = system.api().get_json("/api/flights").unwrap();
+    let listed = system.api().get_json("/api/v1/flights?limit=1000").unwrap();
     assert_eq!(listed["flights"][0]["id"], flight["id"]);
     assert_eq!(promised_counts(&listed["flights"][0]), promised_counts(&flight));
     system.stop().unwrap();

@@ -66,7 +66,7 @@ fn a_flight_file_flown_again_gives_the_same_estimates() {
     rig.disarm();
     let flight = rig.finished_flight();
     let id = flight["id"].as_str().unwrap();
-    let bytes = rig.api().get(&format!("/api/flights/{id}/mcap")).unwrap().body;
+    let bytes = rig.api().get(&format!("/api/v1/flights/{id}/mcap")).unwrap().body;
     let folder = rig.stop();
     let file = folder.path().join("flight.mcap");
     std::fs::write(&file, &bytes).unwrap();

@@ -21,7 +21,7 @@ fn identity(program: &Path, folder: &Path, arguments: &[&str]) -> String {
 }
 
 fn vehicle(ground: &Ground) -> Option<Value> {
-    let vehicles = ground.api.get_json("/api/vehicles").ok()?;
+    let vehicles = ground.api.get_json("/api/v1/vehicles").ok()?;
     vehicles.as_array()?.iter().find(|vehicle| vehicle["id"] == "iris-1").cloned()
 }
 
@@ -31,7 +31,7 @@ fn connected(ground: &Ground) -> bool {
 
 /// Peers that the ground has refused since its start.
 fn refused(ground: &Ground) -> u64 {
-    ground.api.get_json("/api/ground").unwrap()["refused_peers"].as_u64().expect("a count")
+    ground.api.get_json("/api/v1/ground").unwrap()["refused_peers"].as_u64().expect("a count")
 }
 
 fn wait_for_refusals(ground: &Ground, before: u64) {
@@ -42,7 +42,7 @@ fn wait_for_refusals(ground: &Ground, before: u64) {
 
 /// Waits for a status sensed after `after_us`; its time since boot, µs.
 fn status_after(ground: &Ground, after_us: u64) -> u64 {
-    let mut live = Live::connect(&ground.api, "/api/vehicles/iris-1/live?history=0");
+    let mut live = Live::connect(&ground.api, "/api/v1/vehicles/iris-1/live?history=0");
     live.status("a later status", |status| status.time_us > after_us).time_us
 }
 
@@ -64,7 +64,7 @@ fn trust_is_revoked_renewed_and_rotated_in_flight() {
     let mut ground = Ground::start(&options).unwrap();
     let mut agent = Agent::start(&options, "iris-1", &scenario("altitude_step"), &ground).unwrap();
     let boot = vehicle(&ground).unwrap()["boot_id"].clone();
-    let arm = || ground.api.send("POST", "/api/vehicles/iris-1/arm", &json!({})).unwrap().status == 200;
+    let arm = || ground.api.send("POST", "/api/v1/vehicles/iris-1/arm", &json!({})).unwrap().status == 200;
     wait_until(PATIENCE, || arm().then_some(())).expect("armed");
     let armed_us = status_after(&ground, 0);
 

@@ -135,7 +135,7 @@ impl Ctx {
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
         leptos::task::spawn_local(async move {
             // The account is the operator's name where there is one; the first socket is opened after it is known.
-            if let Ok(session) = net::json::<Session>("GET", "/api/session", None, "").await {
+            if let Ok(session) = net::json::<Session>("GET", "/api/v1/session", None, "").await {
                 if let Some(name) = &session.name {
                     ctx.operator.set(name.clone());
                 }
@@ -162,9 +162,9 @@ impl Ctx {
         match effect {
             Effect::FetchState => {
                 leptos::task::spawn_local(async move {
-                    let ground = net::json("GET", "/api/ground", None, "").await;
+                    let ground = net::json("GET", "/api/v1/ground", None, "").await;
                     self.dispatch(Event::Ground(ground));
-                    let vehicles = net::json("GET", "/api/vehicles", None, "").await;
+                    let vehicles = net::json("GET", "/api/v1/vehicles", None, "").await;
                     self.dispatch(Event::Vehicles(vehicles));
                 });
             }
@@ -193,7 +193,7 @@ impl Ctx {
         net::pause(HISTORY_AFTER_MS).await;
         // The newest state, its boot included, is here by now.
         let boot = self.live.with_value(Live::boot);
-        let url = format!("/api/vehicles/{}/history?seconds={seconds:.0}", js_sys::encode_uri_component(&id));
+        let url = format!("/api/v1/vehicles/{}/history?seconds={seconds:.0}", js_sys::encode_uri_component(&id));
         // Without it the charts begin now; the socket says when the ground is gone.
         let Ok(batch) = net::bytes(&url).await else { return };
         let Ok(mut frames) = codec::decode_batch(&batch) else { return };
@@ -311,7 +311,7 @@ impl Ctx {
             return then(Err("no vehicle is connected"));
         };
         let id = String::from(js_sys::encode_uri_component(&vehicle));
-        let url = format!("/api/vehicles/{id}/{action}");
+        let url = format!("/api/v1/vehicles/{id}/{action}");
         let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
         leptos::task::spawn_local(async move {
             let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;

@@ -57,7 +57,7 @@ pub enum Tone {
 /// What the runtime has to do after an update.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Effect {
-    /// Ask for `/api/ground` and `/api/vehicles`.
+    /// Ask for `/api/v1/ground` and `/api/v1/vehicles`.
     FetchState,
     /// Open the live socket of this vehicle.
     OpenSocket(String),

@@ -32,7 +32,7 @@ const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Plumbline</ti
 <p>The ground runs, records and answers its API, but it was compiled before the page was. From the repository, run</p>\
 <p><code>cargo xtask web</code> and then <code>cargo build --release -p plumbline-ground</code></p>\
 <p>or <code>cargo xtask run</code>, which does both and starts a simulated quadrotor.</p>\
-<p>The API: <a href=/api/ground>/api/ground</a>, <a href=/api/vehicles>/api/vehicles</a>, <a href=/api/flights>/api/flights</a>.</p>";
+<p>The API: <a href=/api/v1/ground>/api/v1/ground</a>, <a href=/api/v1/vehicles>/api/v1/vehicles</a>, <a href=/api/v1/flights>/api/v1/flights</a>.</p>";
 
 /// Anything that is no route: the page and its files. The files are nobody's secret; the page itself sends people
 /// without a session to sign in.
@@ -58,6 +58,11 @@ pub(crate) async fn serve(State(app): State<App>, method: Method, uri: Uri, head
         Ok(None) => ApiError::NotFound(format!("there is no {}", crate::names::clip(uri.path()))).into_response(),
         Err(error) => ApiError::Broken(format!("{name}: {error}")).into_response(),
     }
+}
+
+/// Is the page built into this program?
+pub fn page_is_built() -> bool {
+    ["index.html", "index.html.br"].iter().any(|name| Dist::get(name).is_some())
 }
 
 struct Asset {

@@ -1,6 +1,6 @@
 //! `PUT` uploads a schedule whole; `DELETE` aborts what runs.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use plumbline_proto::Kind;
 use plumbline_proto::v1::{self, command};
 
@@ -9,6 +9,7 @@ use plumbline_rest::command::AttackPlan;
 use super::App;
 use super::body::Body;
 use super::control::{Answer, send};
+use super::extract::Path;
 use super::operator::Operator;
 use crate::attack_plan::to_schedule;
 

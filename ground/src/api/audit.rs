@@ -1,12 +1,13 @@
-//! `GET /api/audit?limit=N`: the last deeds, oldest first.
+//! `GET /api/v1/audit?limit=N`: the last deeds, oldest first.
 
 use axum::Json;
-use axum::extract::{Query, State};
+use axum::extract::State;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::App;
 use super::error::ApiError;
+use super::extract::Query;
 
 #[derive(Deserialize)]
 pub(crate) struct Asked {

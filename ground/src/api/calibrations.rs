@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::body::{Bytes, to_bytes};
-use axum::extract::{Path, Request as HttpRequest, State};
+use axum::extract::{Request as HttpRequest, State};
 use axum::http::StatusCode;
 use plumbline_analysis::offline::calibrate::{CalibrateError, Request, from_recording, from_table, iso_8601};
 use plumbline_analysis::recordings;
@@ -20,6 +20,7 @@ use plumbline_rest::calibration::{self as rest, Calibration, Fit};
 use super::App;
 use super::compute::Waited;
 use super::error::ApiError;
+use super::extract::Path;
 use crate::calibrations::{self, Calibrations};
 use crate::recorder::RecorderHandle;
 use crate::sync::wall_time_us;

@@ -1,8 +1,7 @@
 //! Short commands: arm, disarm, cut, mode, estimator, decoder, recording, replay, simulator.
 
 use axum::Json;
-use axum::extract::{Path, State};
-use axum::http::StatusCode;
+use axum::extract::State;
 use plumbline_proto::limits::MAX_REPLAY_SPEED;
 use plumbline_proto::v1::{self, command};
 use plumbline_rest::command as rest;
@@ -10,29 +9,27 @@ use plumbline_rest::command as rest;
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
+use super::extract::Path;
 use super::operator::Operator;
 use crate::names::JsonName;
 
-/// The answer to a command: 200 accepted, 409 rejected, the same body.
-pub(crate) type Answer = Result<(StatusCode, Json<rest::Answer>), ApiError>;
+/// The answer to a command: 200 accepted, 409 rejected.
+pub(crate) type Answer = Result<Json<rest::Answer>, ApiError>;
 
-/// The HTTP form of an acknowledgement.
-pub(crate) fn answer(ack: &v1::Ack) -> (StatusCode, Json<rest::Answer>) {
-    let accepted = ack.stage == v1::AckStage::Accepted as i32;
-    let body = rest::Answer {
-        command_id: ack.command_id,
-        stage: v1::AckStage::json_name_of(ack.stage),
-        reason: ack.reason.clone(),
-        error: (!accepted).then(|| ack.reason.clone()),
-        revision: None,
-    };
-    (if accepted { StatusCode::OK } else { StatusCode::CONFLICT }, Json(body))
+/// The HTTP form of an acknowledgement, of a command that carried gains where they have a number.
+pub(crate) fn answer(ack: v1::Ack, revision: Option<u32>) -> Answer {
+    let v1::Ack { command_id, stage, reason, .. } = ack;
+    if stage == v1::AckStage::Accepted as i32 {
+        Ok(Json(rest::Answer { command_id, stage: v1::AckStage::json_name_of(stage), reason, revision }))
+    } else {
+        Err(ApiError::Rejected { command_id, revision, reason })
+    }
 }
 
 /// Sends `body` as the operator in control.
 pub(crate) async fn send(app: &App, id: &str, operator: &Operator, body: command::Body) -> Answer {
     let sender = app.controlled(id, operator)?;
-    Ok(answer(&app.command(id, &sender, operator, body).await?))
+    answer(app.command(id, &sender, operator, body).await?, None)
 }
 
 /// A flight that cannot be recorded is not begun; one that goes on is not disturbed.
@@ -51,7 +48,7 @@ pub(crate) async fn disarm(State(app): State<App>, Path(id): Path<String>, who: 
 pub(crate) async fn cut(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {
     let sender = app.hub.commands(&id)?;
     let ack = app.command(&id, &sender, &who, command::Body::CutMotors(v1::CutMotors {})).await?;
-    Ok(answer(&ack))
+    answer(ack, None)
 }
 
 pub(crate) async fn release_cut(State(app): State<App>, Path(id): Path<String>, who: Operator) -> Answer {

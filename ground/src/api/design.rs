@@ -4,8 +4,7 @@
 //! `plumbline_analysis` answers; nothing is sent to a vehicle.
 
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
-use axum::extract::{Query, State};
+use axum::extract::State;
 use plumbline_analysis::design::preview::{self, Around};
 use plumbline_core::control::gains::Gain;
 use plumbline_core::control::policy::MarginPolicy;
@@ -17,6 +16,7 @@ use serde::Deserialize;
 use super::App;
 use super::body::Raw;
 use super::error::ApiError;
+use super::extract::Query;
 use crate::hub::VehicleError;
 
 #[derive(Deserialize)]
@@ -26,11 +26,10 @@ pub(crate) struct For {
     airframe: Option<String>,
 }
 
-type Asked = Result<Query<For>, QueryRejection>;
+type Asked = Query<For>;
 
 /// What is known of the vehicle asked about.
-fn around(app: &App, asked: Asked) -> Result<Around, ApiError> {
-    let Query(asked) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
+fn around(app: &App, Query(asked): Asked) -> Result<Around, ApiError> {
     let mut around = Around::default();
     if let Some(id) = asked.vehicle {
         if !app.hub.knows(&id) {

@@ -1,9 +1,9 @@
 //! The only place that knows status codes of failures.
 
 use axum::Json;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
+use plumbline_rest::Problem;
 
 use crate::attack_plan::PlanError;
 use crate::commands::CommandError;
@@ -28,47 +28,91 @@ pub(crate) enum ApiError {
     Invalid(String),
     Held(Held),
     Conflict(String),
+    /// The vehicle refused a command; its number, that of gains it was to carry, and why.
+    Rejected {
+        command_id: u64,
+        revision: Option<u32>,
+        reason: String,
+    },
+    /// A socket is served here, and nothing else.
+    Upgrade(String),
     Unavailable(String),
     Unanswered(String),
     Broken(String),
 }
 
+/// Media type of every error.
+pub(crate) const PROBLEM: &str = "application/problem+json";
+
 impl ApiError {
-    /// Status code and text, where the body is nothing more.
-    pub(crate) fn status_and_text(self) -> (StatusCode, String) {
+    /// Status code, and the code of the problem, which never changes its meaning.
+    pub(crate) const fn kind(&self) -> (StatusCode, &'static str) {
         match self {
-            Self::NotFound(text) => (StatusCode::NOT_FOUND, text),
-            Self::Method(text) => (StatusCode::METHOD_NOT_ALLOWED, text),
-            Self::SignIn(text) => (StatusCode::UNAUTHORIZED, text),
-            Self::Throttled(_, text) => (StatusCode::TOO_MANY_REQUESTS, text),
-            Self::Foreign(text) => (StatusCode::FORBIDDEN, text),
-            Self::TooLarge(text) => (StatusCode::PAYLOAD_TOO_LARGE, text),
-            Self::Late(text) => (StatusCode::REQUEST_TIMEOUT, text),
-            Self::Invalid(text) => (StatusCode::UNPROCESSABLE_ENTITY, text),
-            Self::Held(held) => (StatusCode::LOCKED, held.to_string()),
-            Self::Conflict(text) => (StatusCode::CONFLICT, text),
-            Self::Unavailable(text) => (StatusCode::SERVICE_UNAVAILABLE, text),
-            Self::Unanswered(text) => (StatusCode::GATEWAY_TIMEOUT, text),
-            Self::Broken(text) => {
-                tracing::error!(error = %text, "request failed");
-                (StatusCode::INTERNAL_SERVER_ERROR, text)
-            }
+            Self::NotFound(_) => (StatusCode::NOT_FOUND, "not_found"),
+            Self::Method(_) => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
+            Self::SignIn(_) => (StatusCode::UNAUTHORIZED, "sign_in"),
+            Self::Throttled(..) => (StatusCode::TOO_MANY_REQUESTS, "throttled"),
+            Self::Foreign(_) => (StatusCode::FORBIDDEN, "forbidden"),
+            Self::TooLarge(_) => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),
+            Self::Late(_) => (StatusCode::REQUEST_TIMEOUT, "late"),
+            Self::Invalid(_) => (StatusCode::UNPROCESSABLE_ENTITY, "invalid"),
+            Self::Held(_) => (StatusCode::LOCKED, "held"),
+            Self::Conflict(_) => (StatusCode::CONFLICT, "conflict"),
+            Self::Rejected { .. } => (StatusCode::CONFLICT, "rejected"),
+            Self::Upgrade(_) => (StatusCode::UPGRADE_REQUIRED, "upgrade_required"),
+            Self::Unavailable(_) => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),
+            Self::Unanswered(_) => (StatusCode::GATEWAY_TIMEOUT, "unanswered"),
+            Self::Broken(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+        }
+    }
+
+    /// What a person is told.
+    pub(crate) fn text(&self) -> String {
+        match self {
+            Self::Held(held) => held.to_string(),
+            Self::NotFound(text)
+            | Self::Method(text)
+            | Self::SignIn(text)
+            | Self::Throttled(_, text)
+            | Self::Foreign(text)
+            | Self::TooLarge(text)
+            | Self::Late(text)
+            | Self::Invalid(text)
+            | Self::Conflict(text)
+            | Self::Rejected { reason: text, .. }
+            | Self::Upgrade(text)
+            | Self::Unavailable(text)
+            | Self::Unanswered(text)
+            | Self::Broken(text) => text.clone(),
         }
     }
 }
 
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
-        if let Self::Held(held) = self {
-            let body = json!({ "error": held.to_string(), "holder": held.holder });
-            return (StatusCode::LOCKED, Json(body)).into_response();
+        let ((status, code), detail) = (self.kind(), self.text());
+        if matches!(self, Self::Broken(_)) {
+            tracing::error!(error = %detail, "request failed");
         }
-        let wait = match &self {
-            Self::Throttled(seconds, _) => Some([(header::RETRY_AFTER, seconds.to_string())]),
-            _ => None,
+        let problem = Problem {
+            kind: "about:blank".into(),
+            title: status.canonical_reason().unwrap_or_default().into(),
+            status: status.as_u16(),
+            detail,
+            code: code.into(),
+            ..Problem::default()
         };
-        let (status, text) = self.status_and_text();
-        (status, wait.map(axum::response::AppendHeaders), Json(json!({ "error": text }))).into_response()
+        let (wait, problem) = match self {
+            Self::Throttled(seconds, _) => (Some([(header::RETRY_AFTER, seconds.to_string())]), problem),
+            Self::Held(held) => (None, Problem { holder: Some(held.holder), ..problem }),
+            Self::Rejected { command_id, revision, .. } => {
+                (None, Problem { command_id: Some(command_id), revision, ..problem })
+            }
+            _ => (None, problem),
+        };
+        let mut response = (status, wait.map(axum::response::AppendHeaders), Json(problem)).into_response();
+        response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM));
+        response
     }
 }
 

@@ -1,4 +1,4 @@
-//! `GET /api/flights/{id}/estimate?estimator=ukf[&sensors=imu,height]`: a recorded flight estimated again, by the agent's
+//! `GET /api/v1/flights/{id}/estimate?estimator=ukf[&sensors=imu,height]`: a recorded flight estimated again, by the agent's
 //! library, from what the estimators received in flight. Nothing is kept and nothing is sent to a vehicle.
 //! ```json
 //! { "estimator": "ukf",
@@ -12,8 +12,7 @@
 use std::path::Path as FilePath;
 
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use plumbline_analysis::offline::{ArgumentError, EstimateArgs, OfflineError, run_flight};
 use plumbline_core::estimate::{Estimate, Health};
 use plumbline_core::frames::roll_pitch_yaw;
@@ -25,6 +24,7 @@ use serde_json::{Value, json};
 use super::App;
 use super::compute::Waited;
 use super::error::ApiError;
+use super::extract::{Path, Query};
 use crate::names::JsonName as _;
 use crate::recorder::RecorderHandle;
 
@@ -56,9 +56,8 @@ fn push(curves: &mut Curves, estimate: &Estimate) {
 pub(crate) async fn again(
     State(app): State<App>,
     Path(id): Path<String>,
-    asked: Result<Query<Asked>, QueryRejection>,
+    Query(asked): Query<Asked>,
 ) -> Result<Json<Value>, ApiError> {
-    let Query(asked) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
     let estimator = v1::EstimatorKind::from_json_name(&asked.estimator).map_err(ApiError::Invalid)?;
     let recorder = app.recorder.clone();
     // Seconds of computing for a long flight: in turn, and not on the threads that answer everybody.

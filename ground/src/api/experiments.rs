@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Redirect, Response};
 use plumbline_experiment::open::{OpenError, open};
@@ -18,6 +17,7 @@ use serde::Deserialize;
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
+use super::extract::{Path, Query};
 use crate::experiments::Experiments;
 
 /// Most flights of one answer.
@@ -135,9 +135,8 @@ pub(crate) struct Which {
 pub(crate) async fn flights(
     State(app): State<App>,
     Path(id): Path<String>,
-    which: Result<Query<Which>, QueryRejection>,
+    Query(which): Query<Which>,
 ) -> Result<Json<rest::Flights>, ApiError> {
-    let Query(which) = which.map_err(|e| ApiError::Invalid(e.body_text()))?;
     let count = which.count.unwrap_or(PAGE).min(PAGE);
     let flights = aside(app, move |app| Ok(summary::flights(&one(app, &id)?, which.from, count, which.condition)?));
     Ok(Json(flights.await?))

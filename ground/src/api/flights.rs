@@ -1,18 +1,19 @@
 //! Recorded flights: list, read, annotate, delete, download.
 
 use axum::Json;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use plumbline_rest::flight::{Flights, Labels};
+use plumbline_rest::flight::{Flights, Labels, Listing, MAX_PAGE, page};
 use serde::Deserialize;
 
 use super::App;
 use super::body::Body;
 use super::download;
 use super::error::ApiError;
+use super::extract::{Path, Query};
 use super::operator::Operator;
-use crate::recorder::{Export, Flight, RecordingError};
+use crate::recorder::{Export, Flight, Format, RecordingError, Selection};
 
 /// Runs `work`, which waits for the disk, off the server's threads.
 async fn on_disk<T: Send + 'static>(
@@ -24,12 +25,16 @@ async fn on_disk<T: Send + 'static>(
     }
 }
 
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<Flights>, ApiError> {
+pub(crate) async fn list(State(app): State<App>, Query(asked): Query<Listing>) -> Result<Json<Flights>, ApiError> {
+    if !(1..=MAX_PAGE).contains(&asked.limit) {
+        return Err(ApiError::Invalid(format!("limit {} is outside 1 to {MAX_PAGE}", asked.limit)));
+    }
     let recorder = app.recorder.clone();
     // Asked before the list: a list that says it is ready lacks nothing.
     let ready = recorder.ready();
-    let (flights, storage) = on_disk(move || Ok((recorder.flights()?, recorder.storage()))).await?;
-    Ok(Json(Flights { flights, storage, ready }))
+    let read = on_disk(move || Ok((page(recorder.flights()?, &asked), recorder.storage())));
+    let ((flights, total), storage) = read.await?;
+    Ok(Json(Flights { flights, total, storage, ready }))
 }
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Flight>, ApiError> {
@@ -65,29 +70,89 @@ pub(crate) async fn mcap(
     Ok(([name], download::file(flight, &headers, place, app.work.clone())).into_response())
 }
 
+/// What of a flight is put into a table.
 #[derive(Deserialize)]
-pub(crate) struct Topic {
+#[serde(deny_unknown_fields)]
+pub(crate) struct Range {
+    from_s: Option<f64>,
+    to_s: Option<f64>,
+    columns: Option<String>,
+    rate_hz: Option<f64>,
+    /// Every message of one topic instead; CSV only.
     topic: Option<String>,
 }
 
 pub(crate) async fn csv(
+    app: State<App>,
+    id: Path<String>,
+    who: Operator,
+    asked: Query<Range>,
+) -> Result<Response, ApiError> {
+    table(app, id, who, asked, Format::Csv).await
+}
+
+pub(crate) async fn parquet(
+    app: State<App>,
+    id: Path<String>,
+    who: Operator,
+    asked: Query<Range>,
+) -> Result<Response, ApiError> {
+    table(app, id, who, asked, Format::Parquet).await
+}
+
+pub(crate) async fn mat(
+    app: State<App>,
+    id: Path<String>,
+    who: Operator,
+    asked: Query<Range>,
+) -> Result<Response, ApiError> {
+    table(app, id, who, asked, Format::Mat).await
+}
+
+pub(crate) async fn ros2(
+    app: State<App>,
+    id: Path<String>,
+    who: Operator,
+    asked: Query<Range>,
+) -> Result<Response, ApiError> {
+    table(app, id, who, asked, Format::Ros2).await
+}
+
+async fn table(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Query(asked): Query<Topic>,
+    Query(asked): Query<Range>,
+    format: Format,
 ) -> Result<Response, ApiError> {
+    let standard = Selection::default();
+    let selection = Selection {
+        from_s: asked.from_s.unwrap_or(standard.from_s),
+        to_s: asked.to_s.unwrap_or(standard.to_s),
+        columns: asked.columns.map_or_else(Vec::new, |names| names.split(',').map(str::to_owned).collect()),
+        rate_hz: asked.rate_hz.unwrap_or(standard.rate_hz),
+    };
+    if asked.topic.is_some() && (format != Format::Csv || selection != standard) {
+        return Err(ApiError::Invalid("topic is for CSV alone, without from_s, to_s, columns and rate_hz".into()));
+    }
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
-    let name = attachment(&id, "csv");
+    let name = attachment(&id, format.ending());
     let export = on_disk(move || {
         let flight = recorder.open(&id)?;
         match asked.topic {
             Some(topic) => Export::topic(flight, &topic),
-            None => Export::wide(flight),
+            None => Export::wide(flight, selection, format),
         }
     })
     .await?;
-    let kind = [(header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()), name];
+    let kind = match format {
+        Format::Csv => "text/csv; charset=utf-8",
+        Format::Parquet => "application/vnd.apache.parquet",
+        Format::Mat => "application/x-matlab-data",
+        Format::Ros2 => "application/octet-stream",
+    };
+    let kind = [(header::CONTENT_TYPE, kind.to_owned()), name];
     Ok((kind, download::export(place, move |sink| export.write(sink))).into_response())
 }
 

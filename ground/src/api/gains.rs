@@ -6,12 +6,12 @@
 //! - `POST …/gains/revert`: pushes an earlier revision again, `{"revision": N}` or the last accepted one.
 
 use axum::Json;
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
 use plumbline_analysis::design::DesignError;
 use plumbline_analysis::design::file::{export, proposal, push_message, read};
 use plumbline_proto::Kind;
 use plumbline_proto::v1::{self, command};
-use plumbline_rest::command::{self as rest, Which};
+use plumbline_rest::command::Which;
 use plumbline_rest::design::{Design, Gains, Matrix};
 use serde_json::{Map, Value};
 
@@ -19,6 +19,7 @@ use super::App;
 use super::body::{Body, Raw};
 use super::control::{Answer, answer};
 use super::error::ApiError;
+use super::extract::{Path, Query};
 use super::operator::Operator;
 use crate::hub::VehicleError;
 use crate::names::JsonName;
@@ -61,9 +62,8 @@ fn exported(app: &App, id: &str, gains: &v1::GainsInUse) -> Value {
 pub(crate) async fn download(
     State(app): State<App>,
     Path(id): Path<String>,
-    which: Result<Query<Which>, axum::extract::rejection::QueryRejection>,
+    Query(which): Query<Which>,
 ) -> Result<Json<Value>, ApiError> {
-    let Query(which) = which.map_err(|e| ApiError::Invalid(e.body_text()))?;
     if !app.hub.knows(&id) {
         return Err(VehicleError::Unknown(id).into());
     }
@@ -105,6 +105,5 @@ async fn send(app: &App, id: &str, who: &Operator, file: &Design, design: Map<St
     let body = command::Body::PushGains(push_message(&proposal, revision));
     let ack = app.command(id, &sender, who, body).await?;
     app.gains.answered(id, revision, &v1::AckStage::json_name_of(ack.stage), &ack.reason);
-    let (status, Json(body)) = answer(&ack);
-    Ok((status, Json(rest::Answer { revision: Some(revision), ..body })))
+    answer(ack, Some(revision))
 }

@@ -1,4 +1,4 @@
-//! `GET /api/ground`: what this ground is and how it fares.
+//! `GET /api/v1/ground`: what this ground is and how it fares.
 
 use axum::Json;
 use axum::extract::State;

@@ -6,15 +6,31 @@
 //!   foreign page, must be that same host, by TLS where TLS is on. Its absence means no foreign page; what a
 //!   session changes needs it (see [`super::access`]).
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::middleware::Next;
 use axum::response::Response;
+use tracing::Instrument as _;
 
 use super::error::ApiError;
 use super::{App, access};
 
+/// Where the number of a request stands, asked and answered.
+const REQUEST_ID: &str = "x-request-id";
+
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
+    let id = number(request.headers());
+    let span = tracing::info_span!("request", %id, method = %request.method(), path = %request.uri().path());
+    let mut response = answer(app, request, next).instrument(span).await;
+    if let Ok(id) = HeaderValue::from_str(&id) {
+        response.headers_mut().insert(REQUEST_ID, id);
+    }
+    response
+}
+
+async fn answer(app: App, request: Request, next: Next) -> Response {
     let host = match check(&app, request.uri(), request.headers()) {
         Ok(host) => host,
         Err(error) => return access::refuse(&app, access::deed(&request), error),
@@ -22,6 +38,14 @@ pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) 
     let mut response = next.run(request).await;
     secure(response.headers_mut(), &host, app.secure());
     response
+}
+
+/// By what the log and the client name a request: the client's own number, where it is one, else ours.
+fn number(headers: &HeaderMap) -> String {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    let theirs = headers.get(REQUEST_ID).and_then(|id| id.to_str().ok());
+    let plain = |id: &&str| (1..=64).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-');
+    theirs.filter(plain).map_or_else(|| NEXT.fetch_add(1, Ordering::Relaxed).to_string(), str::to_owned)
 }
 
 fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> {
@@ -101,6 +125,18 @@ mod tests {
         for bad in ["evil.example:4747", "localhost.evil.example", "", "127.0.0.1.evil.example", "a b"] {
             assert!(!known_host(bad, &allowed), "{bad}");
         }
+    }
+
+    #[test]
+    fn a_request_has_the_number_its_client_gave_it_or_one_of_its_own() {
+        let of = |id: &'static str| {
+            number(&HeaderMap::from_iter([(REQUEST_ID.parse().unwrap(), HeaderValue::from_static(id))]))
+        };
+        assert_eq!(of("run-7"), "run-7");
+        for odd in ["", "a b", "a\"b", "{}"] {
+            assert!(of(odd).parse::<u64>().is_ok(), "{odd}");
+        }
+        assert_ne!(number(&HeaderMap::new()), number(&HeaderMap::new()));
     }
 
     #[test]

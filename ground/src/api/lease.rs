@@ -1,11 +1,12 @@
 //! Who holds control: `GET`, `PUT` takes it, `DELETE` gives it back.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use plumbline_rest::ground::Lease;
 
 use super::App;
 use super::error::ApiError;
+use super::extract::Path;
 use super::operator::Operator;
 use crate::hub::VehicleError;
 

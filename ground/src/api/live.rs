@@ -1,4 +1,4 @@
-//! `GET /api/vehicles/{id}/live`: a WebSocket of codec batches, and `GET /api/vehicles/{id}/history?seconds=120`: what
+//! `GET /api/v1/vehicles/{id}/live`: a WebSocket of codec batches, and `GET /api/v1/vehicles/{id}/history?seconds=120`: what
 //! charts show of the past, in one batch.
 //!
 //! First the latest of every topic (and, where it is asked for, the whole history), then live batches, each at most
@@ -12,9 +12,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
-use axum::extract::rejection::QueryRejection;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Extension, Path, Query, State};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse as _, Response};
 use plumbline_proto::{Kind, Message as _, codec, v1};
@@ -24,6 +24,7 @@ use tokio::time::{MissedTickBehavior, interval, timeout};
 use super::App;
 use super::access::token;
 use super::error::ApiError;
+use super::extract::{Path, Query};
 use super::operator::Operator;
 use crate::front::Place;
 use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue, thin};
@@ -32,7 +33,7 @@ use crate::sync::stopping;
 use crate::viewers::MAX_VIEWERS;
 
 /// A viewer that takes nothing for this long is closed.
-const STALLED: Duration = Duration::from_secs(30);
+pub(super) const STALLED: Duration = Duration::from_secs(30);
 /// How often it is asked whether a viewer may still watch.
 const ASK_EVERY: Duration = Duration::from_millis(250);
 /// How often the state of the link is sent.
@@ -55,8 +56,9 @@ pub(crate) async fn live(
     who: Operator,
     place: Option<Extension<Arc<Place>>>,
     headers: HeaderMap,
-    upgrade: WebSocketUpgrade,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
+    let upgrade = upgrade.map_err(|e| ApiError::Upgrade(format!("a WebSocket is served here: {}", e.body_text())))?;
     if !asked.history.is_finite() || asked.history < 0.0 {
         return Err(ApiError::Invalid(format!("history {} is not a number of seconds", asked.history)));
     }
@@ -97,9 +99,8 @@ pub(crate) struct Past {
 pub(crate) async fn history(
     State(app): State<App>,
     Path(id): Path<String>,
-    asked: Result<Query<Past>, QueryRejection>,
+    Query(Past { seconds }): Query<Past>,
 ) -> Result<Response, ApiError> {
-    let Query(Past { seconds }) = asked.map_err(|e| ApiError::Invalid(e.body_text()))?;
     if !(1..=MAX_HISTORY_SECONDS).contains(&seconds) {
         return Err(ApiError::Invalid(format!("seconds {seconds} is outside 1 to {MAX_HISTORY_SECONDS}")));
     }
@@ -112,7 +113,7 @@ pub(crate) async fn history(
 }
 
 /// Completes when whoever showed `token` may watch no more: signed out, removed, or with another password.
-async fn expelled(app: &App, token: Option<&Token>) {
+pub(super) async fn expelled(app: &App, token: Option<&Token>) {
     let mut ask = interval(ASK_EVERY);
     ask.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while app.people.person(token).is_some() {

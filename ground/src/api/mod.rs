@@ -16,17 +16,23 @@ mod download;
 mod error;
 mod estimates;
 mod experiments;
+mod extract;
 mod flights;
+mod foxglove;
 mod gains;
 mod ground;
 mod guard;
+mod health;
 mod lease;
 mod live;
+mod openapi;
+mod operations;
 mod operator;
 mod pairing;
 mod people;
 mod session;
 mod setpoint;
+mod tag;
 mod trajectory;
 mod vehicles;
 
@@ -37,7 +43,7 @@ use std::time::Instant;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::handler::Handler as _;
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::MethodRouter;
 use plumbline_proto::v1::{self, command};
 use tokio::runtime::Handle;
@@ -56,6 +62,7 @@ use crate::people::{Access, People};
 use crate::recorder::RecorderHandle;
 use crate::viewers::Viewers;
 use crate::work;
+pub use assets::page_is_built;
 use download::Downloads;
 pub(crate) use error::ApiError;
 use operator::Operator;
@@ -63,7 +70,7 @@ use operator::Operator;
 /// Largest body of a request. A plan of 64 attacks is about 10 kB.
 const MAX_BODY: usize = 256 << 10;
 /// Path of the motor cut.
-const CUT: &str = "/api/vehicles/{id}/cut";
+const CUT: &str = "/api/v1/vehicles/{id}/cut";
 /// Histories thinned at a time; more wait.
 const THINNING: usize = 1;
 
@@ -183,49 +190,55 @@ macro_rules! table {
 /// Every route, and what it needs.
 fn routes() -> Vec<Route> {
     table! {
+        get    "/healthz"                            Open    health::alive;
+        get    "/readyz"                             Open    health::ready;
+        get    "/metrics"                            Open    health::metrics;
         get    "/login"                              Open    session::page;
         post   "/login"                              Open    session::page_in;
         post   "/logout"                             Open    session::page_out;
-        get    "/api/session"                        Open    session::show;
-        post   "/api/session"                        Open    session::begin;
-        delete "/api/session"                        Open    session::end;
-        post   "/api/session/authenticator"          View    session::offer;
-        put    "/api/session/authenticator"          View    session::confirm;
-        delete "/api/session/authenticator"          View    session::one_step;
-        get    "/api/sessions"                       View    people::sessions;
-        delete "/api/sessions/{id}"                  View    people::end;
-        get    "/api/people"                         Admin   people::list;
-        post   "/api/people"                         Admin   people::add;
-        patch  "/api/people/{id}"                    Admin   people::change;
-        delete "/api/people/{id}"                    Admin   people::remove;
-        get    "/api/audit"                          Admin   audit::show;
-        post   "/api/pairing"                        Admin   pairing::begin;
-        get    "/api/ground"                         View    ground::show;
-        get    "/api/vehicles"                       View    vehicles::list;
-        get    "/api/vehicles/{id}/live"             View    live::live;
-        get    "/api/vehicles/{id}/history"          View    live::history;
-        post   "/api/vehicles/{id}/cut"              Operate control::cut;
-        post   "/api/vehicles/{id}/arm"              Operate control::arm;
-        post   "/api/vehicles/{id}/disarm"           Operate control::disarm;
-        post   "/api/vehicles/{id}/release-cut"      Operate control::release_cut;
-        post   "/api/vehicles/{id}/mode"             Operate control::mode;
-        post   "/api/vehicles/{id}/estimator"        Operate control::estimator;
-        post   "/api/vehicles/{id}/decoder"          Operate control::decoder;
-        post   "/api/vehicles/{id}/recording"        Operate control::recording;
-        post   "/api/vehicles/{id}/replay"           Operate control::replay;
-        post   "/api/vehicles/{id}/simulator"        Operate control::simulator;
-        post   "/api/vehicles/{id}/setpoint"         Operate setpoint::set;
-        put    "/api/vehicles/{id}/attacks"          Attack  attacks::upload;
-        delete "/api/vehicles/{id}/attacks"          Operate attacks::abort;
-        get    "/api/vehicles/{id}/gains"            View    gains::show;
-        put    "/api/vehicles/{id}/gains"            Operate gains::push;
-        get    "/api/vehicles/{id}/gains/export"     View    gains::download;
-        post   "/api/vehicles/{id}/gains/revert"     Operate gains::revert;
-        post   "/api/vehicles/{id}/trajectory"       Operate trajectory::fly;
-        delete "/api/vehicles/{id}/trajectory"       Operate trajectory::stop;
-        get    "/api/vehicles/{id}/lease"            View    lease::show;
-        put    "/api/vehicles/{id}/lease"            Operate lease::take;
-        delete "/api/vehicles/{id}/lease"            Operate lease::release;
+        get    "/api/v1/openapi.json"                View    openapi::show;
+        get    "/api/v1/docs"                        View    openapi::docs;
+        get    "/api/v1/session"                        Open    session::show;
+        post   "/api/v1/session"                        Open    session::begin;
+        delete "/api/v1/session"                        Open    session::end;
+        post   "/api/v1/session/authenticator"          View    session::offer;
+        put    "/api/v1/session/authenticator"          View    session::confirm;
+        delete "/api/v1/session/authenticator"          View    session::one_step;
+        get    "/api/v1/sessions"                       View    people::sessions;
+        delete "/api/v1/sessions/{id}"                  View    people::end;
+        get    "/api/v1/people"                         Admin   people::list;
+        post   "/api/v1/people"                         Admin   people::add;
+        patch  "/api/v1/people/{id}"                    Admin   people::change;
+        delete "/api/v1/people/{id}"                    Admin   people::remove;
+        get    "/api/v1/audit"                          Admin   audit::show;
+        post   "/api/v1/pairing"                        Admin   pairing::begin;
+        get    "/api/v1/ground"                         View    ground::show;
+        get    "/api/v1/vehicles"                       View    vehicles::list;
+        get    "/api/v1/vehicles/{id}/live"             View    live::live;
+        get    "/api/v1/vehicles/{id}/foxglove"      View    foxglove::live;
+        get    "/api/v1/vehicles/{id}/history"          View    live::history;
+        post   "/api/v1/vehicles/{id}/cut"              Operate control::cut;
+        post   "/api/v1/vehicles/{id}/arm"              Operate control::arm;
+        post   "/api/v1/vehicles/{id}/disarm"           Operate control::disarm;
+        post   "/api/v1/vehicles/{id}/release-cut"      Operate control::release_cut;
+        post   "/api/v1/vehicles/{id}/mode"             Operate control::mode;
+        post   "/api/v1/vehicles/{id}/estimator"        Operate control::estimator;
+        post   "/api/v1/vehicles/{id}/decoder"          Operate control::decoder;
+        post   "/api/v1/vehicles/{id}/recording"        Operate control::recording;
+        post   "/api/v1/vehicles/{id}/replay"           Operate control::replay;
+        post   "/api/v1/vehicles/{id}/simulator"        Operate control::simulator;
+        post   "/api/v1/vehicles/{id}/setpoint"         Operate setpoint::set;
+        put    "/api/v1/vehicles/{id}/attacks"          Attack  attacks::upload;
+        delete "/api/v1/vehicles/{id}/attacks"          Operate attacks::abort;
+        get    "/api/v1/vehicles/{id}/gains"            View    gains::show;
+        put    "/api/v1/vehicles/{id}/gains"            Operate gains::push;
+        get    "/api/v1/vehicles/{id}/gains/export"     View    gains::download;
+        post   "/api/v1/vehicles/{id}/gains/revert"     Operate gains::revert;
+        post   "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::fly;
+        delete "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::stop;
+        get    "/api/v1/vehicles/{id}/lease"            View    lease::show;
+        put    "/api/v1/vehicles/{id}/lease"            Operate lease::take;
+        delete "/api/v1/vehicles/{id}/lease"            Operate lease::release;
         post   "/api/v1/design/preview"              View    design::preview;
         get    "/api/v1/design/controllers"          View    design::controllers;
         get    "/api/v1/calibrations"                View    calibrations::list;
@@ -243,14 +256,17 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/experiments/{id}/plan.toml"  View    experiments::plan;
         get    "/api/v1/experiments/{id}/report.html" View   experiments::page;
         get    "/api/v1/experiments/{id}/flights.parquet" View experiments::table;
-        get    "/api/flights"                        View    flights::list;
-        get    "/api/flights/{id}"                   View    flights::show;
-        patch  "/api/flights/{id}"                   Operate flights::annotate;
-        delete "/api/flights/{id}"                   Admin   flights::delete;
-        get    "/api/flights/{id}/mcap"              View    flights::mcap;
-        get    "/api/flights/{id}/csv"               View    flights::csv;
-        get    "/api/flights/{id}/frames"            View    flights::frames;
-        get    "/api/flights/{id}/estimate"          View    estimates::again;
+        get    "/api/v1/flights"                        View    flights::list;
+        get    "/api/v1/flights/{id}"                   View    flights::show;
+        patch  "/api/v1/flights/{id}"                   Operate flights::annotate;
+        delete "/api/v1/flights/{id}"                   Admin   flights::delete;
+        get    "/api/v1/flights/{id}/mcap"              View    flights::mcap;
+        get    "/api/v1/flights/{id}/csv"               View    flights::csv;
+        get    "/api/v1/flights/{id}/parquet"        View    flights::parquet;
+        get    "/api/v1/flights/{id}/mat"            View    flights::mat;
+        get    "/api/v1/flights/{id}/ros2"           View    flights::ros2;
+        get    "/api/v1/flights/{id}/frames"            View    flights::frames;
+        get    "/api/v1/flights/{id}/estimate"          View    estimates::again;
     }
 }
 
@@ -265,6 +281,7 @@ pub(crate) fn router(app: App) -> Router {
         let admit = from_fn_with_state((app.clone(), need, limit), access::admit);
         let mut handler = handler.route_layer(DefaultBodyLimit::max(limit));
         if !at_once(path) {
+            handler = handler.route_layer(from_fn(tag::tag));
             handler = handler.route_layer(from_fn_with_state(app.work.clone(), work::there));
         }
         router = router.route(path, handler.route_layer(admit));
@@ -298,11 +315,13 @@ fn at_once(path: &str) -> bool {
         "lease",
         "live",
     ];
-    path.strip_prefix("/api/vehicles/{id}/").is_some_and(|command| NEEDED.contains(&command))
+    path.strip_prefix("/api/v1/vehicles/{id}/").is_some_and(|command| NEEDED.contains(&command))
 }
 
 async fn unknown(uri: axum::http::Uri) -> ApiError {
-    ApiError::NotFound(format!("there is no {}", crate::names::clip(uri.path())))
+    let path = crate::names::clip(uri.path());
+    let hint = if path.starts_with("/api/v1/") { "" } else { ": the API is below /api/v1/, and told at /api/v1/docs" };
+    ApiError::NotFound(format!("there is no {path}{hint}"))
 }
 
 async fn method_not_allowed(method: axum::http::Method, uri: axum::http::Uri) -> ApiError {

@@ -1,4 +1,4 @@
-//! `POST /api/pairing`: the code that an agent shows.
+//! `POST /api/v1/pairing`: the code that an agent shows.
 
 use axum::extract::State;
 use axum::http::StatusCode;

@@ -1,13 +1,14 @@
 //! Accounts and sessions: admins manage them all, everybody sees and ends their own sessions.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use plumbline_rest::people::{Account, AccountChange, NewAccount, People};
 
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
+use super::extract::Path;
 use super::operator::Signed;
 use crate::people::{self, AccountError, Role};
 

@@ -133,7 +133,7 @@ pub(crate) async fn page_in(State(app): State<App>, from: From, body: axum::body
     match sign_in(&app, &from, credentials).await {
         Ok((token, _)) => (cookie(&app, token.as_str(), SESSION_LONGEST_S), Redirect::to("/")).into_response(),
         Err(error) => {
-            let (status, text) = error.status_and_text();
+            let ((status, _), text) = (error.kind(), error.text());
             (status, Html(form_in(&text))).into_response()
         }
     }
@@ -169,7 +169,7 @@ fn deed(from: &From, method: &str, who: &str, role: &'static str, status: u16) -
         role,
         from: from.0.map_or_else(String::new, |from| from.to_string()),
         method: method.to_owned(),
-        path: "/api/session".into(),
+        path: "/api/v1/session".into(),
         body: String::new(),
         status,
         times: 1,
@@ -187,7 +187,7 @@ fn cookie(app: &App, value: &str, seconds: u64) -> HeaderMap {
 }
 
 /// The colours of the page (`web/style.css`), which is not there yet.
-const STYLE: &str = "<style>\
+pub(super) const STYLE: &str = "<style>\
 :root{color-scheme:light dark;--page:#f3f4f6;--card:#fff;--edge:#d5d9df;--control:#fff;--control-edge:#b9c0c9;--ink:#1c2128;\
 --quiet:#59626e;--focus:#0072b2;--on-focus:#fff;--bad:#b3261e;--bad-fill:#fbe4e1}\
 @media(prefers-color-scheme:dark){:root{--page:#0f1216;--card:#161a20;--edge:#272d36;--control:#1e242c;--control-edge:#3c4551;\
@@ -235,7 +235,7 @@ fn form_out(name: &str, role: &str) -> String {
     )
 }
 
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -1,6 +1,6 @@
-//! `POST /api/vehicles/{id}/setpoint`. Absent fields keep their value.
+//! `POST /api/v1/vehicles/{id}/setpoint`. Absent fields keep their value.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use plumbline_proto::v1::{self, command};
 use plumbline_rest::command::Setpoint;
 
@@ -8,6 +8,7 @@ use super::App;
 use super::body::Body;
 use super::control::{Answer, send};
 use super::error::ApiError;
+use super::extract::Path;
 use super::operator::Operator;
 
 pub(crate) async fn set(

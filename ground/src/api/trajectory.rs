@@ -1,9 +1,9 @@
-//! `POST /api/vehicles/{id}/trajectory` flies a path from where the setpoint is; `DELETE` stops it.
+//! `POST /api/v1/vehicles/{id}/trajectory` flies a path from where the setpoint is; `DELETE` stops it.
 //!
 //! `{"shape": "circle" | "sine" | "square" | "heave", "size_m": 1, "period_s": 10, "speed_mps": 0.2,
 //! "duration_s": 60}`, or `{"shape": "altitudes", "altitude_m": [0.5, 1, 0.5], "hold_s": 8}`.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use plumbline_proto::v1::{self, command};
 use plumbline_rest::command::Trajectory;
 
@@ -11,6 +11,7 @@ use super::App;
 use super::body::Body;
 use super::control::{Answer, send};
 use super::error::ApiError;
+use super::extract::Path;
 use super::operator::Operator;
 use crate::names::JsonName;
 

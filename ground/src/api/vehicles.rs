@@ -1,4 +1,4 @@
-//! `GET /api/vehicles`.
+//! `GET /api/v1/vehicles`.
 
 use axum::Json;
 use axum::extract::State;

@@ -4,8 +4,11 @@ mod account;
 mod agents;
 mod audit;
 mod check;
+mod doctor;
 mod experiment;
+mod export;
 mod serve;
+mod settings;
 
 use std::path::PathBuf;
 
@@ -31,6 +34,10 @@ enum Tool {
     Check(check::CheckArguments),
     /// Flies plans of many simulated flights; reports, and opens any of them.
     Experiment(experiment::ExperimentArguments),
+    /// Says whether a ground would start here and record, and what to do where it would not.
+    Doctor(doctor::DoctorArguments),
+    /// Writes flights as tables (CSV, Parquet, MATLAB) or ROS 2 bags.
+    Export(export::ExportArguments),
     /// Pairs the agent that shows this code.
     Pair(agents::PairArguments),
     /// Shows this ground's fingerprint; trusts or revokes agents.
@@ -56,9 +63,11 @@ impl Arguments {
             Some(Tool::Audit(arguments)) => audit::run(&arguments),
             Some(Tool::Check(arguments)) => check::run(&arguments),
             Some(Tool::Experiment(arguments)) => experiment::run(&arguments),
+            Some(Tool::Doctor(arguments)) => doctor::run(&arguments),
+            Some(Tool::Export(arguments)) => export::run(&arguments),
             Some(Tool::Pair(arguments)) => agents::pair(&arguments),
             Some(Tool::Identity(arguments)) => agents::identity(&arguments),
-            None => serve::run(self.serve),
+            None => serve::run(&self.serve),
         }
     }
 }

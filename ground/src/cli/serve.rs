@@ -5,32 +5,40 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use plumbline_ground::agent_link::{AgentLink, AgentLinkConfig};
-use plumbline_ground::{GroundConfig, front};
+use plumbline_ground::front;
 use plumbline_link::identity;
 use tokio::sync::mpsc;
 use tracing_appender::non_blocking::WorkerGuard;
 
-use super::DataFolder;
+use super::settings::Settings;
 
 /// How long the link may take to say goodbye.
 const GOODBYE: std::time::Duration = std::time::Duration::from_secs(2);
 /// Events of the agents waiting for the ground.
 const LINK_EVENTS: usize = 4096;
 
-/// What to serve, and where.
-#[derive(Debug, clap::Args)]
+/// What to serve, and where. Options come before the configuration file, and that before the defaults.
+#[derive(Debug, Clone, Default, clap::Args)]
 pub struct ServeArguments {
-    /// Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS.
-    #[arg(long, default_value = "127.0.0.1:4747")]
-    listen: SocketAddr,
-    /// Address (UDP) that agents connect to.
-    #[arg(long, visible_alias = "link", default_value = "127.0.0.1:4748")]
-    agent_listen: SocketAddr,
+    /// Configuration file (TOML); `--print-config` shows every key.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print the configuration that results, every key with its meaning, and end.
+    #[arg(long)]
+    print_config: bool,
+    /// Address of the page and the API [default: 127.0.0.1:4747]. Anything but the loopback needs accounts, and is
+    /// served by TLS.
+    #[arg(long)]
+    listen: Option<SocketAddr>,
+    /// Address (UDP) that agents connect to [default: 127.0.0.1:4748].
+    #[arg(long, visible_alias = "link")]
+    agent_listen: Option<SocketAddr>,
     /// Folder of this ground's certificate and of the agents it trusts [default: DATA/identity].
     #[arg(long)]
     identity: Option<PathBuf>,
-    #[command(flatten)]
-    data: DataFolder,
+    /// Folder of flight files, index, gains book, identities, accounts and audit log [default: ./data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
     /// Host name, beside localhost and IP addresses, under which the page may be reached (repeatable).
     #[arg(long = "allow-host", value_name = "NAME")]
     allow_hosts: Vec<String>,
@@ -48,14 +56,40 @@ pub struct ServeArguments {
     json_log: bool,
 }
 
+impl ServeArguments {
+    /// What results of defaults, file and options.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn settings(&self) -> Result<Settings, String> {
+        let mut all = self.config.as_deref().map_or_else(|| Ok(Settings::default()), Settings::read)?;
+        let Self { listen, agent_listen, identity, data, allow_hosts, tls, certificate, key, json_log, .. } = self;
+        all.listen = listen.unwrap_or(all.listen);
+        all.agent_listen = agent_listen.unwrap_or(all.agent_listen);
+        all.identity = identity.clone().or(all.identity);
+        all.data = data.clone().unwrap_or(all.data);
+        all.allow_hosts.extend(allow_hosts.iter().cloned());
+        all.tls |= tls;
+        all.certificate = certificate.clone().or(all.certificate);
+        all.key = key.clone().or(all.key);
+        all.json_log |= json_log;
+        Ok(all)
+    }
+}
+
 /// Serves until Ctrl-C.
 ///
 /// # Errors
 /// A sentence for people.
-pub fn run(arguments: ServeArguments) -> Result<(), String> {
-    let _log = start_log(arguments.json_log);
+pub fn run(arguments: &ServeArguments) -> Result<(), String> {
+    let settings = arguments.settings()?;
+    if arguments.print_config {
+        print!("{}", settings.print()?);
+        return Ok(());
+    }
+    let _log = start_log(settings.json_log);
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    runtime.map_err(|error| format!("the runtime could not be started: {error}"))?.block_on(serve(arguments))
+    runtime.map_err(|error| format!("the runtime could not be started: {error}"))?.block_on(serve(&settings))
 }
 
 /// A thread of its own writes: a terminal that takes no more lines (Ctrl-S, a full pipe) holds up nothing else. What is
@@ -76,22 +110,23 @@ fn start_log(json: bool) -> WorkerGuard {
     guard
 }
 
-async fn serve(arguments: ServeArguments) -> Result<(), String> {
-    let ServeArguments { listen, agent_listen, identity, data: DataFolder { data }, allow_hosts, .. } = arguments;
+async fn serve(settings: &Settings) -> Result<(), String> {
+    let (listen, allow_hosts) = (settings.listen, &settings.allow_hosts);
+    let mut config = settings.config()?;
+    let own = settings.own_certificate()?;
     let listener = tokio::net::TcpListener::bind(listen).await.map_err(|error| match error.kind() {
         std::io::ErrorKind::AddrInUse => format!("{listen} is occupied; choose another address with --listen"),
         _ => format!("cannot listen on {listen}: {error}"),
     })?;
     let address = listener.local_addr().map_err(|e| format!("cannot listen on {listen}: {e}"))?;
-    let folder = identity.unwrap_or_else(|| data.join("identity"));
-    let identity = identity::load_or_create(&folder).map_err(|e| format!("identity: {e}"))?;
-    let link = AgentLink::bind(AgentLinkConfig::new(agent_listen, identity.clone())).map_err(|e| e.to_string())?;
-    let mut config = GroundConfig::new(&data);
+    let identity = identity::load_or_create(&settings.identity_folder()).map_err(|e| format!("identity: {e}"))?;
+    let link = AgentLinkConfig::new(settings.agent_listen, identity.clone());
+    let link = AgentLink::bind(link).map_err(|e| e.to_string())?;
     config.link_identity = Some(identity);
-    if arguments.tls || arguments.certificate.is_some() || !address.ip().is_loopback() {
-        let (certificate, key) = match arguments.certificate.zip(arguments.key) {
-            Some(own) => own,
-            None => front::own(&data.join("tls"), &names(&address, &allow_hosts)).map_err(|e| e.to_string())?,
+    if settings.by_tls() {
+        let (certificate, key) = match own {
+            Some((certificate, key)) => (certificate.to_owned(), key.to_owned()),
+            None => front::own(&settings.data.join("tls"), &names(&address, allow_hosts)).map_err(|e| e.to_string())?,
         };
         let (tls, fingerprint) = front::tls(&certificate, &key).map_err(|e| e.to_string())?;
         config.tls = Some(tls);
@@ -100,7 +135,6 @@ async fn serve(arguments: ServeArguments) -> Result<(), String> {
     println!("Plumbline is at {}://{address}/", if config.tls.is_some() { "https" } else { "http" });
     println!("agents connect to udp://{}", link.local_addr());
 
-    config.allowed_hosts = allow_hosts;
     let (stop, stopped) = tokio::sync::watch::channel(false);
     tokio::spawn(async move {
         interrupted().await;

@@ -1,4 +1,4 @@
-//! Flights in other forms: CSV, and the codec batch that the page replays.
+//! Flights in other forms: tables, the messages of one topic, and the codec batch that the page replays.
 
 use std::path::PathBuf;
 
@@ -9,6 +9,7 @@ use plumbline_proto::codec::{self, Frame};
 use super::RecordingError;
 use super::flatten::Table;
 use super::reader::FlightReader;
+use super::sheet::{Format, Selection, Wide};
 use super::snapshot::Snapshot;
 
 /// Takes the output piece by piece; `false` ends the export (the client is gone).
@@ -16,11 +17,10 @@ pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
 
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;
-/// The wide table has at most one row in this time, µs: 100 Hz.
-const ROW_EVERY_US: u64 = 10_000;
 
 enum Form {
-    Wide,
+    Wide(Wide, Format),
+    Ros2((u64, u64)),
     Topic(String),
     Frames(Option<Vec<String>>),
 }
@@ -32,17 +32,22 @@ pub struct Export {
 }
 
 impl Export {
-    /// One row per control tick, at most 100 Hz, with the latest of every sample topic beside it.
+    /// Samples as one table, see [`Selection`], or as a bag.
     ///
     /// # Errors
-    /// [`RecordingError`] when the flight cannot be read or has no `/control`.
-    pub fn wide(flight: Snapshot) -> Result<Self, RecordingError> {
+    /// [`RecordingError`] when the flight cannot be read, has no `/control`, or not what is selected.
+    pub fn wide(flight: Snapshot, selection: Selection, format: Format) -> Result<Self, RecordingError> {
         let reader = open(flight)?;
-        let topic = Kind::Control.base_topic();
-        if !reader.channels().contains_key(topic) {
-            return Err(RecordingError::NoTopic(topic.to_owned()));
+        if format == Format::Ros2 {
+            let Selection { from_s, to_s, .. } = selection;
+            if selection != (Selection { from_s, to_s, ..Selection::default() }) {
+                return Err(RecordingError::Invalid("a bag has no columns and no rate: from_s and to_s only".into()));
+            }
+            let range_us = selection.range_us(&reader)?;
+            return Ok(Self { reader, form: Form::Ros2(range_us) });
         }
-        Ok(Self { reader, form: Form::Wide })
+        let wide = Wide::new(&reader, selection)?;
+        Ok(Self { reader, form: Form::Wide(wide, format) })
     }
 
     /// Every message of one topic.
@@ -81,7 +86,8 @@ impl Export {
     /// [`RecordingError`] when the file turns out to be damaged.
     pub fn write(self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
         let written = match self.form {
-            Form::Wide => write_wide(&self.reader, sink),
+            Form::Wide(wide, format) => wide.write(&self.reader, format, sink),
+            Form::Ros2(range_us) => super::ros2::write(&self.reader, range_us, sink),
             Form::Topic(topic) => write_topic(&self.reader, &topic, sink),
             Form::Frames(topics) => write_frames(&self.reader, topics.as_deref(), sink),
         };
@@ -144,71 +150,13 @@ fn write_topic(reader: &FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapR
     reader.for_each(Some(&topics), |message| {
         let (time, sequence) = (seconds(message.time_us, start_us), message.sequence.to_string());
         for row in table.rows(message.payload) {
+            let row: Vec<String> = row.iter().map(ToString::to_string).collect();
             let cells = [time.as_str(), sequence.as_str()].into_iter().chain(row.iter().map(String::as_str));
             if !out.row(cells)? {
                 return Ok(false);
             }
         }
         Ok(true)
-    })?;
-    out.send().map(|_| ())
-}
-
-/// `/sensor/height/2` → `height_2`.
-fn prefix(topic: &str) -> String {
-    topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
-}
-
-fn write_wide(reader: &FlightReader, sink: &mut Sink<'_>) -> McapResult<()> {
-    struct Part {
-        topic: String,
-        table: Table,
-        latest: Option<Vec<u8>>,
-    }
-    let sampled = |topic: &str| {
-        Kind::from_topic(topic)
-            .is_some_and(|(kind, _)| kind.is_sensor() || matches!(kind, Kind::Control | Kind::Estimate | Kind::Truth))
-    };
-    let mut parts: Vec<Part> = reader
-        .channels()
-        .values()
-        .filter(|channel| sampled(&channel.topic))
-        .filter_map(|channel| Some(Part { topic: channel.topic.clone(), table: Table::of(channel)?, latest: None }))
-        .filter(|part| !part.table.has_rows())
-        .collect();
-    // Control first, then by topic.
-    parts.sort_by_key(|part| (part.topic != Kind::Control.base_topic(), part.topic.clone()));
-    let topics: Vec<String> = parts.iter().map(|part| part.topic.clone()).collect();
-    reader.for_each(Some(&topics), |message| {
-        if let Some(part) = parts.iter_mut().find(|part| part.topic == message.channel.topic) {
-            part.table.measure(message.payload);
-        }
-        Ok(true)
-    })?;
-    let named = |part: &Part| {
-        let prefix = prefix(&part.topic);
-        part.table.header().into_iter().map(move |name| format!("{prefix}.{name}")).collect::<Vec<_>>()
-    };
-    let header: Vec<String> = parts.iter().flat_map(named).collect();
-    let mut out = Pieces::new(sink);
-    out.row(std::iter::once("time_s").chain(header.iter().map(String::as_str)))?;
-    let start_us = reader.start_us();
-    let mut last_bin = None;
-    reader.for_each(Some(&topics), |message| {
-        let Some(part) = parts.iter_mut().find(|part| part.topic == message.channel.topic) else { return Ok(true) };
-        part.latest.get_or_insert_default().clear();
-        part.latest.get_or_insert_default().extend_from_slice(message.payload);
-        let bin = Some(message.time_us / ROW_EVERY_US);
-        if message.channel.topic != Kind::Control.base_topic() || bin == last_bin {
-            return Ok(true);
-        }
-        last_bin = bin;
-        let mut cells = vec![seconds(message.time_us, start_us)];
-        for part in &parts {
-            let row = part.latest.as_ref().and_then(|latest| part.table.rows(latest).into_iter().next());
-            cells.extend(row.unwrap_or_else(|| vec![String::new(); part.table.header().len()]));
-        }
-        out.row(cells.iter().map(String::as_str))
     })?;
     out.send().map(|_| ())
 }

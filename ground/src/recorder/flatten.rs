@@ -22,6 +22,68 @@ enum Column {
     Rows(Vec<(FieldDescriptor, Column)>),
 }
 
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Type {
+    Flag,
+    Integer,
+    Double,
+    Text,
+    /// One of the names of an enumeration.
+    Named,
+}
+
+/// One value.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Cell {
+    Absent,
+    Flag(bool),
+    Signed(i64),
+    Unsigned(u64),
+    Single(f32),
+    Double(f64),
+    Text(String),
+    Named(i32, String),
+}
+
+impl Cell {
+    /// As a number; NaN where it is none.
+    pub(super) fn number(&self) -> f64 {
+        match self {
+            Self::Flag(v) => f64::from(u8::from(*v)),
+            Self::Signed(v) => *v as f64,
+            Self::Unsigned(v) => *v as f64,
+            Self::Single(v) => f64::from(*v),
+            Self::Double(v) => *v,
+            Self::Named(number, _) => f64::from(*number),
+            Self::Absent | Self::Text(_) => f64::NAN,
+        }
+    }
+
+    /// As a whole number.
+    pub(super) fn integer(&self) -> i64 {
+        match self {
+            Self::Signed(v) => *v,
+            Self::Unsigned(v) => *v as i64,
+            other => other.number() as i64,
+        }
+    }
+}
+
+impl std::fmt::Display for Cell {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Absent => Ok(()),
+            Self::Flag(v) => v.fmt(f),
+            Self::Signed(v) => v.fmt(f),
+            Self::Unsigned(v) => v.fmt(f),
+            Self::Single(v) => v.fmt(f),
+            Self::Double(v) => v.fmt(f),
+            Self::Text(text) | Self::Named(_, text) => f.write_str(text),
+        }
+    }
+}
+
 /// Turns messages of one type into rows of cells.
 #[derive(Debug, Clone)]
 pub(super) struct Table {
@@ -58,8 +120,22 @@ impl Table {
         names
     }
 
+    /// What the columns hold.
+    pub(super) fn types(&self) -> Vec<Type> {
+        let mut types = Vec::new();
+        kinds(&self.columns, &mut types);
+        types
+    }
+
+    /// Names of the columns, of repeated numbers without their places.
+    pub(super) fn fields(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        fields(&self.columns, "", &mut names);
+        names
+    }
+
     /// The rows of one message; a message that cannot be decoded has none.
-    pub(super) fn rows(&self, payload: &[u8]) -> Vec<Vec<String>> {
+    pub(super) fn rows(&self, payload: &[u8]) -> Vec<Vec<Cell>> {
         let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) else { return Vec::new() };
         let repeated = self.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
         let count = repeated.map_or(1, |(field, _)| list(&message, field).len().max(1));
@@ -133,17 +209,42 @@ fn header(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<S
     }
 }
 
-fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, index: usize, cells: &mut Vec<String>) {
+fn fields(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<String>) {
+    for (field, column) in columns {
+        let name = format!("{prefix}{}", field.name());
+        match column {
+            Column::Scalar | Column::List { .. } => names.push(name),
+            Column::Nested(inner) | Column::Rows(inner) => fields(inner, &format!("{name}."), names),
+        }
+    }
+}
+
+fn kinds(columns: &[(FieldDescriptor, Column)], types: &mut Vec<Type>) {
+    for (field, column) in columns {
+        let kind = match field.kind() {
+            Kind::Bool => Type::Flag,
+            Kind::Double | Kind::Float => Type::Double,
+            Kind::String | Kind::Bytes | Kind::Message(_) => Type::Text,
+            Kind::Enum(_) => Type::Named,
+            _ => Type::Integer,
+        };
+        match column {
+            Column::Scalar => types.push(kind),
+            Column::List { width } => types.extend(std::iter::repeat_n(kind, *width)),
+            Column::Nested(inner) | Column::Rows(inner) => kinds(inner, types),
+        }
+    }
+}
+
+fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, index: usize, cells: &mut Vec<Cell>) {
     for (field, column) in columns {
         // Without presence a missing field has its default; with presence it is absent.
         let present = message.filter(|m| !field.supports_presence() || m.has_field(field));
         match column {
-            Column::Scalar => {
-                cells.push(present.map_or_else(String::new, |m| cell(field, m.get_field(field).as_ref())))
-            }
+            Column::Scalar => cells.push(present.map_or(Cell::Absent, |m| cell(field, m.get_field(field).as_ref()))),
             Column::List { width } => {
                 let values = present.map(|m| list(m, field)).unwrap_or_default();
-                cells.extend((0..*width).map(|i| values.get(i).map_or_else(String::new, |v| cell(field, v))));
+                cells.extend((0..*width).map(|i| values.get(i).map_or(Cell::Absent, |v| cell(field, v))));
             }
             Column::Nested(inner) => match present.map(|m| m.get_field(field)).as_deref() {
                 Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
@@ -157,28 +258,31 @@ fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, 
     }
 }
 
-fn cell(field: &FieldDescriptor, value: &Value) -> String {
+fn cell(field: &FieldDescriptor, value: &Value) -> Cell {
     match value {
-        Value::Bool(v) => v.to_string(),
-        Value::I32(v) => v.to_string(),
-        Value::I64(v) => v.to_string(),
-        Value::U32(v) => v.to_string(),
-        Value::U64(v) => v.to_string(),
-        Value::F32(v) => v.to_string(),
-        Value::F64(v) => v.to_string(),
-        Value::String(v) => v.clone(),
-        Value::Bytes(v) => v.iter().map(|b| format!("{b:02x}")).collect(),
-        Value::EnumNumber(number) => match field.kind() {
-            Kind::Enum(names) => names.get_value(*number).map_or_else(
-                || number.to_string(),
-                |value| {
-                    let prefix = shout(names.name());
-                    value.name().strip_prefix(&prefix).unwrap_or(value.name()).to_ascii_lowercase()
-                },
-            ),
-            _ => number.to_string(),
-        },
-        Value::Message(_) | Value::List(_) | Value::Map(_) => String::new(),
+        Value::Bool(v) => Cell::Flag(*v),
+        Value::I32(v) => Cell::Signed((*v).into()),
+        Value::I64(v) => Cell::Signed(*v),
+        Value::U32(v) => Cell::Unsigned((*v).into()),
+        Value::U64(v) => Cell::Unsigned(*v),
+        Value::F32(v) => Cell::Single(*v),
+        Value::F64(v) => Cell::Double(*v),
+        Value::String(v) => Cell::Text(v.clone()),
+        Value::Bytes(v) => Cell::Text(v.iter().map(|b| format!("{b:02x}")).collect()),
+        Value::EnumNumber(number) => Cell::Named(
+            *number,
+            match field.kind() {
+                Kind::Enum(names) => names.get_value(*number).map_or_else(
+                    || number.to_string(),
+                    |value| {
+                        let prefix = shout(names.name());
+                        value.name().strip_prefix(&prefix).unwrap_or(value.name()).to_ascii_lowercase()
+                    },
+                ),
+                _ => number.to_string(),
+            },
+        ),
+        Value::Message(_) | Value::List(_) | Value::Map(_) => Cell::Absent,
     }
 }
 
@@ -232,11 +336,14 @@ mod tests {
         table.measure(&message);
         let header = table.header();
         let row = &table.rows(&message)[0];
-        let get = |name: &str| row[header.iter().position(|h| h == name).unwrap_or_else(|| panic!("{name}"))].as_str();
+        let get =
+            |name: &str| row[header.iter().position(|h| h == name).unwrap_or_else(|| panic!("{name}"))].to_string();
         assert_eq!(header.len(), row.len());
-        assert_eq!((get("time_us"), get("mode"), get("armed")), ("7", "altitude_hold", "false"));
-        assert_eq!((get("setpoint.altitude_m"), get("setpoint.x_m")), ("0.8", ""));
-        assert_eq!((get("motor_command[1]"), get("torque_flu_nm.x")), ("0.25", ""));
+        assert_eq!([get("time_us"), get("mode"), get("armed")], ["7", "altitude_hold", "false"]);
+        assert_eq!([get("setpoint.altitude_m"), get("setpoint.x_m")], ["0.8", ""]);
+        assert_eq!([get("motor_command[1]"), get("torque_flu_nm.x")], ["0.25", ""]);
+        assert_eq!((table.types().len(), table.types()[0]), (header.len(), Type::Integer));
+        assert!(table.fields().contains(&"motor_command".to_owned()));
     }
 
     #[test]
@@ -248,7 +355,7 @@ mod tests {
         let rows = table.rows(&message);
         let instance = table.header().iter().position(|h| h == "residuals.instance").unwrap();
         assert!(table.has_rows());
-        assert_eq!(rows.iter().map(|r| r[instance].as_str()).collect::<Vec<_>>(), ["1", "2"]);
-        assert_eq!(rows[1][0], "3", "the message's own fields repeat");
+        assert_eq!(rows.iter().map(|r| r[instance].to_string()).collect::<Vec<_>>(), ["1", "2"]);
+        assert_eq!(rows[1][0].to_string(), "3", "the message's own fields repeat");
     }
 }

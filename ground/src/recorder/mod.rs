@@ -18,6 +18,8 @@ mod numbers;
 mod reader;
 mod reading;
 mod repair;
+mod ros2;
+mod sheet;
 mod snapshot;
 mod store;
 mod track;
@@ -47,6 +49,7 @@ use folder::free_bytes;
 use index::FlightIndex;
 pub use intervals::IntervalSet;
 pub use plumbline_rest::ground::Storage;
+pub use sheet::{Format, Selection};
 pub use snapshot::Snapshot;
 use store::RecordingStore;
 pub use store::{Labels, MAX_NAME, MAX_NOTES};
@@ -270,6 +273,11 @@ impl RecorderHandle {
     /// Batches that the recorder was too slow for, since start; they are asked for again.
     pub fn refused(&self) -> usize {
         self.shared.refused.load(Ordering::Relaxed)
+    }
+
+    /// Bytes waiting to be written.
+    pub fn queued_bytes(&self) -> usize {
+        self.shared.queued_bytes.load(Ordering::Relaxed)
     }
 
     /// Space taken and left. Asks the disk.

@@ -54,6 +54,11 @@ impl FlightReader {
         start.saturating_sub(self.identity.boot_wall_time_us)
     }
 
+    /// When the agent booted, µs since the Unix epoch.
+    pub(super) fn boot_us(&self) -> u64 {
+        self.identity.boot_wall_time_us
+    }
+
     /// Passes the messages of `topics` (all when `None`) to `each` in the order of time until it says
     /// `false`.
     pub(super) fn for_each(

@@ -73,6 +73,16 @@ impl Snapshot {
         }
     }
 
+    /// Opens one file by itself, finished or as a crash left it.
+    ///
+    /// # Errors
+    /// It cannot be read, or holds no whole record.
+    pub fn of(path: &std::path::Path) -> Result<Self, super::RecordingError> {
+        let files = Files { finished: None, parts: vec![path.to_owned()] };
+        Self::join(&files)
+            .map_err(|error| super::RecordingError::Damaged { path: path.to_owned(), reason: super::explain(&error) })
+    }
+
     fn join(files: &Files) -> McapResult<Self> {
         let mut joined =
             Self { segments: Vec::new(), data: 0, end: &END, tag: String::new(), summary: None, _descriptors: None };

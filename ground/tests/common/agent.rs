@@ -124,6 +124,7 @@ impl Agent {
             time_us: self.time_us,
             estimator: v1::EstimatorKind::EkfBias as i32,
             in_loop: true,
+            world_from_body: Some(v1::Quaternion { w: 1.0, ..Default::default() }),
             position_enu_m: Some(v1::Vector3 { x: 0.0, y: 0.0, z: 0.9 }),
             ..Default::default()
         };

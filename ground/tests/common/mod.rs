@@ -115,7 +115,7 @@ impl Ground {
     }
 
     pub async fn view(&self, vehicle: &str, history: u32) -> Viewer {
-        let url = format!("ws://{}/api/vehicles/{vehicle}/live?history={history}", self.address);
+        let url = format!("ws://{}/api/v1/vehicles/{vehicle}/live?history={history}", self.address);
         // The agent's connection may still be on its way to the hub: unknown until then.
         let start = Instant::now();
         loop {
@@ -162,7 +162,8 @@ impl Response {
     }
 
     pub fn error(&self) -> String {
-        self.json()["error"].as_str().unwrap_or_else(|| panic!("no error in {}", self.text())).to_owned()
+        assert_eq!(self.header("content-type"), Some("application/problem+json"), "{}", self.text());
+        self.json()["detail"].as_str().unwrap_or_else(|| panic!("no detail in {}", self.text())).to_owned()
     }
 }
 

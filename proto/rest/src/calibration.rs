@@ -6,6 +6,7 @@ use crate::number;
 
 /// `POST /api/v1/calibrations`: what to fit, from exactly one of `flight` and `csv`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Fit {
     /// `accelerometer`, `gyroscope`, `magnetometer`, `thermal`, `motor-curve`, `thrust`, `mass` or `allan`.
@@ -47,6 +48,7 @@ pub struct Fit {
 
 /// `GET /api/v1/calibrations`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Calibrations {
     /// Newest first, without covariance and picture.
@@ -55,6 +57,7 @@ pub struct Calibrations {
 
 /// A calibration: the agent's file, with the name it is kept under. An agent reads it as it is.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Calibration {
     /// Kind and date, safe as a file name.
@@ -89,6 +92,7 @@ pub struct Calibration {
 
 /// One fitted number.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = CalibratedParameter))]
 #[serde(default)]
 pub struct Parameter {
     /// Name within its kind.
@@ -103,6 +107,7 @@ pub struct Parameter {
 
 /// What the model leaves.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Residual {
     /// Root mean square.
@@ -113,6 +118,7 @@ pub struct Residual {
 
 /// One plot of a fit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Picture {
     /// Headline.
@@ -129,6 +135,7 @@ pub struct Picture {
 
 /// Points of one kind in a plot.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Series {
     /// For the legend.

@@ -1,23 +1,21 @@
-//! What an operator asks of a vehicle, below `/api/vehicles/{id}/`, and the answer. Names (modes, estimators, sensors,
+//! What an operator asks of a vehicle, below `/api/v1/vehicles/{id}/`, and the answer. Names (modes, estimators, sensors,
 //! kinds and channels of attacks, shapes) are those of the schema in lower snake case.
 
 use serde::{Deserialize, Serialize};
 
 use crate::number;
 
-/// The answer to a command: 200 accepted, 409 rejected.
+/// The answer to a command that the vehicle accepted; one that it rejected is a [`crate::Problem`] of status 409.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Answer {
     /// Number of the command.
     pub command_id: u64,
-    /// `accepted` or `rejected`.
+    /// `accepted`.
     pub stage: String,
-    /// What was done, or why not.
+    /// What was done.
     pub reason: String,
-    /// The reason of a rejection again, where errors have it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub error: Option<String>,
     /// Number of the gains that were pushed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub revision: Option<u32>,
@@ -25,6 +23,7 @@ pub struct Answer {
 
 /// `POST mode`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Mode {
     /// Which.
@@ -33,6 +32,7 @@ pub struct Mode {
 
 /// `POST estimator`: which is in the loop.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
     /// Which.
@@ -41,6 +41,7 @@ pub struct Estimator {
 
 /// `POST decoder`: what solves the secure estimator's program.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Decoder {
     /// Which.
@@ -49,6 +50,7 @@ pub struct Decoder {
 
 /// `POST recording`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Recording {
     /// Begin or end.
@@ -57,6 +59,7 @@ pub struct Recording {
 
 /// `POST replay`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Replay {
     /// Times real time, 0 to 1000; 0 stands still.
@@ -68,6 +71,7 @@ pub struct Replay {
 
 /// `POST simulator`: what only a simulated vehicle can be given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Simulator {
     /// A new battery.
@@ -78,6 +82,7 @@ pub struct Simulator {
 
 /// `POST setpoint`. Absent fields keep their value.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Setpoint {
     /// Altitude, m.
@@ -105,6 +110,7 @@ pub struct Setpoint {
 
 /// `POST trajectory` flies a path from where the setpoint is; `DELETE` stops it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Trajectory {
     /// Which shape.
@@ -131,6 +137,7 @@ pub struct Trajectory {
 
 /// `PUT attacks`: a schedule.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AttackPlan {
     /// Attacks, in any order.
@@ -139,6 +146,7 @@ pub struct AttackPlan {
 
 /// One attack.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PlannedAttack {
     /// Kind of sensor.
@@ -168,6 +176,7 @@ fn all_channels() -> String {
 
 /// `POST gains/revert`, and `GET gains/export?revision=N`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Which {
     /// Number of the revision; absent for the last accepted one.

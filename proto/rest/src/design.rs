@@ -1,5 +1,5 @@
 //! Designs of gains: asked what they would do (`POST /api/v1/design/preview`), chosen from
-//! (`GET /api/v1/design/controllers`), pushed (`PUT /api/vehicles/{id}/gains`) and kept (`GET` of the same).
+//! (`GET /api/v1/design/controllers`), pushed (`PUT /api/v1/vehicles/{id}/gains`) and kept (`GET` of the same).
 //!
 //! Weights and K are in the order x y z vx vy vz roll pitch yaw p q r, integrals of x y z yaw; inputs are thrust, torque
 //! x, torque y, torque z. Numbers of an answer that are absent are infinite: no limit.
@@ -12,6 +12,7 @@ use serde_json::{Map, Value};
 
 /// A design, or exported gains: those carry what came of their design beside it, which is read past.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Design {
     /// Kind of controller, by name: `lqr_integral` (or `lqi`, or nothing), `lqr`, `lqg`, `hinf`, `pid`.
@@ -43,14 +44,17 @@ pub struct Design {
     pub tick_rate_hz: Option<f64>,
     /// Read past.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Object>))]
     pub units: Option<Value>,
     /// Read past.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Object>))]
     pub certificate: Option<Value>,
 }
 
 /// `POST /api/v1/design/preview`: a design, and the steps to fly under it, in one object.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Question {
     /// What is asked about.
     #[serde(flatten)]
@@ -64,6 +68,7 @@ pub struct Question {
 
 /// Sizes of the steps.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Steps {
     /// East, m.
@@ -94,6 +99,7 @@ impl<'de> Deserialize<'de> for Question {
 
 /// The answer of `GET /api/v1/design/controllers`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Controllers {
     /// Name of the airframe that the defaults are for.
@@ -104,6 +110,7 @@ pub struct Controllers {
 
 /// One controller that can be chosen.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Controller {
     /// Its name.
@@ -120,6 +127,7 @@ pub struct Controller {
 
 /// A parameter and what it may be.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Parameter {
     /// Its name.
@@ -137,6 +145,7 @@ pub struct Parameter {
 /// The answer of `POST /api/v1/design/preview`. A design that cannot be solved is refused; one whose margins do not
 /// suffice is answered, with `accepted` false.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Preview {
     /// Kind of controller.
@@ -166,6 +175,7 @@ pub struct Preview {
     /// Flown on the nonlinear vehicle.
     pub steps: Vec<Flown>,
     /// As they would be exported; only when accepted.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Object>))]
     pub gains: Option<Value>,
     /// Of the controller, as designed.
     pub parameters: Vec<Parameter>,
@@ -173,6 +183,7 @@ pub struct Preview {
 
 /// What the vehicle's loops must forgive.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Policy {
     /// Its name.
@@ -198,6 +209,7 @@ pub struct Policy {
 /// Poles and margins of one loop. Continuous poles are those of the design (no lag, no delay); the rest has the motors'
 /// lag and one tick of delay in it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Examined {
     /// Real and imaginary part, 1/s: ln(z)/T.
@@ -214,6 +226,7 @@ pub struct Examined {
 
 /// Margins of one input.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Margin {
     /// Its name.
@@ -234,6 +247,7 @@ pub struct Margin {
 
 /// Largest command of an uncut step of 1 m or 1 rad.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Share {
     /// `x`, `y`, `z` or `yaw`.
@@ -246,6 +260,7 @@ pub struct Share {
 
 /// ‖ΔK‖/‖K‖ against the gains in use.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Change {
     /// Of the row that changes most.
@@ -258,6 +273,7 @@ pub struct Change {
 
 /// A step flown on the nonlinear vehicle; curves are columns of equal length.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Flown {
     /// `x`, `y`, `z` or `yaw`.
@@ -286,8 +302,9 @@ pub struct Flown {
     pub stayed: Option<bool>,
 }
 
-/// `GET /api/vehicles/{id}/gains`: those in use, absent until the agent has reported them, and every push.
+/// `GET /api/v1/vehicles/{id}/gains`: those in use, absent until the agent has reported them, and every push.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Gains {
     /// Number; 0 is the set the agent started with.
@@ -305,6 +322,7 @@ pub struct Gains {
     /// Real part of the slowest pole, 1/s.
     pub slowest_pole_per_s: Option<f64>,
     /// As exported gains carry it.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Object>))]
     pub certificate: Option<Value>,
     /// With the horizontal position controlled.
     pub k: Option<Matrix>,
@@ -314,6 +332,7 @@ pub struct Gains {
 
 /// A matrix, row by row.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Matrix {
     /// How many.
@@ -326,6 +345,7 @@ pub struct Matrix {
 
 /// One push of gains, as the ground keeps it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Revision {
     /// From 1.
     pub revision: u32,
@@ -339,6 +359,7 @@ pub struct Revision {
     pub reason: String,
     /// What was pushed: the fields of a [`Design`], as they came.
     #[serde(flatten)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Object))]
     pub design: Map<String, Value>,
 }
 

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 /// A plan, TOML.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
     /// Its text.
@@ -26,6 +27,7 @@ pub struct Asked {
 
 /// What a plan comes to.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Size {
     /// Id that it has, or will have.
@@ -44,6 +46,7 @@ pub struct Size {
 
 /// How an experiment stands.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct State {
     /// Id.
@@ -72,6 +75,7 @@ pub struct State {
 
 /// `GET /api/v1/experiments`, newest first.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Experiments {
     /// All there are.
@@ -80,6 +84,7 @@ pub struct Experiments {
 
 /// A column of numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Measure {
     /// Name, with its unit.
@@ -90,6 +95,7 @@ pub struct Measure {
 
 /// What is there of an experiment, condition by condition.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Results {
     /// How it stands.
@@ -104,6 +110,7 @@ pub struct Results {
 
 /// The flights of one condition.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Condition {
     /// Which of the plan.
@@ -124,6 +131,7 @@ pub struct Condition {
 
 /// Values of many flights.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Spread {
     /// How many.
@@ -146,6 +154,7 @@ pub struct Spread {
 
 /// So many of so many.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Part {
     /// So many.
@@ -158,6 +167,7 @@ pub struct Part {
 
 /// Differences of pairs of flights of the same seed.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Difference {
     /// The condition compared with.
@@ -174,6 +184,7 @@ pub struct Difference {
 
 /// Flights of an experiment, some of them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Flights {
     /// How many there are that were asked for.
@@ -184,6 +195,7 @@ pub struct Flights {
 
 /// One flight.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Flight {
     /// Which of the plan.
@@ -200,6 +212,7 @@ pub struct Flight {
 
 /// A flight of an experiment, recorded.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Opened {
     /// Its id among the flights.

@@ -1,4 +1,6 @@
-//! Recorded flights: `GET /api/flights`, `GET` and `PATCH /api/flights/{id}`.
+//! Recorded flights: `GET /api/v1/flights`, `GET` and `PATCH /api/v1/flights/{id}`.
+
+mod listing;
 
 use std::collections::BTreeMap;
 
@@ -6,13 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::command::PlannedAttack;
 use crate::ground::Storage;
+pub use listing::{Column, Listing, MAX_PAGE, PAGE, page};
 
-/// `GET /api/flights`.
+/// `GET /api/v1/flights`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Flights {
-    /// Newest first.
+    /// One page, in the order asked for.
     pub flights: Vec<Flight>,
+    /// Flights on all pages.
+    pub total: u64,
     /// How full the storage is.
     pub storage: Storage,
     /// Is the list whole? Not while the files are still being read after a start.
@@ -21,6 +27,7 @@ pub struct Flights {
 
 /// Is everything there that the agent sent?
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Completeness {
     /// It goes on.
@@ -48,6 +55,7 @@ impl Completeness {
 
 /// One setpoint step of a flight.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Step {
     /// Since the start of the flight, s.
@@ -70,6 +78,7 @@ pub struct Step {
 
 /// One attack of a flight; `start_s` counts from the start of the flight.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FlownAttack {
     /// The attack.
     #[serde(flatten)]
@@ -81,6 +90,7 @@ pub struct FlownAttack {
 
 /// One flight: one field for each key of the answer, hence so many.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Flight {
     /// Id, safe as a file name.
@@ -141,8 +151,9 @@ impl Flight {
     }
 }
 
-/// `PATCH /api/flights/{id}`; what is absent stays.
+/// `PATCH /api/v1/flights/{id}`; what is absent stays.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Labels {
     /// Its name.
@@ -153,9 +164,10 @@ pub struct Labels {
     pub notes: Option<String>,
 }
 
-/// `GET /api/flights/{id}/estimate`: the curves of a recording estimated again, columns of equal length. Beside them the
+/// `GET /api/v1/flights/{id}/estimate`: the curves of a recording estimated again, columns of equal length. Beside them the
 /// answer has the estimator and its score, as the agent's own command prints it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Curves {
     /// Flight time, s.

@@ -1,9 +1,10 @@
-//! What a ground is and whom it knows: `GET /api/ground`, `GET /api/vehicles`, `/api/vehicles/{id}/lease`.
+//! What a ground is and whom it knows: `GET /api/v1/ground`, `GET /api/v1/vehicles`, `/api/v1/vehicles/{id}/lease`.
 
 use serde::{Deserialize, Serialize};
 
-/// `GET /api/ground`.
+/// `GET /api/v1/ground`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Ground {
     /// Its version.
@@ -32,6 +33,7 @@ pub struct Ground {
 
 /// What the recordings take and leave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Storage {
     /// Size of all flight files, bytes.
@@ -42,8 +44,9 @@ pub struct Storage {
     pub flights: u64,
 }
 
-/// One of `GET /api/vehicles`.
+/// One of `GET /api/v1/vehicles`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Vehicle {
     /// The agent's id.
@@ -66,6 +69,7 @@ pub struct Vehicle {
 
 /// Who holds control of a vehicle.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Lease {
     /// Nobody where it is absent.

@@ -15,12 +15,32 @@ pub mod people;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// The body of every error.
+/// The body of every error, `application/problem+json` (RFC 9457): [`Problem::code`] is stable, [`Problem::detail`] is
+/// for people.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
-pub struct Refusal {
+pub struct Problem {
+    /// `about:blank`: the status says what kind of problem it is.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// What the status means.
+    pub title: String,
+    /// HTTP status.
+    pub status: u16,
     /// A sentence with the offending value.
-    pub error: String,
+    pub detail: String,
+    /// For programs: `not_found`, `invalid`, `held`, `rejected` …
+    pub code: String,
+    /// Who holds control, where that is the problem.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub holder: Option<String>,
+    /// Number of the command that the vehicle rejected.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub command_id: Option<u64>,
+    /// Number of the gains that the vehicle rejected.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revision: Option<u32>,
 }
 
 /// For optional numbers: `null` is not absence but a NaN that JSON swallowed.

@@ -1,9 +1,10 @@
-//! Who may do what: `/api/session`, `/api/sessions`, `/api/people`, `/api/pairing`.
+//! Who may do what: `/api/v1/session`, `/api/v1/sessions`, `/api/v1/people`, `/api/v1/pairing`.
 
 use serde::{Deserialize, Serialize};
 
 /// Role of an account; each may do what the one before may.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
     /// Watches, and reads recordings.
@@ -36,8 +37,9 @@ impl Role {
     }
 }
 
-/// `GET /api/session`: who asks.
+/// `GET /api/v1/session`: who asks.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Session {
     /// Must people sign in?
@@ -52,8 +54,9 @@ pub struct Session {
     pub two_steps: bool,
 }
 
-/// `POST /api/session`.
+/// `POST /api/v1/session`.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Credentials {
     /// Account.
@@ -65,8 +68,9 @@ pub struct Credentials {
     pub code: String,
 }
 
-/// `POST /api/session/authenticator`: a new one, which counts once a code of it has come back.
+/// `POST /api/v1/session/authenticator`: a new one, which counts once a code of it has come back.
 #[derive(Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct NewAuthenticator {
     /// To be typed, base 32.
@@ -77,8 +81,9 @@ pub struct NewAuthenticator {
     pub svg: String,
 }
 
-/// `PUT /api/session/authenticator`: its code is the proof that it works.
+/// `PUT /api/v1/session/authenticator`: its code is the proof that it works.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Confirmation {
     /// As it was offered.
@@ -87,16 +92,18 @@ pub struct Confirmation {
     pub code: String,
 }
 
-/// `DELETE /api/session/authenticator`, and `POST /api/pairing`.
+/// `DELETE /api/v1/session/authenticator`, and `POST /api/v1/pairing`.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Code {
     /// What the authenticator, or the agent, shows.
     pub code: String,
 }
 
-/// `GET /api/people`, and `GET /api/sessions` without accounts.
+/// `GET /api/v1/people`, and `GET /api/v1/sessions` without accounts.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct People {
     /// Every account.
@@ -107,6 +114,7 @@ pub struct People {
 
 /// One account.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Account {
     /// Name to sign in with.
     pub name: String,
@@ -119,6 +127,7 @@ pub struct Account {
 
 /// One session.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct SignedIn {
     /// By which it is ended; says nothing about its token.
@@ -133,8 +142,9 @@ pub struct SignedIn {
     pub seen_s: u64,
 }
 
-/// `POST /api/people`.
+/// `POST /api/v1/people`.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct NewAccount {
     /// Name to sign in with.
@@ -145,8 +155,9 @@ pub struct NewAccount {
     pub password: String,
 }
 
-/// `PATCH /api/people/{name}`.
+/// `PATCH /api/v1/people/{name}`.
 #[derive(Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct AccountChange {
     /// What it may do from now on.

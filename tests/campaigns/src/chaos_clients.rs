@@ -53,7 +53,7 @@ fn now_us() -> i64 {
 /// Follows the control ticks on a thread of its own.
 fn watch(client: &Client) -> Arc<Mutex<Seen>> {
     let seen = Arc::new(Mutex::new(Seen::default()));
-    let mut socket = client.socket("/api/vehicles/iris-1/live?history=0", &client.pilot).unwrap();
+    let mut socket = client.socket("/api/v1/vehicles/iris-1/live?history=0", &client.pilot).unwrap();
     let told = seen.clone();
     std::thread::spawn(move || {
         while let Ok(message) = socket.read() {
@@ -167,7 +167,7 @@ pub fn run() -> std::process::ExitCode {
     for load in chosen(loads::SCARCE) {
         trial(&mut figures, &client, load, system.ground.process.id(), rounds);
     }
-    let (_, ground) = client.get("/api/ground", &client.pilot).expect("the ground");
+    let (_, ground) = client.get("/api/v1/ground", &client.pilot).expect("the ground");
     let ground: serde_json::Value = serde_json::from_str(&ground).expect("JSON");
     let silent = f64::from(u8::from(!ground["recording_error"].is_null()));
     figures.at_most("recording_stopped", silent, 0.0, "times", json!({ "said": ground["recording_error"] }));
@@ -204,7 +204,7 @@ fn restart(system: &mut System, options: &SystemOptions, arguments: &[&str], fil
 /// Waits for the vehicle to be connected again.
 fn back(client: &Client) {
     let back = wait_until(PATIENCE, || {
-        let (_, text) = client.get("/api/vehicles", &client.pilot)?;
+        let (_, text) = client.get("/api/v1/vehicles", &client.pilot)?;
         text.contains("\"connected\":true").then_some(())
     });
     assert!(back.is_some(), "the vehicle has not come back");

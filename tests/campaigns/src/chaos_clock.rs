@@ -204,7 +204,7 @@ fn steps(figures: &mut Figures, library: &Path) {
     figures.at_most("steps_cut", cut_ms(&rig), 250.0, "ms", json!({}));
     let flight = rig.finished_flight();
     let id = flight["id"].as_str().unwrap();
-    let file = rig.api().get(&format!("/api/flights/{id}/mcap")).unwrap().body;
+    let file = rig.api().get(&format!("/api/v1/flights/{id}/mcap")).unwrap().body;
     let times: Vec<u64> = files::messages(&file).values().map(|message| message.wall_us).collect();
     // What is computed of past windows is stamped with their time, and comes a little later.
     let back_us = times.windows(2).map(|pair| pair[0].saturating_sub(pair[1])).max().unwrap_or_default();

@@ -123,7 +123,7 @@ impl<'a> Watch<'a> {
     }
 
     fn recording_error(&self) -> Option<String> {
-        let ground = self.system.api().get_json("/api/ground").ok()?;
+        let ground = self.system.api().get_json("/api/v1/ground").ok()?;
         ground["recording_error"].as_str().map(str::to_owned)
     }
 
@@ -190,7 +190,7 @@ fn ground_full(figures: &mut Figures, watch: &mut Watch, ground: &Disk) {
     watch.ticks_hz();
     watch.land();
     let complete = wait_until(Duration::from_secs(60), || {
-        let flights = watch.system.api().get_json("/api/flights").ok()?;
+        let flights = watch.system.api().get_json("/api/v1/flights?limit=1000").ok()?;
         let flight = flights["flights"].get(0)?.clone();
         (flight["completeness"] == "complete").then_some(flight)
     });
@@ -231,9 +231,12 @@ fn read_only(figures: &mut Figures, watch: &mut Watch) {
         "s",
         json!({ "error": watch.recording_error() }),
     );
-    let ready = || watch.system.api().get_json("/api/flights").is_ok_and(|list| list["ready"] == true).then_some(());
+    let ready = || {
+        watch.system.api().get_json("/api/v1/flights?limit=1000").is_ok_and(|list| list["ready"] == true).then_some(())
+    };
     wait_until(PATIENCE, ready).expect("every file looked at");
-    let listed = watch.system.api().get_json("/api/flights").unwrap()["flights"].as_array().map_or(0, Vec::len);
+    let listed =
+        watch.system.api().get_json("/api/v1/flights?limit=1000").unwrap()["flights"].as_array().map_or(0, Vec::len);
     figures.at_least("ground_read_only_flights_served", listed as f64, 2.0, "flights", json!({}));
     let noticed = watch.until(|status| !status.log_healthy);
     figures.at_most("log_read_only_shown_after", noticed, NOTICED_WITHIN_S, "s", json!({}));

@@ -77,7 +77,7 @@ pub fn run() -> std::process::ExitCode {
     let radio = Radio::to(ground.link, Faults::default(), seed).unwrap();
     ground.link = radio.address();
     let mut agent = Agent::start(&options, "iris-1", &scenario("altitude_step"), &ground).unwrap();
-    let command = |route: &str, body| ground.api.command("POST", &format!("/api/vehicles/iris-1/{route}"), &body);
+    let command = |route: &str, body| ground.api.command("POST", &format!("/api/v1/vehicles/iris-1/{route}"), &body);
     command("recording", json!({ "on": true })).unwrap();
     wait_until(PATIENCE, || command("arm", json!({})).ok()).expect("armed");
     command("mode", json!({ "mode": "altitude_hold" })).unwrap();

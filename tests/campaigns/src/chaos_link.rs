@@ -69,7 +69,7 @@ impl Viewer {
     fn of(ground: &Ground) -> Self {
         let seen = Arc::new(Mutex::new(Seen::default()));
         let ended = Arc::new(AtomicBool::new(false));
-        let mut live = Live::connect(&ground.api, "/api/vehicles/iris-1/live?history=0");
+        let mut live = Live::connect(&ground.api, "/api/v1/vehicles/iris-1/live?history=0");
         let thread = {
             let (seen, ended) = (seen.clone(), ended.clone());
             std::thread::spawn(move || {
@@ -96,7 +96,7 @@ impl Viewer {
 }
 
 fn command(ground: &Ground, route: &str, body: Value) -> Result<Value, XtaskError> {
-    ground.api.command("POST", &format!("/api/vehicles/iris-1/{route}"), &body)
+    ground.api.command("POST", &format!("/api/v1/vehicles/iris-1/{route}"), &body)
 }
 
 pub fn run() -> std::process::ExitCode {
@@ -117,7 +117,7 @@ pub fn run() -> std::process::ExitCode {
     let flight = completed(&ground);
     let completed_us = now_us();
     let id = flight["id"].as_str().unwrap().to_owned();
-    let file = ground.api.get(&format!("/api/flights/{id}/mcap")).unwrap().body;
+    let file = ground.api.get(&format!("/api/v1/flights/{id}/mcap")).unwrap().body;
     let seen = viewer.end();
     agent.process.interrupt(Duration::from_secs(10)).unwrap();
     let onboard = std::fs::read(options.data.join("iris-1/log").join(format!("{id}.mcap"))).unwrap();
@@ -186,11 +186,11 @@ fn stop_recording(ground: &Ground, agent: &Agent) {
 /// The flight, once the ground has all of it.
 fn completed(ground: &Ground) -> Value {
     let complete = wait_until(COMPLETE_WITHIN, || {
-        let flights = ground.api.get_json("/api/flights").ok()?;
+        let flights = ground.api.get_json("/api/v1/flights?limit=1000").ok()?;
         let flight = flights["flights"].get(0)?.clone();
         (flight["completeness"] == "complete").then_some(flight)
     });
-    complete.unwrap_or_else(|| panic!("not complete: {}", ground.api.get_json("/api/flights").unwrap()))
+    complete.unwrap_or_else(|| panic!("not complete: {}", ground.api.get_json("/api/v1/flights?limit=1000").unwrap()))
 }
 
 /// What was delivered in each phase, and how soon again after each fade.

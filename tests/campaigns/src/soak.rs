@@ -273,7 +273,7 @@ fn sample(system: &System, length: Duration) -> Sampled {
 fn report_recording(figures: &mut Figures, system: &System, minutes: u64) {
     // The parts of a long flight are merged in the background first.
     let complete = wait_until(Duration::from_secs(120 + 15 * minutes), || {
-        let flights = system.api().get_json("/api/flights").ok()?;
+        let flights = system.api().get_json("/api/v1/flights?limit=1000").ok()?;
         let flight = flights["flights"].get(0)?.clone();
         (flight["completeness"] == "complete").then_some(flight)
     });

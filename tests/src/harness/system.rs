@@ -96,7 +96,7 @@ impl System {
 
     /// Path of a route of our vehicle.
     pub fn vehicle(&self, route: &str) -> String {
-        format!("/api/vehicles/{}/{route}", self.agent.id)
+        format!("/api/v1/vehicles/{}/{route}", self.agent.id)
     }
 
     /// Ends both as Ctrl-C would, the vehicle first so that its recording is complete.
@@ -174,7 +174,7 @@ impl Agent {
     /// It does not; with its last lines.
     pub fn wait_until_connected(&mut self, api: &Api) -> Result<(), XtaskError> {
         let listed = wait_until(START, || {
-            let vehicles = api.get_json("/api/vehicles").unwrap_or_default();
+            let vehicles = api.get_json("/api/v1/vehicles").unwrap_or_default();
             let mut vehicles = vehicles.as_array().cloned().unwrap_or_default().into_iter();
             vehicles.any(|vehicle| vehicle["id"] == self.id.as_str() && vehicle["connected"] == true).then_some(())
         });

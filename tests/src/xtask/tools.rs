@@ -6,14 +6,22 @@ use std::process::{Command, Stdio};
 use super::workspace::{apt_install, may_install, on_path, run};
 use super::{Workspace, XtaskError};
 
-/// What the browser scripts are written for: what drives any recent Chromium, and the reader of flight files that
-/// Foxglove uses.
-const NODE_PACKAGES: [&str; 3] = ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1"];
+/// What the browser scripts are written for: what drives any recent Chromium, and the reader of flight files and the
+/// client of the live link that Foxglove uses.
+const NODE_PACKAGES: [&str; 5] =
+    ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1", "@foxglove/ws-protocol@0.8.0", "ws@8.18.3"];
 /// Third-party readers of our flight files and of the results of experiments.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, duckdb, polars",
-    packages: &["mcap>=1.2", "mcap-protobuf-support>=0.5", "duckdb>=1.1", "polars>=1.9"],
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel",
+    packages: &[
+        "mcap>=1.2",
+        "mcap-protobuf-support>=0.5",
+        "scipy>=1.11",
+        "duckdb>=1.0",
+        "polars>=1.0",
+        "rosbags>=0.11",
+    ],
 };
 /// The peer of `bench estimate`.
 const FILTERPY: PythonTools =
@@ -74,7 +82,7 @@ pub fn rust_components(workspace: &Workspace) -> Result<(), XtaskError> {
     Ok(())
 }
 
-/// A Python that can read MCAP.
+/// A Python that can read MCAP, and the tables made of it.
 ///
 /// # Errors
 /// What is missing and how to get it.

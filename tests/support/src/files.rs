@@ -73,12 +73,44 @@ pub fn counts(file: &[u8]) -> BTreeMap<String, u64> {
 
 /// A Python that has the third-party reader: `PLUMBLINE_PYTHON`, or any. Where there is none, says that it is skipped.
 pub fn python() -> Option<OsString> {
+    python_with("mcap.reader")
+}
+
+/// The same, with other modules.
+pub fn python_with(modules: &str) -> Option<OsString> {
     let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
-    let reads = Command::new(&python).args(["-c", "import mcap.reader"]).output().is_ok_and(|ran| ran.status.success());
+    let import = format!("import {modules}");
+    let reads = Command::new(&python).args(["-c", &import]).output().is_ok_and(|ran| ran.status.success());
     if !reads {
-        println!("skipped: no Python with the mcap package; `cargo xtask` provides one");
+        println!("skipped: no Python with {modules}; `cargo xtask` provides one");
     }
     reads.then_some(python)
+}
+
+/// What `rosbags` finds in a bag: see `tests/browser/bag.py`.
+///
+/// # Errors
+/// What it says of a file that it does not open.
+pub fn bag_by(python: &OsStr, file: &Path) -> Result<serde_json::Value, String> {
+    read_by(python, "bag.py", &[file.as_os_str()])
+}
+
+/// What other people's readers find in the same table as CSV, Parquet and .mat: see `tests/browser/tables.py`.
+///
+/// # Errors
+/// What they say of a file that they do not open.
+pub fn tables_by(python: &OsStr, files: [&Path; 3], column: &str, text: &str) -> Result<serde_json::Value, String> {
+    let [csv, parquet, mat] = files.map(Path::as_os_str);
+    read_by(python, "tables.py", &[csv, parquet, mat, OsStr::new(column), OsStr::new(text)])
+}
+
+fn read_by(python: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../browser").join(script);
+    let ran = Command::new(python).arg(script).args(arguments).output().unwrap();
+    if !ran.status.success() {
+        return Err(String::from_utf8_lossy(&ran.stderr).into_owned());
+    }
+    Ok(serde_json::from_slice(&ran.stdout).unwrap())
 }
 
 /// Messages by topic, as the third-party reader of [`python`] counts them.

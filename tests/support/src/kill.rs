@@ -61,7 +61,7 @@ impl Viewer {
     /// Watches the vehicle of `ground` from now on.
     pub fn of(ground: &Ground) -> Self {
         let (notes, ended) = (Arc::new(Mutex::new(Notes::default())), Arc::new(AtomicBool::new(false)));
-        let mut live = Live::connect(&ground.api, "/api/vehicles/iris-1/live?history=0");
+        let mut live = Live::connect(&ground.api, "/api/v1/vehicles/iris-1/live?history=0");
         let thread = {
             let (notes, ended) = (notes.clone(), ended.clone());
             std::thread::spawn(move || {
@@ -152,7 +152,7 @@ pub fn run(options: &SystemOptions, rounds: u64, seed: u64) -> Tally {
         if kill_agent {
             // Until the new one has said hello the ground shows the old one.
             let boot =
-                |ground: &Ground| ground.api.get_json("/api/vehicles").ok().map(|list| list[0]["boot_id"].clone());
+                |ground: &Ground| ground.api.get_json("/api/v1/vehicles").ok().map(|list| list[0]["boot_id"].clone());
             let old = boot(&ground);
             agent = Agent::start(options, "iris-1", &scenario("altitude_step"), &ground).unwrap();
             let new = || (kill_ground || boot(&ground) != old).then_some(());
@@ -188,13 +188,13 @@ pub fn run(options: &SystemOptions, rounds: u64, seed: u64) -> Tally {
 /// Records by hand at once, and flies as soon as the vehicle lets itself be armed.
 pub fn fly(ground: &Ground) {
     let command = |route: &str, body: Value| {
-        let reply = ground.api.send("POST", &format!("/api/vehicles/iris-1/{route}"), &body);
+        let reply = ground.api.send("POST", &format!("/api/v1/vehicles/iris-1/{route}"), &body);
         reply.is_ok_and(|reply| reply.status == 200)
     };
     wait_until(PATIENCE, || command("recording", json!({ "on": true })).then_some(())).expect("recording");
     // Armed already, or landed after the ground was away: either is a flight.
     wait_until(Duration::from_secs(8), || {
-        let armed = ground.api.get_json("/api/vehicles").ok()?[0]["armed"] == true;
+        let armed = ground.api.get_json("/api/v1/vehicles").ok()?[0]["armed"] == true;
         (armed || command("arm", json!({}))).then_some(())
     });
     if command("mode", json!({ "mode": "altitude_hold" })) {
@@ -227,7 +227,7 @@ fn lost(notes: &Notes, folder: &Path, killed: Instant) -> Result<f64, String> {
 /// Where they differ.
 pub fn consistent(ground: &Ground, folder: &Path) -> Result<(), String> {
     let listed = wait_until(PATIENCE, || {
-        let list = ground.api.get_json("/api/flights").ok()?;
+        let list = ground.api.get_json("/api/v1/flights?limit=1000").ok()?;
         (list["ready"] == true).then(|| list["flights"].as_array().cloned().unwrap_or_default())
     });
     let listed = listed.ok_or("the ground does not become ready")?;

@@ -102,7 +102,7 @@ impl Rig {
     pub fn finished_flight(&self) -> Value {
         let mut last = Value::Null;
         let finished = wait_until(PATIENCE, || {
-            last = self.api().get_json("/api/flights").unwrap();
+            last = self.api().get_json("/api/v1/flights?limit=1000").unwrap();
             let flights = last["flights"].as_array().cloned().unwrap_or_default();
             let [flight] = flights.as_slice() else { return None };
             (flight["completeness"] == "complete").then(|| flight.clone())

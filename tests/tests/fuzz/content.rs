@@ -11,7 +11,7 @@ use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::vehicle::Vehicle as _;
 use plumbline_ground::GroundConfig;
 use plumbline_ground::people::{Accounts, People, Role, Token};
-use plumbline_ground::recorder::{self, Export};
+use plumbline_ground::recorder::{self, Export, Format, Selection};
 use plumbline_link::identity;
 use plumbline_proto::Kind;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
@@ -96,7 +96,8 @@ fn fuzz_flight_content() {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
         for flight in handle.flights().unwrap() {
-            let mut exports = vec![Export::wide(handle.open(&flight.id).unwrap())];
+            let wide = |format| Export::wide(handle.open(&flight.id).unwrap(), Selection::default(), format);
+            let mut exports: Vec<_> = Format::ALL.into_iter().map(wide).collect();
             exports.extend(
                 [None, Some("control,imu")].map(|kinds| Export::frames(handle.open(&flight.id).unwrap(), kinds)),
             );

@@ -75,7 +75,7 @@ impl Ground {
     fn read_all(&self) {
         let begun = Instant::now();
         let flights = loop {
-            let list = self.api.get_json("/api/flights").unwrap();
+            let list = self.api.get_json("/api/v1/flights?limit=1000").unwrap();
             if list["ready"] == true {
                 break list["flights"].as_array().unwrap().clone();
             }
@@ -85,12 +85,12 @@ impl Ground {
         for flight in flights {
             let id = flight["id"].as_str().unwrap();
             for form in ["", "/mcap", "/csv", "/frames", "/csv?topic=/status", "/estimate?estimator=ekf_bias"] {
-                self.ask("GET", &format!("/api/flights/{id}{form}"), &Value::Null);
+                self.ask("GET", &format!("/api/v1/flights/{id}{form}"), &Value::Null);
             }
         }
         for vehicle in ["iris-1", "iris-2"] {
             for view in ["history?seconds=60", "gains", "gains/export", "lease"] {
-                self.ask("GET", &format!("/api/vehicles/{vehicle}/{view}"), &Value::Null);
+                self.ask("GET", &format!("/api/v1/vehicles/{vehicle}/{view}"), &Value::Null);
             }
         }
     }

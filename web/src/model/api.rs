@@ -1,6 +1,6 @@
 //! The ground's JSON, as the page reads and writes it.
 
-use plumbline_rest::Refusal;
+use plumbline_rest::Problem;
 use plumbline_rest::flight::Curves;
 use plumbline_rest::people::Session;
 use serde::Deserialize;
@@ -11,7 +11,7 @@ pub fn who(session: &Session) -> Option<String> {
     Some(session.role.map_or_else(|| name.clone(), |role| format!("{name} ({})", role.name())))
 }
 
-/// `GET /api/flights/{id}/estimate`: a recording estimated again.
+/// `GET /api/v1/flights/{id}/estimate`: a recording estimated again.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default)]
 pub struct Again {
@@ -37,9 +37,9 @@ pub struct Score {
 
 /// What to tell the operator about a failed request: the ground's own text where it gave one.
 pub fn failure_text(status: u16, body: &str) -> String {
-    let refusal: Refusal = serde_json::from_str(body).unwrap_or_default();
-    if !refusal.error.is_empty() {
-        return refusal.error;
+    let problem: Problem = serde_json::from_str(body).unwrap_or_default();
+    if !problem.detail.is_empty() {
+        return problem.detail;
     }
     match status {
         0 => "the ground station does not answer".to_owned(),
@@ -57,13 +57,13 @@ mod tests {
     #[test]
     fn failures_say_what_the_ground_said() {
         assert_eq!(
-            failure_text(422, r#"{"error":"height 3.4 m above limit 2.0 m"}"#),
+            failure_text(422, r#"{"detail":"height 3.4 m above limit 2.0 m"}"#),
             "height 3.4 m above limit 2.0 m"
         );
         assert_eq!(
             failure_text(
                 409,
-                r#"{"command_id":3,"stage":"rejected","reason":"b","error":"battery 13.1 V below 14.0 V"}"#
+                r#"{"status":409,"code":"rejected","command_id":3,"detail":"battery 13.1 V below 14.0 V"}"#
             ),
             "battery 13.1 V below 14.0 V"
         );

@@ -45,7 +45,7 @@ impl Bench {
             if let Ok(list) = net::json::<Calibrations>("GET", "/api/v1/calibrations", None, "").await {
                 let _ = self.kept.try_set(list.calibrations);
             }
-            if let Ok(list) = net::json::<Flights>("GET", "/api/flights", None, "").await {
+            if let Ok(list) = net::json::<Flights>("GET", "/api/v1/flights?limit=1000", None, "").await {
                 let _ = self.flights.try_set(list.flights);
             }
         });

@@ -112,7 +112,7 @@ pub fn Compare(
         let mut flights = Vec::new();
         let mut summaries = Vec::new();
         for id in &ids {
-            let summary = net::json::<Flight>("GET", &format!("/api/flights/{id}"), None, "").await;
+            let summary = net::json::<Flight>("GET", &format!("/api/v1/flights/{id}"), None, "").await;
             match (summary, load_frames(id).await) {
                 (Ok(summary), Ok(flight)) => {
                     summaries.push(summary);

@@ -57,7 +57,7 @@ pub async fn load_frames(id: &str) -> Result<Live, Failure> {
 
 /// Messages of some kinds of a flight.
 async fn load_kinds(id: &str, kinds: &str) -> Result<Live, Failure> {
-    let bytes = net::bytes(&format!("/api/flights/{id}/frames?kinds={kinds}")).await?;
+    let bytes = net::bytes(&format!("/api/v1/flights/{id}/frames?kinds={kinds}")).await?;
     let mut flight = Live::recorded();
     flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;
     Ok(flight)
@@ -73,7 +73,7 @@ pub fn FlightPage(
     let summary = RwSignal::new(None::<Result<Flight, Failure>>);
     let loaded = RwSignal::new(Loaded::Loading);
     let owner = Owner::current();
-    let url = format!("/api/flights/{id}");
+    let url = format!("/api/v1/flights/{id}");
     {
         let (url, id) = (url.clone(), id.clone());
         leptos::task::spawn_local(async move {
@@ -155,7 +155,7 @@ fn Shown(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>, loaded:
 #[component]
 fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
-    let url = StoredValue::new(format!("/api/flights/{id}"));
+    let url = StoredValue::new(format!("/api/v1/flights/{id}"));
     let name = RwSignal::new(String::new());
     Effect::new(move |_| {
         if let Some(Ok(flight)) = summary.get() {
@@ -203,8 +203,9 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             <span class="quiet num one-line">{facts}</span>
             <span class="push downloads">
                 <Link to=Route::Report(id.clone())>"Report"</Link>
-                <a class="button" href=format!("/api/flights/{id}/mcap") download="">"MCAP"</a>
-                <a class="button" href=format!("/api/flights/{id}/csv") download="">"CSV"</a>
+                {listing::FORMS.map(|(form, name)| {
+                    view! { <a class="button" href=format!("/api/v1/flights/{id}/{form}") download="">{name}</a> }
+                })}
             </span>
             <span class="delete"><HoldButton label="Delete" class="warn" action=delete /></span>
         </div>

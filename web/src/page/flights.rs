@@ -1,16 +1,12 @@
 //! Flights: every recording, to find, compare, download.
 
 use leptos::prelude::*;
-use plumbline_rest::flight::{Completeness, Flight, Flights};
+use plumbline_rest::flight::{Column, Completeness, Flight, Flights, Listing};
 
 use crate::{
     ctx::ctx,
     event::Failure,
-    model::{
-        format,
-        listing::{self, Column},
-        route::Route,
-    },
+    model::{format, listing, route::Route},
     net,
     panel::toolbar::Link,
 };
@@ -20,16 +16,22 @@ use crate::{
 pub fn FlightsPage() -> impl IntoView {
     let ctx = ctx();
     let answer = RwSignal::new(None::<Result<Flights, Failure>>);
-    let filter = RwSignal::new(String::new());
-    let order = RwSignal::new((Column::Started, true));
+    let asked = RwSignal::new(Listing::default());
     let chosen = RwSignal::new(Vec::<String>::new());
     let load = move || {
+        let Some(now) = asked.try_get_untracked() else { return };
         leptos::task::spawn_local(async move {
-            let flights = net::json("GET", "/api/flights", None, "").await;
-            answer.try_set(Some(flights));
+            let flights = net::json("GET", &address(&now), None, "").await;
+            // An answer to what is no longer asked comes too late.
+            if asked.try_with_untracked(|asked| *asked == now) == Some(true) {
+                answer.try_set(Some(flights));
+            }
         });
     };
-    load();
+    Effect::new(move |_| {
+        asked.track();
+        load();
+    });
     // A flight that is being recorded, or filled, changes while one looks.
     let timer = set_interval_with_handle(load, std::time::Duration::from_secs(3)).ok();
     on_cleanup(move || {
@@ -37,21 +39,18 @@ pub fn FlightsPage() -> impl IntoView {
             timer.clear();
         }
     });
-    let rows = Memo::new(move |_| {
-        let (column, descending) = order.get();
-        match answer.get() {
-            Some(Ok(flights)) => listing::select(flights.flights, &filter.get(), column, descending),
-            _ => Vec::new(),
-        }
+    let whole = move |of: fn(&Flights) -> u64| answer.with(|a| a.as_ref().and_then(|a| a.as_ref().ok()).map_or(0, of));
+    let rows = Memo::new(move |_| match answer.get() {
+        Some(Ok(flights)) => flights.flights,
+        _ => Vec::new(),
     });
-    let total =
-        Memo::new(move |_| answer.with(|a| a.as_ref().and_then(|a| a.as_ref().ok()).map_or(0, |f| f.flights.len())));
+    let found = Memo::new(move |_| whole(|flights| flights.total));
     let storage = move || {
         answer.with(|a| {
             a.as_ref().and_then(|a| a.as_ref().ok()).map(|f| {
                 format!(
                     "{}, {} used, {} free",
-                    format::plural(f.flights.len() as u64, "flight"),
+                    format::plural(f.storage.flights, "flight"),
                     format::bytes(f.storage.used_bytes),
                     format::bytes(f.storage.free_bytes)
                 )
@@ -63,21 +62,23 @@ pub fn FlightsPage() -> impl IntoView {
         view! {
             <th
                 scope="col"
-                class:num=column.is_number()
-                aria-sort=move || match order.get() {
-                    (c, true) if c == column => "descending",
-                    (c, false) if c == column => "ascending",
+                class:num=listing::is_number(column)
+                aria-sort=move || match asked.with(|asked| (asked.sort == column, asked.descending)) {
+                    (true, true) => "descending",
+                    (true, false) => "ascending",
                     _ => "none",
                 }
             >
-                <button type="button" class="plain" on:click=move |_| order.update(|(c, descending)| {
-                    *descending = if *c == column { !*descending } else { column.is_number() || column == Column::Started };
-                    *c = column;
+                <button type="button" class="plain" on:click=move |_| asked.update(|asked| {
+                    let first = listing::is_number(column) || column == Column::Started;
+                    asked.descending = if asked.sort == column { !asked.descending } else { first };
+                    asked.sort = column;
+                    asked.offset = 0;
                 })>
-                    {column.name()}
-                    <span aria-hidden="true">{move || match order.get() {
-                        (c, true) if c == column => " ▾",
-                        (c, false) if c == column => " ▴",
+                    {listing::head(column)}
+                    <span aria-hidden="true">{move || match asked.with(|asked| (asked.sort == column, asked.descending)) {
+                        (true, true) => " ▾",
+                        (true, false) => " ▴",
                         _ => "",
                     }}</span>
                 </button>
@@ -92,9 +93,10 @@ pub fn FlightsPage() -> impl IntoView {
             None => all.push(id),
         })
     };
+    let form = RwSignal::new(listing::FORMS[0].0.to_owned());
     let download = move |_| {
         for id in chosen.get_untracked() {
-            net::download(&format!("/api/flights/{id}/mcap"), "");
+            net::download(&format!("/api/v1/flights/{id}/{}", form.get_untracked()), "");
         }
     };
     view! {
@@ -107,13 +109,19 @@ pub fn FlightsPage() -> impl IntoView {
                     class="push filter"
                     placeholder="Filter: name, vehicle, rig, note"
                     aria-label="Filter flights"
-                    prop:value=filter
-                    on:input:target=move |e| filter.set(e.target().value())
+                    prop:value=move || asked.with(|asked| asked.search.clone())
+                    on:input:target=move |e| asked.update(|asked| {
+                        asked.search = e.target().value();
+                        asked.offset = 0;
+                    })
                 />
                 <button type="button" disabled=move || chosen.with(|c| c.len() < 2) on:click=move |_| ctx.go(Route::Compare(chosen.get_untracked()))>
                     {move || format!("Compare {}", chosen.with(Vec::len).max(2))}
                 </button>
-                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>"Download MCAP"</button>
+                <select aria-label="Form of downloads" on:change:target=move |e| form.set(e.target().value())>
+                    {listing::FORMS.map(|(form, name)| view! { <option value=form>{name}</option> })}
+                </select>
+                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>"Download"</button>
             </div>
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
             <div class="card table-wrap">
@@ -145,7 +153,7 @@ pub fn FlightsPage() -> impl IntoView {
                     </tbody>
                 </table>
                 <Show when=move || answer.with(|a| matches!(a, Some(Ok(_)))) && rows.with(Vec::is_empty)>
-                    <p class="blank">{move || if total.get() == 0 {
+                    <p class="blank">{move || if asked.with(|asked| asked.search.is_empty()) {
                         "No flights yet. Arm the vehicle on the Fly page: every flight is recorded by itself, and R records by hand."
                     } else {
                         "No flight matches the filter."
@@ -153,8 +161,39 @@ pub fn FlightsPage() -> impl IntoView {
                 </Show>
                 <Show when=move || answer.with(Option::is_none)><p class="blank">"Loading…"</p></Show>
             </div>
+            <Pages asked found />
         </main>
     }
+}
+
+/// Where in a long list this page is, and the way to the others.
+#[component]
+fn Pages(asked: RwSignal<Listing>, found: Memo<u64>) -> impl IntoView {
+    let offset = move || asked.with(|asked| asked.offset);
+    let several = move || found.get() as usize > asked.with(|asked| asked.limit);
+    let end = move || (offset() + asked.with(|asked| asked.limit)).min(found.get() as usize);
+    let turn = move |by: fn(usize, usize) -> usize| asked.update(|asked| asked.offset = by(asked.offset, asked.limit));
+    view! {
+        <Show when=several>
+            <nav class="sheet-head" aria-label="Further flights">
+                <span class="quiet num">{move || format!("{} to {} of {}", offset() + 1, end(), found.get())}</span>
+                <button type="button" class="push" disabled=move || offset() == 0 on:click=move |_| turn(usize::saturating_sub)>
+                    "Previous page"
+                </button>
+                <button type="button" disabled=move || end() >= found.get() as usize on:click=move |_| turn(usize::saturating_add)>
+                    "Next page"
+                </button>
+            </nav>
+        </Show>
+    }
+}
+
+/// Where a page of the list is asked for.
+fn address(asked: &Listing) -> String {
+    let search = js_sys::encode_uri_component(&asked.search);
+    let Listing { sort, descending, offset, limit, .. } = asked;
+    let sort = sort.query();
+    format!("/api/v1/flights?search={search}&sort={sort}&descending={descending}&offset={offset}&limit={limit}")
 }
 
 /// The cells of one flight.

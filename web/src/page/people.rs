@@ -13,7 +13,7 @@ use crate::{
     panel::hold::HoldButton,
 };
 
-const PEOPLE: &str = "/api/people";
+const PEOPLE: &str = "/api/v1/people";
 
 /// What came of the last change, or why it was refused.
 type Outcome = Option<Result<String, String>>;
@@ -59,7 +59,7 @@ pub fn PeopleCard() -> impl IntoView {
     let account = Memo::new(move |_| ctx.session.with(|session| session.name.is_some()));
     let admin = move || role.get() == Some(Role::Admin);
     let load = move || {
-        let url = if role.get_untracked() == Some(Role::Admin) { PEOPLE } else { "/api/sessions" };
+        let url = if role.get_untracked() == Some(Role::Admin) { PEOPLE } else { "/api/v1/sessions" };
         leptos::task::spawn_local(async move {
             match net::json::<People>("GET", url, None, "").await {
                 Ok(found) => {
@@ -78,7 +78,7 @@ pub fn PeopleCard() -> impl IntoView {
     let outcome = RwSignal::new(None);
     let end = move |session: SignedIn| {
         let done = format!("Session of {} ended", session.account);
-        change(ctx, outcome, ("DELETE", format!("/api/sessions/{}", session.id)), None, done, load);
+        change(ctx, outcome, ("DELETE", format!("/api/v1/sessions/{}", session.id)), None, done, load);
     };
     view! {
         <section class="card facts wide" aria-label="People">
@@ -111,7 +111,7 @@ pub fn PeopleCard() -> impl IntoView {
 /// The second step of signing in of whoever is signed in: set up with a code as its proof, given up with one.
 #[component]
 fn TwoSteps() -> impl IntoView {
-    const URL: &str = "/api/session/authenticator";
+    const URL: &str = "/api/v1/session/authenticator";
     let ctx = ctx();
     let (new, code) = (RwSignal::new(None::<NewAuthenticator>), RwSignal::new(String::new()));
     let outcome = RwSignal::new(None);
@@ -127,7 +127,7 @@ fn TwoSteps() -> impl IntoView {
     let again = move || {
         code.set(String::new());
         leptos::task::spawn_local(async move {
-            if let Ok(session) = net::json("GET", "/api/session", None, "").await {
+            if let Ok(session) = net::json("GET", "/api/v1/session", None, "").await {
                 let session: Session = session;
                 if session.two_steps {
                     new.set(None);

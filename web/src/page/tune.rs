@@ -85,7 +85,7 @@ impl Bench {
 
     async fn reload_book(self) {
         let Some(id) = self.vehicle_path() else { return };
-        if let Ok(book) = net::json::<Gains>("GET", &format!("/api/vehicles/{id}/gains"), None, "").await {
+        if let Ok(book) = net::json::<Gains>("GET", &format!("/api/v1/vehicles/{id}/gains"), None, "").await {
             let _ = self.book.try_set(book);
         }
     }
@@ -150,7 +150,7 @@ impl Bench {
         };
         let (operator, seen_us) = (self.ctx.operator(), self.ctx.seen_us());
         leptos::task::spawn_local(async move {
-            let url = format!("/api/vehicles/{id}/{action}");
+            let url = format!("/api/v1/vehicles/{id}/{action}");
             let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
             let done = answer.is_ok();
             self.ctx.dispatch(crate::event::Event::Answered(what, answer));

@@ -60,14 +60,14 @@ impl Client {
     /// The cookie of a new session.
     pub fn sign_in(&self, name: &str, password: &str) -> Option<String> {
         let body = serde_json::json!({ "name": name, "password": password }).to_string();
-        let answer = self.exchange(&self.request("POST", "/api/session", "", &body)).ok()?;
+        let answer = self.exchange(&self.request("POST", "/api/v1/session", "", &body)).ok()?;
         let line = answer.lines().find(|line| line.to_ascii_lowercase().starts_with("set-cookie:"))?;
         Some(line.split_once(':')?.1.trim().split(';').next()?.to_owned())
     }
 
     /// A command of the pilot: status and body; `None` when there is no answer.
     pub fn command(&self, route: &str, body: &Value) -> Option<(u16, String)> {
-        let path = format!("/api/vehicles/iris-1/{route}");
+        let path = format!("/api/v1/vehicles/iris-1/{route}");
         parse(&self.exchange(&self.request("POST", &path, &self.pilot, &body.to_string())).ok()?)
     }
 

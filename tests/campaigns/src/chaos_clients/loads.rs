@@ -135,7 +135,7 @@ fn commands_flood(client: &Client) -> Box<dyn Any> {
 fn half_sent(client: &Client) -> Box<dyn Any> {
     let half = |_| {
         let mut stream = TcpStream::connect(client.address).unwrap();
-        let _ = stream.write_all(b"POST /api/vehicles/iris-1/cut HTTP/1.1\r\nHost: ");
+        let _ = stream.write_all(b"POST /api/v1/vehicles/iris-1/cut HTTP/1.1\r\nHost: ");
         stream
     };
     Box::new((0..CONNECTIONS).map(half).collect::<Vec<_>>())
@@ -157,16 +157,16 @@ fn churn(client: &Client) -> Box<dyn Any> {
 }
 
 fn viewers(client: &Client) -> Box<dyn Any> {
-    let open = |number| client.socket("/api/vehicles/iris-1/live?history=60", somebody(client, number));
+    let open = |number| client.socket("/api/v1/vehicles/iris-1/live?history=60", somebody(client, number));
     Box::new((0..VIEWERS).filter_map(open).collect::<Vec<_>>())
 }
 
 /// The flight being recorded, and the way to it.
 fn flight(client: &Client) -> String {
-    let (_, list) = client.get("/api/flights", &client.pilot).expect("flights");
+    let (_, list) = client.get("/api/v1/flights?limit=1000", &client.pilot).expect("flights");
     let list: serde_json::Value = serde_json::from_str(&list).expect("a list");
     let id = list["flights"][0]["id"].as_str().expect("a flight");
-    format!("/api/flights/{id}")
+    format!("/api/v1/flights/{id}")
 }
 
 fn downloads(client: &Client) -> Box<dyn Any> {

@@ -26,7 +26,7 @@ pub(super) fn Summary(summary: RwSignal<Option<Result<Flight, Failure>>>) -> imp
 #[component]
 fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
-    let url = StoredValue::new(format!("/api/flights/{}", flight.id));
+    let url = StoredValue::new(format!("/api/v1/flights/{}", flight.id));
     let notes = RwSignal::new(flight.notes.clone());
     let fact = |name: &'static str, value: String| view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> };
     let missing = if flight.missing == 0 { "none".to_owned() } else { format::count(flight.missing) };

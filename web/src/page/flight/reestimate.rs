@@ -38,7 +38,7 @@ fn recorded(topics: &[String]) -> Vec<(&'static str, &'static str)> {
 fn question(id: &str, estimator: EstimatorKind, offered: &[&str], chosen: &[&str]) -> String {
     let all = offered.iter().all(|name| chosen.contains(name));
     let sensors = if all { String::new() } else { format!("&sensors={}", [&["imu"], chosen].concat().join(",")) };
-    format!("/api/flights/{id}/estimate?estimator={}{sensors}", names::estimator_json(estimator))
+    format!("/api/v1/flights/{id}/estimate?estimator={}{sensors}", names::estimator_json(estimator))
 }
 
 /// Estimators that were run again, and what came of it.
@@ -183,7 +183,7 @@ mod tests {
         let offered: Vec<&str> = recorded(&topics).into_iter().map(|(name, _)| name).collect();
         assert_eq!(offered, ["mag", "height"]);
         let all = question("f1", EstimatorKind::EkfBias, &offered, &["height", "mag"]);
-        assert_eq!(all, "/api/flights/f1/estimate?estimator=ekf_bias");
+        assert_eq!(all, "/api/v1/flights/f1/estimate?estimator=ekf_bias");
         assert!(
             question("f1", EstimatorKind::Ukf, &offered, &["height"]).ends_with("estimator=ukf&sensors=imu,height")
         );

@@ -23,7 +23,7 @@ const KINDS: &str = "estimate,control,truth,residuals,status,attacks,event,step,
 
 /// The body of the report and the name of its file.
 async fn written(ctx: Ctx, id: &str) -> Result<(String, String), Failure> {
-    let flight: Flight = net::json("GET", &format!("/api/flights/{id}"), None, "").await?;
+    let flight: Flight = net::json("GET", &format!("/api/v1/flights/{id}"), None, "").await?;
     let mut live = load_kinds(id, KINDS).await?;
     live.curves.follow_errors();
     let ground = ctx.app.with_value(|app| match &app.ground {

@@ -1,0 +1,357 @@
+//! `GET /api/v1/vehicles/{id}/foxglove`: the Foxglove WebSocket protocol (`foxglove.websocket.v1`, `foxglove.sdk.v1`), read only.
+//!
+//! Channels are the topics of a flight file, with the same bytes and the same descriptors, and beside them well-known
+//! schemas of Foxglove's ([`scene`]). What nobody subscribed to is not sent. Roles are those of the live view.
+//!
+//! Two queues lie between hub and socket. Samples: [`MAX_WAITING_BYTES`], the oldest goes when it is full. What is rare
+//! (events, acknowledgements, states): [`MAX_RARE`], and a client that lets even these fill is closed: none is lost in
+//! silence.
+//!
+//! Source: Foxglove, *ws-protocol*, `docs/spec.md`.
+
+mod client;
+mod scene;
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Extension, State};
+use axum::http::HeaderMap;
+use axum::response::Response;
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt as _, StreamExt as _};
+use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::{Kind, v1};
+use tokio::sync::Notify;
+use tokio::time::timeout;
+
+use super::App;
+use super::access::token;
+use super::error::ApiError;
+use super::extract::Path;
+use super::live::{STALLED, expelled};
+use super::operator::Operator;
+use crate::front::Place;
+use crate::hub::{Viewer, ViewerQueue};
+use crate::sync::{lock, stopping};
+use crate::viewers::MAX_VIEWERS;
+use client::Asked;
+
+/// What is spoken here, the best first.
+const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+/// Most bytes of samples that wait for a client.
+const MAX_WAITING_BYTES: usize = 4 << 20;
+/// Most rare messages that wait.
+const MAX_RARE: usize = 4096;
+/// Longest request of a client: subscriptions to hundreds of channels.
+const MAX_INCOMING: usize = 64 << 10;
+/// Most subscriptions of a client.
+const MAX_SUBSCRIPTIONS: usize = 1024;
+
+pub(crate) async fn live(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    place: Option<Extension<Arc<Place>>>,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Result<Response, ApiError> {
+    let upgrade = upgrade.map_err(|e| ApiError::Upgrade(format!("a WebSocket is served here: {}", e.body_text())))?;
+    let upgrade = upgrade.protocols(PROTOCOLS);
+    if upgrade.selected_protocol().is_none() {
+        return Err(ApiError::Upgrade(format!("one of the sub-protocols {} is needed", PROTOCOLS.join(", "))));
+    }
+    if !app.hub.knows(&id) {
+        return Err(crate::hub::VehicleError::Unknown(id).into());
+    }
+    let seat = app.viewers.enter(who.name(), false);
+    let seat = seat.ok_or_else(|| ApiError::Unavailable(format!("{MAX_VIEWERS} viewers are connected")))?;
+    let token = token(&headers);
+    Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |socket| async move {
+        if let Some(Extension(place)) = &place {
+            place.watch();
+        }
+        let Ok(viewer) = app.hub.subscribe(&id, Duration::ZERO) else { return };
+        tokio::select! {
+            () = serve(&app, &id, viewer, socket) => {}
+            () = seat.closed() => {}
+            () = expelled(&app, token.as_ref()) => {}
+        }
+    }))
+}
+
+async fn serve(app: &App, id: &str, viewer: Viewer, socket: WebSocket) {
+    let (sender, receiver) = socket.split();
+    let outbox = Outbox::default();
+    let client = Mutex::new(Client::new(app.hub.latest(id, Kind::Description)));
+    outbox.rare(Message::Text(client::server_info(id).into()));
+    let Viewer { backlog, queue } = viewer;
+    for shared in backlog {
+        take(&client, &outbox, &shared.batch);
+    }
+    let mut stopped = app.stopped.clone();
+    tokio::select! {
+        () = send(sender, &outbox) => {}
+        () = pump(&queue, &client, &outbox) => {}
+        () = listen(receiver, &client, &outbox) => {}
+        () = stopping(&mut stopped) => {}
+    }
+}
+
+/// From the hub into the outbox; ends when the client has let what is rare pile up.
+async fn pump(queue: &ViewerQueue, client: &Mutex<Client>, outbox: &Outbox) {
+    while !outbox.overflown() {
+        let shared = queue.next().await;
+        take(client, outbox, &shared.batch);
+    }
+}
+
+fn take(client: &Mutex<Client>, outbox: &Outbox, batch: &[u8]) {
+    let Ok(frames) = codec::decode_batch(batch) else { return };
+    let mut client = lock(client);
+    frames.flatten().for_each(|frame| client.take(&frame, outbox));
+}
+
+async fn listen(mut receiver: SplitStream<WebSocket>, client: &Mutex<Client>, outbox: &Outbox) {
+    while let Some(Ok(message)) = receiver.next().await {
+        match message {
+            Message::Text(text) => lock(client).asked(&text, outbox),
+            Message::Binary(_) => outbox.rare(client::trouble("this ground takes no binary messages: it is read only")),
+            Message::Close(_) => return,
+            Message::Ping(_) | Message::Pong(_) => {}
+        }
+    }
+}
+
+async fn send(mut sender: SplitSink<WebSocket, Message>, outbox: &Outbox) {
+    loop {
+        let message = outbox.next().await;
+        if !matches!(timeout(STALLED, sender.send(message)).await, Ok(Ok(()))) {
+            return;
+        }
+    }
+}
+
+/// What waits for the socket.
+#[derive(Debug, Default)]
+struct Outbox {
+    waiting: Mutex<Waiting>,
+    ready: Notify,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    rare: VecDeque<Message>,
+    samples: VecDeque<Vec<u8>>,
+    bytes: usize,
+    dropped: u64,
+}
+
+impl Outbox {
+    fn rare(&self, message: Message) {
+        lock(&self.waiting).rare.push_back(message);
+        self.ready.notify_one();
+    }
+
+    fn sample(&self, message: Vec<u8>) {
+        let mut waiting = lock(&self.waiting);
+        waiting.bytes += message.len();
+        waiting.samples.push_back(message);
+        while waiting.bytes > MAX_WAITING_BYTES {
+            let Some(oldest) = waiting.samples.pop_front() else { break };
+            waiting.bytes -= oldest.len();
+            waiting.dropped += 1;
+        }
+        drop(waiting);
+        self.ready.notify_one();
+    }
+
+    fn overflown(&self) -> bool {
+        lock(&self.waiting).rare.len() > MAX_RARE
+    }
+
+    /// What is rare first; then, where samples were dropped, that they were; then samples.
+    fn pop(&self) -> Option<Message> {
+        let mut waiting = lock(&self.waiting);
+        if let Some(message) = waiting.rare.pop_front() {
+            return Some(message);
+        }
+        if waiting.dropped > 0 {
+            let dropped = std::mem::take(&mut waiting.dropped);
+            return Some(client::warning(&format!(
+                "{dropped} samples were dropped: this client takes them too slowly"
+            )));
+        }
+        let sample = waiting.samples.pop_front()?;
+        waiting.bytes -= sample.len();
+        Some(Message::Binary(sample.into()))
+    }
+
+    async fn next(&self) -> Message {
+        loop {
+            if let Some(message) = self.pop() {
+                return message;
+            }
+            self.ready.notified().await;
+        }
+    }
+}
+
+/// One client: what it was offered, what it subscribed to.
+struct Client {
+    /// Wall time of the agent's boot, µs.
+    boot_us: u64,
+    /// Topics by channel.
+    channels: BTreeMap<u32, String>,
+    /// Channel by subscription, and the other way round.
+    subscriptions: HashMap<u32, u32>,
+    /// The latest of channels that say little: a new subscriber is sent it.
+    latest: HashMap<u32, (u64, Vec<u8>)>,
+    scene: scene::Scene,
+}
+
+/// Is this kind sent many times a second?
+fn sampled(kind: Option<Kind>) -> bool {
+    kind.is_none_or(|kind| {
+        kind.is_sensor()
+            || matches!(
+                kind,
+                Kind::Estimate | Kind::Residuals | Kind::Truth | Kind::Secure | Kind::Control | Kind::Link
+            )
+    })
+}
+
+impl Client {
+    fn new(description: Option<v1::Description>) -> Self {
+        Self {
+            boot_us: description.map_or(0, |description| description.boot_wall_time_us),
+            channels: BTreeMap::new(),
+            subscriptions: HashMap::new(),
+            latest: HashMap::new(),
+            scene: scene::Scene::default(),
+        }
+    }
+
+    fn take(&mut self, frame: &Frame<'_>, outbox: &Outbox) {
+        let Some(kind) = frame.known_kind() else { return };
+        if kind == Kind::Description
+            && let Ok(description) = frame.message::<v1::Description>()
+        {
+            self.boot_us = description.boot_wall_time_us;
+        }
+        let channel = u32::from(frame.kind) << 16 | u32::from(frame.instance);
+        self.channels.entry(channel).or_insert_with(|| {
+            let topic = kind.topic(frame.instance);
+            outbox.rare(client::advertise(channel, &topic, kind.message_name()));
+            topic
+        });
+        // The ground's own messages are stamped with the wall's time.
+        let since_us = if kind.is_ground_made() { frame.time_us } else { self.boot_us + frame.time_us };
+        self.put(channel, since_us * 1000, frame.payload, sampled(Some(kind)), outbox);
+        for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since_us) {
+            self.channels.entry(channel).or_insert_with(|| {
+                outbox.rare(client::advertise_json(channel, topic, schema));
+                topic.to_owned()
+            });
+            self.put(channel, since_us * 1000, json.to_string().as_bytes(), sampled, outbox);
+        }
+    }
+
+    fn put(&mut self, channel: u32, time_ns: u64, payload: &[u8], sampled: bool, outbox: &Outbox) {
+        if !sampled {
+            self.latest.insert(channel, (time_ns, payload.to_vec()));
+        }
+        for (subscription, _) in self.subscriptions.iter().filter(|(_, of)| **of == channel) {
+            let data = client::data(*subscription, time_ns, payload);
+            if sampled { outbox.sample(data) } else { outbox.rare(Message::Binary(data.into())) }
+        }
+    }
+
+    fn asked(&mut self, text: &str, outbox: &Outbox) {
+        match serde_json::from_str(text) {
+            Ok(Asked::Subscribe { subscriptions }) => {
+                for client::Subscription { id, channel } in subscriptions {
+                    if let Err(text) = self.subscribe(id, channel, outbox) {
+                        outbox.rare(client::trouble(&text));
+                    }
+                }
+            }
+            Ok(Asked::Unsubscribe { subscriptions }) => {
+                for id in subscriptions {
+                    if self.subscriptions.remove(&id).is_none() {
+                        outbox.rare(client::warning(&format!("there is no subscription {id}")));
+                    }
+                }
+            }
+            Ok(Asked::Other) => {
+                outbox.rare(client::trouble("this ground is read only: it takes subscriptions and nothing else"))
+            }
+            Err(error) => outbox.rare(client::trouble(&format!("the request cannot be read: {error}"))),
+        }
+    }
+
+    fn subscribe(&mut self, id: u32, channel: u32, outbox: &Outbox) -> Result<(), String> {
+        if !self.channels.contains_key(&channel) {
+            return Err(format!("there is no channel {channel}"));
+        }
+        if self.subscriptions.contains_key(&id) {
+            return Err(format!("there is a subscription {id} already"));
+        }
+        if self.subscriptions.len() >= MAX_SUBSCRIPTIONS {
+            return Err(format!("{MAX_SUBSCRIPTIONS} subscriptions are the most"));
+        }
+        self.subscriptions.insert(id, channel);
+        if let Some((time_ns, payload)) = self.latest.get(&channel) {
+            outbox.rare(Message::Binary(client::data(id, *time_ns, payload).into()));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_give_way_and_what_is_rare_does_not() {
+        let outbox = Outbox::default();
+        for _ in 0..5 {
+            outbox.sample(vec![0; MAX_WAITING_BYTES / 4]);
+        }
+        outbox.rare(client::warning("rare"));
+        let next = || outbox.pop();
+        assert!(matches!(next(), Some(Message::Text(text)) if text.contains("rare")));
+        assert!(matches!(next(), Some(Message::Text(text)) if text.contains("1 samples were dropped")));
+        assert_eq!((0..).map_while(|_| next()).count(), 4);
+        assert!(!outbox.overflown());
+        (0..=MAX_RARE).for_each(|_| outbox.rare(client::warning("")));
+        assert!(outbox.overflown());
+    }
+
+    #[test]
+    fn what_is_not_subscribed_to_is_not_sent_and_odd_requests_are_answered() {
+        let (outbox, mut client) = (Outbox::default(), Client::new(None));
+        client
+            .take(&Frame { kind: Kind::Status.to_wire(), instance: 0, sequence: 1, time_us: 1, payload: &[] }, &outbox);
+        let channel = u32::from(Kind::Status.to_wire()) << 16;
+        assert!(matches!(outbox.pop(), Some(Message::Text(text)) if text.contains("/status")));
+        assert!(outbox.pop().is_none());
+        client.asked(&format!(r#"{{"op":"subscribe","subscriptions":[{{"id":7,"channelId":{channel}}}]}}"#), &outbox);
+        assert!(
+            matches!(outbox.pop(), Some(Message::Binary(data)) if data[..5] == [1, 7, 0, 0, 0]),
+            "the latest at once"
+        );
+        for (text, named) in [
+            ("{", "cannot be read"),
+            (r#"{"op":"subscribe","subscriptions":[{"id":8,"channelId":5}]}"#, "no channel 5"),
+            (r#"{"op":"unsubscribe","subscriptionIds":[9]}"#, "no subscription 9"),
+            (r#"{"op":"setParameters","parameters":[]}"#, "read only"),
+        ] {
+            client.asked(text, &outbox);
+            assert!(matches!(outbox.pop(), Some(Message::Text(text)) if text.contains(named)), "{text}");
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Foxglove's own schemas beside ours: `foxglove.FrameTransform` of the estimate in the loop, `foxglove.SceneUpdate` with
+//! the vehicle and what every estimator says, `foxglove.Log` of events. A viewer shows them without being told how.
+//!
+//! As JSON, which those schemas have beside protobuf. Frames are ours: `map` is east-north-up, `base_link` forward-left-up.
+
+use std::collections::BTreeMap;
+
+use plumbline_proto::codec::Frame;
+use plumbline_proto::{Kind, v1};
+use serde_json::{Value, json};
+
+use crate::names::JsonName as _;
+
+/// Channels beyond those of any kind.
+const FIRST_CHANNEL: u32 = 0xffff_0000;
+/// Least time between two scenes, µs: 20 Hz.
+const SCENE_EVERY_US: u64 = 50_000;
+/// Half the length of an arm, for the eye: of an Iris.
+const ARM_M: f64 = 0.25;
+/// Colours told apart by most people (Okabe and Ito 2008).
+const COLOURS: [[f64; 3]; 7] = [
+    [0.0, 0.447, 0.698],
+    [0.902, 0.624, 0.0],
+    [0.0, 0.62, 0.451],
+    [0.8, 0.475, 0.655],
+    [0.835, 0.369, 0.0],
+    [0.337, 0.706, 0.914],
+    [0.941, 0.894, 0.259],
+];
+
+/// One message of such a schema.
+pub(super) struct Drawn {
+    pub(super) channel: u32,
+    pub(super) topic: &'static str,
+    pub(super) schema: &'static str,
+    pub(super) json: Value,
+    pub(super) sampled: bool,
+}
+
+/// What is drawn next.
+#[derive(Debug, Default)]
+pub(super) struct Scene {
+    estimates: BTreeMap<u16, v1::Estimate>,
+    truth: Option<v1::Vector3>,
+    drawn_us: u64,
+}
+
+fn time(us: u64) -> Value {
+    json!({ "sec": us / 1_000_000, "nsec": us % 1_000_000 * 1000 })
+}
+
+fn vector(vector: &v1::Vector3) -> Value {
+    json!({ "x": vector.x, "y": vector.y, "z": vector.z })
+}
+
+fn colour(at: usize, alpha: f64) -> Value {
+    let [r, g, b] = COLOURS[at % COLOURS.len()];
+    json!({ "r": r, "g": g, "b": b, "a": alpha })
+}
+
+fn still() -> Value {
+    json!({ "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 })
+}
+
+/// A thing with all the kinds of shapes that the schema has, of which `shapes` says some.
+fn entity(id: &str, frame: &str, now_us: u64, shapes: &Value) -> Value {
+    let mut entity = json!({ "timestamp": time(now_us), "frame_id": frame, "id": id, "lifetime": { "sec": 0, "nsec": 0 },
+        "frame_locked": true, "metadata": [], "arrows": [], "cubes": [], "spheres": [], "cylinders": [], "lines": [],
+        "triangles": [], "texts": [], "models": [] });
+    for (name, shape) in shapes.as_object().into_iter().flatten() {
+        entity[name] = shape.clone();
+    }
+    entity
+}
+
+fn ball(at: &v1::Vector3, colour: &Value) -> Value {
+    json!([{ "pose": { "position": vector(at), "orientation": still() }, "size": { "x": 0.08, "y": 0.08, "z": 0.08 },
+        "color": colour }])
+}
+
+impl Scene {
+    /// What follows from one message.
+    pub(super) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
+        match kind {
+            Kind::Event => frame.message().map_or_else(|_| Vec::new(), |event| vec![log(&event, now_us)]),
+            Kind::Truth => {
+                self.truth = frame.message::<v1::Truth>().ok().and_then(|truth| truth.position_enu_m);
+                Vec::new()
+            }
+            Kind::Estimate => {
+                let Ok(estimate) = frame.message::<v1::Estimate>() else { return Vec::new() };
+                let leads = estimate.in_loop;
+                self.estimates.insert(frame.instance, estimate);
+                if !leads {
+                    return Vec::new();
+                }
+                let mut drawn: Vec<Drawn> = self.transform(frame.instance, now_us).into_iter().collect();
+                if now_us.abs_diff(self.drawn_us) >= SCENE_EVERY_US {
+                    self.drawn_us = now_us;
+                    drawn.push(self.scene(now_us));
+                }
+                drawn
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    fn transform(&self, instance: u16, now_us: u64) -> Option<Drawn> {
+        let estimate = self.estimates.get(&instance)?;
+        let q = estimate.world_from_body?;
+        let json = json!({ "timestamp": time(now_us), "parent_frame_id": "map", "child_frame_id": "base_link",
+            "translation": vector(&estimate.position_enu_m.unwrap_or_default()),
+            "rotation": { "x": q.x, "y": q.y, "z": q.z, "w": q.w } });
+        Some(Drawn { channel: FIRST_CHANNEL, topic: "/tf", schema: "foxglove.FrameTransform", json, sampled: true })
+    }
+
+    fn scene(&self, now_us: u64) -> Drawn {
+        let arm = ARM_M / std::f64::consts::SQRT_2;
+        let points: Vec<Value> = [(arm, arm), (-arm, -arm), (arm, -arm), (-arm, arm)]
+            .map(|(x, y)| json!({ "x": x, "y": y, "z": 0.0 }))
+            .into();
+        let here = json!({ "position": vector(&v1::Vector3::default()), "orientation": still() });
+        let body = json!({
+            "cubes": [{ "pose": here, "size": { "x": 0.2, "y": 0.1, "z": 0.06 }, "color": colour(0, 1.0) }],
+            "lines": [{ "type": 2, "pose": here, "thickness": 0.02, "scale_invariant": false, "points": points,
+                "color": colour(0, 1.0), "colors": [], "indices": [] }],
+        });
+        let mut entities = vec![entity("vehicle", "base_link", now_us, &body)];
+        for (at, estimate) in self.estimates.values().enumerate() {
+            let (Some(position), true) = (estimate.position_enu_m, estimate.altitude_known) else { continue };
+            let name = v1::EstimatorKind::json_name(estimate.estimator());
+            entities.push(entity(&name, "map", now_us, &json!({ "spheres": ball(&position, &colour(at + 1, 0.8)) })));
+        }
+        if let Some(truth) = &self.truth {
+            let grey = json!({ "r": 0.5, "g": 0.5, "b": 0.5, "a": 0.6 });
+            entities.push(entity("truth", "map", now_us, &json!({ "spheres": ball(truth, &grey) })));
+        }
+        let json = json!({ "deletions": [], "entities": entities });
+        Drawn { channel: FIRST_CHANNEL + 1, topic: "/scene", schema: "foxglove.SceneUpdate", json, sampled: true }
+    }
+}
+
+fn log(event: &v1::Event, now_us: u64) -> Drawn {
+    // foxglove.Log: 2 information, 3 warning, 4 error.
+    let level = match event.severity() {
+        v1::Severity::Warning => 3,
+        v1::Severity::Critical => 4,
+        _ => 2,
+    };
+    let json = json!({ "timestamp": time(now_us), "level": level, "message": event.text, "name": event.kind, "file": "", "line": 0 });
+    Drawn { channel: FIRST_CHANNEL + 2, topic: "/log", schema: "foxglove.Log", json, sampled: false }
+}

@@ -1,0 +1,303 @@
+//! What every route is asked and answers, as OpenAPI 3.1: made of the [operations](super::operations), the types of
+//! `plumbline_rest` and the table of routes, which says who may. Served at `/api/v1/openapi.json`, and for people at
+//! `/api/v1/docs`.
+
+use axum::Json;
+use axum::response::Html;
+use plumbline_rest::Problem;
+use serde_json::{Map, Value, json};
+use utoipa::ToSchema;
+
+use super::error::PROBLEM;
+use super::operations::OPERATIONS;
+use super::operator::HEADER;
+use super::session::{STYLE, escape};
+use crate::people::{Access, COOKIE};
+
+/// JSON.
+const JSON: &str = "application/json";
+
+/// Schemas by name, and names that two types claim.
+#[derive(Debug, Default)]
+pub(super) struct Schemas {
+    named: Map<String, Value>,
+    #[cfg_attr(not(test), allow(dead_code))]
+    clashes: Vec<String>,
+}
+
+/// A schema, and what it refers to.
+pub(super) type Schema = fn(&mut Schemas) -> Value;
+
+/// The schema of a type of the contract.
+pub(super) fn of<T: ToSchema>(schemas: &mut Schemas) -> Value {
+    let mut found = Vec::new();
+    T::schemas(&mut found);
+    found.push((T::name().into_owned(), T::schema()));
+    for (name, schema) in found {
+        let schema = json!(schema);
+        if schemas.named.get(&name).is_some_and(|known| *known != schema) {
+            schemas.clashes.push(name.clone());
+        }
+        schemas.named.insert(name, schema);
+    }
+    json!({ "$ref": format!("#/components/schemas/{}", T::name()) })
+}
+
+/// A list of such.
+pub(super) fn list<T: ToSchema>(schemas: &mut Schemas) -> Value {
+    json!({ "type": "array", "items": of::<T>(schemas) })
+}
+
+/// An object of the agent's own files, whose fields are told elsewhere.
+pub(super) fn object(_: &mut Schemas) -> Value {
+    json!({ "type": "object" })
+}
+
+/// One of the query's parameters: name, type, what it means.
+pub(super) type Parameter = (&'static str, &'static str, &'static str);
+
+/// One method of one route.
+#[derive(Clone, Copy)]
+pub(super) struct Operation {
+    method: &'static str,
+    path: &'static str,
+    summary: &'static str,
+    query: &'static [Parameter],
+    body: Option<Schema>,
+    status: u16,
+    answer: Option<(&'static str, Option<Schema>)>,
+}
+
+impl Operation {
+    pub(super) const fn new(method: &'static str, path: &'static str, summary: &'static str) -> Self {
+        Self { method, path, summary, query: &[], body: None, status: 204, answer: None }
+    }
+
+    pub(super) const fn query(self, query: &'static [Parameter]) -> Self {
+        Self { query, ..self }
+    }
+
+    pub(super) const fn takes(self, body: Schema) -> Self {
+        Self { body: Some(body), ..self }
+    }
+
+    pub(super) const fn empty(self, status: u16) -> Self {
+        Self { status, ..self }
+    }
+
+    pub(super) const fn json(self, answer: Schema) -> Self {
+        Self { status: 200, answer: Some((JSON, Some(answer))), ..self }
+    }
+
+    pub(super) const fn created(self, answer: Schema) -> Self {
+        Self { status: 201, ..self.json(answer) }
+    }
+
+    /// Anything but JSON.
+    pub(super) const fn media(self, media: &'static str) -> Self {
+        Self { status: 200, answer: Some((media, None)), ..self }
+    }
+
+    fn parameters(&self) -> Vec<Value> {
+        let parts = self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
+        let path = |name| json!({ "name": name, "in": "path", "required": true, "schema": { "type": "string" } });
+        let query = |(name, kind, text): &Parameter| {
+            let (kind, required) = kind.strip_suffix('!').map_or((*kind, false), |kind| (kind, true));
+            json!({ "name": name, "in": "query", "required": required, "description": text, "schema": { "type": kind } })
+        };
+        let mut all: Vec<Value> = parts.map(path).chain(self.query.iter().map(query)).collect();
+        if self.method != "get" {
+            let text = "What a client calls itself; with a session it is needed, and the account counts.";
+            let schema = json!({ "type": "string", "minLength": 1, "maxLength": 64 });
+            all.push(json!({ "name": HEADER, "in": "header", "description": text, "schema": schema }));
+        }
+        all
+    }
+
+    fn document(&self, need: Access, schemas: &mut Schemas) -> Value {
+        let content = match self.answer {
+            None => Value::Null,
+            Some((media, Some(schema))) => json!({ media: { "schema": schema(schemas) } }),
+            Some((media, None)) => json!({ media: { "schema": { "type": "string" } } }),
+        };
+        let mut success = json!({ "description": self.summary });
+        if !content.is_null() {
+            success["content"] = content;
+        }
+        let mut responses = json!({ self.status.to_string(): success });
+        responses["default"] = json!({
+            "description": "It could not be done: `code` says why to programs, `detail` to people.",
+            "content": { PROBLEM: { "schema": of::<Problem>(schemas) } },
+        });
+        if ["login", "logout"].contains(&self.tag()) {
+            responses["303"] = json!({ "description": "Go on at `Location`." });
+            responses["default"]["content"]["text/html; charset=utf-8"] = json!({ "schema": { "type": "string" } });
+        }
+        if self.answer.is_some_and(|(media, _)| media == JSON) && self.method == "get" {
+            responses["304"] = json!({ "description": "What `If-None-Match` names is still so." });
+        }
+        let mut operation = json!({
+            "operationId": format!("{}{}", self.method, self.path.replace(['/', '{', '}', '-', '.'], "_")),
+            "summary": self.summary,
+            "tags": [self.tag()],
+            "parameters": self.parameters(),
+            "responses": responses,
+        });
+        if need == Access::Open {
+            operation["security"] = json!([]);
+        } else {
+            operation["x-plumbline-role"] = json!(need.least().name());
+        }
+        if let Some(schema) = self.body {
+            operation["requestBody"] = json!({ "content": { JSON: { "schema": schema(schemas) } } });
+        }
+        operation
+    }
+
+    /// The part of the path that names what it is about.
+    fn tag(&self) -> &'static str {
+        let path = self.path.strip_prefix("/api/v1/").unwrap_or(self.path).trim_start_matches('/');
+        path.split('/').next().unwrap_or_default()
+    }
+}
+
+/// The whole document, and names that clash.
+fn document() -> (Value, Schemas) {
+    let mut schemas = Schemas::default();
+    let mut paths = Map::new();
+    for (method, path, need) in super::access_table() {
+        let described = OPERATIONS.iter().find(|operation| (operation.method, operation.path) == (method, path));
+        if let Some(operation) = described {
+            paths.entry(path).or_insert_with(|| json!({}))[method] = operation.document(need, &mut schemas);
+        }
+    }
+    let text = "Times are in seconds or microseconds as their names say, lengths in metres, angles in radians, world east \
+                north up. Every answer in JSON has an ETag.";
+    let document = json!({
+        "openapi": "3.1.0",
+        "info": {
+            "title": "Plumbline ground",
+            "version": env!("CARGO_PKG_VERSION"),
+            "description": text,
+            "license": { "name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0" },
+        },
+        "security": [{ "session": [] }],
+        "paths": paths,
+        "components": {
+            "schemas": schemas.named,
+            "securitySchemes": {
+                "session": { "type": "apiKey", "in": "cookie", "name": COOKIE, "description": "POST /api/v1/session gives it; where there are no accounts none is needed." },
+            },
+        },
+    });
+    (document, schemas)
+}
+
+/// `GET /api/v1/openapi.json`.
+pub(crate) async fn show() -> Json<Value> {
+    Json(document().0)
+}
+
+/// `GET /api/v1/docs`: the same for people, without a script and without a foreign file.
+pub(crate) async fn docs() -> Html<String> {
+    Html(page(&document().0))
+}
+
+fn page(document: &Value) -> String {
+    let text = |value: &Value| escape(value.as_str().unwrap_or_default());
+    let named = |schema: &Value| {
+        let name = schema["$ref"].as_str().and_then(|name| name.rsplit('/').next());
+        let list = schema["items"]["$ref"].as_str().and_then(|name| name.rsplit('/').next());
+        match (name, list) {
+            (Some(name), _) => format!("<a href=\"#{0}\">{0}</a>", escape(name)),
+            (_, Some(name)) => format!("list of <a href=\"#{0}\">{0}</a>", escape(name)),
+            _ => text(&schema["type"]),
+        }
+    };
+    let media = |content: &Value| -> String {
+        let each = content.as_object().into_iter().flatten();
+        each.map(|(media, held)| format!("<code>{}</code> {}", escape(media), named(&held["schema"]))).collect()
+    };
+    let mut body = format!(
+        "<p>{} <a href=/api/v1/openapi.json>openapi.json</a> says the same to programs. <a href=/>The page</a></p>",
+        text(&document["info"]["description"])
+    );
+    for (path, methods) in document["paths"].as_object().into_iter().flatten() {
+        for (method, operation) in methods.as_object().into_iter().flatten() {
+            let role = operation["x-plumbline-role"].as_str().unwrap_or("nobody signed in");
+            body += &format!(
+                "<details><summary><b>{}</b> <code>{}</code> {}</summary><p>Needs: {role}.</p>",
+                method.to_uppercase(),
+                escape(path),
+                text(&operation["summary"])
+            );
+            for parameter in operation["parameters"].as_array().into_iter().flatten() {
+                let needed = if parameter["required"] == true { ", needed" } else { "" };
+                let (name, kind) = (text(&parameter["name"]), text(&parameter["schema"]["type"]));
+                let (place, meaning) = (text(&parameter["in"]), text(&parameter["description"]));
+                body += &format!("<p><code>{name}</code> ({place}, {kind}{needed}) {meaning}</p>");
+            }
+            if !operation["requestBody"].is_null() {
+                body += &format!("<p>Takes {}</p>", media(&operation["requestBody"]["content"]));
+            }
+            for (status, answer) in operation["responses"].as_object().into_iter().flatten() {
+                body += &format!("<p>{status}: {} {}</p>", text(&answer["description"]), media(&answer["content"]));
+            }
+            body += "</details>";
+        }
+    }
+    for (name, schema) in document["components"]["schemas"].as_object().into_iter().flatten() {
+        let (name, schema) = (escape(name), escape(&format!("{schema:#}")));
+        body += &format!("<details id=\"{name}\"><summary>{name}</summary><pre>{schema}</pre></details>");
+    }
+    let wide =
+        "<style>body{max-width:60rem;margin:2rem auto}summary{cursor:pointer;padding:.2rem}pre{overflow:auto}</style>";
+    format!(
+        "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content=\"width=device-width\">\
+         <title>API – Plumbline</title>{STYLE}{wide}<main><h1>The API of this ground</h1>{body}</main></html>"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_route_is_described_and_nothing_else_is() {
+        let routes: Vec<_> = super::super::access_table().into_iter().map(|(method, path, _)| (method, path)).collect();
+        let described: Vec<_> = OPERATIONS.iter().map(|operation| (operation.method, operation.path)).collect();
+        assert_eq!(described, routes, "in the order of the table of routes");
+        assert_eq!(routes.iter().collect::<BTreeSet<_>>().len(), routes.len(), "each once");
+        for (_, path) in routes {
+            let apart = ["/login", "/logout", "/healthz", "/readyz", "/metrics"].contains(&path);
+            assert!(apart || path.starts_with("/api/v1/"), "{path} has no version");
+        }
+    }
+
+    #[test]
+    fn every_schema_that_is_named_is_there_and_names_one_type() {
+        let (document, schemas) = document();
+        assert_eq!(schemas.clashes, Vec::<String>::new());
+        let text = document.to_string();
+        let mut named = 0;
+        for part in text.split("#/components/schemas/").skip(1) {
+            let name = part.split('"').next().unwrap();
+            assert!(!document["components"]["schemas"][name].is_null(), "{name}");
+            named += 1;
+        }
+        assert!(named > 80, "{named} references");
+    }
+
+    #[test]
+    fn the_page_for_people_is_whole_without_any_other_file() {
+        let page = page(&document().0);
+        for needed in ["/api/v1/vehicles/{id}/cut", "Problem", "x-plumbline-operator"] {
+            assert!(page.contains(needed), "{needed}");
+        }
+        for foreign in ["<script", "<link", "src=", "http:", "https:"] {
+            assert!(!page.contains(foreign), "{foreign}");
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! What a ground is told at its start: defaults, then the configuration file, then the command line.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use plumbline_ground::GroundConfig;
+use serde::{Deserialize, Serialize};
+
+/// Every key of the configuration file, TOML.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    pub listen: SocketAddr,
+    pub agent_listen: SocketAddr,
+    pub data: PathBuf,
+    pub identity: Option<PathBuf>,
+    pub allow_hosts: Vec<String>,
+    pub tls: bool,
+    pub certificate: Option<PathBuf>,
+    pub key: Option<PathBuf>,
+    pub json_log: bool,
+    pub metrics_open: bool,
+    pub lease_idle_s: f64,
+    pub command_timeout_s: f64,
+    pub reserve_bytes: u64,
+    pub backfill_after_s: f64,
+    pub settle_after_s: f64,
+}
+
+/// What each key means, in the order they are printed.
+const ABOUT: [(&str, &str); 15] = [
+    ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
+    ("agent_listen", "Address (UDP) that agents connect to."),
+    ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
+    (
+        "identity",
+        "Folder of this ground's certificate and of the agents it trusts; absent: `identity` in the data folder.",
+    ),
+    ("allow_hosts", "Host names, beside localhost and IP addresses, under which the page may be reached."),
+    ("tls", "Serve the page by TLS on the loopback, too."),
+    ("certificate", "Certificate chain (PEM) for the page; absent: a self-signed one, made once in the data folder."),
+    ("key", "Its private key (PEM)."),
+    ("json_log", "Log as JSON lines instead of text. RUST_LOG sets the level."),
+    ("metrics_open", "/metrics for everybody who reaches this ground, not only for this machine and those signed in."),
+    ("lease_idle_s", "Control is given up when its holder does nothing and shows no sign of life for this long, s."),
+    ("command_timeout_s", "How long a command waits for its acknowledgement, s."),
+    ("reserve_bytes", "Recording stops, loudly, when the disk has less than this left, bytes."),
+    ("backfill_after_s", "A message that has not come after this long is asked for again, s."),
+    ("settle_after_s", "A flight whose gaps do not shrink for this long after its end is closed as it is, s."),
+];
+
+impl Default for Settings {
+    fn default() -> Self {
+        let config = GroundConfig::new("./data");
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 4747)),
+            agent_listen: SocketAddr::from(([127, 0, 0, 1], 4748)),
+            data: config.data_folder,
+            identity: None,
+            allow_hosts: config.allowed_hosts,
+            tls: false,
+            certificate: None,
+            key: None,
+            json_log: false,
+            metrics_open: config.metrics_open,
+            lease_idle_s: config.lease_idle.as_secs_f64(),
+            command_timeout_s: config.command_timeout.as_secs_f64(),
+            reserve_bytes: config.reserve_bytes,
+            backfill_after_s: config.backfill_after.as_secs_f64(),
+            settle_after_s: config.settle_after.as_secs_f64(),
+        }
+    }
+}
+
+impl Settings {
+    /// Reads a configuration file; what it leaves out has its default.
+    ///
+    /// # Errors
+    /// A sentence with the file, the line and the key.
+    pub fn read(path: &Path) -> Result<Self, String> {
+        let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        toml::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))
+    }
+
+    /// As a configuration file, every key with what it means.
+    ///
+    /// # Errors
+    /// A path that is no text.
+    pub fn print(&self) -> Result<String, String> {
+        let table = toml::Table::try_from(self).map_err(|error| format!("configuration: {error}"))?;
+        let line = |(key, about): &(&str, &str)| match table.get(*key) {
+            Some(value) => format!("# {about}\n{key} = {value}\n"),
+            None => format!("# {about}\n# {key} =\n"),
+        };
+        Ok(ABOUT.iter().map(line).collect::<Vec<_>>().join("\n"))
+    }
+
+    /// Where this ground's certificate for the link is.
+    pub fn identity_folder(&self) -> PathBuf {
+        self.identity.clone().unwrap_or_else(|| self.data.join("identity"))
+    }
+
+    /// Is the page served by TLS?
+    pub fn by_tls(&self) -> bool {
+        self.tls || self.certificate.is_some() || !self.listen.ip().is_loopback()
+    }
+
+    /// Certificate and key of one's own; `None` for those that the ground makes.
+    ///
+    /// # Errors
+    /// One without the other.
+    pub fn own_certificate(&self) -> Result<Option<(&Path, &Path)>, String> {
+        match (self.certificate.as_deref(), self.key.as_deref()) {
+            (Some(certificate), Some(key)) => Ok(Some((certificate, key))),
+            (None, None) => Ok(None),
+            (Some(_), None) => Err("certificate without key: both are needed".into()),
+            (None, Some(_)) => Err("key without certificate: both are needed".into()),
+        }
+    }
+
+    /// What the ground itself is told.
+    ///
+    /// # Errors
+    /// A time that is none.
+    pub fn config(&self) -> Result<GroundConfig, String> {
+        let time = |key: &str, value: f64| {
+            let time = Duration::try_from_secs_f64(value).ok().filter(|time| !time.is_zero());
+            time.ok_or_else(|| format!("{key} = {value}: a number of seconds above 0 is needed"))
+        };
+        let mut config = GroundConfig::new(&self.data);
+        config.allowed_hosts.clone_from(&self.allow_hosts);
+        config.metrics_open = self.metrics_open;
+        config.reserve_bytes = self.reserve_bytes;
+        config.lease_idle = time("lease_idle_s", self.lease_idle_s)?;
+        config.command_timeout = time("command_timeout_s", self.command_timeout_s)?;
+        config.backfill_after = time("backfill_after_s", self.backfill_after_s)?;
+        config.settle_after = time("settle_after_s", self.settle_after_s)?;
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_printed_is_read_back_and_no_key_is_without_its_meaning() {
+        let text = Settings::default().print().unwrap();
+        assert_eq!(toml::from_str::<Settings>(&text).unwrap(), Settings::default());
+        let bare = text.replace("# identity =", "identity = \"a\"").replace("# certificate =", "certificate = \"b\"");
+        let all: toml::Table = toml::from_str(&bare.replace("# key =", "key = \"c\"")).unwrap();
+        assert_eq!(all.len(), ABOUT.len());
+        assert_eq!(toml::Table::try_from(toml::from_str::<Settings>(&all.to_string()).unwrap()).unwrap(), all);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ground.toml");
+        assert!(Settings::read(&path).unwrap_err().contains("ground.toml"));
+        for (text, named) in
+            [("lisen = \"127.0.0.1:1\"", "lisen"), ("listen = \"here\"", "listen"), ("tls = 1", "tls"), ("[", "1")]
+        {
+            std::fs::write(&path, text).unwrap();
+            let error = Settings::read(&path).unwrap_err();
+            assert!(error.contains("ground.toml") && error.contains(named), "{text}: {error}");
+        }
+        for seconds in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
+            let settings = Settings { command_timeout_s: seconds, ..Settings::default() };
+            assert!(settings.config().unwrap_err().contains("command_timeout_s"));
+        }
+        let half = Settings { key: Some("k.pem".into()), ..Settings::default() };
+        assert!(half.own_certificate().unwrap_err().contains("certificate"));
+    }
+}

@@ -1,0 +1,375 @@
+//! A flight as a ROS 2 bag: MCAP of profile `ros2`, messages of `sensor_msgs`, `nav_msgs`, `geometry_msgs` and
+//! `rcl_interfaces` (as of Humble) in CDR, with their definitions in the file.
+//!
+//! Frames need no change: ROS has the world east-north-up and the body forward-left-up as well (REP 103). The twist of an
+//! odometry is in the body's frame there (nav_msgs/Odometry), so velocities are turned.
+//!
+//! Source of the encoding: OMG, *DDS-XTypes* 1.3, 7.4: plain CDR, little endian, alignment from the end of its header.
+
+use std::collections::BTreeMap;
+use std::io::{BufWriter, Write};
+
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{McapResult, WriteOptions};
+use plumbline_proto::{Kind, Message as _, v1};
+
+use super::export::Sink;
+use super::reader::{FlightReader, Recorded};
+
+const HEADER: &str = "std_msgs/Header header";
+const IMU: &str = "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
+    geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\
+    geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance";
+const RANGE: &str = "uint8 ULTRASOUND=0\nuint8 INFRARED=1\nuint8 radiation_type\nfloat32 field_of_view\n\
+    float32 min_range\nfloat32 max_range\nfloat32 range";
+const ODOMETRY: &str =
+    "string child_frame_id\ngeometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist";
+const LOG: &str = "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n\
+    builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line";
+/// What those are made of.
+const PARTS: [(&str, &str); 9] = [
+    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
+    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
+    ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
+    ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"),
+    ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z"),
+    ("geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation"),
+    ("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance"),
+    ("geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular"),
+    ("geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist twist\nfloat64[36] covariance"),
+];
+
+/// Messages that are written, each with its definition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Type {
+    Imu,
+    Range,
+    Odometry,
+    PoseStamped,
+    Log,
+}
+
+impl Type {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Imu => "sensor_msgs/msg/Imu",
+            Self::Range => "sensor_msgs/msg/Range",
+            Self::Odometry => "nav_msgs/msg/Odometry",
+            Self::PoseStamped => "geometry_msgs/msg/PoseStamped",
+            Self::Log => "rcl_interfaces/msg/Log",
+        }
+    }
+
+    /// Definition, with all it is made of.
+    fn definition(self) -> String {
+        let mut text = match self {
+            Self::Imu => format!("{HEADER}\n{IMU}\n"),
+            Self::Range => format!("{HEADER}\n{RANGE}\n"),
+            Self::Odometry => format!("{HEADER}\n{ODOMETRY}\n"),
+            Self::PoseStamped => format!("{HEADER}\ngeometry_msgs/Pose pose\n"),
+            Self::Log => format!("{LOG}\n"),
+        };
+        // Parts come before what they are made of: one pass finds those of those.
+        for _ in 0..PARTS.len() {
+            for (name, fields) in PARTS {
+                let used = text.lines().any(|line| line.split(' ').next() == Some(name));
+                if used && !text.contains(&format!("MSG: {name}\n")) {
+                    text += &format!("{}\nMSG: {name}\n{fields}\n", "=".repeat(80));
+                }
+            }
+        }
+        text
+    }
+}
+
+/// Plain CDR, little endian.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn new() -> Self {
+        Self(vec![0, 1, 0, 0])
+    }
+
+    fn put(&mut self, bytes: &[u8]) {
+        let over = (self.0.len() - 4) % bytes.len();
+        if over > 0 {
+            self.0.resize(self.0.len() + bytes.len() - over, 0);
+        }
+        self.0.extend_from_slice(bytes);
+    }
+
+    fn f64s(&mut self, values: &[f64]) {
+        values.iter().for_each(|value| self.put(&value.to_le_bytes()));
+    }
+
+    fn f32(&mut self, value: f64) {
+        self.put(&(value as f32).to_le_bytes());
+    }
+
+    fn string(&mut self, text: &str) {
+        self.put(&(text.len() as u32 + 1).to_le_bytes());
+        self.0.extend_from_slice(text.as_bytes());
+        self.0.push(0);
+    }
+
+    fn stamp(&mut self, time_ns: u64) {
+        self.put(&((time_ns / 1_000_000_000) as i32).to_le_bytes());
+        self.put(&((time_ns % 1_000_000_000) as u32).to_le_bytes());
+    }
+
+    fn header(&mut self, time_ns: u64, frame: &str) {
+        self.stamp(time_ns);
+        self.string(frame);
+    }
+
+    fn vector(&mut self, vector: &v1::Vector3) {
+        self.f64s(&[vector.x, vector.y, vector.z]);
+    }
+
+    fn quaternion(&mut self, q: &v1::Quaternion) {
+        self.f64s(&[q.x, q.y, q.z, q.w]);
+    }
+
+    /// Variances of two times three, without correlation.
+    fn covariance(&mut self, sigmas: [Option<v1::Vector3>; 2]) {
+        let mut covariance = [0.0; 36];
+        let all = sigmas.into_iter().flat_map(|sigma| sigma.map_or([0.0; 3], |s| [s.x, s.y, s.z]));
+        for (at, sigma) in all.enumerate() {
+            if let Some(entry) = covariance.get_mut(at * 7) {
+                *entry = sigma * sigma;
+            }
+        }
+        self.f64s(&covariance);
+    }
+}
+
+/// `world` in the body's axes: the inverse rotation of a unit quaternion, v + 2 u × (u × v − w v) with u its vector part.
+fn body_from_world(q: &v1::Quaternion, world: &v1::Vector3) -> v1::Vector3 {
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let (u, v) = ([q.x, q.y, q.z], [world.x, world.y, world.z]);
+    let inner = cross(u, v);
+    let inner = [inner[0] - q.w * v[0], inner[1] - q.w * v[1], inner[2] - q.w * v[2]];
+    let turn = cross(u, inner);
+    v1::Vector3 { x: v[0] + 2.0 * turn[0], y: v[1] + 2.0 * turn[1], z: v[2] + 2.0 * turn[2] }
+}
+
+/// A message: where, of which type, its bytes.
+type Out = (String, Type, Vec<u8>);
+
+fn imu(topic: String, time_ns: u64, frame: &str, reading: &v1::ImuReading) -> Out {
+    let mut cdr = Cdr::new();
+    cdr.header(time_ns, frame);
+    cdr.quaternion(&v1::Quaternion { w: 1.0, ..Default::default() });
+    // sensor_msgs/Imu: -1 says that there is no orientation.
+    cdr.f64s(&[-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    for vector in [reading.gyro_radps, reading.accel_mps2] {
+        cdr.vector(&vector.unwrap_or_default());
+        cdr.f64s(&[0.0; 9]);
+    }
+    (topic, Type::Imu, cdr.0)
+}
+
+fn range(topic: String, time_ns: u64, frame: &str, range_m: f64) -> Out {
+    let mut cdr = Cdr::new();
+    cdr.header(time_ns, frame);
+    cdr.put(&[1]);
+    for value in [0.0, 0.0, f64::INFINITY, range_m] {
+        cdr.f32(value);
+    }
+    (topic, Type::Range, cdr.0)
+}
+
+fn pose(topic: String, time_ns: u64, reading: &v1::MocapPoseReading) -> Out {
+    let mut cdr = Cdr::new();
+    cdr.header(time_ns, "map");
+    cdr.vector(&reading.position_enu_m.unwrap_or_default());
+    cdr.quaternion(&reading.world_from_body.unwrap_or_default());
+    (topic, Type::PoseStamped, cdr.0)
+}
+
+fn odometry(topic: String, time_ns: u64, estimate: &v1::Estimate) -> Out {
+    let attitude = estimate.world_from_body.unwrap_or(v1::Quaternion { w: 1.0, ..Default::default() });
+    let mut cdr = Cdr::new();
+    cdr.header(time_ns, "map");
+    cdr.string("base_link");
+    cdr.vector(&estimate.position_enu_m.unwrap_or_default());
+    cdr.quaternion(&attitude);
+    cdr.covariance([estimate.position_sigma_m, estimate.attitude_sigma_rad]);
+    cdr.vector(&body_from_world(&attitude, &estimate.velocity_enu_mps.unwrap_or_default()));
+    cdr.vector(&estimate.body_rates_radps.unwrap_or_default());
+    cdr.covariance([estimate.velocity_sigma_mps, None]);
+    (topic, Type::Odometry, cdr.0)
+}
+
+fn log(time_ns: u64, event: &v1::Event) -> Out {
+    let mut cdr = Cdr::new();
+    cdr.stamp(time_ns);
+    let level = match event.severity() {
+        v1::Severity::Warning => 30,
+        v1::Severity::Critical => 40,
+        _ => 20,
+    };
+    cdr.put(&[level]);
+    cdr.string(&event.kind);
+    cdr.string(&event.text);
+    cdr.string("");
+    cdr.string("");
+    cdr.put(&0_u32.to_le_bytes());
+    ("/rosout".into(), Type::Log, cdr.0)
+}
+
+/// What one message becomes: samples as sensed, and as received where they were.
+fn convert(message: &Recorded<'_>, time_ns: u64) -> Vec<Out> {
+    let Some((kind, instance)) = Kind::from_topic(&message.channel.topic) else { return Vec::new() };
+    let data = message.payload;
+    let dropped = |reception: i32| reception == v1::Reception::Dropped as i32;
+    let both = |name: &str| ["sensed", "received"].map(|which| format!("/{name}_{instance}/{which}"));
+    match kind {
+        Kind::Imu => {
+            let Ok(v1::ImuSample { reception, sensed: Some(sensed), received, .. }) = v1::ImuSample::decode(data)
+            else {
+                return Vec::new();
+            };
+            let (frame, [first, second]) = (format!("imu_{instance}"), both("imu"));
+            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
+            let mut out = vec![imu(first, time_ns, &frame, &sensed)];
+            out.extend(received.map(|reading| imu(second, time_ns, &frame, &reading)));
+            out
+        }
+        Kind::Height => {
+            let Ok(v1::HeightSample { reception, sensed_m, received_m, .. }) = v1::HeightSample::decode(data) else {
+                return Vec::new();
+            };
+            let (frame, [first, second]) = (format!("height_{instance}"), both("height"));
+            let received = (!dropped(reception)).then(|| received_m.unwrap_or(sensed_m));
+            let mut out = vec![range(first, time_ns, &frame, sensed_m)];
+            out.extend(received.map(|range_m| range(second, time_ns, &frame, range_m)));
+            out
+        }
+        Kind::MocapPose => {
+            let Ok(v1::MocapPoseSample { reception, sensed: Some(sensed), received, .. }) =
+                v1::MocapPoseSample::decode(data)
+            else {
+                return Vec::new();
+            };
+            let [first, second] = both("mocap_pose");
+            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
+            let mut out = vec![pose(first, time_ns, &sensed)];
+            out.extend(received.map(|reading| pose(second, time_ns, &reading)));
+            out
+        }
+        Kind::Estimate => {
+            let Ok(estimate) = v1::Estimate::decode(data) else { return Vec::new() };
+            let name = crate::names::JsonName::json_name(estimate.estimator());
+            vec![odometry(format!("/estimate/{name}"), time_ns, &estimate)]
+        }
+        Kind::Truth => {
+            let Ok(truth) = v1::Truth::decode(data) else { return Vec::new() };
+            let v1::Truth { position_enu_m, velocity_enu_mps, world_from_body, body_rates_radps, .. } = truth;
+            let known = v1::Estimate {
+                position_enu_m,
+                velocity_enu_mps,
+                world_from_body,
+                body_rates_radps,
+                ..Default::default()
+            };
+            vec![odometry("/truth".into(), time_ns, &known)]
+        }
+        Kind::Event => v1::Event::decode(data).map_or_else(|_| Vec::new(), |event| vec![log(time_ns, &event)]),
+        _ => Vec::new(),
+    }
+}
+
+/// Where a writer's bytes go.
+struct Onward<'s, 'f>(&'s mut Sink<'f>);
+
+impl Write for Onward<'_, '_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if (self.0)(bytes.to_vec()) { Ok(bytes.len()) } else { Err(std::io::ErrorKind::BrokenPipe.into()) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Writes the bag of what lies between two flight times, µs.
+pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Sink<'_>) -> McapResult<()> {
+    let options = WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("plumbline-ground/", env!("CARGO_PKG_VERSION")))
+        .compression(Some(mcap::Compression::Zstd))
+        .compression_threads(0)
+        .disable_seeking(true);
+    let mut bag = options.create(NoSeek::new(BufWriter::with_capacity(64 << 10, Onward(sink))))?;
+    let mut schemas: BTreeMap<Type, u16> = BTreeMap::new();
+    let mut channels: BTreeMap<String, (u16, u32)> = BTreeMap::new();
+    let boot_us = reader.boot_us();
+    reader.for_each(None, |message| {
+        if message.time_us < from {
+            return Ok(true);
+        }
+        let time_ns = (boot_us + message.time_us) * 1000;
+        for (topic, kind, data) in convert(message, time_ns) {
+            if !channels.contains_key(&topic) {
+                let schema = match schemas.get(&kind) {
+                    Some(schema) => *schema,
+                    None => {
+                        let schema = bag.add_schema(kind.name(), "ros2msg", kind.definition().as_bytes())?;
+                        schemas.insert(kind, schema);
+                        schema
+                    }
+                };
+                let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
+                channels.insert(topic.clone(), (bag.add_channel(schema, &topic, "cdr", &metadata)?, 0));
+            }
+            let Some((channel_id, sequence)) = channels.get_mut(&topic) else { continue };
+            *sequence += 1;
+            let header = MessageHeader {
+                channel_id: *channel_id,
+                sequence: *sequence,
+                log_time: time_ns,
+                publish_time: time_ns,
+            };
+            bag.write_to_known_channel(&header, &data)?;
+        }
+        Ok(message.time_us <= to)
+    })?;
+    bag.finish()?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_aligned_from_the_end_of_the_header() {
+        let mut cdr = Cdr::new();
+        cdr.string("ab");
+        cdr.put(&[7]);
+        cdr.f64s(&[1.0]);
+        assert_eq!(cdr.0[..12], [0, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 7]);
+        assert_eq!(cdr.0[12..], 1.0_f64.to_le_bytes());
+    }
+
+    #[test]
+    fn velocities_are_turned_into_the_body() {
+        // A quarter turn to the left: what goes north goes forward.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let q = v1::Quaternion { w: half, x: 0.0, y: 0.0, z: half };
+        let v = body_from_world(&q, &v1::Vector3 { x: 0.0, y: 2.0, z: 1.0 });
+        assert!((v.x - 2.0).abs() < 1e-12 && v.y.abs() < 1e-12 && (v.z - 1.0).abs() < 1e-12, "{v:?}");
+    }
+
+    #[test]
+    fn definitions_hold_everything_they_name() {
+        let text = Type::Odometry.definition();
+        for part in ["std_msgs/Header", "geometry_msgs/Point", "geometry_msgs/Twist", "builtin_interfaces/Time"] {
+            assert_eq!(text.matches(&format!("MSG: {part}\n")).count(), 1, "{part}");
+        }
+        assert!(!Type::Log.definition().contains("Header"));
+    }
+}
