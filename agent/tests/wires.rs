@@ -88,7 +88,7 @@ impl Flown {
         while !done(self) {
             let ended = self.agent.try_wait().unwrap();
             let late = begun.elapsed() > PATIENCE;
-            assert!(!late && ended.is_none(), "{what}: {ended:?}\n{}", self.said());
+            assert!(!late && ended.is_none(), "{what}: {ended:?}\n{}\n{}", self.said(), self.course());
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -96,8 +96,21 @@ impl Flown {
     /// Largest distance from `altitude_m` in the last two seconds.
     fn off(&self, altitude_m: f64) -> f64 {
         let truths = self.rig.truths();
+        if truths.len() < 400 {
+            return f64::INFINITY;
+        }
         let last = truths.iter().rev().take(400);
         last.map(|truth| (truth.position_enu_m.z - altitude_m).abs()).fold(0.0, f64::max)
+    }
+
+    /// Altitude and first pulse, once a second.
+    fn course(&self) -> String {
+        let pulses = self.rig.pulses();
+        let seconds = self.rig.truths();
+        let altitudes: Vec<String> =
+            seconds.iter().step_by(200).map(|truth| format!("{:.2}", truth.position_enu_m.z)).collect();
+        let highest = pulses.iter().map(|(_, widths)| widths[0]).fold(0.0, f64::max);
+        format!("{} pulses, highest {highest:.0} µs; altitude {}", pulses.len(), altitudes.join(" "))
     }
 
     fn hold(&mut self, altitude_m: f64) {
@@ -133,6 +146,7 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
     let mean = held.iter().sum::<f64>() / held.len() as f64;
     let spread = (held.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / held.len() as f64).sqrt();
     println!("holds 0.8 m at {mean:.4} m ± {spread:.4} m through the wires");
+    flown.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
     // Lands by its script, and stands still.
     let begun = Instant::now();
     while flown.agent.try_wait().unwrap().is_none() {

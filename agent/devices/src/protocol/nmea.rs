@@ -65,7 +65,7 @@ pub fn scan(bytes: &[u8]) -> Scan<NmeaReading> {
         };
     };
     let (sentence, length) = (line.get(1..end).unwrap_or_default().trim_ascii_end(), end + 1);
-    if let Some(at) = sentence.iter().position(|b| *b == b'$' || !(b' '..=b'~').contains(&b)) {
+    if let Some(at) = sentence.iter().position(|b| *b == b'$' || !(b' '..=b'~').contains(b)) {
         return Scan::Skip(at + 1);
     }
     Scan::Frame(length, read(sentence))

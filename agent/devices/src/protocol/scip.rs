@@ -55,16 +55,10 @@ pub enum ScipReading {
 }
 
 /// Decoder; keeps the last scan and the last information.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Scip {
     ranges_mm: ArrayVec<u16, RANGES>,
     info: ArrayString<512>,
-}
-
-impl Default for Scip {
-    fn default() -> Self {
-        Self { ranges_mm: ArrayVec::new(), info: ArrayString::new() }
-    }
 }
 
 impl Scip {

@@ -1,7 +1,7 @@
 //! Offset and skew of clocks that drift, roll over and jump.
 
-use plumbline_devices::clock::{DeviceClock, Stamp};
 use plumbline_core::sensor::noise::Stream;
+use plumbline_devices::clock::{DeviceClock, Stamp};
 
 /// Frames of a clock that runs `skew` fast, seen through jittery delays; the largest error after `settle_s`.
 fn worst_us(skew: f64, jitter_us: f64, roll_over: u64, settle_s: f64) -> (f64, DeviceClock) {

@@ -6,6 +6,7 @@ use super::{
 };
 use crate::cli::motors;
 use plumbline_agent::sim::rig::{HangingStrings, Rig};
+use plumbline_agent::types::EstimatorKind;
 use plumbline_devices::spec;
 use plumbline_devices::vehicle::HardwareVehicle;
 
@@ -22,7 +23,13 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
     let rig = config.rig.unwrap_or(Rig::HangingStrings(HangingStrings::default()));
     let suite = spec::suite(&config.device)?;
     let tick_rate_hz = config.tick_rate_hz.unwrap_or(200.0);
-    let flight = FlightConfig { tick_rate_hz, ..FlightConfig::new(airframe.clone(), rig.kind(&airframe), &suite) };
+    let mut flight = FlightConfig { tick_rate_hz, ..FlightConfig::new(airframe.clone(), rig.kind(&airframe), &suite) };
+    if suite.imus.len() > 1 {
+        // Each samples on a clock of its own: what shakes the frame differs between them, and an estimator that compares
+        // them at one instant takes that for faults.
+        flight.in_loop = EstimatorKind::Lanes;
+        flight.estimators.insert(0, EstimatorKind::Lanes);
+    }
     let line = motors::guarded(file, config)?;
     let zero = Zero::default();
     let mut devices = Vec::new();
