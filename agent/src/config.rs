@@ -50,7 +50,7 @@ pub enum ConfigError {
         /// Which table.
         table: String,
         /// What is wrong.
-        source: SpecError,
+        source: Box<SpecError>,
         /// Its line, from 1.
         line: usize,
         /// That line.

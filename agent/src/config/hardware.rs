@@ -20,7 +20,7 @@ fn shown(source: SpecError, text: &str) -> ConfigError {
     let is_key = |line: &str| line.split_once('=').is_some_and(|(key, _)| key.trim() == source.key);
     let (line, shown) = own.into_iter().find(|(_, line)| is_key(line)).unwrap_or(begin);
     let table = source.device.map_or("[motors]".to_owned(), |index| format!("[[device]] {}", index + 1));
-    ConfigError::Hardware { table, source, line, text: shown.trim().to_owned() }
+    ConfigError::Hardware { table, source: Box::new(source), line, text: shown.trim().to_owned() }
 }
 
 #[cfg(test)]

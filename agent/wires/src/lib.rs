@@ -222,7 +222,7 @@ impl World {
             *lock(&self.voltage) = volts;
         }
         for (device, outlet) in &self.outlets {
-            let at = |is: bool| is.then_some(device.index).unwrap_or(usize::MAX);
+            let at = |is: bool| if is { device.index } else { usize::MAX };
             let looks_down = matches!(device.speaks, Speaks::Hokuyo | Speaks::Tfmini);
             let measured = Measured {
                 imu: frame.imus.get(at(!looks_down)).copied().flatten(),
