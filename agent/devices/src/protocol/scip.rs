@@ -28,6 +28,10 @@ pub const SMALLEST_MM: u16 = 20;
 pub const ROLL_OVER_MS: u32 = 1 << 24;
 /// Characters of ranges in a line.
 const LINE: usize = 64;
+/// No line is longer than this, lines of information included.
+const LINE_MAX: usize = 256;
+/// The longest echo, and its line end.
+const ECHO_MAX: usize = 16;
 
 /// Identifies: vendor, product, firmware, protocol, serial number.
 pub const VERSION: &[u8] = b"VV\n";
@@ -168,10 +172,15 @@ impl Protocol for Scip {
     const LONGEST: usize = 4096;
 
     fn scan(&mut self, bytes: &[u8]) -> Scan<ScipReading> {
-        let Some(first_line) = bytes.iter().position(|b| *b == b'\n') else { return Scan::More };
+        let Some(first_line) = bytes.iter().position(|b| *b == b'\n') else {
+            // An echo may begin among the last bytes, and nothing longer before it is one.
+            return if bytes.len() > LINE_MAX { Scan::Skip(bytes.len() - ECHO_MAX) } else { Scan::More };
+        };
         let Some(echo) = bytes.get(..first_line).and_then(echo) else { return Scan::Skip(first_line + 1) };
         let rest = bytes.get(first_line..).unwrap_or_default();
-        let Some(length) = rest.windows(2).position(|pair| pair == b"\n\n") else { return Scan::More };
+        let Some(length) = rest.windows(2).position(|pair| pair == b"\n\n") else {
+            return if bytes.len() >= Self::LONGEST { Scan::Skip(first_line + 1) } else { Scan::More };
+        };
         match self.block(echo, rest.get(1..length).unwrap_or_default()) {
             Ok(reading) => Scan::Frame(first_line + length + 2, Ok(reading)),
             // The lines after it may hold the echo of the next block.
