@@ -3,11 +3,13 @@
 //! Every key has a default; unknown keys and values out of range are errors that name the key and
 //! its value. What is set here limits what any ground may ask for.
 
+mod hardware;
 mod sections;
 
 use std::path::{Path, PathBuf};
 
 use arrayvec::ArrayString;
+use plumbline_devices::spec::{DeviceSpec, MotorsSpec, SpecError};
 use plumbline_proto::ids::FlightId;
 use serde::Deserialize;
 
@@ -17,6 +19,7 @@ use crate::flight::FlightConfig;
 use crate::model::declination::DeclinationError;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::{Suite, SuiteError};
+use crate::sim::rig::Rig;
 use crate::types::{ControllerKind, EstimatorKind, TICK_RATE_HZ};
 
 pub use sections::{Attacks, Controller, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Weights};
@@ -41,6 +44,18 @@ pub enum ConfigError {
     /// A data sheet among `sensors`.
     #[error("configuration: sensors: {0}")]
     Sensors(#[from] SuiteError),
+    /// A `[[device]]`, or `[motors]`.
+    #[error("configuration: {table}: {source}; line {line}: {text}")]
+    Hardware {
+        /// Which table.
+        table: String,
+        /// What is wrong.
+        source: Box<SpecError>,
+        /// Its line, from 1.
+        line: usize,
+        /// That line.
+        text: String,
+    },
     /// A value is out of its range.
     #[error("configuration: {key} = {value} is not {expected}")]
     Value {
@@ -90,6 +105,12 @@ pub struct AgentConfig {
     pub controller: Controller,
     /// What gains must forgive before they fly.
     pub margins: Margins,
+    /// What holds the vehicle that is really there; hanging strings when left out.
+    pub rig: Option<Rig>,
+    /// Devices of the vehicle that is really there.
+    pub device: Vec<DeviceSpec>,
+    /// Its motors.
+    pub motors: Option<MotorsSpec>,
     /// Onboard log.
     pub log: Log,
     /// Radio.
@@ -115,6 +136,9 @@ impl Default for AgentConfig {
             sensors: None,
             controller: Controller::default(),
             margins: Margins::default(),
+            rig: None,
+            device: Vec::new(),
+            motors: None,
             log: Log::default(),
             link: Link::default(),
         }
@@ -138,6 +162,7 @@ impl AgentConfig {
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self =
             toml::from_str(text).map_err(|e| ConfigError::Syntax(e.to_string().trim_end().to_owned()))?;
+        hardware::check(&config, text)?;
         config.validate()?;
         Ok(config)
     }

@@ -325,9 +325,16 @@ impl Runner {
     }
 
     fn tick(&mut self) -> Result<(), VehicleError> {
+        let awaited = self.vehicle.inner().awaited().map(|time| self.wait_for(time));
         let frame = self.vehicle.sense()?;
         self.magnetometers(frame.time);
-        let (due, started) = self.wait_for(frame.time);
+        let (due, started) = match awaited {
+            Some(waited) => waited,
+            None => self.wait_for(frame.time),
+        };
+        while let Some((severity, said)) = self.vehicle.inner_mut().notice() {
+            self.telemetry.event(frame.time, severity, EventKind::Warning, format_args!("{said}"));
+        }
         self.ports.clock.tick(frame.time);
         self.commands(frame.time);
         self.certified(frame.time);

@@ -90,9 +90,18 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-core"), names(&["proto"]), "what computes knows the contract only");
     assert_eq!(knows("plumbline-link"), names(&["proto"]), "the radio knows no vehicle");
     assert_eq!(knows("plumbline-sim"), names(&["core", "proto"]));
+    assert_eq!(knows("plumbline-devices"), names(&["core", "proto"]), "a driver knows no simulator and no radio");
+    assert_eq!(
+        knows("plumbline-wires"),
+        names(&["core", "devices", "sim"]),
+        "the wire rig meets the agent on its ports only"
+    );
     assert_eq!(knows("plumbline-file"), names(&[]), "the format of a flight file knows no vehicle");
     assert_eq!(knows("plumbline-analysis"), names(&["core", "file", "proto", "rest"]), "no flight thread, no socket");
-    assert_eq!(knows("plumbline-agent"), names(&["analysis", "core", "file", "link", "proto", "rest", "sim"]));
+    assert_eq!(
+        knows("plumbline-agent"),
+        names(&["analysis", "core", "devices", "file", "link", "proto", "rest", "sim"])
+    );
     assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
     assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
     assert_eq!(
@@ -185,9 +194,11 @@ fn the_lints_against_panics_stay_on_in_library_code() {
     for folder in MEMBERS.into_iter().chain([
         "agent/analysis",
         "agent/core",
+        "agent/devices",
         "agent/link",
         "agent/sim",
         "ground/experiment",
+        "agent/wires",
         "proto/file",
         "proto/rest",
     ]) {
@@ -205,8 +216,10 @@ fn the_lints_against_panics_stay_on_in_library_code() {
             "agent/src",
             "agent/analysis/src",
             "agent/core/src",
+            "agent/devices/src",
             "agent/link/src",
             "agent/sim/src",
+            "agent/wires/src",
             "ground/src",
             "ground/experiment/src",
             "proto/src",

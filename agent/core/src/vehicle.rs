@@ -8,6 +8,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
 use crate::control::step_response::StepResponse;
+use crate::event::{Severity, Text};
 use crate::sensor::SensorFrame;
 use crate::types::{Mode, MotorCommand, ROTORS, Setpoint, Wrench};
 
@@ -97,6 +98,17 @@ pub trait Vehicle: Send {
     /// # Errors
     /// [`VehicleError::Finished`] at the end of a recording; the others when the input fails.
     fn sense(&mut self) -> Result<SensorFrame, VehicleError>;
+
+    /// When its next frame is due, for one whose samples arrive by themselves: the caller waits before it senses, so that
+    /// the frame holds what has arrived by then. `None`: sense first, then wait.
+    fn awaited(&self) -> Option<FlightTime> {
+        None
+    }
+
+    /// Something to tell of its devices: one was lost, or is back. Asked each tick until there is no more.
+    fn notice(&mut self) -> Option<(Severity, Text)> {
+        None
+    }
 
     /// Applies one motor command; returns what was really applied (clipped, or recorded).
     ///

@@ -1,5 +1,8 @@
 //! Flying: vehicle, flight thread, log, link.
 
+mod hardware;
+
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -27,6 +30,7 @@ use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
 use plumbline_agent::types::TICK_RATE_HZ;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::calibrated::CalibratedVehicle;
+use plumbline_devices::reader::Zero;
 use plumbline_proto::SCHEMA;
 use plumbline_proto::time::{FlightTime, WallTime};
 
@@ -52,6 +56,8 @@ struct Chosen {
     promise: Option<Result<Promise, SuiteError>>,
     script: Option<Script>,
     end: Option<FlightTime>,
+    /// Of a vehicle whose samples are stamped as they arrive.
+    zero: Option<Zero>,
 }
 
 impl Chosen {
@@ -86,6 +92,9 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let flight = Flight::new(chosen.flight.clone())?;
     // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
     let boot = Boot::in_a_moment()?;
+    if let Some(zero) = &chosen.zero {
+        zero.set(boot.zero);
+    }
 
     let (log_ring, log) = start_log(&config, &boot)?;
     let clock = Arc::new(FlightClock::default());
@@ -170,14 +179,14 @@ fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fail
     let mut chosen = match arguments.vehicle {
         VehicleChoice::Sim => simulated(arguments)?,
         VehicleChoice::Replay => recorded(arguments, config)?,
-        VehicleChoice::Hardware => {
-            return Err("no quadrotor is attached: this build flies sim and replay".into());
-        }
+        VehicleChoice::Hardware => hardware::attached(arguments, config)?,
     };
     let frame_rate_hz = chosen.flight.tick_rate_hz;
     config.apply(&mut chosen.flight)?;
-    if !config.calibrations.is_empty() {
-        let calibration = calibrate::load(&config.calibrations)?;
+    let of_devices = config.device.iter().filter_map(|device| device.calibration.clone());
+    let files: Vec<PathBuf> = config.calibrations.iter().cloned().chain(of_devices).collect();
+    if !files.is_empty() {
+        let calibration = calibrate::load(&files)?;
         calibration.apply_to_airframe(&mut chosen.flight.airframe);
         chosen.calibration = calibration;
     }
@@ -279,6 +288,7 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
         promise: Some(Observed::promise_at_hover(&scenario.suite, &scenario.airframe)),
         script: arguments.script.then(|| scenario.script.clone()),
         end: arguments.script.then(|| FlightTime::from_seconds(scenario.duration_s)),
+        zero: None,
     })
 }
 
@@ -342,6 +352,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         strings: scenario.map(|scenario| scenario.rig.lines(&scenario.airframe)).unwrap_or_default(),
         script: None,
         end: None,
+        zero: None,
     })
 }
 

@@ -3,9 +3,11 @@
 mod calibrate;
 mod decode;
 mod design;
+mod devices;
 mod estimate;
 mod fly;
 mod identity;
+mod motors;
 mod observability;
 mod riccati;
 
@@ -49,6 +51,13 @@ enum Tool {
     Decode(decode::DecodeArguments),
     /// What a sensor suite can promise: rank, sparse observability, correctable attacks, binding state (JSON).
     Observability(observability::ObservabilityArguments),
+    /// Lists ports and what answers on them; `devices test NAME` shows what a device says.
+    Devices(devices::DevicesArguments),
+    /// Turns one motor at low throttle, on the bench.
+    Motors(motors::MotorsArguments),
+    /// Holds the motors of an agent that flies, and stops them when it is gone.
+    #[command(hide = true)]
+    MotorGuard(motors::GuardArguments),
 }
 
 /// What can be flown.
@@ -118,6 +127,9 @@ impl Arguments {
             Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
             Some(Tool::Decode(arguments)) => arguments.run(),
             Some(Tool::Observability(arguments)) => arguments.run(),
+            Some(Tool::Devices(arguments)) => arguments.run(),
+            Some(Tool::Motors(arguments)) => arguments.run(),
+            Some(Tool::MotorGuard(arguments)) => arguments.run(),
             None => fly::fly(&self.fly),
         }
     }

@@ -1,0 +1,47 @@
+//! A device on its port: opens, identifies, sets up, then polls. Whoever polls is a thread of its own and may wait.
+
+pub mod bno055;
+pub mod hokuyo;
+pub mod mocap;
+pub mod registers;
+pub mod stream;
+
+use std::time::Instant;
+
+use crate::clock::Stamp;
+use crate::fault::{DeviceError, Fault};
+use crate::reading::Reading;
+
+/// A reading as it came in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Heard {
+    /// When its last byte was there.
+    pub at: Instant,
+    /// The device's own time of it.
+    pub stamp: Option<Stamp>,
+    /// It was measured so long after that stamp (or before its arrival, where there is none), µs.
+    pub after_us: f64,
+    /// What it says.
+    pub reading: Reading,
+}
+
+/// Takes what a driver hears.
+pub type Outlet<'a> = dyn FnMut(Result<Heard, Fault>) + 'a;
+
+/// One device.
+pub trait Driver: Send {
+    /// Opens the port, makes sure that the right device answers, sets it up. After an error, or a loss, called again.
+    ///
+    /// # Errors
+    /// The port, another device, another protocol version, no answer.
+    fn open(&mut self) -> Result<(), DeviceError>;
+
+    /// Hands over what comes within about [`crate::port::WAIT`].
+    ///
+    /// # Errors
+    /// The device is to be opened again.
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError>;
+
+    /// Lets the device rest and the port go.
+    fn close(&mut self) {}
+}

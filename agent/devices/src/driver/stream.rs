@@ -1,0 +1,107 @@
+//! Devices that talk without being asked: TFmini, Mongoose, GNSS.
+
+use std::time::Instant;
+
+use super::{Driver, Heard, Outlet};
+use crate::clock::Stamp;
+use crate::fault::{DeviceError, Fault};
+use crate::framer::{Framer, Protocol};
+use crate::port::{PortName, Stream};
+use crate::protocol::gnss::{GnssReading, GnssStream};
+use crate::protocol::mongoose::{Mongoose, MongooseReading};
+use crate::protocol::tfmini::TfMini;
+use crate::reading::Reading;
+
+/// So many bytes without one frame are another device, or another baud rate.
+const STRANGE_BYTES: u64 = 2048;
+
+/// A protocol whose frames are readings.
+pub trait Spoken: Protocol + Send {
+    /// For people, with the usual baud rate.
+    const NAME: &'static str;
+
+    /// Shows the readings of a frame, with the device's stamp.
+    fn readings(frame: Self::Reading, each: &mut dyn FnMut(Option<Stamp>, Reading));
+}
+
+impl Spoken for TfMini {
+    const NAME: &'static str = "a TFmini (115200 baud)";
+    fn readings(frame: Reading, each: &mut dyn FnMut(Option<Stamp>, Reading)) {
+        each(None, frame);
+    }
+}
+
+impl Spoken for Mongoose {
+    const NAME: &'static str = "a Mongoose (115200 baud)";
+    fn readings(frame: MongooseReading, each: &mut dyn FnMut(Option<Stamp>, Reading)) {
+        let stamp = Stamp { ticks: frame.stamp_us.into(), tick_us: 1.0, roll_over: 1 << 32 };
+        each(Some(stamp), Reading::Imu(frame.imu));
+        each(Some(stamp), Reading::Barometer(frame.barometer));
+    }
+}
+
+impl Spoken for GnssStream {
+    const NAME: &'static str = "a GNSS receiver (UBX or NMEA; 9600 or 38400 baud)";
+    fn readings(frame: GnssReading, each: &mut dyn FnMut(Option<Stamp>, Reading)) {
+        if let GnssReading::Fix { stamp_ms, roll_over_ms, fix } = frame {
+            let stamp = Stamp { ticks: stamp_ms.into(), tick_us: 1e3, roll_over: roll_over_ms.into() };
+            each(Some(stamp), Reading::Fix(fix));
+        }
+    }
+}
+
+/// A device of protocol `P` on a serial port.
+pub struct Talker<P> {
+    port: PortName,
+    baud: u32,
+    framer: Framer<P>,
+    open: Option<Box<dyn Stream>>,
+    frames: u64,
+    /// By the framer, when the port was opened.
+    skipped_before: u64,
+}
+
+impl<P: Spoken> Talker<P> {
+    /// On `port`, closed.
+    pub fn new(port: PortName, baud: u32, protocol: P) -> Self {
+        Self { port, baud, framer: Framer::new(protocol), open: None, frames: 0, skipped_before: 0 }
+    }
+}
+
+impl<P: Spoken> Driver for Talker<P> {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        self.framer.clear();
+        self.frames = 0;
+        self.skipped_before = self.framer.skipped();
+        self.open = Some(self.port.open_serial(self.baud)?);
+        Ok(())
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        let Some(port) = &mut self.open else { return Ok(()) };
+        let mut bytes = [0; 512];
+        let count = port.read(&mut bytes).map_err(|error| self.port.error(error))?;
+        let (at, skipped) = (Instant::now(), self.framer.skipped());
+        let frames = &mut self.frames;
+        self.framer.push(bytes.get(..count).unwrap_or_default(), |frame| match frame {
+            Ok(frame) => {
+                *frames += 1;
+                P::readings(frame, &mut |stamp, reading| out(Ok(Heard { at, stamp, after_us: 0.0, reading })));
+            }
+            Err(fault) => out(Err(fault)),
+        });
+        if self.framer.skipped() > skipped && self.frames > 0 {
+            out(Err(Fault::Malformed("bytes between frames")));
+        }
+        let strange = self.framer.skipped() - self.skipped_before;
+        if self.frames == 0 && strange > STRANGE_BYTES {
+            let value = format!("{strange} bytes without a frame");
+            return Err(DeviceError::Wrong { what: "what speaks", value, expected: P::NAME });
+        }
+        Ok(())
+    }
+
+    fn close(&mut self) {
+        self.open = None;
+    }
+}

@@ -1,0 +1,30 @@
+//! Devices of a real vehicle.
+//!
+//! ```text
+//! port ─► framer ─► protocol ─► driver ─► reader thread (stamp, clock) ─► queue ─► HardwareVehicle::sense
+//! HardwareVehicle::actuate ─► pipe ─► motor guard (a process of its own) ─► PWM
+//! ```
+//! - [`protocol`]: bytes to readings and back, one file a device. Pure: no port, no clock, no allocation for a frame.
+//! - [`framer`]: finds the frames of any of them in a stream, through garbage.
+//! - [`port`]: serial ports, sockets, I²C, behind two narrow traits.
+//! - [`driver`]: a device on its port: opens, identifies, configures, polls. One file a device.
+//! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver.
+//! - [`spec`]: `[[device]]` and `[motors]` of a configuration, checked.
+//! - [`motors`]: pulses, and the guard that stops them. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod clock;
+pub mod driver;
+pub mod fault;
+pub mod framer;
+pub mod motors;
+pub mod port;
+pub mod protocol;
+pub mod reader;
+pub mod reading;
+pub mod spec;
+pub mod vehicle;
+
+pub use fault::{DeviceError, Fault};
+pub use reading::Reading;

@@ -1,0 +1,250 @@
+//! Ports behind two narrow traits: a stream of bytes, and a bus of registers.
+//!
+//! | port | what it is |
+//! |---|---|
+//! | `/dev/ttyUSB0` | serial |
+//! | `/dev/i2c-1` | I²C of the kernel |
+//! | `unix:/path` | the wire rig's I²C: a socket that carries the same transfers |
+//! | `udp:0.0.0.0:1511`, `udp:239.255.42.99:1511` | datagrams; a multicast group is joined |
+
+use std::io::{self, ErrorKind, Read as _, Write as _};
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+use crate::fault::DeviceError;
+
+/// Longest wait of one read; whoever owns the port looks about in between.
+pub const WAIT: Duration = Duration::from_millis(50);
+/// Longest transfer of the wire rig's bus, bytes.
+pub const TRANSFER_MAX: usize = 64;
+
+/// Bytes in order.
+pub trait Stream: Send {
+    /// Some bytes; 0 when none came within [`WAIT`].
+    ///
+    /// # Errors
+    /// The port is gone.
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize>;
+
+    /// Writes all of `bytes`.
+    ///
+    /// # Errors
+    /// The port is gone, or takes no more.
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
+}
+
+/// Registers of devices that share two wires.
+pub trait Bus: Send {
+    /// Writes, then reads without letting the bus go.
+    ///
+    /// # Errors
+    /// Nobody answers at `address`, or the bus is gone.
+    fn transfer(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()>;
+}
+
+/// What a port's name means.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PortName {
+    /// A serial port's file.
+    Serial(String),
+    /// The kernel's I²C.
+    I2c(String),
+    /// The wire rig's I²C.
+    Socket(String),
+    /// Where datagrams come in.
+    Datagrams(SocketAddrV4),
+}
+
+impl PortName {
+    /// Reads a name; `None` where it means nothing.
+    pub fn parse(name: &str) -> Option<Self> {
+        if let Some(address) = name.strip_prefix("udp:") {
+            return address.parse().ok().map(Self::Datagrams);
+        }
+        if let Some(path) = name.strip_prefix("unix:") {
+            return (!path.is_empty()).then(|| Self::Socket(path.to_owned()));
+        }
+        let i2c = name.rsplit('/').next().is_some_and(|file| file.starts_with("i2c-"));
+        let kind = if i2c { Self::I2c } else { Self::Serial };
+        name.starts_with('/').then(|| kind(name.to_owned()))
+    }
+
+    /// Opens it as a bus.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is none.
+    pub fn open_bus(&self) -> Result<Box<dyn Bus>, DeviceError> {
+        match self {
+            Self::I2c(path) => kernel::open(path).map_err(|error| self.error(error)),
+            Self::Socket(path) => {
+                let socket = UnixStream::connect(path).map_err(|error| self.error(error))?;
+                socket.set_read_timeout(Some(WAIT)).map_err(|error| self.error(error))?;
+                Ok(Box::new(Socket(socket)))
+            }
+            _ => Err(self.error(io::Error::new(ErrorKind::InvalidInput, "not an I²C bus"))),
+        }
+    }
+
+    /// Opens it as a serial port.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is none.
+    pub fn open_serial(&self, baud: u32) -> Result<Box<dyn Stream>, DeviceError> {
+        let Self::Serial(path) = self else {
+            return Err(self.error(io::Error::new(ErrorKind::InvalidInput, "not a serial port")));
+        };
+        let open = || {
+            let mut port = serial2::SerialPort::open(path, baud)?;
+            port.set_read_timeout(WAIT)?;
+            port.set_write_timeout(WAIT)?;
+            port.discard_buffers()?;
+            Ok(Serial(port))
+        };
+        Ok(Box::new(open().map_err(|error| self.error(error))?))
+    }
+
+    /// Opens it for datagrams.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is none.
+    pub fn open_datagrams(&self) -> Result<UdpSocket, DeviceError> {
+        let Self::Datagrams(address) = self else {
+            return Err(self.error(io::Error::new(ErrorKind::InvalidInput, "not a place for datagrams")));
+        };
+        let open = || {
+            if !address.ip().is_multicast() {
+                return UdpSocket::bind(address);
+            }
+            let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, address.port()))?;
+            socket.join_multicast_v4(address.ip(), &Ipv4Addr::UNSPECIFIED)?;
+            Ok(socket)
+        };
+        let socket = open().map_err(|error| self.error(error))?;
+        socket.set_read_timeout(Some(WAIT)).map_err(|error| self.error(error))?;
+        Ok(socket)
+    }
+
+    /// `source` as an error of this port.
+    pub fn error(&self, source: io::Error) -> DeviceError {
+        DeviceError::Port { port: self.to_string(), source }
+    }
+}
+
+impl std::fmt::Display for PortName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Serial(path) | Self::I2c(path) => f.write_str(path),
+            Self::Socket(path) => write!(f, "unix:{path}"),
+            Self::Datagrams(address) => write!(f, "udp:{address}"),
+        }
+    }
+}
+
+/// Serial ports of this machine.
+pub fn serial_ports() -> Vec<std::path::PathBuf> {
+    serial2::SerialPort::available_ports().unwrap_or_default()
+}
+
+/// Did nothing come in time?
+pub fn timed_out(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}
+
+struct Serial(serial2::SerialPort);
+
+impl Stream for Serial {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        match self.0.read(into) {
+            // A serial port has no end but its own.
+            Ok(0) => Err(io::Error::new(ErrorKind::UnexpectedEof, "unplugged")),
+            Err(error) if timed_out(&error) => Ok(0),
+            other => other,
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all(bytes)
+    }
+}
+
+/// The kernel's I²C.
+#[cfg(feature = "i2c")]
+mod kernel {
+    use std::io;
+
+    use i2cdev::core::{I2CMessage as _, I2CTransfer as _};
+    use i2cdev::linux::{LinuxI2CBus, LinuxI2CMessage};
+
+    struct Kernel(LinuxI2CBus);
+
+    pub fn open(path: &str) -> io::Result<Box<dyn super::Bus>> {
+        Ok(Box::new(Kernel(LinuxI2CBus::new(path).map_err(io::Error::from)?)))
+    }
+
+    impl super::Bus for Kernel {
+        fn transfer(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()> {
+            let to = LinuxI2CMessage::write(write).with_address(address.into());
+            let done = if read.is_empty() {
+                self.0.transfer(&mut [to])
+            } else {
+                self.0.transfer(&mut [to, LinuxI2CMessage::read(read).with_address(address.into())])
+            };
+            done.map(drop).map_err(io::Error::from)
+        }
+    }
+}
+
+#[cfg(not(feature = "i2c"))]
+mod kernel {
+    use std::io;
+
+    pub fn open(_path: &str) -> io::Result<Box<dyn super::Bus>> {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "built without I²C: build with --features i2c"))
+    }
+}
+
+/// Address, bytes to write, bytes to read, what is written; the answer is 0 and what was read, or another number.
+struct Socket(UnixStream);
+
+impl Bus for Socket {
+    fn transfer(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()> {
+        let mut request = arrayvec::ArrayVec::<u8, { TRANSFER_MAX + 3 }>::new();
+        let long = || io::Error::new(ErrorKind::InvalidInput, "a transfer longer than 64 bytes");
+        request.try_extend_from_slice(&[address, write.len() as u8, read.len() as u8]).map_err(|_| long())?;
+        request.try_extend_from_slice(write).map_err(|_| long())?;
+        self.0.write_all(&request)?;
+        let mut status = [0];
+        self.0.read_exact(&mut status)?;
+        if status != [0] {
+            return Err(io::Error::new(ErrorKind::NotFound, format!("nobody answers at address {address:#x}")));
+        }
+        self.0.read_exact(read)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_say_what_they_are() {
+        assert_eq!(PortName::parse("/dev/ttyUSB0"), Some(PortName::Serial("/dev/ttyUSB0".into())));
+        assert_eq!(PortName::parse("/dev/i2c-1"), Some(PortName::I2c("/dev/i2c-1".into())));
+        assert_eq!(PortName::parse("unix:/tmp/bus").unwrap().to_string(), "unix:/tmp/bus");
+        assert!(
+            matches!(PortName::parse("udp:239.255.42.99:1511"), Some(PortName::Datagrams(a)) if a.ip().is_multicast())
+        );
+        for wrong in ["", "ttyUSB0", "udp:", "udp:1511", "unix:", "COM1"] {
+            assert_eq!(PortName::parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_port_that_cannot_be_opened_is_named() {
+        let error = PortName::parse("/nowhere/ttyUSB9").unwrap().open_serial(115_200).err().unwrap();
+        assert!(error.to_string().starts_with("/nowhere/ttyUSB9: "), "{error}");
+        let error = PortName::parse("/dev/null").unwrap().open_bus().err().unwrap();
+        assert!(error.to_string().contains("not an I²C bus"), "{error}");
+    }
+}

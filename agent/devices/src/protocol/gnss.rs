@@ -1,0 +1,80 @@
+//! A GNSS receiver's stream: UBX NAV-PVT where it speaks UBX, NMEA otherwise, both between each other.
+
+use crate::fault::Fault;
+use crate::framer::{Protocol, Scan};
+use crate::protocol::nmea::{self, Epoch, NmeaReading};
+use crate::protocol::ubx::{self, UbxReading};
+use crate::reading::FixReading;
+
+/// What a frame says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum GnssReading {
+    /// A fix, with the receiver's own time of its epoch (of the week, or of the day).
+    Fix {
+        /// Of the epoch, ms.
+        stamp_ms: u32,
+        /// When it counts from zero again, ms.
+        roll_over_ms: u32,
+        /// The fix.
+        fix: FixReading,
+    },
+    /// The receiver is alive, and has no fix in this message.
+    Alive,
+}
+
+const WEEK_MS: u32 = 604_800_000;
+const DAY_MS: u32 = 86_400_000;
+
+/// Decoder.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct GnssStream {
+    /// UBX fixes have come: NMEA of the same receiver would give each fix twice.
+    ubx: bool,
+    epoch: Epoch,
+}
+
+impl Protocol for GnssStream {
+    type Reading = GnssReading;
+    const LONGEST: usize = ubx::LONGEST;
+
+    fn scan(&mut self, bytes: &[u8]) -> Scan<GnssReading> {
+        match bytes.first() {
+            Some(0xB5) => match ubx::scan(bytes) {
+                Scan::Frame(n, reading) => Scan::Frame(n, self.ubx(reading)),
+                Scan::Skip(_) => Scan::Skip(1),
+                Scan::More => Scan::More,
+            },
+            Some(b'$') => match nmea::scan(bytes) {
+                Scan::Frame(n, reading) => Scan::Frame(n, self.nmea(reading)),
+                // Whatever begins in it is looked at.
+                Scan::Skip(_) => Scan::Skip(1),
+                Scan::More => Scan::More,
+            },
+            _ => {
+                let next = bytes.iter().position(|b| matches!(b, 0xB5 | b'$'));
+                Scan::Skip(next.unwrap_or(bytes.len()))
+            }
+        }
+    }
+}
+
+impl GnssStream {
+    fn ubx(&mut self, reading: Result<UbxReading, Fault>) -> Result<GnssReading, Fault> {
+        Ok(match reading? {
+            UbxReading::Fix(stamp_ms, fix) => {
+                self.ubx = true;
+                GnssReading::Fix { stamp_ms, roll_over_ms: WEEK_MS, fix }
+            }
+            UbxReading::NoFix(_) | UbxReading::Other(_) => GnssReading::Alive,
+        })
+    }
+
+    fn nmea(&mut self, reading: Result<NmeaReading, Fault>) -> Result<GnssReading, Fault> {
+        let fix = self.epoch.take(reading?).filter(|_| !self.ubx);
+        Ok(fix.map_or(GnssReading::Alive, |(time_s, fix)| GnssReading::Fix {
+            stamp_ms: (time_s * 1e3).round() as u32,
+            roll_over_ms: DAY_MS,
+            fix,
+        }))
+    }
+}

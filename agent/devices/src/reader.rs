@@ -1,0 +1,303 @@
+//! The thread that owns a driver: opens it, stamps what it hears, maps the device's clock, opens it again when it is lost.
+//!
+//! Bound: [`QUEUE`] readings wait for the flight thread; when it is full the newest is given up and counted.
+
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use plumbline_core::event::Text;
+use plumbline_proto::time::FlightTime;
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use crate::clock::DeviceClock;
+use crate::driver::{Driver, Heard};
+use crate::fault::{DeviceError, Fault};
+use crate::reading::Reading;
+
+/// Readings that may wait: a quarter of a second at 1 kHz.
+pub const QUEUE: usize = 256;
+/// Notices that may wait.
+const NOTICES: usize = 16;
+/// First and longest pause before a device is opened again.
+const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1)];
+
+/// When flight time is zero, once that is known. Shared by readers and vehicle.
+#[derive(Debug, Clone, Default)]
+pub struct Zero(Arc<OnceLock<Instant>>);
+
+impl Zero {
+    /// Flight time is zero at `instant`; only the first call counts.
+    pub fn set(&self, instant: Instant) {
+        let _ = self.0.set(instant);
+    }
+
+    /// Microseconds of flight time at `instant`; `None` before it is known. Negative before zero.
+    pub fn micros(&self, instant: Instant) -> Option<f64> {
+        let zero = self.0.get()?;
+        let after = instant.saturating_duration_since(*zero).as_secs_f64();
+        let before = zero.saturating_duration_since(instant).as_secs_f64();
+        Some(1e6 * (after - before))
+    }
+}
+
+/// A reading with its time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrived {
+    /// When it was measured.
+    pub time: FlightTime,
+    /// What.
+    pub reading: Reading,
+}
+
+/// A device was lost, or is back.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Notice {
+    /// Does it give readings?
+    pub up: bool,
+    /// Why not.
+    pub reason: Text,
+}
+
+/// How a device is doing; written by its thread, read by anybody.
+#[derive(Debug, Default)]
+pub struct State {
+    up: AtomicBool,
+    readings: AtomicU64,
+    faults: AtomicU64,
+    given_up: AtomicU64,
+    opened: AtomicU64,
+    last_us: AtomicU64,
+    jitter_ns: AtomicU64,
+    skew_ppb: AtomicI64,
+    reason: Mutex<Text>,
+}
+
+/// [`State`] at one moment.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Health {
+    /// Does it give readings?
+    pub up: bool,
+    /// Readings so far.
+    pub readings: u64,
+    /// Frames given up.
+    pub faults: u64,
+    /// Readings that the full queue refused.
+    pub given_up: u64,
+    /// Times it was opened.
+    pub opened: u64,
+    /// Flight time of the last reading, µs; 0 for none.
+    pub last_us: u64,
+    /// One sigma of the delays of its frames, µs; 0 without a clock of its own.
+    pub jitter_us: f64,
+    /// How much faster our clock runs than its own.
+    pub skew: f64,
+    /// The last fault, or why it is not up.
+    pub reason: Text,
+}
+
+impl State {
+    /// As it is now. Not for the flight thread: the reason is behind a lock.
+    pub fn health(&self) -> Health {
+        let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
+        Health {
+            up: self.up.load(Ordering::Relaxed),
+            readings: load(&self.readings),
+            faults: load(&self.faults),
+            given_up: load(&self.given_up),
+            opened: load(&self.opened),
+            last_us: load(&self.last_us),
+            jitter_us: load(&self.jitter_ns) as f64 * 1e-3,
+            skew: self.skew_ppb.load(Ordering::Relaxed) as f64 * 1e-9,
+            reason: *self.reason.lock().unwrap_or_else(std::sync::PoisonError::into_inner),
+        }
+    }
+
+    fn say(&self, reason: Text) {
+        *self.reason.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = reason;
+    }
+}
+
+/// How a reader treats its device.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// For people.
+    pub name: String,
+    /// Constant latency of the device, before anything can be measured of it, s.
+    pub delay_s: f64,
+    /// Without a reading for this long the device is opened again.
+    pub silence: Duration,
+}
+
+/// The flight thread's end of a reader.
+#[derive(Debug)]
+pub struct Reader {
+    arrived: Consumer<Arrived>,
+    notices: Consumer<Notice>,
+    state: Arc<State>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Reader {
+    /// Starts the thread of `driver`.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn start(driver: Box<dyn Driver>, options: Options, zero: Zero) -> std::io::Result<Self> {
+        let (arrivals, arrived) = RingBuffer::new(QUEUE);
+        let (notify, notices) = RingBuffer::new(NOTICES);
+        let (state, stop) = (Arc::new(State::default()), Arc::new(AtomicBool::new(false)));
+        let mut work = Work {
+            driver,
+            zero,
+            arrivals,
+            notify,
+            state: state.clone(),
+            stop: stop.clone(),
+            clock: DeviceClock::default(),
+            options,
+        };
+        let name = format!("dev {}", work.options.name);
+        let thread = std::thread::Builder::new().name(name).spawn(move || work.run())?;
+        Ok(Self { arrived, notices, state, stop, thread: Some(thread) })
+    }
+
+    /// The oldest reading that waits. Never blocks, never allocates.
+    pub fn pop(&mut self) -> Option<Arrived> {
+        self.arrived.pop().ok()
+    }
+
+    /// The oldest notice that waits.
+    pub fn notice(&mut self) -> Option<Notice> {
+        self.notices.pop().ok()
+    }
+
+    /// How the device is doing.
+    pub fn state(&self) -> &Arc<State> {
+        &self.state
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What the thread has.
+struct Work {
+    driver: Box<dyn Driver>,
+    options: Options,
+    zero: Zero,
+    clock: DeviceClock,
+    arrivals: Producer<Arrived>,
+    notify: Producer<Notice>,
+    state: Arc<State>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Work {
+    fn run(&mut self) {
+        let [first, longest] = PAUSES;
+        let mut pause = first;
+        let mut told: Option<Text> = None;
+        while !self.stop.load(Ordering::Acquire) {
+            let before = self.state.readings.load(Ordering::Relaxed);
+            let error = self.use_device();
+            self.driver.close();
+            if let Some(error) = error {
+                let reason = error.text();
+                self.state.say(reason);
+                let was_up = self.state.up.swap(false, Ordering::AcqRel);
+                if was_up || told != Some(reason) {
+                    tracing::warn!(device = self.options.name, reason = reason.as_str(), "device lost");
+                    let _ = self.notify.push(Notice { up: false, reason });
+                }
+                told = Some(reason);
+            }
+            let came = self.state.readings.load(Ordering::Relaxed) > before;
+            pause = if came { first } else { (2 * pause).min(longest) };
+            let until = Instant::now() + pause;
+            while Instant::now() < until && !self.stop.load(Ordering::Acquire) {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+    }
+
+    /// Until it is lost, or nobody wants it any more (`None`).
+    fn use_device(&mut self) -> Option<DeviceError> {
+        if let Err(error) = self.driver.open() {
+            return Some(error);
+        }
+        self.state.opened.fetch_add(1, Ordering::Relaxed);
+        self.clock = DeviceClock::default();
+        let Self { driver, options, zero, clock, arrivals, notify, state, stop } = self;
+        let mut last = Instant::now();
+        while !stop.load(Ordering::Acquire) {
+            let mut heard_one = false;
+            let polled = driver.poll(&mut |heard| match heard {
+                Ok(heard) => {
+                    heard_one = true;
+                    take(heard, options, zero, clock, arrivals, state);
+                }
+                Err(fault) => given_up(fault, state),
+            });
+            if let Err(error) = polled {
+                return Some(error);
+            }
+            if heard_one {
+                last = Instant::now();
+                if !state.up.swap(true, Ordering::AcqRel) {
+                    tracing::info!(device = options.name, "device up");
+                    let _ = notify.push(Notice { up: true, reason: Text::new() });
+                }
+            } else if last.elapsed() > options.silence {
+                return Some(DeviceError::Silent { what: "reading", seconds: options.silence.as_secs_f64() });
+            }
+        }
+        None
+    }
+}
+
+fn given_up(fault: Fault, state: &State) {
+    state.faults.fetch_add(1, Ordering::Relaxed);
+    state.say(plumbline_core::event::text(format_args!("{fault}")));
+}
+
+/// Stamps a reading and hands it on.
+fn take(
+    heard: Heard,
+    options: &Options,
+    zero: &Zero,
+    clock: &mut DeviceClock,
+    arrivals: &mut Producer<Arrived>,
+    state: &State,
+) {
+    state.readings.fetch_add(1, Ordering::Relaxed);
+    // Before flight time begins readings only say that the device is there.
+    let Some(arrival_us) = zero.micros(heard.at) else { return };
+    let mut time_us = arrival_us;
+    if let Some(stamp) = heard.stamp {
+        let mapped = clock.map(stamp, arrival_us);
+        if let Some(jumped_s) = mapped.jumped_s {
+            given_up(Fault::Value { what: "clock's jump, s", value: jumped_s, expected: "none" }, state);
+        }
+        time_us = mapped.time_us;
+        state.jitter_ns.store((clock.jitter_us() * 1e3) as u64, Ordering::Relaxed);
+        state.skew_ppb.store((clock.skew() * 1e9) as i64, Ordering::Relaxed);
+    }
+    time_us = (time_us + heard.after_us - 1e6 * options.delay_s).min(arrival_us);
+    if time_us < 0.0 {
+        return;
+    }
+    state.last_us.store(arrival_us as u64, Ordering::Relaxed);
+    let arrived = Arrived { time: FlightTime(time_us as u64), reading: heard.reading };
+    if arrivals.push(arrived).is_err() {
+        state.given_up.fetch_add(1, Ordering::Relaxed);
+    }
+}

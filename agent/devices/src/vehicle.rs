@@ -1,0 +1,249 @@
+//! Devices and motors as a vehicle.
+//!
+//! A frame holds what arrived since the one before; of several samples of one sensor the newest. What a device measures in
+//! its own axes and at its own place is turned into the body frame here: mounting angles, the place of a height, what tilt
+//! makes of it, degrees of latitude.
+
+use std::sync::Arc;
+
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use plumbline_core::estimate::vqf::{Vqf, VqfOptions};
+use plumbline_core::event::{Severity, Text, text};
+use plumbline_core::model::geodesy::{Geodetic, Projection as _, TangentPlane};
+use plumbline_core::sensor::{
+    AnySample, BarometerSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame,
+};
+use plumbline_core::types::MotorCommand;
+use plumbline_core::vehicle::{MotorStop, Vehicle, VehicleError};
+use plumbline_proto::time::FlightTime;
+
+use crate::motors::GuardLine;
+use crate::reader::{Arrived, Reader};
+use crate::reading::{RangeReading, Reading};
+
+/// A voltage counts for this long, s.
+const VOLTAGE_S: f64 = 1.0;
+
+/// Where a device sits and which places of a frame it fills.
+#[derive(Debug, Clone)]
+pub struct Mounted {
+    /// For people.
+    pub name: String,
+    /// Place of its samples of any kind in the frame: instance less 1.
+    pub index: usize,
+    /// Place of its pressure, for a device that has both.
+    pub barometer: usize,
+    /// Its axes in the body.
+    pub body_from_sensor: Rotation3<f64>,
+    /// Where it sits, FLU from the centre of mass, m.
+    pub position_flu_m: Vector3<f64>,
+    /// Where a GNSS receiver's local metres are zero; the first fix when absent.
+    pub origin: Option<TangentPlane>,
+    /// ENU from the axes of a motion-capture system.
+    pub world_from_mocap: UnitQuaternion<f64>,
+}
+
+/// A quadrotor that is really there.
+pub struct HardwareVehicle {
+    devices: Vec<(Mounted, Reader)>,
+    motors: Arc<GuardLine>,
+    tick_us: u64,
+    next: FlightTime,
+    level: Level,
+    voltage: Option<(FlightTime, f64)>,
+}
+
+/// Attitude from the first IMU alone, for what tilt makes of a height.
+struct Level {
+    filter: Vqf,
+    last: Option<FlightTime>,
+}
+
+impl Level {
+    fn push(&mut self, sample: &ImuSample) {
+        let since = self.last.map_or(0.0, |last| sample.time.seconds_since(last));
+        if self.last.is_none() || since > 0.0 {
+            self.filter.push(since.clamp(1e-4, 0.1), &sample.gyro_radps, &sample.accel_mps2, None);
+            self.last = Some(sample.time);
+        }
+    }
+
+    /// The world's vertical in the body frame.
+    fn up_flu(&self) -> Vector3<f64> {
+        self.filter.world_from_body().inverse() * Vector3::z()
+    }
+}
+
+impl HardwareVehicle {
+    /// Of `devices` and `motors`, at so many ticks a second.
+    pub fn new(devices: Vec<(Mounted, Reader)>, motors: GuardLine, tick_rate_hz: f64) -> Self {
+        let options = VqfOptions { period_s: 0.01, use_mag: false, declination_rad: 0.0 };
+        Self {
+            devices,
+            motors: Arc::new(motors),
+            tick_us: (1e6 / tick_rate_hz).round() as u64,
+            next: FlightTime(0),
+            level: Level { filter: Vqf::new(options), last: None },
+            voltage: None,
+        }
+    }
+
+    /// The devices.
+    pub fn devices(&self) -> impl Iterator<Item = (&Mounted, &Reader)> {
+        self.devices.iter().map(|(mounted, reader)| (mounted, reader))
+    }
+}
+
+impl Vehicle for HardwareVehicle {
+    fn awaited(&self) -> Option<FlightTime> {
+        Some(self.next)
+    }
+
+    fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
+        let mut frame = SensorFrame { time: self.next, ..SensorFrame::default() };
+        self.next = FlightTime(self.next.0 + self.tick_us);
+        let Self { devices, level, voltage, .. } = self;
+        for (mounted, reader) in devices {
+            while let Some(mut arrived) = reader.pop() {
+                arrived.time = arrived.time.min(frame.time);
+                if let Reading::Battery(volts) = arrived.reading {
+                    *voltage = Some((arrived.time, volts));
+                } else if let Some((index, sample)) = sample(mounted, level, &arrived) {
+                    frame.put(index, sample);
+                }
+            }
+        }
+        frame.battery_v = voltage.filter(|(time, _)| frame.time.seconds_since(*time) <= VOLTAGE_S).map(|(_, v)| v);
+        Ok(frame)
+    }
+
+    fn actuate(&mut self, command: &MotorCommand) -> Result<MotorCommand, VehicleError> {
+        let clipped = command.throttle.map(|t| if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) });
+        let applied = MotorCommand { throttle: clipped };
+        let gone =
+            |error: std::io::Error| VehicleError::Invalid { what: "motor guard".into(), reason: error.to_string() };
+        self.motors.send(&applied).map_err(gone)?;
+        Ok(applied)
+    }
+
+    fn motor_stop(&self) -> Option<Arc<dyn MotorStop>> {
+        Some(self.motors.clone())
+    }
+
+    /// Exactly, so that flight time stays what the readers stamp.
+    fn pass_over(&mut self, gap_s: f64) -> f64 {
+        let gap_us = if gap_s > 0.0 { (gap_s.min(86_400.0) * 1e6) as u64 } else { 0 };
+        self.next = FlightTime(self.next.0 + gap_us);
+        gap_us as f64 * 1e-6
+    }
+
+    fn notice(&mut self) -> Option<(Severity, Text)> {
+        self.devices.iter_mut().find_map(|(mounted, reader)| {
+            let notice = reader.notice()?;
+            let name = &mounted.name;
+            Some(if notice.up {
+                (Severity::Info, text(format_args!("{name} gives readings")))
+            } else {
+                (Severity::Warning, text(format_args!("{name} lost: {}", notice.reason)))
+            })
+        })
+    }
+}
+
+/// A reading in the body's terms, and its place in the frame.
+fn sample(mounted: &mut Mounted, level: &mut Level, arrived: &Arrived) -> Option<(usize, AnySample)> {
+    let time = arrived.time;
+    let body = &mounted.body_from_sensor;
+    let sample = match arrived.reading {
+        Reading::Imu(imu) => {
+            let sample = ImuSample {
+                time,
+                gyro_radps: body * imu.gyro_radps,
+                accel_mps2: body * imu.accel_mps2,
+                mag_ut: imu.mag_ut.map(|field| body * field),
+                temperature_c: imu.temperature_c,
+            };
+            if mounted.index == 0 {
+                level.push(&sample);
+            }
+            AnySample::Imu(sample)
+        }
+        Reading::Barometer(b) => {
+            let sample = BarometerSample { time, pressure_pa: b.pressure_pa, temperature_c: b.temperature_c };
+            return Some((mounted.barometer, AnySample::Barometer(sample)));
+        }
+        Reading::Range(range) => {
+            AnySample::Height(HeightSample { time, height_m: height_m(mounted, &range, &level.up_flu())? })
+        }
+        Reading::Fix(fix) => {
+            let [latitude_deg, longitude_deg, altitude_m] = fix.geodetic;
+            let place = Geodetic::from_degrees(latitude_deg, longitude_deg, altitude_m);
+            let plane = mounted.origin.get_or_insert_with(|| TangentPlane::new(place));
+            AnySample::Gnss(GnssSample {
+                time,
+                position_enu_m: plane.enu_m(&place),
+                velocity_enu_mps: fix.velocity_enu_mps,
+                geodetic: fix.geodetic,
+                horizontal_sigma_m: fix.horizontal_sigma_m,
+                vertical_sigma_m: fix.vertical_sigma_m,
+                satellites: fix.satellites,
+            })
+        }
+        Reading::Pose(pose) => {
+            let world = mounted.world_from_mocap;
+            let body_in_mocap = pose.attitude * UnitQuaternion::from_rotation_matrix(&body.inverse());
+            let world_from_body = world * body_in_mocap;
+            AnySample::MocapPose(MocapPoseSample {
+                time,
+                position_enu_m: world * pose.position_m - world_from_body * mounted.position_flu_m,
+                world_from_body,
+            })
+        }
+        Reading::Battery(_) => return None,
+    };
+    Some((mounted.index, sample))
+}
+
+/// Height of the centre of mass: the distance along the world's vertical, plus the lever. `None` beyond 60° of tilt.
+fn height_m(mounted: &Mounted, range: &RangeReading, up_flu: &Vector3<f64>) -> Option<f64> {
+    let up = mounted.body_from_sensor.inverse() * up_flu;
+    // A beam looks along −z of its own axes; a scan lies in its y-z plane and finds the vertical there.
+    let factor = if range.scanned { up.yz().norm() } else { up.z };
+    (factor > 0.5).then(|| range.distance_m * factor - up_flu.dot(&mounted.position_flu_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mounted(position_flu_m: Vector3<f64>) -> Mounted {
+        Mounted {
+            name: "height 1".into(),
+            index: 0,
+            barometer: 0,
+            body_from_sensor: Rotation3::identity(),
+            position_flu_m,
+            origin: None,
+            world_from_mocap: UnitQuaternion::identity(),
+        }
+    }
+
+    #[test]
+    fn slant_and_lever_are_removed_from_heights() {
+        let arm = Vector3::new(0.08, -0.03, -0.05);
+        for (roll, pitch) in [(0.0, 0.0), (0.2, 0.0), (0.0, -0.3), (0.15, 0.25)] {
+            let attitude = UnitQuaternion::from_euler_angles(roll, pitch, 0.7);
+            let up = attitude.inverse() * Vector3::z();
+            let own_m = 1.3 + (attitude * arm).z;
+            // Along the beam, and to the floor's line in the plane of a scan.
+            let beam = RangeReading { distance_m: own_m / up.z, scanned: false, sigma_m: 0.0 };
+            let scan = RangeReading { distance_m: own_m / up.yz().norm(), scanned: true, sigma_m: 0.0 };
+            for range in [beam, scan] {
+                let height = height_m(&mounted(arm), &range, &up).unwrap();
+                assert!((height - 1.3).abs() < 1e-9, "roll {roll} pitch {pitch}: {height}");
+            }
+        }
+        let range = RangeReading { distance_m: 1.0, scanned: false, sigma_m: 0.0 };
+        assert_eq!(height_m(&mounted(arm), &range, &Vector3::x()), None, "on its side");
+    }
+}

@@ -1,0 +1,88 @@
+//! Against implementations that others wrote: pyubx2 and natnet, in a Python named by `PLUMBLINE_PYTHON`, or any.
+
+use std::io::Write as _;
+use std::process::{Command, Stdio};
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
+use plumbline_devices::protocol::{natnet, ubx};
+use plumbline_devices::reading::{FixReading, PoseReading};
+
+use super::read;
+
+/// What `script` prints for `input`; `None`, and a line that says so, where Python lacks `module`.
+fn python(module: &str, script: &str, input: &str) -> Option<String> {
+    let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
+    let has = Command::new(&python).args(["-c", &format!("import {module}")]).stderr(Stdio::null()).status();
+    if !has.is_ok_and(|status| status.success()) {
+        crate::shared::shared(&format!("python module {module}"));
+        return None;
+    }
+    let mut child =
+        Command::new(&python).args(["-c", script]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    let done = child.wait_with_output().unwrap();
+    assert!(done.status.success(), "{module}");
+    Some(String::from_utf8(done.stdout).unwrap())
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn bytes(hex: &str) -> Vec<u8> {
+    (0..hex.len() / 2).map(|at| u8::from_str_radix(&hex[2 * at..2 * at + 2], 16).unwrap()).collect()
+}
+
+#[test]
+fn pyubx2_reads_our_fixes_and_we_read_its_own() {
+    let fix = FixReading {
+        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
+        velocity_enu_mps: Vector3::new(0.25, -1.5, 0.125),
+        horizontal_sigma_m: 1.25,
+        vertical_sigma_m: 2.5,
+        satellites: 11,
+    };
+    let script = "import sys\nfrom pyubx2 import UBXReader, UBXMessage\n\
+        m = UBXReader.parse(bytes.fromhex(sys.stdin.read()))\n\
+        print(m.identity, m.iTOW, m.lat, m.lon, m.hMSL, m.velN, m.velE, m.velD, m.hAcc, m.vAcc, m.numSV, m.fixType, m.gnssFixOk)\n\
+        print(UBXMessage('NAV', 'NAV-PVT', 0, iTOW=5000, fixType=3, gnssFixOk=1, numSV=8, lon=11.5, lat=48.25, \
+        hMSL=512345, hAcc=900, vAcc=1700, velN=100, velE=-200, velD=300).serialize().hex())\n";
+    let Some(printed) = python("pyubx2", script, &hex(&ubx::encode_nav_pvt(987_654, &fix))) else { return };
+    let (ours, theirs) = printed.trim().split_once('\n').unwrap();
+    let words: Vec<&str> = ours.split(' ').collect();
+    assert_eq!(words[..2], ["NAV-PVT", "987654"]);
+    let numbers: Vec<f64> = words[2..11].iter().map(|word| word.parse().unwrap()).collect();
+    let expected = [-34.918_123_4, -56.167_765_4, 31_234.0, -1500.0, 250.0, -125.0, 1250.0, 2500.0, 11.0];
+    assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{ours}");
+    assert_eq!(words[11..], ["3", "1"], "{ours}");
+    let frames = read(GnssStream::default(), &bytes(theirs), 11);
+    let [Ok(GnssReading::Fix { stamp_ms: 5000, fix, .. })] = frames[..] else { panic!("{frames:?}") };
+    assert!((Vector3::from(fix.geodetic) - Vector3::new(48.25, 11.5, 512.345)).amax() < 1e-6, "{fix:?}");
+    assert!((fix.velocity_enu_mps - Vector3::new(-0.2, 0.1, -0.3)).amax() < 1e-9, "{fix:?}");
+}
+
+#[test]
+fn a_natnet_client_of_others_reads_our_frames() {
+    let script = "import sys\nfrom natnet.data_frame import DataFrame\nfrom natnet.packet_buffer import PacketBuffer\n\
+        from natnet.version import Version\n\
+        for line in sys.stdin:\n    major, minor, data = line.split()\n\
+        \x20   b = PacketBuffer(bytes.fromhex(data)[4:])\n\
+        \x20   f = DataFrame.read_from_buffer(b, Version(int(major), int(minor)))\n\
+        \x20   r = f.rigid_bodies[0]\n\
+        \x20   print(f.prefix.frame_number, r.id_num, *r.pos, *r.rot, r.tracking_valid, f.suffix.timestamp)\n";
+    let attitude = UnitQuaternion::from_euler_angles(0.2, -0.4, 2.5);
+    let pose = PoseReading { position_m: Vector3::new(1.5, -0.25, 0.875), attitude };
+    let versions = [(3, 0), (4, 0), (4, 1)];
+    let line = |v: natnet::Version| format!("{} {} {}\n", v.0, v.1, hex(&natnet::encode(42, v, 5, &pose, true, 12.5)));
+    let input: String = versions.into_iter().map(line).collect();
+    let Some(printed) = python("natnet", script, &input) else { return };
+    assert_eq!(printed.lines().count(), versions.len(), "{printed}");
+    for line in printed.lines() {
+        let words: Vec<&str> = line.split(' ').collect();
+        assert!(words[..2] == ["42", "5"] && words[9..] == ["True", "12.5"], "{line}");
+        let numbers: Vec<f64> = words[2..9].iter().map(|word| word.parse().unwrap()).collect();
+        let expected = [1.5, -0.25, 0.875, attitude.i, attitude.j, attitude.k, attitude.w];
+        assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{line}");
+    }
+}

@@ -1,0 +1,89 @@
+//! The guard of the motors: silence, a closed socket, damaged records.
+
+use std::io::Write as _;
+use std::os::unix::net::UnixStream;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use plumbline_core::types::{MotorCommand, ROTORS};
+use plumbline_devices::DeviceError;
+use plumbline_devices::motors::{GuardLine, PulseRange, Pulses, SILENCE, encode, guard};
+
+type Log = Arc<Mutex<Vec<(Instant, [f64; ROTORS])>>>;
+
+struct Recorded(Log);
+
+impl Pulses for Recorded {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+    fn set(&mut self, widths_us: &[f64; ROTORS]) -> Result<(), DeviceError> {
+        self.0.lock().unwrap().push((Instant::now(), *widths_us));
+        Ok(())
+    }
+}
+
+struct Guarded {
+    log: Log,
+    thread: std::thread::JoinHandle<()>,
+}
+
+impl Guarded {
+    fn start() -> (UnixStream, Self) {
+        let (near, mut far) = UnixStream::pair().unwrap();
+        let log = Log::default();
+        let mut pulses = Recorded(log.clone());
+        let range = PulseRange { stop_us: 1000.0, full_us: 2000.0 };
+        let thread = std::thread::spawn(move || guard(&mut far, &mut pulses, range, Duration::ZERO).unwrap());
+        (near, Self { log, thread })
+    }
+
+    /// When the first motor's pulse became about `width_us`.
+    fn until(&self, width_us: f64) -> Instant {
+        let begun = Instant::now();
+        loop {
+            if let Some((at, widths)) = self.log.lock().unwrap().last()
+                && (widths[0] - width_us).abs() < 0.1
+            {
+                return *at;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(20), "no pulse of {width_us} µs");
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+}
+
+#[test]
+fn silence_and_a_closed_socket_stop_the_motors() {
+    let (socket, guarded) = Guarded::start();
+    let line = GuardLine::new(socket).unwrap();
+    guarded.until(1000.0);
+    let sent = Instant::now();
+    line.send(&MotorCommand { throttle: [0.5; 4] }).unwrap();
+    guarded.until(1500.0);
+    assert!(guarded.until(1000.0) - sent >= SILENCE, "not before");
+    line.send(&MotorCommand { throttle: [1.0; 4] }).unwrap();
+    guarded.until(2000.0);
+    drop(line);
+    guarded.thread.join().unwrap();
+    assert_eq!(guarded.log.lock().unwrap().last().unwrap().1, [1000.0; 4]);
+}
+
+#[test]
+fn damaged_records_and_values_that_are_no_numbers_turn_nothing() {
+    let (mut socket, guarded) = Guarded::start();
+    let mut damaged = encode(&MotorCommand { throttle: [0.9; 4] });
+    damaged[3] ^= 1;
+    let odd = encode(&MotorCommand { throttle: [f64::NAN, 7.0, -1.0, 0.25] });
+    socket.write_all(&[&[1, 2, 0xA7][..], &damaged, &odd].concat()).unwrap();
+    let begun = Instant::now();
+    let seen = loop {
+        let last = guarded.log.lock().unwrap().last().copied();
+        if let Some((_, widths)) = last.filter(|(_, widths)| widths[3] > 1100.0) {
+            break widths;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(20));
+    };
+    assert!((seen[3] - 1250.0).abs() < 0.1 && seen[..3] == [1000.0, 2000.0, 1000.0], "{seen:?}");
+    assert!(guarded.log.lock().unwrap().iter().all(|(_, widths)| (widths[0] - 1000.0).abs() < 0.1), "0.9 never passed");
+}

@@ -1,0 +1,3 @@
+mod clock;
+mod guard;
+mod reader;

@@ -1,0 +1,40 @@
+//! `plumbline-wires FOLDER [SCENARIO]`: the wire rig until it is ended, and the configuration that flies it.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use plumbline_sim::Scenario;
+use plumbline_wires::WireRig;
+
+fn main() -> ExitCode {
+    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let outcome = match arguments.as_slice() {
+        [folder] => run(folder, None),
+        [folder, scenario] => run(folder, Some(scenario)),
+        _ => Err("usage: plumbline-wires FOLDER [SCENARIO]".into()),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("plumbline-wires: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(folder: &Path, scenario: Option<&PathBuf>) -> Result<(), Box<dyn Error>> {
+    let scenario = match scenario {
+        Some(file) => Scenario::from_toml(&std::fs::read_to_string(file)?)?,
+        None => Scenario::default_string_rig(),
+    };
+    std::fs::create_dir_all(folder)?;
+    let folder = folder.canonicalize()?;
+    let rig = WireRig::start(&scenario, &folder)?;
+    let file = folder.join("agent.toml");
+    std::fs::write(&file, rig.configuration())?;
+    println!("plumbline-agent --vehicle hardware --config {}", file.display());
+    loop {
+        std::thread::park();
+    }
+}
