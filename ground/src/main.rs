@@ -1,4 +1,5 @@
 //! `plumbline-ground`: see [`cli`].
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod cli;
 

@@ -180,7 +180,7 @@ fn Pages(asked: RwSignal<Listing>, found: Memo<u64>) -> impl IntoView {
                 <button type="button" class="push" disabled=move || offset() == 0 on:click=move |_| turn(usize::saturating_sub)>
                     "Previous page"
                 </button>
-                <button type="button" disabled=move || end() >= found.get() as usize on:click=move |_| turn(usize::saturating_add)>
+                <button type="button" disabled=move || (found.get() as usize) <= end() on:click=move |_| turn(usize::saturating_add)>
                     "Next page"
                 </button>
             </nav>
