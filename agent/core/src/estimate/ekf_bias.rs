@@ -59,8 +59,9 @@ const LONGEST_STEP_S: f64 = 0.02;
 const LONGEST_GAP_S: f64 = 1.0;
 /// No IMU for this long is degraded, s.
 const IMU_SILENCE_S: f64 = 0.1;
-/// Specific force that changes by more than this between two samples was a blow, and not seen whole, m/s².
-const BLOW_MPS2: f64 = 30.0;
+/// Specific force that changes by more than this between two samples, which no vibration does, was a blow, and not seen
+/// whole, m/s².
+const BLOW_MPS2: f64 = 60.0;
 /// A tilt less certain than this is degraded, rad.
 const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
 
