@@ -330,6 +330,33 @@ await step(page, 'a flight that there is not is a page that says so', async () =
   await shots('flight-nonsense');
 });
 
+await step(page, 'experiments: a plan is counted, refused with its line, flown; its dots fill in, and one opens as a flight', async () => {
+  await page.goto(`${url}/experiments`);
+  await page.getByRole('heading', { name: 'Experiments', level: 1 }).waitFor();
+  const plan = page.getByLabel('Plan, TOML');
+  const counted = page.getByRole('region', { name: 'Plan' }).getByRole('status');
+  await until('the template counted', async () => /\d+ flights/.test(await counted.textContent()));
+  const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 3').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
+  await plan.fill(text.replace('0.1, 0.5', '0.1, "much"'));
+  const refused = await page.getByRole('region', { name: 'Plan' }).getByRole('alert').textContent();
+  assert(/line \d+/.test(refused) && refused.includes('much'), refused);
+  await plan.fill(text);
+  await until('the plan counted', async () => (await counted.textContent()).includes('12 flights'));
+  await shots('experiments-plan');
+  const begun = Date.now();
+  await page.getByRole('button', { name: 'Start' }).click();
+  const results = region('Results');
+  await results.getByRole('link', { name: /Open the flight/ }).first().waitFor({ timeout: 60_000 });
+  await until('all flown', async () => (await results.textContent()).includes('12 of 12 flights'), 120_000);
+  const took_s = (Date.now() - begun) / 1000;
+  await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 12);
+  await shots('experiments-results');
+  await results.getByRole('link', { name: /Open the flight/ }).last().click();
+  await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
+  await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
+  return { refused, took_s };
+});
+
 await step(page, 'reports: no complaint in the console', async () => {
   // Chromium itself writes a line for each refused request: the heave that leaves the box, and what there is not.
   const own = errors.filter((text) => !/status of 4(04|09|22)/.test(text));

@@ -136,6 +136,7 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
         "3" => ctx.go(Route::Tune),
         "4" => ctx.go(Route::Calibrate),
         "5" => ctx.go(Route::Setup),
+        "6" => ctx.go(Route::Experiments),
         "?" => ctx.help.set(true),
         "Escape" => match deck {
             Some(deck) if deck.zoom.get_untracked().is_some() => deck.zoom_out(),

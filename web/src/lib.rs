@@ -73,6 +73,7 @@ fn Root() -> impl IntoView {
                 Route::Flight(id) => view! { <page::FlightPage id=id /> }.into_any(),
                 Route::Report(id) => view! { <page::ReportPage id=id /> }.into_any(),
                 Route::Compare(ids) => view! { <page::Compare ids=ids /> }.into_any(),
+                Route::Experiments => view! { <page::ExperimentsPage /> }.into_any(),
                 Route::Tune => view! { <page::Tune /> }.into_any(),
                 Route::Calibrate => view! { <page::Calibrate /> }.into_any(),
                 Route::Setup => view! { <page::Setup /> }.into_any(),

@@ -24,7 +24,7 @@ struct Dist;
 /// Largest file unpacked for a client without brotli.
 const MAX_UNPACKED: u64 = 64 << 20;
 /// Pages that are the same document: the page routes by itself.
-const PAGES: [&str; 6] = ["", "flights", "tune", "calibrate", "setup", "index.html"];
+const PAGES: [&str; 7] = ["", "flights", "experiments", "tune", "calibrate", "setup", "index.html"];
 
 const NOT_BUILT: &str = "<!doctype html><meta charset=utf-8><title>Plumbline</title>\
 <style>body{font:16px system-ui;max-width:40em;margin:4em auto;padding:0 1em}code{background:#8882;padding:.1em .3em}</style>\

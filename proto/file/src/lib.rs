@@ -1,12 +1,15 @@
 //! A flight file (MCAP, with the messages of the downlink) as those who write and read one share it: the onboard log, the
 //! ground's recorder and whoever analyses a recording.
 //!
+//! A table of them, or of many flights, is a Parquet file: [`parquet`].
+//!
 //! Nothing here reads without bound or panics, whatever the bytes.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod chunk;
 mod ends;
+pub mod parquet;
 mod space;
 mod sync;
 

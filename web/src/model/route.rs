@@ -14,6 +14,8 @@ pub enum Route {
     Report(String),
     /// Several recorded flights, overlaid.
     Compare(Vec<String>),
+    /// Plans of many simulated flights.
+    Experiments,
     /// Controllers designed, previewed, pushed.
     Tune,
     /// Sensors and motors calibrated.
@@ -36,6 +38,7 @@ impl Route {
             }
             ["flights", id] => Self::Flight((*id).to_owned()),
             ["flights", id, "report"] => Self::Report((*id).to_owned()),
+            ["experiments"] => Self::Experiments,
             ["tune"] => Self::Tune,
             ["calibrate"] => Self::Calibrate,
             ["setup"] => Self::Setup,
@@ -51,6 +54,7 @@ impl Route {
             Self::Flight(id) => format!("/flights/{id}"),
             Self::Report(id) => format!("/flights/{id}/report"),
             Self::Compare(ids) => format!("/flights/{}", ids.join(",")),
+            Self::Experiments => "/experiments".to_owned(),
             Self::Tune => "/tune".to_owned(),
             Self::Calibrate => "/calibrate".to_owned(),
             Self::Setup => "/setup".to_owned(),
@@ -66,6 +70,7 @@ impl Route {
             Self::Flight(_) => "Flight – Plumbline",
             Self::Report(_) => "Report – Plumbline",
             Self::Compare(_) => "Compare flights – Plumbline",
+            Self::Experiments => "Experiments – Plumbline",
             Self::Tune => "Tune – Plumbline",
             Self::Calibrate => "Calibrate – Plumbline",
             Self::Setup => "Setup – Plumbline",
@@ -86,6 +91,7 @@ mod tests {
             Route::Flight("20261121T120000-iris-1-0001".into()),
             Route::Report("20261121T120000-iris-1-0001".into()),
             Route::Compare(vec!["a".into(), "b".into()]),
+            Route::Experiments,
             Route::Tune,
             Route::Calibrate,
             Route::Setup,

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod compare;
+mod experiments;
 pub mod flight;
 pub mod flights;
 mod fly;
@@ -13,6 +14,7 @@ mod tune;
 
 pub use calibrate::Calibrate;
 pub use compare::Compare;
+pub use experiments::ExperimentsPage;
 pub use flight::{FlightPage, ReportPage};
 pub use flights::FlightsPage;
 pub use fly::Fly;

@@ -162,6 +162,7 @@ pub fn Toolbar() -> impl IntoView {
             <nav aria-label="Pages">
                 <Link to=Route::Fly current=at(Route::Fly)>"Fly"</Link>
                 <Link to=Route::Flights current=in_flights>"Flights"</Link>
+                <Link to=Route::Experiments current=at(Route::Experiments)>"Experiments"</Link>
                 <Link to=Route::Tune current=at(Route::Tune)>"Tune"</Link>
                 <Link to=Route::Calibrate current=at(Route::Calibrate)>"Calibrate"</Link>
                 <Link to=Route::Setup current=at(Route::Setup)>"Setup"</Link>

@@ -387,8 +387,6 @@ fn attack(attack: &v1::Attack) -> String {
 struct Pieces<'s, 'f> {
     sink: &'s mut Sink<'f>,
     waiting: Vec<u8>,
-    /// Bytes before what waits.
-    sent: u64,
 }
 
 impl<'s, 'f> Pieces<'s, 'f> {
@@ -396,12 +394,7 @@ impl<'s, 'f> Pieces<'s, 'f> {
     const PIECE: usize = 64 << 10;
 
     fn new(sink: &'s mut Sink<'f>) -> Self {
-        Self { sink, waiting: Vec::with_capacity(Self::PIECE), sent: 0 }
-    }
-
-    /// Bytes so far.
-    fn at(&self) -> u64 {
-        self.sent + self.waiting.len() as u64
+        Self { sink, waiting: Vec::with_capacity(Self::PIECE) }
     }
 
     fn put(&mut self, bytes: &[u8]) -> bool {
@@ -413,7 +406,6 @@ impl<'s, 'f> Pieces<'s, 'f> {
         if self.waiting.is_empty() {
             return true;
         }
-        self.sent += self.waiting.len() as u64;
         (self.sink)(std::mem::replace(&mut self.waiting, Vec::with_capacity(Self::PIECE)))
     }
 }

@@ -1,0 +1,131 @@
+//! Plans to begin with, and what the page shows of results.
+
+use plumbline_rest::experiment::{Condition, Flight};
+
+use super::axis::ValueAxis;
+
+/// Room of a row of dots for them, px.
+pub const DOTS_PX: f64 = 420.0;
+/// Height of a row, px.
+pub const ROW_PX: f64 = 22.0;
+
+const SCRIPT: &str = r#"[scenario]
+world = "datasheet"
+duration_s = 30
+rig = { hanging_strings = { mode = "flight", height_m = 0.3 } }
+script = [
+  { at_s = 3, do = "arm" }, { at_s = 4, do = "mode", mode = "altitude_hold" },
+  { at_s = 5, do = "setpoint", altitude_m = 0.9 }, { at_s = 20, do = "setpoint", altitude_m = 1.2 },
+]
+"#;
+
+const DETECTABILITY: &str = r#"[attack]
+sensor = "height"                # which of them, the sign and the onset are drawn from the seed
+kind = "bias"
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "lanes"]
+[[factor]]
+key = "attack.magnitude"         # m
+values = [0.02, 0.05, 0.1, 0.2, 0.5]
+"#;
+
+const ESTIMATORS: &str = r#"[attack]
+sensor = "any"
+kind = "drawn"                   # sensor, channel, kind, size, sign, onset and length
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "secure", "lanes"]
+"#;
+
+const WORLDS: &str = r#"[[factor]]
+key = "scenario.world"
+values = ["ideal", "bench", "datasheet", "harsh"]
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "lanes"]
+"#;
+
+/// A plan to begin with: what it asks, and its text.
+pub fn templates() -> [(&'static str, String); 3] {
+    let plan = |name: &str, repeats: u32, rest: &str| {
+        let head = format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
+        // Tables of the plan come after its own keys.
+        format!("{head}{SCRIPT}{rest}")
+    };
+    [
+        ("From which size on is an attack found?", plan("detectability", 4, DETECTABILITY)),
+        ("Which estimator holds altitude under attack?", plan("estimators", 10, ESTIMATORS)),
+        ("What does a harder world cost?", plan("worlds", 5, WORLDS)),
+    ]
+}
+
+/// A flight's dot in the row of its condition.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dot {
+    /// Which flight of the plan.
+    pub index: u64,
+    /// From the left of the row and from its top, px.
+    pub at: [f64; 2],
+    /// The value, or why it was lost.
+    pub title: String,
+    /// Lost flights lie at the right edge.
+    pub lost: bool,
+}
+
+/// The axis that all rows of one measure share, from zero where nothing is below.
+pub fn axis(flights: &[Flight], measure: usize) -> ValueAxis {
+    let values = flights.iter().filter_map(|flight| flight.values.get(measure).copied().flatten());
+    let (low, high) = values
+        .filter(|value| value.is_finite())
+        .fold((0.0_f64, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    ValueAxis::fit(low, high.max(low), 1e-6, None)
+}
+
+/// The dots of one condition.
+pub fn dots(flights: &[Flight], condition: &Condition, measure: usize, axis: &ValueAxis) -> Vec<Dot> {
+    let of = flights.iter().filter(|flight| flight.condition == condition.number);
+    of.filter_map(|flight| {
+        let lost = !flight.lost.is_empty();
+        let value = flight.values.get(measure).copied().flatten();
+        let x = if lost { DOTS_PX } else { axis.fraction(value?) * (DOTS_PX - 16.0) };
+        // Flights of the same seed lie at the same height of their rows.
+        let y = ROW_PX * (0.25 + 0.5 * ((flight.seed as f64 * 0.618_034).fract()));
+        let what = if lost { format!("lost: {}", flight.lost) } else { format!("{:.4}", value.unwrap_or(f64::NAN)) };
+        Some(Dot { index: flight.index, at: [x, y], title: format!("seed {}, {what}", flight.seed), lost })
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flight(index: u64, condition: u64, value: Option<f64>, lost: &str) -> Flight {
+        Flight { index, condition, seed: 1000 + index, lost: lost.into(), values: vec![value] }
+    }
+
+    #[test]
+    fn each_flight_is_a_dot_of_its_condition_and_lost_ones_lie_at_the_edge() {
+        let flights = [
+            flight(0, 0, Some(0.01), ""),
+            flight(1, 0, Some(0.03), ""),
+            flight(2, 0, None, "fell"),
+            flight(3, 1, Some(0.02), ""),
+            flight(4, 0, None, ""),
+        ];
+        let axis = axis(&flights, 0);
+        let seen = dots(&flights, &Condition::default(), 0, &axis);
+        assert_eq!(seen.iter().map(|dot| dot.index).collect::<Vec<_>>(), [0, 1, 2], "what has no value has no dot");
+        assert!(seen[0].at[0] < seen[1].at[0] && seen[2].at[0] == DOTS_PX && seen[2].lost);
+        assert!(seen.iter().all(|dot| (0.0..=ROW_PX).contains(&dot.at[1])));
+        assert!(seen[2].title.contains("fell"));
+    }
+
+    #[test]
+    fn every_template_has_a_name_and_a_factor() {
+        for (_, plan) in templates() {
+            assert!(plan.starts_with("name = ") && plan.contains("[[factor]]"), "{plan}");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Experiments: a plan of many simulated flights is written, flown and read; every dot is a flight that can be opened.
+
+mod plan;
+mod results;
+
+use std::time::Duration;
+
+use leptos::prelude::*;
+use plumbline_rest::experiment::{Experiments, State};
+
+use crate::{event::Failure, model::format, net};
+
+use plan::PlanCard;
+use results::ResultsCard;
+
+/// Where they are.
+const ROOT: &str = "/api/v1/experiments";
+/// The list is asked for again after this.
+const PERIOD: Duration = Duration::from_secs(2);
+
+/// The page.
+#[component]
+pub fn ExperimentsPage() -> impl IntoView {
+    let answer = RwSignal::new(None::<Result<Experiments, Failure>>);
+    let chosen = RwSignal::new(None::<String>);
+    let load = move || {
+        leptos::task::spawn_local(async move {
+            let found: Result<Experiments, _> = net::json("GET", ROOT, None, "").await;
+            if let Ok(found) = &found
+                && chosen.try_get_untracked() == Some(None)
+            {
+                chosen.try_set(found.experiments.first().map(|first| first.id.clone()));
+            }
+            answer.try_set(Some(found));
+        });
+    };
+    load();
+    if let Ok(timer) = set_interval_with_handle(load, PERIOD) {
+        on_cleanup(move || timer.clear());
+    }
+    let states = Memo::new(move |_| match answer.get() {
+        Some(Ok(found)) => found.experiments,
+        _ => Vec::new(),
+    });
+    let trouble = move || answer.with(|a| a.as_ref().and_then(|a| a.as_ref().err()).map(|e| e.text.clone()));
+    let state = Memo::new(move |_| states.get().into_iter().find(|state| Some(&state.id) == chosen.get().as_ref()));
+    view! {
+        <main class="sheet wide" id="main">
+            <div class="sheet-head"><h1>"Experiments"</h1>
+                <span class="quiet">"Plans of many simulated flights; each can be flown again from its seed, bit for bit."</span>
+            </div>
+            {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
+            <div class="experiments">
+                <div class="experiments-side">
+                    <PlanCard begun=move |id| { chosen.set(Some(id)); load(); } />
+                    <section class="card" aria-label="Experiments that are kept">
+                        <header><h2>"Kept"</h2></header>
+                        <ul class="experiment-list">
+                            {move || states.get().into_iter().map(|state| view! { <Kept state chosen /> }).collect_view()}
+                        </ul>
+                        <Show when=move || answer.with(|a| matches!(a, Some(Ok(_)))) && states.with(Vec::is_empty)>
+                            <p class="blank">"None yet. Choose a question above, and start it."</p>
+                        </Show>
+                    </section>
+                </div>
+                {move || state.get().map(|state| view! { <ResultsCard state /> })}
+            </div>
+        </main>
+    }
+}
+
+/// A line of the list.
+#[component]
+fn Kept(state: State, chosen: RwSignal<Option<String>>) -> impl IntoView {
+    let id = state.id.clone();
+    let shown = state.id.clone();
+    view! {
+        <li>
+            <button
+                type="button"
+                class="plain"
+                aria-pressed=move || (chosen.get().as_ref() == Some(&shown)).to_string()
+                on:click=move |_| chosen.set(Some(id.clone()))
+            >
+                <b>{state.name.clone()}</b>
+                <span class="quiet num">{progress(&state)}</span>
+            </button>
+            <progress max="1" value=share(&state) aria-label=format!("{} flown", state.name)></progress>
+        </li>
+    }
+}
+
+fn share(state: &State) -> f64 {
+    if state.flights > 0 { state.done as f64 / state.flights as f64 } else { 0.0 }
+}
+
+/// "12 of 40 flights, 3.1 a second, 9 s left"
+fn progress(state: &State) -> String {
+    let mut text = format!("{} of {}", state.done, format::plural(state.flights, "flight"));
+    if let Some(rate) = state.per_s.filter(|_| state.running) {
+        text += &format!(", {} a second", format::fixed(rate, 1));
+    }
+    if let Some(left_s) = state.left_s.filter(|_| state.running) {
+        text += &format!(", {} left", format::age(left_s));
+    }
+    text
+}

@@ -1,0 +1,179 @@
+//! What is there of an experiment: a row for each condition, with a dot for each flight.
+
+use leptos::prelude::*;
+use plumbline_rest::experiment::{Condition, Flight, Flights, Results, Spread, State};
+
+use super::{PERIOD, ROOT, progress};
+use crate::{
+    ctx::ctx,
+    event::{Event, Tone},
+    gpu::VALUE_TICK_SPACING_PX,
+    model::experiment::{DOTS_PX, ROW_PX, axis, dots},
+    net,
+};
+
+/// Dots are drawn of so many flights at most.
+const MOST: usize = 1000;
+
+/// The card of one experiment.
+#[component]
+pub fn ResultsCard(state: State) -> impl IntoView {
+    let ctx = ctx();
+    let at = format!("{ROOT}/{}", state.id);
+    let results = RwSignal::new(Results { state: state.clone(), ..Results::default() });
+    let flights = RwSignal::new(Vec::<Flight>::new());
+    let measure = RwSignal::new(0_usize);
+    let load = {
+        let at = at.clone();
+        move || {
+            let at = at.clone();
+            leptos::task::spawn_local(async move {
+                if let Ok(found) = net::json::<Results>("GET", &at, None, "").await {
+                    results.try_set(found);
+                }
+                if let Ok(found) = net::json::<Flights>("GET", &format!("{at}/flights?count={MOST}"), None, "").await {
+                    flights.try_set(found.flights);
+                }
+            });
+        }
+    };
+    load();
+    // The card is made anew with every change of the state; what runs is asked for in between, too.
+    if state.running
+        && let Ok(timer) = set_interval_with_handle(load, PERIOD)
+    {
+        on_cleanup(move || timer.clear());
+    }
+    let turn = {
+        let at = at.clone();
+        move |what: &'static str| {
+            let address = format!("{at}/{what}");
+            leptos::task::spawn_local(async move {
+                if let Err(failure) = net::json::<State>("POST", &address, None, "").await {
+                    ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text)));
+                }
+            });
+        }
+    };
+    let run = if state.running {
+        let turn = turn.clone();
+        view! { <button type="button" on:click=move |_| turn("stop")>"Stop"</button> }.into_any()
+    } else if state.own && state.done < state.flights {
+        view! { <button type="button" on:click=move |_| turn("start")>"Go on"</button> }.into_any()
+    } else {
+        ().into_any()
+    };
+    view! {
+        <section class="card results" aria-label="Results">
+            <header>
+                <h2>{state.name.clone()}</h2>
+                <span class="quiet num">{progress(&state)}</span>
+                <span class="push buttons-row">
+                    {run}
+                    <a class="button" href=format!("{at}/report.html") target="_blank" rel="external">"Report"</a>
+                    <a class="button" href=format!("{at}/flights.parquet") rel="external">"Parquet"</a>
+                    <a class="button" href=format!("{at}/plan.toml") rel="external">"Plan"</a>
+                </span>
+            </header>
+            {state.error.clone().map(|error| view! { <p class="banner bad" role="alert">{error}</p> })}
+            {(!state.own).then(|| view! { <p class="banner">"Another version of the program flew this: it can be read, and not gone on with."</p> })}
+            <label class="field measure">"Measure"
+                <select on:change:target=move |e| measure.set(e.target().value().parse().unwrap_or(0))>
+                    {move || results.with(|r| r.measures.iter().enumerate().map(|(i, m)| view! {
+                        <option value=i.to_string() selected=measure.get_untracked() == i>{format!("{}: {}", m.name, m.about)}</option>
+                    }).collect_view())}
+                </select>
+            </label>
+            <div class="table-wrap"><table class="dense">
+                <thead><tr>
+                    {move || results.with(|r| r.factors.iter().map(|factor| view! { <th scope="col">{factor.clone()}</th> }).collect_view())}
+                    <th class="num" scope="col">"lost"</th>
+                    <th class="num" scope="col">"median"</th>
+                    <th class="num" scope="col">"95 % interval"</th>
+                    <th class="num" scope="col">"95 of 100"</th>
+                    <th class="num" scope="col">"worst"</th>
+                    <th class="num" scope="col">"found"</th>
+                    <th scope="col"><Scale flights measure /></th>
+                </tr></thead>
+                <tbody>
+                    {move || results.get().conditions.into_iter().map(|condition| view! { <Row condition flights measure at=at.clone() /> }).collect_view()}
+                </tbody>
+            </table></div>
+            <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
+        </section>
+    }
+}
+
+/// The axis of the dots.
+#[component]
+fn Scale(flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>) -> impl IntoView {
+    let ticks =
+        move || flights.with(|flights| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0));
+    view! {
+        <svg class="dots" viewBox=format!("0 0 {} 14", DOTS_PX + 8.0) aria-hidden="true">
+            {move || ticks().into_iter().map(|tick| view! {
+                <text x=tick.fraction * (DOTS_PX - 16.0) y="11">{tick.label}</text>
+            }).collect_view()}
+        </svg>
+    }
+}
+
+/// A condition.
+#[component]
+fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>, at: String) -> impl IntoView {
+    let lost: u64 = condition.lost.values().sum();
+    let why: Vec<_> = condition.lost.iter().map(|(why, count)| format!("{count} {why}")).collect();
+    let found = condition.detected.map_or_else(String::new, |d| format!("{} of {}", d.count, d.of));
+    let spreads = condition.measures.clone();
+    let spread = move || spreads.get(measure.get()).copied().flatten();
+    let figure = move |of: fn(&Spread) -> f64| spread().map_or_else(String::new, |s| short(of(&s)));
+    let [median, of_95, most] = [figure.clone(), figure.clone(), figure];
+    let spreads = condition.measures.clone();
+    let interval = move || {
+        let spread = spreads.get(measure.get()).copied().flatten();
+        spread.map_or_else(String::new, |s| format!("{} to {}", short(s.interval[0]), short(s.interval[1])))
+    };
+    let name = condition.levels.join(", ");
+    let own = condition.clone();
+    view! {
+        <tr>
+            {condition.levels.iter().map(|level| view! { <td>{level.clone()}</td> }).collect_view()}
+            <td class="num" class:bad=move || { lost > 0 } title=why.join(", ")>{format!("{lost} of {}", condition.flights)}</td>
+            <td class="num">{move || median(|s| s.median)}</td>
+            <td class="num">{interval}</td>
+            <td class="num">{move || of_95(|s| s.of_95)}</td>
+            <td class="num">{move || most(|s| s.most)}</td>
+            <td class="num">{found}</td>
+            <td>
+                <svg class="dots" viewBox=format!("-4 0 {} {ROW_PX}", DOTS_PX + 8.0) role="group" aria-label=format!("Flights of {name}")>
+                    {move || {
+                        let measure = measure.get();
+                        flights.with(|all| dots(all, &own, measure, &axis(all, measure))).into_iter().map(|dot| view! {
+                            <a href=format!("{at}/flights/{}/open", dot.index) rel="external" aria-label=format!("Open the flight: {}", dot.title)>
+                                <circle class:lost=dot.lost cx=dot.at[0] cy=dot.at[1] r="3.5"><title>{dot.title.clone()}</title></circle>
+                            </a>
+                        }).collect_view()
+                    }}
+                </svg>
+            </td>
+        </tr>
+    }
+}
+
+/// Three figures.
+fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let decimals = (2 - value.abs().log10().floor() as i32).clamp(0, 6) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn figures_have_three_digits() {
+        let texts = [0.012_345, 1.5, 123.4, 0.0, -0.5].map(super::short);
+        assert_eq!(texts, ["0.0123", "1.50", "123", "0", "-0.500"]);
+    }
+}
