@@ -63,7 +63,11 @@ port = \"/dev/i2c-1\"
                 "COM3",
                 "[[device]] 2: port = \"COM3\" is not a port that this driver can use; line 10: port",
             ),
-            ("\"/dev/ttyACM0\"", "\"/dev/ttyUSB0\"", "port that no other device has"),
+            (
+                "\"/dev/ttyACM0\"",
+                "\"/dev/ttyUSB0\"",
+                "is not a port, or an address on it, that no other device has; line 10",
+            ),
             ("/dev/ttyACM0", "/dev/ttyUSB0", "line 10: port = \"/dev/ttyUSB0\""),
             (
                 "height 1",

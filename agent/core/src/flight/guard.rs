@@ -132,7 +132,9 @@ impl Flight {
         match self.mode {
             Mode::AltitudeHold | Mode::Hold => {
                 let missing_m = self.guidance.profile.setpoint().position_enu_m.z - motion.position_enu_m.z;
-                missing_m > THRUST_DEFICIT_M && motion.velocity_enu_mps.z < STANDING_SPEED_MPS
+                // Where it took off it may bounce, and has not climbed.
+                let climbs = motion.velocity_enu_mps.z >= STANDING_SPEED_MPS && !self.at_takeoff_height();
+                missing_m > THRUST_DEFICIT_M && !climbs
             }
             // Nothing but the throttle says what the operator wants: only where it took off.
             Mode::Stabilise => {
