@@ -106,7 +106,7 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
     assert_eq!(
         knows("plumbline-experiment"),
-        names(&["agent", "proto", "rest"]),
+        names(&["agent", "file", "proto", "rest"]),
         "it flies the agent, and serves nobody"
     );
     let ground = names(&["analysis", "core", "experiment", "file", "link", "proto", "rest"]);

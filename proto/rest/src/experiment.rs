@@ -184,7 +184,7 @@ pub struct Difference {
 
 /// Flights of an experiment, some of them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = ExperimentFlights))]
 #[serde(default)]
 pub struct Flights {
     /// How many there are that were asked for.
@@ -195,7 +195,7 @@ pub struct Flights {
 
 /// One flight.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = ExperimentFlight))]
 #[serde(default)]
 pub struct Flight {
     /// Which of the plan.

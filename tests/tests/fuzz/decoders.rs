@@ -309,8 +309,8 @@ fn fuzz_calibration_files() {
 #[test]
 fn fuzz_scenarios_and_configurations() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
-    let mut seeds: Vec<Vec<u8>> =
-        std::fs::read_dir(folder).unwrap().map(|entry| std::fs::read(entry.unwrap().path()).unwrap()).collect();
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
+    let mut seeds: Vec<Vec<u8>> = files.map(|path| std::fs::read(path).unwrap()).collect();
     seeds.push(b"id = \"iris-1\"\nground = \"127.0.0.1:4748\"\n[log]\nmax_mib = 100\n".to_vec());
     let scratch = Scratch::new();
     fuzz("scenarios", &seeds, |input| {

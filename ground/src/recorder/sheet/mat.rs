@@ -136,7 +136,7 @@ mod tests {
     fn what_is_too_large_is_refused_with_what_to_do() {
         let mut sink = |_: Vec<u8>| true;
         let heads = vec![Head { name: "time_s".into(), kind: super::super::Type::Double }; 400];
-        let error = Mat::new(&mut sink, &heads, 1 << 20, &[]).err().unwrap().to_string();
+        let error = crate::recorder::explain(&Mat::new(&mut sink, &heads, 1 << 20, &[]).err().unwrap());
         assert!(error.contains("rate"), "{error}");
     }
 }

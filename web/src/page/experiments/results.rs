@@ -110,11 +110,11 @@ fn Scale(flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>) -> impl IntoV
     let ticks =
         move || flights.with(|flights| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0));
     view! {
-        <svg class="dots" viewBox=format!("0 0 {} 14", DOTS_PX + 8.0) aria-hidden="true">
+        <div class="dots scale" aria-hidden="true">
             {move || ticks().into_iter().map(|tick| view! {
-                <text x=tick.fraction * (DOTS_PX - 16.0) y="11">{tick.label}</text>
+                <span style=format!("left:{:.1}px", tick.fraction * (DOTS_PX - 16.0))>{tick.label}</span>
             }).collect_view()}
-        </svg>
+        </div>
     }
 }
 
@@ -145,16 +145,21 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
             <td class="num">{move || most(|s| s.most)}</td>
             <td class="num">{found}</td>
             <td>
-                <svg class="dots" viewBox=format!("-4 0 {} {ROW_PX}", DOTS_PX + 8.0) role="group" aria-label=format!("Flights of {name}")>
+                <div class="dots" style=format!("height:{ROW_PX}px") role="group" aria-label=format!("Flights of {name}")>
                     {move || {
                         let measure = measure.get();
                         flights.with(|all| dots(all, &own, measure, &axis(all, measure))).into_iter().map(|dot| view! {
-                            <a href=format!("{at}/flights/{}/open", dot.index) rel="external" aria-label=format!("Open the flight: {}", dot.title)>
-                                <circle class:lost=dot.lost cx=dot.at[0] cy=dot.at[1] r="3.5"><title>{dot.title.clone()}</title></circle>
-                            </a>
+                            <a
+                                class:lost=dot.lost
+                                href=format!("{at}/flights/{}/open", dot.index)
+                                rel="external"
+                                style=format!("left:{:.1}px;top:{:.1}px", dot.at[0], dot.at[1])
+                                aria-label=format!("Open the flight: {}", dot.title)
+                                title=dot.title.clone()
+                            ></a>
                         }).collect_view()
                     }}
-                </svg>
+                </div>
             </td>
         </tr>
     }
