@@ -5,7 +5,7 @@ use plumbline_rest::experiment::{Condition, Flight};
 use super::axis::ValueAxis;
 
 /// Room of a row of dots for them, px.
-pub const DOTS_PX: f64 = 420.0;
+pub const DOTS_PX: f64 = 300.0;
 /// Height of a row, px.
 pub const ROW_PX: f64 = 22.0;
 

@@ -86,7 +86,11 @@ pub fn ResultsCard(state: State) -> impl IntoView {
             </label>
             <div class="table-wrap"><table class="dense">
                 <thead><tr>
-                    {move || results.with(|r| r.factors.iter().map(|factor| view! { <th scope="col">{factor.clone()}</th> }).collect_view())}
+                    {move || results.with(|r| r.factors.iter().map(|factor| {
+                        // The last of its parts; what it is a part of is told to whoever asks.
+                        let name = factor.rsplit('.').next().unwrap_or(factor).to_owned();
+                        view! { <th scope="col" title=factor.clone()>{name}</th> }
+                    }).collect_view())}
                     <th class="num" scope="col">"lost"</th>
                     <th class="num" scope="col">"median"</th>
                     <th class="num" scope="col">"95 % interval"</th>
