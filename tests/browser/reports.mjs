@@ -231,7 +231,7 @@ await step(page, 'reports: the flight shows its errors', async () => {
   [first] = await until('the flight to be complete', async () => {
     const flights = await listed();
     return flights.length && flights[0].completeness === 'complete' ? flights : false;
-  }, 60_000);
+  });
   await page.goto(`${url}/flights/${first.id}`);
   await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
   await button('Errors').first().click();
@@ -306,7 +306,7 @@ await step(page, 'compare: laid together, their difference, and what was not the
   const flights = await until('two flights', async () => {
     const flights = await listed();
     return flights.length >= 2 && flights.every((f) => f.completeness === 'complete') ? flights : false;
-  }, 60_000);
+  });
   await page.goto(`${url}/flights/${flights[1].id},${flights[0].id}`);
   const difference = region('Difference of altitude');
   await drawn(page, difference.getByRole('img').first(), 'the difference');
