@@ -87,7 +87,8 @@ pub struct Watchdog {
     imu_time: Option<FlightTime>,
     imus: [Option<(FlightTime, Inertial)>; MAX_IMUS],
     heights: [Option<Measured>; MAX_HEIGHTS],
-    places: [Option<Measured>; 2],
+    /// East, north and up by motion capture.
+    places: [Option<Measured>; 3],
     altitude_time: Option<FlightTime>,
     /// Climb by the accelerometers since the last slope of the heights, m/s, and when that was.
     coasting: Option<(FlightTime, f64)>,
@@ -114,7 +115,7 @@ impl Watchdog {
             imu_time: None,
             imus: [None; MAX_IMUS],
             heights: [None; MAX_HEIGHTS],
-            places: [None; 2],
+            places: [None; 3],
             altitude_time: None,
             coasting: None,
             reads_imu: instances(SensorKind::Imu, independent),
@@ -134,16 +135,19 @@ impl Watchdog {
         for ((kept, new), reads) in self.heights.iter_mut().zip(&received.heights).zip(self.reads_height) {
             Measured::take(kept, new.filter(|_| reads).map(|h| h.height_m), received.time);
         }
-        let heights = self.heights.iter().flatten();
-        self.judged.height_m = Some(median(heights.clone().map(|h| h.value_m))).filter(|height| height.is_finite());
-        self.judged.climb_mps = Some(median(heights.filter_map(|h| h.slope_mps))).filter(|climb| climb.is_finite());
-        if let Some(slope_mps) = self.climb_mps().filter(|_| received.heights.iter().any(Option::is_some)) {
-            let before_mps = self.coasting.map_or(slope_mps, |(_, climb_mps)| climb_mps);
-            self.coasting = Some((received.time, before_mps + COAST_SHARE * (slope_mps - before_mps)));
-        }
         for (axis, kept) in self.places.iter_mut().enumerate() {
             let place_m = received.mocap_pose.and_then(|pose| pose.position_enu_m.get(axis).copied());
             Measured::take(kept, place_m, received.time);
+        }
+        // Motion capture speaks where no laser does.
+        let lasers = self.heights.iter().flatten().count();
+        let heights = || self.heights.iter().flatten().chain(self.places[2].iter().filter(|_| lasers == 0));
+        self.judged.height_m = Some(median(heights().map(|h| h.value_m))).filter(|height| height.is_finite());
+        self.judged.climb_mps = Some(median(heights().filter_map(|h| h.slope_mps))).filter(|climb| climb.is_finite());
+        let new = received.heights.iter().any(Option::is_some) || lasers == 0 && received.mocap_pose.is_some();
+        if let Some(slope_mps) = self.climb_mps().filter(|_| new) {
+            let before_mps = self.coasting.map_or(slope_mps, |(_, climb_mps)| climb_mps);
+            self.coasting = Some((received.time, before_mps + COAST_SHARE * (slope_mps - before_mps)));
         }
     }
 
@@ -218,7 +222,7 @@ impl Watchdog {
         self.heights.iter().flatten().map(|h| h.value_m).reduce(f64::max)
     }
 
-    /// Median of the heights of the last half second, m.
+    /// Median of the heights of the last half second, m; by motion capture where no laser measured one.
     pub fn height_m(&self) -> Option<f64> {
         self.judged.height_m
     }
@@ -365,6 +369,12 @@ mod tests {
         let ((east_m, east_mps), (north_m, north_mps)) = (watchdog.place(0).unwrap(), watchdog.place(1).unwrap());
         assert!((east_m - 0.735).abs() < 1e-9 && (east_mps - 1.5).abs() < 1e-6, "{east_m} m, {east_mps} m/s");
         assert!((north_m - 1.51).abs() < 1e-9 && (north_mps + 1.0).abs() < 1e-6, "{north_m} m, {north_mps} m/s");
+        // Where no laser measures, its height is the height; a laser comes first.
+        assert_eq!((watchdog.height_m(), watchdog.climb_mps(), watchdog.heights_fresh()), (Some(1.0), Some(0.0), 0));
+        let mut frame = SensorFrame { time: FlightTime(500_000), ..SensorFrame::default() };
+        frame.heights[1] = Some(HeightSample { time: frame.time, height_m: 0.4 });
+        watchdog.step(&frame, DT_S);
+        assert_eq!((watchdog.height_m(), watchdog.climb_mps()), (Some(0.4), None));
         watchdog.step(&SensorFrame { time: FlightTime(1_000_000), ..SensorFrame::default() }, DT_S);
         assert_eq!((watchdog.place(0), watchdog.place(2)), (None, None));
     }
