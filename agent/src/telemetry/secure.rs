@@ -43,6 +43,13 @@ impl<'a> Judge<'a> {
         }
     }
 
+    fn height_bound_m(self) -> Option<f64> {
+        match self {
+            Self::Secure(secure) => secure.height_bound_m(),
+            Self::Lanes(lanes) => lanes.height_bound_m(),
+        }
+    }
+
     fn secure(self) -> Option<&'a Secure> {
         match self {
             Self::Secure(secure) => Some(secure),
@@ -147,9 +154,9 @@ pub(super) fn fill(
     into.decoded_height_m = window.height_m;
     into.tracking_error_m = tracking.error_m();
     into.reference_error_m = tracking.reference_m();
+    into.height_bound_m = judge.height_bound_m();
     // What only the decoder of a window has.
     let secure = judge.secure();
-    into.height_bound_m = secure.and_then(Secure::height_bound_m);
     into.disturbance_enu_n = secure.map(|secure| {
         let d = secure.disturbance_enu_n();
         v1::Vector3 { x: d.x, y: d.y, z: d.z }

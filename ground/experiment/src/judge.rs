@@ -8,7 +8,7 @@ use plumbline_agent::command::Command;
 use plumbline_agent::estimate::Estimate;
 use plumbline_agent::estimate::fdir::isolation::Isolation;
 use plumbline_agent::flight::{Failsafe, Flight, StepReport};
-use plumbline_agent::types::{Mode, MotorCommand};
+use plumbline_agent::types::{EstimatorKind, Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
 
@@ -62,6 +62,15 @@ pub struct Outcome {
 /// Of whichever estimator judges sensors.
 fn isolation(flight: &Flight) -> Option<&Isolation> {
     flight.secure().map(|secure| secure.isolation()).or_else(|| flight.lanes().map(|lanes| lanes.isolation()))
+}
+
+/// The bound on its height's error that the estimator in the loop announces, m.
+fn bound_m(flight: &Flight) -> Option<f64> {
+    match flight.estimator_in_loop() {
+        EstimatorKind::Lanes => flight.lanes()?.height_bound_m(),
+        EstimatorKind::Secure => flight.secure()?.height_bound_m(),
+        _ => None,
+    }
 }
 
 /// A mean that is being made.
@@ -176,7 +185,7 @@ impl Judge {
         let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { return false };
         self.compare(truth, report, estimate);
         self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
-        if let Some(bound_m) = flight.secure().and_then(|secure| secure.height_bound_m()) {
+        if let Some(bound_m) = bound_m(flight) {
             let off_m = estimate.kinematics().position_enu_m.z - truth.position_enu_m.z;
             self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));
         }

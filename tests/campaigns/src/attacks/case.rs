@@ -10,7 +10,9 @@ use plumbline_experiment::attacked::{Attacked, Given};
 use plumbline_experiment::flight::{Reception, Setup};
 use plumbline_proto::v1::SensorKind;
 
+/// Length of a flight, and of a long one, s.
 const END_S: f64 = 40.0;
+const LONG_S: f64 = 600.0;
 /// Altitudes: from when, s, and how high, m.
 const STEPS: [(f64, f64); 3] = [(5.0, 0.9), (18.0, 1.2), (29.0, 0.8)];
 /// Free, and on strings: by turns of the seed.
@@ -21,6 +23,8 @@ const RIGS: [&str; 2] = ["[rig.free]\nheight_m = 0.0\n", "[rig.hanging_strings]\
 pub struct Case {
     pub name: &'static str,
     pub world: &'static str,
+    pub end_s: f64,
+    pub pilots: &'static [Pilot],
     pub heights: usize,
     pub imus: usize,
     pub attacked: Attacked,
@@ -39,6 +43,8 @@ impl Case {
     const PLAIN: Self = Self {
         name: "none",
         world: "datasheet",
+        end_s: END_S,
+        pilots: &Pilot::ALL,
         heights: 3,
         imus: 4,
         attacked: Attacked::None,
@@ -48,8 +54,9 @@ impl Case {
     };
 
     /// The rows of the table.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::PLAIN,
+        Self { name: "none_ten_minutes", end_s: LONG_S, pilots: &[Pilot::LANES], ..Self::PLAIN },
         Self {
             name: "one_sensor",
             attacked: Attacked::One,
@@ -99,7 +106,7 @@ impl Case {
 
     /// The flight of this `seed`, without its attacks.
     pub fn scenario(&self, seed: u64) -> Scenario {
-        let mut text = format!("name = \"attacks\"\nseed = {seed}\nduration_s = {END_S}\nworld = \"{}\"\n", self.world);
+        let mut text = format!("name = \"attacks\"\nseed = {seed}\nduration_s = {}\nworld = \"{}\"\n", self.end_s, self.world);
         text += "[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n";
         for (at_s, altitude_m) in STEPS {
             text += &format!("[[script]]\nat_s = {at_s}\ndo = \"setpoint\"\naltitude_m = {altitude_m}\n");
@@ -126,18 +133,19 @@ pub enum Pilot {
 
 impl Pilot {
     pub const EKF: Self = Self::Shipped(EstimatorKind::EkfBias);
+    pub const LANES: Self = Self::Shipped(EstimatorKind::Lanes);
     pub const ALL: [Self; 5] = [
         Self::EKF,
         Self::Median,
         Self::Shipped(EstimatorKind::Secure),
-        Self::Shipped(EstimatorKind::Lanes),
+        Self::LANES,
         Self::Oracle,
     ];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Shipped(EstimatorKind::EkfBias) => "shipped EKF",
-            Self::Shipped(EstimatorKind::Secure) => "secure",
+            Self::Shipped(EstimatorKind::Secure) => "window decoder",
             Self::Shipped(EstimatorKind::Lanes) => "lanes",
             Self::Shipped(_) => "another",
             Self::Oracle => "oracle",

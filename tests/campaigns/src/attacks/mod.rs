@@ -12,7 +12,6 @@ mod case;
 use std::collections::BTreeMap;
 
 use plumbline_agent::attack::Channel;
-use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::attacked::Attacked;
 use plumbline_experiment::draw::{median, median_interval, parallel, percentile, worst};
 use plumbline_experiment::flight::{Setup, fly};
@@ -25,8 +24,9 @@ use case::{Case, Pilot};
 
 /// What is beyond the bound is declared within this, s.
 const DECLARED_S: f64 = 1.0;
-/// A healthy sensor may be excluded so long, s.
+/// A healthy sensor may be excluded so long, s; longer in this part of the flights at most, where nobody is attacked.
 const FALSE_S: f64 = 1.0;
+const FALSE_PART: f64 = 0.05;
 
 /// What is asked for.
 struct Effort {
@@ -98,8 +98,8 @@ fn table(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Altitude and tilt under drawn attacks");
     let mut rows = Vec::new();
     for case in Case::ALL.iter().filter(|case| effort.wants(case.name)) {
-        let flown = fly_all(case, effort, &Pilot::ALL);
-        for (p, pilot) in Pilot::ALL.iter().enumerate() {
+        let flown = fly_all(case, effort, case.pilots);
+        for (p, pilot) in case.pilots.iter().enumerate() {
             rows.push(row(report, case, *pilot, effort, flown.iter().map(|f| (&f.clean, &f.by[p]))));
         }
     }
@@ -122,6 +122,7 @@ fn table(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         "missed",
         "false > 1 s",
         "declared",
+        "outside its bound",
     ];
     report.table("attacks", "Drawn attacks", &headers, &rows)
 }
@@ -152,8 +153,11 @@ fn row<'a>(
     let beyond = case.attacked.colludes();
     let told = !beyond || declared.len() == all.len() && worst(&declared) <= DECLARED_S;
     let held = beyond || within(altitude3, case.altitude) && within(tilt3, case.tilt);
-    let holds = judged.then_some(held && told && lost_of_hundred <= case.lost);
     let bound: Vec<f64> = all.iter().map(|o| o.outside_bound).filter(|part| part.is_finite()).collect();
+    let outside = bound.iter().filter(|part| **part > 0.0).count();
+    let attacked = case.attacked != Attacked::None;
+    let quiet = attacked || falsely as f64 <= FALSE_PART * all.len() as f64;
+    let holds = judged.then_some(held && told && quiet && outside == 0 && lost_of_hundred <= case.lost);
     let clean_mm: Vec<f64> = flights.map(|(clean, _)| 1e3 * clean.altitude_m).collect();
     let name = pilot.name();
     let more = json!({
@@ -164,16 +168,16 @@ fn row<'a>(
         "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
         "flights_with_false_exclusion": judged.then_some(falsely),
         "declared": declared.len(), "declared_within_s": worst(&declared),
-        "outside_bound": worst(&bound), "holds": holds,
+        "outside_bound": worst(&bound), "flights_outside_bound": judged.then_some(outside), "holds": holds,
     });
     report.value(&format!("{}/{name}", case.name), altitude3[0], "e*", more);
     let number = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "–".into() };
     let mut cells = vec![case.name.replace('_', " "), case.world.into(), name.into()];
     cells.extend(altitude3.iter().chain(&tilt3).map(|value| number(*value)));
     cells.extend([lost.to_string(), all.len().to_string(), number(median(&delays))]);
-    let attacked = case.attacked != Attacked::None;
     cells.extend([if attacked && judged { missed.to_string() } else { "–".into() }]);
     cells.extend([if judged { falsely.to_string() } else { "–".into() }, declared.len().to_string()]);
+    cells.push(if judged { outside.to_string() } else { "–".into() });
     cells
 }
 
@@ -189,12 +193,11 @@ const GROWN: [Grown; 3] = [
 /// How likely and how soon a bias is found, and what it does meanwhile, against its size.
 fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Detectability of a bias on one sensor");
-    let secure = Pilot::Shipped(EstimatorKind::Secure);
     let effort = Effort { flights: (effort.flights / 5).max(2), seed_base: effort.seed_base, only: None };
     for (kind, channel, what, unit, sizes) in GROWN {
         let (mut found, mut damage, mut gated) = (Vec::new(), Vec::new(), Vec::new());
         for size in sizes {
-            let flown = fly_all(&Case::sized(kind, channel, size), &effort, &[secure, Pilot::EKF]);
+            let flown = fly_all(&Case::sized(kind, channel, size), &effort, &[Pilot::LANES, Pilot::EKF]);
             let rate = flown.iter().filter(|f| f.by[0].missed == 0).count() as f64 / flown.len() as f64;
             let delays: Vec<f64> = flown.iter().flat_map(|f| f.by[0].delays_s.iter().copied()).collect();
             let error = |pilot: usize| {
@@ -210,8 +213,8 @@ fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
                 rate,
                 "detected",
                 json!({ "unit_of_size": unit, "size": size, "flights": flown.len(), "delay_s": median(&delays),
-                    "delay_95_s": percentile(&delays, 0.95), "secure_e_star": error(0), "ekf_e_star": error(1),
-                    "secure_lost": lost(0), "ekf_lost": lost(1) }),
+                    "delay_95_s": percentile(&delays, 0.95), "lanes_e_star": error(0), "ekf_e_star": error(1),
+                    "lanes_lost": lost(0), "ekf_lost": lost(1) }),
             );
         }
         let stem = what.replace(' ', "_");
@@ -220,10 +223,10 @@ fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         report.figure(
             &format!("detected_{stem}"),
             "Excluded before the flight ended",
-            &plot.with(Series::line("secure", found)),
+            &plot.with(Series::line("lanes", found)),
         )?;
         let plot = Plot::new(&format!("Damage: {what}"), &x, "e / e*").axes(Axis::Log, Axis::Linear);
-        let plot = plot.with(Series::line("secure", damage)).with(Series::line("shipped EKF", gated));
+        let plot = plot.with(Series::line("lanes", damage)).with(Series::line("shipped EKF", gated));
         report.figure(&format!("damage_{stem}"), "Median of the flights that were not lost", &plot)?;
     }
     Ok(())

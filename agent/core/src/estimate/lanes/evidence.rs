@@ -7,8 +7,9 @@
 //! | a | average r²/s of the second-best lane, at least 1: under vibration innovations are coloured and too large for all |
 //!
 //! A lane's weight falls with its evidence over a²; excluded is one far behind the second-best for 8 slots, or one that
-//! repeats itself. It comes back when it has been near for a second and its tilt is that of the lanes in use: a false
-//! accelerometer tilts its lane until gravity hides it, and then predicts everything well.
+//! repeats itself. It comes back when it has been near for a second and its tilt and altitude are those of the lanes in
+//! use: a false accelerometer tilts its lane until gravity hides it, and then predicts everything well; one that reads
+//! upside down flies its lane hundreds of metres away, all of whose innovations count as little as large ones do.
 
 use nalgebra::Vector3;
 
@@ -39,6 +40,8 @@ const DOUBT: f64 = 0.3;
 const HEAL_SLOTS: u32 = 50;
 /// A lane is excluded, or stays so, with a tilt further from those in use, rad (2.5°).
 const TILT_RAD: f64 = 0.0436;
+/// It stays so, too, this far from their altitude, m.
+const APART_M: f64 = 0.3;
 /// Weight of an excluded lane.
 const EXCLUDED: f64 = 1e-3;
 /// Slots in a row in which a sensor repeats itself: doubted, excluded.
@@ -59,6 +62,8 @@ pub struct Heard {
     pub stuck: bool,
     /// Its body z axis, ENU.
     pub up: Vector3<f64>,
+    /// Its altitude, m.
+    pub z_m: f64,
 }
 
 impl Heard {
@@ -79,6 +84,7 @@ struct Judged {
     stuck: u32,
     excluded: bool,
     up: Vector3<f64>,
+    z_m: f64,
 }
 
 /// See the module.
@@ -109,7 +115,7 @@ impl Evidence {
         for (lane, heard) in self.lanes.iter_mut().zip(heard) {
             lane.present = heard.is_some();
             let Some(heard) = heard else { continue };
-            lane.up = heard.up;
+            (lane.up, lane.z_m) = (heard.up, heard.z_m);
             lane.stuck = if heard.stuck { lane.stuck.saturating_add(1) } else { 0 };
             if heard.rows > 0.0 {
                 let first = lane.average == 0.0;
@@ -135,11 +141,12 @@ impl Evidence {
     fn judge(&mut self, scale: f64) {
         let best = second(self.present().map(|lane| lane.against));
         let up = self.up_in_use();
+        let z_m = median(self.present().filter(|lane| !lane.excluded).map(|lane| lane.z_m));
         for lane in &mut self.lanes {
             let excess = 0.5 * (lane.against - best) / scale;
-            let tilted = up.is_some_and(|up| lane.up.cross(&up).norm() > TILT_RAD.sin());
-            lane.far = if excess > FAR || lane.excluded && tilted { lane.far.saturating_add(1) } else { 0 };
-            lane.near = if excess < NEAR * FAR && !tilted { lane.near.saturating_add(1) } else { 0 };
+            let apart = up.is_some_and(|up| lane.up.angle(&up) > TILT_RAD) || (lane.z_m - z_m).abs() > APART_M;
+            lane.far = if excess > FAR || lane.excluded && apart { lane.far.saturating_add(1) } else { 0 };
+            lane.near = if excess < NEAR * FAR && !apart { lane.near.saturating_add(1) } else { 0 };
             let out = lane.excluded || lane.far > FAR_SLOTS || lane.stuck > STUCK_SLOTS.1;
             lane.excluded = lane.present && out && (lane.near <= NEAR_SLOTS || lane.stuck > STUCK_SLOTS.1);
         }
@@ -244,6 +251,7 @@ mod tests {
                 rows: 8.0,
                 stuck: i == stuck,
                 up: Vector3::new(tilt[i].sin(), 0.0, tilt[i].cos()),
+                z_m: 1.0,
             })
         })
     }
@@ -266,11 +274,17 @@ mod tests {
     }
 
     #[test]
-    fn a_lane_with_another_tilt_is_not_readmitted_although_it_predicts_well() {
+    fn a_lane_with_another_tilt_or_altitude_is_not_readmitted_although_it_predicts_well() {
         let mut evidence = Evidence::default();
         (0..50).for_each(|_| evidence.take(&slot([8.0, 40.0, 8.0, 8.0], [0.0; 4], 9)));
-        let tilt = [0.0, 0.1, 0.0, 0.0];
-        (0..200).for_each(|_| evidence.take(&slot([8.0; 4], tilt, 9)));
+        // Upside down is as far as any.
+        for tilt in [[0.0, 0.1, 0.0, 0.0], [0.0, std::f64::consts::PI, 0.0, 0.0]] {
+            (0..200).for_each(|_| evidence.take(&slot([8.0; 4], tilt, 9)));
+            assert!(evidence.is_excluded(1) && evidence.is_to_heal(1));
+        }
+        let mut away = slot([8.0; 4], [0.0; 4], 9);
+        away[1].iter_mut().for_each(|heard| heard.z_m = -200.0);
+        (0..200).for_each(|_| evidence.take(&away));
         assert!(evidence.is_excluded(1) && evidence.is_to_heal(1));
         evidence.healed(1);
         assert!(!evidence.is_to_heal(1));

@@ -188,7 +188,7 @@ impl Lanes {
             let Heard { surprise, rows, .. } = correction.heard;
             let up = lane.at.world_from_body * Vector3::z();
             if lane.is_sound() {
-                *heard = Some(Heard { surprise, rows, stuck: slot.stuck[i], up });
+                *heard = Some(Heard { surprise, rows, stuck: slot.stuck[i], up, z_m: lane.at.position_enu_m.z });
             } else {
                 let best = self.fused.at;
                 lane.begin(&best, &Six::zeros(), [1.0, 0.5, 0.1, 0.2, 0.01], &self.model);

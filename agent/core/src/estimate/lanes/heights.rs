@@ -18,22 +18,22 @@ const SHORT: usize = 5;
 /// Slots between two decodes.
 const EVERY: u32 = 5;
 /// One-sigma of the means over a short and the whole memory, m; while offsets are learned.
-const SIGMA_M: [f64; 2] = [0.015, 0.010];
+pub(super) const SIGMA_M: [f64; 2] = [0.015, 0.010];
 const SIGMA_LEARNING_M: [f64; 2] = [0.026, 0.020];
 /// Beyond so many sigmas a mean is bad, and twice that it excludes at once.
 const LIMIT: f64 = 3.5;
 /// Beyond so many sigmas a laser weighs less.
-const SOFT: f64 = 2.2;
+pub(super) const SOFT: f64 = 2.2;
 /// Scatter beyond so many times the median laser's is bad; no laser is taken for steadier, m.
 const SCATTER: f64 = 4.5;
 const STEADY_M: f64 = 0.017;
 /// What is known of the centre without a laser, m.
 const PRIOR_M: f64 = 0.05;
 /// Altitude at which scale is no offset, m.
-const PIVOT_M: f64 = 1.4;
+pub(super) const PIVOT_M: f64 = 1.4;
 /// Most that offset (m) and scale are learned to.
-const OFFSET_MAX_M: f64 = 0.06;
-const SCALE_MAX: f64 = 0.03;
+pub(super) const OFFSET_MAX_M: f64 = 0.06;
+pub(super) const SCALE_MAX: f64 = 0.03;
 /// Parts learned of a deviation at each decode, at first and later.
 const GAINS: (f64, f64) = (0.08, 0.01);
 /// Decodes within 0.8 of every limit after which one comes back.

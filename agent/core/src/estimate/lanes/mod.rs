@@ -22,6 +22,7 @@
 //! Valid as `ekf_bias` is; camera ranges are not used. Allocates nothing after construction.
 
 mod account;
+mod bound;
 mod evidence;
 mod fusion;
 mod heights;
