@@ -47,7 +47,7 @@ impl GroundConfig {
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,
             backfill_after: Duration::from_millis(1500),
-            settle_after: Duration::from_secs(4),
+            settle_after: Duration::from_secs(12),
         }
     }
 }

@@ -108,6 +108,7 @@ mod tests {
     use super::*;
     use crate::flight::Flight;
     use crate::sim::{Scenario, SimVehicle};
+    use crate::types::EstimatorKind;
     use crate::vehicle::Vehicle;
     use std::time::{Duration, Instant};
 
@@ -118,7 +119,9 @@ mod tests {
     fn clarabel_agrees_with_what_flew() {
         let scenario = Scenario::bare();
         let mut vehicle = SimVehicle::new(&scenario).unwrap();
-        let mut flight = Flight::new(scenario.flight_config()).unwrap();
+        let mut config = scenario.flight_config();
+        config.estimators.push(EstimatorKind::Secure);
+        let mut flight = Flight::new(config).unwrap();
         let mut auditor = Auditor::start().unwrap();
         let begun = Instant::now();
         loop {

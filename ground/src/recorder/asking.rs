@@ -21,7 +21,8 @@ const MAX_MESSAGES: u64 = 4096;
 const JOIN_WITHIN: u64 = 8;
 /// A flight that could not be completed is asked for again after this long.
 pub(super) const AGAIN: Duration = Duration::from_secs(15);
-/// Without any answer for this long, the question is asked again.
+/// Without any answer for this long, the question is asked again: twice before a flight is left as it is
+/// (`GroundConfig::settle_after`).
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// The questions to one agent.

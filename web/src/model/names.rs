@@ -87,8 +87,8 @@ pub fn estimator(kind: EstimatorKind) -> &'static str {
         EstimatorKind::ConstantAcceleration => "Constant acceleration",
         EstimatorKind::Vqf => "VQF",
         EstimatorKind::AttitudeEkf => "Attitude EKF",
-        EstimatorKind::Secure => "Secure",
-        EstimatorKind::Lanes => "Lanes (secure)",
+        EstimatorKind::Secure => "Window decoder",
+        EstimatorKind::Lanes => "Secure (lanes)",
     }
 }
 

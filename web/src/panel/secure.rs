@@ -151,19 +151,41 @@ fn margin(m: &v1::SecureMargin) -> (String, &'static str) {
 }
 
 fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
-    let (class, said) = status(s.status());
-    let extra = fallback(s.fallback());
-    let decoder = match (extra, s.window_slots) {
-        ("", 0) => said.to_owned(),
-        ("", slots) => format!("{said}, T = {slots}"),
-        _ => format!("{said}, {extra}"),
-    };
     let millimetres =
         |v: Option<f64>| v.map_or_else(|| NONE.to_owned(), |v| format!("{} mm", format::fixed(v * 1e3, 1)));
     let ratio = ratio(s);
+    let mut figures = vec![
+        ("error e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
+        ("e* unattacked", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
+        (
+            "e / e*",
+            format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),
+            if ratio.is_none_or(|r| r <= RATIO_LIMIT) { "good" } else { "bad" },
+            "[Clinic] Table 1: at most 1.2 under attack",
+        ),
+        (
+            "height bound",
+            s.height_bound_m.map_or_else(|| "no promise".to_owned(), |b| format!("±{} mm", format::fixed(b * 1e3, 0))),
+            "",
+            "Most that the altitude is off by while fewer than half of the heights are attacked",
+        ),
+    ];
+    if s.window_slots > 0 {
+        figures.extend(of_window(s));
+    }
+    figures
+}
+
+/// What only an estimator that decodes a window has.
+fn of_window(s: &v1::SecureStatus) -> [Figure; 6] {
+    let (class, said) = status(s.status());
+    let decoder = match fallback(s.fallback()) {
+        "" => format!("{said}, T = {}", s.window_slots),
+        extra => format!("{said}, {extra}"),
+    };
     let force = s.disturbance_enu_n.map_or_else(|| NONE.to_owned(), |f| format!("{} N up", format::signed(f.z, 2)));
     let audit = s.audit_difference.map_or_else(|| NONE.to_owned(), |d| format!("{d:.0e}"));
-    vec![
+    [
         ("decoder", decoder, class, "How the last window ended, and its slots of 40 ms"),
         (
             "optimality gap",
@@ -182,20 +204,6 @@ fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
             audit,
             if s.audit_difference.is_none_or(|d| d < 1e-4) { "" } else { "bad" },
             "Relative difference to Clarabel on the same window, once a second",
-        ),
-        ("error e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
-        ("e* unattacked", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
-        (
-            "e / e*",
-            format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),
-            if ratio.is_none_or(|r| r <= RATIO_LIMIT) { "good" } else { "bad" },
-            "[Clinic] Table 1: at most 1.2 under attack",
-        ),
-        (
-            "height bound",
-            s.height_bound_m.map_or_else(|| "no promise".to_owned(), |b| format!("±{} mm", format::fixed(b * 1e3, 0))),
-            "",
-            "Error bound of the decoded height, where theory gives one",
         ),
         ("disturbance", force, "", "Force that neither motors nor gravity explain: strings, ground, wind"),
         ("resets", s.resets.to_string(), "", "Filter resets to the decoder since boot"),
@@ -232,7 +240,7 @@ pub fn SecureCard() -> impl IntoView {
                     <li><span class="heat rejected"></span>"isolated: excluded"</li>
                 </ul>
                 <span class="push"></span>
-                <Show when=move || newest.get().is_some()><DecoderChoice deck newest /></Show>
+                <Show when=move || newest.get().is_some_and(|s| s.window_slots > 0)><DecoderChoice deck newest /></Show>
                 <span class="buttons-row"><EvidenceSwitch /></span>
             </header>
             {move || newest.get().map(|s| {
@@ -253,7 +261,7 @@ pub fn SecureCard() -> impl IntoView {
                     }).collect::<Vec<_>>()}
                 </dl>
                 <Show when=move || newest.get().is_none()>
-                    <p class="empty">"The secure estimator does not run here. Choose it under Estimator: it decodes, isolates attacked sensors and filters the rest."</p>
+                    <p class="empty">"No secure estimator runs here. Choose it under Estimator: it isolates attacked sensors and flies on the rest."</p>
                 </Show>
             </div>
         </section>
@@ -347,6 +355,9 @@ mod tests {
         assert_eq!((found.1.as_str(), found.2), ("1.50 of 1.2", "bad"));
         s.set_status(DecoderStatus::MaxTime);
         s.set_fallback(SecureFallback::Anytime);
-        assert_eq!(figures(&s)[0].1, "deadline came first, last iterate used");
+        assert!(figures(&s).iter().all(|f| f.0 != "decoder"), "an estimator without a window has no decoder");
+        s.window_slots = 10;
+        let decoder = figures(&s).into_iter().find(|f| f.0 == "decoder").unwrap();
+        assert_eq!(decoder.1, "deadline came first, last iterate used");
     }
 }

@@ -125,7 +125,7 @@ pub struct FlightConfig {
 
 impl FlightConfig {
     /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, the bias EKF in the loop
-    /// with the primary estimate and the secure estimator beside it, no attacks.
+    /// with the complementary filter and the secure estimator by lanes beside it, no attacks.
     pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
         Self {
             design: Design::new(ControllerKind::LqrIntegral, &airframe),
@@ -134,7 +134,7 @@ impl FlightConfig {
             rig,
             tick_rate_hz: 200.0,
             limits: Limits::default(),
-            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Complementary, EstimatorKind::Secure],
+            estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Complementary, EstimatorKind::Lanes],
             in_loop: EstimatorKind::EkfBias,
             decoder: None,
             window_slots: SLOTS,

@@ -106,7 +106,8 @@ impl Case {
 
     /// The flight of this `seed`, without its attacks.
     pub fn scenario(&self, seed: u64) -> Scenario {
-        let mut text = format!("name = \"attacks\"\nseed = {seed}\nduration_s = {}\nworld = \"{}\"\n", self.end_s, self.world);
+        let mut text =
+            format!("name = \"attacks\"\nseed = {seed}\nduration_s = {}\nworld = \"{}\"\n", self.end_s, self.world);
         text += "[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n";
         for (at_s, altitude_m) in STEPS {
             text += &format!("[[script]]\nat_s = {at_s}\ndo = \"setpoint\"\naltitude_m = {altitude_m}\n");
@@ -134,13 +135,8 @@ pub enum Pilot {
 impl Pilot {
     pub const EKF: Self = Self::Shipped(EstimatorKind::EkfBias);
     pub const LANES: Self = Self::Shipped(EstimatorKind::Lanes);
-    pub const ALL: [Self; 5] = [
-        Self::EKF,
-        Self::Median,
-        Self::Shipped(EstimatorKind::Secure),
-        Self::LANES,
-        Self::Oracle,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::EKF, Self::Median, Self::Shipped(EstimatorKind::Secure), Self::LANES, Self::Oracle];
 
     pub fn name(self) -> &'static str {
         match self {

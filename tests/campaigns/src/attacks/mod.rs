@@ -168,6 +168,7 @@ fn row<'a>(
         "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
         "flights_with_false_exclusion": judged.then_some(falsely),
         "declared": declared.len(), "declared_within_s": worst(&declared),
+        "nees": of(&all.iter().map(|o| o.nees).filter(|nees| nees.is_finite()).collect::<Vec<_>>()),
         "outside_bound": worst(&bound), "flights_outside_bound": judged.then_some(outside), "holds": holds,
     });
     report.value(&format!("{}/{name}", case.name), altitude3[0], "e*", more);

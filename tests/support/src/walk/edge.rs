@@ -68,7 +68,7 @@ fn vehicle(rig: &str, seed: u64, placed: bool) -> Flown {
     );
     let scenario = Scenario::from_toml(&text).unwrap();
     let mut config = scenario.flight_config();
-    config.estimators.retain(|kind| *kind != EstimatorKind::Secure);
+    config.estimators.retain(|kind| *kind != EstimatorKind::Lanes);
     Flown::with_config(scenario, config)
 }
 

@@ -102,6 +102,37 @@ fn a_false_imu_is_excluded_announced_and_taken_back_afterwards() {
 }
 
 #[test]
+fn an_imu_that_reads_upside_down_moves_nothing_however_long() {
+    let mut flying = Flying::new(HOVER, 7, false);
+    flying.until(10.0, |_| {});
+    let (altitude_m, tilt) = flying.until(40.0, |frame| {
+        frame.imus[1].iter_mut().for_each(|s| (s.accel_mps2, s.gyro_radps) = (-s.accel_mps2, -s.gyro_radps));
+    });
+    assert_eq!(flying.announced(), one(SensorKind::Imu, 2));
+    assert!(altitude_m < 0.05 && tilt < 2f64.to_radians(), "{altitude_m} m, {}°", tilt.to_degrees());
+}
+
+#[test]
+fn the_altitude_keeps_the_bound_that_is_announced_while_one_height_is_attacked_and_two_alone_promise_none() {
+    // What it may be taught, by an offset that grows by 2 mm/s, and what it is told at once.
+    for (drift_mps, step_m) in [(0.0, 0.0), (0.002, 0.0), (0.0, 0.5), (0.0, 0.04)] {
+        let mut flying = Flying::new(HOVER, 8, false);
+        flying.until(10.0, |_| {});
+        for t_s in 11..50 {
+            let off_m = step_m + drift_mps * (f64::from(t_s) - 10.0);
+            let (altitude_m, _) =
+                flying.until(f64::from(t_s), |frame| frame.heights[2].iter_mut().for_each(|s| s.height_m += off_m));
+            if let Some(bound_m) = flying.lanes.height_bound_m() {
+                assert!(altitude_m < bound_m && bound_m < 0.12, "{t_s} s: {altitude_m} m, bound {bound_m} m");
+            }
+        }
+        assert!(flying.lanes.height_bound_m().is_some());
+        flying.until(53.0, |frame| frame.heights[2] = None);
+        assert_eq!(flying.lanes.height_bound_m(), None, "two heights promise nothing");
+    }
+}
+
+#[test]
 fn nothing_that_is_no_number_and_no_time_that_goes_back_stops_it() {
     let mut flying = Flying::new(HOVER, 6, false);
     flying.until(6.0, |frame| {
