@@ -2,7 +2,7 @@
 //!
 //! t = A⁻¹ [T, τ]; A is the airframe's allocation. When that leaves the range of the rotors, what
 //! is given up, in this order: yaw torque, then thrust, last roll and pitch torque; for these thrust is raised above
-//! what was asked by [`LENT`] at most. The command inverts the motor curve at the battery's present voltage.
+//! what was asked by `LENT` at most. The command inverts the motor curve at the battery's present voltage.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
