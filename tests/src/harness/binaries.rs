@@ -21,7 +21,11 @@ impl Binaries {
     /// In this folder, whether they are there yet or not.
     pub fn inside(folder: &Path) -> Self {
         let program = |name: &str| folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
-        Self { agent: program("plumbline-agent"), ground: program("plumbline-ground"), wires: program("plumbline-wires") }
+        Self {
+            agent: program("plumbline-agent"),
+            ground: program("plumbline-ground"),
+            wires: program("plumbline-wires"),
+        }
     }
 
     /// Those that belong to the running program: in the folder that `PLUMBLINE_BINARIES` names, or beside it. Those of a
