@@ -361,6 +361,7 @@ impl Runner {
             ..around(&self.timing, &self.ports, self.log_health.error.as_deref(), self.replay_state())
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
+        self.telemetry.devices(frame.time, self.vehicle.inner_mut());
 
         self.ticks += 1;
         let lost = self.timing.tick(due, started, Instant::now());

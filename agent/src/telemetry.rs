@@ -15,9 +15,11 @@
 //! | status | 10 Hz and on change |
 //! | attacks | 1 Hz and on change |
 //! | gains | on change, on connect, at the start of a flight, every 10 s |
+//! | devices | on connect, at the start of a flight, 1 Hz |
 //! | description | on connect, at the start of a flight, every 5 s |
 
 mod convert;
+mod devices;
 mod kept;
 mod outlet;
 mod recording;
@@ -164,6 +166,7 @@ struct Due {
     attacks: Option<FlightTime>,
     gains: Option<FlightTime>,
     description: Option<FlightTime>,
+    devices: Option<FlightTime>,
 }
 
 /// A change of any of these is worth a status at once.

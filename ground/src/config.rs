@@ -1,10 +1,20 @@
 //! What the ground is told at start.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use plumbline_link::identity::Identity;
+
+/// A MAVLink ground control station.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mavlink {
+    /// Where it listens, UDP. One on another machine may watch, and not command.
+    pub station: SocketAddr,
+    /// The account that it commands as; without one it commands only where nobody has to sign in.
+    pub account: Option<String>,
+}
 
 /// Settings of one ground. [`GroundConfig::new`] gives the defaults.
 #[derive(Debug, Clone)]
@@ -20,6 +30,8 @@ pub struct GroundConfig {
     pub tls: Option<Arc<rustls::ServerConfig>>,
     /// Are the figures of `/metrics` for everybody who reaches this ground, and not for those signed in alone?
     pub metrics_open: bool,
+    /// A MAVLink ground control station that is shown the vehicles.
+    pub mavlink: Option<Mavlink>,
     /// Control of a vehicle is given up when its holder does nothing and shows no sign of life for this long.
     pub lease_idle: Duration,
     /// How long a command waits for its acknowledgement.
@@ -43,6 +55,7 @@ impl GroundConfig {
             link_identity: None,
             tls: None,
             metrics_open: false,
+            mavlink: None,
             lease_idle: Duration::from_secs(60),
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,

@@ -38,8 +38,9 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 
+pub use api::mavlink::understood;
 pub use api::{access_table, page_is_built};
-pub use config::GroundConfig;
+pub use config::{GroundConfig, Mavlink};
 pub use error::GroundError;
 
 use agent_link::LinkEvent;
@@ -61,7 +62,8 @@ pub async fn run(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), GroundError> {
     let address = listener.local_addr().map_err(GroundError::Listener)?;
-    let people = Arc::new(people::People::open(&config.data_folder, address));
+    let standing = config.mavlink.as_ref().and_then(|mavlink| mavlink.account.clone());
+    let people = Arc::new(people::People::open(&config.data_folder, address).with_standing(standing));
     if !address.ip().is_loopback() {
         if config.tls.is_none() {
             return Err(GroundError::NoTls { address });
@@ -80,7 +82,7 @@ pub async fn run(
 
     let work = work::Work::start().map_err(GroundError::Thread)?;
     let limits = front::Limits::of(descriptors());
-    let tls = config.tls.clone();
+    let (tls, mavlink) = (config.tls.clone(), config.mavlink.clone());
     let idle = config.lease_idle;
     let experiments = Arc::new(experiments::Experiments::open(&config.data_folder));
     let app = api::App::new(api::Parts {
@@ -97,6 +99,14 @@ pub async fn run(
         work: work.handle(),
         stopped: stopped.clone(),
     });
+    if let Some(mavlink) = mavlink {
+        let app = app.clone();
+        tokio::spawn(async move {
+            if let Err(error) = api::mavlink::serve(app, mavlink).await {
+                tracing::error!(%error, "no MAVLink");
+            }
+        });
+    }
     let ground = ingest::Ground { hub, commands, leases, people, recorder: recorder.handle(), lease_idle: idle };
     let ingest = tokio::spawn(ingest::run(link, ground, stopped.clone()));
     tokio::spawn(async move {

@@ -66,6 +66,8 @@ kinds! {
     Description = 33, "/description", "Description";
     /// Begin or end of a flight.
     Flight = 34, "/flight", "FlightMark";
+    /// How one device of a real vehicle is doing; the instance is its place in the configuration, from 1.
+    Device = 35, "/device", "DeviceState";
     /// State of the link, made by the ground.
     Link = 40, "/link", "LinkStatus";
     /// State of the recording, made by the ground.
@@ -80,9 +82,9 @@ impl Kind {
         self as u16
     }
 
-    /// Is there one topic per instance (sensor instance or estimator)?
+    /// Is there one topic per instance (sensor instance, estimator or device)?
     pub const fn has_instances(self) -> bool {
-        self.is_sensor() || matches!(self, Kind::Estimate | Kind::Residuals)
+        self.is_sensor() || matches!(self, Kind::Estimate | Kind::Residuals | Kind::Device)
     }
 
     /// Is it a sample of a sensor? Their numbers are those below the first estimate.

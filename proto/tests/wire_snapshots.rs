@@ -154,6 +154,7 @@ fn generated_types_keep_every_field() {
         Ack,
         Description,
         FlightMark,
+        DeviceState,
         LinkStatus,
         RecordingStatus,
         ControlLease,

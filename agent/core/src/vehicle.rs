@@ -74,6 +74,31 @@ pub enum VehicleError {
 /// controllers, its driver or the simulator keep the promise.
 pub const MOTOR_TIMEOUT_S: f64 = 0.1;
 
+/// How one device of a vehicle is doing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DeviceState<'a> {
+    /// For people.
+    pub name: &'a str,
+    /// Where it is attached.
+    pub port: &'a str,
+    /// Does it give readings?
+    pub up: bool,
+    /// Readings a second, over the last second.
+    pub rate_hz: f64,
+    /// Since its last reading, s; `None` before the first.
+    pub age_s: Option<f64>,
+    /// One sigma of the delays of its frames, µs; `None` without a clock of its own.
+    pub jitter_us: Option<f64>,
+    /// Frames given up.
+    pub faults: u64,
+    /// Readings that a full queue refused.
+    pub given_up: u64,
+    /// Times it was opened.
+    pub opened: u64,
+    /// The last fault, or why it is not up.
+    pub reason: Text,
+}
+
 /// Stops the motors of a vehicle from any thread, whatever its own thread does.
 pub trait MotorStop: Send + Sync + std::fmt::Debug {
     /// Motors off, now. The next command may start them again.
@@ -107,6 +132,12 @@ pub trait Vehicle: Send {
 
     /// Something to tell of its devices: one was lost, or is back. Asked each tick until there is no more.
     fn notice(&mut self) -> Option<(Severity, Text)> {
+        None
+    }
+
+    /// How its device `index` is doing; `None` beyond the last. Asked once a second; must not wait.
+    fn device(&mut self, index: usize) -> Option<DeviceState<'_>> {
+        let _ = index;
         None
     }
 

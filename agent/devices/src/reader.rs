@@ -20,6 +20,8 @@ use crate::reading::Reading;
 pub const QUEUE: usize = 256;
 /// Notices that may wait.
 const NOTICES: usize = 16;
+/// Shortest span that a rate is counted over, s.
+const COUNTED_S: f64 = 0.5;
 /// First and longest pause before a device is opened again.
 const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1)];
 
@@ -98,7 +100,7 @@ pub struct Health {
 }
 
 impl State {
-    /// As it is now. Not for the flight thread: the reason is behind a lock.
+    /// As it is now. Never waits: the reason is missing while its thread writes it.
     pub fn health(&self) -> Health {
         let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
         Health {
@@ -110,7 +112,7 @@ impl State {
             last_us: load(&self.last_us),
             jitter_us: load(&self.jitter_ns) as f64 * 1e-3,
             skew: self.skew_ppb.load(Ordering::Relaxed) as f64 * 1e-9,
-            reason: *self.reason.lock().unwrap_or_else(std::sync::PoisonError::into_inner),
+            reason: self.reason.try_lock().map_or_else(|_| Text::new(), |reason| *reason),
         }
     }
 
@@ -138,6 +140,8 @@ pub struct Reader {
     state: Arc<State>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    /// When readings were counted last, how many there were, and how many a second came before.
+    counted: (FlightTime, u64, f64),
 }
 
 impl Reader {
@@ -161,7 +165,7 @@ impl Reader {
         };
         let name = format!("dev {}", work.options.name);
         let thread = std::thread::Builder::new().name(name).spawn(move || work.run())?;
-        Ok(Self { arrived, notices, state, stop, thread: Some(thread) })
+        Ok(Self { arrived, notices, state, stop, thread: Some(thread), counted: (FlightTime(0), 0, 0.0) })
     }
 
     /// The oldest reading that waits. Never blocks, never allocates.
@@ -172,6 +176,16 @@ impl Reader {
     /// The oldest notice that waits.
     pub fn notice(&mut self) -> Option<Notice> {
         self.notices.pop().ok()
+    }
+
+    /// Readings a second, counted over half a second and more.
+    pub fn rate_hz(&mut self, now: FlightTime) -> f64 {
+        let (then, before, _) = self.counted;
+        let (readings, span_s) = (self.state.readings.load(Ordering::Relaxed), now.seconds_since(then));
+        if span_s >= COUNTED_S {
+            self.counted = (now, readings, readings.saturating_sub(before) as f64 / span_s);
+        }
+        self.counted.2
     }
 
     /// How the device is doing.

@@ -288,6 +288,7 @@ impl DeviceSpec {
         let upright = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
         let mounted = Mounted {
             name: self.name.clone(),
+            port: self.port.clone(),
             index: place(false),
             barometer: place(true),
             body_from_sensor: Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z),

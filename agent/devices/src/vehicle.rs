@@ -14,7 +14,7 @@ use plumbline_core::sensor::{
     AnySample, BarometerSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame,
 };
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{MotorStop, Vehicle, VehicleError};
+use plumbline_core::vehicle::{DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
 use crate::motors::GuardLine;
@@ -29,6 +29,8 @@ const VOLTAGE_S: f64 = 1.0;
 pub struct Mounted {
     /// For people.
     pub name: String,
+    /// Where it is attached.
+    pub port: String,
     /// Place of its samples of any kind in the frame: instance less 1.
     pub index: usize,
     /// Place of its pressure, for a device that has both.
@@ -137,6 +139,24 @@ impl Vehicle for HardwareVehicle {
         gap_us as f64 * 1e-6
     }
 
+    fn device(&mut self, index: usize) -> Option<DeviceState<'_>> {
+        let (mounted, reader) = self.devices.get_mut(index)?;
+        let (health, rate_hz) = (reader.state().health(), reader.rate_hz(self.next));
+        let age_s = || self.next.seconds_since(FlightTime(health.last_us)).max(0.0);
+        Some(DeviceState {
+            name: &mounted.name,
+            port: &mounted.port,
+            up: health.up,
+            rate_hz,
+            age_s: (health.last_us > 0).then(age_s),
+            jitter_us: (health.jitter_us > 0.0).then_some(health.jitter_us),
+            faults: health.faults,
+            given_up: health.given_up,
+            opened: health.opened,
+            reason: health.reason,
+        })
+    }
+
     fn notice(&mut self) -> Option<(Severity, Text)> {
         self.devices.iter_mut().find_map(|(mounted, reader)| {
             let notice = reader.notice()?;
@@ -219,6 +239,7 @@ mod tests {
     fn mounted(position_flu_m: Vector3<f64>) -> Mounted {
         Mounted {
             name: "height 1".into(),
+            port: String::new(),
             index: 0,
             barometer: 0,
             body_from_sensor: Rotation3::identity(),

@@ -24,6 +24,7 @@ pub(super) struct Kept {
     pub gains: v1::GainsInUse,
     pub event: v1::Event,
     pub ack: v1::Ack,
+    pub device: v1::DeviceState,
     pub secure: v1::SecureStatus,
 }
 
@@ -69,6 +70,7 @@ impl Kept {
             },
             event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
             ack: v1::Ack { reason: text(), ..v1::Ack::default() },
+            device: v1::DeviceState { name: text(), port: text(), reason: text(), ..v1::DeviceState::default() },
             secure: secure::with_room(),
         }
     }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use plumbline_core::types::ROTORS;
 use plumbline_devices::protocol::{ina, pca9685};
 
-use crate::{PulseLog, lock};
+use crate::{PulseLog, keep, lock};
 
 const PWM: u8 = 0x40;
 const VOLTMETER: u8 = 0x41;
@@ -44,7 +44,7 @@ impl Pwm {
                 pca9685::decode_channel([r[from], r[from + 1], r[from + 2], r[from + 3]], prescale)
             };
             let widths: [f64; ROTORS] = std::array::from_fn(width);
-            lock(&self.pulses).push((Instant::now(), widths));
+            keep(&self.pulses, (Instant::now(), widths));
         }
     }
 }

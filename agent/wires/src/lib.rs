@@ -10,6 +10,7 @@ mod bus;
 mod speak;
 mod uart;
 
+use std::collections::VecDeque;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
@@ -25,6 +26,9 @@ use plumbline_core::vehicle::{Truth, Vehicle as _};
 use plumbline_sim::{Scenario, SimVehicle};
 
 pub use speak::Speaks;
+
+/// Ticks of truth, and pulses, that are kept: five minutes at 200 Hz; the oldest give way.
+const KEPT: usize = 60_000;
 
 /// Pulses of command 0 and 1 at the emulated ESCs, µs.
 pub const PULSES_US: [f64; 2] = [1000.0, 2000.0];
@@ -62,8 +66,8 @@ struct Measured {
     truth: Truth,
 }
 
-/// Pulses, and when they were set.
-pub type PulseLog = Arc<Mutex<Vec<(Instant, [f64; ROTORS])>>>;
+/// Pulses, and when they were set; the last [`KEPT`].
+type PulseLog = Arc<Mutex<VecDeque<(Instant, [f64; ROTORS])>>>;
 
 /// The rig, running. Ends when it is dropped.
 #[derive(Debug)]
@@ -72,7 +76,7 @@ pub struct WireRig {
     scenario: Scenario,
     devices: Vec<Device>,
     pulses: PulseLog,
-    truths: Arc<Mutex<Vec<Truth>>>,
+    truths: Arc<Mutex<VecDeque<Truth>>>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -116,7 +120,7 @@ impl WireRig {
             outlets.push((device.clone(), outlet));
         }
         let vehicle = SimVehicle::new(scenario).map_err(|error| io::Error::other(error.to_string()))?;
-        let truths = Arc::new(Mutex::new(Vec::new()));
+        let truths = Arc::new(Mutex::new(VecDeque::new()));
         let world = World {
             vehicle,
             outlets,
@@ -131,9 +135,9 @@ impl WireRig {
         Ok(Self { folder, scenario, devices, pulses, truths, stop, threads })
     }
 
-    /// The agent's configuration for it.
+    /// The agent's configuration for it: devices, motors, and attacks allowed, as nothing can fall.
     pub fn configuration(&self) -> String {
-        let mut text = "[rig.hanging_strings]\n".to_owned();
+        let mut text = "[rig.hanging_strings]\n\n[attacks]\nenabled = true\n".to_owned();
         let folder = self.folder.display();
         for Device { name, speaks, index, .. } in &self.devices {
             let (driver, rate_hz, sensors) = match speaks {
@@ -163,14 +167,14 @@ impl WireRig {
         }
     }
 
-    /// Every pulse set, and when.
+    /// The pulses set, and when: those of the last minutes.
     pub fn pulses(&self) -> Vec<(Instant, [f64; ROTORS])> {
-        lock(&self.pulses).clone()
+        lock(&self.pulses).iter().copied().collect()
     }
 
-    /// The truth of every tick so far.
+    /// The truth of every tick of the last minutes.
     pub fn truths(&self) -> Vec<Truth> {
-        lock(&self.truths).clone()
+        lock(&self.truths).iter().copied().collect()
     }
 }
 
@@ -183,6 +187,15 @@ impl Drop for WireRig {
     }
 }
 
+/// Adds the newest; beyond [`KEPT`] the oldest gives way.
+fn keep<T>(all: &Mutex<VecDeque<T>>, newest: T) {
+    let mut all = lock(all);
+    if all.len() >= KEPT {
+        all.pop_front();
+    }
+    all.push_back(newest);
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -193,7 +206,7 @@ struct World {
     outlets: Vec<(Device, Sender<Measured>)>,
     pulses: PulseLog,
     voltage: Arc<Mutex<f64>>,
-    truths: Arc<Mutex<Vec<Truth>>>,
+    truths: Arc<Mutex<VecDeque<Truth>>>,
     tick_s: f64,
 }
 
@@ -206,7 +219,7 @@ impl World {
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
             ticks += 1.0;
             let [still, full] = PULSES_US;
-            let widths = lock(&self.pulses).last().map_or([still; ROTORS], |(_, widths)| *widths);
+            let widths = lock(&self.pulses).back().map_or([still; ROTORS], |(_, widths)| *widths);
             // An ESC stands still a little above the pulse that says so.
             let throttle =
                 widths.map(|us| if us < still + 3.0 { 0.0 } else { ((us - still) / (full - still)).min(1.0) });
@@ -217,7 +230,7 @@ impl World {
     }
 
     fn hand_out(&self, frame: &SensorFrame, truth: Truth) {
-        lock(&self.truths).push(truth);
+        keep(&self.truths, truth);
         if let Some(volts) = frame.battery_v {
             *lock(&self.voltage) = volts;
         }

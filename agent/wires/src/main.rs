@@ -34,7 +34,20 @@ fn run(folder: &Path, scenario: Option<&PathBuf>) -> Result<(), Box<dyn Error>> 
     let file = folder.join("agent.toml");
     std::fs::write(&file, rig.configuration())?;
     println!("plumbline-agent --vehicle hardware --config {}", file.display());
-    loop {
-        std::thread::park();
-    }
+    ended()?;
+    drop(rig);
+    Ok(())
+}
+
+/// Waits for Ctrl-C or a request to terminate.
+fn ended() -> std::io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(async {
+        let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
+        }
+        Ok(())
+    })
 }

@@ -25,6 +25,7 @@ mod guard;
 mod health;
 mod lease;
 mod live;
+pub(crate) mod mavlink;
 mod openapi;
 mod operations;
 mod operator;

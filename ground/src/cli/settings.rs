@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use plumbline_ground::GroundConfig;
+use plumbline_ground::{GroundConfig, Mavlink};
 use serde::{Deserialize, Serialize};
 
 /// Every key of the configuration file, TOML.
@@ -21,6 +21,8 @@ pub struct Settings {
     pub key: Option<PathBuf>,
     pub json_log: bool,
     pub metrics_open: bool,
+    pub mavlink: Option<SocketAddr>,
+    pub mavlink_account: Option<String>,
     pub lease_idle_s: f64,
     pub command_timeout_s: f64,
     pub reserve_bytes: u64,
@@ -29,7 +31,7 @@ pub struct Settings {
 }
 
 /// What each key means, in the order they are printed.
-const ABOUT: [(&str, &str); 15] = [
+const ABOUT: [(&str, &str); 17] = [
     ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
     ("agent_listen", "Address (UDP) that agents connect to."),
     ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
@@ -43,6 +45,12 @@ const ABOUT: [(&str, &str); 15] = [
     ("key", "Its private key (PEM)."),
     ("json_log", "Log as JSON lines instead of text. RUST_LOG sets the level."),
     ("metrics_open", "/metrics for everybody who reaches this ground, not only for this machine and those signed in."),
+    (
+        "mavlink",
+        "Address (UDP) where a MAVLink ground control station listens, such as 127.0.0.1:14550; absent: MAVLink is off. \
+         One on another machine may watch, and not command.",
+    ),
+    ("mavlink_account", "The account that this station commands as; needed as soon as there are accounts."),
     ("lease_idle_s", "Control is given up when its holder does nothing and shows no sign of life for this long, s."),
     ("command_timeout_s", "How long a command waits for its acknowledgement, s."),
     ("reserve_bytes", "Recording stops, loudly, when the disk has less than this left, bytes."),
@@ -64,6 +72,8 @@ impl Default for Settings {
             key: None,
             json_log: false,
             metrics_open: config.metrics_open,
+            mavlink: None,
+            mavlink_account: None,
             lease_idle_s: config.lease_idle.as_secs_f64(),
             command_timeout_s: config.command_timeout.as_secs_f64(),
             reserve_bytes: config.reserve_bytes,
@@ -131,6 +141,7 @@ impl Settings {
         let mut config = GroundConfig::new(&self.data);
         config.allowed_hosts.clone_from(&self.allow_hosts);
         config.metrics_open = self.metrics_open;
+        config.mavlink = self.mavlink.map(|station| Mavlink { station, account: self.mavlink_account.clone() });
         config.reserve_bytes = self.reserve_bytes;
         config.lease_idle = time("lease_idle_s", self.lease_idle_s)?;
         config.command_timeout = time("command_timeout_s", self.command_timeout_s)?;
@@ -149,6 +160,8 @@ mod tests {
         let text = Settings::default().print().unwrap();
         assert_eq!(toml::from_str::<Settings>(&text).unwrap(), Settings::default());
         let bare = text.replace("# identity =", "identity = \"a\"").replace("# certificate =", "certificate = \"b\"");
+        let bare = bare.replace("# mavlink =", "mavlink = \"127.0.0.1:14550\"");
+        let bare = bare.replace("# mavlink_account =", "mavlink_account = \"d\"");
         let all: toml::Table = toml::from_str(&bare.replace("# key =", "key = \"c\"")).unwrap();
         assert_eq!(all.len(), ABOUT.len());
         assert_eq!(toml::Table::try_from(toml::from_str::<Settings>(&all.to_string()).unwrap()).unwrap(), all);

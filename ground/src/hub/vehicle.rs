@@ -137,6 +137,7 @@ impl Vehicle {
                     | Kind::Status
                     | Kind::Attacks
                     | Kind::Flight
+                    | Kind::Device
                     | Kind::StepResponse
                     | Kind::Secure
                     | Kind::Recording

@@ -72,6 +72,8 @@ pub struct People {
     steps: Mutex<HashMap<String, u64>>,
     checks: Arc<tokio::sync::Semaphore>,
     loopback: bool,
+    /// An account that commands without a session.
+    standing: Option<String>,
 }
 
 impl People {
@@ -85,7 +87,23 @@ impl People {
             steps: Mutex::default(),
             checks: Arc::new(tokio::sync::Semaphore::new(CHECKS_AT_ONCE)),
             loopback: address.ip().is_loopback(),
+            standing: None,
         }
+    }
+
+    /// The same, where `account` also commands without a session: that of a MAVLink station.
+    pub fn with_standing(self, account: Option<String>) -> Self {
+        Self { standing: account, ..self }
+    }
+
+    /// Who commands without a session: everybody where nobody signs in, else the standing account while there is one.
+    pub fn standing(&self) -> Option<Person> {
+        if !self.sign_in_needed() {
+            return self.person(None);
+        }
+        let (name, accounts) = (self.standing.as_deref()?, self.accounts.all().ok()?);
+        let account = accounts.iter().find(|account| account.name == name)?;
+        Some(Person { account: Some(name.to_owned()), role: account.role })
     }
 
     /// Must people sign in? Accounts that cannot be read are no reason to let everyone in.
@@ -208,7 +226,7 @@ impl People {
         }
         let Ok(accounts) = self.accounts.all() else { return true };
         let may = accounts.iter().any(|account| account.name == name && Access::Operate.open_to(account.role));
-        may && !self.sessions(Some(name)).is_empty()
+        may && (self.standing.as_deref() == Some(name) || !self.sessions(Some(name)).is_empty())
     }
 
     /// Ends a session.

@@ -6,20 +6,26 @@ use std::sync::OnceLock;
 
 use crate::xtask::XtaskError;
 
-/// The two programs under test.
+/// The programs under test.
 #[derive(Debug, Clone)]
 pub struct Binaries {
     /// `plumbline-agent`.
     pub agent: PathBuf,
     /// `plumbline-ground`.
     pub ground: PathBuf,
+    /// `plumbline-wires`.
+    pub wires: PathBuf,
 }
 
 impl Binaries {
     /// In this folder, whether they are there yet or not.
     pub fn inside(folder: &Path) -> Self {
         let program = |name: &str| folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
-        Self { agent: program("plumbline-agent"), ground: program("plumbline-ground") }
+        Self {
+            agent: program("plumbline-agent"),
+            ground: program("plumbline-ground"),
+            wires: program("plumbline-wires"),
+        }
     }
 
     /// Those that belong to the running program: in the folder that `PLUMBLINE_BINARIES` names, or beside it. Those of a
@@ -46,13 +52,14 @@ impl Binaries {
     }
 }
 
-/// Builds both in the profile whose folder this is.
+/// Builds them in the profile whose folder this is.
 fn build(folder: &Path) -> bool {
     let release = folder.file_name().is_some_and(|name| name == "release");
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null()).stdout(Stdio::null());
     // The whole workspace, as the tests are built: fewer packages would ask other features of the libraries.
     cargo.args(["build", "--quiet", "--workspace", "--bin", "plumbline-ground", "--bin", "plumbline-agent"]);
+    cargo.args(["--bin", "plumbline-wires"]);
     if release {
         cargo.arg("--release");
     }

@@ -23,6 +23,11 @@ pub enum Vehicle {
         /// Scenario file (TOML).
         scenario: PathBuf,
     },
+    /// The same behind ports that speak each device's own protocol, flown through the real drivers.
+    OnWires {
+        /// Scenario file (TOML).
+        scenario: PathBuf,
+    },
     /// A recording, flown again.
     Replayed {
         /// The recording.
@@ -67,6 +72,8 @@ pub struct Agent {
     pub id: String,
     /// Folder of its link identity.
     pub identity: PathBuf,
+    /// The wire rig that it flies, for [`Vehicle::OnWires`].
+    pub rig: Option<Process>,
 }
 
 /// Ground and agent, paired.
@@ -106,7 +113,8 @@ impl System {
     pub fn stop(mut self) -> Result<(), XtaskError> {
         let agent = end(&mut self.agent.process);
         let ground = end(&mut self.ground.process);
-        agent.and(ground)
+        let rig = self.agent.rig.as_mut().map_or(Ok(()), end);
+        agent.and(ground).and(rig)
     }
 }
 
@@ -151,11 +159,17 @@ impl Agent {
         let identity = data.join("identity");
         let config = data.join("agent.toml");
         std::fs::create_dir_all(&data).map_err(XtaskError::file(&data))?;
-        let text = agent_toml(id, ground.link, &identity, &data.join("log"));
+        let mut text = agent_toml(id, ground.link, &identity, &data.join("log"));
+        let mut rig = None;
+        if let Vehicle::OnWires { scenario } = vehicle {
+            let (process, devices) = wire_rig(options, &data.join("wires"), scenario)?;
+            (rig, text) = (Some(process), text + &devices);
+        }
         std::fs::write(&config, text).map_err(XtaskError::file(&config))?;
         let mut command = Command::new(&options.binaries.agent);
         command.arg("--config").arg(&config);
         match vehicle {
+            Vehicle::OnWires { .. } => command.args(["--vehicle", "hardware"]),
             Vehicle::Simulated { scenario } => command.args(["--vehicle", "sim", "--scenario"]).arg(scenario),
             Vehicle::Replayed { file, speed } => {
                 command.args(["--vehicle", "replay"]).arg(file).arg("--speed").arg(speed)
@@ -163,7 +177,7 @@ impl Agent {
         };
         pair(&options.binaries.agent, &identity, id, &ground.identity)?;
         let process = Process::start(id, command, options.echo)?;
-        let mut agent = Self { process, id: id.to_owned(), identity };
+        let mut agent = Self { process, id: id.to_owned(), identity, rig };
         agent.wait_until_connected(&ground.api)?;
         Ok(agent)
     }
@@ -183,6 +197,17 @@ impl Agent {
             XtaskError::Other(format!("{} is not connected after {START:?}; its last lines:\n{lines}", self.id))
         })
     }
+}
+
+/// Starts the wire rig; returns what of the agent's configuration describes its devices and motors.
+fn wire_rig(options: &Options, folder: &Path, scenario: &Path) -> Result<(Process, String), XtaskError> {
+    let mut command = Command::new(&options.binaries.wires);
+    command.arg(folder).arg(scenario);
+    let mut process = Process::start("wires", command, options.echo)?;
+    process.wait_for(START, |line| line.contains("--vehicle hardware").then_some(()))?;
+    let file = folder.join("agent.toml");
+    let devices = std::fs::read_to_string(&file).map_err(XtaskError::file(&file))?;
+    Ok((process, format!("\n{devices}")))
 }
 
 /// What a real vehicle's configuration would say.

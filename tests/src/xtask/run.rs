@@ -22,6 +22,9 @@ pub struct Options {
     /// Scenario to simulate; the default is the quadrotor hanging on four strings.
     #[arg(long, value_name = "FILE")]
     pub scenario: Option<PathBuf>,
+    /// Fly the simulator through the drivers of real devices: it speaks their protocols on ports of its own.
+    #[arg(long, conflicts_with = "replay")]
+    pub wires: bool,
     /// Port of the page; agents connect to the next one (UDP).
     #[arg(long, default_value_t = 4747)]
     pub port: u16,
@@ -40,14 +43,18 @@ pub struct Options {
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let vehicle = match (&options.replay, &options.scenario) {
         (Some(file), _) => Vehicle::Replayed { file: absolute(file)?, speed: options.speed.clone() },
-        (None, Some(scenario)) => Vehicle::Simulated { scenario: absolute(scenario)? },
-        (None, None) => Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) },
+        (None, scenario) => {
+            let own = || Ok(workspace.root.join(DEFAULT_SCENARIO));
+            let scenario = scenario.as_deref().map_or_else(own, absolute)?;
+            if options.wires { Vehicle::OnWires { scenario } } else { Vehicle::Simulated { scenario } }
+        }
     };
     web::run(workspace, &web::Options { dev: options.dev, wasm: None })?;
     eprintln!("xtask: building ground and agent");
     let profile = if options.dev { "dev" } else { "release" };
     let folder = if options.dev { "debug" } else { "release" };
-    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent"];
+    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent", "--package", "plumbline-wires"];
+    let packages = if options.wires { &packages[..] } else { &packages[..4] };
     super::workspace::run(
         workspace.cargo().args(["build", "--locked", "--bins", "--profile", profile]).args(packages),
     )?;
@@ -65,6 +72,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     while !signals::interrupted() {
         let ended = [&mut system.ground.process, &mut system.agent.process]
             .into_iter()
+            .chain(system.agent.rig.as_mut())
             .find_map(|process| process.ended().map(|status| (process.name.clone(), status)));
         if let Some((name, status)) = ended {
             let _ = system.stop();

@@ -10,10 +10,10 @@ use super::{Workspace, XtaskError};
 /// client of the live link that Foxglove uses.
 const NODE_PACKAGES: [&str; 5] =
     ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1", "@foxglove/ws-protocol@0.8.0", "ws@8.18.3"];
-/// Third-party readers of our flight files and of the results of experiments.
+/// Third-party readers of our flight files and of the results of experiments, and a MAVLink ground control station.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -21,6 +21,7 @@ const READERS: PythonTools = PythonTools {
         "duckdb>=1.0",
         "polars>=1.0",
         "rosbags>=0.11",
+        "pymavlink>=2.4.41",
     ],
 };
 /// The peer of `bench estimate`.

@@ -104,6 +104,14 @@ pub fn tables_by(python: &OsStr, files: [&Path; 3], column: &str, text: &str) ->
     read_by(python, "tables.py", &[csv, parquet, mat, OsStr::new(column), OsStr::new(text)])
 }
 
+/// What pymavlink finds at the ground that speaks to `port` of this machine: see `tests/browser/mavlink.py`.
+///
+/// # Errors
+/// What it says when something does not come.
+pub fn mavlink_by(python: &OsStr, port: u16) -> Result<serde_json::Value, String> {
+    read_by(python, "mavlink.py", &[OsStr::new(&port.to_string())])
+}
+
 fn read_by(python: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../browser").join(script);
     let ran = Command::new(python).arg(script).args(arguments).output().unwrap();

@@ -1,6 +1,7 @@
 //! Whatever reads what others wrote, against damaged and odd input: no panic, no endless work, no unbounded memory.
 //!
 //! - [`decoders`]: valid bytes, damaged at random. What they reach ends at the first check that fails.
+//! - [`devices`]: the same for what is on the wires of devices, which is found again after it, too.
 //! - [`content`] and [`served`]: well-formed input whose content is odd, chosen field by field from the contract's own
 //!   description, so that checksums, framing and types pass and what lies behind them is reached.
 //!
@@ -13,6 +14,7 @@
 mod content;
 mod damage;
 mod decoders;
+mod devices;
 mod engine;
 mod odd;
 mod served;

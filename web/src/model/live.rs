@@ -53,6 +53,8 @@ pub struct Live {
     pub estimates: BTreeMap<u16, Topic<v1::Estimate>>,
     /// Newest residual of each scalar, by estimator, sensor kind, instance and channel.
     pub residuals: BTreeMap<(u16, i32, u32, i32), Topic<v1::Residual>>,
+    /// How each device of a real vehicle is doing, by its place in the configuration.
+    pub devices: BTreeMap<u16, Topic<v1::DeviceState>>,
     /// What the ground says.
     pub ground: GroundView,
     /// What happened.

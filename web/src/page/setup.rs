@@ -34,6 +34,42 @@ fn Name() -> impl IntoView {
     }
 }
 
+/// The devices of a vehicle that is really there, live; nothing for any other.
+#[component]
+fn Devices() -> impl IntoView {
+    let ctx = ctx();
+    let devices =
+        Memo::new(move |_| ctx.live(|live| live.devices.values().filter_map(|d| d.get().cloned()).collect::<Vec<_>>()));
+    let milliseconds =
+        |seconds: Option<f64>| seconds.map_or_else(String::new, |s| format!("{} ms", format::fixed(1e3 * s, 1)));
+    move || {
+        let rows = devices.get();
+        (!rows.is_empty()).then(|| view! {
+            <section class="card facts wide" aria-label="Devices">
+                <header><h2>"Devices"</h2><span class="quiet push">"since the agent's start"</span></header>
+                <table class="dense">
+                    <thead><tr>
+                        <th>"device"</th><th>"port"</th><th class="num">"rate"</th><th class="num">"age"</th>
+                        <th class="num">"jitter"</th><th class="num">"errors"</th><th class="num">"opened"</th><th>"last reason"</th>
+                    </tr></thead>
+                    <tbody>{rows.into_iter().map(|d| view! {
+                        <tr>
+                            <th scope="row" class:bad=!d.up>{d.name}{if d.up { "" } else { " – lost" }}</th>
+                            <td>{d.port}</td>
+                            <td class="num">{format!("{} Hz", format::fixed(d.rate_hz, 1))}</td>
+                            <td class="num">{milliseconds(d.age_s)}</td>
+                            <td class="num">{milliseconds(d.jitter_us.map(|us| 1e-6 * us))}</td>
+                            <td class="num">{format::count(d.faults + d.given_up)}</td>
+                            <td class="num">{format::count(d.opened)}</td>
+                            <td>{d.reason}</td>
+                        </tr>
+                    }).collect::<Vec<_>>()}</tbody>
+                </table>
+            </section>
+        })
+    }
+}
+
 /// The Setup page.
 #[component]
 pub fn Setup() -> impl IntoView {
@@ -192,6 +228,7 @@ pub fn Setup() -> impl IntoView {
                         }.into_any(),
                     }}
                 </section>
+                <Devices />
                 <super::people::PeopleCard />
                 <section class="card facts wide" aria-label="Connect a vehicle">
                     <header><h2>"Connect a vehicle"</h2></header>

@@ -1,17 +1,14 @@
 //! Garbage before, between and inside frames: no panic, no frame lost that is whole, found again at once.
 
-use std::time::{Duration, Instant};
-
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use plumbline_core::sensor::noise::Stream;
 use plumbline_devices::framer::{Framer, Protocol};
-use plumbline_devices::protocol::bno055::{UartReplies, UartRequests};
 use plumbline_devices::protocol::gnss::GnssStream;
 use plumbline_devices::protocol::mongoose::{self, Mongoose, MongooseReading};
 use plumbline_devices::protocol::scip::{self, RANGES, Scip};
 use plumbline_devices::protocol::tfmini::{self, TfMini};
-use plumbline_devices::protocol::{natnet, scan_height, ubx, vicon};
-use plumbline_devices::reading::{BarometerReading, FixReading, ImuReading, PoseReading};
+use plumbline_devices::protocol::ubx;
+use plumbline_devices::reading::{BarometerReading, FixReading, ImuReading};
 
 /// Rounds of each protocol.
 const ROUNDS: usize = 400;
@@ -97,66 +94,5 @@ fn ubx_is_found_again_once_a_length_claimed_by_garbage_is_over() {
         let mut good = 0;
         bytes.chunks(64).for_each(|piece| framer.push(piece, |outcome| good += usize::from(outcome.is_ok())));
         assert!(good >= 12, "round {round}: {good} of 12 frames");
-    }
-}
-
-/// For how long each protocol is fuzzed; without `PLUMBLINE_FUZZ_MINUTES` only so many rounds.
-fn fuzzed() -> Duration {
-    let minutes = std::env::var("PLUMBLINE_FUZZ_MINUTES").map_or(0.0, |text| text.parse().unwrap());
-    Duration::from_secs_f64(60.0 * minutes)
-}
-
-/// Drawn bytes and damaged frames, in pieces of any size: only that nothing panics, and no more is held than the buffer.
-fn survives<P: Protocol>(name: &str, new: impl Fn() -> P, frame: &[u8]) {
-    let mut drawn = Drawn(Stream::new(9, name));
-    let mut framer = Framer::new(new());
-    let (begun, mut rounds) = (Instant::now(), 0_u64);
-    while rounds < 4 * ROUNDS as u64 || begun.elapsed() < fuzzed() {
-        rounds += 1;
-        let mut bytes = [drawn.garbage(frame), frame.to_vec()].concat();
-        for _ in 0..drawn.below(4) {
-            let at = drawn.below(bytes.len());
-            bytes[at] = drawn.below(256) as u8;
-        }
-        bytes.truncate(drawn.below(bytes.len() + 1));
-        framer.push(&bytes, |_| {});
-    }
-    println!("{name}: {rounds} inputs in {:.1} s, no panic", begun.elapsed().as_secs_f64());
-}
-
-#[test]
-fn drawn_bytes_break_nothing() {
-    survives("tfmini", || TfMini, &tfmini::encode(1.5, 900, 30.0));
-    survives("mongoose", || Mongoose, &mongoose::encode(&imu()));
-    survives("scip", Scip::default, &scip::encode_scan("MD0044072500000", 777, &[1234; RANGES]));
-    survives("gnss", GnssStream::default, &ubx::encode_nav_pvt(1000, &fix()));
-    survives("nmea", GnssStream::default, b"$GNRMC,171926.00,A,4404.14063,N,12118.85478,W,0.117,,180315,,,A*76\r\n");
-    survives("bno055", || UartReplies { expected: 18 }, &[&[0xBB, 18][..], &[3; 18]].concat());
-    survives("bno055 host", || UartRequests, &[0xAA, 0, 0x3D, 1, 7, 0xAA, 1, 8, 18]);
-}
-
-#[test]
-fn drawn_datagrams_and_scans_break_nothing() {
-    let pose = PoseReading { position_m: Vector3::x(), attitude: UnitQuaternion::identity() };
-    let mut drawn = Drawn(Stream::new(10, "datagrams"));
-    for round in 0..4 * ROUNDS {
-        let version = [(3, 0), (4, 0), (4, 1)][round % 3];
-        for mut datagram in [vicon::encode(1, "iris", &pose), natnet::encode(1, version, 1, &pose, true, 0.0)] {
-            for _ in 0..=drawn.below(4) {
-                let at = drawn.below(datagram.len());
-                datagram[at] = drawn.below(256) as u8;
-            }
-            datagram.truncate(drawn.below(datagram.len() + 1));
-            if let Ok((_, Some(pose))) = vicon::decode(&datagram, "iris") {
-                assert!(pose.position_m.iter().all(|x| x.is_finite()));
-            }
-            if let Ok(Some((_, Some(pose)))) = natnet::decode(&datagram, version, 1) {
-                assert!(pose.position_m.iter().all(|x| x.is_finite()));
-            }
-        }
-        let ranges: Vec<u16> = (0..drawn.below(800)).map(|_| drawn.below(65_536) as u16).collect();
-        if let Ok(fit) = scan_height::fit(&ranges) {
-            assert!(fit.distance_m.is_finite() && fit.sigma_m.is_finite(), "{fit:?}");
-        }
     }
 }

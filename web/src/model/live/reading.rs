@@ -123,6 +123,7 @@ impl Live {
                 self.booted(boot(&description), frame.time_us);
                 self.description.set(description, frame.time_us);
             }
+            Kind::Device => self.devices.entry(frame.instance).or_default().set(frame.message()?, frame.time_us),
             Kind::Gains => self.gains.set(frame.message()?, frame.time_us),
             Kind::Attacks => {
                 let state: v1::AttackState = frame.message()?;

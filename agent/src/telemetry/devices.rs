@@ -1,0 +1,31 @@
+//! How the devices of a real vehicle are doing.
+
+use plumbline_proto::Kind;
+use plumbline_proto::time::FlightTime;
+
+use super::{Telemetry, convert, due};
+use crate::vehicle::Vehicle;
+
+const DEVICES_S: f64 = 1.0;
+
+impl Telemetry {
+    /// Each device of `vehicle`, once a second.
+    pub fn devices(&mut self, now: FlightTime, vehicle: &mut dyn Vehicle) {
+        if !due(&mut self.due.devices, now, DEVICES_S) {
+            return;
+        }
+        let Self { outlets, kept, .. } = self;
+        for (index, instance) in (1..=u16::MAX).enumerate() {
+            let Some(state) = vehicle.device(index) else { return };
+            let message = &mut kept.device;
+            message.time_us = now.0;
+            convert::set(&mut message.name, state.name);
+            convert::set(&mut message.port, state.port);
+            convert::set(&mut message.reason, &state.reason);
+            (message.up, message.rate_hz) = (state.up, state.rate_hz);
+            (message.age_s, message.jitter_us) = (state.age_s, state.jitter_us);
+            (message.faults, message.given_up, message.opened) = (state.faults, state.given_up, state.opened);
+            outlets.send(Kind::Device, instance, now, message);
+        }
+    }
+}
