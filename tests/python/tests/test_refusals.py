@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from conftest import PASSWORD, ROOT, Guarded, System
@@ -48,6 +50,31 @@ def test_nobody_there(system: System) -> None:
             plumbline.connect(odd)
     with pytest.raises(ValueError, match="not served by TLS"):
         plumbline.connect(system.url, fingerprint="00")
+
+
+def test_another_server_is_no_ground() -> None:
+    class Other(BaseHTTPRequestHandler):
+        status = 200
+
+        def do_GET(self) -> None:
+            self.send_response(self.status)
+            self.send_header("Content-Type", "application/problem+json")
+            self.end_headers()
+            self.wfile.write(b"<html>")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Other) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_port}"
+        with pytest.raises(plumbline.Unreachable, match="no ground"):
+            plumbline.connect(url)
+        Other.status = 502
+        with pytest.raises(plumbline.Problem, match="502") as odd:
+            plumbline.connect(url)
+        assert odd.value.status == 502
+        server.shutdown()
 
 
 def test_accounts_roles_and_tokens(guarded: Guarded) -> None:

@@ -9,6 +9,7 @@ mod chaos;
 mod error;
 mod evaluate;
 mod fuzz;
+mod python;
 mod reproduce;
 mod run;
 mod signals;

@@ -68,7 +68,11 @@ class Connection:
         seen_us: int | None = None,
     ) -> Any:
         """The same, for an answer in JSON."""
-        return self.request(method, path, body, query, seen_us).json()
+        response = self.request(method, path, body, query, seen_us)
+        try:
+            return response.json()
+        except ValueError as error:
+            raise Unreachable(f"{self.url} answers, but is no ground: {error}") from error
 
     @contextlib.contextmanager
     def download(self, path: str, query: Query | None = None) -> Iterator[httpx.Response]:

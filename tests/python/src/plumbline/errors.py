@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import ClassVar
 
 import httpx
@@ -137,7 +138,9 @@ def problem(response: httpx.Response) -> Problem:
     """The exception for an answer that is none of 2xx; its body must have been read."""
     told: dict[str, object] = {}
     if response.headers.get("content-type", "").startswith("application/problem+json"):
-        told = response.json()
+        with contextlib.suppress(ValueError):
+            body = response.json()
+            told = body if isinstance(body, dict) else {}
     code = str(told.get("code", ""))
     detail = str(told.get("detail") or f"the ground answered {response.status_code}")
     request_id = response.headers.get("x-request-id")

@@ -150,6 +150,11 @@ class Ground:
         ids = [flight if isinstance(flight, str) else flight.id for flight in flights]
         return self._connection.save("/api/v1/archive", target, {"ids": ",".join(ids)})
 
+    def due(self) -> list[models.Due]:
+        """Flights that the ground's retention will delete, and when; `Flight.label` keeps one."""
+        due: list[models.Due] = self._connection.json("GET", "/api/v1/archive/due")
+        return due
+
     def experiments(self) -> list[Experiment]:
         """Every experiment that is kept, newest first."""
         listed: models.Experiments = self._connection.json("GET", "/api/v1/experiments")

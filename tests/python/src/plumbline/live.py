@@ -297,6 +297,8 @@ class Live:
                 self._end(PlumblineError(f"{self._vehicle}: {error}"))
                 return
             self._reopen()
+        # One that was opened while it was closed.
+        self._socket.close()
 
     def _reopen(self) -> None:
         while not self.closed:

@@ -95,6 +95,15 @@ class Difference(TypedDict):
     pairs: NotRequired[int]
 
 
+class Due(TypedDict):
+    """One of `GET /api/v1/archive/due`: a flight that retention will delete."""
+
+    bytes: NotRequired[int]
+    deleted_unix_us: NotRequired[int | None]
+    id: NotRequired[str]
+    why: NotRequired[str]
+
+
 class Estimator(TypedDict):
     """`POST estimator`: which is in the loop."""
 
