@@ -25,10 +25,10 @@ def test_it_says_that_it_is_ready_and_that_it_goes_on(command: list[str], tmp_pa
         environment = {**os.environ, "NOTIFY_SOCKET": address, "WATCHDOG_USEC": "900000"}
         child = subprocess.Popen([BINARIES / command[0], *command[1:]], cwd=tmp_path, env=environment)
         try:
-            assert systemd.recv(100) == b"READY=1"
+            assert systemd.recv(100).strip() == b"READY=1"
             heard = [time.monotonic()]
             for _ in range(4):
-                assert systemd.recv(100) == b"WATCHDOG=1"
+                assert systemd.recv(100).strip() == b"WATCHDOG=1"
                 heard.append(time.monotonic())
             assert max(b - a for a, b in zip(heard, heard[1:])) < 0.9
         finally:
