@@ -7,6 +7,8 @@ use std::time::Duration;
 
 use plumbline_link::identity::Identity;
 
+use crate::recorder::archive::Retention;
+
 /// A MAVLink ground control station.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mavlink {
@@ -38,6 +40,8 @@ pub struct GroundConfig {
     pub command_timeout: Duration,
     /// Recording stops, loudly, when the data folder's disk has less than this left, bytes.
     pub reserve_bytes: u64,
+    /// How long flights are kept; for ever by default.
+    pub retention: Retention,
     /// A message that has not come after this long is asked for again: late datagrams have arrived by
     /// then and the agent has flushed its own log.
     pub backfill_after: Duration,
@@ -59,6 +63,7 @@ impl GroundConfig {
             lease_idle: Duration::from_secs(60),
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,
+            retention: Retention::default(),
             backfill_after: Duration::from_millis(1500),
             settle_after: Duration::from_secs(12),
         }

@@ -27,12 +27,13 @@ pub mod metrics;
 pub mod names;
 pub mod people;
 pub mod recorder;
+mod retention;
 mod sync;
 mod viewers;
 mod work;
 
 use std::future::Future;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::net::TcpListener;
@@ -85,6 +86,9 @@ pub async fn run(
     let (tls, mavlink) = (config.tls.clone(), config.mavlink.clone());
     let idle = config.lease_idle;
     let experiments = Arc::new(experiments::Experiments::open(&config.data_folder));
+    let retention = recorder::archive::Pruner::open(&config.data_folder, config.retention.clone(), recorder.handle());
+    let retention = Arc::new(Mutex::new(retention));
+    work.handle().spawn(retention::run(retention.clone(), audit.clone(), stopped.clone()));
     let app = api::App::new(api::Parts {
         config,
         address,
@@ -95,6 +99,7 @@ pub async fn run(
         people: people.clone(),
         audit: audit.clone(),
         recorder: recorder.handle(),
+        retention,
         experiments: experiments.clone(),
         work: work.handle(),
         stopped: stopped.clone(),

@@ -1,6 +1,7 @@
 //! Flying: vehicle, flight thread, log, link.
 
 mod hardware;
+mod service;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -124,7 +125,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         inbound: Some(inbound),
         link: link.as_ref().map(|link| link.state().clone()),
         log: Some(log.state().clone()),
-        clock,
+        clock: clock.clone(),
         // A recording has a time of its own.
         zero: (!replay).then_some(boot.zero),
     };
@@ -136,6 +137,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let flying = std::thread::Builder::new()
         .name("flight".into())
         .spawn(move || Runner::new(vehicle, flight, telemetry, options, ports).run(&stop))?;
+    service::serving(clock);
     let outcome = flying.join().map_err(|_| "the flight thread died")?;
     // The log first: what the flight wrote last is on the disk when the link says goodbye.
     log.stop();

@@ -49,6 +49,11 @@ impl FlightClock {
         self.latest_us.store(time.0, Ordering::Relaxed);
     }
 
+    /// Time of the newest tick.
+    pub fn last_tick(&self) -> FlightTime {
+        FlightTime(self.latest_us.load(Ordering::Relaxed))
+    }
+
     /// How long ago flight time was `seen`, s of the machine's clock; infinite for a time that has not come (of another
     /// start of the agent), zero where time stands or is stepped.
     pub fn since_s(&self, seen: FlightTime) -> f64 {

@@ -16,7 +16,7 @@ use super::operator::Operator;
 use crate::recorder::{Export, Flight, Format, RecordingError, Selection};
 
 /// Runs `work`, which waits for the disk, off the server's threads.
-async fn on_disk<T: Send + 'static>(
+pub(super) async fn on_disk<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, RecordingError> + Send + 'static,
 ) -> Result<T, ApiError> {
     match tokio::task::spawn_blocking(work).await {

@@ -4,6 +4,7 @@
 //! may do what. A route that is not in the table does not exist.
 
 mod access;
+mod archive;
 mod assets;
 mod attacks;
 mod audit;
@@ -38,7 +39,7 @@ mod trajectory;
 mod vehicles;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use axum::Router;
@@ -61,6 +62,7 @@ use crate::ingest::publish_lease;
 use crate::lease::Leases;
 use crate::people::{Access, People};
 use crate::recorder::RecorderHandle;
+use crate::recorder::archive::Pruner;
 use crate::viewers::Viewers;
 use crate::work;
 pub use assets::page_is_built;
@@ -90,6 +92,7 @@ pub(crate) struct Parts {
     pub(crate) people: Arc<People>,
     pub(crate) audit: Audit,
     pub(crate) recorder: RecorderHandle,
+    pub(crate) retention: Arc<Mutex<Pruner>>,
     pub(crate) experiments: Arc<Experiments>,
     /// Threads for whatever takes long.
     pub(crate) work: Handle,
@@ -257,6 +260,8 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/experiments/{id}/plan.toml"  View    experiments::plan;
         get    "/api/v1/experiments/{id}/report.html" View   experiments::page;
         get    "/api/v1/experiments/{id}/flights.parquet" View experiments::table;
+        get    "/api/v1/archive"                        View    archive::tar;
+        get    "/api/v1/archive/due"                    View    archive::due;
         get    "/api/v1/flights"                        View    flights::list;
         get    "/api/v1/flights/{id}"                   View    flights::show;
         patch  "/api/v1/flights/{id}"                   Operate flights::annotate;

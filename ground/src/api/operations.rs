@@ -6,7 +6,7 @@ use plumbline_rest::command::{
 };
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
-use plumbline_rest::flight::{Flight, Flights, Labels};
+use plumbline_rest::flight::{Due, Flight, Flights, Labels};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
 use plumbline_rest::people::{
     AccountChange, Code, Confirmation, Credentials, NewAccount, NewAuthenticator, People, Session,
@@ -169,6 +169,10 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/experiments/{id}/plan.toml", "Its plan").media("application/toml"),
     get("/api/v1/experiments/{id}/report.html", "Its report, self-contained").media(HTML),
     get("/api/v1/experiments/{id}/flights.parquet", "A row for each flight").media(PARQUET),
+    get("/api/v1/archive", "Files of many flights as one tar, with their hashes: unpacked, it is a backup folder")
+        .query(&[("ids", "string!", "Ids of flights with commas between them, 500 at most.")])
+        .media("application/x-tar"),
+    get("/api/v1/archive/due", "Flights that retention will delete, the oldest first").json(list::<Due>),
     get("/api/v1/flights", "Flights, a page of them").query(LISTING).json(of::<Flights>),
     get("/api/v1/flights/{id}", "A flight").json(of::<Flight>),
     patch("/api/v1/flights/{id}", "Names and annotates a flight").takes(of::<Labels>).json(of::<Flight>),

@@ -2,6 +2,7 @@
 
 mod account;
 mod agents;
+mod archive;
 mod audit;
 mod check;
 mod doctor;
@@ -28,6 +29,8 @@ pub struct Arguments {
 enum Tool {
     /// Makes and changes the accounts that people sign in with.
     Account(account::AccountArguments),
+    /// Copies flights to a backup folder, checks it, and puts them back.
+    Archive(archive::ArchiveArguments),
     /// Says whether the audit log was changed.
     Audit(audit::AuditArguments),
     /// Says whether flight files are whole; one JSON line for each.
@@ -60,6 +63,7 @@ impl Arguments {
     pub fn run(self) -> Result<(), String> {
         match self.tool {
             Some(Tool::Account(arguments)) => account::run(arguments),
+            Some(Tool::Archive(arguments)) => archive::run(&arguments),
             Some(Tool::Audit(arguments)) => audit::run(&arguments),
             Some(Tool::Check(arguments)) => check::run(&arguments),
             Some(Tool::Experiment(arguments)) => experiment::run(&arguments),

@@ -135,6 +135,7 @@ async fn serve(settings: &Settings) -> Result<(), String> {
     println!("Plumbline is at {}://{address}/", if config.tls.is_some() { "https" } else { "http" });
     println!("agents connect to udp://{}", link.local_addr());
 
+    serving();
     let (stop, stopped) = tokio::sync::watch::channel(false);
     tokio::spawn(async move {
         interrupted().await;
@@ -158,6 +159,25 @@ async fn serve(settings: &Settings) -> Result<(), String> {
     // Time for a goodbye to the agents; they notice a silent end as well.
     let _ = tokio::time::timeout(GOODBYE, agents).await;
     served.map_err(|e| e.to_string())
+}
+
+/// Tells systemd, where it started this ground, that it serves, and from then on that its threads run.
+fn serving() {
+    let tell = |state| {
+        if let Err(error) = sd_notify::notify(&[state]) {
+            tracing::warn!(%error, "systemd is not reached");
+        }
+    };
+    tell(sd_notify::NotifyState::Ready);
+    if let Some(limit) = sd_notify::watchdog_enabled() {
+        let mut due = tokio::time::interval(limit / 3);
+        tokio::spawn(async move {
+            loop {
+                due.tick().await;
+                tell(sd_notify::NotifyState::Watchdog);
+            }
+        });
+    }
 }
 
 /// What the ground's own certificate stands for.

@@ -26,12 +26,16 @@ pub struct Settings {
     pub lease_idle_s: f64,
     pub command_timeout_s: f64,
     pub reserve_bytes: u64,
+    pub retention_days: Option<f64>,
+    pub retention_bytes: Option<u64>,
+    pub retention_backup: Option<PathBuf>,
+    pub retention_notice_hours: f64,
     pub backfill_after_s: f64,
     pub settle_after_s: f64,
 }
 
 /// What each key means, in the order they are printed.
-const ABOUT: [(&str, &str); 17] = [
+const ABOUT: [(&str, &str); 21] = [
     ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
     ("agent_listen", "Address (UDP) that agents connect to."),
     ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
@@ -54,9 +58,22 @@ const ABOUT: [(&str, &str); 17] = [
     ("lease_idle_s", "Control is given up when its holder does nothing and shows no sign of life for this long, s."),
     ("command_timeout_s", "How long a command waits for its acknowledgement, s."),
     ("reserve_bytes", "Recording stops, loudly, when the disk has less than this left, bytes."),
+    (
+        "retention_days",
+        "Complete flights without name and notes are deleted so many days after their end; absent: never.",
+    ),
+    ("retention_bytes", "The oldest of them are deleted when all flights take more than this, bytes; absent: never."),
+    (
+        "retention_backup",
+        "Only flights that this folder of `plumbline-ground archive backup` holds are deleted; absent: all.",
+    ),
+    ("retention_notice_hours", "So long before it is deleted a flight is told to be due, hours."),
     ("backfill_after_s", "A message that has not come after this long is asked for again, s."),
     ("settle_after_s", "A flight whose gaps do not shrink for this long after its end is closed as it is, s."),
 ];
+
+/// Seconds in one.
+const HOUR_S: f64 = 3600.0;
 
 impl Default for Settings {
     fn default() -> Self {
@@ -77,6 +94,10 @@ impl Default for Settings {
             lease_idle_s: config.lease_idle.as_secs_f64(),
             command_timeout_s: config.command_timeout.as_secs_f64(),
             reserve_bytes: config.reserve_bytes,
+            retention_days: None,
+            retention_bytes: None,
+            retention_backup: None,
+            retention_notice_hours: config.retention.notice.as_secs_f64() / HOUR_S,
             backfill_after_s: config.backfill_after.as_secs_f64(),
             settle_after_s: config.settle_after.as_secs_f64(),
         }
@@ -143,6 +164,11 @@ impl Settings {
         config.metrics_open = self.metrics_open;
         config.mavlink = self.mavlink.map(|station| Mavlink { station, account: self.mavlink_account.clone() });
         config.reserve_bytes = self.reserve_bytes;
+        config.retention.bytes = self.retention_bytes;
+        config.retention.backup.clone_from(&self.retention_backup);
+        config.retention.age =
+            self.retention_days.map(|days| time("retention_days", days * 24.0 * HOUR_S)).transpose()?;
+        config.retention.notice = time("retention_notice_hours", self.retention_notice_hours * HOUR_S)?;
         config.lease_idle = time("lease_idle_s", self.lease_idle_s)?;
         config.command_timeout = time("command_timeout_s", self.command_timeout_s)?;
         config.backfill_after = time("backfill_after_s", self.backfill_after_s)?;
@@ -162,6 +188,10 @@ mod tests {
         let bare = text.replace("# identity =", "identity = \"a\"").replace("# certificate =", "certificate = \"b\"");
         let bare = bare.replace("# mavlink =", "mavlink = \"127.0.0.1:14550\"");
         let bare = bare.replace("# mavlink_account =", "mavlink_account = \"d\"");
+        let bare = bare.replace("# retention_days =", "retention_days = 30.0");
+        let bare = bare
+            .replace("# retention_bytes =", "retention_bytes = 1")
+            .replace("# retention_backup =", "retention_backup = \"d\"");
         let all: toml::Table = toml::from_str(&bare.replace("# key =", "key = \"c\"")).unwrap();
         assert_eq!(all.len(), ABOUT.len());
         assert_eq!(toml::Table::try_from(toml::from_str::<Settings>(&all.to_string()).unwrap()).unwrap(), all);

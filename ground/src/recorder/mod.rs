@@ -5,6 +5,7 @@
 //! any other and is asked back from the agent's own log. The hub never waits. Reading back, merging, finishing,
 //! indexing and deleting are done by a second thread (`keeper`): nothing live waits for them.
 
+pub mod archive;
 mod asking;
 mod export;
 mod flatten;

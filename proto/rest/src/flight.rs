@@ -151,6 +151,21 @@ impl Flight {
     }
 }
 
+/// One of `GET /api/v1/archive/due`: a flight that retention will delete.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Due {
+    /// Its id.
+    pub id: String,
+    /// Size of its files, bytes.
+    pub bytes: u64,
+    /// Which limit it is beyond.
+    pub why: String,
+    /// From when on it is deleted, µs since the Unix epoch; absent until it has been told to be due.
+    pub deleted_unix_us: Option<u64>,
+}
+
 /// `PATCH /api/v1/flights/{id}`; what is absent stays.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

@@ -9,6 +9,8 @@ mod chaos;
 mod error;
 mod evaluate;
 mod fuzz;
+mod package;
+mod python;
 mod reproduce;
 mod run;
 mod signals;
@@ -56,6 +58,8 @@ enum Task {
     Evaluate,
     /// What CI runs: `test`.
     Ci,
+    /// Debian packages of ground and agent, with their systemd units, for this computer's architecture.
+    Package(package::Options),
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
     Web(web::Options),
 }
@@ -74,6 +78,7 @@ pub fn main() -> ExitCode {
         Task::Fuzz(options) => fuzz::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Evaluate => evaluate::run(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
+        Task::Package(options) => package::package(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
     });
     done.unwrap_or_else(|error| {

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
 use super::tally::{CargoTestOutput, Tally};
-use super::{Workspace, XtaskError, browser, signals, tools, web, workspace};
+use super::{Workspace, XtaskError, browser, python, signals, tools, web, workspace};
 
 /// What to check.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -12,8 +12,8 @@ pub struct Options {
     /// Leave the browser out.
     #[arg(long)]
     pub no_browser: bool,
-    /// Only this step, on what is already built: format, page, clippy, cargo-test or browser.
-    #[arg(long, value_name = "STEP", value_parser = ["format", "page", "clippy", "cargo-test", "browser"])]
+    /// Only this step, on what is already built: format, page, clippy, cargo-test, python or browser.
+    #[arg(long, value_name = "STEP", value_parser = ["format", "page", "clippy", "cargo-test", "python", "browser"])]
     pub only: Option<String>,
 }
 
@@ -30,7 +30,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> bool {
 
 fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
     type Step<'a> = (&'a str, &'a mut dyn FnMut(&mut Tally));
-    let steps: [Step; 5] = [
+    let steps: [Step; 6] = [
         ("format", &mut |tally| {
             let format = || {
                 tools::rust_components(workspace)?;
@@ -47,6 +47,7 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             tally.check("clippy", workspace::run(workspace.cargo().args(arguments)));
         }),
         ("cargo-test", &mut |tally| cargo_test(workspace, tally)),
+        ("python", &mut |tally| python::test(workspace, tally)),
         ("browser", &mut |tally| {
             if options.no_browser {
                 eprintln!("xtask: browser left out, as asked");

@@ -1,6 +1,6 @@
 //! Programs that are not Rust: found, or installed where that is allowed, or named.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use super::workspace::{apt_install, may_install, on_path, run};
@@ -107,6 +107,46 @@ pub fn slycot(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     python_with(workspace, &SLYCOT)
 }
 
+/// A Python with what `tests/python/requirements.txt` pins, and with the package there as its users install it.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn plumbline(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let source = workspace.root.join("tests/python");
+    let pins = source.join("requirements.txt");
+    let wanted = std::fs::read(&pins).map_err(XtaskError::file(&pins))?;
+    let folder = workspace.target.join("tools/plumbline");
+    let (own, installed) = (folder.join("bin/python"), folder.join("installed.txt"));
+    let pip = || {
+        let mut pip = Command::new(&own);
+        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
+        pip
+    };
+    if std::fs::read(&installed).ok().as_ref() != Some(&wanted) {
+        let system = program(&["python3"], "python3")?;
+        eprintln!("xtask: a Python environment as {} says in {}", pins.display(), folder.display());
+        environment(&system, &folder)?;
+        run(pip().arg("--requirement").arg(&pins))?;
+        std::fs::write(&installed, wanted).map_err(XtaskError::file(&installed))?;
+    }
+    run(pip().args(["--no-deps", "--no-build-isolation", "--force-reinstall"]).arg(&source))?;
+    Ok(own)
+}
+
+/// An empty Python environment in `folder`.
+fn environment(system: &Path, folder: &Path) -> Result<(), XtaskError> {
+    let create = || run(Command::new(system).args(["-m", "venv", "--clear"]).arg(folder));
+    if create().is_err() {
+        if !may_install() {
+            let how = "  sudo apt-get install python3-venv".into();
+            return Err(XtaskError::Missing { what: "python3 -m venv".into(), how });
+        }
+        apt_install(&["python3-venv"])?;
+        create()?;
+    }
+    Ok(())
+}
+
 fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, XtaskError> {
     let import = format!("import {}", tools.module);
     let reads = |python: &PathBuf| works(Command::new(python).args(["-c", &import]));
@@ -120,15 +160,7 @@ fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, Xt
         return Ok(system);
     }
     eprintln!("xtask: a Python environment with {} in {}", tools.packages.join(", "), folder.display());
-    let create = || run(Command::new(&system).args(["-m", "venv", "--clear"]).arg(&folder));
-    if create().is_err() {
-        if !may_install() {
-            let how = "  sudo apt-get install python3-venv".into();
-            return Err(XtaskError::Missing { what: "python3 -m venv".into(), how });
-        }
-        apt_install(&["python3-venv"])?;
-        create()?;
-    }
+    environment(&system, &folder)?;
     run(Command::new(&own).args(["-m", "pip", "install", "--quiet"]).args(tools.packages))?;
     Ok(own)
 }

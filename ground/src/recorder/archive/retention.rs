@@ -1,0 +1,156 @@
+//! How long flights are kept. Without a limit nothing is ever deleted; with one, what is due is told [`Retention::notice`] before it
+//! goes: in the log, in the audit log and at `/api/v1/archive/due`.
+//!
+//! Never due is a flight that is recorded or filled, is not complete, or that people have named or annotated; nor, where a backup is
+//! configured, one that is not in there the same.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use plumbline_rest::flight::Due;
+
+use super::super::{Completeness, Flight, RecorderHandle, RecordingError};
+use super::{Sums, hash};
+use crate::gains_book::write_atomically;
+
+/// What is kept how long.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Retention {
+    /// Longer than this after their end flights are due.
+    pub age: Option<Duration>,
+    /// More than this in all, bytes, makes the oldest due.
+    pub bytes: Option<u64>,
+    /// Only flights that this backup holds are due.
+    pub backup: Option<PathBuf>,
+    /// So long before it is deleted a flight is told to be due.
+    pub notice: Duration,
+    /// How often it is looked.
+    pub every: Duration,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        let (day, hour) = (Duration::from_secs(86_400), Duration::from_secs(3600));
+        Self { age: None, bytes: None, backup: None, notice: day, every: hour }
+    }
+}
+
+impl Retention {
+    /// Is anything ever deleted?
+    pub fn limits(&self) -> bool {
+        self.age.is_some() || self.bytes.is_some()
+    }
+}
+
+/// The flights that a policy deletes, the oldest first; when it does is not said yet.
+pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due> {
+    let mut oldest: Vec<&Flight> = flights.iter().collect();
+    oldest.sort_by_key(|flight| (flight.started_unix_us, &flight.id));
+    let mut total: u64 = flights.iter().map(|flight| flight.size_bytes).sum();
+    let mut found = Vec::new();
+    for flight in oldest {
+        let kept = flight.completeness != Completeness::Complete || !flight.name.is_empty() || !flight.notes.is_empty();
+        let ended_us = flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64);
+        let age = Duration::from_micros(now_unix_us.saturating_sub(ended_us));
+        let why = if policy.age.is_some_and(|most| age > most) {
+            format!("ended {:.1} days ago", age.as_secs_f64() / 86_400.0)
+        } else if let Some(most) = policy.bytes.filter(|most| total > *most) {
+            format!("flights take {total} bytes, {most} are allowed")
+        } else {
+            continue;
+        };
+        if kept {
+            continue;
+        }
+        total = total.saturating_sub(flight.size_bytes);
+        found.push(Due { id: flight.id.clone(), bytes: flight.size_bytes, why, ..Due::default() });
+    }
+    found
+}
+
+/// Carries a policy out.
+#[derive(Debug)]
+pub(crate) struct Pruner {
+    policy: Retention,
+    recorder: RecorderHandle,
+    /// When each flight that is due was told to be, µs since the Unix epoch; outlives the ground.
+    told: BTreeMap<String, u64>,
+    path: PathBuf,
+}
+
+impl Pruner {
+    pub(crate) fn open(data_folder: &Path, policy: Retention, recorder: RecorderHandle) -> Self {
+        let path = data_folder.join("retention.json");
+        let told = std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        Self { policy, recorder, told: told.unwrap_or_default(), path }
+    }
+
+    pub(crate) fn every(&self) -> Duration {
+        self.policy.every
+    }
+
+    /// What is due, and when each of it goes.
+    pub(crate) fn due(&self, now_unix_us: u64) -> Result<Vec<Due>, RecordingError> {
+        let notice_us = u64::try_from(self.policy.notice.as_micros()).unwrap_or(u64::MAX);
+        let timed = |due: Due| {
+            let told = self.told.get(&due.id).copied();
+            Due { deleted_unix_us: told.map(|told| told.saturating_add(notice_us)), ..due }
+        };
+        Ok(due(&self.recorder.flights()?, &self.policy, now_unix_us).into_iter().map(timed).collect())
+    }
+
+    /// Deletes what was told long enough ago, and tells what is due now. Answers what it told and deleted. Asks the disk.
+    pub(crate) fn pass(&mut self, now_unix_us: u64) -> Result<(Vec<Due>, Vec<Due>), RecordingError> {
+        // An index that lacks flights says too little of what there is.
+        if !self.policy.limits() || !self.recorder.ready() {
+            return Ok((Vec::new(), Vec::new()));
+        }
+        let all = self.due(now_unix_us)?;
+        let before = std::mem::take(&mut self.told);
+        let (mut told, mut deleted) = (Vec::new(), Vec::new());
+        for due in all {
+            let Some(since) = before.get(&due.id).copied() else {
+                self.told.insert(due.id.clone(), now_unix_us);
+                told.push(due);
+                continue;
+            };
+            let late = due.deleted_unix_us.is_some_and(|at| at <= now_unix_us);
+            let gone = late
+                && self.delete(&due.id).unwrap_or_else(|error| {
+                    tracing::error!(flight = due.id, %error, "retention");
+                    false
+                });
+            if gone {
+                deleted.push(due);
+            } else {
+                self.told.insert(due.id, since);
+            }
+        }
+        if self.told != before {
+            let text = serde_json::to_vec(&self.told).unwrap_or_default();
+            write_atomically(&self.path, &text)
+                .map_err(|source| RecordingError::Io { path: self.path.clone(), source })?;
+        }
+        Ok((told, deleted))
+    }
+
+    /// Deletes a flight, where it is in the backup if there has to be one. Answers whether it did.
+    fn delete(&self, id: &str) -> Result<bool, RecordingError> {
+        let may = self.backed_up(id)?;
+        if may {
+            self.recorder.delete(id)?;
+        }
+        Ok(may)
+    }
+
+    /// Is it in the backup as it is here, where there has to be one?
+    fn backed_up(&self, id: &str) -> Result<bool, RecordingError> {
+        let Some(backup) = &self.policy.backup else { return Ok(true) };
+        let name = format!("{id}.mcap");
+        let sums = Sums::read(backup)?;
+        let Some(expected) = sums.0.get(&name) else { return Ok(false) };
+        let here = hash(&self.recorder.store.finished_path(id))?;
+        Ok(here == *expected && hash(&backup.join(&name)).is_ok_and(|there| there == here))
+    }
+}

@@ -1,0 +1,57 @@
+"""Experiments: flown, stopped, read as frames, and a flight of them flown again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import plumbline
+from plumbline import models
+
+PLAN = """
+name = "python"
+repeats = 3
+seed = 7
+[scenario]
+duration_s = 40
+suite = { preset = "string_rig" }
+[scenario.rig.hanging_strings]
+mode = "flight"
+height_m = 0.3
+[[scenario.script]]
+at_s = 2
+do = "arm"
+[[scenario.script]]
+at_s = 3
+do = "mode"
+mode = "altitude_hold"
+[[scenario.script]]
+at_s = 4
+do = "setpoint"
+altitude_m = 0.8
+[attack]
+sensor = "height"
+kind = "bias"
+[[factor]]
+key = "attack.magnitude"
+values = [0.1, 0.5]
+"""
+
+
+def test_a_plan_is_flown_read_reported_and_opened(ground: plumbline.Ground, tmp_path: Path) -> None:
+    size = ground.size(PLAN)
+    assert (size["conditions"], size["flights"]) == (2, 6)
+    seen: list[models.State] = []
+    experiment = ground.run(PLAN).wait(timeout_s=120, progress=seen.append)
+    assert experiment.state["done"] == 6 and seen[-1]["done"] == 6
+    assert ground.run(PLAN).wait(timeout_s=30).id == experiment.id, "the same plan is the same experiment"
+    frame, same = experiment.to_pandas(), experiment.to_polars()
+    assert len(frame) == same.height == 6 and set(frame["attack.magnitude"]) == {0.1, 0.5}
+    flights = list(experiment.flights())
+    assert [flight["index"] for flight in flights] == list(range(6))
+    assert [f["index"] for f in experiment.flights(condition=flights[0]["condition"])] != []
+    assert "python" in experiment.report(tmp_path / "report.html").read_text()
+    assert experiment.plan().strip() == PLAN.strip()
+    flight = experiment.fly_again(flights[0]["index"])
+    assert flight.info["duration_s"] > 5 and len(flight.to_polars(columns=["control"])) > 100
+    assert experiment.id in [known.id for known in ground.experiments()]
+    assert ground.experiment(experiment.id).state["flights"] == 6
