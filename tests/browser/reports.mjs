@@ -188,6 +188,44 @@ await step(page, 'cursors: two that stay, and what lies between them, beside the
   return { between };
 });
 
+await step(page, 'charts: a drag pans, with Shift it chooses values, a double-click leads back', async () => {
+  const altitude = region('Altitude chart');
+  const plot = altitude.getByRole('img').first();
+  const box = await plot.boundingBox();
+  const at = (x, y) => [box.x + x * box.width, box.y + y * box.height];
+  const drag = async (from, to) => {
+    await page.mouse.move(...at(...from));
+    await page.mouse.down();
+    await page.mouse.move(...at((from[0] + to[0]) / 2, (from[1] + to[1]) / 2));
+    await page.mouse.move(...at(...to));
+    await page.mouse.up();
+  };
+  const ticks = (side) => altitude.locator(`${side} > span`).allTextContents();
+  const [times, values] = [await ticks('.x-labels'), await ticks('.y-labels')];
+  const length = Number(await page.getByLabel('Time window').inputValue());
+  await drag([0.3, 0.5], [0.7, 0.5]);
+  const zoom = await until('the stretch', async () => number(await altitude.getByRole('button', { name: /zoom .* s/ }).textContent()));
+  assert(Math.abs(zoom - length) < 0.2, `it shows ${zoom} s, not ${length}`);
+  await until('other times', async () => JSON.stringify(await ticks('.x-labels')) !== JSON.stringify(times));
+  await page.keyboard.down('Shift');
+  await drag([0.5, 0.3], [0.5, 0.6]);
+  await page.keyboard.up('Shift');
+  const chosen = await until('other values', async () => {
+    const now = await ticks('.y-labels');
+    return JSON.stringify(now) !== JSON.stringify(values) && now;
+  });
+  assert(chosen.length >= 3, `only ${chosen}`);
+  // The same time is at the same place on the lanes above and on every chart below.
+  const lefts = await page.locator('.centre .plot, .lane ul').evaluateAll((all) => all.map((e) => e.getBoundingClientRect()).filter((r) => r.height > 0).map((r) => [Math.round(r.left), Math.round(r.right)].join()));
+  assert(lefts.length >= 7 && new Set(lefts).size === 1, lefts.join(' '));
+  await page.mouse.dblclick(...at(0.5, 0.5));
+  await until('back', async () => JSON.stringify(await ticks('.y-labels')) === JSON.stringify(values) || (await altitude.getByRole('button', { name: /zoom/ }).count()) === 0);
+  const lanes = region('Timeline');
+  const told = await lanes.getByRole('listitem').allTextContents();
+  assert(told.includes('Altitude hold') && told.some((text) => /EKF/.test(text)) && told.includes('0.80 m'), told.join());
+  return { zoom, chosen, told };
+});
+
 const save = async (press) => {
   const waiting = page.waitForEvent('download');
   await press();
@@ -299,7 +337,10 @@ await step(page, 'another flight, under other gains', async () => {
   await page.getByRole('navigation', { name: 'Pages' }).getByRole('link', { name: 'Fly' }).click();
   await arm();
   await to(0.8);
-  await disarm();
+  // Landed by its key, and disarmed by itself.
+  await page.keyboard.press('l');
+  await until('landing', async () => /land/i.test(await banner.getByLabel('Mode').textContent()));
+  await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 40_000);
 });
 
 await step(page, 'compare: laid together, their difference, and what was not the same', async () => {
@@ -336,25 +377,33 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   const plan = page.getByLabel('Plan, TOML');
   const counted = page.getByRole('region', { name: 'Plan' }).getByRole('status');
   await until('the template counted', async () => /\d+ flights/.test(await counted.textContent()));
-  const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 3').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
+  const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 6').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
   await plan.fill(text.replace('0.1, 0.5', '0.1, "much"'));
   const refused = await page.getByRole('region', { name: 'Plan' }).getByRole('alert').textContent();
   assert(/line \d+/.test(refused) && refused.includes('much'), refused);
   await plan.fill(text);
-  await until('the plan counted', async () => (await counted.textContent()).includes('12 flights'));
+  await until('the plan counted', async () => (await counted.textContent()).includes('24 flights'));
   await shots('experiments-plan');
   const begun = Date.now();
   await page.getByRole('button', { name: 'Start' }).click();
   const results = region('Results');
   await results.getByRole('link', { name: /Open the flight/ }).first().waitFor({ timeout: 60_000 });
-  await until('all flown', async () => (await results.textContent()).includes('12 of 12 flights'), 120_000);
+  const first_s = (Date.now() - begun) / 1000;
+  const measure = results.getByLabel('Measure');
+  await measure.selectOption({ index: 1 });
+  const options = await measure.locator('option').allTextContents();
+  const flown = async () => Number(/(\d+) of 24 flights/.exec(await results.textContent())?.[1]);
+  const chosen_at = await flown();
+  assert(chosen_at < 24, 'all were flown before a measure could be chosen');
+  await until('all flown', async () => (await results.textContent()).includes('24 of 24 flights'), 120_000);
   const took_s = (Date.now() - begun) / 1000;
-  await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 12);
+  assert((await measure.inputValue()) === '1', `chosen after ${chosen_at} flights: ${options[1]}, shown: ${await measure.inputValue()}`);
+  await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 24);
   await shots('experiments-results');
   await results.getByRole('link', { name: /Open the flight/ }).last().click();
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
-  return { refused, took_s };
+  return { refused, first_s, chosen_at, took_s };
 });
 
 await step(page, 'reports: no complaint in the console', async () => {

@@ -255,6 +255,15 @@ await step(page, 'another operator takes over: said by name, refused beside the 
   const alarm = page.getByText('Berta 0b0b took control.');
   await alarm.waitFor();
   await shot('trust-taken-light-1280x720');
+  for (const [width, height] of [[820, 1180], [390, 844], [1280, 720]]) {
+    await page.setViewportSize({ width, height });
+    await page.waitForTimeout(300);
+    const bars = await page.getByLabel('Alarms').boundingBox();
+    const head = await page.getByRole('region', { name: 'Altitude chart' }).locator('header').boundingBox();
+    const apart = bars.y + bars.height <= head.y || head.y + head.height <= bars.y;
+    assert(apart && bars.height >= 26, `at ${width}×${height} the bar lies at ${JSON.stringify(bars)}, the chart's head at ${JSON.stringify(head)}`);
+    await shot(`trust-taken-light-${width}x${height}`);
+  }
   const up = button('Altitude up 0.1 m');
   const before = await setpoint();
   const box = await up.boundingBox();

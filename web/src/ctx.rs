@@ -330,6 +330,14 @@ impl Ctx {
         self.command("Cut motors", "POST", "cut", json!({}));
     }
 
+    /// Has the vehicle land, where one flies that can: a recording flown again cannot.
+    pub fn land(self) {
+        if !self.live.with_value(Live::is_replay) {
+            let mode = crate::model::names::mode_json(Mode::Land);
+            self.command("Land", "POST", "mode", json!(rest::Mode { mode }));
+        }
+    }
+
     /// Takes control, from whoever has it.
     pub fn take_control(self) {
         self.command("Take control", "PUT", "lease", json!({}));

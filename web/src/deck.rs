@@ -134,8 +134,8 @@ pub struct Deck {
     pub paused_at: RwSignal<Option<f64>>,
     /// Time under the pointer, s.
     pub cursor: RwSignal<Option<f64>>,
-    /// A stretch being dragged over.
-    pub selection: RwSignal<Option<(f64, f64)>>,
+    /// Stretches of values zoomed into, for each chart that has one.
+    pub value_zoom: RwSignal<Vec<(Picture, ValueAxis)>>,
     /// Sensor instance whose channels are charted, else all in rows.
     pub residual: RwSignal<Option<(i32, u32)>>,
     /// Estimator whose residuals are shown; 0: the one in the loop.
@@ -144,6 +144,8 @@ pub struct Deck {
     pub evidence: RwSignal<Evidence>,
     /// Axis whose errors are shown.
     pub error_axis: RwSignal<Axis>,
+    /// Notes that name a time of the flight: s of flight time, text.
+    pub notes: RwSignal<Vec<(f64, String)>>,
     /// Two pinned cursors, s of flight time.
     pub pins: RwSignal<Option<[f64; 2]>>,
     /// Curves that their legend was asked to hide.
@@ -174,11 +176,12 @@ impl Deck {
             zoom: RwSignal::new(None),
             paused_at: RwSignal::new(None),
             cursor: RwSignal::new(None),
-            selection: RwSignal::new(None),
+            value_zoom: RwSignal::new(Vec::new()),
             residual: RwSignal::new(None),
             residuals_of: RwSignal::new(0),
             evidence: RwSignal::new(Evidence::default()),
             error_axis: RwSignal::new(Axis::Roll),
+            notes: RwSignal::new(Vec::new()),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
             unfolded: RwSignal::new(store::unfolded()),
@@ -219,14 +222,14 @@ impl Deck {
     }
 
     /// Adds a chart for as long as the calling component lives.
-    pub fn slot(self, picture: Picture, node: NodeRef<html::Div>) -> RwSignal<Labels> {
+    pub fn slot(self, picture: Picture, node: NodeRef<html::Div>) -> Slot {
         let labels = RwSignal::new(Labels::default());
         let slot = Slot { picture, node, labels, axis: Rc::new(Cell::new(None)) };
-        self.slots.update_value(|slots| slots.push(slot));
+        self.slots.update_value(|slots| slots.push(slot.clone()));
         on_cleanup(move || {
             self.slots.try_update_value(|slots| slots.retain(|s| s.labels != labels));
         });
-        labels
+        slot
     }
 
     /// Names the curves of a chart for as long as the calling component lives.
@@ -384,7 +387,25 @@ impl Deck {
         }
     }
 
-    /// Shows a stretch; anything under 20 ms is a click, not a drag.
+    /// The values that a chart was zoomed into.
+    pub fn value_zoom_of(self, picture: Picture) -> Option<ValueAxis> {
+        self.value_zoom.with_untracked(|all| all.iter().find(|(of, _)| *of == picture).map(|(_, axis)| *axis))
+    }
+
+    /// Shows some values of one chart.
+    pub fn zoom_values(self, picture: Picture, axis: ValueAxis) {
+        self.value_zoom.update(|all| {
+            all.retain(|(of, _)| *of != picture);
+            all.push((picture, axis));
+        });
+    }
+
+    /// Is a stretch of time or of values zoomed into?
+    pub fn is_zoomed(self) -> bool {
+        self.zoom.with(Option::is_some) || self.value_zoom.with(|all| !all.is_empty())
+    }
+
+    /// Shows a stretch; nothing under 20 ms.
     pub fn zoom_to(self, from: f64, to: f64) {
         let (start, end) = (from.min(to), from.max(to));
         if end - start < 0.02 {
@@ -402,9 +423,10 @@ impl Deck {
         self.zoom_to(time_s - share * (time_s - axis.start_s), time_s + share * (axis.end_s - time_s));
     }
 
-    /// Back from a zoom, and back to the moving edge.
+    /// Back from a zoom, of values too, and back to the moving edge.
     pub fn zoom_out(self) {
         self.zoom.set(None);
+        self.value_zoom.set(Vec::new());
         if self.source == Source::Live {
             self.paused_at.set(None);
         }

@@ -9,15 +9,17 @@ use wasm_bindgen::JsCast;
 use crate::{ctx::Ctx, deck::Source, model::route::Route};
 
 /// Every key and what it does.
-pub const KEYS: [(&str, &str); 10] = [
+pub const KEYS: [(&str, &str); 12] = [
     ("Ctrl+Shift+X", "cut motors – vehicle falls"),
+    ("L", "land"),
     ("↑ ↓", "altitude setpoint ±0.1 m"),
     ("Space", "pause the charts; play a recorded flight"),
     ("R", "start or stop a recording"),
     ("A", "attacks: go to the form"),
     ("M", "two cursors that stay, to measure between"),
     ("← →", "recorded flight: back or on by 1 s, with Shift 10 s"),
-    ("1 … 5", "Fly, Flights, Tune, Calibrate, Setup"),
+    ("drag, wheel", "charts: pan, zoom; with Shift the values; double-click: back"),
+    ("1 … 6", "Fly, Flights, Tune, Calibrate, Setup, Experiments"),
     ("Esc", "close; leave a zoom or a residual"),
     ("?", "this list"),
 ];
@@ -125,6 +127,7 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
                 deck.toggle_pause();
             }
         }
+        "l" | "L" if flying => ctx.land(),
         "r" | "R" if flying => ctx.toggle_recording(),
         "a" | "A" if flying => ctx.attacks_focus.update(|n| *n += 1),
         "m" | "M" => match deck {
@@ -139,7 +142,7 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
         "6" => ctx.go(Route::Experiments),
         "?" => ctx.help.set(true),
         "Escape" => match deck {
-            Some(deck) if deck.zoom.get_untracked().is_some() => deck.zoom_out(),
+            Some(deck) if untrack(|| deck.is_zoomed()) => deck.zoom_out(),
             Some(deck) if deck.residual.get_untracked().is_some() => deck.residual.set(None),
             Some(deck) if deck.source == Source::Live && deck.paused_at.get_untracked().is_some() => deck.zoom_out(),
             _ => return false,

@@ -48,6 +48,7 @@ pub fn start() {
 fn Root() -> impl IntoView {
     let ctx = ctx::Ctx::begin();
     provide_context(ctx);
+    provide_context(panel::alarms::AlarmState::default());
     keys::listen(ctx);
     window_event_listener(leptos::ev::popstate, move |_| {
         let path = window().location().pathname().unwrap_or_default();
@@ -82,7 +83,9 @@ fn Root() -> impl IntoView {
                 }.into_any(),
             }
         }}
-        <panel::alarms::Alarms />
+        <panel::alarms::PageAlarms />
+        <panel::alarms::HintBubble />
+        <panel::alarms::Dock />
         <panel::notices::Notices />
         <page::Help />
     }

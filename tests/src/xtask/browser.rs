@@ -11,9 +11,9 @@ use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
-/// try to mislead it, `reports.mjs` look into flights with it and `foxglove.mjs` watch as Foxglove does, counts their steps,
-/// and has `mcap.mjs` read both sides' files; then a recording flown again with `replay.mjs`, a vehicle on wires with
-/// `wires.mjs`, and accounts on a ground of their own with `people.mjs`.
+/// try to mislead it, `reports.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
+/// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
+/// `replay.mjs`, a vehicle on wires with `wires.mjs`, and accounts on a ground of their own with `people.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
@@ -67,6 +67,7 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
     let trusted = run_script(&mut script(workspace, "trust.mjs", system.api())?, tally);
     let reported = run_script(&mut script(workspace, "reports.mjs", system.api())?, tally);
+    let accessible = run_script(&mut script(workspace, "axe.mjs", system.api())?, tally);
     let watched = run_script(&mut script(workspace, "foxglove.mjs", system.api())?, tally);
     let api = system.api().clone();
     let stopped = system.stop();
@@ -75,7 +76,14 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     for folder in ["ground/flights", "iris-1/log"] {
         reader.arg(newest_flight(&options.data.join(folder))?);
     }
-    flown.and(hidden).and(trusted).and(reported).and(watched).and(stopped).and(run_script(&mut reader, tally))
+    flown
+        .and(hidden)
+        .and(trusted)
+        .and(reported)
+        .and(accessible)
+        .and(watched)
+        .and(stopped)
+        .and(run_script(&mut reader, tally))
 }
 
 /// The last flight file of a folder.

@@ -6,10 +6,16 @@ use std::process::{Command, Stdio};
 use super::workspace::{apt_install, may_install, on_path, run};
 use super::{Workspace, XtaskError};
 
-/// What the browser scripts are written for: what drives any recent Chromium, and the reader of flight files and the
-/// client of the live link that Foxglove uses.
-const NODE_PACKAGES: [&str; 5] =
-    ["playwright-core@1.56.1", "@mcap/core@2.2.2", "fzstd@0.1.1", "@foxglove/ws-protocol@0.8.0", "ws@8.18.3"];
+/// What the browser scripts are written for: what drives any recent Chromium, the reader of flight files and the client
+/// of the live link that Foxglove uses, and the checker of accessibility.
+const NODE_PACKAGES: [&str; 6] = [
+    "playwright-core@1.56.1",
+    "@mcap/core@2.2.2",
+    "fzstd@0.1.1",
+    "@foxglove/ws-protocol@0.8.0",
+    "ws@8.18.3",
+    "axe-core@4.14.1",
+];
 /// Third-party readers of our flight files and of the results of experiments, and a MAVLink ground control station.
 const READERS: PythonTools = PythonTools {
     folder: "python",

@@ -168,7 +168,6 @@ fn heights<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
 fn zoomed<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
     let [first, second, _] = sensor_colors(theme);
     ChartView {
-        selection: Some((29.3, 29.9)),
         marks: vec![Mark { time_s: 28.0, color: Color::hex(ATTACK) }],
         ..ChartView::new(TimeAxis::new(26.0, 31.0), ValueAxis::new(0.6, 1.6), *theme)
     }

@@ -52,7 +52,7 @@ pub(crate) fn draw_chart(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot,
     for mark in &view.marks {
         plot.down_dashed(shapes, plot.x(view.time, mark.time_s), mark.color);
     }
-    draw_cursor(shapes, plot, view.time, view.cursor_s, view.selection, theme);
+    draw_cursor(shapes, plot, view.time, view.cursor_s, theme);
 }
 
 fn draw_curve(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &ChartView<'_>, curve: &Curve<'_>) {

@@ -136,22 +136,8 @@ fn hatch(shapes: &mut Shapes, [left, top, right, bottom]: [f32; 4], scale: f32, 
     }
 }
 
-/// Cursor and selection: above the curves.
-pub(crate) fn draw_cursor(
-    shapes: &mut Shapes,
-    plot: Plot,
-    time: TimeAxis,
-    cursor_s: Option<f64>,
-    selection: Option<(f64, f64)>,
-    theme: &Theme,
-) {
-    if let Some((from_s, to_s)) = selection {
-        let (a, b) = (plot.x(time, from_s), plot.x(time, to_s));
-        let (left, right) = (a.min(b).max(plot.left), a.max(b).min(plot.right));
-        shapes.rect([left, plot.top, right, plot.bottom], theme.ink.alpha(0.10));
-        plot.down(shapes, left, theme.ink.alpha(0.5));
-        plot.down(shapes, right, theme.ink.alpha(0.5));
-    }
+/// The cursor: above the curves.
+pub(crate) fn draw_cursor(shapes: &mut Shapes, plot: Plot, time: TimeAxis, cursor_s: Option<f64>, theme: &Theme) {
     if let Some(cursor_s) = cursor_s {
         plot.down(shapes, plot.x(time, cursor_s), theme.ink.alpha(0.55));
     }

@@ -68,7 +68,7 @@ pub(crate) fn draw_heatmap(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plo
             shapes.polyline(&corners, plot.hair(), ink);
         }
     }
-    draw_cursor(shapes, plot, view.time, view.cursor_s, None, theme);
+    draw_cursor(shapes, plot, view.time, view.cursor_s, theme);
 }
 
 fn draw_row(

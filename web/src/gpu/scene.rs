@@ -69,8 +69,6 @@ pub struct ChartView<'a> {
     pub marks: Vec<Mark>,
     /// The shared cursor, at this time.
     pub cursor_s: Option<f64>,
-    /// A stretch of time being dragged over, to zoom into.
-    pub selection: Option<(f64, f64)>,
     /// Time the ticks count from; the same as given to [`TimeAxis::ticks`].
     pub time_origin_s: f64,
     /// Colours of the page.
@@ -88,7 +86,6 @@ impl<'a> ChartView<'a> {
             levels: Vec::new(),
             marks: Vec::new(),
             cursor_s: None,
-            selection: None,
             time_origin_s: 0.0,
             theme,
         }

@@ -13,7 +13,7 @@ use plumbline_proto::{
     v1::{self, EstimatorKind},
 };
 
-pub use self::log::Log;
+pub use self::log::{Log, State};
 use self::reading::Reading;
 use super::{
     clock::Clock,

@@ -43,7 +43,12 @@ pub fn ExperimentsPage() -> impl IntoView {
         _ => Vec::new(),
     });
     let trouble = move || answer.with(|a| a.as_ref().and_then(|a| a.as_ref().err()).map(|e| e.text.clone()));
-    let state = Memo::new(move |_| states.get().into_iter().find(|state| Some(&state.id) == chosen.get().as_ref()));
+    let found = move |id: Option<String>| states.get().into_iter().find(|state| Some(&state.id) == id.as_ref());
+    let state = Memo::new(move |before: Option<&State>| {
+        // A list that does not come leaves what is known.
+        found(chosen.get()).or_else(|| before.cloned()).unwrap_or_default()
+    });
+    let shown = Memo::new(move |_| Some(state.get().id).filter(|id| !id.is_empty()));
     view! {
         <main class="sheet wide" id="main">
             <div class="sheet-head"><h1>"Experiments"</h1>
@@ -63,7 +68,8 @@ pub fn ExperimentsPage() -> impl IntoView {
                         </Show>
                     </section>
                 </div>
-                {move || state.get().map(|state| view! { <ResultsCard state /> })}
+                // Remade for another experiment, and not for another state of the same.
+                {move || shown.get().map(|id| view! { <ResultsCard id state /> })}
             </div>
         </main>
     }

@@ -23,11 +23,12 @@ use crate::{
     net,
     page::flights::local_offset_min,
     panel::{
+        alarms::StatusLine,
         charts::{AltitudeChart, AttitudeChart},
         cursors::CursorsCard,
-        events::Events,
         hold::HoldButton,
         horizon::HorizonCard,
+        lanes::Lanes,
         motors::MotorsAndTicks,
         readouts::Readouts,
         residuals::Evidence,
@@ -234,6 +235,7 @@ fn Player(deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> imp
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {
         <div class="fly replay">
+            <StatusLine />
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
@@ -241,13 +243,13 @@ fn Player(deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> imp
             </div>
             <div class="centre">
                 <Show when=move || drawn.get()>
+                    <Lanes />
                     <AltitudeChart />
                     <AttitudeChart />
                     <Evidence />
                     <MotorsAndTicks />
                 </Show>
                 <Scrub deck />
-                <Events />
             </div>
             <div class="right"><Summary summary /></div>
         </div>

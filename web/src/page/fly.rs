@@ -7,14 +7,14 @@ use crate::{
     app::{GroundState, Socket},
     ctx::{Ctx, Graphics, ctx},
     panel::{
-        alarms::Guarded,
+        alarms::{Guarded, StatusLine},
         arming::ArmingCard,
         attacks::AttacksCard,
         charts::{AltitudeChart, AttitudeChart},
         cursors::CursorsCard,
         estimator::EstimatorCard,
-        events::Events,
         horizon::HorizonCard,
+        lanes::Lanes,
         motors::MotorsAndTicks,
         readouts::Readouts,
         replay::ReplayCard,
@@ -101,6 +101,7 @@ pub fn Fly() -> impl IntoView {
         <main class="fly" id="main">
             <h1 class="visually-hidden">"Fly"</h1>
             <Banner />
+            <StatusLine />
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
@@ -109,6 +110,7 @@ pub fn Fly() -> impl IntoView {
             <div class="centre">
                 {move || if drawn.get() {
                     view! {
+                        <Lanes />
                         <AltitudeChart />
                         <AttitudeChart />
                         <Evidence />
@@ -117,7 +119,6 @@ pub fn Fly() -> impl IntoView {
                 } else {
                     view! { <Numbers /> }.into_any()
                 }}
-                <Events />
             </div>
             <div class="right">
                 <Guarded>

@@ -24,7 +24,7 @@ pub fn Help() -> impl IntoView {
                 {KEYS.into_iter().map(|(key, what)| view! { <div><dt><kbd>{key}</kbd></dt><dd>{what}</dd></div> }).collect::<Vec<_>>()}
             </dl>
             <p class="quiet">
-                "Arm, disarm and delete are held for 0.8 s, by pointer, Space or Enter. The motor cut is not: one click or one key. On charts: drag zooms, double-click goes back."
+                "Arm, disarm and delete are held for 0.8 s, by pointer, Space or Enter. The motor cut is not: one click or one key."
             </p>
         </dialog>
     }

@@ -180,7 +180,7 @@ pub fn Tune() -> impl IntoView {
     // Another vehicle is another design.
     let vehicle = Memo::new(move |_| ctx.app(|app| app.vehicle.clone()));
     Effect::new(move |_| {
-        vehicle.track();
+        vehicle.get();
         bench.draft.set(None);
         bench.load();
     });
@@ -201,13 +201,14 @@ pub fn Tune() -> impl IntoView {
     // Gains change without this page too: another operator, a refusal, a restart.
     let revision = Memo::new(move |_| ctx.live(|live| live.gains.get().map(|g| (g.revision, g.sha256.clone()))));
     Effect::new(move |before: Option<()>| {
-        revision.track();
+        revision.get();
         if before.is_some() {
             leptos::task::spawn_local(bench.reload_book());
         }
     });
     view! {
         <main class="tune" id="main">
+            <h1 class="visually-hidden">"Tune"</h1>
             <Editor />
             <div class="tune-centre">
                 <Responses />

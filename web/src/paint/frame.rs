@@ -267,7 +267,7 @@ impl Frame {
         least_span: f64,
         fixed: Option<ValueAxis>,
     ) -> Content<'a> {
-        let value = fixed.unwrap_or_else(|| {
+        let value = self.deck.value_zoom_of(slot.picture).or(fixed).unwrap_or_else(|| {
             let (low, mut high) = range(&drawn, axis, least_span);
             if slot.picture == Picture::Altitude && step_in_view(live, axis) {
                 // Room for the figures of the steps, written along the top.
@@ -281,7 +281,6 @@ impl Frame {
         let mut view = ChartView::new(axis, value, self.theme);
         view.time_origin_s = origin;
         view.cursor_s = self.cursor();
-        view.selection = self.deck.selection.get_untracked();
         view.spans = self.spans(live, axis);
         view.marks = self.marks(live, axis);
         let pins = self.deck.pins.get_untracked();

@@ -1,11 +1,12 @@
-//! What must not be missed: bars that lie over the charts and move nothing under the pointer, and a few words beside
-//! the pointer when what was pressed is refused.
+//! What must not be missed: bars on a line that is kept for them, so that they cover no chart and move nothing under the
+//! pointer, and a few words beside the pointer when what was pressed is refused.
 
 use leptos::prelude::*;
 use plumbline_proto::v1::Failsafe;
 use plumbline_rest::command as rest;
 use serde_json::json;
 
+use super::events::Events;
 use crate::{
     ctx::{Ctx, ctx},
     keys,
@@ -51,16 +52,32 @@ fn lost_to(ctx: Ctx) -> Option<(String, u64)> {
     })
 }
 
-/// The bars.
+/// What outlives a visit to another page: what was read and need not be shown again, and where the bars are.
+#[derive(Clone, Copy)]
+pub struct AlarmState {
+    /// The loss of control that was read, by its time.
+    lost: RwSignal<u64>,
+    /// The failsafe that was, by its text.
+    failsafe: RwSignal<String>,
+    /// Lines on the page that hold the bars.
+    lines: RwSignal<usize>,
+}
+
+impl Default for AlarmState {
+    fn default() -> Self {
+        Self { lost: RwSignal::new(0), failsafe: RwSignal::new(String::new()), lines: RwSignal::new(0) }
+    }
+}
+
+/// The bars, beside each other.
 #[component]
 pub fn Alarms() -> impl IntoView {
     let ctx = ctx();
+    let AlarmState { lost: read, failsafe: ended, .. } = expect_context();
     let age = Memo::new(move |_| ctx.age_s().filter(|age| *age >= OLD_S).map(|age| age.floor()));
     let failsafe = Memo::new(move |_| failsafe(ctx));
     let battery = Memo::new(move |_| battery(ctx));
     let lost = Memo::new(move |_| lost_to(ctx));
-    let read = RwSignal::new(0_u64);
-    let ended = RwSignal::new(String::new());
     let simulated = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "sim")));
     view! {
         <div class="alarms" role="alert" aria-label="Alarms">
@@ -68,8 +85,8 @@ pub fn Alarms() -> impl IntoView {
                 <p class="alarm bad data-age"><b>{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
             })}
             {move || failsafe.get().filter(|(text, acts)| *acts || *text != ended.get()).map(|(text, acts)| view! {
-                <p class="alarm" class:bad=acts>
-                    <b>{text.clone()}</b>
+                <p class="alarm loud" class:bad=acts>
+                    <b title=text.clone()>{text.clone()}</b>
                     {(!acts).then(|| view! {
                         <button type="button" class="plain" aria-label="Dismiss" on:click=move |_| ended.set(text.clone())>"×"</button>
                     })}
@@ -91,11 +108,48 @@ pub fn Alarms() -> impl IntoView {
                 </p>
             })}
         </div>
-        {move || ctx.hint.get().map(|hint| view! {
-            <p class="hint" role="alert" style=format!(
-                "left:clamp(8.5rem,{:.0}px,100vw - 8.5rem);top:min({:.0}px,100dvh - 5rem)", hint.x, hint.y
-            )>{hint.text}</p>
-        })}
+    }
+}
+
+/// Why what was pressed was not done, beside the pointer.
+#[component]
+pub fn HintBubble() -> impl IntoView {
+    let ctx = ctx();
+    move || {
+        ctx.hint.get().map(|hint| {
+            let place =
+                format!("left:clamp(8.5rem,{:.0}px,100vw - 8.5rem);top:min({:.0}px,100dvh - 5rem)", hint.x, hint.y);
+            view! { <p class="hint" role="alert" style=place>{hint.text}</p> }
+        })
+    }
+}
+
+/// The line above the charts: what happened last, and on it whatever must not be missed.
+#[component]
+pub fn StatusLine() -> impl IntoView {
+    let AlarmState { lines, .. } = expect_context();
+    lines.update(|n| *n += 1);
+    on_cleanup(move || lines.update(|n| *n = n.saturating_sub(1)));
+    view! { <div class="status-line"><Events /><Alarms /></div> }
+}
+
+/// The bars on top of a page that keeps no line for them.
+#[component]
+pub fn PageAlarms() -> impl IntoView {
+    let AlarmState { lines, .. } = expect_context();
+    view! { <Show when=move || lines.get() == 0><div class="page-alarms"><Alarms /></div></Show> }
+}
+
+/// Landing and the motor cut, always within reach of a thumb where the screen is small.
+#[component]
+pub fn Dock() -> impl IntoView {
+    let ctx = ctx();
+    let flies = Memo::new(move |_| ctx.live(|live| live.status.get().is_some_and(|s| s.armed) && !live.is_replay()));
+    view! {
+        <div class="dock" role="group" aria-label="Land and cut">
+            <button type="button" class="land" disabled=move || !flies.get() on:click=move |_| ctx.land()>"Land"</button>
+            <button type="button" class="cut" on:click=move |_| ctx.cut()>"CUT MOTORS"</button>
+        </div>
     }
 }
 

@@ -65,7 +65,7 @@ fn Card(deck: Deck) -> impl IntoView {
     let begin_s = move || deck.data.with_value(|live| deck.begin_s(live));
     let beat = Memo::new(move |_| deck.beat() / BEATS);
     let found = Memo::new(move |_| {
-        beat.track();
+        beat.get();
         let pins = deck.pins.get()?;
         listed().map(|listed| (rows(deck, &listed, pins), listed.unit, listed.decimals))
     });

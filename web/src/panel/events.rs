@@ -17,11 +17,11 @@ pub fn Events() -> impl IntoView {
     let deck = deck();
     let seen = Memo::new(move |_| deck.read(|live| live.log.events_seen));
     let newest = Memo::new(move |_| {
-        seen.track();
+        seen.get();
         deck.data.with_value(|live| live.log.events.back().map(|e| e.text.clone()).unwrap_or_default())
     });
     let lines = move || {
-        seen.track();
+        seen.get();
         let origin = match deck.source {
             Source::Recorded => deck.origin_s.get(),
             Source::Live => 0.0,

@@ -90,7 +90,7 @@ pub fn Legend(
     let present = Memo::new(move |_| lines(deck, entries.get()));
     let value = move |curve: Curve| {
         if errors {
-            beat.track();
+            beat.get();
             return error_text(deck, curve, decimals);
         }
         let at = deck.reading_s();

@@ -10,6 +10,7 @@ pub mod estimator;
 pub mod events;
 pub mod hold;
 pub mod horizon;
+pub mod lanes;
 pub mod legend;
 pub mod motors;
 pub mod notices;

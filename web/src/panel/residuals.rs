@@ -155,12 +155,11 @@ fn Rows(estimator: Memo<u16>) -> impl IntoView {
         });
         let ratio = move || reading.get().map(|(r, _)| r);
         let open = move |_| deck.residual.set(Some((sensor, instance)));
-        let label = format!("Residuals of {name}");
         view! {
             <li class="res-row">
-                <button type="button" class="res-name" aria-label=label title="Show every channel with its gate" on:click=open>
-                    <span>{name}</span>
-                    <span class="res-channel">{move || reading.get().map(|(_, c)| c)}</span>
+                <button type="button" class="res-name" title="Show every channel with its gate" on:click=open>
+                    <span><span class="visually-hidden">"Residuals of "</span>{name}</span>
+                    <span class="res-channel" aria-hidden="true">{move || reading.get().map(|(_, c)| c)}</span>
                 </button>
                 <span class=move || format!("res-value num {}", level(ratio()))>
                     {move || format::maybe(ratio().map(|r| r.min(99.99)), 2)}

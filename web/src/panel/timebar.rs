@@ -16,13 +16,13 @@ fn window_name(seconds: f64) -> String {
 #[component]
 pub fn TimeBar() -> impl IntoView {
     let deck = deck();
-    let zoomed = Memo::new(move |_| deck.zoom.get());
+    let zoomed = Memo::new(move |_| deck.is_zoomed().then(|| deck.zoom.get()));
     let live = deck.source == Source::Live;
     view! {
         <div class="timebar">
-            {move || zoomed.get().map(|(a, b)| view! {
+            {move || zoomed.get().map(|stretch| view! {
                 <button type="button" class="small" on:click=move |_| deck.zoom_out() title="Back to the whole window (double-click on a chart)">
-                    {format!("zoom {} s ×", format::fixed(b - a, 1))}
+                    {stretch.map_or_else(|| "zoom ×".to_owned(), |(a, b)| format!("zoom {} s ×", format::fixed(b - a, 1)))}
                 </button>
             })}
             <PinButton />

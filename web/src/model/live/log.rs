@@ -1,4 +1,4 @@
-//! What happened, oldest first: events, steps of the setpoint, attacks.
+//! What happened, oldest first: events, steps of the setpoint, attacks, changes of mode, estimator and gains.
 
 use std::collections::VecDeque;
 
@@ -10,8 +10,38 @@ use crate::model::spans::Spans;
 const MAX_EVENTS: usize = 400;
 /// Steps kept of one; the oldest go first.
 const MAX_STEPS: usize = 200;
+/// Changes of state kept of one; the oldest go first.
+const MAX_STATES: usize = 400;
 /// Events in which a repetition is looked for: each connection begins with the newest ones again.
 const REPEATED: usize = 64;
+
+/// What flies, from a time on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct State {
+    /// Since when, s of flight time.
+    pub from_s: f64,
+    /// Mode.
+    pub mode: v1::Mode,
+    /// Estimator in the loop, by its number.
+    pub estimator: u16,
+    /// Revision of the gains.
+    pub gains: u32,
+}
+
+impl State {
+    fn of(status: &v1::Status) -> Self {
+        Self {
+            from_s: status.time_us as f64 * 1e-6,
+            mode: status.mode(),
+            estimator: status.estimator_in_loop as u16,
+            gains: status.gains_revision,
+        }
+    }
+
+    fn same(&self, other: &Self) -> bool {
+        (self.mode, self.estimator, self.gains) == (other.mode, other.estimator, other.gains)
+    }
+}
 
 /// See the module documentation.
 #[derive(Debug, Default)]
@@ -24,6 +54,8 @@ pub struct Log {
     pub steps: VecDeque<v1::StepResponse>,
     /// Attacks by time, for shading.
     pub attacks: Spans,
+    /// Changes of what flies, oldest first.
+    pub states: VecDeque<State>,
     unbounded: bool,
 }
 
@@ -43,6 +75,28 @@ impl Log {
         self.attacks.fill(past.attacks);
         past.events.into_iter().for_each(|event| self.event(event));
         past.steps.into_iter().for_each(|step| self.step(step));
+        past.states.into_iter().for_each(|state| self.state(state));
+    }
+
+    /// Takes what a status says of mode, estimator and gains.
+    pub fn status(&mut self, status: &v1::Status) {
+        self.state(State::of(status));
+    }
+
+    fn state(&mut self, state: State) {
+        let at = self.states.iter().rposition(|s| s.from_s <= state.from_s).map_or(0, |i| i + 1);
+        let before = at.checked_sub(1).and_then(|before| self.states.get(before));
+        if before.is_some_and(|before| before.same(&state)) {
+            return;
+        }
+        // The same from earlier on, where the past comes after the present.
+        match self.states.get_mut(at).filter(|after| after.same(&state)) {
+            Some(after) => after.from_s = state.from_s,
+            None => self.states.insert(at, state),
+        }
+        if !self.unbounded && self.states.len() > MAX_STATES {
+            self.states.pop_front();
+        }
     }
 
     /// Takes an event, unless it is known.
@@ -73,5 +127,38 @@ impl Log {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changes_of_state_are_kept_whether_they_come_in_order_or_the_past_comes_later() {
+        let status = |at_s: u64, mode: v1::Mode, gains| v1::Status {
+            time_us: at_s * 1_000_000,
+            mode: mode.into(),
+            gains_revision: gains,
+            ..Default::default()
+        };
+        let all = [
+            status(1, v1::Mode::Disarmed, 0),
+            status(2, v1::Mode::Disarmed, 0),
+            status(3, v1::Mode::AltitudeHold, 0),
+            status(5, v1::Mode::AltitudeHold, 1),
+            status(9, v1::Mode::AltitudeHold, 1),
+        ];
+        let mut whole = Log::default();
+        all.iter().for_each(|s| whole.status(s));
+        assert_eq!(
+            whole.states.iter().map(|s| (s.from_s, s.gains)).collect::<Vec<_>>(),
+            [(1.0, 0), (3.0, 0), (5.0, 1)]
+        );
+        let (mut late, mut past) = (Log::default(), Log::unbounded());
+        late.status(&all[4]);
+        all.iter().take(4).for_each(|s| past.status(s));
+        late.fill(past);
+        assert_eq!(late.states, whole.states);
     }
 }

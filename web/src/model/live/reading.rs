@@ -146,6 +146,7 @@ impl Live {
                 let status: v1::Status = frame.message()?;
                 if new {
                     self.curves.push_status(&status);
+                    self.log.status(&status);
                 }
                 self.status.set(status, time_us);
             }

@@ -340,7 +340,7 @@ impl Report {
         }
         out += &figures(live);
         let mut section = |title: &str, body: String| {
-            let _ = write!(out, "<section><h2>{title}</h2>{body}</section>");
+            let _ = write!(out, "<section tabindex=\"0\" aria-label=\"{title}\"><h2>{title}</h2>{body}</section>");
         };
         section("Steps", steps(self));
         section("Attacks", attacks(self));

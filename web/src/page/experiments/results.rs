@@ -3,7 +3,7 @@
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Condition, Flight, Flights, Results, Spread, State};
 
-use super::{PERIOD, ROOT, progress};
+use super::{ROOT, progress};
 use crate::{
     ctx::ctx,
     event::{Event, Tone},
@@ -15,82 +15,54 @@ use crate::{
 /// Dots are drawn of so many flights at most.
 const MOST: usize = 1000;
 
-/// The card of one experiment.
+/// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights.
 #[component]
-pub fn ResultsCard(state: State) -> impl IntoView {
-    let ctx = ctx();
-    let at = format!("{ROOT}/{}", state.id);
-    let results = RwSignal::new(Results { state: state.clone(), ..Results::default() });
+pub fn ResultsCard(
+    /// Which.
+    id: String,
+    /// How it stands, as the list has it.
+    state: Memo<State>,
+) -> impl IntoView {
+    let at = format!("{ROOT}/{id}");
+    let results = RwSignal::new(Results::default());
     let flights = RwSignal::new(Vec::<Flight>::new());
     let measure = RwSignal::new(0_usize);
-    let load = {
-        let at = at.clone();
-        move || {
-            let at = at.clone();
-            leptos::task::spawn_local(async move {
-                if let Ok(found) = net::json::<Results>("GET", &at, None, "").await {
-                    results.try_set(found);
-                }
-                if let Ok(found) = net::json::<Flights>("GET", &format!("{at}/flights?count={MOST}"), None, "").await {
-                    flights.try_set(found.flights);
-                }
-            });
-        }
-    };
-    load();
-    // The card is made anew with every change of the state; what runs is asked for in between, too.
-    if state.running
-        && let Ok(timer) = set_interval_with_handle(load, PERIOD)
-    {
-        on_cleanup(move || timer.clear());
-    }
-    let turn = {
-        let at = at.clone();
-        move |what: &'static str| {
-            let address = format!("{at}/{what}");
-            leptos::task::spawn_local(async move {
-                if let Err(failure) = net::json::<State>("POST", &address, None, "").await {
-                    ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text)));
-                }
-            });
-        }
-    };
-    let run = if state.running {
-        let turn = turn.clone();
-        view! { <button type="button" on:click=move |_| turn("stop")>"Stop"</button> }.into_any()
-    } else if state.own && state.done < state.flights {
-        view! { <button type="button" on:click=move |_| turn("start")>"Go on"</button> }.into_any()
-    } else {
-        ().into_any()
-    };
+    let done = Memo::new(move |_| state.with(|state| state.done));
+    let from = at.clone();
+    Effect::new(move |_| {
+        // Read, not only tracked: a memo that nobody reads never changes.
+        done.get();
+        let at = from.clone();
+        leptos::task::spawn_local(async move {
+            if let Ok(found) = net::json::<Flights>("GET", &format!("{at}/flights?count={MOST}"), None, "").await {
+                flights.try_set(found.flights);
+            }
+            if let Ok(found) = net::json::<Results>("GET", &at, None, "").await {
+                results.try_set(found);
+            }
+        });
+    });
+    let factors = Memo::new(move |_| results.with(|r| r.factors.clone()));
+    let measures = Memo::new(move |_| results.with(|r| r.measures.clone()));
+    let numbers = move || results.with(|r| r.conditions.iter().map(|c| c.number).collect::<Vec<_>>());
+    let row_at = at.clone();
     view! {
         <section class="card results" aria-label="Results">
-            <header>
-                <h2>{state.name.clone()}</h2>
-                <span class="quiet num">{progress(&state)}</span>
-                <span class="push buttons-row">
-                    {run}
-                    <a class="button" href=format!("{at}/report.html") target="_blank" rel="external">"Report"</a>
-                    <a class="button" href=format!("{at}/flights.parquet") rel="external">"Parquet"</a>
-                    <a class="button" href=format!("{at}/plan.toml") rel="external">"Plan"</a>
-                </span>
-            </header>
-            {state.error.clone().map(|error| view! { <p class="banner bad" role="alert">{error}</p> })}
-            {(!state.own).then(|| view! { <p class="banner">"Another version of the program flew this: it can be read, and not gone on with."</p> })}
+            <Head at state />
             <label class="field measure">"Measure"
                 <select on:change:target=move |e| measure.set(e.target().value().parse().unwrap_or(0))>
-                    {move || results.with(|r| r.measures.iter().enumerate().map(|(i, m)| view! {
+                    {move || measures.get().into_iter().enumerate().map(|(i, m)| view! {
                         <option value=i.to_string() selected=measure.get_untracked() == i>{format!("{}: {}", m.name, m.about)}</option>
-                    }).collect_view())}
+                    }).collect_view()}
                 </select>
             </label>
             <div class="table-wrap"><table class="dense">
                 <thead><tr>
-                    {move || results.with(|r| r.factors.iter().map(|factor| {
+                    {move || factors.get().into_iter().map(|factor| {
                         // The last of its parts; what it is a part of is told to whoever asks.
-                        let name = factor.rsplit('.').next().unwrap_or(factor).to_owned();
-                        view! { <th scope="col" title=factor.clone()>{name}</th> }
-                    }).collect_view())}
+                        let name = factor.rsplit('.').next().unwrap_or(&factor).to_owned();
+                        view! { <th scope="col" title=factor>{name}</th> }
+                    }).collect_view()}
                     <th class="num" scope="col">"lost"</th>
                     <th class="num" scope="col">"median"</th>
                     <th class="num" scope="col">"95 % interval"</th>
@@ -100,11 +72,55 @@ pub fn ResultsCard(state: State) -> impl IntoView {
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
                 <tbody>
-                    {move || results.get().conditions.into_iter().map(|condition| view! { <Row condition flights measure at=at.clone() /> }).collect_view()}
+                    <For each=numbers key=|number| *number let:number>
+                        {
+                            let condition = Memo::new(move |_| results.with(|r| {
+                                r.conditions.iter().find(|c| c.number == number).cloned().unwrap_or_default()
+                            }));
+                            let at = row_at.clone();
+                            // What a row says changes with its condition only.
+                            move || view! { <Row condition=condition.get() flights measure at=at.clone() /> }
+                        }
+                    </For>
                 </tbody>
             </table></div>
             <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
         </section>
+    }
+}
+
+/// Name, progress, what can be done with it.
+#[component]
+fn Head(at: String, state: Memo<State>) -> impl IntoView {
+    let ctx = ctx();
+    let address = StoredValue::new(at.clone());
+    let turn = move |what: &'static str| {
+        let address = format!("{}/{what}", address.get_value());
+        leptos::task::spawn_local(async move {
+            if let Err(failure) = net::json::<State>("POST", &address, None, "").await {
+                ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text)));
+            }
+        });
+    };
+    let running = Memo::new(move |_| state.with(|s| s.running));
+    let left = Memo::new(move |_| state.with(|s| s.own && s.done < s.flights));
+    view! {
+        <header>
+            <h2>{move || state.with(|s| s.name.clone())}</h2>
+            <span class="quiet num">{move || state.with(progress)}</span>
+            <span class="push buttons-row">
+                {move || match (running.get(), left.get()) {
+                    (true, _) => view! { <button type="button" on:click=move |_| turn("stop")>"Stop"</button> }.into_any(),
+                    (false, true) => view! { <button type="button" on:click=move |_| turn("start")>"Go on"</button> }.into_any(),
+                    _ => ().into_any(),
+                }}
+                <a class="button" href=format!("{at}/report.html") target="_blank" rel="external">"Report"</a>
+                <a class="button" href=format!("{at}/flights.parquet") rel="external">"Parquet"</a>
+                <a class="button" href=format!("{at}/plan.toml") rel="external">"Plan"</a>
+            </span>
+        </header>
+        {move || state.with(|s| s.error.clone()).map(|error| view! { <p class="banner bad" role="alert">{error}</p> })}
+        {move || (!state.with(|s| s.own)).then(|| view! { <p class="banner">"Another version of the program flew this: it can be read, and not gone on with."</p> })}
     }
 }
 

@@ -7,8 +7,10 @@ use serde_json::json;
 use super::{again::FlyAgain, reestimate::Reestimate, save};
 use crate::{
     ctx::ctx,
+    deck::deck,
     event::Failure,
     model::format::{self, NONE},
+    panel::lanes::timed_notes,
 };
 
 /// Everything known about the flight, beside its charts.
@@ -28,6 +30,13 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
     let ctx = ctx();
     let url = StoredValue::new(format!("/api/v1/flights/{}", flight.id));
     let notes = RwSignal::new(flight.notes.clone());
+    let deck = deck();
+    let place = move || {
+        let begin_s = deck.origin_s.get_untracked();
+        let timed = notes.with_untracked(|notes| timed_notes(notes));
+        deck.notes.set(timed.into_iter().map(|(at_s, text)| (begin_s + at_s, text)).collect());
+    };
+    place();
     let fact = |name: &'static str, value: String| view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> };
     let missing = if flight.missing == 0 { "none".to_owned() } else { format::count(flight.missing) };
     let rms =
@@ -68,10 +77,13 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
             <textarea
                 id="notes"
                 rows="4"
-                placeholder="What was tried, what was seen"
+                placeholder="What was tried, what was seen. Begin a line with a time (1:23) and it stands on the timeline."
                 prop:value=notes
                 on:input:target=move |e| notes.set(e.target().value())
-                on:change=move |_| save(ctx, url.get_value(), json!(Labels { name: None, notes: Some(notes.get_untracked()) }), summary)
+                on:change=move |_| {
+                    place();
+                    save(ctx, url.get_value(), json!(Labels { name: None, notes: Some(notes.get_untracked()) }), summary);
+                }
             ></textarea>
         </section>
     }

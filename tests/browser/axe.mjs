@@ -1,0 +1,75 @@
+// What axe-core finds on every page, light and dark, wide and narrow; and what a small screen keeps within reach.
+
+import { readFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+
+import { assert, complaints, end, launch, need, screenshots, step, until, url } from './support.mjs';
+
+const axe = readFileSync(createRequire(`${need('PLUMBLINE_MODULES')}/`).resolve('axe-core/axe.min.js'), 'utf8');
+const browser = await launch();
+const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
+const page = await context.newPage();
+page.setDefaultTimeout(10_000);
+const errors = complaints(page);
+const { flights } = await (await page.request.get(`${url}/api/v1/flights`)).json();
+const some = flights.slice(0, 2).map((flight) => flight.id);
+
+const PAGES = {
+  fly: '/', flights: '/flights', experiments: '/experiments', tune: '/tune', calibrate: '/calibrate', setup: '/setup',
+  ...(some[0] && { flight: `/flights/${some[0]}`, report: `/flights/${some[0]}/report` }),
+  ...(some[1] && { compare: `/flights/${some.join(',')}` }),
+};
+
+// The numbers of the pitch ladder lie on the canvas, which axe takes for the bare page.
+const findings = async () => {
+  await page.evaluate(axe);
+  const { violations } = await page.evaluate(() => globalThis.axe.run({ exclude: [['.ladder']] }, { resultTypes: ['violations'] }));
+  const grave = violations.filter((found) => ['serious', 'critical'].includes(found.impact));
+  return {
+    grave: grave.flatMap((found) => found.nodes.map((node) => `${found.id} ${node.target.join(' ')}: ${node.html.slice(0, 120)} ${node.any[0]?.message ?? ''}`)),
+    lesser: violations.filter((found) => !grave.includes(found)).map((found) => `${found.id} ×${found.nodes.length}`),
+  };
+};
+
+for (const [width, height] of [[1280, 720], [390, 844]]) {
+  for (const [name, path] of Object.entries(PAGES)) {
+    await step(page, `axe: ${name} at ${width}×${height}, light and dark`, async () => {
+      await page.setViewportSize({ width, height });
+      await page.goto(url + path);
+      await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
+      await page.waitForTimeout(1200);
+      const told = {};
+      for (const theme of ['light', 'dark']) {
+        const { grave, lesser } = await findings();
+        await page.screenshot({ path: `${screenshots}/axe-${name}-${theme}-${width}x${height}.png` });
+        await page.getByRole('button', { name: 'Dark theme' }).click();
+        assert(grave.length === 0, `${theme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);
+        told[theme] = lesser;
+      }
+      const wide = await page.evaluate(() => document.scrollingElement.scrollWidth - innerWidth);
+      assert(wide <= 0, `${wide} px wider than the screen`);
+      return told;
+    });
+  }
+}
+
+await step(page, 'on a phone, landing and the cut stay within reach, wherever the page is', async () => {
+  await page.setViewportSize({ width: 390, height: 844 });
+  await page.goto(url);
+  const dock = page.getByRole('group', { name: 'Land and cut' });
+  for (const y of [0, 900]) {
+    await page.evaluate((y) => scrollTo(0, y), y);
+    for (const name of ['Land', 'CUT MOTORS']) {
+      const button = dock.getByRole('button', { name });
+      const box = await until(name, () => button.boundingBox());
+      assert(box.height >= 44 && box.y + box.height <= 844, `${name}: ${JSON.stringify(box)}`);
+    }
+  }
+});
+
+await step(page, 'axe: no complaint in the console', async () => {
+  assert(errors.length === 0, errors.join('\n'));
+});
+
+await browser.close();
+end();
