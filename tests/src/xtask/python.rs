@@ -23,6 +23,11 @@ pub fn test(workspace: &Workspace, tally: &mut Tally) {
         command.env("PLUMBLINE_BINARIES", workspace.target.join("debug"));
         command
     };
+    let mut install =
+        command(&["pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--force-reinstall", "."]);
+    if tally.check("the Python package is built and installed", workspace::run(&mut install)).is_none() {
+        return;
+    }
     let cache = workspace.target.join("tools/mypy").display().to_string();
     for (name, what) in [("package", &["-p", "plumbline"][..]), ("tests and examples", &["tests", "examples"])] {
         let mut mypy = command(&["mypy", "--cache-dir", &cache]);

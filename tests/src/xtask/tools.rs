@@ -113,29 +113,22 @@ pub fn slycot(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     python_with(workspace, &SLYCOT)
 }
 
-/// A Python with what `tests/python/requirements.txt` pins, and with the package there as its users install it.
+/// A Python with what `tests/python/requirements.txt` pins.
 ///
 /// # Errors
 /// What is missing and how to get it.
 pub fn plumbline(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
-    let source = workspace.root.join("tests/python");
-    let pins = source.join("requirements.txt");
+    let pins = workspace.root.join("tests/python/requirements.txt");
     let wanted = std::fs::read(&pins).map_err(XtaskError::file(&pins))?;
     let folder = workspace.target.join("tools/plumbline");
     let (own, installed) = (folder.join("bin/python"), folder.join("installed.txt"));
-    let pip = || {
-        let mut pip = Command::new(&own);
-        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
-        pip
-    };
     if std::fs::read(&installed).ok().as_ref() != Some(&wanted) {
         let system = program(&["python3"], "python3")?;
         eprintln!("xtask: a Python environment as {} says in {}", pins.display(), folder.display());
         environment(&system, &folder)?;
-        run(pip().arg("--requirement").arg(&pins))?;
+        run(Command::new(&own).args(["-m", "pip", "install", "--quiet", "--requirement"]).arg(&pins))?;
         std::fs::write(&installed, wanted).map_err(XtaskError::file(&installed))?;
     }
-    run(pip().args(["--no-deps", "--no-build-isolation", "--force-reinstall"]).arg(&source))?;
     Ok(own)
 }
 
