@@ -15,6 +15,7 @@ use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use crate::estimate::ekf_bias::align;
 use crate::estimate::{Residuals, median};
 use crate::frames::tilt_rad;
+use crate::sensor::MAX_HEIGHTS;
 use crate::sensor::measure::Kinematics;
 
 /// Offsets and noise are learned fast for so long in the air, and no height is excluded for so long, s.
@@ -34,6 +35,8 @@ const SILENT_SLOTS: u32 = 25;
 const ALTITUDE_SIGMA_M: f64 = 0.3;
 /// Motion capture tells the yaw for so long, s: no magnetometer is asked.
 const POSE_MEMORY_S: f64 = 1.0;
+/// A lane further from the heaviest in altitude, m, or climb, m/s, weighs nothing.
+const AWAY: (f64, f64) = (0.5, 1.0);
 /// Lanes that weigh at least so much and differ in tilt by more, rad, contradict each other.
 const WEIGHTY: f64 = 0.15;
 const CONTRADICTION_RAD: f64 = 0.14;
@@ -52,9 +55,9 @@ impl Lanes {
         let learning = f64::from(self.clock.flown) * SLOT_S < LEARNING_S;
         self.judges.noise.take(&slot.imus, learning);
         self.judges.vote.take(&slot.imus);
-        self.compare_heights(slot);
+        let beyond_m = self.compare_heights(slot);
         self.note(slot);
-        let heard = self.correct(slot);
+        let heard = self.correct(slot, beyond_m);
         self.judges.evidence.take(&heard);
         self.fuse();
         self.judge_heights(slot, learning);
@@ -112,8 +115,8 @@ impl Lanes {
         self.rebase(slot);
     }
 
-    /// Lasers that step, against what the IMUs felt.
-    fn compare_heights(&mut self, slot: &Slot) {
+    /// Lasers that step, against what the IMUs felt; what each reads beyond its reach, m.
+    fn compare_heights(&mut self, slot: &Slot) -> [f64; MAX_HEIGHTS] {
         let Kinematics { position_enu_m, velocity_enu_mps, world_from_body } = self.fused.at;
         let mut felt = self.common(&slot.imus);
         felt[2] += self.fused.mixture.thrust * (slot.thrust_mps2 - felt[2]);
@@ -126,6 +129,12 @@ impl Lanes {
             sample.iter_mut().for_each(|(_, height_m)| *height_m -= heights.off_m(i, z_m));
         }
         heights.split.take(slot.end(), (z_m, climb_mps), up_mps2, &samples);
+        let mut beyond_m = [0.0; MAX_HEIGHTS];
+        for (i, (beyond_m, sample)) in beyond_m.iter_mut().zip(samples).enumerate() {
+            let Some((time, height_m)) = sample else { continue };
+            *beyond_m = heights.beyond_reach_m(i, height_m - (z_m - climb_mps * slot.age_s(time)), time);
+        }
+        beyond_m
     }
 
     /// What this slot aids.
@@ -148,7 +157,7 @@ impl Lanes {
     }
 
     /// Predicts and corrects every lane; what each makes of the slot.
-    fn correct(&mut self, slot: &Slot) -> PerLane<Option<Heard>> {
+    fn correct(&mut self, slot: &Slot, beyond_m: [f64; MAX_HEIGHTS]) -> PerLane<Option<Heard>> {
         let end = slot.end();
         let unaided = self.unaided(end);
         let pose = self.aided.pose.within(end, POSE_MEMORY_S);
@@ -156,6 +165,7 @@ impl Lanes {
         let around = Around {
             model: &self.model,
             heights: &self.judges.heights,
+            beyond_m,
             field_ut: self.aided.field_ut.filter(|_| !pose),
             drag: self.thrust.drag(slot.thrust_mps2, up_mps2),
             barometers: !self.aided.heights.ever(),
@@ -231,10 +241,23 @@ impl Lanes {
 
     fn fuse(&mut self) {
         let votes = self.judges.vote.against(&self.judges.evidence.are_present());
-        let weights = self.judges.evidence.weights(&votes);
+        let mut weights = self.judges.evidence.weights(&votes);
         let heaviest = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
         let best = heaviest.map_or(0, |(i, _)| i);
-        let Some(reference) = self.lanes.get(best).map(|lane| lane.at.world_from_body) else { return };
+        let Some(Kinematics { position_enu_m: place, velocity_enu_mps: speed, world_from_body: reference }) =
+            self.lanes.get(best).map(|lane| lane.at)
+        else {
+            return;
+        };
+        // However little it weighs, one that falls would draw the mean along.
+        let away = |at: &Kinematics| {
+            (at.position_enu_m.z - place.z).abs() > AWAY.0 || (at.velocity_enu_mps.z - speed.z).abs() > AWAY.1
+        };
+        for (weight, _) in weights.iter_mut().zip(&self.lanes).filter(|(_, lane)| away(&lane.at)) {
+            *weight = 0.0;
+        }
+        let sum: f64 = weights.iter().sum();
+        weights.iter_mut().for_each(|weight| *weight /= sum.max(f64::MIN_POSITIVE));
         let mut at = Kinematics {
             position_enu_m: Vector3::zeros(),
             velocity_enu_mps: Vector3::zeros(),

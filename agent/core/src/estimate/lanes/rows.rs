@@ -37,7 +37,7 @@ use crate::frames::skew;
 use crate::sensor::heading;
 use crate::sensor::imu::MagnetometerModel;
 use crate::sensor::measure;
-use crate::sensor::{Accuracy, SensorModel};
+use crate::sensor::{Accuracy, MAX_HEIGHTS, SensorModel};
 use crate::sensor::{barometer, height, mocap_pose};
 
 /// Beyond so many sigmas noise counts as larger.
@@ -73,6 +73,8 @@ pub struct Around<'a> {
     pub model: &'a SensorModel,
     /// Of the lasers.
     pub heights: &'a Heights,
+    /// What each reads beyond its reach from the others, by the mean of all lanes, m: a lane that is off has no say in it.
+    pub beyond_m: [f64; MAX_HEIGHTS],
     /// Strength of the magnetic field where the vehicle started, µT, where it is to be used.
     pub field_ut: Option<f64>,
     /// Drag over mass, 1/s, while nothing but drag acts in the rotors' plane.
@@ -134,7 +136,7 @@ impl Correction<'_> {
             let sigma = around.model.heights.sigma.max(HEIGHT_SIGMA_M) / weight.max(1e-3).sqrt();
             let of = (SensorId::new(SensorKind::Height, i as u8 + 1), Channel::Height);
             let mut row = row(of, &measured, Accuracy { sigma, ..around.model.heights }, age_s);
-            row.innovation -= around.heights.beyond_reach_m(i, row.innovation, time);
+            row.innovation -= around.beyond_m[i];
             row.refused = weight == 0.0;
             self.row(row);
         }
