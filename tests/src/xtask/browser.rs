@@ -13,14 +13,12 @@ use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
-/// `replay.mjs`, a vehicle on wires with `wires.mjs`, and accounts on a ground of their own with `people.mjs`.
+/// `replay.mjs`, and accounts on a ground of their own with `people.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
     let outcome = replay(workspace, tally);
     tally.check("browser: a replay starts and stops cleanly", outcome);
-    let outcome = wires(workspace, tally);
-    tally.check("browser: a vehicle on wires starts and stops cleanly", outcome);
     let outcome = people(workspace, tally);
     tally.check("browser: a ground with accounts starts and stops cleanly", outcome);
 }
@@ -30,16 +28,6 @@ fn people(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let read = run_script(&mut script(workspace, "people.mjs", &ground.api)?, tally);
     let stopped = ground.process.interrupt(std::time::Duration::from_secs(10)).map(drop);
     read.and(stopped)
-}
-
-/// The everyday use once more, through the drivers of real devices.
-fn wires(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
-    let options = options(workspace, "debug", "browser-wires")?;
-    let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO) };
-    let system = System::start(&options, &vehicle)?;
-    let flown = run_script(&mut script(workspace, "wires.mjs", system.api())?, tally);
-    let stopped = system.stop();
-    flown.and(stopped)
 }
 
 /// Records the scripted flight without a ground, as fast as it goes, and flies it again.
