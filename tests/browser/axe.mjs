@@ -37,6 +37,8 @@ for (const [width, height] of [[1280, 720], [390, 844]]) {
       await page.setViewportSize({ width, height });
       await page.goto(url + path);
       await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
+      // Recordings take a moment.
+      if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
       await page.waitForTimeout(1200);
       const told = {};
       for (const theme of ['light', 'dark']) {
@@ -56,7 +58,7 @@ for (const [width, height] of [[1280, 720], [390, 844]]) {
 await step(page, 'on a phone, landing and the cut stay within reach, wherever the page is', async () => {
   await page.setViewportSize({ width: 390, height: 844 });
   await page.goto(url);
-  const dock = page.getByRole('group', { name: 'Land and cut' });
+  const dock = page.getByRole('region', { name: 'Land and cut' });
   for (const y of [0, 900]) {
     await page.evaluate((y) => scrollTo(0, y), y);
     for (const name of ['Land', 'CUT MOTORS']) {

@@ -146,10 +146,10 @@ pub fn Dock() -> impl IntoView {
     let ctx = ctx();
     let flies = Memo::new(move |_| ctx.live(|live| live.status.get().is_some_and(|s| s.armed) && !live.is_replay()));
     view! {
-        <div class="dock" role="group" aria-label="Land and cut">
+        <section class="dock" aria-label="Land and cut">
             <button type="button" class="land" disabled=move || !flies.get() on:click=move |_| ctx.land()>"Land"</button>
             <button type="button" class="cut" on:click=move |_| ctx.cut()>"CUT MOTORS"</button>
-        </div>
+        </section>
     }
 }
 
