@@ -11,7 +11,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
-pub use plumbline_analysis::{design, offline, recordings};
+pub use plumbline_analysis::{design, envelope, offline, recordings};
 pub use plumbline_core::{
     attack, calibration, command, control, estimate, event, flight, frames, linalg, mix, model, sensor, supervisor,
     types, vehicle,

@@ -51,7 +51,7 @@ fn bias_on(
             seed: 1,
         })
         .collect();
-    Command::Attack(Schedule { id: 1, attacks })
+    Command::Attack(Schedule { id: 1, attacks, ..Schedule::default() })
 }
 
 /// Landed on its strings, motors off.

@@ -39,7 +39,7 @@ const CRATES: [(&str, &str, &[&str]); 6] = [
     ("plumbline-devices", "agent/devices/src", &[]),
     ("plumbline-sim", "agent/sim/src", &[]),
     ("plumbline-link", "agent/link/src", &[]),
-    ("plumbline-analysis", "agent/analysis/src", &["recordings", "design", "offline"]),
+    ("plumbline-analysis", "agent/analysis/src", &["recordings", "design", "envelope", "offline"]),
     ("plumbline-agent", "agent/src", &["link", "log", "telemetry", "config", "runner", "cli"]),
 ];
 const PICTURE: &str = "docs/rooms.svg";

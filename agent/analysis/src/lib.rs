@@ -7,4 +7,6 @@ pub mod recordings;
 
 pub mod design;
 
+pub mod envelope;
+
 pub mod offline;

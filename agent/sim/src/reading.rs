@@ -343,7 +343,7 @@ fn read_attacks(raw: &[RawAttack]) -> Read<Schedule> {
             return bad("attack", format!("{} attacks", raw.len()), format!("{MAX_ATTACKS} at most"));
         }
     }
-    Ok(Schedule { id: u32::from(!attacks.is_empty()), attacks })
+    Ok(Schedule { id: u32::from(!attacks.is_empty()), attacks, ..Schedule::default() })
 }
 
 fn attack_channel(name: &str) -> Read<Channel> {

@@ -4,6 +4,7 @@ mod calibrate;
 mod decode;
 mod design;
 mod devices;
+mod envelope;
 mod estimate;
 mod fly;
 mod identity;
@@ -51,6 +52,8 @@ enum Tool {
     Decode(decode::DecodeArguments),
     /// What a sensor suite can promise: rank, sparse observability, correctable attacks, binding state (JSON).
     Observability(observability::ObservabilityArguments),
+    /// How far an attacker who is not seen can push the vehicle, for every set of sensors.
+    Envelope(envelope::EnvelopeArguments),
     /// Lists ports and what answers on them; `devices test NAME` shows what a device says.
     Devices(devices::DevicesArguments),
     /// Turns one motor at low throttle, on the bench.
@@ -127,6 +130,7 @@ impl Arguments {
             Some(Tool::Dare(arguments)) => arguments.run(Equation::Dare),
             Some(Tool::Decode(arguments)) => arguments.run(),
             Some(Tool::Observability(arguments)) => arguments.run(),
+            Some(Tool::Envelope(arguments)) => arguments.run(),
             Some(Tool::Devices(arguments)) => arguments.run(),
             Some(Tool::Motors(arguments)) => arguments.run(),
             Some(Tool::MotorGuard(arguments)) => arguments.run(),

@@ -192,7 +192,7 @@ pub fn attack_schedule(schedule: &v1::AttackSchedule) -> Result<Schedule, String
         return Err(format!("{} attacks in one schedule, at most {MAX_ATTACKS}", schedule.attacks.len()));
     }
     let attacks = schedule.attacks.iter().map(attack).collect::<Result<_, _>>()?;
-    Ok(Schedule { id: schedule.schedule_id, attacks })
+    Ok(Schedule { id: schedule.schedule_id, attacks, ..Schedule::default() })
 }
 
 fn attack(attack: &v1::Attack) -> Result<Attack, String> {

@@ -95,7 +95,7 @@ pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) ->
         let (now, t) = (frame.time, frame.time.as_seconds());
         flight.heartbeat(now);
         if tick == 0 && !attacks.is_empty() {
-            let schedule = Schedule { id: 1, attacks: attacks.iter().copied().collect() };
+            let schedule = Schedule { id: 1, attacks: attacks.iter().copied().collect(), ..Schedule::default() };
             // Where somebody stands between the sensors and the vehicle, the attack comes before them.
             if *reception == Reception::Median {
                 injector.upload(&schedule, now).map_err(|error| FlyError::Attacks(error.to_string()))?;

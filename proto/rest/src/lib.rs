@@ -8,6 +8,7 @@
 pub mod calibration;
 pub mod command;
 pub mod design;
+pub mod envelope;
 pub mod experiment;
 pub mod flight;
 pub mod ground;

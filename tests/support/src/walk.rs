@@ -107,7 +107,7 @@ fn attack(rng: &mut Rng) -> Command {
         magnitude: if what == Kind::Dropout { 1.0 } else { rng.random_range(0.05..most) },
         seed: 3,
     };
-    Command::Attack(Schedule { id: 1, attacks: [attack].into_iter().collect() })
+    Command::Attack(Schedule { id: 1, attacks: [attack].into_iter().collect(), ..Schedule::default() })
 }
 
 /// Something happens; true where the operator chose a mode or let go of a cut.

@@ -115,7 +115,7 @@ pub fn controller(name: &str) -> Result<ControllerKind, DesignError> {
     })
 }
 
-pub(super) fn field(name: &str, problem: String) -> DesignError {
+pub(crate) fn field(name: &str, problem: String) -> DesignError {
     DesignError::Field { name: name.to_owned(), problem }
 }
 

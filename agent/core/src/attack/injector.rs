@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::kinds::Kind;
-use super::schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule};
+use super::schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule, Sequence};
 use crate::sensor::sample::Scalars;
 use crate::sensor::{MAX_SENSORS, Registered, SensorFrame, Visitor};
 
@@ -88,6 +88,8 @@ struct Slot {
     held: Option<Scalars>,
     /// The window before the onset (replay); room is made at upload.
     window: Vec<(FlightTime, Scalars)>,
+    /// What a bias follows.
+    sequence: Option<Sequence>,
 }
 
 /// The attack injector between sensing and estimation.
@@ -159,6 +161,7 @@ impl Injector {
         if !self.enabled {
             return Err(AttackError::Disabled);
         }
+        schedule.sequences.iter().try_for_each(|sequence| Bounds::check_sequence(&schedule.attacks, sequence))?;
         let mut slots = ArrayVec::new();
         let mut progress = ArrayVec::new();
         for (index, attack) in schedule.attacks.iter().enumerate() {
@@ -180,6 +183,7 @@ impl Injector {
                 rng: Xoshiro256PlusPlus::seed_from_u64(attack.seed),
                 held: None,
                 window: if attack.kind == Kind::Replay { Vec::with_capacity(HISTORY) } else { Vec::new() },
+                sequence: schedule.sequences.iter().find(|sequence| sequence.attack == attack.id).cloned(),
             });
             progress.push(Progress {
                 attack: *attack,
@@ -289,7 +293,11 @@ impl Slot {
     /// Alters `values`; true when the whole sample is withheld.
     fn alter(&mut self, attack: &Attack, time: FlightTime, values: &mut Scalars, history: &History) -> bool {
         let elapsed = time.seconds_since(self.onset).max(0.0);
-        let magnitude = attack.magnitude;
+        let part = self.sequence.as_ref().map_or(1.0, |sequence| {
+            let k = (elapsed / sequence.period_s + 1e-9) as usize;
+            sequence.values.get(k).copied().unwrap_or(0.0)
+        });
+        let magnitude = part * attack.magnitude;
         let source = match attack.kind {
             Kind::Freeze => self.held,
             Kind::Replay => {
@@ -422,6 +430,41 @@ mod tests {
         assert_eq!(noise, run(Kind::Noise, 0.3));
         let lost = run(Kind::Dropout, 0.5).iter().filter(|(_, v)| v.is_none()).count();
         assert!((30..70).contains(&lost), "{lost} of 100 dropped");
+    }
+
+    #[test]
+    fn a_bias_follows_its_sequence_within_the_bounds_and_ends_with_its_table() {
+        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+        let sequence = |attack, period_s, values: &[f64]| Sequence { attack, period_s, values: values.to_vec() };
+        let with = |sequence: Sequence| {
+            let mut schedule = Schedule { id: 3, ..Default::default() };
+            schedule.attacks.push(attack(Kind::Bias, 0.5));
+            schedule.sequences.push(sequence);
+            schedule
+        };
+        let id = attack(Kind::Bias, 0.5).id;
+        for (bad, expected) in [
+            (sequence(id + 1, 0.1, &[1.0]), "there is no such attack"),
+            (sequence(id, 0.0, &[1.0]), "sequence period (s) 0 is outside 0.001 to 10"),
+            (sequence(id, 0.1, &[1.0, -1.5]), "value of a sequence -1.5 is outside -1 to 1"),
+            (sequence(id, 0.1, &[f64::NAN]), "NaN"),
+            (sequence(id, 0.1, &[]), "values of a sequence 0"),
+        ] {
+            let error = injector.upload(&with(bad), FlightTime(0)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        injector.upload(&with(sequence(id, 1.0, &[1.0, -0.5, 0.25])), FlightTime(0)).unwrap();
+        for (t, value) in fly(&mut injector, 0.0, 12.0) {
+            let added = match t - 5.0 + 1e-6 {
+                x if x < 0.0 => 0.0,
+                x if x < 1.0 => 0.5,
+                x if x < 2.0 => -0.25,
+                x if x < 3.0 => 0.125,
+                _ => 0.0,
+            };
+            assert!((value.unwrap() - 0.1 * t - added).abs() < 1e-9, "{t} s: {value:?}, {added}");
+        }
+        assert_eq!(injector.abort(FlightTime(12_000_000)), 1);
     }
 
     #[test]

@@ -11,4 +11,4 @@ mod schedule;
 
 pub use injector::{Injector, Phase, Progress};
 pub use kinds::{Channel, Kind};
-pub use schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule, offered};
+pub use schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule, Sequence, offered};

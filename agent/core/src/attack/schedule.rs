@@ -37,7 +37,23 @@ pub struct Schedule {
     pub id: u32,
     /// The attacks, in any order.
     pub attacks: ArrayVec<Attack, MAX_ATTACKS>,
+    /// What biases among them follow.
+    pub sequences: Vec<Sequence>,
 }
+
+/// A bias that follows a table: v → v + magnitude · valueₖ, k = ⌊(t − onset)/period⌋; nothing is added behind its end.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sequence {
+    /// Its attack, of [`Kind::Bias`].
+    pub attack: u32,
+    /// s.
+    pub period_s: f64,
+    /// Each within ±1: the magnitude is the most that is added.
+    pub values: Vec<f64>,
+}
+
+/// Longest table.
+pub const MAX_SEQUENCE: usize = 4096;
 
 /// How far attacks may go. Part of the agent's own configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,6 +134,9 @@ pub enum AttackError {
         /// Kind asked for.
         kind: Kind,
     },
+    /// A table for an attack that follows none.
+    #[error("sequence of attack {0}: there is no such attack, or it is no bias")]
+    NoBias(u32),
     /// A number out of bounds or not finite.
     #[error("attack {id}: {what} {value} is outside {min} to {max}")]
     OutOfBounds {
@@ -163,6 +182,24 @@ impl Bounds {
             Kind::Zero | Kind::Freeze | Kind::SignFlip => {}
         }
         Ok(mask)
+    }
+
+    /// Checks what the biases among `attacks` follow.
+    pub(super) fn check_sequence(attacks: &[Attack], sequence: &Sequence) -> Result<(), AttackError> {
+        let id = sequence.attack;
+        if !attacks.iter().any(|attack| attack.id == id && attack.kind == Kind::Bias) {
+            return Err(AttackError::NoBias(id));
+        }
+        let within = |what, value: f64, min: f64, max: f64| {
+            if value >= min && value <= max {
+                Ok(())
+            } else {
+                Err(AttackError::OutOfBounds { id, what, value, min, max })
+            }
+        };
+        within("sequence period (s)", sequence.period_s, 1e-3, 10.0)?;
+        within("values of a sequence", sequence.values.len() as f64, 1.0, MAX_SEQUENCE as f64)?;
+        sequence.values.iter().try_for_each(|value| within("value of a sequence", *value, -1.0, 1.0))
     }
 
     fn offset_max(&self, sensor: SensorKind, channel: Channel) -> f64 {

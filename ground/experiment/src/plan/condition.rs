@@ -144,7 +144,7 @@ impl Condition {
             let complaint = format!("duration_s = {} ends before an onset at {last:.1} s", scenario.duration_s);
             return Err(Wrong { section: "scenario", complaint });
         }
-        let schedule = Schedule { id: 1, attacks: attacks.into_iter().collect() };
+        let schedule = Schedule { id: 1, attacks: attacks.into_iter().collect(), ..Schedule::default() };
         let mut injector = Injector::new(config.attacks.bounds, true, &config.sensors).sparing(&config.independent);
         let refused = |error: AttackError| Wrong { section: "attack", complaint: error.to_string() };
         injector.upload(&schedule, FlightTime(0)).map_err(refused)

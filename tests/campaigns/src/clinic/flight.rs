@@ -166,7 +166,7 @@ impl Plan {
                 seed: 100 * self.seed + i as u64,
             }
         };
-        Schedule { id: 1, attacks: self.attacked.iter().enumerate().map(attack).collect() }
+        Schedule { id: 1, attacks: self.attacked.iter().enumerate().map(attack).collect(), ..Schedule::default() }
     }
 
     /// The script's altitude.

@@ -78,7 +78,9 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
                     magnitude,
                     seed: 1,
                 };
-                injector.upload(&Schedule { id: 1, attacks: [one].into_iter().collect() }, now).unwrap();
+                injector
+                    .upload(&Schedule { id: 1, attacks: [one].into_iter().collect(), ..Schedule::default() }, now)
+                    .unwrap();
             }
             now
         });

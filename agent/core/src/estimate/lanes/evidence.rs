@@ -17,14 +17,14 @@ use super::{LANES, PerLane, SLOT_S};
 use crate::estimate::median;
 
 /// Evidence is forgotten within this, s.
-const MEMORY_S: f64 = 1.0;
+pub(super) const MEMORY_S: f64 = 1.0;
 /// One innovation counts at most so much.
 const MOST: f64 = 12.0;
 /// Part of a slot in the average of r²/s.
 const AVERAGE_GAIN: f64 = 0.02;
 /// Weights: share of the evidence that counts, what counts little, and how little.
-const SHARE: f64 = 0.05;
-const DEAD: f64 = 2.0;
+pub(super) const SHARE: f64 = 0.05;
+pub(super) const DEAD: f64 = 2.0;
 const DEAD_SLOPE: f64 = 0.15;
 /// How much the vote, and a tilt apart from the others', count against a lane.
 const VOTE: f64 = 4.0;

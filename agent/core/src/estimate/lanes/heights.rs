@@ -12,34 +12,38 @@ use crate::estimate::median;
 use crate::sensor::MAX_HEIGHTS;
 
 /// Residuals of each laser kept: 2.4 s at 10 Hz.
-const KEPT: usize = 24;
+pub(super) const KEPT: usize = 24;
 /// Of which the last are a test of their own.
-const SHORT: usize = 5;
+pub(super) const SHORT: usize = 5;
 /// Slots between two decodes.
-const EVERY: u32 = 5;
+pub(super) const EVERY: u32 = 5;
 /// One-sigma of the means over a short and the whole memory, m; while offsets are learned.
 pub(super) const SIGMA_M: [f64; 2] = [0.015, 0.010];
 const SIGMA_LEARNING_M: [f64; 2] = [0.026, 0.020];
 /// Beyond so many sigmas a mean is bad, and twice that it excludes at once.
-const LIMIT: f64 = 3.5;
+pub(super) const LIMIT: f64 = 3.5;
 /// Beyond so many sigmas a laser weighs less.
 pub(super) const SOFT: f64 = 2.2;
 /// Scatter beyond so many times the median laser's is bad; no laser is taken for steadier, m.
 const SCATTER: f64 = 4.5;
 const STEADY_M: f64 = 0.017;
+/// A mean further from the centre than so many sigmas pulls no more.
+pub(super) const PULL: f64 = 2.0;
+/// Part of the offset that is learned as scale.
+pub(super) const SCALE_SHARE: f64 = 0.6;
 /// What is known of the centre without a laser, m.
-const PRIOR_M: f64 = 0.05;
+pub(super) const PRIOR_M: f64 = 0.05;
 /// Altitude at which scale is no offset, m.
 pub(super) const PIVOT_M: f64 = 1.4;
 /// Most that offset (m) and scale are learned to.
 pub(super) const OFFSET_MAX_M: f64 = 0.06;
 pub(super) const SCALE_MAX: f64 = 0.03;
 /// Parts learned of a deviation at each decode, at first and later.
-const GAINS: (f64, f64) = (0.08, 0.01);
+pub(super) const GAINS: (f64, f64) = (0.08, 0.01);
 /// Decodes within 0.8 of every limit after which one comes back.
 const CALM: u32 = 10;
 /// One further from the median of those of the last moments counts as if it were so far, m: a step reaches no further.
-const REACH_M: f64 = 0.025;
+pub(super) const REACH_M: f64 = 0.025;
 /// Those of the last moments, s.
 const RECENT_S: f64 = 0.3;
 /// Without a sample for so long one is not there, s.
@@ -92,6 +96,15 @@ pub struct Heights {
 type Means = ArrayVec<(usize, f64), MAX_HEIGHTS>;
 
 impl Heights {
+    /// Lasers that weigh so much, whatever they measure.
+    pub(super) fn weighing(weights: &[f64]) -> Self {
+        let mut heights = Self::default();
+        for (laser, weight) in heights.lasers.iter_mut().zip(weights) {
+            (laser.weight, laser.seen) = (*weight, KEPT);
+        }
+        heights
+    }
+
     /// What laser `index` is off by at altitude `z_m`, m.
     pub fn off_m(&self, index: usize, z_m: f64) -> f64 {
         self.lasers.get(index).map_or(0.0, |laser| laser.offset_m + laser.scale * (z_m - PIVOT_M))
@@ -196,7 +209,7 @@ impl Heights {
         for _ in 0..12 {
             let (mut sum, mut weights) = (0.0, (sigma / PRIOR_M).powi(2));
             for (_, mean) in means.iter().filter(|(i, _)| !self.is_excluded(*i)) {
-                let weight = (2.0 * sigma / (mean - centre).abs().max(1e-6)).min(1.0);
+                let weight = (PULL * sigma / (mean - centre).abs().max(1e-6)).min(1.0);
                 sum += weight * mean;
                 weights += weight;
             }
@@ -243,7 +256,7 @@ impl Heights {
             let Some(laser) = self.lasers.get_mut(*i).filter(|laser| calm(laser)) else { continue };
             let off = mean - centre_m - common;
             laser.offset_m = (laser.offset_m + gain * off).clamp(-OFFSET_MAX_M, OFFSET_MAX_M);
-            laser.scale = (laser.scale + 0.6 * gain * off * (z_m - PIVOT_M)).clamp(-SCALE_MAX, SCALE_MAX);
+            laser.scale = (laser.scale + SCALE_SHARE * gain * off * (z_m - PIVOT_M)).clamp(-SCALE_MAX, SCALE_MAX);
         }
     }
 }

@@ -28,6 +28,7 @@ mod fusion;
 mod heights;
 mod integral;
 mod lane;
+pub mod linear;
 mod noise;
 mod predictor;
 mod rates;

@@ -14,7 +14,7 @@ const SIGMA_OF_CHANGE: f64 = 1.25 / std::f64::consts::SQRT_2;
 /// Part of a new change in the mean, at first and later.
 const GAINS: (f64, f64) = (0.3, 0.08);
 /// No IMU is taken for better, m/s² and rad/s.
-const FLOOR: (f64, f64) = (0.05, 0.003);
+pub(super) const FLOOR: (f64, f64) = (0.05, 0.003);
 /// What is assumed before anything is measured, m/s² and rad/s.
 const FIRST: (f64, f64) = (0.15, 0.01);
 /// A sensor's own noise counts up to so many times the median one.

@@ -41,7 +41,7 @@ use crate::sensor::{Accuracy, MAX_HEIGHTS, SensorModel};
 use crate::sensor::{barometer, height, mocap_pose};
 
 /// Beyond so many sigmas noise counts as larger.
-const KNEE: f64 = 3.0;
+pub(super) const KNEE: f64 = 3.0;
 /// No height is taken for better, m: what lasers are off by, and the motion within a scan.
 const HEIGHT_SIGMA_M: f64 = 0.025;
 /// No pose is taken for better, m and rad.

@@ -14,7 +14,7 @@ use super::SLOT_S;
 use crate::sensor::MAX_HEIGHTS;
 
 /// Healthy lasers differ by less, m: offsets, scale, slant, stamps and the motion within a scan.
-const GAP_M: f64 = 0.12;
+pub(super) const GAP_M: f64 = 0.12;
 /// Samples of each laser before it is judged, and the longest that is waited for them, s.
 const SAMPLES: u32 = 2;
 const LONGEST_S: f64 = 0.5;

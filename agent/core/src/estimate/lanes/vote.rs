@@ -6,16 +6,16 @@ use super::integral::Six;
 use super::{LANES, PerLane, median_six};
 
 /// Slots compared.
-const SLOTS: usize = 5;
+pub(super) const SLOTS: usize = 5;
 /// Mean, and root mean square, beyond so many times the usual deviation count.
-const LIMITS: (f64, f64) = (2.2, 2.6);
+pub(super) const LIMITS: (f64, f64) = (2.2, 2.6);
 /// No usual deviation is taken for smaller, m/s² and rad/s.
-const FLOOR: (f64, f64) = (0.06, 0.006);
+pub(super) const FLOOR: (f64, f64) = (0.06, 0.006);
 /// Part of the vote kept from slot to slot, and what one slot adds.
 const KEPT: f64 = 0.92;
 const ADDED: f64 = 0.25;
 /// Part of a bias learned from slot to slot, at first and later.
-const GAINS: (f64, f64) = (0.05, 0.01);
+pub(super) const GAINS: (f64, f64) = (0.05, 0.01);
 
 /// See the module.
 #[derive(Debug, Clone)]

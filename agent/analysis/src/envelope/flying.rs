@@ -1,0 +1,438 @@
+//! The loop as it flies, about hover: the lanes of the secure estimator, their judges, the gains in use, lag and delay.
+//!
+//! | part | taken from |
+//! |---|---|
+//! | slot of a lane | finite differences of the lane that flies (`lanes/linear.rs`), covariance steady |
+//! | fused altitude | mean of the lanes, brought from the horizon to now by the integrals of all IMUs |
+//! | law | its linear form, that margins are judged by |
+//! | vehicle | linearised hover, motors' lag and one tick of delay as margins have them |
+//! | judges | `judges.rs`, their limits the constants in use |
+//!
+//! Where a judge makes a sensor weigh less before it excludes it, the loop is linear up to there only: it is solved as
+//! [`Regime::Full`], everything weighing fully and that limit not passed, and where heights attacked are no minority also as
+//! [`Regime::Outvoted`], the healthy ones weighing as little as they do just before their exclusion. The larger bound is told.
+//! Beyond the limit of the first an attacked sensor's pull falls with its deviation (ρ² against ρ), so it is held to be one; that
+//! is argued, not proved, and flights test it.
+
+use std::collections::VecDeque;
+
+use nalgebra::DMatrix;
+use plumbline_core::control::law::Law;
+use plumbline_core::control::margins::Plant;
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, STATES, SlotMap, cycle, of_imus, slot_of};
+use plumbline_core::model::airframe::Airframe;
+use plumbline_core::model::discretize::zero_order_hold;
+use plumbline_core::model::linearize::{hover, ix};
+use plumbline_core::model::state_space::StateSpace;
+use plumbline_core::sensor::suite::Suite;
+use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+use super::judges::{Innovation, Judges};
+use super::{EnvelopeError, Model, Response, Signal};
+
+/// Altitude of the hover, m.
+pub(super) const ALTITUDE_M: f64 = 1.0;
+/// Slots after which the samples of all heights must repeat.
+const LONGEST_CYCLE: usize = 25;
+/// An attack on an IMU holds for so many slots.
+pub const HELD: usize = 2;
+
+/// The loop, whoever is attacked.
+#[derive(Debug, Clone)]
+pub struct Loop {
+    /// Heights and IMUs, in the order of the suite.
+    pub sensors: Vec<SensorId>,
+    model: SensorModel,
+    /// Rate, Hz, and time of the first sample, s, of each height.
+    timing: Vec<(f64, f64)>,
+    imus: usize,
+    law: StateSpace,
+    vehicle: (DMatrix<f64>, DMatrix<f64>),
+    tick_s: f64,
+    noise_mps2: f64,
+    most: (f64, f64),
+}
+
+/// Which heights weigh how much.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Regime {
+    /// All fully; attacked ones stay where they weigh fully.
+    Full,
+    /// Healthy ones as just before their exclusion.
+    Outvoted,
+}
+
+/// A loop under attack.
+#[derive(Debug)]
+pub struct Attacked<'a> {
+    /// The loop.
+    pub flying: &'a Loop,
+    /// Places of the attacked heights and IMUs among their kind.
+    pub heights: Vec<usize>,
+    /// See `heights`.
+    pub imus: Vec<usize>,
+    /// See [`Regime`].
+    pub regime: Regime,
+}
+
+impl Loop {
+    /// Of `suite` on `airframe` with `law` at `tick_rate_hz`; `noise_mps2` is what the lanes measure of their accelerometers, at
+    /// least what they assume; an attack adds at most `most`, m and m/s².
+    ///
+    /// # Errors
+    /// [`EnvelopeError`] with the offending value.
+    pub fn new(
+        suite: &Suite,
+        airframe: &Airframe,
+        law: &Law,
+        tick_rate_hz: f64,
+        noise_mps2: f64,
+        most: (f64, f64),
+    ) -> Result<Self, EnvelopeError> {
+        let per_slot = SLOT * tick_rate_hz;
+        if (per_slot - per_slot.round()).abs() > 1e-9 || per_slot < 1.0 {
+            let expected = "such that 40 ms are whole ticks";
+            return Err(EnvelopeError::Value { what: "tick_rate_hz", value: tick_rate_hz, expected });
+        }
+        if !(0.0..=5.0).contains(&noise_mps2) {
+            return Err(EnvelopeError::Value { what: "noise_mps2", value: noise_mps2, expected: "0 to 5" });
+        }
+        let tick_s = 1.0 / tick_rate_hz;
+        let linear = law.linear(tick_s, false);
+        let slowest = Plant::new(airframe, tick_s, false)?.examine(&linear)?.margins.slowest_pole_per_s;
+        if slowest.is_nan() || slowest >= 0.0 {
+            return Err(EnvelopeError::Unstable { pole_per_s: slowest });
+        }
+        // Altitude, climb and thrust behind its lag; the thrust asked for.
+        let about = hover(airframe);
+        let lag_s = 0.5 * (airframe.motor_rise_time_constant_s + airframe.motor_fall_time_constant_s);
+        let (damping, lift) = (about.a[(ix::VZ, ix::VZ)], about.b[(ix::VZ, ix::THRUST)]);
+        let a = DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, 0.0, damping, lift, 0.0, 0.0, -1.0 / lag_s]);
+        let b = DMatrix::from_row_slice(3, 1, &[0.0, 0.0, 1.0 / lag_s]);
+        let sampled = zero_order_hold(&a, &b, tick_s)?;
+        let timing: Vec<(f64, f64)> = suite.heights.iter().map(|h| (h.timing.rate_hz, h.timing.phase_s)).collect();
+        let of = |kind: SensorKind, count: usize| (1..=count).map(move |i| SensorId::new(kind, i as u8));
+        let sensors = of(SensorKind::Height, timing.len()).chain(of(SensorKind::Imu, suite.imus.len())).collect();
+        if suite.imus.is_empty() || timing.is_empty() {
+            let value = suite.imus.len().min(timing.len()) as f64;
+            return Err(EnvelopeError::Value { what: "heights or IMUs of the suite", value, expected: "at least 1" });
+        }
+        Ok(Self {
+            sensors,
+            model: SensorModel::from(suite),
+            timing,
+            imus: suite.imus.len(),
+            law: StateSpace {
+                a: linear.a,
+                b: linear.b.select_columns(&[ix::Z, ix::VZ]),
+                c: linear.c.select_rows(&[ix::THRUST]),
+                d: linear.d.select_rows(&[ix::THRUST]).select_columns(&[ix::Z, ix::VZ]),
+            },
+            vehicle: (sampled.a, sampled.b),
+            tick_s,
+            noise_mps2: noise_mps2.max(of_imus::NOISE_MPS2),
+            most,
+        })
+    }
+
+    /// Under an attack on `sensors`.
+    ///
+    /// # Errors
+    /// [`EnvelopeError::UnknownSensor`], [`EnvelopeError::SetTooLarge`].
+    pub fn attacked(&self, sensors: &[SensorId], regime: Regime) -> Result<Attacked<'_>, EnvelopeError> {
+        if sensors.len() > self.sensors.len() {
+            return Err(EnvelopeError::SetTooLarge { size: sensors.len(), sensors: self.sensors.len() });
+        }
+        if let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) {
+            let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+            return Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known });
+        }
+        let of = |kind: SensorKind| {
+            let mine = sensors.iter().filter(move |sensor| sensor.kind == kind);
+            let mut places: Vec<usize> = mine.map(|sensor| usize::from(sensor.instance) - 1).collect();
+            places.sort_unstable();
+            places.dedup();
+            places
+        };
+        Ok(Attacked { flying: self, heights: of(SensorKind::Height), imus: of(SensorKind::Imu), regime })
+    }
+
+    /// When each height samples in a cycle of slots: how long before the slot's end, s.
+    fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
+        let repeats = |slots: &usize| {
+            self.timing.iter().all(|(rate_hz, _)| {
+                let samples = *slots as f64 * SLOT * rate_hz;
+                (samples - samples.round()).abs() < 1e-6 && samples.round() >= 1.0
+            })
+        };
+        let first_hz = self.timing.first().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
+        let expected = "such that all heights repeat within 1 s";
+        let slots = (1..=LONGEST_CYCLE).find(repeats);
+        let slots = slots.ok_or(EnvelopeError::Value { what: "rate_hz of the heights", value: first_hz, expected })?;
+        let mut ages = vec![[None; MAX_HEIGHTS]; slots];
+        for (i, (rate_hz, phase_s)) in self.timing.iter().enumerate() {
+            for k in 0..(slots as f64 * SLOT * rate_hz).round() as usize {
+                let (slot, age_s) = slot_of(phase_s + k as f64 / rate_hz);
+                if let Some(place) = ages.get_mut(slot % slots).and_then(|slot| slot.get_mut(i)) {
+                    *place = Some(age_s);
+                }
+            }
+        }
+        Ok(ages)
+    }
+}
+
+/// The vehicle and its law, tick by tick.
+struct Vehicle<'a> {
+    of: &'a Loop,
+    /// Altitude, climb, thrust behind the lag.
+    x: [Signal; 3],
+    law: Vec<Signal>,
+    /// Asked for at the tick before.
+    asked: Signal,
+}
+
+fn weighted<'s>(row: impl Iterator<Item = f64>, of: impl Iterator<Item = &'s Signal>, width: usize) -> Signal {
+    row.zip(of).filter(|(weight, _)| *weight != 0.0).fold(Signal::zeros(width), |mut sum, (weight, signal)| {
+        sum.axpy(weight, signal, 1.0);
+        sum
+    })
+}
+
+impl Vehicle<'_> {
+    fn step(&mut self, estimate: &[Signal; 2], width: usize) {
+        let law = &self.of.law;
+        let seen = |m: &DMatrix<f64>, k: &DMatrix<f64>, row: usize, states: &[Signal]| {
+            let own = weighted(m.row(row).iter().copied(), states.iter(), width);
+            own + weighted(k.row(row).iter().copied(), estimate.iter(), width)
+        };
+        let asked = seen(&law.c, &law.d, 0, &self.law);
+        let next = (0..law.a.nrows()).map(|row| seen(&law.a, &law.b, row, &self.law)).collect();
+        self.law = next;
+        let (a, b) = &self.of.vehicle;
+        let before = std::mem::replace(&mut self.asked, asked);
+        let moved = |row: usize| {
+            let mut x = weighted(a.row(row).iter().copied(), self.x.iter(), width);
+            x.axpy(b[(row, 0)], &before, 1.0);
+            x
+        };
+        self.x = [moved(0), moved(1), moved(2)];
+    }
+}
+
+/// The bank of lanes: the one of all healthy IMUs, and what those attacked differ by.
+struct Bank<'a> {
+    maps: &'a [SlotMap],
+    healthy: [Signal; STATES],
+    differ: Vec<[Signal; STATES]>,
+    share: f64,
+}
+
+impl Bank<'_> {
+    /// Takes slot `number`: mean specific force, what is added to each attacked IMU, heights with their offsets removed. The
+    /// innovations.
+    fn take(
+        &mut self,
+        number: usize,
+        force: &Signal,
+        added: &[Signal],
+        heights: &[Option<Signal>],
+        width: usize,
+    ) -> Vec<Innovation> {
+        let mut innovations = Vec::new();
+        let Some(slot) = self.maps.get(number % self.maps.len().max(1)) else { return innovations };
+        let none = Signal::zeros(width);
+        let row = |row: usize, states: &[Signal; STATES], force: &Signal, heights: &[Option<Signal>]| {
+            let measured = heights.iter().map(|height| height.as_ref().unwrap_or(&none));
+            let inputs = states.iter().chain(std::iter::once(force)).chain(measured);
+            weighted(slot.map.row(row).iter().copied(), inputs, width)
+        };
+        for (i, sigma) in slot.sigma_m.iter().enumerate() {
+            let Some(sigma) = sigma else { continue };
+            let own = row(STATES + i, &self.healthy, force, heights);
+            let others = self.differ.iter().zip(added).map(|(lane, added)| row(STATES + i, lane, added, &[])).collect();
+            innovations.push((i, *sigma, own, others));
+        }
+        self.healthy = std::array::from_fn(|r| row(r, &self.healthy, force, heights));
+        for (lane, added) in self.differ.iter_mut().zip(added) {
+            *lane = std::array::from_fn(|r| row(r, lane, added, &[]));
+        }
+        innovations
+    }
+
+    /// Weighted mean of a state.
+    fn fused(&self, state: usize) -> Signal {
+        self.differ.iter().fold(self.healthy[state].clone(), |sum, lane| sum + &lane[state] * self.share)
+    }
+}
+
+/// From the horizon to now.
+struct Predictor {
+    now: [Signal; 2],
+    bias: Signal,
+    /// What the specific forces grew by in each tick since the oldest slot that may be closed, m/s.
+    grown: VecDeque<Signal>,
+}
+
+impl Predictor {
+    fn follow(state: &mut [Signal; 2], grown: &Signal, bias: &Signal, tick_s: f64) {
+        let gained = grown - bias * tick_s;
+        let [z, v] = state;
+        z.axpy(tick_s, v, 1.0);
+        z.axpy(0.5 * tick_s, &gained, 1.0);
+        *v += gained;
+    }
+}
+
+impl Attacked<'_> {
+    /// Height `i` as received: sampled `age_s` before the end of slot `number`.
+    fn height(
+        &self,
+        i: usize,
+        number: usize,
+        age_s: f64,
+        altitudes: &[Signal],
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Signal {
+        let time_s = (number + 1) as f64 * SLOT - age_s;
+        let tick = (time_s / self.flying.tick_s).round() as usize;
+        let altitude = altitudes.get(tick).or(altitudes.last()).cloned().unwrap_or_else(|| Signal::zeros(0));
+        match self.flying.timing.get(i).filter(|_| self.heights.contains(&i)) {
+            Some((rate_hz, phase_s)) if time_s > phase_s - 1e-9 => {
+                let sample = ((time_s - phase_s) * rate_hz).round() as usize;
+                altitude + attack(SensorId::new(SensorKind::Height, i as u8 + 1), sample)
+            }
+            _ => altitude,
+        }
+    }
+}
+
+impl Model for Attacked<'_> {
+    fn attacked(&self) -> Vec<(SensorId, f64, f64)> {
+        let of = &self.flying;
+        let height = |i: &usize| {
+            let every_s = of.timing.get(*i).map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
+            (SensorId::new(SensorKind::Height, *i as u8 + 1), every_s, of.most.0)
+        };
+        let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), HELD as f64 * SLOT, of.most.1);
+        self.heights.iter().map(height).chain(self.imus.iter().map(imu)).collect()
+    }
+
+    fn respond(
+        &self,
+        horizon_s: f64,
+        width: usize,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Response, EnvelopeError> {
+        let of = self.flying;
+        let zero = || Signal::zeros(width);
+        let schedule = of.schedule()?;
+        let rates_hz: Vec<f64> = of.timing.iter().map(|(rate_hz, _)| *rate_hz).collect();
+        let mut weights = [1.0; MAX_HEIGHTS];
+        if self.regime == Regime::Outvoted {
+            let weight = Judges::outvoted(self.heights.len(), of.timing.len() - self.heights.len());
+            weights.iter_mut().enumerate().filter(|(i, _)| !self.heights.contains(i)).for_each(|(_, w)| *w = weight);
+        }
+        let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
+        let mut running = Running {
+            of: self,
+            attack,
+            schedule,
+            width,
+            bank: Bank {
+                maps: &maps,
+                healthy: std::array::from_fn(|_| zero()),
+                differ: self.imus.iter().map(|_| std::array::from_fn(|_| zero())).collect(),
+                share: 1.0 / of.imus as f64,
+            },
+            judges: Judges::new(self, &rates_hz, of.imus, of.noise_mps2, width),
+            vehicle: Vehicle {
+                of,
+                x: [zero(), zero(), zero()],
+                law: (0..of.law.a.nrows()).map(|_| zero()).collect(),
+                asked: zero(),
+            },
+            predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
+            altitudes: Vec::new(),
+            response: Response::default(),
+        };
+        (0..(horizon_s / of.tick_s).round() as usize).for_each(|tick| running.tick(tick));
+        Ok(running.response)
+    }
+}
+
+/// A loop as it runs.
+struct Running<'a> {
+    of: &'a Attacked<'a>,
+    attack: &'a dyn Fn(SensorId, usize) -> Signal,
+    schedule: Vec<[Option<f64>; MAX_HEIGHTS]>,
+    width: usize,
+    bank: Bank<'a>,
+    judges: Judges,
+    vehicle: Vehicle<'a>,
+    predictor: Predictor,
+    /// At each tick.
+    altitudes: Vec<Signal>,
+    /// Altitude and climb at the beginning of each slot, and what the judges heard.
+    response: Response,
+}
+
+impl Running<'_> {
+    fn added(&self, i: usize, slot: usize) -> Signal {
+        (self.attack)(SensorId::new(SensorKind::Imu, i as u8 + 1), slot / HELD)
+    }
+
+    fn tick(&mut self, tick: usize) {
+        let tick_s = self.of.flying.tick_s;
+        let (per_slot, late) = ((SLOT / tick_s).round() as usize, (HORIZON_S / tick_s).round() as usize);
+        self.altitudes.push(self.vehicle.x[0].clone());
+        if tick.is_multiple_of(per_slot) {
+            self.response.altitude_m.push(self.vehicle.x[0].clone());
+            self.response.climb_mps.push(self.vehicle.x[1].clone());
+        }
+        let closed = tick.checked_sub(late).filter(|end| end.is_multiple_of(per_slot) && *end > 0);
+        if let Some(number) = closed.map(|end| end / per_slot - 1) {
+            self.close(number);
+            let back = self.predictor.grown.len().saturating_sub(late);
+            self.predictor.grown.drain(..back);
+            for grown in &self.predictor.grown {
+                Predictor::follow(&mut self.predictor.now, grown, &self.predictor.bias, tick_s);
+            }
+        }
+        let before = self.vehicle.x[1].clone();
+        self.vehicle.step(&self.predictor.now, self.width);
+        // What the accelerometers feel of this tick.
+        let mut grown = &self.vehicle.x[1] - before;
+        for i in &self.of.imus {
+            grown.axpy(tick_s * self.bank.share, &self.added(*i, tick / per_slot), 1.0);
+        }
+        Predictor::follow(&mut self.predictor.now, &grown, &self.predictor.bias, tick_s);
+        self.predictor.grown.push_back(grown);
+    }
+
+    /// Slot `number`: the lanes take it, and the judges hear of it.
+    fn close(&mut self, number: usize) {
+        let climbs = &self.response.climb_mps;
+        let force = match (climbs.get(number), climbs.get(number + 1)) {
+            (Some(before), Some(after)) => (after - before) / SLOT,
+            _ => Signal::zeros(self.width),
+        };
+        let added: Vec<Signal> = self.of.imus.iter().map(|i| self.added(*i, number)).collect();
+        let ages = self.schedule.get(number % self.schedule.len()).copied().unwrap_or_default();
+        let height = |i: usize, age_s: f64| self.of.height(i, number, age_s, &self.altitudes, self.attack);
+        let measured: Vec<Option<Signal>> =
+            ages.iter().enumerate().map(|(i, age_s)| age_s.map(|age_s| height(i, age_s))).collect();
+        let corrected = self.judges.without_offsets(&measured);
+        let innovations = self.bank.take(number, &force, &added, &corrected, self.width);
+        let (z, v) = (self.bank.fused(0), self.bank.fused(1));
+        let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
+        let residuals: Vec<Option<Signal>> = corrected.iter().zip(&ages).map(after).collect();
+        let (time_s, out) = ((number + 1) as f64 * SLOT, &mut self.response.statistics);
+        self.judges.hear_heights(time_s, number, &innovations, &residuals, out);
+        self.judges.hear_imus(time_s, &added, &innovations, &self.bank.differ, out);
+        self.predictor.bias = self.bank.fused(2);
+        self.predictor.now = [z, v];
+    }
+}

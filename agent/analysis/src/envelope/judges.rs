@@ -1,0 +1,225 @@
+//! The judges of the lanes as linear statistics: what would make a sensor weigh less or be excluded, were it further off.
+//!
+//! Each is a necessary condition of silence, so that the bound stays one:
+//! - A mean mᵢ of residuals is within L σ of the robust centre c where Σ ψ((mⱼ − mᵢ)/σ + L) ≥ ρ (mᵢ/σ − L), ψ clipped at κ. With
+//!   ψ(x) ≤ x for the healthy and ψ ≤ κ for the attacked, (h + ρ) mᵢ − Σ_healthy m ≤ σ (κ s + (h + ρ) L); likewise for a healthy
+//!   one that is outvoted, the parts exchanged. h healthy, s attacked, ρ = (σ/prior)².
+//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds (Σ wₖ eₖ)² by Σ wₖ L s² (Cauchy and Schwarz).
+
+use std::collections::VecDeque;
+
+use plumbline_core::estimate::lanes::linear::{SLOT, STATES, of_heights, of_imus};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+use super::Signal;
+use super::flying::{Attacked, Regime};
+use super::program::Statistic;
+
+/// Innovations of a slot: height, its σ, of the healthy lanes, and what those attacked differ by.
+pub(super) type Innovation = (usize, f64, Signal, Vec<Signal>);
+
+/// State of all judges.
+pub(super) struct Judges {
+    attacked: Vec<bool>,
+    imus: Vec<usize>,
+    of_imus: usize,
+    regime: Regime,
+    width: usize,
+    offsets: Vec<Signal>,
+    /// The last residuals of each height, the newest first.
+    residuals: Vec<VecDeque<Signal>>,
+    usual_mps2: f64,
+    /// Σ wₖ of the evidence.
+    weight: f64,
+    evidence: Vec<Signal>,
+    learned: Vec<Signal>,
+    deviations: Vec<VecDeque<Signal>>,
+}
+
+fn keep() -> f64 {
+    (-SLOT / of_imus::MEMORY_S).exp()
+}
+
+fn mean(of: impl Iterator<Item = Signal>, count: usize, width: usize) -> Signal {
+    of.fold(Signal::zeros(width), |sum, x| sum + x) / count.max(1) as f64
+}
+
+impl Judges {
+    /// Nothing heard yet; `rates_hz` of the heights.
+    pub(super) fn new(of: &Attacked, rates_hz: &[f64], imus: usize, noise_mps2: f64, width: usize) -> Self {
+        let zero = || Signal::zeros(width);
+        let longest = of_heights::MEANS.iter().map(|(n, _)| *n).max().unwrap_or(1);
+        Self {
+            attacked: (0..rates_hz.len()).map(|i| of.heights.contains(&i)).collect(),
+            imus: of.imus.clone(),
+            of_imus: imus,
+            regime: of.regime,
+            width,
+            offsets: rates_hz.iter().map(|_| zero()).collect(),
+            residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
+            usual_mps2: of_imus::USUAL_MPS2.max(noise_mps2),
+            weight: rates_hz.iter().sum::<f64>() * SLOT / (1.0 - keep()),
+            evidence: of.imus.iter().map(|_| zero()).collect(),
+            learned: of.imus.iter().map(|_| zero()).collect(),
+            deviations: of.imus.iter().map(|_| VecDeque::from(vec![zero(); of_imus::SLOTS])).collect(),
+        }
+    }
+
+    /// What a healthy height weighs just before its exclusion by `attacked` others, of `healthy`: its weight, and how little of
+    /// it its reach leaves.
+    pub(super) fn outvoted(attacked: usize, healthy: usize) -> f64 {
+        let (_, sigma_m) = of_heights::MEANS[1];
+        let apart_m = sigma_m * (of_heights::LIMIT + of_heights::PULL * healthy as f64 / attacked.max(1) as f64);
+        (of_heights::SOFT / of_heights::LIMIT).powi(2) * (of_heights::REACH_M / apart_m).min(1.0)
+    }
+
+    /// Heights as measured, what was learned of each taken off.
+    pub(super) fn without_offsets(&self, measured: &[Option<Signal>]) -> Vec<Option<Signal>> {
+        let one = |(y, off): (&Option<Signal>, &Signal)| y.as_ref().map(|y| y - off);
+        measured.iter().zip(&self.offsets).map(one).collect()
+    }
+
+    fn height(i: usize) -> Option<SensorId> {
+        Some(SensorId::new(SensorKind::Height, i as u8 + 1))
+    }
+
+    /// Attacked and healthy heights.
+    fn counts(&self) -> (usize, usize) {
+        let attacked = self.attacked.iter().filter(|a| **a).count();
+        (attacked, self.attacked.len() - attacked)
+    }
+
+    /// Mean of the last residuals of the healthy heights.
+    fn healthy(&self) -> Option<Signal> {
+        let (_, healthy) = self.counts();
+        let last = self.residuals.iter().zip(&self.attacked).filter(|(_, attacked)| !**attacked);
+        let last = last.filter_map(|(residuals, _)| residuals.front().cloned());
+        (healthy > 0).then(|| mean(last, healthy, self.width))
+    }
+
+    /// Slot `number` that ends at `time_s`: innovations, and residuals after the correction.
+    pub(super) fn hear_heights(
+        &mut self,
+        time_s: f64,
+        number: usize,
+        innovations: &[Innovation],
+        residuals: &[Option<Signal>],
+        out: &mut Vec<Statistic>,
+    ) {
+        let (attacked, healthy) = self.counts();
+        let others = self.healthy();
+        let share = 1.0 / self.of_imus as f64;
+        for (i, sigma_m, own, differ) in innovations {
+            if !self.attacked.get(*i).is_some_and(|attacked| *attacked) {
+                continue;
+            }
+            let innovation = differ.iter().fold(own.clone(), |sum, other| sum + other * share);
+            let mut add = |detector, limit, row| {
+                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, row });
+            };
+            if let Some(others) = others.as_ref().filter(|_| attacked < healthy && attacked + healthy > 2) {
+                add("height reach", of_heights::REACH_M, &innovation - others);
+            }
+            if let Some((others, Some(residual))) = others.as_ref().zip(residuals.get(*i)) {
+                add("height split", of_heights::GAP_M, residual - others);
+            }
+            add("height knee", of_heights::KNEE * sigma_m, innovation);
+        }
+        for (kept, residual) in self.residuals.iter_mut().zip(residuals) {
+            if let Some(residual) = residual {
+                kept.pop_back();
+                kept.push_front(residual.clone());
+            }
+        }
+        if (number + 1).is_multiple_of(of_heights::EVERY) && attacked > 0 {
+            self.decode(time_s, out);
+        }
+    }
+
+    fn decode(&mut self, time_s: f64, out: &mut Vec<Statistic>) {
+        let (attacked, healthy) = self.counts();
+        for ((n, sigma_m), detector) in of_heights::MEANS.into_iter().zip(["height mean, short", "height mean, long"]) {
+            let means: Vec<Signal> =
+                self.residuals.iter().map(|kept| mean(kept.iter().take(n).cloned(), n, self.width)).collect();
+            let prior = (sigma_m / of_heights::PRIOR_M).powi(2);
+            let level = if self.regime == Regime::Full { of_heights::SOFT } else { of_heights::LIMIT };
+            let sum = |of: bool| {
+                let these = means.iter().zip(&self.attacked).filter(|(_, attacked)| **attacked == of);
+                these.fold(Signal::zeros(self.width), |sum, (mean, _)| sum + mean)
+            };
+            let (sums, mut add) = ([sum(false), sum(true)], |i: usize, limit: f64, row: Signal| {
+                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, row });
+            });
+            // At most a minority is ever excluded: of two none.
+            let excludes = attacked + healthy > 2;
+            for (i, (mean, is_attacked)) in means.iter().zip(&self.attacked).enumerate().filter(|_| excludes) {
+                let (count, against, sum) =
+                    if *is_attacked { (attacked, healthy, &sums[0]) } else { (healthy, attacked, &sums[1]) };
+                // Attacked ones in a majority are near the centre; healthy ones in a majority too.
+                let far = if *is_attacked { self.regime == Regime::Full } else { 2 * attacked >= attacked + healthy };
+                if far && against > 0 {
+                    let weight = against as f64 + prior;
+                    let limit = sigma_m * (of_heights::PULL * count as f64 + weight * level);
+                    add(i, limit, mean * weight - sum);
+                }
+            }
+            if n == of_heights::MEANS[1].0 && self.regime == Regime::Full {
+                let common = mean_of(&means, self.width);
+                for (offset, mean) in self.offsets.iter_mut().zip(&means) {
+                    offset.axpy(of_heights::learned(super::flying::ALTITUDE_M), &(mean - &common), 1.0);
+                }
+            }
+        }
+    }
+
+    /// What was `added` to the IMUs attacked, and what their lanes `differ` by.
+    pub(super) fn hear_imus(
+        &mut self,
+        time_s: f64,
+        added: &[Signal],
+        innovations: &[Innovation],
+        differ: &[[Signal; STATES]],
+        out: &mut Vec<Statistic>,
+    ) {
+        let attacked = self.imus.len();
+        for (place, (imu, added)) in self.imus.iter().zip(added).enumerate() {
+            let sensor = Some(SensorId::new(SensorKind::Imu, *imu as u8 + 1));
+            let mut add = |detector, limit, row| out.push(Statistic { detector, sensor, time_s, limit, row });
+            // A vote needs a majority.
+            if let (true, Some(kept), Some(learned), Some([_, _, bias])) = (
+                2 * attacked < self.of_imus,
+                self.deviations.get_mut(place),
+                self.learned.get_mut(place),
+                differ.get(place),
+            ) {
+                let deviation = added - &*learned;
+                let n = of_imus::SLOTS;
+                kept.pop_back();
+                kept.push_front(deviation.clone());
+                let (shift, size) = of_imus::LIMITS;
+                add("IMU vote", shift * self.usual_mps2, mean(kept.iter().cloned(), n, self.width));
+                add("IMU vote, one slot", size * (n as f64).sqrt() * self.usual_mps2, deviation);
+                let towards = bias - &*learned;
+                learned.axpy(of_imus::LEARNED, &towards, 1.0);
+            }
+            // Evidence is held against the second-best lane: two healthy ones.
+            if let (true, Some(evidence)) = (self.of_imus >= attacked + 2, self.evidence.get_mut(place)) {
+                *evidence *= keep();
+                let mut sigma_m: f64 = 0.0;
+                for (_, sigma, _, differ) in innovations {
+                    differ.get(place).into_iter().for_each(|innovation| *evidence += innovation);
+                    sigma_m = sigma_m.max(*sigma);
+                }
+                if sigma_m > 0.0 {
+                    let limit = sigma_m * (of_imus::EVIDENCE * self.weight).sqrt();
+                    add("IMU evidence", limit, evidence.clone());
+                }
+            }
+        }
+    }
+}
+
+fn mean_of(means: &[Signal], width: usize) -> Signal {
+    mean(means.iter().cloned(), means.len(), width)
+}

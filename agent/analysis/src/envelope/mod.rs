@@ -1,0 +1,200 @@
+//! How far an attacker who is not seen can push the vehicle: the attack envelope.
+//!
+//! For a set of attacked sensors and a horizon T, the largest deviation that keeps every detector silent:
+//!
+//! maximise  cᵀa   subject to   |mᵢᵀa| ≤ lᵢ,  |aⱼ| ≤ uⱼ
+//!
+//! | symbol | meaning |
+//! |---|---|
+//! | a | what is added to each sample of the attacked sensors, m and m/s² |
+//! | c | deviation of the vehicle at T from each of them, closed loop and linear |
+//! | mᵢ, lᵢ | statistic of one detector at one time, and its limit |
+//! | uⱼ | most that an attack may add |
+//!
+//! Two models give c and m: `prototype` (its table is a fixture) and `flying`, the loop as it flies. `program` solves, and proves the
+//! bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
+
+pub mod flying;
+mod judges;
+pub mod program;
+pub mod prototype;
+pub mod sets;
+
+use nalgebra::DVector;
+use plumbline_core::linalg::LinalgError;
+use plumbline_proto::ids::SensorId;
+
+use self::program::{Program, Statistic};
+use crate::design::DesignError;
+
+/// A row: what a quantity of the loop is made of, one number for each column of the attack.
+pub type Signal = DVector<f64>;
+
+/// Ramps are followed for so long, s …
+const RAMP_S: f64 = 60.0;
+/// … after which no statistic is larger than this part of its largest, and the deviation follows the ramp to this part.
+const SETTLED: f64 = 0.02;
+
+/// Why there is no envelope.
+#[derive(Debug, thiserror::Error)]
+pub enum EnvelopeError {
+    /// No such sensor, or none whose attack the model knows.
+    #[error("sensor {sensor} is not one of the suite's heights and IMUs: {known}")]
+    UnknownSensor {
+        /// As asked for.
+        sensor: String,
+        /// Those there are.
+        known: String,
+    },
+    /// More sensors than there are.
+    #[error("a set of {size} sensors: the suite has {sensors} heights and IMUs")]
+    SetTooLarge {
+        /// Asked for.
+        size: usize,
+        /// In the suite.
+        sensors: usize,
+    },
+    /// The loop has no envelope.
+    #[error("these gains do not stabilise: the slowest pole is at {pole_per_s:+.4} 1/s")]
+    Unstable {
+        /// Largest real part, 1/s.
+        pole_per_s: f64,
+    },
+    /// A number that has no meaning.
+    #[error("{what} is {value}, it must be {expected}")]
+    Value {
+        /// Which.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// No attack, not even none, keeps this detector silent.
+    #[error("the program is infeasible: the limit of {detector} is {limit}")]
+    Infeasible {
+        /// Whose.
+        detector: &'static str,
+        /// Its limit.
+        limit: f64,
+    },
+    /// The solver ended without an answer.
+    #[error("the program of {columns} columns and {rows} rows ended with {status}")]
+    Solver {
+        /// What it said.
+        status: String,
+        /// Of the program.
+        columns: usize,
+        /// Of the program.
+        rows: usize,
+    },
+    /// The gains, or another field of the question.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// A matrix could not be solved with.
+    #[error(transparent)]
+    Linalg(#[from] LinalgError),
+}
+
+/// What the loop makes of an attack.
+#[derive(Debug, Clone, Default)]
+pub struct Response {
+    /// Altitude at the end of each slot, m.
+    pub altitude_m: Vec<Signal>,
+    /// Climb there, m/s.
+    pub climb_mps: Vec<Signal>,
+    /// Every detector at every time.
+    pub statistics: Vec<Statistic>,
+}
+
+/// A linear loop with its detectors.
+pub trait Model {
+    /// Those attacked, each with the time between two of its columns, s, and the most that may be added.
+    fn attacked(&self) -> Vec<(SensorId, f64, f64)>;
+
+    /// The loop over `horizon_s`, from rest, where `attack` is added to the n-th sample of a sensor.
+    ///
+    /// # Errors
+    /// When a gain cannot be found.
+    fn respond(
+        &self,
+        horizon_s: f64,
+        width: usize,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Response, EnvelopeError>;
+}
+
+/// Which quantity is pushed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Deviation {
+    /// m.
+    Altitude,
+    /// m/s.
+    Climb,
+}
+
+/// Columns of a model over a horizon: sensor, its first column, how many.
+pub fn columns(model: &dyn Model, horizon_s: f64) -> Vec<(SensorId, usize, usize)> {
+    let mut first = 0;
+    let place = |(sensor, every_s, _): (SensorId, f64, f64)| {
+        let count = (horizon_s / every_s + 1e-9).floor() as usize;
+        first += count;
+        (sensor, first - count, count)
+    };
+    model.attacked().into_iter().map(place).collect()
+}
+
+/// The program of `model` for the largest `deviation` at the end of the horizon.
+///
+/// # Errors
+/// As [`Model::respond`].
+pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Result<Program, EnvelopeError> {
+    let columns = columns(model, horizon_s);
+    let width = columns.iter().map(|(_, _, count)| count).sum();
+    let unit = |sensor: SensorId, k: usize| {
+        let mut signal = Signal::zeros(width);
+        let place = columns.iter().find(|(of, _, count)| *of == sensor && k < *count);
+        if let Some(one) = place.and_then(|(_, first, _)| signal.get_mut(first + k)) {
+            *one = 1.0;
+        }
+        signal
+    };
+    let response = model.respond(horizon_s, width, &unit)?;
+    let followed = match deviation {
+        Deviation::Altitude => response.altitude_m,
+        Deviation::Climb => response.climb_mps,
+    };
+    let most =
+        model.attacked().into_iter().zip(&columns).flat_map(|((_, _, most), (_, _, n))| vec![most; *n]).collect();
+    Ok(Program {
+        objective: followed.into_iter().next_back().unwrap_or_else(|| Signal::zeros(width)),
+        statistics: response.statistics,
+        most,
+    })
+}
+
+/// Is there a direction without an end? A ramp of 1 m/s in all attacked heights that moves the vehicle as fast while every
+/// statistic dies away: scaled down it is silent for ever, and the deviation grows with time. The fastest silent one, m/s.
+///
+/// # Errors
+/// As [`Model::respond`].
+pub fn recession_mps(model: &dyn Model) -> Result<Option<f64>, EnvelopeError> {
+    use plumbline_proto::v1::SensorKind::Height;
+    let every = model.attacked();
+    let of = |sensor: SensorId| every.iter().find(|(of, ..)| *of == sensor).map_or(0.0, |(_, every_s, _)| *every_s);
+    let ramp = |sensor: SensorId, k: usize| {
+        let at = if sensor.kind == Height { k as f64 * of(sensor) } else { 0.0 };
+        Signal::from_element(1, at)
+    };
+    let response = model.respond(RAMP_S, 1, &ramp)?;
+    let z = |back: usize| response.altitude_m.iter().nth_back(back).map_or(0.0, |z| z[0]);
+    // The last tenth of the way.
+    let tenth = response.altitude_m.len() / 10;
+    let rate_mps = (z(0) - z(tenth)).abs() / (0.1 * RAMP_S);
+    let ratio = |s: &Statistic| (s.row[0] / s.limit).abs();
+    let peak = response.statistics.iter().map(ratio).fold(0.0, f64::max);
+    let late = response.statistics.iter().filter(|s| s.time_s > 0.9 * RAMP_S);
+    let left = late.map(ratio).fold(0.0, f64::max);
+    let follows = (rate_mps - 1.0).abs() < SETTLED && left < SETTLED * peak;
+    Ok((follows && peak > 0.0).then(|| rate_mps / peak))
+}

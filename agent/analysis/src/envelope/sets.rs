@@ -1,0 +1,195 @@
+//! Every set of attacked sensors, its bound, and the answer to a question in JSON.
+
+use std::time::Instant;
+
+use plumbline_core::attack::Bounds;
+use plumbline_core::control::gains::Examiner;
+use plumbline_core::control::law::Law;
+use plumbline_core::control::policy::MarginPolicy;
+use plumbline_core::model::airframe::Airframe;
+use plumbline_core::sensor::suite::{PRESETS, Suite};
+use plumbline_core::types::TICK_RATE_HZ;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet};
+
+use super::flying::{Loop, Regime};
+use super::program::Bound;
+use super::{Deviation, EnvelopeError, program, recession_mps};
+use crate::design::DesignError;
+use crate::design::file::{field, proposal};
+
+/// Horizons that may be asked for, s: the longest mean has 24 samples.
+const HORIZON_S: (f64, f64) = (3.0, 20.0);
+/// Largest set asked for.
+const MOST: usize = 4;
+
+fn wrong(name: &str, problem: String) -> EnvelopeError {
+    field(name, problem).into()
+}
+
+/// The bound of a set.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Verdict {
+    /// No silent attack goes further.
+    Bounded(Bound),
+    /// There is no bound: it can drift silently as fast, m/s.
+    Unbounded(f64),
+}
+
+/// The bound of `sensors` attacked: the largest of the regimes, or none.
+///
+/// # Errors
+/// [`EnvelopeError`].
+pub fn verdict(
+    flying: &Loop,
+    sensors: &[SensorId],
+    horizon_s: f64,
+    deviation: Deviation,
+) -> Result<(Verdict, Regime), EnvelopeError> {
+    let full = flying.attacked(sensors, Regime::Full)?;
+    let heights = flying.sensors.iter().filter(|sensor| sensor.kind == SensorKind::Height).count();
+    if full.heights.len() == heights
+        && let Some(drift_mps) = recession_mps(&full)?
+    {
+        return Ok((Verdict::Unbounded(drift_mps), Regime::Full));
+    }
+    let mut found = (program(&full, horizon_s, deviation)?.solve()?, Regime::Full);
+    if 2 * full.heights.len() >= heights && full.heights.len() < heights {
+        let outvoted = flying.attacked(sensors, Regime::Outvoted)?;
+        let other = program(&outvoted, horizon_s, deviation)?.solve()?;
+        if other.upper > found.0.upper {
+            found = (other, Regime::Outvoted);
+        }
+    }
+    Ok((Verdict::Bounded(found.0), found.1))
+}
+
+/// Sets of `count` of `sensors`, in order.
+fn sets(sensors: &[SensorId], count: usize) -> Vec<Vec<SensorId>> {
+    if count == 0 {
+        return vec![Vec::new()];
+    }
+    let mut all = Vec::new();
+    for (i, first) in sensors.iter().enumerate() {
+        for rest in sets(sensors.get(i + 1..).unwrap_or_default(), count - 1) {
+            all.push(std::iter::once(*first).chain(rest).collect());
+        }
+    }
+    all
+}
+
+/// What a set's program depends on: its heights, and how many IMUs (the model has them alike).
+fn class(set: &[SensorId]) -> (Vec<SensorId>, usize) {
+    let heights: Vec<SensorId> = set.iter().copied().filter(|sensor| sensor.kind == SensorKind::Height).collect();
+    let imus = set.len() - heights.len();
+    (heights, imus)
+}
+
+/// A question, understood.
+#[derive(Debug)]
+pub struct Asked {
+    /// The loop.
+    pub flying: Loop,
+    suite: String,
+    airframe: String,
+    horizon_s: f64,
+    sets: Vec<Vec<SensorId>>,
+}
+
+impl Asked {
+    /// Reads `question`; `suite` is the one it names, where the caller knows it better than by name.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`] naming field and value.
+    pub fn new(question: &EnvelopeQuestion, suite: Option<Suite>) -> Result<Self, EnvelopeError> {
+        let name = question.suite.as_deref().unwrap_or("string_rig");
+        let known = || wrong("suite", format!("is {name:.40?}, expected one of {}", PRESETS.join(", ")));
+        let suite = suite.or_else(|| Suite::preset(name)).ok_or_else(known)?;
+        let airframe = question.design.airframe.as_deref().unwrap_or("iris");
+        let airframe = Airframe::by_name(airframe).map_err(|e| wrong("airframe", e.to_string()))?;
+        let tick_rate_hz = question.design.tick_rate_hz.unwrap_or(200.0);
+        if !TICK_RATE_HZ.contains(&tick_rate_hz) {
+            return Err(wrong("tick_rate_hz", format!("is {tick_rate_hz}, it must be 50 to 1000")));
+        }
+        let horizon_s = question.horizon_s.unwrap_or(10.0);
+        if !(HORIZON_S.0..=HORIZON_S.1).contains(&horizon_s) {
+            return Err(wrong("horizon_s", format!("is {horizon_s}, it must be {} to {}", HORIZON_S.0, HORIZON_S.1)));
+        }
+        let solved = || -> Result<Law, DesignError> {
+            let examiner = Examiner::new(&airframe, 1.0 / tick_rate_hz, MarginPolicy::EXPERIMENTAL)?;
+            Ok(examiner.solve(&proposal(&question.design)?.complete(&airframe)?)?)
+        };
+        let law = solved()?;
+        let bounds = Bounds::default();
+        let most = (bounds.length_max_m, bounds.accel_max_mps2);
+        let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(0.0), most)?;
+        let sets = match &question.sensors {
+            Some(names) => {
+                let known = flying.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+                let unknown =
+                    |sensor: &String| EnvelopeError::UnknownSensor { sensor: sensor.clone(), known: known.clone() };
+                let one = |name: &String| name.parse::<SensorId>().map_err(|_| unknown(name));
+                let set: Vec<SensorId> = names.iter().map(one).collect::<Result<_, EnvelopeError>>()?;
+                flying.attacked(&set, Regime::Full)?;
+                vec![set]
+            }
+            None => {
+                let most = question.most.unwrap_or(2);
+                if most > flying.sensors.len() {
+                    let sensors = flying.sensors.len();
+                    return Err(EnvelopeError::SetTooLarge { size: most, sensors });
+                }
+                if !(1..=MOST).contains(&most) {
+                    return Err(wrong("most", format!("is {most}, it must be 1 to {MOST}")));
+                }
+                (1..=most).flat_map(|count| sets(&flying.sensors, count)).collect()
+            }
+        };
+        Ok(Self { flying, suite: name.to_owned(), airframe: airframe.name.clone(), horizon_s, sets })
+    }
+
+    /// Every set; with `climb` its largest climb as well. `line` is told each as it comes.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`].
+    pub fn answer(&self, climb: bool, mut line: impl FnMut(&EnvelopeSet)) -> Result<Envelope, EnvelopeError> {
+        let mut known: Vec<((Vec<SensorId>, usize), EnvelopeSet)> = Vec::new();
+        let mut sets = Vec::with_capacity(self.sets.len());
+        for set in &self.sets {
+            let same = known.iter().find(|(of, _)| *of == class(set)).map(|(_, found)| found.clone());
+            let mut found = match same {
+                Some(found) => EnvelopeSet { took_ms: 0.0, ..found },
+                None => {
+                    let begun = Instant::now();
+                    let mut found = told(&verdict(&self.flying, set, self.horizon_s, Deviation::Altitude)?.0);
+                    if climb
+                        && let (Verdict::Bounded(bound), _) =
+                            verdict(&self.flying, set, self.horizon_s, Deviation::Climb)?
+                    {
+                        found.climb_mps = Some(bound.upper);
+                    }
+                    found.took_ms = 1e3 * begun.elapsed().as_secs_f64();
+                    known.push((class(set), found.clone()));
+                    found
+                }
+            };
+            found.sensors = set.iter().map(ToString::to_string).collect();
+            line(&found);
+            sets.push(found);
+        }
+        Ok(Envelope { suite: self.suite.clone(), airframe: self.airframe.clone(), horizon_s: self.horizon_s, sets })
+    }
+}
+
+fn told(verdict: &Verdict) -> EnvelopeSet {
+    match verdict {
+        Verdict::Bounded(bound) => EnvelopeSet {
+            altitude_m: Some(bound.upper),
+            reached_m: Some(bound.reached),
+            binding: Some(bound.binding.unwrap_or("most that may be added").to_owned()),
+            ..EnvelopeSet::default()
+        },
+        Verdict::Unbounded(drift_mps) => EnvelopeSet { drift_mps: Some(*drift_mps), ..EnvelopeSet::default() },
+    }
+}

@@ -1,0 +1,248 @@
+//! The lanes about hover, for whoever asks what an attack could do: the vertical map of a slot by finite differences of the
+//! lane that flies, and the limits of its judges, each the constant in use.
+
+use nalgebra::{SMatrix, UnitQuaternion, Vector3};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+
+use super::evidence::{self, Heard};
+use super::heights::{self, Heights};
+use super::integral::Six;
+use super::lane::Lane;
+use super::rows::{self, Around, Correction};
+use super::slot::Slot;
+use super::{HORIZON_US, SLOT_S, SLOT_US, noise, split, vote};
+use crate::estimate::Residuals;
+use crate::estimate::ekf_bias::covariance::ix;
+use crate::sensor::measure::Kinematics;
+use crate::sensor::{MAX_HEIGHTS, SensorModel};
+
+/// Altitude, climb and bias of the accelerometer's z.
+pub const STATES: usize = 3;
+/// After a slot: those three, then the innovation of each height.
+pub const OUTPUTS: usize = STATES + MAX_HEIGHTS;
+/// Before it: those three, the mean specific force along z, each height.
+pub const INPUTS: usize = STATES + 1 + MAX_HEIGHTS;
+
+/// A slot, s, and how far the fusion horizon lies back, s.
+pub const SLOT: f64 = SLOT_S;
+/// See [`SLOT`].
+pub const HORIZON_S: f64 = 1e-6 * HORIZON_US as f64;
+
+/// One slot of a lane at hover.
+#[derive(Debug, Clone)]
+pub struct SlotMap {
+    /// Outputs from inputs: m, m/s, m/s².
+    pub map: SMatrix<f64, OUTPUTS, INPUTS>,
+    /// One-sigma of the innovation of each height that was sampled, m.
+    pub sigma_m: [Option<f64>; MAX_HEIGHTS],
+}
+
+/// Limits of the judges of heights; see `heights.rs` and `split.rs`.
+pub mod of_heights {
+    use super::{heights, rows, split};
+    /// Means of so many samples, and one-sigma of each, m.
+    pub const MEANS: [(usize, f64); 2] = [(heights::SHORT, heights::SIGMA_M[0]), (heights::KEPT, heights::SIGMA_M[1])];
+    /// Sigmas beyond which a laser weighs less, and beyond which it is excluded.
+    pub const SOFT: f64 = heights::SOFT;
+    /// See [`SOFT`].
+    pub const LIMIT: f64 = heights::LIMIT;
+    /// Sigmas beyond which a mean pulls the centre no more.
+    pub const PULL: f64 = heights::PULL;
+    /// What is known of the centre without a laser, m.
+    pub const PRIOR_M: f64 = heights::PRIOR_M;
+    /// Furthest that a sample reaches from the median, m.
+    pub const REACH_M: f64 = heights::REACH_M;
+    /// Beyond so many σ of its innovation a sample counts less.
+    pub const KNEE: f64 = rows::KNEE;
+    /// Lasers that differ by more have parted, m.
+    pub const GAP_M: f64 = split::GAP_M;
+    /// Slots between two decodes.
+    pub const EVERY: usize = heights::EVERY as usize;
+
+    /// Part of a deviation that is learned at each decode, at altitude `z_m`.
+    pub fn learned(z_m: f64) -> f64 {
+        heights::GAINS.1 * (1.0 + heights::SCALE_SHARE * (z_m - heights::PIVOT_M).powi(2))
+    }
+}
+
+/// Limits of the judges of IMUs; see `vote.rs`, `evidence.rs` and `noise.rs`.
+pub mod of_imus {
+    use super::{evidence, noise, vote};
+    /// Slots that the vote compares.
+    pub const SLOTS: usize = vote::SLOTS;
+    /// Beyond so many times the usual deviation mean and root mean square count.
+    pub const LIMITS: (f64, f64) = vote::LIMITS;
+    /// No usual deviation of an accelerometer is taken for smaller, m/s².
+    pub const USUAL_MPS2: f64 = vote::FLOOR.0;
+    /// Part of a bias that the vote learns from slot to slot.
+    pub const LEARNED: f64 = vote::GAINS.1;
+    /// Evidence Σ (r²/s − 1) beyond which a lane weighs less.
+    pub const EVIDENCE: f64 = evidence::DEAD / evidence::SHARE;
+    /// Within which evidence is forgotten, s.
+    pub const MEMORY_S: f64 = evidence::MEMORY_S;
+    /// No accelerometer is taken for better, m/s².
+    pub const NOISE_MPS2: f64 = noise::FLOOR.0;
+}
+
+/// Slots after which gains are steady.
+const STEADY: u64 = 750;
+
+/// A lane at hover, at rest at `z_m`.
+struct Hovering<'a> {
+    model: &'a SensorModel,
+    heights: Heights,
+    lane: Lane,
+    sigma: Six,
+    z_m: f64,
+}
+
+impl Hovering<'_> {
+    /// One slot: from the state before less hover, with the specific force less gravity and heights less altitude.
+    fn step(&self, lane: &mut Lane, slot: &Slot, force: f64) -> Residuals {
+        let g = self.model.imus.gravity_mps2;
+        let mean = Six::new(0.0, 0.0, g + force, 0.0, 0.0, 0.0);
+        lane.predict(slot.end(), &mean, &self.sigma, self.model);
+        let around = Around {
+            model: self.model,
+            heights: &self.heights,
+            field_ut: None,
+            drag: None,
+            barometers: false,
+            unaided: None,
+        };
+        let mut residuals = Residuals::new();
+        let mut correction = Correction { lane, heard: Heard::default(), residuals: &mut residuals, named: true };
+        correction.take(slot, &around, &self.sigma);
+        residuals
+    }
+
+    fn slot(&self, number: u64, ages_s: &[Option<f64>; MAX_HEIGHTS], off_m: &[f64; MAX_HEIGHTS]) -> Slot {
+        let mut slot = Slot { number, ..Slot::default() };
+        let end_us = slot.end().0;
+        for ((place, age_s), off_m) in slot.heights.iter_mut().zip(ages_s).zip(off_m) {
+            let time = |age_s: f64| FlightTime(end_us.saturating_sub((1e6 * age_s).round() as u64));
+            *place = age_s.map(|age_s| (time(age_s), self.z_m + off_m));
+        }
+        slot
+    }
+
+    /// Outputs for these inputs, each a deviation from hover.
+    fn outputs(
+        &self,
+        number: u64,
+        ages_s: &[Option<f64>; MAX_HEIGHTS],
+        x: &[f64; INPUTS],
+    ) -> ([f64; OUTPUTS], Residuals) {
+        let mut lane = self.lane.clone();
+        lane.at.position_enu_m.z += x[0];
+        lane.at.velocity_enu_mps.z += x[1];
+        lane.accel_bias.z += x[2];
+        let off_m = std::array::from_fn(|i| x[STATES + 1 + i]);
+        let residuals = self.step(&mut lane, &self.slot(number, ages_s, &off_m), x[STATES]);
+        let mut out = [0.0; OUTPUTS];
+        out[0] = lane.at.position_enu_m.z - self.z_m;
+        out[1] = lane.at.velocity_enu_mps.z;
+        out[2] = lane.accel_bias.z;
+        for residual in &residuals {
+            let i = usize::from(residual.sensor.instance.saturating_sub(1));
+            if residual.sensor.kind == SensorKind::Height && i < MAX_HEIGHTS {
+                out[STATES + i] = residual.innovation;
+            }
+        }
+        (out, residuals)
+    }
+}
+
+/// The maps of the slots of one cycle, covariance steady: `ages_s` tells for each slot of it how long before the slot's end each
+/// height was sampled, s; the heights weigh `weights`, accelerometers have the measured noise `sigma_mps2`, at altitude `z_m`.
+pub fn cycle(
+    model: &SensorModel,
+    ages_s: &[[Option<f64>; MAX_HEIGHTS]],
+    weights: &[f64; MAX_HEIGHTS],
+    sigma_mps2: f64,
+    z_m: f64,
+) -> Vec<SlotMap> {
+    const STEP: f64 = 1e-4;
+    let at = Kinematics {
+        position_enu_m: Vector3::z() * z_m,
+        velocity_enu_mps: Vector3::zeros(),
+        world_from_body: UnitQuaternion::identity(),
+    };
+    let mut lane = Lane::new(Vector3::zeros(), model.imus.gravity_mps2);
+    lane.begin(&at, &Six::zeros(), [0.1, 0.1, 0.01, 0.1, 1e-3], model);
+    let (accel, gyro) = (sigma_mps2, noise::FLOOR.1);
+    let sigma = Six::new(accel, accel, accel, gyro, gyro, gyro);
+    let mut hovering = Hovering { model, heights: Heights::weighing(weights), lane, sigma, z_m };
+    let period = ages_s.len().max(1) as u64;
+    let steady = STEADY.next_multiple_of(period);
+    let mut maps = Vec::with_capacity(ages_s.len());
+    for number in 0..steady + period {
+        let Some(ages) = ages_s.get((number % period) as usize) else { continue };
+        // Nothing but vertical matters, and nothing aids the rest.
+        for i in (0..hovering.lane.p.nrows())
+            .filter(|i| ![ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2].contains(i))
+        {
+            hovering.lane.p.row_mut(i).fill(0.0);
+            hovering.lane.p.column_mut(i).fill(0.0);
+        }
+        if number >= steady {
+            let mut map = SMatrix::<f64, OUTPUTS, INPUTS>::zeros();
+            for column in 0..INPUTS {
+                let one = |sign: f64| {
+                    let mut x = [0.0; INPUTS];
+                    x[column] = sign * STEP;
+                    hovering.outputs(number, ages, &x).0
+                };
+                let (up, down) = (one(1.0), one(-1.0));
+                (0..OUTPUTS).for_each(|row| map[(row, column)] = (up[row] - down[row]) / (2.0 * STEP));
+            }
+            let (_, residuals) = hovering.outputs(number, ages, &[0.0; INPUTS]);
+            let sigma = |i: usize| {
+                let id = SensorId::new(SensorKind::Height, i as u8 + 1);
+                residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
+            };
+            maps.push(SlotMap { map, sigma_m: std::array::from_fn(sigma) });
+        }
+        let mut lane = hovering.lane.clone();
+        hovering.step(&mut lane, &hovering.slot(number, ages, &[0.0; MAX_HEIGHTS]), 0.0);
+        hovering.lane = lane;
+    }
+    maps
+}
+
+/// Number of the slot that a sample at `time_s` belongs to, and how long before its end it was, s.
+pub fn slot_of(time_s: f64) -> (usize, f64) {
+    let number = (time_s / SLOT_S + 1e-9).floor().max(0.0) as usize;
+    (number, (number as f64 + 1.0) * (1e-6 * SLOT_US as f64) - time_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slot_moves_by_its_force_and_towards_its_heights() {
+        let model = SensorModel::default();
+        let mut ages = [[None; MAX_HEIGHTS]; 5];
+        (ages[0][0], ages[2][0]) = (Some(0.04), Some(0.02));
+        let maps = cycle(&model, &ages, &[1.0; MAX_HEIGHTS], 0.05, 1.0);
+        assert_eq!(maps.len(), 5);
+        // Without a sample it is the motion alone.
+        let free = &maps[1].map;
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} {b}");
+        close(free[(0, 0)], 1.0);
+        close(free[(0, 1)], SLOT_S);
+        close(free[(1, 3)], SLOT_S);
+        close(free[(1, 2)], -SLOT_S);
+        assert!(maps[1].sigma_m[0].is_none() && maps[0].sigma_m[0].is_some_and(|s| s > 0.025));
+        // A height pulls, and its innovation is what it measures less what was predicted.
+        let seen = &maps[2].map;
+        let gain = seen[(0, STATES + 1)];
+        assert!(gain > 0.01 && gain < 0.9, "{gain}");
+        close(seen[(STATES, STATES + 1)], 1.0);
+        close(seen[(STATES, 0)], -1.0);
+        close(seen[(0, 0)] + gain, 1.0);
+    }
+}

@@ -1,0 +1,71 @@
+//! How far an attacker who is not seen can push the vehicle (`POST /api/v1/envelope`).
+
+use serde::{Deserialize, Serialize};
+
+use crate::design::Design;
+
+/// What is asked; what is left out is as usual.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct EnvelopeQuestion {
+    /// The gains, as a design; its airframe and tick rate count.
+    #[serde(default)]
+    pub design: Design,
+    /// Name of a suite of sensors; `string_rig` where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub suite: Option<String>,
+    /// All sets of at most so many sensors; 2 where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub most: Option<usize>,
+    /// Only this set: sensors by name, `height 2`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<Vec<String>>,
+    /// How long the attack lasts, s; 10 where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub horizon_s: Option<f64>,
+    /// Noise that the lanes measure of their accelerometers, m/s²; what they assume where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_mps2: Option<f64>,
+}
+
+/// The bounds of all sets asked for.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Envelope {
+    /// Name of the suite.
+    pub suite: String,
+    /// Name of the airframe.
+    pub airframe: String,
+    /// s.
+    pub horizon_s: f64,
+    /// One for each set, the smaller sets first.
+    pub sets: Vec<EnvelopeSet>,
+}
+
+/// The bound of one set of attacked sensors, from a flight without the attack.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct EnvelopeSet {
+    /// By name.
+    pub sensors: Vec<String>,
+    /// No silent attack moves the altitude further, m; absent where there is no bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub altitude_m: Option<f64>,
+    /// The worst one found moves it as far, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reached_m: Option<f64>,
+    /// No silent attack makes it climb faster, m/s; where that was asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub climb_mps: Option<f64>,
+    /// Without a bound: as fast the altitude can drift for ever, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drift_mps: Option<f64>,
+    /// The detector that holds most of the bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub binding: Option<String>,
+    /// Solved in, ms; 0 where another set has the same program.
+    pub took_ms: f64,
+}
