@@ -112,14 +112,6 @@ pub fn mavlink_by(python: &OsStr, port: u16) -> Result<serde_json::Value, String
     read_by(python, "mavlink.py", &[OsStr::new(&port.to_string())])
 }
 
-/// The optima of linear programs by HiGHS: see `tests/browser/linear_program.py`.
-///
-/// # Errors
-/// What it says of a file that it does not open.
-pub fn programs_by(python: &OsStr, cases: &Path) -> Result<serde_json::Value, String> {
-    read_by(python, "linear_program.py", &[cases.as_os_str()])
-}
-
 fn read_by(python: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../browser").join(script);
     let ran = Command::new(python).arg(script).args(arguments).output().unwrap();

@@ -107,6 +107,7 @@ impl Hovering<'_> {
         let around = Around {
             model: self.model,
             heights: &self.heights,
+            beyond_m: [0.0; MAX_HEIGHTS],
             field_ut: None,
             drag: None,
             barometers: false,
