@@ -17,7 +17,7 @@ fn a_tick_allocates_nothing_from_the_ground_to_landing_under_attack() {
         + &scenario("height_attack").split_once("[[attack]]").map_or(String::new(), |a| format!("[[attack]]{}", a.1));
     let scenario = Scenario::from_toml(&toml).unwrap();
     let mut config = scenario.flight_config();
-    config.estimators.push(EstimatorKind::Lanes);
+    config.estimators.push(EstimatorKind::Secure);
     let mut f = Flown::with_config(scenario, config);
     let schedule = f.scenario.attacks.clone();
     assert_eq!(schedule.attacks.len(), 1);

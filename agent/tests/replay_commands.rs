@@ -39,7 +39,8 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
     let file = folder.path().join("rest.csv");
     std::fs::write(&file, at_rest(400)).unwrap();
     let recording = recordings::open(&file).unwrap();
-    let config = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::empty());
+    let mut config = FlightConfig::new(Airframe::iris(), RigKind::Free, &Suite::empty());
+    config.estimators.push(EstimatorKind::Secure);
     let flight = Flight::new(config).unwrap();
     let identification = Identification {
         agent_id: "iris-1".into(),

@@ -78,7 +78,7 @@ fn lanes(live: &Live, notes: &[(f64, String)], axis: TimeAxis, end_s: f64) -> La
     told.sort_by(|a, b| a.0.total_cmp(&b.0));
     [
         ("Mode", "Mode of flight", chained(modes, end_s)),
-        ("Loop", "Estimator in the loop, and revision of the gains", chained(loops, end_s)),
+        ("Loop", "What estimated in the loop, and revision of the gains", chained(loops, end_s)),
         ("Attack", "Attacks, from the first sample altered to the last", attacks.collect()),
         ("Step", "Altitude asked for", chained(steps, end_s)),
         ("Note", "Warnings, and lines of the notes that begin with a time", chained(told, end_s)),

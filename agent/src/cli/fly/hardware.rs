@@ -28,7 +28,6 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         // Each samples on a clock of its own: what shakes the frame differs between them, and an estimator that compares
         // them at one instant takes that for faults.
         flight.in_loop = EstimatorKind::Lanes;
-        flight.estimators.insert(0, EstimatorKind::Lanes);
     }
     let line = motors::guarded(file, config)?;
     let zero = Zero::default();
