@@ -59,6 +59,7 @@ KINDS: dict[int, tuple[str, type[Message], bool]] = {
     32: ("/ack", v1.Ack, False),
     33: ("/description", v1.Description, False),
     34: ("/flight", v1.FlightMark, False),
+    35: ("/device", v1.DeviceState, True),
     40: ("/link", v1.LinkStatus, False),
     41: ("/recording", v1.RecordingStatus, False),
     42: ("/lease", v1.ControlLease, False),
