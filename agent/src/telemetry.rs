@@ -381,7 +381,7 @@ impl Telemetry {
 
     /// With every window decoded.
     fn secure(&mut self, flight: &Flight, now: FlightTime, around: &Around<'_>) {
-        let Some(judge) = secure::Judge::of(flight) else { return };
+        let Some(judge) = flight.judge() else { return };
         self.tracking.tick(flight, judge, around.recorded());
         if self.windows != judge.window().count {
             self.windows = judge.window().count;

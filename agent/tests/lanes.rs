@@ -60,8 +60,7 @@ fn hold(world: &str, rig: &str, seed: u64, attack: &str, kind: EstimatorKind) ->
         if failsafe != Failsafe::None && !held.failsafes.contains(&failsafe) {
             held.failsafes.push(failsafe);
         }
-        let isolation = f.flight.lanes().map(|lanes| lanes.isolation());
-        let isolation = isolation.or(f.flight.secure().map(|secure| secure.isolation()));
+        let isolation = f.flight.judge().map(|judge| judge.isolation());
         let flagged = isolation.iter().flat_map(|i| i.devices()).filter(|d| d.flagged.is_some());
         let (mut falsely, mut found) = (false, false);
         for device in flagged {

@@ -22,7 +22,7 @@ use crate::control::gains::{Certified, Examiner, GainsError};
 use crate::control::in_loop::InLoop;
 use crate::control::setpoint::Profile;
 use crate::control::step_response::StepMeter;
-use crate::estimate::bank::{Bank, BankError, build};
+use crate::estimate::bank::{Bank, BankError, Judge, build};
 use crate::estimate::lanes::Lanes;
 use crate::estimate::secure::Secure;
 use crate::estimate::{Estimate, Estimator, Motion};
@@ -284,6 +284,11 @@ impl Flight {
     /// The estimator by lanes, where it runs.
     pub fn lanes(&self) -> Option<&Lanes> {
         self.bank.lanes()
+    }
+
+    /// Who judges the sensors, where one of the estimators does.
+    pub fn judge(&self) -> Option<Judge<'_>> {
+        self.bank.judge()
     }
 
     /// How long the last step of the estimator of `kind` took, µs; zero when it is not timed.

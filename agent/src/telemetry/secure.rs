@@ -4,59 +4,15 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1;
 
 use super::Audit;
-use crate::estimate::fdir::isolation::{FlagReason, Isolation, KINDS, MAX_DEVICES};
-use crate::estimate::lanes::Lanes;
-use crate::estimate::secure::{Secure, WindowReport};
+use crate::estimate::bank::Judge;
+use crate::estimate::fdir::isolation::{FlagReason, KINDS, MAX_DEVICES};
+use crate::estimate::secure::Secure;
 use crate::flight::Flight;
-use crate::types::{EstimatorKind, Mode};
+use crate::types::Mode;
 use crate::vehicle::RecordedControl;
 
 /// e is taken over this long, s.
 const WINDOW_S: f64 = 10.0;
-
-/// Whose account is told: of the two that judge sensors, the one in the loop, else `secure`.
-#[derive(Clone, Copy)]
-pub(super) enum Judge<'a> {
-    Secure(&'a Secure),
-    Lanes(&'a Lanes),
-}
-
-impl<'a> Judge<'a> {
-    /// Of `flight`, where one runs.
-    pub(super) fn of(flight: &'a Flight) -> Option<Self> {
-        let lanes = flight.lanes().map(Self::Lanes);
-        let secure = flight.secure().map(Self::Secure);
-        if flight.estimator_in_loop() == EstimatorKind::Lanes { lanes } else { secure.or(lanes) }
-    }
-
-    pub(super) fn window(self) -> &'a WindowReport {
-        match self {
-            Self::Secure(secure) => secure.window(),
-            Self::Lanes(lanes) => lanes.window(),
-        }
-    }
-
-    fn isolation(self) -> &'a Isolation {
-        match self {
-            Self::Secure(secure) => secure.isolation(),
-            Self::Lanes(lanes) => lanes.isolation(),
-        }
-    }
-
-    fn height_bound_m(self) -> Option<f64> {
-        match self {
-            Self::Secure(secure) => secure.height_bound_m(),
-            Self::Lanes(lanes) => lanes.height_bound_m(),
-        }
-    }
-
-    fn secure(self) -> Option<&'a Secure> {
-        match self {
-            Self::Secure(secure) => Some(secure),
-            Self::Lanes(_) => None,
-        }
-    }
-}
 
 /// rms of altitude − setpoint while altitude is controlled: over the last seconds (e), and over all the time
 /// in which nothing was flagged (e*). By the estimate in the loop: the vehicle has no truth.

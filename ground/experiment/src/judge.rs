@@ -6,9 +6,8 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::attack::Attack;
 use plumbline_agent::command::Command;
 use plumbline_agent::estimate::Estimate;
-use plumbline_agent::estimate::fdir::isolation::Isolation;
 use plumbline_agent::flight::{Failsafe, Flight, StepReport};
-use plumbline_agent::types::{EstimatorKind, Mode, MotorCommand};
+use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
 
@@ -57,20 +56,6 @@ pub struct Outcome {
     pub declared_s: Option<f64>,
     /// Outside the bound on the height's error that was announced, as a part of the time there was one.
     pub outside_bound: f64,
-}
-
-/// Of whichever estimator judges sensors.
-fn isolation(flight: &Flight) -> Option<&Isolation> {
-    flight.secure().map(|secure| secure.isolation()).or_else(|| flight.lanes().map(|lanes| lanes.isolation()))
-}
-
-/// The bound on its height's error that the estimator in the loop announces, m.
-fn bound_m(flight: &Flight) -> Option<f64> {
-    match flight.estimator_in_loop() {
-        EstimatorKind::Lanes => flight.lanes()?.height_bound_m(),
-        EstimatorKind::Secure => flight.secure()?.height_bound_m(),
-        _ => None,
-    }
 }
 
 /// A mean that is being made.
@@ -158,7 +143,7 @@ impl Judge {
     pub(crate) fn tick(&mut self, t: f64, flight: &Flight, truth: &Truth) -> bool {
         self.exclusions(t, flight);
         let begun = self.attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
-        let contradicted = isolation(flight).is_some_and(Isolation::contradicted);
+        let contradicted = flight.judge().is_some_and(|judge| judge.isolation().contradicted());
         if t >= begun && (contradicted || flight.failsafe() != Failsafe::None) {
             self.outcome.declared_s.get_or_insert(t - begun);
         }
@@ -185,7 +170,8 @@ impl Judge {
         let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { return false };
         self.compare(truth, report, estimate);
         self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
-        if let Some(bound_m) = bound_m(flight) {
+        let judge = flight.judge().filter(|judge| judge.kind() == in_loop);
+        if let Some(bound_m) = judge.and_then(|judge| judge.height_bound_m()) {
             let off_m = estimate.kinematics().position_enu_m.z - truth.position_enu_m.z;
             self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));
         }
@@ -242,7 +228,7 @@ impl Judge {
     }
 
     fn exclusions(&mut self, t: f64, flight: &Flight) {
-        let Some(isolation) = isolation(flight) else { return };
+        let Some(isolation) = flight.judge().map(|judge| judge.isolation()) else { return };
         for device in isolation.devices() {
             let sensor = device.sensor;
             let of = self.attacks.iter().find(|a| a.sensor == sensor);

@@ -11,11 +11,11 @@ use super::attitude_ekf::AttitudeEkfEstimator;
 use super::complementary::Complementary;
 use super::constant_acceleration::ConstantAccelerationEstimator;
 use super::ekf_bias::EkfBias;
+use super::fdir::isolation::Isolation;
 use super::filter::ekf_hybrid::EkfHybrid;
 use super::filter::ukf::Ukf;
 use super::lanes::Lanes;
-use super::secure::Decoder;
-use super::secure::Secure;
+use super::secure::{Decoder, Secure, WindowReport};
 use super::twelve_state::TwelveStateEstimator;
 use super::vqf::VqfEstimator;
 use super::{Estimate, Estimator, EstimatorKind};
@@ -82,6 +82,57 @@ pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estim
         EstimatorKind::Lanes => Box::new(Lanes::new(sensors, airframe)),
         other => return Err(BankError::NotAvailable(other)),
     })
+}
+
+/// An estimator that says which sensors it excludes.
+#[derive(Clone, Copy)]
+pub enum Judge<'a> {
+    /// The decoder of a window.
+    Secure(&'a Secure),
+    /// The lanes.
+    Lanes(&'a Lanes),
+}
+
+impl<'a> Judge<'a> {
+    /// Its last window, or slot.
+    pub fn window(self) -> &'a WindowReport {
+        match self {
+            Self::Secure(secure) => secure.window(),
+            Self::Lanes(lanes) => lanes.window(),
+        }
+    }
+
+    /// The attacked set.
+    pub fn isolation(self) -> &'a Isolation {
+        match self {
+            Self::Secure(secure) => secure.isolation(),
+            Self::Lanes(lanes) => lanes.isolation(),
+        }
+    }
+
+    /// Most that its altitude is off by, m; `None` where it promises nothing.
+    pub fn height_bound_m(self) -> Option<f64> {
+        match self {
+            Self::Secure(secure) => secure.height_bound_m(),
+            Self::Lanes(lanes) => lanes.height_bound_m(),
+        }
+    }
+
+    /// Which it is.
+    pub fn kind(self) -> EstimatorKind {
+        match self {
+            Self::Secure(_) => EstimatorKind::Secure,
+            Self::Lanes(_) => EstimatorKind::Lanes,
+        }
+    }
+
+    /// The decoder of a window, where it is that.
+    pub fn secure(self) -> Option<&'a Secure> {
+        match self {
+            Self::Secure(secure) => Some(secure),
+            Self::Lanes(_) => None,
+        }
+    }
 }
 
 /// The bank.
@@ -181,6 +232,12 @@ impl Bank {
     /// The estimator by lanes, where it runs.
     pub fn lanes(&self) -> Option<&Lanes> {
         self.estimators.iter().find_map(|estimator| estimator.lanes())
+    }
+
+    /// Who judges the sensors: the one in the loop where it does, else the lanes, else the window decoder.
+    pub fn judge(&self) -> Option<Judge<'_>> {
+        let (lanes, secure) = (self.lanes().map(Judge::Lanes), self.secure().map(Judge::Secure));
+        if self.in_loop_kind() == EstimatorKind::Secure { secure } else { lanes.or(secure) }
     }
 
     /// Makes the secure estimator solve another program.
