@@ -12,6 +12,7 @@ use std::io::{BufWriter, Write};
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{McapResult, WriteOptions};
+use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, Message as _, v1};
 
 use super::export::Sink;
@@ -306,12 +307,12 @@ pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Si
     let mut bag = options.create(NoSeek::new(BufWriter::with_capacity(64 << 10, Onward(sink))))?;
     let mut schemas: BTreeMap<Type, u16> = BTreeMap::new();
     let mut channels: BTreeMap<String, (u16, u32)> = BTreeMap::new();
-    let boot_us = reader.boot_us();
+    let boot = WallTime(reader.boot_us());
     reader.for_each(None, |message| {
         if message.time_us < from {
             return Ok(true);
         }
-        let time_ns = (boot_us + message.time_us) * 1000;
+        let time_ns = boot.at(FlightTime(message.time_us)).as_nanos();
         for (topic, kind, data) in convert(message, time_ns) {
             if !channels.contains_key(&topic) {
                 let schema = match schemas.get(&kind) {

@@ -24,6 +24,7 @@ use axum::response::Response;
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, v1};
 use tokio::sync::Notify;
 use tokio::time::timeout;
@@ -249,14 +250,15 @@ impl Client {
             topic
         });
         // The ground's own messages are stamped with the wall's time.
-        let since_us = if kind.is_ground_made() { frame.time_us } else { self.boot_us + frame.time_us };
-        self.put(channel, since_us * 1000, frame.payload, sampled(Some(kind)), outbox);
-        for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since_us) {
+        let boot = WallTime(if kind.is_ground_made() { 0 } else { self.boot_us });
+        let since = boot.at(FlightTime(frame.time_us));
+        self.put(channel, since.as_nanos(), frame.payload, sampled(Some(kind)), outbox);
+        for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since.0) {
             self.channels.entry(channel).or_insert_with(|| {
                 outbox.rare(client::advertise_json(channel, topic, schema));
                 topic.to_owned()
             });
-            self.put(channel, since_us * 1000, json.to_string().as_bytes(), sampled, outbox);
+            self.put(channel, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
         }
     }
 
