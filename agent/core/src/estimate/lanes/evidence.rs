@@ -106,7 +106,7 @@ impl Evidence {
     }
 
     /// a: see the module.
-    fn average(&self) -> f64 {
+    pub fn average(&self) -> f64 {
         second(self.present().map(|lane| lane.average)).max(1.0)
     }
 

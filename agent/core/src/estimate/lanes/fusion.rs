@@ -23,6 +23,8 @@ const LEARNING_S: f64 = 7.0;
 const JUDGING_S: f64 = 3.0;
 /// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
 const RECTIFIED: f64 = 0.1;
+/// The same along the thrust, per m/s² shaken: there gravity and thrust bring it near its range, whose one end cuts off.
+const RECTIFIED_UP_PER_MPS2: f64 = 0.08;
 /// One-sigma of the thrust as commanded, over the mass, m/s².
 const THRUST_SIGMA_MPS2: f64 = 1.2;
 /// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
@@ -174,7 +176,8 @@ impl Lanes {
         let common = self.common(&slot.imus);
         // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
         let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
-        let rectified = shaken * RECTIFIED;
+        let mut rectified = shaken * RECTIFIED;
+        rectified[2] *= (RECTIFIED_UP_PER_MPS2 / RECTIFIED * shaken[2]).max(1.0);
         // Where it does so along the thrust, the thrust as commanded says more.
         let squares = (rectified[2].powi(2), THRUST_SIGMA_MPS2.powi(2));
         let share = if self.thrust.flies(slot.thrust_mps2) { squares.0 / (squares.0 + squares.1) } else { 0.0 };
@@ -276,7 +279,9 @@ impl Lanes {
             self.fused.best = best;
         }
         let weighty = || self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > WEIGHTY).map(|(lane, _)| lane);
-        let apart = |lane: &super::Lane| tilt_rad(&(lane.at.world_from_body.inverse() * reference)) > CONTRADICTION_RAD;
+        // Where all are surprised by more than they expect, they differ by more, too.
+        let most_rad = CONTRADICTION_RAD * self.judges.evidence.average().sqrt();
+        let apart = |lane: &super::Lane| tilt_rad(&(lane.at.world_from_body.inverse() * reference)) > most_rad;
         let contradicted = weighty().any(apart);
         self.fused.contradicted = if contradicted { self.fused.contradicted.saturating_add(1) } else { 0 };
     }
