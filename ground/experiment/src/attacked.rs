@@ -13,7 +13,8 @@ const ONSET_S: (f64, f64) = (14.0, 22.0);
 const DURATION_S: (f64, f64) = (4.0, 14.0);
 /// The smallest that is added, as a part of the most that the vehicle allows: an attack in the noise is among them.
 const SMALLEST: f64 = 0.004;
-const KINDS: [Kind; 10] = [
+/// The kinds that are drawn.
+pub const KINDS: [Kind; 10] = [
     Kind::Zero,
     Kind::Bias,
     Kind::Ramp,
@@ -39,6 +40,8 @@ pub enum Attacked {
     Several(SensorKind, usize),
     /// So many heights, by the same bias at the same time.
     Colluding(usize),
+    /// One sensor of a kind, in this way; the rest is drawn.
+    Kind(SensorKind, Kind),
     /// One sensor in one way.
     Given(Given),
 }
@@ -124,6 +127,10 @@ impl Attacked {
                 };
                 chosen.into_iter().zip(1..).map(attack).collect()
             }
+            Attacked::Kind(of, kind) => {
+                let sensor = any(of, count(suite, of));
+                vec![drawn_of(&mut dice, 1, sensor, kind)]
+            }
             Attacked::Given(given) => {
                 let drawn = any(given.sensor, count(suite, given.sensor));
                 let sensor = given.instance.map_or(drawn, |instance| SensorId::new(given.sensor, instance));
@@ -155,12 +162,20 @@ fn when(dice: &mut Dice) -> (f64, f64) {
 
 /// Any attack on `sensor` that the vehicle takes: kind, channel, size, sign, onset and duration.
 fn drawn(dice: &mut Dice, id: u32, sensor: SensorId) -> Attack {
+    let kind = KINDS[pick(dice, KINDS.len())];
+    drawn_of(dice, id, sensor, kind)
+}
+
+fn pick(dice: &mut Dice, count: usize) -> usize {
+    ((dice.uniform() * count as f64) as usize).min(count - 1)
+}
+
+/// The same, of this kind.
+fn drawn_of(dice: &mut Dice, id: u32, sensor: SensorId, kind: Kind) -> Attack {
     let bounds = Bounds::default();
-    let mut pick = |count: usize| ((dice.uniform() * count as f64) as usize).min(count - 1);
-    let kind = KINDS[pick(KINDS.len())];
     let channels: Vec<_> =
         offered(sensor.kind, &bounds).filter(|(_, _, most)| !kind.is_additive() || *most > 0.0).collect();
-    let (channel, _, most) = channels[pick(channels.len())];
+    let (channel, _, most) = channels[pick(dice, channels.len())];
     let magnitude = match kind {
         // Every size is as likely as the tenfold: most are small beside what the vehicle allows.
         Kind::Bias | Kind::Ramp => sign(dice) * most * SMALLEST.powf(dice.uniform()),

@@ -5,23 +5,17 @@
 use std::collections::VecDeque;
 
 use nalgebra::Vector2;
-use plumbline_agent::attack::{Attack, Injector, Schedule};
+use plumbline_agent::attack::Attack;
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Flight, FlightConfig, FlightError};
 use plumbline_agent::frames::roll_pitch_yaw;
-use plumbline_agent::sensor::SensorFrame;
-use plumbline_agent::sensor::imu::ImuSample;
 use plumbline_agent::sim::scenario::ScenarioError;
 use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::GRAVITY_MPS2;
 use plumbline_agent::vehicle::{Truth, Vehicle as _, VehicleError};
-use plumbline_proto::v1::SensorKind;
 
-use crate::draw::median;
 use crate::judge::{Judge, Outcome};
-
-/// A sample of a unit with a clock of its own is used for the median so long, s.
-const FRESH_S: f64 = 0.03;
+use crate::reception::{Flights, Receiver, Reception, schedule};
 
 /// Why a flight could not be flown.
 #[derive(Debug, thiserror::Error)]
@@ -38,18 +32,6 @@ pub enum FlyError {
     /// The attacks.
     #[error("attacks refused: {0}")]
     Attacks(String),
-}
-
-/// What stands between the sensors and the estimator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Reception {
-    /// Nothing: the estimator receives what the attacks leave.
-    #[default]
-    All,
-    /// Somebody who knows: sensors are withheld while they are attacked.
-    Oracle,
-    /// One IMU and one height in the place of all, each the median of what is received.
-    Median,
 }
 
 /// Everything that one flight follows from.
@@ -83,115 +65,40 @@ pub fn fly(setup: &Setup) -> Result<Outcome, FlyError> {
 /// [`FlyError`]: nothing was flown.
 pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
     let Setup { scenario, attacks, reception, .. } = setup;
-    let mut injector = Injector::new(setup.config.attacks.bounds, true, &setup.config.sensors);
+    let mut receiver = Receiver::new(setup)?;
     let mut vehicle = SimVehicle::new(scenario)?;
-    let mut flight = Flight::new(setup.config.clone())?;
-    let mut medians = Medians::default();
+    let mut flights = Flights::new(setup)?;
     let mut judge = Judge::new(setup);
     let mut operator = Operator::default();
     let mut before = None;
     for tick in 0..(scenario.duration_s * scenario.tick_rate_hz) as usize {
         let frame = vehicle.sense()?;
         let (now, t) = (frame.time, frame.time.as_seconds());
-        flight.heartbeat(now);
-        if tick == 0 && !attacks.is_empty() {
-            let schedule = Schedule { id: 1, attacks: attacks.iter().copied().collect(), ..Schedule::default() };
-            // Where somebody stands between the sensors and the vehicle, the attack comes before them.
-            if *reception == Reception::Median {
-                injector.upload(&schedule, now).map_err(|error| FlyError::Attacks(error.to_string()))?;
-            } else if *reception == Reception::All {
-                let ack = flight.apply(&Command::Attack(schedule), now);
-                if !ack.accepted {
-                    return Err(FlyError::Attacks(ack.reason.to_string()));
-                }
+        flights.each(|flight| flight.heartbeat(now));
+        if tick == 0 && !attacks.is_empty() && *reception == Reception::All {
+            let schedule = schedule(attacks);
+            let ack = flights.chosen().apply(&Command::Attack(schedule), now);
+            if !ack.accepted {
+                return Err(FlyError::Attacks(ack.reason.to_string()));
             }
         }
-        scenario.script.commands(before, now, |command| {
-            let _ = flight.apply(command, now);
-        });
+        scenario.script.commands(before, now, |command| flights.apply(command, now));
         before = Some(now);
         if let Some(command) = vehicle.truth().and_then(|truth| operator.looks(t, &truth)) {
-            let _ = flight.apply(&command, now);
+            flights.apply(&command, now);
         }
-        let received = match reception {
-            Reception::All => frame,
-            Reception::Oracle => without(frame, attacks, t),
-            Reception::Median => medians.of(&injector.apply(&frame)),
-        };
-        let command = flight.step_received(&frame, &received).command;
+        let received = receiver.receives(&frame, flights.chosen());
+        let command = flights.step(&frame, &received);
         let applied = vehicle.actuate(&command)?;
-        flight.applied(applied);
+        flights.each(|flight| flight.applied(applied));
         let Some(truth) = vehicle.truth() else { break };
-        let over = judge.tick(t, &flight, &truth);
-        watch(&mut flight, &truth);
+        let over = judge.tick(t, flights.chosen(), &truth);
+        watch(flights.chosen(), &truth);
         if over {
             break;
         }
     }
     Ok(judge.verdict())
-}
-
-/// `frame` without the samples of those who are attacked at `t`, s.
-fn without(mut frame: SensorFrame, attacks: &[Attack], t: f64) -> SensorFrame {
-    for attack in attacks.iter().filter(|a| (a.start_s..a.start_s + a.duration_s).contains(&t)) {
-        let index = usize::from(attack.sensor.instance).saturating_sub(1);
-        match attack.sensor.kind {
-            SensorKind::Imu => take(&mut frame.imus, index),
-            SensorKind::Height => take(&mut frame.heights, index),
-            SensorKind::Barometer => take(&mut frame.barometers, index),
-            // The oracle knows the sensors that attacks are drawn for; any other stays.
-            _ => {}
-        }
-    }
-    frame
-}
-
-fn take<T>(samples: &mut [Option<T>], index: usize) {
-    if let Some(sample) = samples.get_mut(index) {
-        *sample = None;
-    }
-}
-
-/// One IMU and one height in the place of all: the median of what is fresh, component by component.
-#[derive(Default)]
-struct Medians {
-    last: SensorFrame,
-}
-
-impl Medians {
-    fn of(&mut self, frame: &SensorFrame) -> SensorFrame {
-        self.last.imus.iter_mut().zip(&frame.imus).filter(|(_, new)| new.is_some()).for_each(|(old, new)| *old = *new);
-        let heights = self.last.heights.iter_mut().zip(&frame.heights);
-        heights.filter(|(_, new)| new.is_some()).for_each(|(old, new)| *old = *new);
-        let mut out = *frame;
-        let fresh: Vec<ImuSample> =
-            self.last.imus.iter().flatten().filter(|s| frame.time.seconds_since(s.time) < FRESH_S).copied().collect();
-        let anew = out.imus.iter().any(Option::is_some);
-        out.imus = Default::default();
-        if let Some(newest) = fresh.iter().max_by_key(|s| s.time).filter(|_| anew) {
-            let of =
-                |value: &dyn Fn(&ImuSample) -> Option<f64>| median(&fresh.iter().filter_map(value).collect::<Vec<_>>());
-            let mut sample = *newest;
-            for axis in 0..3 {
-                sample.gyro_radps[axis] = of(&|s| Some(s.gyro_radps[axis]));
-                sample.accel_mps2[axis] = of(&|s| Some(s.accel_mps2[axis]));
-                if let Some(mag) = &mut sample.mag_ut {
-                    mag[axis] = of(&|s| s.mag_ut.map(|m| m[axis]));
-                }
-            }
-            out.imus[0] = Some(sample);
-        }
-        let anew = out.heights.iter().flatten().next().copied();
-        out.heights = Default::default();
-        if let Some(mut newest) = anew {
-            // Lasers take turns: each counts until its next scan.
-            let fresh =
-                self.last.heights.iter().flatten().filter(|s| frame.time.seconds_since(s.time) < 10.0 * FRESH_S);
-            newest.height_m = median(&fresh.map(|s| s.height_m).collect::<Vec<_>>());
-            out.heights[0] = Some(newest);
-        }
-        out
-    }
 }
 
 /// Whoever stands beside it and keeps it over its place by eye, with the stick: altitude hold knows no horizontal position.

@@ -6,7 +6,8 @@
 //!                                              └ open: one row, flown again ─► flight file (MCAP)
 //! ```
 //! [`flight`] flies one, [`judge`] says how it went, [`attacked`] draws what is done to its sensors, [`draw`] has the dice, the
-//! work on all cores and the medians. The project's own campaigns fly with these, too.
+//! work on all cores and the medians; [`reception`] has what anyone would try first ([`monitor`]: χ² and CUSUM). The project's
+//! own campaigns fly with these, too.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
@@ -14,11 +15,14 @@ pub mod attacked;
 pub mod draw;
 pub mod flight;
 pub mod judge;
+pub mod monitor;
 pub mod open;
 pub mod parquet;
 pub mod plan;
+pub mod reception;
 pub mod report;
 pub mod row;
 pub mod run;
+mod selector;
 pub mod store;
 pub mod summary;

@@ -4,7 +4,7 @@
 //! name = "bias_of_a_height"
 //! repeats = 20                      # flights of each condition; a repeat has the same seed in all of them
 //! seed = 1000                       # of the first repeat
-//! reception = "all"                 # or what stands before the estimator: "oracle", "median"
+//! reception = "all"                 # or what stands before the estimator: "oracle", "median", "chi_square", "cusum", "ekf_per_imu"
 //!
 //! [scenario]                        # as a scenario file, without seed and attacks
 //! world = "datasheet"

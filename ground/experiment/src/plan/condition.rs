@@ -11,7 +11,8 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use crate::attacked::{Attacked, Given};
-use crate::flight::{Reception, Setup};
+use crate::flight::Setup;
+use crate::reception::Reception;
 
 /// What an onset is drawn for when nothing is given.
 const DRAWN: [&str; 3] = ["any", "imu_and_height", "none"];
@@ -87,14 +88,11 @@ impl Condition {
         if agent.estimators.run.is_none() {
             config.estimators = vec![config.in_loop];
         }
-        let reception = match table.get("reception").and_then(Value::as_str) {
-            Some("all") => Reception::All,
-            Some("oracle") => Reception::Oracle,
-            Some("median") => Reception::Median,
-            other => {
-                let complaint = format!("{} is not all, oracle or median", other.unwrap_or("what is given"));
-                return Err(Wrong { section: "reception", complaint });
-            }
+        let named = table.get("reception").and_then(Value::as_str);
+        let Some((_, reception)) = Reception::NAMED.into_iter().find(|(name, _)| Some(*name) == named) else {
+            let names: Vec<_> = Reception::NAMED.iter().map(|(name, _)| *name).collect();
+            let complaint = format!("{} is not one of {}", named.unwrap_or("what is given"), names.join(", "));
+            return Err(Wrong { section: "reception", complaint });
         };
         let raw: RawAttack = Value::Table(part("attack"))
             .try_into()

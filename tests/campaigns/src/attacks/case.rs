@@ -7,7 +7,9 @@ use plumbline_agent::sensor::suite::Sheet as _;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::attacked::{Attacked, Given};
-use plumbline_experiment::flight::{Reception, Setup};
+use plumbline_experiment::flight::Setup;
+use plumbline_experiment::monitor::Test;
+use plumbline_experiment::reception::Reception;
 use plumbline_proto::v1::SensorKind;
 
 /// Length of a flight, and of a long one, s.
@@ -126,17 +128,23 @@ impl Case {
 pub enum Pilot {
     /// The estimator of this name, as it is shipped: gates, votes, cross-checks.
     Shipped(EstimatorKind),
-    /// The shipped EKF, which never hears the attacked sensors while they are attacked.
-    Oracle,
-    /// The shipped EKF with one IMU and one height, each the median of all.
-    Median,
+    /// The shipped EKF, and what stands between it and the sensors.
+    Behind(Reception),
 }
 
 impl Pilot {
     pub const EKF: Self = Self::Shipped(EstimatorKind::EkfBias);
     pub const LANES: Self = Self::Shipped(EstimatorKind::Lanes);
-    pub const ALL: [Self; 5] =
-        [Self::EKF, Self::Median, Self::Shipped(EstimatorKind::Secure), Self::LANES, Self::Oracle];
+    pub const ALL: [Self; 8] = [
+        Self::EKF,
+        Self::Behind(Reception::Median),
+        Self::Behind(Reception::Detected(Test::ChiSquare)),
+        Self::Behind(Reception::Detected(Test::Cusum)),
+        Self::Behind(Reception::EkfPerImu),
+        Self::Shipped(EstimatorKind::Secure),
+        Self::LANES,
+        Self::Behind(Reception::Oracle),
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -144,8 +152,12 @@ impl Pilot {
             Self::Shipped(EstimatorKind::Secure) => "window decoder",
             Self::Shipped(EstimatorKind::Lanes) => "lanes",
             Self::Shipped(_) => "another",
-            Self::Oracle => "oracle",
-            Self::Median => "median fusion",
+            Self::Behind(Reception::All) => "shipped EKF",
+            Self::Behind(Reception::Median) => "median fusion",
+            Self::Behind(Reception::Detected(Test::ChiSquare)) => "chi-square detector",
+            Self::Behind(Reception::Detected(Test::Cusum)) => "CUSUM detector",
+            Self::Behind(Reception::EkfPerImu) => "EKF per IMU",
+            Self::Behind(Reception::Oracle) => "oracle",
         }
     }
 
@@ -165,8 +177,7 @@ impl Pilot {
         config.in_loop = self.estimator();
         let reception = match self {
             Self::Shipped(_) => Reception::All,
-            Self::Oracle => Reception::Oracle,
-            Self::Median => Reception::Median,
+            Self::Behind(reception) => reception,
         };
         Setup {
             scenario: scenario.clone(),
