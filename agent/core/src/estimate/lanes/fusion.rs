@@ -27,6 +27,8 @@ const RECTIFIED: f64 = 0.1;
 const RECTIFIED_UP_PER_MPS2: f64 = 0.08;
 /// One-sigma of the thrust as commanded, over the mass, m/s².
 const THRUST_SIGMA_MPS2: f64 = 1.2;
+/// So many slots of too little thrust do not end a flight: 0.3 s.
+const CARRIED_SLOTS: u32 = 8;
 /// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
 const REST: (f64, f64) = (0.6, 0.06);
 /// Slots at rest before it counts.
@@ -41,7 +43,9 @@ const POSE_MEMORY_S: f64 = 1.0;
 const AWAY: (f64, f64) = (0.5, 1.0);
 /// Lanes that weigh at least so much and differ in tilt by more, rad, contradict each other.
 const WEIGHTY: f64 = 0.15;
-const CONTRADICTION_RAD: f64 = 0.14;
+const CONTRADICTION_RAD: f64 = 0.2;
+/// Part of how far apart they are that is learned from slot to slot as usual.
+const USUAL_GAIN: f64 = 0.005;
 
 impl Lanes {
     /// Takes a closed slot.
@@ -78,8 +82,10 @@ impl Lanes {
         let quiet = shaken < 3.0 * self.model.imus.accel.sigma;
         let still = slot.standing && quiet && (size(0) - g).abs() < REST.0 && size(3) < REST.1;
         self.clock.resting = if still { self.clock.resting.saturating_add(1) } else { 0 };
+        let flies = self.thrust.flies(slot.thrust_mps2);
+        self.clock.unladen = if flies { 0 } else { self.clock.unladen.saturating_add(1) };
         // A recording that does not tell what the motors did flies when it moves.
-        if self.thrust.flies(slot.thrust_mps2) || slot.standing && !still {
+        if flies || slot.standing && !still {
             if self.clock.flown == 0 {
                 // Running motors are another world: what was quiet before says nothing.
                 self.judges.noise = super::Noise::new();
@@ -130,7 +136,7 @@ impl Lanes {
         for (i, sample) in samples.iter_mut().enumerate() {
             sample.iter_mut().for_each(|(_, height_m)| *height_m -= heights.off_m(i, z_m));
         }
-        heights.split.take(slot.end(), (z_m, climb_mps), up_mps2, &samples);
+        heights.split.take(slot.end(), (z_m, climb_mps), (up_mps2, self.fused.mixture.thrust), &samples);
         let mut beyond_m = [0.0; MAX_HEIGHTS];
         for (i, (beyond_m, sample)) in beyond_m.iter_mut().zip(samples).enumerate() {
             let Some((time, height_m)) = sample else { continue };
@@ -180,7 +186,8 @@ impl Lanes {
         rectified[2] *= (RECTIFIED_UP_PER_MPS2 / RECTIFIED * shaken[2]).max(1.0);
         // Where it does so along the thrust, the thrust as commanded says more.
         let squares = (rectified[2].powi(2), THRUST_SIGMA_MPS2.powi(2));
-        let share = if self.thrust.flies(slot.thrust_mps2) { squares.0 / (squares.0 + squares.1) } else { 0.0 };
+        let carried = self.clock.unladen < CARRIED_SLOTS;
+        let share = if carried { squares.0 / (squares.0 + squares.1) } else { 0.0 };
         self.fused.mixture.thrust = share;
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
@@ -279,11 +286,16 @@ impl Lanes {
             self.fused.best = best;
         }
         let weighty = || self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > WEIGHTY).map(|(lane, _)| lane);
-        // Where all are surprised by more than they expect, they differ by more, too.
-        let most_rad = CONTRADICTION_RAD * self.judges.evidence.average().sqrt();
-        let apart = |lane: &super::Lane| tilt_rad(&(lane.at.world_from_body.inverse() * reference)) > most_rad;
-        let contradicted = weighty().any(apart);
-        self.fused.contradicted = if contradicted { self.fused.contradicted.saturating_add(1) } else { 0 };
+        let from = |one: &super::Lane| {
+            let inverse = one.at.world_from_body.inverse();
+            weighty().map(|other| tilt_rad(&(inverse * other.at.world_from_body))).fold(0.0, f64::max)
+        };
+        let most_rad = weighty().map(from).fold(0.0, f64::max);
+        // Where all are surprised by more than they expect, or have long been apart, they differ by more.
+        let usual_rad = &mut self.fused.usual_rad;
+        let limit_rad = CONTRADICTION_RAD * self.judges.evidence.average().sqrt() + *usual_rad;
+        *usual_rad += USUAL_GAIN * (most_rad.min(CONTRADICTION_RAD) - *usual_rad);
+        self.fused.contradicted = if most_rad > limit_rad { self.fused.contradicted.saturating_add(1) } else { 0 };
     }
 
     fn judge_heights(&mut self, slot: &Slot, learning: bool) {

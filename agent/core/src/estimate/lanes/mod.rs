@@ -119,6 +119,8 @@ struct Fused {
     silent: PerLane<u32>,
     /// Announced as excluded.
     announced: PerLane<bool>,
+    /// How far apart in tilt lanes that weigh much usually are, at most, rad.
+    usual_rad: f64,
     /// Slots in a row in which lanes that weigh much contradict each other.
     contradicted: u32,
 }
@@ -139,9 +141,10 @@ struct Aided {
 #[derive(Default)]
 struct Clock {
     now: Option<FlightTime>,
-    /// Slots flown since the start, and at rest in a row.
+    /// Slots flown since the start, at rest in a row, and with too little thrust to fly in a row.
     flown: u32,
     resting: u32,
+    unladen: u32,
 }
 
 impl Lanes {
@@ -167,6 +170,7 @@ impl Lanes {
                 best: 0,
                 silent: [0; LANES],
                 announced: [false; LANES],
+                usual_rad: 0.0,
                 contradicted: 0,
             },
             predictor,

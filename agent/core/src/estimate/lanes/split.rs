@@ -24,6 +24,8 @@ const COAST: (f64, f64) = (0.1, 0.2);
 const BACK: f64 = 0.8;
 /// A laser is there so long after its last sample, s.
 const FRESH_S: f64 = 0.35;
+/// With so much of the acceleration from the thrust as commanded, accelerometers have no voice.
+const VOICELESS: f64 = 0.5;
 /// Agreement that ends a contradiction, s.
 const AGREED_S: f64 = 1.0;
 
@@ -70,13 +72,14 @@ impl Split {
         self.contradicted.is_some()
     }
 
-    /// A slot that ends at `end`. Uncorrected, altitude and climb would be `predicted` there, m and m/s; felt was `up_mps2`.
-    /// `samples`: when each laser measured what, its offset removed, m.
+    /// A slot that ends at `end`. Uncorrected, altitude and climb would be `predicted` there, m and m/s; felt was so much
+    /// upward, m/s², this part of it the thrust as commanded. `samples`: when each laser measured what, its offset
+    /// removed, m.
     pub fn take(
         &mut self,
         end: FlightTime,
         predicted: (f64, f64),
-        up_mps2: f64,
+        (up_mps2, by_thrust): (f64, f64),
         samples: &[Option<(FlightTime, f64)>; MAX_HEIGHTS],
     ) {
         if let Some(coast) = &mut self.coast {
@@ -92,7 +95,9 @@ impl Split {
                 laser.held &= off_m.abs() > BACK * GAP_M;
             }
         }
-        if let Some(coast) = self.coast {
+        if by_thrust > VOICELESS && self.contradicted.is_none() {
+            self.coast = None;
+        } else if let Some(coast) = self.coast {
             self.judge(end, end.seconds_since(coast.since));
         } else if self.have_parted(end) {
             self.coast = Some(Coast { since: end, z_m, climb_mps });
@@ -154,6 +159,10 @@ mod tests {
 
     /// Three lasers in turns at 10 Hz on a vehicle that climbs with 0.2 m/s, off by these.
     fn run(split: &mut Split, from: u32, slots: u32, off_m: [f64; 3]) {
+        run_by(0.0, split, from, slots, off_m);
+    }
+
+    fn run_by(by_thrust: f64, split: &mut Split, from: u32, slots: u32, off_m: [f64; 3]) {
         for k in from..from + slots {
             let end = FlightTime(u64::from(k + 1) * 40_000);
             let (mut samples, z_m) = ([None; MAX_HEIGHTS], 0.2 * end.as_seconds());
@@ -162,7 +171,7 @@ mod tests {
                     samples[i] = Some((end, z_m + off_m + 0.01 * f64::from(k * 37 + i as u32 * 101).sin()));
                 }
             }
-            split.take(end, (z_m, 0.2), 0.0, &samples);
+            split.take(end, (z_m, 0.2), (0.0, by_thrust), &samples);
         }
     }
 
@@ -196,6 +205,15 @@ mod tests {
             run(&mut split, 113, 40, [0.0; 3]);
             assert_eq!(refused(&split), [false; 3]);
         }
+    }
+
+    #[test]
+    fn accelerometers_that_the_thrust_stands_in_for_have_no_voice() {
+        let mut split = Split::default();
+        run_by(0.9, &mut split, 0, 50, [0.0; 3]);
+        run_by(0.9, &mut split, 50, 30, [0.3, 0.0, 0.3]);
+        assert!(!split.is_contradicted());
+        assert_eq!(refused(&split), [false; 3]);
     }
 
     #[test]
