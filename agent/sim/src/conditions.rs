@@ -189,6 +189,7 @@ pub(crate) struct Mocap {
     pub(crate) delay_jitter_s: f64,
     pub(crate) dropout_rate_per_s: f64,
     pub(crate) dropout_mean_s: f64,
+    pub(crate) swap_rate_per_s: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
