@@ -5,9 +5,10 @@
 //! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack. A lost
 //! flight counts among the lost and not among the errors; where the attack is beyond what can be borne, one that flies away,
 //! falls, or stops in the air. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many
-//! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row, the `curves` or the `roc`, `--quick` a tenth.
+//! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row, the `curves`, the `consistency` or the `roc`, `--quick` a tenth.
 
 mod case;
+mod consistency;
 mod roc;
 
 use std::collections::BTreeMap;
@@ -68,6 +69,9 @@ pub fn run() -> Result<(), ReportError> {
     table(&mut report, &effort)?;
     if effort.wants("curves") {
         curves(&mut report, &effort)?;
+    }
+    if effort.wants("consistency") {
+        consistency::consistency(&mut report, &effort)?;
     }
     if effort.wants("roc") {
         roc::roc(&mut report, &effort)?;
