@@ -263,6 +263,13 @@ impl Series {
         (range.start.max(self.held.start)..range.end.min(self.held.end)).map(|number| self.sample(number))
     }
 
+    /// When, after `from_s`, it came within `tolerance` of `value` and left it again; never is infinite.
+    pub fn leaves(&self, value: f64, tolerance: f64, from_s: f64) -> f64 {
+        let there = |sample: f32| (f64::from(sample) - value).abs() < tolerance;
+        let mut after = self.samples(self.lower_bound(from_s)..u64::MAX).skip_while(|(_, sample)| !there(*sample));
+        after.find(|(_, sample)| !there(*sample)).map_or(f64::INFINITY, |(t, _)| t)
+    }
+
     fn time(&self, number: u64) -> f64 {
         self.times_s[(number % self.capacity as u64) as usize]
     }
@@ -343,6 +350,17 @@ mod tests {
             let from = series.lower_bound(t - 5.0);
             assert_eq!(series.lower_bound_from(from, t), naive(t, false), "{t} from {from}");
         }
+    }
+
+    #[test]
+    fn a_value_is_left_after_it_was_reached() {
+        let mut series = Series::new(64);
+        for (t, value) in [(0.0, 0.3), (1.0, 0.5), (2.0, 0.8), (3.0, 0.8), (4.0, 0.7), (5.0, 0.8)] {
+            series.push(t, value);
+        }
+        assert_eq!(series.leaves(0.8, 0.01, 0.5), 4.0);
+        assert_eq!(series.leaves(0.8, 0.01, 4.5), f64::INFINITY);
+        assert_eq!(series.leaves(0.9, 0.01, 0.0), f64::INFINITY);
     }
 
     #[test]

@@ -18,6 +18,8 @@ use crate::{
     },
 };
 
+/// A setpoint within this of another is the same, m.
+const SAME_M: f64 = 0.01;
 /// Faster poles are told in words, 1/s.
 const FASTEST_SHOWN_PER_S: f64 = 40.0;
 
@@ -49,7 +51,10 @@ fn measured(bench: Bench) -> Option<(StepResponse, Vec<[f64; 2]>)> {
         let step = live.log.steps.back().copied()?;
         let start = step.start_time_us as f64 * 1e-6;
         let series = live.curves.get(Curve::Altitude(live.in_loop()))?;
-        let range = series.lower_bound(start)..series.upper_bound(start + super::DURATION_S);
+        // What was asked for next is no part of it.
+        let asked = live.curves.get(Curve::SetpointAltitude);
+        let end = asked.map_or(f64::INFINITY, |asked| asked.leaves(step.to_m, SAME_M, start));
+        let range = series.lower_bound(start)..series.upper_bound(end.min(start + super::DURATION_S));
         // A point every 20 ms is finer than the picture.
         let every = ((range.end.saturating_sub(range.start)) / 300).max(1);
         let all = series.samples(range).enumerate().filter(|(i, _)| (*i as u64).is_multiple_of(every));
@@ -74,12 +79,12 @@ pub(super) fn Responses() -> impl IntoView {
                 dashed,
             };
             let mut traces = vec![trace(&flown.setpoint, palette::SETPOINT.css(), true)];
+            traces.push(trace(&flown.response, palette::IN_LOOP.css(), false));
             if output == "z"
                 && let Some((_, points)) = newest.get()
             {
                 traces.push(Trace { points, color: palette::OTHER_1.css(), dashed: false });
             }
-            traces.push(trace(&flown.response, palette::IN_LOOP.css(), false));
             Drawing {
                 traces,
                 least: [1.0, 0.05],
