@@ -146,7 +146,7 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
     let devices = config.device.iter().filter_map(|device| device.start(&zero).unwrap()).collect();
     let marks = Arc::new(Mutex::new(Vec::with_capacity((scenario.duration_s * scenario.tick_rate_hz) as usize + 400)));
     let next = Mark { told: Instant::now(), imus: [None; MAX_IMUS], requests: 0 };
-    let inner = HardwareVehicle::new(devices, line, scenario.tick_rate_hz);
+    let inner = HardwareVehicle::new(devices, Arc::new(line), scenario.tick_rate_hz);
     let vehicle = Marked { inner, marks: marks.clone(), next };
     let (ring, mut sink) = rtrb::RingBuffer::new(1 << 20);
     let telemetry = Telemetry::new(identification(scenario), &flight, Some(Outlet::new(ring)), None);
@@ -166,9 +166,7 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
     let ports = RunnerPorts { zero: Some(begins), ..RunnerPorts::default() };
     let flying = std::thread::Builder::new()
         .name("flight".into())
-        .spawn(move || {
-            Runner::new(Box::new(vehicle) as Box<dyn Vehicle>, flight, telemetry, options, ports).run(&Stop::default())
-        })
+        .spawn(move || Runner::new(Box::new(vehicle), flight, telemetry, options, ports).run(&Stop::default()))
         .unwrap();
     std::thread::sleep(begins.saturating_duration_since(Instant::now()) + Duration::from_secs(1));
     let before = (Instant::now(), Used::now(guard.id()));
@@ -242,17 +240,19 @@ fn flying_marks(rig: &WireRig, marks: &[Mark]) -> Vec<Mark> {
 /// From each sample on the wire to the first pulses after the tick that first had it, ms, for each IMU.
 fn ways_of(rig: &WireRig, marks: &[Mark]) -> [Vec<f64>; MAX_IMUS] {
     let pulses: Vec<Instant> = rig.pulses().iter().map(|(at, _)| *at).collect();
-    let mut sent: [HashMap<[u64; 2], Instant>; MAX_IMUS] = Default::default();
+    let mut sent: [HashMap<[u64; 2], Vec<Instant>>; MAX_IMUS] = Default::default();
     for (at, sample) in rig.sent() {
         let key = key(&sample.reading.gyro_radps, &sample.reading.accel_mps2);
-        sent[sample.imu].entry(key).or_insert(at);
+        sent[sample.imu].entry(key).or_default().push(at);
     }
     let mut ways: [Vec<f64>; MAX_IMUS] = Default::default();
     for mark in flying_marks(rig, marks) {
         let Some(pulse) = pulses.get(pulses.partition_point(|at| *at < mark.told)) else { continue };
         for (imu, had) in mark.imus.iter().enumerate() {
-            // Taken out: a sample that is read twice counts once.
-            if let Some(at) = had.and_then(|key| sent[imu].remove(&key)) {
+            // Resolutions are coarse: the same values may come again. The last that had been sent is the one.
+            let times = had.and_then(|key| sent[imu].get_mut(&key));
+            let last = times.and_then(|times| times.drain(..times.partition_point(|at| *at < mark.told)).next_back());
+            if let Some(at) = last {
                 ways[imu].push(pulse.saturating_duration_since(at).as_secs_f64() * 1e3);
             }
         }

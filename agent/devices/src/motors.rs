@@ -266,6 +266,21 @@ fn stop(pulses: &mut dyn Pulses, range: PulseRange) -> Result<(), DeviceError> {
     }
 }
 
+/// What the flight thread commands: the motors, or an autopilot in front of them.
+pub trait Motors: MotorStop {
+    /// Hands a command over without waiting; returns what is applied.
+    ///
+    /// # Errors
+    /// Nobody is there any more who would apply it.
+    fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand>;
+}
+
+impl Motors for GuardLine {
+    fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand> {
+        Self::send(self, command).map(|()| *command)
+    }
+}
+
 /// The agent's end of the guard's socket.
 #[derive(Debug)]
 pub struct GuardLine(UnixStream);

@@ -1,15 +1,13 @@
 //! GIVEN the simulator behind ports that speak each device's protocol WHEN the agent flies it through the real drivers THEN it
 //! steps and lands as without wires, devices unplugged do what the failsafe table says, and a killed agent's motors stand.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::Path;
-use std::process::{Child, Command};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use plumbline_agent::sim::Scenario;
-use plumbline_proto::{Message, v1};
+use plumbline_proto::v1;
 use plumbline_wires::{PULSES_US, Plug, WireRig};
+
+use crate::{ALONE, Agent, PATIENCE};
 
 /// The everyday altitude, step and landing, with time for ports to open and ESCs to arm.
 const SCENARIO: &str = r#"
@@ -56,48 +54,26 @@ magnitude = 0.5
 
 /// Held altitude, m: what the bench's flights without wires keep, and 2 cm for laser and clock of the wires.
 const HOLDING_M: f64 = 0.05;
-/// Longest wait for anything, on a machine that compiles beside us.
-const PATIENCE: Duration = Duration::from_secs(90);
 /// What the motors' own time-out promises.
 const MOTORS_STAND: Duration = Duration::from_millis(100);
-/// One flight at a time: each needs the processor at its own time.
-static ALONE: Mutex<()> = Mutex::new(());
-
 struct Flown {
     rig: WireRig,
-    agent: Child,
-    folder: tempfile::TempDir,
+    agent: Agent,
 }
 
 impl Flown {
     fn start(attacks: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| folder.path().join(name);
-        std::fs::write(at("wires.toml"), SCENARIO).unwrap();
         let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path()).unwrap();
-        std::fs::write(at("agent.toml"), rig.configuration()).unwrap();
-        let mut agent = Command::new(env!("CARGO_BIN_EXE_plumbline-agent"));
-        agent.args(["--vehicle", "hardware", "--ground", "none", "--script", "--config"]).arg(at("agent.toml"));
-        agent.arg("--scenario").arg(at("wires.toml"));
-        agent.arg("--log").arg(at("log")).arg("--identity").arg(at("identity"));
-        if !attacks.is_empty() {
-            std::fs::write(at("attacks.toml"), attacks).unwrap();
-            agent.arg("--attack-schedule").arg(at("attacks.toml"));
-        }
-        let agent = agent.stderr(std::fs::File::create(at("said")).unwrap()).spawn().unwrap();
-        Self { rig, agent, folder }
+        let agent = Agent::start(folder, "hardware", &rig.configuration(), SCENARIO, attacks);
+        Self { rig, agent }
     }
 
-    fn said(&self) -> String {
-        said(self.folder.path())
-    }
-
-    fn wait(&mut self, what: &str, mut done: impl FnMut(&mut Self) -> bool) {
+    fn wait(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
         let begun = Instant::now();
         while !done(self) {
-            let ended = self.agent.try_wait().unwrap();
-            let late = begun.elapsed() > PATIENCE;
-            assert!(!late && ended.is_none(), "{what}: {ended:?}\n{}\n{}", self.said(), self.course());
+            let (late, ended) = (begun.elapsed() > PATIENCE, self.agent.ended());
+            assert!(!late && ended.is_none(), "{what}: {ended:?}\n{}\n{}", self.agent.said(), self.course());
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -124,36 +100,9 @@ impl Flown {
 
     /// Until it has landed, by its script or as the signal asked, and the agent has ended.
     fn land(&mut self) {
-        let begun = Instant::now();
-        while self.agent.try_wait().unwrap().is_none() {
-            assert!(begun.elapsed() < PATIENCE, "the script's end: {}", self.said());
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        assert!(self.agent.wait().unwrap().success(), "{}", self.said());
+        assert!(self.agent.end().success(), "{}", self.agent.said());
         let still = self.rig.pulses().last().unwrap().1;
         assert!(still.iter().all(|us| (us - PULSES_US[0]).abs() < 1.0), "{still:?}");
-    }
-
-    /// Messages of one topic of the flight file.
-    fn recorded<M: Message + Default>(&self, topic: &str) -> Vec<M> {
-        let files = std::fs::read_dir(self.folder.path().join("log")).unwrap().flatten().map(|entry| entry.path());
-        let file = files.filter(|path| path.extension().is_some_and(|e| e == "mcap")).max().unwrap();
-        let bytes = std::fs::read(file).unwrap();
-        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
-        messages.filter(|m| m.channel.topic == topic).map(|m| M::decode(&*m.data).unwrap()).collect()
-    }
-
-    /// Has its reader lost the device of that name?
-    fn lost(&self, name: &str) -> bool {
-        self.said().lines().any(|line| line.contains("device lost") && line.contains(name))
-    }
-
-    /// The flight file has an event with each of these texts.
-    fn assert_told(&self, texts: &[&str]) {
-        let events: Vec<v1::Event> = self.recorded("/event");
-        for text in texts {
-            assert!(events.iter().any(|event| event.text.contains(text)), "{text}: {events:#?}");
-        }
     }
 
     /// Until every motor stands, for as long as anybody waits; how long after `from`.
@@ -163,30 +112,13 @@ impl Flown {
             if let Some((at, _)) = self.rig.pulses().last().filter(|(_, widths)| stands(widths)) {
                 return at.saturating_duration_since(from);
             }
-            assert!(from.elapsed() < PATIENCE, "nobody stopped the motors: {}", self.said());
+            assert!(from.elapsed() < PATIENCE, "nobody stopped the motors: {}", self.agent.said());
             std::thread::sleep(Duration::from_millis(1));
         }
     }
 
-    /// Sends a signal to the agent.
-    fn signal(&self, name: &str) {
-        let sent = Command::new("kill").args([name, &self.agent.id().to_string()]).status().unwrap();
-        assert!(sent.success());
-    }
-
     fn hold(&mut self, altitude_m: f64) {
         self.wait(&format!("holds {altitude_m} m"), |flown| flown.off(altitude_m) < HOLDING_M);
-    }
-}
-
-fn said(folder: &Path) -> String {
-    std::fs::read_to_string(folder.join("said")).unwrap_or_default()
-}
-
-impl Drop for Flown {
-    fn drop(&mut self) {
-        let _ = self.agent.kill();
-        let _ = self.agent.wait();
     }
 }
 
@@ -196,12 +128,12 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
     let mut flown = Flown::start("");
     flown.hold(0.5);
     flown.rig.plug("height1", Plug::Out);
-    flown.wait("height1 lost", |flown| flown.lost("height1"));
+    flown.wait("height1 lost", |flown| flown.agent.lost("height1"));
     // Longer than the second between two states of a device.
     std::thread::sleep(Duration::from_millis(1500));
     assert!(flown.off(0.5) < 2.0 * HOLDING_M, "two heights are left: {} m off", flown.off(0.5));
     flown.rig.plug("height1", Plug::In);
-    let ups = |flown: &Flown| flown.said().matches("device up").count();
+    let ups = |flown: &Flown| flown.agent.said().matches("device up").count();
     flown.wait("height1 is back", |flown| ups(flown) == 9);
     flown.hold(0.8);
     let truths = flown.rig.truths();
@@ -209,11 +141,11 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
     let mean = held.iter().sum::<f64>() / held.len() as f64;
     let spread = (held.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / held.len() as f64).sqrt();
     println!("holds 0.8 m at {mean:.4} m ± {spread:.4} m through the wires");
-    flown.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
+    flown.agent.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
     flown.land();
     // The flight file tells of it: as an event, and in the state of that device, the fifth.
-    flown.assert_told(&["height1 lost", "height1 gives readings"]);
-    let states: Vec<v1::DeviceState> = flown.recorded("/device/5");
+    flown.agent.assert_told(&["height1 lost", "height1 gives readings"]);
+    let states: Vec<v1::DeviceState> = flown.agent.recorded("/device/5");
     assert!(states.iter().all(|state| state.name == "height1" && state.port.ends_with("/height1")), "{states:?}");
     let (first, last) = (states.first().unwrap(), states.last().unwrap());
     assert!(first.up && last.up && last.opened > first.opened, "{states:?}");
@@ -231,9 +163,9 @@ fn one_of_three_heights_attacked_through_the_drivers_moves_nothing() {
     // Half a metre of one height in three would be 17 cm of their mean.
     assert!(flown.off(0.8) < HOLDING_M, "{} m off", flown.off(0.8));
     println!("holds 0.8 m within {:.4} m with height 2 attacked", flown.off(0.8));
-    flown.signal("-INT");
+    flown.agent.signal("-INT");
     flown.land();
-    let attacks: Vec<v1::AttackState> = flown.recorded("/attacks");
+    let attacks: Vec<v1::AttackState> = flown.agent.recorded("/attacks");
     let altered = attacks.iter().flat_map(|state| &state.attacks).map(|attack| attack.altered_samples).max();
     assert!(altered.is_some_and(|samples| samples > 100), "{altered:?} samples altered");
 }
@@ -246,7 +178,7 @@ fn the_motors_of_a_killed_agent_stand_within_their_time_out() {
     let turning = |widths: &[f64; 4]| widths.iter().all(|us| *us > PULSES_US[0] + 50.0);
     assert!(turning(&flown.rig.pulses().last().unwrap().1));
     let killed = Instant::now();
-    flown.agent.kill().unwrap();
+    flown.agent.signal("-KILL");
     let took = flown.stands(killed);
     println!("motors stand {:.1} ms after SIGKILL", took.as_secs_f64() * 1e3);
     assert!(took < MOTORS_STAND, "{took:?}");
@@ -258,17 +190,17 @@ fn an_agent_that_stops_costs_its_motors_and_they_stay_cut() {
     let mut flown = Flown::start("");
     flown.hold(0.5);
     let stopped = Instant::now();
-    flown.signal("-STOP");
+    flown.agent.signal("-STOP");
     let took = flown.stands(stopped);
     println!("motors stand {:.1} ms after SIGSTOP", took.as_secs_f64() * 1e3);
     assert!(took < MOTORS_STAND, "{took:?}");
     std::thread::sleep(Duration::from_millis(300));
-    flown.signal("-CONT");
+    flown.agent.signal("-CONT");
     std::thread::sleep(Duration::from_secs(1));
     assert_eq!(flown.stands(stopped), took, "no pulse since");
-    flown.signal("-INT");
+    flown.agent.signal("-INT");
     flown.land();
-    flown.assert_told(&["flight thread silent"]);
+    flown.agent.assert_told(&["flight thread silent"]);
 }
 
 #[test]
@@ -281,19 +213,19 @@ fn one_device_of_each_kind_is_lost_in_flight_and_comes_back_and_without_any_heig
     for (name, plug) in lost.into_iter().zip([Plug::Out, Plug::Hanging, Plug::Hanging, Plug::Out]) {
         flown.rig.plug(name, plug);
     }
-    flown.wait("four lost", |flown| lost.iter().all(|name| flown.lost(name)));
+    flown.wait("four lost", |flown| lost.iter().all(|name| flown.agent.lost(name)));
     assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
     lost.iter().for_each(|name| flown.rig.plug(name, Plug::In));
-    flown.wait("four back", |flown| flown.said().matches("device up").count() == 8 + lost.len());
+    flown.wait("four back", |flown| flown.agent.said().matches("device up").count() == 8 + lost.len());
     flown.hold(0.8);
     let heights = ["height1", "height2", "height3"];
     heights.iter().for_each(|name| flown.rig.plug(name, Plug::Out));
     flown.stands(Instant::now());
-    flown.signal("-INT");
+    flown.agent.signal("-INT");
     flown.land();
-    flown.assert_told(&["no height any more", "height1 lost", "height2 lost"]);
+    flown.agent.assert_told(&["no height any more", "height1 lost", "height2 lost"]);
     for name in lost {
-        flown.assert_told(&[&format!("{name} lost"), &format!("{name} gives readings")]);
+        flown.agent.assert_told(&[&format!("{name} lost"), &format!("{name} gives readings")]);
     }
     let lowest = flown.rig.truths().last().unwrap().1.position_enu_m.z;
     assert!(lowest < 0.4, "it hangs on its strings again, at {lowest:.2} m");
@@ -308,9 +240,9 @@ fn without_any_imu_the_motors_are_cut() {
     ["imu1", "imu2", "imu3", "imu4"].iter().for_each(|name| flown.rig.plug(name, Plug::Out));
     let took = flown.stands(unplugged);
     println!("motors stand {:.1} ms after the last IMU went", took.as_secs_f64() * 1e3);
-    flown.signal("-INT");
+    flown.agent.signal("-INT");
     flown.land();
-    flown.assert_told(&["imu1 lost", "imu4 lost", "no fresh IMU sample"]);
+    flown.agent.assert_told(&["imu1 lost", "imu4 lost", "no fresh IMU sample"]);
 }
 
 #[test]
@@ -324,13 +256,8 @@ fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_
     std::thread::sleep(Duration::from_millis(500));
     assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
     flown.rig.plug("motors", Plug::Out);
-    let begun = Instant::now();
-    while flown.agent.try_wait().unwrap().is_none() {
-        assert!(begun.elapsed() < PATIENCE, "flies on without motors: {}", flown.said());
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    assert!(!flown.agent.wait().unwrap().success(), "{}", flown.said());
+    assert!(!flown.agent.end().success(), "{}", flown.agent.said());
     flown.rig.plug("motors", Plug::In);
     flown.stands(Instant::now());
-    flown.assert_told(&["the vehicle can be flown no longer"]);
+    flown.agent.assert_told(&["the vehicle can be flown no longer"]);
 }
