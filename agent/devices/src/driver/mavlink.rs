@@ -286,19 +286,23 @@ fn inertial(imu: &HIGHRES_IMU_DATA, autopilot: &Autopilot, at: Instant, out: &mu
         let Flu(v) = Frd(Vector3::new(x, y, z).cast::<f64>()).into();
         v
     };
-    let gyro_radps = flu(imu.xgyro, imu.ygyro, imu.zgyro);
+    let (gyro_radps, accel_mps2) = (flu(imu.xgyro, imu.ygyro, imu.zgyro), flu(imu.xacc, imu.yacc, imu.zacc));
+    if let Some(value) = gyro_radps.iter().chain(accel_mps2.iter()).find(|value| !value.is_finite()) {
+        out(Err(Fault::Value { what: "IMU sample", value: *value, expected: "a number" }));
+        return;
+    }
     autopilot.measured(&gyro_radps);
     let stamp = Some(Stamp { ticks: imu.time_usec, tick_us: 1.0, roll_over: 1 << 62 });
     let field = || 100.0 * flu(imu.xmag, imu.ymag, imu.zmag);
     let temperature_c = f64::from(imu.temperature);
     let reading = Reading::Imu(ImuReading {
         gyro_radps,
-        accel_mps2: flu(imu.xacc, imu.yacc, imu.zacc),
-        mag_ut: imu.fields_updated.contains(Has::HIGHRES_IMU_UPDATED_XMAG).then(field),
+        accel_mps2,
+        mag_ut: imu.fields_updated.contains(Has::HIGHRES_IMU_UPDATED_XMAG).then(field).filter(|f| f.norm().is_finite()),
         temperature_c,
     });
     out(Ok(Heard { at, stamp, after_us: 0.0, reading }));
-    if imu.fields_updated.contains(Has::HIGHRES_IMU_UPDATED_ABS_PRESSURE) {
+    if imu.fields_updated.contains(Has::HIGHRES_IMU_UPDATED_ABS_PRESSURE) && imu.abs_pressure.is_finite() {
         let pressure_pa = 100.0 * f64::from(imu.abs_pressure);
         let reading = Reading::Barometer(BarometerReading { pressure_pa, temperature_c });
         out(Ok(Heard { at, stamp, after_us: 0.0, reading }));
@@ -312,5 +316,63 @@ fn below(range: &DISTANCE_SENSOR_DATA, at: Instant, out: &mut Outlet<'_>) {
         let distance_m = 1e-2 * f64::from(range.current_distance);
         let reading = Reading::Range(RangeReading { distance_m, scanned: false, sigma_m: f64::NAN });
         out(Ok(Heard { at, stamp: None, after_us: 0.0, reading }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::port::PortName;
+
+    fn heard(imu: &HIGHRES_IMU_DATA) -> Vec<Result<Reading, Fault>> {
+        let autopilot = Autopilot::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 1);
+        let mut all = Vec::new();
+        inertial(imu, &autopilot, Instant::now(), &mut |heard| all.push(heard.map(|heard| heard.reading)));
+        all
+    }
+
+    #[test]
+    fn an_imu_is_turned_into_our_axes_and_units_and_what_is_no_number_is_refused() {
+        let mut imu = HIGHRES_IMU_DATA {
+            xgyro: 0.1,
+            ygyro: 0.2,
+            zacc: -9.81,
+            xmag: 0.2,
+            abs_pressure: 1013.25,
+            fields_updated: HighresImuUpdatedFlags::all(),
+            ..HIGHRES_IMU_DATA::DEFAULT
+        };
+        let [Ok(Reading::Imu(sample)), Ok(Reading::Barometer(pressure))] = heard(&imu)[..] else {
+            panic!("two readings")
+        };
+        assert!((sample.gyro_radps - Vector3::new(0.1, -0.2, 0.0)).norm() < 1e-6, "{sample:?}");
+        assert!(
+            (sample.accel_mps2.z - 9.81).abs() < 1e-5 && (sample.mag_ut.unwrap().x - 20.0).abs() < 1e-5,
+            "{sample:?}"
+        );
+        assert!((pressure.pressure_pa - 101_325.0).abs() < 1.0);
+        imu.yacc = f32::NAN;
+        assert!(matches!(heard(&imu)[..], [Err(Fault::Value { what: "IMU sample", .. })]));
+    }
+
+    #[test]
+    fn offboard_mode_is_asked_for_after_a_second_of_setpoints_and_never_while_it_is_armed() {
+        let autopilot = Autopilot::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 1);
+        let begun = Instant::now();
+        let asked = |known: &mut Known, until_s: f64| {
+            let mut at_s = None;
+            for tick in 1..(until_s * 20.0) as u32 {
+                let now = begun + Duration::from_millis(50 * u64::from(tick));
+                known.setpoints.0 = u64::from(tick);
+                let before = known.asked;
+                known.attend(&autopilot, now);
+                at_s = at_s.or((known.asked != before).then(|| (now - begun).as_secs_f64()));
+            }
+            at_s
+        };
+        let first = asked(&mut Known::new(begun, false), 3.0).unwrap();
+        assert!((1.2..1.4).contains(&first), "{first}");
+        let mut armed = Known { armed: true, ..Known::new(begun, false) };
+        assert_eq!(asked(&mut armed, 3.0), None);
     }
 }
