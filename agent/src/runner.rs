@@ -236,6 +236,10 @@ impl Runner {
         let begun = Instant::now();
         let outcome = self.fly(stop);
         let outcome = outcome.and_then(|()| self.disarm());
+        if let Err(error) = &outcome {
+            let what = format_args!("the vehicle can be flown no longer: {error}");
+            self.telemetry.event(self.now(), Severity::Critical, EventKind::Failsafe, what);
+        }
         self.telemetry.shutdown(self.now());
         self.ports.clock.stop();
         outcome.map(|()| Summary {

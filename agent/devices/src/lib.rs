@@ -10,10 +10,11 @@
 //! - [`driver`]: a device on its port: opens, identifies, configures, polls. One file a device.
 //! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver.
 //! - [`spec`]: `[[device]]` and `[motors]` of a configuration, checked.
-//! - [`motors`]: pulses, and the guard that stops them. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
+//! - [`motors`]: pulses, and the guard that stops them. [`autopilot`]: body rates and thrust instead. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod autopilot;
 pub mod clock;
 pub mod driver;
 pub mod fault;

@@ -8,6 +8,7 @@
 //! which an ESC stands still.
 
 use std::io::{self, ErrorKind, Read as _, Write as _};
+use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -21,6 +22,9 @@ use crate::protocol::pca9685;
 
 /// Without a record for this long the motors stop: it and the ESC's own reaction fit the promised time-out.
 pub const SILENCE: Duration = Duration::from_millis(60);
+/// Motors whose pulses cannot be set are tried to be stopped for this long.
+pub const STOPPING: Duration = Duration::from_secs(60);
+const STOP_AGAIN: Duration = Duration::from_millis(5);
 /// Head, four commands, their sum.
 pub const RECORD: usize = 10;
 const HEAD: u8 = 0xA7;
@@ -183,31 +187,42 @@ fn newest(bytes: &[u8]) -> (Option<MotorCommand>, usize) {
 
 /// The guard: sets what comes through `socket`, and stops the motors when nothing does. Returns when the other end closed.
 ///
-/// For `arming` at first only the pulse that stops is given, so that ESCs arm.
+/// For `arming` at first only the pulse that stops is given, so that ESCs arm. Pulses that cannot be set are tried again
+/// with the next command; after [`SILENCE`] of it the other end is told by closing `socket`.
 ///
 /// # Errors
-/// The pulses cannot be set; they were tried to be stopped.
+/// The pulses could not be set for [`SILENCE`]. Those that stop were tried again for [`STOPPING`], as the chip goes on with
+/// its last.
 pub fn guard(
     socket: &mut UnixStream,
     pulses: &mut dyn Pulses,
     range: PulseRange,
     arming: Duration,
 ) -> Result<(), DeviceError> {
-    let stopped = [range.stop_us; ROTORS];
     pulses.open()?;
-    pulses.set(&stopped)?;
-    let armed_at = Instant::now() + arming;
+    pulses.set(&[range.stop_us; ROTORS])?;
+    let outcome = obey(socket, pulses, range, Instant::now() + arming);
+    let _ = socket.shutdown(Shutdown::Both);
+    stop(pulses, range)?;
+    outcome
+}
+
+/// Sets what comes through `socket` until it is closed, or the pulses can be set no longer.
+fn obey(
+    socket: &mut UnixStream,
+    pulses: &mut dyn Pulses,
+    range: PulseRange,
+    armed_at: Instant,
+) -> Result<(), DeviceError> {
     let end = |source| DeviceError::Port { port: "the agent's socket".into(), source };
     socket.set_read_timeout(Some(SILENCE)).map_err(end)?;
     let (mut bytes, mut held) = ([0_u8; 64 * RECORD], 0);
     let mut turning = false;
+    let mut set_last = Instant::now();
     loop {
         let outcome = socket.read(bytes.get_mut(held..).unwrap_or_default());
         let command = match outcome {
-            Ok(0) => {
-                pulses.set(&stopped)?;
-                return Ok(());
-            }
+            Ok(0) => return Ok(()),
             Ok(count) => {
                 held += count;
                 let (command, used) = newest(bytes.get(..held).unwrap_or_default());
@@ -221,19 +236,48 @@ pub fn guard(
                 }
                 Some(MotorCommand::default())
             }
-            Err(error) => {
-                pulses.set(&stopped)?;
-                return Err(end(error));
-            }
+            Err(error) => return Err(end(error)),
         };
         let Some(command) = command else { continue };
         let command = if Instant::now() < armed_at { MotorCommand::default() } else { command };
         let turns = command != MotorCommand::default();
         // What stands still and shall is not told again and again.
-        if turns || turning {
-            pulses.set(&range.widths_us(&command))?;
+        if !turns && !turning {
+            set_last = Instant::now();
+            continue;
         }
-        turning = turns;
+        match pulses.set(&range.widths_us(&command)) {
+            Ok(()) => (turning, set_last) = (turns, Instant::now()),
+            Err(error) if set_last.elapsed() > SILENCE => return Err(error),
+            Err(error) => tracing::warn!(%error, "pulses not set"),
+        }
+    }
+}
+
+/// Sets the pulses that stop, again and again while that fails.
+fn stop(pulses: &mut dyn Pulses, range: PulseRange) -> Result<(), DeviceError> {
+    let begun = Instant::now();
+    loop {
+        match pulses.set(&[range.stop_us; ROTORS]) {
+            Err(error) if begun.elapsed() > STOPPING => return Err(error),
+            Err(_) => std::thread::sleep(STOP_AGAIN),
+            Ok(()) => return Ok(()),
+        }
+    }
+}
+
+/// What the flight thread commands: the motors, or an autopilot in front of them.
+pub trait Motors: MotorStop {
+    /// Hands a command over without waiting; returns what is applied.
+    ///
+    /// # Errors
+    /// Nobody is there any more who would apply it.
+    fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand>;
+}
+
+impl Motors for GuardLine {
+    fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand> {
+        Self::send(self, command).map(|()| *command)
     }
 }
 

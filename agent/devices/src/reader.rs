@@ -81,7 +81,7 @@ pub struct State {
 pub struct Health {
     /// Does it give readings?
     pub up: bool,
-    /// Readings so far.
+    /// Frames with readings so far.
     pub readings: u64,
     /// Frames given up.
     pub faults: u64,
@@ -178,7 +178,7 @@ impl Reader {
         self.notices.pop().ok()
     }
 
-    /// Readings a second, counted over half a second and more.
+    /// Frames with readings a second, counted over half a second and more.
     pub fn rate_hz(&mut self, now: FlightTime) -> f64 {
         let (then, before, _) = self.counted;
         let (readings, span_s) = (self.state.readings.load(Ordering::Relaxed), now.seconds_since(then));
@@ -252,11 +252,17 @@ impl Work {
         self.clock = DeviceClock::default();
         let Self { driver, options, zero, clock, arrivals, notify, state, stop } = self;
         let mut last = Instant::now();
+        let mut stamped = None;
         while !stop.load(Ordering::Acquire) {
             let mut heard_one = false;
             let polled = driver.poll(&mut |heard| match heard {
                 Ok(heard) => {
                     heard_one = true;
+                    // A frame may hold several readings.
+                    if heard.stamp.is_none() || heard.stamp != stamped {
+                        state.readings.fetch_add(1, Ordering::Relaxed);
+                    }
+                    stamped = heard.stamp;
                     take(heard, options, zero, clock, arrivals, state);
                 }
                 Err(fault) => given_up(fault, state),
@@ -292,7 +298,6 @@ fn take(
     arrivals: &mut Producer<Arrived>,
     state: &State,
 ) {
-    state.readings.fetch_add(1, Ordering::Relaxed);
     // Before flight time begins readings only say that the device is there.
     let Some(arrival_us) = zero.micros(heard.at) else { return };
     let mut time_us = arrival_us;

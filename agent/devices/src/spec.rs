@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
@@ -12,9 +13,11 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
 
+use crate::autopilot::Autopilot;
 use crate::driver::Driver;
 use crate::driver::bno055::Bno055;
 use crate::driver::hokuyo::Hokuyo;
+use crate::driver::mavlink::Mavlink;
 use crate::driver::mocap::{Mocap, System};
 use crate::driver::registers::{Chip, Registers};
 use crate::driver::stream::Talker;
@@ -66,6 +69,8 @@ pub enum DriverKind {
     Ina219,
     /// Voltage of the battery on I²C.
     Ina226,
+    /// A PX4 autopilot's own sensors and voltage.
+    Mavlink,
 }
 
 impl DriverKind {
@@ -79,6 +84,7 @@ impl DriverKind {
             Self::Natnet | Self::Vicon => &[SensorKind::MocapPose],
             Self::Ms5611 | Self::Bmp280 => &[SensorKind::Barometer],
             Self::Ina219 | Self::Ina226 => &[],
+            Self::Mavlink => &[SensorKind::Imu, SensorKind::Height, SensorKind::Barometer],
         }
     }
 
@@ -93,6 +99,7 @@ impl DriverKind {
             Self::Ms5611 => (0, 0x77, 40.0),
             Self::Bmp280 => (0, 0x76, 50.0),
             Self::Ina219 | Self::Ina226 => (0, 0x40, 10.0),
+            Self::Mavlink => (0, 0, 200.0),
         }
     }
 }
@@ -146,9 +153,9 @@ pub struct DeviceSpec {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorsSpec {
-    /// `pca9685` or `sysfs`.
+    /// `pca9685`, `sysfs`, or `mavlink`: an autopilot in front of them.
     pub driver: String,
-    /// Bus of the chip, or the folder of the kernel's PWM chip.
+    /// Bus of the chip, the folder of the kernel's PWM chip, or where the autopilot's datagrams come, as its device says.
     pub port: String,
     /// I²C address.
     #[serde(default = "pca9685_address")]
@@ -165,6 +172,15 @@ pub struct MotorsSpec {
     /// The pulse that stands still is given this long before any other, s: ESCs arm.
     #[serde(default = "arming_s")]
     pub arming_s: f64,
+    /// An autopilot's: number of its system.
+    #[serde(default = "first_system")]
+    pub system: u8,
+    /// Thrust at which it hovers, 0 to 1.
+    #[serde(default = "hover_thrust")]
+    pub hover_thrust: f64,
+    /// Time constant of its rate loop, s.
+    #[serde(default = "rate_loop_s")]
+    pub rate_loop_s: f64,
 }
 
 fn pca9685_address() -> u8 {
@@ -181,6 +197,15 @@ fn pulse_us() -> [f64; 2] {
 }
 fn arming_s() -> f64 {
     2.0
+}
+fn first_system() -> u8 {
+    1
+}
+fn hover_thrust() -> f64 {
+    0.5
+}
+fn rate_loop_s() -> f64 {
+    0.05
 }
 
 /// Farthest from the centre of mass that anything of a lab quadrotor sits, m.
@@ -208,7 +233,9 @@ impl DeviceSpec {
         let port = PortName::parse(&self.port);
         let fits = match self.driver {
             DriverKind::Bno055 => matches!(port, Some(PortName::Serial(_) | PortName::I2c(_) | PortName::Socket(_))),
-            DriverKind::Natnet | DriverKind::Vicon => matches!(port, Some(PortName::Datagrams(_))),
+            DriverKind::Natnet | DriverKind::Vicon | DriverKind::Mavlink => {
+                matches!(port, Some(PortName::Datagrams(_)))
+            }
             _ if self.driver.usual().0 > 0 => matches!(port, Some(PortName::Serial(_))),
             _ => matches!(port, Some(PortName::I2c(_) | PortName::Socket(_))),
         };
@@ -220,6 +247,14 @@ impl DeviceSpec {
             if !id.is_some_and(|id| id.instance > 0 && self.driver.kinds().contains(&id.kind)) {
                 return Err(("sensors", format!("{name:?}"), "a sensor that this driver gives, as \"imu 1\""));
             }
+        }
+        let numbers = || self.ids().filter(|id| id.kind != SensorKind::Barometer).map(|id| id.instance);
+        if numbers().any(|number| numbers().any(|other| other != number)) {
+            return Err((
+                "sensors",
+                format!("{:?}", self.sensors),
+                "sensors of one number, as \"imu 1\", \"height 1\"",
+            ));
         }
         let within = |key, value: f64, min: f64, max: f64, expected| {
             // A NaN fails both comparisons.
@@ -270,6 +305,7 @@ impl DeviceSpec {
             DriverKind::Bmp280 => chip(port, Chip::Bmp280([0; 24])),
             DriverKind::Ina219 => chip(port, Chip::Ina219),
             DriverKind::Ina226 => chip(port, Chip::Ina226),
+            DriverKind::Mavlink => Box::new(Mavlink::new(Arc::new(Autopilot::new(port, first_system())), rate_hz)),
         })
     }
 
@@ -278,7 +314,14 @@ impl DeviceSpec {
     /// # Errors
     /// No thread could be started.
     pub fn start(&self, zero: &Zero) -> std::io::Result<Option<(Mounted, Reader)>> {
-        let Some(driver) = self.driver() else { return Ok(None) };
+        self.driver().map(|driver| self.start_with(driver, zero)).transpose()
+    }
+
+    /// `driver` in a thread, and where this device sits.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn start_with(&self, driver: Box<dyn Driver>, zero: &Zero) -> std::io::Result<(Mounted, Reader)> {
         let place = |barometer: bool| {
             let own = self.ids().find(|id| (id.kind == SensorKind::Barometer) == barometer);
             own.map_or(usize::MAX, |id| usize::from(id.instance) - 1)
@@ -299,7 +342,7 @@ impl DeviceSpec {
         // A receiver without sky is alive, and a device of 1 Hz is not silent after one second.
         let silence = Duration::from_secs_f64((5.0 / self.rate_hz()).max(0.5));
         let options = Options { name: self.name.clone(), delay_s: self.delay_s, silence };
-        Ok(Some((mounted, Reader::start(driver, options, zero.clone())?)))
+        Ok((mounted, Reader::start(driver, options, zero.clone())?))
     }
 }
 
@@ -372,7 +415,8 @@ pub fn suite(devices: &[DeviceSpec]) -> Result<Suite, SpecError> {
             height.position_flu_m = device.position_flu_m;
         }
     }
-    if devices.iter().any(|device| device.driver.kinds().is_empty()) {
+    let measures = |driver: DriverKind| driver.kinds().is_empty() || driver == DriverKind::Mavlink;
+    if devices.iter().any(|device| measures(device.driver)) {
         suite.battery_sigma_v = Some(0.02);
     }
     Ok(suite)
@@ -389,10 +433,15 @@ impl MotorsSpec {
         match self.driver.as_str() {
             "pca9685" if bus => {}
             "sysfs" if self.port.starts_with('/') => {}
-            "pca9685" | "sysfs" => {
-                return bad("port", format!("{:?}", self.port), "a bus, or the folder of a PWM chip");
+            "mavlink" if matches!(PortName::parse(&self.port), Some(PortName::Datagrams(_))) => {}
+            "pca9685" | "sysfs" | "mavlink" => {
+                return bad(
+                    "port",
+                    format!("{:?}", self.port),
+                    "a bus, the folder of a PWM chip, or an autopilot's udp",
+                );
             }
-            _ => return bad("driver", format!("{:?}", self.driver), "\"pca9685\" or \"sysfs\""),
+            _ => return bad("driver", format!("{:?}", self.driver), "\"pca9685\", \"sysfs\" or \"mavlink\""),
         }
         if !(50.0..=400.0).contains(&self.rate_hz) {
             return bad("rate_hz", self.rate_hz.to_string(), "50 to 400 Hz");
@@ -411,16 +460,28 @@ impl MotorsSpec {
         if channels.len() != ROTORS || channels.iter().any(|channel| *channel > 15) {
             return bad("channels", format!("{:?}", self.channels), "four different channels, 0 to 15");
         }
+        if !(0.05..=0.95).contains(&self.hover_thrust) {
+            return bad("hover_thrust", self.hover_thrust.to_string(), "0.05 to 0.95");
+        }
+        if !(0.005..=0.5).contains(&self.rate_loop_s) {
+            return bad("rate_loop_s", self.rate_loop_s.to_string(), "0.005 to 0.5 s");
+        }
         if !(0.0..=30.0).contains(&self.arming_s) {
             return bad("arming_s", self.arming_s.to_string(), "0 to 30 s");
         }
         Ok(())
     }
 
-    /// What sets the pulses, closed; `None` for what a check would have refused.
+    /// Is it an autopilot that is commanded?
+    pub fn is_autopilot(&self) -> bool {
+        self.driver == "mavlink"
+    }
+
+    /// What sets the pulses, closed; `None` for an autopilot, and for what a check would have refused.
     pub fn pulses(&self) -> Option<Box<dyn Pulses>> {
         let (channels, rate_hz) = (self.channels, self.rate_hz);
         Some(match self.driver.as_str() {
+            "mavlink" => return None,
             "sysfs" => Box::new(Sysfs { chip: PathBuf::from(&self.port), channels, rate_hz }),
             _ => {
                 let port = PortName::parse(&self.port)?;

@@ -17,7 +17,7 @@ use plumbline_core::types::MotorCommand;
 use plumbline_core::vehicle::{DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
-use crate::motors::GuardLine;
+use crate::motors::Motors;
 use crate::reader::{Arrived, Reader};
 use crate::reading::{RangeReading, Reading};
 
@@ -48,7 +48,7 @@ pub struct Mounted {
 /// A quadrotor that is really there.
 pub struct HardwareVehicle {
     devices: Vec<(Mounted, Reader)>,
-    motors: Arc<GuardLine>,
+    motors: Arc<dyn Motors>,
     tick_us: u64,
     next: FlightTime,
     level: Level,
@@ -78,11 +78,11 @@ impl Level {
 
 impl HardwareVehicle {
     /// Of `devices` and `motors`, at so many ticks a second.
-    pub fn new(devices: Vec<(Mounted, Reader)>, motors: GuardLine, tick_rate_hz: f64) -> Self {
+    pub fn new(devices: Vec<(Mounted, Reader)>, motors: Arc<dyn Motors>, tick_rate_hz: f64) -> Self {
         let options = VqfOptions { period_s: 0.01, use_mag: false, declination_rad: 0.0 };
         Self {
             devices,
-            motors: Arc::new(motors),
+            motors,
             tick_us: (1e6 / tick_rate_hz).round() as u64,
             next: FlightTime(0),
             level: Level { filter: Vqf::new(options), last: None },
@@ -121,11 +121,8 @@ impl Vehicle for HardwareVehicle {
 
     fn actuate(&mut self, command: &MotorCommand) -> Result<MotorCommand, VehicleError> {
         let clipped = command.throttle.map(|t| if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) });
-        let applied = MotorCommand { throttle: clipped };
-        let gone =
-            |error: std::io::Error| VehicleError::Invalid { what: "motor guard".into(), reason: error.to_string() };
-        self.motors.send(&applied).map_err(gone)?;
-        Ok(applied)
+        let gone = |error: std::io::Error| VehicleError::Invalid { what: "motors".into(), reason: error.to_string() };
+        self.motors.send(&MotorCommand { throttle: clipped }).map_err(gone)
     }
 
     fn motor_stop(&self) -> Option<Arc<dyn MotorStop>> {

@@ -181,7 +181,7 @@ fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fail
     let mut chosen = match arguments.vehicle {
         VehicleChoice::Sim => simulated(arguments)?,
         VehicleChoice::Replay => recorded(arguments, config)?,
-        VehicleChoice::Hardware => hardware::attached(arguments, config)?,
+        VehicleChoice::Hardware | VehicleChoice::Mavlink => hardware::attached(arguments, config)?,
     };
     let frame_rate_hz = chosen.flight.tick_rate_hz;
     config.apply(&mut chosen.flight)?;

@@ -72,6 +72,8 @@ enum VehicleChoice {
     Replay,
     /// The quadrotor.
     Hardware,
+    /// The quadrotor behind a PX4 autopilot, by body rates and thrust.
+    Mavlink,
 }
 
 /// How to fly.

@@ -3,15 +3,15 @@
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use plumbline_core::types::ROTORS;
 use plumbline_devices::protocol::{ina, pca9685};
 
-use crate::{PulseLog, keep, lock};
+use crate::{Plug, PulseLog, keep, lock};
 
 const PWM: u8 = 0x40;
 const VOLTMETER: u8 = 0x41;
@@ -44,28 +44,37 @@ impl Pwm {
                 pca9685::decode_channel([r[from], r[from + 1], r[from + 2], r[from + 3]], prescale)
             };
             let widths: [f64; ROTORS] = std::array::from_fn(width);
-            keep(&self.pulses, (Instant::now(), widths));
+            keep(&self.pulses, widths);
         }
     }
 }
 
+/// What the chips of the bus need of the world.
+#[derive(Debug, Clone)]
+pub struct Chips {
+    /// Where pulses are written down.
+    pub pulses: PulseLog,
+    /// Of the battery, V.
+    pub voltage: Arc<Mutex<f64>>,
+    /// Of the PWM chip.
+    pub motors: Arc<AtomicU8>,
+    /// Of the voltmeter.
+    pub battery: Arc<AtomicU8>,
+}
+
 /// Serves the bus at `path`.
-pub fn serve(
-    path: &Path,
-    pulses: PulseLog,
-    voltage: Arc<Mutex<f64>>,
-    stop: Arc<AtomicBool>,
-) -> io::Result<JoinHandle<()>> {
+pub fn serve(path: &Path, chips: &Chips, stop: Arc<AtomicBool>) -> io::Result<JoinHandle<()>> {
     let _ = std::fs::remove_file(path);
     let listener = UnixListener::bind(path)?;
     listener.set_nonblocking(true)?;
-    let pwm = Arc::new(Mutex::new(Pwm { registers: [0; 256], pulses }));
+    let pwm = Arc::new(Mutex::new(Pwm { registers: [0; 256], pulses: chips.pulses.clone() }));
+    let chips = chips.clone();
     std::thread::Builder::new().name("bus".into()).spawn(move || {
         let mut served = Vec::new();
         while !stop.load(Ordering::Acquire) {
             if let Ok((socket, _)) = listener.accept() {
-                let (pwm, voltage, stop) = (pwm.clone(), voltage.clone(), stop.clone());
-                served.push(std::thread::spawn(move || drop(master(socket, &pwm, &voltage, &stop))));
+                let (pwm, chips, stop) = (pwm.clone(), chips.clone(), stop.clone());
+                served.push(std::thread::spawn(move || drop(master(socket, &pwm, &chips, &stop))));
             } else {
                 std::thread::sleep(Duration::from_millis(5));
             }
@@ -77,7 +86,7 @@ pub fn serve(
 }
 
 /// Transfers of one master until it goes.
-fn master(mut socket: UnixStream, pwm: &Mutex<Pwm>, voltage: &Mutex<f64>, stop: &AtomicBool) -> io::Result<()> {
+fn master(mut socket: UnixStream, pwm: &Mutex<Pwm>, chips: &Chips, stop: &AtomicBool) -> io::Result<()> {
     socket.set_nonblocking(false)?;
     socket.set_read_timeout(Some(LOOK))?;
     while !stop.load(Ordering::Acquire) {
@@ -90,15 +99,16 @@ fn master(mut socket: UnixStream, pwm: &Mutex<Pwm>, voltage: &Mutex<f64>, stop: 
         let (mut write, mut read) = ([0; 256], [0; 256]);
         let (write, read) = (&mut write[..written], &mut read[..wanted]);
         socket.read_exact(write)?;
-        let there = match (address as u8, &*write) {
-            (PWM, _) => {
+        let there = |plug: &AtomicU8| plug.load(Ordering::Acquire) == Plug::In as u8;
+        let answers = match (address as u8, &*write) {
+            (PWM, _) if there(&chips.motors) => {
                 lock(pwm).transfer(write, read);
                 true
             }
-            (VOLTMETER, [register]) => {
+            (VOLTMETER, [register]) if there(&chips.battery) => {
                 let word = match *register {
                     ina::MANUFACTURER => ina::TI,
-                    ina::BUS_VOLTAGE => ina::encode_ina226(*lock(voltage)),
+                    ina::BUS_VOLTAGE => ina::encode_ina226(*lock(&chips.voltage)),
                     _ => 0,
                 };
                 read.iter_mut().zip(word.to_be_bytes()).for_each(|(to, from)| *to = from);
@@ -106,7 +116,7 @@ fn master(mut socket: UnixStream, pwm: &Mutex<Pwm>, voltage: &Mutex<f64>, stop: 
             }
             _ => false,
         };
-        if there {
+        if answers {
             socket.write_all(&[&[0], &*read].concat())?;
         } else {
             socket.write_all(&[1])?;

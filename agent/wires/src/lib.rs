@@ -23,11 +23,13 @@ use nalgebra::Rotation3;
 use plumbline_core::sensor::{BarometerSample, HeightSample, ImuSample, SensorFrame};
 use plumbline_core::types::{MotorCommand, ROTORS};
 use plumbline_core::vehicle::{Truth, Vehicle as _};
+use plumbline_devices::reading::ImuReading;
 use plumbline_sim::{Scenario, SimVehicle};
 
+use bus::Chips;
 pub use speak::Speaks;
 
-/// Ticks of truth, and pulses, that are kept: five minutes at 200 Hz; the oldest give way.
+/// Ticks of truth, pulses and samples that are kept: five minutes at 200 Hz; the oldest give way.
 const KEPT: usize = 60_000;
 
 /// Pulses of command 0 and 1 at the emulated ESCs, µs.
@@ -66,8 +68,19 @@ struct Measured {
     truth: Truth,
 }
 
-/// Pulses, and when they were set; the last [`KEPT`].
-type PulseLog = Arc<Mutex<VecDeque<(Instant, [f64; ROTORS])>>>;
+/// A sample of an IMU as its device sent it, whole and undamaged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sent {
+    /// Which IMU, from 0.
+    pub imu: usize,
+    /// What a host reads of it, in the device's own axes.
+    pub reading: ImuReading,
+}
+
+/// What happened on the wires, and when; the last [`KEPT`].
+type Kept<T> = Arc<Mutex<VecDeque<(Instant, T)>>>;
+/// Pulses as they were set.
+type PulseLog = Kept<[f64; ROTORS]>;
 
 /// The rig, running. Ends when it is dropped.
 #[derive(Debug)]
@@ -75,8 +88,9 @@ pub struct WireRig {
     folder: PathBuf,
     scenario: Scenario,
     devices: Vec<Device>,
-    pulses: PulseLog,
-    truths: Arc<Mutex<VecDeque<Truth>>>,
+    chips: Chips,
+    truths: Kept<Truth>,
+    sent: Kept<Sent>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -93,7 +107,7 @@ impl WireRig {
             name: name.to_owned(),
             speaks,
             index,
-            plug: Arc::new(AtomicU8::new(Plug::In as u8)),
+            plug: plugged_in(),
         };
         let devices: Vec<Device> = [
             ("imu1", Bno055, 0),
@@ -108,31 +122,25 @@ impl WireRig {
         .map(device)
         .collect();
         let stop = Arc::new(AtomicBool::new(false));
-        let (pulses, voltage) = (PulseLog::default(), Arc::new(Mutex::new(0.0)));
-        let mut threads = vec![bus::serve(&folder.join("bus"), pulses.clone(), voltage.clone(), stop.clone())?];
-        let mut outlets = Vec::new();
+        let (motors, battery) = (plugged_in(), plugged_in());
+        let chips = Chips { pulses: PulseLog::default(), voltage: Arc::default(), motors, battery };
+        let mut threads = vec![bus::serve(&folder.join("bus"), &chips, stop.clone())?];
+        let (mut outlets, sent) = (Vec::new(), Kept::default());
         for device in &devices {
             let (outlet, inlet) = channel();
-            let emulated = speak::Emulated::new(device, scenario, folder);
+            let emulated = speak::Emulated::new(device, scenario, folder, sent.clone());
             let (stop, plug) = (stop.clone(), device.plug.clone());
             let run = move || emulated.run(&inlet, &plug, &stop);
             threads.push(std::thread::Builder::new().name(device.name.clone()).spawn(run)?);
             outlets.push((device.clone(), outlet));
         }
         let vehicle = SimVehicle::new(scenario).map_err(|error| io::Error::other(error.to_string()))?;
-        let truths = Arc::new(Mutex::new(VecDeque::new()));
-        let world = World {
-            vehicle,
-            outlets,
-            pulses: pulses.clone(),
-            voltage,
-            truths: truths.clone(),
-            tick_s: scenario.tick_s(),
-        };
+        let truths = Kept::default();
+        let world = World { vehicle, outlets, chips: chips.clone(), truths: truths.clone(), tick_s: scenario.tick_s() };
         let until = stop.clone();
         threads.push(std::thread::Builder::new().name("world".into()).spawn(move || world.run(&until))?);
         let (folder, scenario) = (folder.to_owned(), scenario.clone());
-        Ok(Self { folder, scenario, devices, pulses, truths, stop, threads })
+        Ok(Self { folder, scenario, devices, chips, truths, sent, stop, threads })
     }
 
     /// The agent's configuration for it: devices, motors, and attacks allowed, as nothing can fall.
@@ -160,21 +168,28 @@ impl WireRig {
         )
     }
 
-    /// Unplugs the device `name`, plugs it in, lets it hang; nothing where there is none.
+    /// Unplugs the device `name`, plugs it in, lets it hang; nothing where there is none. Chips of the bus, `motors` and
+    /// `battery`, answer or do not.
     pub fn plug(&self, name: &str, plug: Plug) {
-        if let Some(device) = self.devices.iter().find(|device| device.name == name) {
-            device.plug.store(plug as u8, Ordering::Release);
-        }
+        let ports = self.devices.iter().map(|device| (device.name.as_str(), &device.plug));
+        let chips = [("motors", &self.chips.motors), ("battery", &self.chips.battery)];
+        let found = ports.chain(chips).find(|(known, _)| *known == name);
+        found.into_iter().for_each(|(_, of)| of.store(plug as u8, Ordering::Release));
     }
 
     /// The pulses set, and when: those of the last minutes.
     pub fn pulses(&self) -> Vec<(Instant, [f64; ROTORS])> {
-        lock(&self.pulses).iter().copied().collect()
+        lock(&self.chips.pulses).iter().copied().collect()
     }
 
-    /// The truth of every tick of the last minutes.
-    pub fn truths(&self) -> Vec<Truth> {
+    /// The truth of every tick of the last minutes, and when it was.
+    pub fn truths(&self) -> Vec<(Instant, Truth)> {
         lock(&self.truths).iter().copied().collect()
+    }
+
+    /// The samples that IMUs sent, and when the last byte of each went out: those of the last minutes.
+    pub fn sent(&self) -> Vec<(Instant, Sent)> {
+        lock(&self.sent).iter().copied().collect()
     }
 }
 
@@ -187,13 +202,17 @@ impl Drop for WireRig {
     }
 }
 
-/// Adds the newest; beyond [`KEPT`] the oldest gives way.
-fn keep<T>(all: &Mutex<VecDeque<T>>, newest: T) {
+/// Adds what happens now; beyond [`KEPT`] the oldest gives way.
+fn keep<T>(all: &Mutex<VecDeque<(Instant, T)>>, newest: T) {
     let mut all = lock(all);
     if all.len() >= KEPT {
         all.pop_front();
     }
-    all.push_back(newest);
+    all.push_back((Instant::now(), newest));
+}
+
+fn plugged_in() -> Arc<AtomicU8> {
+    Arc::new(AtomicU8::new(Plug::In as u8))
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
@@ -204,9 +223,8 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 struct World {
     vehicle: SimVehicle,
     outlets: Vec<(Device, Sender<Measured>)>,
-    pulses: PulseLog,
-    voltage: Arc<Mutex<f64>>,
-    truths: Arc<Mutex<VecDeque<Truth>>>,
+    chips: Chips,
+    truths: Kept<Truth>,
     tick_s: f64,
 }
 
@@ -219,7 +237,7 @@ impl World {
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
             ticks += 1.0;
             let [still, full] = PULSES_US;
-            let widths = lock(&self.pulses).back().map_or([still; ROTORS], |(_, widths)| *widths);
+            let widths = lock(&self.chips.pulses).back().map_or([still; ROTORS], |(_, widths)| *widths);
             // An ESC stands still a little above the pulse that says so.
             let throttle =
                 widths.map(|us| if us < still + 3.0 { 0.0 } else { ((us - still) / (full - still)).min(1.0) });
@@ -232,7 +250,7 @@ impl World {
     fn hand_out(&self, frame: &SensorFrame, truth: Truth) {
         keep(&self.truths, truth);
         if let Some(volts) = frame.battery_v {
-            *lock(&self.voltage) = volts;
+            *lock(&self.chips.voltage) = volts;
         }
         for (device, outlet) in &self.outlets {
             let at = |is: bool| if is { device.index } else { usize::MAX };

@@ -16,7 +16,7 @@ use plumbline_devices::reading::{BarometerReading, ImuReading};
 use plumbline_sim::Scenario;
 
 use crate::uart::Uart;
-use crate::{Device, Measured, Plug, body_from_sensor};
+use crate::{Device, Kept, Measured, Plug, Sent, body_from_sensor, keep};
 
 /// What a device speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,6 +57,7 @@ pub fn place(speaks: Speaks, index: usize, scenario: &Scenario) -> (Vector3<f64>
 /// A device and what it keeps.
 pub struct Emulated {
     speaks: Speaks,
+    index: usize,
     link: PathBuf,
     position_flu_m: Vector3<f64>,
     body_from_sensor: Rotation3<f64>,
@@ -67,17 +68,19 @@ pub struct Emulated {
     line: Vec<u8>,
     streaming: bool,
     latest: Option<Measured>,
+    sent: Kept<Sent>,
 }
 
 impl Emulated {
-    /// `device` of the vehicle of `scenario`, its port in `folder`.
-    pub fn new(device: &Device, scenario: &Scenario, folder: &Path) -> Self {
+    /// `device` of the vehicle of `scenario`, its port in `folder`; samples of IMUs are written down in `sent`.
+    pub fn new(device: &Device, scenario: &Scenario, folder: &Path, sent: Kept<Sent>) -> Self {
         let (position_flu_m, rpy) = place(device.speaks, device.index, scenario);
         let mut registers = [0; 128];
         registers.iter_mut().zip(bno055::IDENTITY).for_each(|(to, from)| *to = from);
         registers[usize::from(register::ST_RESULT)] = bno055::SELF_TEST_PASSED;
         Self {
             speaks: device.speaks,
+            index: device.index,
             link: folder.join(&device.name),
             position_flu_m,
             body_from_sensor: body_from_sensor(&rpy),
@@ -88,6 +91,7 @@ impl Emulated {
             line: Vec::new(),
             streaming: false,
             latest: None,
+            sent,
         }
     }
 
@@ -125,21 +129,25 @@ impl Emulated {
         }
     }
 
-    /// Sends a frame; some in two pieces, some damaged.
-    fn send(&mut self, uart: &Uart, mut frame: Vec<u8>, may_damage: bool) {
+    /// Sends a frame, which may hold a sample of an IMU; some in two pieces, some damaged.
+    fn send(&mut self, uart: &Uart, mut frame: Vec<u8>, may_damage: bool, sample: Option<ImuReading>) {
         self.frames += 1;
-        if may_damage && self.frames.is_multiple_of(DAMAGED) {
+        let damaged = may_damage && self.frames.is_multiple_of(DAMAGED);
+        if damaged {
             let at = frame.len() / 2;
             frame[at] ^= 0x04;
         }
+        let mut last = &frame[..];
         if self.frames.is_multiple_of(IN_PIECES) {
             let (first, second) = frame.split_at(frame.len() / 3);
             uart.write(first);
             std::thread::sleep(PAUSE);
-            uart.write(second);
-        } else {
-            uart.write(&frame);
+            last = second;
         }
+        if let Some(reading) = sample.filter(|_| !damaged) {
+            keep(&self.sent, Sent { imu: self.index, reading });
+        }
+        uart.write(last);
     }
 
     /// In the device's own axes.
@@ -175,11 +183,13 @@ impl Emulated {
                     imu: self.imu(sample),
                     barometer,
                 };
-                self.send(uart, mongoose::encode(&reading).to_vec(), true);
+                let frame = mongoose::encode(&reading);
+                self.send(uart, frame.to_vec(), true, mongoose::decode(&frame).ok().map(|reading| reading.imu));
             }
             (Speaks::Tfmini, _, Some(sample)) => {
                 let (own_m, up) = self.below(sample, measured);
-                self.send(uart, tfmini::encode((own_m / up.z).clamp(0.0, 12.0), 1200, 30.0).to_vec(), true);
+                let frame = tfmini::encode((own_m / up.z).clamp(0.0, 12.0), 1200, 30.0);
+                self.send(uart, frame.to_vec(), true, None);
             }
             (Speaks::Hokuyo, _, Some(sample)) if self.streaming => {
                 let (own_m, up) = self.below(sample, measured);
@@ -191,7 +201,7 @@ impl Emulated {
                 let after_ms = 1e2 * scip::FRONT_STEP as f64 / scip::STEPS_PER_TURN as f64;
                 let stamp_ms = (device_us * 1e-3 - after_ms).max(0.0) as u32;
                 let command = String::from_utf8_lossy(scip::STREAM.trim_ascii_end()).into_owned();
-                self.send(uart, scip::encode_scan(&command, stamp_ms, &ranges), true);
+                self.send(uart, scip::encode_scan(&command, stamp_ms, &ranges), true, None);
             }
             _ => {}
         }
@@ -221,9 +231,11 @@ impl Emulated {
             UartRequest::Read(from, length) => {
                 let second_page = self.registers[usize::from(register::PAGE_ID)] == 1;
                 let raw = self.registers[usize::from(register::OPR_MODE)] == bno055::MODE_AMG && !second_page;
+                let mut read = None;
                 if let Some(sample) = self.latest.and_then(|measured| measured.imu).filter(|_| raw) {
                     let reading = self.imu(&sample);
                     let data = bno055::encode_data(&reading);
+                    read = Some(bno055::decode_data(&data, reading.temperature_c));
                     let place = self.registers.iter_mut().skip(usize::from(register::DATA));
                     place.zip(data).for_each(|(to, from)| *to = from);
                     self.registers[usize::from(register::TEMP)] = reading.temperature_c as i8 as u8;
@@ -232,8 +244,12 @@ impl Emulated {
                     self.registers.iter().skip(usize::from(from)).take(usize::from(length)).copied().collect();
                 // Its UART misses a request now and then.
                 let answer = [&[0xBB, length][..], &data].concat();
-                let busy = self.frames % DAMAGED == DAMAGED - 1 && from == register::DATA;
-                self.send(uart, if busy { vec![0xEE, 0x07] } else { answer }, false);
+                let whole = from == register::DATA && usize::from(length) == bno055::DATA_LENGTH;
+                if self.frames % DAMAGED == DAMAGED - 1 && whole {
+                    self.send(uart, vec![0xEE, 0x07], false, None);
+                } else {
+                    self.send(uart, answer, false, read.filter(|_| whole));
+                }
             }
             UartRequest::Write(to, value) => {
                 let second_page = self.registers[usize::from(register::PAGE_ID)] == 1;

@@ -12,13 +12,14 @@ pub struct Options {
 }
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
-const BENCHES: [(&str, Bench); 9] = [
+const BENCHES: [(&str, Bench); 10] = [
     ("control", Bench::Program("control")),
     ("tick", Bench::Program("tick")),
     ("steps", Bench::Program("steps")),
     ("sse", Bench::Program("sse")),
     ("estimate", Bench::Program("estimate")),
     ("experiment", Bench::Program("experiment")),
+    ("wires", Bench::Program("wires")),
     ("page", Bench::Page),
     ("live", Bench::Program("live_latency")),
     ("charts", Bench::Charts),

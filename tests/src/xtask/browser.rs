@@ -13,7 +13,7 @@ use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
-/// `replay.mjs`, and accounts on a ground of their own with `people.mjs`.
+/// `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let outcome = fly(workspace, tally);
     tally.check("browser: system starts and stops cleanly", outcome);
@@ -21,6 +21,16 @@ pub fn test(workspace: &Workspace, tally: &mut Tally) {
     tally.check("browser: a replay starts and stops cleanly", outcome);
     let outcome = people(workspace, tally);
     tally.check("browser: a ground with accounts starts and stops cleanly", outcome);
+    let outcome = wires(workspace, tally);
+    tally.check("browser: the wire rig starts and stops cleanly", outcome);
+}
+
+fn wires(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+    let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO) };
+    let system = System::start(&options(workspace, "debug", "browser-wires")?, &vehicle)?;
+    let read = run_script(&mut script(workspace, "wires.mjs", system.api())?, tally);
+    let stopped = system.stop();
+    read.and(stopped)
 }
 
 fn people(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {

@@ -58,32 +58,42 @@ impl Protocol for Mongoose {
             [a, b, ..] if *a == first && *b == second => {}
             _ => return to(bytes, first),
         }
-        let Some(frame) = bytes.get(..LENGTH) else { return Scan::More };
-        let expected = u16::from_le_bytes(fletcher(frame.get(2..LENGTH - 2).unwrap_or_default()));
-        let got = le::u16(frame, LENGTH - 2);
-        if expected != got {
-            return Scan::Frame(1, Err(Fault::Checksum { expected: expected.into(), got: got.into() }));
+        let Some(frame) = bytes.first_chunk::<LENGTH>() else { return Scan::More };
+        match decode(frame) {
+            // What has another length may hide in a damaged one.
+            Err(fault @ Fault::Checksum { .. }) => Scan::Frame(1, Err(fault)),
+            outcome => Scan::Frame(LENGTH, outcome),
         }
-        let version = frame.get(2).copied().unwrap_or_default();
-        if version != VERSION {
-            let fault = Fault::Value { what: "frame version", value: version.into(), expected: "1" };
-            return Scan::Frame(LENGTH, Err(fault));
-        }
-        let three = |at: usize, unit: f64| Vector3::from_fn(|axis, _| unit * f64::from(le::i16(frame, at + 2 * axis)));
-        let temperature_c = 0.1 * f64::from(le::i16(frame, 30));
-        let reading = MongooseReading {
-            sequence: frame.get(3).copied().unwrap_or_default(),
-            stamp_us: le::u32(frame, 4),
-            imu: ImuReading {
-                gyro_radps: three(8, GYRO_RADPS),
-                accel_mps2: three(14, ACCEL_MPS2),
-                mag_ut: Some(three(20, MAG_UT)),
-                temperature_c,
-            },
-            barometer: BarometerReading { pressure_pa: f64::from(le::i32(frame, 26)), temperature_c },
-        };
-        Scan::Frame(LENGTH, Ok(reading))
     }
+}
+
+/// What a frame says that begins with its head.
+///
+/// # Errors
+/// A wrong sum, or another version.
+pub fn decode(frame: &[u8; LENGTH]) -> Result<MongooseReading, Fault> {
+    let expected = u16::from_le_bytes(fletcher(frame.get(2..LENGTH - 2).unwrap_or_default()));
+    let got = le::u16(frame, LENGTH - 2);
+    if expected != got {
+        return Err(Fault::Checksum { expected: expected.into(), got: got.into() });
+    }
+    let [_, _, version, sequence, ..] = *frame;
+    if version != VERSION {
+        return Err(Fault::Value { what: "frame version", value: version.into(), expected: "1" });
+    }
+    let three = |at: usize, unit: f64| Vector3::from_fn(|axis, _| unit * f64::from(le::i16(frame, at + 2 * axis)));
+    let temperature_c = 0.1 * f64::from(le::i16(frame, 30));
+    Ok(MongooseReading {
+        sequence,
+        stamp_us: le::u32(frame, 4),
+        imu: ImuReading {
+            gyro_radps: three(8, GYRO_RADPS),
+            accel_mps2: three(14, ACCEL_MPS2),
+            mag_ut: Some(three(20, MAG_UT)),
+            temperature_c,
+        },
+        barometer: BarometerReading { pressure_pa: f64::from(le::i32(frame, 26)), temperature_c },
+    })
 }
 
 /// A frame as the device sends it; values are rounded to its resolutions and cut to its ranges.

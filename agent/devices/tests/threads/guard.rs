@@ -2,6 +2,7 @@
 
 use std::io::Write as _;
 use std::os::unix::net::UnixStream;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -11,13 +12,17 @@ use plumbline_devices::motors::{GuardLine, PulseRange, Pulses, SILENCE, encode, 
 
 type Log = Arc<Mutex<Vec<(Instant, [f64; ROTORS])>>>;
 
-struct Recorded(Log);
+/// What is set, unless it is refused.
+struct Recorded(Log, Arc<AtomicBool>);
 
 impl Pulses for Recorded {
     fn open(&mut self) -> Result<(), DeviceError> {
         Ok(())
     }
     fn set(&mut self, widths_us: &[f64; ROTORS]) -> Result<(), DeviceError> {
+        if self.1.load(Ordering::Acquire) {
+            return Err(DeviceError::Silent { what: "acknowledgement", seconds: 0.0 });
+        }
         self.0.lock().unwrap().push((Instant::now(), *widths_us));
         Ok(())
     }
@@ -25,17 +30,19 @@ impl Pulses for Recorded {
 
 struct Guarded {
     log: Log,
-    thread: std::thread::JoinHandle<()>,
+    refuses: Arc<AtomicBool>,
+    thread: std::thread::JoinHandle<Result<(), DeviceError>>,
 }
 
 impl Guarded {
     fn start() -> (UnixStream, Self) {
         let (near, mut far) = UnixStream::pair().unwrap();
         let log = Log::default();
-        let mut pulses = Recorded(log.clone());
+        let refuses = Arc::new(AtomicBool::new(false));
+        let mut pulses = Recorded(log.clone(), refuses.clone());
         let range = PulseRange { stop_us: 1000.0, full_us: 2000.0 };
-        let thread = std::thread::spawn(move || guard(&mut far, &mut pulses, range, Duration::ZERO).unwrap());
-        (near, Self { log, thread })
+        let thread = std::thread::spawn(move || guard(&mut far, &mut pulses, range, Duration::ZERO));
+        (near, Self { log, refuses, thread })
     }
 
     /// When the first motor's pulse became about `width_us`.
@@ -65,8 +72,36 @@ fn silence_and_a_closed_socket_stop_the_motors() {
     line.send(&MotorCommand { throttle: [1.0; 4] }).unwrap();
     guarded.until(2000.0);
     drop(line);
-    guarded.thread.join().unwrap();
+    guarded.thread.join().unwrap().unwrap();
     assert_eq!(guarded.log.lock().unwrap().last().unwrap().1, [1000.0; 4]);
+}
+
+#[test]
+fn refused_pulses_are_tried_again_and_after_a_while_the_motors_stop_as_soon_as_they_can() {
+    let (socket, guarded) = Guarded::start();
+    let line = GuardLine::new(socket).unwrap();
+    let send = |throttle: f64| line.send(&MotorCommand { throttle: [throttle; 4] });
+    send(0.5).unwrap();
+    guarded.until(1500.0);
+    // Once: the next command is set.
+    guarded.refuses.store(true, Ordering::Release);
+    send(0.6).unwrap();
+    std::thread::sleep(Duration::from_millis(5));
+    guarded.refuses.store(false, Ordering::Release);
+    send(0.7).unwrap();
+    guarded.until(1700.0);
+    // For long: the line is closed, and what stops is tried until it is taken.
+    guarded.refuses.store(true, Ordering::Release);
+    let begun = Instant::now();
+    while send(0.8).is_ok() {
+        assert!(begun.elapsed() < Duration::from_secs(20), "it goes on");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(begun.elapsed() >= SILENCE, "not before");
+    assert!((guarded.log.lock().unwrap().last().unwrap().1[0] - 1700.0).abs() < 0.1, "nothing could be set");
+    guarded.refuses.store(false, Ordering::Release);
+    guarded.until(1000.0);
+    assert!(guarded.thread.join().unwrap().is_err(), "and it says why");
 }
 
 #[test]

@@ -1,13 +1,20 @@
-//! The quadrotor that the configuration describes: a reader for each device, the motors behind their guard.
+//! The quadrotor that the configuration describes: a reader for each device, the motors behind their guard or an autopilot.
+
+use std::sync::Arc;
 
 use super::{
     AgentConfig, Airframe, Calibration, Chosen, Failure, FlightConfig, FlightTime, FlyArguments, Observed, Scenario,
-    Zero, in_file, read,
+    VehicleChoice, Zero, in_file, read,
 };
 use crate::cli::motors;
 use plumbline_agent::sim::rig::{HangingStrings, Rig};
 use plumbline_agent::types::EstimatorKind;
-use plumbline_devices::spec;
+use plumbline_devices::autopilot::{Autopilot, AutopilotLine};
+use plumbline_devices::driver::Driver;
+use plumbline_devices::driver::mavlink::Mavlink;
+use plumbline_devices::motors::Motors;
+use plumbline_devices::port::PortName;
+use plumbline_devices::spec::{self, DriverKind, MotorsSpec};
 use plumbline_devices::vehicle::HardwareVehicle;
 
 /// Opens everything; what does not answer yet is waited for by its reader, and keeps the vehicle from arming.
@@ -29,12 +36,32 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         // them at one instant takes that for faults.
         flight.in_loop = EstimatorKind::Lanes;
     }
-    let line = motors::guarded(file, config)?;
     let zero = Zero::default();
-    let mut devices = Vec::new();
+    let (mut devices, mut autopilot) = (Vec::new(), None);
     for device in &config.device {
-        devices.extend(device.start(&zero)?);
+        let driver = match &config.motors {
+            Some(motors) if device.driver == DriverKind::Mavlink && motors.port == device.port => {
+                let found = Arc::new(Autopilot::new(port(&device.port)?, motors.system));
+                autopilot = Some((found.clone(), motors));
+                Some(Box::new(Mavlink::new(found, device.rate_hz())) as Box<dyn Driver>)
+            }
+            _ => device.driver(),
+        };
+        devices.extend(driver.map(|driver| device.start_with(driver, &zero)).transpose()?);
     }
+    let line: Arc<dyn Motors> = match (arguments.vehicle, autopilot) {
+        (VehicleChoice::Mavlink, Some((autopilot, motors))) => {
+            Arc::new(AutopilotLine::new(autopilot, airframe.clone(), motors.hover_thrust, motors.rate_loop_s))
+        }
+        (VehicleChoice::Mavlink, None) => {
+            let wanted = "--vehicle mavlink: needs [motors] and a [[device]], both driver = \"mavlink\" on one port";
+            return Err(in_file(file, wanted));
+        }
+        _ if config.motors.as_ref().is_some_and(MotorsSpec::is_autopilot) => {
+            return Err(in_file(file, "[motors] are an autopilot's: --vehicle mavlink flies it"));
+        }
+        _ => Arc::new(motors::guarded(file, config)?),
+    };
     // The same script as in the simulator, where one is asked for: its commands only.
     let scenario = match &arguments.scenario {
         Some(path) if arguments.script => Some(Scenario::from_toml(&read(path)?).map_err(|e| in_file(path, e))?),
@@ -47,7 +74,7 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         strings: rig.lines(&airframe),
         promise: Some(Observed::promise_at_hover(&suite, &airframe)),
         flight,
-        kind: "hardware",
+        kind: if arguments.vehicle == VehicleChoice::Mavlink { "mavlink" } else { "hardware" },
         rig: rig.name().to_owned(),
         scenario: String::new(),
         seed: 0,
@@ -56,4 +83,8 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         script: scenario.map(|scenario| scenario.script),
         zero: Some(zero),
     })
+}
+
+fn port(name: &str) -> Result<PortName, Failure> {
+    Ok(PortName::parse(name).ok_or_else(|| format!("{name:?} is no port"))?)
 }

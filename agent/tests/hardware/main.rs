@@ -1,0 +1,103 @@
+//! The agent as a process on vehicles that are there, as far as it can tell.
+//!
+//! - [`wires`]: the simulator behind ports that speak each device's protocol.
+//! - [`autopilot`]: a double of a PX4 autopilot that keeps its rules of offboard mode.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod autopilot;
+mod wires;
+
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use plumbline_proto::{Message, v1};
+
+/// Longest wait for anything, on a machine that compiles beside us.
+const PATIENCE: Duration = Duration::from_secs(90);
+/// One flight at a time: each needs the processor at its own time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// An agent that flies a script without a ground.
+struct Agent {
+    process: Child,
+    folder: tempfile::TempDir,
+}
+
+impl Agent {
+    /// Flies the script of `scenario` in `folder` with these attacks, if any.
+    fn start(folder: tempfile::TempDir, vehicle: &str, configuration: &str, scenario: &str, attacks: &str) -> Self {
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("agent.toml"), configuration).unwrap();
+        std::fs::write(at("scenario.toml"), scenario).unwrap();
+        let mut agent = Command::new(env!("CARGO_BIN_EXE_plumbline-agent"));
+        agent.args(["--vehicle", vehicle, "--ground", "none", "--script", "--config"]).arg(at("agent.toml"));
+        agent.arg("--scenario").arg(at("scenario.toml"));
+        agent.arg("--log").arg(at("log")).arg("--identity").arg(at("identity"));
+        if !attacks.is_empty() {
+            std::fs::write(at("attacks.toml"), attacks).unwrap();
+            agent.arg("--attack-schedule").arg(at("attacks.toml"));
+        }
+        let process = agent.stderr(std::fs::File::create(at("said")).unwrap()).spawn().unwrap();
+        Self { process, folder }
+    }
+
+    fn said(&self) -> String {
+        said(self.folder.path())
+    }
+
+    fn ended(&mut self) -> Option<ExitStatus> {
+        self.process.try_wait().unwrap()
+    }
+
+    /// Until it has ended.
+    fn end(&mut self) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.ended() {
+                return status;
+            }
+            assert!(begun.elapsed() < PATIENCE, "does not end: {}", self.said());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn signal(&self, name: &str) {
+        let sent = Command::new("kill").args([name, &self.process.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+    }
+
+    /// Has its reader lost the device of that name?
+    fn lost(&self, name: &str) -> bool {
+        self.said().lines().any(|line| line.contains("device lost") && line.contains(name))
+    }
+
+    /// Messages of one topic of the flight file.
+    fn recorded<M: Message + Default>(&self, topic: &str) -> Vec<M> {
+        let files = std::fs::read_dir(self.folder.path().join("log")).unwrap().flatten().map(|entry| entry.path());
+        let file = files.filter(|path| path.extension().is_some_and(|e| e == "mcap")).max().unwrap();
+        let bytes = std::fs::read(file).unwrap();
+        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        messages.filter(|m| m.channel.topic == topic).map(|m| M::decode(&*m.data).unwrap()).collect()
+    }
+
+    /// The flight file has an event with each of these texts.
+    fn assert_told(&self, texts: &[&str]) {
+        let events: Vec<v1::Event> = self.recorded("/event");
+        for text in texts {
+            assert!(events.iter().any(|event| event.text.contains(text)), "{text}: {events:#?}");
+        }
+    }
+}
+
+fn said(folder: &Path) -> String {
+    std::fs::read_to_string(folder.join("said")).unwrap_or_default()
+}
+
+impl Drop for Agent {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
