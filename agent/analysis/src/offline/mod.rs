@@ -3,12 +3,14 @@
 //! ```text
 //! plumbline-agent estimate --input FILE --format broad --estimator vqf --output OUT.csv
 //! ```
-//! The same estimators as in flight, stepped tick by tick; nothing is smoothed and truth is only scored.
+//! The same estimators as in flight, stepped tick by tick; truth is only scored. Nothing is smoothed, except attitude
+//! where `--smooth` asks for it.
 
 pub mod calibrate;
 pub mod decode;
 mod errors;
 mod output;
+mod smooth;
 mod table;
 
 use std::path::{Path, PathBuf};
@@ -17,6 +19,7 @@ use errors::Known;
 pub use errors::{ErrorSample, Flagged, Score};
 use output::Output;
 use plumbline_core::calibration::applied::Calibration;
+use plumbline_core::estimate::attitude::AttitudeEstimator;
 use plumbline_core::estimate::bank::{self, Assumptions};
 use plumbline_core::estimate::filter::ekf_hybrid::EkfHybrid;
 use plumbline_core::estimate::filter::measurement::TwelveState;
@@ -30,8 +33,9 @@ use plumbline_core::sensor::suite::Suite;
 use plumbline_core::sensor::{SensorFrame, quantities};
 use plumbline_core::types::{EstimatorKind, MotorCommand};
 use plumbline_proto::v1::{Decoder, SensorKind};
+use smooth::{Forward, Smoothed};
 
-use crate::recordings::{self, Format, Phantom4Options, RecordingError, RecordingInfo, mocap_log};
+use crate::recordings::{self, Format, Phantom4Options, RecordedTick, RecordingError, RecordingInfo, mocap_log};
 
 /// Arguments of `plumbline-agent estimate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -70,6 +74,9 @@ pub struct EstimateArgs {
     /// Calibration file to apply to every frame; may be given several times.
     #[arg(long)]
     pub calibration: Vec<PathBuf>,
+    /// Attitude from samples after each moment as well as before it; for attitude-ekf.
+    #[arg(long)]
+    pub smooth: bool,
     /// CSV to write.
     #[arg(long)]
     pub output: PathBuf,
@@ -90,6 +97,7 @@ impl EstimateArgs {
             gnss_noise: None,
             seed: None,
             calibration: Vec::new(),
+            smooth: false,
             output: output.to_owned(),
         }
     }
@@ -231,11 +239,15 @@ pub fn run(args: &EstimateArgs) -> Result<Score, OfflineError> {
         Some(text) => format(text, MOCAP_LOG)?,
     };
     args.refuse_misplaced(format.name())?;
-    let recording = match format {
-        Format::Phantom4 => recordings::open_phantom4(&args.input, args.phantom4_options()?)?,
-        other => recordings::open_as(&args.input, other)?,
+    let open = || match format {
+        Format::Phantom4 => Ok(recordings::open_phantom4(&args.input, args.phantom4_options()?)?),
+        other => Ok::<_, OfflineError>(recordings::open_as(&args.input, other)?),
     };
-    let run = Run::new(args, kind, recording)?;
+    let mut run = Run::new(args, kind, open()?)?;
+    if args.smooth {
+        let estimator = Box::new(run.smoothed());
+        run = Run { estimator, ..Run::new(args, kind, open()?)? };
+    }
     let mut output = Output::create(&args.output, false)?;
     let score = run.fly(|estimate| output.estimate(estimate))?;
     output.finish()?;
@@ -334,6 +346,9 @@ impl Run {
                 return refused(format!("not {SLOTS_MIN} to {SLOTS_MAX} slots"));
             }
         }
+        if args.smooth && kind != EstimatorKind::AttitudeEkf {
+            return Err(EstimateArgs::bad("smooth", &args.estimator, "only attitude-ekf can be smoothed"));
+        }
         let window_slots = args.window.unwrap_or(SLOTS);
         // Of use only to estimators that know what the motors did, and where the recording says; any will do else.
         let airframe =
@@ -355,13 +370,29 @@ impl Run {
         Ok(Self { recording, selection, calibration, estimator, score })
     }
 
+    /// Flies it once, for the estimator that knows all of it.
+    fn smoothed(&mut self) -> Smoothed {
+        let imus = self.recording.info().sensor_model().imus;
+        let mut forward = AttitudeEstimator::<Forward>::new(&imus);
+        while let Some(tick) = self.recording.next_tick() {
+            forward.step(&self.frame(&tick), &MotorCommand::default());
+        }
+        Smoothed::new(AttitudeEstimator::new(&imus), forward.filter().smoothed())
+    }
+
+    /// What the estimator is given of a tick.
+    fn frame(&mut self, tick: &RecordedTick) -> SensorFrame {
+        let mut frame = tick.received.unwrap_or(tick.sensed);
+        self.calibration.apply(&mut frame);
+        self.selection.apply(&mut frame);
+        frame
+    }
+
     fn fly(mut self, mut each: impl FnMut(&Estimate) -> Result<(), OfflineError>) -> Result<Score, OfflineError> {
         // Applied in one tick, known to the estimator in the next.
         let mut applied = MotorCommand::default();
         while let Some(tick) = self.recording.next_tick() {
-            let mut frame = tick.received.unwrap_or(tick.sensed);
-            self.calibration.apply(&mut frame);
-            self.selection.apply(&mut frame);
+            let frame = self.frame(&tick);
             each(self.estimator.step(&frame, &applied))?;
             applied = tick.applied.unwrap_or(applied);
             self.score.add(self.estimator.as_ref(), tick.truth.as_ref());

@@ -82,6 +82,20 @@ fn broad_errors_of_the_attitude_ekf_are_half_those_of_vqf() {
 }
 
 #[test]
+fn smoothing_lowers_the_inclination_error_and_is_for_the_attitude_ekf() {
+    let Some(path) = shared("data/broad_imu_mocap/11_undisturbed_slow_translation_B.csv.gz") else { return };
+    let [causal, smoothed] = [false, true].map(|smooth| {
+        let (score, rows) = estimate(&path, "attitude-ekf", |args| args.smooth = smooth);
+        (score.attitude_deg().unwrap(), rows.len())
+    });
+    println!("causal {:.3?}, smoothed {:.3?} (total, heading, inclination, degrees)", causal.0, smoothed.0);
+    assert!(smoothed.0[2] < 0.9 * causal.0[2] && smoothed.0[0] < causal.0[0] && smoothed.1 == causal.1);
+    let folder = tempfile::tempdir().unwrap();
+    let refused = run(&EstimateArgs { smooth: true, ..arguments(&path, "vqf", folder.path()) }).unwrap_err();
+    assert_eq!(refused.to_string(), "--smooth vqf: only attitude-ekf can be smoothed");
+}
+
+#[test]
 fn a_stretch_of_broad_gives_the_attitudes_of_the_prototype() {
     let (Some(log), Some(json)) = (shared("reference/broad_06_stretch.csv.gz"), shared("reference/attitude_ekf.json"))
     else {

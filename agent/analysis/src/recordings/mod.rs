@@ -85,6 +85,8 @@ pub struct RecordingInfo {
     pub airframe: Option<String>,
     /// Scenario of a simulated flight, TOML.
     pub scenario: Option<String>,
+    /// Magnetic declination there, rad, where the recording says; else the frame's north is magnetic.
+    pub declination_rad: Option<f64>,
     /// Things a user should know: rows skipped, sensors left out.
     pub notes: Vec<String>,
 }
@@ -94,6 +96,7 @@ impl RecordingInfo {
     /// of a motor frame vibrate by several m/s²). The same rule for every file.
     pub fn sensor_model(&self) -> SensorModel {
         let mut model = SensorModel::default();
+        model.imus.mag.declination_rad = self.declination_rad.unwrap_or(model.imus.mag.declination_rad);
         let imus = self.sensors.iter().filter(|sensor| sensor.id.kind == SensorKind::Imu);
         let rate_hz = imus.map(|imu| imu.rate_hz).fold(f64::INFINITY, f64::min);
         let Some(noise) = self.imu_noise.filter(|_| rate_hz.is_finite() && rate_hz > 0.0) else { return model };

@@ -40,6 +40,8 @@ pub(super) struct Builder {
     items: Vec<(FlightTime, Item)>,
     pub airframe: Option<String>,
     pub scenario: Option<String>,
+    /// Of the place, rad, where the recording says.
+    pub declination_rad: Option<f64>,
     pub notes: Vec<String>,
 }
 
@@ -101,6 +103,7 @@ impl Builder {
             has_motors,
             airframe: self.airframe,
             scenario: self.scenario,
+            declination_rad: self.declination_rad,
             notes: self.notes,
         };
         Ok(Recording { info, items: self.items, next: 0 })

@@ -7,6 +7,7 @@
 //! move most: a vehicle with an IO board logs servos and motors as two instances. Told to do: mode and
 //! arming of `vehicle_status` (of `vehicle_control_mode` where that is missing), and the altitude of
 //! `vehicle_local_position_setpoint`, about the first `vehicle_local_position`, while it is controlled.
+//! Magnetic declination: of the World Magnetic Model at the first fix, on its day.
 //! Truth: the `*_groundtruth` topics of the simulation. A file cut short is read up to the cut.
 
 mod container;
@@ -16,6 +17,8 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
 use plumbline_core::frames::{self, Enu, Flu, Frd, Ned};
+use plumbline_core::model::declination;
+use plumbline_core::model::geodesy::Geodetic;
 use plumbline_core::sensor::{AnySample, BarometerSample, GnssSample, ImuSample};
 use plumbline_core::types::{Mode, MotorCommand};
 use plumbline_core::vehicle::Truth;
@@ -244,6 +247,13 @@ impl Mapping {
                 _ => (message.get("lat")? * 1e-7, message.get("lon")? * 1e-7, message.get("alt")? * 1e-3),
             };
         let here = [latitude_deg, longitude_deg, altitude_m];
+        if self.origin.is_none() {
+            self.builder.declination_rad = declination_rad(here, message);
+            if let Some(declination) = self.builder.declination_rad {
+                let degrees = declination.to_degrees();
+                self.builder.notes.push(format!("magnetic declination {degrees:.2}°: of the first fix, on its day"));
+            }
+        }
         let origin = *self.origin.get_or_insert(here);
         let Enu(velocity_enu_mps) = Ned(message.vector(["vel_n_m_s", "vel_e_m_s", "vel_d_m_s"])?).into();
         let fix = GnssSample {
@@ -315,6 +325,12 @@ impl Mapping {
         self.truth = self.truth.map(|truth| Truth { time, position_enu_m, velocity_enu_mps, ..truth });
         Some(())
     }
+}
+
+/// Magnetic declination `here` (degrees, degrees, metres) on the day of a fix, where its clock is set.
+fn declination_rad(here: [f64; 3], fix: &Message<'_>) -> Option<f64> {
+    let date = declination::day_of_unix(1e-6 * fix.get("time_utc_usec")?)?;
+    declination::declination_rad(&Geodetic::from_degrees(here[0], here[1], here[2]), date).ok()
 }
 
 /// Local tangent plane about `origin` (degrees, degrees, metres) with the radii of WGS 84 there.

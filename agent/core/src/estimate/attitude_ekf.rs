@@ -266,6 +266,34 @@ impl AttitudeEkf {
         self.state.lag_s
     }
 
+    /// The filter for the same samples backwards: gyroscope samples have the other sign. It starts from this attitude
+    /// and calibration, as uncertain of both as at the first sample.
+    #[must_use]
+    pub fn reversed(&self) -> Self {
+        let state = State {
+            velocity_mps: -self.state.velocity_mps,
+            gyro_bias_radps: -self.state.gyro_bias_radps,
+            lag_s: -self.state.lag_s,
+            ..self.state.clone()
+        };
+        Self {
+            state,
+            p: covariance::prior(),
+            rest: Rest::new(self.period.used_s()),
+            waiting: (0, 0.0),
+            field_waiting: (0, 0.0),
+            ..self.clone()
+        }
+    }
+
+    /// One-sigma of the heading, rad: of the direction of h.
+    pub fn heading_sigma_rad(&self) -> f64 {
+        let h = self.state.field_ut.xy();
+        let across = Vector2::new(h.y, -h.x) / h.norm_squared().max(1e-9);
+        let variance = across.dot(&(self.p.fixed_view::<2, 2>(ix::FIELD, ix::FIELD) * across));
+        variance.max(0.0).sqrt()
+    }
+
     /// One-sigma of the tilt about the two level axes, rad.
     pub fn tilt_sigma_rad(&self) -> f64 {
         self.p.fixed_view::<2, 2>(ix::TILT, ix::TILT).trace().max(0.0).sqrt()

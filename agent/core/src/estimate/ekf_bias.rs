@@ -50,7 +50,7 @@ use super::yaw_mixture::YawMixture;
 use super::{Estimate, Estimator, EstimatorKind, Health, Motion};
 use crate::sensor::imu::{ImuModel, TriaxialModel};
 use crate::sensor::measure::Kinematics;
-use crate::sensor::{Accuracy, MAX_BAROMETERS, SensorFrame, SensorModel};
+use crate::sensor::{Accuracy, MAX_BAROMETERS, MocapPoseSample, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Longest step integrated at once, s; longer ones are divided.
@@ -235,6 +235,14 @@ impl EkfBias {
         }
     }
 
+    /// Motion capture says where the vehicle is before the attitude is known: a start in motion begins there.
+    fn wait_at_pose(&mut self, frame: &SensorFrame) {
+        let finite = |pose: &MocapPoseSample| pose.position_enu_m.iter().all(|x| x.is_finite());
+        if let Some(pose) = frame.mocap_pose.filter(finite) {
+            self.state.kinematics.position_enu_m = pose.position_enu_m;
+        }
+    }
+
     fn begin(&mut self, found: &Aligned) {
         let imus = &self.model.imus;
         self.state.kinematics.world_from_body = found.world_from_body;
@@ -415,6 +423,7 @@ impl Estimator for EkfBias {
         let since = previous.map_or(0.0, |p| now.seconds_since(p.time));
         self.feed_mixture(received, current.as_ref(), since);
         if !self.aligned {
+            self.wait_at_pose(received);
             if let Some(inertial) = current {
                 let dt_s = previous.map_or(0.0, |p| inertial.time.seconds_since(p.time));
                 self.inertial = Some(inertial);

@@ -55,6 +55,17 @@ pub fn day(text: &str) -> Result<Date, DeclinationError> {
     Date::from_calendar_date(i32::from(year), month, day).map_err(|_| bad())
 }
 
+/// The day of a time in seconds since 1970, UTC; `None` before the model and where it is no time.
+pub fn day_of_unix(time_s: f64) -> Option<Date> {
+    /// 1970-01-01.
+    const JULIAN_DAY: i32 = 2_440_588;
+    let days = (time_s / 86_400.0).floor();
+    if !(0.0..1e6).contains(&days) {
+        return None;
+    }
+    Date::from_julian_day(JULIAN_DAY + days as i32).ok().filter(|date| date.year() >= 2020)
+}
+
 /// D at `place` on `date`, rad, east positive.
 ///
 /// # Errors
@@ -99,6 +110,12 @@ mod tests {
             checked += 1;
         }
         assert!(checked > 50, "{checked} values");
+    }
+
+    #[test]
+    fn a_day_of_a_clock_that_was_set() {
+        assert_eq!(day_of_unix(1_651_221_928.162), Some(day("2022-04-29").unwrap()));
+        assert_eq!([0.0, -1.0, f64::NAN, 1e300].map(day_of_unix), [None; 4]);
     }
 
     #[test]

@@ -7,6 +7,7 @@
 mod attitude;
 mod calibration;
 mod golden;
+mod magnet;
 mod position;
 mod scored;
 
@@ -21,6 +22,7 @@ pub fn run() -> Result<(), ReportError> {
     let mut scored = Scored::new(report);
     golden::golden(&mut scored);
     attitude::broad(&mut scored)?;
+    magnet::standing_magnets(&mut scored);
     attitude::px4(&mut scored)?;
     position::rotorpy(&mut scored)?;
     position::phantom4(&mut scored)?;

@@ -3,8 +3,15 @@
 //! ```text
 //! m' = m − m_b     c = ω × m'     y = R (m' − τ c)     y − h = θ × y − R δm_b − R c δτ − δh + noise
 //! ```
-//! A field that does not fit is weighed down, and meanwhile hard iron and field become uncertain: iron on the vehicle
-//! ends up in m_b, which turns with it, and another place in h, which does not.
+//! A field that does not fit is weighed down, and meanwhile hard iron becomes uncertain, and the field too until it has
+//! fitted for long: iron on the vehicle ends up in m_b, which turns with it, and another place in h, which does not.
+//!
+//! Near a magnet that stands, most samples pass the gate and all are a little wrong, the same way for as long as the
+//! vehicle stays. Strength and dip of y scatter there, so while they did of late every sample counts for less:
+//!
+//! ```text
+//! s² = (|y| − |h|)² + |h|² (dip y − dip h)²     u = mean of s² / (s² + 3² µT²) over 10 s of motion     weight · (1 − u)²
+//! ```
 //!
 //! Strength and dip of h, once they have fitted in motion, are the reference. While those of y differ from it, h and b
 //! are considered and not corrected: a magnet that stands nearby would otherwise become the field within a minute. After
@@ -27,11 +34,15 @@ const GATE: f64 = 1.75;
 const GATE_SIGMA_UT: f64 = 1.5;
 /// … beyond which the least weight is this.
 const WEIGHT_MIN: f64 = 0.01;
+/// A sample at rest counts for so many: lag and scale err in motion only.
+const REST_WEIGHT: f64 = 3.0;
+/// Scatter of strength and dip that halves what a sample says of the field …
+const SCATTER_UT: f64 = 3.0;
+/// … as a mean over so much motion, s.
+const SCATTER_S: f64 = 10.0;
 /// Each second beyond the gate makes hard iron this uncertain, µT …
 const HARD_IRON_DISTURBED_UT: f64 = 4.0;
-/// … the field this …
-const FIELD_DISTURBED_UT: f64 = 0.3;
-/// … or, until it has fitted for long, this …
+/// … and the field, until it has fitted for long, this …
 const FIELD_UNSETTLED_UT: f64 = 6.0;
 /// … up to this.
 const DISTURBED_MAX_UT: f64 = 40.0;
@@ -57,6 +68,8 @@ pub(super) struct Gate {
     /// For how long the field has been within it.
     fitting_s: f64,
     disturbed: bool,
+    /// u: 0 where strength and dip are those of h, 1 where they are far from them.
+    scatter: f64,
     /// y.
     measured_ut: Vector3<f64>,
     reference: Reference,
@@ -113,15 +126,27 @@ impl Gate {
         h.fixed_view_mut::<3, 1>(0, ix::LAG).copy_from(&-(rotation * change));
         h.fixed_view_mut::<3, 3>(0, ix::FIELD).copy_from(&-Matrix3::identity());
 
-        let weight = self.weigh(p, &h, &innovation, t);
+        let strength_ut = state.field_ut.norm();
+        let stronger = y.norm() / strength_ut - 1.0;
+        let steeper_rad = dip_rad(&y) - dip_rad(&state.field_ut);
+        let scatter = strength_ut.powi(2) * (stronger.powi(2) + steeper_rad.powi(2));
+        let weight = self.weigh(p, &h, &innovation, t) * self.evenness(scatter, sample);
         self.measured_ut = y;
-        let fits = (y.norm() / state.field_ut.norm() - 1.0).abs() <= STRENGTH
-            && (dip_rad(&y) - dip_rad(&state.field_ut)).abs() <= DIP_RAD;
+        let fits = stronger.abs() <= STRENGTH && steeper_rad.abs() <= DIP_RAD;
         let first = if self.holds_field(fits, sample) { ix::HARD_IRON } else { ix::GYRO_BIAS };
         let r = 2.0 * SIGMA_UT.powi(2) * CORRELATION_S / (t * weight);
         for i in 0..3 {
             correct_scalar(p, x, &h.row(i).transpose(), innovation[i], r, first);
         }
+    }
+
+    /// (1 − u)², or what rest counts for. `scatter` is s², µT².
+    fn evenness(&mut self, scatter: f64, sample: &Sample) -> f64 {
+        if sample.moving && scatter.is_finite() {
+            let share = scatter / (scatter + SCATTER_UT.powi(2));
+            self.scatter += (sample.t / SCATTER_S).min(1.0) * (share - self.scatter);
+        }
+        (1.0 - self.scatter).powi(2) * if sample.moving { 1.0 } else { REST_WEIGHT }
     }
 
     /// Is the reference to be held against this sample, which `fits` it or not?
@@ -161,7 +186,7 @@ impl Gate {
             self.fitting_s += t;
             return 1.0;
         }
-        let mut walk = FIELD_DISTURBED_UT;
+        let mut walk = 0.0;
         if self.fitting_s < SETTLED_S {
             self.fitting_s = (self.fitting_s - 2.0 * t).max(0.0);
             walk = FIELD_UNSETTLED_UT;
