@@ -150,23 +150,28 @@ fn another_solver_finds_the_same_optima() {
 
 #[test]
 fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none() {
-    let answer = asked(EnvelopeQuestion::default()).unwrap().answer(true, |set| println!("{set:?}")).unwrap();
-    assert_eq!(answer.sets.len(), 7 + 21);
-    for set in &answer.sets {
+    let answer = asked(EnvelopeQuestion::default())
+        .unwrap()
+        .answer(true, |set| {
+            println!("{set:?}");
+            true
+        })
+        .unwrap();
+    assert_eq!(answer.sets.len(), 7 + 21 + 1);
+    let (all, bounded) = answer.sets.split_last().unwrap();
+    assert_eq!(all.sensors, ["height 1", "height 2", "height 3"]);
+    assert!(all.altitude_m.is_none() && all.drift_mps.is_some_and(|drift| drift > 0.001));
+    for set in bounded {
         let (upper, reached) = (set.altitude_m.unwrap(), set.reached_m.unwrap());
         assert!(reached > 0.0 && reached <= upper && reached > 0.98 * upper, "{set:?}");
         assert!(set.climb_mps.is_some() && set.binding.is_some() && set.drift_mps.is_none(), "{set:?}");
     }
     // What is alike has one program: one IMU, two of them, each height with one of them.
-    assert_eq!(answer.sets.iter().filter(|set| set.took_ms > 0.0).count(), 3 + 1 + 3 + 1 + 3);
+    assert_eq!(answer.sets.iter().filter(|set| set.took_ms > 0.0).count(), 3 + 1 + 3 + 1 + 3 + 1);
     // Whoever has one sensor more can do as much.
     let of = |names: &[&str]| answer.sets.iter().find(|set| set.sensors == names).unwrap().altitude_m.unwrap();
     assert!(of(&["height 1", "height 2"]) > of(&["height 1"]).max(of(&["height 2"])));
     assert!(of(&["imu 1", "imu 2"]) > of(&["imu 1"]) && of(&["height 1", "imu 1"]) > of(&["height 1"]));
-    let all = Some(["height 1", "height 2", "height 3"].map(str::to_owned).to_vec());
-    let all = asked(EnvelopeQuestion { sensors: all, ..Default::default() }).unwrap().answer(false, |_| ()).unwrap();
-    println!("{:?}", all.sets);
-    assert!(all.sets[0].altitude_m.is_none() && all.sets[0].drift_mps.is_some_and(|drift| drift > 0.001));
 }
 
 #[test]
@@ -186,6 +191,9 @@ fn what_cannot_be_bounded_says_why_with_the_value() {
     );
     assert!(refused(EnvelopeQuestion { suite: Some("moon".into()), ..question() }).contains("\"moon\""));
     assert!(refused(EnvelopeQuestion { horizon_s: Some(1e9), ..question() }).contains("1000000000"));
+    let three = EnvelopeQuestion { sensors: of(&["imu 1", "imu 2", "imu 3"]), horizon_s: Some(20.0), ..question() };
+    let refusal = asked(three).unwrap().answer(false, |_| true).unwrap_err().to_string();
+    assert_eq!(refusal, "what the set may add over the horizon, values, is 1500, it must be at most 1000");
     assert!(refused(EnvelopeQuestion { noise_mps2: Some(-1.0), ..question() }).contains("-1"));
     let mut unstable = question();
     unstable.design.tick_rate_hz = Some(200.0);

@@ -5,12 +5,13 @@
 use std::collections::VecDeque;
 
 use nalgebra::Vector2;
-use plumbline_agent::attack::{Attack, Injector, Schedule};
+use plumbline_agent::attack::{Attack, Injector, Schedule, Sequence};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Flight, FlightConfig, FlightError};
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::imu::ImuSample;
+use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::sim::scenario::ScenarioError;
 use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::GRAVITY_MPS2;
@@ -63,10 +64,20 @@ pub struct Setup {
     pub reception: Reception,
     /// What is done to the sensors; onsets count from boot.
     pub attacks: Vec<Attack>,
+    /// What biases among them follow.
+    pub sequences: Vec<Sequence>,
     /// The error counts from here on, s.
     pub judged_from_s: f64,
     /// More is attacked than can be borne: what is asked for is a controlled descent.
     pub comes_down: bool,
+}
+
+/// The sensors of a scenario, TOML as it stands in a flight.
+///
+/// # Errors
+/// [`ScenarioError`] naming key and value.
+pub fn suite_of(scenario: &str) -> Result<Suite, ScenarioError> {
+    Scenario::from_toml(scenario).map(|scenario| scenario.suite)
 }
 
 /// Flies it to its end, or until it is lost.
@@ -95,7 +106,8 @@ pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) ->
         let (now, t) = (frame.time, frame.time.as_seconds());
         flight.heartbeat(now);
         if tick == 0 && !attacks.is_empty() {
-            let schedule = Schedule { id: 1, attacks: attacks.iter().copied().collect(), ..Schedule::default() };
+            let sequences = setup.sequences.clone();
+            let schedule = Schedule { id: 1, attacks: attacks.iter().copied().collect(), sequences };
             // Where somebody stands between the sensors and the vehicle, the attack comes before them.
             if *reception == Reception::Median {
                 injector.upload(&schedule, now).map_err(|error| FlyError::Attacks(error.to_string()))?;

@@ -36,6 +36,9 @@ const RAMP_S: f64 = 60.0;
 /// … after which no statistic is larger than this part of its largest, and the deviation follows the ramp to this part.
 const SETTLED: f64 = 0.02;
 
+/// Largest program: a second of computing.
+const COLUMNS: usize = 1000;
+
 /// Why there is no envelope.
 #[derive(Debug, thiserror::Error)]
 pub enum EnvelopeError {
@@ -160,6 +163,14 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
     let period_s = model.period_s(horizon_s);
     let (all, own) = (columns(model, horizon_s), columns(model, period_s));
     let width = |of: &[(SensorId, usize, usize)]| of.iter().map(|(_, _, count)| count).sum::<usize>();
+    if width(&all) > COLUMNS {
+        let value = width(&all) as f64;
+        return Err(EnvelopeError::Value {
+            what: "what the set may add over the horizon, values,",
+            value,
+            expected: "at most 1000",
+        });
+    }
     let unit = |sensor: SensorId, k: usize| {
         let mut signal = Signal::zeros(width(&own));
         let place = own.iter().find(|(of, _, count)| *of == sensor && k < *count);

@@ -173,6 +173,7 @@ impl Pilot {
             config,
             reception,
             attacks: attacks.to_vec(),
+            sequences: Vec::new(),
             judged_from_s,
             comes_down: false,
         }
