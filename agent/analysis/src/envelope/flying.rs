@@ -5,7 +5,7 @@
 //! | slot of a lane | finite differences of the lane that flies (`lanes/linear.rs`), covariance steady |
 //! | fused altitude | mean of the lanes, brought from the horizon to now by the integrals of all IMUs |
 //! | law | its linear form, that margins are judged by |
-//! | vehicle | linearised hover, motors' lag and one tick of delay as margins have them |
+//! | vehicle | linearised hover, motors' lag as margins have it; no delay, as the simulator has none |
 //! | judges | `judges.rs`, their limits the constants in use |
 //! | attack | a value for each sample of a height; for an IMU one for each slot, whose mean is all that a lane is given |
 //!
@@ -189,8 +189,6 @@ struct Vehicle<'a> {
     /// Altitude, climb, thrust behind the lag.
     x: [Signal; 3],
     law: Vec<Signal>,
-    /// Asked for at the tick before.
-    asked: Signal,
 }
 
 fn weighted<'s>(row: impl Iterator<Item = f64>, of: impl Iterator<Item = &'s Signal>, width: usize) -> Signal {
@@ -211,10 +209,9 @@ impl Vehicle<'_> {
         let next = (0..law.a.nrows()).map(|row| seen(&law.a, &law.b, row, &self.law)).collect();
         self.law = next;
         let (a, b) = &self.of.vehicle;
-        let before = std::mem::replace(&mut self.asked, asked);
         let moved = |row: usize| {
             let mut x = weighted(a.row(row).iter().copied(), self.x.iter(), width);
-            x.axpy(b[(row, 0)], &before, 1.0);
+            x.axpy(b[(row, 0)], &asked, 1.0);
             x
         };
         self.x = [moved(0), moved(1), moved(2)];
@@ -354,12 +351,7 @@ impl Model for Attacked<'_> {
                 share: 1.0 / of.imus as f64,
             },
             judges: Judges::new(self, &rates_hz, of.imus, of.noise_mps2, width),
-            vehicle: Vehicle {
-                of,
-                x: [zero(), zero(), zero()],
-                law: (0..of.law.a.nrows()).map(|_| zero()).collect(),
-                asked: zero(),
-            },
+            vehicle: Vehicle { of, x: [zero(), zero(), zero()], law: (0..of.law.a.nrows()).map(|_| zero()).collect() },
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),
             response: Response::default(),

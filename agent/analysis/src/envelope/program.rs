@@ -2,7 +2,8 @@
 //!
 //! For any multipliers λ, whoever found them, and every attack that keeps the limits,
 //! cᵀa = Σ λᵢ mᵢᵀa + (c − Σ λᵢ mᵢ)ᵀa ≤ Σ |λᵢ| lᵢ + Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ: this is the bound told, never the solver's objective.
-//! The attack told is scaled until it keeps every limit: what it reaches is a bound from below.
+//! The attack told is scaled until it keeps every limit: what it reaches is a bound from below. Where a detector is no linear one, its
+//! limits are necessary for its silence in the bound, and sufficient (`silent`) for the attack.
 //!
 //! `interior` solves; what it ends with is only ever a proposal.
 
@@ -28,6 +29,8 @@ pub struct Statistic {
     pub time_s: f64,
     /// l > 0.
     pub limit: f64,
+    /// At most l: whoever keeps this one everywhere keeps what l stands for, such as an energy.
+    pub silent: f64,
     /// m.
     pub row: Signal,
 }
@@ -64,21 +67,31 @@ impl Program {
     /// # Errors
     /// [`EnvelopeError::Infeasible`] for a limit that nothing keeps, [`EnvelopeError::Solver`].
     pub fn solve(&self) -> Result<Bound, EnvelopeError> {
+        let bound = self.within(|s| s.limit)?;
+        if self.statistics.iter().all(|s| s.silent == s.limit) {
+            return Ok(bound);
+        }
+        let Bound { attack, reached, .. } = self.within(|s| s.silent)?;
+        Ok(Bound { attack, reached, ..bound })
+    }
+
+    /// With these limits.
+    fn within(&self, limit: fn(&Statistic) -> f64) -> Result<Bound, EnvelopeError> {
         for s in &self.statistics {
-            if s.limit.is_nan() || s.limit <= 0.0 || !s.row.iter().all(|x| x.is_finite()) {
-                return Err(EnvelopeError::Infeasible { detector: s.detector, limit: s.limit });
+            if limit(s).is_nan() || limit(s) <= 0.0 || !s.row.iter().all(|x| x.is_finite()) {
+                return Err(EnvelopeError::Infeasible { detector: s.detector, limit: limit(s) });
             }
         }
         // Those that can pass their limit, in the order of time; columns as they are first heard of.
         let loud =
-            |s: &&Statistic| s.row.iter().zip(&self.most).map(|(x, most)| (x * most).abs()).sum::<f64>() > s.limit;
+            |s: &&Statistic| s.row.iter().zip(&self.most).map(|(x, most)| (x * most).abs()).sum::<f64>() > limit(s);
         let mut heard: Vec<&Statistic> = self.statistics.iter().filter(loud).collect();
         heard.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         let n = self.objective.len();
         let first = |j: &usize| heard.iter().position(|s| s.row[*j] != 0.0).unwrap_or(heard.len());
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by_cached_key(first);
-        let scaled = |i: usize, j: usize| heard.get(i).map_or(0.0, |s| s.row[order[j]] / s.limit);
+        let scaled = |i: usize, j: usize| heard.get(i).map_or(0.0, |s| s.row[order[j]] / limit(s));
         let m = DMatrix::from_fn(heard.len(), n, scaled);
         let most = Signal::from_iterator(n, order.iter().map(|j| self.most[*j]));
         let mut interior = Interior::new(m, self.objective.select_rows(&order), &most);
@@ -87,7 +100,7 @@ impl Program {
             let nearer = interior.step();
             let mut attack = Signal::zeros(n);
             order.iter().zip(&interior.attack).for_each(|(j, x)| attack[*j] = *x);
-            let found = self.certified(&attack, &heard, &interior.signed(), steps);
+            let found = self.certified(&attack, &heard, &interior.signed(), limit, steps);
             // Of either the best so far: each proves itself.
             best = Some(match best.take() {
                 Some(before) => before.and(found),
@@ -108,12 +121,19 @@ impl Program {
     }
 
     /// What attack and multipliers prove. Neither is taken on trust.
-    fn certified(&self, attack: &Signal, heard: &[&Statistic], multipliers: &[f64], steps: usize) -> Bound {
+    fn certified(
+        &self,
+        attack: &Signal,
+        heard: &[&Statistic],
+        multipliers: &[f64],
+        limit: fn(&Statistic) -> f64,
+        steps: usize,
+    ) -> Bound {
         let mut left = self.objective.clone();
         let mut upper = 0.0;
         let mut shares: Vec<(&'static str, f64)> = Vec::new();
         for (s, z) in heard.iter().zip(multipliers).filter(|(_, z)| z.is_finite()) {
-            left.axpy(-z / s.limit, &s.row, 1.0);
+            left.axpy(-z / limit(s), &s.row, 1.0);
             upper += z.abs();
             match shares.iter_mut().find(|(detector, _)| *detector == s.detector) {
                 Some((_, share)) => *share += z.abs(),
@@ -123,7 +143,7 @@ impl Program {
         let rest: f64 = left.iter().zip(&self.most).map(|(left, most)| left.abs() * most).sum();
         let over = |ratio: f64| if ratio.is_finite() { ratio.max(1.0) } else { f64::INFINITY };
         let bounded = attack.iter().zip(&self.most).map(|(a, most)| (a / most).abs());
-        let limits = self.statistics.iter().map(|s| (s.row.dot(attack) / s.limit).abs());
+        let limits = self.statistics.iter().map(|s| (s.row.dot(attack) / limit(s)).abs());
         let scale = bounded.chain(limits).map(over).fold(1.0, f64::max);
         let attack = attack / scale;
         let binding = shares.iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, share)| *share > rest);
@@ -153,7 +173,14 @@ mod tests {
     use super::*;
 
     fn statistic(row: &[f64], limit: f64) -> Statistic {
-        Statistic { detector: "test", sensor: None, time_s: 0.0, limit, row: Signal::from_column_slice(row) }
+        Statistic {
+            detector: "test",
+            sensor: None,
+            time_s: 0.0,
+            limit,
+            silent: limit,
+            row: Signal::from_column_slice(row),
+        }
     }
 
     #[test]
@@ -173,6 +200,16 @@ mod tests {
     }
 
     #[test]
+    fn the_bound_is_that_of_the_limits_and_the_attack_keeps_the_silent_ones() {
+        let half = Statistic { silent: 2.0, ..statistic(&[1.0], 4.0) };
+        let program =
+            Program { objective: Signal::from_column_slice(&[3.0]), statistics: vec![half], most: vec![10.0] };
+        let bound = program.solve().unwrap();
+        assert!((bound.upper - 12.0).abs() < 0.02 && (bound.reached - 6.0).abs() < 0.02, "{bound:?}");
+        assert!((bound.attack[0] - 2.0).abs() < 0.01);
+    }
+
+    #[test]
     fn multipliers_of_nothing_prove_only_what_may_be_added() {
         let program = Program {
             objective: Signal::from_column_slice(&[1.0, -2.0]),
@@ -180,7 +217,7 @@ mod tests {
             most: vec![5.0; 2],
         };
         let heard: Vec<&Statistic> = program.statistics.iter().collect();
-        let bound = program.certified(&Signal::from_column_slice(&[9.0, -9.0]), &heard, &[0.0], 1);
+        let bound = program.certified(&Signal::from_column_slice(&[9.0, -9.0]), &heard, &[0.0], |s| s.limit, 1);
         assert!((bound.upper - 15.0).abs() < 1e-12 && (bound.reached - 15.0).abs() < 1e-12 && bound.binding.is_none());
     }
 
