@@ -2,9 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use plumbline_analysis::envelope::flying::Regime;
+use plumbline_analysis::envelope::program::Program;
 use plumbline_analysis::envelope::prototype::Prototype;
 use plumbline_analysis::envelope::sets::Asked;
-use plumbline_analysis::envelope::{Deviation, EnvelopeError, program, recession_mps};
+use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
+use plumbline_proto::ids::SensorId;
 use plumbline_rest::envelope::EnvelopeQuestion;
 
 fn of(lasers: usize, attacked: usize, imus: usize, gate_only: bool) -> Prototype {
@@ -32,8 +35,8 @@ fn the_table_of_the_prototype() {
             let bound = program(&model, 10.0, Deviation::Altitude).unwrap().solve().unwrap();
             let (upper, reached) = (100.0 * bound.upper, 100.0 * bound.reached);
             println!(
-                "{attacked} of {lasers}, {imus} IMUs, gates only {gate_only}: {reached:.3} to {upper:.3} cm (prototype {expected}), {} rounds, {:?}",
-                bound.rounds, bound.binding
+                "{attacked} of {lasers}, {imus} IMUs, gates only {gate_only}: {reached:.3} to {upper:.3} cm (prototype {expected}), {} steps, {:?}",
+                bound.steps, bound.binding
             );
             assert!((upper / expected - 1.0).abs() < 0.05, "{upper} cm, prototype {expected}");
             assert!(reached > 0.99 * upper && reached <= upper, "{reached} {upper}");
@@ -49,6 +52,44 @@ fn all_lasers_have_no_end_and_two_of_three_have() {
     assert_eq!(recession_mps(&of(3, 2, 0, false)).unwrap(), None);
 }
 
+/// A model that is followed for every sample.
+struct Followed<'a>(&'a dyn Model);
+
+impl Model for Followed<'_> {
+    fn attacked(&self) -> Vec<(SensorId, f64, f64)> {
+        self.0.attacked()
+    }
+
+    fn respond(
+        &self,
+        horizon_s: f64,
+        width: usize,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Response, EnvelopeError> {
+        self.0.respond(horizon_s, width, attack)
+    }
+}
+
+#[test]
+fn what_one_period_tells_is_what_following_every_sample_tells() {
+    let asked = asked(EnvelopeQuestion::default()).unwrap();
+    for (names, regime) in [(["height 2", "imu 1"], Regime::Full), (["height 1", "height 3"], Regime::Outvoted)] {
+        let set: Vec<SensorId> = names.iter().map(|name| name.parse().unwrap()).collect();
+        let model = asked.flying.attacked(&set, regime).unwrap();
+        assert!(model.period_s(3.02) < 1.0);
+        for deviation in [Deviation::Altitude, Deviation::Climb] {
+            let short = program(&model, 3.02, deviation).unwrap();
+            let long = program(&Followed(&model), 3.02, deviation).unwrap();
+            assert!((&short.objective - &long.objective).amax() < 1e-12 * long.objective.amax());
+            assert_eq!((short.statistics.len(), &short.most), (long.statistics.len(), &long.most));
+            for (a, b) in short.statistics.iter().zip(&long.statistics) {
+                assert_eq!((a.detector, a.sensor, a.time_s, a.limit), (b.detector, b.sensor, b.time_s, b.limit));
+                assert!((&a.row - &b.row).amax() <= 1e-12 * b.row.amax(), "{a:?} {b:?}");
+            }
+        }
+    }
+}
+
 fn asked(question: EnvelopeQuestion) -> Result<Asked, EnvelopeError> {
     Asked::new(&question, None)
 }
@@ -57,22 +98,87 @@ fn refused(question: EnvelopeQuestion) -> String {
     asked(question).unwrap_err().to_string()
 }
 
-#[test]
-fn every_sensor_of_the_default_suite_has_a_bound_and_all_heights_have_none() {
-    let one = EnvelopeQuestion { most: Some(1), ..EnvelopeQuestion::default() };
-    let answer = asked(one).unwrap().answer(false, |set| println!("{set:?}")).unwrap();
-    assert_eq!(answer.sets.len(), 7);
-    for set in &answer.sets {
-        let (upper, reached) = (set.altitude_m.unwrap(), set.reached_m.unwrap());
-        assert!(reached > 0.0 && reached <= upper && reached > 0.98 * upper, "{set:?}");
-        assert!(set.binding.is_some() && set.drift_mps.is_none(), "{set:?}");
+/// Largest objective, by a solver that knows nothing of ours.
+fn by_clarabel(program: &Program) -> f64 {
+    use clarabel::algebra::CscMatrix;
+    use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
+    let n = program.objective.len();
+    let (mut i, mut j, mut v, mut rhs) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let one = |most: &f64, column: usize| (*most, vec![(column, 1.0)]);
+    let bounds = program.most.iter().zip(0..).map(|(most, column)| one(most, column));
+    let limits = program.statistics.iter().map(|s| (s.limit, (0..n).zip(s.row.iter().copied()).collect::<Vec<_>>()));
+    for (limit, row) in bounds.chain(limits) {
+        for sign in [1.0, -1.0] {
+            for (column, x) in row.iter().filter(|(_, x)| *x != 0.0) {
+                i.push(rhs.len());
+                j.push(*column);
+                v.push(sign * x / limit);
+            }
+            rhs.push(1.0);
+        }
     }
-    // What is alike has one program.
-    assert!(answer.sets.iter().filter(|set| set.took_ms == 0.0).count() == 3);
-    let all = Some(["height 1", "height 2", "height 3"].map(str::to_owned).to_vec());
-    let all = asked(EnvelopeQuestion { sensors: all, ..Default::default() }).unwrap().answer(false, |_| ()).unwrap();
-    println!("{:?}", all.sets);
-    assert!(all.sets[0].altitude_m.is_none() && all.sets[0].drift_mps.is_some_and(|drift| drift > 0.001));
+    let a = CscMatrix::new_from_triplets(rhs.len(), n, i, j, v);
+    let c: Vec<f64> = program.objective.iter().map(|c| -c).collect();
+    let cones = [SupportedConeT::NonnegativeConeT(rhs.len())];
+    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
+    let mut solver = DefaultSolver::new(&CscMatrix::zeros((n, n)), &c, &a, &rhs, &cones, settings).unwrap();
+    solver.solve();
+    assert_eq!(solver.solution.status, SolverStatus::Solved);
+    -solver.solution.obj_val
+}
+
+#[test]
+fn another_solver_finds_the_same_optima() {
+    let asked = asked(EnvelopeQuestion::default()).unwrap();
+    for n in 0..10usize {
+        let deviation = if n == 4 { Deviation::Climb } else { Deviation::Altitude };
+        let horizon_s = 3.0 + 0.2 * n as f64;
+        let program = if n % 2 == 0 {
+            program(&of(3 + n % 4, 1 + n % 3, n % 3, n == 8), horizon_s, deviation)
+        } else {
+            // Heights alone: their limits are linear, and one program is solved.
+            let set = if n == 9 { &asked.flying.sensors[..2] } else { &asked.flying.sensors[n % 3..=n % 3] };
+            let regime = if n == 9 { Regime::Outvoted } else { Regime::Full };
+            program(&asked.flying.attacked(set, regime).unwrap(), horizon_s, deviation)
+        }
+        .unwrap();
+        let (bound, theirs) = (program.solve().unwrap(), by_clarabel(&program));
+        println!("{n}, {horizon_s} s: {} ≤ {theirs} ≤ {}", bound.reached, bound.upper);
+        assert!(bound.reached <= theirs * (1.0 + 1e-6) && theirs <= bound.upper * (1.0 + 1e-6), "{n}: {theirs}");
+        assert!(bound.upper < 1.002 * theirs, "{n}: {theirs}, {}", bound.upper);
+    }
+}
+
+#[test]
+fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none() {
+    let answer = asked(EnvelopeQuestion::default())
+        .unwrap()
+        .answer(true, |set| {
+            println!("{set:?}");
+            true
+        })
+        .unwrap();
+    assert_eq!(answer.sets.len(), 7 + 21 + 1);
+    let (all, bounded) = answer.sets.split_last().unwrap();
+    assert_eq!(all.sensors, ["height 1", "height 2", "height 3"]);
+    assert!(all.altitude_m.is_none() && all.drift_mps.is_some_and(|drift| drift > 0.001));
+    for set in bounded {
+        let (upper, reached) = (set.altitude_m.unwrap(), set.reached_m.unwrap());
+        // Energies are bounded from outside, and kept from inside.
+        let least = match set.sensors.iter().filter(|name| name.starts_with("imu")).count() {
+            0 => 0.98,
+            1 => 0.8,
+            _ => 0.1,
+        };
+        assert!(reached > 0.0 && reached <= upper && reached > least * upper, "{set:?}");
+        assert!(set.climb_mps.is_some() && set.binding.is_some() && set.drift_mps.is_none(), "{set:?}");
+    }
+    // What is alike has one program: one IMU, two of them, each height with one of them.
+    assert_eq!(answer.sets.iter().filter(|set| set.took_ms > 0.0).count(), 3 + 1 + 3 + 1 + 3 + 1);
+    // Whoever has one sensor more can do as much.
+    let of = |names: &[&str]| answer.sets.iter().find(|set| set.sensors == names).unwrap().altitude_m.unwrap();
+    assert!(of(&["height 1", "height 2"]) > of(&["height 1"]).max(of(&["height 2"])));
+    assert!(of(&["imu 1", "imu 2"]) > of(&["imu 1"]) && of(&["height 1", "imu 1"]) > of(&["height 1"]));
 }
 
 #[test]
@@ -92,6 +198,9 @@ fn what_cannot_be_bounded_says_why_with_the_value() {
     );
     assert!(refused(EnvelopeQuestion { suite: Some("moon".into()), ..question() }).contains("\"moon\""));
     assert!(refused(EnvelopeQuestion { horizon_s: Some(1e9), ..question() }).contains("1000000000"));
+    let three = EnvelopeQuestion { sensors: of(&["imu 1", "imu 2", "imu 3"]), horizon_s: Some(20.0), ..question() };
+    let refusal = asked(three).unwrap().answer(false, |_| true).unwrap_err().to_string();
+    assert_eq!(refusal, "what the set may add over the horizon, values, is 1500, it must be at most 1000");
     assert!(refused(EnvelopeQuestion { noise_mps2: Some(-1.0), ..question() }).contains("-1"));
     let mut unstable = question();
     unstable.design.tick_rate_hz = Some(200.0);

@@ -76,7 +76,8 @@ impl EnvelopeArguments {
         asked.answer(self.climb, |set| {
             let line = if self.json { serde_json::to_string(set).map_err(Failure::from) } else { Ok(row(set)) };
             let written = line.and_then(|line| Ok(writeln!(out, "{line}")?));
-            failed = failed.take().or(written.err());
+            failed = written.err();
+            failed.is_none()
         })?;
         failed.map_or(Ok(()), Err)
     }

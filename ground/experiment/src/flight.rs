@@ -5,10 +5,11 @@
 use std::collections::VecDeque;
 
 use nalgebra::Vector2;
-use plumbline_agent::attack::Attack;
+use plumbline_agent::attack::{Attack, Sequence};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Flight, FlightConfig, FlightError};
 use plumbline_agent::frames::roll_pitch_yaw;
+use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::sim::scenario::ScenarioError;
 use plumbline_agent::sim::{Scenario, SimVehicle};
 use plumbline_agent::types::GRAVITY_MPS2;
@@ -45,10 +46,20 @@ pub struct Setup {
     pub reception: Reception,
     /// What is done to the sensors; onsets count from boot.
     pub attacks: Vec<Attack>,
+    /// What biases among them follow.
+    pub sequences: Vec<Sequence>,
     /// The error counts from here on, s.
     pub judged_from_s: f64,
     /// More is attacked than can be borne: what is asked for is a controlled descent.
     pub comes_down: bool,
+}
+
+/// The sensors of a scenario, TOML as it stands in a flight.
+///
+/// # Errors
+/// [`ScenarioError`] naming key and value.
+pub fn suite_of(scenario: &str) -> Result<Suite, ScenarioError> {
+    Scenario::from_toml(scenario).map(|scenario| scenario.suite)
 }
 
 /// Flies it to its end, or until it is lost.
@@ -76,8 +87,7 @@ pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) ->
         let (now, t) = (frame.time, frame.time.as_seconds());
         flights.each(|flight| flight.heartbeat(now));
         if tick == 0 && !attacks.is_empty() && *reception == Reception::All {
-            let schedule = schedule(attacks);
-            let ack = flights.chosen().apply(&Command::Attack(schedule), now);
+            let ack = flights.chosen().apply(&Command::Attack(schedule(setup)), now);
             if !ack.accepted {
                 return Err(FlyError::Attacks(ack.reason.to_string()));
             }

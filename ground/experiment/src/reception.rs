@@ -43,8 +43,8 @@ impl Reception {
     ];
 }
 
-pub(crate) fn schedule(attacks: &[Attack]) -> Schedule {
-    Schedule { id: 1, attacks: attacks.iter().copied().collect(), ..Schedule::default() }
+pub(crate) fn schedule(setup: &Setup) -> Schedule {
+    Schedule { id: 1, attacks: setup.attacks.iter().copied().collect(), sequences: setup.sequences.clone() }
 }
 
 /// `frame` without this sensor.
@@ -78,7 +78,7 @@ impl<'a> Receiver<'a> {
     pub(crate) fn new(setup: &'a Setup) -> Result<Self, FlyError> {
         let mut injector = Injector::new(setup.config.attacks.bounds, true, &setup.config.sensors);
         if !matches!(setup.reception, Reception::All | Reception::Oracle) && !setup.attacks.is_empty() {
-            let uploaded = injector.upload(&schedule(&setup.attacks), FlightTime(0));
+            let uploaded = injector.upload(&schedule(setup), FlightTime(0));
             uploaded.map_err(|error| FlyError::Attacks(error.to_string()))?;
         }
         Ok(Self { setup, injector, monitor: Monitor::default(), medians: Medians::default() })

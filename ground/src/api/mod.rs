@@ -14,6 +14,7 @@ mod compute;
 mod control;
 mod design;
 mod download;
+mod envelope;
 mod error;
 mod estimates;
 mod experiments;
@@ -106,6 +107,7 @@ pub(crate) struct Inner {
     downloads: Arc<Downloads>,
     computing: compute::Turns,
     uploads: compute::Turns,
+    envelopes: envelope::Envelopes,
     thinning: Semaphore,
 }
 
@@ -132,6 +134,7 @@ impl App {
             downloads: Arc::default(),
             computing: compute::Turns::new(),
             uploads: compute::Turns::new(),
+            envelopes: envelope::Envelopes::default(),
             thinning: Semaphore::new(THINNING),
         }))
     }
@@ -240,11 +243,13 @@ fn routes() -> Vec<Route> {
         post   "/api/v1/vehicles/{id}/gains/revert"     Operate gains::revert;
         post   "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::fly;
         delete "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::stop;
+        get    "/api/v1/vehicles/{id}/envelope"         View    envelope::show;
         get    "/api/v1/vehicles/{id}/lease"            View    lease::show;
         put    "/api/v1/vehicles/{id}/lease"            Operate lease::take;
         delete "/api/v1/vehicles/{id}/lease"            Operate lease::release;
         post   "/api/v1/design/preview"              View    design::preview;
         get    "/api/v1/design/controllers"          View    design::controllers;
+        post   "/api/v1/envelope"                    View    envelope::ask;
         get    "/api/v1/calibrations"                View    calibrations::list;
         post   "/api/v1/calibrations"                Operate calibrations::create, calibrations::MAX_TABLE;
         get    "/api/v1/calibrations/{id}"           View    calibrations::show;

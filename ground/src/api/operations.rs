@@ -5,6 +5,7 @@ use plumbline_rest::command::{
     Answer, AttackPlan, Decoder, Estimator, Mode, Recording, Replay, Setpoint, Simulator, Trajectory, Which,
 };
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
+use plumbline_rest::envelope::{Envelope, EnvelopeQuestion};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
 use plumbline_rest::flight::{Due, Flight, Flights, Labels};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
@@ -147,11 +148,20 @@ pub(super) const OPERATIONS: &[Operation] = &[
         post("/api/v1/vehicles/{id}/trajectory", "Flies a path from where the setpoint is").takes(of::<Trajectory>),
     ),
     command(delete("/api/v1/vehicles/{id}/trajectory", "Stops it")),
+    get("/api/v1/vehicles/{id}/envelope", "How far an attacker who is not seen can push it").json(of::<Envelope>),
     get("/api/v1/vehicles/{id}/lease", "Who holds control").json(of::<Lease>),
     put("/api/v1/vehicles/{id}/lease", "Takes control").json(of::<Lease>),
     delete("/api/v1/vehicles/{id}/lease", "Gives control back").json(of::<Lease>),
     post("/api/v1/design/preview", "What a design would do").query(AROUND).takes(of::<Question>).json(of::<Preview>),
     get("/api/v1/design/controllers", "Controllers, with their parameters").query(AROUND).json(of::<Controllers>),
+    post("/api/v1/envelope", "How far an attacker who is not seen can push a vehicle")
+        .query(&[(
+            "vehicle",
+            "string",
+            "Its sensors, airframe, tick rate and gains in use stand in for what is left out.",
+        )])
+        .takes(of::<EnvelopeQuestion>)
+        .json(of::<Envelope>),
     get("/api/v1/calibrations", "Calibrations kept").json(of::<Calibrations>),
     post("/api/v1/calibrations", "Fits a calibration and keeps it").takes(of::<Fit>).created(of::<Calibration>),
     get("/api/v1/calibrations/{id}", "A calibration, whole").json(of::<Calibration>),

@@ -1,4 +1,4 @@
-//! How far an attacker who is not seen can push the vehicle (`POST /api/v1/envelope`).
+//! How far an attacker who is not seen can push the vehicle (`GET /api/v1/vehicles/{id}/envelope`, `POST /api/v1/envelope`).
 
 use serde::{Deserialize, Serialize};
 
@@ -12,10 +12,10 @@ pub struct EnvelopeQuestion {
     /// The gains, as a design; its airframe and tick rate count.
     #[serde(default)]
     pub design: Design,
-    /// Name of a suite of sensors; `string_rig` where it is left out.
+    /// Name of a suite of sensors; where it is left out that of the vehicle asked about, or `string_rig`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub suite: Option<String>,
-    /// All sets of at most so many sensors; 2 where it is left out.
+    /// All sets of at most so many sensors, 1 to 3, and all heights; 2 where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub most: Option<usize>,
     /// Only this set: sensors by name, `height 2`.
@@ -34,7 +34,7 @@ pub struct EnvelopeQuestion {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Envelope {
-    /// Name of the suite.
+    /// Name of the suite, or of the vehicle whose it is.
     pub suite: String,
     /// Name of the airframe.
     pub airframe: String,

@@ -16,6 +16,7 @@ mod chaos_power;
 mod chaos_sensors;
 mod clinic;
 mod disk;
+mod envelope;
 mod evaluate;
 mod figures;
 mod paternain;
@@ -29,7 +30,7 @@ use std::process::{ExitCode, Termination as _};
 /// A campaign's name and what runs it.
 type Campaign = (&'static str, fn() -> ExitCode);
 
-const CAMPAIGNS: [Campaign; 15] = [
+const CAMPAIGNS: [Campaign; 16] = [
     ("attacks", || attacks::run().report()),
     ("chaos_clients", chaos_clients::run),
     ("chaos_clock", chaos_clock::run),
@@ -40,6 +41,7 @@ const CAMPAIGNS: [Campaign; 15] = [
     ("chaos_power", chaos_power::run),
     ("chaos_sensors", chaos_sensors::run),
     ("clinic", clinic::run),
+    ("envelope", || envelope::run().report()),
     ("evaluate", || evaluate::run().report()),
     ("paternain", paternain::run),
     ("soak", soak::run),

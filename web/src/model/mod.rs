@@ -9,6 +9,7 @@ pub mod csv;
 pub mod curves;
 pub mod decimate;
 pub mod draft;
+pub mod envelope;
 pub mod experiment;
 pub mod format;
 pub mod instrument;

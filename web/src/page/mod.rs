@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod compare;
+mod envelope;
 mod experiments;
 pub mod flight;
 pub mod flights;

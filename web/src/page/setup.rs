@@ -209,6 +209,7 @@ pub fn Setup() -> impl IntoView {
                         }.into_any(),
                     }}
                 </section>
+                <super::envelope::EnvelopeCard />
                 <section class="card facts" aria-label="Sensor suite">
                     <header><h2>"Sensor suite"</h2></header>
                     {move || match description.get().filter(|d| !d.sensors.is_empty()) {

@@ -5,8 +5,9 @@
 //! | slot of a lane | finite differences of the lane that flies (`lanes/linear.rs`), covariance steady |
 //! | fused altitude | mean of the lanes, brought from the horizon to now by the integrals of all IMUs |
 //! | law | its linear form, that margins are judged by |
-//! | vehicle | linearised hover, motors' lag and one tick of delay as margins have them |
+//! | vehicle | linearised hover, motors' lag as margins have it; no delay, as the simulator has none |
 //! | judges | `judges.rs`, their limits the constants in use |
+//! | attack | a value for each sample of a height; for an IMU one for each slot, whose mean is all that a lane is given |
 //!
 //! Where a judge makes a sensor weigh less before it excludes it, the loop is linear up to there only: it is solved as
 //! [`Regime::Full`], everything weighing fully and that limit not passed, and where heights attacked are no minority also as
@@ -19,7 +20,7 @@ use std::collections::VecDeque;
 use nalgebra::DMatrix;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::margins::Plant;
-use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, STATES, SlotMap, cycle, of_imus, slot_of};
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, STATES, SlotMap, cycle, of_heights, of_imus, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::discretize::zero_order_hold;
 use plumbline_core::model::linearize::{hover, ix};
@@ -36,8 +37,6 @@ use super::{EnvelopeError, Model, Response, Signal};
 pub(super) const ALTITUDE_M: f64 = 1.0;
 /// Slots after which the samples of all heights must repeat.
 const LONGEST_CYCLE: usize = 25;
-/// An attack on an IMU holds for so many slots.
-pub const HELD: usize = 2;
 
 /// The loop, whoever is attacked.
 #[derive(Debug, Clone)]
@@ -190,8 +189,6 @@ struct Vehicle<'a> {
     /// Altitude, climb, thrust behind the lag.
     x: [Signal; 3],
     law: Vec<Signal>,
-    /// Asked for at the tick before.
-    asked: Signal,
 }
 
 fn weighted<'s>(row: impl Iterator<Item = f64>, of: impl Iterator<Item = &'s Signal>, width: usize) -> Signal {
@@ -212,10 +209,9 @@ impl Vehicle<'_> {
         let next = (0..law.a.nrows()).map(|row| seen(&law.a, &law.b, row, &self.law)).collect();
         self.law = next;
         let (a, b) = &self.of.vehicle;
-        let before = std::mem::replace(&mut self.asked, asked);
         let moved = |row: usize| {
             let mut x = weighted(a.row(row).iter().copied(), self.x.iter(), width);
-            x.axpy(b[(row, 0)], &before, 1.0);
+            x.axpy(b[(row, 0)], &asked, 1.0);
             x
         };
         self.x = [moved(0), moved(1), moved(2)];
@@ -316,8 +312,15 @@ impl Model for Attacked<'_> {
             let every_s = of.timing.get(*i).map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
             (SensorId::new(SensorKind::Height, *i as u8 + 1), every_s, of.most.0)
         };
-        let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), HELD as f64 * SLOT, of.most.1);
+        let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), SLOT, of.most.1);
         self.heights.iter().map(height).chain(self.imus.iter().map(imu)).collect()
+    }
+
+    fn period_s(&self, horizon_s: f64) -> f64 {
+        let Ok(schedule) = self.flying.schedule() else { return horizon_s };
+        let all = |slots: &usize| [schedule.len(), of_heights::EVERY].iter().all(|own| slots.is_multiple_of(*own));
+        let slots = (schedule.len()..=schedule.len() * of_heights::EVERY).find(all).unwrap_or(usize::MAX);
+        (slots as f64 * SLOT).min(horizon_s)
     }
 
     fn respond(
@@ -348,12 +351,7 @@ impl Model for Attacked<'_> {
                 share: 1.0 / of.imus as f64,
             },
             judges: Judges::new(self, &rates_hz, of.imus, of.noise_mps2, width),
-            vehicle: Vehicle {
-                of,
-                x: [zero(), zero(), zero()],
-                law: (0..of.law.a.nrows()).map(|_| zero()).collect(),
-                asked: zero(),
-            },
+            vehicle: Vehicle { of, x: [zero(), zero(), zero()], law: (0..of.law.a.nrows()).map(|_| zero()).collect() },
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),
             response: Response::default(),
@@ -381,7 +379,7 @@ struct Running<'a> {
 
 impl Running<'_> {
     fn added(&self, i: usize, slot: usize) -> Signal {
-        (self.attack)(SensorId::new(SensorKind::Imu, i as u8 + 1), slot / HELD)
+        (self.attack)(SensorId::new(SensorKind::Imu, i as u8 + 1), slot)
     }
 
     fn tick(&mut self, tick: usize) {

@@ -4,7 +4,8 @@
 //! - A mean mᵢ of residuals is within L σ of the robust centre c where Σ ψ((mⱼ − mᵢ)/σ + L) ≥ ρ (mᵢ/σ − L), ψ clipped at κ. With
 //!   ψ(x) ≤ x for the healthy and ψ ≤ κ for the attacked, (h + ρ) mᵢ − Σ_healthy m ≤ σ (κ s + (h + ρ) L); likewise for a healthy
 //!   one that is outvoted, the parts exchanged. h healthy, s attacked, ρ = (σ/prior)².
-//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds (Σ wₖ eₖ)² by Σ wₖ L s² (Cauchy and Schwarz).
+//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds (Σ wₖ eₖ)² by Σ wₖ L s² (Cauchy and Schwarz), and each eₖ² by L s²; an
+//!   attack with each eₖ² ≤ L s²/Σ wₖ keeps it. So it is with the mean square of the vote.
 
 use std::collections::VecDeque;
 
@@ -116,7 +117,7 @@ impl Judges {
             }
             let innovation = differ.iter().fold(own.clone(), |sum, other| sum + other * share);
             let mut add = |detector, limit, row| {
-                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, row });
+                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, silent: limit, row });
             };
             if let Some(others) = others.as_ref().filter(|_| attacked < healthy && attacked + healthy > 2) {
                 add("height reach", of_heights::REACH_M, &innovation - others);
@@ -149,7 +150,7 @@ impl Judges {
                 these.fold(Signal::zeros(self.width), |sum, (mean, _)| sum + mean)
             };
             let (sums, mut add) = ([sum(false), sum(true)], |i: usize, limit: f64, row: Signal| {
-                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, row });
+                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, silent: limit, row });
             });
             // At most a minority is ever excluded: of two none.
             let excludes = attacked + healthy > 2;
@@ -185,7 +186,9 @@ impl Judges {
         let attacked = self.imus.len();
         for (place, (imu, added)) in self.imus.iter().zip(added).enumerate() {
             let sensor = Some(SensorId::new(SensorKind::Imu, *imu as u8 + 1));
-            let mut add = |detector, limit, row| out.push(Statistic { detector, sensor, time_s, limit, row });
+            let mut add = |detector, (limit, silent), row| {
+                out.push(Statistic { detector, sensor, time_s, limit, silent, row });
+            };
             // A vote needs a majority.
             if let (true, Some(kept), Some(learned), Some([_, _, bias])) = (
                 2 * attacked < self.of_imus,
@@ -198,8 +201,9 @@ impl Judges {
                 kept.pop_back();
                 kept.push_front(deviation.clone());
                 let (shift, size) = of_imus::LIMITS;
-                add("IMU vote", shift * self.usual_mps2, mean(kept.iter().cloned(), n, self.width));
-                add("IMU vote, one slot", size * (n as f64).sqrt() * self.usual_mps2, deviation);
+                let (shift, size) = (shift * self.usual_mps2, size * self.usual_mps2);
+                add("IMU vote", (shift, shift), mean(kept.iter().cloned(), n, self.width));
+                add("IMU vote, one slot", (size * (n as f64).sqrt(), size), deviation);
                 let towards = bias - &*learned;
                 learned.axpy(of_imus::LEARNED, &towards, 1.0);
             }
@@ -208,12 +212,15 @@ impl Judges {
                 *evidence *= keep();
                 let mut sigma_m: f64 = 0.0;
                 for (_, sigma, _, differ) in innovations {
-                    differ.get(place).into_iter().for_each(|innovation| *evidence += innovation);
+                    let Some(innovation) = differ.get(place) else { continue };
+                    *evidence += innovation;
                     sigma_m = sigma_m.max(*sigma);
+                    let limit = sigma * of_imus::EVIDENCE.sqrt();
+                    add("IMU evidence, one sample", (limit, limit / self.weight.sqrt()), innovation.clone());
                 }
                 if sigma_m > 0.0 {
                     let limit = sigma_m * (of_imus::EVIDENCE * self.weight).sqrt();
-                    add("IMU evidence", limit, evidence.clone());
+                    add("IMU evidence", (limit, limit), evidence.clone());
                 }
             }
         }

@@ -15,6 +15,7 @@
 //! bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
 pub mod flying;
+mod interior;
 mod judges;
 pub mod program;
 pub mod prototype;
@@ -34,6 +35,9 @@ pub type Signal = DVector<f64>;
 const RAMP_S: f64 = 60.0;
 /// … after which no statistic is larger than this part of its largest, and the deviation follows the ramp to this part.
 const SETTLED: f64 = 0.02;
+
+/// Largest program: a second of computing.
+const COLUMNS: usize = 1000;
 
 /// Why there is no envelope.
 #[derive(Debug, thiserror::Error)]
@@ -112,6 +116,12 @@ pub trait Model {
     /// Those attacked, each with the time between two of its columns, s, and the most that may be added.
     fn attacked(&self) -> Vec<(SensorId, f64, f64)>;
 
+    /// After so long, s, everything repeats: what is heard of a sample is heard of the one so much later, so much later. The horizon
+    /// for a model that does not say.
+    fn period_s(&self, horizon_s: f64) -> f64 {
+        horizon_s
+    }
+
     /// The loop over `horizon_s`, from rest, where `attack` is added to the n-th sample of a sensor.
     ///
     /// # Errors
@@ -144,33 +154,56 @@ pub fn columns(model: &dyn Model, horizon_s: f64) -> Vec<(SensorId, usize, usize
     model.attacked().into_iter().map(place).collect()
 }
 
-/// The program of `model` for the largest `deviation` at the end of the horizon.
+/// The program of `model` for the largest `deviation` at the end of the horizon. The loop is followed for the samples of one period
+/// only; what is heard of the others is the same, later.
 ///
 /// # Errors
 /// As [`Model::respond`].
 pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Result<Program, EnvelopeError> {
-    let columns = columns(model, horizon_s);
-    let width = columns.iter().map(|(_, _, count)| count).sum();
+    let period_s = model.period_s(horizon_s);
+    let (all, own) = (columns(model, horizon_s), columns(model, period_s));
+    let width = |of: &[(SensorId, usize, usize)]| of.iter().map(|(_, _, count)| count).sum::<usize>();
+    if width(&all) > COLUMNS {
+        let value = width(&all) as f64;
+        return Err(EnvelopeError::Value {
+            what: "what the set may add over the horizon, values,",
+            value,
+            expected: "at most 1000",
+        });
+    }
     let unit = |sensor: SensorId, k: usize| {
-        let mut signal = Signal::zeros(width);
-        let place = columns.iter().find(|(of, _, count)| *of == sensor && k < *count);
+        let mut signal = Signal::zeros(width(&own));
+        let place = own.iter().find(|(of, _, count)| *of == sensor && k < *count);
         if let Some(one) = place.and_then(|(_, first, _)| signal.get_mut(first + k)) {
             *one = 1.0;
         }
         signal
     };
-    let response = model.respond(horizon_s, width, &unit)?;
+    let response = model.respond(horizon_s, width(&own), &unit)?;
     let followed = match deviation {
         Deviation::Altitude => response.altitude_m,
         Deviation::Climb => response.climb_mps,
     };
-    let most =
-        model.attacked().into_iter().zip(&columns).flat_map(|((_, _, most), (_, _, n))| vec![most; *n]).collect();
-    Ok(Program {
-        objective: followed.into_iter().next_back().unwrap_or_else(|| Signal::zeros(width)),
-        statistics: response.statistics,
-        most,
-    })
+    // Places of a period in what is followed, and in what is judged.
+    let slots = (followed.len() as f64 * period_s / horizon_s).round() as usize;
+    let judged = response.statistics.iter().take_while(|s| s.time_s < period_s + 1e-9).count();
+    let row = |at: usize, places: usize, heard: &dyn Fn(usize) -> Option<Signal>| {
+        let mut row = Signal::zeros(width(&all));
+        for ((_, to, count), (_, from, each)) in all.iter().zip(&own).filter(|(_, (_, _, each))| *each > 0) {
+            for periods in 0..count.div_ceil(*each) {
+                let Some(heard) = at.checked_sub(periods * places).and_then(heard) else { break };
+                let fewer = (count - periods * each).min(*each);
+                row.rows_mut(to + periods * each, fewer).copy_from(&heard.rows(*from, fewer));
+            }
+        }
+        row
+    };
+    let heard = |at: usize| response.statistics.get(at).map(|s| s.row.clone());
+    let statistics = response.statistics.iter().enumerate();
+    let statistics = statistics.map(|(at, s)| Statistic { row: row(at, judged, &heard), ..*s }).collect();
+    let most = model.attacked().into_iter().zip(&all).flat_map(|((_, _, most), (_, _, n))| vec![most; *n]).collect();
+    let last = followed.len().saturating_sub(1);
+    Ok(Program { objective: row(last, slots, &|at| followed.get(at).cloned()), statistics, most })
 }
 
 /// Is there a direction without an end? A ramp of 1 m/s in all attacked heights that moves the vehicle as fast while every

@@ -22,7 +22,7 @@ use crate::design::file::{field, proposal};
 /// Horizons that may be asked for, s: the longest mean has 24 samples.
 const HORIZON_S: (f64, f64) = (3.0, 20.0);
 /// Largest set asked for.
-const MOST: usize = 4;
+const MOST: usize = 3;
 
 fn wrong(name: &str, problem: String) -> EnvelopeError {
     field(name, problem).into()
@@ -94,11 +94,12 @@ pub struct Asked {
     suite: String,
     airframe: String,
     horizon_s: f64,
-    sets: Vec<Vec<SensorId>>,
+    /// In order, the smaller first.
+    pub sets: Vec<Vec<SensorId>>,
 }
 
 impl Asked {
-    /// Reads `question`; `suite` is the one it names, where the caller knows it better than by name.
+    /// Reads `question`; `suite` is the one it names, where that is none of the presets.
     ///
     /// # Errors
     /// [`EnvelopeError`] naming field and value.
@@ -143,17 +144,24 @@ impl Asked {
                 if !(1..=MOST).contains(&most) {
                     return Err(wrong("most", format!("is {most}, it must be 1 to {MOST}")));
                 }
-                (1..=most).flat_map(|count| sets(&flying.sensors, count)).collect()
+                let mut all: Vec<_> = (1..=most).flat_map(|count| sets(&flying.sensors, count)).collect();
+                // Where the promise ends.
+                let heights = flying.sensors.iter().copied().filter(|sensor| sensor.kind == SensorKind::Height);
+                let heights: Vec<SensorId> = heights.collect();
+                if heights.len() > most {
+                    all.push(heights);
+                }
+                all
             }
         };
         Ok(Self { flying, suite: name.to_owned(), airframe: airframe.name.clone(), horizon_s, sets })
     }
 
-    /// Every set; with `climb` its largest climb as well. `line` is told each as it comes.
+    /// Every set; with `climb` its largest climb as well. `line` is told each as it comes, and ends it with false.
     ///
     /// # Errors
     /// [`EnvelopeError`].
-    pub fn answer(&self, climb: bool, mut line: impl FnMut(&EnvelopeSet)) -> Result<Envelope, EnvelopeError> {
+    pub fn answer(&self, climb: bool, mut line: impl FnMut(&EnvelopeSet) -> bool) -> Result<Envelope, EnvelopeError> {
         let mut known: Vec<((Vec<SensorId>, usize), EnvelopeSet)> = Vec::new();
         let mut sets = Vec::with_capacity(self.sets.len());
         for set in &self.sets {
@@ -175,8 +183,10 @@ impl Asked {
                 }
             };
             found.sensors = set.iter().map(ToString::to_string).collect();
-            line(&found);
             sets.push(found);
+            if !sets.last().is_some_and(&mut line) {
+                break;
+            }
         }
         Ok(Envelope { suite: self.suite.clone(), airframe: self.airframe.clone(), horizon_s: self.horizon_s, sets })
     }

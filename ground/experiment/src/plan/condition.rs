@@ -118,6 +118,7 @@ impl Condition {
             config: self.config.clone(),
             reception: self.reception,
             attacks,
+            sequences: Vec::new(),
             judged_from_s,
             comes_down: self.attacked.colludes(),
         }

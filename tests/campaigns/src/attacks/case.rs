@@ -184,6 +184,7 @@ impl Pilot {
             config,
             reception,
             attacks: attacks.to_vec(),
+            sequences: Vec::new(),
             judged_from_s,
             comes_down: false,
         }

@@ -1,0 +1,25 @@
+//! The attack envelope flown: GIVEN a world without noise WHEN attacks are worn THEN none goes further than its bound unseen.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly};
+
+#[test]
+fn unseen_attacks_stay_within_their_bounds_and_the_worst_come_near() {
+    let clean = fly("ideal", 1, &Worn::default());
+    assert!(clean.seen.is_none() && clean.altitude_m.iter().all(|z| (z - 1.0).abs() < 0.02), "{:?}", clean.excluded);
+    let bounds = Bounds::new(clean.noise_mps2);
+    for names in ["height 2", "imu 1", "height 1, imu 1"] {
+        let set = bounds.sets.iter().find(|set| set.name() == names).unwrap();
+        let flight = fly("ideal", 1, &bounds.worst(set, 1.0));
+        let part = flight.unseen_m(&clean) / set.bound_m;
+        println!("{names}: {part:.3} of {:.4} m, excluded {:?}", set.bound_m, flight.excluded);
+        assert!(flight.seen.is_none() && part > 0.9 && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
+    }
+    for (set, seed) in bounds.sets.iter().cycle().step_by(5).zip(1..=6) {
+        let (shape, attack) = bounds.drawn(set, seed);
+        let part = fly("ideal", 1, &attack).unseen_m(&clean) / set.bound_m;
+        println!("{}, {shape}: {part:.3}", set.name());
+        assert!(part <= LINEAR, "{}, {shape} of seed {seed}: {part}", set.name());
+    }
+}

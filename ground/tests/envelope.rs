@@ -1,0 +1,95 @@
+//! The attack envelope over HTTP.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::Ground;
+use plumbline_proto::Kind;
+use plumbline_proto::v1;
+use serde_json::Value;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let path = "/api/v1/envelope";
+    let body = r#"{"sensors":["height 2"],"horizon_s":5}"#;
+    let answer = ground.request("POST", path, body).await;
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    let first = answer.json();
+    let bound = first["sets"][0]["altitude_m"].as_f64().unwrap();
+    assert!((0.01..0.05).contains(&bound) && first["suite"] == "string_rig", "{first}");
+    // The time it took says that it was not solved again.
+    assert_eq!(ground.request("POST", path, body).await.json(), first);
+    let unstable = format!(r#"{{"design":{{"k":{k},"k_attitude":{k}}}}}"#, k = pushing_away());
+    for (body, named) in [
+        (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one of the suite's heights and IMUs: height 1, "),
+        (r#"{"most":12}"#, "a set of 12 sensors: the suite has 7"),
+        (r#"{"suite":"moon"}"#, "moon"),
+        (r#"{"colour":1}"#, "colour"),
+        (r#"{"horizon_s":0.1}"#, "horizon_s is 0.1"),
+        (r#"{"design":{"controller":"magic"}}"#, "magic"),
+        (unstable.as_str(), "these gains do not stabilise: the slowest pole is at +"),
+    ] {
+        let answer = ground.request("POST", path, body).await;
+        assert_eq!(answer.status, 422, "{body}: {}", answer.text());
+        assert!(answer.error().contains(named), "{body}: {}", answer.error());
+    }
+    ground.stop().await;
+}
+
+/// 4 rows of 16 that leave a setpoint the faster the further it is.
+fn pushing_away() -> Value {
+    let mut k = vec![vec![0.0; 16]; 4];
+    k[0][2] = -50.0;
+    serde_json::json!(k)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_vehicle_has_the_envelope_of_its_own_sensors_and_gains() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    let path = "/api/v1/vehicles/iris-1/envelope";
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["id"] == "iris-1").await;
+    let early = ground.get(path).await;
+    assert!(early.status == 404 && early.error().contains("has not told its sensors yet"), "{}", early.text());
+    assert_eq!(ground.get("/api/v1/vehicles/nobody/envelope").await.status, 404);
+    let description = v1::Description {
+        agent_id: "iris-1".into(),
+        airframe: "iris".into(),
+        rig: "strings".into(),
+        tick_rate_hz: 200.0,
+        scenario: "name = \"five\"\n[suite]\npreset = \"clinic\"\n".into(),
+        ..Default::default()
+    };
+    agent.say(Kind::Description, 0, &description).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
+    let envelope = ground.json(path).await;
+    assert_eq!((&envelope["suite"], &envelope["airframe"]), (&"iris-1".into(), &"iris".into()));
+    let sets = envelope["sets"].as_array().unwrap();
+    assert_eq!(sets.len(), 6 + 15, "no set of all heights more, two heights and four IMUs: {envelope}");
+    let of = |envelope: &Value, names: &[&str]| {
+        envelope["sets"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|set| set["sensors"] == serde_json::json!(names))
+            .unwrap()
+            .clone()
+    };
+    // Nothing is left that could contradict them.
+    assert!(of(&envelope, &["height 1", "height 2"])["drift_mps"].as_f64().unwrap() > 0.01);
+    assert!(of(&envelope, &["imu 3"])["altitude_m"].as_f64().unwrap() > 0.001);
+    // Others' gains are another question.
+    let softer = r#"{"design":{"controller":"pid"},"sensors":["imu 3"]}"#;
+    let softer = ground.request("POST", "/api/v1/envelope?vehicle=iris-1", softer).await;
+    assert_eq!(softer.status, 200, "{}", softer.text());
+    let (old, new) = (of(&envelope, &["imu 3"]), of(&softer.json(), &["imu 3"]));
+    assert!(
+        (new["altitude_m"].as_f64().unwrap() / old["altitude_m"].as_f64().unwrap() - 1.0).abs() > 0.01,
+        "{old} {new}"
+    );
+    ground.stop().await;
+}

@@ -1,0 +1,157 @@
+//! `cargo xtask reproduce envelope`: the attack envelope against flights of the nonlinear vehicle.
+//!
+//! The maximising sequence of every set of one or two sensors of the default suite, and drawn attacks on them. The deviation is that
+//! of the true altitude from the same flight without the attack, until somebody is excluded. `--flights N` draws so many attacks in
+//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst` or one world, `--quick` a twentieth.
+
+use std::collections::HashMap;
+
+use plumbline_experiment::draw::{parallel, percentile, worst};
+use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly};
+use plumbline_tests::report::{Report, ReportError};
+use serde_json::json;
+
+/// A maximising sequence reaches at least this part of its bound …
+const REACHED: f64 = 0.9;
+/// … whole, or scaled down this far where it is seen.
+const PARTS: [f64; 4] = [1.0, 0.95, 0.8, 0.6];
+/// Worlds that attacks are drawn in; in the first none may go further than its bound unseen.
+const WORLDS: [&str; 3] = ["ideal", "bench", "datasheet"];
+/// Flights without an attack that attacked ones are held against, in a world with noise.
+const CLEAN: u64 = 25;
+
+struct Effort {
+    flights: u64,
+    seed_base: u64,
+    only: Option<String>,
+}
+
+impl Effort {
+    fn asked() -> Self {
+        let arguments: Vec<String> = std::env::args().collect();
+        let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
+        let number = |name: &str, default| {
+            value(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} {text}: not a number")))
+        };
+        let quick = arguments.iter().any(|a| a == "--quick");
+        Self {
+            flights: number("--flights", if quick { 50 } else { 1000 }),
+            seed_base: number("--seed-base", 1_000),
+            only: value("--only").cloned(),
+        }
+    }
+
+    fn wants(&self, name: &str) -> bool {
+        self.only.as_deref().is_none_or(|only| only == name)
+    }
+}
+
+pub fn run() -> Result<(), ReportError> {
+    let effort = Effort::asked();
+    let mut report = Report::open("reproduce", "envelope", "The attack envelope, flown")?;
+    report.paragraph(&format!(
+        "Every set of one or two sensors of the default suite, {HORIZON_S} s from the onset. Deviation: true altitude less that of the \
+         same flight without the attack, until somebody is excluded. In ideal the sensors have a hundredth of their noise and no bias, and nothing disturbs; \
+         {} attacks are drawn in each world from seed {}.",
+        effort.flights, effort.seed_base
+    ));
+    if effort.wants("worst") {
+        worst_of(&mut report, &effort)?;
+    }
+    for world in WORLDS.into_iter().filter(|world| effort.wants(world)) {
+        drawn(&mut report, world, &effort)?;
+    }
+    report.finish().map(|_| ())
+}
+
+/// Each maximising sequence in the ideal world.
+fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
+    report.heading("Maximising sequences in the ideal world");
+    let clean = fly("ideal", effort.seed_base, &Worn::default());
+    let bounds = Bounds::new(clean.noise_mps2);
+    let flown = parallel(bounds.sets.len(), |i| {
+        let set = &bounds.sets[i];
+        let tries = PARTS.map(|part| (part, fly("ideal", effort.seed_base, &bounds.worst(set, part))));
+        let unseen = tries.iter().find(|(_, flight)| flight.seen.is_none()).cloned();
+        unseen.unwrap_or_else(|| tries[0].clone())
+    });
+    let mut rows = Vec::new();
+    for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
+        let reached = flight.unseen_m(&clean) / set.bound_m;
+        let excluded: Vec<String> = flight.excluded.iter().map(ToString::to_string).collect();
+        let holds = flight.seen.is_none() && (REACHED..=LINEAR).contains(&reached);
+        let more = json!({
+            "bound_m": set.bound_m, "linear_m": set.reached_m, "binding": set.binding, "part": part, "excluded": excluded, "target": REACHED, "holds": holds,
+        });
+        report.value(&format!("worst/{}", set.name()), reached, "of the bound", more);
+        rows.push(vec![
+            set.name(),
+            format!("{:.2}", 100.0 * set.bound_m),
+            set.binding.into(),
+            format!("{part:.2}"),
+            format!("{reached:.3}"),
+            excluded.join(", "),
+        ]);
+    }
+    let headers = ["attacked", "bound, cm", "held by", "scaled by", "flown, of the bound", "excluded"];
+    report.table("worst", "Maximising sequences", &headers, &rows)
+}
+
+/// Drawn attacks in one world.
+fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), ReportError> {
+    report.heading(&format!("Drawn attacks: {world}"));
+    let seeds = if world == "ideal" { 1 } else { CLEAN };
+    let clean: Vec<Flown> = parallel(seeds as usize, |i| fly(world, effort.seed_base + i as u64, &Worn::default()));
+    // What was seen without an attack is no attack seen.
+    let quiet: Vec<usize> = (0..clean.len()).filter(|i| clean[*i].seen.is_none()).collect();
+    let noise_mps2 = worst(&clean.iter().map(|flight| flight.noise_mps2).collect::<Vec<_>>());
+    let bounds = Bounds::new(noise_mps2);
+    let flown = parallel(effort.flights as usize, |i| {
+        let (set, own) = (&bounds.sets[i % bounds.sets.len()], quiet[i % quiet.len()]);
+        let (shape, attack) = bounds.drawn(set, effort.seed_base + i as u64);
+        let flight = fly(world, effort.seed_base + own as u64, &attack);
+        (i, shape, flight.unseen_m(&clean[own]) / set.bound_m, flight)
+    });
+    let mut by: HashMap<(&str, &str), (u32, u32, Vec<f64>)> = HashMap::new();
+    for (i, shape, part, flight) in &flown {
+        let set = &bounds.sets[i % bounds.sets.len()];
+        let kinds = match set.sensors.iter().filter(|s| s.to_string().starts_with("height")).count() {
+            1 if set.sensors.len() == 2 => "height and IMU",
+            0 if set.sensors.len() == 1 => "IMU",
+            0 => "two IMUs",
+            1 => "height",
+            _ => "two heights",
+        };
+        let entry = by.entry((kinds, shape)).or_default();
+        entry.0 += u32::from(flight.seen.is_some());
+        entry.1 += u32::from(*part > LINEAR);
+        entry.2.push(*part);
+        if *part > LINEAR {
+            let more =
+                json!({ "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m });
+            report.value("beyond", *part, "of the bound", more);
+        }
+    }
+    let mut rows = Vec::new();
+    let mut keys: Vec<_> = by.keys().copied().collect();
+    keys.sort_unstable();
+    for key in keys {
+        let (seen, beyond, parts) = &by[&key];
+        let cells = [parts.len().to_string(), seen.to_string(), beyond.to_string()];
+        let mut row = vec![key.0.to_owned(), key.1.to_owned()];
+        row.extend(cells);
+        row.extend([format!("{:.3}", percentile(parts, 0.95)), format!("{:.3}", worst(parts))]);
+        rows.push(row);
+    }
+    let parts: Vec<f64> = flown.iter().map(|(_, _, part, _)| *part).collect();
+    let beyond = parts.iter().filter(|part| **part > LINEAR).count();
+    let more = json!({
+        "world": world, "flights": parts.len(), "seed_base": effort.seed_base, "beyond": beyond, "noise_mps2": noise_mps2,
+        "seen": flown.iter().filter(|(_, _, _, flight)| flight.seen.is_some()).count(),
+        "clean_flights_with_an_exclusion": clean.len() - quiet.len(),
+        "worst": worst(&parts), "holds": (world == "ideal").then_some(beyond == 0),
+    });
+    report.value(&format!("drawn/{world}"), percentile(&parts, 0.95), "of the bound, 95 %", more);
+    let headers = ["attacked", "shape", "flights", "seen", "beyond the bound unseen", "95 %, of the bound", "worst"];
+    report.table(world, "Drawn attacks", &headers, &rows)
+}

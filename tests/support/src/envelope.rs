@@ -1,0 +1,230 @@
+//! The attack envelope flown: one flight with an attack beside the same one without it, until somebody is excluded.
+//!
+//! Free, altitude hold at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place. In the world `ideal` sensors have
+//! a hundredth of their noise and no bias, and nothing disturbs; what the lanes assume of the sensors stays what the data sheets say.
+
+use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
+use plumbline_agent::envelope::flying::Regime;
+use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
+use plumbline_agent::envelope::{Deviation, Model, Signal, columns};
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::sim::world::Disturbance;
+use plumbline_agent::types::EstimatorKind;
+use plumbline_experiment::flight::{Setup, fly_watched};
+use plumbline_experiment::reception::Reception;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+use plumbline_rest::envelope::EnvelopeQuestion;
+use rand::{RngExt as _, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+/// Onset, s: where slots and heights begin together, long after everything was learned.
+const ONSET_S: f64 = 24.0;
+/// Of the bounds, s.
+pub const HORIZON_S: f64 = 10.0;
+/// Flown on behind it, s.
+const AFTER_S: f64 = 0.2;
+const TICK_RATE_HZ: f64 = 200.0;
+/// What the linear loop leaves out is less than this: a flight may reach so much of its bound.
+pub const LINEAR: f64 = 1.01;
+/// Ticks until the bound's: it is that at the beginning of the last slot.
+const LAST: usize = ((HORIZON_S - 0.04) * TICK_RATE_HZ) as usize;
+/// Noise in `ideal`, of the data sheets': values that repeat would be those of a sensor that is stuck.
+const QUIET: f64 = 0.01;
+
+/// A flight from the onset on.
+#[derive(Debug, Clone, Default)]
+pub struct Flown {
+    /// True altitude at each tick, m.
+    pub altitude_m: Vec<f64>,
+    /// Ticks from the onset to the first exclusion, or to whatever ended the flight.
+    pub seen: Option<usize>,
+    /// Who was excluded.
+    pub excluded: Vec<SensorId>,
+    /// Noise of the accelerometers that the lanes measured, the largest, m/s².
+    pub noise_mps2: f64,
+}
+
+impl Flown {
+    /// Furthest from `clean` before anything was seen, m.
+    pub fn unseen_m(&self, clean: &Self) -> f64 {
+        let until = self.seen.unwrap_or(LAST).min(LAST);
+        let apart = self.altitude_m.iter().zip(&clean.altitude_m).take(until).map(|(a, b)| (a - b).abs());
+        apart.fold(0.0, f64::max)
+    }
+}
+
+/// What is added to some sensors: their samples one after another.
+#[derive(Debug, Clone, Default)]
+pub struct Worn {
+    attacks: Vec<Attack>,
+    sequences: Vec<Sequence>,
+}
+
+impl Worn {
+    /// `attack` of a program of `model`, times `part`.
+    pub fn new(model: &dyn Model, attack: &Signal, part: f64) -> Self {
+        let mut worn = Self::default();
+        for ((sensor, first, count), (id, (_, period_s, _))) in
+            columns(model, HORIZON_S).into_iter().zip((1..).zip(model.attacked()))
+        {
+            let added: Vec<f64> = attack.rows(first, count).iter().map(|value| part * value).collect();
+            let most = added.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
+            let channel = if sensor.kind == SensorKind::Imu { Channel::AccelAxis(2) } else { Channel::All };
+            worn.attacks.push(Attack {
+                id,
+                sensor,
+                channel,
+                kind: Kind::Bias,
+                start_s: ONSET_S,
+                duration_s: HORIZON_S,
+                magnitude: most,
+                seed: 1,
+            });
+            let values = added.into_iter().map(|value| value / most).collect();
+            worn.sequences.push(Sequence { attack: id, period_s, values });
+        }
+        worn
+    }
+}
+
+/// Flies `worn` in `world`: `ideal`, `bench`, `datasheet` or `harsh`.
+pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
+    let named = if world == "ideal" { "bench" } else { world };
+    let duration_s = ONSET_S + HORIZON_S + AFTER_S;
+    let text = format!(
+        "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{named}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
+         [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
+         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n"
+    );
+    let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let mut config = scenario.flight_config();
+    (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
+    if world == "ideal" {
+        scenario.disturbance = Disturbance::NONE;
+        scenario.suite.sheets_mut(|_, sheet| {
+            sheet.qualities(&mut |_, quality| {
+                quality.sigma *= QUIET;
+                (quality.bias_sigma, quality.bias_walk, quality.resolution) = (0.0, 0.0, 0.0);
+            });
+        });
+    }
+    let setup = Setup {
+        scenario,
+        config,
+        reception: Reception::All,
+        attacks: worn.attacks.clone(),
+        sequences: worn.sequences.clone(),
+        judged_from_s: ONSET_S,
+        comes_down: false,
+    };
+    let (mut tick, mut flown) = (0, Flown::default());
+    let before = (ONSET_S * TICK_RATE_HZ) as usize;
+    let outcome = fly_watched(&setup, |flight, truth| {
+        tick += 1;
+        if tick <= before {
+            return;
+        }
+        let lanes = flight.lanes().unwrap();
+        for device in lanes.isolation().devices().iter().filter(|device| device.flagged.is_some()) {
+            if !flown.excluded.contains(&device.sensor) {
+                flown.excluded.push(device.sensor);
+            }
+            flown.seen.get_or_insert(flown.altitude_m.len());
+        }
+        flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());
+        flown.altitude_m.push(truth.position_enu_m.z);
+    });
+    if outcome.unwrap().lost.is_some() {
+        flown.seen.get_or_insert(flown.altitude_m.len());
+    }
+    flown
+}
+
+/// A set of sensors, how far it can be pushed unseen, m, and what does.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// Those attacked.
+    pub sensors: Vec<SensorId>,
+    /// The bound, m.
+    pub bound_m: f64,
+    /// What the worst attack reaches in the linear loop, m.
+    pub reached_m: f64,
+    /// The detector that holds the bound.
+    pub binding: &'static str,
+    worst: Signal,
+}
+
+impl Set {
+    /// For people.
+    pub fn name(&self) -> String {
+        self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// The loop of the default suite, and every set of one or two of its sensors.
+pub struct Bounds {
+    asked: Asked,
+    /// In order.
+    pub sets: Vec<Set>,
+}
+
+impl Bounds {
+    /// Where the lanes measure `noise_mps2` of their accelerometers.
+    pub fn new(noise_mps2: f64) -> Self {
+        let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
+        let asked = Asked::new(&question, None).unwrap();
+        let bounded = |sensors: &Vec<SensorId>| {
+            let (found, _) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Altitude).unwrap();
+            let Verdict::Bounded(bound) = found else { return None };
+            let binding = bound.binding.unwrap_or("most that may be added");
+            Some(Set {
+                sensors: sensors.clone(),
+                bound_m: bound.upper,
+                reached_m: bound.reached,
+                binding,
+                worst: bound.attack,
+            })
+        };
+        let sets = asked.sets.iter().filter_map(bounded).collect();
+        Self { asked, sets }
+    }
+
+    fn worn(&self, set: &Set, attack: &Signal, part: f64) -> Worn {
+        Worn::new(&self.asked.flying.attacked(&set.sensors, Regime::Full).unwrap(), attack, part)
+    }
+
+    /// The maximising sequence of `set`, times `part`.
+    pub fn worst(&self, set: &Set, part: f64) -> Worn {
+        self.worn(set, &set.worst, part)
+    }
+
+    /// An attack drawn by `seed`, and what it is: a step, a ramp, a sine or noise in each sensor, or the maximising sequence
+    /// smaller or larger.
+    pub fn drawn(&self, set: &Set, seed: u64) -> (&'static str, Worn) {
+        let mut dice = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let shape = dice.random_range(0..5);
+        if shape == 4 {
+            return ("worst", self.worst(set, dice.random_range(0.5..1.3)));
+        }
+        let model = self.asked.flying.attacked(&set.sensors, Regime::Full).unwrap();
+        let mut values = Vec::new();
+        for ((sensor, every_s, _), (_, _, count)) in model.attacked().into_iter().zip(columns(&model, HORIZON_S)) {
+            // From what nobody could see to what everybody must.
+            let (least, most): (f64, f64) = if sensor.kind == SensorKind::Imu { (0.05, 3.0) } else { (0.005, 0.3) };
+            let sign = if dice.random_bool(0.5) { 1.0 } else { -1.0 };
+            let size = sign * (dice.random_range(least.ln()..most.ln())).exp();
+            let period_s = dice.random_range(0.5..10.0);
+            values.extend((0..count).map(|k| {
+                let t = k as f64 * every_s;
+                size * match shape {
+                    0 => 1.0,
+                    1 => t / HORIZON_S,
+                    2 => (std::f64::consts::TAU * t / period_s).sin(),
+                    _ => dice.random_range(-1.0..1.0),
+                }
+            }));
+        }
+        (["step", "ramp", "sine", "noise"][shape], self.worn(set, &Signal::from_vec(values), 1.0))
+    }
+}
