@@ -62,13 +62,14 @@ pub struct Worn {
 }
 
 impl Worn {
-    /// `attack` of a program of `model`, times `part`.
+    /// `attack` of a program of `model`, times `part`, within what the agent allows.
     pub fn new(model: &dyn Model, attack: &Signal, part: f64) -> Self {
         let mut worn = Self::default();
-        for ((sensor, first, count), (id, (_, period_s, _))) in
+        for ((sensor, first, count), (id, (_, period_s, allowed))) in
             columns(model, HORIZON_S).into_iter().zip((1..).zip(model.attacked()))
         {
-            let added: Vec<f64> = attack.rows(first, count).iter().map(|value| part * value).collect();
+            let added: Vec<f64> =
+                attack.rows(first, count).iter().map(|value| (part * value).clamp(-allowed, allowed)).collect();
             let most = added.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
             let channel = if sensor.kind == SensorKind::Imu { Channel::AccelAxis(2) } else { Channel::All };
             worn.attacks.push(Attack {
