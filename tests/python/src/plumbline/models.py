@@ -104,6 +104,29 @@ class Due(TypedDict):
     why: NotRequired[str]
 
 
+class EnvelopeQuestion(TypedDict):
+    """What is asked; what is left out is as usual."""
+
+    design: NotRequired[Design]
+    horizon_s: NotRequired[float | None]
+    most: NotRequired[int | None]
+    noise_mps2: NotRequired[float | None]
+    sensors: NotRequired[list[str] | None]
+    suite: NotRequired[str | None]
+
+
+class EnvelopeSet(TypedDict):
+    """The bound of one set of attacked sensors, from a flight without the attack."""
+
+    altitude_m: NotRequired[float | None]
+    binding: NotRequired[str | None]
+    climb_mps: NotRequired[float | None]
+    drift_mps: NotRequired[float | None]
+    reached_m: NotRequired[float | None]
+    sensors: NotRequired[list[str]]
+    took_ms: NotRequired[float]
+
+
 class Estimator(TypedDict):
     """`POST estimator`: which is in the loop."""
 
@@ -523,6 +546,15 @@ class Controllers(TypedDict):
 
     airframe: NotRequired[str]
     controllers: NotRequired[list[Controller]]
+
+
+class Envelope(TypedDict):
+    """The bounds of all sets asked for."""
+
+    airframe: NotRequired[str]
+    horizon_s: NotRequired[float]
+    sets: NotRequired[list[EnvelopeSet]]
+    suite: NotRequired[str]
 
 
 class Examined(TypedDict):
