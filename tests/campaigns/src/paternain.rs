@@ -1,6 +1,8 @@
 //! `cargo xtask reproduce paternain`: the three experiments of [Paternain] VIII on the simulator, with our default
 //! estimator and controller, beside what the paper reads off its Figures 8 to 10.
 
+mod take_offs;
+
 use std::process::ExitCode;
 
 use plumbline_support::headless::paternain::{Answer, roll, take_off, yaw};
@@ -107,6 +109,7 @@ pub fn run() -> ExitCode {
             rows.push(vec![name, figure.unit.to_owned(), text(figure.paper), text(value), text(figure.limit)]);
         }
     }
+    take_offs::take_offs(&mut report, &mut rows);
     let headers = ["figure", "unit", "paper", "ours", "asked of us, at most"];
     report.table("figures", "The paper's figures and ours", &headers, &rows).unwrap();
     report.finish().unwrap();

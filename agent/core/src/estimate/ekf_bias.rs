@@ -106,6 +106,8 @@ struct Aided {
     barometers: Barometers,
     headings: Headings,
     pose_yaw: Freshness,
+    /// What GNSS calls the altitude of the floor, m; beside a barometer only.
+    gnss_floor_m: Option<f64>,
     idle: Idle,
 }
 

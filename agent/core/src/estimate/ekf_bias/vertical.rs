@@ -36,7 +36,7 @@ pub(super) struct Heights {
 pub(super) struct Barometers {
     freshness: [Freshness; MAX_BAROMETERS],
     known: [bool; MAX_BAROMETERS],
-    present: bool,
+    pub present: bool,
 }
 
 impl Barometers {
