@@ -6,7 +6,8 @@
 use plumbline_agent::flight::Failsafe;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
-use plumbline_experiment::flight::{Reception, Setup, fly_watched};
+use plumbline_experiment::flight::{Setup, fly_watched};
+use plumbline_experiment::reception::Reception;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 
@@ -66,8 +67,15 @@ fn fly(world: &str, seed: u64, estimator: EstimatorKind) -> Flown {
     config.estimators = vec![estimator];
     config.in_loop = estimator;
     (config.limits.lateral_max_m, config.limits.altitude_max_m) = (LATERAL_MAX_M, ALTITUDE_MAX_M);
-    let setup =
-        Setup { scenario, config, reception: Reception::All, attacks: Vec::new(), judged_from_s, comes_down: false };
+    let setup = Setup {
+        scenario,
+        config,
+        reception: Reception::All,
+        attacks: Vec::new(),
+        sequences: Vec::new(),
+        judged_from_s,
+        comes_down: false,
+    };
     let mut flown = Flown { curve: Vec::new(), before_m: f64::NAN, lost: None };
     let done = fly_watched(&setup, |flight, truth| {
         let t = truth.time.as_seconds() - ASKED_S;

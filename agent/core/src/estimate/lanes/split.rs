@@ -24,8 +24,10 @@ const COAST: (f64, f64) = (0.1, 0.2);
 const BACK: f64 = 0.8;
 /// A laser is there so long after its last sample, s.
 const FRESH_S: f64 = 0.35;
-/// With so much of the acceleration from the thrust as commanded, accelerometers have no voice.
-const VOICELESS: f64 = 0.5;
+/// With so much of the acceleration from the thrust as commanded, in the mean, accelerometers have no voice; and part of that
+/// mean that a slot is.
+const VOICELESS: f64 = 0.4;
+const THRUST_GAIN: f64 = 0.04;
 /// Agreement that ends a contradiction, s.
 const AGREED_S: f64 = 1.0;
 
@@ -53,6 +55,8 @@ pub struct Split {
     coast: Option<Coast>,
     /// When the lasers that contradict each other last did.
     contradicted: Option<FlightTime>,
+    /// Part of the acceleration that was the thrust as commanded, lately.
+    by_thrust: f64,
 }
 
 impl Split {
@@ -95,7 +99,8 @@ impl Split {
                 laser.held &= off_m.abs() > BACK * GAP_M;
             }
         }
-        if by_thrust > VOICELESS && self.contradicted.is_none() {
+        self.by_thrust += THRUST_GAIN * (by_thrust - self.by_thrust);
+        if self.by_thrust > VOICELESS && self.contradicted.is_none() {
             self.coast = None;
         } else if let Some(coast) = self.coast {
             self.judge(end, end.seconds_since(coast.since));
@@ -135,12 +140,12 @@ impl Split {
             if off > 0 {
                 self.contradicted = Some(now);
             } else if now.seconds_since(last) > AGREED_S {
-                *self = Self::default();
+                *self = Self { by_thrust: self.by_thrust, ..Self::default() };
             }
             return;
         }
         if anchor_m.abs() > COAST.0 + COAST.1 * coasted_s {
-            *self = Self::default();
+            *self = Self { by_thrust: self.by_thrust, ..Self::default() };
         } else if 2 * off > there {
             // One voice more for those that the accelerometers agree with: off ≥ near + 1 leaves no majority.
             self.contradicted = Some(now);
