@@ -100,7 +100,7 @@ impl Selector {
         let primary = self.instances.get(self.chosen).map_or(0.0, |instance| instance.test_ratio);
         for instance in &mut self.instances {
             let delta = instance.test_ratio - primary;
-            if delta > 0.0 || delta < -REDUCTION {
+            if !(-REDUCTION..=0.0).contains(&delta) {
                 instance.score = (instance.score + delta).clamp(-SCORE_MAX, SCORE_MAX);
             }
         }

@@ -103,17 +103,20 @@ fn stand_in(app: &App, question: &mut EnvelopeQuestion, id: &str) -> Result<Opti
     let untold = || ApiError::NotFound(format!("{id} has not told its sensors yet"));
     let description = description.ok_or_else(untold)?;
     let asked = &mut question.design;
-    if asked.controller.is_none() && asked.state_weight.is_none() && asked.k.is_none() && asked.parameters.is_empty() {
-        if let Some(gains) = app.hub.latest::<v1::GainsInUse>(id, Kind::Gains) {
-            let mut in_use = export(&gains, &description.airframe, description.tick_rate_hz);
-            // The certificate counts revisions: the same gains are the same question.
-            in_use.as_object_mut().into_iter().for_each(|gains| {
-                gains.remove("certificate");
-            });
-            let (airframe, tick_rate_hz) = (asked.airframe.take(), asked.tick_rate_hz.take());
-            *asked = read(in_use.to_string().as_bytes())?;
-            (asked.airframe, asked.tick_rate_hz) = (airframe, tick_rate_hz);
-        }
+    if asked.controller.is_none()
+        && asked.state_weight.is_none()
+        && asked.k.is_none()
+        && asked.parameters.is_empty()
+        && let Some(gains) = app.hub.latest::<v1::GainsInUse>(id, Kind::Gains)
+    {
+        let mut in_use = export(&gains, &description.airframe, description.tick_rate_hz);
+        // The certificate counts revisions: the same gains are the same question.
+        in_use.as_object_mut().into_iter().for_each(|gains| {
+            gains.remove("certificate");
+        });
+        let (airframe, tick_rate_hz) = (asked.airframe.take(), asked.tick_rate_hz.take());
+        *asked = read(in_use.to_string().as_bytes())?;
+        (asked.airframe, asked.tick_rate_hz) = (airframe, tick_rate_hz);
     }
     let known = |name: &String| !name.is_empty();
     asked.airframe = asked.airframe.take().or(Some(description.airframe.clone()).filter(known));

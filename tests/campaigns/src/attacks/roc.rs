@@ -23,8 +23,10 @@ use super::case::{Case, Pilot};
 /// Rates of false alarms, of healthy sensors and flights, at which detection is told.
 const RATES: [f64; 2] = [0.01, 0.05];
 const TESTS: [&str; 3] = ["lanes", "chi-square", "CUSUM"];
+/// Name, sensor, and which of its channels.
+type Attacking = (&'static str, SensorKind, fn(Channel) -> bool);
 /// What sensors are told apart: an IMU by the quantity that is attacked.
-const QUANTITIES: [(&str, SensorKind, fn(Channel) -> bool); 4] = [
+const QUANTITIES: [Attacking; 4] = [
     ("height", SensorKind::Height, |_| true),
     ("IMU", SensorKind::Imu, |channel| matches!(channel, Channel::All)),
     ("gyroscope", SensorKind::Imu, |channel| matches!(channel, Channel::Gyro | Channel::GyroAxis(_))),
