@@ -39,9 +39,12 @@ impl Experiments {
         &self.root
     }
 
-    /// How one stands. Asks the disk.
+    /// How one stands. Asks the disk; one that is begun here runs from that moment until its thread has ended.
     pub(crate) fn state(&self, experiment: &Experiment) -> State {
-        State { error: lock(&self.errors).get(&experiment.id).cloned(), ..summary::state(experiment) }
+        let flown = lock(&self.flown).as_ref().map(|flown| (flown.id.clone(), flown.thread.is_finished()));
+        let here = flown.is_some_and(|(id, finished)| id == experiment.id && !finished);
+        let told = summary::state(experiment);
+        State { error: lock(&self.errors).get(&experiment.id).cloned(), running: told.running || here, ..told }
     }
 
     /// How many threads an experiment gets: a core stays free for what flies for real.

@@ -376,7 +376,13 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   await page.getByRole('heading', { name: 'Experiments', level: 1 }).waitFor();
   const plan = page.getByLabel('Plan, TOML');
   const counted = page.getByRole('region', { name: 'Plan' }).getByRole('status');
-  await until('the template counted', async () => /\d+ flights/.test(await counted.textContent()));
+  const questions = page.getByRole('region', { name: 'Plan' }).getByRole('combobox');
+  for (const question of (await questions.locator('option').allTextContents()).reverse()) {
+    await plan.fill('repeats = "none"');
+    await page.getByRole('region', { name: 'Plan' }).getByRole('alert').waitFor();
+    await questions.selectOption(question);
+    await until(`${question} counted`, async () => /\d+ flights/.test(await counted.textContent()));
+  }
   const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 6').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
   await plan.fill(text.replace('0.1, 0.5', '0.1, "much"'));
   const refused = await page.getByRole('region', { name: 'Plan' }).getByRole('alert').textContent();

@@ -40,7 +40,7 @@ values = ["ekf_bias", "secure", "lanes"]
 
 const WORLDS: &str = r#"[[factor]]
 key = "scenario.world"
-values = ["ideal", "bench", "datasheet", "harsh"]
+values = ["bench", "datasheet", "harsh"]
 [[factor]]
 key = "agent.estimators.in_loop"
 values = ["ekf_bias", "lanes"]
