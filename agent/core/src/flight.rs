@@ -306,6 +306,12 @@ impl Flight {
         self.bank.in_loop_kind()
     }
 
+    /// The own estimate of the one in the loop.
+    pub fn estimate_in_loop(&self) -> Option<&Estimate> {
+        let in_loop = self.estimator_in_loop();
+        self.estimates().find_map(|(kind, estimate)| (kind == in_loop).then_some(estimate))
+    }
+
     /// The last tick.
     pub fn report(&self) -> &StepReport {
         &self.report

@@ -37,8 +37,7 @@ impl Tracking {
             *self = Self { last: self.last, ..Self::default() };
             return;
         }
-        let in_loop = flight.estimator_in_loop();
-        let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { return };
+        let Some(estimate) = flight.estimate_in_loop() else { return };
         let square = (estimate.motion_or_rest().position_enu_m.z - setpoint.position_enu_m.z).powi(2);
         if !square.is_finite() {
             return;

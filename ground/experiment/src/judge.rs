@@ -166,11 +166,10 @@ impl Judge {
             self.outcome.lost = Some(why);
             return true;
         }
-        let in_loop = flight.estimator_in_loop();
-        let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { return false };
+        let Some(estimate) = flight.estimate_in_loop() else { return false };
         self.compare(truth, report, estimate);
         self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
-        let judge = flight.judge().filter(|judge| judge.kind() == in_loop);
+        let judge = flight.judge().filter(|judge| judge.kind() == flight.estimator_in_loop());
         if let Some(bound_m) = judge.and_then(|judge| judge.height_bound_m()) {
             let off_m = estimate.kinematics().position_enu_m.z - truth.position_enu_m.z;
             self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));

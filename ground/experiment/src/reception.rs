@@ -106,9 +106,7 @@ impl<'a> Receiver<'a> {
 
 /// Altitude of the estimator in the loop, where it knows one, ENU, m.
 pub fn altitude_m(flight: &Flight) -> Option<f64> {
-    let in_loop = flight.estimator_in_loop();
-    let (_, estimate) = flight.estimates().find(|(kind, _)| *kind == in_loop)?;
-    estimate.motion.filter(|motion| motion.altitude_known).map(|motion| motion.position_enu_m.z)
+    flight.estimate_in_loop()?.motion.filter(|motion| motion.altitude_known).map(|motion| motion.position_enu_m.z)
 }
 
 /// The agent's flight, or one for each IMU of which one is chosen.

@@ -83,8 +83,7 @@ impl Selector {
         }
         let mut anew = false;
         for (instance, flight) in self.instances.iter_mut().zip(flights) {
-            let in_loop = flight.estimator_in_loop();
-            let Some((_, estimate)) = flight.estimates().find(|(kind, _)| *kind == in_loop) else { continue };
+            let Some(estimate) = flight.estimate_in_loop() else { continue };
             let heights = estimate.residuals.iter().filter(|r| r.sensor.kind == SensorKind::Height && r.sigma > 0.0);
             if let Some(worst) = heights.map(|r| (r.innovation / (GATE * r.sigma)).powi(2)).reduce(f64::max) {
                 (instance.test_ratio, anew) = (worst, true);

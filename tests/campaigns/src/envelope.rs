@@ -11,6 +11,8 @@ use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
+use crate::effort::Effort;
+
 /// A maximising sequence reaches at least this part of its bound …
 const REACHED: f64 = 0.9;
 /// … whole, or scaled down this far where it is seen.
@@ -20,34 +22,8 @@ const WORLDS: [&str; 3] = ["ideal", "bench", "datasheet"];
 /// Flights without an attack that attacked ones are held against, in a world with noise.
 const CLEAN: u64 = 25;
 
-struct Effort {
-    flights: u64,
-    seed_base: u64,
-    only: Option<String>,
-}
-
-impl Effort {
-    fn asked() -> Self {
-        let arguments: Vec<String> = std::env::args().collect();
-        let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
-        let number = |name: &str, default| {
-            value(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} {text}: not a number")))
-        };
-        let quick = arguments.iter().any(|a| a == "--quick");
-        Self {
-            flights: number("--flights", if quick { 50 } else { 1000 }),
-            seed_base: number("--seed-base", 1_000),
-            only: value("--only").cloned(),
-        }
-    }
-
-    fn wants(&self, name: &str) -> bool {
-        self.only.as_deref().is_none_or(|only| only == name)
-    }
-}
-
 pub fn run() -> Result<(), ReportError> {
-    let effort = Effort::asked();
+    let effort = Effort::asked([1000, 50]);
     let mut report = Report::open("reproduce", "envelope", "The attack envelope, flown")?;
     report.paragraph(&format!(
         "Every set of one or two sensors of the default suite, {HORIZON_S} s from the onset. Deviation: true altitude less that of the \

@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use plumbline_agent::estimate::Estimate;
+use plumbline_agent::estimate::filter::consistency::error;
+use plumbline_agent::sensor::measure::Kinematics;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_agent::vehicle::Truth;
 use plumbline_experiment::draw::{median, parallel};
@@ -15,8 +17,8 @@ use plumbline_experiment::flight::fly_watched;
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
-use super::Effort;
 use super::case::{Case, Pilot};
+use crate::effort::Effort;
 
 /// The instant of flight of each seed, s: after steps, and on the way of one.
 const AT_S: (f64, f64) = (14.0, 38.0);
@@ -26,12 +28,13 @@ const QUANTITIES: [&str; 3] = ["altitude", "climb", "tilt"];
 /// Error and one-sigma of each quantity, m, m/s and rad; the tilt's is about the world's x axis.
 fn errors(estimate: &Estimate, truth: &Truth) -> [Option<(f64, f64)>; 3] {
     let motion = estimate.motion.filter(|motion| motion.altitude_known);
-    let of = |off: Vector3<f64>, sigma: Option<Vector3<f64>>| sigma.filter(|s| s.z > 0.0).map(|s| (off.z, s.z));
-    let turned = (estimate.world_from_body * truth.world_from_body.inverse()).scaled_axis();
+    let of = |off: f64, sigma: Option<Vector3<f64>>| sigma.filter(|s| s.z > 0.0).map(|s| (off, s.z));
+    let Truth { position_enu_m, velocity_enu_mps, world_from_body, .. } = *truth;
+    let off = error(&Kinematics { position_enu_m, velocity_enu_mps, world_from_body }, &estimate.kinematics());
     [
-        motion.and_then(|m| of(m.position_enu_m - truth.position_enu_m, m.position_sigma_m)),
-        motion.and_then(|m| of(m.velocity_enu_mps - truth.velocity_enu_mps, m.velocity_sigma_mps)),
-        estimate.attitude_sigma_rad.filter(|s| s.x > 0.0).map(|s| (turned.x, s.x)),
+        motion.and_then(|m| of(off[2], m.position_sigma_m)),
+        motion.and_then(|m| of(off[5], m.velocity_sigma_mps)),
+        estimate.attitude_sigma_rad.filter(|s| s.x > 0.0).map(|s| (off[6], s.x)),
     ]
 }
 

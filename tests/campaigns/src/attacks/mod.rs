@@ -24,41 +24,16 @@ use serde_json::json;
 
 use case::{Case, Pilot};
 
+use crate::effort::Effort;
+
 /// What is beyond the bound is declared within this, s.
 const DECLARED_S: f64 = 1.0;
 /// A healthy sensor may be excluded so long, s; longer in this part of the flights at most, where nobody is attacked.
 const FALSE_S: f64 = 1.0;
 const FALSE_PART: f64 = 0.05;
 
-/// What is asked for.
-struct Effort {
-    flights: u64,
-    seed_base: u64,
-    only: Option<String>,
-}
-
-impl Effort {
-    fn asked() -> Self {
-        let arguments: Vec<String> = std::env::args().collect();
-        let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
-        let number = |name: &str, default| {
-            value(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} {text}: not a number")))
-        };
-        let quick = arguments.iter().any(|a| a == "--quick");
-        Self {
-            flights: number("--flights", if quick { 10 } else { 100 }),
-            seed_base: number("--seed-base", 1_000),
-            only: value("--only").cloned(),
-        }
-    }
-
-    fn wants(&self, name: &str) -> bool {
-        self.only.as_deref().is_none_or(|only| only == name)
-    }
-}
-
 pub fn run() -> Result<(), ReportError> {
-    let effort = Effort::asked();
+    let effort = Effort::asked([100, 10]);
     let mut report = Report::open("reproduce", "attacks", "Drawn attacks, in closed loop")?;
     report.paragraph(&format!(
         "{} flights of each row from seed {}, free and on strings by turns, steps of altitude throughout. Error: true \

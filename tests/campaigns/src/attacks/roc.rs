@@ -17,8 +17,8 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_tests::report::{Plot, Report, ReportError, Series};
 use serde_json::json;
 
-use super::Effort;
 use super::case::{Case, Pilot};
+use crate::effort::Effort;
 
 /// Rates of false alarms, of healthy sensors and flights, at which detection is told.
 const RATES: [f64; 2] = [0.01, 0.05];

@@ -132,7 +132,9 @@ fn a_field_that_stays_another_is_followed_in_the_end() {
     let other =
         |t: f64, field: Vector3<f64>| Some(if t > 30.0 { turning(t).inverse() * (turned * FIELD_UT) } else { field });
     let mut filter = AttitudeEkf::new(0.0);
-    let (heading, _) = fly(&mut filter, turning, (0.0, 120.0), faults, other);
+    fly(&mut filter, turning, (0.0, 45.0), faults, other);
+    assert!(filter.field_disturbed());
+    let (heading, _) = fly(&mut filter, turning, (45.0, 120.0), faults, other);
     assert!(heading.abs() < 2.0 * DEGREE, "{heading}");
     let (heading, _) = fly(&mut filter, turning, (120.0, 260.0), faults, other);
     assert!((heading - 0.6).abs() < 2.0 * DEGREE && !filter.field_disturbed(), "{heading}");
