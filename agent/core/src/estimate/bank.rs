@@ -68,7 +68,7 @@ pub struct Assumptions<'a> {
 pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estimator>, BankError> {
     let (airframe, sensors) = (assumed.airframe, assumed.sensors.clone());
     Ok(match kind {
-        EstimatorKind::EkfBias => Box::new(EkfBias::new(sensors)),
+        EstimatorKind::EkfBias => Box::new(EkfBias::new(sensors).standing_at(airframe.standing_m())),
         EstimatorKind::Complementary => Box::new(Complementary::new(sensors)),
         EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, sensors)),
         EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, sensors)),

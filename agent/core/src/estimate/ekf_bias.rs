@@ -43,6 +43,7 @@ use self::heading::Headings;
 use self::history::History;
 use self::imus::{Imus, Inertial, Rest};
 use self::vertical::{Barometers, Heights};
+use super::aiding::floor::Floor;
 use super::aiding::freshness::Freshness;
 use super::aiding::idle::{Idle, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
 use super::filter::consistency::{self, Nees};
@@ -90,6 +91,8 @@ pub struct EkfBias {
     /// The last consensus of the IMUs.
     inertial: Option<Inertial>,
     rest: Rest,
+    /// Over the floor it stands on, m.
+    standing_m: f64,
 
     aided: Aided,
     /// Measured by a magnetometer or motion capture.
@@ -106,8 +109,8 @@ struct Aided {
     barometers: Barometers,
     headings: Headings,
     pose_yaw: Freshness,
-    /// What GNSS calls the altitude of the floor, m; beside a barometer only.
-    gnss_floor_m: Option<f64>,
+    /// Beside a barometer only.
+    floor: Floor,
     idle: Idle,
 }
 
@@ -135,10 +138,17 @@ impl EkfBias {
             now: None,
             inertial: None,
             rest: Rest::default(),
+            standing_m: 0.0,
             aided: Aided::default(),
             yaw_known: false,
             mixture: YawMixture::new(),
         }
+    }
+
+    /// Begun where no laser or pose tells the altitude, it is `height_m` over the floor, m: it stands on its feet.
+    pub fn standing_at(mut self, height_m: f64) -> Self {
+        self.standing_m = height_m;
+        self
     }
 
     /// A height further than so many sigmas from the median of those of the last moments (at least three) moves the
@@ -249,6 +259,11 @@ impl EkfBias {
         let imus = &self.model.imus;
         self.state.kinematics.world_from_body = found.world_from_body;
         self.state.gyro_bias_radps = found.gyro_bias_radps;
+        let z_m = &mut self.state.kinematics.position_enu_m.z;
+        if !self.aided.heights.present && *z_m == 0.0 {
+            *z_m = self.standing_m;
+            self.aided.idle.anchor.z = self.standing_m;
+        }
         let (tilt, gyro_bias, velocity) = if found.at_rest {
             (align::TILT_SIGMA_REST_RAD, align::GYRO_BIAS_SIGMA_REST_RADPS, 0.1)
         } else {

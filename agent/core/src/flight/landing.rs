@@ -24,12 +24,16 @@ const TOUCHING_M: f64 = 0.05;
 pub(super) const TOUCHING_RADPS: f64 = 0.2;
 /// … for this long, s, is landed too, whatever estimator and thrust say.
 const TOUCHING_S: f64 = 1.0;
-/// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard, less what brakes a climb …
+/// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard, …
 const BLIND_THRUST: f64 = 0.96;
+/// … less so much for each m/s that it climbs by its accelerometers: 2 m/s are gone within half a metre, …
+const BLIND_BRAKE_SPM: f64 = 0.5;
 /// … and else so much less or more for each m/s that it sinks too slowly or too fast, …
 const BLIND_GAIN_SPM: f64 = 0.2;
 /// … within these: heights may be attacked, and must not make it fall or climb away.
 const BLIND_RANGE: (f64, f64) = (0.5, 1.05);
+/// From here on in such a descent, s, it sinks faster by so much each second, m/s²: over the floor its own wash carries it.
+const SETTLING: (f64, f64) = (5.0, 0.2);
 /// The hover thrust is learned with this time constant, s …
 const HOVER_TIME_CONSTANT_S: f64 = 1.0;
 /// … from an altitude measured within this time, s: what coasts looks steady, whatever the thrust …
@@ -132,13 +136,15 @@ impl Flight {
 
     /// Throttle of a descent on attitude alone: with the slope of the raw heights where there are any.
     pub(super) fn blind_throttle(&self) -> f64 {
-        let sinks_mps = self.config.failsafe.descend_mps;
+        let blind_s =
+            self.supervision.blind_since.zip(self.liveness.ticked).map_or(0.0, |(t, now)| now.seconds_since(t));
+        let sinks_mps = self.config.failsafe.descend_mps + SETTLING.1 * (blind_s - SETTLING.0).max(0.0);
         let share = match self.supervision.watchdog.climb_mps() {
             _ if self.at_takeoff_height() => BLIND_RANGE.0,
             Some(climb_mps) => (1.0 - BLIND_GAIN_SPM * (climb_mps + sinks_mps)).clamp(BLIND_RANGE.0, BLIND_RANGE.1),
             None => {
                 let climb_mps = self.supervision.watchdog.coasting_mps().unwrap_or(0.0);
-                (BLIND_THRUST - BLIND_GAIN_SPM * climb_mps.max(0.0)).max(BLIND_RANGE.0)
+                (BLIND_THRUST - BLIND_BRAKE_SPM * climb_mps.max(0.0)).max(BLIND_RANGE.0)
             }
         };
         share * self.guidance.hover_thrust_n / self.config.airframe.weight_n()

@@ -300,6 +300,11 @@ impl Airframe {
         Ok(())
     }
 
+    /// Height of the centre of mass over the floor it stands on, m.
+    pub fn standing_m(&self) -> f64 {
+        -self.feet_flu_m.iter().map(|foot| foot.z).fold(f64::INFINITY, f64::min)
+    }
+
     /// Weight, N.
     pub fn weight_n(&self) -> f64 {
         self.mass_kg * GRAVITY_MPS2

@@ -44,7 +44,7 @@ impl Sample for BarometerSample {
         };
         BarometerModel {
             altitude: Accuracy { sigma: pressure.total_sigma() / PA_PER_M, gate: pressure.gate_sigmas },
-            walk: (pressure.bias_walk / PA_PER_M).max(0.01),
+            walk: (pressure.bias_walk / PA_PER_M).max(WALK_LEAST),
             reference_pressure_pa,
         }
     }
@@ -69,6 +69,8 @@ impl Sample for BarometerSample {
     }
 }
 
+/// Least random walk of an offset, m/√s: weather and rooms add 15 Pa within ten minutes to what a data sheet counts.
+const WALK_LEAST: f64 = 0.07;
 /// Pascals for a metre of height near sea level.
 const PA_PER_M: f64 = 11.8;
 

@@ -220,7 +220,8 @@ impl Monitor {
     fn leaves_box(&self, i: &Inputs) -> (bool, bool) {
         let margin_m = self.settings.box_margin_m;
         let altitude = [i.raw_height_m, i.altitude_m].into_iter().flatten().reduce(f64::max);
-        let stops_m = if i.degraded {
+        // Without a height measured it is the descent on attitude alone that will have to stop it.
+        let stops_m = if i.degraded || i.raw_height_m.is_none() {
             stopping_m(i.climb_mps, i.lift_mps2, BLIND_BRAKE_MPS2, (BLIND_DELAY_S, 0.0))
         } else {
             climb_stops_m(i.climb_mps, i.lift_mps2)

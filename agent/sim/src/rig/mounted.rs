@@ -28,8 +28,7 @@ const FRICTION_SPEED_MPS: f64 = 0.02;
 
 /// Height of the centre of mass when the vehicle stands on its feet, m.
 pub fn standing_height_m(airframe: &Airframe) -> f64 {
-    let lowest = airframe.feet_flu_m.iter().map(|f| f.z).fold(f64::INFINITY, f64::min);
-    -lowest - GROUND_SINK_M
+    airframe.standing_m() - GROUND_SINK_M
 }
 
 /// A one-sided elastic string between a point of the world and a point of the body.

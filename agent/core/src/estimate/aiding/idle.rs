@@ -11,6 +11,8 @@ pub const VELOCITY_CORRELATION_S: f64 = 2.0;
 pub const POSITION_SIGMA_M: f64 = 5.0;
 /// … for how long at a time, s.
 pub const POSITION_CORRELATION_S: f64 = 10.0;
+/// How far a vehicle that stands may be from where it stood when it began to, one-sigma, m.
+pub const STANDING_SIGMA_M: f64 = 0.05;
 /// Yaw without magnetometer and motion capture, one-sigma at start, rad. There yaw 0 is where the vehicle pointed at
 /// start, unless GNSS says better.
 pub const UNKNOWN_YAW_SIGMA_RAD: f64 = std::f64::consts::FRAC_PI_2;

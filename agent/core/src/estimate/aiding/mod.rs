@@ -1,5 +1,6 @@
 //! Aiding: what every estimator that is corrected by position, velocity and height sensors shares.
 
+pub mod floor;
 pub mod freshness;
 pub mod idle;
 pub mod lever_arm;

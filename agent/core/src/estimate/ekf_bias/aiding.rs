@@ -23,8 +23,6 @@ use crate::sensor::{camera_ranges, mocap_pose};
 
 /// Horizontal position stays known this long after the last accepted sample, s.
 pub const HORIZONTAL_MEMORY_S: f64 = 3.0;
-/// Part of what a fix says anew of the floor's altitude that is taken.
-const FLOOR_GAIN: f64 = 0.2;
 /// Vertical position stays known this long after the last accepted sample, s.
 pub const VERTICAL_MEMORY_S: f64 = 2.0;
 
@@ -124,17 +122,20 @@ impl EkfBias {
             self.shift(Vector3::new(0.0, 0.0, sample.position_enu_m.z - self.state.kinematics.position_enu_m.z));
             forget(&mut self.p, ix::POSITION + 2, vertical.sigma * vertical.sigma);
         }
-        let resting = self.learn_floor(frame, sample.position_enu_m.z);
+        let height_m = self.gnss_height_m(frame, sample.position_enu_m.z);
         let mut used = [false; 3];
         for axis in if yaw_known { 0..3 } else { 2..3 } {
             // GNSS altitude is not height above this floor: only where no laser or barometer says more.
-            if axis == 2 && (resting || self.aided.heights.freshness.within(frame.time, VERTICAL_MEMORY_S)) {
+            let lasers = self.aided.heights.freshness.within(frame.time, VERTICAL_MEMORY_S);
+            let (place_m, noise) = if axis < 2 {
+                (sample.position_enu_m[axis], horizontal)
+            } else if let Some(height_m) = height_m.filter(|_| !lasers) {
+                (height_m, vertical)
+            } else {
                 continue;
-            }
+            };
             let (past, delay_s) = self.past(sample.time, frame.time);
-            let noise = if axis == 2 { vertical } else { horizontal };
-            let floor_m = self.aided.gnss_floor_m.filter(|_| axis == 2).unwrap_or(0.0);
-            let measured = measure::position(&past, axis, sample.position_enu_m[axis] - floor_m);
+            let measured = measure::position(&past, axis, place_m);
             used[axis] = self.correct(&row((sensor, XYZ[axis]), &measured, noise, delay_s));
         }
         for (axis, channel) in VELOCITY.into_iter().enumerate().skip(if yaw_known { 0 } else { 2 }) {
@@ -153,19 +154,18 @@ impl EkfBias {
         }
     }
 
-    /// GNSS is off by metres, and by the same for a minute. Beside a barometer its altitude counts from what it was where
-    /// the vehicle stood last, or began; true while it stands, and the barometer alone holds the altitude.
-    fn learn_floor(&mut self, frame: &SensorFrame, altitude_m: f64) -> bool {
+    /// The height over the floor by a fix, m; beside a barometer from where the vehicle stood last, and none while it stands.
+    fn gnss_height_m(&mut self, frame: &SensorFrame, gnss_m: f64) -> Option<f64> {
         if !self.aided.barometers.present && frame.barometers.iter().flatten().next().is_none() {
-            return false;
+            return Some(gnss_m);
         }
-        let resting = self.rest.lasts_s() > 1.0;
-        let floor_m = altitude_m - self.state.kinematics.position_enu_m.z;
-        let known_m = *self.aided.gnss_floor_m.get_or_insert(floor_m);
-        if resting {
-            self.aided.gnss_floor_m = Some(known_m + FLOOR_GAIN * (floor_m - known_m));
-        }
-        resting
+        let resting = self.rests();
+        self.aided.floor.height_m(gnss_m, self.state.kinematics.position_enu_m.z, resting)
+    }
+
+    /// Does it stand, and has for a while?
+    pub(super) fn rests(&self) -> bool {
+        self.rest.lasts_s() > 1.0
     }
 
     fn aid_camera_ranges(&mut self, frame: &SensorFrame) {

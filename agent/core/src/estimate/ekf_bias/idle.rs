@@ -6,7 +6,7 @@ use super::EkfBias;
 use super::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use super::covariance::ix;
 use crate::estimate::aiding::idle::{
-    POSITION_CORRELATION_S, POSITION_SIGMA_M, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS, whitening,
+    POSITION_CORRELATION_S, POSITION_SIGMA_M, STANDING_SIGMA_M, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS, whitening,
 };
 use crate::estimate::filter::row::ScalarRow;
 
@@ -20,7 +20,9 @@ impl EkfBias {
     /// Where the vertical is not aided either (attitude recordings), the same holds for it.
     pub(super) fn aid_idle(&mut self, now: FlightTime) {
         let Some(since_s) = self.aided.idle.due(now) else { return };
-        let resting = self.rest.lasts_s() > 1.0;
+        let resting = self.rests();
+        // A floor does not move: at rest it is the barometer's offset that does.
+        let standing = resting && self.aided.barometers.present && !self.aided.heights.present;
         let velocity_r = if resting {
             0.05f64.powi(2)
         } else {
@@ -34,10 +36,12 @@ impl EkfBias {
             if resting || !aided {
                 self.pseudo(ix::VELOCITY + axis, -self.state.kinematics.velocity_enu_mps[axis], velocity_r);
             }
-            if aided {
+            let innovation = self.aided.idle.anchor[axis] - self.state.kinematics.position_enu_m[axis];
+            if axis == 2 && standing {
+                self.pseudo(ix::POSITION + axis, innovation, STANDING_SIGMA_M * STANDING_SIGMA_M);
+            } else if aided {
                 self.aided.idle.anchor[axis] = self.state.kinematics.position_enu_m[axis];
             } else {
-                let innovation = self.aided.idle.anchor[axis] - self.state.kinematics.position_enu_m[axis];
                 self.pseudo(ix::POSITION + axis, innovation, position_r);
             }
         }

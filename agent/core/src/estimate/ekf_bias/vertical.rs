@@ -12,6 +12,7 @@ use super::covariance::{augment_barometer, ix};
 use crate::estimate::aiding::freshness::{Freshness, RECOVERY_S};
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::{Channel, median};
+use crate::sensor::Accuracy;
 use crate::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, SensorFrame};
 use crate::sensor::{barometer, height};
 
@@ -167,6 +168,7 @@ impl EkfBias {
     }
 
     pub(super) fn aid_barometers(&mut self, frame: &SensorFrame) {
+        let resting = self.rests();
         for (i, sample) in frame.barometers.iter().enumerate() {
             let Some(sample) = sample else { continue };
             let altitude = self.model.barometers.altitude_m(sample);
@@ -183,6 +185,10 @@ impl EkfBias {
                 augment_barometer(&mut self.p, state, noise.sigma * noise.sigma);
                 continue;
             }
+            let wash_m = self.aided.floor.wash_sigma_m(past.position_enu_m.z, resting);
+            // Where lasers hold the altitude the wash goes into the offset.
+            let wash_m = if self.aided.heights.present { 0.0 } else { wash_m };
+            let noise = Accuracy { sigma: noise.sigma.hypot(wash_m), ..noise };
             let measured = barometer::altitude(&past, altitude, self.state.barometer_offset_m[i]);
             let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
             let mut row = row(of, &measured, noise, delay_s);

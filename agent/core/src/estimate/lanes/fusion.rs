@@ -168,6 +168,9 @@ impl Lanes {
     fn correct(&mut self, slot: &Slot, beyond_m: [f64; MAX_HEIGHTS]) -> PerLane<Option<Heard>> {
         let end = slot.end();
         let unaided = self.unaided(end);
+        let resting = self.clock.resting > REST_SLOTS;
+        let gnss_height_m = self.gnss_height_m(slot, resting);
+        let wash_sigma_m = self.aided.floor.wash_sigma_m(self.fused.at.position_enu_m.z, resting);
         let pose = self.aided.pose.within(end, POSE_MEMORY_S);
         let up_mps2 = median(slot.imus.iter().flatten().map(|mean| mean[2]));
         let around = Around {
@@ -177,6 +180,8 @@ impl Lanes {
             field_ut: self.aided.field_ut.filter(|_| !pose),
             drag: self.thrust.drag(slot.thrust_mps2, up_mps2),
             barometers: !self.aided.heights.ever(),
+            wash_sigma_m,
+            gnss_height_m,
             unaided,
         };
         let common = self.common(&slot.imus);
@@ -217,20 +222,34 @@ impl Lanes {
         heard
     }
 
+    /// Height over the floor by GNSS, m: none beside lasers, and beside a barometer none at rest.
+    fn gnss_height_m(&mut self, slot: &Slot, resting: bool) -> Option<f64> {
+        let gnss_m = slot.gnss.filter(|_| !self.aided.heights.ever())?.position_enu_m.z;
+        if !self.has_barometer() && slot.barometers.iter().all(Option::is_none) {
+            return Some(gnss_m);
+        }
+        self.aided.floor.height_m(gnss_m, self.fused.at.position_enu_m.z, resting)
+    }
+
+    fn has_barometer(&self) -> bool {
+        self.lanes.iter().any(|lane| lane.barometer_offset_m.iter().any(Option::is_some))
+    }
+
     /// What no sensor measures, where that is due.
     fn unaided(&mut self, end: FlightTime) -> Option<Unaided> {
         let horizontal = !self.aided.horizontal.within(end, HORIZONTAL_MEMORY_S);
         let vertical = !self.aided.vertical.within(end, VERTICAL_MEMORY_S);
         let axes = [horizontal, horizontal, vertical];
+        let resting = self.clock.resting > REST_SLOTS;
+        let standing = resting && self.has_barometer() && !self.aided.heights.ever();
         for (axis, unknown) in axes.into_iter().enumerate() {
-            if !unknown {
+            if !(unknown || axis == 2 && standing) {
                 self.aided.idle.anchor[axis] = self.fused.at.position_enu_m[axis];
             }
         }
-        let resting = self.clock.resting > REST_SLOTS;
         let anchor = self.aided.idle.anchor;
         let due = self.aided.idle.due(end).filter(|_| resting || axes.contains(&true));
-        due.map(|since_s| Unaided { since_s, axes, resting, anchor })
+        due.map(|since_s| Unaided { since_s, axes, resting, standing, anchor })
     }
 
     /// Weighted mean of the IMUs less their biases; a vehicle that does not move where there is none.

@@ -111,6 +111,8 @@ impl Hovering<'_> {
             field_ut: None,
             drag: None,
             barometers: false,
+            wash_sigma_m: 0.0,
+            gnss_height_m: None,
             unaided: None,
         };
         let mut residuals = Residuals::new();

@@ -55,6 +55,7 @@ use self::slot::Slots;
 use self::start::Start;
 use self::thrust::Thrust;
 use self::vote::Vote;
+use super::aiding::floor::Floor;
 use super::aiding::freshness::Freshness;
 use super::aiding::idle::Idle;
 use super::fdir::isolation::Isolation;
@@ -133,6 +134,8 @@ struct Aided {
     heights: Freshness,
     pose: Freshness,
     idle: Idle,
+    /// Beside a barometer only.
+    floor: Floor,
     /// Strength of the magnetic field where it started, µT.
     field_ut: Option<f64>,
 }
@@ -153,6 +156,8 @@ impl Lanes {
         let gravity_mps2 = model.imus.gravity_mps2;
         let place = model.imus.position_flu_m;
         let predictor = Predictor::new(gravity_mps2);
+        let mut aided = Aided::default();
+        aided.idle.anchor.z = airframe.standing_m();
         Self {
             thrust: Thrust::new(airframe, gravity_mps2),
             slots: Slots::new(),
@@ -175,7 +180,7 @@ impl Lanes {
             },
             predictor,
             rates: Rates::new(),
-            aided: Aided::default(),
+            aided,
             clock: Clock::default(),
             isolation: Isolation::new(1),
             report: WindowReport::default(),

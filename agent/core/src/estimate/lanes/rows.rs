@@ -25,7 +25,7 @@ use super::integral::Six;
 use super::lane::Lane;
 use super::slot::Slot;
 use crate::estimate::aiding::idle::{
-    POSITION_CORRELATION_S, POSITION_SIGMA_M, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS, whitening,
+    POSITION_CORRELATION_S, POSITION_SIGMA_M, STANDING_SIGMA_M, VELOCITY_CORRELATION_S, VELOCITY_SIGMA_MPS, whitening,
 };
 use crate::estimate::aiding::{ANGLES, VELOCITY, XYZ};
 use crate::estimate::ekf_bias::aiding::row;
@@ -63,6 +63,8 @@ pub struct Unaided {
     pub axes: [bool; 3],
     /// Does the vehicle rest?
     pub resting: bool,
+    /// Does it stand on the floor, whose place only a barometer tells?
+    pub standing: bool,
     /// Where the position was last known, ENU, m.
     pub anchor: Vector3<f64>,
 }
@@ -81,6 +83,10 @@ pub struct Around<'a> {
     pub drag: Option<f64>,
     /// Are the barometers to be used?
     pub barometers: bool,
+    /// One-sigma of the rotors' wash on them, m.
+    pub wash_sigma_m: f64,
+    /// Height over the floor by GNSS, m, where nothing says more.
+    pub gnss_height_m: Option<f64>,
     /// Due in this slot?
     pub unaided: Option<Unaided>,
 }
@@ -163,11 +169,11 @@ impl Correction<'_> {
         let (model, age_s) = (around.model.gnss, slot.age_s(sample.time));
         let sensor = SensorId::new(SensorKind::Gnss, 1);
         let sigmas = [sample.horizontal_sigma_m, sample.horizontal_sigma_m, sample.vertical_sigma_m];
-        for (axis, channel) in XYZ.into_iter().enumerate() {
-            // GNSS altitude is not height above this floor: where there are lasers it says nothing.
-            if axis < 2 || around.barometers {
-                let measured = measure::position(&self.lane.past(age_s), axis, sample.position_enu_m[axis]);
-                self.row(row((sensor, channel), &measured, model.position(sigmas[axis]), age_s));
+        let [east, north] = [0, 1].map(|axis| Some(sample.position_enu_m[axis]));
+        for (axis, place_m) in [east, north, around.gnss_height_m].into_iter().enumerate() {
+            if let Some(place_m) = place_m {
+                let measured = measure::position(&self.lane.past(age_s), axis, place_m);
+                self.row(row((sensor, XYZ[axis]), &measured, model.position(sigmas[axis]), age_s));
             }
         }
         for (axis, channel) in VELOCITY.into_iter().enumerate() {
@@ -192,7 +198,8 @@ impl Correction<'_> {
             };
             let measured = barometer::altitude(&past, altitude_m, offset_m);
             let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
-            let mut row = row(of, &measured, model.altitude, age_s);
+            let noise = Accuracy { sigma: model.altitude.sigma.hypot(around.wash_sigma_m), ..model.altitude };
+            let mut row = row(of, &measured, noise, age_s);
             row.h[ix::BAROMETER + i] = 1.0;
             self.row(row);
         }
@@ -244,8 +251,10 @@ impl Correction<'_> {
             if unknown || unaided.resting {
                 self.pseudo(ix::VELOCITY + axis, -self.lane.at.velocity_enu_mps[axis], velocity);
             }
-            if unknown {
-                let away = unaided.anchor[axis] - self.lane.at.position_enu_m[axis];
+            let away = unaided.anchor[axis] - self.lane.at.position_enu_m[axis];
+            if axis == 2 && unaided.standing {
+                self.pseudo(ix::POSITION + axis, away, STANDING_SIGMA_M.powi(2));
+            } else if unknown {
                 self.pseudo(ix::POSITION + axis, away, position);
             }
         }
