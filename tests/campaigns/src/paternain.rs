@@ -1,7 +1,7 @@
 //! `cargo xtask reproduce paternain`: the three experiments of [Paternain] VIII on the simulator, with our default
 //! estimator and controller, beside what the paper reads off its Figures 8 to 10.
 
-mod take_offs;
+pub mod take_offs;
 
 use std::process::ExitCode;
 

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 use super::{Workspace, XtaskError, signals, web};
 use crate::harness::{Binaries, System, SystemOptions, Vehicle};
 
+/// Measured on two cores.
+const FIRST_BUILD: &str = "eight minutes on two cores, a minute after a change";
 const POLL: Duration = Duration::from_millis(100);
 /// The agent itself gives a landing no longer than a minute.
 const LANDING_MAX: Duration = Duration::from_secs(75);
@@ -31,9 +33,12 @@ pub struct Options {
     /// Where flights, identities and onboard logs are kept.
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Build without optimisation: starts sooner after a change, flies slower.
+    /// Build the page with little optimisation: it is there sooner after a change.
     #[arg(long)]
     pub dev: bool,
+    /// Build the programs as they go on a vehicle; otherwise only what flies and estimates is optimised.
+    #[arg(long)]
+    pub release: bool,
 }
 
 /// Builds, starts, and stays until Ctrl-C or until one of the programs ends.
@@ -49,15 +54,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
             if options.wires { Vehicle::OnWires { scenario } } else { Vehicle::Simulated { scenario } }
         }
     };
-    web::run(workspace, &web::Options { dev: options.dev, wasm: None })?;
-    eprintln!("xtask: building ground and agent");
-    let profile = if options.dev { "dev" } else { "release" };
-    let folder = if options.dev { "debug" } else { "release" };
-    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent", "--package", "plumbline-wires"];
-    let packages = if options.wires { &packages[..] } else { &packages[..4] };
-    super::workspace::run(
-        workspace.cargo().args(["build", "--locked", "--bins", "--profile", profile]).args(packages),
-    )?;
+    let folder = build(workspace, options)?;
 
     signals::catch();
     let data = options.data.clone().unwrap_or_else(|| workspace.root.join("data"));
@@ -91,6 +88,24 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         std::thread::sleep(POLL);
     }
     system.stop()
+}
+
+/// Builds the page and the programs side by side: what links the page keeps one core busy for long. Where the programs are.
+fn build(workspace: &Workspace, options: &Options) -> Result<&'static str, XtaskError> {
+    if !workspace.target.join("web").is_dir() {
+        eprintln!("xtask: building page, ground and agent for the first time: {FIRST_BUILD}");
+    }
+    let (profile, folder) = if options.release { ("release", "release") } else { ("dev", "debug") };
+    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent", "--package", "plumbline-wires"];
+    let packages = if options.wires { &packages[..] } else { &packages[..4] };
+    let mut cargo = workspace.cargo();
+    cargo.args(["build", "--locked", "--bins", "--profile", profile]).args(packages);
+    std::thread::scope(|scope| {
+        let programs = scope.spawn(|| super::workspace::run(&mut cargo));
+        web::run(workspace, &web::Options { dev: options.dev, wasm: None })?;
+        programs.join().unwrap_or_else(|_| Err(XtaskError::Other("the programs' build ended in a panic".into())))
+    })?;
+    Ok(folder)
 }
 
 /// The quadrotor hanging on four strings.

@@ -3,9 +3,10 @@
 //! In the world of the data sheets, where the rotors' wash reads as a metre or more on the barometer; altitude is judged
 //! by truth. A simulated operator keeps the vehicle over its place by eye.
 
+use plumbline_agent::control::tuning::Design;
 use plumbline_agent::flight::Failsafe;
 use plumbline_agent::sim::Scenario;
-use plumbline_agent::types::EstimatorKind;
+use plumbline_agent::types::{ControllerKind, EstimatorKind};
 use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
 use plumbline_tests::report::{Plot, Report, Series};
@@ -21,13 +22,47 @@ const OVERSHOOT_M: f64 = 0.5;
 const LATERAL_MAX_M: f64 = 20.0;
 const ALTITUDE_MAX_M: f64 = 6.0;
 /// A take-off is one from here on, m.
-const AIRBORNE_M: f64 = 0.5;
+pub const AIRBORNE_M: f64 = 0.5;
 
-fn scenario(world: &str, seed: u64) -> Scenario {
-    let text = format!(
-        r#"
-name = "paternain_take_off"
-airframe = "paternain"
+/// One take-off to 1 m with one IMU, a barometer and GNSS at 1 Hz.
+pub struct TakeOff<'a> {
+    pub airframe: &'a str,
+    pub world: &'a str,
+    pub estimator: EstimatorKind,
+    pub controller: ControllerKind,
+    pub seed: u64,
+}
+
+/// What one flight showed.
+pub struct Flown {
+    /// Time since asked, s, and true altitude, m.
+    pub curve: Vec<(f64, f64)>,
+    /// Estimated less true altitude when it was asked for, m.
+    before_m: f64,
+    /// The failsafe that ended it, or that it never armed.
+    pub lost: Option<String>,
+}
+
+impl Flown {
+    /// Highest true altitude, m.
+    pub fn most_m(&self) -> f64 {
+        self.curve.iter().map(|p| p.1).fold(0.0, f64::max)
+    }
+
+    /// Rms of the true altitude less 1 m, from 8 s on, m.
+    pub fn rms_m(&self) -> f64 {
+        let late = || self.curve.iter().filter(|p| p.0 > 8.0).map(|p| (p.1 - 1.0).powi(2));
+        f64::sqrt(late().sum::<f64>() / late().count() as f64)
+    }
+}
+
+impl TakeOff<'_> {
+    fn scenario(&self) -> Scenario {
+        let Self { airframe, world, seed, .. } = self;
+        let text = format!(
+            r#"
+name = "take_off"
+airframe = "{airframe}"
 world = "{world}"
 seed = {seed}
 duration_s = 40
@@ -46,50 +81,41 @@ at_s = {ASKED_S}
 do = "setpoint"
 altitude_m = 1.0
 "#
-    );
-    Scenario::from_toml(&text).unwrap()
-}
+        );
+        Scenario::from_toml(&text).unwrap()
+    }
 
-/// What one flight showed.
-struct Flown {
-    /// Time since asked, s, and true altitude, m.
-    curve: Vec<(f64, f64)>,
-    /// Estimated less true altitude when it was asked for, m.
-    before_m: f64,
-    /// The failsafe that ended it, or that it never armed.
-    lost: Option<String>,
-}
-
-fn fly(world: &str, seed: u64, estimator: EstimatorKind) -> Flown {
-    let scenario = scenario(world, seed);
-    let judged_from_s = scenario.duration_s;
-    let mut config = scenario.flight_config();
-    config.estimators = vec![estimator];
-    config.in_loop = estimator;
-    (config.limits.lateral_max_m, config.limits.altitude_max_m) = (LATERAL_MAX_M, ALTITUDE_MAX_M);
-    let setup = Setup {
-        scenario,
-        config,
-        reception: Reception::All,
-        attacks: Vec::new(),
-        sequences: Vec::new(),
-        judged_from_s,
-        comes_down: false,
-    };
-    let mut flown = Flown { curve: Vec::new(), before_m: f64::NAN, lost: None };
-    let done = fly_watched(&setup, |flight, truth| {
-        let t = truth.time.as_seconds() - ASKED_S;
-        if t < 0.0 {
-            let estimate = flight.estimates().find(|(kind, _)| *kind == estimator);
-            flown.before_m =
-                estimate.map_or(f64::NAN, |(_, e)| e.kinematics().position_enu_m.z - truth.position_enu_m.z);
-        } else if flown.lost.is_none() && (!flight.report().armed || flight.failsafe() != Failsafe::None) {
-            flown.lost = Some(format!("{:?} at {t:.1} s", flight.failsafe()));
-        }
-        flown.curve.push((t, truth.position_enu_m.z));
-    });
-    done.unwrap();
-    flown
+    pub fn fly(&self) -> Flown {
+        let scenario = self.scenario();
+        let judged_from_s = scenario.duration_s;
+        let mut config = scenario.flight_config();
+        (config.estimators, config.in_loop) = (vec![self.estimator], self.estimator);
+        config.design = Design::new(self.controller, &scenario.airframe);
+        (config.limits.lateral_max_m, config.limits.altitude_max_m) = (LATERAL_MAX_M, ALTITUDE_MAX_M);
+        let setup = Setup {
+            scenario,
+            config,
+            reception: Reception::All,
+            attacks: Vec::new(),
+            sequences: Vec::new(),
+            judged_from_s,
+            comes_down: false,
+        };
+        let mut flown = Flown { curve: Vec::new(), before_m: f64::NAN, lost: None };
+        let done = fly_watched(&setup, |flight, truth| {
+            let t = truth.time.as_seconds() - ASKED_S;
+            if t < 0.0 {
+                let estimate = flight.estimates().find(|(kind, _)| *kind == self.estimator);
+                flown.before_m =
+                    estimate.map_or(f64::NAN, |(_, e)| e.kinematics().position_enu_m.z - truth.position_enu_m.z);
+            } else if flown.lost.is_none() && (!flight.report().armed || flight.failsafe() != Failsafe::None) {
+                flown.lost = Some(format!("{:?} at {t:.1} s", flight.failsafe()));
+            }
+            flown.curve.push((t, truth.position_enu_m.z));
+        });
+        done.unwrap();
+        flown
+    }
 }
 
 pub fn take_offs(report: &mut Report, rows: &mut Vec<Vec<String>>) {
@@ -109,16 +135,15 @@ pub fn take_offs(report: &mut Report, rows: &mut Vec<Vec<String>>) {
             let (mut airborne, mut lost) = (0, Vec::new());
             let (mut over, mut errors, mut before) = (Vec::new(), Vec::new(), Vec::new());
             for seed in base..base + flights {
-                let Flown { curve, before_m, lost: why } = fly(world, seed, estimator);
-                before.push(before_m.abs());
-                let most = curve.iter().map(|p| p.1).fold(0.0, f64::max);
-                airborne += u64::from(most >= AIRBORNE_M);
-                over.push((most - 1.0).max(0.0));
-                lost.extend(why);
-                let late = || curve.iter().filter(|p| p.0 > 8.0).map(|p| (p.1 - 1.0).powi(2));
-                errors.push(f64::sqrt(late().sum::<f64>() / late().count() as f64));
+                let controller = ControllerKind::LqrIntegral;
+                let flown = TakeOff { airframe: "paternain", world, estimator, controller, seed }.fly();
+                before.push(flown.before_m.abs());
+                airborne += u64::from(flown.most_m() >= AIRBORNE_M);
+                over.push((flown.most_m() - 1.0).max(0.0));
+                errors.push(flown.rms_m());
+                lost.extend(flown.lost);
                 if world == "datasheet" && estimator == EstimatorKind::EkfBias && seed < base + 10 {
-                    let thinned = curve.into_iter().filter(|p| p.0 >= -1.0).step_by(20).collect();
+                    let thinned = flown.curve.into_iter().filter(|p| p.0 >= -1.0).step_by(20).collect();
                     plot = plot.with(Series::line(&format!("seed {seed}"), thinned));
                 }
             }
