@@ -92,6 +92,10 @@ impl Estimator for Lost {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }
 
 #[test]

@@ -1,5 +1,8 @@
 //! Draws, work on all cores, and the statistics of what came of it.
 
+/// A flight with every estimator is large before it is on the heap, without optimisation most of all.
+const STACK_BYTES: usize = 32 << 20;
+
 /// `work(0..count)` on all cores, in order.
 pub fn parallel<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let next = std::sync::atomic::AtomicUsize::new(0);
@@ -15,12 +18,15 @@ pub fn parallel<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<
                 mine.push((index, work(index)));
             }
         };
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(run)).collect();
+        let builder = || std::thread::Builder::new().stack_size(STACK_BYTES);
+        // Where no thread can be had the present one does it all.
+        let workers: Vec<_> = (0..threads).filter_map(|_| builder().spawn_scoped(scope, run).ok()).collect();
+        let own = if workers.is_empty() { run() } else { Vec::new() };
         let join = |worker: std::thread::ScopedJoinHandle<'_, Vec<(usize, T)>>| match worker.join() {
             Ok(done) => done,
             Err(panic) => std::panic::resume_unwind(panic),
         };
-        workers.into_iter().flat_map(join).collect()
+        workers.into_iter().flat_map(join).chain(own).collect()
     });
     done.sort_by_key(|(index, _)| *index);
     done.into_iter().map(|(_, value)| value).collect()

@@ -142,4 +142,8 @@ impl Estimator for Smoothed {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }

@@ -153,4 +153,8 @@ impl<F: AttitudeFilter> Estimator for AttitudeEstimator<F> {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }

@@ -13,6 +13,7 @@ use super::constant_acceleration::ConstantAccelerationEstimator;
 use super::ekf_bias::EkfBias;
 use super::fdir::isolation::Isolation;
 use super::filter::ekf_hybrid::EkfHybrid;
+use super::filter::innovations::Innovations;
 use super::filter::ukf::Ukf;
 use super::lanes::Lanes;
 use super::secure::{Decoder, Secure, WindowReport};
@@ -140,6 +141,8 @@ pub struct Bank {
     estimators: ArrayVec<Box<dyn Estimator>, MAX_ESTIMATORS>,
     in_loop: usize,
     estimate: Estimate,
+    /// What each is surprised by.
+    innovations: [Innovations; MAX_ESTIMATORS],
     /// What is left of the last switch.
     offset: Option<Offset>,
     /// Counts nanoseconds; given from outside, since estimators have no clock.
@@ -204,6 +207,7 @@ impl Bank {
             estimators: estimators.into_iter().collect(),
             in_loop: at,
             estimate: Estimate::default(),
+            innovations: [Innovations::default(); MAX_ESTIMATORS],
             offset: None,
             stopwatch: None,
             step_ns: [0; MAX_ESTIMATORS],
@@ -260,8 +264,11 @@ impl Bank {
     pub fn step(&mut self, received: &SensorFrame, applied: &MotorCommand, dt_s: f64) -> &Estimate {
         let read = || self.stopwatch.map_or(0, |now| now());
         let mut before = read();
-        for (estimator, took) in self.estimators.iter_mut().zip(&mut self.step_ns) {
+        for ((estimator, took), innovations) in
+            self.estimators.iter_mut().zip(&mut self.step_ns).zip(&mut self.innovations)
+        {
             estimator.step(received, applied);
+            innovations.widen(estimator.estimate_mut());
             let after = read();
             *took = after.saturating_sub(before);
             before = after;
@@ -348,6 +355,9 @@ mod tests {
         }
         fn estimate(&self) -> &Estimate {
             &self.1
+        }
+        fn estimate_mut(&mut self) -> &mut Estimate {
+            &mut self.1
         }
     }
 

@@ -212,6 +212,10 @@ impl Estimator for Complementary {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }
 
 #[cfg(test)]

@@ -273,6 +273,10 @@ impl Estimator for ConstantAccelerationEstimator {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }
 
 #[cfg(test)]

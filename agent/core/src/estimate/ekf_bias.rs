@@ -486,6 +486,10 @@ impl Estimator for EkfBias {
         &self.estimate
     }
 
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
+
     fn nees(&self, truth: &Kinematics) -> Option<Nees> {
         let error = consistency::error(truth, &self.state.kinematics);
         consistency::nees(&error, &self.p.fixed_view::<9, 9>(0, 0).into_owned())

@@ -206,6 +206,9 @@ pub trait Estimator: std::any::Any + Send {
     /// The estimate of the last step.
     fn estimate(&self) -> &Estimate;
 
+    /// The same, for whoever knows better how uncertain it is.
+    fn estimate_mut(&mut self) -> &mut Estimate;
+
     /// How far from `truth` for the covariance it claims; `None` for estimators without one. For tests and
     /// offline scores: nothing in flight knows the truth.
     fn nees(&self, _truth: &Kinematics) -> Option<filter::consistency::Nees> {

@@ -277,6 +277,10 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
         &self.estimate
     }
 
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
+
     fn nees(&self, truth: &Kinematics) -> Option<Nees> {
         let (x, p) = self.filter.moments();
         let mut error = consistency::error(truth, &self.estimate.kinematics());

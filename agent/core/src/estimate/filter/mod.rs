@@ -2,6 +2,7 @@
 
 pub mod consistency;
 pub mod ekf_hybrid;
+pub mod innovations;
 pub mod kalman;
 pub mod low_pass;
 pub mod lqe;

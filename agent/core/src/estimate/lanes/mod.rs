@@ -248,6 +248,10 @@ impl Estimator for Lanes {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }
 
 /// Three of six.

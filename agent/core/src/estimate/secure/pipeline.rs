@@ -424,4 +424,8 @@ impl Estimator for Secure {
     fn estimate(&self) -> &Estimate {
         &self.estimate
     }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
 }
