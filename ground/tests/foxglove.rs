@@ -339,7 +339,9 @@ async fn a_viewer_is_refused_the_services() {
     assert_eq!(answer(&mut socket, 3).await.unwrap()["stage"], "accepted");
     ground.stop().await;
     let audit = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
-    let by = |status: &str| audit.lines().filter(|l| l.contains("FOXGLOVE") && l.contains("vic") && l.contains(status)).count();
+    let by = |status: &str| {
+        audit.lines().filter(|l| l.contains("FOXGLOVE") && l.contains("vic") && l.contains(status)).count()
+    };
     assert!(by("\"status\":403") >= 1 && by("\"status\":200") == 1, "{audit}");
     assert!(!audit.contains("\"who\":\"root\""), "the account counts, not what the address says: {audit}");
 }

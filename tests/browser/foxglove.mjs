@@ -59,19 +59,6 @@ await step(null, 'foxglove: the live link is that of its own client', async () =
   return { name: seen.info.name, channels: channels.size, drawn: [...drawn].sort(), ...Object.fromEntries(counts) };
 });
 
-await step(null, 'foxglove: the layout of the manual shows topics that there are', async () => {
-  const seen = join('foxglove');
-  const layout = JSON.parse(readFileSync(new URL('../../docs/foxglove.json', import.meta.url), 'utf8'));
-  const text = JSON.stringify(layout.configById);
-  const topics = [...new Set([...text.matchAll(/"(?:value|topicToRender)":"(\/[a-z0-9_]+(?:\/[a-z0-9_]+)*)/g)].map((found) => found[1]))];
-  assert(topics.length >= 5, `topics of the layout: ${topics}`);
-  await until(`all of ${topics}`, () => topics.every((topic) => seen.channels.has(topic)));
-  const services = [...text.matchAll(/"serviceName":"([^"]+)"/g)].map((found) => found[1]);
-  assert(services.length >= 2 && services.every((name) => seen.services.has(name)), `services: ${services}`);
-  seen.client.close();
-  return { topics, services };
-});
-
 await step(null, 'foxglove: gains and limits can be read and not set', async () => {
   const seen = join('foxglove');
   await until('the server', () => seen.info && seen.channels.has('/gains'));
@@ -107,6 +94,19 @@ await step(null, 'foxglove: services are commands under the lease', async () => 
   await lease('DELETE');
   [ann, bob].forEach((seen) => seen.client.close());
   return { setpoint: served, cut: cut.answer.reason, mode };
+});
+
+await step(null, 'foxglove: the layout of the manual shows topics that there are', async () => {
+  const seen = join('foxglove');
+  const layout = JSON.parse(readFileSync(new URL('../../docs/foxglove.json', import.meta.url), 'utf8'));
+  const text = JSON.stringify(layout.configById);
+  const topics = [...new Set([...text.matchAll(/"(?:value|topicToRender)":"(\/[a-z0-9_]+(?:\/[a-z0-9_]+)*)/g)].map((found) => found[1]))];
+  assert(topics.length >= 5, `topics of the layout: ${topics}`);
+  await until(`all of ${topics}`, () => topics.every((topic) => seen.channels.has(topic)));
+  const services = [...text.matchAll(/"serviceName":"([^"]+)"/g)].map((found) => found[1]);
+  assert(services.length >= 2 && services.every((name) => seen.services.has(name)), `services: ${services}`);
+  seen.client.close();
+  return { topics, services };
 });
 
 await step(null, 'foxglove: what is wrong is answered and loses nothing', async () => {

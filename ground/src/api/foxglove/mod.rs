@@ -134,12 +134,7 @@ fn take(client: &Mutex<Client>, outbox: &Outbox, batch: &[u8]) {
 }
 
 /// What the client says; ends with it, and when it asks without taking the answers.
-async fn listen(
-    mut receiver: SplitStream<WebSocket>,
-    client: &Mutex<Client>,
-    caller: &Caller,
-    outbox: &Arc<Outbox>,
-) {
+async fn listen(mut receiver: SplitStream<WebSocket>, client: &Mutex<Client>, caller: &Caller, outbox: &Arc<Outbox>) {
     while let Some(Ok(message)) = receiver.next().await
         && !outbox.overflown()
     {
@@ -331,9 +326,8 @@ impl Client {
                     outbox.rare(client::parameters(parameters::values(&self.parameters(), &names), id));
                 }
             }
-            Ok(Asked::Other) => outbox.rare(client::trouble(
-                "this is not done here: subscriptions, getParameters and calls of services are",
-            )),
+            Ok(Asked::Other) => outbox
+                .rare(client::trouble("this is not done here: subscriptions, getParameters and calls of services are")),
             Err(error) => outbox.rare(client::trouble(&format!("the request cannot be read: {error}"))),
         }
     }

@@ -110,7 +110,10 @@ mod tests {
         let Message::Text(text) = advertise() else { panic!("text") };
         let told: Value = serde_json::from_str(&text).unwrap();
         let services = told["services"].as_array().unwrap();
-        assert_eq!(services.iter().map(|s| s["name"].as_str().unwrap()).collect::<Vec<_>>(), ["mode", "setpoint", "cut"]);
+        assert_eq!(
+            services.iter().map(|s| s["name"].as_str().unwrap()).collect::<Vec<_>>(),
+            ["mode", "setpoint", "cut"]
+        );
         for service in services {
             for side in ["request", "response"] {
                 let schema: Value = serde_json::from_str(service[side]["schema"].as_str().unwrap()).unwrap();

@@ -121,7 +121,8 @@ impl Pruner {
         }
         let due: BTreeMap<String, Due> = self.due(now_unix_us)?.into_iter().map(|due| (due.id.clone(), due)).collect();
         for flight in flights.iter_mut().filter(|flight| !kept(flight)) {
-            let after = |age: Duration| ended_us(flight).saturating_add(micros(age)).saturating_add(micros(self.policy.notice));
+            let after =
+                |age: Duration| ended_us(flight).saturating_add(micros(age)).saturating_add(micros(self.policy.notice));
             let told = due.get(&flight.id).and_then(|due| due.deleted_unix_us);
             flight.deleted_unix_us = told.or_else(|| self.policy.age.map(after));
         }
