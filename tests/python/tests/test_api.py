@@ -17,9 +17,9 @@ from conftest import System, running
 
 import plumbline
 
-# Every operation is asked a little, and then so many seconds as much as there is time for: with the ids that there are, and with any.
+# Every operation is asked a little, and then for so many seconds whatever there is time for: with the ids that there are, with any.
 EXAMPLES = 2
-MORE_S = (25, 8)
+MORE_S = (20, 6)
 CHECKS = (
     "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
     "response_schema_conformance"
@@ -49,7 +49,7 @@ def run(system: System, folder: Path, config: str, phases: str, *options: str) -
     folder.mkdir()
     (folder / "schemathesis.toml").write_text(config)
     report = folder / "report.ndjson"
-    command = [
+    command: list[str | Path] = [
         sys.executable, "-c", "import schemathesis.cli, sys; sys.exit(schemathesis.cli.schemathesis())",
         "run", f"{system.url}/api/v1/openapi.json", "--checks", CHECKS,
         "--phases", phases, "--max-examples", str(EXAMPLES), "--seed", "1", "--no-shrink", "--continue-on-failure",
@@ -91,4 +91,5 @@ def test_no_answer_is_a_fault_or_undocumented(fuzzed: System, tmp_path: Path) ->
     print(f"{asked.total()} requests")
     document = httpx.get(f"{fuzzed.url}/api/v1/openapi.json").json()
     described = {f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods}
-    assert described - asked.keys() == set(), "operations that were not asked"
+    # The description itself was read to begin with.
+    assert described - asked.keys() <= {"GET /api/v1/openapi.json"}, "operations that were not asked"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from typing import Any
 
 from conftest import ROOT
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
 from plumbline import live
 
@@ -15,22 +15,21 @@ from plumbline import live
 FOXGLOVES = {"/tf", "/scene", "/log"}
 
 
-def message_of(topic: str) -> Descriptor:
-    """The message of a topic, `/estimate/9` say."""
+def message_of(topic: str) -> Any:
+    """The descriptor of a topic's message, `/estimate/9` say."""
     for kind, message, many in live.KINDS.values():
         if re.fullmatch(rf"{kind}/\d+" if many else kind, topic):
-            descriptor: Descriptor = message.DESCRIPTOR
-            return descriptor
+            return message.DESCRIPTOR
     raise AssertionError(f"there is no topic {topic}")
 
 
 def check(topic: str, path: list[str]) -> None:
     """Follows a path of fields; one in brackets needs a list."""
-    descriptor: Descriptor | None = message_of(topic)
+    descriptor = message_of(topic)
     for step in path:
         name, bracket, _ = step.partition("[")
         assert descriptor is not None and name in descriptor.fields_by_name, f"{topic} has no {'.'.join(path)}"
-        field: FieldDescriptor = descriptor.fields_by_name[name]
+        field = descriptor.fields_by_name[name]
         assert bool(bracket) == field.is_repeated, f"{topic}: {step}"
         descriptor = field.message_type
 
