@@ -130,3 +130,30 @@ async fn a_flight_says_when_it_is_deleted() {
     assert!(ground.json("/api/v1/flights/one").await["deleted_unix_us"].is_null());
     ground.stop().await;
 }
+
+/// GIVEN a backup that cannot be written, or whose files are cut THEN that is said, and the next backup heals what was cut.
+#[test]
+fn a_backup_that_cannot_be_written_or_is_cut_says_so_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, backup) = (folder.path().join("data"), folder.path().join("backup"));
+    let flights = data.join("flights");
+    std::fs::create_dir_all(&flights).unwrap();
+    for name in ["a.mcap", "b.mcap"] {
+        std::fs::write(flights.join(name), format!("flight of {name}")).unwrap();
+    }
+    let file = folder.path().join("a file");
+    std::fs::write(&file, "").unwrap();
+    let error = archive::back_up(&data, &file.join("backup"), &[]).unwrap_err().to_string();
+    assert!(error.contains("a file"), "{error}");
+    archive::back_up(&data, &backup, &[]).unwrap();
+    std::fs::write(backup.join("b.mcap"), "flig").unwrap();
+    let (_, wrong) = archive::check(&backup).unwrap();
+    assert!(wrong.len() == 1 && wrong[0].starts_with("b.mcap: has "), "{wrong:?}");
+    assert_eq!(archive::back_up(&data, &backup, &[]).unwrap().copied, ["b.mcap"]);
+    let sums = backup.join("SHA256SUMS");
+    let text = std::fs::read_to_string(&sums).unwrap();
+    std::fs::write(&sums, &text[..text.len() - 40]).unwrap();
+    let error = archive::check(&backup).unwrap_err().to_string();
+    assert!(error.contains("SHA256SUMS") && error.contains("line"), "{error}");
+    assert_eq!(std::fs::read(flights.join("b.mcap")).unwrap(), b"flight of b.mcap");
+}
