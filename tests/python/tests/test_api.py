@@ -18,8 +18,8 @@ from conftest import System, running
 import plumbline
 
 # Every operation is asked a little, and then for so many seconds whatever there is time for: with the ids that there are, with any.
-EXAMPLES = 2
-MORE_S = (20, 6)
+EXAMPLES = 1
+MORE_S = (15, 5)
 CHECKS = (
     "not_a_server_error,status_code_conformance,content_type_conformance,response_headers_conformance,"
     "response_schema_conformance"

@@ -66,8 +66,7 @@ pub(crate) struct Said {
 
 pub(crate) async fn live(
     State(app): State<App>,
-    Path(id): Path<String>,
-    Query(said): Query<Said>,
+    (Path(id), Query(said)): (Path<String>, Query<Said>),
     who: Operator,
     place: Option<Extension<Arc<Place>>>,
     peer: Option<Extension<ConnectInfo<Peer>>>,
@@ -106,6 +105,9 @@ async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {
     let client = Mutex::new(Client::new(caller.app.hub.latest(&caller.vehicle, Kind::Description)));
     outbox.rare(client::server_info(&caller.vehicle));
     outbox.rare(services::advertise());
+    for (channel, topic, schema) in scene::OFFERED {
+        outbox.rare(client::advertise_json(channel, topic, schema));
+    }
     let Viewer { backlog, queue } = viewer;
     for shared in backlog {
         take(&client, &outbox, &shared.batch);
@@ -255,7 +257,7 @@ impl Client {
     fn new(description: Option<v1::Description>) -> Self {
         Self {
             boot_us: description.map_or(0, |description| description.boot_wall_time_us),
-            channels: BTreeMap::new(),
+            channels: scene::OFFERED.map(|(channel, topic, _)| (channel, topic.to_owned())).into(),
             subscriptions: HashMap::new(),
             latest: HashMap::new(),
             scene: scene::Scene::default(),
@@ -279,11 +281,7 @@ impl Client {
         let boot = WallTime(if kind.is_ground_made() { 0 } else { self.boot_us });
         let since = boot.at(FlightTime(frame.time_us));
         self.put(channel, since.as_nanos(), frame.payload, sampled(Some(kind)), outbox);
-        for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since.0) {
-            self.channels.entry(channel).or_insert_with(|| {
-                outbox.rare(client::advertise_json(channel, topic, schema));
-                topic.to_owned()
-            });
+        for scene::Drawn { channel, json, sampled } in self.scene.take(kind, frame, since.0) {
             self.put(channel, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
         }
     }

@@ -14,6 +14,12 @@ use crate::recorder::body_from_world;
 
 /// Channels beyond those of any kind.
 const FIRST_CHANNEL: u32 = 0xffff_0000;
+/// What there is of those schemas: channel, topic, schema. Offered at once, so that a panel finds its topic before the first event.
+pub(super) const OFFERED: [(u32, &str, &str); 3] = [
+    (FIRST_CHANNEL, "/tf", "foxglove.FrameTransform"),
+    (FIRST_CHANNEL + 1, "/scene", "foxglove.SceneUpdate"),
+    (FIRST_CHANNEL + 2, "/log", "foxglove.Log"),
+];
 /// Least time between two scenes, µs: 20 Hz.
 const SCENE_EVERY_US: u64 = 50_000;
 /// Half the length of an arm, for the eye: of an Iris.
@@ -32,8 +38,6 @@ const COLOURS: [[f64; 3]; 7] = [
 /// One message of such a schema.
 pub(super) struct Drawn {
     pub(super) channel: u32,
-    pub(super) topic: &'static str,
-    pub(super) schema: &'static str,
     pub(super) json: Value,
     pub(super) sampled: bool,
 }
@@ -117,7 +121,7 @@ impl Scene {
         let json = json!({ "timestamp": time(now_us), "parent_frame_id": "map", "child_frame_id": "base_link",
             "translation": vector(&estimate.position_enu_m.unwrap_or_default()),
             "rotation": { "x": q.x, "y": q.y, "z": q.z, "w": q.w } });
-        Some(Drawn { channel: FIRST_CHANNEL, topic: "/tf", schema: "foxglove.FrameTransform", json, sampled: true })
+        Some(Drawn { channel: FIRST_CHANNEL, json, sampled: true })
     }
 
     /// Strings from their hooks to where an estimate has their knots; pale ones are slack.
@@ -163,7 +167,7 @@ impl Scene {
             entities.push(entity("truth", "map", now_us, &json!({ "spheres": ball(truth, &grey) })));
         }
         let json = json!({ "deletions": [], "entities": entities });
-        Drawn { channel: FIRST_CHANNEL + 1, topic: "/scene", schema: "foxglove.SceneUpdate", json, sampled: true }
+        Drawn { channel: FIRST_CHANNEL + 1, json, sampled: true }
     }
 }
 
@@ -175,7 +179,7 @@ fn log(event: &v1::Event, now_us: u64) -> Drawn {
         _ => 2,
     };
     let json = json!({ "timestamp": time(now_us), "level": level, "message": event.text, "name": event.kind, "file": "", "line": 0 });
-    Drawn { channel: FIRST_CHANNEL + 2, topic: "/log", schema: "foxglove.Log", json, sampled: false }
+    Drawn { channel: FIRST_CHANNEL + 2, json, sampled: false }
 }
 
 #[cfg(test)]
