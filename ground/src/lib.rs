@@ -33,7 +33,7 @@ mod viewers;
 mod work;
 
 use std::future::Future;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
@@ -87,7 +87,7 @@ pub async fn run(
     let idle = config.lease_idle;
     let experiments = Arc::new(experiments::Experiments::open(&config.data_folder));
     let retention = recorder::archive::Pruner::open(&config.data_folder, config.retention.clone(), recorder.handle());
-    let retention = Arc::new(Mutex::new(retention));
+    let retention = Arc::new(retention);
     work.handle().spawn(retention::run(retention.clone(), audit.clone(), stopped.clone()));
     let app = api::App::new(api::Parts {
         config,

@@ -1,6 +1,6 @@
 //! Lets the recorder's retention look at the flights now and then, and writes down what it says and does.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use plumbline_rest::flight::Due;
 use tokio::sync::watch;
@@ -8,11 +8,11 @@ use tokio::time::{MissedTickBehavior, interval};
 
 use crate::audit::{Audit, Deed};
 use crate::recorder::archive::Pruner;
-use crate::sync::{lock, stopping, wall_time_us};
+use crate::sync::{stopping, wall_time_us};
 
 /// Runs until the ground stops.
-pub(crate) async fn run(pruner: Arc<Mutex<Pruner>>, audit: Audit, mut stopped: watch::Receiver<bool>) {
-    let mut look = interval(lock(&pruner).every());
+pub(crate) async fn run(pruner: Arc<Pruner>, audit: Audit, mut stopped: watch::Receiver<bool>) {
+    let mut look = interval(pruner.every());
     look.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
@@ -20,7 +20,7 @@ pub(crate) async fn run(pruner: Arc<Mutex<Pruner>>, audit: Audit, mut stopped: w
             () = stopping(&mut stopped) => return,
         }
         let pruner = pruner.clone();
-        match tokio::task::spawn_blocking(move || lock(&pruner).pass(wall_time_us())).await {
+        match tokio::task::spawn_blocking(move || pruner.pass(wall_time_us())).await {
             Ok(Ok((told, deleted))) => {
                 told.iter().for_each(|due| say(&audit, due, "DUE", 202));
                 deleted.iter().for_each(|due| say(&audit, due, "DELETE", 204));

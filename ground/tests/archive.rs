@@ -91,7 +91,10 @@ async fn retention_tells_before_it_deletes_and_spares_what_is_named_or_in_no_bac
     let due = ground.wait_json("/api/v1/archive/due", |due| due[0]["deleted_unix_us"].is_u64()).await;
     let ids: Vec<_> = due.as_array().unwrap().iter().map(|due| due["id"].as_str().unwrap()).collect();
     assert_eq!(ids, ["gone", "unsaved"]);
-    assert_eq!(ground.get("/api/v1/flights/gone").await.status, 200, "told, and there");
+    // The flight says so itself, as long as it is there; what is named does not go.
+    let gone = ground.json("/api/v1/flights/gone").await;
+    assert_eq!(gone["deleted_unix_us"], due[0]["deleted_unix_us"], "told, and there");
+    assert!(ground.json("/api/v1/flights/named").await["deleted_unix_us"].is_null());
     ground.wait_json("/api/v1/flights", |flights| flights["total"] == 2).await;
     let left = ground.json("/api/v1/flights").await;
     let left: Vec<_> = left["flights"].as_array().unwrap().iter().map(|f| f["id"].clone()).collect();
@@ -105,4 +108,52 @@ async fn retention_tells_before_it_deletes_and_spares_what_is_named_or_in_no_bac
         })
         .await;
     ground.stop().await;
+}
+
+/// GIVEN an age at which flights are deleted WHEN they are listed THEN each says when that is, until it has a note.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flight_says_when_it_is_deleted() {
+    const DAY: Duration = Duration::from_secs(86_400);
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = GroundConfig::new(folder.path());
+    config.reserve_bytes = 1;
+    config.retention.age = Some(36_500 * DAY);
+    config.retention.notice = 2 * DAY;
+    let ground = Ground::start_with(config).await;
+    flown(&ground, &["one"]).await;
+    let listed = ground.json("/api/v1/flights").await["flights"][0].clone();
+    let number = |key: &str| listed[key].as_f64().unwrap_or_else(|| panic!("{key}: {listed}"));
+    let kept_s = (number("deleted_unix_us") - number("started_unix_us")) * 1e-6 - number("duration_s");
+    assert!((kept_s - 36_502.0 * DAY.as_secs_f64()).abs() < 1.0, "{kept_s} s");
+    let noted = ground.request("PATCH", "/api/v1/flights/one", r#"{"notes":"bumped"}"#).await;
+    assert!(noted.status == 200 && noted.text().contains("\"deleted_unix_us\":null"), "{}", noted.text());
+    assert!(ground.json("/api/v1/flights/one").await["deleted_unix_us"].is_null());
+    ground.stop().await;
+}
+
+/// GIVEN a backup that cannot be written, or whose files are cut THEN that is said, and the next backup heals what was cut.
+#[test]
+fn a_backup_that_cannot_be_written_or_is_cut_says_so_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, backup) = (folder.path().join("data"), folder.path().join("backup"));
+    let flights = data.join("flights");
+    std::fs::create_dir_all(&flights).unwrap();
+    for name in ["a.mcap", "b.mcap"] {
+        std::fs::write(flights.join(name), format!("flight of {name}")).unwrap();
+    }
+    let file = folder.path().join("a file");
+    std::fs::write(&file, "").unwrap();
+    let error = archive::back_up(&data, &file.join("backup"), &[]).unwrap_err().to_string();
+    assert!(error.contains("a file"), "{error}");
+    archive::back_up(&data, &backup, &[]).unwrap();
+    std::fs::write(backup.join("b.mcap"), "flig").unwrap();
+    let (_, wrong) = archive::check(&backup).unwrap();
+    assert!(wrong.len() == 1 && wrong[0].starts_with("b.mcap: has "), "{wrong:?}");
+    assert_eq!(archive::back_up(&data, &backup, &[]).unwrap().copied, ["b.mcap"]);
+    let sums = backup.join("SHA256SUMS");
+    let text = std::fs::read_to_string(&sums).unwrap();
+    std::fs::write(&sums, &text[..text.len() - 40]).unwrap();
+    let error = archive::check(&backup).unwrap_err().to_string();
+    assert!(error.contains("SHA256SUMS") && error.contains("line"), "{error}");
+    assert_eq!(std::fs::read(flights.join("b.mcap")).unwrap(), b"flight of b.mcap");
 }

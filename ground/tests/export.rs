@@ -166,6 +166,10 @@ fn export(arguments: &[&str]) -> (bool, String) {
     (ran.status.success(), text)
 }
 
+fn file_of(flights: &str) -> String {
+    format!("{flights}/f1.mcap")
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -187,10 +191,21 @@ async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_re
     assert!(done && out.join("cut.parquet").exists(), "{text}");
     let noise = folder.path().join("noise.mcap");
     std::fs::write(&noise, "not a flight").unwrap();
-    let file = Path::new(flights).join("f1.mcap");
-    let file = file.to_str().unwrap();
+    let file = file_of(flights);
+    let file = file.as_str();
+    // Of another version, and of another format: named as what they are, and no empty table comes of them.
+    let newer = folder.path().join("newer.mcap");
+    let mut changed = whole.clone();
+    changed[5] = b'9';
+    std::fs::write(&newer, &changed).unwrap();
+    let bag = folder.path().join("bag");
+    let (done, text) = export(&[file_of(flights).as_str(), "--format", "ros2", "--output", bag.to_str().unwrap()]);
+    assert!(done, "{text}");
+    let bag = bag.join("f1.ros2.mcap");
     for (arguments, named) in [
         (vec![noise.to_str().unwrap()], "noise.mcap"),
+        (vec![newer.to_str().unwrap()], "MCAP9"),
+        (vec![bag.to_str().unwrap()], "no topic \"/control\""),
         (vec!["nowhere.mcap"], "nowhere.mcap"),
         (vec![file, "--columns", "colour"], "colour"),
         (vec![file, "--from-s", "3", "--to-s", "2"], "from_s 3"),

@@ -245,3 +245,47 @@ async fn control_held_by_another_is_not_taken() {
     assert!(matches!(asked.as_slice(), [Body::CutMotors(_)]), "{asked:?}");
     ground.stop().await;
 }
+
+/// GIVEN a station WHEN it sends noise, half a message, a wrong checksum and an old protocol's frame THEN none of it is an order,
+/// and the next whole one is done.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_no_message_is_no_order() {
+    const CUT: MavCmd = MavCmd::MAV_CMD_DO_FLIGHTTERMINATION;
+    let folder = tempfile::tempdir().unwrap();
+    let mut gcs = Gcs::new();
+    let ground = ground(folder.path(), gcs.address(), None).await;
+    let agent = ground.agent("iris-1", 1).await;
+    let (stop, stopped) = watch::channel(false);
+    let flying = tokio::spawn(attended(agent, stopped));
+    let disarmed = tokio::task::spawn_blocking(move || {
+        gcs.wait("heartbeat", |message| matches!(message, MavMessage::HEARTBEAT(_)).then_some(()));
+        let cut = COMMAND_LONG_DATA {
+            target_system: 1,
+            target_component: 1,
+            command: CUT,
+            param1: 1.0,
+            ..COMMAND_LONG_DATA::DEFAULT
+        };
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.serialize_message(
+            MavHeader { system_id: 255, component_id: 190, sequence: 0 },
+            &MavMessage::COMMAND_LONG(cut),
+        );
+        let whole = raw.raw_bytes().to_vec();
+        let mut damaged = whole.clone();
+        *damaged.last_mut().unwrap() ^= 0x55;
+        let mut version_one = whole.clone();
+        version_one[0] = 0xfe;
+        let half = whole[..whole.len() / 2].to_vec();
+        for wrong in [vec![], vec![0; 4000], half, damaged, version_one, b"GET / HTTP/1.1\r\n\r\n".to_vec()] {
+            gcs.socket.send_to(&wrong, gcs.ground.unwrap()).unwrap();
+        }
+        gcs.order(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+    });
+    let disarmed = disarmed.await.unwrap();
+    stop.send_replace(true);
+    let (asked, _) = flying.await.unwrap();
+    assert_eq!(disarmed.0, MavResult::MAV_RESULT_ACCEPTED, "{}", disarmed.1);
+    assert!(matches!(asked.as_slice(), [Body::Disarm(_)]), "{asked:?}");
+    ground.stop().await;
+}

@@ -13,7 +13,7 @@ use super::extract::Query;
 use super::flights::on_disk;
 use super::{download, operator::Operator};
 use crate::recorder::archive::Tar;
-use crate::sync::{lock, wall_time_us};
+use crate::sync::wall_time_us;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -38,5 +38,5 @@ pub(crate) async fn tar(
 
 pub(crate) async fn due(State(app): State<App>) -> Result<Json<Vec<Due>>, ApiError> {
     let retention = app.retention.clone();
-    Ok(Json(on_disk(move || lock(&retention).due(wall_time_us())).await?))
+    Ok(Json(on_disk(move || retention.due(wall_time_us())).await?))
 }

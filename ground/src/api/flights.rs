@@ -14,6 +14,7 @@ use super::error::ApiError;
 use super::extract::{Path, Query};
 use super::operator::Operator;
 use crate::recorder::{Export, Flight, Format, RecordingError, Selection};
+use crate::sync::wall_time_us;
 
 /// Runs `work`, which waits for the disk, off the server's threads.
 pub(super) async fn on_disk<T: Send + 'static>(
@@ -29,17 +30,26 @@ pub(crate) async fn list(State(app): State<App>, Query(asked): Query<Listing>) -
     if !(1..=MAX_PAGE).contains(&asked.limit) {
         return Err(ApiError::Invalid(format!("limit {} is outside 1 to {MAX_PAGE}", asked.limit)));
     }
-    let recorder = app.recorder.clone();
+    let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
     // Asked before the list: a list that says it is ready lacks nothing.
     let ready = recorder.ready();
-    let read = on_disk(move || Ok((page(recorder.flights()?, &asked), recorder.storage())));
-    let ((flights, total), storage) = read.await?;
+    let read = on_disk(move || {
+        let (mut flights, total) = page(recorder.flights()?, &asked);
+        retention.date(&mut flights, wall_time_us())?;
+        Ok((flights, total, recorder.storage()))
+    });
+    let (flights, total, storage) = read.await?;
     Ok(Json(Flights { flights, total, storage, ready }))
 }
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Flight>, ApiError> {
-    let recorder = app.recorder.clone();
-    Ok(Json(on_disk(move || recorder.flight(&id)).await?))
+    let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
+    let read = on_disk(move || {
+        let mut flight = recorder.flight(&id)?;
+        retention.date(std::slice::from_mut(&mut flight), wall_time_us())?;
+        Ok(flight)
+    });
+    Ok(Json(read.await?))
 }
 
 pub(crate) async fn annotate(
@@ -47,8 +57,13 @@ pub(crate) async fn annotate(
     Path(id): Path<String>,
     Body(labels): Body<Labels>,
 ) -> Result<Json<Flight>, ApiError> {
-    let recorder = app.recorder.clone();
-    Ok(Json(on_disk(move || recorder.label(&id, labels.name, labels.notes)).await?))
+    let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
+    let labelled = on_disk(move || {
+        let mut flight = recorder.label(&id, labels.name, labels.notes)?;
+        retention.date(std::slice::from_mut(&mut flight), wall_time_us())?;
+        Ok(flight)
+    });
+    Ok(Json(labelled.await?))
 }
 
 pub(crate) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {

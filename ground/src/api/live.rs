@@ -25,7 +25,7 @@ use super::App;
 use super::access::token;
 use super::error::ApiError;
 use super::extract::{Path, Query};
-use super::operator::Operator;
+use super::operator::{self, Operator};
 use crate::front::Place;
 use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue, thin};
 use crate::people::Token;
@@ -63,7 +63,7 @@ pub(crate) async fn live(
         return Err(ApiError::Invalid(format!("history {} is not a number of seconds", asked.history)));
     }
     let history = Duration::from_secs_f64(asked.history.min(MAX_HISTORY_SECONDS as f64));
-    let who = if app.people.sign_in_needed() { who.name } else { asked.operator.unwrap_or(who.name) };
+    let who = if app.people.sign_in_needed() { who.name } else { operator::named(asked.operator, who.name)? };
     if !app.hub.knows(&id) {
         return Err(crate::hub::VehicleError::Unknown(id).into());
     }

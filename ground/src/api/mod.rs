@@ -31,6 +31,7 @@ pub(crate) mod mavlink;
 mod openapi;
 mod operations;
 mod operator;
+mod order;
 mod pairing;
 mod people;
 mod session;
@@ -40,7 +41,7 @@ mod trajectory;
 mod vehicles;
 
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 
 use axum::Router;
@@ -93,7 +94,7 @@ pub(crate) struct Parts {
     pub(crate) people: Arc<People>,
     pub(crate) audit: Audit,
     pub(crate) recorder: RecorderHandle,
-    pub(crate) retention: Arc<Mutex<Pruner>>,
+    pub(crate) retention: Arc<Pruner>,
     pub(crate) experiments: Arc<Experiments>,
     /// Threads for whatever takes long.
     pub(crate) work: Handle,

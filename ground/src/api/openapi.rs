@@ -2,7 +2,10 @@
 //! `plumbline_rest` and the table of routes, which says who may. Served at `/api/v1/openapi.json`, and for people at
 //! `/api/v1/docs`.
 
+use std::collections::BTreeSet;
+
 use axum::Json;
+use axum::http::StatusCode;
 use axum::response::Html;
 use plumbline_rest::Problem;
 use serde_json::{Map, Value, json};
@@ -125,13 +128,16 @@ impl Operation {
             success["content"] = content;
         }
         let mut responses = json!({ self.status.to_string(): success });
-        responses["default"] = json!({
-            "description": "It could not be done: `code` says why to programs, `detail` to people.",
-            "content": { PROBLEM: { "schema": of::<Problem>(schemas) } },
-        });
+        for status in self.failures() {
+            responses[status.to_string()] = json!({ "$ref": format!("#/components/responses/{status}") });
+        }
         if ["login", "logout"].contains(&self.tag()) {
             responses["303"] = json!({ "description": "Go on at `Location`." });
-            responses["default"]["content"]["text/html; charset=utf-8"] = json!({ "schema": { "type": "string" } });
+            for status in self.failures() {
+                let mut failure = failure(status);
+                failure["content"]["text/html; charset=utf-8"] = json!({ "schema": { "type": "string" } });
+                responses[status.to_string()] = failure;
+            }
         }
         if self.answer.is_some_and(|(media, _)| media == JSON) && self.method == "get" {
             responses["304"] = json!({ "description": "What `If-None-Match` names is still so." });
@@ -154,6 +160,25 @@ impl Operation {
         operation
     }
 
+    /// Statuses by which it may say that it was not done.
+    fn failures(&self) -> Vec<u16> {
+        let mut all = vec![401, 403, 404, 405, 422, 500, 503];
+        if self.method != "get" {
+            all.extend([408, 409, 413]);
+            if self.path.starts_with("/api/v1/vehicles/") {
+                all.extend([423, 504]);
+            }
+        }
+        if self.status == 101 {
+            all.push(426);
+        }
+        let counted = ["session", "login", "flights", "archive"].contains(&self.tag());
+        if counted {
+            all.push(429);
+        }
+        all
+    }
+
     /// The part of the path that names what it is about.
     fn tag(&self) -> &'static str {
         let path = self.path.strip_prefix("/api/v1/").unwrap_or(self.path).trim_start_matches('/');
@@ -161,9 +186,19 @@ impl Operation {
     }
 }
 
+/// What is said where something was not done.
+fn failure(status: u16) -> Value {
+    let reason = StatusCode::from_u16(status).ok().and_then(|status| status.canonical_reason()).unwrap_or_default();
+    json!({
+        "description": format!("{reason}: `code` says why to programs, `detail` to people."),
+        "content": { PROBLEM: { "schema": { "$ref": "#/components/schemas/Problem" } } },
+    })
+}
+
 /// The whole document, and names that clash.
 fn document() -> (Value, Schemas) {
     let mut schemas = Schemas::default();
+    of::<Problem>(&mut schemas);
     let mut paths = Map::new();
     for (method, path, need) in super::access_table() {
         let described = OPERATIONS.iter().find(|operation| (operation.method, operation.path) == (method, path));
@@ -171,6 +206,7 @@ fn document() -> (Value, Schemas) {
             paths.entry(path).or_insert_with(|| json!({}))[method] = operation.document(need, &mut schemas);
         }
     }
+    let failures: BTreeSet<u16> = OPERATIONS.iter().flat_map(Operation::failures).collect();
     let text = "Times are in seconds or microseconds as their names say, lengths in metres, angles in radians, world east \
                 north up. Every answer in JSON has an ETag.";
     let document = json!({
@@ -185,6 +221,7 @@ fn document() -> (Value, Schemas) {
         "paths": paths,
         "components": {
             "schemas": schemas.named,
+            "responses": failures.into_iter().map(|status| (status.to_string(), failure(status))).collect::<Map<_, _>>(),
             "securitySchemes": {
                 "session": { "type": "apiKey", "in": "cookie", "name": COOKIE, "description": "POST /api/v1/session gives it; where there are no accounts none is needed." },
             },
@@ -240,10 +277,12 @@ fn page(document: &Value) -> String {
             if !operation["requestBody"].is_null() {
                 body += &format!("<p>Takes {}</p>", media(&operation["requestBody"]["content"]));
             }
-            for (status, answer) in operation["responses"].as_object().into_iter().flatten() {
+            let answers = || operation["responses"].as_object().into_iter().flatten();
+            for (status, answer) in answers().filter(|(status, _)| status.as_str() < "400") {
                 body += &format!("<p>{status}: {} {}</p>", text(&answer["description"]), media(&answer["content"]));
             }
-            body += "</details>";
+            let failures: Vec<_> = answers().map(|(status, _)| status.as_str()).filter(|s| *s >= "400").collect();
+            body += &format!("<p>{}: <a href=\"#Problem\">Problem</a></p></details>", failures.join(", "));
         }
     }
     for (name, schema) in document["components"]["schemas"].as_object().into_iter().flatten() {
@@ -260,8 +299,6 @@ fn page(document: &Value) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeSet;
-
     use super::*;
 
     #[test]

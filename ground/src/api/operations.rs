@@ -115,8 +115,12 @@ pub(super) const OPERATIONS: &[Operation] = &[
             ("operator", "string", "What the page calls itself."),
         ])
         .empty(101),
-    get("/api/v1/vehicles/{id}/foxglove", "The Foxglove WebSocket protocol, read only: every topic, and a scene")
-        .empty(101),
+    get(
+        "/api/v1/vehicles/{id}/foxglove",
+        "The Foxglove WebSocket protocol: every topic, a scene, gains and limits, services for mode, setpoint and cut",
+    )
+    .query(&[("operator", "string", "What a client calls itself.")])
+    .empty(101),
     get("/api/v1/vehicles/{id}/history", "The past as one batch, thinned for charts")
         .query(&[("seconds", "integer!", "How far back.")])
         .media(BYTES),

@@ -74,6 +74,25 @@ pub(crate) fn called(headers: &HeaderMap) -> Result<String, ApiError> {
     }
 }
 
+/// What a socket's address calls its operator, else `otherwise`.
+///
+/// # Errors
+/// [`ApiError::Invalid`] as for [`called`].
+pub(crate) fn named(said: Option<String>, otherwise: String) -> Result<String, ApiError> {
+    match said {
+        Some(name) if !usable(&name) => Err(ApiError::Invalid(format!(
+            "operator is {:?}: 1 to {MAX_LEN} printable characters are needed",
+            crate::names::clip(&name)
+        ))),
+        said => Ok(said.unwrap_or(otherwise)),
+    }
+}
+
+/// As a header could say it.
+fn usable(name: &str) -> bool {
+    (1..=MAX_LEN).contains(&name.len()) && name.bytes().all(|byte| (b' '..=b'~').contains(&byte))
+}
+
 impl<S: Sync> FromRequestParts<S> for Operator {
     type Rejection = ApiError;
 

@@ -50,6 +50,7 @@ use folder::free_bytes;
 use index::FlightIndex;
 pub use intervals::IntervalSet;
 pub use plumbline_rest::ground::Storage;
+pub(crate) use ros2::body_from_world;
 pub use sheet::{Format, Selection};
 pub use snapshot::Snapshot;
 use store::RecordingStore;

@@ -146,7 +146,7 @@ impl Cdr {
 }
 
 /// `world` in the body's axes: the inverse rotation of a unit quaternion, v + 2 u × (u × v − w v) with u its vector part.
-fn body_from_world(q: &v1::Quaternion, world: &v1::Vector3) -> v1::Vector3 {
+pub(crate) fn body_from_world(q: &v1::Quaternion, world: &v1::Vector3) -> v1::Vector3 {
     let cross =
         |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let (u, v) = ([q.x, q.y, q.z], [world.x, world.y, world.z]);

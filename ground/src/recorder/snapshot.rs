@@ -76,11 +76,21 @@ impl Snapshot {
     /// Opens one file by itself, finished or as a crash left it.
     ///
     /// # Errors
-    /// It cannot be read, or holds no whole record.
+    /// It cannot be read, is no MCAP file of a version that is known, or holds no whole record.
     pub fn of(path: &std::path::Path) -> Result<Self, super::RecordingError> {
         let files = Files { finished: None, parts: vec![path.to_owned()] };
-        Self::join(&files)
-            .map_err(|error| super::RecordingError::Damaged { path: path.to_owned(), reason: super::explain(&error) })
+        let damaged = |reason| super::RecordingError::Damaged { path: path.to_owned(), reason };
+        let mut begins = [0; MAGIC.len()];
+        let read = File::open(path).and_then(|file| file.read_at(&mut begins, 0));
+        let read = read.map_err(|error| damaged(super::explain(&error.into())))?;
+        if read == MAGIC.len() && begins != *MAGIC {
+            let text = String::from_utf8_lossy(&begins);
+            return Err(damaged(format!(
+                "begins with {text:?}, an MCAP file of version 0 with {:?}",
+                "\u{fffd}MCAP0\r\n"
+            )));
+        }
+        Self::join(&files).map_err(|error| damaged(super::explain(&error)))
     }
 
     fn join(files: &Files) -> McapResult<Self> {

@@ -142,6 +142,8 @@ pub struct Flight {
     pub attacks: Vec<FlownAttack>,
     /// Messages of each topic.
     pub counts: BTreeMap<String, u64>,
+    /// When the ground's retention deletes it as things are, µs since the Unix epoch; absent where it is kept.
+    pub deleted_unix_us: Option<u64>,
 }
 
 impl Flight {

@@ -71,7 +71,11 @@ class System:
 
 @pytest.fixture(scope="session")
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
-    folder = tmp_path_factory.mktemp("system")
+    yield from running(tmp_path_factory.mktemp("system"))
+
+
+def running(folder: Path) -> Iterator[System]:
+    """A ground and a simulated vehicle that is connected, until the iterator goes on."""
     data = folder / "ground"
     ground = start(
         "plumbline-ground", "--listen", "127.0.0.1:0", "--agent-listen", "127.0.0.1:0", "--data", data,

@@ -114,6 +114,11 @@ fn lay_out(
     put(format!("usr/lib/systemd/system/{name}.service"), &unit, 0o644)?;
     put(format!("etc/plumbline/{member}.toml"), &configuration(workspace, member, program)?, 0o644)?;
     put(format!("usr/share/doc/{name}/{manual}"), &read(&root.join("docs").join(manual))?, 0o644)?;
+    let book = root.join("docs/book");
+    for entry in std::fs::read_dir(&book).map_err(XtaskError::file(&book))?.flatten() {
+        let page = entry.file_name().to_string_lossy().into_owned();
+        put(format!("usr/share/doc/{name}/book/{page}"), &read(&entry.path())?, 0o644)?;
+    }
     put(format!("usr/share/doc/{name}/copyright"), COPYRIGHT.as_bytes(), 0o644)?;
     put(format!("usr/share/doc/{name}/CHANGELOG.md"), &read(&root.join("CHANGELOG.md"))?, 0o644)?;
     let date = output(Command::new("date").arg("--rfc-email"))?;

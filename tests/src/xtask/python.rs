@@ -16,11 +16,13 @@ pub fn test(workspace: &Workspace, tally: &mut Tally) {
             return;
         }
     };
+    let promtool = tools::promtool(workspace).inspect_err(|error| eprintln!("xtask: {error}")).ok();
     let folder = workspace.root.join("tests/python");
     let command = |arguments: &[&str]| {
         let mut command = Command::new(&python);
         command.args(["-B", "-m"]).args(arguments).current_dir(&folder);
         command.env("PLUMBLINE_BINARIES", workspace.target.join("debug"));
+        command.envs(promtool.iter().map(|promtool| ("PLUMBLINE_PROMTOOL", promtool)));
         command
     };
     let mut install =

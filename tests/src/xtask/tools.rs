@@ -132,6 +132,23 @@ pub fn plumbline(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     Ok(own)
 }
 
+/// `promtool`, taken out of Debian's package of Prometheus, which is not installed: it would start a server.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn promtool(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let folder = workspace.target.join("tools/promtool");
+    let own = folder.join("usr/bin/promtool");
+    if let Some(found) = on_path("promtool").or_else(|| own.is_file().then(|| own.clone())) {
+        return Ok(found);
+    }
+    let missing = || XtaskError::Missing { what: "promtool".into(), how: "  sudo apt-get install prometheus".into() };
+    std::fs::create_dir_all(&folder).map_err(XtaskError::file(&folder))?;
+    let take_out = "apt-get -qq download prometheus && dpkg-deb -x prometheus_*.deb . && rm prometheus_*.deb";
+    let taken = works(Command::new("sh").args(["-c", take_out]).current_dir(&folder));
+    (taken && own.is_file()).then_some(own).ok_or_else(missing)
+}
+
 /// An empty Python environment in `folder`.
 fn environment(system: &Path, folder: &Path) -> Result<(), XtaskError> {
     let create = || run(Command::new(system).args(["-m", "venv", "--clear"]).arg(folder));

@@ -214,7 +214,14 @@ fn Row(flight: Flight) -> impl IntoView {
     };
     view! {
         <td class="num when">{listing::when(flight.started_unix_us, local_offset_min())}</td>
-        <td class="flight-name"><Link to=Route::Flight(id)>{title}</Link></td>
+        <td class="flight-name">
+            <Link to=Route::Flight(id)>{title}</Link>
+            {flight.deleted_unix_us.map(|at| view! {
+                <span class="quiet num" title="Retention deletes it then; a name or a note keeps it">
+                    {format!(" until {}", listing::when(at, local_offset_min()))}
+                </span>
+            })}
+        </td>
         <td>{flight.vehicle_id.clone()}</td>
         <td>{flight.rig.clone()}</td>
         <td class="num">{format::clock(flight.duration_s)}</td>

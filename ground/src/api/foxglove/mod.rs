@@ -1,7 +1,8 @@
-//! `GET /api/v1/vehicles/{id}/foxglove`: the Foxglove WebSocket protocol (`foxglove.websocket.v1`, `foxglove.sdk.v1`), read only.
+//! `GET /api/v1/vehicles/{id}/foxglove`: the Foxglove WebSocket protocol (`foxglove.websocket.v1`, `foxglove.sdk.v1`).
 //!
 //! Channels are the topics of a flight file, with the same bytes and the same descriptors, and beside them well-known
-//! schemas of Foxglove's ([`scene`]). What nobody subscribed to is not sent. Roles are those of the live view.
+//! schemas of Foxglove's ([`scene`]). What nobody subscribed to is not sent. Gains and limits are [`parameters`] to be read; mode,
+//! setpoint and cut are [`services`] under the lease. Roles are those of the live view and of commands.
 //!
 //! Two queues lie between hub and socket. Samples: [`MAX_WAITING_BYTES`], the oldest goes when it is full. What is rare
 //! (events, acknowledgements, states): [`MAX_RARE`], and a client that lets even these fill is closed: none is lost in
@@ -10,7 +11,9 @@
 //! Source: Foxglove, *ws-protocol*, `docs/spec.md`.
 
 mod client;
+mod parameters;
 mod scene;
+mod services;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -18,7 +21,7 @@ use std::time::Duration;
 
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Extension, State};
+use axum::extract::{ConnectInfo, Extension, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
 use futures_util::stream::{SplitSink, SplitStream};
@@ -26,20 +29,22 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, v1};
+use serde::Deserialize;
 use tokio::sync::Notify;
 use tokio::time::timeout;
 
 use super::App;
 use super::access::token;
 use super::error::ApiError;
-use super::extract::Path;
+use super::extract::{Path, Query};
 use super::live::{STALLED, expelled};
-use super::operator::Operator;
-use crate::front::Place;
+use super::operator::{self, Operator};
+use crate::front::{Peer, Place};
 use crate::hub::{Viewer, ViewerQueue};
 use crate::sync::{lock, stopping};
 use crate::viewers::MAX_VIEWERS;
 use client::Asked;
+use services::Caller;
 
 /// What is spoken here, the best first.
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
@@ -52,11 +57,19 @@ const MAX_INCOMING: usize = 64 << 10;
 /// Most subscriptions of a client.
 const MAX_SUBSCRIPTIONS: usize = 1024;
 
+/// What the address says.
+#[derive(Deserialize)]
+pub(crate) struct Said {
+    /// What a client calls itself, where nobody signs in.
+    operator: Option<String>,
+}
+
 pub(crate) async fn live(
     State(app): State<App>,
-    Path(id): Path<String>,
+    (Path(id), Query(said)): (Path<String>, Query<Said>),
     who: Operator,
     place: Option<Extension<Arc<Place>>>,
+    peer: Option<Extension<ConnectInfo<Peer>>>,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
@@ -68,36 +81,42 @@ pub(crate) async fn live(
     if !app.hub.knows(&id) {
         return Err(crate::hub::VehicleError::Unknown(id).into());
     }
-    let seat = app.viewers.enter(who.name(), false);
+    let name = if app.people.sign_in_needed() { who.name } else { operator::named(said.operator, who.name)? };
+    let seat = app.viewers.enter(&name, false);
     let seat = seat.ok_or_else(|| ApiError::Unavailable(format!("{MAX_VIEWERS} viewers are connected")))?;
-    let token = token(&headers);
+    let from = peer.map_or_else(String::new, |Extension(ConnectInfo(Peer(address)))| address.ip().to_string());
+    let caller = Caller { app: app.clone(), vehicle: id.clone(), name, token: token(&headers), from };
     Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |socket| async move {
         if let Some(Extension(place)) = &place {
             place.watch();
         }
         let Ok(viewer) = app.hub.subscribe(&id, Duration::ZERO) else { return };
         tokio::select! {
-            () = serve(&app, &id, viewer, socket) => {}
+            () = serve(&caller, viewer, socket) => {}
             () = seat.closed() => {}
-            () = expelled(&app, token.as_ref()) => {}
+            () = expelled(&app, caller.token.as_ref()) => {}
         }
     }))
 }
 
-async fn serve(app: &App, id: &str, viewer: Viewer, socket: WebSocket) {
+async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {
     let (sender, receiver) = socket.split();
-    let outbox = Outbox::default();
-    let client = Mutex::new(Client::new(app.hub.latest(id, Kind::Description)));
-    outbox.rare(Message::Text(client::server_info(id).into()));
+    let outbox = Arc::new(Outbox::default());
+    let client = Mutex::new(Client::new(caller.app.hub.latest(&caller.vehicle, Kind::Description)));
+    outbox.rare(client::server_info(&caller.vehicle));
+    outbox.rare(services::advertise());
+    for (channel, topic, schema) in scene::OFFERED {
+        outbox.rare(client::advertise_json(channel, topic, schema));
+    }
     let Viewer { backlog, queue } = viewer;
     for shared in backlog {
         take(&client, &outbox, &shared.batch);
     }
-    let mut stopped = app.stopped.clone();
+    let mut stopped = caller.app.stopped.clone();
     tokio::select! {
         () = send(sender, &outbox) => {}
         () = pump(&queue, &client, &outbox) => {}
-        () = listen(receiver, &client, &outbox) => {}
+        () = listen(receiver, &client, caller, &outbox) => {}
         () = stopping(&mut stopped) => {}
     }
 }
@@ -116,11 +135,20 @@ fn take(client: &Mutex<Client>, outbox: &Outbox, batch: &[u8]) {
     frames.flatten().for_each(|frame| client.take(&frame, outbox));
 }
 
-async fn listen(mut receiver: SplitStream<WebSocket>, client: &Mutex<Client>, outbox: &Outbox) {
-    while let Some(Ok(message)) = receiver.next().await {
+/// What the client says; ends with it, and when it asks without taking the answers.
+async fn listen(mut receiver: SplitStream<WebSocket>, client: &Mutex<Client>, caller: &Caller, outbox: &Arc<Outbox>) {
+    while let Some(Ok(message)) = receiver.next().await
+        && !outbox.overflown()
+    {
         match message {
             Message::Text(text) => lock(client).asked(&text, outbox),
-            Message::Binary(_) => outbox.rare(client::trouble("this ground takes no binary messages: it is read only")),
+            Message::Binary(bytes) => match client::call(&bytes) {
+                Ok(call) => {
+                    let (caller, outbox) = (caller.clone(), outbox.clone());
+                    tokio::spawn(async move { outbox.rare(caller.call(call).await) });
+                }
+                Err(why) => outbox.rare(client::trouble(&why)),
+            },
             Message::Close(_) => return,
             Message::Ping(_) | Message::Pong(_) => {}
         }
@@ -229,7 +257,7 @@ impl Client {
     fn new(description: Option<v1::Description>) -> Self {
         Self {
             boot_us: description.map_or(0, |description| description.boot_wall_time_us),
-            channels: BTreeMap::new(),
+            channels: scene::OFFERED.map(|(channel, topic, _)| (channel, topic.to_owned())).into(),
             subscriptions: HashMap::new(),
             latest: HashMap::new(),
             scene: scene::Scene::default(),
@@ -253,11 +281,7 @@ impl Client {
         let boot = WallTime(if kind.is_ground_made() { 0 } else { self.boot_us });
         let since = boot.at(FlightTime(frame.time_us));
         self.put(channel, since.as_nanos(), frame.payload, sampled(Some(kind)), outbox);
-        for scene::Drawn { channel, topic, schema, json, sampled } in self.scene.take(kind, frame, since.0) {
-            self.channels.entry(channel).or_insert_with(|| {
-                outbox.rare(client::advertise_json(channel, topic, schema));
-                topic.to_owned()
-            });
+        for scene::Drawn { channel, json, sampled } in self.scene.take(kind, frame, since.0) {
             self.put(channel, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
         }
     }
@@ -288,11 +312,34 @@ impl Client {
                     }
                 }
             }
-            Ok(Asked::Other) => {
-                outbox.rare(client::trouble("this ground is read only: it takes subscriptions and nothing else"))
+            Ok(Asked::GetParameters { names, id }) => {
+                outbox.rare(client::parameters(parameters::values(&self.parameters(), &names), id));
             }
+            Ok(Asked::SetParameters { parameters: wanted, id }) => {
+                outbox.rare(client::trouble(
+                    "parameters are read only: gains are pushed on the page, limits are the agent's configuration",
+                ));
+                let names: Vec<String> = wanted.into_iter().map(|parameter| parameter.name).collect();
+                if id.is_some() && !names.is_empty() {
+                    outbox.rare(client::parameters(parameters::values(&self.parameters(), &names), id));
+                }
+            }
+            Ok(Asked::Other) => outbox
+                .rare(client::trouble("this is not done here: subscriptions, getParameters and calls of services are")),
             Err(error) => outbox.rare(client::trouble(&format!("the request cannot be read: {error}"))),
         }
+    }
+
+    /// As the vehicle has said them last.
+    fn parameters(&self) -> Vec<(String, serde_json::Value)> {
+        let gains: Option<v1::GainsInUse> = self.said(Kind::Gains);
+        let description: Option<v1::Description> = self.said(Kind::Description);
+        parameters::all(gains.as_ref(), description.and_then(|description| description.limits).as_ref())
+    }
+
+    fn said<M: plumbline_proto::Message + Default>(&self, kind: Kind) -> Option<M> {
+        let (_, payload) = self.latest.get(&(u32::from(kind.to_wire()) << 16))?;
+        M::decode(payload.as_slice()).ok()
     }
 
     fn subscribe(&mut self, id: u32, channel: u32, outbox: &Outbox) -> Result<(), String> {
@@ -351,6 +398,8 @@ mod tests {
             (r#"{"op":"subscribe","subscriptions":[{"id":8,"channelId":5}]}"#, "no channel 5"),
             (r#"{"op":"unsubscribe","subscriptionIds":[9]}"#, "no subscription 9"),
             (r#"{"op":"setParameters","parameters":[]}"#, "read only"),
+            (r#"{"op":"getParameters","parameterNames":[],"id":"x"}"#, "\"parameters\":[]"),
+            (r#"{"op":"advertise","channels":[]}"#, "not done here"),
         ] {
             client.asked(text, &outbox);
             assert!(matches!(outbox.pop(), Some(Message::Text(text)) if text.contains(named)), "{text}");

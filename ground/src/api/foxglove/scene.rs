@@ -1,5 +1,5 @@
 //! Foxglove's own schemas beside ours: `foxglove.FrameTransform` of the estimate in the loop, `foxglove.SceneUpdate` with
-//! the vehicle and what every estimator says, `foxglove.Log` of events. A viewer shows them without being told how.
+//! the vehicle, its strings and what every estimator says, `foxglove.Log` of events. A viewer shows them without being told how.
 //!
 //! As JSON, which those schemas have beside protobuf. Frames are ours: `map` is east-north-up, `base_link` forward-left-up.
 
@@ -10,9 +10,16 @@ use plumbline_proto::{Kind, v1};
 use serde_json::{Value, json};
 
 use crate::names::JsonName as _;
+use crate::recorder::body_from_world;
 
 /// Channels beyond those of any kind.
 const FIRST_CHANNEL: u32 = 0xffff_0000;
+/// What there is of those schemas: channel, topic, schema. Offered at once, so that a panel finds its topic before the first event.
+pub(super) const OFFERED: [(u32, &str, &str); 3] = [
+    (FIRST_CHANNEL, "/tf", "foxglove.FrameTransform"),
+    (FIRST_CHANNEL + 1, "/scene", "foxglove.SceneUpdate"),
+    (FIRST_CHANNEL + 2, "/log", "foxglove.Log"),
+];
 /// Least time between two scenes, µs: 20 Hz.
 const SCENE_EVERY_US: u64 = 50_000;
 /// Half the length of an arm, for the eye: of an Iris.
@@ -31,8 +38,6 @@ const COLOURS: [[f64; 3]; 7] = [
 /// One message of such a schema.
 pub(super) struct Drawn {
     pub(super) channel: u32,
-    pub(super) topic: &'static str,
-    pub(super) schema: &'static str,
     pub(super) json: Value,
     pub(super) sampled: bool,
 }
@@ -42,6 +47,7 @@ pub(super) struct Drawn {
 pub(super) struct Scene {
     estimates: BTreeMap<u16, v1::Estimate>,
     truth: Option<v1::Vector3>,
+    strings: Vec<v1::StringDescription>,
     drawn_us: u64,
 }
 
@@ -83,6 +89,10 @@ impl Scene {
     pub(super) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
         match kind {
             Kind::Event => frame.message().map_or_else(|_| Vec::new(), |event| vec![log(&event, now_us)]),
+            Kind::Description => {
+                self.strings = frame.message::<v1::Description>().map_or_else(|_| Vec::new(), |told| told.strings);
+                Vec::new()
+            }
             Kind::Truth => {
                 self.truth = frame.message::<v1::Truth>().ok().and_then(|truth| truth.position_enu_m);
                 Vec::new()
@@ -97,7 +107,7 @@ impl Scene {
                 let mut drawn: Vec<Drawn> = self.transform(frame.instance, now_us).into_iter().collect();
                 if now_us.abs_diff(self.drawn_us) >= SCENE_EVERY_US {
                     self.drawn_us = now_us;
-                    drawn.push(self.scene(now_us));
+                    drawn.push(self.scene(frame.instance, now_us));
                 }
                 drawn
             }
@@ -111,10 +121,30 @@ impl Scene {
         let json = json!({ "timestamp": time(now_us), "parent_frame_id": "map", "child_frame_id": "base_link",
             "translation": vector(&estimate.position_enu_m.unwrap_or_default()),
             "rotation": { "x": q.x, "y": q.y, "z": q.z, "w": q.w } });
-        Some(Drawn { channel: FIRST_CHANNEL, topic: "/tf", schema: "foxglove.FrameTransform", json, sampled: true })
+        Some(Drawn { channel: FIRST_CHANNEL, json, sampled: true })
     }
 
-    fn scene(&self, now_us: u64) -> Drawn {
+    /// Strings from their hooks to where an estimate has their knots; pale ones are slack.
+    fn strings(&self, estimate: &v1::Estimate, now_us: u64) -> Vec<Value> {
+        let (Some(place), Some(q)) = (estimate.position_enu_m, estimate.world_from_body) else { return Vec::new() };
+        let back = v1::Quaternion { w: q.w, x: -q.x, y: -q.y, z: -q.z };
+        let mut drawn = Vec::new();
+        for (number, string) in self.strings.iter().enumerate() {
+            let (Some(hook), Some(knot)) = (&string.hook_enu_m, &string.knot_flu_m) else { continue };
+            let arm = body_from_world(&back, knot);
+            let knot = v1::Vector3 { x: place.x + arm.x, y: place.y + arm.y, z: place.z + arm.z };
+            let length = (hook.x - knot.x).hypot(hook.y - knot.y).hypot(hook.z - knot.z);
+            let alpha = if length < string.rest_length_m { 0.3 } else { 1.0 };
+            let line = json!({ "lines": [{ "type": 0, "pose": { "position": vector(&v1::Vector3::default()),
+                "orientation": still() }, "thickness": 0.01, "scale_invariant": false,
+                "points": [vector(hook), vector(&knot)], "color": { "r": 0.3, "g": 0.3, "b": 0.3, "a": alpha },
+                "colors": [], "indices": [] }] });
+            drawn.push(entity(&format!("string {}", number + 1), "map", now_us, &line));
+        }
+        drawn
+    }
+
+    fn scene(&self, leader: u16, now_us: u64) -> Drawn {
         let arm = ARM_M / std::f64::consts::SQRT_2;
         let points: Vec<Value> = [(arm, arm), (-arm, -arm), (arm, -arm), (-arm, arm)]
             .map(|(x, y)| json!({ "x": x, "y": y, "z": 0.0 }))
@@ -126,6 +156,7 @@ impl Scene {
                 "color": colour(0, 1.0), "colors": [], "indices": [] }],
         });
         let mut entities = vec![entity("vehicle", "base_link", now_us, &body)];
+        entities.extend(self.estimates.get(&leader).map_or_else(Vec::new, |estimate| self.strings(estimate, now_us)));
         for (at, estimate) in self.estimates.values().enumerate() {
             let (Some(position), true) = (estimate.position_enu_m, estimate.altitude_known) else { continue };
             let name = v1::EstimatorKind::json_name(estimate.estimator());
@@ -136,7 +167,7 @@ impl Scene {
             entities.push(entity("truth", "map", now_us, &json!({ "spheres": ball(truth, &grey) })));
         }
         let json = json!({ "deletions": [], "entities": entities });
-        Drawn { channel: FIRST_CHANNEL + 1, topic: "/scene", schema: "foxglove.SceneUpdate", json, sampled: true }
+        Drawn { channel: FIRST_CHANNEL + 1, json, sampled: true }
     }
 }
 
@@ -148,5 +179,47 @@ fn log(event: &v1::Event, now_us: u64) -> Drawn {
         _ => 2,
     };
     let json = json!({ "timestamp": time(now_us), "level": level, "message": event.text, "name": event.kind, "file": "", "line": 0 });
-    Drawn { channel: FIRST_CHANNEL + 2, topic: "/log", schema: "foxglove.Log", json, sampled: false }
+    Drawn { channel: FIRST_CHANNEL + 2, json, sampled: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use plumbline_proto::Message as _;
+
+    use super::*;
+
+    /// GIVEN a quarter turn to the left, 2 m up WHEN drawn THEN a string ends at its knot as it is turned, pale while slack.
+    #[test]
+    fn strings_end_at_their_knots() {
+        let vector = |x, y, z| Some(v1::Vector3 { x, y, z });
+        let string = |rest_length_m| v1::StringDescription {
+            hook_enu_m: vector(0.0, 0.0, 3.0),
+            knot_flu_m: vector(0.25, 0.0, 0.0),
+            rest_length_m,
+        };
+        let mut scene = Scene::default();
+        let mut take = |kind: Kind, payload: &[u8]| {
+            let frame = Frame { kind: kind.to_wire(), instance: 1, sequence: 1, time_us: 100_000, payload };
+            scene.take(kind, &frame, 100_000)
+        };
+        let described = v1::Description { strings: vec![string(0.5), string(5.0)], ..Default::default() };
+        assert!(take(Kind::Description, &described.encode_to_vec()).is_empty());
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let estimate = v1::Estimate {
+            in_loop: true,
+            position_enu_m: vector(0.0, 0.0, 2.0),
+            world_from_body: Some(v1::Quaternion { w: half, x: 0.0, y: 0.0, z: half }),
+            ..Default::default()
+        };
+        let drawn = take(Kind::Estimate, &estimate.encode_to_vec());
+        let entities = drawn[1].json["entities"].as_array().unwrap();
+        let alphas: Vec<_> = entities.iter().filter(|e| e["id"].as_str().unwrap().starts_with("string")).collect();
+        assert_eq!(alphas.len(), 2);
+        let knot = &alphas[0]["lines"][0]["points"][1];
+        for (axis, expected) in [("x", 0.0), ("y", 0.25), ("z", 2.0)] {
+            assert!((knot[axis].as_f64().unwrap() - expected).abs() < 1e-12, "{knot}");
+        }
+        let alpha = |at: usize| alphas[at]["lines"][0]["color"]["a"].as_f64();
+        assert_eq!((alpha(0), alpha(1)), (Some(1.0), Some(0.3)));
+    }
 }

@@ -2,25 +2,19 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode};
 use mavlink::dialects::common::*;
 use mavlink::{Message as _, MessageData as _};
 use plumbline_proto::{Kind, v1};
 use plumbline_rest::command as rest;
 
 use super::super::App;
-use super::super::body::Body;
+use super::super::control;
 use super::super::error::ApiError;
-use super::super::extract::Path;
-use super::super::operator::Operator;
-use super::super::{control, setpoint};
+use super::super::order::{Order, Sender};
 use super::{Latest, Line, say};
-use crate::audit::Deed;
 use crate::config::Mavlink;
 use crate::names::JsonName as _;
 use crate::people::{Access, Person, Role};
-use crate::sync::wall_time_us;
 
 /// Of [`MavCmd::MAV_CMD_COMPONENT_ARM_DISARM`], second parameter: disarm in flight.
 const FORCE: f32 = 21196.0;
@@ -33,28 +27,6 @@ pub(super) struct Who {
     pub(super) app: App,
     pub(super) vehicle: String,
     pub(super) config: Mavlink,
-}
-
-/// A command of the API.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Order {
-    Arm,
-    Disarm,
-    Cut,
-    Mode(v1::Mode),
-    Setpoint(rest::Setpoint),
-}
-
-impl Order {
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Arm => "arm",
-            Self::Disarm => "disarm",
-            Self::Cut => "cut",
-            Self::Mode(_) => "mode",
-            Self::Setpoint(_) => "setpoint",
-        }
-    }
 }
 
 /// What a message is about.
@@ -126,7 +98,7 @@ fn command(command: MavCmd, [first, second]: [f32; 2]) -> Asked {
         MavCmd::MAV_CMD_COMPONENT_ARM_DISARM if first == 0.0 && second == FORCE => Order::Cut,
         MavCmd::MAV_CMD_COMPONENT_ARM_DISARM if first == 0.0 => Order::Disarm,
         MavCmd::MAV_CMD_DO_FLIGHTTERMINATION if first == 1.0 => Order::Cut,
-        MavCmd::MAV_CMD_NAV_LAND => Order::Mode(v1::Mode::Land),
+        MavCmd::MAV_CMD_NAV_LAND => mode_order(v1::Mode::Land),
         MavCmd::MAV_CMD_DO_SET_MODE => return mode(second as u32, Some(command)),
         MavCmd::MAV_CMD_REQUEST_MESSAGE if first == AUTOPILOT_VERSION_DATA::ID as f32 => return version(command),
         MavCmd::MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES => return version(command),
@@ -142,7 +114,11 @@ fn version(command: MavCmd) -> Asked {
 /// The custom mode is the number of our own mode; which may be asked for says the API.
 fn mode(number: u32, command: Option<MavCmd>) -> Asked {
     let mode = i32::try_from(number).ok().and_then(|number| v1::Mode::try_from(number).ok());
-    Asked::Order(Order::Mode(mode.unwrap_or_default()), command)
+    Asked::Order(mode_order(mode.unwrap_or_default()), command)
+}
+
+fn mode_order(mode: v1::Mode) -> Order {
+    Order::Mode(rest::Mode { mode: mode.json_name() })
 }
 
 fn position(asked: &SET_POSITION_TARGET_LOCAL_NED_DATA) -> Asked {
@@ -205,30 +181,8 @@ impl Who {
             return;
         }
         let (name, role) = self.person();
-        let (path, body) = (format!("/api/v1/vehicles/{}/{}", self.vehicle, order.name()), format!("{order:?}"));
-        let outcome = if Access::Operate.open_to(role) {
-            self.order(Operator::new(name.clone(), &HeaderMap::new()), order).await
-        } else {
-            let (role, least) = (role.name(), Access::Operate.least().name());
-            Err(ApiError::Foreign(format!("a {role} may not do this; it needs the role {least}")))
-        };
-        let status = outcome.as_ref().map_or_else(|error| error.kind().0, |_| StatusCode::OK);
-        let deed = Deed {
-            unix_us: wall_time_us(),
-            who: name,
-            role: role.name(),
-            from: self.config.station.to_string(),
-            method: "MAVLINK".into(),
-            path,
-            body,
-            status: status.as_u16(),
-            times: 1,
-        };
-        if matches!(outcome, Err(ApiError::Foreign(_))) {
-            self.app.audit.refuse(deed);
-        } else {
-            self.app.audit.record(deed);
-        }
+        let sender = Sender { name, role, from: self.config.station.to_string(), way: "MAVLINK" };
+        let outcome = order.carry_out(&self.app, &self.vehicle, sender).await;
         if let Some(command) = command {
             line.say(&acknowledged(command, result(&outcome)));
         }
@@ -249,21 +203,6 @@ impl Who {
             && same(asked.x_m, used.x_m)
             && same(asked.y_m, used.y_m)
             && same(asked.yaw_rad, used.yaw_rad)
-    }
-
-    /// The way of the HTTP API.
-    async fn order(&self, operator: Operator, order: Order) -> control::Answer {
-        let (app, id) = (State(self.app.clone()), Path(self.vehicle.clone()));
-        match order {
-            Order::Arm => control::arm(app, id, operator).await,
-            Order::Disarm => control::disarm(app, id, operator).await,
-            Order::Cut => control::cut(app, id, operator).await,
-            Order::Mode(mode) => {
-                let mode = v1::Mode::json_name_of(mode as i32);
-                control::mode(app, id, operator, Body(rest::Mode { mode })).await
-            }
-            Order::Setpoint(setpoint) => setpoint::set(app, id, operator, Body(setpoint)).await,
-        }
     }
 }
 

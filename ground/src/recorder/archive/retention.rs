@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use plumbline_rest::flight::Due;
@@ -13,6 +14,7 @@ use plumbline_rest::flight::Due;
 use super::super::{Completeness, Flight, RecorderHandle, RecordingError};
 use super::{Sums, hash};
 use crate::gains_book::write_atomically;
+use crate::sync::lock;
 
 /// What is kept how long.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,9 +52,7 @@ pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due>
     let mut total: u64 = flights.iter().map(|flight| flight.size_bytes).sum();
     let mut found = Vec::new();
     for flight in oldest {
-        let kept = flight.completeness != Completeness::Complete || !flight.name.is_empty() || !flight.notes.is_empty();
-        let ended_us = flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64);
-        let age = Duration::from_micros(now_unix_us.saturating_sub(ended_us));
+        let age = Duration::from_micros(now_unix_us.saturating_sub(ended_us(flight)));
         let why = if policy.age.is_some_and(|most| age > most) {
             format!("ended {:.1} days ago", age.as_secs_f64() / 86_400.0)
         } else if let Some(most) = policy.bytes.filter(|most| total > *most) {
@@ -60,7 +60,7 @@ pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due>
         } else {
             continue;
         };
-        if kept {
+        if kept(flight) {
             continue;
         }
         total = total.saturating_sub(flight.size_bytes);
@@ -69,13 +69,26 @@ pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due>
     found
 }
 
+/// Is it never due?
+fn kept(flight: &Flight) -> bool {
+    flight.completeness != Completeness::Complete || !flight.name.is_empty() || !flight.notes.is_empty()
+}
+
+fn ended_us(flight: &Flight) -> u64 {
+    flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64)
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}
+
 /// Carries a policy out.
 #[derive(Debug)]
 pub(crate) struct Pruner {
     policy: Retention,
     recorder: RecorderHandle,
-    /// When each flight that is due was told to be, µs since the Unix epoch; outlives the ground.
-    told: BTreeMap<String, u64>,
+    /// When each flight that is due was told to be, µs since the Unix epoch; outlives the ground. Never locked while the disk is asked.
+    told: Mutex<BTreeMap<String, u64>>,
     path: PathBuf,
 }
 
@@ -83,7 +96,7 @@ impl Pruner {
     pub(crate) fn open(data_folder: &Path, policy: Retention, recorder: RecorderHandle) -> Self {
         let path = data_folder.join("retention.json");
         let told = std::fs::read(&path).ok().and_then(|text| serde_json::from_slice(&text).ok());
-        Self { policy, recorder, told: told.unwrap_or_default(), path }
+        Self { policy, recorder, told: Mutex::new(told.unwrap_or_default()), path }
     }
 
     pub(crate) fn every(&self) -> Duration {
@@ -92,26 +105,43 @@ impl Pruner {
 
     /// What is due, and when each of it goes.
     pub(crate) fn due(&self, now_unix_us: u64) -> Result<Vec<Due>, RecordingError> {
-        let notice_us = u64::try_from(self.policy.notice.as_micros()).unwrap_or(u64::MAX);
+        let told = lock(&self.told).clone();
         let timed = |due: Due| {
-            let told = self.told.get(&due.id).copied();
-            Due { deleted_unix_us: told.map(|told| told.saturating_add(notice_us)), ..due }
+            let told = told.get(&due.id).copied();
+            Due { deleted_unix_us: told.map(|told| told.saturating_add(micros(self.policy.notice))), ..due }
         };
         Ok(due(&self.recorder.flights()?, &self.policy, now_unix_us).into_iter().map(timed).collect())
     }
 
+    /// Writes into `flights` when each of them is deleted as things are, at the earliest. One that only their sum makes due has no
+    /// time before it is told.
+    pub(crate) fn date(&self, flights: &mut [Flight], now_unix_us: u64) -> Result<(), RecordingError> {
+        if !self.policy.limits() {
+            return Ok(());
+        }
+        let due: BTreeMap<String, Due> = self.due(now_unix_us)?.into_iter().map(|due| (due.id.clone(), due)).collect();
+        for flight in flights.iter_mut().filter(|flight| !kept(flight)) {
+            let after =
+                |age: Duration| ended_us(flight).saturating_add(micros(age)).saturating_add(micros(self.policy.notice));
+            let told = due.get(&flight.id).and_then(|due| due.deleted_unix_us);
+            flight.deleted_unix_us = told.or_else(|| self.policy.age.map(after));
+        }
+        Ok(())
+    }
+
     /// Deletes what was told long enough ago, and tells what is due now. Answers what it told and deleted. Asks the disk.
-    pub(crate) fn pass(&mut self, now_unix_us: u64) -> Result<(Vec<Due>, Vec<Due>), RecordingError> {
+    pub(crate) fn pass(&self, now_unix_us: u64) -> Result<(Vec<Due>, Vec<Due>), RecordingError> {
         // An index that lacks flights says too little of what there is.
         if !self.policy.limits() || !self.recorder.ready() {
             return Ok((Vec::new(), Vec::new()));
         }
         let all = self.due(now_unix_us)?;
-        let before = std::mem::take(&mut self.told);
+        let before = lock(&self.told).clone();
+        let mut since_when = BTreeMap::new();
         let (mut told, mut deleted) = (Vec::new(), Vec::new());
         for due in all {
             let Some(since) = before.get(&due.id).copied() else {
-                self.told.insert(due.id.clone(), now_unix_us);
+                since_when.insert(due.id.clone(), now_unix_us);
                 told.push(due);
                 continue;
             };
@@ -124,11 +154,12 @@ impl Pruner {
             if gone {
                 deleted.push(due);
             } else {
-                self.told.insert(due.id, since);
+                since_when.insert(due.id, since);
             }
         }
-        if self.told != before {
-            let text = serde_json::to_vec(&self.told).unwrap_or_default();
+        lock(&self.told).clone_from(&since_when);
+        if since_when != before {
+            let text = serde_json::to_vec(&since_when).unwrap_or_default();
             write_atomically(&self.path, &text)
                 .map_err(|source| RecordingError::Io { path: self.path.clone(), source })?;
         }

@@ -710,6 +710,7 @@ class Flight(TypedDict):
     boot_id: NotRequired[int]
     completeness: NotRequired[Completeness]
     counts: NotRequired[dict[str, int]]
+    deleted_unix_us: NotRequired[int | None]
     duration_s: NotRequired[float]
     filled: NotRequired[int]
     first_sequence: NotRequired[int | None]

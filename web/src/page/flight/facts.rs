@@ -9,7 +9,11 @@ use crate::{
     ctx::ctx,
     deck::deck,
     event::Failure,
-    model::format::{self, NONE},
+    model::{
+        format::{self, NONE},
+        listing,
+    },
+    page::flights::local_offset_min,
     panel::lanes::timed_notes,
 };
 
@@ -62,6 +66,10 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
                 {fact("messages", format::count(flight.messages))}
                 {fact("missing", missing)}
                 {fact("size", format::bytes(flight.size_bytes))}
+                {flight.deleted_unix_us.map(|at| {
+                    let when = listing::when(at, local_offset_min());
+                    fact("deleted", format!("{when}; a name or a note keeps it"))
+                })}
             </dl>
             <details class="counts">
                 <summary>"Messages by topic"</summary>
