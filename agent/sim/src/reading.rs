@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::conditions::Conditions;
 use super::devices::Outage;
 use super::rig::{Axis, HangingStrings, Rig};
-use super::scenario::{Initial, Scenario, ScenarioError};
+use super::scenario::{BrokenRotor, Initial, Scenario, ScenarioError};
 use super::script::{PushEvent, Script, Step};
 use super::site::Site;
 use super::world::{Disturbance, Push};
@@ -57,6 +57,8 @@ pub(super) struct RawScenario {
     push: Vec<RawPush>,
     #[serde(default)]
     outage: Vec<RawOutage>,
+    #[serde(default)]
+    broken: Vec<BrokenRotor>,
     #[serde(default)]
     attack: Vec<RawAttack>,
 }
@@ -221,6 +223,7 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
         script,
         attacks,
         outages: raw.outage.iter().map(read_outage).collect::<Read<_>>()?,
+        broken: raw.broken,
     })
 }
 

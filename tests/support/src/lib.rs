@@ -3,6 +3,7 @@
 //! - [`flown`], [`walk`]: scenarios and random walks flown in this process, every tick kept.
 //! - [`headless`]: scripted flights in this process for benches and reports, nothing kept.
 //! - [`envelope`]: how far attacks push that nobody sees, flown.
+//! - [`rotors`]: rotors that lose thrust, flown.
 //! - [`counting`]: an allocator that counts.
 //! - [`system`], [`files`], [`kill`]: ground and agent as processes, what they record, and what a kill costs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -10,6 +11,8 @@
 pub mod counting;
 #[cfg(feature = "envelope")]
 pub mod envelope;
+#[cfg(feature = "envelope")]
+pub mod rotors;
 #[cfg(feature = "system")]
 pub mod files;
 pub mod flown;
