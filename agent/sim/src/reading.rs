@@ -282,7 +282,9 @@ fn sensor_kind(key: &str, name: &str) -> Read<SensorKind> {
     match SensorKind::from_str_name(&format!("SENSOR_KIND_{}", name.to_ascii_uppercase())) {
         Some(kind) if kind != SensorKind::Unspecified => Ok(kind),
         _ => {
-            let names: Vec<_> = Suite::kinds().map(|kind| kind.as_str_name().to_ascii_lowercase()).collect();
+            let rotor = (key == "attack.sensor").then_some(SensorKind::Rotor);
+            let names: Vec<_> =
+                Suite::kinds().chain(rotor).map(|kind| kind.as_str_name().to_ascii_lowercase()).collect();
             bad(key, name, format!("one of {}", names.join(", ").replace("sensor_kind_", "")))
         }
     }

@@ -168,22 +168,23 @@ fn lost(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         for loss in [0.5, 0.7, 1.0] {
             let flown = fly_all(effort, rig, "datasheet", Some(loss));
             let cut: Vec<f64> = flown.iter().filter_map(|f| f.cut.map(|(after, _)| after)).collect();
-            let (after, tilt) = (of(&cut), of(&flown.iter().map(|f| f.end.0.to_degrees()).collect::<Vec<_>>()));
+            let (after, tilt) = (of(&cut), of(&flown.iter().map(|f| f.tilt_rad.to_degrees()).collect::<Vec<_>>()));
+            let sinks = of(&flown.iter().map(|f| f.sinks_mps).collect::<Vec<_>>());
             let mut why = std::collections::BTreeMap::<String, usize>::new();
             flown.iter().for_each(|f| *why.entry(format!("{:?}", f.failsafe)).or_default() += 1);
             let soon = cut.iter().filter(|s| (0.0..=CUT_S).contains(*s)).count();
             let more = json!({
                 "rig": rig, "loss": loss, "flights": flown.len(), "seed_base": effort.seed_base, "ends": why, "cut_after_s": after,
-                "tilt_deg": tilt, "down_m": of(&flown.iter().map(|f| f.end.1).collect::<Vec<_>>()), "holds": (loss == 1.0).then_some(soon == flown.len()),
+                "tilt_deg": tilt, "sinks_mps": sinks, "uncontrolled": flown.iter().filter(|f| f.lost.is_some()).count(), "holds": (loss == 1.0).then_some(soon == flown.len()),
             });
             report.value(&format!("lost/{rig}/{loss}"), soon as f64, "flights cut", more);
             let ends: Vec<String> = why.iter().map(|(name, count)| format!("{name} {count}")).collect();
             let mut row = vec![rig.to_owned(), format!("{:.0} %", 100.0 * loss), flown.len().to_string(), soon.to_string()];
             row.extend(after.map(|s| format!("{s:.3}")));
-            row.extend([format!("{:.0}", tilt[2]), ends.join(", ")]);
+            row.extend([format!("{:.0}", tilt[2]), format!("{:.2}", sinks[2]), ends.join(", ")]);
             rows.push(row);
         }
     }
-    let headers = ["rig", "loss", "flights", "cut in time", "after, s", "95 %", "worst", "most tilt then, °", "ends"];
+    let headers = ["rig", "loss", "flights", "cut in time", "after, s", "95 %", "worst", "most tilt, °", "sinks at most, m/s", "ends"];
     report.table("lost", "Half of a rotor and more", &headers, &rows)
 }

@@ -5,7 +5,7 @@ use plumbline_agent::flight::Failsafe;
 use plumbline_agent::frames::tilt_rad;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::scenario::BrokenRotor;
-use plumbline_agent::types::{EstimatorKind, ROTORS};
+use plumbline_agent::types::{EstimatorKind, Mode, ROTORS};
 use plumbline_experiment::draw::Dice;
 use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
@@ -23,6 +23,10 @@ const HOVER_M: f64 = 1.0;
 const ONSET_S: (f64, f64) = (14.0, 18.0);
 /// Flown on after it, s.
 pub const AFTER_S: f64 = 5.0;
+/// The same after one that ends the flight, s: until it is down.
+const DOWN_S: f64 = 15.0;
+/// From here on a loss ends the flight.
+const ENDS: f64 = 0.4;
 /// Length of a flight without a loss, s: steps of altitude throughout.
 const CLEAN_S: f64 = 60.0;
 
@@ -46,8 +50,9 @@ pub struct Flown {
     pub isolated: Option<(f64, usize)>,
     /// Rotors isolated before the onset, or other ones after it.
     pub falsely: usize,
-    /// Furthest from the altitude at the onset, and from the setpoint, m.
+    /// Furthest from the altitude at the onset, m.
     pub moved_m: f64,
+    /// The same from its setpoint, m.
     pub off_m: f64,
     /// What the rotor was found to give, at the end.
     pub found: f64,
@@ -57,8 +62,10 @@ pub struct Flown {
     pub cut: Option<(f64, Failsafe)>,
     /// The failsafe at the end.
     pub failsafe: Failsafe,
-    /// Tilt at the end, rad, and altitude, m.
-    pub end: (f64, f64),
+    /// Largest tilt from the onset until the motors are cut, rad, and fastest descent.
+    pub tilt_rad: f64,
+    /// While armed, m/s.
+    pub sinks_mps: f64,
     /// Why it was lost.
     pub lost: Option<String>,
     /// Was it watched, before the onset?
@@ -73,7 +80,7 @@ impl Flown {
 }
 
 fn scenario(rig: &str, world: &str, seed: u64, steps: bool) -> Scenario {
-    let end_s = if steps { CLEAN_S } else { ONSET_S.1 + AFTER_S + 1.0 };
+    let end_s = if steps { CLEAN_S } else { ONSET_S.1 + DOWN_S + 1.0 };
     let mut text = format!("name = \"rotors\"\nseed = {seed}\nduration_s = {end_s}\nworld = \"{world}\"\n");
     text += "[[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n";
     let altitudes: &[(f64, f64)] = if steps {
@@ -115,7 +122,8 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
         None => {}
     }
     let onset_s = if loss.is_some() { onset_s } else { f64::INFINITY };
-    scenario.duration_s = scenario.duration_s.min(onset_s + AFTER_S);
+    let ends = loss.is_some_and(|(_, loss)| loss >= ENDS);
+    scenario.duration_s = scenario.duration_s.min(onset_s + if ends { DOWN_S } else { AFTER_S });
     let setup = Setup {
         scenario,
         config,
@@ -123,7 +131,7 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
         attacks,
         sequences: Vec::new(),
         judged_from_s: onset_s.min(5.0),
-        comes_down: false,
+        comes_down: ends,
     };
     let mut flown = Flown { onset_s, rotor, ..Flown::default() };
     let (mut before, mut altitude_m) = ([false; ROTORS], None);
@@ -146,16 +154,19 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
             flown.watched = flight.rotors().watches();
             flown.sigma = flight.rotors().sigma().into();
             altitude_m = Some(truth.position_enu_m.z);
-        } else if flown.cut.is_none() {
+        } else if flown.cut.is_none() && flight.report().mode != Mode::Disarmed {
             let z = truth.position_enu_m.z;
             flown.moved_m = flown.moved_m.max((z - altitude_m.unwrap_or(z)).abs());
+            flown.tilt_rad = flown.tilt_rad.max(tilt_rad(&truth.world_from_body));
+            if flight.report().armed {
+                flown.sinks_mps = flown.sinks_mps.max(-truth.velocity_enu_mps.z);
+            }
             flown.off_m = flown.off_m.max((z - flight.report().setpoint.position_enu_m.z).abs());
         }
         flown.failsafe = flight.failsafe();
         if flight.status().cut_latched {
             flown.cut.get_or_insert((after_s, flown.failsafe));
         }
-        flown.end = (tilt_rad(&truth.world_from_body), truth.position_enu_m.z);
     });
     flown.lost = outcome.unwrap().lost;
     flown

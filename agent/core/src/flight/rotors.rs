@@ -55,16 +55,19 @@ const UNEXPLAINED: f64 = 0.5;
 /// The thrust misses at least so much of what the torque says, …
 const MISSING: f64 = 0.3;
 /// … or what lies within so many sigmas of it.
-const MISSING_SIGMAS: f64 = 1.0;
+const MISSING_SIGMAS: f64 = 0.5;
 /// Smallest loss that is told.
-const LEAST_LOSS: f64 = 0.06;
+const LEAST_LOSS: f64 = 0.04;
 /// The estimate of an isolated rotor follows with this time constant, s.
 const FOLLOW_S: f64 = 0.2;
 /// From here on, for so long (s), a rotor counts as healthy again.
 const HEALTHY: f64 = 0.97;
 const HEALTHY_S: f64 = 1.0;
-/// Held up by more than this, of g, something else than rotors carries it.
-const HELD: f64 = 0.06;
+/// Held up by more than this, of g, on a mean of so many seconds, something else than rotors carries it.
+const HELD: f64 = 0.08;
+const HELD_S: f64 = 0.25;
+/// Rotors that carry less than this part of the weight say little, and something else may carry the rest.
+const CARRIES: f64 = 0.75;
 /// Thrust that each rotor must be able to give to fly on, of a quarter of the weight …
 const FLIES: f64 = 1.15;
 /// … and to come down on. Between, the vehicle sinks level.
@@ -136,6 +139,8 @@ pub struct RotorWatch {
     /// z, rad/s.
     predicted_radps: Option<Vector3<f64>>,
     innovation: Vector4<f64>,
+    /// Thrust innovation, slower.
+    held_mps2: f64,
     mean: Vector4<f64>,
     variance: Vector4<f64>,
     learned_s: f64,
@@ -153,7 +158,7 @@ pub(super) struct Seen<'a> {
     pub force_mps2: f64,
     pub applied: &'a MotorCommand,
     pub voltage_ratio: f64,
-    /// In the air, and nothing but rotors carries it.
+    /// In the air, away from where it took off.
     pub free: bool,
     pub dt_s: f64,
 }
@@ -176,6 +181,7 @@ impl RotorWatch {
             lagged_n: [0.0; ROTORS],
             predicted_radps: None,
             innovation: Vector4::zeros(),
+            held_mps2: 0.0,
             mean: Vector4::zeros(),
             variance: Vector4::zeros(),
             learned_s: 0.0,
@@ -212,7 +218,8 @@ impl RotorWatch {
             self.begin();
             return None;
         }
-        if self.innovation.w > HELD * GRAVITY_MPS2 && !self.any_isolated() {
+        self.held_mps2 += (self.innovation.w - self.held_mps2) * (seen.dt_s / (HELD_S + seen.dt_s));
+        if self.held_mps2 > HELD * GRAVITY_MPS2 && !self.any_isolated() {
             self.begin();
             return None;
         }
@@ -254,7 +261,7 @@ impl RotorWatch {
         self.predicted_radps = Some(moved);
         self.innovation = Vector4::new(turning.x, turning.y, turning.z, lifting);
         if !self.innovation.iter().all(|r| r.is_finite()) {
-            (self.predicted_radps, self.innovation) = (None, Vector4::zeros());
+            (self.predicted_radps, self.innovation, self.held_mps2) = (None, Vector4::zeros(), 0.0);
         }
     }
 
@@ -270,6 +277,11 @@ impl RotorWatch {
     }
 
     fn sum_up(&mut self, dt_s: f64, deviation: &Vector4<f64>) {
+        let lift_mps2: f64 = self.columns.iter().zip(self.lagged_n).map(|(column, n)| column.w * n).sum();
+        if lift_mps2 < CARRIES * GRAVITY_MPS2 {
+            self.evidence = [Evidence::default(); ROTORS];
+            return;
+        }
         let sigma = self.sigma();
         let r = deviation.component_div(&sigma);
         let part = dt_s / (2.0 * LAG_S);
@@ -358,7 +370,7 @@ impl Flight {
     /// Looks after the rotors, makes up for one that is weak, and ends a flight that cannot go on.
     pub(super) fn watch_rotors(&mut self, voltage_ratio: f64, dt_s: f64) {
         let flying = self.phase == Phase::Flying;
-        let free = flying && !self.at_takeoff_height() && self.support.force_n() <= 0.0 && self.config.rig.can_lift();
+        let free = flying && !self.at_takeoff_height() && self.config.rig.can_lift();
         let watchdog = &self.supervision.watchdog;
         let seen = Seen {
             airframe: &self.config.airframe,
