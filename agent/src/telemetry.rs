@@ -487,7 +487,10 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
         boot_id: identification.boot_id,
-        actuators: (1_u8..).take(config.airframe.rotors.len()).map(|i| convert::actuator_description(i, config)).collect(),
+        actuators: (1_u8..)
+            .take(config.airframe.rotors.len())
+            .map(|i| convert::actuator_description(i, config))
+            .collect(),
     }
 }
 

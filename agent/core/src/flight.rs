@@ -38,8 +38,8 @@ use path::Path;
 use support::Support;
 
 pub use config::{AttackPolicy, FlightConfig, RigKind};
-pub use rotors::{LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, information as rotor_information};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
+pub use rotors::{LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, information as rotor_information};
 
 /// Why a flight cannot be set up.
 #[derive(Debug, thiserror::Error)]

@@ -57,7 +57,14 @@ impl Mixer {
         let allocation = airframe.allocation();
         let inverse = allocation.try_inverse()?;
         let effectiveness = Vector4::repeat(1.0);
-        Some(Self { airframe: airframe.clone(), allocation, inverse, voltage_ratio: 1.0, thrust_ceiling_n, effectiveness })
+        Some(Self {
+            airframe: airframe.clone(),
+            allocation,
+            inverse,
+            voltage_ratio: 1.0,
+            thrust_ceiling_n,
+            effectiveness,
+        })
     }
 
     /// What each rotor gives of the thrust that its command should give, 1 for all of it. At less than

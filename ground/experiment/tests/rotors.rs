@@ -15,7 +15,8 @@ fn a_fifth_of_a_rotor_is_isolated_and_made_up_for() {
         for how in [How::Broken, How::Attacked] {
             for seed in SEEDS {
                 let flown = fly(rig, "datasheet", seed, Some((how, 0.2)));
-                let (after_s, rotor) = flown.isolated.unwrap_or_else(|| panic!("{rig}, {how:?}, seed {seed}: not found"));
+                let (after_s, rotor) =
+                    flown.isolated.unwrap_or_else(|| panic!("{rig}, {how:?}, seed {seed}: not found"));
                 assert_eq!((rotor, flown.falsely), (flown.rotor, 0), "{rig}, {how:?}, seed {seed}: {flown:?}");
                 assert!(after_s <= 0.3, "{rig}, {how:?}, seed {seed}: after {after_s} s");
                 assert!(flown.moved_m <= 0.1, "{rig}, {how:?}, seed {seed}: {} m", flown.moved_m);
@@ -32,7 +33,10 @@ fn a_rotor_that_is_gone_cuts_the_motors() {
         for seed in SEEDS {
             let flown = fly(rig, "datasheet", seed, Some((How::Broken, 1.0)));
             let (after_s, why) = flown.cut.unwrap_or_else(|| panic!("{rig}, seed {seed}: {flown:?}"));
-            assert!((0.0..0.5).contains(&after_s) && why == Failsafe::RotorCut, "{rig}, seed {seed}: {why:?} after {after_s} s");
+            assert!(
+                (0.0..0.5).contains(&after_s) && why == Failsafe::RotorCut,
+                "{rig}, seed {seed}: {why:?} after {after_s} s"
+            );
         }
     }
 }

@@ -86,7 +86,12 @@ fn clean(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
             rows.push([vec![world.to_owned(), rig.to_owned()], cells.to_vec()].concat());
         }
     }
-    report.table("clean", "Clean flights of a minute", &["world", "rig", "flights", "isolated", "watched at the end"], &rows)
+    report.table(
+        "clean",
+        "Clean flights of a minute",
+        &["world", "rig", "flights", "isolated", "watched at the end"],
+        &rows,
+    )
 }
 
 /// A fifth of the thrust.
@@ -115,8 +120,18 @@ fn kept(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         row.push(format!("{:.3}", found[1]));
         rows.push(row);
     }
-    let headers =
-        ["rig", "flights", "rightly isolated", "delay, s", "95 %", "worst", "moved, cm", "95 %", "worst", "estimate off, 95 %"];
+    let headers = [
+        "rig",
+        "flights",
+        "rightly isolated",
+        "delay, s",
+        "95 %",
+        "worst",
+        "moved, cm",
+        "95 %",
+        "worst",
+        "estimate off, 95 %",
+    ];
     report.table("kept", "A rotor loses 20 %", &headers, &rows)
 }
 
@@ -157,7 +172,11 @@ fn power(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
 
 /// S of [`predicted`]: what a whole rotor at hover adds to the innovations, in their sigmas, each 2T.
 fn information(flown: &Flown) -> f64 {
-    plumbline_agent::flight::rotor_information(&plumbline_agent::model::airframe::Airframe::iris(), flown.rotor, &flown.sigma)
+    plumbline_agent::flight::rotor_information(
+        &plumbline_agent::model::airframe::Airframe::iris(),
+        flown.rotor,
+        &flown.sigma,
+    )
 }
 
 /// All of it.
@@ -179,12 +198,24 @@ fn lost(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
             });
             report.value(&format!("lost/{rig}/{loss}"), soon as f64, "flights cut", more);
             let ends: Vec<String> = why.iter().map(|(name, count)| format!("{name} {count}")).collect();
-            let mut row = vec![rig.to_owned(), format!("{:.0} %", 100.0 * loss), flown.len().to_string(), soon.to_string()];
+            let mut row =
+                vec![rig.to_owned(), format!("{:.0} %", 100.0 * loss), flown.len().to_string(), soon.to_string()];
             row.extend(after.map(|s| format!("{s:.3}")));
             row.extend([format!("{:.0}", tilt[2]), format!("{:.2}", sinks[2]), ends.join(", ")]);
             rows.push(row);
         }
     }
-    let headers = ["rig", "loss", "flights", "cut in time", "after, s", "95 %", "worst", "most tilt, °", "sinks at most, m/s", "ends"];
+    let headers = [
+        "rig",
+        "loss",
+        "flights",
+        "cut in time",
+        "after, s",
+        "95 %",
+        "worst",
+        "most tilt, °",
+        "sinks at most, m/s",
+        "ends",
+    ];
     report.table("lost", "Half of a rotor and more", &headers, &rows)
 }

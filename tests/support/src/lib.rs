@@ -11,14 +11,14 @@
 pub mod counting;
 #[cfg(feature = "envelope")]
 pub mod envelope;
-#[cfg(feature = "envelope")]
-pub mod rotors;
 #[cfg(feature = "system")]
 pub mod files;
 pub mod flown;
 pub mod headless;
 #[cfg(feature = "system")]
 pub mod kill;
+#[cfg(feature = "envelope")]
+pub mod rotors;
 #[cfg(feature = "system")]
 pub mod system;
 pub mod walk;

@@ -223,7 +223,10 @@ pub fn rotors(s: &v1::Status) -> Option<(String, &'static str)> {
         (true, _) => None,
         (_, false) => Some((weak.join(", "), "bad")),
         _ if s.rotors_watched => Some(("rotors: no loss found".to_owned(), "")),
-        _ => Some(("rotors: not watched on the ground, held up, or in the first seconds of a flight".to_owned(), "quiet")),
+        _ => Some((
+            "rotors: not watched on the ground, held up, or in the first seconds of a flight".to_owned(),
+            "quiet",
+        )),
     }
 }
 

@@ -5,8 +5,8 @@
 use plumbline_proto::time::FlightTime;
 
 use super::guard::mode_name;
-use super::status::IMU_MAX_AGE_S;
 use super::rotors::RotorWatch;
+use super::status::IMU_MAX_AGE_S;
 use super::support::Support;
 use super::{Failsafe, Flight, Phase};
 use crate::attack::Schedule;

@@ -3,11 +3,8 @@ use crate::attack::Channel;
 use crate::sensor::{HeightSample, ImuSample};
 use plumbline_proto::v1::SensorKind;
 
-const SENSORS: &[SensorId] = &[
-    SensorId::new(SensorKind::Height, 1),
-    SensorId::new(SensorKind::Height, 2),
-    SensorId::new(SensorKind::Imu, 1),
-];
+const SENSORS: &[SensorId] =
+    &[SensorId::new(SensorKind::Height, 1), SensorId::new(SensorKind::Height, 2), SensorId::new(SensorKind::Imu, 1)];
 
 fn attack(kind: Kind, magnitude: f64) -> Attack {
     Attack {
@@ -236,7 +233,11 @@ fn rotors_lose_thrust_stick_lag_and_keep_what_they_were_told_last() {
                 assert!((reached - expected).abs() < 1e-9, "{kind:?} at {t} s: {reached}, expected {expected}");
             }
             let progress = injector.state()[0];
-            assert_eq!((progress.phase, progress.altered_samples), (Phase::Done, if flying { 100 } else { 0 }), "{kind:?}");
+            assert_eq!(
+                (progress.phase, progress.altered_samples),
+                (Phase::Done, if flying { 100 } else { 0 }),
+                "{kind:?}"
+            );
         }
     }
 }
@@ -244,9 +245,13 @@ fn rotors_lose_thrust_stick_lag_and_keep_what_they_were_told_last() {
 #[test]
 fn only_rotors_that_there_are_can_be_attacked_and_by_no_more_than_their_full_thrust() {
     let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-    for (instance, magnitude, complaint) in [(5, 0.1, "no rotor 5"), (0, 0.1, "no rotor 0"), (1, 1.5, "outside -1 to 1")] {
+    for (instance, magnitude, complaint) in
+        [(5, 0.1, "no rotor 5"), (0, 0.1, "no rotor 0"), (1, 1.5, "outside -1 to 1")]
+    {
         let mut schedule = Schedule::default();
-        schedule.attacks.push(Attack { sensor: SensorId::new(SensorKind::Rotor, instance), ..attack(Kind::Bias, magnitude) });
+        schedule
+            .attacks
+            .push(Attack { sensor: SensorId::new(SensorKind::Rotor, instance), ..attack(Kind::Bias, magnitude) });
         let error = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
         assert!(error.contains(complaint), "{error}");
     }
