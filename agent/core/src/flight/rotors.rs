@@ -22,7 +22,7 @@
 
 use nalgebra::{Vector3, Vector4};
 
-use super::{Failsafe, Flight, Phase};
+use super::{Failsafe, Flight, Phase, RigKind};
 use crate::event::{EventKind, Severity, text};
 use crate::model::airframe::Airframe;
 use crate::model::motor::Rotors;
@@ -370,7 +370,9 @@ impl Flight {
     /// Looks after the rotors, makes up for one that is weak, and ends a flight that cannot go on.
     pub(super) fn watch_rotors(&mut self, voltage_ratio: f64, dt_s: f64) {
         let flying = self.phase == Phase::Flying;
-        let free = flying && !self.at_takeoff_height() && self.config.rig.can_lift();
+        // A taut tether pulls down and turns, as a rotor does that gives less.
+        let apart = self.config.rig.can_lift() && !matches!(self.config.rig, RigKind::Tethered { .. });
+        let free = flying && apart && !self.at_takeoff_height();
         let watchdog = &self.supervision.watchdog;
         let seen = Seen {
             airframe: &self.config.airframe,
