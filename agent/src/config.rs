@@ -203,6 +203,7 @@ impl AgentConfig {
             ("attacks.length_max_m", attacks.length_max_m, 0.0, 100.0, "0 to 100 m"),
             ("attacks.rate_max_radps", attacks.rate_max_radps, 0.0, 100.0, "0 to 100 rad/s"),
             ("attacks.accel_max_mps2", attacks.accel_max_mps2, 0.0, 200.0, "0 to 200 m/s²"),
+            ("attacks.thrust_max", attacks.thrust_max, 0.0, 1.0, "0 to 1"),
             ("log.max_mib", Some(self.log.max_mib as f64), 16.0, 16e6, "16 to 16000000 MiB"),
             ("link.telemetry_kb_per_s", Some(self.link.telemetry_kb_per_s), 10.0, 1e5, "10 to 100000 kB/s"),
             ("link.backfill_kb_per_s", Some(self.link.backfill_kb_per_s), 1.0, 1e5, "1 to 100000 kB/s"),
@@ -266,6 +267,7 @@ impl AgentConfig {
         put(&mut flight.attacks.bounds.length_max_m, self.attacks.length_max_m);
         put(&mut flight.attacks.bounds.rate_max_radps, self.attacks.rate_max_radps);
         put(&mut flight.attacks.bounds.accel_max_mps2, self.attacks.accel_max_mps2);
+        put(&mut flight.attacks.bounds.thrust_max, self.attacks.thrust_max);
         if let Some(names) = &self.estimators.run {
             flight.estimators = names.iter().map(|name| estimator("estimators.run", name)).collect::<Result<_, _>>()?;
         }

@@ -436,6 +436,7 @@ impl Telemetry {
         let (link_refused, log_refused) = self.outlets.refused();
         let status = &mut self.kept.status;
         convert::flight_status(status, &flight.status());
+        convert::rotors(status, flight.rotors());
         if let Some(replay) = &around.replay {
             convert::replay_status(status, replay);
         }
@@ -486,6 +487,10 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
         boot_id: identification.boot_id,
+        actuators: (1_u8..)
+            .take(config.airframe.rotors.len())
+            .map(|i| convert::actuator_description(i, config))
+            .collect(),
     }
 }
 

@@ -10,6 +10,7 @@ mod landing;
 mod orders;
 mod path;
 pub mod report;
+mod rotors;
 mod status;
 mod support;
 
@@ -38,6 +39,7 @@ use support::Support;
 
 pub use config::{AttackPolicy, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
+pub use rotors::{LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, information as rotor_information};
 
 /// Why a flight cannot be set up.
 #[derive(Debug, thiserror::Error)]
@@ -131,6 +133,9 @@ pub struct Flight {
     attacks: Injector,
     bank: Bank,
     support: Support,
+    rotors: RotorWatch,
+    /// The mixer knows of a weak rotor.
+    rotors_made_up: bool,
     gains: Certified,
     controller: InLoop,
     mixer: Mixer,
@@ -175,6 +180,8 @@ impl Flight {
                 .sparing(&config.independent),
             bank,
             support: Support::default(),
+            rotors: RotorWatch::new(&config.airframe),
+            rotors_made_up: false,
             controller: InLoop::new(gains.law.clone()),
             gains,
             mixer,
@@ -225,15 +232,23 @@ impl Flight {
             self.liveness.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
         let flying = self.phase == Phase::Flying;
         self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
+        self.watch_rotors(voltage_ratio, dt_s);
         let (wrench, mixed) = self.drive(dt_s);
         self.controller.applied(&wrench, &mixed.given, self.support_n());
         self.write_report(sensed, received, wrench, mixed);
         &self.report
     }
 
-    /// What the vehicle says it applied.
+    /// What the vehicle says it applied. Of a motor that an attack told something else, what it was to be told: nobody
+    /// downstream may know.
     pub fn applied(&mut self, applied: MotorCommand) {
         self.report.applied = applied;
+        let told = self.report.command.throttle.iter().zip(&self.report.commanded.throttle);
+        for (applied, (told, commanded)) in self.report.applied.throttle.iter_mut().zip(told) {
+            if told != commanded {
+                *applied = commanded.clamp(0.0, 1.0);
+            }
+        }
     }
 
     /// An authenticated sign of life from the ground.
@@ -337,6 +352,11 @@ impl Flight {
         self.attacks.state()
     }
 
+    /// Who watches the rotors, to read.
+    pub fn rotors(&self) -> &RotorWatch {
+        &self.rotors
+    }
+
     /// The attack injector, to read.
     pub fn attacks(&self) -> &Injector {
         &self.attacks
@@ -413,6 +433,8 @@ impl Flight {
         if response.is_some() {
             self.told.meter_sent = now;
         }
+        let flying = self.phase == Phase::Flying;
+        let reached = self.attacks.apply_command(&self.config.airframe, &mixed.command, flying, now);
         self.report = StepReport {
             sensed: *sensed,
             received,
@@ -421,7 +443,8 @@ impl Flight {
             setpoint,
             wrench,
             given: mixed.given,
-            command: mixed.command,
+            commanded: mixed.command,
+            command: reached,
             applied: self.report.applied,
             saturated: mixed.saturated,
             integrator: self.controller.integrator(),

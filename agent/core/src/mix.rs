@@ -3,12 +3,17 @@
 //! t = A⁻¹ [T, τ]; A is the airframe's allocation. When that leaves the range of the rotors, what
 //! is given up, in this order: yaw torque, then thrust, last roll and pitch torque; for these thrust is raised above
 //! what was asked by `LENT` at most. The command inverts the motor curve at the battery's present voltage.
+//!
+//! A rotor found to give only the part e of its thrust ([`Mixer::weaken`]) is asked for t/e, and its range ends at e times
+//! the full thrust.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use crate::model::airframe::Airframe;
 use crate::types::{MotorCommand, ROTORS, Wrench};
 
+/// A rotor that gives less than this part is asked for no more than that one would be.
+pub const LEAST_EFFECTIVENESS: f64 = 0.2;
 /// Command of motors that turn without lifting.
 pub const IDLE_COMMAND: f64 = 0.05;
 /// Relative to the largest rotor thrust: less is not reported as saturation.
@@ -29,6 +34,7 @@ pub struct Mixer {
     inverse: Matrix4<f64>,
     voltage_ratio: f64,
     thrust_ceiling_n: f64,
+    effectiveness: Vector4<f64>,
 }
 
 /// What the mixer makes of a wrench.
@@ -50,7 +56,21 @@ impl Mixer {
     pub fn new(airframe: &Airframe, thrust_ceiling_n: f64) -> Option<Self> {
         let allocation = airframe.allocation();
         let inverse = allocation.try_inverse()?;
-        Some(Self { airframe: airframe.clone(), allocation, inverse, voltage_ratio: 1.0, thrust_ceiling_n })
+        let effectiveness = Vector4::repeat(1.0);
+        Some(Self {
+            airframe: airframe.clone(),
+            allocation,
+            inverse,
+            voltage_ratio: 1.0,
+            thrust_ceiling_n,
+            effectiveness,
+        })
+    }
+
+    /// What each rotor gives of the thrust that its command should give, 1 for all of it. At less than
+    /// [`LEAST_EFFECTIVENESS`] nothing is made up for any more.
+    pub fn weaken(&mut self, effectiveness: &[f64; ROTORS]) {
+        self.effectiveness = Vector4::from(*effectiveness).map(|e| e.clamp(LEAST_EFFECTIVENESS, 1.0));
     }
 
     /// Follows the battery's voltage; `None` (not measured) leaves the compensation as it is.
@@ -67,8 +87,8 @@ impl Mixer {
         MotorCommand { throttle: [IDLE_COMMAND; ROTORS] }
     }
 
-    /// Range of one rotor's thrust at the present voltage, N.
-    fn range_n(&self) -> (f64, f64) {
+    /// Range of a healthy rotor's thrust at the present voltage, N.
+    pub fn range_n(&self) -> (f64, f64) {
         let thrust = |command: f64| {
             let speed = self.airframe.motor_curve.speed_radps(command, self.voltage_ratio);
             self.airframe.thrust_coefficient_ns2 * speed * speed
@@ -82,32 +102,35 @@ impl Mixer {
         if !valid {
             return Mixed { saturated: true, invalid: true, ..self.mix(&Wrench::default()) };
         }
-        let (low, high) = self.range_n();
+        let (least, full) = self.range_n();
+        let range = (&(self.effectiveness * least), &(self.effectiveness * full));
+        let (low, high) = range;
         let column = |wrench: Vector4<f64>| self.inverse * wrench;
         let torque = asked.torque_flu_nm;
 
         // Roll and pitch torque first: as much as the range between idle and full can hold, and as it may lend.
         let tilt = column(Vector4::new(0.0, torque.x, torque.y, 0.0));
         let lift = column(Vector4::new(1.0, 0.0, 0.0, 0.0));
-        let idle = thrust_range(&Vector4::zeros(), &lift, low, high).0;
+        let idle = thrust_range(&Vector4::zeros(), &lift, range).0;
         let ceiling = self.thrust_ceiling_n.min(asked.thrust_n.max(idle) + LENT * self.airframe.weight_n());
         let share = (0..=TILT_STEPS)
             .map(|step| 1.0 - f64::from(step) / f64::from(TILT_STEPS))
             .find(|&share| {
-                let (least, most) = thrust_range(&(tilt * share), &lift, low, high);
+                let (least, most) = thrust_range(&(tilt * share), &lift, range);
                 least <= most.min(ceiling)
             })
             .unwrap_or(0.0);
         let tilt = tilt * share;
 
         // Then thrust, between what the torque leaves.
-        let (least, most) = thrust_range(&tilt, &lift, low, high);
+        let (least, most) = thrust_range(&tilt, &lift, range);
         let thrust = asked.thrust_n.min(most.min(self.thrust_ceiling_n)).max(least);
         let rotors = tilt + lift * thrust;
 
         // Yaw takes what is left.
         let yaw = column(Vector4::new(0.0, 0.0, 0.0, torque.z));
-        let share = rotors.iter().zip(yaw.iter()).fold(1.0_f64, |share, (&t, &y)| {
+        let bounds = low.iter().zip(high.iter());
+        let share = rotors.iter().zip(yaw.iter()).zip(bounds).fold(1.0_f64, |share, ((&t, &y), (low, high))| {
             let room = if y > 0.0 {
                 (high - t) / y
             } else if y < 0.0 {
@@ -117,26 +140,28 @@ impl Mixer {
             };
             share.min(room.max(0.0))
         });
-        let rotors = (rotors + yaw * share).map(|t| t.clamp(low, high));
+        let rotors = (rotors + yaw * share).sup(low).inf(high);
 
         let w = self.allocation * rotors;
         let given = Wrench { thrust_n: w.x, torque_flu_nm: Vector3::new(w.y, w.z, w.w) };
         let wanted = self.inverse * Vector4::new(asked.thrust_n, torque.x, torque.y, torque.z);
         let mut command = MotorCommand::default();
-        for (throttle, thrust) in command.throttle.iter_mut().zip(rotors.iter()) {
+        let asked_of = rotors.component_div(&self.effectiveness);
+        for (throttle, thrust) in command.throttle.iter_mut().zip(asked_of.iter()) {
             let speed = (thrust / self.airframe.thrust_coefficient_ns2).max(0.0).sqrt();
             *throttle = self.airframe.motor_curve.command(speed, self.voltage_ratio);
         }
-        Mixed { command, given, saturated: (wanted - rotors).amax() > UNNOTICED * high, invalid: false }
+        Mixed { command, given, saturated: (wanted - rotors).amax() > UNNOTICED * full, invalid: false }
     }
 }
 
 /// Tilt torque is given up in steps of 5 %.
 const TILT_STEPS: u32 = 20;
 
-/// Total thrusts that keep every rotor between `low` and `high` on top of `tilt`.
-fn thrust_range(tilt: &Vector4<f64>, lift: &Vector4<f64>, low: f64, high: f64) -> (f64, f64) {
-    tilt.iter().zip(lift.iter()).fold((0.0, f64::INFINITY), |(least, most), (&t, &l)| {
+/// Total thrusts that keep every rotor between the least and the most of its `range` on top of `tilt`.
+fn thrust_range(tilt: &Vector4<f64>, lift: &Vector4<f64>, range: (&Vector4<f64>, &Vector4<f64>)) -> (f64, f64) {
+    let bounds = range.0.iter().zip(range.1.iter());
+    tilt.iter().zip(lift.iter()).zip(bounds).fold((0.0, f64::INFINITY), |(least, most), ((&t, &l), (low, high))| {
         if l > 0.0 { (f64::max(least, (low - t) / l), f64::min(most, (high - t) / l)) } else { (least, most) }
     })
 }
@@ -235,6 +260,31 @@ mod tests {
             }
         }
         assert!(!mixer.mix(&wrench(9.0, 0.0, 0.0, 0.0)).invalid);
+    }
+
+    #[test]
+    fn a_weakened_rotor_is_asked_for_more_and_the_wrench_stays() {
+        let airframe = Airframe::iris();
+        let weight = airframe.weight_n();
+        let mut mixer = Mixer::new(&airframe, f64::INFINITY).unwrap();
+        mixer.weaken(&[1.0, 0.7, 1.0, 0.9]);
+        let given = |mixed: &Mixed| {
+            let mut speeds = mixed.command.throttle.map(|c| airframe.motor_curve.speed_radps(c, 1.0));
+            (speeds[1], speeds[3]) = (speeds[1] * 0.7_f64.sqrt(), speeds[3] * 0.9_f64.sqrt());
+            airframe.wrench(&speeds)
+        };
+        for asked in [wrench(weight, 0.1, -0.05, 0.01), wrench(0.9 * weight, -0.1, 0.1, -0.02)] {
+            let mixed = mixer.mix(&asked);
+            let flown = given(&mixed);
+            assert!(!mixed.saturated, "{mixed:?}");
+            assert!((flown.thrust_n - asked.thrust_n).abs() < 1e-6 * weight, "{flown:?}");
+            assert!((flown.torque_flu_nm - asked.torque_flu_nm).norm() < 1e-6 * weight, "{flown:?}");
+        }
+        // Beyond what it can give thrust is given up before roll and pitch, as ever.
+        mixer.weaken(&[1.0, 0.4, 1.0, 1.0]);
+        let mixed = mixer.mix(&wrench(1.3 * weight, 0.1, 0.0, 0.0));
+        assert!(mixed.saturated && mixed.given.thrust_n < weight, "{mixed:?}");
+        assert!((mixed.given.torque_flu_nm.xy() - nalgebra::Vector2::new(0.1, 0.0)).norm() < 1e-9, "{mixed:?}");
     }
 
     #[test]

@@ -112,6 +112,7 @@ impl SimVehicle {
         self.tick += 1;
         let dt_s = self.time().seconds_since(before);
         let push = self.scenario.script.push(before.as_seconds());
+        self.world.break_rotors(&self.scenario.rotors_left(before.as_seconds()));
         self.world.step(&self.throttle.throttle, &push, dt_s);
         if self.world.body().is_finite() {
             return Ok(());

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::conditions::Conditions;
 use super::devices::Outage;
 use super::rig::{Axis, HangingStrings, Rig};
-use super::scenario::{Initial, Scenario, ScenarioError};
+use super::scenario::{BrokenRotor, Initial, Scenario, ScenarioError};
 use super::script::{PushEvent, Script, Step};
 use super::site::Site;
 use super::world::{Disturbance, Push};
@@ -57,6 +57,8 @@ pub(super) struct RawScenario {
     push: Vec<RawPush>,
     #[serde(default)]
     outage: Vec<RawOutage>,
+    #[serde(default)]
+    broken: Vec<BrokenRotor>,
     #[serde(default)]
     attack: Vec<RawAttack>,
 }
@@ -221,6 +223,7 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
         script,
         attacks,
         outages: raw.outage.iter().map(read_outage).collect::<Read<_>>()?,
+        broken: raw.broken,
     })
 }
 
@@ -279,7 +282,9 @@ fn sensor_kind(key: &str, name: &str) -> Read<SensorKind> {
     match SensorKind::from_str_name(&format!("SENSOR_KIND_{}", name.to_ascii_uppercase())) {
         Some(kind) if kind != SensorKind::Unspecified => Ok(kind),
         _ => {
-            let names: Vec<_> = Suite::kinds().map(|kind| kind.as_str_name().to_ascii_lowercase()).collect();
+            let rotor = (key == "attack.sensor").then_some(SensorKind::Rotor);
+            let names: Vec<_> =
+                Suite::kinds().chain(rotor).map(|kind| kind.as_str_name().to_ascii_lowercase()).collect();
             bad(key, name, format!("one of {}", names.join(", ").replace("sensor_kind_", "")))
         }
     }

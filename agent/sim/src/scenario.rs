@@ -1,7 +1,7 @@
 //! A scenario file: the single source of truth of a simulated flight.
 //!
 //! TOML, read once into valid types. Unknown keys are errors; every error names the key and its value.
-//! Everything but `name` has a default. Times in `[[script]]`, `[[push]]`, `[[outage]]` and `[[attack]]` are
+//! Everything but `name` has a default. Times in `[[script]]`, `[[push]]`, `[[outage]]`, `[[broken]]` and `[[attack]]` are
 //! seconds since boot. `reading.rs` turns the file's words into the agent's types.
 
 use nalgebra::Vector3;
@@ -18,7 +18,8 @@ use plumbline_core::attack::{Bounds, Schedule};
 use plumbline_core::flight::FlightConfig;
 use plumbline_core::model::airframe::{Airframe, AirframeError};
 use plumbline_core::sensor::suite::{Suite, SuiteError};
-use plumbline_core::types::TICK_RATE_HZ;
+use plumbline_core::types::{ROTORS, TICK_RATE_HZ};
+use plumbline_proto::v1::SensorKind;
 
 /// Text of the default scenario: altitude steps on the string rig.
 pub const ALTITUDE_STEP_TOML: &str = include_str!("../../../tests/scenarios/altitude_step.toml");
@@ -111,6 +112,21 @@ pub struct Scenario {
     pub attacks: Schedule,
     /// Sensors falling silent.
     pub outages: Vec<Outage>,
+    /// Propellers that break; nobody but the vehicle feels it.
+    pub broken: Vec<BrokenRotor>,
+}
+
+/// A propeller that breaks, for good.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BrokenRotor {
+    /// Which, from 1, in the order of the motor commands.
+    pub rotor: usize,
+    /// When, s.
+    pub at_s: f64,
+    /// The part that is left of its thrust and drag torque, 0 to 1.
+    #[serde(default)]
+    pub left: f64,
 }
 
 impl Scenario {
@@ -164,7 +180,16 @@ impl Scenario {
             script: Script::default(),
             attacks: Schedule::default(),
             outages: Vec::new(),
+            broken: Vec::new(),
         }
+    }
+
+    /// Part of its thrust that is left of each rotor at flight time `t_s`.
+    pub fn rotors_left(&self, t_s: f64) -> [f64; ROTORS] {
+        std::array::from_fn(|i| {
+            let of = self.broken.iter().filter(|broken| broken.rotor == i + 1 && t_s >= broken.at_s);
+            of.map(|broken| broken.left).fold(1.0, f64::min)
+        })
     }
 
     /// The world this scenario begins with.
@@ -245,6 +270,16 @@ impl Scenario {
                 return bad("outage.sensor".into(), outage.sensor.to_string(), "a sensor of the suite");
             }
         }
+        for broken in &self.broken {
+            if !(1..=ROTORS).contains(&broken.rotor) {
+                return bad("broken.rotor".into(), broken.rotor.to_string(), "1 to 4");
+            }
+            for (key, value, most) in [("broken.at_s", broken.at_s, 86_400.0), ("broken.left", broken.left, 1.0)] {
+                if !(value >= 0.0 && value <= most) {
+                    return bad(key.into(), value.to_string(), &format!("0 to {most}"));
+                }
+            }
+        }
         self.validate_attacks()
     }
 
@@ -258,7 +293,7 @@ impl Scenario {
             expected,
         };
         for attack in &self.attacks.attacks {
-            if !self.suite.contains(attack.sensor) {
+            if attack.sensor.kind != SensorKind::Rotor && !self.suite.contains(attack.sensor) {
                 return Err(ScenarioError::Value {
                     key: "attack.sensor".into(),
                     value: attack.sensor.to_string(),

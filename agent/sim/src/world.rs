@@ -122,6 +122,8 @@ pub struct World {
     moving: Moving,
     steady_speed_radps: [f64; ROTORS],
     motor_factor: [f64; ROTORS],
+    /// Of each rotor's speed, what its blades are worth: less than 1 where one is broken.
+    blades: [f64; ROTORS],
     battery: Battery,
     battery_sags: bool,
     disturbance: Disturbance,
@@ -205,6 +207,7 @@ impl World {
             moving: Moving { body, rotor_speed_radps: [0.0; ROTORS] },
             steady_speed_radps: [0.0; ROTORS],
             motor_factor,
+            blades: [1.0; ROTORS],
             disturbance,
             surrounded,
             noise: Stream::new(seed, "disturbance"),
@@ -215,6 +218,11 @@ impl World {
         };
         world.settle(&Input::default());
         world
+    }
+
+    /// From now on each rotor gives this part of the thrust and of the drag torque that its speed should.
+    pub fn break_rotors(&mut self, parts: &[f64; ROTORS]) {
+        self.blades = parts.map(f64::sqrt);
     }
 
     /// Moves on by `dt_s` with each motor told `throttle` (0..1) and a hand's `push`.
@@ -278,12 +286,15 @@ impl World {
         let rotor_acceleration_radps2 =
             motor::acceleration(&self.airframe, &x.rotor_speed_radps, &self.steady_speed_radps);
         let mut input = Input::from_rotors(&self.airframe, &x.rotor_speed_radps, &rotor_acceleration_radps2);
+        let mut lifting_radps = x.rotor_speed_radps;
+        lifting_radps.iter_mut().zip(self.blades).for_each(|(speed, part)| *speed *= part);
+        input.rotors = self.airframe.wrench(&lifting_radps);
         let load = self.mounted.load(&x.body);
         input.force_enu_n = outside.force_enu_n + load.force_enu_n;
         input.torque_flu_nm = outside.torque_flu_nm + load.torque_flu_nm;
         input.wind_enu_mps = outside.wind_enu_mps;
         if let Some(surrounded) = &self.surrounded {
-            surrounded.act(&x.body, &x.rotor_speed_radps, &mut input);
+            surrounded.act(&x.body, &lifting_radps, &mut input);
         }
         let mut body = rigid_body::derivative(&self.airframe, &x.body, &input);
         if let Some(pivot) = &self.mounted.pivot {

@@ -46,6 +46,8 @@ pub struct Attacks {
     pub rate_max_radps: Option<f64>,
     /// Largest offset of a specific force, m/s².
     pub accel_max_mps2: Option<f64>,
+    /// Largest offset of a rotor's thrust, as a part of its full one.
+    pub thrust_max: Option<f64>,
 }
 
 /// What the failsafes rely on.

@@ -1,5 +1,6 @@
 //! Our types into messages of the wire. Nothing here allocates: what owns memory is kept, with room for the longest.
 
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{self, SensorKind};
 
@@ -8,7 +9,7 @@ use crate::control::step_response::StepResponse;
 use crate::estimate::secure::suite::{NAMES, Promise, SuiteError};
 use crate::estimate::{Estimate, Residual};
 use crate::event::Event;
-use crate::flight::{FlightConfig, FlightStatus, StepReport};
+use crate::flight::{FlightConfig, FlightStatus, RotorWatch, StepReport};
 use crate::frames::roll_pitch_yaw;
 use crate::model::airframe::{Rotor, Spin};
 use crate::sensor::quantities;
@@ -87,12 +88,14 @@ fn values(into: &mut Vec<f64>, from: &[f64]) {
 
 /// `recorded` is what a recording did then: shown in the place of a flight that only watches.
 pub(super) fn control(into: &mut v1::Control, report: &StepReport, recorded: Option<&RecordedControl>) {
+    let attacked = recorded.is_none() && report.command != report.commanded;
+    values(&mut into.motor_attacked, if attacked { &report.command.throttle } else { &[] });
     let now = RecordedControl {
         mode: report.mode,
         armed: report.armed,
         setpoint: report.setpoint,
         wrench: report.wrench,
-        command: report.command,
+        command: report.commanded,
         saturated: report.saturated,
         integrator: report.integrator,
         step_response: report.step_response,
@@ -173,6 +176,12 @@ pub(super) fn flight_status(into: &mut v1::Status, status: &FlightStatus) {
     into.estimator_in_loop = status.estimator_in_loop as i32;
     into.deadline_misses = status.deadline_misses;
     into.gains_revision = status.gains_revision.0;
+}
+
+/// What is known of the rotors.
+pub(super) fn rotors(into: &mut v1::Status, watch: &RotorWatch) {
+    values(&mut into.rotor_effectiveness, watch.effectiveness());
+    into.rotors_watched = watch.watches();
 }
 
 /// A recording cannot be armed, whatever its samples look like; its mode is the one of then.
@@ -314,6 +323,21 @@ pub(super) fn sensor_description(sensor: &SensorDescription, bounds: &Bounds) ->
         sigma: sensor.sigma,
         unit: quantities(sensor.id.kind).first().map_or("", |first| first.unit).to_owned(),
         channels: offered(sensor.id.kind, bounds).map(channel_description).collect(),
+    }
+}
+
+/// A rotor, as a target of attacks.
+pub(super) fn actuator_description(instance: u8, config: &FlightConfig) -> v1::SensorDescription {
+    let id = SensorId::new(SensorKind::Rotor, instance);
+    let channels: Vec<_> = offered(id.kind, &config.attacks.bounds).map(channel_description).collect();
+    v1::SensorDescription {
+        kind: id.kind as i32,
+        instance: u32::from(instance),
+        name: id.to_string(),
+        rate_hz: config.tick_rate_hz,
+        sigma: 0.0,
+        unit: channels.first().map_or_else(String::new, |channel| channel.unit.clone()),
+        channels,
     }
 }
 

@@ -40,6 +40,7 @@ impl Kept {
             control: v1::Control {
                 motor_command: four(),
                 motor_applied: four(),
+                motor_attacked: four(),
                 integrator: four(),
                 ..v1::Control::default()
             },
@@ -54,6 +55,7 @@ impl Kept {
                 checks: (0..MAX_CHECKS).map(|_| check()).collect(),
                 flight_id: text(),
                 log_error: text(),
+                rotor_effectiveness: four(),
                 ..v1::Status::default()
             },
             attacks: v1::AttackState { attacks: Vec::with_capacity(MAX_ATTACKS), ..v1::AttackState::default() },

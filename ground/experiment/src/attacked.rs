@@ -2,6 +2,7 @@
 
 use plumbline_agent::attack::{Attack, Bounds, Channel, Kind, offered};
 use plumbline_agent::sensor::suite::Suite;
+use plumbline_agent::types::ROTORS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
@@ -74,6 +75,9 @@ impl Given {
 
 /// How many of a kind the vehicle has.
 fn count(suite: &Suite, kind: SensorKind) -> usize {
+    if kind == SensorKind::Rotor {
+        return ROTORS;
+    }
     suite.descriptions().iter().filter(|described| described.id.kind == kind).count()
 }
 

@@ -10,6 +10,7 @@ use plumbline_agent::flight::{Failsafe, Flight, StepReport};
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
 
 use crate::flight::Setup;
 
@@ -227,14 +228,16 @@ impl Judge {
     }
 
     fn exclusions(&mut self, t: f64, flight: &Flight) {
-        let Some(isolation) = flight.judge().map(|judge| judge.isolation()) else { return };
-        for device in isolation.devices() {
-            let sensor = device.sensor;
+        let judge = flight.judge();
+        let devices = judge.iter().flat_map(|judge| judge.isolation().devices());
+        let weak = flight.rotors().effectiveness().iter().zip(1_u8..);
+        let rotors = weak.map(|(part, instance)| (SensorId::new(SensorKind::Rotor, instance), *part < 1.0));
+        for (sensor, isolated) in devices.map(|device| (device.sensor, device.flagged.is_some())).chain(rotors) {
             let of = self.attacks.iter().find(|a| a.sensor == sensor);
             // What an attack left behind takes a while to be trusted again.
             let attacked = of.is_some_and(|a| t >= a.start_s);
             let known = self.excluded.iter().position(|(id, _)| *id == sensor);
-            match (device.flagged.is_some(), known) {
+            match (isolated, known) {
                 (true, None) => {
                     self.excluded.push((sensor, t));
                     match of {

@@ -20,10 +20,10 @@ pub(crate) async fn upload(
     Body(plan): Body<AttackPlan>,
 ) -> Answer {
     let description: Option<v1::Description> = app.hub.latest(&id, Kind::Description);
-    let suite = description.as_ref().map(|d| d.sensors.as_slice());
+    let targets: Option<Vec<_>> = description.map(|d| d.sensors.into_iter().chain(d.actuators).collect());
     let running: Option<v1::AttackState> = app.hub.latest(&id, Kind::Attacks);
     let schedule_id = running.map_or(0, |state| state.schedule_id).wrapping_add(1);
-    let schedule = to_schedule(&plan, schedule_id, suite)?;
+    let schedule = to_schedule(&plan, schedule_id, targets.as_deref())?;
     send(&app, &id, &who, command::Body::AttackSchedule(schedule)).await
 }
 

@@ -149,7 +149,7 @@ pub struct AttackPlan {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PlannedAttack {
-    /// Kind of sensor.
+    /// Kind of sensor, or `rotor` for the command of a motor, as a part of its full thrust.
     pub sensor: String,
     /// Instance, from 1.
     pub instance: u32,

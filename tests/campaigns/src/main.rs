@@ -21,6 +21,7 @@ mod envelope;
 mod evaluate;
 mod figures;
 mod paternain;
+mod rotors;
 mod soak;
 mod strategies;
 mod umasankar;
@@ -31,7 +32,7 @@ use std::process::{ExitCode, Termination as _};
 /// A campaign's name and what runs it.
 type Campaign = (&'static str, fn() -> ExitCode);
 
-const CAMPAIGNS: [Campaign; 16] = [
+const CAMPAIGNS: [Campaign; 17] = [
     ("attacks", || attacks::run().report()),
     ("chaos_clients", chaos_clients::run),
     ("chaos_clock", chaos_clock::run),
@@ -45,6 +46,7 @@ const CAMPAIGNS: [Campaign; 16] = [
     ("envelope", || envelope::run().report()),
     ("evaluate", || evaluate::run().report()),
     ("paternain", paternain::run),
+    ("rotors", || rotors::run().report()),
     ("soak", soak::run),
     ("strategies", || strategies::run().report()),
     ("umasankar", umasankar::run),

@@ -35,7 +35,7 @@ impl Options {
 }
 
 /// Source, also the name of its campaign; the bench that goes with it; what they show.
-const SOURCES: [(&str, Option<&str>, &str); 6] = [
+const SOURCES: [(&str, Option<&str>, &str); 7] = [
     ("paternain", None, "VIII: the three experiments; report in target/reproduce/paternain"),
     ("umasankar", None, "Tables 3 to 5; report in target/reproduce/umasankar"),
     (
@@ -49,6 +49,7 @@ const SOURCES: [(&str, Option<&str>, &str); 6] = [
         "decoder times; Figures 8 to 13, Table 1 in closed loop, four real IMUs; report in target/reproduce/clinic",
     ),
     ("envelope", None, "the attack envelope flown, worst and drawn attacks; report in target/reproduce/envelope"),
+    ("rotors", None, "rotors that lose thrust: isolation, altitude, the end; report in target/reproduce/rotors"),
     ("attacks", None, "drawn attacks in the worlds of data sheets and rigs; report in target/reproduce/attacks"),
 ];
 

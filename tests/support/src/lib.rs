@@ -3,6 +3,7 @@
 //! - [`flown`], [`walk`]: scenarios and random walks flown in this process, every tick kept.
 //! - [`headless`]: scripted flights in this process for benches and reports, nothing kept.
 //! - [`envelope`]: how far attacks push that nobody sees, flown.
+//! - [`rotors`]: rotors that lose thrust, flown.
 //! - [`counting`]: an allocator that counts.
 //! - [`system`], [`files`], [`kill`]: ground and agent as processes, what they record, and what a kill costs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -16,6 +17,8 @@ pub mod flown;
 pub mod headless;
 #[cfg(feature = "system")]
 pub mod kill;
+#[cfg(feature = "envelope")]
+pub mod rotors;
 #[cfg(feature = "system")]
 pub mod system;
 pub mod walk;

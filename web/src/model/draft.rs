@@ -1,6 +1,6 @@
 //! A schedule of attacks being written: what the form says, checked before it leaves the page.
 
-use plumbline_proto::v1::{AttackChannel, AttackKind, Description, SensorChannel, SensorKind};
+use plumbline_proto::v1::{AttackChannel, AttackKind, Description, SensorChannel, SensorDescription, SensorKind};
 
 use plumbline_rest::command::PlannedAttack;
 
@@ -62,9 +62,14 @@ impl Draft {
     }
 }
 
+/// What an attack can name: sensors, then rotors.
+pub fn targets(vehicle: &Description) -> impl Iterator<Item = &SensorDescription> {
+    vehicle.sensors.iter().chain(&vehicle.actuators)
+}
+
 /// What an attack can name of a sensor, as its `vehicle` describes it; nothing before it has.
 pub fn channels(vehicle: Option<&Description>, sensor: SensorKind, instance: u32) -> &[SensorChannel] {
-    let found = vehicle.and_then(|v| v.sensors.iter().find(|s| s.kind() == sensor && s.instance == instance));
+    let found = vehicle.and_then(|v| targets(v).find(|s| s.kind() == sensor && s.instance == instance));
     found.map_or(&[], |s| s.channels.as_slice())
 }
 
@@ -205,7 +210,7 @@ impl Form {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_proto::v1::{Limits, SensorDescription};
+    use plumbline_proto::v1::Limits;
 
     /// A vehicle with two heights, an IMU and GNSS.
     fn vehicle() -> Description {
@@ -230,6 +235,10 @@ mod tests {
                 sensor(SensorKind::Imu, 1, &[(All, ""), (Gyro, "rad/s"), (Accel, "m/s²"), (GyroX, "rad/s")]),
                 sensor(SensorKind::Gnss, 1, &[(All, "m"), (X, "m")]),
             ],
+            actuators: vec![SensorDescription {
+                channels: vec![SensorChannel { unit: "of full thrust".into(), offset_max: 1.0, ..Default::default() }],
+                ..sensor(SensorKind::Rotor, 2, &[])
+            }],
             limits: Some(Limits { attack_max_duration_s: 60.0, ..Default::default() }),
             ..Description::default()
         }
@@ -268,6 +277,23 @@ mod tests {
         assert!(form(AttackKind::Freeze, AttackChannel::All).check(Some(&vehicle())).is_ok());
         let gnss = Form { sensor: SensorKind::Gnss, instance: 1, ..Form::default() };
         assert!(gnss.check(Some(&vehicle())).is_ok(), "all three are lengths");
+    }
+
+    #[test]
+    fn a_rotor_is_a_target_like_a_sensor() {
+        let form = |kind, magnitude: &str| Form {
+            sensor: SensorKind::Rotor,
+            instance: 2,
+            kind,
+            magnitude: magnitude.into(),
+            ..Form::default()
+        };
+        let told = |kind, magnitude| form(kind, magnitude).check(Some(&vehicle())).map(|d| d.subject(Some(&vehicle())));
+        assert_eq!(told(AttackKind::Scale, "0.8").unwrap(), "rotor 2: scale 0.8 \u{d7}");
+        assert_eq!(told(AttackKind::Bias, "-0.1").unwrap(), "rotor 2: bias \u{2212}0.1 of full thrust");
+        assert!(told(AttackKind::Bias, "1.5").unwrap_err().contains("limit 1 of full thrust"));
+        let body = serde_json::to_value(form(AttackKind::Freeze, "").check(Some(&vehicle())).unwrap().body(1)).unwrap();
+        assert_eq!((&body["sensor"], &body["instance"]), (&"rotor".into(), &2.into()));
     }
 
     #[test]

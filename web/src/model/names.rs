@@ -185,6 +185,8 @@ pub fn failsafe(failsafe: Failsafe) -> &'static str {
         Failsafe::PositionHold => "Position lost: altitude hold",
         Failsafe::PositionDescend => "Position lost: descending",
         Failsafe::ShutdownDescend => "Agent asked to end: descending",
+        Failsafe::RotorDescend => "Rotor too weak to hover: descending",
+        Failsafe::RotorCut => "Rotor lost: motors cut",
         Failsafe::ShutdownCut => "Agent ended: motors cut",
     }
 }

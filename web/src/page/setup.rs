@@ -6,6 +6,7 @@ use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
     model::{api, curves::DEGREES, format, names, operator},
+    panel::secure::rotors,
 };
 
 fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
@@ -157,6 +158,7 @@ pub fn Setup() -> impl IntoView {
                                 {fact("tick rate", format!("{} Hz", format::fixed(d.tick_rate_hz, 0)))}
                                 {fact("seed", d.seed.to_string())}
                                 {fact("estimators", d.estimators().map(names::estimator).collect::<Vec<_>>().join(", "))}
+                                {fact("rotors", move || ctx.live(|live| live.status.get().and_then(rotors)).map_or_else(|| "not told".to_owned(), |(text, _)| text))}
                                 {fact("attacks", if d.attacks_enabled { "enabled by its configuration" } else { "off" })}
                                 {(!d.source_file.is_empty()).then(|| fact("replays", d.source_file.clone()))}
                             </dl>

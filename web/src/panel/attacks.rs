@@ -245,7 +245,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
         ctx.live(|live| {
             live.description
                 .get()
-                .map(|d| d.sensors.iter().map(|s| (s.kind(), s.instance)).collect::<Vec<_>>())
+                .map(|d| draft::targets(d).map(|s| (s.kind(), s.instance)).collect::<Vec<_>>())
                 .unwrap_or_default()
         })
     });
@@ -285,7 +285,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     };
     view! {
         <form class="attack-form" on:submit=add aria-label="New attack">
-            <label class="field wide"><span>"sensor"</span>
+            <label class="field wide"><span>"sensor or rotor"</span>
                 <select node_ref=first on:change:target=move |e| choose_sensor(e.target().value())>
                     {move || sensors.get().into_iter().map(|(kind, instance)| view! {
                         <option

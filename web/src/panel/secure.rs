@@ -210,6 +210,26 @@ fn of_window(s: &v1::SecureStatus) -> [Figure; 6] {
     ]
 }
 
+/// What is known of the rotors: a sentence and its class; nothing from agents that do not look after them.
+pub fn rotors(s: &v1::Status) -> Option<(String, &'static str)> {
+    let weak: Vec<_> = s
+        .rotor_effectiveness
+        .iter()
+        .zip(1..)
+        .filter(|(part, _)| **part < 1.0)
+        .map(|(part, rotor)| format!("rotor {rotor} gives {} % of its thrust", format::fixed(100.0 * part, 0)))
+        .collect();
+    match (s.rotor_effectiveness.is_empty(), weak.is_empty()) {
+        (true, _) => None,
+        (_, false) => Some((weak.join(", "), "bad")),
+        _ if s.rotors_watched => Some(("rotors: no loss found".to_owned(), "")),
+        _ => Some((
+            "rotors: not watched on the ground, held up, or in the first seconds of a flight".to_owned(),
+            "quiet",
+        )),
+    }
+}
+
 /// The secure card.
 #[component]
 pub fn SecureCard() -> impl IntoView {
@@ -251,6 +271,9 @@ pub fn SecureCard() -> impl IntoView {
                         <ul class="legend margins" aria-label="Margins">{margins}</ul>
                     </div>
                 }
+            })}
+            {move || deck.read(|live| live.status.get().and_then(rotors)).map(|(text, class)| view! {
+                <p class=format!("num {class}") title="Thrust of each rotor as torque and vertical force say it; no speed of a motor is read">{text}</p>
             })}
             <div class="res-body">
                 <Sensors deck newest />
@@ -344,6 +367,18 @@ mod tests {
         assert_eq!((class, margin(&s.margins[0]).1), ("bad", "bad"));
         s.set_status(DecoderStatus::OutsideModel);
         assert_eq!(sentence(&s).0, "Nothing can be isolated: the window is outside the linear model.");
+    }
+
+    #[test]
+    fn a_weak_rotor_is_named_with_what_it_gives() {
+        let mut s = v1::Status::default();
+        assert_eq!(rotors(&s), None);
+        s.rotor_effectiveness = vec![1.0; 4];
+        assert!(rotors(&s).unwrap().0.contains("not watched"));
+        s.rotors_watched = true;
+        assert_eq!(rotors(&s).unwrap().0, "rotors: no loss found");
+        s.rotor_effectiveness[1] = 0.796;
+        assert_eq!(rotors(&s), Some(("rotor 2 gives 80 % of its thrust".to_owned(), "bad")));
     }
 
     #[test]

@@ -1,15 +1,17 @@
 //! Applies the active schedule to each frame. Allocates when a schedule is uploaded, never in a tick.
 
 use arrayvec::ArrayVec;
-use plumbline_proto::{ids::SensorId, time::FlightTime};
+use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::kinds::Kind;
 use super::schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule, Sequence};
+use crate::model::airframe::Airframe;
 use crate::sensor::sample::Scalars;
 use crate::sensor::{MAX_SENSORS, Registered, SensorFrame, Visitor};
+use crate::types::{MotorCommand, ROTORS};
 
 /// Samples remembered per sensor: ten seconds at 200 Hz.
 const HISTORY: usize = 2048;
@@ -102,8 +104,10 @@ pub struct Injector {
     schedule_id: u32,
     progress: ArrayVec<Progress, MAX_ATTACKS>,
     slots: ArrayVec<Slot, MAX_ATTACKS>,
-    /// One for each place of a frame, in its order.
+    /// One for each place of a frame, in its order, then one for each rotor.
     histories: Vec<History>,
+    /// Thrust that each rotor was told last, as a part of its full one.
+    told: [f64; ROTORS],
     changes: u64,
 }
 
@@ -118,7 +122,8 @@ impl Injector {
             schedule_id: 0,
             progress: ArrayVec::new(),
             slots: ArrayVec::new(),
-            histories: std::iter::repeat_with(History::new).take(MAX_SENSORS).collect(),
+            histories: std::iter::repeat_with(History::new).take(MAX_SENSORS + ROTORS).collect(),
+            told: [0.0; ROTORS],
             changes: 0,
         }
     }
@@ -168,7 +173,7 @@ impl Injector {
             if schedule.attacks.iter().take(index).any(|other| other.id == attack.id) {
                 return Err(AttackError::DuplicateId(attack.id));
             }
-            if !self.sensors.contains(&attack.sensor) {
+            if !self.sensors.contains(&attack.sensor) && !is_rotor(attack.sensor) {
                 return Err(AttackError::NoSuchSensor { id: attack.id, sensor: attack.sensor });
             }
             if self.independent.contains(&attack.sensor) {
@@ -227,18 +232,84 @@ impl Injector {
         }
         let mut received = *sensed;
         let Self { progress, slots, changes, histories, .. } = self;
-        received.visit(&mut Pass { progress, slots, changes, histories: histories.iter_mut(), now });
+        let running = Running { progress, slots, changes, now };
+        received.visit(&mut Pass { running, histories: histories.iter_mut() });
         received
+    }
+
+    /// What reaches the motors of `airframe` of a command given at `now`. Only what flies is attacked: motors that stand or
+    /// idle stay so, whatever is injected.
+    pub fn apply_command(
+        &mut self,
+        airframe: &Airframe,
+        command: &MotorCommand,
+        flying: bool,
+        now: FlightTime,
+    ) -> MotorCommand {
+        let Self { progress, slots, changes, histories, told, .. } = self;
+        let mut running = Running { progress, slots, changes, now };
+        let (curve, full) = (airframe.motor_curve, airframe.motor_curve.full_speed_radps());
+        let mut reached = *command;
+        let rotors = reached.throttle.iter_mut().zip(told).zip(histories.iter_mut().skip(MAX_SENSORS)).zip(1_u8..);
+        for (((throttle, told), history), instance) in rotors {
+            let mut asked = Scalars::default();
+            asked[0] = (curve.speed_radps(*throttle, 1.0) / full).powi(2);
+            let id = SensorId::new(SensorKind::Rotor, instance);
+            let (values, dropped) = if flying { running.alter(id, now, asked, history) } else { (asked, false) };
+            let thrust = if dropped { *told } else { values[0].clamp(0.0, 1.0) };
+            history.push(now, asked);
+            if dropped || values != asked {
+                *throttle = curve.command(full * thrust.sqrt(), 1.0);
+            }
+            *told = thrust;
+        }
+        reached
+    }
+}
+
+/// Does it name one of the rotors?
+fn is_rotor(target: SensorId) -> bool {
+    target.kind == SensorKind::Rotor && (1..=ROTORS).contains(&usize::from(target.instance))
+}
+
+/// The attacks at one time.
+struct Running<'a> {
+    progress: &'a mut ArrayVec<Progress, MAX_ATTACKS>,
+    slots: &'a mut ArrayVec<Slot, MAX_ATTACKS>,
+    changes: &'a mut u64,
+    now: FlightTime,
+}
+
+impl Running<'_> {
+    /// What they make of the `given` values of `target`, and whether those are withheld.
+    fn alter(&mut self, target: SensorId, time: FlightTime, given: Scalars, history: &History) -> (Scalars, bool) {
+        let (mut values, mut dropped) = (given, false);
+        for (progress, slot) in self.progress.iter_mut().zip(self.slots.iter_mut()) {
+            let running = matches!(progress.phase, Phase::Accepted | Phase::Active);
+            if !running || progress.attack.sensor != target || self.now < slot.onset {
+                continue;
+            }
+            if progress.phase == Phase::Accepted {
+                slot.begin(&progress.attack, history, given);
+                progress.phase = Phase::Active;
+                *self.changes += 1;
+            }
+            let before = values;
+            let drops = slot.alter(&progress.attack, time, &mut values, history);
+            dropped |= drops;
+            if drops || before != values {
+                progress.active.get_or_insert(self.now);
+                progress.altered_samples += 1;
+            }
+        }
+        (values, dropped)
     }
 }
 
 /// One pass over a frame.
 struct Pass<'a> {
-    progress: &'a mut ArrayVec<Progress, MAX_ATTACKS>,
-    slots: &'a mut ArrayVec<Slot, MAX_ATTACKS>,
-    changes: &'a mut u64,
+    running: Running<'a>,
     histories: std::slice::IterMut<'a, History>,
-    now: FlightTime,
 }
 
 impl Visitor for Pass<'_> {
@@ -246,26 +317,7 @@ impl Visitor for Pass<'_> {
         let Some(history) = self.histories.next() else { return };
         let Some(sensed) = *place else { return };
         let sensed_values = sensed.scalars();
-        let mut values = sensed_values;
-        let mut dropped = false;
-        for (progress, slot) in self.progress.iter_mut().zip(self.slots.iter_mut()) {
-            let running = matches!(progress.phase, Phase::Accepted | Phase::Active);
-            if !running || progress.attack.sensor != id || self.now < slot.onset {
-                continue;
-            }
-            if progress.phase == Phase::Accepted {
-                slot.begin(&progress.attack, history, sensed_values);
-                progress.phase = Phase::Active;
-                *self.changes += 1;
-            }
-            let before = values;
-            let drops = slot.alter(&progress.attack, sensed.time(), &mut values, history);
-            dropped |= drops;
-            if drops || before != values {
-                progress.active.get_or_insert(self.now);
-                progress.altered_samples += 1;
-            }
-        }
+        let (values, dropped) = self.running.alter(id, sensed.time(), sensed_values, history);
         // The history holds what was sensed: a replay never replays an attack.
         history.push(sensed.time(), sensed_values);
         if dropped {
@@ -339,195 +391,4 @@ impl Slot {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::attack::Channel;
-    use crate::sensor::{HeightSample, ImuSample};
-    use plumbline_proto::v1::SensorKind;
-
-    const SENSORS: &[SensorId] = &[
-        SensorId::new(SensorKind::Height, 1),
-        SensorId::new(SensorKind::Height, 2),
-        SensorId::new(SensorKind::Imu, 1),
-    ];
-
-    fn attack(kind: Kind, magnitude: f64) -> Attack {
-        Attack {
-            id: 1,
-            sensor: SensorId::new(SensorKind::Height, 2),
-            channel: Channel::All,
-            kind,
-            start_s: 5.0,
-            duration_s: 10.0,
-            magnitude,
-            seed: 7,
-        }
-    }
-
-    /// Heights are a ramp of 0.1 m/s at 10 Hz: height(t) = 0.1 t. Returns height 2 as received.
-    fn fly(injector: &mut Injector, from_s: f64, to_s: f64) -> Vec<(f64, Option<f64>)> {
-        let mut out = Vec::new();
-        for tick in (from_s * 10.0) as u64..(to_s * 10.0) as u64 {
-            let time = FlightTime(tick * 100_000);
-            let sample = Some(HeightSample { time, height_m: time.as_seconds() * 0.1 });
-            let mut frame = SensorFrame { time, ..Default::default() };
-            frame.heights[0] = sample;
-            frame.heights[1] = sample;
-            let received = injector.apply(&frame);
-            assert_eq!(received.heights[0], sample, "height 1 is not attacked");
-            out.push((time.as_seconds(), received.heights[1].map(|h| h.height_m)));
-        }
-        out
-    }
-
-    fn run(kind: Kind, magnitude: f64) -> Vec<(f64, Option<f64>)> {
-        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-        let mut schedule = Schedule { id: 3, ..Default::default() };
-        schedule.attacks.push(attack(kind, magnitude));
-        injector.upload(&schedule, FlightTime(0)).unwrap();
-        assert_eq!(injector.state()[0].phase, Phase::Accepted);
-        let out = fly(&mut injector, 0.0, 20.0);
-        let progress = injector.state()[0];
-        assert_eq!(progress.phase, Phase::Done);
-        // A ramp is zero at its onset: the first altered sample is the second.
-        let first = if kind == Kind::Ramp { 5_100_000 } else { 5_000_000 };
-        assert_eq!(progress.active, (kind != Kind::Dropout).then_some(FlightTime(first)).or(progress.active));
-        assert_eq!(progress.ended, Some(FlightTime(15_000_000)));
-        for (t, value) in &out {
-            if !(5.0..15.0).contains(t) {
-                assert!((value.unwrap() - 0.1 * t).abs() < 1e-12, "altered outside its span at {t}");
-            }
-        }
-        out.into_iter().filter(|(t, _)| (5.0..15.0).contains(t)).collect()
-    }
-
-    fn check(kind: Kind, magnitude: f64, expected: impl Fn(f64) -> f64) {
-        for (t, value) in run(kind, magnitude) {
-            let value = value.unwrap();
-            assert!((value - expected(t)).abs() < 1e-9, "{kind:?} at {t} s: {value}, expected {}", expected(t));
-        }
-    }
-
-    #[test]
-    fn deterministic_kinds_do_what_they_say_inside_their_span_only() {
-        check(Kind::Zero, 0.0, |_| 0.0);
-        check(Kind::Bias, 0.5, |t| 0.1 * t + 0.5);
-        check(Kind::Ramp, 0.2, |t| 0.1 * t + 0.2 * (t - 5.0));
-        check(Kind::Scale, -2.0, |t| -0.2 * t);
-        check(Kind::SignFlip, 0.0, |t| -0.1 * t);
-        check(Kind::Freeze, 0.0, |_| 0.49);
-        check(Kind::Delay, 1.0, |t| 0.1 * (t - 1.0));
-        // The two seconds before onset, again and again.
-        check(Kind::Replay, 2.0, |t| 0.1 * (3.0 + (((t - 5.0) * 10.0).round() as u64 % 20) as f64 / 10.0));
-    }
-
-    #[test]
-    fn noise_and_dropout_have_their_statistics_and_repeat_with_their_seed() {
-        let noise = run(Kind::Noise, 0.3);
-        let n = noise.len() as f64;
-        let variance = noise.iter().map(|(t, v)| (v.unwrap() - 0.1 * t).powi(2)).sum::<f64>() / n;
-        assert!((0.2..0.4).contains(&variance.sqrt()), "sigma {}", variance.sqrt());
-        assert_eq!(noise, run(Kind::Noise, 0.3));
-        let lost = run(Kind::Dropout, 0.5).iter().filter(|(_, v)| v.is_none()).count();
-        assert!((30..70).contains(&lost), "{lost} of 100 dropped");
-    }
-
-    #[test]
-    fn a_bias_follows_its_sequence_within_the_bounds_and_ends_with_its_table() {
-        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-        let sequence = |attack, period_s, values: &[f64]| Sequence { attack, period_s, values: values.to_vec() };
-        let with = |sequence: Sequence| {
-            let mut schedule = Schedule { id: 3, ..Default::default() };
-            schedule.attacks.push(attack(Kind::Bias, 0.5));
-            schedule.sequences.push(sequence);
-            schedule
-        };
-        let id = attack(Kind::Bias, 0.5).id;
-        for (bad, expected) in [
-            (sequence(id + 1, 0.1, &[1.0]), "there is no such attack"),
-            (sequence(id, 0.0, &[1.0]), "sequence period (s) 0 is outside 0.001 to 10"),
-            (sequence(id, 0.1, &[1.0, -1.5]), "value of a sequence -1.5 is outside -1 to 1"),
-            (sequence(id, 0.1, &[f64::NAN]), "NaN"),
-            (sequence(id, 0.1, &[]), "values of a sequence 0"),
-        ] {
-            let error = injector.upload(&with(bad), FlightTime(0)).unwrap_err().to_string();
-            assert!(error.contains(expected), "{error}");
-        }
-        injector.upload(&with(sequence(id, 1.0, &[1.0, -0.5, 0.25])), FlightTime(0)).unwrap();
-        for (t, value) in fly(&mut injector, 0.0, 12.0) {
-            let added = match t - 5.0 + 1e-6 {
-                x if x < 0.0 => 0.0,
-                x if x < 1.0 => 0.5,
-                x if x < 2.0 => -0.25,
-                x if x < 3.0 => 0.125,
-                _ => 0.0,
-            };
-            assert!((value.unwrap() - 0.1 * t - added).abs() < 1e-9, "{t} s: {value:?}, {added}");
-        }
-        assert_eq!(injector.abort(FlightTime(12_000_000)), 1);
-    }
-
-    #[test]
-    fn abort_ends_everything_at_once() {
-        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-        let mut schedule = Schedule::default();
-        schedule.attacks.push(attack(Kind::Bias, 0.5));
-        injector.upload(&schedule, FlightTime(0)).unwrap();
-        fly(&mut injector, 0.0, 7.0);
-        assert!(injector.any_active());
-        assert_eq!(injector.abort(FlightTime(7_000_000)), 1);
-        for (t, value) in fly(&mut injector, 7.0, 9.0) {
-            assert!((value.unwrap() - 0.1 * t).abs() < 1e-12);
-        }
-        assert_eq!(injector.state()[0].phase, Phase::Aborted);
-        assert_eq!(injector.abort(FlightTime(9_000_000)), 0);
-    }
-
-    #[test]
-    fn schedules_out_of_bounds_are_refused_with_the_value_and_change_nothing() {
-        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-        let mut refuse = |change: fn(&mut Attack), expected: &str| {
-            let mut bad = attack(Kind::Bias, 0.5);
-            change(&mut bad);
-            let mut schedule = Schedule::default();
-            schedule.attacks.push(bad);
-            let error = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
-            assert!(error.contains(expected), "{error}");
-            assert!(injector.state().is_empty());
-        };
-        refuse(|a| a.magnitude = f64::NAN, "NaN");
-        refuse(|a| a.magnitude = 6.0, "magnitude 6 is outside -5 to 5");
-        refuse(|a| a.duration_s = 1e9, "duration (s) 1000000000");
-        refuse(|a| a.start_s = -1.0, "start (s) -1");
-        refuse(|a| a.sensor = SensorId::new(SensorKind::Height, 9), "no height 9");
-        refuse(|a| a.channel = Channel::Gyro, "Gyro of height 2");
-        refuse(|a| a.sensor = SensorId::new(SensorKind::Imu, 1), "Bias cannot cover All of imu 1");
-        let mut off = Injector::new(Bounds::default(), false, SENSORS);
-        assert_eq!(off.upload(&Schedule::default(), FlightTime(0)), Err(AttackError::Disabled));
-    }
-
-    #[test]
-    fn an_imu_channel_leaves_the_others_alone() {
-        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-        let mut schedule = Schedule::default();
-        schedule.attacks.push(Attack {
-            sensor: SensorId::new(SensorKind::Imu, 1),
-            channel: Channel::GyroAxis(1),
-            start_s: 0.0,
-            ..attack(Kind::Bias, 0.25)
-        });
-        injector.upload(&schedule, FlightTime(0)).unwrap();
-        let sample = ImuSample {
-            time: FlightTime(0),
-            gyro_radps: nalgebra::Vector3::new(0.1, 0.2, 0.3),
-            accel_mps2: nalgebra::Vector3::new(0.0, 0.0, 9.81),
-            mag_ut: None,
-            temperature_c: 25.0,
-        };
-        let mut frame = SensorFrame::default();
-        frame.imus[0] = Some(sample);
-        let received = injector.apply(&frame).imus[0].unwrap();
-        let expected = ImuSample { gyro_radps: nalgebra::Vector3::new(0.1, 0.45, 0.3), ..sample };
-        assert_eq!(received, expected);
-    }
-}
+mod tests;

@@ -3,13 +3,20 @@
 //! Every sensor's sample is viewed as up to nine scalars; an attack alters those its channel covers.
 //! Additive kinds (bias, ramp, noise) need one unit, so on `All` they cover the sensor's first
 //! quantity only (position of a GNSS fix, pressure of a barometer); on an IMU, whose quantities are
-//! equals, they must name one.
+//! equals, they must name one. The command of a rotor is one scalar, the thrust it asks for as a part of the rotor's full one.
 
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
 
-use crate::sensor::quantities;
 use crate::sensor::sample::Quantity;
+
+/// What an attack on the command of a rotor alters.
+const ROTOR: [Quantity; 1] = [Quantity { name: "thrust", unit: "of full thrust", scalars: 1, named: false }];
+
+/// What there is to alter of a target of this kind.
+pub(super) fn quantities(target: SensorKind) -> &'static [Quantity] {
+    if target == SensorKind::Rotor { &ROTOR } else { crate::sensor::quantities(target) }
+}
 
 /// The named quantities of an IMU.
 const GYRO: &str = "gyro";
@@ -36,7 +43,7 @@ pub enum Kind {
     Replay,
     /// v → the value `magnitude` seconds ago
     Delay,
-    /// The sample is withheld with probability `magnitude`.
+    /// The sample is withheld with probability `magnitude`; a motor then keeps what it was told last.
     Dropout,
     /// v → −v
     SignFlip,

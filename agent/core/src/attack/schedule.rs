@@ -3,18 +3,17 @@
 use arrayvec::ArrayVec;
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
 
-use super::kinds::{Channel, Kind};
-use crate::sensor::quantities;
+use super::kinds::{Channel, Kind, quantities};
 
 /// Most attacks of one schedule.
 pub use plumbline_proto::limits::MAX_ATTACKS;
 
-/// One attack on one sensor.
+/// One attack on one sensor, or on the command of one rotor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Attack {
     /// Unique within the schedule.
     pub id: u32,
-    /// The sensor.
+    /// The sensor, or the rotor.
     pub sensor: SensorId,
     /// Its scalars.
     pub channel: Channel,
@@ -72,6 +71,8 @@ pub struct Bounds {
     pub mag_max_ut: f64,
     /// Largest offset of a pressure, Pa.
     pub pressure_max_pa: f64,
+    /// Largest offset of a rotor's thrust, as a part of its full one.
+    pub thrust_max: f64,
     /// Largest factor of `Scale`, either sign.
     pub scale_max: f64,
     /// Longest window of `Replay`, s.
@@ -90,6 +91,7 @@ impl Default for Bounds {
             accel_max_mps2: 20.0,
             mag_max_ut: 100.0,
             pressure_max_pa: 500.0,
+            thrust_max: 1.0,
             scale_max: 10.0,
             replay_max_s: 10.0,
             delay_max_s: 2.0,
@@ -208,6 +210,7 @@ impl Bounds {
             "m/s²" => self.accel_max_mps2,
             "µT" => self.mag_max_ut,
             "Pa" => self.pressure_max_pa,
+            "of full thrust" => self.thrust_max,
             _ => self.length_max_m,
         }
     }
@@ -246,6 +249,7 @@ mod tests {
         assert_eq!(imu[0], (Channel::All, "", 0.0), "an attack that adds must name a quantity");
         assert_eq!(imu[3], (Channel::Mag, "µT", 100.0));
         assert!(imu.contains(&(Channel::AccelAxis(2), "m/s²", 20.0)));
+        assert_eq!(of(SensorKind::Rotor), [(Channel::All, "of full thrust", 1.0)]);
         assert!(of(SensorKind::Unspecified).is_empty());
     }
 }

@@ -173,7 +173,7 @@ impl Flight {
     }
 
     /// Does what `failsafe` asks for, and says why.
-    fn act(&mut self, failsafe: Failsafe, reason: Text) {
+    pub(super) fn act(&mut self, failsafe: Failsafe, reason: Text) {
         let severity = if severity(failsafe) >= DESCENDS { Severity::Critical } else { Severity::Warning };
         self.event(severity, EventKind::Failsafe, reason);
         (self.supervision.failsafe, self.supervision.failsafe_reason) = (failsafe, reason);
@@ -189,6 +189,7 @@ impl Flight {
             | Failsafe::BatteryDescend
             | Failsafe::ThrustDescend
             | Failsafe::ShutdownDescend
+            | Failsafe::RotorDescend
             | Failsafe::BoxDescend => self.descend(),
             Failsafe::EstimatorDescend | Failsafe::AltitudeDescend => self.descend_blindly(),
             Failsafe::TiltCut
@@ -196,6 +197,7 @@ impl Flight {
             | Failsafe::ImuCut
             | Failsafe::StallCut
             | Failsafe::ShutdownCut
+            | Failsafe::RotorCut
             | Failsafe::OperatorCut => self.cut(failsafe, reason),
         }
     }

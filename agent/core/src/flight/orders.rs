@@ -5,6 +5,7 @@
 use plumbline_proto::time::FlightTime;
 
 use super::guard::mode_name;
+use super::rotors::RotorWatch;
 use super::status::IMU_MAX_AGE_S;
 use super::support::Support;
 use super::{Failsafe, Flight, Phase};
@@ -77,6 +78,8 @@ impl Flight {
             });
         }
         self.supervision.monitor.reset();
+        self.rotors = RotorWatch::new(&self.config.airframe);
+        self.mixer.weaken(self.rotors.effectiveness());
         self.guidance.meter.reset();
         (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
         self.liveness.operator = None;

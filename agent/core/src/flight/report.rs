@@ -31,9 +31,11 @@ pub struct StepReport {
     pub wrench: Wrench,
     /// Wrench the mixer could give.
     pub given: Wrench,
-    /// Goes to `Vehicle::actuate`.
+    /// What the mixer tells the motors.
+    pub commanded: MotorCommand,
+    /// The same under attack: goes to `Vehicle::actuate`.
     pub command: MotorCommand,
-    /// What the vehicle said it applied after the tick before.
+    /// What the vehicle said it applied after the tick before, as if nothing were attacked.
     pub applied: MotorCommand,
     /// Could the mixer not give what was asked?
     pub saturated: bool,

@@ -16,6 +16,7 @@
 //! | thrust commanded, vehicle not moving | descend |
 //! | battery low / empty | warn / descend |
 //! | K control ticks lost within a second | warn, then descend |
+//! | a rotor gives too little to hover on / to come down on | descend / cut, latched |
 //! | program asked to end, once / twice | descend / cut |
 //!
 //! Three parts: the [`Watchdog`] (tilt, rate and height without any estimator), the [`Monitor`] (which row applies now)

@@ -312,6 +312,8 @@ impl Monitor {
             | Failsafe::StallCut
             | Failsafe::ShutdownDescend
             | Failsafe::ShutdownCut
+            | Failsafe::RotorDescend
+            | Failsafe::RotorCut
             | Failsafe::OperatorCut
             | Failsafe::TakeoffTimeout => Text::new(),
         }
@@ -376,6 +378,7 @@ pub fn severity(failsafe: Failsafe) -> u8 {
         | Failsafe::PositionDescend
         | Failsafe::BatteryDescend
         | Failsafe::ThrustDescend
+        | Failsafe::RotorDescend
         | Failsafe::ShutdownDescend => DESCENDS,
         Failsafe::EstimatorDescend | Failsafe::AltitudeDescend => 6,
         Failsafe::TakeoffTimeout => 7,
@@ -384,6 +387,7 @@ pub fn severity(failsafe: Failsafe) -> u8 {
         | Failsafe::ImuCut
         | Failsafe::StallCut
         | Failsafe::ShutdownCut
+        | Failsafe::RotorCut
         | Failsafe::OperatorCut => 8,
     }
 }

@@ -1,0 +1,122 @@
+use super::*;
+use rand::{RngExt as _, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+const DT_S: f64 = 0.005;
+
+/// A vehicle that hovers under a crude attitude loop of its own, each rotor giving `parts` of its thrust.
+struct Hover {
+    airframe: Airframe,
+    watch: RotorWatch,
+    rates: Vector3<f64>,
+    tilt: Vector3<f64>,
+    rotors: Rotors,
+    applied: MotorCommand,
+    rng: Xoshiro256PlusPlus,
+    /// A hand's torque, N m, and force, N.
+    torque: Vector3<f64>,
+    force_n: f64,
+}
+
+impl Hover {
+    fn new(seed: u64) -> Self {
+        let airframe = Airframe::iris();
+        let applied = MotorCommand { throttle: [airframe.hover_command(); ROTORS] };
+        Self {
+            watch: RotorWatch::new(&airframe),
+            airframe,
+            rates: Vector3::zeros(),
+            tilt: Vector3::zeros(),
+            rotors: Rotors::default(),
+            applied,
+            rng: Xoshiro256PlusPlus::seed_from_u64(seed),
+            torque: Vector3::zeros(),
+            force_n: 0.0,
+        }
+    }
+
+    /// So many seconds; when something was found first, s from their begin.
+    fn fly(&mut self, seconds: f64, parts: [f64; ROTORS], free: bool) -> Option<(f64, Found)> {
+        let mut first = None;
+        for tick in 0..(seconds / DT_S) as usize {
+            self.rotors.step(&self.airframe, &self.applied.throttle, 1.0, DT_S);
+            let speeds: Vec<f64> =
+                self.rotors.speed_radps().iter().zip(parts).map(|(speed, part)| speed * f64::sqrt(part)).collect();
+            let wrench = self.airframe.wrench(&[speeds[0], speeds[1], speeds[2], speeds[3]]);
+            let inertia = self.airframe.inertia_kgm2;
+            self.rates += (wrench.torque_flu_nm + self.torque).component_div(&inertia) * DT_S;
+            self.tilt += self.rates * DT_S;
+            let mut noise = |size: f64| size * (self.rng.random::<f64>() - 0.5);
+            let seen = Seen {
+                airframe: &self.airframe,
+                rates_radps: self.rates + Vector3::new(noise(0.02), noise(0.02), noise(0.01)),
+                force_mps2: (wrench.thrust_n + self.force_n) / self.airframe.mass_kg + noise(0.5),
+                applied: &self.applied,
+                voltage_ratio: 1.0,
+                free,
+                dt_s: DT_S,
+            };
+            let found = self.watch.step(&seen);
+            first = first.or_else(|| found.map(|found| (tick as f64 * DT_S, found)));
+            let mut mixer = crate::mix::Mixer::new(&self.airframe, f64::INFINITY).unwrap();
+            mixer.weaken(self.watch.effectiveness());
+            let torque = (self.tilt * -60.0 - self.rates * 12.0).component_mul(&inertia);
+            let asked = crate::types::Wrench { thrust_n: self.airframe.weight_n(), torque_flu_nm: torque };
+            self.applied = mixer.mix(&asked).command;
+        }
+        first
+    }
+}
+
+#[test]
+fn a_loss_is_isolated_estimated_and_its_end_is_seen() {
+    for rotor in 0..ROTORS {
+        for loss in [0.2, 0.5] {
+            let mut hover = Hover::new(rotor as u64);
+            assert_eq!(hover.fly(5.0, [1.0; ROTORS], true), None, "nothing is lost yet");
+            let mut parts = [1.0; ROTORS];
+            parts[rotor] -= loss;
+            let (after_s, found) = hover.fly(2.0, parts, true).unwrap();
+            assert!(after_s < 0.3 && found == Found::Weak(rotor), "rotor {rotor}, {loss}: {found:?} after {after_s} s");
+            let told = hover.watch.effectiveness()[rotor];
+            assert!((told - parts[rotor]).abs() < 0.03, "rotor {rotor}: {told}, gives {}", parts[rotor]);
+            let (_, found) = hover.fly(4.0, [1.0; ROTORS], true).unwrap();
+            assert_eq!((found, *hover.watch.effectiveness()), (Found::Healthy(rotor), [1.0; ROTORS]));
+        }
+    }
+}
+
+#[test]
+fn what_is_no_loss_is_not_taken_for_one() {
+    let pushes = [
+        (Vector3::new(0.3, 0.0, 0.0), 0.0),
+        (Vector3::new(0.0, -0.3, 0.0), 0.0),
+        (Vector3::new(0.3, 0.2, 0.0), 0.0),
+        // A string at one arm: what it lifts and turns is that of a rotor that gives more on the other side.
+        (Vector3::new(0.2, -0.12, 0.0), 0.9),
+        (Vector3::zeros(), -2.0),
+    ];
+    for (torque, force_n) in pushes {
+        let mut hover = Hover::new(9);
+        hover.fly(5.0, [1.0; ROTORS], true);
+        (hover.torque, hover.force_n) = (torque, force_n);
+        assert_eq!(hover.fly(3.0, [1.0; ROTORS], true), None, "{torque:?} N m, {force_n} N");
+    }
+}
+
+#[test]
+fn a_vehicle_that_is_held_is_not_judged_and_a_sensor_that_is_no_number_leaves_no_trace() {
+    let mut hover = Hover::new(3);
+    hover.fly(5.0, [1.0; ROTORS], false);
+    assert!(!hover.watch.watches());
+    assert_eq!(hover.fly(1.0, [0.5, 1.0, 1.0, 1.0], false), None);
+    let mut hover = Hover::new(4);
+    hover.fly(5.0, [1.0; ROTORS], true);
+    let rates = hover.rates;
+    hover.rates = Vector3::repeat(f64::NAN);
+    hover.fly(DT_S, [1.0; ROTORS], true);
+    (hover.rates, hover.tilt) = (rates, Vector3::zeros());
+    hover.applied = MotorCommand { throttle: [hover.airframe.hover_command(); ROTORS] };
+    assert_eq!(hover.fly(3.0, [1.0; ROTORS], true), None);
+    assert!(hover.watch.watches());
+}
