@@ -36,7 +36,7 @@ use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, TICK_RATE
 use path::Path;
 use support::Support;
 
-pub use config::{AttackPolicy, FlightConfig, RigKind};
+pub use config::{AttackPolicy, EnvelopeDemand, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
 
 /// Why a flight cannot be set up.
@@ -81,6 +81,8 @@ struct Supervision {
     position_lost: bool,
     /// The controller's last output was no number.
     wrench_invalid: bool,
+    /// Bound of the attack envelope, m (`None`: there is none), or why it is not known, of the gains in use.
+    envelope: Option<Result<Option<f64>, Text>>,
 }
 
 /// Where the vehicle is to go, and how far it came.
@@ -189,6 +191,7 @@ impl Flight {
                 blind_since: None,
                 position_lost: false,
                 wrench_invalid: false,
+                envelope: None,
             },
             guidance: Guidance {
                 profile: Profile::default(),
@@ -258,6 +261,14 @@ impl Flight {
     /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
     pub fn log_health(&mut self, error: Option<&str>) {
         self.liveness.log_error = error.map(|e| text(format_args!("{e}")));
+    }
+
+    /// Bound of the attack envelope with the gains of `revision`, m: `None` where there is none; or why it is not known.
+    /// A condition for arming where one is demanded.
+    pub fn envelope_bounded(&mut self, revision: GainsRevision, bound_m: Result<Option<f64>, Text>) {
+        if revision == self.gains.revision {
+            self.supervision.envelope = Some(bound_m);
+        }
     }
 
     /// Hands over every event since the last call, oldest first.

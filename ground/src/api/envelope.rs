@@ -28,7 +28,7 @@ use super::extract::{Path, Query};
 use crate::hub::VehicleError;
 
 /// Answers kept; the oldest goes.
-const KEPT: usize = 32;
+const KEPT: usize = 128;
 
 /// What an answer follows from.
 type Key = (EnvelopeQuestion, Option<Suite>);
@@ -133,15 +133,6 @@ fn suite(description: &v1::Description) -> Result<Suite, ApiError> {
     if !description.scenario.is_empty() {
         return suite_of(&description.scenario).map_err(|e| ApiError::Invalid(format!("its scenario: {e}")));
     }
-    let mut suite = Suite::empty();
-    for sensor in &description.sensors {
-        suite.add(sensor.kind());
-    }
-    suite.sheets_mut(|id, sheet| {
-        let told = description.sensors.iter().find(|s| SensorId::new(s.kind(), s.instance as u8) == id);
-        if let Some(told) = told.filter(|told| told.rate_hz > 0.0) {
-            sheet.timing_mut().rate_hz = told.rate_hz;
-        }
-    });
-    Ok(suite)
+    let told = description.sensors.iter();
+    Ok(Suite::at_rates(told.map(|sensor| (SensorId::new(sensor.kind(), sensor.instance as u8), sensor.rate_hz))))
 }

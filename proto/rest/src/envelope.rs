@@ -21,6 +21,12 @@ pub struct EnvelopeQuestion {
     /// Only this set: sensors by name, `height 2`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<String>>,
+    /// Sensors that are excluded: neither used nor attacked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub without: Vec<String>,
+    /// One sensor more of this kind, `height` or `imu`: what would it buy?
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub more: Option<String>,
     /// How long the attack lasts, s; 10 where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,

@@ -5,6 +5,7 @@ pub mod arming;
 pub mod attacks;
 pub mod charts;
 pub mod cursors;
+pub mod envelope;
 pub mod errors;
 pub mod estimator;
 pub mod events;

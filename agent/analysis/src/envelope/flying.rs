@@ -44,8 +44,8 @@ pub struct Loop {
     /// Heights and IMUs, in the order of the suite.
     pub sensors: Vec<SensorId>,
     model: SensorModel,
-    /// Rate, Hz, and time of the first sample, s, of each height.
-    timing: Vec<(f64, f64)>,
+    /// Rate, Hz, and time of the first sample, s, of each height; `None` for one that is excluded.
+    timing: Vec<Option<(f64, f64)>>,
     imus: usize,
     law: StateSpace,
     vehicle: (DMatrix<f64>, DMatrix<f64>),
@@ -111,7 +111,7 @@ impl Loop {
         let a = DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, 0.0, damping, lift, 0.0, 0.0, -1.0 / lag_s]);
         let b = DMatrix::from_row_slice(3, 1, &[0.0, 0.0, 1.0 / lag_s]);
         let sampled = zero_order_hold(&a, &b, tick_s)?;
-        let timing: Vec<(f64, f64)> = suite.heights.iter().map(|h| (h.timing.rate_hz, h.timing.phase_s)).collect();
+        let timing: Vec<_> = suite.heights.iter().map(|h| Some((h.timing.rate_hz, h.timing.phase_s))).collect();
         let of = |kind: SensorKind, count: usize| (1..=count).map(move |i| SensorId::new(kind, i as u8));
         let sensors = of(SensorKind::Height, timing.len()).chain(of(SensorKind::Imu, suite.imus.len())).collect();
         if suite.imus.is_empty() || timing.is_empty() {
@@ -136,6 +136,36 @@ impl Loop {
         })
     }
 
+    /// With `excluded` sensors left out: neither used nor attacked.
+    ///
+    /// # Errors
+    /// [`EnvelopeError::UnknownSensor`], [`EnvelopeError::Value`] where no height or no IMU is left.
+    pub fn without(mut self, excluded: &[SensorId]) -> Result<Self, EnvelopeError> {
+        self.known(excluded)?;
+        self.sensors.retain(|sensor| !excluded.contains(sensor));
+        for (i, timing) in self.timing.iter_mut().enumerate() {
+            *timing = timing.filter(|_| !excluded.contains(&SensorId::new(SensorKind::Height, i as u8 + 1)));
+        }
+        self.imus = self.count(SensorKind::Imu);
+        let least = self.imus.min(self.count(SensorKind::Height));
+        if least == 0 {
+            let what = "heights or IMUs that are not excluded";
+            return Err(EnvelopeError::Value { what, value: 0.0, expected: "at least 1" });
+        }
+        Ok(self)
+    }
+
+    /// How many of `kind` are used.
+    pub fn count(&self, kind: SensorKind) -> usize {
+        self.sensors.iter().filter(|sensor| sensor.kind == kind).count()
+    }
+
+    fn known(&self, sensors: &[SensorId]) -> Result<(), EnvelopeError> {
+        let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) else { return Ok(()) };
+        let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known })
+    }
+
     /// Under an attack on `sensors`.
     ///
     /// # Errors
@@ -144,10 +174,7 @@ impl Loop {
         if sensors.len() > self.sensors.len() {
             return Err(EnvelopeError::SetTooLarge { size: sensors.len(), sensors: self.sensors.len() });
         }
-        if let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) {
-            let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-            return Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known });
-        }
+        self.known(sensors)?;
         let of = |kind: SensorKind| {
             let mine = sensors.iter().filter(move |sensor| sensor.kind == kind);
             let mut places: Vec<usize> = mine.map(|sensor| usize::from(sensor.instance) - 1).collect();
@@ -161,17 +188,18 @@ impl Loop {
     /// When each height samples in a cycle of slots: how long before the slot's end, s.
     fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
         let repeats = |slots: &usize| {
-            self.timing.iter().all(|(rate_hz, _)| {
+            self.timing.iter().flatten().all(|(rate_hz, _)| {
                 let samples = *slots as f64 * SLOT * rate_hz;
                 (samples - samples.round()).abs() < 1e-6 && samples.round() >= 1.0
             })
         };
-        let first_hz = self.timing.first().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
+        let first_hz = self.timing.iter().flatten().next().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
         let expected = "such that all heights repeat within 1 s";
         let slots = (1..=LONGEST_CYCLE).find(repeats);
         let slots = slots.ok_or(EnvelopeError::Value { what: "rate_hz of the heights", value: first_hz, expected })?;
         let mut ages = vec![[None; MAX_HEIGHTS]; slots];
-        for (i, (rate_hz, phase_s)) in self.timing.iter().enumerate() {
+        for (i, timing) in self.timing.iter().enumerate() {
+            let Some((rate_hz, phase_s)) = timing else { continue };
             for k in 0..(slots as f64 * SLOT * rate_hz).round() as usize {
                 let (slot, age_s) = slot_of(phase_s + k as f64 / rate_hz);
                 if let Some(place) = ages.get_mut(slot % slots).and_then(|slot| slot.get_mut(i)) {
@@ -295,7 +323,7 @@ impl Attacked<'_> {
         let time_s = (number + 1) as f64 * SLOT - age_s;
         let tick = (time_s / self.flying.tick_s).round() as usize;
         let altitude = altitudes.get(tick).or(altitudes.last()).cloned().unwrap_or_else(|| Signal::zeros(0));
-        match self.flying.timing.get(i).filter(|_| self.heights.contains(&i)) {
+        match self.flying.timing.get(i).copied().flatten().filter(|_| self.heights.contains(&i)) {
             Some((rate_hz, phase_s)) if time_s > phase_s - 1e-9 => {
                 let sample = ((time_s - phase_s) * rate_hz).round() as usize;
                 altitude + attack(SensorId::new(SensorKind::Height, i as u8 + 1), sample)
@@ -309,7 +337,7 @@ impl Model for Attacked<'_> {
     fn attacked(&self) -> Vec<(SensorId, f64, f64)> {
         let of = &self.flying;
         let height = |i: &usize| {
-            let every_s = of.timing.get(*i).map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
+            let every_s = of.timing.get(*i).copied().flatten().map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
             (SensorId::new(SensorKind::Height, *i as u8 + 1), every_s, of.most.0)
         };
         let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), SLOT, of.most.1);
@@ -332,10 +360,11 @@ impl Model for Attacked<'_> {
         let of = self.flying;
         let zero = || Signal::zeros(width);
         let schedule = of.schedule()?;
-        let rates_hz: Vec<f64> = of.timing.iter().map(|(rate_hz, _)| *rate_hz).collect();
+        let rates_hz: Vec<_> = of.timing.iter().map(|timing| timing.map(|(rate_hz, _)| rate_hz)).collect();
         let mut weights = [1.0; MAX_HEIGHTS];
         if self.regime == Regime::Outvoted {
-            let weight = Judges::outvoted(self.heights.len(), of.timing.len() - self.heights.len());
+            let healthy = of.count(SensorKind::Height) - self.heights.len();
+            let weight = Judges::outvoted(self.heights.len(), healthy);
             weights.iter_mut().enumerate().filter(|(i, _)| !self.heights.contains(i)).for_each(|(_, w)| *w = weight);
         }
         let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);

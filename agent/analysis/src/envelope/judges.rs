@@ -20,9 +20,17 @@ use super::program::Statistic;
 /// Innovations of a slot: height, its σ, of the healthy lanes, and what those attacked differ by.
 pub(super) type Innovation = (usize, f64, Signal, Vec<Signal>);
 
+/// What a height is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Excluded,
+    Healthy,
+    Attacked,
+}
+
 /// State of all judges.
 pub(super) struct Judges {
-    attacked: Vec<bool>,
+    heights: Vec<Role>,
     imus: Vec<usize>,
     of_imus: usize,
     regime: Regime,
@@ -47,12 +55,17 @@ fn mean(of: impl Iterator<Item = Signal>, count: usize, width: usize) -> Signal 
 }
 
 impl Judges {
-    /// Nothing heard yet; `rates_hz` of the heights.
-    pub(super) fn new(of: &Attacked, rates_hz: &[f64], imus: usize, noise_mps2: f64, width: usize) -> Self {
+    /// Nothing heard yet; `rates_hz` of the heights, `None` of one that is excluded.
+    pub(super) fn new(of: &Attacked, rates_hz: &[Option<f64>], imus: usize, noise_mps2: f64, width: usize) -> Self {
         let zero = || Signal::zeros(width);
         let longest = of_heights::MEANS.iter().map(|(n, _)| *n).max().unwrap_or(1);
+        let role = |(i, rate_hz): (usize, &Option<f64>)| match rate_hz {
+            None => Role::Excluded,
+            Some(_) if of.heights.contains(&i) => Role::Attacked,
+            Some(_) => Role::Healthy,
+        };
         Self {
-            attacked: (0..rates_hz.len()).map(|i| of.heights.contains(&i)).collect(),
+            heights: rates_hz.iter().enumerate().map(role).collect(),
             imus: of.imus.clone(),
             of_imus: imus,
             regime: of.regime,
@@ -60,7 +73,7 @@ impl Judges {
             offsets: rates_hz.iter().map(|_| zero()).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
             usual_mps2: of_imus::USUAL_MPS2.max(noise_mps2),
-            weight: rates_hz.iter().sum::<f64>() * SLOT / (1.0 - keep()),
+            weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
             learned: of.imus.iter().map(|_| zero()).collect(),
             deviations: of.imus.iter().map(|_| VecDeque::from(vec![zero(); of_imus::SLOTS])).collect(),
@@ -87,14 +100,14 @@ impl Judges {
 
     /// Attacked and healthy heights.
     fn counts(&self) -> (usize, usize) {
-        let attacked = self.attacked.iter().filter(|a| **a).count();
-        (attacked, self.attacked.len() - attacked)
+        let count = |role: Role| self.heights.iter().filter(|of| **of == role).count();
+        (count(Role::Attacked), count(Role::Healthy))
     }
 
     /// Mean of the last residuals of the healthy heights.
     fn healthy(&self) -> Option<Signal> {
         let (_, healthy) = self.counts();
-        let last = self.residuals.iter().zip(&self.attacked).filter(|(_, attacked)| !**attacked);
+        let last = self.residuals.iter().zip(&self.heights).filter(|(_, role)| **role == Role::Healthy);
         let last = last.filter_map(|(residuals, _)| residuals.front().cloned());
         (healthy > 0).then(|| mean(last, healthy, self.width))
     }
@@ -112,7 +125,7 @@ impl Judges {
         let others = self.healthy();
         let share = 1.0 / self.of_imus as f64;
         for (i, sigma_m, own, differ) in innovations {
-            if !self.attacked.get(*i).is_some_and(|attacked| *attacked) {
+            if self.heights.get(*i) != Some(&Role::Attacked) {
                 continue;
             }
             let innovation = differ.iter().fold(own.clone(), |sum, other| sum + other * share);
@@ -145,20 +158,23 @@ impl Judges {
                 self.residuals.iter().map(|kept| mean(kept.iter().take(n).cloned(), n, self.width)).collect();
             let prior = (sigma_m / of_heights::PRIOR_M).powi(2);
             let level = if self.regime == Regime::Full { of_heights::SOFT } else { of_heights::LIMIT };
-            let sum = |of: bool| {
-                let these = means.iter().zip(&self.attacked).filter(|(_, attacked)| **attacked == of);
+            let sum = |of: Role| {
+                let these = means.iter().zip(&self.heights).filter(|(_, role)| **role == of);
                 these.fold(Signal::zeros(self.width), |sum, (mean, _)| sum + mean)
             };
-            let (sums, mut add) = ([sum(false), sum(true)], |i: usize, limit: f64, row: Signal| {
+            let (sums, mut add) = ([sum(Role::Healthy), sum(Role::Attacked)], |i: usize, limit: f64, row: Signal| {
                 out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, silent: limit, row });
             });
             // At most a minority is ever excluded: of two none.
             let excludes = attacked + healthy > 2;
-            for (i, (mean, is_attacked)) in means.iter().zip(&self.attacked).enumerate().filter(|_| excludes) {
-                let (count, against, sum) =
-                    if *is_attacked { (attacked, healthy, &sums[0]) } else { (healthy, attacked, &sums[1]) };
+            for (i, (mean, role)) in means.iter().zip(&self.heights).enumerate().filter(|_| excludes) {
+                let (is_attacked, count, against, sum) = match role {
+                    Role::Attacked => (true, attacked, healthy, &sums[0]),
+                    Role::Healthy => (false, healthy, attacked, &sums[1]),
+                    Role::Excluded => continue,
+                };
                 // Attacked ones in a majority are near the centre; healthy ones in a majority too.
-                let far = if *is_attacked { self.regime == Regime::Full } else { 2 * attacked >= attacked + healthy };
+                let far = if is_attacked { self.regime == Regime::Full } else { 2 * attacked >= attacked + healthy };
                 if far && against > 0 {
                     let weight = against as f64 + prior;
                     let limit = sigma_m * (of_heights::PULL * count as f64 + weight * level);
@@ -166,7 +182,8 @@ impl Judges {
                 }
             }
             if n == of_heights::MEANS[1].0 && self.regime == Regime::Full {
-                let common = mean_of(&means, self.width);
+                let used = || means.iter().zip(&self.heights).filter(|(_, role)| **role != Role::Excluded);
+                let common = mean(used().map(|(mean, _)| mean.clone()), attacked + healthy, self.width);
                 for (offset, mean) in self.offsets.iter_mut().zip(&means) {
                     offset.axpy(of_heights::learned(super::flying::ALTITUDE_M), &(mean - &common), 1.0);
                 }
@@ -225,8 +242,4 @@ impl Judges {
             }
         }
     }
-}
-
-fn mean_of(means: &[Signal], width: usize) -> Signal {
-    mean(means.iter().cloned(), means.len(), width)
 }

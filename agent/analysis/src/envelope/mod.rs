@@ -92,6 +92,9 @@ pub enum EnvelopeError {
         /// Of the program.
         rows: usize,
     },
+    /// Nobody waits for it.
+    #[error("given up: nobody waits for the bound")]
+    GivenUp,
     /// The gains, or another field of the question.
     #[error(transparent)]
     Design(#[from] DesignError),

@@ -88,7 +88,18 @@ pub struct AttackPolicy {
     pub bounds: Bounds,
 }
 
-/// Everything a [`super::Flight`] is built from.
+/// What must be proved of the attack envelope before it arms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EnvelopeDemand {
+    /// Nobody who is not seen may move the altitude further, m …
+    pub altitude_max_m: f64,
+    /// … who owns so many sensors …
+    pub sensors: usize,
+    /// … while the lanes measure this noise of their accelerometers, m/s².
+    pub noise_mps2: f64,
+}
+
+/// Everything a [`super::Flight`] is built from: a field for each thing that can be configured, hence so many.
 #[derive(Debug, Clone)]
 pub struct FlightConfig {
     /// The vehicle.
@@ -121,6 +132,8 @@ pub struct FlightConfig {
     pub attacks: AttackPolicy,
     /// Thresholds of the failsafes.
     pub failsafe: Settings,
+    /// What must be proved of the attack envelope to arm; nothing where it is left out.
+    pub envelope: Option<EnvelopeDemand>,
 }
 
 impl FlightConfig {
@@ -143,6 +156,7 @@ impl FlightConfig {
             independent: Vec::new(),
             attacks: AttackPolicy::default(),
             failsafe: Settings::default(),
+            envelope: None,
         }
     }
 
