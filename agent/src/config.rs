@@ -15,14 +15,16 @@ use serde::Deserialize;
 
 use crate::control::tuning::{Design, kind_by_name};
 use crate::estimate::secure::{Decoder, SLOTS_MAX, SLOTS_MIN};
-use crate::flight::{EnvelopeDemand, FlightConfig};
+use crate::flight::{EnvelopeDemand, FlightConfig, watermark};
 use crate::model::declination::DeclinationError;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::{Suite, SuiteError};
 use crate::sim::rig::Rig;
 use crate::types::{ControllerKind, EstimatorKind, TICK_RATE_HZ};
 
-pub use sections::{Attacks, Controller, Envelope, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Weights};
+pub use sections::{
+    Attacks, Controller, Envelope, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Watermark, Weights,
+};
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -92,6 +94,8 @@ pub struct AgentConfig {
     pub failsafe: Failsafe,
     /// What must be proved of the attack envelope to arm.
     pub envelope: Option<Envelope>,
+    /// Noise on the thrust that tells what is replayed; none where it is left out.
+    pub watermark: Option<Watermark>,
     /// Estimators.
     pub estimators: Estimators,
     /// Calibration files, applied to every frame sensed and to the airframe.
@@ -132,6 +136,7 @@ impl Default for AgentConfig {
             attacks: Attacks::default(),
             failsafe: Failsafe::default(),
             envelope: None,
+            watermark: None,
             estimators: Estimators::default(),
             calibrations: Vec::new(),
             weights: None,
@@ -209,6 +214,7 @@ impl AgentConfig {
             ("envelope.altitude_max_m", self.envelope.map(|e| e.altitude_max_m), 0.0, 10.0, "0 to 10 m"),
             ("envelope.sensors", self.envelope.map(|e| e.sensors as f64), 1.0, 3.0, "1 to 3"),
             ("envelope.noise_mps2", self.envelope.map(|e| e.noise_mps2), 0.0, 5.0, "0 to 5 m/s²"),
+            ("watermark.rms_mps2", self.watermark.map(|w| w.rms_mps2), 0.001, 0.5, "0.001 to 0.5 m/s²"),
             ("log.max_mib", Some(self.log.max_mib as f64), 16.0, 16e6, "16 to 16000000 MiB"),
             ("link.telemetry_kb_per_s", Some(self.link.telemetry_kb_per_s), 10.0, 1e5, "10 to 100000 kB/s"),
             ("link.backfill_kb_per_s", Some(self.link.backfill_kb_per_s), 1.0, 1e5, "1 to 100000 kB/s"),
@@ -277,6 +283,7 @@ impl AgentConfig {
         put(&mut flight.attacks.bounds.length_max_m, self.attacks.length_max_m);
         put(&mut flight.attacks.bounds.rate_max_radps, self.attacks.rate_max_radps);
         put(&mut flight.attacks.bounds.accel_max_mps2, self.attacks.accel_max_mps2);
+        flight.watermark = self.watermark.map(|Watermark { rms_mps2, seed }| watermark::Settings { rms_mps2, seed });
         if let Some(names) = &self.estimators.run {
             flight.estimators = names.iter().map(|name| estimator("estimators.run", name)).collect::<Result<_, _>>()?;
         }

@@ -12,6 +12,7 @@ mod path;
 pub mod report;
 mod status;
 mod support;
+pub mod watermark;
 
 use arrayvec::ArrayVec;
 use plumbline_proto::ids::GainsRevision;
@@ -35,6 +36,7 @@ use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, TICK_RATE
 
 use path::Path;
 use support::Support;
+use watermark::{Block, Watermark};
 
 pub use config::{AttackPolicy, EnvelopeDemand, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
@@ -124,9 +126,10 @@ struct Told {
     attack_changes: u64,
     meter_sent: FlightTime,
     setpoint_told: FlightTime,
+    watermark: Option<(FlightTime, Block)>,
 }
 
-/// One vehicle's flight code: the parts of a tick in their order, and the state between ticks.
+/// One vehicle's flight code: the parts of a tick in their order, and the state between ticks; a field for each, hence so many.
 #[derive(Debug)]
 pub struct Flight {
     config: FlightConfig,
@@ -140,6 +143,7 @@ pub struct Flight {
     phase: Phase,
     supervision: Supervision,
     guidance: Guidance,
+    watermark: Option<Box<Watermark>>,
     liveness: Liveness,
     told: Told,
     events: EventQueue,
@@ -203,6 +207,11 @@ impl Flight {
                 hover_thrust_n: weight_n,
                 meter: StepMeter::default(),
             },
+            watermark: config.watermark.map(|settings| {
+                let airframe = &config.airframe;
+                let lag_s = 0.5 * (airframe.motor_rise_time_constant_s + airframe.motor_fall_time_constant_s);
+                Box::new(Watermark::new(settings, 1.0 / config.tick_rate_hz, lag_s))
+            }),
             liveness: Liveness::default(),
             told: Told::default(),
             events: EventQueue::default(),
@@ -230,6 +239,7 @@ impl Flight {
         self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
         let (wrench, mixed) = self.drive(dt_s);
         self.controller.applied(&wrench, &mixed.given, self.support_n());
+        self.hear_watermark(&received, &mixed);
         self.write_report(sensed, received, wrench, mixed);
         &self.report
     }
@@ -261,14 +271,6 @@ impl Flight {
     /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
     pub fn log_health(&mut self, error: Option<&str>) {
         self.liveness.log_error = error.map(|e| text(format_args!("{e}")));
-    }
-
-    /// Bound of the attack envelope with the gains of `revision`, m: `None` where there is none; or why it is not known.
-    /// A condition for arming where one is demanded.
-    pub fn envelope_bounded(&mut self, revision: GainsRevision, bound_m: Result<Option<f64>, Text>) {
-        if revision == self.gains.revision {
-            self.supervision.envelope = Some(bound_m);
-        }
     }
 
     /// Hands over every event since the last call, oldest first.
@@ -387,7 +389,8 @@ impl Flight {
             return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
         }
         let setpoint = self.setpoint_now(dt_s);
-        let wrench = match self.supervision.blind_since {
+        let altitude = self.loops().altitude;
+        let mut wrench = match self.supervision.blind_since {
             None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
             // Attitude from the watchdog; its yaw is zero, so the yaw error is too.
             Some(_) => {
@@ -400,6 +403,9 @@ impl Flight {
                 self.controller.control(&estimate, &level, Loops::default(), dt_s)
             }
         };
+        if let Some(watermark) = self.watermark.as_mut().filter(|_| altitude) {
+            wrench.thrust_n += self.config.airframe.mass_kg * watermark.draw();
+        }
         let mixed = self.mixer.mix(&wrench);
         if mixed.invalid && !self.supervision.wrench_invalid {
             let line = text(format_args!("controller output is not a number: least thrust until it is"));

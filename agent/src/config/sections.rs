@@ -74,6 +74,17 @@ fn one() -> usize {
     1
 }
 
+/// Noise on the thrust that tells what is replayed.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Watermark {
+    /// Its rms, m/s².
+    pub rms_mps2: f64,
+    /// The same seed, the same watermark.
+    #[serde(default)]
+    pub seed: u64,
+}
+
 /// Which estimators run.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]

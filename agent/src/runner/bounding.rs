@@ -1,5 +1,7 @@
 //! The attack envelope of gains, bounded on the certifier's thread: arming may demand it, see [`EnvelopeDemand`].
 
+#![allow(clippy::result_large_err, reason = "bounded text on the stack: the flight thread does not allocate")]
+
 use crate::attack::Bounds;
 use crate::control::law::Law;
 use crate::envelope::EnvelopeError;

@@ -4,6 +4,8 @@
 //! side of them waits for the other. A push that finds the queue full is refused. Where a bound of the attack envelope is
 //! demanded, it is found here too, after the gains themselves.
 
+#![allow(clippy::result_large_err, reason = "bounded text on the stack: the flight thread does not allocate")]
+
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

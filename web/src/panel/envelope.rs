@@ -105,7 +105,10 @@ pub fn EnvelopeCard() -> impl IntoView {
 
 /// One line for the arming card, asked for once `open`.
 #[component]
-pub fn EnvelopeLine(open: RwSignal<bool>) -> impl IntoView {
+pub fn EnvelopeLine(
+    /// Is anybody looking?
+    open: RwSignal<bool>,
+) -> impl IntoView {
     let wanted = Memo::new(move |_| open.get());
     let found =
         answers(Signal::derive(move || if wanted.get() { vec![EnvelopeQuestion::default()] } else { Vec::new() }));

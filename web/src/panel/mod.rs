@@ -17,6 +17,7 @@ pub mod motors;
 pub mod notices;
 pub mod paths;
 pub mod plot;
+pub mod prepare;
 pub mod readouts;
 pub mod replay;
 pub mod residuals;

@@ -30,7 +30,8 @@ use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::judges::{Innovation, Judges};
+use super::judges::{Innovation, Judges, SQUARES};
+use super::program::Memory;
 use super::{EnvelopeError, Model, Response, Signal};
 
 /// Altitude of the hover, m.
@@ -44,14 +45,16 @@ pub struct Loop {
     /// Heights and IMUs, in the order of the suite.
     pub sensors: Vec<SensorId>,
     model: SensorModel,
+    /// White noise of a sample of each height, m, and of each accelerometer over a slot, m/s²; one sigma.
+    pub(super) white: (Vec<f64>, Vec<f64>),
     /// Rate, Hz, and time of the first sample, s, of each height; `None` for one that is excluded.
-    timing: Vec<Option<(f64, f64)>>,
-    imus: usize,
+    pub(super) timing: Vec<Option<(f64, f64)>>,
+    pub(super) imus: usize,
     law: StateSpace,
     vehicle: (DMatrix<f64>, DMatrix<f64>),
     tick_s: f64,
     noise_mps2: f64,
-    most: (f64, f64),
+    pub(super) most: (f64, f64),
 }
 
 /// Which heights weigh how much.
@@ -121,6 +124,10 @@ impl Loop {
         Ok(Self {
             sensors,
             model: SensorModel::from(suite),
+            white: (
+                suite.heights.iter().map(|h| h.height.total_sigma()).collect(),
+                suite.imus.iter().map(|i| i.accel.total_sigma() / (SLOT * i.timing.rate_hz).max(1.0).sqrt()).collect(),
+            ),
             timing,
             imus: suite.imus.len(),
             law: StateSpace {
@@ -186,7 +193,7 @@ impl Loop {
     }
 
     /// When each height samples in a cycle of slots: how long before the slot's end, s.
-    fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
+    pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
         let repeats = |slots: &usize| {
             self.timing.iter().flatten().all(|(rate_hz, _)| {
                 let samples = *slots as f64 * SLOT * rate_hz;
@@ -310,7 +317,52 @@ impl Predictor {
     }
 }
 
+/// What the lanes of the attacked IMUs differ from the others by in a slot.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Differs {
+    /// One-sigma of the innovation of each height that was sampled, m.
+    pub(super) sigma_m: [Option<f64>; MAX_HEIGHTS],
+    /// Of each attacked IMU: what is added, its lane's innovations, m, and bias, m/s².
+    pub(super) lanes: Vec<(f64, [f64; MAX_HEIGHTS], f64)>,
+}
+
 impl Attacked<'_> {
+    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot. No other part of the loop has a say in it.
+    pub(super) fn differs(
+        &self,
+        horizon_s: f64,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Vec<Differs>, EnvelopeError> {
+        let of = self.flying;
+        let maps = cycle(&of.model, &of.schedule()?, &[1.0; MAX_HEIGHTS], of.noise_mps2, ALTITUDE_M);
+        let none = || Signal::zeros(1);
+        let mut bank = Bank {
+            maps: &maps,
+            healthy: std::array::from_fn(|_| none()),
+            differ: self.imus.iter().map(|_| std::array::from_fn(|_| none())).collect(),
+            share: 0.0,
+        };
+        let slot = |number: usize| {
+            let id = |i: &usize| SensorId::new(SensorKind::Imu, *i as u8 + 1);
+            let added: Vec<Signal> = self.imus.iter().map(|i| attack(id(i), number)).collect();
+            let mut out = Differs::default();
+            out.lanes.resize(added.len(), Default::default());
+            for (i, sigma_m, _, lanes) in bank.take(number, &none(), &added, &[], 1) {
+                if let Some(place) = out.sigma_m.get_mut(i) {
+                    *place = Some(sigma_m);
+                }
+                for (lane, innovation) in out.lanes.iter_mut().zip(&lanes) {
+                    lane.1[i] = innovation[0];
+                }
+            }
+            for ((lane, added), [_, _, bias]) in out.lanes.iter_mut().zip(&added).zip(&bank.differ) {
+                (lane.0, lane.2) = (added[0], bias[0]);
+            }
+            out
+        };
+        Ok((0..(horizon_s / SLOT).ceil() as usize).map(slot).collect())
+    }
+
     /// Height `i` as received: sampled `age_s` before the end of slot `number`.
     fn height(
         &self,
@@ -349,6 +401,10 @@ impl Model for Attacked<'_> {
         let all = |slots: &usize| [schedule.len(), of_heights::EVERY].iter().all(|own| slots.is_multiple_of(*own));
         let slots = (schedule.len()..=schedule.len() * of_heights::EVERY).find(all).unwrap_or(usize::MAX);
         (slots as f64 * SLOT).min(horizon_s)
+    }
+
+    fn squares(&self) -> Vec<(&'static str, Memory)> {
+        SQUARES.to_vec()
     }
 
     fn respond(
@@ -455,6 +511,8 @@ impl Running<'_> {
         let innovations = self.bank.take(number, &force, &added, &corrected, self.width);
         let (z, v) = (self.bank.fused(0), self.bank.fused(1));
         let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
+        let raw = measured.iter().zip(&ages).enumerate();
+        self.response.residuals_m.extend(raw.filter_map(|(i, of)| Some((number, i, after(of)?))));
         let residuals: Vec<Option<Signal>> = corrected.iter().zip(&ages).map(after).collect();
         let (time_s, out) = ((number + 1) as f64 * SLOT, &mut self.response.statistics);
         self.judges.hear_heights(time_s, number, &innovations, &residuals, out);

@@ -4,8 +4,8 @@
 //! - A mean mᵢ of residuals is within L σ of the robust centre c where Σ ψ((mⱼ − mᵢ)/σ + L) ≥ ρ (mᵢ/σ − L), ψ clipped at κ. With
 //!   ψ(x) ≤ x for the healthy and ψ ≤ κ for the attacked, (h + ρ) mᵢ − Σ_healthy m ≤ σ (κ s + (h + ρ) L); likewise for a healthy
 //!   one that is outvoted, the parts exchanged. h healthy, s attacked, ρ = (σ/prior)².
-//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds (Σ wₖ eₖ)² by Σ wₖ L s² (Cauchy and Schwarz), and each eₖ² by L s²; an
-//!   attack with each eₖ² ≤ L s²/Σ wₖ keeps it. So it is with the mean square of the vote.
+//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds each eₖ² by L s², and (Σ wₖ eₖ)² by Σ wₖ L s²; the sum itself is cut by the program
+//!   ([`SQUARES`]). So it is with the mean square of the vote.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,14 @@ use plumbline_proto::v1::SensorKind;
 
 use super::Signal;
 use super::flying::{Attacked, Regime};
-use super::program::Statistic;
+use super::program::{Memory, Statistic};
+
+/// Names of the detectors that sum squares, of a single one of them.
+const EVIDENCE: &str = "IMU evidence, one sample";
+const VOTE: &str = "IMU vote, one slot";
+/// Those, and how long a square counts.
+pub(super) const SQUARES: [(&str, Memory); 2] =
+    [(EVIDENCE, Memory::Forgotten(of_imus::MEMORY_S)), (VOTE, Memory::Last(of_imus::SLOTS as f64 * SLOT))];
 
 /// Innovations of a slot: height, its σ, of the healthy lanes, and what those attacked differ by.
 pub(super) type Innovation = (usize, f64, Signal, Vec<Signal>);
@@ -130,7 +137,7 @@ impl Judges {
             }
             let innovation = differ.iter().fold(own.clone(), |sum, other| sum + other * share);
             let mut add = |detector, limit, row| {
-                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, silent: limit, row });
+                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, row });
             };
             if let Some(others) = others.as_ref().filter(|_| attacked < healthy && attacked + healthy > 2) {
                 add("height reach", of_heights::REACH_M, &innovation - others);
@@ -163,7 +170,7 @@ impl Judges {
                 these.fold(Signal::zeros(self.width), |sum, (mean, _)| sum + mean)
             };
             let (sums, mut add) = ([sum(Role::Healthy), sum(Role::Attacked)], |i: usize, limit: f64, row: Signal| {
-                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, silent: limit, row });
+                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, row });
             });
             // At most a minority is ever excluded: of two none.
             let excludes = attacked + healthy > 2;
@@ -203,8 +210,8 @@ impl Judges {
         let attacked = self.imus.len();
         for (place, (imu, added)) in self.imus.iter().zip(added).enumerate() {
             let sensor = Some(SensorId::new(SensorKind::Imu, *imu as u8 + 1));
-            let mut add = |detector, (limit, silent), row| {
-                out.push(Statistic { detector, sensor, time_s, limit, silent, row });
+            let mut add = |detector, limit, row| {
+                out.push(Statistic { detector, sensor, time_s, limit, row });
             };
             // A vote needs a majority.
             if let (true, Some(kept), Some(learned), Some([_, _, bias])) = (
@@ -219,8 +226,8 @@ impl Judges {
                 kept.push_front(deviation.clone());
                 let (shift, size) = of_imus::LIMITS;
                 let (shift, size) = (shift * self.usual_mps2, size * self.usual_mps2);
-                add("IMU vote", (shift, shift), mean(kept.iter().cloned(), n, self.width));
-                add("IMU vote, one slot", (size * (n as f64).sqrt(), size), deviation);
+                add("IMU vote", shift, mean(kept.iter().cloned(), n, self.width));
+                add(VOTE, size * (n as f64).sqrt(), deviation);
                 let towards = bias - &*learned;
                 learned.axpy(of_imus::LEARNED, &towards, 1.0);
             }
@@ -233,11 +240,11 @@ impl Judges {
                     *evidence += innovation;
                     sigma_m = sigma_m.max(*sigma);
                     let limit = sigma * of_imus::EVIDENCE.sqrt();
-                    add("IMU evidence, one sample", (limit, limit / self.weight.sqrt()), innovation.clone());
+                    add(EVIDENCE, limit, innovation.clone());
                 }
                 if sigma_m > 0.0 {
                     let limit = sigma_m * (of_imus::EVIDENCE * self.weight).sqrt();
-                    add("IMU evidence", (limit, limit), evidence.clone());
+                    add("IMU evidence", limit, evidence.clone());
                 }
             }
         }

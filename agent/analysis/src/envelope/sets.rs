@@ -26,7 +26,7 @@ pub const USUAL_HORIZON_S: f64 = 10.0;
 /// Largest set asked for.
 const MOST: usize = 3;
 
-fn wrong(name: &str, problem: String) -> EnvelopeError {
+pub(super) fn wrong(name: &str, problem: String) -> EnvelopeError {
     field(name, problem).into()
 }
 
@@ -127,7 +127,7 @@ pub struct Asked {
     pub flying: Loop,
     suite: String,
     airframe: String,
-    horizon_s: f64,
+    pub(super) horizon_s: f64,
     /// In order, the smaller first.
     pub sets: Vec<Vec<SensorId>>,
 }

@@ -246,7 +246,7 @@ impl Visitor for Pass<'_> {
         let Some(history) = self.histories.next() else { return };
         let Some(sensed) = *place else { return };
         let sensed_values = sensed.scalars();
-        let mut values = sensed_values;
+        let (mut values, mut stamp) = (sensed_values, sensed.time());
         let mut dropped = false;
         for (progress, slot) in self.progress.iter_mut().zip(self.slots.iter_mut()) {
             let running = matches!(progress.phase, Phase::Accepted | Phase::Active);
@@ -258,10 +258,10 @@ impl Visitor for Pass<'_> {
                 progress.phase = Phase::Active;
                 *self.changes += 1;
             }
-            let before = values;
-            let drops = slot.alter(&progress.attack, sensed.time(), &mut values, history);
+            let before = (values, stamp);
+            let drops = slot.alter(&progress.attack, sensed.time(), &mut values, &mut stamp, history);
             dropped |= drops;
-            if drops || before != values {
+            if drops || before != (values, stamp) {
                 progress.active.get_or_insert(self.now);
                 progress.altered_samples += 1;
             }
@@ -270,8 +270,8 @@ impl Visitor for Pass<'_> {
         history.push(sensed.time(), sensed_values);
         if dropped {
             *place = None;
-        } else if values != sensed_values {
-            *place = Some(sensed.with_scalars(&values));
+        } else if (values, stamp) != (sensed_values, sensed.time()) {
+            *place = Some(sensed.with_scalars(&values).with_time(stamp));
         }
     }
 }
@@ -290,8 +290,15 @@ impl Slot {
         }
     }
 
-    /// Alters `values`; true when the whole sample is withheld.
-    fn alter(&mut self, attack: &Attack, time: FlightTime, values: &mut Scalars, history: &History) -> bool {
+    /// Alters `values` and `stamp`; true when the whole sample is withheld.
+    fn alter(
+        &mut self,
+        attack: &Attack,
+        time: FlightTime,
+        values: &mut Scalars,
+        stamp: &mut FlightTime,
+        history: &History,
+    ) -> bool {
         let elapsed = time.seconds_since(self.onset).max(0.0);
         let part = self.sequence.as_ref().map_or(1.0, |sequence| {
             let k = (elapsed / sequence.period_s + 1e-9) as usize;
@@ -314,6 +321,12 @@ impl Slot {
                 let draw: f64 = StandardUniform.sample(&mut self.rng);
                 return draw < magnitude;
             }
+            Kind::TimeShift => {
+                let by_us = micros(magnitude.abs());
+                let (later, earlier) = (stamp.0.saturating_add(by_us), stamp.0.saturating_sub(by_us));
+                *stamp = FlightTime(if magnitude > 0.0 { later } else { earlier });
+                return false;
+            }
             _ => None,
         };
         for (i, value) in values.iter_mut().enumerate() {
@@ -324,6 +337,7 @@ impl Slot {
                 Kind::Zero => 0.0,
                 Kind::Bias => *value + magnitude,
                 Kind::Ramp => *value + magnitude * elapsed,
+                Kind::Parabola => *value + 0.5 * magnitude * elapsed * elapsed,
                 Kind::Scale => *value * magnitude,
                 Kind::Noise => {
                     let draw: f64 = StandardNormal.sample(&mut self.rng);
@@ -331,7 +345,7 @@ impl Slot {
                 }
                 Kind::SignFlip => -*value,
                 Kind::Freeze | Kind::Replay | Kind::Delay => source.and_then(|s| s.get(i).copied()).unwrap_or(*value),
-                Kind::Dropout => *value,
+                Kind::Dropout | Kind::TimeShift => *value,
             };
         }
         false
@@ -390,7 +404,7 @@ mod tests {
         let progress = injector.state()[0];
         assert_eq!(progress.phase, Phase::Done);
         // A ramp is zero at its onset: the first altered sample is the second.
-        let first = if kind == Kind::Ramp { 5_100_000 } else { 5_000_000 };
+        let first = if matches!(kind, Kind::Ramp | Kind::Parabola) { 5_100_000 } else { 5_000_000 };
         assert_eq!(progress.active, (kind != Kind::Dropout).then_some(FlightTime(first)).or(progress.active));
         assert_eq!(progress.ended, Some(FlightTime(15_000_000)));
         for (t, value) in &out {
@@ -413,6 +427,7 @@ mod tests {
         check(Kind::Zero, 0.0, |_| 0.0);
         check(Kind::Bias, 0.5, |t| 0.1 * t + 0.5);
         check(Kind::Ramp, 0.2, |t| 0.1 * t + 0.2 * (t - 5.0));
+        check(Kind::Parabola, 0.2, |t| 0.1 * t + 0.1 * (t - 5.0).powi(2));
         check(Kind::Scale, -2.0, |t| -0.2 * t);
         check(Kind::SignFlip, 0.0, |t| -0.1 * t);
         check(Kind::Freeze, 0.0, |_| 0.49);
@@ -465,6 +480,27 @@ mod tests {
             assert!((value.unwrap() - 0.1 * t - added).abs() < 1e-9, "{t} s: {value:?}, {added}");
         }
         assert_eq!(injector.abort(FlightTime(12_000_000)), 1);
+    }
+
+    #[test]
+    fn a_time_shift_alters_the_stamp_alone_and_never_below_zero() {
+        for (magnitude, expected) in [(0.3, 6_300_000), (-0.3, 5_700_000), (-2.0, 4_000_000)] {
+            let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+            let mut schedule = Schedule::default();
+            schedule.attacks.push(attack(Kind::TimeShift, magnitude));
+            injector.upload(&schedule, FlightTime(0)).unwrap();
+            let sample = Some(HeightSample { time: FlightTime(6_000_000), height_m: 0.5 });
+            let mut frame = SensorFrame { time: FlightTime(6_000_000), ..Default::default() };
+            (frame.heights[0], frame.heights[1]) = (sample, sample);
+            let received = injector.apply(&frame).heights;
+            assert_eq!(received[1], Some(HeightSample { time: FlightTime(expected), height_m: 0.5 }));
+            assert_eq!((received[0], injector.state()[0].altered_samples), (sample, 1));
+        }
+        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+        let mut schedule = Schedule::default();
+        schedule.attacks.push(attack(Kind::TimeShift, 2.1));
+        let refused = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
+        assert!(refused.contains("time shift (s) 2.1 is outside -2 to 2"), "{refused}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use plumbline_proto::ids::SensorId;
 
+use super::watermark;
 use crate::attack::Bounds;
 use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
@@ -134,6 +135,8 @@ pub struct FlightConfig {
     pub failsafe: Settings,
     /// What must be proved of the attack envelope to arm; nothing where it is left out.
     pub envelope: Option<EnvelopeDemand>,
+    /// What is added to the thrust against replays; nothing where it is left out.
+    pub watermark: Option<watermark::Settings>,
 }
 
 impl FlightConfig {
@@ -157,6 +160,7 @@ impl FlightConfig {
             attacks: AttackPolicy::default(),
             failsafe: Settings::default(),
             envelope: None,
+            watermark: None,
         }
     }
 

@@ -1,6 +1,7 @@
 //! The flight as a whole: pre-arm checks, status, gains in use.
 
 use arrayvec::ArrayVec;
+use plumbline_proto::ids::GainsRevision;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
@@ -120,6 +121,14 @@ impl Flight {
             estimator_in_loop: self.bank.in_loop_kind(),
             deadline_misses: self.liveness.deadline_misses,
             gains_revision: self.gains.revision,
+        }
+    }
+
+    /// Bound of the attack envelope with the gains of `revision`, m: `None` where there is none; or why it is not known.
+    /// A condition for arming where one is demanded.
+    pub fn envelope_bounded(&mut self, revision: GainsRevision, bound_m: Result<Option<f64>, Text>) {
+        if revision == self.gains.revision {
+            self.supervision.envelope = Some(bound_m);
         }
     }
 
