@@ -22,8 +22,11 @@ async fn ask(vehicle: &str, question: &EnvelopeQuestion) -> Result<Envelope, Str
     net::json::<Envelope>("POST", &url, body, "").await.map_err(|failure| failure.text)
 }
 
-/// What every answer follows from: the vehicle, its start, its sensors, its gains.
-fn about() -> Memo<Option<(String, (u64, usize, Option<String>))>> {
+/// A vehicle, its start, how many sensors it has, its gains.
+type About = (String, (u64, usize, Option<String>));
+
+/// What every answer follows from.
+fn about() -> Memo<Option<About>> {
     let ctx = ctx();
     Memo::new(move |_| {
         let told = ctx.live(|live| {
