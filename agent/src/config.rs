@@ -15,14 +15,16 @@ use serde::Deserialize;
 
 use crate::control::tuning::{Design, kind_by_name};
 use crate::estimate::secure::{Decoder, SLOTS_MAX, SLOTS_MIN};
-use crate::flight::FlightConfig;
+use crate::flight::{EnvelopeDemand, FlightConfig, watermark};
 use crate::model::declination::DeclinationError;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::{Suite, SuiteError};
 use crate::sim::rig::Rig;
 use crate::types::{ControllerKind, EstimatorKind, TICK_RATE_HZ};
 
-pub use sections::{Attacks, Controller, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Weights};
+pub use sections::{
+    Attacks, Controller, Envelope, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Watermark, Weights,
+};
 
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +92,10 @@ pub struct AgentConfig {
     pub attacks: Attacks,
     /// What the failsafes rely on.
     pub failsafe: Failsafe,
+    /// What must be proved of the attack envelope to arm.
+    pub envelope: Option<Envelope>,
+    /// Noise on the thrust that tells what is replayed; none where it is left out.
+    pub watermark: Option<Watermark>,
     /// Estimators.
     pub estimators: Estimators,
     /// Calibration files, applied to every frame sensed and to the airframe.
@@ -129,6 +135,8 @@ impl Default for AgentConfig {
             limits: Limits::default(),
             attacks: Attacks::default(),
             failsafe: Failsafe::default(),
+            envelope: None,
+            watermark: None,
             estimators: Estimators::default(),
             calibrations: Vec::new(),
             weights: None,
@@ -204,6 +212,10 @@ impl AgentConfig {
             ("attacks.rate_max_radps", attacks.rate_max_radps, 0.0, 100.0, "0 to 100 rad/s"),
             ("attacks.accel_max_mps2", attacks.accel_max_mps2, 0.0, 200.0, "0 to 200 m/s²"),
             ("attacks.thrust_max", attacks.thrust_max, 0.0, 1.0, "0 to 1"),
+            ("envelope.altitude_max_m", self.envelope.map(|e| e.altitude_max_m), 0.0, 10.0, "0 to 10 m"),
+            ("envelope.sensors", self.envelope.map(|e| e.sensors as f64), 1.0, 3.0, "1 to 3"),
+            ("envelope.noise_mps2", self.envelope.map(|e| e.noise_mps2), 0.0, 5.0, "0 to 5 m/s²"),
+            ("watermark.rms_mps2", self.watermark.map(|w| w.rms_mps2), 0.001, 0.5, "0.001 to 0.5 m/s²"),
             ("log.max_mib", Some(self.log.max_mib as f64), 16.0, 16e6, "16 to 16000000 MiB"),
             ("link.telemetry_kb_per_s", Some(self.link.telemetry_kb_per_s), 10.0, 1e5, "10 to 100000 kB/s"),
             ("link.backfill_kb_per_s", Some(self.link.backfill_kb_per_s), 1.0, 1e5, "1 to 100000 kB/s"),
@@ -263,11 +275,17 @@ impl AgentConfig {
         put(&mut flight.limits.throttle_max, self.limits.throttle_max);
         put(&mut flight.attacks.enabled, self.attacks.enabled);
         flight.independent = self.failsafe.independent(&flight.sensors)?;
+        flight.envelope = self.envelope.map(|Envelope { altitude_max_m, sensors, noise_mps2 }| EnvelopeDemand {
+            altitude_max_m,
+            sensors,
+            noise_mps2,
+        });
         put(&mut flight.attacks.bounds.duration_max_s, self.attacks.duration_max_s);
         put(&mut flight.attacks.bounds.length_max_m, self.attacks.length_max_m);
         put(&mut flight.attacks.bounds.rate_max_radps, self.attacks.rate_max_radps);
         put(&mut flight.attacks.bounds.accel_max_mps2, self.attacks.accel_max_mps2);
         put(&mut flight.attacks.bounds.thrust_max, self.attacks.thrust_max);
+        flight.watermark = self.watermark.map(|Watermark { rms_mps2, seed }| watermark::Settings { rms_mps2, seed });
         if let Some(names) = &self.estimators.run {
             flight.estimators = names.iter().map(|name| estimator("estimators.run", name)).collect::<Result<_, _>>()?;
         }

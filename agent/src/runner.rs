@@ -8,6 +8,7 @@
 //! that a slow thread could hold, for a disk or for the radio.
 
 pub mod auditor;
+pub mod bounding;
 pub mod certifier;
 pub mod challenge;
 mod motor_watch;
@@ -39,6 +40,7 @@ use crate::vehicle::calibrated::CalibratedVehicle;
 use crate::vehicle::{MOTOR_TIMEOUT_S, Vehicle, VehicleError};
 
 use auditor::Auditor;
+use bounding::Bounding;
 use certifier::Certifier;
 use challenge::Challenges;
 use motor_watch::MotorWatch;
@@ -82,6 +84,8 @@ pub struct RunnerOptions {
     pub stay: bool,
     /// Ask for real-time priority.
     pub real_time: bool,
+    /// How the attack envelope is bounded, where that is demanded.
+    pub bounding: Option<Bounding>,
 }
 
 /// Where the runner meets the link and the log.
@@ -145,7 +149,8 @@ impl Beside {
     /// Starts those that this flight needs; one that cannot be had is logged, and done without.
     fn start(flight: &Flight, vehicle: &dyn Vehicle, options: &RunnerOptions) -> Self {
         let config = flight.config();
-        let certifier = Certifier::start(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)
+        let bounding = options.bounding.clone().map(|bounding| (bounding, flight.gains_in_use().clone()));
+        let certifier = Certifier::start(&config.airframe, 1.0 / config.tick_rate_hz, config.margins, bounding)
             .inspect_err(|error| tracing::error!(%error, "new gains cannot be certified"))
             .ok();
         let auditor = flight.secure().and_then(|_| {

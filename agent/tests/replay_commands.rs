@@ -79,6 +79,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         own_operator: false,
         stay: false,
         real_time: false,
+        bounding: None,
     };
     let ports = RunnerPorts { inbound: Some(inbound), ..RunnerPorts::default() };
     let vehicle = Box::new(ReplayVehicle::new(recording, Samples::Received));

@@ -47,7 +47,11 @@ pub fn to_schedule(
         to_attack(planned, index as u32 + 1, suite).map_err(|reason| PlanError::Attack { number: index + 1, reason })
     };
     let attacks = plan.attacks.iter().enumerate().map(convert).collect::<Result<_, _>>()?;
-    Ok(v1::AttackSchedule { schedule_id, attacks })
+    let followed = (1..).zip(&plan.attacks).filter_map(|(attack, planned)| {
+        let value = planned.sequence.iter().map(|value| *value as f32).collect();
+        planned.sequence_period_s.map(|period_s| v1::AttackSequence { attack, period_s, value })
+    });
+    Ok(v1::AttackSchedule { schedule_id, attacks, sequences: followed.collect() })
 }
 
 fn to_attack(planned: &PlannedAttack, id: u32, suite: Option<&[v1::SensorDescription]>) -> Result<v1::Attack, String> {
@@ -69,6 +73,9 @@ fn to_attack(planned: &PlannedAttack, id: u32, suite: Option<&[v1::SensorDescrip
     }
     if planned.duration_s <= 0.0 {
         return Err(format!("duration_s is {}, it must be above 0", planned.duration_s));
+    }
+    if planned.sequence.is_empty() != planned.sequence_period_s.is_none() {
+        return Err("sequence and sequence_period_s come together".into());
     }
     if let Some(suite) = suite
         && !suite.iter().any(|s| s.kind == sensor as i32 && s.instance == planned.instance)
@@ -99,6 +106,7 @@ pub fn planned(attack: &v1::Attack) -> PlannedAttack {
         duration_s: attack.duration_s,
         magnitude: attack.magnitude,
         seed: attack.seed,
+        ..PlannedAttack::default()
     }
 }
 

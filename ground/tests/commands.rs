@@ -110,7 +110,12 @@ async fn every_command_reaches_the_agent_as_what_it_is() {
         ("POST", "decoder", r#"{"decoder":"l1_split"}"#, Body::SelectDecoder(v1::SelectDecoder { decoder: 4 })),
         ("POST", "recording", r#"{"on":true}"#, Body::SetRecording(v1::SetRecording { on: true })),
         ("POST", "replay", r#"{"speed":0.0,"step":3}"#, Body::SetReplay(v1::SetReplay { speed: 0.0, step: 3 })),
-        ("PUT", "attacks", plan, Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack] })),
+        (
+            "PUT",
+            "attacks",
+            plan,
+            Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack], ..Default::default() }),
+        ),
         ("DELETE", "attacks", "", Body::AbortAttacks(v1::AbortAttacks {})),
         (
             "PUT",

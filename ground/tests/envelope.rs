@@ -27,10 +27,52 @@ async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
         (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one of the suite's heights and IMUs: height 1, "),
         (r#"{"most":12}"#, "a set of 12 sensors: the suite has 7"),
         (r#"{"suite":"moon"}"#, "moon"),
+        (r#"{"more":"sonar"}"#, "it must be height or imu"),
+        (r#"{"without":["height 7"]}"#, "sensor height 7 is not one of the suite's"),
+        (
+            r#"{"without":["imu 1","imu 2","imu 3","imu 4"]}"#,
+            "heights or IMUs that are not excluded is 0, it must be at least 1",
+        ),
         (r#"{"colour":1}"#, "colour"),
         (r#"{"horizon_s":0.1}"#, "horizon_s is 0.1"),
         (r#"{"design":{"controller":"magic"}}"#, "magic"),
         (unstable.as_str(), "these gains do not stabilise: the slowest pole is at +"),
+    ] {
+        let answer = ground.request("POST", path, body).await;
+        assert_eq!(answer.status, 422, "{body}: {}", answer.text());
+        assert!(answer.error().contains(named), "{body}: {}", answer.error());
+    }
+    // Fewer are left to contradict it, or one more.
+    let of = |more: &str| format!(r#"{{"sensors":["height 1"],"horizon_s":5{more}}}"#);
+    let mut bounds = Vec::new();
+    for more in ["", r#","without":["height 2"]"#, r#","more":"height""#] {
+        let answer = ground.request("POST", path, &of(more)).await;
+        assert_eq!(answer.status, 200, "{more}: {}", answer.text());
+        bounds.push(answer.json()["sets"][0]["altitude_m"].as_f64().unwrap());
+    }
+    assert!(bounds[1] > 1.1 * bounds[0] && bounds[2] < bounds[0], "{bounds:?}");
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_attack_is_prepared_and_judged_and_what_is_wrong_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let path = "/api/v1/envelope/attack";
+    let body = r#"{"generator":"optimal","of":{"sensors":["height 2"],"horizon_s":5},"start_s":3}"#;
+    let prepared = ground.request("POST", path, body).await;
+    assert_eq!(prepared.status, 200, "{}", prepared.text());
+    let prepared = prepared.json();
+    let attack = &prepared["attacks"][0];
+    assert_eq!((attack["sequence"].as_array().unwrap().len(), &attack["start_s"]), (50, &serde_json::json!(3.0)));
+    // Judged as it is, it is as expected as when it was prepared.
+    let again = serde_json::json!({ "attacks": prepared["attacks"], "of": { "horizon_s": 5 } }).to_string();
+    let again = ground.request("POST", path, &again).await.json();
+    assert_eq!((&again["probability"], &again["altitude_m"]), (&prepared["probability"], &prepared["altitude_m"]));
+    for (body, named) in [
+        (r#"{"generator":"magic","of":{"sensors":["height 2"]}}"#, "magic"),
+        (r#"{"generator":"optimal"}"#, "sensors"),
+        (r#"{"generator":"covert","accel_mps2":99,"of":{"sensors":["height 2"]}}"#, "accel_mps2 is 99"),
     ] {
         let answer = ground.request("POST", path, body).await;
         assert_eq!(answer.status, 422, "{body}: {}", answer.text());

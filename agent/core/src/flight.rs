@@ -13,6 +13,7 @@ pub mod report;
 mod rotors;
 mod status;
 mod support;
+pub mod watermark;
 
 use arrayvec::ArrayVec;
 use plumbline_proto::ids::GainsRevision;
@@ -36,8 +37,9 @@ use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, TICK_RATE
 
 use path::Path;
 use support::Support;
+use watermark::{Block, Watermark};
 
-pub use config::{AttackPolicy, FlightConfig, RigKind};
+pub use config::{AttackPolicy, EnvelopeDemand, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
 pub use rotors::{LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, information as rotor_information};
 
@@ -83,6 +85,8 @@ struct Supervision {
     position_lost: bool,
     /// The controller's last output was no number.
     wrench_invalid: bool,
+    /// Bound of the attack envelope, m (`None`: there is none), or why it is not known, of the gains in use.
+    envelope: Option<Result<Option<f64>, Text>>,
 }
 
 /// Where the vehicle is to go, and how far it came.
@@ -124,9 +128,10 @@ struct Told {
     attack_changes: u64,
     meter_sent: FlightTime,
     setpoint_told: FlightTime,
+    watermark: Option<(FlightTime, Block)>,
 }
 
-/// One vehicle's flight code: the parts of a tick in their order, and the state between ticks.
+/// One vehicle's flight code: the parts of a tick in their order, and the state between ticks; a field for each, hence so many.
 #[derive(Debug)]
 pub struct Flight {
     config: FlightConfig,
@@ -143,6 +148,7 @@ pub struct Flight {
     phase: Phase,
     supervision: Supervision,
     guidance: Guidance,
+    watermark: Option<Box<Watermark>>,
     liveness: Liveness,
     told: Told,
     events: EventQueue,
@@ -196,6 +202,7 @@ impl Flight {
                 blind_since: None,
                 position_lost: false,
                 wrench_invalid: false,
+                envelope: None,
             },
             guidance: Guidance {
                 profile: Profile::default(),
@@ -207,6 +214,11 @@ impl Flight {
                 hover_thrust_n: weight_n,
                 meter: StepMeter::default(),
             },
+            watermark: config.watermark.map(|settings| {
+                let airframe = &config.airframe;
+                let lag_s = 0.5 * (airframe.motor_rise_time_constant_s + airframe.motor_fall_time_constant_s);
+                Box::new(Watermark::new(settings, 1.0 / config.tick_rate_hz, lag_s))
+            }),
             liveness: Liveness::default(),
             told: Told::default(),
             events: EventQueue::default(),
@@ -235,6 +247,7 @@ impl Flight {
         self.watch_rotors(voltage_ratio, dt_s);
         let (wrench, mixed) = self.drive(dt_s);
         self.controller.applied(&wrench, &mixed.given, self.support_n());
+        self.hear_watermark(&received, &mixed);
         self.write_report(sensed, received, wrench, mixed);
         &self.report
     }
@@ -396,7 +409,8 @@ impl Flight {
             return (Wrench::default(), Mixed { command: self.mixer.idle(), ..nothing });
         }
         let setpoint = self.setpoint_now(dt_s);
-        let wrench = match self.supervision.blind_since {
+        let altitude = self.loops().altitude;
+        let mut wrench = match self.supervision.blind_since {
             None => self.controller.control(self.bank.in_loop(), &setpoint, self.loops(), dt_s),
             // Attitude from the watchdog; its yaw is zero, so the yaw error is too.
             Some(_) => {
@@ -409,6 +423,9 @@ impl Flight {
                 self.controller.control(&estimate, &level, Loops::default(), dt_s)
             }
         };
+        if let Some(watermark) = self.watermark.as_mut().filter(|_| altitude) {
+            wrench.thrust_n += self.config.airframe.mass_kg * watermark.draw();
+        }
         let mixed = self.mixer.mix(&wrench);
         if mixed.invalid && !self.supervision.wrench_invalid {
             let line = text(format_args!("controller output is not a number: least thrust until it is"));

@@ -32,6 +32,12 @@ pub struct EnvelopeArguments {
     /// Only this set: "height 1,imu 2".
     #[arg(long, value_delimiter = ',')]
     sensors: Option<Vec<String>>,
+    /// Sensors that are excluded: neither used nor attacked.
+    #[arg(long, value_delimiter = ',')]
+    without: Vec<String>,
+    /// One sensor more of this kind: height or imu.
+    #[arg(long)]
+    more: Option<String>,
     /// How long the attack lasts, s.
     #[arg(long, default_value_t = 10.0)]
     horizon_s: f64,
@@ -60,6 +66,8 @@ impl EnvelopeArguments {
             suite: Some(name),
             most: Some(self.most),
             sensors: self.sensors.clone(),
+            without: self.without.clone(),
+            more: self.more.clone(),
             horizon_s: Some(self.horizon_s),
             noise_mps2: self.noise_mps2,
         };

@@ -20,6 +20,7 @@ use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::offline::{ArgumentError, calibrate};
 use plumbline_agent::recordings;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
+use plumbline_agent::runner::bounding::Bounding;
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::stop::Stop;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
@@ -62,6 +63,14 @@ struct Chosen {
 }
 
 impl Chosen {
+    /// Its sensors: those of its scenario, or typical ones at the rates told.
+    fn suite(&self) -> Result<Suite, Failure> {
+        if !self.scenario.is_empty() {
+            return Ok(Scenario::from_toml(&self.scenario)?.suite);
+        }
+        Ok(Suite::at_rates(self.sensors.iter().map(|sensor| (sensor.id, sensor.rate_hz))))
+    }
+
     /// The vehicle, and what telemetry says of it.
     fn identified(self, agent_id: &str, boot: &Boot) -> (CalibratedVehicle, Identification) {
         let identification = Identification {
@@ -120,6 +129,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         attacks,
         stay: replay && with_ground,
         real_time: config.real_time && matches!(pace, Pace::Times(_)),
+        bounding: Bounding::new(&chosen.flight, &chosen.suite()?),
     };
     let ports = RunnerPorts {
         inbound: Some(inbound),

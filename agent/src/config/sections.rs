@@ -58,6 +58,35 @@ pub struct Failsafe {
     pub independent: Vec<String>,
 }
 
+/// A bound of the attack envelope without which it does not arm.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Envelope {
+    /// Nobody who is not seen may move the altitude further, m …
+    pub altitude_max_m: f64,
+    /// … who owns so many sensors, 1 to 3 …
+    #[serde(default = "one")]
+    pub sensors: usize,
+    /// … while the lanes measure this noise of their accelerometers, m/s².
+    #[serde(default)]
+    pub noise_mps2: f64,
+}
+
+fn one() -> usize {
+    1
+}
+
+/// Noise on the thrust that tells what is replayed.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Watermark {
+    /// Its rms, m/s².
+    pub rms_mps2: f64,
+    /// The same seed, the same watermark.
+    #[serde(default)]
+    pub seed: u64,
+}
+
 /// Which estimators run.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]

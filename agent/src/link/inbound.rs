@@ -7,7 +7,7 @@
 use plumbline_proto::ids::{CommandId, GainsRevision, SensorId};
 use plumbline_proto::v1::{self, command::Body};
 
-use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule};
+use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule, Sequence};
 use crate::command::{Command, SetpointChange};
 use crate::control::gains::Gain;
 use crate::control::lqr_integral::Weights;
@@ -192,7 +192,13 @@ pub fn attack_schedule(schedule: &v1::AttackSchedule) -> Result<Schedule, String
         return Err(format!("{} attacks in one schedule, at most {MAX_ATTACKS}", schedule.attacks.len()));
     }
     let attacks = schedule.attacks.iter().map(attack).collect::<Result<_, _>>()?;
-    Ok(Schedule { id: schedule.schedule_id, attacks, ..Schedule::default() })
+    let sequence = |sequence: &v1::AttackSequence| Sequence {
+        attack: sequence.attack,
+        period_s: sequence.period_s,
+        values: sequence.value.iter().map(|value| f64::from(*value)).collect(),
+    };
+    let sequences = schedule.sequences.iter().map(sequence).collect();
+    Ok(Schedule { id: schedule.schedule_id, attacks, sequences })
 }
 
 fn attack(attack: &v1::Attack) -> Result<Attack, String> {
@@ -253,6 +259,8 @@ fn kind(kind: v1::AttackKind) -> Option<Kind> {
         Wire::Delay => Kind::Delay,
         Wire::Dropout => Kind::Dropout,
         Wire::SignFlip => Kind::SignFlip,
+        Wire::Parabola => Kind::Parabola,
+        Wire::TimeShift => Kind::TimeShift,
     })
 }
 
@@ -299,9 +307,10 @@ mod tests {
         let push = v1::PushGains { parameters: vec![infinite], ..Default::default() };
         assert_eq!(refusal(Body::PushGains(push)), "tilt_p is inf, a finite number is needed");
         let attack = v1::Attack { id: 4, sensor: 2, instance: 300, kind: 2, ..Default::default() };
-        let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack] };
+        let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack], ..Default::default() };
         assert_eq!(refusal(Body::AttackSchedule(schedule)), "attack 4: no sensor has instance 300");
-        let schedule = v1::AttackSchedule { schedule_id: 1, attacks: vec![attack; MAX_ATTACKS + 1] };
+        let schedule =
+            v1::AttackSchedule { schedule_id: 1, attacks: vec![attack; MAX_ATTACKS + 1], ..Default::default() };
         assert_eq!(refusal(Body::AttackSchedule(schedule)), "33 attacks in one schedule, at most 32");
         let empty = parse(v1::Command { command_id: 1, ..Default::default() });
         assert!(matches!(empty.request, Request::Refused(_)));

@@ -1,7 +1,10 @@
 //! Gains are solved and examined here, on a thread of its own: milliseconds that no tick may wait for.
 //!
 //! The flight thread hands a design over and later finds the answer; both queues are bounded and neither
-//! side of them waits for the other. A push that finds the queue full is refused.
+//! side of them waits for the other. A push that finds the queue full is refused. Where a bound of the attack envelope is
+//! demanded, it is found here too, after the gains themselves.
+
+#![allow(clippy::result_large_err, reason = "bounded text on the stack: the flight thread does not allocate")]
 
 use std::io;
 use std::sync::Arc;
@@ -12,9 +15,11 @@ use std::time::Duration;
 use plumbline_proto::ids::{CommandId, GainsRevision};
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 
+use super::bounding::Bounding;
 use crate::control::gains::{Certified, Examiner, GainsError};
 use crate::control::policy::MarginPolicy;
 use crate::control::tuning::Proposal;
+use crate::event::Text;
 use crate::model::airframe::Airframe;
 
 /// Pushes that may wait; one more is being worked on.
@@ -41,28 +46,47 @@ pub struct Answer {
     pub outcome: Result<Certified, GainsError>,
 }
 
+/// The attack envelope of gains: its bound, m, `None` where there is none; or why it is not known.
+pub type Bounded = (GainsRevision, Result<Option<f64>, Text>);
+
 /// The flight thread's end.
 #[derive(Debug)]
 pub struct Certifier {
     questions: Producer<Question>,
     answers: Consumer<Answer>,
+    bounds: Consumer<Bounded>,
     stop: Arc<AtomicBool>,
     worker: Option<JoinHandle<()>>,
 }
 
 impl Certifier {
-    /// Starts the thread, for gains of `airframe` at ticks of `period_s` by `policy`.
+    /// Starts the thread, for gains of `airframe` at ticks of `period_s` by `policy`; with `bounding`, of those in use and of
+    /// every later one.
     ///
     /// # Errors
     /// When no thread can be started.
-    pub fn start(airframe: &Airframe, period_s: f64, policy: MarginPolicy) -> io::Result<Self> {
+    pub fn start(
+        airframe: &Airframe,
+        period_s: f64,
+        policy: MarginPolicy,
+        bounding: Option<(Bounding, Certified)>,
+    ) -> io::Result<Self> {
         let (questions, mut asked) = RingBuffer::<Question>::new(WAITING);
         let (mut answered, answers) = RingBuffer::new(WAITING);
+        let (mut bounded, bounds) = RingBuffer::<Bounded>::new(WAITING);
         let stop = Arc::new(AtomicBool::new(false));
         let (airframe, stopped) = (airframe.clone(), stop.clone());
         let work = move || {
             let examiner = Examiner::new(&airframe, period_s, policy);
-            while !stopped.load(Ordering::Acquire) {
+            let going = || !stopped.load(Ordering::Acquire);
+            let (bounding, in_use) = bounding.unzip();
+            // One that finds the queue full is not missed: later gains have taken its place.
+            let mut bound = |gains: &Certified| {
+                let of = bounding.as_ref().map(|bounding: &Bounding| bounding.bound_m(&gains.law, going));
+                let _ = of.map(|bound_m| bounded.push((gains.revision, bound_m)));
+            };
+            in_use.iter().for_each(&mut bound);
+            while going() {
                 let Ok(Question { id, revision, proposal }) = asked.pop() else {
                     // An `unpark` since the look into the queue is not lost: `park` then returns at once.
                     std::thread::park();
@@ -72,18 +96,20 @@ impl Certifier {
                     let design = proposal.complete(&airframe)?;
                     examiner.certify(&design, revision)
                 });
+                let found = outcome.as_ref().ok().filter(|_| bounding.is_some()).cloned();
                 let mut answer = Answer { id, revision, outcome };
                 while let Err(PushError::Full(back)) = answered.push(answer) {
-                    if stopped.load(Ordering::Acquire) {
+                    if !going() {
                         return;
                     }
                     answer = back;
                     std::thread::park_timeout(RETRY);
                 }
+                found.iter().for_each(&mut bound);
             }
         };
         let worker = std::thread::Builder::new().name("certifier".into()).spawn(work)?;
-        Ok(Self { questions, answers, stop, worker: Some(worker) })
+        Ok(Self { questions, answers, bounds, stop, worker: Some(worker) })
     }
 
     /// Hands a design over; the answer comes later under the same `id`. Does not wait.
@@ -103,6 +129,11 @@ impl Certifier {
     /// The next answer, if one is ready. Does not wait.
     pub fn answer(&mut self) -> Option<Answer> {
         self.answers.pop().ok()
+    }
+
+    /// The next bound, if one is ready. Does not wait.
+    pub fn bounded(&mut self) -> Option<Bounded> {
+        self.bounds.pop().ok()
     }
 }
 
@@ -141,7 +172,7 @@ mod tests {
         let mut bad = Weights::for_airframe(&airframe);
         bad.state[2] = -1.0;
         let bad = Proposal::from_weights(bad);
-        let mut certifier = Certifier::start(&airframe, 0.005, MarginPolicy::default()).unwrap();
+        let mut certifier = Certifier::start(&airframe, 0.005, MarginPolicy::default(), None).unwrap();
         certifier.ask(CommandId(7), GainsRevision(1), &weights).unwrap();
         certifier.ask(CommandId(8), GainsRevision(2), &bad).unwrap();
         let first = wait(&mut certifier);

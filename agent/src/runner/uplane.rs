@@ -70,6 +70,9 @@ impl Runner {
             };
             self.telemetry.ack(now, id, accepted, &reason);
         }
+        while let Some((revision, bound_m)) = self.beside.certifier.as_mut().and_then(Certifier::bounded) {
+            self.flight.envelope_bounded(revision, bound_m);
+        }
     }
 
     /// What only a simulated vehicle can be given.

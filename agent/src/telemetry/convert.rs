@@ -255,6 +255,8 @@ fn attack(attack: &Attack) -> v1::Attack {
         Kind::Delay => v1::AttackKind::Delay,
         Kind::Dropout => v1::AttackKind::Dropout,
         Kind::SignFlip => v1::AttackKind::SignFlip,
+        Kind::Parabola => v1::AttackKind::Parabola,
+        Kind::TimeShift => v1::AttackKind::TimeShift,
     };
     v1::Attack {
         id: attack.id,

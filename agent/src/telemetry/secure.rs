@@ -110,6 +110,7 @@ pub(super) fn fill(
     into.tracking_error_m = tracking.error_m();
     into.reference_error_m = tracking.reference_m();
     into.height_bound_m = judge.height_bound_m();
+    into.accel_noise_mps2 = judge.noise_mps2();
     // What only the decoder of a window has.
     let secure = judge.secure();
     into.disturbance_enu_n = secure.map(|secure| {

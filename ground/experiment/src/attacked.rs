@@ -182,11 +182,11 @@ fn drawn_of(dice: &mut Dice, id: u32, sensor: SensorId, kind: Kind) -> Attack {
     let (channel, _, most) = channels[pick(dice, channels.len())];
     let magnitude = match kind {
         // Every size is as likely as the tenfold: most are small beside what the vehicle allows.
-        Kind::Bias | Kind::Ramp => sign(dice) * most * SMALLEST.powf(dice.uniform()),
+        Kind::Bias | Kind::Ramp | Kind::Parabola => sign(dice) * most * SMALLEST.powf(dice.uniform()),
         Kind::Noise => most * SMALLEST.powf(dice.uniform()),
         Kind::Scale => between(dice, (-2.0, 3.0)),
         Kind::Replay => between(dice, (0.5, bounds.replay_max_s)),
-        Kind::Delay => between(dice, (0.05, bounds.delay_max_s)),
+        Kind::Delay | Kind::TimeShift => between(dice, (0.05, bounds.delay_max_s)),
         Kind::Dropout => between(dice, (0.2, 1.0)),
         Kind::Zero | Kind::Freeze | Kind::SignFlip => 0.0,
     };

@@ -2,7 +2,7 @@
 //! set of one or two sensors. `POST /api/v1/envelope[?vehicle=ID]`: another question; what it leaves out is as with the vehicle.
 //!
 //! `plumbline_analysis` answers; nothing is sent to a vehicle. Answers are kept by everything they depend on: the question, whole, and
-//! the suite; the thresholds are constants of this program.
+//! the suite; the thresholds are constants of this program. `POST /api/v1/envelope/attack` prepares and judges attacks.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
@@ -11,13 +11,14 @@ use axum::Json;
 use axum::extract::State;
 use plumbline_analysis::design::file::{export, read};
 use plumbline_analysis::envelope::EnvelopeError;
+use plumbline_analysis::envelope::prepare::prepared;
 use plumbline_analysis::envelope::sets::Asked;
 use plumbline_core::sensor::suite::Suite;
 use plumbline_experiment::flight::suite_of;
 use plumbline_proto::Kind;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1;
-use plumbline_rest::envelope::{Envelope, EnvelopeQuestion};
+use plumbline_rest::envelope::{AttackQuestion, Envelope, EnvelopeQuestion, PreparedAttack};
 use serde::Deserialize;
 
 use super::App;
@@ -28,7 +29,7 @@ use super::extract::{Path, Query};
 use crate::hub::VehicleError;
 
 /// Answers kept; the oldest goes.
-const KEPT: usize = 32;
+const KEPT: usize = 128;
 
 /// What an answer follows from.
 type Key = (EnvelopeQuestion, Option<Suite>);
@@ -75,6 +76,17 @@ pub(crate) async fn ask(
     Body(question): Body<EnvelopeQuestion>,
 ) -> Result<Json<Envelope>, ApiError> {
     answer(&app, question, asked.vehicle).await
+}
+
+/// What is expected of an attack, or the attack itself: `POST /api/v1/envelope/attack[?vehicle=ID]`.
+pub(crate) async fn attack(
+    State(app): State<App>,
+    Query(asked): Query<For>,
+    Body(mut question): Body<AttackQuestion>,
+) -> Result<Json<PreparedAttack>, ApiError> {
+    let suite = asked.vehicle.map(|id| stand_in(&app, &mut question.of, &id)).transpose()?.flatten();
+    let work = move |_: &Waited| Ok(prepared(&question, suite)?);
+    Ok(Json(app.computing.run(work).await?))
 }
 
 async fn answer(
@@ -133,15 +145,6 @@ fn suite(description: &v1::Description) -> Result<Suite, ApiError> {
     if !description.scenario.is_empty() {
         return suite_of(&description.scenario).map_err(|e| ApiError::Invalid(format!("its scenario: {e}")));
     }
-    let mut suite = Suite::empty();
-    for sensor in &description.sensors {
-        suite.add(sensor.kind());
-    }
-    suite.sheets_mut(|id, sheet| {
-        let told = description.sensors.iter().find(|s| SensorId::new(s.kind(), s.instance as u8) == id);
-        if let Some(told) = told.filter(|told| told.rate_hz > 0.0) {
-            sheet.timing_mut().rate_hz = told.rate_hz;
-        }
-    });
-    Ok(suite)
+    let told = description.sensors.iter();
+    Ok(Suite::at_rates(told.map(|sensor| (SensorId::new(sensor.kind(), sensor.instance as u8), sensor.rate_hz))))
 }

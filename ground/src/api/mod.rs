@@ -251,6 +251,7 @@ fn routes() -> Vec<Route> {
         post   "/api/v1/design/preview"              View    design::preview;
         get    "/api/v1/design/controllers"          View    design::controllers;
         post   "/api/v1/envelope"                    View    envelope::ask;
+        post   "/api/v1/envelope/attack"             View    envelope::attack;
         get    "/api/v1/calibrations"                View    calibrations::list;
         post   "/api/v1/calibrations"                Operate calibrations::create, calibrations::MAX_TABLE;
         get    "/api/v1/calibrations/{id}"           View    calibrations::show;

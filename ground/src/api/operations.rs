@@ -5,7 +5,7 @@ use plumbline_rest::command::{
     Answer, AttackPlan, Decoder, Estimator, Mode, Recording, Replay, Setpoint, Simulator, Trajectory, Which,
 };
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
-use plumbline_rest::envelope::{Envelope, EnvelopeQuestion};
+use plumbline_rest::envelope::{AttackQuestion, Envelope, EnvelopeQuestion, PreparedAttack};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
 use plumbline_rest::flight::{Due, Flight, Flights, Labels};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
@@ -166,6 +166,14 @@ pub(super) const OPERATIONS: &[Operation] = &[
         )])
         .takes(of::<EnvelopeQuestion>)
         .json(of::<Envelope>),
+    post("/api/v1/envelope/attack", "Prepares an attack, and tells how surely it is seen")
+        .query(&[(
+            "vehicle",
+            "string",
+            "Its sensors, airframe, tick rate and gains in use stand in for what is left out.",
+        )])
+        .takes(of::<AttackQuestion>)
+        .json(of::<PreparedAttack>),
     get("/api/v1/calibrations", "Calibrations kept").json(of::<Calibrations>),
     post("/api/v1/calibrations", "Fits a calibration and keeps it").takes(of::<Fit>).created(of::<Calibration>),
     get("/api/v1/calibrations/{id}", "A calibration, whole").json(of::<Calibration>),

@@ -168,6 +168,12 @@ pub struct PlannedAttack {
     /// Of its random numbers.
     #[serde(default)]
     pub seed: u64,
+    /// A bias that follows a table: within ±1, times the magnitude.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sequence: Vec<f64>,
+    /// Each of its values for so long, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sequence_period_s: Option<f64>,
 }
 
 fn all_channels() -> String {

@@ -1,7 +1,9 @@
-//! How far an attacker who is not seen can push the vehicle (`GET /api/v1/vehicles/{id}/envelope`, `POST /api/v1/envelope`).
+//! How far an attacker who is not seen can push the vehicle (`GET /api/v1/vehicles/{id}/envelope`, `POST /api/v1/envelope`), with
+//! what, and how surely that is seen (`POST /api/v1/envelope/attack`).
 
 use serde::{Deserialize, Serialize};
 
+use crate::command::PlannedAttack;
 use crate::design::Design;
 
 /// What is asked; what is left out is as usual.
@@ -21,6 +23,12 @@ pub struct EnvelopeQuestion {
     /// Only this set: sensors by name, `height 2`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<String>>,
+    /// Sensors that are excluded: neither used nor attacked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub without: Vec<String>,
+    /// One sensor more of this kind, `height` or `imu`: what would it buy?
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub more: Option<String>,
     /// How long the attack lasts, s; 10 where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
@@ -68,4 +76,45 @@ pub struct EnvelopeSet {
     pub binding: Option<String>,
     /// Solved in, ms; 0 where another set has the same program.
     pub took_ms: f64,
+}
+
+/// An attack to be prepared, or one to be judged before it flies (`POST /api/v1/envelope/attack`).
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct AttackQuestion {
+    /// The loop; `sensors` are those attacked, for `horizon_s`.
+    #[serde(default)]
+    pub of: EnvelopeQuestion,
+    /// `optimal` (what the bound is nearly reached with), `stealthy_bias` (the largest constant one seen in one of twenty flights)
+    /// or `covert` (a motion that is none); left out, `attacks` are judged as they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub generator: Option<String>,
+    /// Of a covert one, m/s².
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accel_mps2: Option<f64>,
+    /// After the schedule is accepted, s.
+    #[serde(default)]
+    pub start_s: f64,
+    /// What is judged.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub attacks: Vec<PlannedAttack>,
+}
+
+/// An attack, and what is expected of it with lanes in the loop.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct PreparedAttack {
+    /// As a schedule has them.
+    pub attacks: Vec<PlannedAttack>,
+    /// Part of flights in which an attacked sensor is excluded: drawn noise of the data sheets, about hover.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Furthest that they move the altitude of the linear loop, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub altitude_m: Option<f64>,
+    /// Why nothing is expected of some.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub note: String,
 }

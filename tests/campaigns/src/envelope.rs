@@ -2,7 +2,9 @@
 //!
 //! The maximising sequence of every set of one or two sensors of the default suite, and drawn attacks on them. The deviation is that
 //! of the true altitude from the same flight without the attack, until somebody is excluded. `--flights N` draws so many attacks in
-//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst` or one world, `--quick` a twentieth.
+//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `watermark` or one world, `--quick` a twentieth.
+
+mod detection;
 
 use std::collections::HashMap;
 
@@ -33,6 +35,12 @@ pub fn run() -> Result<(), ReportError> {
     ));
     if effort.wants("worst") {
         worst_of(&mut report, &effort)?;
+    }
+    if effort.wants("detect") {
+        detection::of_generators(&mut report, &effort)?;
+    }
+    if effort.wants("watermark") {
+        detection::of_replays(&mut report, &effort)?;
     }
     for world in WORLDS.into_iter().filter(|world| effort.wants(world)) {
         drawn(&mut report, world, &effort)?;

@@ -7,6 +7,7 @@ use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
 use plumbline_agent::envelope::flying::Regime;
 use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns};
+use plumbline_agent::flight::watermark::{Block, Settings};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::world::Disturbance;
 use plumbline_agent::types::EstimatorKind;
@@ -43,6 +44,8 @@ pub struct Flown {
     pub excluded: Vec<SensorId>,
     /// Noise of the accelerometers that the lanes measured, the largest, m/s².
     pub noise_mps2: f64,
+    /// What the blocks of the watermark told: seconds since the onset at their end.
+    pub carried: Vec<(f64, Block)>,
 }
 
 impl Flown {
@@ -62,6 +65,25 @@ pub struct Worn {
 }
 
 impl Worn {
+    /// These attacks, at the onset.
+    pub fn these(
+        attacks: impl IntoIterator<Item = (SensorId, Channel, Kind, f64)>,
+        duration_s: f64,
+        seed: u64,
+    ) -> Self {
+        let one = |(id, (sensor, channel, kind, magnitude))| Attack {
+            id,
+            sensor,
+            channel,
+            kind,
+            start_s: ONSET_S,
+            duration_s,
+            magnitude,
+            seed,
+        };
+        Self { attacks: (1..).zip(attacks).map(one).collect(), sequences: Vec::new() }
+    }
+
     /// `attack` of a program of `model`, times `part`, within what the agent allows.
     pub fn new(model: &dyn Model, attack: &Signal, part: f64) -> Self {
         let mut worn = Self::default();
@@ -91,8 +113,13 @@ impl Worn {
 
 /// Flies `worn` in `world`: `ideal`, `bench`, `datasheet` or `harsh`.
 pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
+    fly_for(world, seed, worn, HORIZON_S, None)
+}
+
+/// The same for `horizon_s`, with this watermark.
+pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>) -> Flown {
     let named = if world == "ideal" { "bench" } else { world };
-    let duration_s = ONSET_S + HORIZON_S + AFTER_S;
+    let duration_s = ONSET_S + horizon_s + AFTER_S;
     let text = format!(
         "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{named}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
          [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
@@ -101,6 +128,7 @@ pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
     let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
     let mut config = scenario.flight_config();
     (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
+    config.watermark = watermark;
     if world == "ideal" {
         scenario.disturbance = Disturbance::NONE;
         scenario.suite.sheets_mut(|_, sheet| {
@@ -134,6 +162,12 @@ pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
             flown.seen.get_or_insert(flown.altitude_m.len());
         }
         flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());
+        if let Some((time, block)) = flight.watermark() {
+            let since_s = time.as_seconds() - ONSET_S;
+            if flown.carried.last().is_none_or(|(last_s, _)| since_s > *last_s) {
+                flown.carried.push((since_s, block));
+            }
+        }
         flown.altitude_m.push(truth.position_enu_m.z);
     });
     if outcome.unwrap().lost.is_some() {

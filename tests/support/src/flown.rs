@@ -200,6 +200,7 @@ pub fn identification(scenario: &Scenario) -> Identification {
 /// A flight that is its own operator; `end_s` is flight time, s.
 pub fn runner_options(pace: Pace, end_s: Option<f64>, script: Option<Script>) -> RunnerOptions {
     RunnerOptions {
+        bounding: None,
         pace,
         end: end_s.map(FlightTime::from_seconds),
         script,

@@ -90,7 +90,11 @@ fn fuzz_commands() {
         v1::Attack { id: 1, sensor: 2, instance: 2, kind: 2, start_s: 1.0, duration_s: 2.0, ..Default::default() };
     let weights = v1::LqrWeights { state_weight: vec![1.0; 16], input_weight: vec![1.0; 4] };
     let bodies = [
-        v1::command::Body::AttackSchedule(v1::AttackSchedule { schedule_id: 1, attacks: vec![attack; 3] }),
+        v1::command::Body::AttackSchedule(v1::AttackSchedule {
+            schedule_id: 1,
+            attacks: vec![attack; 3],
+            ..Default::default()
+        }),
         v1::command::Body::PushGains(v1::PushGains { revision: 2, weights: Some(weights), ..Default::default() }),
         v1::command::Body::SetMode(v1::SetMode { mode: 3 }),
         v1::command::Body::SetReplay(v1::SetReplay { speed: 1.0, step: 0 }),

@@ -73,6 +73,8 @@ pub enum Curve {
     Height(u16),
     /// True altitude, m.
     TruthAltitude,
+    /// Altitude of the estimator in the loop less (false) or more (true) what an unseen attack on one sensor could do, m.
+    Reach(bool),
     /// Position of the estimator in the loop while it knows one, east and north, m.
     Plane(Horizontal),
     /// True position, m.
@@ -369,6 +371,14 @@ impl Curves {
         for s in &status.sensors {
             let ratio = if s.present { suspicion(s) } else { f64::NAN };
             self.push(Curve::Suspicion(s.sensor, s.instance), status.time_us, ratio);
+        }
+    }
+
+    /// `bound_m` about the altitude that estimator `number` has.
+    pub fn push_reach(&mut self, number: u16, time_us: u64, bound_m: f64) {
+        if let Some(altitude_m) = self.value_at(Curve::Altitude(number), time_us as f64 * 1e-6) {
+            self.push(Curve::Reach(false), time_us, altitude_m - bound_m);
+            self.push(Curve::Reach(true), time_us, altitude_m + bound_m);
         }
     }
 

@@ -7,7 +7,7 @@ use plumbline_rest::command::PlannedAttack;
 use super::{format, names};
 
 /// One attack of the draft.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Draft {
     /// Sensor attacked.
     pub sensor: SensorKind,
@@ -23,28 +23,52 @@ pub struct Draft {
     pub start_s: f64,
     /// Length, s.
     pub duration_s: f64,
+    /// What a bias follows: each value for so long, s, times the magnitude.
+    pub sequence: (f64, Vec<f64>),
 }
 
-/// A draft as the browser keeps it: sensor, instance, channel, kind, magnitude, start, duration.
-pub type Row = (i32, u32, i32, i32, f64, f64, f64);
+/// A draft as the browser keeps it: sensor, instance, channel, kind, magnitude, start, duration, what a bias follows.
+pub type Row = (i32, u32, i32, i32, f64, f64, f64, (f64, Vec<f64>));
 
 impl Draft {
     /// As the browser keeps it.
     pub fn row(&self) -> Row {
         let (sensor, channel, kind) = (self.sensor.into(), self.channel.into(), self.kind.into());
-        (sensor, self.instance, channel, kind, self.magnitude, self.start_s, self.duration_s)
+        (sensor, self.instance, channel, kind, self.magnitude, self.start_s, self.duration_s, self.sequence.clone())
     }
 
     /// From what the browser kept; `None` when it is of another version.
-    pub fn from_row((sensor, instance, channel, kind, magnitude, start_s, duration_s): Row) -> Option<Self> {
+    pub fn from_row(row: Row) -> Option<Self> {
+        let (sensor, instance, channel, kind, magnitude, start_s, duration_s, sequence) = row;
         let (sensor, channel) = (SensorKind::try_from(sensor).ok()?, AttackChannel::try_from(channel).ok()?);
         let kind = AttackKind::try_from(kind).ok()?;
-        Some(Self { sensor, instance, channel, kind, magnitude, start_s, duration_s })
+        Some(Self { sensor, instance, channel, kind, magnitude, start_s, duration_s, sequence })
     }
 
     /// "height 2: bias +0.5 m"
     pub fn subject(&self, vehicle: Option<&Description>) -> String {
-        subject(self.sensor, self.instance, self.channel, self.kind, self.magnitude, vehicle)
+        let text = subject(self.sensor, self.instance, self.channel, self.kind, self.magnitude, vehicle);
+        if self.sequence.1.is_empty() { text } else { format!("{text}, a sequence") }
+    }
+
+    /// One that the ground prepared; `None` where this page knows no such names.
+    pub fn prepared(planned: &PlannedAttack) -> Option<Self> {
+        let find = |name: &str, all: i32, of: &dyn Fn(i32) -> Option<String>| {
+            (0..all).find(|number| of(*number).as_deref() == Some(name))
+        };
+        let sensor = find(&planned.sensor, 16, &|n| SensorKind::try_from(n).ok().map(names::sensor_json))?;
+        let channel = find(&planned.channel, 32, &|n| AttackChannel::try_from(n).ok().map(names::attack_channel_json))?;
+        let kind = find(&planned.kind, 32, &|n| AttackKind::try_from(n).ok().map(names::attack_kind_json))?;
+        Self::from_row((
+            sensor,
+            planned.instance,
+            channel,
+            kind,
+            planned.magnitude,
+            planned.start_s,
+            planned.duration_s,
+            (planned.sequence_period_s.unwrap_or_default(), planned.sequence.clone()),
+        ))
     }
 
     /// As the ground wants it; attacks of one schedule get different seeds.
@@ -58,6 +82,8 @@ impl Draft {
             duration_s: self.duration_s,
             magnitude: self.magnitude,
             seed,
+            sequence: self.sequence.1.clone(),
+            sequence_period_s: (!self.sequence.1.is_empty()).then_some(self.sequence.0),
         }
     }
 }
@@ -75,7 +101,7 @@ pub fn channels(vehicle: Option<&Description>, sensor: SensorKind, instance: u32
 
 /// Does this kind add to what is sensed?
 fn is_additive(kind: AttackKind) -> bool {
-    matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Noise)
+    matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Parabola | AttackKind::Noise)
 }
 
 /// Those of `channels` that an attack of this kind can cover: what it adds needs a unit, and one offset for all of an IMU
@@ -101,7 +127,7 @@ pub fn subject(
     };
     let mut text = format!("{}{what}: {}", names::instance(sensor, instance), names::attack_kind(kind));
     if let Some(unit) = magnitude_unit(kind, channels(vehicle, sensor, instance), channel) {
-        let signed = matches!(kind, AttackKind::Bias | AttackKind::Ramp);
+        let signed = matches!(kind, AttackKind::Bias | AttackKind::Ramp | AttackKind::Parabola | AttackKind::TimeShift);
         let sign = if signed && magnitude > 0.0 { "+" } else { "" };
         let number = trimmed(magnitude).replace('-', "\u{2212}");
         text.push_str(&format!(" {sign}{number}"));
@@ -124,8 +150,9 @@ pub fn magnitude_unit(kind: AttackKind, channels: &[SensorChannel], channel: Att
     match kind {
         AttackKind::Bias | AttackKind::Noise => Some(unit.to_owned()),
         AttackKind::Ramp => Some(format!("{unit}/s")),
+        AttackKind::Parabola => Some(format!("{unit}/s²")),
         AttackKind::Scale => Some("×".to_owned()),
-        AttackKind::Replay | AttackKind::Delay => Some("s".to_owned()),
+        AttackKind::Replay | AttackKind::Delay | AttackKind::TimeShift => Some("s".to_owned()),
         AttackKind::Dropout => Some("of samples".to_owned()),
         AttackKind::Zero | AttackKind::Freeze | AttackKind::SignFlip | AttackKind::Unspecified => None,
     }
@@ -203,6 +230,7 @@ impl Form {
             magnitude,
             start_s,
             duration_s,
+            sequence: (0.0, Vec::new()),
         })
     }
 }
@@ -262,8 +290,11 @@ mod tests {
     fn a_draft_outlives_a_reload() {
         let draft = Form::default().check(Some(&vehicle())).unwrap();
         let text = serde_json::to_string(&draft.row()).unwrap();
-        assert_eq!(Draft::from_row(serde_json::from_str(&text).unwrap()), Some(draft));
-        assert_eq!(Draft::from_row((99, 1, 0, 0, 0.0, 0.0, 0.0)), None);
+        assert_eq!(Draft::from_row(serde_json::from_str(&text).unwrap()), Some(draft.clone()));
+        assert_eq!(Draft::from_row((99, 1, 0, 0, 0.0, 0.0, 0.0, (0.0, Vec::new()))), None);
+        let followed = Draft { sequence: (0.1, vec![1.0, -0.5]), ..draft };
+        assert_eq!(Draft::prepared(&followed.body(1)), Some(followed.clone()));
+        assert_eq!(followed.subject(None), "height 2: bias +0.5, a sequence");
     }
 
     #[test]

@@ -1,8 +1,86 @@
 //! The attack envelope as rows for people: sets that are alike in one row, the largest of their bounds.
 
-use plumbline_rest::envelope::{Envelope, EnvelopeSet};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::{EstimatorKind, SecureSensor, SecureStatus, SensorKind};
+use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet};
 
 use super::format;
+
+/// Noises of the accelerometers that a flight's bounds are asked at, m/s².
+pub const NOISES_MPS2: [f64; 5] = [0.05, 0.15, 0.5, 1.5, 4.5];
+
+/// Bounds of one attacked sensor over the noise of the accelerometers, for one vehicle with its gains and what is excluded.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// Sensors excluded, by name.
+    pub without: Vec<String>,
+    /// Noise, m/s², and the largest bound of any one sensor, m; rising noise.
+    pub rows: Vec<(f64, f64)>,
+}
+
+impl Table {
+    /// The bound at `noise_mps2`, m: a straight line between two rows; `None` above the last.
+    pub fn bound_m(&self, noise_mps2: f64) -> Option<f64> {
+        let after = self.rows.iter().position(|(noise, _)| *noise >= noise_mps2)?;
+        let (high, high_m) = *self.rows.get(after)?;
+        let Some((low, low_m)) = after.checked_sub(1).and_then(|before| self.rows.get(before)) else {
+            return Some(high_m);
+        };
+        Some(low_m + (high_m - low_m) * (noise_mps2 - low) / (high - low))
+    }
+
+    /// The bound as things are in `status`, m, where it is of this table: lanes in the loop, the same sensors excluded.
+    pub fn bound_now_m(&self, status: &SecureStatus, in_loop: u16) -> Option<f64> {
+        let noise_mps2 = status.accel_noise_mps2.filter(|_| in_loop == EstimatorKind::Lanes as u16)?;
+        self.bound_m(noise_mps2).filter(|_| excluded(status) == self.without)
+    }
+}
+
+/// Sensors that `status` excludes, by name.
+pub fn excluded(status: &SecureStatus) -> Vec<String> {
+    let bounded = |s: &&SecureSensor| s.flagged && matches!(s.sensor(), SensorKind::Height | SensorKind::Imu);
+    let name = |s: &SecureSensor| SensorId::new(s.sensor(), s.instance as u8).to_string();
+    status.sensors.iter().filter(bounded).map(name).collect()
+}
+
+/// The question whose answer is one row of a [`Table`].
+pub fn row_question(noise_mps2: f64, without: &[String]) -> EnvelopeQuestion {
+    let (noise_mps2, without) = (Some(noise_mps2), without.to_vec());
+    EnvelopeQuestion { most: Some(1), noise_mps2, without, ..EnvelopeQuestion::default() }
+}
+
+/// The largest bound of one sensor, m; `None` where one has none.
+pub fn of_one_m(envelope: &Envelope) -> Option<f64> {
+    let alone = envelope.sets.iter().filter(|set| set.sensors.len() == 1);
+    alone.map(|set| set.altitude_m).try_fold(0.0, |most: f64, m| m.map(|m| most.max(m)))
+}
+
+/// The same of one sensor whose name begins so.
+fn of_one_such_m(envelope: &Envelope, begins: &str) -> Option<f64> {
+    let sets = envelope.sets.iter().filter(|set| set.sensors.first().is_some_and(|name| name.starts_with(begins)));
+    of_one_m(&Envelope { sets: sets.cloned().collect(), ..Envelope::default() })
+}
+
+fn cm(m: Option<f64>) -> String {
+    // A bound is rounded up.
+    m.map_or_else(|| "unbounded".to_owned(), |m| format!("{} cm", format::fixed((1e3 * m).ceil() / 10.0, 1)))
+}
+
+/// `one height more: 2.5 cm → 2.0 cm by a height, …`: what a sensor more of a kind (`height`, `imu`) buys.
+pub fn price(kind: &str, before: &Envelope, after: &Envelope) -> String {
+    let of = |begins: &str, name: &str| {
+        let (old, new) = (of_one_such_m(before, begins), of_one_such_m(after, begins));
+        format!("{} \u{2192} {} by {name}", cm(old), cm(new))
+    };
+    let named = if kind == "imu" { "IMU" } else { kind };
+    format!("one {named} more: {}, {}", of("height", "one height"), of("imu", "one IMU"))
+}
+
+/// In one line: `height 1: 2.4 cm; any IMU: 2.0 cm; …`.
+pub fn line(envelope: &Envelope) -> String {
+    let bound = |row: Row| format!("{}: {}", row.attacked, row.bound.trim_start_matches("at most "));
+    rows(envelope).into_iter().map(bound).collect::<Vec<_>>().join("; ")
+}
 
 /// One row.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,9 +125,8 @@ pub fn rows(envelope: &Envelope) -> Vec<Row> {
             continue;
         }
         let (bound, unbounded) = match set.altitude_m {
-            // A bound is rounded up.
-            Some(most_m) => (format!("at most {} cm", format::fixed((1e3 * most_m).ceil() / 10.0, 1)), false),
-            None => ("unbounded".to_owned(), true),
+            Some(_) => (format!("at most {}", cm(set.altitude_m)), false),
+            None => (cm(None), true),
         };
         let drift = |mps: f64| format!("drifts {} cm/s", format::fixed(100.0 * mps, 1));
         let held = set.binding.clone().or(set.drift_mps.map(drift)).unwrap_or_default();
@@ -68,6 +145,49 @@ mod tests {
         let binding = altitude_m.map(|_| "height reach".to_owned());
         let sensors = sensors.iter().map(|name| (*name).to_owned()).collect();
         EnvelopeSet { sensors, altitude_m, binding, drift_mps, ..EnvelopeSet::default() }
+    }
+
+    #[test]
+    fn a_table_is_read_between_its_rows_and_for_what_it_was_made() {
+        let table = Table { without: vec!["height 2".into()], rows: vec![(0.1, 0.02), (0.5, 0.04)] };
+        assert_eq!([0.05, 0.1, 0.5, 0.6].map(|noise| table.bound_m(noise)), [Some(0.02), Some(0.02), Some(0.04), None]);
+        assert!(table.bound_m(0.3).is_some_and(|m| (m - 0.03).abs() < 1e-12));
+        let sensor = |instance, flagged| SecureSensor {
+            sensor: SensorKind::Height as i32,
+            instance,
+            flagged,
+            ..Default::default()
+        };
+        let status = |second| SecureStatus {
+            accel_noise_mps2: Some(0.3),
+            sensors: vec![sensor(1, false), sensor(2, second)],
+            ..SecureStatus::default()
+        };
+        let lanes = EstimatorKind::Lanes as u16;
+        assert!(table.bound_now_m(&status(true), lanes).is_some());
+        assert_eq!(table.bound_now_m(&status(false), lanes), None, "another set is excluded");
+        assert_eq!(table.bound_now_m(&status(true), EstimatorKind::EkfBias as u16), None, "the bound is that of lanes");
+    }
+
+    #[test]
+    fn a_sensor_more_has_its_price_in_both_kinds() {
+        let of = |height_m, imu_m| Envelope {
+            sets: vec![
+                set(&["height 1"], Some(height_m)),
+                set(&["imu 1"], Some(imu_m)),
+                set(&["height 1", "height 2"], None),
+            ],
+            ..Envelope::default()
+        };
+        let (before, after) = (of(0.025, 0.019), of(0.0201, 0.019));
+        assert_eq!(
+            price("height", &before, &after),
+            "one height more: 2.5 cm \u{2192} 2.1 cm by one height, 1.9 cm \u{2192} 1.9 cm by one IMU"
+        );
+        assert_eq!(
+            (of_one_m(&before), line(&before).as_str()),
+            (Some(0.025), "height 1: 2.5 cm; any IMU: 1.9 cm; all heights: unbounded")
+        );
     }
 
     #[test]

@@ -61,6 +61,8 @@ pub struct Live {
     pub log: Log,
     /// Curves of the charts.
     pub curves: Curves,
+    /// Bounds of the attack envelope, as things are now.
+    pub reach: Option<super::envelope::Table>,
     /// Flight time: the newest seen, and now.
     pub clock: Clock,
     reading: Reading,

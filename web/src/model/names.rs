@@ -205,6 +205,8 @@ pub fn attack_kind(kind: AttackKind) -> &'static str {
         AttackKind::Delay => "delay",
         AttackKind::Dropout => "dropout",
         AttackKind::SignFlip => "sign flip",
+        AttackKind::Parabola => "parabola",
+        AttackKind::TimeShift => "time shift",
     }
 }
 
@@ -239,7 +241,7 @@ pub fn phase(phase: AttackPhase) -> &'static str {
 }
 
 /// Every attack kind a schedule can hold.
-pub const ATTACK_KINDS: [AttackKind; 10] = [
+pub const ATTACK_KINDS: [AttackKind; 12] = [
     AttackKind::Bias,
     AttackKind::Ramp,
     AttackKind::Scale,
@@ -250,6 +252,8 @@ pub const ATTACK_KINDS: [AttackKind; 10] = [
     AttackKind::Delay,
     AttackKind::Dropout,
     AttackKind::SignFlip,
+    AttackKind::Parabola,
+    AttackKind::TimeShift,
 ];
 
 #[cfg(test)]

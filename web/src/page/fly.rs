@@ -12,6 +12,7 @@ use crate::{
         attacks::AttacksCard,
         charts::{AltitudeChart, AttitudeChart},
         cursors::CursorsCard,
+        envelope::EnvelopeBand,
         estimator::EstimatorCard,
         horizon::HorizonCard,
         lanes::Lanes,
@@ -111,6 +112,7 @@ pub fn Fly() -> impl IntoView {
                 {move || if drawn.get() {
                     view! {
                         <Lanes />
+                        <EnvelopeBand />
                         <AltitudeChart />
                         <AttitudeChart />
                         <Evidence />

@@ -2,7 +2,6 @@
 
 mod calibrate;
 mod compare;
-mod envelope;
 mod experiments;
 pub mod flight;
 pub mod flights;

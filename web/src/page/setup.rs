@@ -6,6 +6,7 @@ use crate::{
     app::GroundState,
     ctx::{Graphics, ctx},
     model::{api, curves::DEGREES, format, names, operator},
+    panel::envelope::EnvelopeCard,
     panel::secure::rotors,
 };
 
@@ -211,7 +212,7 @@ pub fn Setup() -> impl IntoView {
                         }.into_any(),
                     }}
                 </section>
-                <super::envelope::EnvelopeCard />
+                <EnvelopeCard />
                 <section class="card facts" aria-label="Sensor suite">
                     <header><h2>"Sensor suite"</h2></header>
                     {move || match description.get().filter(|d| !d.sensors.is_empty()) {

@@ -7,7 +7,7 @@ mod outlook;
 use std::time::Duration;
 
 use leptos::{leptos_dom::helpers::TimeoutHandle, prelude::*};
-use plumbline_rest::design::{Controller, Controllers, Gains, Preview, Question, Steps};
+use plumbline_rest::design::{Controller, Controllers, Design, Gains, Preview, Question, Steps};
 use serde_json::json;
 
 use crate::{
@@ -15,6 +15,7 @@ use crate::{
     event::Tone,
     model::tuning::{self, Draft},
     net,
+    panel::envelope::EnvelopeBeside,
 };
 use book::Book;
 use editor::Editor;
@@ -206,6 +207,11 @@ pub fn Tune() -> impl IntoView {
             leptos::task::spawn_local(bench.reload_book());
         }
     });
+    // Asked once the preview is there: by then the design has stood still.
+    let design = Memo::new(move |before: Option<&Option<Design>>| {
+        let draft = bench.draft.with(|draft| draft.as_ref().map(Draft::design));
+        if bench.fresh.get() { draft } else { before.cloned().flatten() }
+    });
     view! {
         <main class="tune" id="main">
             <h1 class="visually-hidden">"Tune"</h1>
@@ -213,6 +219,7 @@ pub fn Tune() -> impl IntoView {
             <div class="tune-centre">
                 <Responses />
                 <Loops />
+                <EnvelopeBeside design=design.into() />
             </div>
             <Book />
         </main>

@@ -148,6 +148,11 @@ impl Frame {
                 out.extend(self.drawn(live, curve, palette::sensor(instance), Style::Thin));
             }
         }
+        out.extend(
+            [false, true]
+                .into_iter()
+                .filter_map(|side| self.drawn(live, Curve::Reach(side), palette::ATTACK, Style::Thin)),
+        );
         out.extend(self.drawn(live, Curve::TruthAltitude, palette::TRUTH, Style::Dashed));
         for curve in live.curves.names() {
             if let Curve::Altitude(number) = curve

@@ -6,7 +6,7 @@ use plumbline_proto::v1::{Check, EstimatorKind, Mode, RecordingStatus, Status};
 use plumbline_rest::command as rest;
 use serde_json::json;
 
-use super::hold::HoldButton;
+use super::{envelope::EnvelopeLine, hold::HoldButton};
 use crate::{
     ctx::ctx,
     model::{live::Live, names},
@@ -74,6 +74,7 @@ pub fn ArmingCard() -> impl IntoView {
         ctx.live(|live| live.status.get().map(|s| checks(s, live.ground.recording.as_ref())).unwrap_or_default())
     });
     let outlook = Memo::new(move |_| ctx.live(|live| all.with(|all| outlook(live.status.get(), all))));
+    let open = RwSignal::new(false);
     let arm = Callback::new(move |()| ctx.command("Arm", "POST", "arm", json!({})));
     let disarm = Callback::new(move |()| ctx.command("Disarm", "POST", "disarm", json!({})));
     let release = Callback::new(move |()| ctx.command("Release cut", "POST", "release-cut", json!({})));
@@ -111,7 +112,7 @@ pub fn ArmingCard() -> impl IntoView {
                         view! { <HoldButton label="Arm" class="go" disabled=Signal::derive(move || !known.get()) action=arm /> }.into_any()
                     }}
                 </div>
-                <details class="arm-checks">
+                <details class="arm-checks" on:toggle=move |_| open.update(|open| *open = !*open)>
                     <summary aria-live="polite">
                         <span class=move || format!("one-line {}", outlook.get().0)>{move || outlook.get().1}</span>
                         <span class="one-line quiet">{move || outlook.get().2}</span>
@@ -121,6 +122,7 @@ pub fn ArmingCard() -> impl IntoView {
                             <li class:bad=!c.passed><i aria-hidden="true">{if c.passed { "✓" } else { "✗" }}</i> <b>{c.name}</b> " " <span>{c.reason}</span></li>
                         }).collect::<Vec<_>>()}
                     </ul>
+                    <EnvelopeLine open />
                 </details>
             </Show>
         </section>

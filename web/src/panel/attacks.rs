@@ -5,6 +5,7 @@ use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, AttackProgress
 use plumbline_rest::command as rest;
 use serde_json::json;
 
+use super::prepare::{ExpectedLine, Prepare};
 use crate::{
     ctx::ctx,
     model::{
@@ -137,8 +138,10 @@ pub fn AttacksCard() -> impl IntoView {
                 None => view! { <p class="quiet">"Attacks can be planned once a vehicle is connected."</p> }.into_any(),
                 Some(true) => view! {
                     <Editor drafts />
+                    <Prepare drafts />
                     <Timeline bars elapsed=Signal::derive(move || if drafts.with(Vec::is_empty) { state.with(|s| s.elapsed_s) } else { None }) />
                     <List bars drafts />
+                    <ExpectedLine drafts />
                     <Show when=move || !drafts.with(Vec::is_empty)>
                         <div class="buttons">
                             <button type="button" class="attack-send" on:click=send>

@@ -43,6 +43,12 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
             Curve::TruthAltitude => {
                 entries.push(Entry { curve, name: "truth".into(), color: "var(--truth)", swatch: Swatch::Dashed });
             }
+            Curve::Reach(side) => entries.push(Entry {
+                curve,
+                name: if side { "unseen attack, highest" } else { "unseen attack, lowest" }.into(),
+                color: "var(--attack)",
+                swatch: Swatch::Thin,
+            }),
             Curve::AgainAltitude(number) => entries.push(Entry {
                 curve,
                 name: format!("{} again", names::estimator_numbered(number)),
@@ -58,6 +64,7 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
         Curve::Altitude(n) if n == in_loop => 1,
         Curve::Height(_) => 3,
         Curve::TruthAltitude => 4,
+        Curve::Reach(_) => 5,
         _ => 2,
     });
     entries

@@ -30,7 +30,8 @@ use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::judges::{Innovation, Judges};
+use super::judges::{Innovation, Judges, SQUARES};
+use super::program::Memory;
 use super::{EnvelopeError, Model, Response, Signal};
 
 /// Altitude of the hover, m.
@@ -44,14 +45,16 @@ pub struct Loop {
     /// Heights and IMUs, in the order of the suite.
     pub sensors: Vec<SensorId>,
     model: SensorModel,
-    /// Rate, Hz, and time of the first sample, s, of each height.
-    timing: Vec<(f64, f64)>,
-    imus: usize,
+    /// White noise of a sample of each height, m, and of each accelerometer over a slot, m/s²; one sigma.
+    pub(super) white: (Vec<f64>, Vec<f64>),
+    /// Rate, Hz, and time of the first sample, s, of each height; `None` for one that is excluded.
+    pub(super) timing: Vec<Option<(f64, f64)>>,
+    pub(super) imus: usize,
     law: StateSpace,
     vehicle: (DMatrix<f64>, DMatrix<f64>),
     tick_s: f64,
     noise_mps2: f64,
-    most: (f64, f64),
+    pub(super) most: (f64, f64),
 }
 
 /// Which heights weigh how much.
@@ -111,7 +114,7 @@ impl Loop {
         let a = DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, 0.0, damping, lift, 0.0, 0.0, -1.0 / lag_s]);
         let b = DMatrix::from_row_slice(3, 1, &[0.0, 0.0, 1.0 / lag_s]);
         let sampled = zero_order_hold(&a, &b, tick_s)?;
-        let timing: Vec<(f64, f64)> = suite.heights.iter().map(|h| (h.timing.rate_hz, h.timing.phase_s)).collect();
+        let timing: Vec<_> = suite.heights.iter().map(|h| Some((h.timing.rate_hz, h.timing.phase_s))).collect();
         let of = |kind: SensorKind, count: usize| (1..=count).map(move |i| SensorId::new(kind, i as u8));
         let sensors = of(SensorKind::Height, timing.len()).chain(of(SensorKind::Imu, suite.imus.len())).collect();
         if suite.imus.is_empty() || timing.is_empty() {
@@ -121,6 +124,10 @@ impl Loop {
         Ok(Self {
             sensors,
             model: SensorModel::from(suite),
+            white: (
+                suite.heights.iter().map(|h| h.height.total_sigma()).collect(),
+                suite.imus.iter().map(|i| i.accel.total_sigma() / (SLOT * i.timing.rate_hz).max(1.0).sqrt()).collect(),
+            ),
             timing,
             imus: suite.imus.len(),
             law: StateSpace {
@@ -136,6 +143,36 @@ impl Loop {
         })
     }
 
+    /// With `excluded` sensors left out: neither used nor attacked.
+    ///
+    /// # Errors
+    /// [`EnvelopeError::UnknownSensor`], [`EnvelopeError::Value`] where no height or no IMU is left.
+    pub fn without(mut self, excluded: &[SensorId]) -> Result<Self, EnvelopeError> {
+        self.known(excluded)?;
+        self.sensors.retain(|sensor| !excluded.contains(sensor));
+        for (i, timing) in self.timing.iter_mut().enumerate() {
+            *timing = timing.filter(|_| !excluded.contains(&SensorId::new(SensorKind::Height, i as u8 + 1)));
+        }
+        self.imus = self.count(SensorKind::Imu);
+        let least = self.imus.min(self.count(SensorKind::Height));
+        if least == 0 {
+            let what = "heights or IMUs that are not excluded";
+            return Err(EnvelopeError::Value { what, value: 0.0, expected: "at least 1" });
+        }
+        Ok(self)
+    }
+
+    /// How many of `kind` are used.
+    pub fn count(&self, kind: SensorKind) -> usize {
+        self.sensors.iter().filter(|sensor| sensor.kind == kind).count()
+    }
+
+    fn known(&self, sensors: &[SensorId]) -> Result<(), EnvelopeError> {
+        let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) else { return Ok(()) };
+        let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known })
+    }
+
     /// Under an attack on `sensors`.
     ///
     /// # Errors
@@ -144,10 +181,7 @@ impl Loop {
         if sensors.len() > self.sensors.len() {
             return Err(EnvelopeError::SetTooLarge { size: sensors.len(), sensors: self.sensors.len() });
         }
-        if let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) {
-            let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-            return Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known });
-        }
+        self.known(sensors)?;
         let of = |kind: SensorKind| {
             let mine = sensors.iter().filter(move |sensor| sensor.kind == kind);
             let mut places: Vec<usize> = mine.map(|sensor| usize::from(sensor.instance) - 1).collect();
@@ -159,19 +193,20 @@ impl Loop {
     }
 
     /// When each height samples in a cycle of slots: how long before the slot's end, s.
-    fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
+    pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
         let repeats = |slots: &usize| {
-            self.timing.iter().all(|(rate_hz, _)| {
+            self.timing.iter().flatten().all(|(rate_hz, _)| {
                 let samples = *slots as f64 * SLOT * rate_hz;
                 (samples - samples.round()).abs() < 1e-6 && samples.round() >= 1.0
             })
         };
-        let first_hz = self.timing.first().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
+        let first_hz = self.timing.iter().flatten().next().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
         let expected = "such that all heights repeat within 1 s";
         let slots = (1..=LONGEST_CYCLE).find(repeats);
         let slots = slots.ok_or(EnvelopeError::Value { what: "rate_hz of the heights", value: first_hz, expected })?;
         let mut ages = vec![[None; MAX_HEIGHTS]; slots];
-        for (i, (rate_hz, phase_s)) in self.timing.iter().enumerate() {
+        for (i, timing) in self.timing.iter().enumerate() {
+            let Some((rate_hz, phase_s)) = timing else { continue };
             for k in 0..(slots as f64 * SLOT * rate_hz).round() as usize {
                 let (slot, age_s) = slot_of(phase_s + k as f64 / rate_hz);
                 if let Some(place) = ages.get_mut(slot % slots).and_then(|slot| slot.get_mut(i)) {
@@ -282,7 +317,52 @@ impl Predictor {
     }
 }
 
+/// What the lanes of the attacked IMUs differ from the others by in a slot.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Differs {
+    /// One-sigma of the innovation of each height that was sampled, m.
+    pub(super) sigma_m: [Option<f64>; MAX_HEIGHTS],
+    /// Of each attacked IMU: what is added, its lane's innovations, m, and bias, m/s².
+    pub(super) lanes: Vec<(f64, [f64; MAX_HEIGHTS], f64)>,
+}
+
 impl Attacked<'_> {
+    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot. No other part of the loop has a say in it.
+    pub(super) fn differs(
+        &self,
+        horizon_s: f64,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Vec<Differs>, EnvelopeError> {
+        let of = self.flying;
+        let maps = cycle(&of.model, &of.schedule()?, &[1.0; MAX_HEIGHTS], of.noise_mps2, ALTITUDE_M);
+        let none = || Signal::zeros(1);
+        let mut bank = Bank {
+            maps: &maps,
+            healthy: std::array::from_fn(|_| none()),
+            differ: self.imus.iter().map(|_| std::array::from_fn(|_| none())).collect(),
+            share: 0.0,
+        };
+        let slot = |number: usize| {
+            let id = |i: &usize| SensorId::new(SensorKind::Imu, *i as u8 + 1);
+            let added: Vec<Signal> = self.imus.iter().map(|i| attack(id(i), number)).collect();
+            let mut out = Differs::default();
+            out.lanes.resize(added.len(), Default::default());
+            for (i, sigma_m, _, lanes) in bank.take(number, &none(), &added, &[], 1) {
+                if let Some(place) = out.sigma_m.get_mut(i) {
+                    *place = Some(sigma_m);
+                }
+                for (lane, innovation) in out.lanes.iter_mut().zip(&lanes) {
+                    lane.1[i] = innovation[0];
+                }
+            }
+            for ((lane, added), [_, _, bias]) in out.lanes.iter_mut().zip(&added).zip(&bank.differ) {
+                (lane.0, lane.2) = (added[0], bias[0]);
+            }
+            out
+        };
+        Ok((0..(horizon_s / SLOT).ceil() as usize).map(slot).collect())
+    }
+
     /// Height `i` as received: sampled `age_s` before the end of slot `number`.
     fn height(
         &self,
@@ -295,7 +375,7 @@ impl Attacked<'_> {
         let time_s = (number + 1) as f64 * SLOT - age_s;
         let tick = (time_s / self.flying.tick_s).round() as usize;
         let altitude = altitudes.get(tick).or(altitudes.last()).cloned().unwrap_or_else(|| Signal::zeros(0));
-        match self.flying.timing.get(i).filter(|_| self.heights.contains(&i)) {
+        match self.flying.timing.get(i).copied().flatten().filter(|_| self.heights.contains(&i)) {
             Some((rate_hz, phase_s)) if time_s > phase_s - 1e-9 => {
                 let sample = ((time_s - phase_s) * rate_hz).round() as usize;
                 altitude + attack(SensorId::new(SensorKind::Height, i as u8 + 1), sample)
@@ -309,7 +389,7 @@ impl Model for Attacked<'_> {
     fn attacked(&self) -> Vec<(SensorId, f64, f64)> {
         let of = &self.flying;
         let height = |i: &usize| {
-            let every_s = of.timing.get(*i).map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
+            let every_s = of.timing.get(*i).copied().flatten().map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
             (SensorId::new(SensorKind::Height, *i as u8 + 1), every_s, of.most.0)
         };
         let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), SLOT, of.most.1);
@@ -323,6 +403,10 @@ impl Model for Attacked<'_> {
         (slots as f64 * SLOT).min(horizon_s)
     }
 
+    fn squares(&self) -> Vec<(&'static str, Memory)> {
+        SQUARES.to_vec()
+    }
+
     fn respond(
         &self,
         horizon_s: f64,
@@ -332,10 +416,11 @@ impl Model for Attacked<'_> {
         let of = self.flying;
         let zero = || Signal::zeros(width);
         let schedule = of.schedule()?;
-        let rates_hz: Vec<f64> = of.timing.iter().map(|(rate_hz, _)| *rate_hz).collect();
+        let rates_hz: Vec<_> = of.timing.iter().map(|timing| timing.map(|(rate_hz, _)| rate_hz)).collect();
         let mut weights = [1.0; MAX_HEIGHTS];
         if self.regime == Regime::Outvoted {
-            let weight = Judges::outvoted(self.heights.len(), of.timing.len() - self.heights.len());
+            let healthy = of.count(SensorKind::Height) - self.heights.len();
+            let weight = Judges::outvoted(self.heights.len(), healthy);
             weights.iter_mut().enumerate().filter(|(i, _)| !self.heights.contains(i)).for_each(|(_, w)| *w = weight);
         }
         let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
@@ -426,6 +511,8 @@ impl Running<'_> {
         let innovations = self.bank.take(number, &force, &added, &corrected, self.width);
         let (z, v) = (self.bank.fused(0), self.bank.fused(1));
         let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
+        let raw = measured.iter().zip(&ages).enumerate();
+        self.response.residuals_m.extend(raw.filter_map(|(i, of)| Some((number, i, after(of)?))));
         let residuals: Vec<Option<Signal>> = corrected.iter().zip(&ages).map(after).collect();
         let (time_s, out) = ((number + 1) as f64 * SLOT, &mut self.response.statistics);
         self.judges.hear_heights(time_s, number, &innovations, &residuals, out);

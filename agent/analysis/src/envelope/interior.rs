@@ -7,6 +7,10 @@
 //! | z± | multipliers of either side |
 //! | H | Mᵀ(z⁺/s⁺ + z⁻/s⁻)M |
 //!
+//! Of its own because of time: Clarabel 0.11 on the very same programs takes 0.03 s of processor with one height attacked, 1.2 s with two and 1.8 s
+//! with one IMU, so that all sets of two sensors take several times the two seconds that they may; dense rows are nothing to a sparse
+//! factorisation. This takes some hundredths of a second for each. Tests hold it against Clarabel and cvxpy.
+//!
 //! A statistic hears nothing of what is added after it. With rows and columns in the order of time M is a staircase, and so is
 //! what H costs.
 

@@ -4,8 +4,8 @@
 //! - A mean mᵢ of residuals is within L σ of the robust centre c where Σ ψ((mⱼ − mᵢ)/σ + L) ≥ ρ (mᵢ/σ − L), ψ clipped at κ. With
 //!   ψ(x) ≤ x for the healthy and ψ ≤ κ for the attacked, (h + ρ) mᵢ − Σ_healthy m ≤ σ (κ s + (h + ρ) L); likewise for a healthy
 //!   one that is outvoted, the parts exchanged. h healthy, s attacked, ρ = (σ/prior)².
-//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds (Σ wₖ eₖ)² by Σ wₖ L s² (Cauchy and Schwarz), and each eₖ² by L s²; an
-//!   attack with each eₖ² ≤ L s²/Σ wₖ keeps it. So it is with the mean square of the vote.
+//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds each eₖ² by L s², and (Σ wₖ eₖ)² by Σ wₖ L s²; the sum itself is cut by the program
+//!   ([`SQUARES`]). So it is with the mean square of the vote.
 
 use std::collections::VecDeque;
 
@@ -15,14 +15,29 @@ use plumbline_proto::v1::SensorKind;
 
 use super::Signal;
 use super::flying::{Attacked, Regime};
-use super::program::Statistic;
+use super::program::{Memory, Statistic};
+
+/// Names of the detectors that sum squares, of a single one of them.
+const EVIDENCE: &str = "IMU evidence, one sample";
+const VOTE: &str = "IMU vote, one slot";
+/// Those, and how long a square counts.
+pub(super) const SQUARES: [(&str, Memory); 2] =
+    [(EVIDENCE, Memory::Forgotten(of_imus::MEMORY_S)), (VOTE, Memory::Last(of_imus::SLOTS as f64 * SLOT))];
 
 /// Innovations of a slot: height, its σ, of the healthy lanes, and what those attacked differ by.
 pub(super) type Innovation = (usize, f64, Signal, Vec<Signal>);
 
+/// What a height is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Excluded,
+    Healthy,
+    Attacked,
+}
+
 /// State of all judges.
 pub(super) struct Judges {
-    attacked: Vec<bool>,
+    heights: Vec<Role>,
     imus: Vec<usize>,
     of_imus: usize,
     regime: Regime,
@@ -47,12 +62,17 @@ fn mean(of: impl Iterator<Item = Signal>, count: usize, width: usize) -> Signal 
 }
 
 impl Judges {
-    /// Nothing heard yet; `rates_hz` of the heights.
-    pub(super) fn new(of: &Attacked, rates_hz: &[f64], imus: usize, noise_mps2: f64, width: usize) -> Self {
+    /// Nothing heard yet; `rates_hz` of the heights, `None` of one that is excluded.
+    pub(super) fn new(of: &Attacked, rates_hz: &[Option<f64>], imus: usize, noise_mps2: f64, width: usize) -> Self {
         let zero = || Signal::zeros(width);
         let longest = of_heights::MEANS.iter().map(|(n, _)| *n).max().unwrap_or(1);
+        let role = |(i, rate_hz): (usize, &Option<f64>)| match rate_hz {
+            None => Role::Excluded,
+            Some(_) if of.heights.contains(&i) => Role::Attacked,
+            Some(_) => Role::Healthy,
+        };
         Self {
-            attacked: (0..rates_hz.len()).map(|i| of.heights.contains(&i)).collect(),
+            heights: rates_hz.iter().enumerate().map(role).collect(),
             imus: of.imus.clone(),
             of_imus: imus,
             regime: of.regime,
@@ -60,7 +80,7 @@ impl Judges {
             offsets: rates_hz.iter().map(|_| zero()).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
             usual_mps2: of_imus::USUAL_MPS2.max(noise_mps2),
-            weight: rates_hz.iter().sum::<f64>() * SLOT / (1.0 - keep()),
+            weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
             learned: of.imus.iter().map(|_| zero()).collect(),
             deviations: of.imus.iter().map(|_| VecDeque::from(vec![zero(); of_imus::SLOTS])).collect(),
@@ -87,14 +107,14 @@ impl Judges {
 
     /// Attacked and healthy heights.
     fn counts(&self) -> (usize, usize) {
-        let attacked = self.attacked.iter().filter(|a| **a).count();
-        (attacked, self.attacked.len() - attacked)
+        let count = |role: Role| self.heights.iter().filter(|of| **of == role).count();
+        (count(Role::Attacked), count(Role::Healthy))
     }
 
     /// Mean of the last residuals of the healthy heights.
     fn healthy(&self) -> Option<Signal> {
         let (_, healthy) = self.counts();
-        let last = self.residuals.iter().zip(&self.attacked).filter(|(_, attacked)| !**attacked);
+        let last = self.residuals.iter().zip(&self.heights).filter(|(_, role)| **role == Role::Healthy);
         let last = last.filter_map(|(residuals, _)| residuals.front().cloned());
         (healthy > 0).then(|| mean(last, healthy, self.width))
     }
@@ -112,12 +132,12 @@ impl Judges {
         let others = self.healthy();
         let share = 1.0 / self.of_imus as f64;
         for (i, sigma_m, own, differ) in innovations {
-            if !self.attacked.get(*i).is_some_and(|attacked| *attacked) {
+            if self.heights.get(*i) != Some(&Role::Attacked) {
                 continue;
             }
             let innovation = differ.iter().fold(own.clone(), |sum, other| sum + other * share);
             let mut add = |detector, limit, row| {
-                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, silent: limit, row });
+                out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, row });
             };
             if let Some(others) = others.as_ref().filter(|_| attacked < healthy && attacked + healthy > 2) {
                 add("height reach", of_heights::REACH_M, &innovation - others);
@@ -145,20 +165,23 @@ impl Judges {
                 self.residuals.iter().map(|kept| mean(kept.iter().take(n).cloned(), n, self.width)).collect();
             let prior = (sigma_m / of_heights::PRIOR_M).powi(2);
             let level = if self.regime == Regime::Full { of_heights::SOFT } else { of_heights::LIMIT };
-            let sum = |of: bool| {
-                let these = means.iter().zip(&self.attacked).filter(|(_, attacked)| **attacked == of);
+            let sum = |of: Role| {
+                let these = means.iter().zip(&self.heights).filter(|(_, role)| **role == of);
                 these.fold(Signal::zeros(self.width), |sum, (mean, _)| sum + mean)
             };
-            let (sums, mut add) = ([sum(false), sum(true)], |i: usize, limit: f64, row: Signal| {
-                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, silent: limit, row });
+            let (sums, mut add) = ([sum(Role::Healthy), sum(Role::Attacked)], |i: usize, limit: f64, row: Signal| {
+                out.push(Statistic { detector, sensor: Self::height(i), time_s, limit, row });
             });
             // At most a minority is ever excluded: of two none.
             let excludes = attacked + healthy > 2;
-            for (i, (mean, is_attacked)) in means.iter().zip(&self.attacked).enumerate().filter(|_| excludes) {
-                let (count, against, sum) =
-                    if *is_attacked { (attacked, healthy, &sums[0]) } else { (healthy, attacked, &sums[1]) };
+            for (i, (mean, role)) in means.iter().zip(&self.heights).enumerate().filter(|_| excludes) {
+                let (is_attacked, count, against, sum) = match role {
+                    Role::Attacked => (true, attacked, healthy, &sums[0]),
+                    Role::Healthy => (false, healthy, attacked, &sums[1]),
+                    Role::Excluded => continue,
+                };
                 // Attacked ones in a majority are near the centre; healthy ones in a majority too.
-                let far = if *is_attacked { self.regime == Regime::Full } else { 2 * attacked >= attacked + healthy };
+                let far = if is_attacked { self.regime == Regime::Full } else { 2 * attacked >= attacked + healthy };
                 if far && against > 0 {
                     let weight = against as f64 + prior;
                     let limit = sigma_m * (of_heights::PULL * count as f64 + weight * level);
@@ -166,7 +189,8 @@ impl Judges {
                 }
             }
             if n == of_heights::MEANS[1].0 && self.regime == Regime::Full {
-                let common = mean_of(&means, self.width);
+                let used = || means.iter().zip(&self.heights).filter(|(_, role)| **role != Role::Excluded);
+                let common = mean(used().map(|(mean, _)| mean.clone()), attacked + healthy, self.width);
                 for (offset, mean) in self.offsets.iter_mut().zip(&means) {
                     offset.axpy(of_heights::learned(super::flying::ALTITUDE_M), &(mean - &common), 1.0);
                 }
@@ -186,8 +210,8 @@ impl Judges {
         let attacked = self.imus.len();
         for (place, (imu, added)) in self.imus.iter().zip(added).enumerate() {
             let sensor = Some(SensorId::new(SensorKind::Imu, *imu as u8 + 1));
-            let mut add = |detector, (limit, silent), row| {
-                out.push(Statistic { detector, sensor, time_s, limit, silent, row });
+            let mut add = |detector, limit, row| {
+                out.push(Statistic { detector, sensor, time_s, limit, row });
             };
             // A vote needs a majority.
             if let (true, Some(kept), Some(learned), Some([_, _, bias])) = (
@@ -202,8 +226,8 @@ impl Judges {
                 kept.push_front(deviation.clone());
                 let (shift, size) = of_imus::LIMITS;
                 let (shift, size) = (shift * self.usual_mps2, size * self.usual_mps2);
-                add("IMU vote", (shift, shift), mean(kept.iter().cloned(), n, self.width));
-                add("IMU vote, one slot", (size * (n as f64).sqrt(), size), deviation);
+                add("IMU vote", shift, mean(kept.iter().cloned(), n, self.width));
+                add(VOTE, size * (n as f64).sqrt(), deviation);
                 let towards = bias - &*learned;
                 learned.axpy(of_imus::LEARNED, &towards, 1.0);
             }
@@ -216,17 +240,13 @@ impl Judges {
                     *evidence += innovation;
                     sigma_m = sigma_m.max(*sigma);
                     let limit = sigma * of_imus::EVIDENCE.sqrt();
-                    add("IMU evidence, one sample", (limit, limit / self.weight.sqrt()), innovation.clone());
+                    add(EVIDENCE, limit, innovation.clone());
                 }
                 if sigma_m > 0.0 {
                     let limit = sigma_m * (of_imus::EVIDENCE * self.weight).sqrt();
-                    add("IMU evidence", (limit, limit), evidence.clone());
+                    add("IMU evidence", limit, evidence.clone());
                 }
             }
         }
     }
-}
-
-fn mean_of(means: &[Signal], width: usize) -> Signal {
-    mean(means.iter().cloned(), means.len(), width)
 }

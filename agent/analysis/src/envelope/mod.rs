@@ -14,9 +14,11 @@
 //! Two models give c and m: `prototype` (its table is a fixture) and `flying`, the loop as it flies. `program` solves, and proves the
 //! bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
+pub mod expected;
 pub mod flying;
 mod interior;
 mod judges;
+pub mod prepare;
 pub mod program;
 pub mod prototype;
 pub mod sets;
@@ -25,7 +27,7 @@ use nalgebra::DVector;
 use plumbline_core::linalg::LinalgError;
 use plumbline_proto::ids::SensorId;
 
-use self::program::{Program, Statistic};
+use self::program::{Memory, Program, Statistic};
 use crate::design::DesignError;
 
 /// A row: what a quantity of the loop is made of, one number for each column of the attack.
@@ -92,6 +94,9 @@ pub enum EnvelopeError {
         /// Of the program.
         rows: usize,
     },
+    /// Nobody waits for it.
+    #[error("given up: nobody waits for the bound")]
+    GivenUp,
     /// The gains, or another field of the question.
     #[error(transparent)]
     Design(#[from] DesignError),
@@ -109,6 +114,8 @@ pub struct Response {
     pub climb_mps: Vec<Signal>,
     /// Every detector at every time.
     pub statistics: Vec<Statistic>,
+    /// Residuals of the heights, nothing learned taken off: number of the slot, height, m. For a model that tells them.
+    pub residuals_m: Vec<(usize, usize, Signal)>,
 }
 
 /// A linear loop with its detectors.
@@ -120,6 +127,11 @@ pub trait Model {
     /// for a model that does not say.
     fn period_s(&self, horizon_s: f64) -> f64 {
         horizon_s
+    }
+
+    /// Detectors that sum squares, see [`Program`].
+    fn squares(&self) -> Vec<(&'static str, Memory)> {
+        Vec::new()
     }
 
     /// The loop over `horizon_s`, from rest, where `attack` is added to the n-th sample of a sensor.
@@ -203,7 +215,8 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
     let statistics = statistics.map(|(at, s)| Statistic { row: row(at, judged, &heard), ..*s }).collect();
     let most = model.attacked().into_iter().zip(&all).flat_map(|((_, _, most), (_, _, n))| vec![most; *n]).collect();
     let last = followed.len().saturating_sub(1);
-    Ok(Program { objective: row(last, slots, &|at| followed.get(at).cloned()), statistics, most })
+    let objective = row(last, slots, &|at| followed.get(at).cloned());
+    Ok(Program { objective, statistics, squares: model.squares(), most })
 }
 
 /// Is there a direction without an end? A ramp of 1 m/s in all attacked heights that moves the vehicle as fast while every

@@ -94,7 +94,7 @@ impl Prototype {
     fn judged(&self, heard: &Heard, predicted_variance: f64) -> Vec<Statistic> {
         let mut out = Vec::new();
         let mut add = |detector, sensor, slot: usize, every: f64, limit, row: Signal| {
-            out.push(Statistic { detector, sensor, time_s: slot as f64 * every, limit, silent: limit, row });
+            out.push(Statistic { detector, sensor, time_s: slot as f64 * every, limit, row });
         };
         let sample_m = SAMPLE_M.0.hypot(SAMPLE_M.1);
         for (l, series) in heard.innovations.iter().enumerate() {

@@ -21,10 +21,12 @@ use crate::design::file::{field, proposal};
 
 /// Horizons that may be asked for, s: the longest mean has 24 samples.
 const HORIZON_S: (f64, f64) = (3.0, 20.0);
+/// The usual one, s.
+pub const USUAL_HORIZON_S: f64 = 10.0;
 /// Largest set asked for.
 const MOST: usize = 3;
 
-fn wrong(name: &str, problem: String) -> EnvelopeError {
+pub(super) fn wrong(name: &str, problem: String) -> EnvelopeError {
     field(name, problem).into()
 }
 
@@ -48,7 +50,7 @@ pub fn verdict(
     deviation: Deviation,
 ) -> Result<(Verdict, Regime), EnvelopeError> {
     let full = flying.attacked(sensors, Regime::Full)?;
-    let heights = flying.sensors.iter().filter(|sensor| sensor.kind == SensorKind::Height).count();
+    let heights = flying.count(SensorKind::Height);
     if full.heights.len() == heights
         && let Some(drift_mps) = recession_mps(&full)?
     {
@@ -86,6 +88,38 @@ fn class(set: &[SensorId]) -> (Vec<SensorId>, usize) {
     (heights, imus)
 }
 
+/// The largest bound of the altitude over all sets of at most `most` sensors of `flying`, m; `None` where a set has none.
+/// Given up where `go_on` says no.
+///
+/// # Errors
+/// [`EnvelopeError`].
+pub fn largest_m(
+    flying: &Loop,
+    most: usize,
+    horizon_s: f64,
+    go_on: impl Fn() -> bool,
+) -> Result<Option<f64>, EnvelopeError> {
+    if most > flying.sensors.len() {
+        return Err(EnvelopeError::SetTooLarge { size: most, sensors: flying.sensors.len() });
+    }
+    let mut known = Vec::new();
+    let mut largest_m: f64 = 0.0;
+    for set in (1..=most).flat_map(|count| sets(&flying.sensors, count)) {
+        if known.contains(&class(&set)) {
+            continue;
+        }
+        if !go_on() {
+            return Err(EnvelopeError::GivenUp);
+        }
+        match verdict(flying, &set, horizon_s, Deviation::Altitude)?.0 {
+            Verdict::Bounded(bound) => largest_m = largest_m.max(bound.upper),
+            Verdict::Unbounded(_) => return Ok(None),
+        }
+        known.push(class(&set));
+    }
+    Ok(Some(largest_m))
+}
+
 /// A question, understood.
 #[derive(Debug)]
 pub struct Asked {
@@ -93,7 +127,7 @@ pub struct Asked {
     pub flying: Loop,
     suite: String,
     airframe: String,
-    horizon_s: f64,
+    pub(super) horizon_s: f64,
     /// In order, the smaller first.
     pub sets: Vec<Vec<SensorId>>,
 }
@@ -106,14 +140,24 @@ impl Asked {
     pub fn new(question: &EnvelopeQuestion, suite: Option<Suite>) -> Result<Self, EnvelopeError> {
         let name = question.suite.as_deref().unwrap_or("string_rig");
         let known = || wrong("suite", format!("is {name:.40?}, expected one of {}", PRESETS.join(", ")));
-        let suite = suite.or_else(|| Suite::preset(name)).ok_or_else(known)?;
+        let mut suite = suite.or_else(|| Suite::preset(name)).ok_or_else(known)?;
+        if let Some(more) = &question.more {
+            let added = match more.as_str() {
+                "height" => suite.add(SensorKind::Height),
+                "imu" => suite.add(SensorKind::Imu),
+                _ => return Err(wrong("more", format!("is {more:.40?}, it must be height or imu"))),
+            };
+            if !added {
+                return Err(wrong("more", format!("is {more}, there is no place for another")));
+            }
+        }
         let airframe = question.design.airframe.as_deref().unwrap_or("iris");
         let airframe = Airframe::by_name(airframe).map_err(|e| wrong("airframe", e.to_string()))?;
         let tick_rate_hz = question.design.tick_rate_hz.unwrap_or(200.0);
         if !TICK_RATE_HZ.contains(&tick_rate_hz) {
             return Err(wrong("tick_rate_hz", format!("is {tick_rate_hz}, it must be 50 to 1000")));
         }
-        let horizon_s = question.horizon_s.unwrap_or(10.0);
+        let horizon_s = question.horizon_s.unwrap_or(USUAL_HORIZON_S);
         if !(HORIZON_S.0..=HORIZON_S.1).contains(&horizon_s) {
             return Err(wrong("horizon_s", format!("is {horizon_s}, it must be {} to {}", HORIZON_S.0, HORIZON_S.1)));
         }
@@ -125,13 +169,16 @@ impl Asked {
         let bounds = Bounds::default();
         let most = (bounds.length_max_m, bounds.accel_max_mps2);
         let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(0.0), most)?;
+        let known = flying.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        let named = |names: &[String]| -> Result<Vec<SensorId>, EnvelopeError> {
+            let unknown =
+                |sensor: &String| EnvelopeError::UnknownSensor { sensor: sensor.clone(), known: known.clone() };
+            names.iter().map(|name| name.parse::<SensorId>().map_err(|_| unknown(name))).collect()
+        };
+        let flying = flying.without(&named(&question.without)?)?;
         let sets = match &question.sensors {
             Some(names) => {
-                let known = flying.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-                let unknown =
-                    |sensor: &String| EnvelopeError::UnknownSensor { sensor: sensor.clone(), known: known.clone() };
-                let one = |name: &String| name.parse::<SensorId>().map_err(|_| unknown(name));
-                let set: Vec<SensorId> = names.iter().map(one).collect::<Result<_, EnvelopeError>>()?;
+                let set = named(names)?;
                 flying.attacked(&set, Regime::Full)?;
                 vec![set]
             }

@@ -255,7 +255,9 @@ impl Injector {
             let mut asked = Scalars::default();
             asked[0] = (curve.speed_radps(*throttle, 1.0) / full).powi(2);
             let id = SensorId::new(SensorKind::Rotor, instance);
-            let (values, dropped) = if flying { running.alter(id, now, asked, history) } else { (asked, false) };
+            // A command has no stamp of its own.
+            let (values, _, dropped) =
+                if flying { running.alter(id, now, asked, history) } else { (asked, now, false) };
             let thrust = if dropped { *told } else { values[0].clamp(0.0, 1.0) };
             history.push(now, asked);
             if dropped || values != asked {
@@ -281,9 +283,15 @@ struct Running<'a> {
 }
 
 impl Running<'_> {
-    /// What they make of the `given` values of `target`, and whether those are withheld.
-    fn alter(&mut self, target: SensorId, time: FlightTime, given: Scalars, history: &History) -> (Scalars, bool) {
-        let (mut values, mut dropped) = (given, false);
+    /// What they make of the `given` values of `target` and their stamp, and whether those are withheld.
+    fn alter(
+        &mut self,
+        target: SensorId,
+        time: FlightTime,
+        given: Scalars,
+        history: &History,
+    ) -> (Scalars, FlightTime, bool) {
+        let (mut values, mut stamp, mut dropped) = (given, time, false);
         for (progress, slot) in self.progress.iter_mut().zip(self.slots.iter_mut()) {
             let running = matches!(progress.phase, Phase::Accepted | Phase::Active);
             if !running || progress.attack.sensor != target || self.now < slot.onset {
@@ -294,15 +302,15 @@ impl Running<'_> {
                 progress.phase = Phase::Active;
                 *self.changes += 1;
             }
-            let before = values;
-            let drops = slot.alter(&progress.attack, time, &mut values, history);
+            let before = (values, stamp);
+            let drops = slot.alter(&progress.attack, time, &mut values, &mut stamp, history);
             dropped |= drops;
-            if drops || before != values {
+            if drops || before != (values, stamp) {
                 progress.active.get_or_insert(self.now);
                 progress.altered_samples += 1;
             }
         }
-        (values, dropped)
+        (values, stamp, dropped)
     }
 }
 
@@ -317,13 +325,13 @@ impl Visitor for Pass<'_> {
         let Some(history) = self.histories.next() else { return };
         let Some(sensed) = *place else { return };
         let sensed_values = sensed.scalars();
-        let (values, dropped) = self.running.alter(id, sensed.time(), sensed_values, history);
+        let (values, stamp, dropped) = self.running.alter(id, sensed.time(), sensed_values, history);
         // The history holds what was sensed: a replay never replays an attack.
         history.push(sensed.time(), sensed_values);
         if dropped {
             *place = None;
-        } else if values != sensed_values {
-            *place = Some(sensed.with_scalars(&values));
+        } else if (values, stamp) != (sensed_values, sensed.time()) {
+            *place = Some(sensed.with_scalars(&values).with_time(stamp));
         }
     }
 }
@@ -342,8 +350,15 @@ impl Slot {
         }
     }
 
-    /// Alters `values`; true when the whole sample is withheld.
-    fn alter(&mut self, attack: &Attack, time: FlightTime, values: &mut Scalars, history: &History) -> bool {
+    /// Alters `values` and `stamp`; true when the whole sample is withheld.
+    fn alter(
+        &mut self,
+        attack: &Attack,
+        time: FlightTime,
+        values: &mut Scalars,
+        stamp: &mut FlightTime,
+        history: &History,
+    ) -> bool {
         let elapsed = time.seconds_since(self.onset).max(0.0);
         let part = self.sequence.as_ref().map_or(1.0, |sequence| {
             let k = (elapsed / sequence.period_s + 1e-9) as usize;
@@ -366,6 +381,12 @@ impl Slot {
                 let draw: f64 = StandardUniform.sample(&mut self.rng);
                 return draw < magnitude;
             }
+            Kind::TimeShift => {
+                let by_us = micros(magnitude.abs());
+                let (later, earlier) = (stamp.0.saturating_add(by_us), stamp.0.saturating_sub(by_us));
+                *stamp = FlightTime(if magnitude > 0.0 { later } else { earlier });
+                return false;
+            }
             _ => None,
         };
         for (i, value) in values.iter_mut().enumerate() {
@@ -376,6 +397,7 @@ impl Slot {
                 Kind::Zero => 0.0,
                 Kind::Bias => *value + magnitude,
                 Kind::Ramp => *value + magnitude * elapsed,
+                Kind::Parabola => *value + 0.5 * magnitude * elapsed * elapsed,
                 Kind::Scale => *value * magnitude,
                 Kind::Noise => {
                     let draw: f64 = StandardNormal.sample(&mut self.rng);
@@ -383,7 +405,7 @@ impl Slot {
                 }
                 Kind::SignFlip => -*value,
                 Kind::Freeze | Kind::Replay | Kind::Delay => source.and_then(|s| s.get(i).copied()).unwrap_or(*value),
-                Kind::Dropout => *value,
+                Kind::Dropout | Kind::TimeShift => *value,
             };
         }
         false

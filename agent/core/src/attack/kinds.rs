@@ -1,7 +1,7 @@
 //! What an attack does to one sample, seen as a short list of scalars.
 //!
 //! Every sensor's sample is viewed as up to nine scalars; an attack alters those its channel covers.
-//! Additive kinds (bias, ramp, noise) need one unit, so on `All` they cover the sensor's first
+//! Additive kinds (bias, ramp, parabola, noise) need one unit, so on `All` they cover the sensor's first
 //! quantity only (position of a GNSS fix, pressure of a barometer); on an IMU, whose quantities are
 //! equals, they must name one. The command of a rotor is one scalar, the thrust it asks for as a part of the rotor's full one.
 
@@ -47,12 +47,16 @@ pub enum Kind {
     Dropout,
     /// v → −v
     SignFlip,
+    /// v → v + magnitude · (t − onset)²/2; with a bias of the accelerometers as large, a motion that is none
+    Parabola,
+    /// The sample is stamped `magnitude` seconds later.
+    TimeShift,
 }
 
 impl Kind {
     /// Adds a value in the channel's unit, so that it must cover scalars of one unit.
     pub fn is_additive(self) -> bool {
-        matches!(self, Kind::Bias | Kind::Ramp | Kind::Noise)
+        matches!(self, Kind::Bias | Kind::Ramp | Kind::Noise | Kind::Parabola)
     }
 }
 

@@ -61,7 +61,7 @@ pub struct Bounds {
     pub start_max_s: f64,
     /// Longest duration, s.
     pub duration_max_s: f64,
-    /// Largest offset of a length (height, position, range), m. Ramps: per second.
+    /// Largest offset of a length (height, position, range), m. Ramps: per second, parabolas: per second squared.
     pub length_max_m: f64,
     /// Largest offset of an angular rate, rad/s.
     pub rate_max_radps: f64,
@@ -77,7 +77,7 @@ pub struct Bounds {
     pub scale_max: f64,
     /// Longest window of `Replay`, s.
     pub replay_max_s: f64,
-    /// Longest `Delay`, s.
+    /// Longest `Delay`, and furthest `TimeShift`, s.
     pub delay_max_s: f64,
 }
 
@@ -172,7 +172,7 @@ impl Bounds {
         let mask = channel.mask(sensor.kind, kind).ok_or(AttackError::Channel { id, sensor, channel, kind })?;
         let magnitude = attack.magnitude;
         match kind {
-            Kind::Bias | Kind::Ramp | Kind::Noise => {
+            Kind::Bias | Kind::Ramp | Kind::Parabola | Kind::Noise => {
                 let max = self.offset_max(sensor.kind, channel);
                 let min = if kind == Kind::Noise { 0.0 } else { -max };
                 within("magnitude", magnitude, min, max)?;
@@ -180,6 +180,7 @@ impl Bounds {
             Kind::Scale => within("scale", magnitude, -self.scale_max, self.scale_max)?,
             Kind::Replay => within("replay window (s)", magnitude, 0.05, self.replay_max_s)?,
             Kind::Delay => within("delay (s)", magnitude, 0.0, self.delay_max_s)?,
+            Kind::TimeShift => within("time shift (s)", magnitude, -self.delay_max_s, self.delay_max_s)?,
             Kind::Dropout => within("dropout probability", magnitude, 0.0, 1.0)?,
             Kind::Zero | Kind::Freeze | Kind::SignFlip => {}
         }

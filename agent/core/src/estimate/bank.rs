@@ -119,6 +119,14 @@ impl<'a> Judge<'a> {
         }
     }
 
+    /// Noise that it measures of the accelerometers, m/s²; `None` where it measures none.
+    pub fn noise_mps2(self) -> Option<f64> {
+        match self {
+            Self::Secure(_) => None,
+            Self::Lanes(lanes) => Some(lanes.noise_mps2()),
+        }
+    }
+
     /// Which it is.
     pub fn kind(self) -> EstimatorKind {
         match self {

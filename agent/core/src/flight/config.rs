@@ -2,6 +2,7 @@
 
 use plumbline_proto::ids::SensorId;
 
+use super::watermark;
 use crate::attack::Bounds;
 use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
@@ -88,7 +89,18 @@ pub struct AttackPolicy {
     pub bounds: Bounds,
 }
 
-/// Everything a [`super::Flight`] is built from.
+/// What must be proved of the attack envelope before it arms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EnvelopeDemand {
+    /// Nobody who is not seen may move the altitude further, m …
+    pub altitude_max_m: f64,
+    /// … who owns so many sensors …
+    pub sensors: usize,
+    /// … while the lanes measure this noise of their accelerometers, m/s².
+    pub noise_mps2: f64,
+}
+
+/// Everything a [`super::Flight`] is built from: a field for each thing that can be configured, hence so many.
 #[derive(Debug, Clone)]
 pub struct FlightConfig {
     /// The vehicle.
@@ -121,6 +133,10 @@ pub struct FlightConfig {
     pub attacks: AttackPolicy,
     /// Thresholds of the failsafes.
     pub failsafe: Settings,
+    /// What must be proved of the attack envelope to arm; nothing where it is left out.
+    pub envelope: Option<EnvelopeDemand>,
+    /// What is added to the thrust against replays; nothing where it is left out.
+    pub watermark: Option<watermark::Settings>,
 }
 
 impl FlightConfig {
@@ -143,6 +159,8 @@ impl FlightConfig {
             independent: Vec::new(),
             attacks: AttackPolicy::default(),
             failsafe: Settings::default(),
+            envelope: None,
+            watermark: None,
         }
     }
 

@@ -345,6 +345,7 @@ impl Flight {
             100.0 * change
         ));
         self.gains = new.clone();
+        self.supervision.envelope = None;
         self.event(Severity::Info, EventKind::Gains, done);
         Ok(done)
     }

@@ -1,15 +1,17 @@
 //! The flight as a whole: pre-arm checks, status, gains in use.
 
 use arrayvec::ArrayVec;
+use plumbline_proto::ids::GainsRevision;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::report::MAX_CHECKS;
-use super::{Check, Flight, FlightStatus, Phase, RigKind};
+use super::{Check, EnvelopeDemand, Flight, FlightStatus, Phase, RigKind};
 use crate::control::gains::Certified;
 use crate::estimate::Health;
 use crate::event::{Text, text};
 use crate::model::motor;
+use crate::types::EstimatorKind;
 
 /// Most tilt at arming, rad (15°); on a single axis the vehicle may lean as far as that lets it.
 const TILT_MAX_RAD: f64 = 0.262;
@@ -85,6 +87,10 @@ impl Flight {
             None => check("log", true, text(format_args!("writing"))),
             Some(error) => check("log", false, *error),
         }
+        if let Some(demand) = self.config.envelope {
+            let (passed, line) = self.envelope_check(demand);
+            check("envelope", passed, line);
+        }
         check(
             "cut",
             !self.supervision.cut_latched,
@@ -115,6 +121,38 @@ impl Flight {
             estimator_in_loop: self.bank.in_loop_kind(),
             deadline_misses: self.liveness.deadline_misses,
             gains_revision: self.gains.revision,
+        }
+    }
+
+    /// Bound of the attack envelope with the gains of `revision`, m: `None` where there is none; or why it is not known.
+    /// A condition for arming where one is demanded.
+    pub fn envelope_bounded(&mut self, revision: GainsRevision, bound_m: Result<Option<f64>, Text>) {
+        if revision == self.gains.revision {
+            self.supervision.envelope = Some(bound_m);
+        }
+    }
+
+    /// Is the attack envelope of the gains in use as small as demanded?
+    fn envelope_check(&self, demand: EnvelopeDemand) -> (bool, Text) {
+        let kind = self.bank.in_loop_kind();
+        let EnvelopeDemand { altitude_max_m, sensors, .. } = demand;
+        let most_cm = 100.0 * altitude_max_m;
+        match &self.supervision.envelope {
+            _ if kind != EstimatorKind::Lanes => {
+                (false, text(format_args!("its bounds are those of Lanes, {kind:?} is in the loop")))
+            }
+            None => (false, text(format_args!("not bounded yet for the gains in use"))),
+            Some(Err(reason)) => (false, *reason),
+            Some(Ok(None)) => {
+                (false, text(format_args!("no bound with {sensors} sensors attacked, at most {most_cm:.1} cm asked")))
+            }
+            Some(Ok(Some(bound_m))) => {
+                let line = text(format_args!(
+                    "{sensors} sensors attacked move it {:.1} cm unseen, at most {most_cm:.1} cm",
+                    100.0 * bound_m
+                ));
+                (*bound_m <= altitude_max_m, line)
+            }
         }
     }
 

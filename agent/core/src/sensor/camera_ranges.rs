@@ -52,6 +52,10 @@ impl Sample for CameraRangesSample {
         self.time
     }
 
+    fn with_time(self, time: FlightTime) -> Self {
+        Self { time, ..self }
+    }
+
     fn scalars(&self) -> Scalars {
         let mut values = Scalars::default();
         values[..CAMERAS].copy_from_slice(&self.range_m);
@@ -74,6 +78,7 @@ impl Sample for CameraRangesSample {
             reading.range_m.extend_from_slice(&s.range_m);
         };
         into.time_us = self.time.0;
+        into.received_time_us = wire::received_time_us(self, received);
         put(into.sensed.get_or_insert_default(), self);
         match received {
             Some(received) if received != self => {
@@ -90,9 +95,10 @@ impl Sample for CameraRangesSample {
 
     fn from_wire(m: v1::CameraRangesSample) -> Option<(Self, Received<Self>)> {
         let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), m.sensed, m.received, |r: v1::CameraRangesReading| {
+        let both = wire::sample(m.reception(), m.sensed, m.received, |r: v1::CameraRangesReading| {
             Some(Self { time, range_m: r.range_m.first_chunk().copied()? })
-        })
+        })?;
+        Some(wire::stamped(both, m.received_time_us))
     }
 }
 

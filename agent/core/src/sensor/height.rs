@@ -41,6 +41,10 @@ impl Sample for HeightSample {
         self.time
     }
 
+    fn with_time(self, time: FlightTime) -> Self {
+        Self { time, ..self }
+    }
+
     fn scalars(&self) -> Scalars {
         let mut values = Scalars::default();
         values[0] = self.height_m;
@@ -53,13 +57,17 @@ impl Sample for HeightSample {
     }
 
     fn to_wire(&self, received: Option<&Self>, into: &mut v1::HeightSample) {
+        let received_time_us = wire::received_time_us(self, received);
         let (reception, received_m) = wire::reception(self, received, |s| s.height_m);
-        *into = v1::HeightSample { time_us: self.time.0, reception, sensed_m: self.height_m, received_m };
+        let (time_us, sensed_m) = (self.time.0, self.height_m);
+        *into = v1::HeightSample { time_us, reception, sensed_m, received_m, received_time_us };
     }
 
     fn from_wire(m: v1::HeightSample) -> Option<(Self, Received<Self>)> {
         let time = FlightTime(m.time_us);
-        wire::sample(m.reception(), Some(m.sensed_m), m.received_m, |height_m| Some(Self { time, height_m }))
+        let both =
+            wire::sample(m.reception(), Some(m.sensed_m), m.received_m, |height_m| Some(Self { time, height_m }))?;
+        Some(wire::stamped(both, m.received_time_us))
     }
 }
 

@@ -61,6 +61,10 @@ pub trait Sample: Copy + PartialEq + std::fmt::Debug {
     /// When it was measured.
     fn time(&self) -> FlightTime;
 
+    /// The same sample, stamped with another time.
+    #[must_use]
+    fn with_time(self, time: FlightTime) -> Self;
+
     /// Its scalars.
     fn scalars(&self) -> Scalars;
 

@@ -181,6 +181,20 @@ impl Suite {
         suite
     }
 
+    /// Typical sensors, as many as are told, at the rates told, Hz; a rate of zero leaves the usual one.
+    pub fn at_rates(told: impl Iterator<Item = (SensorId, f64)> + Clone) -> Self {
+        let mut suite = Self::empty();
+        for (sensor, _) in told.clone() {
+            suite.add(sensor.kind);
+        }
+        suite.sheets_mut(|id, sheet| {
+            if let Some((_, rate_hz)) = told.clone().find(|(sensor, rate_hz)| *sensor == id && *rate_hz > 0.0) {
+                sheet.timing_mut().rate_hz = rate_hz;
+            }
+        });
+        suite
+    }
+
     /// One line for each sensor.
     pub fn descriptions(&self) -> ArrayVec<Description, MAX_SENSORS> {
         let mut list = ArrayVec::new();

@@ -1,7 +1,10 @@
 //! The parts that the messages of the sensors have in common.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{self, Reception};
+
+use super::sample::Sample;
 
 /// What the estimators received of a sample sensed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +39,22 @@ pub fn sample<R, S>(
     Some((make(sensed?)?, received))
 }
 
+/// Stamp of what was received, where it is another than that of what was sensed, µs.
+pub fn received_time_us<S: Sample>(sensed: &S, received: Option<&S>) -> Option<u64> {
+    received.map(|received| received.time().0).filter(|time_us| *time_us != sensed.time().0)
+}
+
+/// The inverse: what was received has the stamp told.
+pub fn stamped<S: Sample>((sensed, received): (S, Received<S>), time_us: Option<u64>) -> (S, Received<S>) {
+    let received = match (received, time_us) {
+        (Received::Instead(Some(received)), Some(time_us)) => {
+            Received::Instead(Some(received.with_time(FlightTime(time_us))))
+        }
+        (received, _) => received,
+    };
+    (sensed, received)
+}
+
 /// Time and message of a sample, in its `impl Sample`: the message holds a reading as sensed and, where it differs, one as
 /// received. `$reading` makes it of a sample, `$sample` the inverse (`None` where a part is missing).
 macro_rules! message {
@@ -46,16 +65,23 @@ macro_rules! message {
             self.time
         }
 
+        fn with_time(self, time: FlightTime) -> Self {
+            Self { time, ..self }
+        }
+
         fn to_wire(&self, received: Option<&Self>, into: &mut v1::$message) {
             let reading: fn(&Self) -> v1::$reading_type = $reading;
+            let received_time_us = wire::received_time_us(self, received);
             let (reception, received) = wire::reception(self, received, reading);
-            *into = v1::$message { time_us: self.time.0, reception, sensed: Some(reading(self)), received };
+            let (time_us, sensed) = (self.time.0, Some(reading(self)));
+            *into = v1::$message { time_us, reception, sensed, received, received_time_us };
         }
 
         fn from_wire(m: v1::$message) -> Option<(Self, Received<Self>)> {
             let sample: fn(FlightTime, v1::$reading_type) -> Option<Self> = $sample;
             let time = FlightTime(m.time_us);
-            wire::sample(m.reception(), m.sensed, m.received, |reading| sample(time, reading))
+            let both = wire::sample(m.reception(), m.sensed, m.received, |reading| sample(time, reading))?;
+            Some(wire::stamped(both, m.received_time_us))
         }
     };
 }

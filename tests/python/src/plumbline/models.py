@@ -109,10 +109,12 @@ class EnvelopeQuestion(TypedDict):
 
     design: NotRequired[Design]
     horizon_s: NotRequired[float | None]
+    more: NotRequired[str | None]
     most: NotRequired[int | None]
     noise_mps2: NotRequired[float | None]
     sensors: NotRequired[list[str] | None]
     suite: NotRequired[str | None]
+    without: NotRequired[list[str]]
 
 
 class EnvelopeSet(TypedDict):
@@ -273,6 +275,8 @@ class PlannedAttack(TypedDict):
     magnitude: NotRequired[float]
     seed: NotRequired[int]
     sensor: str
+    sequence: NotRequired[list[float]]
+    sequence_period_s: NotRequired[float | None]
     start_s: float
 
 

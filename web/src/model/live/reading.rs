@@ -191,6 +191,10 @@ impl Live {
                 let status: v1::SecureStatus = frame.message()?;
                 if new {
                     self.curves.push_secure(&status);
+                    let in_loop = self.in_loop();
+                    if let Some(bound_m) = self.reach.as_ref().and_then(|reach| reach.bound_now_m(&status, in_loop)) {
+                        self.curves.push_reach(in_loop, status.time_us, bound_m);
+                    }
                 }
                 self.secure.set(status, time_us);
             }

@@ -122,10 +122,15 @@ fn broken_frames_are_counted_and_do_no_harm() {
 fn an_altered_height_is_charted_as_received_and_a_dropped_one_not_at_all() {
     let mut live = Live::recorded();
     let mut out = Vec::new();
-    let altered =
-        v1::HeightSample { time_us: 1, reception: Reception::Altered.into(), sensed_m: 0.5, received_m: Some(1.0) };
+    let altered = v1::HeightSample {
+        time_us: 1,
+        reception: Reception::Altered.into(),
+        sensed_m: 0.5,
+        received_m: Some(1.0),
+        ..Default::default()
+    };
     let dropped =
-        v1::HeightSample { time_us: 2, reception: Reception::Dropped.into(), sensed_m: 0.5, received_m: None };
+        v1::HeightSample { time_us: 2, reception: Reception::Dropped.into(), sensed_m: 0.5, ..Default::default() };
     append(&mut out, Kind::Height, 2, 1, 1, &altered);
     append(&mut out, Kind::Height, 2, 2, 2, &dropped);
     live.ingest(&out, 0.0).unwrap();

@@ -45,7 +45,7 @@ fn run(kind: Kind, magnitude: f64) -> Vec<(f64, Option<f64>)> {
     let progress = injector.state()[0];
     assert_eq!(progress.phase, Phase::Done);
     // A ramp is zero at its onset: the first altered sample is the second.
-    let first = if kind == Kind::Ramp { 5_100_000 } else { 5_000_000 };
+    let first = if matches!(kind, Kind::Ramp | Kind::Parabola) { 5_100_000 } else { 5_000_000 };
     assert_eq!(progress.active, (kind != Kind::Dropout).then_some(FlightTime(first)).or(progress.active));
     assert_eq!(progress.ended, Some(FlightTime(15_000_000)));
     for (t, value) in &out {
@@ -68,6 +68,7 @@ fn deterministic_kinds_do_what_they_say_inside_their_span_only() {
     check(Kind::Zero, 0.0, |_| 0.0);
     check(Kind::Bias, 0.5, |t| 0.1 * t + 0.5);
     check(Kind::Ramp, 0.2, |t| 0.1 * t + 0.2 * (t - 5.0));
+    check(Kind::Parabola, 0.2, |t| 0.1 * t + 0.1 * (t - 5.0).powi(2));
     check(Kind::Scale, -2.0, |t| -0.2 * t);
     check(Kind::SignFlip, 0.0, |t| -0.1 * t);
     check(Kind::Freeze, 0.0, |_| 0.49);
@@ -255,4 +256,25 @@ fn only_rotors_that_there_are_can_be_attacked_and_by_no_more_than_their_full_thr
         let error = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
         assert!(error.contains(complaint), "{error}");
     }
+}
+
+#[test]
+fn a_time_shift_alters_the_stamp_alone_and_never_below_zero() {
+    for (magnitude, expected) in [(0.3, 6_300_000), (-0.3, 5_700_000), (-2.0, 4_000_000)] {
+        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+        let mut schedule = Schedule::default();
+        schedule.attacks.push(attack(Kind::TimeShift, magnitude));
+        injector.upload(&schedule, FlightTime(0)).unwrap();
+        let sample = Some(HeightSample { time: FlightTime(6_000_000), height_m: 0.5 });
+        let mut frame = SensorFrame { time: FlightTime(6_000_000), ..Default::default() };
+        (frame.heights[0], frame.heights[1]) = (sample, sample);
+        let received = injector.apply(&frame).heights;
+        assert_eq!(received[1], Some(HeightSample { time: FlightTime(expected), height_m: 0.5 }));
+        assert_eq!((received[0], injector.state()[0].altered_samples), (sample, 1));
+    }
+    let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+    let mut schedule = Schedule::default();
+    schedule.attacks.push(attack(Kind::TimeShift, 2.1));
+    let refused = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
+    assert!(refused.contains("time shift (s) 2.1 is outside -2 to 2"), "{refused}");
 }

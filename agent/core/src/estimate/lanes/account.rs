@@ -19,7 +19,7 @@ const TILT_SIGMA_DEGRADED_RAD: f64 = 0.15;
 /// Lanes that contradict each other for so many slots degrade.
 const CONTRADICTED_SLOTS: u32 = 25;
 /// An exclusion is announced where the vote holds so much against the lane, and as long as it holds so much.
-const AGREED: f64 = 0.6;
+pub(super) const AGREED: f64 = 0.6;
 const STILL_AGREED: f64 = 0.2;
 /// Gate of an IMU's residual, in its σ.
 const GATE: f64 = 5.0;

@@ -27,6 +27,7 @@ mod evidence;
 mod fusion;
 mod heights;
 mod integral;
+pub mod judged;
 mod lane;
 pub mod linear;
 mod noise;

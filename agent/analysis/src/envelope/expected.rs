@@ -1,0 +1,161 @@
+//! What an attack that adds to heights and accelerometers is expected to be seen with: the lanes' own judges, fed with what it
+//! adds and with drawn noise, many times.
+//!
+//! Heights are heard as the residuals that the linear loop has of them. A lane with an attacked IMU is heard by what it differs from the others in the linear loop, behind the
+//! noise of the heights that all lanes share. Noise is white, as the data sheets have it; vibration, offsets that are not learned and what
+//! the vehicle does are left out.
+
+use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT};
+use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::flying::{ALTITUDE_M, Attacked, Differs, Loop, Regime};
+use super::{EnvelopeError, Model, Signal};
+
+/// Flights drawn.
+pub const DRAWN: u64 = 200;
+/// Judges have heard so long of nothing but noise before the onset, s.
+const BEFORE_S: f64 = 8.0;
+
+/// What is added to one sensor over time: seconds since the onset to m or m/s².
+#[allow(missing_debug_implementations, reason = "a function")]
+pub struct Added<'a> {
+    /// Its sensor.
+    pub sensor: SensorId,
+    /// What is added.
+    pub at: &'a dyn Fn(f64) -> f64,
+}
+
+/// What is expected of an attack.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Flights of [`DRAWN`] in which a sensor attacked was excluded.
+    pub seen: u64,
+    /// Furthest that it moves the altitude in the linear loop, m.
+    pub altitude_m: f64,
+}
+
+impl Expected {
+    /// Part of the flights in which it is seen.
+    pub fn probability(&self) -> f64 {
+        self.seen as f64 / DRAWN as f64
+    }
+}
+
+/// What is expected of `added` for `horizon_s`; `seed` of the noise.
+///
+/// # Errors
+/// [`EnvelopeError`].
+pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -> Result<Expected, EnvelopeError> {
+    let sensors: Vec<SensorId> = added.iter().map(|one| one.sensor).collect();
+    let attacked = flying.attacked(&sensors, Regime::Full)?;
+    let every = attacked.attacked();
+    let value = |sensor: SensorId, k: usize| {
+        let period = every.iter().find(|(of, ..)| *of == sensor).map(|(_, period_s, _)| *period_s);
+        let one = added.iter().find(|one| one.sensor == sensor);
+        // Of a slot its middle counts.
+        let late = if sensor.kind == SensorKind::Imu { 0.5 } else { 0.0 };
+        let at = one.zip(period).map_or(0.0, |(one, period_s)| (one.at)((k as f64 + late) * period_s));
+        Signal::from_element(1, at)
+    };
+    // The last slots are closed behind the horizon of the lanes.
+    let response = attacked.respond(horizon_s + HORIZON_S + SLOT, 1, &value)?;
+    let within = (horizon_s / SLOT).round() as usize;
+    let altitude_m = response.altitude_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
+    let differs = attacked.differs(horizon_s, &value)?;
+    let (schedule, mut seen) = (flying.schedule()?, 0);
+    let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];
+    for (number, i, residual) in &response.residuals_m {
+        if let Some(place) = residuals_m.get_mut(*number).and_then(|slot| slot.get_mut(*i)) {
+            *place = residual[0];
+        }
+    }
+    let heard =
+        Heard { attacked: &attacked, residuals_m: &residuals_m, differs: &differs, schedule: &schedule, horizon_s };
+    for number in 0..DRAWN {
+        seen += u64::from(heard.is_seen(&mut Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20))));
+    }
+    Ok(Expected { seen, altitude_m })
+}
+
+struct Heard<'a> {
+    attacked: &'a Attacked<'a>,
+    /// Of the heights, slot by slot, without noise.
+    residuals_m: &'a [[f64; MAX_HEIGHTS]],
+    differs: &'a [Differs],
+    schedule: &'a [[Option<f64>; MAX_HEIGHTS]],
+    horizon_s: f64,
+}
+
+impl Heard<'_> {
+    /// Is an attacked sensor excluded, with noise of these `dice`?
+    fn is_seen(&self, dice: &mut Xoshiro256PlusPlus) -> bool {
+        let mut judges = Judged::default();
+        // The attack begins with the cycle of the heights.
+        let before = ((BEFORE_S / SLOT) as usize).next_multiple_of(self.schedule.len().max(1));
+        let slots = before + (self.horizon_s / SLOT).ceil() as usize;
+        for number in 0..slots {
+            let (heights, noises) = self.heights(number, before, dice);
+            let lanes = self.lanes(number, before, &noises, dice);
+            judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &lanes);
+            if number >= before && self.is_excluded(&judges) {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn is_excluded(&self, judges: &Judged) -> bool {
+        self.attacked.heights.iter().any(|i| judges.height(*i)) || self.attacked.imus.iter().any(|i| judges.imu(*i))
+    }
+
+    /// What the heights read in slot `number`, from the altitude, and the noise in it.
+    #[allow(clippy::type_complexity, reason = "what the judges take, and its part")]
+    fn heights(
+        &self,
+        number: usize,
+        before: usize,
+        dice: &mut Xoshiro256PlusPlus,
+    ) -> ([Option<(FlightTime, f64)>; MAX_HEIGHTS], [f64; MAX_HEIGHTS]) {
+        let end_s = (number + 1) as f64 * SLOT;
+        let ages = self.schedule.get(number % self.schedule.len().max(1)).copied().unwrap_or_default();
+        let (mut heights, mut noises) = ([None; MAX_HEIGHTS], [0.0; MAX_HEIGHTS]);
+        for (i, ((place, noise), age_s)) in heights.iter_mut().zip(&mut noises).zip(ages).enumerate() {
+            let Some(age_s) = age_s else { continue };
+            let draw: f64 = StandardNormal.sample(dice);
+            *noise = self.attacked.flying.white.0.get(i).map_or(0.0, |sigma_m| sigma_m * draw);
+            let slot = number.checked_sub(before).and_then(|number| self.residuals_m.get(number));
+            let residual_m = slot.and_then(|slot| slot.get(i)).copied().unwrap_or_default();
+            *place = Some((FlightTime::from_seconds(end_s - age_s), *noise + residual_m));
+        }
+        (heights, noises)
+    }
+
+    fn lanes(
+        &self,
+        number: usize,
+        before: usize,
+        noises: &[f64; MAX_HEIGHTS],
+        dice: &mut Xoshiro256PlusPlus,
+    ) -> [Option<LaneHeard>; MAX_IMUS] {
+        let mut lanes = [None; MAX_IMUS];
+        // Before the attack the innovations are the heights' noise, of the same sigmas.
+        let place = number.checked_sub(before).unwrap_or(number % before.max(1));
+        let Some(slot) = self.differs.get(place % self.differs.len().max(1)) else { return lanes };
+        for ((i, lane), sigma_mps2) in lanes.iter_mut().enumerate().zip(&self.attacked.flying.white.1) {
+            let own = self.attacked.imus.iter().position(|imu| *imu == i).filter(|_| number >= before);
+            let (added, differs, bias_mps2) = own.and_then(|own| slot.lanes.get(own)).copied().unwrap_or_default();
+            let draw: f64 = StandardNormal.sample(dice);
+            let of = |j: usize| Some((noises.get(j)? + differs.get(j)?) / (*slot.sigma_m.get(j)?)?);
+            let innovations = std::array::from_fn(of);
+            *lane = Some(LaneHeard { innovations, force_mps2: added + sigma_mps2 * draw, bias_mps2 });
+        }
+        lanes
+    }
+}

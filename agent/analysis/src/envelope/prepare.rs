@@ -1,0 +1,190 @@
+//! Attacks that know the model, as a schedule has them, and what is expected of any schedule.
+//!
+//! | generator | what is added |
+//! |---|---|
+//! | optimal | the maximising sequence of the envelope, sample by sample |
+//! | stealthy bias | the same constant to every height attacked, the largest seen in one of twenty flights |
+//! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again |
+
+use plumbline_core::attack::Bounds;
+use plumbline_core::sensor::suite::Suite;
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+use plumbline_rest::command::PlannedAttack;
+use plumbline_rest::envelope::{AttackQuestion, PreparedAttack};
+
+use super::expected::{Added, Expected, expected};
+use super::flying::Regime;
+use super::sets::{Asked, Verdict, verdict, wrong};
+use super::{Deviation, EnvelopeError, Model, columns};
+
+/// A stealthy bias is seen in so many flights …
+const STEALTHY: f64 = 0.05;
+/// … and told to within a part of 2 to this.
+const HALVINGS: usize = 7;
+/// Largest bias tried, m.
+const LARGEST_M: f64 = 0.5;
+/// Seed of the noise drawn: the same question, the same answer.
+const SEED: u64 = 21;
+/// Longest attack that is judged, s.
+const LONGEST_S: f64 = 60.0;
+
+/// Prepares what `question` asks for, of the vehicle with the sensors of `suite`, and judges it.
+///
+/// # Errors
+/// [`EnvelopeError`] naming field and value.
+pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<PreparedAttack, EnvelopeError> {
+    let mut of = question.of.clone();
+    if question.generator.is_none() {
+        of.sensors = Some(Vec::new());
+    } else if of.sensors.as_ref().is_none_or(Vec::is_empty) {
+        return Err(wrong("sensors", "is empty, a generator attacks at least one".into()));
+    }
+    let asked = Asked::new(&of, suite)?;
+    let set = asked.sets.first().cloned().unwrap_or_default();
+    let planned = |sensor: SensorId, kind: &str, magnitude: f64| PlannedAttack {
+        sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
+        instance: u32::from(sensor.instance),
+        channel: if sensor.kind == SensorKind::Imu { "accel_z" } else { "all" }.to_owned(),
+        kind: kind.to_owned(),
+        start_s: question.start_s,
+        duration_s: asked.horizon_s,
+        magnitude,
+        seed: 1,
+        ..PlannedAttack::default()
+    };
+    let attacks = match question.generator.as_deref() {
+        None => question.attacks.clone(),
+        Some("optimal") => {
+            let (found, _) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Altitude)?;
+            let Verdict::Bounded(bound) = found else {
+                return Err(wrong(
+                    "sensors",
+                    "have no bound, so no largest attack: a covert one goes on for ever".into(),
+                ));
+            };
+            let model = asked.flying.attacked(&set, Regime::Full)?;
+            let every = model.attacked().into_iter().zip(columns(&model, asked.horizon_s));
+            let one =
+                |((sensor, period_s, allowed), (_, first, count)): ((SensorId, f64, f64), (SensorId, usize, usize))| {
+                    let values: Vec<f64> =
+                        bound.attack.rows(first, count).iter().map(|x| x.clamp(-allowed, allowed)).collect();
+                    let most = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
+                    PlannedAttack {
+                        sequence: values.into_iter().map(|x| x / most).collect(),
+                        sequence_period_s: Some(period_s),
+                        ..planned(sensor, "bias", most)
+                    }
+                };
+            every.map(one).collect()
+        }
+        Some("stealthy_bias") => {
+            let bias_m = stealthy_m(&asked, &set)?;
+            set.iter().map(|sensor| planned(*sensor, "bias", bias_m)).collect()
+        }
+        Some("covert") => {
+            let accel_mps2 = question.accel_mps2.unwrap_or(0.02);
+            let most = Bounds::default().accel_max_mps2;
+            if accel_mps2.is_nan() || accel_mps2.abs() > most {
+                return Err(wrong("accel_mps2", format!("is {accel_mps2}, it must be within ±{most}")));
+            }
+            let of = |sensor: &SensorId| match sensor.kind {
+                SensorKind::Imu => planned(*sensor, "bias", -accel_mps2),
+                _ => planned(*sensor, "parabola", -accel_mps2),
+            };
+            set.iter().map(of).collect()
+        }
+        Some(other) => {
+            let problem = format!("is {other:.40?}, it must be optimal, stealthy_bias or covert");
+            return Err(wrong("generator", problem));
+        }
+    };
+    let (found, note) = judged(&asked, &attacks)?;
+    Ok(PreparedAttack {
+        attacks,
+        probability: found.map(|found| found.probability()),
+        altitude_m: found.map(|found| found.altitude_m),
+        note,
+    })
+}
+
+/// The largest bias on all of `set` that is seen in at most one of twenty flights, m.
+fn stealthy_m(asked: &Asked, set: &[SensorId]) -> Result<f64, EnvelopeError> {
+    if let Some(other) = set.iter().find(|sensor| sensor.kind != SensorKind::Height) {
+        return Err(wrong("sensors", format!("have {other}: a stealthy bias is one of heights")));
+    }
+    let seen = |bias_m: f64| {
+        let at = move |_: f64| bias_m;
+        let added: Vec<Added<'_>> = set.iter().map(|sensor| Added { sensor: *sensor, at: &at }).collect();
+        Ok::<bool, EnvelopeError>(expected(&asked.flying, &added, asked.horizon_s, SEED)?.probability() > STEALTHY)
+    };
+    if !seen(LARGEST_M)? {
+        return Ok(LARGEST_M);
+    }
+    let (mut low, mut high) = (0.0, LARGEST_M);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if seen(middle)? { high = middle } else { low = middle }
+    }
+    Ok(low)
+}
+
+/// What is added at so many seconds since the first onset.
+type Adds<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
+
+/// What an attack of a schedule adds at so many seconds since the first onset; `None` where it does not just add.
+fn added(attack: &PlannedAttack, first_s: f64) -> Option<Adds<'_>> {
+    let sound = [attack.start_s, attack.duration_s, attack.magnitude].iter().all(|x| x.is_finite());
+    let known = match attack.sensor.as_str() {
+        "height" => attack.channel == "all",
+        "imu" => attack.channel == "accel_z",
+        _ => false,
+    };
+    let shape: fn(f64) -> f64 = match attack.kind.as_str() {
+        "bias" => |_| 1.0,
+        "ramp" => |t| t,
+        "parabola" => |t| 0.5 * t * t,
+        _ => return None,
+    };
+    (known && sound).then(|| -> Adds<'_> {
+        Box::new(move |since_s| {
+            let t = since_s + first_s - attack.start_s;
+            if !(-1e-9..attack.duration_s).contains(&t) {
+                return 0.0;
+            }
+            let part = attack.sequence_period_s.map_or(1.0, |period_s| {
+                attack.sequence.get((t.max(0.0) / period_s + 1e-9) as usize).copied().unwrap_or(0.0)
+            });
+            attack.magnitude * part * shape(t.max(0.0))
+        })
+    })
+}
+
+/// What is expected of `attacks`, and what keeps anything from being expected.
+fn judged(asked: &Asked, attacks: &[PlannedAttack]) -> Result<(Option<Expected>, String), EnvelopeError> {
+    let first_s = attacks.iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min);
+    let end_s = attacks.iter().map(|attack| attack.start_s + attack.duration_s).fold(0.0, f64::max);
+    let name = |attack: &PlannedAttack| format!("{} {}", attack.sensor, attack.instance);
+    let mut of: Vec<(SensorId, Vec<Adds<'_>>)> = Vec::new();
+    for attack in attacks {
+        let sensor = name(attack).parse::<SensorId>().ok().filter(|sensor| asked.flying.sensors.contains(sensor));
+        let (Some(sensor), Some(adds)) = (sensor, added(attack, first_s)) else {
+            return Ok((
+                None,
+                format!("nothing is expected of {} on {} of {}", attack.kind, attack.channel, name(attack)),
+            ));
+        };
+        match of.iter_mut().find(|(known, _)| *known == sensor) {
+            Some((_, all)) => all.push(adds),
+            None => of.push((sensor, vec![adds])),
+        }
+    }
+    if of.is_empty() || end_s - first_s > LONGEST_S {
+        let longest = format!("nothing is expected beyond {LONGEST_S} s");
+        return Ok((None, if of.is_empty() { String::new() } else { longest }));
+    }
+    let sums: Vec<_> =
+        of.iter().map(|(sensor, all)| (*sensor, move |t: f64| all.iter().map(|f| f(t)).sum::<f64>())).collect();
+    let added: Vec<Added<'_>> = sums.iter().map(|(sensor, at)| Added { sensor: *sensor, at }).collect();
+    Ok((Some(expected(&asked.flying, &added, end_s - first_s, SEED)?), String::new()))
+}

@@ -1,0 +1,86 @@
+//! Attacks that know the model: prepared, and judged before they fly.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use plumbline_analysis::envelope::expected::{Added, DRAWN, Expected, expected};
+use plumbline_analysis::envelope::prepare::prepared;
+use plumbline_analysis::envelope::sets::Asked;
+use plumbline_rest::command::PlannedAttack;
+use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
+
+/// A stealthy bias is seen in so many flights.
+const STEALTHY: f64 = 0.05;
+
+fn of(sensors: &[(&str, f64)]) -> Expected {
+    let asked = Asked::new(&EnvelopeQuestion::default(), None).unwrap();
+    let values: Vec<_> = sensors.iter().map(|(_, value)| move |_: f64| *value).collect();
+    let added = sensors.iter().zip(&values);
+    let added: Vec<Added<'_>> = added.map(|((name, _), at)| Added { sensor: name.parse().unwrap(), at }).collect();
+    expected(&asked.flying, &added, 10.0, 1).unwrap()
+}
+
+#[test]
+fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
+    let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
+    println!("{parts:?}");
+    assert!(parts[0].seen <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen == DRAWN, "{parts:?}");
+    assert!(parts.windows(2).all(|two| two[1].seen >= two[0].seen && two[1].altitude_m > two[0].altitude_m));
+    let accel = [0.02, 0.3, 3.0].map(|bias| of(&[("imu 1", bias)]));
+    println!("{accel:?}");
+    assert!(accel[0].seen <= 2 && accel[2].seen == DRAWN, "{accel:?}");
+    // Two of three outvote the third: what is excluded is not attacked.
+    let two = of(&[("height 1", 0.1), ("height 2", 0.1)]);
+    assert!(two.seen < parts[2].seen, "{two:?}");
+}
+
+fn question(generator: Option<&str>, sensors: &[&str]) -> AttackQuestion {
+    let sensors = Some(sensors.iter().map(|name| (*name).to_owned()).collect());
+    let of = EnvelopeQuestion { sensors, horizon_s: Some(5.0), ..EnvelopeQuestion::default() };
+    AttackQuestion { of, generator: generator.map(str::to_owned), start_s: 2.0, ..AttackQuestion::default() }
+}
+
+#[test]
+fn generators_prepare_what_a_schedule_takes_and_stealthy_ones_are_hardly_seen() {
+    let optimal = prepared(&question(Some("optimal"), &["height 2", "imu 1"]), None).unwrap();
+    println!("optimal {:?} {:?}", optimal.probability, optimal.altitude_m);
+    let [height, imu] = &optimal.attacks[..] else { panic!("{optimal:?}") };
+    assert_eq!((height.sequence.len(), imu.sequence.len(), imu.channel.as_str()), (50, 125, "accel_z"));
+    assert!(optimal.probability.is_some_and(|p| p < 0.5) && optimal.altitude_m.is_some_and(|m| m > 0.02));
+    let bias = prepared(&question(Some("stealthy_bias"), &["height 2"]), None).unwrap();
+    println!("stealthy {:?} {:?} {:?}", bias.attacks[0].magnitude, bias.probability, bias.altitude_m);
+    assert!(bias.probability.unwrap() <= STEALTHY && (0.01..0.2).contains(&bias.attacks[0].magnitude));
+    // All of them: never seen, however far it goes.
+    let all = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4"];
+    let covert = AttackQuestion { accel_mps2: Some(0.2), ..question(Some("covert"), &all) };
+    let covert = prepared(&covert, None).unwrap();
+    println!("covert {:?} {:?}", covert.probability, covert.altitude_m);
+    assert!(covert.probability.unwrap() <= 0.01 && covert.altitude_m.unwrap() > 2.0, "{covert:?}");
+    // One healthy height tells.
+    let covert = AttackQuestion { accel_mps2: Some(0.2), ..question(Some("covert"), &all[1..]) };
+    println!("but one height {:?}", prepared(&covert, None).unwrap().probability);
+}
+
+#[test]
+fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
+    let attack = |kind: &str, magnitude| PlannedAttack {
+        sensor: "height".into(),
+        instance: 2,
+        channel: "all".into(),
+        kind: kind.into(),
+        start_s: 3.0,
+        duration_s: 6.0,
+        magnitude,
+        ..PlannedAttack::default()
+    };
+    let judge =
+        |attacks: Vec<PlannedAttack>| prepared(&AttackQuestion { attacks, ..AttackQuestion::default() }, None).unwrap();
+    assert_eq!(judge(vec![attack("bias", 0.5)]).probability, Some(1.0));
+    assert!(judge(vec![attack("bias", 0.5), attack("bias", -0.5)]).probability.unwrap() < 0.02);
+    let replay = judge(vec![attack("replay", 3.0)]);
+    assert_eq!((replay.probability, replay.note.as_str()), (None, "nothing is expected of replay on all of height 2"));
+    let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
+    assert!(refused(&question(Some("magic"), &["height 1"])).contains("\"magic\""));
+    assert!(refused(&question(Some("optimal"), &[])).contains("sensors"));
+    assert!(refused(&question(Some("stealthy_bias"), &["imu 1"])).contains("imu 1"));
+    assert!(refused(&question(Some("optimal"), &["height 1", "height 2", "height 3"])).contains("no bound"));
+}
