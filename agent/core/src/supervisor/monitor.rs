@@ -16,6 +16,8 @@ const BRAKE_DELAY_S: f64 = 0.12;
 /// The same without an estimator: a descent on attitude alone brakes less, and raw heights come late.
 const BLIND_BRAKE_MPS2: f64 = 3.0;
 const BLIND_DELAY_S: f64 = 0.3;
+/// An estimator that takes it to be so much lower than the raw heights do, m, is in doubt as soon as the watchdog disagrees.
+const FOOLED_M: f64 = 0.1;
 /// Lost ticks are counted in parts of a second …
 const BIN_S: f64 = 0.1;
 /// … as many as make one.
@@ -185,8 +187,9 @@ impl Monitor {
         self.degraded_ticks = if i.degraded { self.degraded_ticks.saturating_add(1) } else { 0 };
         let patience = if i.corroborated { CORROBORATED_PATIENCE } else { 1 };
         // What is about to leave its box upwards is not held there by an estimator in doubt that takes it to be lower.
-        let lower = i.raw_height_m.zip(i.altitude_m).is_some_and(|(raw_m, altitude_m)| altitude_m < raw_m);
-        let fooled = i.degraded && above && lower;
+        let lower_m = i.raw_height_m.zip(i.altitude_m).map_or(0.0, |(raw_m, altitude_m)| raw_m - altitude_m);
+        let in_doubt = i.degraded && lower_m > 0.0 || !i.corroborated && lower_m > FOOLED_M;
+        let fooled = above && in_doubt;
         let degraded = self.degraded_ticks > s.degraded_ticks.saturating_mul(patience) || fooled;
         let lost = self.lost_within_a_second(i.now);
         // Within one severity the first row counts.

@@ -213,7 +213,8 @@ fn rotors_lose_thrust_stick_lag_and_keep_what_they_were_told_last() {
         duration_s: 1.0,
         ..attack(kind, magnitude)
     };
-    let cases: [(Kind, f64, fn(f64) -> f64); 6] = [
+    type Expected = fn(f64) -> f64;
+    let cases: [(Kind, f64, Expected); 6] = [
         (Kind::Scale, 0.8, |asked| 0.8 * asked),
         (Kind::Bias, -0.1, |asked| asked - 0.1),
         (Kind::Zero, 0.0, |_| 0.0),
