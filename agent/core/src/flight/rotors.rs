@@ -53,9 +53,9 @@ const ODDS: f64 = 5.0;
 /// So much may be left unexplained, of what is explained.
 const UNEXPLAINED: f64 = 0.5;
 /// The thrust misses at least so much of what the torque says, …
-const MISSING: f64 = 0.3;
-/// … or what lies within so many sigmas of it.
-const MISSING_SIGMAS: f64 = 0.5;
+const MISSING: f64 = 0.4;
+/// … and so many sigmas more: a push at one arm has its torque, and no less thrust.
+const MISSING_SIGMAS: f64 = 0.25;
 /// Smallest loss that is told.
 const LEAST_LOSS: f64 = 0.04;
 /// The estimate of an isolated rotor follows with this time constant, s.
@@ -104,8 +104,7 @@ impl Evidence {
     fn fits(&self) -> bool {
         let unexplained = self.rr - self.explained() - 4.0 * self.lasts;
         let (ss, sr) = self.thrust;
-        let slack = if ss > 0.0 { MISSING_SIGMAS / ss.sqrt() } else { 0.0 };
-        let missing = ss > 0.0 && sr / ss > MISSING * self.loss() - slack;
+        let missing = ss > 0.0 && sr / ss > MISSING * self.loss() + MISSING_SIGMAS / ss.sqrt();
         self.loss() > LEAST_LOSS && unexplained < UNEXPLAINED * self.explained() && missing
     }
 }

@@ -65,6 +65,12 @@ fn every_row_of_the_table_comes_at_its_time() {
         move |_, i: &mut Inputs| (i.degraded, i.climb_mps, i.altitude_m) = (true, climb_mps, Some(altitude_m))
     };
     expect(&first_seen(doubted(0.0, 0.4)), &[(Failsafe::EstimatorDescend, 0.2)]);
+    // Not degraded: the watchdog has to disagree, by 10 cm and more.
+    let held_down = |altitude_m: f64, corroborated: bool| {
+        move |_, i: &mut Inputs| (i.corroborated, i.climb_mps, i.altitude_m) = (corroborated, 4.0, Some(altitude_m))
+    };
+    expect(&first_seen(held_down(0.85, false)), &[(Failsafe::EstimatorDescend, 0.0)]);
+    expect(&first_seen(held_down(0.85, true)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
     expect(&first_seen(doubted(3.0, 0.4)), &[(Failsafe::EstimatorDescend, 0.0)]);
     expect(&first_seen(doubted(3.0, 1.6)), &[(Failsafe::BoxHold, 0.0), (Failsafe::EstimatorDescend, 0.2)]);
     let low = |_, i: &mut Inputs| (i.tilt_rad, i.raw_height_m) = (61.0_f64.to_radians(), Some(0.4));
@@ -72,8 +78,12 @@ fn every_row_of_the_table_comes_at_its_time() {
     expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
     expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
     expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
-    // The estimate is wrong, the raw heights are not.
-    expect(&first_seen(|_, i| i.raw_height_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
+    // The estimate is wrong, the raw heights are not; or the watchdog agrees with it.
+    expect(&first_seen(|_, i| i.raw_height_m = Some(2.4)), &[(Failsafe::EstimatorDescend, 0.0)]);
+    expect(
+        &first_seen(|_, i| (i.raw_height_m, i.corroborated) = (Some(2.4), true)),
+        &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
+    );
     expect(
         &first_seen(|_, i| i.lateral = Some(Outward { distance_m: 2.4, speed_mps: 0.0, pull_mps2: 0.0 })),
         &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)],
