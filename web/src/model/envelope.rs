@@ -186,7 +186,7 @@ mod tests {
         );
         assert_eq!(
             (of_one_m(&before), line(&before).as_str()),
-            (Some(0.025), "height 1: 2.5 cm; any IMU: 1.9 cm; all heights: unbounded")
+            (Some(0.025), "height 1: 2.5 cm; any IMU: 1.9 cm; height 1 and height 2: unbounded")
         );
     }
 

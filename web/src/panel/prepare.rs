@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn what_is_expected_is_one_line_and_what_is_not_says_why() {
         let expected =
-            PreparedAttack { probability: Some(0.885), altitude_m: Some(0.0241), ..PreparedAttack::default() };
+            PreparedAttack { probability: Some(0.887), altitude_m: Some(0.0241), ..PreparedAttack::default() };
         assert_eq!(
             told(&expected),
             "With lanes in the loop an exclusion is expected in 89 % of flights; the altitude moves up to 2.4 cm."

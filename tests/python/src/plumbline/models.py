@@ -294,6 +294,15 @@ class Policy(TypedDict):
     unit_step_max: NotRequired[float]
 
 
+class PreparedAttack(TypedDict):
+    """An attack, and what is expected of it with lanes in the loop."""
+
+    altitude_m: NotRequired[float | None]
+    attacks: NotRequired[list[PlannedAttack]]
+    note: NotRequired[str]
+    probability: NotRequired[float | None]
+
+
 class Problem(TypedDict):
     """
     The body of every error, `application/problem+json` (RFC 9457): [`Problem::code`] is stable, [`Problem::detail`] is
@@ -521,6 +530,16 @@ class AttackPlan(TypedDict):
     """`PUT attacks`: a schedule."""
 
     attacks: list[PlannedAttack]
+
+
+class AttackQuestion(TypedDict):
+    """An attack to be prepared, or one to be judged before it flies (`POST /api/v1/envelope/attack`)."""
+
+    accel_mps2: NotRequired[float | None]
+    attacks: NotRequired[list[PlannedAttack]]
+    generator: NotRequired[str | None]
+    of: NotRequired[EnvelopeQuestion]
+    start_s: NotRequired[float]
 
 
 class Condition(TypedDict):
