@@ -19,6 +19,7 @@ use plumbline_proto::v1::command::Body;
 use plumbline_proto::{Kind, v1};
 use plumbline_support::files;
 use tokio::sync::watch;
+use tokio::task::JoinHandle;
 
 const PASSWORD: &str = "a long enough password";
 
@@ -68,6 +69,13 @@ async fn attended(mut agent: Agent, mut stop: watch::Receiver<bool>) -> (Vec<Bod
     }
 }
 
+/// An attended agent of this ground: what ends it, and what comes of it.
+async fn fly(ground: &Ground) -> (watch::Sender<bool>, JoinHandle<(Vec<Body>, usize)>) {
+    let agent = ground.agent("iris-1", 1).await;
+    let (stop, stopped) = watch::channel(false);
+    (stop, tokio::spawn(attended(agent, stopped)))
+}
+
 /// GIVEN a vehicle in flight WHEN pymavlink attaches THEN it reads the flight, and what it orders is done.
 #[tokio::test(flavor = "multi_thread")]
 async fn pymavlink_reads_a_flight_and_commands_it() {
@@ -75,9 +83,7 @@ async fn pymavlink_reads_a_flight_and_commands_it() {
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let folder = tempfile::tempdir().unwrap();
     let ground = ground(folder.path(), SocketAddr::from(([127, 0, 0, 1], port)), None).await;
-    let agent = ground.agent("iris-1", 1).await;
-    let (stop, stopped) = watch::channel(false);
-    let flying = tokio::spawn(attended(agent, stopped));
+    let (stop, flying) = fly(&ground).await;
     let read = move || files::mavlink_by(&python, port);
     let found = tokio::task::spawn_blocking(read).await.unwrap().unwrap();
     stop.send_replace(true);
@@ -186,9 +192,7 @@ async fn a_station_may_what_its_account_may() {
     }
     let mut gcs = Gcs::new();
     let ground = ground(folder.path(), gcs.address(), Some("gcs")).await;
-    let agent = ground.agent("iris-1", 1).await;
-    let (stop, stopped) = watch::channel(false);
-    let flying = tokio::spawn(attended(agent, stopped));
+    let (stop, flying) = fly(&ground).await;
     let orders = tokio::task::spawn_blocking(move || {
         gcs.wait("heartbeat", |message| matches!(message, MavMessage::HEARTBEAT(_)).then_some(()));
         let mut results = vec![gcs.order(ARM, 1.0), gcs.order(CUT, 1.0)];
@@ -225,9 +229,7 @@ async fn control_held_by_another_is_not_taken() {
     let folder = tempfile::tempdir().unwrap();
     let mut gcs = Gcs::new();
     let ground = ground(folder.path(), gcs.address(), None).await;
-    let agent = ground.agent("iris-1", 1).await;
-    let (stop, stopped) = watch::channel(false);
-    let flying = tokio::spawn(attended(agent, stopped));
+    let (stop, flying) = fly(&ground).await;
     ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     let taken =
         ground.request_as("PUT", "/api/v1/vehicles/iris-1/lease", "{}", &[("x-plumbline-operator", "ann")]).await;
@@ -254,9 +256,7 @@ async fn what_is_no_message_is_no_order() {
     let folder = tempfile::tempdir().unwrap();
     let mut gcs = Gcs::new();
     let ground = ground(folder.path(), gcs.address(), None).await;
-    let agent = ground.agent("iris-1", 1).await;
-    let (stop, stopped) = watch::channel(false);
-    let flying = tokio::spawn(attended(agent, stopped));
+    let (stop, flying) = fly(&ground).await;
     let disarmed = tokio::task::spawn_blocking(move || {
         gcs.wait("heartbeat", |message| matches!(message, MavMessage::HEARTBEAT(_)).then_some(()));
         let cut = COMMAND_LONG_DATA {

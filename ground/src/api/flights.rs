@@ -13,7 +13,7 @@ use super::download;
 use super::error::ApiError;
 use super::extract::{Path, Query};
 use super::operator::Operator;
-use crate::recorder::{Export, Flight, Format, RecordingError, Selection};
+use crate::recorder::{Export, Flight, Format, RecorderHandle, RecordingError, Selection};
 use crate::sync::wall_time_us;
 
 /// Runs `work`, which waits for the disk, off the server's threads.
@@ -42,14 +42,22 @@ pub(crate) async fn list(State(app): State<App>, Query(asked): Query<Listing>) -
     Ok(Json(Flights { flights, total, storage, ready }))
 }
 
-pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Flight>, ApiError> {
+/// The flight that `find` has the recorder give, with when it is due for deletion.
+async fn one(
+    app: &App,
+    find: impl FnOnce(&RecorderHandle) -> Result<Flight, RecordingError> + Send + 'static,
+) -> Result<Json<Flight>, ApiError> {
     let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
     let read = on_disk(move || {
-        let mut flight = recorder.flight(&id)?;
+        let mut flight = find(&recorder)?;
         retention.date(std::slice::from_mut(&mut flight), wall_time_us())?;
         Ok(flight)
     });
     Ok(Json(read.await?))
+}
+
+pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Flight>, ApiError> {
+    one(&app, move |recorder| recorder.flight(&id)).await
 }
 
 pub(crate) async fn annotate(
@@ -57,13 +65,7 @@ pub(crate) async fn annotate(
     Path(id): Path<String>,
     Body(labels): Body<Labels>,
 ) -> Result<Json<Flight>, ApiError> {
-    let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
-    let labelled = on_disk(move || {
-        let mut flight = recorder.label(&id, labels.name, labels.notes)?;
-        retention.date(std::slice::from_mut(&mut flight), wall_time_us())?;
-        Ok(flight)
-    });
-    Ok(Json(labelled.await?))
+    one(&app, move |recorder| recorder.label(&id, labels.name, labels.notes)).await
 }
 
 pub(crate) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
