@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::{ALONE, Agent};
+use crate::Agent;
 
 const SCENARIO: &str = r#"
 name = "autopilot"
@@ -92,7 +92,6 @@ fn course(seen: &Value) -> Vec<(f64, f64, bool, bool)> {
 
 #[test]
 fn altitude_steps_in_offboard_mode() {
-    let _alone = ALONE.lock();
     let port = free_port();
     let Some(double) = double(port, &["12"]) else { return };
     let mut agent = fly(port);
@@ -119,7 +118,6 @@ fn altitude_steps_in_offboard_mode() {
 
 #[test]
 fn an_agent_that_stops_is_left_by_the_autopilot_which_lands_and_is_not_cut_in_the_air() {
-    let _alone = ALONE.lock();
     let port = free_port();
     let Some(double) = double(port, &["12"]) else { return };
     let mut agent = fly(port);
@@ -142,7 +140,6 @@ fn an_agent_that_stops_is_left_by_the_autopilot_which_lands_and_is_not_cut_in_th
 
 #[test]
 fn a_pilot_who_takes_over_keeps_it() {
-    let _alone = ALONE.lock();
     let port = free_port();
     let Some(double) = double(port, &["12", "8"]) else { return };
     let mut agent = fly(port);
@@ -160,7 +157,6 @@ fn a_pilot_who_takes_over_keeps_it() {
 
 #[test]
 fn another_autopilot_than_configured_is_refused_by_name() {
-    let _alone = ALONE.lock();
     let port = free_port();
     let Some(double) = double(port, &["3"]) else { return };
     let agent = fly(port);

@@ -9,15 +9,12 @@ mod wires;
 
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use plumbline_proto::{Message, v1};
 
 /// Longest wait for anything, on a machine that compiles beside us.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// One flight at a time: each needs the processor at its own time.
-static ALONE: Mutex<()> = Mutex::new(());
 
 /// An agent that flies a script without a ground.
 struct Agent {

@@ -7,7 +7,7 @@ use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
 use plumbline_wires::{PULSES_US, Plug, WireRig};
 
-use crate::{ALONE, Agent, PATIENCE};
+use crate::{Agent, PATIENCE};
 
 /// The everyday altitude, step and landing, with time for ports to open and ESCs to arm.
 const SCENARIO: &str = r#"
@@ -124,7 +124,6 @@ impl Flown {
 
 #[test]
 fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     flown.rig.plug("height1", Plug::Out);
@@ -155,7 +154,6 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
 
 #[test]
 fn one_of_three_heights_attacked_through_the_drivers_moves_nothing() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start(ATTACK);
     flown.hold(0.5);
     flown.hold(0.8);
@@ -172,7 +170,6 @@ fn one_of_three_heights_attacked_through_the_drivers_moves_nothing() {
 
 #[test]
 fn the_motors_of_a_killed_agent_stand_within_their_time_out() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     let turning = |widths: &[f64; 4]| widths.iter().all(|us| *us > PULSES_US[0] + 50.0);
@@ -186,7 +183,6 @@ fn the_motors_of_a_killed_agent_stand_within_their_time_out() {
 
 #[test]
 fn an_agent_that_stops_costs_its_motors_and_they_stay_cut() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     let stopped = Instant::now();
@@ -205,7 +201,6 @@ fn an_agent_that_stops_costs_its_motors_and_they_stay_cut() {
 
 #[test]
 fn one_device_of_each_kind_is_lost_in_flight_and_comes_back_and_without_any_height_it_descends() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     // One that answers, one that talks and brings the barometer, a beam, the voltage.
@@ -233,7 +228,6 @@ fn one_device_of_each_kind_is_lost_in_flight_and_comes_back_and_without_any_heig
 
 #[test]
 fn without_any_imu_the_motors_are_cut() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     let unplugged = Instant::now();
@@ -247,7 +241,6 @@ fn without_any_imu_the_motors_are_cut() {
 
 #[test]
 fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_do() {
-    let _alone = ALONE.lock();
     let mut flown = Flown::start("");
     flown.hold(0.5);
     flown.rig.plug("motors", Plug::Out);

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use super::workspace::{self, beside};
 use super::{Workspace, XtaskError, signals, web};
 use crate::harness::{Binaries, System, SystemOptions, Vehicle};
 
@@ -90,22 +91,26 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     system.stop()
 }
 
-/// Builds the page and the programs side by side: what links the page keeps one core busy for long. Where the programs are.
-fn build(workspace: &Workspace, options: &Options) -> Result<&'static str, XtaskError> {
-    if !workspace.target.join("web").is_dir() {
+/// Builds the page and the programs side by side; programs as they go on a vehicle hold the page, and wait for it. Where the
+/// programs are.
+fn build(checkout: &Workspace, options: &Options) -> Result<&'static str, XtaskError> {
+    if !checkout.target.join("web").is_dir() {
         eprintln!("xtask: building page, ground and agent for the first time: {FIRST_BUILD}");
     }
     let (profile, folder) = if options.release { ("release", "release") } else { ("dev", "debug") };
     let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent", "--package", "plumbline-wires"];
     let packages = if options.wires { &packages[..] } else { &packages[..4] };
-    let mut cargo = workspace.cargo();
+    let mut cargo = checkout.cargo();
     cargo.args(["build", "--locked", "--bins", "--profile", profile]).args(packages);
-    std::thread::scope(|scope| {
-        let programs = scope.spawn(|| super::workspace::run(&mut cargo));
-        web::run(workspace, &web::Options { dev: options.dev, wasm: None })?;
-        programs.join().unwrap_or_else(|_| Err(XtaskError::Other("the programs' build ended in a panic".into())))
-    })?;
-    Ok(folder)
+    let page = web::Options { dev: options.dev, wasm: None };
+    if options.release {
+        web::run(checkout, &page)?;
+        workspace::run(&mut cargo)?;
+        return Ok(folder);
+    }
+    let (page, programs) = beside(&mut cargo, || web::run(checkout, &page));
+    page?;
+    programs.map(|()| folder)
 }
 
 /// The quadrotor hanging on four strings.

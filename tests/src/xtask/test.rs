@@ -12,8 +12,8 @@ pub struct Options {
     /// Leave the browser out.
     #[arg(long)]
     pub no_browser: bool,
-    /// Only this step, on what is already built: format, page, clippy, cargo-test, python or browser.
-    #[arg(long, value_name = "STEP", value_parser = ["format", "page", "clippy", "cargo-test", "python", "browser"])]
+    /// Only this step, on what is already built.
+    #[arg(long, value_name = "STEP", value_parser = ["format", "page-and-clippy", "cargo-test", "python", "browser"])]
     pub only: Option<String>,
 }
 
@@ -30,7 +30,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> bool {
 
 fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
     type Step<'a> = (&'a str, &'a mut dyn FnMut(&mut Tally));
-    let steps: [Step; 6] = [
+    let steps: [Step; 5] = [
         ("format", &mut |tally| {
             let format = || {
                 tools::rust_components(workspace)?;
@@ -38,13 +38,13 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             };
             tally.check("format", format());
         }),
-        // First the page: the ground embeds it.
-        ("page", &mut |tally| {
-            tally.check("page ≤ 2 MB", web::run(workspace, &web::Options::default()));
-        }),
-        ("clippy", &mut |tally| {
+        // The page before any program that is built: the ground embeds it.
+        ("page-and-clippy", &mut |tally| {
             let arguments = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
-            tally.check("clippy", workspace::run(workspace.cargo().args(arguments)));
+            let page = || web::run(workspace, &web::Options::default());
+            let (page, clippy) = workspace::beside(workspace.cargo().args(arguments), page);
+            tally.check("page ≤ 2 MB", page);
+            tally.check("clippy", clippy);
         }),
         ("cargo-test", &mut |tally| cargo_test(workspace, tally)),
         ("python", &mut |tally| python::test(workspace, tally)),

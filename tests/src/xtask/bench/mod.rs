@@ -1,5 +1,7 @@
 //! `cargo xtask bench [NAME]`: every promised figure as one JSON line `{"bench", "name", "value", "unit", …}`.
 
+mod build;
+
 use std::process::Stdio;
 
 use super::{Workspace, XtaskError, browser, tools, web, workspace};
@@ -12,7 +14,7 @@ pub struct Options {
 }
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
-const BENCHES: [(&str, Bench); 10] = [
+const BENCHES: [(&str, Bench); 11] = [
     ("control", Bench::Program("control")),
     ("tick", Bench::Program("tick")),
     ("steps", Bench::Program("steps")),
@@ -23,6 +25,7 @@ const BENCHES: [(&str, Bench); 10] = [
     ("page", Bench::Page),
     ("live", Bench::Program("live_latency")),
     ("charts", Bench::Charts),
+    ("build", Bench::Build),
 ];
 
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +34,7 @@ enum Bench {
     /// A bench program.
     Program(&'static str),
     Charts,
+    Build,
 }
 
 /// Runs the named bench, or all; the lines go to standard output, everything else to standard error.
@@ -58,6 +62,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         match bench {
             Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
             Bench::Charts => browser::bench(workspace)?,
+            Bench::Build => build::run(workspace)?,
             Bench::Program(name) => program(workspace, name)?,
         }
     }
