@@ -8,7 +8,6 @@ import os
 import matplotlib.pyplot as plt
 
 import plumbline
-from plumbline import v1
 
 ground = plumbline.connect(os.environ.get("PLUMBLINE_URL", "http://127.0.0.1:4747"))
 
@@ -25,7 +24,7 @@ with ground.vehicle().control() as fly:
     fly.attack(
         [{"sensor": "height", "instance": 2, "kind": "bias", "start_s": 1.0, "duration_s": 3.0, "magnitude": 0.5}]
     )
-    fly.wait(v1.AttackState, lambda state: any(a.phase == v1.ATTACK_PHASE_DONE for a in state.attacks))
+    fly.wait_attacked()
     fly.land()
     flight_id = fly.flight_id
 

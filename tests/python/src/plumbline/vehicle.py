@@ -110,6 +110,7 @@ class Control:
         self._patience_s = patience_s
         self._used = time.monotonic()
         self._waiting = 0
+        self._schedule_before: int | None = None
         live.attend(self._attended)
 
     def _attended(self) -> bool:
@@ -176,7 +177,19 @@ class Control:
 
     def attack(self, attacks: Sequence[models.PlannedAttack]) -> models.Answer:
         """Uploads a schedule of attacks whole; `start_s` counts from its acceptance, on the vehicle's flight time."""
-        return self._send("PUT", "attacks", {"attacks": list(attacks)})
+        before = self.live.latest(v1.AttackState)
+        answer = self._send("PUT", "attacks", {"attacks": list(attacks)})
+        self._schedule_before = before.schedule_id if before is not None else None
+        return answer
+
+    def wait_attacked(self, timeout_s: float = 60.0) -> v1.AttackState:
+        """Until every attack of the schedule uploaded last has ended; those of an earlier flight do not count."""
+
+        def ended(state: v1.AttackState) -> bool:
+            known = state.schedule_id != self._schedule_before
+            return known and bool(state.attacks) and all(a.HasField("ended_time_us") for a in state.attacks)
+
+        return self.wait(v1.AttackState, ended, timeout_s)
 
     def abort_attacks(self) -> models.Answer:
         """Ends what attacks."""
