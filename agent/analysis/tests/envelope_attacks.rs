@@ -23,14 +23,14 @@ fn of(sensors: &[(&str, f64)]) -> Expected {
 fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
     let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
     println!("{parts:?}");
-    assert!(parts[0].seen <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen == DRAWN, "{parts:?}");
-    assert!(parts.windows(2).all(|two| two[1].seen >= two[0].seen && two[1].altitude_m > two[0].altitude_m));
+    assert!(parts[0].seen() <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen() == DRAWN, "{parts:?}");
+    assert!(parts.windows(2).all(|two| two[1].seen() >= two[0].seen() && two[1].altitude_m > two[0].altitude_m));
     let accel = [0.02, 0.3, 3.0].map(|bias| of(&[("imu 1", bias)]));
     println!("{accel:?}");
-    assert!(accel[0].seen <= 2 && accel[2].seen == DRAWN, "{accel:?}");
+    assert!(accel[0].seen() <= 2 && accel[2].seen() == DRAWN, "{accel:?}");
     // Two of three outvote the third: what is excluded is not attacked.
     let two = of(&[("height 1", 0.1), ("height 2", 0.1)]);
-    assert!(two.seen < parts[2].seen, "{two:?}");
+    assert!(two.seen() < parts[2].seen(), "{two:?}");
 }
 
 fn question(generator: Option<&str>, sensors: &[&str]) -> AttackQuestion {
