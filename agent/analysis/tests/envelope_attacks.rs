@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_analysis::envelope::expected::{Added, DRAWN, Expected, expected};
-use plumbline_analysis::envelope::prepare::prepared;
+use plumbline_analysis::envelope::prepare::{power, prepared};
 use plumbline_analysis::envelope::sets::Asked;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
@@ -83,4 +83,32 @@ fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
     assert!(refused(&question(Some("optimal"), &[])).contains("sensors"));
     assert!(refused(&question(Some("stealthy_bias"), &["imu 1"])).contains("imu 1"));
     assert!(refused(&question(Some("optimal"), &["height 1", "height 2", "height 3"])).contains("no bound"));
+}
+
+#[test]
+fn power_rises_with_the_size_and_begins_with_false_alarms() {
+    let one = |kind: &str| PlannedAttack {
+        sensor: "height".into(),
+        instance: 2,
+        channel: "all".into(),
+        kind: kind.into(),
+        duration_s: 5.0,
+        magnitude: 0.01,
+        ..PlannedAttack::default()
+    };
+    let of = |kind: &str| AttackQuestion { attacks: vec![one(kind)], ..AttackQuestion::default() };
+    let found = power(&of("bias"), None, &[0.0, 3.0, 5.0, 8.0]).unwrap();
+    let found: Vec<&Expected> = found.iter().flatten().collect();
+    // What no limit has passed still has its statistic: the middle one of 200 flights.
+    let middle = |of: &Expected| {
+        let mut scores = of.scores.clone();
+        scores.sort_by(f64::total_cmp);
+        scores[100]
+    };
+    println!("{:?}", found.iter().map(|of| (of.seen(), middle(of))).collect::<Vec<_>>());
+    assert_eq!((found.len(), found[0].seen(), found[3].seen()), (4, 0, DRAWN));
+    assert!(
+        middle(found[0]) < 0.5 && found.windows(2).all(|two| middle(two[1]) > middle(two[0]) || middle(two[0]) > 1.0)
+    );
+    assert_eq!(power(&of("replay"), None, &[1.0]).unwrap(), [None]);
 }
