@@ -6,6 +6,7 @@ use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
 use plumbline_agent::envelope::flying::Regime;
 use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
+use plumbline_agent::flight::Failsafe;
 use plumbline_agent::flight::watermark::{Block, Settings};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
@@ -34,7 +35,7 @@ const LAST: usize = ((HORIZON_S - 0.04) * TICK_RATE_HZ) as usize;
 pub struct Flown {
     /// True altitude at each tick, m.
     pub altitude_m: Vec<f64>,
-    /// Ticks from the onset to the first exclusion, or to whatever ended the flight.
+    /// Ticks from the onset to the first exclusion, to heights that contradict each other, or to a failsafe.
     pub seen: Option<usize>,
     /// Who was excluded.
     pub excluded: Vec<SensorId>,
@@ -161,6 +162,10 @@ pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: O
             if !flown.excluded.contains(&device.sensor) {
                 flown.excluded.push(device.sensor);
             }
+            flown.seen.get_or_insert(flown.altitude_m.len());
+        }
+        // Heights that contradict each other are announced, and none of them is excluded.
+        if lanes.isolation().contradicted() || flight.failsafe() != Failsafe::None {
             flown.seen.get_or_insert(flown.altitude_m.len());
         }
         flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());

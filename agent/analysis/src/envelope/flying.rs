@@ -13,7 +13,7 @@
 //! [`Regime::Full`], everything weighing fully and that limit not passed, and where heights attacked are no minority also as
 //! [`Regime::Outvoted`], the healthy ones weighing as little as they do just before their exclusion. The larger bound is told.
 //! Beyond the limit of the first an attacked sensor's pull falls with its deviation (ρ² against ρ), so it is held to be one; that
-//! is argued, not proved: of eight flights of single heights pushed beyond their reach three went 1.5 % further.
+//! is argued, not proved: of 1000 drawn flights without noise three went up to 2.4 % further, a height pushed beyond its reach.
 
 use std::collections::VecDeque;
 
