@@ -77,3 +77,22 @@ fn in_the_harshest_world_the_supervisor_ends_what_cannot_be_flown() {
     }
     assert_eq!(hold("harsh", RIGS[0], 1), hold("harsh", RIGS[0], 1));
 }
+
+/// GIVEN the ideal world WHEN the vehicle holds an altitude THEN nothing but its own law moves it, and it holds to less than a millimetre, while
+/// what its estimators assume of the sensors stays what the data sheets say.
+#[test]
+fn in_the_ideal_world_it_holds_to_less_than_a_millimetre() {
+    for rig in RIGS {
+        let held = hold("ideal", rig, 1);
+        println!("{rig:?}: {held:?}");
+        assert_eq!(held.failsafes, []);
+        assert!(held.most_m < 0.001, "{held:?}");
+    }
+    let of = |world: &str| {
+        let text = format!("name = \"world\"\nworld = \"{world}\"\n[suite]\npreset = \"string_rig\"\n");
+        plumbline_agent::sim::Scenario::from_toml(&text).unwrap()
+    };
+    assert_eq!(of("ideal").suite, of("bench").suite);
+    let refused = plumbline_agent::sim::Scenario::from_toml("name = \"world\"\nworld = \"ideal\"\n[disturbance]\n");
+    assert!(refused.unwrap_err().to_string().contains("ideal"));
+}

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_analysis::envelope::expected::{Added, DRAWN, Expected, expected};
-use plumbline_analysis::envelope::prepare::prepared;
+use plumbline_analysis::envelope::prepare::{power, prepared};
 use plumbline_analysis::envelope::sets::Asked;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
@@ -23,14 +23,14 @@ fn of(sensors: &[(&str, f64)]) -> Expected {
 fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
     let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
     println!("{parts:?}");
-    assert!(parts[0].seen <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen == DRAWN, "{parts:?}");
-    assert!(parts.windows(2).all(|two| two[1].seen >= two[0].seen && two[1].altitude_m > two[0].altitude_m));
+    assert!(parts[0].seen() <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen() == DRAWN, "{parts:?}");
+    assert!(parts.windows(2).all(|two| two[1].seen() >= two[0].seen() && two[1].altitude_m > two[0].altitude_m));
     let accel = [0.02, 0.3, 3.0].map(|bias| of(&[("imu 1", bias)]));
     println!("{accel:?}");
-    assert!(accel[0].seen <= 2 && accel[2].seen == DRAWN, "{accel:?}");
+    assert!(accel[0].seen() <= 2 && accel[2].seen() == DRAWN, "{accel:?}");
     // Two of three outvote the third: what is excluded is not attacked.
     let two = of(&[("height 1", 0.1), ("height 2", 0.1)]);
-    assert!(two.seen < parts[2].seen, "{two:?}");
+    assert!(two.seen() < parts[2].seen(), "{two:?}");
 }
 
 fn question(generator: Option<&str>, sensors: &[&str]) -> AttackQuestion {
@@ -83,4 +83,32 @@ fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
     assert!(refused(&question(Some("optimal"), &[])).contains("sensors"));
     assert!(refused(&question(Some("stealthy_bias"), &["imu 1"])).contains("imu 1"));
     assert!(refused(&question(Some("optimal"), &["height 1", "height 2", "height 3"])).contains("no bound"));
+}
+
+#[test]
+fn power_rises_with_the_size_and_begins_with_false_alarms() {
+    let one = |kind: &str| PlannedAttack {
+        sensor: "height".into(),
+        instance: 2,
+        channel: "all".into(),
+        kind: kind.into(),
+        duration_s: 5.0,
+        magnitude: 0.01,
+        ..PlannedAttack::default()
+    };
+    let of = |kind: &str| AttackQuestion { attacks: vec![one(kind)], ..AttackQuestion::default() };
+    let found = power(&of("bias"), None, &[0.0, 3.0, 5.0, 8.0]).unwrap();
+    let found: Vec<&Expected> = found.iter().flatten().collect();
+    // What no limit has passed still has its statistic: the middle one of 200 flights.
+    let middle = |of: &Expected| {
+        let mut scores = of.scores.clone();
+        scores.sort_by(f64::total_cmp);
+        scores[100]
+    };
+    println!("{:?}", found.iter().map(|of| (of.seen(), middle(of))).collect::<Vec<_>>());
+    assert_eq!((found.len(), found[0].seen(), found[3].seen()), (4, 0, DRAWN));
+    assert!(
+        middle(found[0]) < 0.5 && found.windows(2).all(|two| middle(two[1]) > middle(two[0]) || middle(two[0]) > 1.0)
+    );
+    assert_eq!(power(&of("replay"), None, &[1.0]).unwrap(), [None]);
 }

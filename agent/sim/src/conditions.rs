@@ -12,6 +12,11 @@ use super::scenario::ScenarioError;
 const WORLDS: [(&str, &str); 2] =
     [("datasheet", include_str!("../worlds/datasheet.toml")), ("harsh", include_str!("../worlds/harsh.toml"))];
 
+/// The world in which nothing disturbs, and sensors have no bias and next to no noise.
+pub const IDEAL: &str = "ideal";
+/// Noise there, of that of the data sheets: values that repeat would be those of a sensor that is stuck.
+pub(crate) const QUIET: f64 = 0.01;
+
 /// Slowest flight loop in which the vibration's bands can be made, Hz.
 pub const TICK_RATE_MIN_HZ: f64 = 150.0;
 
@@ -45,19 +50,19 @@ pub struct Conditions {
 
 impl Conditions {
     /// The world called `name`; `None` for `bench`, where sensors are what their data sheets in the suite say, and the
-    /// vehicle is what its airframe says.
+    /// vehicle is what its airframe says, and for [`IDEAL`].
     ///
     /// # Errors
     /// [`ScenarioError`], naming the world.
     pub fn of_world(name: &str) -> Result<Option<Self>, ScenarioError> {
-        if name == "bench" {
+        if ["bench", IDEAL].contains(&name) {
             return Ok(None);
         }
         let Some((_, text)) = WORLDS.into_iter().find(|(world, _)| *world == name) else {
             return Err(ScenarioError::Value {
                 key: "world".into(),
                 value: format!("{name:?}"),
-                expected: "bench, datasheet or harsh".into(),
+                expected: "ideal, bench, datasheet or harsh".into(),
             });
         };
         toml::from_str(text).map(Some).map_err(|error| ScenarioError::Syntax(format!("world {name}: {error}")))
@@ -262,7 +267,7 @@ mod tests {
         for (name, _) in WORLDS {
             assert_eq!(Conditions::of_world(name).unwrap().unwrap().world, name);
         }
-        assert_eq!(Conditions::of_world("bench").unwrap(), None);
+        assert!(["bench", IDEAL].iter().all(|name| Conditions::of_world(name).unwrap().is_none()));
         let refused = Conditions::of_world("moon").unwrap_err().to_string();
         assert!(refused.contains("moon") && refused.contains("harsh"), "{refused}");
     }

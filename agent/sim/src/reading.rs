@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
 use serde::Deserialize;
 
-use super::conditions::Conditions;
+use super::conditions::{Conditions, IDEAL};
 use super::devices::Outage;
 use super::rig::{Axis, HangingStrings, Rig};
 use super::scenario::{BrokenRotor, Initial, Scenario, ScenarioError};
@@ -44,7 +44,7 @@ pub(super) struct RawScenario {
     sensor: Vec<RawSensor>,
     #[serde(default)]
     site: Site,
-    /// `bench`, or one of the worlds of [`Conditions`].
+    /// `bench`, [`IDEAL`], or one of the worlds of [`Conditions`].
     world: Option<String>,
     disturbance: Option<Disturbance>,
     #[serde(default)]
@@ -191,9 +191,12 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
         change_sensor(&mut suite, change)?;
     }
     let conditions = raw.world.as_deref().map(Conditions::of_world).transpose()?.flatten();
-    if let (Some(conditions), Some(_)) = (&conditions, &raw.disturbance) {
-        return bad("disturbance", "given", format!("beside world = {:?}, which has its own", conditions.world));
+    let ideal = raw.world.as_deref() == Some(IDEAL);
+    let own = conditions.as_ref().map(|conditions| conditions.world.as_str()).or(ideal.then_some(IDEAL));
+    if let (Some(world), Some(_)) = (own, &raw.disturbance) {
+        return bad("disturbance", "given", format!("beside world = {world:?}, which has its own"));
     }
+    let usual = if ideal { Disturbance::NONE } else { Disturbance::default() };
     let attacks = read_attacks(&raw.attack)?;
     let mut script = Script::default();
     if !attacks.attacks.is_empty() {
@@ -216,8 +219,9 @@ pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
         rig: raw.rig.unwrap_or_else(|| Rig::HangingStrings(HangingStrings::default())),
         suite,
         site: raw.site,
-        disturbance: raw.disturbance.unwrap_or_default(),
+        disturbance: raw.disturbance.unwrap_or(usual),
         conditions,
+        ideal,
         battery_charge: raw.battery.sags.then_some(raw.battery.charge),
         initial: raw.initial,
         script,

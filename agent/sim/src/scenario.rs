@@ -101,6 +101,8 @@ pub struct Scenario {
     pub disturbance: Disturbance,
     /// The named world it flies in; `None` on the bench, where sensors and airframe are what they are said to be.
     pub conditions: Option<Conditions>,
+    /// Are the simulated sensors all but exact, whatever `suite` says of them? The agent goes by the suite.
+    pub ideal: bool,
     /// Battery charge at the start, 0..1; `None` holds the nominal voltage for ever.
     pub battery_charge: Option<f64>,
     /// How it starts.
@@ -175,6 +177,7 @@ impl Scenario {
             site: Site::default(),
             disturbance: Disturbance::default(),
             conditions: None,
+            ideal: false,
             battery_charge: Some(0.95),
             initial: Initial::default(),
             script: Script::default(),

@@ -118,3 +118,18 @@ pub struct PreparedAttack {
     #[serde(skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
+
+/// Noises of the accelerometers that the bounds of a flight are asked at, m/s².
+pub const NOISES_MPS2: [f64; 9] = [0.05, 0.1, 0.17, 0.3, 0.5, 0.85, 1.5, 2.6, 4.5];
+/// Bounds bend between two of them, and waver: a line between two is raised by this factor. Held by a test against bounds found there.
+const RAISED: f64 = 1.03;
+
+/// The bound at `noise_mps2` between `rows` of noise, m/s², and bound, m, with rising noise: never less than it is; `None` above the last.
+pub fn between(rows: &[(f64, f64)], noise_mps2: f64) -> Option<f64> {
+    let after = rows.iter().position(|(noise, _)| *noise >= noise_mps2)?;
+    let (high, high_m) = *rows.get(after)?;
+    let Some((low, low_m)) = after.checked_sub(1).and_then(|before| rows.get(before)) else {
+        return Some(RAISED * high_m);
+    };
+    Some(RAISED * (low_m + (high_m - low_m) * (noise_mps2 - low) / (high - low)))
+}

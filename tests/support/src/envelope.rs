@@ -1,15 +1,14 @@
 //! The attack envelope flown: one flight with an attack beside the same one without it, until somebody is excluded.
 //!
-//! Free, altitude hold at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place. In the world `ideal` sensors have
-//! a hundredth of their noise and no bias, and nothing disturbs; what the lanes assume of the sensors stays what the data sheets say.
+//! Free, altitude hold at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place.
 
 use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
 use plumbline_agent::envelope::flying::Regime;
 use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
-use plumbline_agent::envelope::{Deviation, Model, Signal, columns};
+use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
+use plumbline_agent::flight::Failsafe;
 use plumbline_agent::flight::watermark::{Block, Settings};
 use plumbline_agent::sim::Scenario;
-use plumbline_agent::sim::world::Disturbance;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
@@ -30,18 +29,18 @@ const TICK_RATE_HZ: f64 = 200.0;
 pub const LINEAR: f64 = 1.01;
 /// Ticks until the bound's: it is that at the beginning of the last slot.
 const LAST: usize = ((HORIZON_S - 0.04) * TICK_RATE_HZ) as usize;
-/// Noise in `ideal`, of the data sheets': values that repeat would be those of a sensor that is stuck.
-const QUIET: f64 = 0.01;
 
 /// A flight from the onset on.
 #[derive(Debug, Clone, Default)]
 pub struct Flown {
     /// True altitude at each tick, m.
     pub altitude_m: Vec<f64>,
-    /// Ticks from the onset to the first exclusion, or to whatever ended the flight.
+    /// Ticks from the onset to the first exclusion, to heights that contradict each other, or to a failsafe.
     pub seen: Option<usize>,
     /// Who was excluded.
     pub excluded: Vec<SensorId>,
+    /// The most that the statistic of each sensor reached, of its limit.
+    pub ratios: Vec<(SensorId, f64)>,
     /// Noise of the accelerometers that the lanes measured, the largest, m/s².
     pub noise_mps2: f64,
     /// What the blocks of the watermark told: seconds since the onset at their end.
@@ -49,6 +48,13 @@ pub struct Flown {
 }
 
 impl Flown {
+    /// The most that a statistic of `sensors` reached; infinite where one of them was excluded.
+    pub fn score(&self, sensors: &[SensorId]) -> f64 {
+        let excluded = sensors.iter().any(|sensor| self.excluded.contains(sensor));
+        let of = self.ratios.iter().filter(|(sensor, _)| sensors.contains(sensor)).map(|(_, ratio)| *ratio);
+        if excluded { f64::INFINITY } else { of.fold(0.0, f64::max) }
+    }
+
     /// Furthest from `clean` before anything was seen, m.
     pub fn unseen_m(&self, clean: &Self) -> f64 {
         let until = self.seen.unwrap_or(LAST).min(LAST);
@@ -118,26 +124,16 @@ pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
 
 /// The same for `horizon_s`, with this watermark.
 pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>) -> Flown {
-    let named = if world == "ideal" { "bench" } else { world };
     let duration_s = ONSET_S + horizon_s + AFTER_S;
     let text = format!(
-        "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{named}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
+        "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{world}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
          [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
          [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n"
     );
-    let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
     let mut config = scenario.flight_config();
     (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
     config.watermark = watermark;
-    if world == "ideal" {
-        scenario.disturbance = Disturbance::NONE;
-        scenario.suite.sheets_mut(|_, sheet| {
-            sheet.qualities(&mut |_, quality| {
-                quality.sigma *= QUIET;
-                (quality.bias_sigma, quality.bias_walk, quality.resolution) = (0.0, 0.0, 0.0);
-            });
-        });
-    }
     let setup = Setup {
         scenario,
         config,
@@ -155,10 +151,21 @@ pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: O
             return;
         }
         let lanes = flight.lanes().unwrap();
+        for device in lanes.isolation().devices() {
+            let ratio = device.evidence.window_ratio;
+            match flown.ratios.iter_mut().find(|(sensor, _)| *sensor == device.sensor) {
+                Some((_, most)) => *most = most.max(ratio),
+                None => flown.ratios.push((device.sensor, ratio)),
+            }
+        }
         for device in lanes.isolation().devices().iter().filter(|device| device.flagged.is_some()) {
             if !flown.excluded.contains(&device.sensor) {
                 flown.excluded.push(device.sensor);
             }
+            flown.seen.get_or_insert(flown.altitude_m.len());
+        }
+        // Heights that contradict each other are announced, and none of them is excluded.
+        if lanes.isolation().contradicted() || flight.failsafe() != Failsafe::None {
             flown.seen.get_or_insert(flown.altitude_m.len());
         }
         flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());
@@ -187,7 +194,8 @@ pub struct Set {
     pub reached_m: f64,
     /// The detector that holds the bound.
     pub binding: &'static str,
-    worst: Signal,
+    /// The maximising sequences: that of the regime that gives the bound first.
+    worst: Vec<Signal>,
 }
 
 impl Set {
@@ -210,16 +218,15 @@ impl Bounds {
         let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
-            let (found, _) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Altitude).unwrap();
+            let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Altitude).unwrap();
             let Verdict::Bounded(bound) = found else { return None };
+            let mut worst = vec![bound.attack];
+            if regime != Regime::Full {
+                let full = asked.flying.attacked(sensors, Regime::Full).unwrap();
+                worst.push(program(&full, HORIZON_S, Deviation::Altitude).unwrap().solve().unwrap().attack);
+            }
             let binding = bound.binding.unwrap_or("most that may be added");
-            Some(Set {
-                sensors: sensors.clone(),
-                bound_m: bound.upper,
-                reached_m: bound.reached,
-                binding,
-                worst: bound.attack,
-            })
+            Some(Set { sensors: sensors.clone(), bound_m: bound.upper, reached_m: bound.reached, binding, worst })
         };
         let sets = asked.sets.iter().filter_map(bounded).collect();
         Self { asked, sets }
@@ -231,7 +238,12 @@ impl Bounds {
 
     /// The maximising sequence of `set`, times `part`.
     pub fn worst(&self, set: &Set, part: f64) -> Worn {
-        self.worn(set, &set.worst, part)
+        self.worn(set, &set.worst[0], part)
+    }
+
+    /// Each maximising sequence of `set`, times each of `parts`, the whole first.
+    pub fn all_worst<'a>(&'a self, set: &'a Set, parts: &'a [f64]) -> impl Iterator<Item = (f64, Worn)> + 'a {
+        parts.iter().flat_map(move |part| set.worst.iter().map(move |one| (*part, self.worn(set, one, *part))))
     }
 
     /// An attack drawn by `seed`, and what it is: a step, a ramp, a sine or noise in each sensor, or the maximising sequence

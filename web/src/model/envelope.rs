@@ -2,12 +2,10 @@
 
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::{EstimatorKind, SecureSensor, SecureStatus, SensorKind};
-use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet};
+pub use plumbline_rest::envelope::NOISES_MPS2;
+use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet, between};
 
 use super::format;
-
-/// Noises of the accelerometers that a flight's bounds are asked at, m/s².
-pub const NOISES_MPS2: [f64; 5] = [0.05, 0.15, 0.5, 1.5, 4.5];
 
 /// Bounds of one attacked sensor over the noise of the accelerometers, for one vehicle with its gains and what is excluded.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -19,20 +17,10 @@ pub struct Table {
 }
 
 impl Table {
-    /// The bound at `noise_mps2`, m: a straight line between two rows; `None` above the last.
-    pub fn bound_m(&self, noise_mps2: f64) -> Option<f64> {
-        let after = self.rows.iter().position(|(noise, _)| *noise >= noise_mps2)?;
-        let (high, high_m) = *self.rows.get(after)?;
-        let Some((low, low_m)) = after.checked_sub(1).and_then(|before| self.rows.get(before)) else {
-            return Some(high_m);
-        };
-        Some(low_m + (high_m - low_m) * (noise_mps2 - low) / (high - low))
-    }
-
     /// The bound as things are in `status`, m, where it is of this table: lanes in the loop, the same sensors excluded.
     pub fn bound_now_m(&self, status: &SecureStatus, in_loop: u16) -> Option<f64> {
         let noise_mps2 = status.accel_noise_mps2.filter(|_| in_loop == EstimatorKind::Lanes as u16)?;
-        self.bound_m(noise_mps2).filter(|_| excluded(status) == self.without)
+        between(&self.rows, noise_mps2).filter(|_| excluded(status) == self.without)
     }
 }
 
@@ -150,8 +138,10 @@ mod tests {
     #[test]
     fn a_table_is_read_between_its_rows_and_for_what_it_was_made() {
         let table = Table { without: vec!["height 2".into()], rows: vec![(0.1, 0.02), (0.5, 0.04)] };
-        assert_eq!([0.05, 0.1, 0.5, 0.6].map(|noise| table.bound_m(noise)), [Some(0.02), Some(0.02), Some(0.04), None]);
-        assert!(table.bound_m(0.3).is_some_and(|m| (m - 0.03).abs() < 1e-12));
+        let at = |noise| between(&table.rows, noise);
+        assert!(at(0.05) == at(0.1) && at(0.1) < at(0.3) && at(0.3) < at(0.5) && at(0.6).is_none());
+        // Half way, and raised.
+        assert!(at(0.3).is_some_and(|m| (0.03..0.032).contains(&m)));
         let sensor = |instance, flagged| SecureSensor {
             sensor: SensorKind::Height as i32,
             instance,

@@ -15,7 +15,8 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::flying::{ALTITUDE_M, Attacked, Differs, Loop, Regime};
+use super::bank::Differs;
+use super::flying::{ALTITUDE_M, Attacked, Loop, Regime};
 use super::{EnvelopeError, Model, Signal};
 
 /// Flights drawn.
@@ -33,10 +34,11 @@ pub struct Added<'a> {
 }
 
 /// What is expected of an attack.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Expected {
-    /// Flights of [`DRAWN`] in which a sensor attacked was excluded.
-    pub seen: u64,
+    /// Of each of [`DRAWN`] flights the most that the statistic of an attacked sensor reached, of its limit; infinite where one was
+    /// excluded.
+    pub scores: Vec<f64>,
     /// Furthest that it moves the altitude in the linear loop, m.
     pub altitude_m: f64,
 }
@@ -44,7 +46,12 @@ pub struct Expected {
 impl Expected {
     /// Part of the flights in which it is seen.
     pub fn probability(&self) -> f64 {
-        self.seen as f64 / DRAWN as f64
+        self.seen() as f64 / DRAWN as f64
+    }
+
+    /// Flights of [`DRAWN`] in which a sensor attacked was excluded.
+    pub fn seen(&self) -> u64 {
+        self.scores.iter().filter(|score| score.is_infinite()).count() as u64
     }
 }
 
@@ -69,7 +76,7 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     let within = (horizon_s / SLOT).round() as usize;
     let altitude_m = response.altitude_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value)?;
-    let (schedule, mut seen) = (flying.schedule()?, 0);
+    let schedule = flying.schedule()?;
     let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];
     for (number, i, residual) in &response.residuals_m {
         if let Some(place) = residuals_m.get_mut(*number).and_then(|slot| slot.get_mut(*i)) {
@@ -78,10 +85,8 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     }
     let heard =
         Heard { attacked: &attacked, residuals_m: &residuals_m, differs: &differs, schedule: &schedule, horizon_s };
-    for number in 0..DRAWN {
-        seen += u64::from(heard.is_seen(&mut Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20))));
-    }
-    Ok(Expected { seen, altitude_m })
+    let score = |number: u64| heard.score(&mut Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20)));
+    Ok(Expected { scores: (0..DRAWN).map(score).collect(), altitude_m })
 }
 
 struct Heard<'a> {
@@ -94,9 +99,9 @@ struct Heard<'a> {
 }
 
 impl Heard<'_> {
-    /// Is an attacked sensor excluded, with noise of these `dice`?
-    fn is_seen(&self, dice: &mut Xoshiro256PlusPlus) -> bool {
-        let mut judges = Judged::default();
+    /// See [`Expected::scores`], with noise of these `dice`.
+    fn score(&self, dice: &mut Xoshiro256PlusPlus) -> f64 {
+        let (mut judges, mut most) = (Judged::default(), 0.0);
         // The attack begins with the cycle of the heights.
         let before = ((BEFORE_S / SLOT) as usize).next_multiple_of(self.schedule.len().max(1));
         let slots = before + (self.horizon_s / SLOT).ceil() as usize;
@@ -104,15 +109,20 @@ impl Heard<'_> {
             let (heights, noises) = self.heights(number, before, dice);
             let lanes = self.lanes(number, before, &noises, dice);
             judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &lanes);
-            if number >= before && self.is_excluded(&judges) {
-                return true;
+            if number >= before {
+                most = f64::max(most, self.ratio(&judges));
+            }
+            if most.is_infinite() {
+                break;
             }
         }
-        false
+        most
     }
 
-    fn is_excluded(&self, judges: &Judged) -> bool {
-        self.attacked.heights.iter().any(|i| judges.height(*i)) || self.attacked.imus.iter().any(|i| judges.imu(*i))
+    fn ratio(&self, judges: &Judged) -> f64 {
+        let height = |i: &usize| if judges.height(*i) { f64::INFINITY } else { judges.height_ratio(*i) };
+        let imu = |i: &usize| if judges.imu(*i) { f64::INFINITY } else { judges.imu_ratio(*i) };
+        self.attacked.heights.iter().map(height).chain(self.attacked.imus.iter().map(imu)).fold(0.0, f64::max)
     }
 
     /// What the heights read in slot `number`, from the altitude, and the noise in it.

@@ -41,6 +41,7 @@ pub(super) struct Judges {
     imus: Vec<usize>,
     of_imus: usize,
     regime: Regime,
+    reach_m: f64,
     width: usize,
     offsets: Vec<Signal>,
     /// The last residuals of each height, the newest first.
@@ -76,6 +77,7 @@ impl Judges {
             imus: of.imus.clone(),
             of_imus: imus,
             regime: of.regime,
+            reach_m: of_heights::REACH_M + of.near_m,
             width,
             offsets: rates_hz.iter().map(|_| zero()).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
@@ -119,6 +121,13 @@ impl Judges {
         (healthy > 0).then(|| mean(last, healthy, self.width))
     }
 
+    /// How far each healthy height, as last heard, is from the mean of them.
+    pub(super) fn apart(&self) -> Vec<Signal> {
+        let Some(mean) = self.healthy() else { return Vec::new() };
+        let of = self.residuals.iter().zip(&self.heights).filter(|(_, role)| **role == Role::Healthy);
+        of.filter_map(|(residuals, _)| Some(residuals.front()? - &mean)).collect()
+    }
+
     /// Slot `number` that ends at `time_s`: innovations, and residuals after the correction.
     pub(super) fn hear_heights(
         &mut self,
@@ -139,8 +148,10 @@ impl Judges {
             let mut add = |detector, limit, row| {
                 out.push(Statistic { detector, sensor: Self::height(*i), time_s, limit, row });
             };
-            if let Some(others) = others.as_ref().filter(|_| attacked < healthy && attacked + healthy > 2) {
-                add("height reach", of_heights::REACH_M, &innovation - others);
+            let reaches = attacked < healthy && attacked + healthy > 2 && self.reach_m.is_finite();
+            if let Some(others) = others.as_ref().filter(|_| reaches) {
+                // Beyond it a sample counts as if it were there.
+                add("height reach", self.reach_m, &innovation - others);
             }
             if let Some((others, Some(residual))) = others.as_ref().zip(residuals.get(*i)) {
                 add("height split", of_heights::GAP_M, residual - others);

@@ -14,6 +14,7 @@
 //! Two models give c and m: `prototype` (its table is a fixture) and `flying`, the loop as it flies. `program` solves, and proves the
 //! bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
+mod bank;
 pub mod expected;
 pub mod flying;
 mod interior;
@@ -114,6 +115,8 @@ pub struct Response {
     pub climb_mps: Vec<Signal>,
     /// Every detector at every time.
     pub statistics: Vec<Statistic>,
+    /// Each time, s, that an attacked height is sampled: how far each healthy one, as last heard, is from their mean, m.
+    pub apart_m: Vec<(f64, Vec<Signal>)>,
     /// Residuals of the heights, nothing learned taken off: number of the slot, height, m. For a model that tells them.
     pub residuals_m: Vec<(usize, usize, Signal)>,
 }
@@ -153,6 +156,9 @@ pub enum Deviation {
     Altitude,
     /// m/s.
     Climb,
+    /// Of a healthy height from the mean of the healthy ones, m: which of them, and how many samples of attacked heights before the last;
+    /// judged is what was heard before that.
+    Apart(usize, usize),
 }
 
 /// Columns of a model over a horizon: sensor, its first column, how many.
@@ -195,6 +201,7 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
     let followed = match deviation {
         Deviation::Altitude => response.altitude_m,
         Deviation::Climb => response.climb_mps,
+        Deviation::Apart(i, _) => response.apart_m.iter().filter_map(|(_, of)| of.get(i).cloned()).collect(),
     };
     // Places of a period in what is followed, and in what is judged.
     let slots = (followed.len() as f64 * period_s / horizon_s).round() as usize;
@@ -210,11 +217,16 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
         }
         row
     };
+    let before = if let Deviation::Apart(_, before) = deviation { before } else { 0 };
+    let last = followed.len().saturating_sub(1 + before);
+    let until_s = match deviation {
+        Deviation::Apart(..) => response.apart_m.get(last).map_or(0.0, |(time_s, _)| *time_s),
+        _ => f64::INFINITY,
+    };
     let heard = |at: usize| response.statistics.get(at).map(|s| s.row.clone());
-    let statistics = response.statistics.iter().enumerate();
+    let statistics = response.statistics.iter().enumerate().filter(|(_, s)| s.time_s < until_s - 1e-9);
     let statistics = statistics.map(|(at, s)| Statistic { row: row(at, judged, &heard), ..*s }).collect();
     let most = model.attacked().into_iter().zip(&all).flat_map(|((_, _, most), (_, _, n))| vec![most; *n]).collect();
-    let last = followed.len().saturating_sub(1);
     let objective = row(last, slots, &|at| followed.get(at).cloned());
     Ok(Program { objective, statistics, squares: model.squares(), most })
 }

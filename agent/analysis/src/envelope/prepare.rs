@@ -11,7 +11,7 @@ use plumbline_core::sensor::suite::Suite;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
-use plumbline_rest::envelope::{AttackQuestion, PreparedAttack};
+use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
@@ -102,10 +102,28 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     let (found, note) = judged(&asked, &attacks)?;
     Ok(PreparedAttack {
         attacks,
-        probability: found.map(|found| found.probability()),
-        altitude_m: found.map(|found| found.altitude_m),
+        probability: found.as_ref().map(Expected::probability),
+        altitude_m: found.as_ref().map(|found| found.altitude_m),
         note,
     })
+}
+
+/// Power: what is expected of the attacks of `question` with their magnitudes times each of `parts`; with 0 those are false alarms.
+/// `None` where nothing is expected of them.
+///
+/// # Errors
+/// [`EnvelopeError`] naming field and value.
+pub fn power(
+    question: &AttackQuestion,
+    suite: Option<Suite>,
+    parts: &[f64],
+) -> Result<Vec<Option<Expected>>, EnvelopeError> {
+    let asked = Asked::new(&EnvelopeQuestion { sensors: Some(Vec::new()), ..question.of.clone() }, suite)?;
+    let scaled = |part: &f64| {
+        let one = |attack: &PlannedAttack| PlannedAttack { magnitude: part * attack.magnitude, ..attack.clone() };
+        Ok(judged(&asked, &question.attacks.iter().map(one).collect::<Vec<_>>())?.0)
+    };
+    parts.iter().map(scaled).collect()
 }
 
 /// The largest bias on all of `set` that is seen in at most one of twenty flights, m.

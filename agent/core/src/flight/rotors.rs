@@ -66,6 +66,8 @@ const HEALTHY_S: f64 = 1.0;
 /// Held up by more than this, of g, on a mean of so many seconds, something else than rotors carries it.
 const HELD: f64 = 0.08;
 const HELD_S: f64 = 0.25;
+/// So long after that nothing is summed up, s; what was learned before stays.
+const RELEASED_S: f64 = 0.1;
 /// Rotors that carry less than this part of the weight say little, and something else may carry the rest.
 const CARRIES: f64 = 0.75;
 /// Thrust that each rotor must be able to give to fly on, of a quarter of the weight …
@@ -138,8 +140,9 @@ pub struct RotorWatch {
     /// z, rad/s.
     predicted_radps: Option<Vector3<f64>>,
     innovation: Vector4<f64>,
-    /// Thrust innovation, slower.
+    /// Thrust innovation, slower, and for how long something still counts as holding the vehicle, s.
     held_mps2: f64,
+    held_s: f64,
     mean: Vector4<f64>,
     variance: Vector4<f64>,
     learned_s: f64,
@@ -181,6 +184,7 @@ impl RotorWatch {
             predicted_radps: None,
             innovation: Vector4::zeros(),
             held_mps2: 0.0,
+            held_s: 0.0,
             mean: Vector4::zeros(),
             variance: Vector4::zeros(),
             learned_s: 0.0,
@@ -219,7 +223,16 @@ impl RotorWatch {
         }
         self.held_mps2 += (self.innovation.w - self.held_mps2) * (seen.dt_s / (HELD_S + seen.dt_s));
         if self.held_mps2 > HELD * GRAVITY_MPS2 && !self.any_isolated() {
-            self.begin();
+            self.held_s = RELEASED_S;
+        }
+        if self.held_s > 0.0 {
+            self.held_s -= seen.dt_s;
+            // What lasts since the flight began is no other for a string that was taut.
+            if self.watches() {
+                self.evidence = Default::default()
+            } else {
+                self.begin()
+            }
             return None;
         }
         let deviation = self.mean - self.innovation;

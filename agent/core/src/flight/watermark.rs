@@ -5,7 +5,7 @@
 //! | w | normal noise between 2 and 5 Hz of rms A, m/s², added to the thrust over the mass |
 //! | x | what of it the motors' lag leaves: w behind the lag, through the same band |
 //! | r | an accelerometer's z less the thrust commanded behind the lag, both through the band |
-//! | σ² | mean of (Σ x'r)²/Σ x'² over decoys x', drawn as x and never flown: what correlates by chance, however coloured r is |
+//! | σ² | mean of (Σ x'(r − x Σxr/Σx²))²/Σ x'² over decoys x', drawn as x and never flown: what correlates by chance, however coloured r is |
 //!
 //! After 10 s of flight t = Σ xr / (σ √Σx²): standard normal where the watermark is carried; about −√Σx²/σ where what is received
 //! is from another time. Below −3.1 (one in a thousand by chance) it is told. What is told excludes no sensor.
@@ -126,8 +126,8 @@ pub struct Watermark {
     decoys: [Drawn; DECOYS],
     thrust: (f64, Band),
     sums: [Sums; MAX_IMUS],
-    /// Σx² of the own one, and of each decoy.
-    powers: (f64, [f64; DECOYS]),
+    /// Σx² of the own one, Σx'² of each decoy, and Σxx'.
+    powers: (f64, [f64; DECOYS], [f64; DECOYS]),
     variance: [Option<f64>; MAX_IMUS],
     elapsed_s: f64,
 }
@@ -145,7 +145,7 @@ impl Watermark {
             decoys: std::array::from_fn(decoy),
             thrust: (0.0, band),
             sums: std::array::from_fn(|_| Sums { band, ..Sums::default() }),
-            powers: (0.0, [0.0; DECOYS]),
+            powers: (0.0, [0.0; DECOYS], [0.0; DECOYS]),
             variance: [None; MAX_IMUS],
             elapsed_s: 0.0,
         }
@@ -175,8 +175,10 @@ impl Watermark {
             }
         }
         self.powers.0 += self.own.x * self.own.x;
-        for (power, decoy) in self.powers.1.iter_mut().zip(&self.decoys) {
+        let (_, powers, crosses) = &mut self.powers;
+        for ((power, cross), decoy) in powers.iter_mut().zip(crosses).zip(&self.decoys) {
             *power += decoy.x * decoy.x;
+            *cross += decoy.x * self.own.x;
         }
         self.elapsed_s += self.period_s;
         (self.elapsed_s >= BLOCK_S).then(|| self.judge())
@@ -184,17 +186,24 @@ impl Watermark {
 
     fn judge(&mut self) -> Block {
         let mut block = Block::default();
-        let (power, powers) = self.powers;
+        let (power, powers, crosses) = self.powers;
         for ((sums, variance), carried) in self.sums.iter().zip(&mut self.variance).zip(&mut block.carried) {
             if sums.latest.is_none() {
                 continue;
             }
-            let squares = sums.with_decoys.iter().zip(&powers).map(|(sum, power)| sum * sum / power.max(1e-12));
+            // What r lacks of the own watermark is no noise: it is taken off.
+            let lacks = sums.with_x / power.max(1e-12);
+            let decoys = sums.with_decoys.iter().zip(&powers).zip(&crosses);
+            let squares = decoys.map(|((sum, power), cross)| (sum - lacks * cross).powi(2) / power.max(1e-12));
             let now = squares.sum::<f64>() / DECOYS as f64;
             // As it was before this block: what is replayed brings its own.
             let sigma = variance.unwrap_or(now).max(1e-12).sqrt();
-            *carried = Some(sums.with_x / (sigma * power.max(1e-12).sqrt()));
+            let t = sums.with_x / (sigma * power.max(1e-12).sqrt());
+            *carried = Some(t);
             block.missing = block.missing.min(-power.sqrt() / sigma);
+            if variance.is_some() && t < -LIMIT {
+                continue;
+            }
             *variance = Some(variance.map_or(now, |before| before + LEARNED * (now - before)));
         }
         self.begin();
@@ -206,7 +215,7 @@ impl Watermark {
         for sums in &mut self.sums {
             (sums.with_x, sums.with_decoys) = (0.0, [0.0; DECOYS]);
         }
-        (self.powers, self.elapsed_s) = ((0.0, [0.0; DECOYS]), 0.0);
+        (self.powers, self.elapsed_s) = ((0.0, [0.0; DECOYS], [0.0; DECOYS]), 0.0);
     }
 }
 

@@ -19,7 +19,7 @@ use plumbline_core::sensor::suite::{MAX_UNDER_WAY, Quality, Sheet, Timing};
 use plumbline_core::sensor::{MAX_BAROMETERS, MAX_HEIGHTS, MAX_IMUS, Registered, SensorFrame};
 use plumbline_proto::{ids::SensorId, time::FlightTime};
 
-use super::conditions::Conditions;
+use super::conditions::{Conditions, QUIET};
 use super::scenario::Scenario;
 use super::site::Site;
 use super::vibration::Vibration;
@@ -46,8 +46,11 @@ macro_rules! devices {
         impl Sensors {
             /// The sensors of `scenario`; its seed draws their biases and their noise.
             pub fn new(scenario: &Scenario) -> Self {
-                let Scenario { suite, seed, .. } = scenario;
-                let seed = *seed;
+                let mut suite = scenario.suite.clone();
+                if scenario.ideal {
+                    suite.sheets_mut(|_, sheet| quieten(sheet));
+                }
+                let seed = scenario.seed;
                 let surroundings = scenario.conditions.as_ref().map(|c| Surroundings::new(c, scenario));
                 let around = surroundings.as_ref();
                 Self {
@@ -77,6 +80,14 @@ macro_rules! devices {
             }
         }
     };
+}
+
+/// What is left of noise, and no bias.
+fn quieten(sheet: &mut dyn Sheet) {
+    sheet.qualities(&mut |_, quality| {
+        quality.sigma *= QUIET;
+        (quality.bias_sigma, quality.bias_walk, quality.resolution) = (0.0, 0.0, 0.0);
+    });
 }
 
 devices! {

@@ -11,6 +11,8 @@ mod case;
 mod consistency;
 mod roc;
 
+pub(crate) use roc::area;
+
 use std::collections::BTreeMap;
 
 use plumbline_agent::attack::Channel;

@@ -78,7 +78,7 @@ fn found_at(rate: f64, healthy: &[f64], attacked: &[f64]) -> f64 {
 }
 
 /// Area under the curve: how often an attacked one scores above a healthy one.
-fn area(healthy: &[f64], attacked: &[f64]) -> f64 {
+pub(crate) fn area(healthy: &[f64], attacked: &[f64]) -> f64 {
     let above = |a: f64| healthy.iter().map(|h| if a > *h { 1.0 } else { f64::from(a == *h) / 2.0 }).sum::<f64>();
     attacked.iter().map(|a| above(*a)).sum::<f64>() / (healthy.len() * attacked.len()) as f64
 }

@@ -1,8 +1,8 @@
 //! Generators of attacks: how many flights see them, beside what the model expects, with intervals.
 
 use plumbline_agent::attack::{Channel, Kind};
-use plumbline_agent::envelope::expected::DRAWN;
-use plumbline_agent::envelope::prepare::prepared;
+use plumbline_agent::envelope::expected::{DRAWN, Expected};
+use plumbline_agent::envelope::prepare::{power, prepared};
 use plumbline_agent::flight::watermark::{LIMIT, Settings};
 use plumbline_experiment::draw::parallel;
 use plumbline_proto::ids::SensorId;
@@ -10,9 +10,10 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
 use plumbline_support::envelope::{Bounds, HORIZON_S, Worn, fly, fly_for};
-use plumbline_tests::report::{Report, ReportError};
+use plumbline_tests::report::{Plot, Report, ReportError, Series};
 use serde_json::json;
 
+use crate::attacks::area;
 use crate::effort::Effort;
 
 /// The world: the noise of the data sheets, no vibration.
@@ -35,7 +36,7 @@ fn interval(of: u64, all: u64) -> (f64, f64) {
     let (n, p) = (all.max(1) as f64, of as f64 / all.max(1) as f64);
     let (centre, spread) = (p + Z * Z / (2.0 * n), Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt());
     let scale = 1.0 + Z * Z / n;
-    ((centre - spread) / scale, (centre + spread) / scale)
+    (((centre - spread) / scale).max(0.0), (centre + spread) / scale)
 }
 
 fn height(instance: u8) -> SensorId {
@@ -46,33 +47,38 @@ fn imu(instance: u8) -> SensorId {
     SensorId::new(SensorKind::Imu, instance)
 }
 
-/// A generator: its name, its size in words, and what it does to which sensors.
-type Case = (&'static str, String, Vec<(SensorId, Kind, f64)>);
+/// A generator: what it does to which sensors at size one, and the sizes flown.
+struct Generator {
+    name: &'static str,
+    unit: &'static str,
+    what: Vec<(SensorId, Kind, f64)>,
+    sizes: &'static [f64],
+}
 
-fn cases() -> Vec<Case> {
-    let mut all = Vec::new();
-    for cm in [2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0] {
-        all.push(("bias, 1 of 3 heights", format!("{cm} cm"), vec![(height(2), Kind::Bias, 0.01 * cm)]));
-    }
-    for cm in [4.0, 8.0] {
-        let two = vec![(height(1), Kind::Bias, 0.01 * cm), (height(2), Kind::Bias, 0.01 * cm)];
-        all.push(("bias, 2 of 3 heights", format!("{cm} cm"), two));
-    }
-    for cmps in [0.5, 1.0, 2.0] {
-        all.push(("ramp, 1 of 3 heights", format!("{cmps} cm/s"), vec![(height(2), Kind::Ramp, 0.01 * cmps)]));
-    }
-    for accel in [0.1, 0.3, 0.5, 0.7, 1.0, 2.0] {
-        all.push(("bias, 1 of 4 IMUs, z", format!("{accel} m/s²"), vec![(imu(1), Kind::Bias, accel)]));
-    }
-    for accel in [0.002, 0.005, 0.02] {
-        let heights = [1, 2].map(|i| (height(i), Kind::Parabola, -accel));
-        let imus = [1, 2, 3, 4].map(|i| (imu(i), Kind::Bias, -accel));
-        all.push(("covert, all but height 3", format!("{accel} m/s²"), heights.into_iter().chain(imus).collect()));
-    }
-    let all_heights = [1, 2, 3].map(|i| (height(i), Kind::Parabola, -0.02));
-    let all_imus = [1, 2, 3, 4].map(|i| (imu(i), Kind::Bias, -0.02));
-    all.push(("covert, all", "0.02 m/s²".into(), all_heights.into_iter().chain(all_imus).collect()));
-    all
+fn generators() -> Vec<Generator> {
+    let covert = |heights: u8| {
+        let heights = (1..=heights).map(|i| (height(i), Kind::Parabola, -1.0));
+        heights.chain((1..=4).map(|i| (imu(i), Kind::Bias, -1.0))).collect()
+    };
+    let of = |name, unit, what, sizes| Generator { name, unit, what, sizes };
+    vec![
+        of(
+            "bias, 1 of 3 heights",
+            "cm",
+            vec![(height(2), Kind::Bias, 0.01)],
+            &[3.0, 4.0, 4.2, 4.4, 4.6, 4.8, 5.0, 6.0],
+        ),
+        of(
+            "bias, 2 of 3 heights",
+            "cm",
+            vec![(height(1), Kind::Bias, 0.01), (height(2), Kind::Bias, 0.01)],
+            &[4.0, 8.0],
+        ),
+        of("ramp, 1 of 3 heights", "cm/s", vec![(height(2), Kind::Ramp, 0.01)], &[0.5, 0.6, 0.7, 0.8, 1.0]),
+        of("bias, 1 of 4 IMUs, z", "m/s²", vec![(imu(1), Kind::Bias, 1.0)], &[0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 1.0]),
+        of("covert, all but height 3", "m/s²", covert(2), &[0.002, 0.005, 0.01, 0.02]),
+        of("covert, all", "m/s²", covert(3), &[0.02]),
+    ]
 }
 
 fn planned(sensor: SensorId, kind: Kind, magnitude: f64) -> PlannedAttack {
@@ -88,76 +94,138 @@ fn planned(sensor: SensorId, kind: Kind, magnitude: f64) -> PlannedAttack {
     }
 }
 
-/// Part of flights expected to see it.
-fn expected(question: &AttackQuestion) -> f64 {
-    prepared(question, None).ok().and_then(|found| found.probability).unwrap_or(f64::NAN)
+/// Flights of one attack: those that see it and those that exclude anybody, and what the statistics of `sensors` reached.
+struct Seen {
+    flights: u64,
+    those: u64,
+    anybody: u64,
+    scores: Vec<f64>,
 }
 
-/// Detection of every generator.
+fn fly_all(effort: &Effort, flights: u64, sensors: &[SensorId], worn: &(dyn Fn(u64) -> Worn + Sync)) -> Seen {
+    let flown = parallel(flights as usize, |i| {
+        let seed = effort.seed_base + i as u64;
+        let flight = fly(WORLD, seed, &worn(seed));
+        (flight.seen.is_some(), flight.score(sensors))
+    });
+    let scores: Vec<f64> = flown.iter().map(|(_, score)| *score).collect();
+    let count = |of: &dyn Fn(&(bool, f64)) -> bool| flown.iter().filter(|one| of(one)).count() as u64;
+    Seen { flights, those: count(&|one| one.1.is_infinite()), anybody: count(&|one| one.0), scores }
+}
+
+/// A row of the table, flown and expected; does the model hold?
+fn tell(
+    report: &mut Report,
+    name: &str,
+    size: &str,
+    seen: &Seen,
+    model: Option<&Expected>,
+    areas: [f64; 2],
+) -> Vec<String> {
+    let (low, high) = interval(seen.those, seen.flights);
+    // The model's part has an interval too.
+    let part = model.map_or(f64::NAN, Expected::probability);
+    let (least, most) = interval(model.map_or(0, Expected::seen), DRAWN);
+    let holds = model.is_some() && least <= high && most >= low;
+    let flown = seen.those as f64 / seen.flights as f64;
+    let more = json!({
+        "flights": seen.flights, "low": low, "high": high, "expected": part, "anybody": seen.anybody, "holds": holds,
+        "area": areas[0], "area_expected": areas[1],
+    });
+    report.value(&format!("detect/{name}/{size}"), flown, "of flights", more);
+    vec![
+        name.to_owned(),
+        size.to_owned(),
+        format!("{flown:.2}"),
+        format!("{low:.2} to {high:.2}"),
+        format!("{part:.2}"),
+        if holds { "" } else { "differs" }.to_owned(),
+        format!("{:.2}", seen.anybody as f64 / seen.flights as f64),
+        format!("{:.3}", areas[0]),
+        format!("{:.3}", areas[1]),
+    ]
+}
+
+/// Detection of every generator: power, and the area under the curve of detection against false alarms.
 pub fn of_generators(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Generators: seen in flight, and expected");
     let flights = (effort.flights / SHARE).max(10);
     report.paragraph(&format!(
-        "{flights} flights of each in {WORLD}, {HORIZON_S} s, seeds from {}: in how many an attacked sensor is excluded, with its 95 % interval;          beside it what the lanes' own judges make of it on the ground, of {DRAWN} drawn noises.",
+        "{flights} flights of each in {WORLD}, {HORIZON_S} s, seeds from {}, either sign by turns: in how many an attacked sensor is excluded, with \
+         its 95 % interval; beside it what the lanes' own judges make of it on the ground, of {DRAWN} drawn noises. Area: under the curve of \
+         detection against false alarms, over all limits of the attacked sensors' statistics.",
         effort.seed_base
     ));
     let clean = fly(WORLD, effort.seed_base, &Worn::default());
-    let bounds = Bounds::new(clean.noise_mps2);
+    let of = EnvelopeQuestion { noise_mps2: Some(clean.noise_mps2), ..EnvelopeQuestion::default() };
     let mut rows = Vec::new();
-    let mut told = |name: &str, size: &str, sensors: &[SensorId], worn: &(dyn Fn(u64) -> Worn + Sync), model: f64| {
-        let seen = parallel(flights as usize, |i| {
-            let seed = effort.seed_base + i as u64;
-            let flight = fly(WORLD, seed, &worn(seed));
-            u64::from(flight.excluded.iter().any(|sensor| sensors.contains(sensor)))
-        });
-        let seen: u64 = seen.into_iter().sum();
-        let (low, high) = interval(seen, flights);
-        // The model's part has an interval too.
-        let (least, most) = interval((model * DRAWN as f64).round() as u64, DRAWN);
-        let holds = least <= high && most >= low;
-        let flown = seen as f64 / flights as f64;
-        let more = json!({ "flights": flights, "low": low, "high": high, "expected": model, "holds": holds });
-        report.value(&format!("detect/{name}/{size}"), flown, "of flights", more);
-        rows.push(vec![
-            name.to_owned(),
-            size.to_owned(),
-            format!("{flown:.2}"),
-            format!("{low:.2} to {high:.2}"),
-            format!("{model:.2}"),
-            if holds { "" } else { "differs" }.to_owned(),
-        ]);
-    };
-    for (name, size, what) in cases() {
-        let attacks = what.iter().map(|(sensor, kind, magnitude)| planned(*sensor, *kind, *magnitude)).collect();
-        let model = expected(&AttackQuestion { attacks, ..AttackQuestion::default() });
+    for Generator { name, unit, what, sizes } in generators() {
+        let attacks = what.iter().map(|(sensor, kind, one)| planned(*sensor, *kind, *one)).collect();
+        let question = AttackQuestion { of: of.clone(), attacks, ..AttackQuestion::default() };
+        // The first is that of no attack: false alarms.
+        let model = power(&question, None, &[&[0.0], sizes].concat()).unwrap_or_else(|e| panic!("{name}: {e}"));
         let sensors: Vec<SensorId> = what.iter().map(|(sensor, ..)| *sensor).collect();
-        let channel =
-            |sensor: SensorId| if sensor.kind == SensorKind::Imu { Channel::AccelAxis(2) } else { Channel::All };
-        let worn = |seed| {
-            let of = what.iter().map(|(sensor, kind, magnitude)| (*sensor, channel(*sensor), *kind, *magnitude));
-            Worn::these(of, HORIZON_S, seed)
-        };
-        told(name, &size, &sensors, &worn, model);
+        let quiet = fly_all(effort, flights, &sensors, &|_| Worn::default());
+        let mut plot = [Vec::new(), Vec::new()];
+        for (size, found) in [0.0].iter().chain(sizes).zip(&model) {
+            let worn = |seed: u64| {
+                let sign = if seed.is_multiple_of(2) { *size } else { -*size };
+                let channel =
+                    |s: SensorId| if s.kind == SensorKind::Imu { Channel::AccelAxis(2) } else { Channel::All };
+                Worn::these(what.iter().map(|(s, kind, one)| (*s, channel(*s), *kind, sign * one)), HORIZON_S, seed)
+            };
+            let seen = fly_all(effort, flights, &sensors, &worn);
+            let none = model.first().and_then(Option::as_ref).zip(found.as_ref());
+            let areas = [
+                area(&quiet.scores, &seen.scores),
+                none.map_or(f64::NAN, |(none, found)| area(&none.scores, &found.scores)),
+            ];
+            rows.push(tell(report, name, &format!("{size} {unit}"), &seen, found.as_ref(), areas));
+            plot[0].push((*size, seen.those as f64 / flights as f64));
+            plot[1].push((*size, found.as_ref().map_or(f64::NAN, Expected::probability)));
+        }
+        let [flown, expected] = plot;
+        let plot = Plot::new(&format!("Power: {name}"), unit, "flights in which an attacked one is excluded")
+            .with(Series::points("flown", flown))
+            .with(Series::line("expected", expected))
+            .y_range(0.0, 1.0);
+        let file = name.replace([' ', ','], "_");
+        report.figure(&format!("power_{file}"), "Power", &plot)?;
     }
+    optimal(report, effort, flights, clean.noise_mps2, &mut rows);
+    let headers =
+        ["generator", "size", "seen", "95 %", "expected", "", "anybody excluded", "area, flown", "area, expected"];
+    report.table("detect", "Generators", &headers, &rows)
+}
+
+/// The maximising sequences of some sets.
+fn optimal(report: &mut Report, effort: &Effort, flights: u64, noise_mps2: f64, rows: &mut Vec<Vec<String>>) {
+    let bounds = Bounds::new(noise_mps2);
     for names in ["height 2", "imu 1", "height 1, imu 1"] {
         let Some(set) = bounds.sets.iter().find(|set| set.name() == names) else { continue };
         let sensors = Some(set.sensors.iter().map(ToString::to_string).collect());
-        let noise_mps2 = Some(clean.noise_mps2);
-        let of = EnvelopeQuestion { sensors, noise_mps2, horizon_s: Some(HORIZON_S), ..EnvelopeQuestion::default() };
+        let horizon_s = Some(HORIZON_S);
+        let of = EnvelopeQuestion { sensors, noise_mps2: Some(noise_mps2), horizon_s, ..EnvelopeQuestion::default() };
         let question = AttackQuestion { of, generator: Some("optimal".into()), ..AttackQuestion::default() };
-        told("optimal", names, &set.sensors, &|_| bounds.worst(set, 1.0), expected(&question));
+        let attacks = prepared(&question, None).map(|found| found.attacks).unwrap_or_default();
+        let question = AttackQuestion { generator: None, attacks, ..question };
+        let found = power(&question, None, &[0.0, 1.0]).unwrap_or_default();
+        let quiet = fly_all(effort, flights, &set.sensors, &|_| Worn::default());
+        let seen = fly_all(effort, flights, &set.sensors, &|_| bounds.worst(set, 1.0));
+        let [Some(none), Some(model)] = &found[..] else { continue };
+        let areas = [area(&quiet.scores, &seen.scores), area(&none.scores, &model.scores)];
+        rows.push(tell(report, "optimal", names, &seen, Some(model), areas));
     }
-    let headers = ["generator", "size", "seen", "95 %", "expected", ""];
-    report.table("detect", "Generators", &headers, &rows)
 }
 
 /// Replays against the watermark, and what it costs.
 pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Watermark against replays");
     let flights = (effort.flights / SHARE).max(10);
-    let settings = Settings { rms_mps2: RMS_MPS2, seed: 7 };
     let flown = parallel(flights as usize, |i| {
         let seed = effort.seed_base + i as u64;
+        // Each flight has a watermark of its own: what one has in common with itself 8 s ago is the same in every flight.
+        let settings = Settings { rms_mps2: RMS_MPS2, seed };
         let replay = [(imu(2), Channel::Accel, Kind::Replay, REPLAYED_S)];
         let attacked = fly_for(WORLD, seed, &Worn::these(replay, REPLAY_S, seed), REPLAY_S, Some(settings));
         let [without, with] = [None, Some(settings)].map(|mark| fly_for(WORLD, seed, &Worn::default(), REPLAY_S, mark));
@@ -166,7 +234,7 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
     });
     // Blocks wholly within the replay tell of IMU 2; of the others all but the first, which still learns.
     let (mut seen, mut missed, mut alarms, mut healthy) = (0_u64, 0_u64, 0_u64, 0_u64);
-    let mut missing = Vec::new();
+    let (mut missing, mut replayed) = (Vec::new(), Vec::new());
     for (flight, _) in &flown {
         for (end_s, block) in flight.carried.iter().skip(1) {
             for (i, t) in block.carried.iter().enumerate() {
@@ -176,6 +244,7 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
                     1 if *end_s > 10.0 => {
                         seen += u64::from(low);
                         missed += u64::from(!low);
+                        replayed.push(*t);
                         missing.push(block.missing);
                     }
                     1 if *end_s > 0.0 => {}
@@ -190,16 +259,19 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
     let blocks = seen + missed;
     let (low, high) = interval(seen, blocks);
     let part = seen as f64 / blocks.max(1) as f64;
-    let deflection = -missing.iter().sum::<f64>() / missing.len().max(1) as f64;
+    let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
+    let (told, deflection) = (-mean(&replayed), -mean(&missing));
+    let spread_t = (replayed.iter().map(|t| (t + told).powi(2)).sum::<f64>() / replayed.len().max(2) as f64).sqrt();
     let holds = (low..=high).contains(&EXPECTED);
     let more = json!({ "blocks": blocks, "low": low, "high": high, "expected": EXPECTED, "holds": holds, "rms_mps2": RMS_MPS2 });
     report.value("watermark/detected", part, "of blocks of 10 s", more);
-    report.value("watermark/deflection", deflection, "σ", json!({ "expected": DEFLECTION }));
+    let more = json!({ "spread": spread_t, "by_the_flights_own_sigma": deflection, "expected": DEFLECTION });
+    report.value("watermark/deflection", told, "σ", more);
     let (least, most) = interval(alarms, healthy);
     let more = json!({ "blocks": healthy, "alarms": alarms, "low": least, "high": most, "expected": 0.001, "holds": least <= 0.001 && most >= 0.001 });
     report.value("watermark/false", alarms as f64 / healthy.max(1) as f64, "of healthy blocks", more);
     let ripple: Vec<f64> = flown.iter().map(|(_, ripple_m)| 1e3 * ripple_m).collect();
-    let mean = ripple.iter().sum::<f64>() / ripple.len().max(1) as f64;
+    let mean = mean(&ripple);
     let spread = (ripple.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / ripple.len().max(2) as f64).sqrt();
     let half = Z * spread / (ripple.len().max(1) as f64).sqrt();
     report.value(
@@ -215,7 +287,12 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
             format!("{low:.3} to {high:.3} of {blocks}"),
             format!("{EXPECTED}"),
         ],
-        vec!["deflection, σ".into(), format!("{deflection:.2}"), String::new(), format!("{DEFLECTION:.2}")],
+        vec![
+            "deflection, σ".into(),
+            format!("{told:.2}"),
+            format!("spread {spread_t:.2}; {deflection:.2} by the flights' own σ"),
+            format!("{DEFLECTION:.2}"),
+        ],
         vec![
             "healthy blocks told".into(),
             format!("{:.4}", alarms as f64 / healthy.max(1) as f64),

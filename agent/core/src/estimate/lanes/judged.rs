@@ -74,6 +74,16 @@ impl Judged {
         self.heights.is_excluded(index)
     }
 
+    /// The worst statistic of height `index` over its limit.
+    pub fn height_ratio(&self, index: usize) -> f64 {
+        self.heights.ratio(index)
+    }
+
+    /// Evidence against IMU `index` over its limit.
+    pub fn imu_ratio(&self, index: usize) -> f64 {
+        self.evidence.ratio(index)
+    }
+
     /// Is the exclusion of IMU `index` announced?
     pub fn imu(&self, index: usize) -> bool {
         let votes = self.vote.against(&self.evidence.are_present());

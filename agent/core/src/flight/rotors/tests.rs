@@ -120,3 +120,17 @@ fn a_vehicle_that_is_held_is_not_judged_and_a_sensor_that_is_no_number_leaves_no
     assert_eq!(hover.fly(3.0, [1.0; ROTORS], true), None);
     assert!(hover.watch.watches());
 }
+
+/// GIVEN a vehicle that a string held for a moment WHEN a rotor weakens half a second later THEN it is isolated as ever.
+#[test]
+fn what_was_learned_outlives_a_taut_string() {
+    let mut hover = Hover::new(5);
+    hover.fly(5.0, [1.0; ROTORS], true);
+    hover.force_n = 0.2 * hover.airframe.weight_n();
+    assert_eq!(hover.fly(0.5, [1.0; ROTORS], true), None);
+    assert!(hover.watch.held_s > 0.0);
+    hover.force_n = 0.0;
+    assert_eq!(hover.fly(0.6, [1.0; ROTORS], true), None);
+    let (after_s, found) = hover.fly(2.0, [1.0, 0.8, 1.0, 1.0], true).unwrap();
+    assert!(after_s < 0.3 && found == Found::Weak(1), "{found:?} after {after_s} s");
+}
