@@ -131,23 +131,27 @@ impl Row {
         bytes
     }
 
-    /// Of what was kept by whoever had these measures; `None` when it is damaged.
-    pub fn decode(bytes: &[u8], measures: &[String]) -> Option<Self> {
+    /// Of what was kept by whoever had measures at these [`places`]; `None` when it is damaged.
+    pub fn decode(bytes: &[u8], places: &[Option<usize>]) -> Option<Self> {
         let (content, check) = bytes.split_last_chunk::<4>()?;
-        if bytes.len() != row_bytes(measures.len()) || crc32fast::hash(content) != u32::from_le_bytes(*check) {
+        if bytes.len() != row_bytes(places.len()) || crc32fast::hash(content) != u32::from_le_bytes(*check) {
             return None;
         }
         let (index, rest) = content.split_first_chunk::<4>()?;
         let (values, lost) = rest.split_last_chunk::<LOST_BYTES>()?;
         let mut row = Self { index: u32::from_le_bytes(*index), values: [f64::NAN; MEASURES.len()], lost: *lost };
-        for (name, bytes) in measures.iter().zip(values.as_chunks::<8>().0) {
-            let at = MEASURES.iter().position(|known| known.name == name);
-            if let Some(value) = at.and_then(|at| row.values.get_mut(at)) {
+        for (place, bytes) in places.iter().zip(values.as_chunks::<8>().0) {
+            if let Some(value) = place.and_then(|at| row.values.get_mut(at)) {
                 *value = f64::from_le_bytes(*bytes);
             }
         }
         Some(row)
     }
+}
+
+/// Where measures of these names stand among [`MEASURES`]; `None` where nobody knows one any more.
+pub fn places(names: &[String]) -> Vec<Option<usize>> {
+    names.iter().map(|name| MEASURES.iter().position(|known| known.name == name)).collect()
 }
 
 /// The names of these measures.
@@ -180,7 +184,7 @@ mod tests {
             ..Outcome::default()
         };
         let row = Row::new(7, &outcome);
-        let (bytes, measures) = (row.encode(), names(&MEASURES));
+        let (bytes, measures) = (row.encode(), places(&names(&MEASURES)));
         assert_eq!(Row::decode(&bytes, &measures), Some(row));
         assert_eq!((row.lost(), row.value("delay_s")), ("EstimatorDescend", 0.3));
         assert_eq!(row.value("lateral_m").to_bits(), f64::NAN.to_bits());
@@ -196,15 +200,15 @@ mod tests {
         let row = Row::new(7, &Outcome { altitude_m: 0.1, nis_most: 4.0, ..Outcome::default() });
         let names = names(&MEASURES);
         let swapped: Vec<_> = names.iter().rev().cloned().collect();
-        let read = Row::decode(&row.encode(), &swapped).unwrap();
+        let read = Row::decode(&row.encode(), &places(&swapped)).unwrap();
         assert_eq!((read.value("altitude_m"), read.value("nis_most")), (4.0, 0.1));
         // One measure fewer, and one that nobody knows any more.
         let mut older = row.encode()[..4 + 8 * 2].to_vec(); // index, altitude_m, and another
         older.extend([0; LOST_BYTES]);
         older.extend(crc32fast::hash(&older).to_le_bytes());
-        let read = Row::decode(&older, &["altitude_m".into(), "gone".into()]).unwrap();
+        let read = Row::decode(&older, &places(&["altitude_m".into(), "gone".into()])).unwrap();
         assert_eq!(read.value("altitude_m"), 0.1);
         assert!(read.value("nis_most").is_nan() && read.value("altitude_most_m").is_nan());
-        assert_eq!(Row::decode(&older, &names), None);
+        assert_eq!(Row::decode(&older, &places(&names)), None);
     }
 }

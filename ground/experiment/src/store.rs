@@ -20,7 +20,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{PROGRAM, Plan, PlanError};
-use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, row_bytes};
+use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, places, row_bytes};
 
 /// A lock is tried again so often.
 const TRIES: u32 = 20;
@@ -207,9 +207,9 @@ impl Experiment {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             read => read.map_err(io(&path))?,
         };
-        let measures = &self.identity.measures;
-        let whole = bytes.chunks_exact(row_bytes(measures.len()));
-        let mut rows: Vec<_> = whole.filter_map(|bytes| Row::decode(bytes, measures)).collect();
+        let places = places(&self.identity.measures);
+        let whole = bytes.chunks_exact(row_bytes(places.len()));
+        let mut rows: Vec<_> = whole.filter_map(|bytes| Row::decode(bytes, &places)).collect();
         rows.retain(|row| u64::from(row.index) < self.plan.flights());
         rows.sort_by_key(|row| row.index);
         rows.dedup_by_key(|row| row.index);
