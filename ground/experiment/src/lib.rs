@@ -20,6 +20,7 @@ pub mod judge;
 pub mod monitor;
 pub mod open;
 pub mod parquet;
+pub mod part;
 pub mod plan;
 pub mod reception;
 pub mod report;

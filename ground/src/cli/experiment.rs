@@ -90,6 +90,9 @@ enum Deed {
         #[command(flatten)]
         data: DataFolder,
     },
+    #[cfg(feature = "many")]
+    #[command(flatten)]
+    Many(super::many::Deed),
     /// Flies one flight again and puts it among the recorded ones; a ground that runs shows it after its next start, and opens
     /// it at once from its own page.
     Open {
@@ -134,11 +137,13 @@ pub fn run(arguments: &ExperimentArguments) -> Result<(), String> {
         Deed::Resume { id, flying, data } => flown(&one(data, id)?, flying),
         Deed::Report { id, traces, address, data } => written(&one(data, id)?, *traces, address),
         Deed::Compare { first, second, address, data } => compared(&one(data, first)?, &one(data, second)?, address),
+        #[cfg(feature = "many")]
+        Deed::Many(deed) => super::many::run(deed),
         Deed::Open { id, index, data } => opened(&one(data, id)?, *index, &data.data),
     }
 }
 
-fn print(state: &State) -> Result<(), String> {
+pub(super) fn print(state: &State) -> Result<(), String> {
     let line = serde_json::to_string(state).unwrap_or_default();
     writeln!(std::io::stdout(), "{line}").map_err(|error| format!("standard output: {error}"))
 }
