@@ -23,6 +23,8 @@ pub mod gains_book;
 pub mod hub;
 mod ingest;
 pub mod lease;
+#[cfg(feature = "many")]
+pub mod many;
 pub mod metrics;
 pub mod names;
 pub mod people;

@@ -76,6 +76,9 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     assert_eq!(ground.get(&format!("{at}/plan.toml")).await.text(), PLAN);
     assert!(ground.get(&format!("{at}/report.html")).await.text().contains("6 of 6 flights"));
     assert!(ground.get(&format!("{at}/flights.parquet")).await.body.starts_with(b"PAR1"));
+    let against = ground.get(&format!("{at}/against/{id}")).await.text();
+    assert!(against.contains("6 of 6 flights of the same condition and seed are the same bit for bit"), "{against}");
+    assert_eq!(ground.get(&format!("{at}/against/none")).await.status, 404);
     assert_eq!(ground.get("/api/v1/experiments/none").await.status, 404);
     ground.stop().await;
 }

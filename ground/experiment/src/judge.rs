@@ -5,12 +5,12 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::attack::Attack;
 use plumbline_agent::command::Command;
-use plumbline_agent::estimate::Estimate;
+use plumbline_agent::estimate::{Estimate, Residual};
 use plumbline_agent::flight::{Failsafe, Flight, StepReport};
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
-use plumbline_proto::v1::SensorKind;
+use plumbline_proto::v1::{Channel, SensorKind};
 
 use crate::flight::Setup;
 
@@ -21,6 +21,8 @@ const ASTRAY_M: f64 = 0.5;
 /// A descent faster than this, m/s, is a fall; one that ends higher than this, m, ended in the air (strings begin at 0.3 m).
 const FALLS_MPS: f64 = 1.5;
 const DOWN_M: f64 = 0.45;
+/// How long a signal's innovations count for [`Outcome::nis_most`], s.
+pub const ALARM_S: f64 = 0.5;
 
 /// How it went. NaN where there was nothing to measure; a field for each column of a result, hence so many.
 #[derive(Debug, Clone, Default)]
@@ -39,6 +41,8 @@ pub struct Outcome {
     pub nees: f64,
     /// Innovation² / σ² of the samples accepted, mean; 1 where σ is right.
     pub nis: f64,
+    /// Innovation² / σ² of one signal, rejected samples as well: the most of its mean over [`ALARM_S`], faded exponentially.
+    pub nis_most: f64,
     /// Sum of what the four throttles changed, 1/s.
     pub effort_per_s: f64,
     /// Time that the vehicle was truly beyond its limits of altitude or place, s.
@@ -111,6 +115,16 @@ pub(crate) struct Judge {
     /// Sensors excluded now, and since when, s.
     excluded: Vec<(SensorId, f64)>,
     found: Vec<SensorId>,
+    signals: Vec<Signal>,
+}
+
+/// One signal's normalised innovations squared: their faded mean, and when the last one came, s.
+#[derive(Debug, Clone, Copy)]
+struct Signal {
+    sensor: SensorId,
+    channel: Channel,
+    mean: f64,
+    last_s: f64,
 }
 
 impl Judge {
@@ -137,6 +151,7 @@ impl Judge {
             command: None,
             excluded: Vec::new(),
             found: Vec::new(),
+            signals: Vec::new(),
         }
     }
 
@@ -169,6 +184,7 @@ impl Judge {
         }
         let Some(estimate) = flight.estimate_in_loop() else { return false };
         self.compare(truth, report, estimate);
+        self.alarm(t, &estimate.residuals);
         self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
         let judge = flight.judge().filter(|judge| judge.kind() == flight.estimator_in_loop());
         if let Some(bound_m) = judge.and_then(|judge| judge.height_bound_m()) {
@@ -224,6 +240,28 @@ impl Judge {
         let place = truth.position_enu_m;
         if place.x.abs() > lateral_m || place.y.abs() > lateral_m || place.z > altitude_m {
             self.outcome.outside_s += self.tick_s;
+        }
+    }
+
+    /// What a χ² detector on each signal would see, whatever became of the samples.
+    fn alarm(&mut self, t: f64, residuals: &[Residual]) {
+        // They come in the same order from tick to tick: the next one is looked for after the last.
+        let mut from = 0;
+        for residual in residuals.iter().filter(|residual| residual.sigma > 0.0) {
+            let is = |signal: &Signal| signal.sensor == residual.sensor && signal.channel == residual.channel;
+            let (before, after) = self.signals.split_at(from.min(self.signals.len()));
+            let known = after.iter().position(is).map(|at| at + before.len()).or_else(|| before.iter().position(is));
+            let at = known.unwrap_or(self.signals.len());
+            if known.is_none() {
+                let Residual { sensor, channel, .. } = *residual;
+                self.signals.push(Signal { sensor, channel, mean: 1.0, last_s: t - self.tick_s });
+            }
+            from = at + 1;
+            let Some(signal) = self.signals.get_mut(at) else { continue };
+            let weight = 1.0 - (-(t - signal.last_s) / ALARM_S).exp();
+            signal.mean += weight * ((residual.innovation / residual.sigma).powi(2) - signal.mean);
+            signal.last_s = t;
+            self.outcome.nis_most = self.outcome.nis_most.max(signal.mean);
         }
     }
 

@@ -3,7 +3,8 @@
 //! ```text
 //! plan.toml ─► plan (factors, conditions) ─► run (all cores) ─► store (a row a flight) ─┬─► summary ─► report.html, API
 //!                                              └ flight ─► judge ─► row                └─► parquet
-//!                                              └ open: one row, flown again ─► flight file (MCAP)
+//!                                              ├ open: one row, flown again ─► flight file (MCAP)
+//!                                              └ trace: the first ones, flown again ─► errors over time
 //! ```
 //! [`flight`] flies one, [`judge`] says how it went, [`attacked`] draws what is done to its sensors, [`draw`] has the dice, the
 //! work on all cores and the medians; [`reception`] has what anyone would try first ([`monitor`]: χ² and CUSUM). The project's
@@ -12,17 +13,21 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod attacked;
+pub mod compare;
 pub mod draw;
 pub mod flight;
 pub mod judge;
 pub mod monitor;
 pub mod open;
 pub mod parquet;
+pub mod part;
 pub mod plan;
 pub mod reception;
 pub mod report;
+pub mod roc;
 pub mod row;
 pub mod run;
 mod selector;
 pub mod store;
 pub mod summary;
+pub mod trace;

@@ -1,6 +1,10 @@
 //! The report of an experiment: one HTML file with everything in it, no script. Each dot is a link to its flight.
 
+mod curves;
 mod svg;
+mod versus;
+
+pub use versus::compare;
 
 use std::fmt::Write as _;
 
@@ -25,7 +29,7 @@ const STYLE: &str = "\
 body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:1100px;margin:2rem auto;padding:0 1rem}\
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2.5rem;border-bottom:1px solid var(--line)}\
 figure{margin:1rem 0}figcaption{color:var(--soft)}svg{max-width:100%;height:auto}svg text{fill:var(--ink);font-size:11px}\
-svg .axis{stroke:var(--line)}svg .box{fill:none;stroke:var(--ink)}svg .dot{fill:var(--mark);fill-opacity:.45}\
+svg .axis{stroke:var(--line)}svg .box{fill:none;stroke:var(--ink)}svg .violin{fill:var(--mark);fill-opacity:.14}svg .dot{fill:var(--mark);fill-opacity:.45}\
 svg a:hover .dot,svg a:focus .dot{fill-opacity:1;stroke:var(--ink)}svg .lost{fill:var(--lost)}\
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:1rem 0}\
 th,td{padding:.15rem .6rem;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}td.n{text-align:right;white-space:nowrap}\
@@ -73,7 +77,9 @@ pub fn page(experiment: &Experiment, address: &str) -> Result<String, StoreError
     for name in SHOWN {
         boxes(&mut out, &results, &rows, name, &links);
     }
-    curves(&mut out, experiment, &results);
+    curves::detected(&mut out, experiment, &results);
+    curves::roc(&mut out, experiment, &results, &rows);
+    curves::over_time(&mut out, experiment, &results);
     worst(&mut out, &results, experiment, &links)?;
     let _ = write!(out, "<h2>Plan</h2>\n<pre>{}</pre>\n</html>\n", escape(&plan.text));
     Ok(out)
@@ -203,17 +209,18 @@ fn boxes(out: &mut String, results: &Results, rows: &[Row], name: &str, links: &
         return;
     }
     let columns = drawn.iter().map(|condition| {
-        let of = rows.iter().filter(|row| plan.place(row.index.into()).0 == condition.number);
-        let dots = of.filter_map(|row| {
-            row.values.get(at).filter(|v| v.is_finite()).map(|value| svg::Dot {
-                value: *value,
+        let of = || rows.iter().filter(|row| plan.place(row.index.into()).0 == condition.number);
+        let finite = |row: &Row| row.values.get(at).copied().filter(|value| value.is_finite());
+        let dots = of().filter_map(|row| {
+            finite(row).map(|value| svg::Dot {
+                value,
                 lost: !row.lost().is_empty(),
                 link: links.of(row.index.into()),
                 says: format!(
                     "flight {}, seed {}: {name} = {} {}",
                     row.index,
                     plan.seed_of(plan.place(row.index.into()).1),
-                    number(*value),
+                    number(value),
                     row.lost()
                 ),
             })
@@ -221,6 +228,7 @@ fn boxes(out: &mut String, results: &Results, rows: &[Row], name: &str, links: &
         svg::Column {
             label: label(condition),
             spread: condition.measures.get(at).copied().flatten(),
+            values: of().filter(|row| row.lost().is_empty()).filter_map(finite).collect(),
             dots: dots.take(DOTS).collect(),
         }
     });
@@ -228,44 +236,10 @@ fn boxes(out: &mut String, results: &Results, rows: &[Row], name: &str, links: &
     let about = MEASURES.get(at).map_or("", |measure| measure.about);
     let _ = write!(
         out,
-        "<h2>{name}</h2>\n<figure>{}<figcaption>{}: quartiles and median, whiskers to the least and the most of flights not lost; \
-         each dot is a flight and opens it.</figcaption></figure>\n",
+        "<h2>{name}</h2>\n<figure>{}<figcaption>{}: quartiles and median, whiskers to the least and the most of flights not lost, \
+         their density behind; each dot is a flight and opens it.</figcaption></figure>\n",
         svg::boxes(name, &columns),
         escape(about),
-    );
-}
-
-/// Detected against the first factor that is a number: the size of an attack, where that is varied.
-fn curves(out: &mut String, experiment: &Experiment, results: &Results) {
-    let factors = &experiment.plan.factors;
-    let size = factors.iter().position(|factor| factor.key == "attack.magnitude");
-    let Some(x) = size.or(factors.iter().position(|factor| factor.is_number())) else { return };
-    let mut series: Vec<(String, Vec<svg::Point>)> = Vec::new();
-    for condition in &results.conditions {
-        let (Some(part), Some(Ok(at))) =
-            (condition.detected, condition.levels.get(x).map(|level| level.parse::<f64>()))
-        else {
-            continue;
-        };
-        let others =
-            condition.levels.iter().enumerate().filter(|(factor, _)| *factor != x).map(|(_, level)| level.as_str());
-        let name = others.collect::<Vec<_>>().join(" · ");
-        let point = svg::Point { x: at, y: part.count as f64 / part.of.max(1) as f64, interval: part.interval };
-        match series.iter_mut().find(|(known, _)| *known == name) {
-            Some((_, points)) => points.push(point),
-            None => series.push((name, vec![point])),
-        }
-    }
-    if series.iter().all(|(_, points)| points.len() < 2) {
-        return;
-    }
-    series.iter_mut().for_each(|(_, points)| points.sort_by(|a, b| a.x.total_cmp(&b.x)));
-    let key = factors.get(x).map_or("", |factor| factor.key.as_str());
-    let _ = write!(
-        out,
-        "<h2>Detected</h2>\n<figure>{}<figcaption>Part of the flights whose attacked sensors were all excluded, with its 95 % \
-         interval (Wilson).</figcaption></figure>\n",
-        svg::curves(key, "part of flights", &series),
     );
 }
 

@@ -1,11 +1,13 @@
-//! One flight of a result: 144 bytes, the same on every machine.
+//! One flight of a result: 152 bytes, the same on every machine.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 4 | index, little-endian like everything |
-//! | 15 × 8 | measures, each a `f64`; NaN where there is nothing |
+//! | 16 × 8 | measures, each a `f64`; NaN where there is nothing |
 //! | 16 | why it was lost; empty when it was not |
 //! | 4 | CRC-32 of all before |
+//!
+//! Another version of the program may have had other measures: which of them a row has stands in the experiment's identity.
 
 use crate::judge::Outcome;
 
@@ -23,7 +25,7 @@ const fn measure(name: &'static str, about: &'static str) -> Measure {
 }
 
 /// Every measure, in the order of the columns.
-pub const MEASURES: [Measure; 15] = [
+pub const MEASURES: [Measure; 16] = [
     measure("altitude_m", "true altitude less setpoint, rms"),
     measure("altitude_most_m", "true altitude less setpoint, most"),
     measure("lateral_m", "true place less setpoint, rms, where it is held"),
@@ -39,11 +41,20 @@ pub const MEASURES: [Measure; 15] = [
     measure("false_longest_s", "the longest of them"),
     measure("declared_s", "onset to the first doubt or failsafe"),
     measure("outside_bound", "part of the time outside the bound announced"),
+    measure("nis_most", "innovation squared by its variance, the most of one signal over half a second"),
 ];
+
+/// Measures of an experiment whose identity does not name them.
+pub(crate) const FIRST: usize = 15;
 
 const LOST_BYTES: usize = 16;
 /// Size of a row.
-pub const ROW_BYTES: usize = 4 + 8 * MEASURES.len() + LOST_BYTES + 4;
+pub const ROW_BYTES: usize = row_bytes(MEASURES.len());
+
+/// Size of a row with so many measures.
+pub(crate) const fn row_bytes(measures: usize) -> usize {
+    4 + 8 * measures + LOST_BYTES + 4
+}
 
 /// How one flight went.
 #[derive(Debug, Clone, Copy)]
@@ -84,6 +95,7 @@ impl Row {
                 outcome.false_longest_s,
                 outcome.declared_s.unwrap_or(f64::NAN),
                 outcome.outside_bound,
+                outcome.nis_most,
             ]
             // One NaN: which bits a processor gives it is nobody's result.
             .map(|value| if value.is_nan() { f64::NAN } else { value }),
@@ -119,20 +131,32 @@ impl Row {
         bytes
     }
 
-    /// Of what was kept; `None` when it is damaged.
-    pub fn decode(bytes: &[u8; ROW_BYTES]) -> Option<Self> {
+    /// Of what was kept by whoever had measures at these [`places`]; `None` when it is damaged.
+    pub fn decode(bytes: &[u8], places: &[Option<usize>]) -> Option<Self> {
         let (content, check) = bytes.split_last_chunk::<4>()?;
-        if crc32fast::hash(content) != u32::from_le_bytes(*check) {
+        if bytes.len() != row_bytes(places.len()) || crc32fast::hash(content) != u32::from_le_bytes(*check) {
             return None;
         }
         let (index, rest) = content.split_first_chunk::<4>()?;
         let (values, lost) = rest.split_last_chunk::<LOST_BYTES>()?;
         let mut row = Self { index: u32::from_le_bytes(*index), values: [f64::NAN; MEASURES.len()], lost: *lost };
-        for (value, bytes) in row.values.iter_mut().zip(values.as_chunks::<8>().0) {
-            *value = f64::from_le_bytes(*bytes);
+        for (place, bytes) in places.iter().zip(values.as_chunks::<8>().0) {
+            if let Some(value) = place.and_then(|at| row.values.get_mut(at)) {
+                *value = f64::from_le_bytes(*bytes);
+            }
         }
         Some(row)
     }
+}
+
+/// Where measures of these names stand among [`MEASURES`]; `None` where nobody knows one any more.
+pub fn places(names: &[String]) -> Vec<Option<usize>> {
+    names.iter().map(|name| MEASURES.iter().position(|known| known.name == name)).collect()
+}
+
+/// The names of these measures.
+pub(crate) fn names(measures: &[Measure]) -> Vec<String> {
+    measures.iter().map(|measure| measure.name.to_owned()).collect()
 }
 
 /// The beginning of a text, not in the middle of a character.
@@ -160,14 +184,31 @@ mod tests {
             ..Outcome::default()
         };
         let row = Row::new(7, &outcome);
-        let bytes = row.encode();
-        assert_eq!(Row::decode(&bytes), Some(row));
+        let (bytes, measures) = (row.encode(), places(&names(&MEASURES)));
+        assert_eq!(Row::decode(&bytes, &measures), Some(row));
         assert_eq!((row.lost(), row.value("delay_s")), ("EstimatorDescend", 0.3));
         assert_eq!(row.value("lateral_m").to_bits(), f64::NAN.to_bits());
         for at in 0..ROW_BYTES {
             let mut damaged = bytes;
             damaged[at] ^= 0x10;
-            assert_eq!(Row::decode(&damaged), None, "byte {at}");
+            assert_eq!(Row::decode(&damaged, &measures), None, "byte {at}");
         }
+    }
+
+    #[test]
+    fn a_row_of_another_version_is_read_by_the_names_of_its_measures() {
+        let row = Row::new(7, &Outcome { altitude_m: 0.1, nis_most: 4.0, ..Outcome::default() });
+        let names = names(&MEASURES);
+        let swapped: Vec<_> = names.iter().rev().cloned().collect();
+        let read = Row::decode(&row.encode(), &places(&swapped)).unwrap();
+        assert_eq!((read.value("altitude_m"), read.value("nis_most")), (4.0, 0.1));
+        // One measure fewer, and one that nobody knows any more.
+        let mut older = row.encode()[..4 + 8 * 2].to_vec(); // index, altitude_m, and another
+        older.extend([0; LOST_BYTES]);
+        older.extend(crc32fast::hash(&older).to_le_bytes());
+        let read = Row::decode(&older, &places(&["altitude_m".into(), "gone".into()])).unwrap();
+        assert_eq!(read.value("altitude_m"), 0.1);
+        assert!(read.value("nis_most").is_nan() && read.value("altitude_most_m").is_nan());
+        assert_eq!(Row::decode(&older, &places(&names)), None);
     }
 }

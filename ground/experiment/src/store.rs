@@ -20,7 +20,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{PROGRAM, Plan, PlanError};
-use crate::row::{ROW_BYTES, Row};
+use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, places, row_bytes};
 
 /// A lock is tried again so often.
 const TRIES: u32 = 20;
@@ -52,6 +52,9 @@ pub enum StoreError {
         /// The other program.
         begun_by: String,
     },
+    /// Flights that should be flown again for their traces.
+    #[error("traces: {0}")]
+    Traces(String),
     /// Somebody flies it already.
     #[error("experiment {0} is being flown")]
     Running(String),
@@ -73,6 +76,13 @@ pub struct Identity {
     pub made_unix_us: u64,
     /// Flights of the whole plan.
     pub flights: u64,
+    /// What its rows have, in their order.
+    #[serde(default = "first")]
+    pub measures: Vec<String>,
+}
+
+fn first() -> Vec<String> {
+    names(MEASURES.get(..FIRST).unwrap_or_default())
 }
 
 /// Since when it is flown, and how many flights were there already.
@@ -116,19 +126,24 @@ impl Experiment {
         data.join("experiments")
     }
 
+    /// What a plan, flown by this program, is called.
+    pub fn id_of(plan: &Plan) -> String {
+        format!("{}-{}", plan.name, plan.hash().get(..10).unwrap_or_default())
+    }
+
     /// Makes it in `root`; the same plan of the same program is the same experiment.
     ///
     /// # Errors
     /// [`StoreError::Io`].
     pub fn create(root: &Path, plan: Plan) -> Result<Self, StoreError> {
-        let hash = plan.hash();
-        let id = format!("{}-{}", plan.name, hash.get(..10).unwrap_or(&hash));
+        let (hash, id) = (plan.hash(), Self::id_of(&plan));
         let folder = root.join(&id);
         if folder.join("identity.json").exists() {
             return Self::open(root, &id);
         }
         fs::create_dir_all(&folder).map_err(io(&folder))?;
-        let identity = Identity { hash, program: PROGRAM.into(), made_unix_us: now_unix_us(), flights: plan.flights() };
+        let (program, made_unix_us, flights) = (PROGRAM.into(), now_unix_us(), plan.flights());
+        let identity = Identity { hash, program, made_unix_us, flights, measures: names(&MEASURES) };
         write_whole(&folder.join("plan.toml"), plan.text.as_bytes())?;
         // Last: an experiment is there with it.
         write_whole(&folder.join("identity.json"), &serde_json::to_vec(&identity).unwrap_or_default())?;
@@ -179,7 +194,7 @@ impl Experiment {
 
     /// Finished flights, without reading them.
     pub fn done(&self) -> u64 {
-        fs::metadata(self.rows_path()).map_or(0, |meta| meta.len() / ROW_BYTES as u64)
+        fs::metadata(self.rows_path()).map_or(0, |meta| meta.len() / row_bytes(self.identity.measures.len()) as u64)
     }
 
     /// Every finished flight once, by its index.
@@ -192,7 +207,9 @@ impl Experiment {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
             read => read.map_err(io(&path))?,
         };
-        let mut rows: Vec<_> = bytes.as_chunks::<ROW_BYTES>().0.iter().filter_map(Row::decode).collect();
+        let places = places(&self.identity.measures);
+        let whole = bytes.chunks_exact(row_bytes(places.len()));
+        let mut rows: Vec<_> = whole.filter_map(|bytes| Row::decode(bytes, &places)).collect();
         rows.retain(|row| u64::from(row.index) < self.plan.flights());
         rows.sort_by_key(|row| row.index);
         rows.dedup_by_key(|row| row.index);

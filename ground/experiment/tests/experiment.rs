@@ -10,7 +10,7 @@ use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::{ROW_BYTES, Row};
 use plumbline_experiment::run::{Ended, Options, run};
 use plumbline_experiment::store::{Experiment, StoreError};
-use plumbline_experiment::{open, parquet, report, summary};
+use plumbline_experiment::{compare, open, parquet, report, summary, trace};
 
 /// 2 × 2 conditions × 4 repeats of 18 s.
 const PLAN: &str = r#"
@@ -70,13 +70,32 @@ fn killed_at_any_moment_every_flight_is_there_once_and_is_the_same() {
     let expected = rows(&undisturbed);
     assert_eq!(expected.len() as u64, FLIGHTS);
 
-    let root = folder.path().join("killed");
-    let killed = made(&root);
+    let table = |experiment: &Experiment| std::fs::read(parquet::export(experiment).unwrap()).unwrap();
+    let expected_table = table(&undisturbed);
+    let wanted: u32 = std::env::var("PLUMBLINE_ROUNDS").map_or(2, |rounds| rounds.parse().unwrap());
+    let (mut kills, mut experiments) = (0, 0);
+    while kills < wanted {
+        experiments += 1;
+        let root = folder.path().join(format!("killed-{experiments}"));
+        kills += killed_until_it_is_whole(&root, kills.into(), &expected[0]);
+        let killed = made(&root);
+        assert_eq!(flown(&killed), Ended::Complete);
+        assert!(rows(&killed) == expected, "a row differs");
+        // Nothing was flown twice: the file holds each row once.
+        assert_eq!(std::fs::metadata(killed.folder.join("flights.rows")).unwrap().len(), FLIGHTS * ROW_BYTES as u64);
+        assert!(table(&killed) == expected_table, "the tables differ");
+    }
+    println!("{kills} kills over {experiments} experiments of {FLIGHTS} flights");
+}
+
+/// Runs and kills until every flight is there; how many kills that took. `from`: rounds before, for other moments than theirs.
+fn killed_until_it_is_whole(root: &Path, from: u64, torn: &Row) -> u32 {
+    let killed = made(root);
     let mut kills = 0;
-    for round in 0_u64.. {
+    for round in from.. {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "flies_until_it_is_killed", "--ignored", "--nocapture"])
-            .env("PLUMBLINE_EXPERIMENT_ROOT", &root)
+            .env("PLUMBLINE_EXPERIMENT_ROOT", root)
             .env("PLUMBLINE_EXPERIMENT_THREADS", (1 + round % 3).to_string())
             .stdout(Stdio::null())
             .spawn()
@@ -94,21 +113,15 @@ fn killed_at_any_moment_every_flight_is_there_once_and_is_the_same() {
         if round % 2 == 0 && killed.done() < FLIGHTS {
             let path = killed.folder.join("flights.rows");
             let mut bytes = std::fs::read(&path).unwrap();
-            bytes.extend_from_slice(&expected[0].encode()[..ROW_BYTES / 2]);
+            bytes.extend_from_slice(&torn.encode()[..ROW_BYTES / 2]);
             std::fs::write(&path, bytes).unwrap();
         }
         if killed.done() == FLIGHTS {
             break;
         }
-        assert!(round < 50, "{} of {FLIGHTS} after {round} rounds", killed.done());
+        assert!(round < from + 50, "{} of {FLIGHTS} after {} rounds", killed.done(), round - from);
     }
-    assert!(kills >= 2, "{kills} kills");
-    assert_eq!(flown(&killed), Ended::Complete);
-    assert!(rows(&killed) == expected, "a row differs");
-    // Nothing was flown twice: the file holds each row once.
-    assert_eq!(std::fs::metadata(killed.folder.join("flights.rows")).unwrap().len(), FLIGHTS * ROW_BYTES as u64);
-    let table = |experiment: &Experiment| std::fs::read(parquet::export(experiment).unwrap()).unwrap();
-    assert!(table(&killed) == table(&undisturbed), "the tables differ");
+    kills
 }
 
 #[test]
@@ -167,6 +180,85 @@ fn an_experiment_is_stopped_resumed_reported_and_opened() {
     other[7].values[0] += 1e-9;
     std::fs::write(&path, other.iter().flat_map(Row::encode).collect::<Vec<u8>>()).unwrap();
     assert!(matches!(open::open(&experiment, 7), Err(open::OpenError::Otherwise(7))));
+}
+
+#[test]
+fn what_changed_between_two_experiments_is_what_was_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = made(folder.path());
+    flown(&first);
+    // GIVEN the same plan with a bias that passes the gates WHEN both are compared
+    let smaller = PLAN.replace("magnitude = 1.0", "magnitude = 0.1");
+    let second = Experiment::create(folder.path(), Plan::from_toml(&smaller).unwrap()).unwrap();
+    flown(&second);
+    let compared = compare::compare(&first, &second).unwrap();
+    // THEN the plans differ in that, flights without the attack are the same, and those with it are not
+    assert_eq!(compared.plans, [("attack.magnitude".into(), "1.0".into(), "0.1".into())]);
+    assert_eq!((compared.programs, compared.alone), (false, [0, 0]));
+    let same: Vec<_> = compared.conditions.iter().map(|pair| (pair.pairs, pair.same, pair.detected)).collect();
+    assert_eq!(same, [(4, 4, None), (4, 0, Some([0, 0])), (4, 4, None), (4, 0, Some([4, 4]))]);
+    let altitude = |condition: usize| compared.conditions[condition].measures[0].unwrap();
+    assert_eq!(altitude(0).difference.median, 0.0);
+    // An EKF alone rejects 1 m and follows 0.1 m.
+    assert!(altitude(1).medians[1] > 3.0 * altitude(1).medians[0], "{:?}", altitude(1));
+    assert!(altitude(1).difference.interval[0] > 0.0, "{:?}", altitude(1));
+    let page = report::compare(&first, &second, "").unwrap();
+    assert!(page.contains("the same program, another plan: 8 of 16 flights"), "{page}");
+    assert!(!page.contains("went another way") && !page.contains("<script"));
+
+    // GIVEN what a version flew that had one measure fewer THEN the others are compared
+    let older =
+        Experiment::create(folder.path(), Plan::from_toml(&format!("{PLAN}# older\n[stop]\nminutes = 9\n")).unwrap());
+    let older = older.unwrap();
+    let shorter = |row: &Row| {
+        let mut bytes = row.encode()[..4 + 8 * 15].to_vec();
+        bytes.extend(&row.encode()[ROW_BYTES - 20..ROW_BYTES - 4]);
+        bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+        bytes
+    };
+    std::fs::write(older.folder.join("flights.rows"), rows(&first).iter().flat_map(shorter).collect::<Vec<u8>>())
+        .unwrap();
+    let path = older.folder.join("identity.json");
+    let mut identity: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    identity.as_object_mut().unwrap().remove("measures");
+    identity["program"] = "0.0.9".into();
+    std::fs::write(&path, identity.to_string()).unwrap();
+    let older = Experiment::open(folder.path(), &older.id).unwrap();
+    assert_eq!(older.done(), FLIGHTS);
+    let compared = compare::compare(&older, &first).unwrap();
+    assert!(
+        compared.programs && compared.conditions.iter().all(|pair| (pair.pairs, pair.same) == (4, 4)),
+        "{compared:?}"
+    );
+    assert!(compared.conditions[0].measures[0].is_some() && compared.conditions[0].measures[15].is_none());
+}
+
+#[test]
+fn errors_over_time_are_those_of_the_same_flights() {
+    let folder = tempfile::tempdir().unwrap();
+    // An EKF alone follows a bias that passes its gates.
+    let plan = Plan::from_toml(&PLAN.replace("magnitude = 1.0", "magnitude = 0.1")).unwrap();
+    let experiment = Experiment::create(folder.path(), plan).unwrap();
+    flown(&experiment);
+    assert!(!report::page(&experiment, "").unwrap().contains("Error over time"));
+    let table = trace::write(&experiment, 2).unwrap();
+    assert!(std::fs::read(table).unwrap().starts_with(b"PAR1"));
+    let bands = trace::bands(&experiment).unwrap();
+    assert_eq!((bands.repeats, bands.bands.len()), (2, 4));
+    // The onset is 13 s after boot. Before it nothing differs; after it only the EKF alone is led astray.
+    let error_m = |condition: usize, from_s: f64, to_s: f64| {
+        let band = &bands.bands[condition];
+        let within = band.t_s.iter().zip(&band.quartiles).filter(|(t_s, _)| (from_s..to_s).contains(*t_s));
+        within.map(|(_, [_, median, _])| *median).fold(0.0, f64::max)
+    };
+    assert!(bands.bands.iter().all(|band| (band.t_s[0] + 13.0).abs() < 0.06), "{:?}", bands.bands[0].t_s[0]);
+    assert_eq!(error_m(0, -13.0, 0.0), error_m(1, -13.0, 0.0));
+    assert!(error_m(1, 0.0, 5.0) > 2.0 * error_m(0, 0.0, 5.0), "{} {}", error_m(1, 0.0, 5.0), error_m(0, 0.0, 5.0));
+    let page = report::page(&experiment, "").unwrap();
+    assert!(page.contains("Error over time") && page.contains("the first 2 flights of each condition"));
+    // A curve for each attacked condition, against the one of the same estimator without the attack.
+    assert!(page.contains("Receiver operating characteristic"));
+    assert_eq!(page.matches("bias: area ").count(), 2, "{page}");
 }
 
 #[test]
@@ -242,7 +334,7 @@ fn duckdb_and_polars_read_the_table() {
     assert_eq!((read[0][0][1].as_u64(), read[0][0][2].as_u64(), read[0][0][4].as_u64()), (Some(8), Some(4), Some(332)));
     assert_eq!(read[0][0][3].as_f64(), Some(median(&of(1, "altitude_m"))));
     assert_eq!(read[0][1][3].as_f64(), Some(median(&of(0, "altitude_m"))));
-    assert_eq!((read[1].as_u64(), read[2].as_u64()), (Some(FLIGHTS), Some(4 + 2 + 1 + 15)));
+    assert_eq!((read[1].as_u64(), read[2].as_u64()), (Some(FLIGHTS), Some(4 + 2 + 1 + 16)));
     assert_eq!(read[3], serde_json::json!((0..FLIGHTS).collect::<Vec<_>>()));
     let sum: f64 = rows.iter().map(|row| row.value("altitude_m")).sum();
     assert!((read[4].as_f64().unwrap() / sum - 1.0).abs() < 1e-12);

@@ -27,7 +27,7 @@ impl From<StoreError> for ApiError {
     fn from(error: StoreError) -> Self {
         match error {
             StoreError::Unknown(_) => Self::NotFound(error.to_string()),
-            StoreError::Plan(_) => Self::Invalid(error.to_string()),
+            StoreError::Plan(_) | StoreError::Traces(_) => Self::Invalid(error.to_string()),
             StoreError::Foreign { .. } | StoreError::Running(_) => Self::Conflict(error.to_string()),
             StoreError::Io { .. } => Self::Broken(error.to_string()),
         }
@@ -76,7 +76,7 @@ pub(crate) async fn size(State(app): State<App>, Body(asked): Body<Asked>) -> Re
     let size = app.computing.run(move |waited| {
         let plan = read(&asked.plan)?;
         waited.check()?;
-        let id = format!("{}-{}", plan.name, plan.hash().get(..10).unwrap_or_default());
+        let id = Experiment::id_of(&plan);
         let done = Experiment::open(&root, &id).map_or(0, |experiment| experiment.done());
         let (conditions, repeats, flights) = (plan.conditions(), plan.repeats, plan.flights());
         let expected_s = expected_s(&plan, flights.saturating_sub(done), Experiments::threads());
@@ -188,6 +188,14 @@ pub(crate) async fn plan(State(app): State<App>, Path(id): Path<String>) -> Resu
 pub(crate) async fn page(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
     // Links without an address lead to the ground that the page comes from.
     let text = aside(app, move |app| Ok(report::page(&one(app, &id)?, "")?)).await?;
+    Ok(([(header::CONTENT_TYPE, "text/html; charset=utf-8")], text).into_response())
+}
+
+pub(crate) async fn compare(
+    State(app): State<App>,
+    Path((first, second)): Path<(String, String)>,
+) -> Result<Response, ApiError> {
+    let text = aside(app, move |app| Ok(report::compare(&one(app, &first)?, &one(app, &second)?, "")?)).await?;
     Ok(([(header::CONTENT_TYPE, "text/html; charset=utf-8")], text).into_response())
 }
 

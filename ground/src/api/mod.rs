@@ -267,6 +267,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/experiments/{id}/plan.toml"  View    experiments::plan;
         get    "/api/v1/experiments/{id}/report.html" View   experiments::page;
         get    "/api/v1/experiments/{id}/flights.parquet" View experiments::table;
+        get    "/api/v1/experiments/{id}/against/{second}" View experiments::compare;
         get    "/api/v1/archive"                        View    archive::tar;
         get    "/api/v1/archive/due"                    View    archive::due;
         get    "/api/v1/flights"                        View    flights::list;

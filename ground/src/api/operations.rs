@@ -191,6 +191,8 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/experiments/{id}/plan.toml", "Its plan").media("application/toml"),
     get("/api/v1/experiments/{id}/report.html", "Its report, self-contained").media(HTML),
     get("/api/v1/experiments/{id}/flights.parquet", "A row for each flight").media(PARQUET),
+    get("/api/v1/experiments/{id}/against/{second}", "What a second experiment differs from it in, self-contained")
+        .media(HTML),
     get("/api/v1/archive", "Files of many flights as one tar, with their hashes: unpacked, it is a backup folder")
         .query(&[("ids", "string!", "Ids of flights with commas between them, 500 at most.")])
         .media("application/x-tar"),

@@ -1,4 +1,4 @@
-//! `plumbline-ground experiment run|status|stop|resume|report|open`: plans of many simulated flights, without a ground that runs
+//! `plumbline-ground experiment run|status|stop|resume|report|compare|open`: plans of many simulated flights, without a ground that runs
 //! and beside one.
 
 use std::io::{IsTerminal as _, Write as _};
@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use clap::Subcommand;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::run::{Ended, Options, Progress, expected_s, run as fly};
-use plumbline_experiment::store::Experiment;
-use plumbline_experiment::{open, parquet, report, summary};
+use plumbline_experiment::store::{Experiment, write_whole};
+use plumbline_experiment::{open, parquet, report, summary, trace};
 use plumbline_rest::experiment::State;
 
 use super::DataFolder;
@@ -68,12 +68,31 @@ enum Deed {
     Report {
         /// Which.
         id: String,
+        /// Flies so many flights of each condition again, for errors over time: a part of the report, and `traces.parquet`.
+        #[arg(long, value_name = "REPEATS", value_parser = clap::value_parser!(u64).range(1..))]
+        traces: Option<u64>,
         /// The ground that the dots lead to.
         #[arg(long, default_value = "http://127.0.0.1:4747")]
         address: String,
         #[command(flatten)]
         data: DataFolder,
     },
+    /// Writes what a second experiment differs from a first one in, condition by condition and flight by flight of the same seed:
+    /// two versions of the program on the same plan, or two plans that vary the same factors.
+    Compare {
+        /// The first.
+        first: String,
+        /// The second; the page goes into its folder.
+        second: String,
+        /// The ground that flights lead to.
+        #[arg(long, default_value = "http://127.0.0.1:4747")]
+        address: String,
+        #[command(flatten)]
+        data: DataFolder,
+    },
+    #[cfg(feature = "many")]
+    #[command(flatten)]
+    Many(super::many::Deed),
     /// Flies one flight again and puts it among the recorded ones; a ground that runs shows it after its next start, and opens
     /// it at once from its own page.
     Open {
@@ -116,12 +135,15 @@ pub fn run(arguments: &ExperimentArguments) -> Result<(), String> {
         }
         Deed::Stop { id, data } => one(data, id)?.ask_to_stop().map_err(|error| error.to_string()),
         Deed::Resume { id, flying, data } => flown(&one(data, id)?, flying),
-        Deed::Report { id, address, data } => written(&one(data, id)?, address),
+        Deed::Report { id, traces, address, data } => written(&one(data, id)?, *traces, address),
+        Deed::Compare { first, second, address, data } => compared(&one(data, first)?, &one(data, second)?, address),
+        #[cfg(feature = "many")]
+        Deed::Many(deed) => super::many::run(deed),
         Deed::Open { id, index, data } => opened(&one(data, id)?, *index, &data.data),
     }
 }
 
-fn print(state: &State) -> Result<(), String> {
+pub(super) fn print(state: &State) -> Result<(), String> {
     let line = serde_json::to_string(state).unwrap_or_default();
     writeln!(std::io::stdout(), "{line}").map_err(|error| format!("standard output: {error}"))
 }
@@ -196,10 +218,20 @@ fn flown(experiment: &Experiment, flying: &Flying) -> Result<(), String> {
     print(&summary::state(experiment))
 }
 
-fn written(experiment: &Experiment, address: &str) -> Result<(), String> {
+fn written(experiment: &Experiment, traces: Option<u64>, address: &str) -> Result<(), String> {
+    let traced =
+        traces.map(|repeats| trace::write(experiment, repeats)).transpose().map_err(|error| error.to_string())?;
     let page = report::write(experiment, address).map_err(|error| error.to_string())?;
     let table = parquet::export(experiment).map_err(|error| error.to_string())?;
-    println!("{}\n{}", page.display(), table.display());
+    [page, table].iter().chain(&traced).for_each(|path| println!("{}", path.display()));
+    Ok(())
+}
+
+fn compared(first: &Experiment, second: &Experiment, address: &str) -> Result<(), String> {
+    let page = report::compare(first, second, address).map_err(|error| error.to_string())?;
+    let path = second.folder.join(format!("against-{}.html", first.id));
+    write_whole(&path, page.as_bytes()).map_err(|error| error.to_string())?;
+    println!("{}", path.display());
     Ok(())
 }
 

@@ -8,6 +8,8 @@ mod check;
 mod doctor;
 mod experiment;
 mod export;
+#[cfg(feature = "many")]
+mod many;
 mod serve;
 mod settings;
 
@@ -41,6 +43,9 @@ enum Tool {
     Doctor(doctor::DoctorArguments),
     /// Writes flights as tables (CSV, Parquet, MATLAB) or ROS 2 bags.
     Export(export::ExportArguments),
+    /// Takes jobs of experiments from a NATS server, until it is ended.
+    #[cfg(feature = "many")]
+    Worker(many::WorkerArguments),
     /// Pairs the agent that shows this code.
     Pair(agents::PairArguments),
     /// Shows this ground's fingerprint; trusts or revokes agents.
@@ -69,6 +74,8 @@ impl Arguments {
             Some(Tool::Experiment(arguments)) => experiment::run(&arguments),
             Some(Tool::Doctor(arguments)) => doctor::run(&arguments),
             Some(Tool::Export(arguments)) => export::run(&arguments),
+            #[cfg(feature = "many")]
+            Some(Tool::Worker(arguments)) => many::work(&arguments),
             Some(Tool::Pair(arguments)) => agents::pair(&arguments),
             Some(Tool::Identity(arguments)) => agents::identity(&arguments),
             None => serve::run(&self.serve),

@@ -11,6 +11,7 @@
 //! | `POST …/{id}/flights/{index}` | [`Opened`]: flown again from its seed and recorded |
 //! | `GET …/{id}/flights/{index}/open` | the same, then the page of that flight |
 //! | `GET …/{id}/plan.toml`, `report.html`, `flights.parquet` | files |
+//! | `GET …/{id}/against/{second}` | what the second differs from it in, HTML |
 
 use std::collections::BTreeMap;
 

@@ -69,7 +69,7 @@ pub fn ExperimentsPage() -> impl IntoView {
                     </section>
                 </div>
                 // Remade for another experiment, and not for another state of the same.
-                {move || shown.get().map(|id| view! { <ResultsCard id state /> })}
+                {move || shown.get().map(|id| view! { <ResultsCard id state states /> })}
             </div>
         </main>
     }

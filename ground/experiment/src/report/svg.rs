@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use plumbline_rest::experiment::Spread;
 
 use super::{escape, number};
+use crate::draw::percentile;
 
 const WIDTH: f64 = 1000.0;
 const HEIGHT: f64 = 320.0;
@@ -25,6 +26,8 @@ pub(super) struct Dot {
 pub(super) struct Column {
     pub(super) label: String,
     pub(super) spread: Option<Spread>,
+    /// Of the flights not lost.
+    pub(super) values: Vec<f64>,
     pub(super) dots: Vec<Dot>,
 }
 
@@ -34,6 +37,22 @@ pub(super) struct Point {
     pub(super) y: f64,
     pub(super) interval: [f64; 2],
 }
+
+/// How a curve is drawn.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Look {
+    /// Points with intervals, and a line through them; the axis is 0 to 1.
+    Points,
+    /// A line, and after it a point in its colour; both axes are 0 to 1, and chance is the diagonal.
+    Line,
+    /// A line in the band of its intervals.
+    Band,
+}
+
+/// Fewer values have no density.
+const DENSE: usize = 8;
+/// Points of a density from its lowest to its highest value.
+const FINE: usize = 48;
 
 /// A value's place on an axis; logarithmic where values span more than 30 times.
 #[derive(Clone, Copy)]
@@ -54,6 +73,11 @@ impl Axis {
             let low = low.min(0.0);
             Self { low, high: if high > low { high } else { low + 1.0 }, log: false }
         }
+    }
+
+    /// From zero where nothing is below.
+    fn linear(self) -> Self {
+        Self { low: self.low.min(0.0), log: false, ..self }
     }
 
     /// 0 to 1.
@@ -85,7 +109,35 @@ fn ticks(out: &mut String, axis: Axis) {
     }
 }
 
-/// A box for each column, and its dots.
+/// The density of values over an axis as a shape about `middle`, as wide as the box where it is highest: Gaussian kernels whose
+/// width is Silverman's rule (1986, Eq. 3.31) on the axis as it is drawn.
+fn violin(values: &[f64], axis: Axis, middle: f64, half: f64) -> String {
+    let mut places: Vec<f64> = values.iter().map(|value| axis.place(*value)).collect();
+    places.sort_by(f64::total_cmp);
+    let (Some(low), Some(high)) = (places.first().copied(), places.last().copied()) else { return String::new() };
+    let n = places.len() as f64;
+    let mean = places.iter().sum::<f64>() / n;
+    let sigma = (places.iter().map(|place| (place - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    let quartiles = percentile(&places, 0.75) - percentile(&places, 0.25);
+    let spread = if quartiles > 0.0 { sigma.min(quartiles / 1.34) } else { sigma };
+    let width = 0.9 * spread * n.powf(-0.2);
+    if places.len() < DENSE || width <= 0.0 || !width.is_finite() {
+        return String::new();
+    }
+    let at = |step: usize| low + (high - low) * step as f64 / (FINE - 1) as f64;
+    let density = |place: f64| places.iter().map(|own| (-0.5 * ((place - own) / width).powi(2)).exp()).sum::<f64>();
+    let densities: Vec<(f64, f64)> = (0..FINE).map(|step| (at(step), density(at(step)))).collect();
+    let most = densities.iter().map(|(_, density)| *density).fold(0.0, f64::max);
+    let mut path = String::new();
+    let sides = densities.iter().map(|point| (1.0, point)).chain(densities.iter().rev().map(|point| (-1.0, point)));
+    for (side, (place, density)) in sides {
+        let (x, y) = (middle + side * half * density / most, TOP + HEIGHT * (1.0 - place));
+        let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { 'M' } else { 'L' });
+    }
+    format!("<path class=violin d=\"{path}Z\" />")
+}
+
+/// A box and a density for each column, and its dots.
 pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
     let most = columns.iter().flat_map(|column| column.dots.iter().map(|dot| dot.value));
     let spreads = columns.iter().filter_map(|column| column.spread).flat_map(|spread| [spread.least, spread.most]);
@@ -97,6 +149,7 @@ pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
     for (at, column) in columns.iter().enumerate() {
         let middle = LEFT + wide * (at as f64 + 0.5);
         let half = (0.3 * wide).min(30.0);
+        out.push_str(&violin(&column.values, axis, middle, 1.5 * half));
         for (nth, dot) in column.dots.iter().enumerate() {
             // Beside each other by turns of the golden ratio, so that neighbours in time are not neighbours here.
             let aside = ((nth as f64 * 0.618_034) % 1.0 - 0.5) * 2.0 * half;
@@ -131,31 +184,45 @@ pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
     out + "</svg>"
 }
 
-/// Curves with intervals.
-pub(super) fn curves(x: &str, what: &str, series: &[(String, Vec<Point>)]) -> String {
-    let across = Axis::over(
-        series.iter().flat_map(|(_, points)| points.iter().map(|point| point.x)).collect::<Vec<_>>().into_iter(),
-    );
-    let up = Axis { low: 0.0, high: 1.0, log: false };
+/// Curves, each in a colour of its own.
+pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Point>)]) -> String {
+    let all = || series.iter().flat_map(|(_, points)| points);
+    let over = |values: Vec<f64>| Axis::over(values.into_iter());
+    let unit = Axis { low: 0.0, high: 1.0, log: false };
+    let places = || over(all().map(|point| point.x).collect());
+    let (across, up) = match look {
+        Look::Points => (places(), unit),
+        Look::Line => (unit, unit),
+        Look::Band => (places().linear(), over(all().flat_map(|point| point.interval).collect()).linear()),
+    };
     let mut out = begin(what, TOP + HEIGHT + 40.0 + 18.0 * series.len() as f64);
     ticks(&mut out, up);
     let place = |x: f64, y: f64| (LEFT + (WIDTH - LEFT) * across.place(x), TOP + HEIGHT * (1.0 - up.place(y)));
+    if look == Look::Line {
+        let _ = write!(out, "<path class=axis stroke-dasharray=4 d=\"M{LEFT} {}L{WIDTH} {TOP}\" />", TOP + HEIGHT);
+    }
     for (nth, (name, points)) in series.iter().enumerate() {
-        let colour = COLOURS.get(nth % COLOURS.len()).copied().unwrap_or("#444");
-        let mut line = String::new();
-        for point in points {
-            let (px, py) = place(point.x, point.y);
-            let [low, high] = point.interval.map(|end| place(point.x, end).1);
-            let _ = write!(line, "{}{px:.1} {py:.1}", if line.is_empty() { 'M' } else { 'L' });
-            let _ = write!(
-                out,
-                "<path stroke={colour} stroke-opacity=.5 d=\"M{px:.1} {low:.1}V{high:.1}\" /><circle fill={colour} cx={px:.1} cy={py:.1} \
-                 r=3><title>{} {}: {:.2}</title></circle>",
-                escape(x),
-                number(point.x),
-                point.y,
-            );
+        let of_two = if look == Look::Line { nth / 2 } else { nth };
+        let colour = COLOURS.get(of_two % COLOURS.len()).copied().unwrap_or("#444");
+        let path = |along: &mut dyn Iterator<Item = (f64, f64)>| {
+            let mut line = String::new();
+            for (x, y) in along {
+                let (px, py) = place(x, y);
+                let _ = write!(line, "{}{px:.1} {py:.1}", if line.is_empty() { 'M' } else { 'L' });
+            }
+            line
+        };
+        match look {
+            Look::Line if points.len() > 1 => {}
+            Look::Points | Look::Line => points.iter().for_each(|point| marked(&mut out, x, colour, point, &place)),
+            Look::Band => {
+                let low = points.iter().map(|point| (point.x, point.interval[0]));
+                let high = points.iter().rev().map(|point| (point.x, point.interval[1]));
+                let edge = path(&mut low.chain(high));
+                let _ = write!(out, "<path fill={colour} fill-opacity=.18 d=\"{edge}Z\" />");
+            }
         }
+        let line = path(&mut points.iter().map(|point| (point.x, point.y)));
         let foot = TOP + HEIGHT + 44.0 + 18.0 * nth as f64;
         let _ = write!(
             out,
@@ -163,17 +230,60 @@ pub(super) fn curves(x: &str, what: &str, series: &[(String, Vec<Point>)]) -> St
             escape(name),
         );
     }
+    foot(&mut out, across, x);
+    out + "</svg>"
+}
+
+fn marked(out: &mut String, x: &str, colour: &str, point: &Point, place: &impl Fn(f64, f64) -> (f64, f64)) {
+    let (px, py) = place(point.x, point.y);
+    let [low, high] = point.interval.map(|end| place(point.x, end).1);
+    let _ = write!(
+        out,
+        "<path stroke={colour} stroke-opacity=.5 d=\"M{px:.1} {low:.1}V{high:.1}\" /><circle fill={colour} cx={px:.1} cy={py:.1} \
+         r=3><title>{} {}: {:.2}</title></circle>",
+        escape(x),
+        number(point.x),
+        point.y,
+    );
+}
+
+/// The horizontal axis.
+fn foot(out: &mut String, across: Axis, x: &str) {
     for part in [0.0, 0.25, 0.5, 0.75, 1.0] {
         let (at, foot) = (LEFT + (WIDTH - LEFT) * part, TOP + HEIGHT + 16.0);
         let anchor = if part > 0.9 { "end" } else { "middle" };
         let _ = write!(out, "<text x={at:.1} y={foot} text-anchor={anchor}>{}</text>", number(across.at(part)));
     }
-    let _ = write!(
-        out,
-        "<text x={:.0} y={:.0} text-anchor=middle>{}</text>",
-        0.5 * (LEFT + WIDTH),
-        TOP + HEIGHT + 32.0,
-        escape(x)
-    );
-    out + "</svg>"
+    let (middle, below) = (0.5 * (LEFT + WIDTH), TOP + HEIGHT + 32.0);
+    let _ = write!(out, "<text x={middle:.0} y={below:.0} text-anchor=middle>{}</text>", escape(x));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_density_is_widest_where_most_values_are() {
+        let axis = Axis { low: 0.0, high: 1.0, log: false };
+        // Three at 0.2 for each at 0.8, each with a little around.
+        let values: Vec<f64> = (0..40).map(|n| if n % 4 == 0 { 0.8 } else { 0.2 } + f64::from(n) * 1e-3).collect();
+        let path = violin(&values, axis, 100.0, 30.0);
+        let points: Vec<(f64, f64)> = path
+            .split_once("d=\"M")
+            .unwrap()
+            .1
+            .trim_end_matches("Z\" />")
+            .split('L')
+            .map(|point| point.split_once(' ').unwrap())
+            .map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap()))
+            .collect();
+        assert_eq!(points.len(), 2 * FINE);
+        let widest = points.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+        assert_eq!(widest.0, 130.0);
+        let at = 1.0 - (widest.1 - TOP) / HEIGHT;
+        assert!((0.18..0.26).contains(&at), "{at}");
+        // Few values, or the same ones, have no density.
+        assert!(violin(&values[..DENSE - 1], axis, 100.0, 30.0).is_empty());
+        assert!(violin(&[0.3; 40], axis, 100.0, 30.0).is_empty());
+    }
 }

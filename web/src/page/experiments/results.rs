@@ -22,6 +22,8 @@ pub fn ResultsCard(
     id: String,
     /// How it stands, as the list has it.
     state: Memo<State>,
+    /// All that are kept.
+    states: Memo<Vec<State>>,
 ) -> impl IntoView {
     let at = format!("{ROOT}/{id}");
     let results = RwSignal::new(Results::default());
@@ -48,7 +50,7 @@ pub fn ResultsCard(
     let row_at = at.clone();
     view! {
         <section class="card results" aria-label="Results">
-            <Head at state />
+            <Head at state states />
             <label class="field measure">"Measure"
                 <select on:change:target=move |e| measure.set(e.target().value().parse().unwrap_or(0))>
                     {move || measures.get().into_iter().enumerate().map(|(i, m)| view! {
@@ -69,6 +71,7 @@ pub fn ResultsCard(
                     <th class="num" scope="col">"95 of 100"</th>
                     <th class="num" scope="col">"worst"</th>
                     <th class="num" scope="col">"found"</th>
+                    <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
                 <tbody>
@@ -91,7 +94,7 @@ pub fn ResultsCard(
 
 /// Name, progress, what can be done with it.
 #[component]
-fn Head(at: String, state: Memo<State>) -> impl IntoView {
+fn Head(at: String, state: Memo<State>, states: Memo<Vec<State>>) -> impl IntoView {
     let ctx = ctx();
     let address = StoredValue::new(at.clone());
     let turn = move |what: &'static str| {
@@ -104,6 +107,13 @@ fn Head(at: String, state: Memo<State>) -> impl IntoView {
     };
     let running = Memo::new(move |_| state.with(|s| s.running));
     let left = Memo::new(move |_| state.with(|s| s.own && s.done < s.flights));
+    // Names and hashes: what is flown meanwhile leaves an open list alone.
+    let others = Memo::new(move |_| {
+        let own = state.with(|s| s.id.clone());
+        states.with(|all| all.iter().map(|other| other.id.clone()).filter(|id| *id != own).collect::<Vec<_>>())
+    });
+    let since = RwSignal::new(String::new());
+    let against = move || format!("{ROOT}/{}/against/{}", since.get(), state.with(|s| s.id.clone()));
     view! {
         <header>
             <h2>{move || state.with(|s| s.name.clone())}</h2>
@@ -117,6 +127,15 @@ fn Head(at: String, state: Memo<State>) -> impl IntoView {
                 <a class="button" href=format!("{at}/report.html") target="_blank" rel="external">"Report"</a>
                 <a class="button" href=format!("{at}/flights.parquet") rel="external">"Parquet"</a>
                 <a class="button" href=format!("{at}/plan.toml") rel="external">"Plan"</a>
+                <Show when=move || others.with(|others| !others.is_empty())>
+                    <select aria-label="Another experiment, to compare with" on:change:target=move |e| since.set(e.target().value())>
+                        <option value="">"Compare with…"</option>
+                        {move || others.get().into_iter().map(|id| view! { <option>{id}</option> }).collect_view()}
+                    </select>
+                </Show>
+                <Show when=move || !since.with(String::is_empty)>
+                    <a class="button" href=against target="_blank" rel="external">"What changed"</a>
+                </Show>
             </span>
         </header>
         {move || state.with(|s| s.error.clone()).map(|error| view! { <p class="banner bad" role="alert">{error}</p> })}
@@ -153,6 +172,14 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
         let spread = spreads.get(measure.get()).copied().flatten();
         spread.map_or_else(String::new, |s| format!("{} to {}", short(s.interval[0]), short(s.interval[1])))
     };
+    let differences = condition.differences.clone();
+    let less = move || {
+        let difference = differences.get(measure.get()).copied().flatten();
+        difference.map_or_else(String::new, |d| {
+            let effect = d.effect.map_or_else(String::new, |effect| format!(", d {}", short(effect)));
+            format!("{}{effect}", short(d.median))
+        })
+    };
     let name = condition.levels.join(", ");
     let own = condition.clone();
     view! {
@@ -164,6 +191,7 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
             <td class="num">{move || of_95(|s| s.of_95)}</td>
             <td class="num">{move || most(|s| s.most)}</td>
             <td class="num">{found}</td>
+            <td class="num">{less}</td>
             <td>
                 <div class="dots" style=format!("height:{ROW_PX}px") role="group" aria-label=format!("Flights of {name}")>
                     {move || {
