@@ -10,3 +10,5 @@ pub mod design;
 pub mod envelope;
 
 pub mod offline;
+
+pub mod spectrum;

@@ -106,6 +106,12 @@ impl Table {
         self.columns.iter().any(|(_, column)| matches!(column, Column::Rows(_)))
     }
 
+    /// What the names of the repeated message's columns begin with.
+    pub(super) fn rows_prefix(&self) -> Option<String> {
+        let rows = self.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
+        rows.map(|(field, _)| format!("{}.", field.name()))
+    }
+
     /// Widens the columns of repeated numbers for this message.
     pub(super) fn measure(&mut self, payload: &[u8]) {
         if let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) {
