@@ -6,7 +6,7 @@ import { assert, complaints, drawn, end, launch, number, pilot, screenshots, ste
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
 const page = await context.newPage();
-page.setDefaultTimeout(10_000);
+page.setDefaultTimeout(20_000);
 const errors = complaints(page);
 const { region, button, banner, arm, to, disarm } = pilot(page);
 const shots = async (name, size = '1280x720') => {
@@ -82,7 +82,7 @@ await step(page, 'gamepad: flies while its button is held, and holds the altitud
     const text = await card.textContent();
     return /Flies iris-1/.test(text) && number(/roll ([^,]*)/.exec(text)?.[1]) >= 5 && text;
   });
-  await shots('fly-gamepad');
+  await page.screenshot({ path: `${screenshots}/fly-gamepad-light-1280x720.png` });
   await page.evaluate(() => { globalThis.pad.pressed = false; });
   await until('altitude hold', async () => /altitude hold/i.test(await banner.getByLabel('Mode').textContent()));
   await page.evaluate(() => { globalThis.pad.connected = false; });
@@ -131,14 +131,16 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
   await page.goto(`${url}/flights/${flight.id}`);
   await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
   await button('Signals').click();
-  await search.fill('imu 1 gyro x');
+  await search.fill('estimate_1 body_rates x');
   await signals.getByRole('listitem').first().waitFor();
   const offered = await signals.getByRole('listitem').allTextContents();
-  assert(offered.every((text) => /imu_1.*gyro.*x/.test(text)) && offered.some((text) => /rad\/s/.test(text)), offered.join());
+  assert(offered.join() === 'estimate_1.body_rates_radps.x rad/s', offered.join());
+  await search.fill('gyro x');
   await shots('flight-signals-choice');
+  await search.fill('estimate_1 body_rates x');
   await search.press('Enter');
   const plot = signals.getByRole('img').first();
-  await drawn(page, plot, 'the gyro');
+  await drawn(page, plot, 'the rate');
   await button('Add a signal…').click();
   await search.fill('residuals height 2 innovation');
   await signals.getByRole('listitem').getByRole('button').first().click();
@@ -146,9 +148,15 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
   const names = await charted();
   assert(/^residuals_\d+\[height 2/.test(names[1]), names.join());
   await until('its address', async () => decodeURIComponent(page.url()).includes(`?signals=${names.join()}`));
+  const box = await region('Altitude chart').getByRole('img').first().boundingBox();
+  await page.mouse.move(box.x + 0.6 * box.width, box.y + box.height / 2);
+  const values = await until('their values under the cursor', async () => {
+    const texts = await signals.locator('.signal-value b').allTextContents();
+    return texts.length === 2 && texts.every((text) => Number.isFinite(number(text))) && texts;
+  });
   for (const one of await signals.getByRole('img').all()) await drawn(page, one, await one.getAttribute('aria-label'));
   await shots('flight-signals');
-  return { names };
+  return { names, values };
 });
 
 await step(page, 'signals: what is zoomed into is read more finely', async () => {
@@ -189,9 +197,9 @@ await step(page, 'signals: the address shows the same to others, and says what t
   await signals.getByText(/peak [\d.]+ Hz/).waitFor();
   await button(`Take ${before[0]} away`).click();
   await until('one chart', async () => (await charted()).length === 1);
-  assert(!page.url().includes('gyro'), page.url());
+  assert(!page.url().includes('body_rates'), page.url());
   await page.setViewportSize({ width: 390, height: 844 });
-  await signals.scrollIntoViewIfNeeded();
+  await signals.evaluate((card) => card.scrollIntoView());
   await shots('flight-signals', '390x844');
   await page.setViewportSize({ width: 1280, height: 720 });
   await page.goto(`${url}/flights/${flight.id}?signals=no.such.signal`);

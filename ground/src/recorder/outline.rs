@@ -49,8 +49,8 @@ impl Outline {
         let cm = |m: f64| (100.0 * m).round() as i32;
         let stretch = |number| self.stretches.get(&number).map(|range: &[f64; 2]| range.map(cm));
         Some(flight::Outline {
-            from_s: ((first * self.width_us) as f64 - start_us as f64) * 1e-6,
-            step_s: self.width_us as f64 * 1e-6,
+            from_s: ((first * self.width_us) as f64 - start_us as f64) / 1e6,
+            step_s: self.width_us as f64 / 1e6,
             altitude_cm: (first..=last).map(stretch).collect(),
         })
     }

@@ -14,9 +14,9 @@ use super::sheet::{Head, prefix};
 use super::{RecordingError, Selection, Snapshot};
 
 /// What a topic holds is seen in so long from its first message, µs.
-const LOOK_US: u64 = 2_000_000;
+const LOOK_US: u64 = 500_000;
 /// A topic that has not begun by then, since the start of the flight, is not listed, µs.
-const LOOK_UNTIL_US: u64 = 30_000_000;
+const LOOK_UNTIL_US: u64 = 10_000_000;
 
 /// A rotor that is slower stands, or runs out, rad/s.
 const TURNING_RADPS: f64 = 50.0;
@@ -49,16 +49,19 @@ impl SignalReader {
 
     /// Flight time of the first message, s.
     pub(crate) fn start_s(&self) -> f64 {
-        self.0.start_us() as f64 * 1e-6
+        self.0.start_us() as f64 / 1e6
     }
 
-    /// Every signal, by topic.
+    /// Every signal, by topic; those of rows, of which there are hundreds, last.
     ///
     /// # Errors
     /// [`RecordingError::Damaged`].
     pub(crate) fn list(&self) -> Result<Vec<Signal>, RecordingError> {
         let topics = self.look(|_| true).map_err(damaged)?;
-        Ok(topics.iter().flat_map(|topic| topic.signals().map(|(name, unit, _)| Signal { name, unit })).collect())
+        let of = |topic: &Topic| topic.signals().map(|(name, unit, _)| Signal { name, unit }).collect::<Vec<_>>();
+        let mut signals: Vec<Signal> = topics.iter().flat_map(of).collect();
+        signals.sort_by_key(|signal| signal.name.contains('['));
+        Ok(signals)
     }
 
     /// Samples of a signal: time since the start of the flight, s, and value; as many as there are until `goes_on` is
@@ -82,16 +85,18 @@ impl SignalReader {
         let (topic, place) = found.ok_or_else(unknown)?;
         let keys = topic.keys();
         let start_us = self.0.start_us();
-        let mut samples = Vec::new();
+        let (mut samples, mut last) = (Vec::new(), 0);
         let read = self.0.for_each_in(Some(std::slice::from_ref(&topic.topic)), range_us, |message| {
-            let rows = topic.table.rows(message.payload);
-            let row = match &place.row {
-                Some(wanted) => rows.iter().find(|row| row_name(row, &keys) == *wanted),
-                None => rows.first(),
-            };
-            let value = row.and_then(|row| row.get(place.column)).map_or(f64::NAN, Cell::number);
+            let Some(rows) = topic.table.read(message.payload) else { return Ok(goes_on()) };
+            let count = rows.count();
+            // Rows mostly come in the same order: it is looked for where it was last.
+            let all = (0..count).map(|k| (last + k) % count).map(|index| (index, rows.row(index)));
+            let named = |row: &[Cell]| place.row.as_ref().is_none_or(|wanted| row_name(row, &keys) == *wanted);
+            let found = { all }.find(|(_, row)| named(row));
+            last = found.as_ref().map_or(last, |(index, _)| *index);
+            let value = found.and_then(|(_, row)| row.get(place.column).map(Cell::number)).unwrap_or(f64::NAN);
             if value.is_finite() {
-                samples.push((message.time_us.saturating_sub(start_us) as f64 * 1e-6, value));
+                samples.push((message.time_us.saturating_sub(start_us) as f64 / 1e6, value));
             }
             Ok(goes_on())
         });
@@ -151,8 +156,8 @@ impl SignalReader {
 
 /// Is there anything in this topic that changes from message to message, as a number?
 fn is_plotted(topic: &str) -> bool {
-    use Kind::{Attacks, Description, Event, Flight, Gains, StepResponse};
-    let told = [Attacks, Description, Event, Flight, Gains, StepResponse];
+    use Kind::{Ack, Attacks, Description, Event, Flight, Gains, StepResponse};
+    let told = [Ack, Attacks, Description, Event, Flight, Gains, StepResponse];
     !Kind::from_topic(topic).is_some_and(|(kind, _)| told.contains(&kind))
 }
 

@@ -40,6 +40,8 @@ const THUMBNAIL_SPAN_M: f64 = 0.5;
 pub struct Thumbnail {
     /// From the least to the greatest altitude of each stretch of time, as a path.
     pub path: String,
+    /// What lies below that.
+    pub below: String,
     /// From where to where it was attacked.
     pub attacks: Vec<[f64; 2]>,
     /// Least and greatest altitude, m.
@@ -64,20 +66,25 @@ pub fn thumbnail(flight: &Flight, [width, height]: [f64; 2]) -> Option<Thumbnail
     // A pixel at both ends for the line itself.
     let y = |m: f64| 1.0 + (1.0 - (m - bottom) / span) * (height - 2.0);
     let at = |k: usize| x(outline.from_s + (k as f64 + 0.5) * outline.step_s);
-    let mut path = String::new();
+    let (mut path, mut below) = (String::new(), String::new());
     let numbered: Vec<_> = outline.altitude_cm.iter().enumerate().collect();
     for run in numbered.split(|(_, range)| range.is_none()).filter(|run| !run.is_empty()) {
         let edge = |end: usize| run.iter().filter_map(move |(k, range)| range.map(|range| (at(*k), y(m(range[end])))));
         let lower: Vec<_> = edge(0).collect();
-        for (i, (x, y)) in edge(1).chain(lower.into_iter().rev()).enumerate() {
-            // A string takes whatever is written to it.
-            let _ = write!(path, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });
-        }
-        path.push('Z');
+        let draw = |out: &mut String, points: &mut dyn Iterator<Item = (f64, f64)>| {
+            for (i, (x, y)) in points.enumerate() {
+                // A string takes whatever is written to it.
+                let _ = write!(out, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });
+            }
+            out.push('Z');
+        };
+        draw(&mut path, &mut edge(1).chain(lower.iter().rev().copied()));
+        let ground = [lower.last(), lower.first()].into_iter().flatten().map(|(x, _)| (*x, height));
+        draw(&mut below, &mut lower.iter().copied().chain(ground));
     }
     let flown = flight.attacks.iter().filter(|a| !matches!(a.phase.as_str(), "accepted" | "rejected"));
     let attacks = flown.map(|a| [a.planned.start_s, a.planned.start_s + a.planned.duration_s].map(x)).collect();
-    Some(Thumbnail { path, attacks, range_m: [low, high] })
+    Some(Thumbnail { path, below, attacks, range_m: [low, high] })
 }
 
 #[cfg(test)]
@@ -103,6 +110,7 @@ mod tests {
         let found = thumbnail(&flight, [100.0, 22.0]).unwrap();
         assert_eq!((found.attacks, found.range_m), (vec![[50.0, 100.0]], [0.0, 1.0]));
         assert_eq!(found.path, "M10.0 1.0L30.0 1.0L30.0 3.0L10.0 21.0ZM70.0 9.0L90.0 21.0L90.0 21.0L70.0 11.0Z");
+        assert_eq!(found.below, "M10.0 21.0L30.0 3.0L30.0 22.0L10.0 22.0ZM70.0 11.0L90.0 21.0L90.0 22.0L70.0 22.0Z");
         assert_eq!(thumbnail(&Flight::default(), [100.0, 22.0]), None);
     }
 

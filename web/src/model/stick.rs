@@ -64,12 +64,14 @@ impl Asked {
 
     /// As the ground takes it.
     pub fn setpoint(self) -> Setpoint {
-        let [roll, pitch, yaw] = self.roll_pitch_yaw_rad.map(Some);
+        // Finer than a stick: what is recorded of it can be read.
+        let rounded = |value: f64| (value * 1e3).round() / 1e3;
+        let [roll, pitch, yaw] = self.roll_pitch_yaw_rad.map(|rad| Some(rounded(rad)));
         Setpoint {
             roll_rad: roll,
             pitch_rad: pitch,
             yaw_rad: yaw,
-            throttle: Some(self.throttle),
+            throttle: Some(rounded(self.throttle)),
             ..Setpoint::default()
         }
     }

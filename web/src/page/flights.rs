@@ -12,9 +12,9 @@ use crate::{
 };
 
 /// Columns on the left of the small picture.
-const PICTURE_AFTER: usize = 2;
+const PICTURE_AFTER: usize = 1;
 /// Its size, px.
-const PICTURE: [f64; 2] = [132.0, 28.0];
+const PICTURE: [f64; 2] = [96.0, 28.0];
 
 /// The altitude of a flight at a glance, and when it was attacked.
 #[component]
@@ -28,6 +28,7 @@ fn Picture(flight: Flight) -> impl IntoView {
             {picture.attacks.into_iter().map(|[from, to]| view! {
                 <rect class="attacked" x=from y="0" width=(to - from).max(1.0) height=height></rect>
             }).collect::<Vec<_>>()}
+            <path class="below" d=picture.below></path>
             <path d=picture.path></path>
         </svg>
         <small class="quiet num">{high} " m"</small>
@@ -240,6 +241,7 @@ fn Row(flight: Flight) -> impl IntoView {
     };
     view! {
         <td class="num when">{listing::when(flight.started_unix_us, local_offset_min())}</td>
+        <td class="picture"><Picture flight=flight.clone() /></td>
         <td class="flight-name">
             <Link to=Route::Flight(id)>{title}</Link>
             {flight.deleted_unix_us.map(|at| view! {
@@ -248,7 +250,6 @@ fn Row(flight: Flight) -> impl IntoView {
                 </span>
             })}
         </td>
-        <td class="picture"><Picture flight=flight.clone() /></td>
         <td>{flight.vehicle_id.clone()}</td>
         <td>{flight.rig.clone()}</td>
         <td class="num">{format::clock(flight.duration_s)}</td>

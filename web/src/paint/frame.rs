@@ -85,7 +85,9 @@ impl Frame {
             Picture::Signal(place) => {
                 let ink = palette::series(usize::from(place));
                 let drawn = self.drawn(live, Curve::Signal(place), ink, Style::Solid);
-                Some(self.chart(slot, rect, live, axis, drawn.into_iter().collect(), SIGNAL_SPAN, None))
+                // Before it is read its axis says nothing.
+                let fixed = drawn.is_none().then_some(ValueAxis::new(0.0, 1.0));
+                Some(self.chart(slot, rect, live, axis, drawn.into_iter().collect(), SIGNAL_SPAN, fixed))
             }
             Picture::Difference => Some(self.chart(slot, rect, live, axis, self.differences(live), ERROR_SPAN, None)),
         }

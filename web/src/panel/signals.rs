@@ -26,6 +26,8 @@ use crate::{
 const MOST: usize = 6;
 /// Stretches of time asked for: of a whole flight, and of what was zoomed into with as much on both sides.
 const COLUMNS: usize = 1500;
+/// Longer than any flight, s.
+const LONGEST_S: f64 = 1e7;
 /// A view that has stood still this long is asked for.
 const SETTLE: Duration = Duration::from_millis(250);
 
@@ -92,15 +94,11 @@ pub fn SignalsCard() -> impl IntoView {
     let known = RwSignal::new(None::<Result<Signals, String>>);
     leptos::task::spawn_local(async move {
         let url = format!("/api/v1/flights/{}/signals", recording.0.get_value());
-        known.try_set(Some(net::json("GET", &url, None, "").await.map_err(|failure| failure.text)));
-    });
-    // Units are the ground's to say; an address does not.
-    Effect::new(move |_| {
-        known.with(|known| {
-            let Some(Ok(known)) = known else { return };
-            let unit = |name: &str| known.signals.iter().find(|s| s.name == name).map(|s| s.unit.clone());
-            deck.signals.update(|all| all.iter_mut().for_each(|c| c.unit = unit(&c.name).unwrap_or_default()));
-        });
+        let answer = net::json::<Signals>("GET", &url, None, "").await.map_err(|failure| failure.text);
+        // Units are the ground's to say; an address does not.
+        let unit = |name: &str| answer.as_ref().ok()?.signals.iter().find(|s| s.name == name).map(|s| s.unit.clone());
+        deck.signals.try_update(|all| all.iter_mut().for_each(|c| c.unit = unit(&c.name).unwrap_or_default()));
+        known.try_set(Some(answer));
     });
     Effect::new(move |_| deck.signals.with(|all| keep(all)));
     let entries = Memo::new(move |_| deck.signals.with(|all| all.iter().map(entry).collect::<Vec<_>>()));
@@ -124,7 +122,7 @@ pub fn SignalsCard() -> impl IntoView {
             </header>
             <Show when=move || adding.get()><Choice known adding /></Show>
             {move || start_s.get().map(|start_s| view! {
-                <For each=move || deck.signals.get() key=|c| (c.place, c.name.clone(), c.spectrum, c.unit.clone()) let:charted>
+                <For each=move || deck.signals.get() key=|c| (c.place, c.name.clone(), c.spectrum) let:charted>
                     <One charted start_s />
                 </For>
             })}
@@ -250,24 +248,27 @@ fn One(charted: Charted, start_s: f64) -> impl IntoView {
     }
 }
 
-/// Runs `act` with what is in view once that has stood still; at first at once.
-fn settled(view: impl Fn() -> [f64; 2] + Send + Sync + 'static, act: impl Fn([f64; 2]) + Clone + 'static) {
+/// Runs `act` with what `view` gives once that has stood still; at first at once.
+fn settled<T: PartialEq + Copy + Send + Sync + 'static>(
+    view: impl Fn() -> T + Send + Sync + 'static,
+    act: impl Fn(T) + Clone + 'static,
+) {
     let waiting = StoredValue::new(None::<TimeoutHandle>);
-    Effect::new(move |before: Option<[f64; 2]>| {
-        let span = view();
-        if before == Some(span) {
-            return span;
+    Effect::new(move |before: Option<T>| {
+        let now = view();
+        if before == Some(now) {
+            return now;
         }
         if let Some(handle) = waiting.get_value() {
             handle.clear();
         }
         let act = act.clone();
         if before.is_none() {
-            act(span);
+            act(now);
         } else {
-            waiting.set_value(set_timeout_with_handle(move || act(span), SETTLE).ok());
+            waiting.set_value(set_timeout_with_handle(move || act(now), SETTLE).ok());
         }
-        span
+        now
     });
     on_cleanup(move || {
         if let Some(Some(handle)) = waiting.try_get_value() {
@@ -286,46 +287,39 @@ fn in_view(deck: Deck) -> [f64; 2] {
 /// Keeps the curve of a signal: the whole flight coarsely, and what is zoomed into finer.
 fn follow(deck: Deck, place: u8, name: String, start_s: f64, problem: RwSignal<Option<String>>, waits: RwSignal<bool>) {
     let recording: Recording = expect_context();
-    let coarse = StoredValue::new(None::<Samples>);
-    let asked = StoredValue::new(0_u32);
-    settled(
-        move || in_view(deck),
-        move |[from, to]| {
-            let whole = deck.zoom.get_untracked().is_none();
-            if coarse.with_value(|known| known.as_ref().is_some_and(|k| whole || k.samples == k.time_s.len() as u64)) {
-                let known = coarse.get_value().unwrap_or_default();
-                return draw(deck, place, start_s, &known, None);
+    let fetch = async move |name: String, range: [f64; 2]| {
+        let url = format!("{}&columns={COLUMNS}", recording.url("signal", &name, range));
+        net::json::<Samples>("GET", &url, None, "").await
+    };
+    let coarse = RwSignal::new(None::<Samples>);
+    let whole = name.clone();
+    waits.set(true);
+    leptos::task::spawn_local(async move {
+        let answer = fetch(whole, [0.0, LONGEST_S]).await;
+        waits.try_set(false);
+        match answer {
+            Ok(samples) => {
+                draw(deck, place, start_s, &samples, None);
+                coarse.try_set(Some(samples));
             }
+            Err(failure) => drop(problem.try_set(Some(failure.text))),
+        }
+    });
+    let asked = StoredValue::new(0_u32);
+    let thinned = move || coarse.with(|known| known.as_ref().is_some_and(|k| k.samples > k.time_s.len() as u64));
+    settled(
+        move || thinned().then(|| in_view(deck)),
+        move |span| {
+            let Some([from, to]) = span.filter(|_| deck.zoom.get_untracked().is_some()) else { return };
             let number = asked.get_value() + 1;
             asked.set_value(number);
-            waits.set(true);
-            let name = name.clone();
+            let (name, side) = (name.clone(), to - from);
             leptos::task::spawn_local(async move {
-                let fetch = async |range: [f64; 2]| {
-                    let url = format!("{}&columns={COLUMNS}", recording.url("signal", &name, range));
-                    net::json::<Samples>("GET", &url, None, "").await
-                };
-                // The whole flight once, also where a part is zoomed into: it lies beside that.
-                if coarse.try_with_value(Option::is_none) == Some(true) {
-                    match fetch([0.0, 1e7]).await {
-                        Ok(samples) => coarse.try_set_value(Some(samples)).map_or((), drop),
-                        Err(failure) => {
-                            waits.try_set(false);
-                            problem.try_set(Some(failure.text));
-                            return;
-                        }
-                    }
-                }
-                let Some(Some(known)) = coarse.try_get_value() else { return };
-                let side = to - from;
-                let fine = if whole || known.samples == known.time_s.len() as u64 {
-                    None
-                } else {
-                    fetch([from - side - start_s, to + side - start_s]).await.ok()
-                };
-                if asked.try_get_value() == Some(number) {
-                    waits.try_set(false);
-                    draw(deck, place, start_s, &known, fine.as_ref());
+                let fine = fetch(name, [from - side - start_s, to + side - start_s]).await;
+                if let (Ok(fine), Some(Some(known)), true) =
+                    (fine, coarse.try_get_untracked(), asked.try_get_value() == Some(number))
+                {
+                    draw(deck, place, start_s, &known, Some(&fine));
                 }
             });
         },
@@ -409,7 +403,7 @@ fn Density(
     };
     view! {
         <div class="density">
-            <p class="quiet num">{told}</p>
+            <p class="quiet num" title=told>{told}</p>
             <div class="density-plot" node_ref=node>
                 {move || size.get().map(|size| view! { <Sketch label=label.clone() drawing size /> })}
             </div>
