@@ -10,5 +10,3 @@ pub mod design;
 pub mod envelope;
 
 pub mod offline;
-
-pub mod spectrum;

@@ -3,7 +3,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use plumbline_analysis::spectrum::{folded_hz, welch};
+use plumbline_analysis::offline::spectrum::{folded_hz, welch};
 use plumbline_rest::flight::{Samples, Signals, Spectrum};
 use serde::Deserialize;
 
