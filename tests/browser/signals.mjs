@@ -1,7 +1,7 @@
 // What lies in a recording: small pictures in the list, any signal on a chart of its own, spectra; curves shown alone,
 // tones, and a gamepad.
 
-import { assert, complaints, drawn, end, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, hold, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -69,6 +69,8 @@ await step(page, 'tones: heard, switched off by a key, and kept so', async () =>
 
 await step(page, 'gamepad: flies while its button is held, and holds the altitude when it is let go', async () => {
   await page.goto(url);
+  // Whatever flew before may still swing.
+  await hold(button('Reset (hold)'));
   await arm();
   await to(0.8);
   const card = region('Gamepad');
@@ -113,7 +115,7 @@ await step(page, 'flights: each has a small picture of its altitude, with its at
   const picture = page.getByRole('img', { name: /Altitude .* to .* m, attacked/ }).first();
   await picture.waitFor();
   const box = await picture.boundingBox();
-  const band = await picture.locator('rect').boundingBox();
+  const band = await picture.locator('rect').first().boundingBox();
   const planned = flight.attacks[0];
   const share = planned.duration_s / flight.duration_s;
   assert(Math.abs(band.width / box.width - share) < 0.02, `the attack takes ${band.width} of ${box.width} px, not ${share}`);
