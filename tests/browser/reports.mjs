@@ -2,44 +2,20 @@
 
 import { readFileSync } from 'node:fs';
 
-import { assert, complaints, drawn, end, hold, launch, number, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true, colorScheme: 'light' });
 const page = await context.newPage();
 page.setDefaultTimeout(10_000);
 const errors = complaints(page);
-const region = (name) => page.getByRole('region', { name, exact: true });
-const button = (name) => page.getByRole('button', { name, exact: true });
-const banner = page.getByRole('banner');
-const setpoint = async () => number(await region('Setpoint').getByLabel('Altitude setpoint in use').textContent());
+const { region, button, banner, setpoint, arm, to, disarm } = pilot(page);
 const shots = async (name) => {
   for (const theme of ['light', 'dark']) {
     await page.waitForTimeout(400);
     await page.screenshot({ path: `${screenshots}/${name}-${theme}-1280x720.png` });
     await button('Dark theme').click();
   }
-};
-
-const arm = async () => {
-  await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
-  await until('ARMED', async () => {
-    const arm = button('Arm (hold)');
-    if (await arm.count()) await hold(arm);
-    await page.waitForTimeout(500);
-    return /ARMED/.test(await banner.getByLabel('Arming').textContent());
-  });
-  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
-};
-const to = async (metres) => {
-  await button(`Altitude ${metres.toFixed(1)} m`).click();
-  await until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
-  await page.waitForTimeout(2500);
-};
-const disarm = async () => {
-  await to(0.5);
-  await hold(button('Disarm (hold)'));
-  await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()));
 };
 
 await step(page, 'reports: arm and climb to 0.8 m', async () => {

@@ -76,6 +76,36 @@ export async function hold(button) {
   await button.click({ delay: 1100 });
 }
 
+/** Whoever flies from this page: its places by name, and a flight by its buttons. */
+export function pilot(page) {
+  const region = (name) => page.getByRole('region', { name, exact: true });
+  const button = (name) => page.getByRole('button', { name, exact: true });
+  const banner = page.getByRole('banner');
+  const setpoint = async () => number(await region('Setpoint').getByLabel('Altitude setpoint in use').textContent());
+
+  const arm = async () => {
+    await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
+    await until('ARMED', async () => {
+      const arm = button('Arm (hold)');
+      if (await arm.count()) await hold(arm);
+      await page.waitForTimeout(500);
+      return /ARMED/.test(await banner.getByLabel('Arming').textContent());
+    });
+    await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
+  };
+  const to = async (metres) => {
+    await button(`Altitude ${metres.toFixed(1)} m`).click();
+    await until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
+    await page.waitForTimeout(2500);
+  };
+  const disarm = async () => {
+    await to(0.5);
+    await hold(button('Disarm (hold)'));
+    await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()));
+  };
+  return { region, button, banner, setpoint, arm, to, disarm };
+}
+
 /**
  * What an element (or a part of its box) shows, canvas behind it included: number of colours, share of the most common
  * one, of some colours, of the bare page where nothing is drawn; a digest.

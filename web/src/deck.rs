@@ -53,6 +53,8 @@ pub enum Picture {
     AltitudeError,
     /// And their attitudes, one axis of it.
     AttitudeError,
+    /// A recorded signal.
+    Signal(u8),
     /// Artificial horizon.
     Horizon,
     /// The vehicle in space.
@@ -80,6 +82,21 @@ pub enum Evidence {
     Secure,
     /// What each estimator is off by.
     Errors,
+    /// Recorded signals, one on each chart.
+    Signals,
+}
+
+/// A recorded signal on a chart of its own.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Charted {
+    /// Number of its curve and picture.
+    pub place: u8,
+    /// As the ground calls it.
+    pub name: String,
+    /// Unit; empty for none.
+    pub unit: String,
+    /// Its spectrum instead of its course?
+    pub spectrum: bool,
 }
 
 /// A chart with a legend, for what reads its curves: the pinned cursors, a table.
@@ -144,6 +161,8 @@ pub struct Deck {
     pub evidence: RwSignal<Evidence>,
     /// Axis whose errors are shown.
     pub error_axis: RwSignal<Axis>,
+    /// Recorded signals on charts of their own.
+    pub signals: RwSignal<Vec<Charted>>,
     /// Notes that name a time of the flight: s of flight time, text.
     pub notes: RwSignal<Vec<(f64, String)>>,
     /// Two pinned cursors, s of flight time.
@@ -181,6 +200,7 @@ impl Deck {
             residuals_of: RwSignal::new(0),
             evidence: RwSignal::new(Evidence::default()),
             error_axis: RwSignal::new(Axis::Roll),
+            signals: RwSignal::new(Vec::new()),
             notes: RwSignal::new(Vec::new()),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
@@ -280,6 +300,11 @@ impl Deck {
             }
             None => hidden.push(curve),
         });
+    }
+
+    /// Shows this curve alone of `all`; all of them again where it is alone.
+    pub fn solo_curve(self, curve: Curve, all: &[Curve]) {
+        self.hidden.update(|hidden| solo(hidden, curve, all));
     }
 
     /// Pins two cursors a quarter from both edges, or takes them away.
@@ -442,7 +467,33 @@ impl Deck {
     }
 }
 
+fn solo(hidden: &mut Vec<Curve>, curve: Curve, all: &[Curve]) {
+    let others: Vec<Curve> = all.iter().copied().filter(|other| *other != curve).collect();
+    let alone = !hidden.contains(&curve) && others.iter().all(|other| hidden.contains(other));
+    hidden.retain(|h| !all.contains(h));
+    if !alone {
+        hidden.extend(others);
+    }
+}
+
 /// The charts of the page around a component.
 pub fn deck() -> Deck {
     expect_context()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_curve_is_shown_alone_and_then_all_are_again() {
+        let all = [Curve::TickMedian, Curve::TickP99, Curve::TickJitter];
+        let mut hidden = vec![Curve::TickMedian, Curve::TruthAltitude];
+        solo(&mut hidden, Curve::TickMedian, &all);
+        assert_eq!(hidden, [Curve::TruthAltitude, Curve::TickP99, Curve::TickJitter], "another chart's stays hidden");
+        solo(&mut hidden, Curve::TickP99, &all);
+        assert_eq!(hidden, [Curve::TruthAltitude, Curve::TickMedian, Curve::TickJitter]);
+        solo(&mut hidden, Curve::TickP99, &all);
+        assert_eq!(hidden, [Curve::TruthAltitude]);
+    }
 }

@@ -6,10 +6,10 @@ use std::rc::Rc;
 use leptos::{ev, prelude::*};
 use wasm_bindgen::JsCast;
 
-use crate::{ctx::Ctx, deck::Source, model::route::Route};
+use crate::{ctx::Ctx, deck::Source, event::Tone, model::route::Route, tones::Tones};
 
 /// Every key and what it does.
-pub const KEYS: [(&str, &str); 12] = [
+pub const KEYS: [(&str, &str); 14] = [
     ("Ctrl+Shift+X", "cut motors – vehicle falls"),
     ("L", "land"),
     ("↑ ↓", "altitude setpoint ±0.1 m"),
@@ -19,6 +19,8 @@ pub const KEYS: [(&str, &str); 12] = [
     ("M", "two cursors that stay, to measure between"),
     ("← →", "recorded flight: back or on by 1 s, with Shift 10 s"),
     ("drag, wheel", "charts: pan, zoom; with Shift the values; double-click: back"),
+    ("Alt + click", "legend: this curve alone, or all again"),
+    ("T", "tones for alarms on or off"),
     ("1 … 6", "Fly, Flights, Tune, Calibrate, Setup, Experiments"),
     ("Esc", "close; leave a zoom or a residual"),
     ("?", "this list"),
@@ -85,6 +87,7 @@ fn listen_to_lists() {
 /// Listens for as long as the page lives.
 pub fn listen(ctx: Ctx) {
     listen_to_lists();
+    let tones: Tones = expect_context();
     window_event_listener(ev::keydown, move |e| {
         if e.ctrl_key() && e.shift_key() && e.key().eq_ignore_ascii_case("x") {
             e.prevent_default();
@@ -107,6 +110,12 @@ pub fn listen(ctx: Ctx) {
             if ctx.route.with_untracked(|r| *r == Route::Fly) && e.key().starts_with("Arrow") {
                 e.prevent_default();
             }
+            return;
+        }
+        if e.key().eq_ignore_ascii_case("t") {
+            let on = !tones.on.get_untracked();
+            tones.switch(on);
+            ctx.tell(Tone::Done, if on { "Tones for alarms are on" } else { "Tones for alarms are off" });
             return;
         }
         if handle(ctx, &e) {

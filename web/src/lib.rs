@@ -23,6 +23,7 @@ pub mod paint;
 pub mod palette;
 pub mod panel;
 mod store;
+pub mod tones;
 
 use leptos::{html, prelude::*};
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -49,6 +50,8 @@ fn Root() -> impl IntoView {
     let ctx = ctx::Ctx::begin();
     provide_context(ctx);
     provide_context(panel::alarms::AlarmState::default());
+    provide_context(tones::Tones::default());
+    panel::alarms::sound(ctx);
     keys::listen(ctx);
     window_event_listener(leptos::ev::popstate, move |_| {
         let path = window().location().pathname().unwrap_or_default();

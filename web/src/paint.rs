@@ -143,12 +143,12 @@ struct Recorded {
     hidden: Vec<Curve>,
     unfolded: Vec<Group>,
     /// Of all curves: another estimator's may be laid over them.
-    samples: usize,
+    curves: (usize, u64),
 }
 
 impl Recorded {
     fn of(deck: Deck, instrument: &Instrument) -> Option<Self> {
-        let (axis, samples) = deck.data.try_with_value(|live| (deck.axis(live), live.curves.samples()))?;
+        let (axis, curves) = deck.data.try_with_value(|live| (deck.axis(live), live.curves.state()))?;
         Some(Self {
             instrument: instrument.clone(),
             axis,
@@ -162,7 +162,7 @@ impl Recorded {
             error_axis: deck.error_axis.get_untracked(),
             hidden: deck.hidden.get_untracked(),
             unfolded: deck.unfolded.get_untracked(),
-            samples,
+            curves,
         })
     }
 }

@@ -36,6 +36,7 @@ mod pairing;
 mod people;
 mod session;
 mod setpoint;
+mod signals;
 mod tag;
 mod trajectory;
 mod vehicles;
@@ -281,6 +282,9 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/flights/{id}/ros2"           View    flights::ros2;
         get    "/api/v1/flights/{id}/frames"            View    flights::frames;
         get    "/api/v1/flights/{id}/estimate"          View    estimates::again;
+        get    "/api/v1/flights/{id}/signals"           View    signals::list;
+        get    "/api/v1/flights/{id}/signal"            View    signals::samples;
+        get    "/api/v1/flights/{id}/spectrum"          View    signals::spectrum;
     }
 }
 

@@ -7,7 +7,7 @@ use plumbline_rest::command::{
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
 use plumbline_rest::envelope::{AttackQuestion, Envelope, EnvelopeQuestion, PreparedAttack};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
-use plumbline_rest::flight::{Due, Flight, Flights, Labels};
+use plumbline_rest::flight::{Due, Flight, Flights, Labels, Samples, Signals, Spectrum};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
 use plumbline_rest::people::{
     AccountChange, Code, Confirmation, Credentials, NewAccount, NewAuthenticator, People, Session,
@@ -67,6 +67,7 @@ const TABLE: &[Parameter] = &[
     ("topic", "string", "Every message of one topic instead of the table, without the others."),
 ];
 const RANGE: &[Parameter] = &[FROM, TO, COLUMNS, RATE];
+const SIGNAL: Parameter = ("name", "string!", "As it is listed: imu_1.gyro_radps.x.");
 const FROM: Parameter = ("from_s", "number", "Since the start of the flight, s.");
 const TO: Parameter = ("to_s", "number", "Since the start of the flight, s.");
 const COLUMNS: Parameter = (
@@ -218,4 +219,20 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/flights/{id}/estimate", "Estimates the recording again")
         .query(&[("estimator", "string!", "Which."), ("sensors", "string", "Which samples it is given, with commas.")])
         .json(object),
+    get("/api/v1/flights/{id}/signals", "Every number that was recorded, by topic").json(of::<Signals>),
+    get("/api/v1/flights/{id}/signal", "One of them over time, thinned to the least and the greatest of each stretch")
+        .query(&[
+            SIGNAL,
+            FROM,
+            TO,
+            (
+                "columns",
+                "integer",
+                "Stretches of time, 1 to 10000, 1000 where nothing is said; fewer samples are all told.",
+            ),
+        ])
+        .json(of::<Samples>),
+    get("/api/v1/flights/{id}/spectrum", "Its power over frequency, by Welch's method")
+        .query(&[SIGNAL, FROM, TO])
+        .json(of::<Spectrum>),
 ];

@@ -95,11 +95,11 @@ impl Export {
     }
 }
 
-fn open(flight: Snapshot) -> Result<FlightReader, RecordingError> {
+pub(super) fn open(flight: Snapshot) -> Result<FlightReader, RecordingError> {
     FlightReader::open(flight).map_err(damaged)
 }
 
-fn damaged(error: mcap::McapError) -> RecordingError {
+pub(super) fn damaged(error: mcap::McapError) -> RecordingError {
     RecordingError::Damaged { path: PathBuf::from("flight file"), reason: error.to_string() }
 }
 

@@ -106,6 +106,12 @@ impl Table {
         self.columns.iter().any(|(_, column)| matches!(column, Column::Rows(_)))
     }
 
+    /// What the names of the repeated message's columns begin with.
+    pub(super) fn rows_prefix(&self) -> Option<String> {
+        let rows = self.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
+        rows.map(|(field, _)| format!("{}.", field.name()))
+    }
+
     /// Widens the columns of repeated numbers for this message.
     pub(super) fn measure(&mut self, payload: &[u8]) {
         if let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) {
@@ -136,16 +142,39 @@ impl Table {
 
     /// The rows of one message; a message that cannot be decoded has none.
     pub(super) fn rows(&self, payload: &[u8]) -> Vec<Vec<Cell>> {
-        let Ok(message) = DynamicMessage::decode(self.message.clone(), payload) else { return Vec::new() };
-        let repeated = self.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
-        let count = repeated.map_or(1, |(field, _)| list(&message, field).len().max(1));
-        let row = |index| {
-            let mut cells = Vec::new();
-            row(&self.columns, Some(&message), index, &mut cells);
-            cells
-        };
-        (0..count).map(row).collect()
+        let Some(rows) = self.read(payload) else { return Vec::new() };
+        (0..rows.count()).map(|index| rows.row(index)).collect()
     }
+
+    /// The rows of one message, made as they are asked for; `None` where it cannot be decoded.
+    pub(super) fn read(&self, payload: &[u8]) -> Option<Rows<'_>> {
+        Some(Rows { table: self, message: DynamicMessage::decode(self.message.clone(), payload).ok()? })
+    }
+}
+
+/// See [`Table::read`].
+pub(super) struct Rows<'a> {
+    table: &'a Table,
+    message: DynamicMessage,
+}
+
+impl Rows<'_> {
+    /// How many there are, at least one.
+    pub(super) fn count(&self) -> usize {
+        let repeated = self.table.columns.iter().find(|(_, column)| matches!(column, Column::Rows(_)));
+        repeated.map_or(1, |(field, _)| length(self.message.get_field(field).as_ref()).max(1))
+    }
+
+    /// One of them.
+    pub(super) fn row(&self, index: usize) -> Vec<Cell> {
+        let mut cells = Vec::new();
+        row(&self.table.columns, Some(&self.message), index, &mut cells);
+        cells
+    }
+}
+
+fn length(value: &Value) -> usize {
+    value.as_list().map_or(0, <[Value]>::len)
 }
 
 fn columns(message: &MessageDescriptor, depth: usize) -> Vec<(FieldDescriptor, Column)> {
@@ -170,27 +199,22 @@ fn columns(message: &MessageDescriptor, depth: usize) -> Vec<(FieldDescriptor, C
     found
 }
 
-fn list(message: &DynamicMessage, field: &FieldDescriptor) -> Vec<Value> {
-    match message.get_field(field).as_ref() {
-        Value::List(values) => values.clone(),
-        _ => Vec::new(),
-    }
-}
-
 fn measure(columns: &mut [(FieldDescriptor, Column)], message: &DynamicMessage) {
     for (field, column) in columns {
         match column {
             Column::Scalar => {}
-            Column::List { width } => *width = (*width).max(list(message, field).len().min(MAX_WIDTH)),
+            Column::List { width } => {
+                *width = (*width).max(length(message.get_field(field).as_ref()).min(MAX_WIDTH));
+            }
             Column::Nested(inner) => {
                 if let Value::Message(nested) = message.get_field(field).as_ref() {
                     measure(inner, nested);
                 }
             }
             Column::Rows(inner) => {
-                for value in list(message, field) {
+                for value in message.get_field(field).as_list().unwrap_or_default() {
                     if let Value::Message(nested) = value {
-                        measure(inner, &nested);
+                        measure(inner, nested);
                     }
                 }
             }
@@ -243,17 +267,21 @@ fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, 
         match column {
             Column::Scalar => cells.push(present.map_or(Cell::Absent, |m| cell(field, m.get_field(field).as_ref()))),
             Column::List { width } => {
-                let values = present.map(|m| list(m, field)).unwrap_or_default();
+                let values = present.map(|m| m.get_field(field));
+                let values = values.as_deref().and_then(Value::as_list).unwrap_or_default();
                 cells.extend((0..*width).map(|i| values.get(i).map_or(Cell::Absent, |v| cell(field, v))));
             }
             Column::Nested(inner) => match present.map(|m| m.get_field(field)).as_deref() {
                 Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
                 _ => row(inner, None, index, cells),
             },
-            Column::Rows(inner) => match present.map(|m| list(m, field)).unwrap_or_default().get(index) {
-                Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
-                _ => row(inner, None, index, cells),
-            },
+            Column::Rows(inner) => {
+                let values = present.map(|m| m.get_field(field));
+                match values.as_deref().and_then(Value::as_list).and_then(|values| values.get(index)) {
+                    Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
+                    _ => row(inner, None, index, cells),
+                }
+            }
         }
     }
 }

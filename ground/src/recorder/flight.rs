@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use plumbline_proto::{Kind, Message, v1};
 pub use plumbline_rest::flight::{Completeness, Flight, FlownAttack, Step};
 
+use super::outline::Outline;
 use crate::attack_plan::planned;
 use crate::names::JsonName;
 
@@ -24,6 +25,8 @@ pub struct Learner {
     estimate: Option<(u64, f64)>,
     squared_truth: (f64, u64),
     squared_estimate: (f64, u64),
+    outline_of_truth: Outline,
+    outline_of_estimate: Outline,
     /// From the marks among the messages.
     pub first_sequence: Option<u64>,
     /// From the closing mark.
@@ -63,6 +66,7 @@ impl Learner {
                     && let Some(position) = m.position_enu_m
                 {
                     self.estimate = Some((time_us, position.z));
+                    self.outline_of_estimate.take(time_us, position.z);
                 }
             }
             Some(Kind::Truth) => {
@@ -70,6 +74,7 @@ impl Learner {
                     && let Some(position) = m.position_enu_m
                 {
                     self.truth = Some((time_us, position.z));
+                    self.outline_of_truth.take(time_us, position.z);
                 }
             }
             Some(Kind::Description) => {
@@ -156,6 +161,8 @@ impl Learner {
             sum.0 += theirs.0;
             sum.1 += theirs.1;
         }
+        self.outline_of_truth.absorb(&other.outline_of_truth);
+        self.outline_of_estimate.absorb(&other.outline_of_estimate);
         self.first_sequence = self.first_sequence.or(other.first_sequence);
         self.last_sequence = self.last_sequence.or(other.last_sequence);
     }
@@ -186,6 +193,7 @@ impl Learner {
         flight.counts = self.counts.clone();
         let (sum, n) = if self.squared_truth.1 > 0 { self.squared_truth } else { self.squared_estimate };
         flight.tracking_rms_m = (n > 0).then(|| (sum / n as f64).sqrt());
+        flight.outline = self.outline_of_truth.describe(first).or_else(|| self.outline_of_estimate.describe(first));
         let step = |m: &v1::StepResponse| Step {
             start_s: since_start(m.start_time_us as f64),
             from_m: m.from_m,
@@ -264,5 +272,6 @@ mod tests {
         assert_eq!((flight.steps.len(), flight.steps[0].start_s, flight.steps[0].overshoot_percent), (1, 1.0, 8.0));
         assert_eq!((flight.attacks[0].phase.as_str(), flight.attacks[0].planned.start_s), ("done", 5.5));
         assert_eq!(flight.counts["/control"], 2);
+        assert_eq!(flight.outline.unwrap().altitude_cm, [Some([90, 90])]);
     }
 }

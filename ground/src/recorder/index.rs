@@ -12,7 +12,7 @@ use super::store::Labels;
 use crate::sync::lock;
 
 /// Bumped when the table or the record changes: an index of another number is rebuilt.
-const VERSION: i64 = 1;
+const VERSION: i64 = 2;
 
 /// Which state of a file an entry describes: size and modification time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

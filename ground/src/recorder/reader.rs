@@ -64,6 +64,16 @@ impl FlightReader {
     pub(super) fn for_each(
         &self,
         topics: Option<&[String]>,
+        each: impl FnMut(&Recorded<'_>) -> McapResult<bool>,
+    ) -> McapResult<()> {
+        self.for_each_in(topics, (0, u64::MAX), each)
+    }
+
+    /// The same of a range of flight time, µs, both ends included; chunks outside it are not read.
+    pub(super) fn for_each_in(
+        &self,
+        topics: Option<&[String]>,
+        (from_us, to_us): (u64, u64),
         mut each: impl FnMut(&Recorded<'_>) -> McapResult<bool>,
     ) -> McapResult<()> {
         if topics.is_some_and(<[String]>::is_empty) {
@@ -74,6 +84,13 @@ impl FlightReader {
             IndexedReaderOptions::new().with_order(ReadOrder::LogTime).with_record_length_limit(MAX_RECORD);
         if let Some(topics) = topics {
             options = options.include_topics(topics.iter().cloned());
+        }
+        let log_time = |time_us: u64| time_us.checked_add(self.identity.boot_wall_time_us)?.checked_mul(1000);
+        if let Some(from) = log_time(from_us).filter(|_| from_us > 0) {
+            options = options.starting_at(from);
+        }
+        if let Some(after) = to_us.checked_add(1).and_then(log_time) {
+            options = options.ending_before(after);
         }
         let mut reader = IndexedReader::new_with_options(&self.summary, options)?;
         let near = self.identity.first_sequence.unwrap_or(0);

@@ -1,6 +1,7 @@
 //! Recorded flights: `GET /api/v1/flights`, `GET` and `PATCH /api/v1/flights/{id}`.
 
 mod listing;
+mod signal;
 
 use std::collections::BTreeMap;
 
@@ -9,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::command::PlannedAttack;
 use crate::ground::Storage;
 pub use listing::{Column, Listing, MAX_PAGE, PAGE, page};
+pub use signal::{Samples, Signal, Signals, Spectrum};
 
 /// `GET /api/v1/flights`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -142,6 +144,9 @@ pub struct Flight {
     pub attacks: Vec<FlownAttack>,
     /// Messages of each topic.
     pub counts: BTreeMap<String, u64>,
+    /// Its altitude at a glance; absent where none is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outline: Option<Outline>,
     /// When the ground's retention deletes it as things are, µs since the Unix epoch; absent where it is kept.
     pub deleted_unix_us: Option<u64>,
 }
@@ -151,6 +156,20 @@ impl Flight {
     pub fn title(&self) -> &str {
         if self.name.trim().is_empty() { &self.id } else { &self.name }
     }
+}
+
+/// The altitude of a flight, for a picture of some hundred pixels: true where truth is recorded, else as estimated in the
+/// loop.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Outline {
+    /// Where the first stretch of time begins, s since the start of the flight.
+    pub from_s: f64,
+    /// How long each is, s.
+    pub step_s: f64,
+    /// Least and greatest altitude of each, cm; absent where nothing is known.
+    pub altitude_cm: Vec<Option<[i32; 2]>>,
 }
 
 /// One of `GET /api/v1/archive/due`: a flight that retention will delete.

@@ -11,7 +11,7 @@ use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
-/// try to mislead it, `reports.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
+/// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
 /// `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
@@ -65,6 +65,7 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
     let trusted = run_script(&mut script(workspace, "trust.mjs", system.api())?, tally);
     let reported = run_script(&mut script(workspace, "reports.mjs", system.api())?, tally);
+    let browsed = run_script(&mut script(workspace, "signals.mjs", system.api())?, tally);
     let accessible = run_script(&mut script(workspace, "axe.mjs", system.api())?, tally);
     let watched = run_script(&mut script(workspace, "foxglove.mjs", system.api())?, tally);
     let api = system.api().clone();
@@ -78,6 +79,7 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
         .and(hidden)
         .and(trusted)
         .and(reported)
+        .and(browsed)
         .and(accessible)
         .and(watched)
         .and(stopped)

@@ -119,6 +119,8 @@ pub enum Curve {
     AltitudeError(u16),
     /// The same of its attitude, mrad.
     AttitudeError(u16, Axis),
+    /// A recorded signal that was put on a chart of its own, in its own unit.
+    Signal(u8),
 }
 
 /// Curves that a legend folds into one line.
@@ -166,6 +168,8 @@ pub struct Curves {
     map: BTreeMap<Curve, Series>,
     samples: usize,
     followed: errors::Followed,
+    /// How often a whole curve was put in the place of another.
+    replaced: u64,
 }
 
 impl Default for Curves {
@@ -176,7 +180,7 @@ impl Default for Curves {
 
 impl Curves {
     fn of(samples: usize) -> Self {
-        Self { map: BTreeMap::new(), samples, followed: errors::Followed::default() }
+        Self { map: BTreeMap::new(), samples, followed: errors::Followed::default(), replaced: 0 }
     }
 
     /// For a recorded flight: everything is kept.
@@ -228,9 +232,21 @@ impl Curves {
         self.map.get(&curve).map_or(0, Series::len)
     }
 
-    /// Samples held of all curves.
-    pub fn samples(&self) -> usize {
-        self.map.values().map(Series::len).sum()
+    /// What changes with every sample: how many are held of all curves, and how often curves were replaced.
+    pub fn state(&self) -> (usize, u64) {
+        (self.map.values().map(Series::len).sum(), self.replaced)
+    }
+
+    /// Puts a signal on its chart: time, s, rising, and value; with a gap where samples are further apart than `gap_s`.
+    pub fn set_signal(&mut self, place: u8, samples: impl IntoIterator<Item = (f64, f64)>, gap_s: f64) {
+        let samples = samples.into_iter().map(|(time_s, value)| (time_s, value as f32));
+        self.map.insert(Curve::Signal(place), Series::from_samples(samples).with_max_gap(gap_s.max(GAP_S)));
+        self.replaced += 1;
+    }
+
+    /// Takes it away.
+    pub fn remove_signal(&mut self, place: u8) {
+        self.map.remove(&Curve::Signal(place));
     }
 
     /// No curve at all?

@@ -66,7 +66,7 @@ pub fn price(kind: &str, before: &Envelope, after: &Envelope) -> String {
 
 /// In one line: `height 1: 2.4 cm; any IMU: 2.0 cm; …`.
 pub fn line(envelope: &Envelope) -> String {
-    let bound = |row: Row| format!("{}: {}", row.attacked, row.bound.trim_start_matches("at most "));
+    let bound = |row: Row| format!("{}: {}", row.attacked, row.bound);
     rows(envelope).into_iter().map(bound).collect::<Vec<_>>().join("; ")
 }
 
@@ -75,7 +75,7 @@ pub fn line(envelope: &Envelope) -> String {
 pub struct Row {
     /// `height 2`, `any two IMUs`.
     pub attacked: String,
-    /// `at most 2.5 cm`, `unbounded`.
+    /// At most so far: `2.5 cm`, `unbounded`.
     pub bound: String,
     /// Is there none?
     pub unbounded: bool,
@@ -112,10 +112,7 @@ pub fn rows(envelope: &Envelope) -> Vec<Row> {
         if known.contains(&(of.clone(), imus)) {
             continue;
         }
-        let (bound, unbounded) = match set.altitude_m {
-            Some(_) => (format!("at most {}", cm(set.altitude_m)), false),
-            None => (cm(None), true),
-        };
+        let (bound, unbounded) = (cm(set.altitude_m), set.altitude_m.is_none());
         let drift = |mps: f64| format!("drifts {} cm/s", format::fixed(100.0 * mps, 1));
         let held = set.binding.clone().or(set.drift_mps.map(drift)).unwrap_or_default();
         rows.push(Row { attacked: attacked(&of, imus, heights > 1 && of.len() == heights), bound, unbounded, held });
@@ -200,11 +197,11 @@ mod tests {
         assert_eq!(
             told,
             [
-                ("height 1", "at most 2.4 cm"),
-                ("height 2", "at most 2.5 cm"),
-                ("any IMU", "at most 1.9 cm"),
-                ("height 1 and any IMU", "at most 4.3 cm"),
-                ("any two IMUs", "at most 53.7 cm"),
+                ("height 1", "2.4 cm"),
+                ("height 2", "2.5 cm"),
+                ("any IMU", "1.9 cm"),
+                ("height 1 and any IMU", "4.3 cm"),
+                ("any two IMUs", "53.7 cm"),
                 ("all heights", "unbounded"),
             ]
         );

@@ -17,6 +17,15 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
+/// `value` with four figures at least: "0.001235", "12.35", "101325"; "—" when it is not finite.
+pub fn figures(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return fixed(value, 0);
+    }
+    let places = 3 - value.abs().log10().floor() as i32;
+    fixed(value, places.clamp(0, 9) as usize)
+}
+
 /// As [`fixed`], with a plus sign for positive values.
 pub fn signed(value: f64, decimals: usize) -> String {
     let text = fixed(value, decimals);
@@ -102,6 +111,12 @@ pub fn parse_number(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn figures_are_four() {
+        let texts = [0.001_234_6, -12.345_6, 101_325.4, 0.0, f64::NAN].map(figures);
+        assert_eq!(texts, ["0.001235", "\u{2212}12.35", "101325", "0", NONE]);
+    }
 
     #[test]
     fn numbers_keep_their_width_and_never_lie() {

@@ -1,7 +1,7 @@
-//! The list of flights: heads of its columns, and times.
+//! The list of flights: heads of its columns, times, and a small picture of each.
 
 use plumbline_proto::time::WallTime;
-use plumbline_rest::flight::Column;
+use plumbline_rest::flight::{Column, Flight};
 
 /// Forms of a flight to download: the route below it, and its name.
 pub const FORMS: [(&str, &str); 5] =
@@ -32,9 +32,87 @@ pub fn when(unix_us: u64, offset_min: i64) -> String {
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}")
 }
 
+/// Least height of a thumbnail, m: noise on the ground is no flight.
+const THUMBNAIL_SPAN_M: f64 = 0.5;
+
+/// A small picture of the altitude of a flight.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Thumbnail {
+    /// From the least to the greatest altitude of each stretch of time, as a path.
+    pub path: String,
+    /// What lies below that.
+    pub below: String,
+    /// From where to where it was attacked.
+    pub attacks: Vec<[f64; 2]>,
+    /// Least and greatest altitude, m.
+    pub range_m: [f64; 2],
+}
+
+/// The picture of a flight in a box as wide and high; `None` where its altitude is not known.
+pub fn thumbnail(flight: &Flight, [width, height]: [f64; 2]) -> Option<Thumbnail> {
+    use std::fmt::Write;
+    let outline = flight.outline.as_ref()?;
+    let m = |cm: i32| f64::from(cm) / 100.0;
+    let known = outline.altitude_cm.iter().flatten();
+    let none = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) = known.fold(none, |(low, high), range| (low.min(m(range[0])), high.max(m(range[1]))));
+    if low > high {
+        return None;
+    }
+    let duration_s = flight.duration_s.max(1e-3);
+    let x = |time_s: f64| (time_s / duration_s).clamp(0.0, 1.0) * width;
+    let bottom = low.min(0.0);
+    let span = (high - bottom).max(THUMBNAIL_SPAN_M);
+    // A pixel at both ends for the line itself.
+    let y = |m: f64| 1.0 + (1.0 - (m - bottom) / span) * (height - 2.0);
+    let at = |k: usize| x(outline.from_s + (k as f64 + 0.5) * outline.step_s);
+    let (mut path, mut below) = (String::new(), String::new());
+    let numbered: Vec<_> = outline.altitude_cm.iter().enumerate().collect();
+    for run in numbered.split(|(_, range)| range.is_none()).filter(|run| !run.is_empty()) {
+        let edge = |end: usize| run.iter().filter_map(move |(k, range)| range.map(|range| (at(*k), y(m(range[end])))));
+        let lower: Vec<_> = edge(0).collect();
+        let draw = |out: &mut String, points: &mut dyn Iterator<Item = (f64, f64)>| {
+            for (i, (x, y)) in points.enumerate() {
+                // A string takes whatever is written to it.
+                let _ = write!(out, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });
+            }
+            out.push('Z');
+        };
+        draw(&mut path, &mut edge(1).chain(lower.iter().rev().copied()));
+        let ground = [lower.last(), lower.first()].into_iter().flatten().map(|(x, _)| (*x, height));
+        draw(&mut below, &mut lower.iter().copied().chain(ground));
+    }
+    let flown = flight.attacks.iter().filter(|a| !matches!(a.phase.as_str(), "accepted" | "rejected"));
+    let attacks = flown.map(|a| [a.planned.start_s, a.planned.start_s + a.planned.duration_s].map(x)).collect();
+    Some(Thumbnail { path, below, attacks, range_m: [low, high] })
+}
+
 #[cfg(test)]
 mod tests {
+    use plumbline_rest::command::PlannedAttack;
+    use plumbline_rest::flight::{FlownAttack, Outline};
+
     use super::*;
+
+    #[test]
+    fn a_thumbnail_holds_every_stretch_that_is_known_and_its_attacks() {
+        let attack = |phase: &str| FlownAttack {
+            planned: PlannedAttack { start_s: 5.0, duration_s: 99.0, ..PlannedAttack::default() },
+            phase: phase.into(),
+        };
+        let outline = Outline {
+            from_s: 0.0,
+            step_s: 2.0,
+            altitude_cm: vec![Some([0, 100]), Some([90, 100]), None, Some([50, 60]), Some([0, 0])],
+        };
+        let attacks = vec![attack("done"), attack("accepted")];
+        let flight = Flight { duration_s: 10.0, outline: Some(outline), attacks, ..Flight::default() };
+        let found = thumbnail(&flight, [100.0, 22.0]).unwrap();
+        assert_eq!((found.attacks, found.range_m), (vec![[50.0, 100.0]], [0.0, 1.0]));
+        assert_eq!(found.path, "M10.0 1.0L30.0 1.0L30.0 3.0L10.0 21.0ZM70.0 9.0L90.0 21.0L90.0 21.0L70.0 11.0Z");
+        assert_eq!(found.below, "M10.0 21.0L30.0 3.0L30.0 22.0L10.0 22.0ZM70.0 11.0L90.0 21.0L90.0 22.0L70.0 22.0Z");
+        assert_eq!(thumbnail(&Flight::default(), [100.0, 22.0]), None);
+    }
 
     #[test]
     fn dates() {

@@ -23,6 +23,8 @@ pub mod path;
 pub mod report;
 pub mod route;
 pub mod series;
+pub mod signals;
 pub mod spans;
+pub mod stick;
 pub mod topic;
 pub mod tuning;

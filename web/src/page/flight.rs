@@ -32,6 +32,7 @@ use crate::{
         motors::MotorsAndTicks,
         readouts::Readouts,
         residuals::Evidence,
+        signals,
         toolbar::Link,
     },
 };
@@ -145,7 +146,7 @@ fn Shown(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>, loaded:
                 Loaded::Ready(deck) => {
                     let deck = *deck;
                     ctx.deck.set(Some(deck));
-                    view! { <Player deck summary /> }.into_any()
+                    view! { <Player id=id.clone() deck summary /> }.into_any()
                 }
             }}
         </main>
@@ -229,9 +230,11 @@ fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option
 
 /// Charts, scrub bar and summary.
 #[component]
-fn Player(deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
+fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
     provide_context(deck);
+    provide_context(signals::Recording::new(id));
+    signals::begin(deck);
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {
         <div class="fly replay">

@@ -11,6 +11,31 @@ use crate::{
     panel::toolbar::Link,
 };
 
+/// Columns on the left of the small picture.
+const PICTURE_AFTER: usize = 1;
+/// Its size, px.
+const PICTURE: [f64; 2] = [96.0, 28.0];
+
+/// The altitude of a flight at a glance, and when it was attacked.
+#[component]
+fn Picture(flight: Flight) -> impl IntoView {
+    let Some(picture) = listing::thumbnail(&flight, PICTURE) else { return format::NONE.into_any() };
+    let [width, height] = PICTURE;
+    let [low, high] = picture.range_m.map(|m| format::fixed(m, 2));
+    let attacked = if picture.attacks.is_empty() { "" } else { ", attacked" };
+    view! {
+        <svg class="thumbnail" role="img" aria-label=format!("Altitude {low} to {high} m{attacked}") width=width height=height>
+            {picture.attacks.into_iter().map(|[from, to]| view! {
+                <rect class="attacked" x=from y="0" width=(to - from).max(1.0) height=height></rect>
+            }).collect::<Vec<_>>()}
+            <path class="below" d=picture.below></path>
+            <path d=picture.path></path>
+        </svg>
+        <small class="quiet num">{high} " m"</small>
+    }
+    .into_any()
+}
+
 /// The table of flights.
 #[component]
 pub fn FlightsPage() -> impl IntoView {
@@ -129,7 +154,9 @@ pub fn FlightsPage() -> impl IntoView {
                     <thead>
                         <tr>
                             <th scope="col"><span class="visually-hidden">"Choose"</span></th>
-                            {Column::ALL.into_iter().map(head).collect::<Vec<_>>()}
+                            {Column::ALL.into_iter().take(PICTURE_AFTER).map(head).collect::<Vec<_>>()}
+                            <th scope="col" class="quiet">"altitude"</th>
+                            {Column::ALL.into_iter().skip(PICTURE_AFTER).map(head).collect::<Vec<_>>()}
                         </tr>
                     </thead>
                     <tbody>
@@ -214,6 +241,7 @@ fn Row(flight: Flight) -> impl IntoView {
     };
     view! {
         <td class="num when">{listing::when(flight.started_unix_us, local_offset_min())}</td>
+        <td class="picture"><Picture flight=flight.clone() /></td>
         <td class="flight-name">
             <Link to=Route::Flight(id)>{title}</Link>
             {flight.deleted_unix_us.map(|at| view! {

@@ -14,6 +14,7 @@ use crate::{
         cursors::CursorsCard,
         envelope::EnvelopeBand,
         estimator::EstimatorCard,
+        gamepad::GamepadCard,
         horizon::HorizonCard,
         lanes::Lanes,
         motors::MotorsAndTicks,
@@ -127,6 +128,7 @@ pub fn Fly() -> impl IntoView {
                     <ReplayCard />
                     <SetpointCard />
                     <ArmingCard />
+                    <GamepadCard />
                     <AttacksCard />
                     <EstimatorCard />
                     <SimulatorCard />

@@ -8,6 +8,7 @@ use crate::{
     model::{api, curves::DEGREES, format, names, operator},
     panel::envelope::EnvelopeCard,
     panel::secure::rotors,
+    tones::{Tones, Tune},
 };
 
 fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
@@ -33,6 +34,22 @@ fn Name() -> impl IntoView {
                 <small class="quiet">{move || format!(" others see “{}”", ctx.operator())}</small>
             }.into_any(),
         }}
+    }
+}
+
+/// Whether alarms can be heard.
+#[component]
+fn Tunes() -> impl IntoView {
+    let tones: Tones = expect_context();
+    view! {
+        <label class="check">
+            <input type="checkbox" prop:checked=tones.on on:change:target=move |e| tones.switch(e.target().checked()) />
+            "on (T)"
+        </label>
+        " "
+        <button type="button" class="small" disabled=move || !tones.on.get() on:click=move |_| tones.play(Tune::Failsafe)>
+            "Hear one"
+        </button>
     }
 }
 
@@ -117,6 +134,7 @@ pub fn Setup() -> impl IntoView {
                         {fact("schema", plumbline_proto::SCHEMA.to_string())}
                         {fact("graphics", graphics)}
                         {fact("you are", view! { <Name /> })}
+                        {fact("tones for alarms", view! { <Tunes /> })}
                         {move || ctx.session.with(api::who).map(|who| {
                             fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
                         })}

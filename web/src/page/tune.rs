@@ -219,9 +219,11 @@ pub fn Tune() -> impl IntoView {
             <div class="tune-centre">
                 <Responses />
                 <Loops />
+            </div>
+            <div class="tune-book">
+                <Book />
                 <EnvelopeBeside design=design.into() />
             </div>
-            <Book />
         </main>
     }
 }

@@ -29,6 +29,8 @@ const ATTITUDE_SPAN_DEG: f64 = 6.0;
 
 /// Shortest range of errors and differences shown, mm or mrad.
 const ERROR_SPAN: f64 = 10.0;
+/// Shortest range of a signal shown, in its unit.
+const SIGNAL_SPAN: f64 = 1e-6;
 /// What an error of one estimator in the loop leaves to the others and to the band: so many times its own range.
 const ERROR_REACH: f64 = 4.0;
 /// Opacity of the band of ±3σ.
@@ -79,6 +81,13 @@ impl Frame {
             Picture::AttitudeError => {
                 let of = Some(self.deck.error_axis.get_untracked());
                 Some(self.chart(slot, rect, live, axis, self.errors(live, of), ERROR_SPAN, None))
+            }
+            Picture::Signal(place) => {
+                let ink = palette::series(usize::from(place));
+                let drawn = self.drawn(live, Curve::Signal(place), ink, Style::Solid);
+                // Before it is read its axis says nothing.
+                let fixed = drawn.is_none().then_some(ValueAxis::new(0.0, 1.0));
+                Some(self.chart(slot, rect, live, axis, drawn.into_iter().collect(), SIGNAL_SPAN, fixed))
             }
             Picture::Difference => Some(self.chart(slot, rect, live, axis, self.differences(live), ERROR_SPAN, None)),
         }

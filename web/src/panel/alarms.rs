@@ -11,6 +11,8 @@ use crate::{
     ctx::{Ctx, ctx},
     keys,
     model::{format, names},
+    net,
+    tones::{Tones, Tune},
 };
 
 /// From this age on the bar says how old the data are, s.
@@ -69,11 +71,47 @@ impl Default for AlarmState {
     }
 }
 
+/// What is still so is sounded again after this long, s: a failsafe, an empty battery.
+const REPEAT_S: u64 = 4;
+
+/// Sounds what the bars say, for as long as the page lives: once when it begins, again and again while a failsafe acts or
+/// the battery is nearly empty.
+pub fn sound(ctx: Ctx) {
+    let tones: Tones = expect_context();
+    let acts = Memo::new(move |_| failsafe(ctx).is_some_and(|(_, acts)| acts));
+    let battery = Memo::new(move |_| battery(ctx).map(|(_, empty)| empty));
+    let round = Memo::new(move |_| {
+        let repeats = acts.get() || battery.get() == Some(true);
+        repeats.then(|| (ctx.live(|_| net::now_ms()) * 1e-3) as u64 / REPEAT_S)
+    });
+    Effect::new(move |before: Option<Option<u64>>| {
+        let now = round.get();
+        if now.is_some() && before.is_some_and(|before| before != now) {
+            tones.play(if acts.get_untracked() { Tune::Failsafe } else { Tune::Battery });
+        }
+        now
+    });
+    // What was so before this page came is told by its bars alone.
+    let once = move |tune: Tune, is: Memo<bool>| {
+        Effect::new(move |before: Option<bool>| {
+            let now = is.get();
+            if now && before == Some(false) {
+                tones.play(tune);
+            }
+            now
+        });
+    };
+    once(Tune::Battery, Memo::new(move |_| battery.get() == Some(false)));
+    once(Tune::Old, Memo::new(move |_| ctx.age_s().is_some_and(|age| age >= OLD_S)));
+    once(Tune::Lost, Memo::new(move |_| lost_to(ctx).is_some()));
+}
+
 /// The bars, beside each other.
 #[component]
 pub fn Alarms() -> impl IntoView {
     let ctx = ctx();
     let AlarmState { lost: read, failsafe: ended, .. } = expect_context();
+    let tones: Tones = expect_context();
     let age = Memo::new(move |_| ctx.age_s().filter(|age| *age >= OLD_S).map(|age| age.floor()));
     let failsafe = Memo::new(move |_| failsafe(ctx));
     let battery = Memo::new(move |_| battery(ctx));
@@ -87,6 +125,11 @@ pub fn Alarms() -> impl IntoView {
             {move || failsafe.get().filter(|(text, acts)| *acts || *text != ended.get()).map(|(text, acts)| view! {
                 <p class="alarm loud" class:bad=acts>
                     <b title=text.clone()>{text.clone()}</b>
+                    {acts.then(|| view! {
+                        <button type="button" class="small" title="Tones for alarms on or off (T)" on:click=move |_| tones.switch(!tones.on.get_untracked())>
+                            {move || if tones.on.get() { "Mute" } else { "Unmute" }}
+                        </button>
+                    })}
                     {(!acts).then(|| view! {
                         <button type="button" class="plain" aria-label="Dismiss" on:click=move |_| ended.set(text.clone())>"×"</button>
                     })}

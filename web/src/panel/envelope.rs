@@ -90,7 +90,7 @@ pub fn EnvelopeCard() -> impl IntoView {
                         envelope.horizon_s,
                     )}</p>
                     <table class="dense">
-                        <thead><tr><th>"attacked"</th><th class="num">"altitude"</th><th>"held by"</th></tr></thead>
+                        <thead><tr><th>"attacked"</th><th class="num">"altitude, at most"</th><th>"held by"</th></tr></thead>
                         <tbody>{rows(&envelope).into_iter().map(|row| view! {
                             <tr>
                                 <th scope="row">{row.attacked}</th>
@@ -135,7 +135,7 @@ pub fn EnvelopeBeside(
     }));
     view! {
         <section class="card facts" aria-label="Attack envelope of the design">
-            <header><h2>"Attack envelope" <small>"lanes in the loop, 10 s"</small></h2></header>
+            <header><h2>"Attack envelope" <small>"lanes, 10 s, at most"</small></h2></header>
             {move || match (answer(found, 0), answer(found, 1)) {
                 (_, None) => view! { <p class="quiet">"…"</p> }.into_any(),
                 (_, Some(Err(why))) => view! { <p class="bad">{format!("No envelope: {why}.")}</p> }.into_any(),
@@ -147,9 +147,9 @@ pub fn EnvelopeBeside(
                     };
                     view! {
                         <table class="dense">
-                            <thead><tr><th>"attacked"</th><th class="num">"in use"</th><th class="num">"this design"</th></tr></thead>
+                            <thead><tr><th>"attacked"</th><th class="num">"in use"</th><th class="num">"design"</th></tr></thead>
                             <tbody>{rows(&new).into_iter().map(|row| view! {
-                                <tr><th scope="row">{row.attacked.clone()}</th><td class="num">{before(&row.attacked)}</td><td class="num">{row.bound}</td></tr>
+                                <tr><th scope="row">{row.attacked.clone()}</th><td class="num">{before(&row.attacked)}</td><td class="num">{row.bound.clone()}</td></tr>
                             }).collect::<Vec<_>>()}</tbody>
                         </table>
                     }.into_any()

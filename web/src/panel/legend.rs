@@ -100,6 +100,7 @@ pub fn Legend(
         });
         format::maybe(value, decimals)
     };
+    let curves = move || entries.with_untracked(|all| all.iter().map(|e| e.curve).collect::<Vec<_>>());
     let of_curve = move |entry: Entry| {
         let hidden = move || deck.hidden.with(|hidden| hidden.contains(&entry.curve));
         view! {
@@ -108,8 +109,13 @@ pub fn Legend(
                     type="button"
                     class="plain"
                     aria-pressed=move || (!hidden()).to_string()
-                    title="Show or hide this curve"
-                    on:click=move |_| deck.toggle_curve(entry.curve)
+                    title="Show or hide this curve; Alt and a click, or a double-click: this one alone, or all again"
+                    on:click=move |e| if e.alt_key() {
+                        deck.solo_curve(entry.curve, &curves());
+                    } else {
+                        deck.toggle_curve(entry.curve);
+                    }
+                    on:dblclick=move |_| deck.solo_curve(entry.curve, &curves())
                 >
                     <span
                         class="swatch"

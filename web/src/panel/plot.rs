@@ -178,8 +178,8 @@ pub fn Plot(
     #[prop(into)]
     label: Signal<String>,
     /// Unit of the values, written in the corner of the axes.
-    #[prop(optional)]
-    unit: &'static str,
+    #[prop(optional, into)]
+    unit: String,
     /// Labels up the side?
     #[prop(default = true)]
     values: bool,

@@ -8,6 +8,7 @@ use super::{
     legend::{Entry, Legend, Swatch},
     plot::Plot,
     secure::SecureCard,
+    signals::SignalsCard,
 };
 use crate::{
     deck::{Evidence as Shown, Picture, Source, deck},
@@ -38,7 +39,8 @@ pub fn Evidence() -> impl IntoView {
     let secure = Memo::new(move |_| deck.read(|live| i32::from(live.in_loop()) == EstimatorKind::Secure as i32));
     Effect::new(move |before: Option<bool>| {
         let now = secure.get();
-        if before.is_some_and(|before| before != now) && deck.evidence.get_untracked() != Shown::Errors {
+        let by_itself = matches!(deck.evidence.get_untracked(), Shown::Residuals | Shown::Secure);
+        if before.is_some_and(|before| before != now) && by_itself {
             deck.evidence.set(if now { Shown::Secure } else { Shown::Residuals });
         }
         now
@@ -47,6 +49,7 @@ pub fn Evidence() -> impl IntoView {
         Shown::Residuals => view! { <Residuals /> }.into_any(),
         Shown::Secure => view! { <SecureCard /> }.into_any(),
         Shown::Errors => view! { <Errors /> }.into_any(),
+        Shown::Signals => view! { <SignalsCard /> }.into_any(),
     }
 }
 
@@ -71,6 +74,7 @@ pub fn EvidenceSwitch() -> impl IntoView {
         <Show when=move || runs.get()>
             {button("Secure", "Attacked set, margins and certificate of the secure estimator", Shown::Secure)}
         </Show>
+        {(deck.source == Source::Recorded).then(|| button("Signals", "Any number that was recorded, on a chart of its own", Shown::Signals))}
     }
 }
 

@@ -11,6 +11,7 @@ pub mod decode;
 mod errors;
 mod output;
 mod smooth;
+pub mod spectrum;
 mod table;
 
 use std::path::{Path, PathBuf};

@@ -97,7 +97,7 @@ pub(super) struct Head {
 
 impl Head {
     /// Unit, as the name says it; empty for none.
-    fn unit(&self) -> &'static str {
+    pub(super) fn unit(&self) -> &'static str {
         const UNITS: [(&str, &str); 15] = [
             ("_radps", "rad/s"),
             ("_rad", "rad"),
@@ -159,7 +159,7 @@ pub(super) struct Wide {
 }
 
 /// `/sensor/height/2` → `height_2`.
-fn prefix(topic: &str) -> String {
+pub(super) fn prefix(topic: &str) -> String {
     topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
 }
 

@@ -19,10 +19,8 @@ use crate::{
 #[component]
 pub(super) fn Book() -> impl IntoView {
     view! {
-        <div class="tune-book">
-            <Verdict />
-            <Revisions />
-        </div>
+        <Verdict />
+        <Revisions />
     }
 }
 

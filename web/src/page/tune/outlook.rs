@@ -112,7 +112,9 @@ pub(super) fn Responses() -> impl IntoView {
                 <ul class="legend">
                     <li><i class="swatch dashed" style="--swatch:var(--setpoint)"></i>"setpoint"</li>
                     <li><i class="swatch" style="--swatch:var(--in-loop)"></i>"predicted"</li>
-                    <li><i class="swatch" style="--swatch:var(--other-1)"></i>"measured"</li>
+                    {move || newest.with(Option::is_some).then(|| view! {
+                        <li><i class="swatch" style="--swatch:var(--other-1)"></i>"measured"</li>
+                    })}
                 </ul>
             </header>
             <Waiting />

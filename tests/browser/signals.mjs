@@ -1,0 +1,218 @@
+// What lies in a recording: small pictures in the list, any signal on a chart of its own, spectra; curves shown alone,
+// tones, and a gamepad.
+
+import { assert, complaints, drawn, end, hold, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+
+const browser = await launch();
+const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
+const page = await context.newPage();
+page.setDefaultTimeout(20_000);
+const errors = complaints(page);
+const { region, button, banner, arm, to, disarm } = pilot(page);
+const shots = async (name, size = '1280x720') => {
+  for (const theme of ['light', 'dark']) {
+    await page.waitForTimeout(500);
+    await page.screenshot({ path: `${screenshots}/${name}-${theme}-${size}.png` });
+    await button('Dark theme').click();
+  }
+};
+const listed = async () => (await (await page.request.get(`${url}/api/v1/flights`)).json()).flights;
+// A gamepad that the scripts press: two sticks, and the right shoulder button.
+await page.addInitScript(() => {
+  globalThis.pad = { connected: false, id: 'Test pad', axes: [0, 0, 0, 0], pressed: false };
+  const button = (pressed) => Object.create(GamepadButton.prototype, { pressed: { value: pressed } });
+  navigator.getGamepads = () => {
+    const { connected, id, axes, pressed } = globalThis.pad;
+    if (!connected) return [null];
+    const value = (value) => ({ value, enumerable: true });
+    const buttons = Array.from({ length: 16 }, (_, i) => button(i === 5 && pressed));
+    return [Object.create(Gamepad.prototype, { connected: value(true), id: value(id), axes: value(axes), buttons: value(buttons) })];
+  };
+  globalThis.notes = 0;
+  const create = BaseAudioContext.prototype.createOscillator;
+  BaseAudioContext.prototype.createOscillator = function note() {
+    globalThis.notes += 1;
+    return create.call(this);
+  };
+});
+
+await step(page, 'legend: one curve alone, then all again', async () => {
+  await page.goto(url);
+  const legend = region('Attitude chart').getByRole('list').first();
+  const shown = async () => {
+    const found = {};
+    for (const name of ['roll', 'pitch', 'yaw']) found[name] = await legend.getByRole('button', { name, exact: true }).getAttribute('aria-pressed');
+    return Object.entries(found).filter(([, on]) => on === 'true').map(([name]) => name).join();
+  };
+  await until('three curves', async () => (await shown()) === 'roll,pitch,yaw');
+  await legend.getByRole('button', { name: 'pitch', exact: true }).click({ modifiers: ['Alt'] });
+  await until('pitch alone', async () => (await shown()) === 'pitch');
+  await legend.getByRole('button', { name: 'pitch', exact: true }).dblclick();
+  await until('all again', async () => (await shown()) === 'roll,pitch,yaw');
+  await legend.getByRole('button', { name: 'yaw', exact: true }).click();
+  await until('two', async () => (await shown()) === 'roll,pitch');
+  await legend.getByRole('button', { name: 'yaw', exact: true }).click();
+});
+
+await step(page, 'tones: heard, switched off by a key, and kept so', async () => {
+  await page.goto(`${url}/setup`);
+  const notes = () => page.evaluate(() => globalThis.notes);
+  await button('Hear one').click();
+  await until('four notes', async () => (await notes()) === 4);
+  await page.keyboard.press('t');
+  await until('them to be off', async () => button('Hear one').isDisabled());
+  await page.reload();
+  assert(await button('Hear one').isDisabled(), 'a reload switched them on');
+  await page.getByRole('checkbox', { name: 'on (T)' }).check();
+  await until('them to be on', async () => !(await button('Hear one').isDisabled()));
+});
+
+await step(page, 'gamepad: flies while its button is held, and holds the altitude when it is let go', async () => {
+  await page.goto(url);
+  // Whatever flew before may still swing.
+  await hold(button('Reset (hold)'));
+  await arm();
+  await to(0.8);
+  const card = region('Gamepad');
+  assert(!(await card.count()), 'a card without a gamepad');
+  await page.evaluate(() => { globalThis.pad.connected = true; });
+  await card.getByText('Choose Stabilise').waitFor();
+  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /stabilise/i }).click();
+  await until('stabilise', async () => /stabilise/i.test(await banner.getByLabel('Mode').textContent()));
+  await page.evaluate(() => Object.assign(globalThis.pad, { pressed: true, axes: [0, 0, 0.8, 0] }));
+  const told = await until('a tilt', async () => {
+    const text = await card.textContent();
+    return /Flies iris-1/.test(text) && number(/roll ([^,]*)/.exec(text)?.[1]) >= 5 && text;
+  });
+  await page.screenshot({ path: `${screenshots}/fly-gamepad-light-1280x720.png` });
+  await page.evaluate(() => { globalThis.pad.pressed = false; });
+  await until('altitude hold', async () => /altitude hold/i.test(await banner.getByLabel('Mode').textContent()));
+  await page.evaluate(() => { globalThis.pad.connected = false; });
+  await until('the card to go', async () => !(await card.count()));
+  await page.waitForTimeout(1500);
+  return { told };
+});
+
+let flight;
+await step(page, 'flights: each has a small picture of its altitude, with its attacks', async () => {
+  const attack = page.getByRole('form', { name: 'New attack' });
+  await attack.getByLabel('sensor').selectOption({ label: 'height 2' });
+  await attack.getByLabel('kind').selectOption({ label: 'bias' });
+  await attack.getByLabel(/^magnitude/).fill('0.5');
+  await attack.getByLabel(/^start/).fill('1');
+  await attack.getByLabel(/^duration/).fill('5');
+  await attack.getByRole('button', { name: 'Add' }).click();
+  await button('Schedule 1 attack').click();
+  await until('the end of the attack', async () => /done/i.test(await region('Attacks').getByRole('listitem').first().textContent()), 30_000);
+  await disarm();
+  flight = await until('the flight to be complete', async () => {
+    const [newest] = await listed();
+    return newest?.completeness === 'complete' && newest.attacks.length > 0 && newest;
+  });
+  const known = flight.outline.altitude_cm.filter(Boolean);
+  assert(known.length >= 16 && known.length <= 64 && Math.max(...known.flat()) > 60, JSON.stringify(flight.outline));
+  await page.goto(`${url}/flights`);
+  const picture = page.getByRole('img', { name: /Altitude .* to .* m, attacked/ }).first();
+  await picture.waitFor();
+  const box = await picture.boundingBox();
+  const band = await picture.locator('rect').first().boundingBox();
+  const planned = flight.attacks[0];
+  const share = planned.duration_s / flight.duration_s;
+  assert(Math.abs(band.width / box.width - share) < 0.02, `the attack takes ${band.width} of ${box.width} px, not ${share}`);
+  await shots('flights');
+  await page.setViewportSize({ width: 390, height: 844 });
+  await shots('flights', '390x844');
+  await page.setViewportSize({ width: 1280, height: 720 });
+  return { stretches: known.length };
+});
+
+const signals = region('Signals');
+const search = signals.getByRole('searchbox', { name: 'Search the recorded signals' });
+const charted = () => signals.getByRole('group').evaluateAll((all) => all.map((e) => e.getAttribute('aria-label')));
+await step(page, 'signals: any number that was recorded, found by a part of its name, on a chart of its own', async () => {
+  await page.goto(`${url}/flights/${flight.id}`);
+  await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+  await button('Signals').click();
+  await search.fill('estimate_1 body_rates x');
+  await signals.getByRole('listitem').first().waitFor();
+  const offered = await signals.getByRole('listitem').allTextContents();
+  assert(offered.join() === 'estimate_1.body_rates_radps.x rad/s', offered.join());
+  await search.fill('gyro x');
+  await shots('flight-signals-choice');
+  await search.fill('estimate_1 body_rates x');
+  await search.press('Enter');
+  const plot = signals.getByRole('img').first();
+  await drawn(page, plot, 'the rate');
+  await button('Add a signal…').click();
+  await search.fill('residuals height 2 innovation');
+  await signals.getByRole('listitem').getByRole('button').first().click();
+  await until('two charts', async () => (await charted()).length === 2);
+  const names = await charted();
+  assert(/^residuals_\d+\[height 2/.test(names[1]), names.join());
+  await until('its address', async () => decodeURIComponent(page.url()).includes(`?signals=${names.join()}`));
+  const box = await region('Altitude chart').getByRole('img').first().boundingBox();
+  await page.mouse.move(box.x + 0.6 * box.width, box.y + box.height / 2);
+  const values = await until('their values under the cursor', async () => {
+    const texts = await signals.locator('.signal-value b').allTextContents();
+    return texts.length === 2 && texts.every((text) => Number.isFinite(number(text))) && texts;
+  });
+  for (const one of await signals.getByRole('img').all()) await drawn(page, one, await one.getAttribute('aria-label'));
+  await shots('flight-signals');
+  return { names, values };
+});
+
+await step(page, 'signals: what is zoomed into is read more finely', async () => {
+  const asked = [];
+  page.on('response', async (response) => {
+    if (/\/signal\?/.test(response.url())) asked.push({ from: Number(new URL(response.url()).searchParams.get('from_s')), ...(await response.json()) });
+  });
+  const plot = region('Altitude chart').getByRole('img').first();
+  const box = await plot.boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  for (let i = 0; i < 8; i += 1) await page.mouse.wheel(0, -120);
+  const fine = await until('finer samples', async () => asked.find((answer) => answer.from > 0));
+  const step = (answer) => (answer.time_s.at(-1) - answer.time_s[0]) / answer.time_s.length;
+  assert(step(fine) < 0.012 && fine.samples >= fine.time_s.length, `a sample each ${step(fine)} s`);
+  await page.keyboard.press('Escape');
+  return { samples: fine.samples };
+});
+
+await step(page, 'signals: a spectrum with the rotors marked, between the cursors too', async () => {
+  const [name] = await charted();
+  const group = signals.getByRole('group', { name, exact: true });
+  await group.getByRole('button', { name: 'Spectrum' }).click();
+  await signals.getByText(/peak [\d.]+ Hz; in view, mean of \d+ windows; dashed: rotors, [\d.]+ Hz, 1 to 4 times/).waitFor();
+  const whole = await signals.locator('.density > p').textContent();
+  assert((await signals.locator('.density svg path').count()) >= 5, 'no rotors');
+  await shots('flight-spectrum');
+  await page.keyboard.press('m');
+  await signals.getByText(/between the cursors/).waitFor();
+  await page.keyboard.press('m');
+  await signals.getByText(/in view/).waitFor();
+  return { whole };
+});
+
+await step(page, 'signals: the address shows the same to others, and says what there is not', async () => {
+  const before = await charted();
+  await page.goto(page.url());
+  await until('the same charts', async () => (await charted()).join() === before.join());
+  await signals.getByText(/peak [\d.]+ Hz/).waitFor();
+  await button(`Take ${before[0]} away`).click();
+  await until('one chart', async () => (await charted()).length === 1);
+  assert(!page.url().includes('body_rates'), page.url());
+  await page.setViewportSize({ width: 390, height: 844 });
+  await signals.evaluate((card) => card.scrollIntoView());
+  await shots('flight-signals', '390x844');
+  await page.setViewportSize({ width: 1280, height: 720 });
+  await page.goto(`${url}/flights/${flight.id}?signals=no.such.signal`);
+  await signals.getByRole('alert').getByText(/no signal "no.such.signal"/).waitFor();
+});
+
+await step(page, 'signals: no complaint in the console', async () => {
+  // The signal that there is not.
+  const others = errors.filter((text) => !/422|400/.test(text));
+  assert(others.length === 0, others.join('\n'));
+});
+
+await browser.close();
+end();

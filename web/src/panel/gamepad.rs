@@ -1,0 +1,176 @@
+//! A gamepad flies the vehicle shown, in stabilise and in the air, while its right shoulder button is held. Whoever lets go
+//! of it has the vehicle level, and holding its altitude.
+
+use std::time::Duration;
+
+use leptos::prelude::*;
+use plumbline_proto::v1::Mode;
+use plumbline_rest::command as rest;
+use serde_json::json;
+use wasm_bindgen::JsCast;
+use web_sys::GamepadButton;
+
+use crate::{
+    ctx::{Ctx, ctx},
+    event::Tone,
+    model::{
+        curves::DEGREES,
+        format,
+        instrument::Instrument,
+        names,
+        stick::{Asked, Sticks},
+    },
+    net,
+};
+
+/// The right shoulder button of the standard mapping.
+const DEAD_MAN: u32 = 5;
+/// How often the sticks are read, and sent unless the answer before is still awaited.
+const PERIOD: Duration = Duration::from_millis(50);
+
+/// The first gamepad there is: its name, its sticks, and whether the dead-man button is held.
+fn gamepad() -> Option<(String, Sticks, bool)> {
+    let pads = window().navigator().get_gamepads().ok()?;
+    let pad = pads.iter().find_map(|pad| pad.dyn_into::<web_sys::Gamepad>().ok().filter(|pad| pad.connected()))?;
+    let axes = pad.axes();
+    let axis = |i| axes.get(i).as_f64().filter(|v| v.is_finite()).unwrap_or(0.0);
+    let held = pad.buttons().get(DEAD_MAN).dyn_into::<GamepadButton>().is_ok_and(|button| button.pressed());
+    Some((pad.id(), Sticks { turn: axis(0), down: axis(1), right: axis(2), back: axis(3) }, held))
+}
+
+/// Why the sticks do nothing now; `None` where they fly.
+fn idle(ctx: Ctx) -> Option<&'static str> {
+    ctx.live.with_value(|live| {
+        let Some(status) = live.status.get() else { return Some("No vehicle is there.") };
+        if live.is_replay() {
+            return Some("A recording flown again has no sticks.");
+        }
+        if !status.armed || status.disarms_in_s.is_some() {
+            return Some("It takes over in the air: take off in altitude hold, then choose Stabilise.");
+        }
+        (status.mode() != Mode::Stabilise).then_some("Choose Stabilise: there the sticks are tilt, turn and thrust.")
+    })
+}
+
+/// What a gamepad does, between two readings.
+#[derive(Clone, Copy)]
+struct Pad {
+    ctx: Ctx,
+    name: RwSignal<Option<String>>,
+    asked: RwSignal<Option<Asked>>,
+    /// An answer is awaited.
+    waits: StoredValue<bool>,
+    read_ms: StoredValue<f64>,
+}
+
+impl Pad {
+    fn read(self) {
+        let found = gamepad();
+        let name = found.as_ref().map(|(name, ..)| name.clone());
+        if self.name.with_untracked(|known| *known != name) {
+            self.name.set(name);
+        }
+        let now = net::now_ms();
+        let dt_s = ((now - self.read_ms.get_value()) * 1e-3).clamp(0.0, 0.2);
+        self.read_ms.set_value(now);
+        let flies = found.filter(|(.., held)| *held && idle(self.ctx).is_none());
+        let before = self.asked.get_untracked();
+        match (flies, before) {
+            (Some((_, sticks, _)), before) => {
+                if let Some(why) = untrack(|| self.ctx.refusal()) {
+                    return self.ctx.refuse(why);
+                }
+                let (yaw_rad, [tilt, throttle]) = self.ctx.live.with_value(|live| {
+                    let yaw = Instrument::newest(live, 0.0).roll_pitch_yaw_deg.map_or(0.0, |[_, _, yaw]| yaw / DEGREES);
+                    let limits = live.description.get().and_then(|d| d.limits);
+                    (yaw, limits.map_or([0.0, 1.0], |l| [l.tilt_max_rad, f64::INFINITY]))
+                });
+                let asked = before.unwrap_or(Asked::level(yaw_rad)).after(sticks, dt_s, tilt, throttle);
+                self.asked.set(Some(asked));
+                self.send(asked);
+            }
+            // Let go, lost or landed: once level, then the altitude is held.
+            (None, Some(asked)) => {
+                self.asked.set(None);
+                self.let_go(asked);
+            }
+            (None, None) => {}
+        }
+    }
+
+    fn let_go(self, asked: Asked) {
+        if idle(self.ctx).is_some() {
+            return;
+        }
+        let level = Asked::level(asked.roll_pitch_yaw_rad[2]).setpoint();
+        self.ctx.command("Sticks let go: level", "POST", "setpoint", json!(level));
+        let mode = names::mode_json(Mode::AltitudeHold);
+        self.ctx.command("Sticks let go: altitude hold", "POST", "mode", json!(rest::Mode { mode }));
+    }
+
+    /// Without a notice for each: only what is refused is said.
+    fn send(self, asked: Asked) {
+        let Some(vehicle) = self.ctx.app.with_value(|app| app.vehicle.clone()).filter(|_| !self.waits.get_value())
+        else {
+            return;
+        };
+        self.waits.set_value(true);
+        let url = format!("/api/v1/vehicles/{}/setpoint", js_sys::encode_uri_component(&vehicle));
+        let (body, who, seen_us) = (json!(asked.setpoint()).to_string(), self.ctx.operator(), self.ctx.seen_us());
+        leptos::task::spawn_local(async move {
+            let answer = net::command("POST", &url, body, &who, seen_us).await;
+            if self.waits.try_set_value(false).is_some() {
+                return;
+            }
+            if let Err(failure) = answer {
+                self.ctx.tell(Tone::Error, format!("Sticks refused: {}", failure.text));
+            }
+        });
+    }
+}
+
+/// The card; nothing where no gamepad is connected. A browser shows one once a button of it was pressed.
+#[component]
+pub fn GamepadCard() -> impl IntoView {
+    let ctx = ctx();
+    let pad = Pad {
+        ctx,
+        name: RwSignal::new(None),
+        asked: RwSignal::new(None),
+        waits: StoredValue::new(false),
+        read_ms: StoredValue::new(net::now_ms()),
+    };
+    let timer = set_interval_with_handle(move || pad.read(), PERIOD).ok();
+    on_cleanup(move || {
+        if let Some(timer) = timer {
+            timer.clear();
+        }
+        // Whoever leaves this page has let go.
+        if let Some(Some(asked)) = pad.asked.try_get_untracked() {
+            pad.let_go(asked);
+        }
+    });
+    let vehicle = move || ctx.app(|app| app.vehicle.clone()).unwrap_or_else(|| format::NONE.to_owned());
+    let why = Memo::new(move |_| {
+        ctx.live(|_| ());
+        idle(ctx)
+    });
+    let degrees = |rad: f64| format!("{}°", format::signed(rad * DEGREES, 0));
+    let told = move || match (pad.asked.get(), why.get()) {
+        (Some(asked), _) => {
+            let [roll, pitch, yaw] = asked.roll_pitch_yaw_rad.map(degrees);
+            format!("roll {roll}, pitch {pitch}, yaw {yaw}, thrust {} %", format::fixed(100.0 * asked.throttle, 0))
+        }
+        (None, Some(why)) => why.to_owned(),
+        (None, None) => "Hold the right shoulder button (R1); letting go levels and holds the altitude.".to_owned(),
+    };
+    view! {
+        <Show when=move || pad.name.with(Option::is_some)>
+            <section class="card gamepad" class:flies=move || pad.asked.with(Option::is_some) aria-label="Gamepad">
+                <header><h2>"Gamepad"</h2><small class="quiet one-line push" title=move || pad.name.get()>{move || pad.name.get()}</small></header>
+                <p><b>{move || if pad.asked.with(Option::is_some) { format!("Flies {}", vehicle()) } else { format!("For {}", vehicle()) }}</b></p>
+                <p class="num">{told}</p>
+            </section>
+        </Show>
+    }
+}
