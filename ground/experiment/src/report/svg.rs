@@ -121,7 +121,7 @@ fn violin(values: &[f64], axis: Axis, middle: f64, half: f64) -> String {
     let quartiles = percentile(&places, 0.75) - percentile(&places, 0.25);
     let spread = if quartiles > 0.0 { sigma.min(quartiles / 1.34) } else { sigma };
     let width = 0.9 * spread * n.powf(-0.2);
-    if places.len() < DENSE || width <= 0.0 || !width.is_finite() {
+    if places.len() < DENSE || high <= low || !width.is_finite() {
         return String::new();
     }
     let at = |step: usize| low + (high - low) * step as f64 / (FINE - 1) as f64;

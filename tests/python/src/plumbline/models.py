@@ -247,6 +247,17 @@ class Opened(TypedDict):
     flight: NotRequired[str]
 
 
+class Outline(TypedDict):
+    """
+    The altitude of a flight, for a picture of some hundred pixels: true where truth is recorded, else as estimated in the
+    loop.
+    """
+
+    altitude_cm: NotRequired[list[list[int] | None]]
+    from_s: NotRequired[float]
+    step_s: NotRequired[float]
+
+
 class Parameter(TypedDict):
     """A parameter and what it may be."""
 
@@ -352,6 +363,14 @@ class Revision(TypedDict):
 Role: TypeAlias = Literal['viewer', 'operator', 'attacker', 'admin']
 
 
+class Samples(TypedDict):
+    """`GET /api/v1/flights/{id}/signal`: samples, or of each stretch of time the least and the greatest, in their order."""
+
+    samples: NotRequired[int]
+    time_s: NotRequired[list[float]]
+    value: NotRequired[list[float]]
+
+
 class Series(TypedDict):
     """Points of one kind in a plot."""
 
@@ -390,6 +409,20 @@ class Share(TypedDict):
     unit: NotRequired[str]
 
 
+class Signal(TypedDict):
+    """One number of one topic."""
+
+    name: NotRequired[str]
+    unit: NotRequired[str]
+
+
+class Signals(TypedDict):
+    """`GET /api/v1/flights/{id}/signals`."""
+
+    signals: NotRequired[list[Signal]]
+    start_s: NotRequired[float]
+
+
 SignedIn = TypedDict(
     'SignedIn',
     {
@@ -418,6 +451,17 @@ class Size(TypedDict):
     flights: NotRequired[int]
     id: NotRequired[str]
     repeats: NotRequired[int]
+
+
+class Spectrum(TypedDict):
+    """`GET /api/v1/flights/{id}/spectrum`: Welch's method, Hann windows that overlap by half, one-sided."""
+
+    density: NotRequired[list[float]]
+    frequency_hz: NotRequired[list[float]]
+    harmonics_hz: NotRequired[list[float]]
+    rate_hz: NotRequired[float]
+    rotor_hz: NotRequired[float | None]
+    windows: NotRequired[int]
 
 
 class Spread(TypedDict):
@@ -744,6 +788,7 @@ class Flight(TypedDict):
     missing: NotRequired[int]
     name: NotRequired[str]
     notes: NotRequired[str]
+    outline: NotRequired[Outline | None]
     rig: NotRequired[str]
     seed: NotRequired[int]
     size_bytes: NotRequired[int]
