@@ -187,7 +187,7 @@ impl Hub {
         vehicle.flush(now);
         let start = now.checked_sub(history.min(Duration::from_secs(MAX_HISTORY_SECONDS))).unwrap_or(now);
         let (oldest, past) = vehicle.history.since(start);
-        let mut backlog = vec![vehicle.snapshot(oldest.unwrap_or(now))];
+        let mut backlog = vec![vehicle.snapshot(oldest)];
         backlog.extend(past);
         let queue = Arc::new(ViewerQueue::default());
         vehicle.viewers.push(Arc::downgrade(&queue));
@@ -309,6 +309,10 @@ mod tests {
         let without = hub.subscribe("a", Duration::ZERO).unwrap();
         let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
         assert_eq!(first, [3], "without history the latest sample is in the snapshot");
+        hub.batch("a", &batch(4, Kind::Status));
+        let without = hub.subscribe("a", Duration::ZERO).unwrap();
+        let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
+        assert_eq!(first, [3, 4], "what was gathered for others, too, and once");
     }
 
     #[test]

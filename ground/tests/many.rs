@@ -84,8 +84,7 @@ struct Nats {
 impl Nats {
     /// `None` where there is none to start.
     fn start(folder: &Path) -> Option<Self> {
-        let found = Command::new("nats-server").arg("--version").output().is_ok();
-        if !found {
+        if Self::server().arg("--version").output().is_err() {
             plumbline_agent::recordings::skipped("no nats-server (a Debian package)");
             return None;
         }
@@ -93,8 +92,12 @@ impl Nats {
         Some(Self { process: Self::process(&folder, port), port, folder })
     }
 
+    fn server() -> Command {
+        Command::new(std::env::var_os("PLUMBLINE_NATS").unwrap_or_else(|| "nats-server".into()))
+    }
+
     fn process(folder: &Path, port: u16) -> Process {
-        let mut command = Command::new("nats-server");
+        let mut command = Self::server();
         let process =
             Process::start(command.args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"]).arg(folder));
         listens(port);

@@ -52,9 +52,9 @@ impl History {
         }
     }
 
-    /// The batches since `start`, oldest first, and when the first of them was made.
+    /// The batches after `start`, oldest first, and when the first of them was made.
     pub(super) fn since(&self, start: Instant) -> (Option<Instant>, Vec<Shared>) {
-        let first = self.batches.partition_point(|(at, _)| *at < start);
+        let first = self.batches.partition_point(|(at, _)| *at <= start);
         let kept = self.batches.range(first..);
         (self.batches.get(first).map(|(at, _)| *at), kept.map(|(_, shared)| shared.clone()).collect())
     }
@@ -79,8 +79,8 @@ mod tests {
         }
         assert_eq!(history.batches.len() as u64, MAX_SECONDS + 1);
         let (first, last_minute) = history.since(start + Duration::from_secs(290));
-        assert_eq!(last_minute.len(), 10);
-        assert_eq!(first, Some(start + Duration::from_secs(290)));
+        assert_eq!(last_minute.len(), 9);
+        assert_eq!(first, Some(start + Duration::from_secs(291)));
         let big = Bytes::from(vec![0; MAX_BYTES / 2 + 1]);
         for s in 300..304 {
             history.push(start + Duration::from_secs(s), Shared { batch: big.clone(), messages: 1 });

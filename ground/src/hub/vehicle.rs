@@ -123,8 +123,8 @@ impl Vehicle {
     }
 
     /// The latest of every topic as one batch. States come always; samples only when the history,
-    /// which begins at `history_start`, does not hold them: nothing is plotted twice.
-    pub(super) fn snapshot(&self, history_start: Instant) -> Shared {
+    /// which begins at `history_start` (`None`: there is none), does not hold them: nothing is plotted twice.
+    pub(super) fn snapshot(&self, history_start: Option<Instant>) -> Shared {
         let mut batch = Vec::new();
         codec::begin_batch(&mut batch);
         let mut messages = 0;
@@ -144,7 +144,7 @@ impl Vehicle {
                     | Kind::Lease
                     | Kind::Link,
                 ) => true,
-                _ => latest.at < history_start,
+                _ => history_start.is_none_or(|start| latest.at < start),
             };
             if wanted {
                 batch.extend_from_slice(&latest.frame);

@@ -214,7 +214,9 @@ impl Learner {
             planned.start_s = since_start(begins);
             FlownAttack { planned, phase: v1::AttackPhase::json_name_of(progress.phase) }
         };
-        flight.attacks = self.attacks.values().map(flown).collect();
+        // The state of the attacks tells of the last schedule for long: what ended before the flight is none of it.
+        let before = |progress: &&v1::AttackProgress| progress.ended_time_us.is_some_and(|ended| ended < first);
+        flight.attacks = self.attacks.values().filter(|progress| !before(progress)).map(flown).collect();
     }
 }
 
@@ -265,8 +267,12 @@ mod tests {
         };
         learner.observe("/attacks", 1, 8_000_000, &state(v1::AttackPhase::Done).encode_to_vec());
         learner.observe("/attacks", 1, 7_000_000, &state(v1::AttackPhase::Active).encode_to_vec());
+        let before = v1::AttackProgress { ended_time_us: Some(1_999_999), ..state(v1::AttackPhase::Done).attacks[0] };
+        let before = v1::AttackState { schedule_id: 7, attacks: vec![before], ..Default::default() };
+        learner.observe("/attacks", 1, 2_000_000, &before.encode_to_vec());
         let mut flight = Flight::default();
         learner.describe(&mut flight, 1_000_000_000);
+        assert_eq!(flight.attacks.len(), 1, "one ended before the flight began");
         assert_eq!((flight.started_unix_us, flight.duration_s), (1_002_000_000, 7.0));
         assert!((flight.tracking_rms_m.unwrap() - 0.1).abs() < 1e-12, "the estimate 7 s away is not compared");
         assert_eq!((flight.steps.len(), flight.steps[0].start_s, flight.steps[0].overshoot_percent), (1, 1.0, 8.0));

@@ -17,6 +17,9 @@ pub struct Options {
     pub only: Option<String>,
 }
 
+/// All there is, with what the two commands do without.
+const EVERYTHING: [&str; 4] = ["--workspace", "--locked", "--features", "plumbline-ground/many"];
+
 /// Runs everything; a step that fails does not stop the others. True when all is well.
 pub fn run(workspace: &Workspace, options: &Options) -> bool {
     signals::catch();
@@ -40,9 +43,9 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
         }),
         // The page before any program that is built: the ground embeds it.
         ("page-and-clippy", &mut |tally| {
-            let arguments = ["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"];
-            let page = || web::run(workspace, &web::Options::default());
-            let (page, clippy) = workspace::beside(workspace.cargo().args(arguments), page);
+            let mut clippy = workspace.cargo();
+            clippy.arg("clippy").args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
+            let (page, clippy) = workspace::beside(&mut clippy, || web::run(workspace, &web::Options::default()));
             tally.check("page ≤ 2 MB", page);
             tally.check("clippy", clippy);
         }),
@@ -73,15 +76,19 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
 /// Unit, integration, system and documentation tests of all members.
 fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     // Binaries and tests in one build, so that nothing is compiled twice for other features.
-    let built = workspace::run(workspace.cargo().args(["build", "--workspace", "--all-targets", "--locked"]));
+    let built = workspace::run(workspace.cargo().arg("build").args(EVERYTHING).arg("--all-targets"));
     if tally.check("build", built).is_none() {
         return;
     }
     let mut cargo = workspace.cargo();
-    cargo.args(["test", "--workspace", "--locked", "--no-fail-fast"]).stdout(Stdio::piped());
+    cargo.arg("test").args(EVERYTHING).arg("--no-fail-fast").stdout(Stdio::piped());
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("debug"));
     if let Some(python) = tally.check("python with mcap", tools::python(workspace)) {
         cargo.env("PLUMBLINE_PYTHON", python);
+    }
+    match tools::nats_server(workspace) {
+        Ok(server) => drop(cargo.env("PLUMBLINE_NATS", server)),
+        Err(error) => eprintln!("xtask: {error}"),
     }
     // What is absent is told here by the tests that wanted it.
     let absent = workspace.target.join("skipped.txt");

@@ -16,10 +16,11 @@ const NODE_PACKAGES: [&str; 6] = [
     "ws@8.18.3",
     "axe-core@4.14.1",
 ];
-/// Third-party readers of our flight files and of the results of experiments, and a MAVLink ground control station.
+/// Third-party readers of our flight files and of the results of experiments, a MAVLink ground control station, and a double of
+/// S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil, boto3, moto.server, flask",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -28,6 +29,7 @@ const READERS: PythonTools = PythonTools {
         "polars>=1.0",
         "rosbags>=0.11",
         "pymavlink>=2.4.41",
+        "moto[s3,server]>=5.0",
     ],
 };
 /// The peer of `bench estimate`.
@@ -132,20 +134,35 @@ pub fn plumbline(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     Ok(own)
 }
 
-/// `promtool`, taken out of Debian's package of Prometheus, which is not installed: it would start a server.
+/// `promtool`, of Debian's package of Prometheus.
 ///
 /// # Errors
 /// What is missing and how to get it.
 pub fn promtool(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
-    let folder = workspace.target.join("tools/promtool");
-    let own = folder.join("usr/bin/promtool");
-    if let Some(found) = on_path("promtool").or_else(|| own.is_file().then(|| own.clone())) {
+    taken_out(workspace, "prometheus", "usr/bin/promtool")
+}
+
+/// `nats-server`, of the Debian package of that name.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn nats_server(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    taken_out(workspace, "nats-server", "usr/sbin/nats-server")
+}
+
+/// A program of a Debian package, which is not installed: it would start a server.
+fn taken_out(workspace: &Workspace, package: &str, program: &str) -> Result<PathBuf, XtaskError> {
+    let folder = workspace.target.join("tools").join(package);
+    let own = folder.join(program);
+    let name = program.rsplit('/').next().unwrap_or(program);
+    if let Some(found) = on_path(name).or_else(|| own.is_file().then(|| own.clone())) {
         return Ok(found);
     }
-    let missing = || XtaskError::Missing { what: "promtool".into(), how: "  sudo apt-get install prometheus".into() };
+    let how = format!("  sudo apt-get install {package}");
+    let missing = || XtaskError::Missing { what: name.into(), how };
     std::fs::create_dir_all(&folder).map_err(XtaskError::file(&folder))?;
-    let take_out = "apt-get -qq download prometheus && dpkg-deb -x prometheus_*.deb . && rm prometheus_*.deb";
-    let taken = works(Command::new("sh").args(["-c", take_out]).current_dir(&folder));
+    let take_out = format!("apt-get -qq download {package} && dpkg-deb -x {package}_*.deb . && rm {package}_*.deb");
+    let taken = works(Command::new("sh").args(["-c", &take_out]).current_dir(&folder));
     (taken && own.is_file()).then_some(own).ok_or_else(missing)
 }
 

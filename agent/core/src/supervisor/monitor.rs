@@ -1,5 +1,7 @@
 //! Which row of the failsafe table applies now.
 
+use std::fmt;
+
 use plumbline_proto::time::FlightTime;
 
 use super::{Failsafe, Settings};
@@ -324,17 +326,41 @@ impl Monitor {
 }
 
 fn box_reason(failsafe: Failsafe, i: &Inputs) -> Text {
-    let (lateral, side_mps) = i.lateral.map_or((f64::NAN, f64::NAN), |o| (o.distance_m, o.speed_mps));
+    let aside = i.lateral.map(|outward| (outward.distance_m, outward.speed_mps));
     text(format_args!(
-        "edge of the box: altitude {:.2} m (raw {:.2} m, limit {:.2} m) at {:.1} m/s, lateral {lateral:.2} m (limit {:.2} m) at \
-         {side_mps:.1} m/s: {}",
-        i.altitude_m.unwrap_or(f64::NAN),
-        i.raw_height_m.unwrap_or(f64::NAN),
+        "edge of the box: altitude {} (raw {}, limit {:.2} m) at {:.1} m/s, lateral {}: {}",
+        Metres(i.altitude_m),
+        Metres(i.raw_height_m),
         i.altitude_max_m,
         i.climb_mps,
-        i.lateral_max_m,
+        Lateral(aside, i.lateral_max_m),
         if failsafe == Failsafe::BoxHold { "holding at the edge" } else { "descending" }
     ))
+}
+
+/// A distance, m, where one is measured.
+struct Metres(Option<f64>);
+
+impl fmt::Display for Metres {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(metres) => write!(f, "{metres:.2} m"),
+            None => f.write_str("not measured"),
+        }
+    }
+}
+
+/// Distance, m, and speed, m/s, aside where they are measured; and the limit, m.
+struct Lateral(Option<(f64, f64)>, f64);
+
+impl fmt::Display for Lateral {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(aside, limit_m) = self;
+        match aside {
+            Some((m, mps)) => write!(f, "{m:.2} m (limit {limit_m:.2} m) at {mps:.1} m/s"),
+            None => f.write_str("not measured"),
+        }
+    }
 }
 
 /// Distance on which a motion of `speed_mps` can be stopped, m; zero for one that goes back. Control answers after the

@@ -143,3 +143,14 @@ fn what_was_taken_over_stays_so_until_the_operator_acts() {
     monitor.operator_acted();
     assert_eq!(monitor.judge(&fine(3.2)), Failsafe::None);
 }
+
+#[test]
+fn what_is_not_measured_is_said_to_be_so() {
+    let monitor = Monitor::new(Settings::default());
+    let inputs = Inputs { altitude_m: Some(2.4), raw_height_m: None, lateral: None, ..fine(1.0) };
+    let said = monitor.reason(Failsafe::BoxHold, &inputs);
+    assert!(said.contains("altitude 2.40 m (raw not measured") && said.contains("lateral not measured:"), "{said}");
+    let aside = Some(Outward { distance_m: 2.05, speed_mps: 0.5, pull_mps2: 0.0 });
+    let said = monitor.reason(Failsafe::BoxHold, &Inputs { lateral: aside, ..inputs });
+    assert!(said.contains("lateral 2.05 m (limit 2.00 m) at 0.5 m/s"), "{said}");
+}
