@@ -276,7 +276,7 @@ impl Bank {
             self.estimators.iter_mut().zip(&mut self.step_ns).zip(&mut self.innovations)
         {
             estimator.step(received, applied);
-            innovations.widen(estimator.estimate_mut());
+            innovations.scale(estimator.estimate_mut());
             let after = read();
             *took = after.saturating_sub(before);
             before = after;

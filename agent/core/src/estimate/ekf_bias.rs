@@ -362,6 +362,7 @@ impl EkfBias {
             position_sigma_m: Some(sigma(ix::POSITION)),
             velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
             horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
+            heights_off_sigma_m: 0.0,
             altitude_known,
         });
         e.world_from_body = k.world_from_body;

@@ -217,6 +217,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             position_sigma_m: Some(sigma(ix::X)),
             velocity_sigma_mps: Some(sigma(ix::VX)),
             horizontal_known: self.aided.axes[0].within(now, MEMORY_S) && self.aided.axes[1].within(now, MEMORY_S),
+            heights_off_sigma_m: 0.0,
             altitude_known: self.aided.axes[2].within(now, MEMORY_S),
         });
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));

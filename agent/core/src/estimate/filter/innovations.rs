@@ -1,4 +1,4 @@
-//! Is a filter surprised by more than it expects? Then what it says of its altitude is widened by as much.
+//! Is a filter surprised by more than it expects, or by less? What it says of its altitude is scaled by as much.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,8 +6,10 @@
 //! | w | mean of (ν/σ)² |
 //! | l | mean of the square of the mean of ν/σ over a shorter time, over what it is for white ones: errors that last show here |
 //!
-//! One-sigmas of altitude and climb are told √max(1, w, l) times as large, by the median of the lasers, so that a minority of
-//! attacked ones does not count; by motion capture or a barometer where there is no laser. Nothing else follows from it: no
+//! One-sigmas of altitude and climb are told √max(w, l) times as large, by the median of the lasers, so that a minority of
+//! attacked ones does not count; by motion capture or a barometer where there is no laser. A sensor that repeats itself surprises
+//! nobody: less than [`LEAST`] is never taken. Nor does what all heights are off by together, which is added where an estimator
+//! knows it. Nothing else follows from it: no
 //! gate, no gain. That innovations tell what the noise really is: R. K. Mehra, "On the identification of variances and
 //! adaptive Kalman filtering", IEEE TAC 15, 1970; here only its scale.
 
@@ -23,6 +25,8 @@ const GAIN: f64 = 0.015;
 const SHORT_GAIN: f64 = 0.15;
 /// … whose square is, for white ones, so much.
 const SHORT_VARIANCE: f64 = SHORT_GAIN / (2.0 - SHORT_GAIN);
+/// One-sigmas are never told smaller than by this factor.
+const LEAST: f64 = 0.3;
 /// Lasers, motion capture, a barometer.
 const TRACKS: usize = MAX_HEIGHTS + 2;
 
@@ -49,7 +53,7 @@ impl Track {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Innovations {
     tracks: [Track; TRACKS],
-    widened: Option<FlightTime>,
+    scaled: Option<FlightTime>,
 }
 
 /// Where a residual's sensor is kept.
@@ -63,12 +67,12 @@ fn index(residual: &Residual) -> Option<usize> {
 }
 
 impl Innovations {
-    /// Takes the residuals of `estimate`, those refused as well, and widens it; once, however often it is shown the same.
-    pub fn widen(&mut self, estimate: &mut Estimate) {
-        if self.widened == Some(estimate.time) {
+    /// Takes the residuals of `estimate`, those refused as well, and scales it; once, however often it is shown the same.
+    pub fn scale(&mut self, estimate: &mut Estimate) {
+        if self.scaled == Some(estimate.time) {
             return;
         }
-        self.widened = Some(estimate.time);
+        self.scaled = Some(estimate.time);
         for residual in &estimate.residuals {
             let normalised = residual.innovation / residual.sigma;
             let track = index(residual).and_then(|index| self.tracks.get_mut(index));
@@ -76,15 +80,18 @@ impl Innovations {
                 track.take(normalised);
             }
         }
-        let scale = self.scale();
+        let scale = self.surprise();
         if let Some(motion) = &mut estimate.motion {
             for sigma in [&mut motion.position_sigma_m, &mut motion.velocity_sigma_mps].into_iter().flatten() {
                 sigma.z *= scale;
             }
+            if let Some(sigma) = &mut motion.position_sigma_m {
+                sigma.z = sigma.z.hypot(motion.heights_off_sigma_m);
+            }
         }
     }
 
-    fn scale(&self) -> f64 {
+    fn surprise(&self) -> f64 {
         let (lasers, others) = self.tracks.split_at(MAX_HEIGHTS);
         let of = |tracks: &[Track]| -> ArrayVec<f64, TRACKS> {
             tracks.iter().filter(|track| track.seen).map(|track| track.white.max(track.lasting)).collect()
@@ -92,7 +99,7 @@ impl Innovations {
         let lasers = of(lasers);
         let squared =
             if lasers.is_empty() { of(others).first().copied() } else { Some(median(lasers.iter().copied())) };
-        squared.unwrap_or(1.0).max(1.0).sqrt()
+        squared.unwrap_or(1.0).sqrt().max(LEAST)
     }
 }
 
@@ -117,16 +124,17 @@ mod tests {
                 let residual = Residual::gated(of.0, of.1, innovation_m(k, laser), 0.01, 5.0);
                 estimate.residuals.try_push(residual).unwrap();
             }
-            innovations.widen(&mut estimate);
-            innovations.widen(&mut estimate);
+            innovations.scale(&mut estimate);
+            innovations.scale(&mut estimate);
             told_m = estimate.motion.and_then(|m| m.position_sigma_m).map_or(f64::NAN, |sigma| sigma.z);
         }
         told_m
     }
 
     #[test]
-    fn what_surprises_more_than_expected_widens_and_a_minority_does_not() {
-        assert!((told_m(|k, _| if k.is_multiple_of(2) { 0.008 } else { -0.008 }) - 0.01).abs() < 1e-3);
+    fn the_surprise_of_the_majority_scales() {
+        assert!((told_m(|k, _| if k.is_multiple_of(2) { 0.008 } else { -0.008 }) - 0.008).abs() < 1e-3);
+        assert!((told_m(|_, _| 0.0) - 0.003).abs() < 1e-9, "what repeats itself is not certain");
         assert!((told_m(|k, _| if k.is_multiple_of(2) { 0.03 } else { -0.03 }) - 0.03).abs() < 2e-3);
         // A mean that stays for seconds is no white noise; one laser of three far off changes little.
         assert!(told_m(|k, _| if (k / 50).is_multiple_of(2) { 0.009 } else { -0.009 }) > 0.025);

@@ -88,6 +88,7 @@ impl Lanes {
     pub(super) fn publish(&mut self, now: FlightTime) {
         let health = self.health(now);
         let state = *self.predictor.now();
+        let heights_off_sigma_m = self.judges.heights.mean_off_sigma_m(state.position_enu_m.z);
         let e = &mut self.estimate;
         e.time = now;
         e.health = health;
@@ -103,6 +104,7 @@ impl Lanes {
             velocity_enu_mps: state.velocity_enu_mps,
             position_sigma_m: Some(sigma(ix::POSITION)),
             velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
+            heights_off_sigma_m,
             horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
             altitude_known,
         });

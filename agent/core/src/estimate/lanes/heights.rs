@@ -110,6 +110,19 @@ impl Heights {
         self.lasers.get(index).map_or(0.0, |laser| laser.offset_m + laser.scale * (z_m - PIVOT_M))
     }
 
+    /// One-sigma of what the mean of the lasers is off by at altitude `z_m`, m, were they off independently: from how far they
+    /// are apart.
+    pub fn mean_off_sigma_m(&self, z_m: f64) -> f64 {
+        let used = || self.lasers.iter().enumerate().filter(|(_, laser)| laser.seen >= KEPT && !laser.excluded);
+        let off = || used().map(|(i, _)| self.off_m(i, z_m));
+        let n = used().count() as f64;
+        if n < 2.0 {
+            return 0.0;
+        }
+        let mean = off().sum::<f64>() / n;
+        (off().map(|off| (off - mean).powi(2)).sum::<f64>() / ((n - 1.0) * n)).sqrt()
+    }
+
     /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps.
     pub fn weight(&self, index: usize) -> f64 {
         if self.split.refuses(index) {
