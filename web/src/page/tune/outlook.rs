@@ -97,6 +97,7 @@ pub(super) fn Responses() -> impl IntoView {
     let figures = move |output: &'static str| {
         answered(bench).and_then(|p| p.steps.iter().find(|s| s.output == output).map(step_figures)).unwrap_or_default()
     };
+    let unanswered = move || answered(bench).is_none();
     let panel = move |output: &'static str, name: &'static str| {
         view! {
             <figure class="tune-step">
@@ -118,10 +119,10 @@ pub(super) fn Responses() -> impl IntoView {
                 </ul>
             </header>
             <Waiting />
-            <div class="tune-grid">
+            <div class="tune-grid" hidden=unanswered>
                 {panel("z", "altitude")} {panel("yaw", "yaw")} {panel("x", "east")} {panel("y", "north")}
             </div>
-            <p class="tune-measured num" aria-label="Measured beside predicted">
+            <p class="tune-measured num" class:good=move || newest.with(Option::is_some) aria-label="Measured beside predicted">
                 {move || match newest.get() {
                     None => "Measured: no altitude step in this flight yet. Step the altitude on Fly, then compare here.".to_owned(),
                     Some((step, _)) => format!(
@@ -187,7 +188,7 @@ pub(super) fn Loops() -> impl IntoView {
                     <li><i class="swatch" style="--swatch:var(--other-2)"></i>"attitude"</li>
                 </ul>
             </header>
-            <div class="tune-split">
+            <div class="tune-split" hidden=move || answered(bench).is_none()>
                 <div>
                     <Sketch label="Closed-loop poles on the plane" drawing=Signal::derive(move || drawn.get().0) size=[300.0, 190.0] />
                     <p class="quiet num">{move || match drawn.get().1 { 0 => String::new(), n => format!("{n} faster than {FASTEST_SHOWN_PER_S} 1/s not shown") }}</p>
