@@ -185,11 +185,12 @@ fn flown(experiment: &Experiment, flying: &Flying) -> Result<(), String> {
     let mut said = Instant::now();
     let (mut lost, mut squares, mut kept) = (0_u64, 0.0, 0.0);
     let ended = fly(experiment, &flying.options(), &AtomicBool::new(false), |progress: &Progress, row| {
-        if row.lost().is_empty() {
-            squares += row.value("altitude_m").powi(2);
-            kept += 1.0;
-        } else {
+        let altitude_m = row.value("altitude_m");
+        if !row.lost().is_empty() {
             lost += 1;
+        } else if altitude_m.is_finite() {
+            squares += altitude_m.powi(2);
+            kept += 1.0;
         }
         if said.elapsed() < every && progress.done < progress.flights {
             return;
@@ -198,10 +199,10 @@ fn flown(experiment: &Experiment, flying: &Flying) -> Result<(), String> {
         let Progress { done, flights, per_s, left_s } = *progress;
         let part = (30 * done / flights.max(1)) as usize;
         let bar: String = (0..30).map(|at| if at < part { '=' } else { ' ' }).collect();
-        let mean_mm = 1e3 * f64::sqrt(squares / kept);
+        // A recording may know no altitude, or nothing that it was to be.
+        let rms = if kept > 0.0 { format!("{:.1} mm rms", 1e3 * f64::sqrt(squares / kept)) } else { "unknown".into() };
         let left = duration(left_s);
-        let line =
-            format!("[{bar}] {done}/{flights}  {per_s:.2}/s  {left} left  altitude {mean_mm:.1} mm rms  {lost} lost");
+        let line = format!("[{bar}] {done}/{flights}  {per_s:.2}/s  {left} left  altitude {rms}  {lost} lost");
         // A terminal that takes no more costs the line, and nothing else.
         let _ =
             if watched { write!(std::io::stderr(), "\r{line}\x1b[K") } else { writeln!(std::io::stderr(), "{line}") };
