@@ -4,6 +4,7 @@
 //! its value. What is set here limits what any ground may ask for.
 
 mod hardware;
+mod recorded;
 mod sections;
 
 use std::path::{Path, PathBuf};
@@ -22,6 +23,7 @@ use crate::sensor::suite::{Suite, SuiteError};
 use crate::sim::rig::Rig;
 use crate::types::{ControllerKind, EstimatorKind, TICK_RATE_HZ};
 
+pub use recorded::{RecordedError, RecordedFlight};
 pub use sections::{
     Attacks, Controller, Envelope, Estimators, Failsafe, Limits, Link, Log, Margins, Site, Watermark, Weights,
 };

@@ -1,4 +1,4 @@
-//! A hash of everything that decides how a flight goes: the sources of the agent, its simulator and worlds, of this crate, and
+//! A hash of everything that decides how a flight goes: the sources of the agent, its simulator and worlds, the readers of recordings, of this crate, and
 //! the versions of what others wrote. A result never mixes flights of two programs.
 
 use std::path::{Path, PathBuf};
@@ -6,7 +6,14 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 /// What is hashed, from this crate's folder.
-const SOURCES: [&str; 5] = ["../../agent/core/src", "../../agent/sim", "../../agent/src", "../../proto/schema", "src"];
+const SOURCES: [&str; 6] = [
+    "../../agent/analysis/src/recordings",
+    "../../agent/core/src",
+    "../../agent/sim",
+    "../../agent/src",
+    "../../proto/schema",
+    "src",
+];
 const LOCK: &str = "../../Cargo.lock";
 
 fn main() -> std::io::Result<()> {

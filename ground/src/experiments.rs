@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
+use plumbline_experiment::recordings::Library;
 use plumbline_experiment::run::{Options, run};
 use plumbline_experiment::store::{Experiment, StoreError};
 use plumbline_experiment::summary;
@@ -17,6 +18,7 @@ use crate::sync::{give_way, lock};
 #[derive(Debug)]
 pub(crate) struct Experiments {
     root: PathBuf,
+    library: Library,
     flown: Mutex<Option<Flown>>,
     /// Why the last run of each ended before its end.
     errors: Arc<Mutex<BTreeMap<String, String>>>,
@@ -31,12 +33,18 @@ struct Flown {
 
 impl Experiments {
     pub(crate) fn open(data_folder: &Path) -> Self {
-        Self { root: Experiment::root(data_folder), flown: Mutex::default(), errors: Arc::default() }
+        let (root, library) = (Experiment::root(data_folder), Library::archive(data_folder));
+        Self { root, library, flown: Mutex::default(), errors: Arc::default() }
     }
 
     /// The folder of all.
     pub(crate) fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// The recordings that their plans may name.
+    pub(crate) fn library(&self) -> &Library {
+        &self.library
     }
 
     /// How one stands. Asks the disk; one that is begun here runs from that moment until its thread has ended.

@@ -114,3 +114,51 @@ async fn one_is_flown_at_a_time_and_a_ground_that_ends_loses_nothing() {
     assert!(state["done"].as_u64() > Some(done) && state["running"] == false && state["own"] == true, "{state}");
     ground.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn recorded_flights_are_flown_again_under_other_estimators() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    // GIVEN a flight in the archive
+    let one = PLAN.replace("repeats = 3", "repeats = 1").replace("\"ekf_bias\", \"lanes\"", "\"lanes\"");
+    let one = one.replace("duration_s = 16", "duration_s = 24");
+    let finished = |results: &serde_json::Value| results["state"]["done"] == results["state"]["flights"];
+    let fly = async |plan: &str| {
+        let made = ground.request("POST", "/api/v1/experiments", &asked(plan)).await;
+        assert_eq!(made.status, 201, "{}", made.text());
+        let at = format!("/api/v1/experiments/{}", made.json()["id"].as_str().unwrap());
+        ground.wait_json(&at, |results| finished(results) && results["state"]["running"] == false).await;
+        at
+    };
+    let at = fly(&one).await;
+    let opened = ground.request("POST", &format!("{at}/flights/0"), "").await.json();
+    let flight = opened["flight"].as_str().unwrap().to_owned();
+    // WHEN a plan names it THEN it is flown under each estimator, and each row opens as a flight of its own
+    let again = format!(
+        "name = \"again\"\n[[factor]]\nkey = \"recording\"\nvalues = [\"{flight}\"]\n[[factor]]\n\
+         key = \"agent.estimators.in_loop\"\nvalues = [\"ekf_bias\", \"lanes\"]\n"
+    );
+    let at = fly(&again).await;
+    let results = ground.json(&at).await;
+    assert_eq!(results["conditions"][1]["levels"], json!([flight, "lanes"]));
+    assert!(results["notes"][0].as_str().unwrap().contains("Recordings flown again"), "{results}");
+    let of = |condition: usize, name: &str| {
+        let measures = results["measures"].as_array().unwrap();
+        let measure = measures.iter().position(|measure| measure["name"] == name).unwrap();
+        results["conditions"][condition]["measures"][measure]["median"].as_f64()
+    };
+    assert!(of(0, "altitude_m").is_some() && of(0, "altitude_m") == of(1, "altitude_m"), "{results}");
+    assert!(of(0, "estimate_m").is_some() && of(0, "estimate_m") != of(1, "estimate_m"), "{results}");
+    let opened = ground.request("POST", &format!("{at}/flights/1"), "").await;
+    assert_eq!(opened.status, 200, "{}", opened.text());
+    let id = opened.json()["flight"].as_str().unwrap().to_owned();
+    let shown = ground.json(&format!("/api/v1/flights/{id}")).await;
+    assert_eq!((&shown["vehicle"], &shown["completeness"]), (&json!("replay"), &json!("complete")), "{shown}");
+    // THEN over the network nothing but flights can be named
+    for name in ["nobody", "/etc/hostname", "../flights/x"] {
+        let refused = ground.request("POST", "/api/v1/experiments", &asked(&again.replace(&flight, name))).await;
+        assert_eq!((refused.status, refused.error().contains("line 3")), (422, true), "{}", refused.error());
+        assert!(refused.error().contains("not the id of a finished flight of this ground"), "{}", refused.error());
+    }
+    ground.stop().await;
+}

@@ -9,14 +9,13 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
 use plumbline_agent::calibration::Calibration;
-use plumbline_agent::config::AgentConfig;
+use plumbline_agent::config::{AgentConfig, RecordedFlight};
 use plumbline_agent::estimate::secure::suite::{Observed, Promise, SuiteError};
-use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
+use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::link::backfill::Archive;
 use plumbline_agent::link::clock::FlightClock;
 use plumbline_agent::link::{self, INBOUND_QUEUE, LinkConfig, LinkHandle, LinkPorts, identity};
 use plumbline_agent::log::{self, LogConfig, LogHandle, RING_BYTES};
-use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::offline::{ArgumentError, calibrate};
 use plumbline_agent::recordings;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
@@ -29,7 +28,6 @@ use plumbline_agent::sim::rig::{Line, MAX_STRINGS};
 use plumbline_agent::sim::script::Script;
 use plumbline_agent::sim::{Scenario, SimVehicle, scenario::attacks_from_toml};
 use plumbline_agent::telemetry::{Identification, Outlet, Telemetry};
-use plumbline_agent::types::TICK_RATE_HZ;
 use plumbline_agent::vehicle::Vehicle;
 use plumbline_agent::vehicle::calibrated::CalibratedVehicle;
 use plumbline_devices::reader::Zero;
@@ -311,43 +309,8 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     for note in &info.notes {
         tracing::info!(file = %path.display(), note, "recording");
     }
-    // Our own simulated flights bring their scenario: airframe, rig and suite are known.
-    let scenario = match &info.scenario {
-        Some(text) if !text.is_empty() => {
-            Some(Scenario::from_toml(text).map_err(|e| in_file(path, format!("its scenario: {e}")))?)
-        }
-        _ => None,
-    };
-    let mut flight = match &scenario {
-        Some(scenario) => scenario.flight_config().with_every_estimator(),
-        None => {
-            let airframe = airframe_of(info.airframe.as_deref(), &config.airframe)?;
-            // Nothing is said of its sensors: the assumptions of `estimate`.
-            let assumed = FlightConfig::new(airframe, RigKind::Free, &Suite::empty());
-            FlightConfig { sensor_model: info.sensor_model(), ..assumed }
-        }
-    };
-    flight.attacks.enabled = true;
-    flight.sensors = info.sensors.iter().map(|sensor| sensor.id).collect();
-    let flown_s = info.span.1.seconds_since(info.span.0);
-    if scenario.is_none() && flown_s > 0.0 {
-        flight.tick_rate_hz = (info.ticks as f64 / flown_s).round().clamp(*TICK_RATE_HZ.start(), *TICK_RATE_HZ.end());
-    }
-    let suite = scenario.as_ref().map(|scenario| scenario.suite.descriptions()).unwrap_or_default();
-    let sensors = info
-        .sensors
-        .iter()
-        .map(|sensor| {
-            let known = suite.iter().find(|described| described.id == sensor.id).cloned();
-            known.unwrap_or_else(|| Description {
-                id: sensor.id,
-                name: sensor.id.to_string(),
-                rate_hz: sensor.rate_hz,
-                // Not part of any of these formats.
-                sigma: 0.0,
-            })
-        })
-        .collect();
+    let RecordedFlight { flight, scenario, sensors } =
+        RecordedFlight::new(&info, &config.airframe).map_err(|e| in_file(path, e))?;
     // Another schedule attacks the clean samples; otherwise the old attacks are seen again.
     let samples = if arguments.attack_schedule.is_some() { Samples::Sensed } else { Samples::Received };
     Ok(Chosen {
@@ -366,19 +329,6 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         end: None,
         zero: None,
     })
-}
-
-/// The airframe that a recording names. One that is not known is taken as the configured one, and says so:
-/// nothing of a recording is controlled with it.
-fn airframe_of(recorded: Option<&str>, configured: &str) -> Result<Airframe, Failure> {
-    const TAKEN: &str = ", taken as ";
-    let recorded = recorded.map(|name| name.split(TAKEN).next().unwrap_or(name));
-    if let Some(known) = recorded.and_then(|name| Airframe::by_name(name).ok()) {
-        return Ok(known);
-    }
-    let mut airframe = Airframe::by_name(configured)?;
-    airframe.name = format!("{}{TAKEN}{configured}", recorded.unwrap_or("unknown airframe"));
-    Ok(airframe)
 }
 
 /// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs.

@@ -1,7 +1,6 @@
 //! What is attacked, and how: everything about an attack is drawn from the flight's seed.
 
 use plumbline_agent::attack::{Attack, Bounds, Channel, Kind, offered};
-use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::types::ROTORS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -74,11 +73,11 @@ impl Given {
 }
 
 /// How many of a kind the vehicle has.
-fn count(suite: &Suite, kind: SensorKind) -> usize {
+fn count(sensors: &[SensorId], kind: SensorKind) -> usize {
     if kind == SensorKind::Rotor {
         return ROTORS;
     }
-    suite.descriptions().iter().filter(|described| described.id.kind == kind).count()
+    sensors.iter().filter(|sensor| sensor.kind == kind).count()
 }
 
 impl Attacked {
@@ -87,10 +86,19 @@ impl Attacked {
         matches!(self, Self::Colluding(_))
     }
 
+    /// No onset is later, s.
+    pub(crate) fn latest_onset_s(&self) -> f64 {
+        match self {
+            Self::None => 0.0,
+            Self::Given(given) => given.start_s.unwrap_or(ONSET_S.1),
+            _ => ONSET_S.1,
+        }
+    }
+
     /// The attacks of the flight of this `seed` on a vehicle with these sensors.
-    pub fn attacks(&self, suite: &Suite, seed: u64) -> Vec<Attack> {
+    pub fn attacks(&self, sensors: &[SensorId], seed: u64) -> Vec<Attack> {
         let [imus, heights, barometers] =
-            [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer].map(|kind| count(suite, kind));
+            [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer].map(|kind| count(sensors, kind));
         let mut dice = Dice::new(seed ^ 0xa77a_c4ed);
         let mut any = |kind, of| SensorId::new(kind, 1 + (dice.uniform() * of as f64) as u8);
         match *self {
@@ -111,7 +119,7 @@ impl Attacked {
                 sensors.into_iter().zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
             }
             Attacked::Several(kind, several) => {
-                let chosen = dice.choose(several, count(suite, kind));
+                let chosen = dice.choose(several, count(sensors, kind));
                 let sensors = chosen.into_iter().map(|index| SensorId::new(kind, 1 + index as u8));
                 sensors.zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
             }
@@ -132,11 +140,11 @@ impl Attacked {
                 chosen.into_iter().zip(1..).map(attack).collect()
             }
             Attacked::Kind(of, kind) => {
-                let sensor = any(of, count(suite, of));
+                let sensor = any(of, count(sensors, of));
                 vec![drawn_of(&mut dice, 1, sensor, kind)]
             }
             Attacked::Given(given) => {
-                let drawn = any(given.sensor, count(suite, given.sensor));
+                let drawn = any(given.sensor, count(sensors, given.sensor));
                 let sensor = given.instance.map_or(drawn, |instance| SensorId::new(given.sensor, instance));
                 let sign = sign(&mut dice);
                 let signed = matches!(given.kind, Kind::Bias | Kind::Ramp) && given.magnitude >= 0.0;

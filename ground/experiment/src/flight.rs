@@ -1,22 +1,25 @@
-//! One flight: the simulated vehicle and the agent's tick, as fast as possible, without clock, socket or file.
+//! One flight: the simulated vehicle, or a recording, and the agent's tick, as fast as possible, without clock or socket.
 //!
 //! The same [`Setup`] gives the same flight, bit for bit: that is what lets every row of a result be flown again.
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use plumbline_agent::attack::{Attack, Sequence};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::{Flight, FlightConfig, FlightError};
 use plumbline_agent::frames::roll_pitch_yaw;
+use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::sim::scenario::ScenarioError;
 use plumbline_agent::sim::{Scenario, SimVehicle};
-use plumbline_agent::types::GRAVITY_MPS2;
-use plumbline_agent::vehicle::{Truth, Vehicle as _, VehicleError};
+use plumbline_agent::types::{GRAVITY_MPS2, Mode, MotorCommand};
+use plumbline_agent::vehicle::{RecordedControl, Truth, Vehicle, VehicleError};
+use plumbline_proto::time::FlightTime;
 
 use crate::judge::{Judge, Outcome};
 use crate::reception::{Flights, Receiver, Reception, schedule};
+use crate::recordings::{Against, Recorded, UnusableError, by_motion_capture};
 
 /// Why a flight could not be flown.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +33,9 @@ pub enum FlyError {
     /// The simulated vehicle.
     #[error(transparent)]
     Vehicle(#[from] VehicleError),
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] UnusableError),
     /// The attacks.
     #[error("attacks refused: {0}")]
     Attacks(String),
@@ -38,13 +44,15 @@ pub enum FlyError {
 /// Everything that one flight follows from.
 #[derive(Debug, Clone)]
 pub struct Setup {
-    /// The world, the vehicle, what is commanded; its seed is the flight's.
+    /// The world, the vehicle, what is commanded; its seed is the flight's. Of a recording: what is known of it.
     pub scenario: Scenario,
+    /// What is flown instead of the simulator.
+    pub recording: Option<Recorded>,
     /// The agent's side.
     pub config: FlightConfig,
     /// What stands before the estimator.
     pub reception: Reception,
-    /// What is done to the sensors; onsets count from boot.
+    /// What is done to the sensors; onsets count from boot, or from the beginning of the recording.
     pub attacks: Vec<Attack>,
     /// What biases among them follow.
     pub sequences: Vec<Sequence>,
@@ -70,21 +78,113 @@ pub fn fly(setup: &Setup) -> Result<Outcome, FlyError> {
     fly_watched(setup, |_, _| {})
 }
 
-/// The same; `watch` sees every tick when it is done. What it does to the flight (taking its events) changes nothing of it.
+/// What a flight does not know of its own tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen {
+    /// The true state, where it is known.
+    pub truth: Option<Truth>,
+    /// What a recorded flight did, and how much of it is flown, 0 to 1.
+    pub then: Option<(RecordedControl, f64)>,
+    /// What estimates are held against.
+    pub against: Against,
+    /// True state, or motion capture's, of this tick.
+    pub reference: Option<Truth>,
+}
+
+/// What is done in a tick: by the flight, or by whoever flew the recording.
+#[derive(Debug, Clone, Copy)]
+pub struct Deed {
+    /// Flight mode.
+    pub mode: Mode,
+    /// May the motors turn?
+    pub armed: bool,
+    /// Position asked for, ENU, m; NaN where a recording does not say.
+    pub setpoint_enu_m: Vector3<f64>,
+    /// Motors, where they are known.
+    pub command: Option<MotorCommand>,
+}
+
+impl Seen {
+    fn of(vehicle: &dyn Vehicle, sensed: &SensorFrame, against: Against) -> Self {
+        let truth = vehicle.truth();
+        let reference = match against {
+            Against::Truth => truth,
+            Against::MotionCapture => by_motion_capture(sensed),
+            Against::Setpoint => None,
+        };
+        let then = vehicle.recorded().map(|recorded| (recorded.control(), recorded.progress()));
+        Self { truth, then, against, reference }
+    }
+
+    /// What is done in this tick.
+    pub fn deed(&self, flight: &Flight) -> Deed {
+        let report = flight.report();
+        let (mode, armed, setpoint) = (report.mode, report.armed, report.setpoint);
+        let own = Deed { mode, armed, setpoint_enu_m: setpoint.position_enu_m, command: Some(report.command) };
+        self.then.map_or(own, |(then, _)| Deed {
+            mode: then.mode,
+            armed: then.armed,
+            setpoint_enu_m: then.setpoint.position_enu_m,
+            command: then.motors_known.then_some(then.command),
+        })
+    }
+
+    /// Where it is, ENU, m: by truth or motion capture; by the estimator in the loop where a recording has neither.
+    pub fn place_enu_m(&self, flight: &Flight) -> Option<Vector3<f64>> {
+        let estimated = || flight.estimate_in_loop()?.motion.filter(|motion| motion.altitude_known);
+        let place = match self.against {
+            Against::Truth | Against::MotionCapture => self.reference.map(|reference| reference.position_enu_m),
+            Against::Setpoint => estimated().map(|motion| motion.position_enu_m),
+        };
+        place.filter(|place| place.z.is_finite())
+    }
+}
+
+/// The same; `watch` sees every tick of a simulated flight when it is done, with the truth. What it does to the flight
+/// (taking its events) changes nothing of it.
 ///
 /// # Errors
 /// [`FlyError`]: nothing was flown.
 pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
-    let Setup { scenario, attacks, reception, .. } = setup;
-    let mut receiver = Receiver::new(setup)?;
-    let mut vehicle = SimVehicle::new(scenario)?;
+    fly_seen(setup, |flight, seen| {
+        if let Some(truth) = &seen.truth {
+            watch(flight, truth);
+        }
+    })
+}
+
+/// The same, of recordings as well.
+///
+/// # Errors
+/// [`FlyError`]: nothing was flown.
+pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
+    let Setup { scenario, attacks, reception, recording, .. } = setup;
+    let (mut vehicle, begin): (Box<dyn Vehicle>, _) = match recording {
+        None => (Box::new(SimVehicle::new(scenario)?), FlightTime(0)),
+        Some(recorded) => {
+            let vehicle = recorded.vehicle()?;
+            let (begin, _) = vehicle.info().span;
+            (Box::new(vehicle), begin)
+        }
+    };
+    let against = recording.as_ref().map_or(Against::Truth, |recorded| recorded.against);
+    let mut receiver = Receiver::new(setup, begin)?;
     let mut flights = Flights::new(setup)?;
     let mut judge = Judge::new(setup);
     let mut operator = Operator::default();
     let mut before = None;
-    for tick in 0..(scenario.duration_s * scenario.tick_rate_hz) as usize {
-        let frame = vehicle.sense()?;
-        let (now, t) = (frame.time, frame.time.as_seconds());
+    // A recording ends by itself; its ticks need not be even.
+    let ticks = if recording.is_none() { (scenario.duration_s * scenario.tick_rate_hz) as usize } else { usize::MAX };
+    for tick in 0..ticks {
+        let frame = match vehicle.sense() {
+            Err(VehicleError::Finished(_)) => break,
+            sensed => sensed?,
+        };
+        let now = frame.time;
+        let t = now.seconds_since(begin);
+        if recording.is_some() && t > scenario.duration_s {
+            break;
+        }
         flights.each(|flight| flight.heartbeat(now));
         if tick == 0 && !attacks.is_empty() && *reception == Reception::All {
             let ack = flights.chosen().apply(&Command::Attack(schedule(setup)), now);
@@ -92,18 +192,21 @@ pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) ->
                 return Err(FlyError::Attacks(ack.reason.to_string()));
             }
         }
-        scenario.script.commands(before, now, |command| flights.apply(command, now));
-        before = Some(now);
-        if let Some(command) = vehicle.truth().and_then(|truth| operator.looks(t, &truth)) {
-            flights.apply(&command, now);
+        if recording.is_none() {
+            scenario.script.commands(before, now, |command| flights.apply(command, now));
+            before = Some(now);
+            if let Some(command) = vehicle.truth().and_then(|truth| operator.looks(t, &truth)) {
+                flights.apply(&command, now);
+            }
         }
-        let received = receiver.receives(&frame, flights.chosen());
+        let given = vehicle.recorded().and_then(|recorded| recorded.reception()).unwrap_or(frame);
+        let received = receiver.receives(&given, flights.chosen());
         let command = flights.step(&frame, &received);
         let applied = vehicle.actuate(&command)?;
         flights.each(|flight| flight.applied(applied));
-        let Some(truth) = vehicle.truth() else { break };
-        let over = judge.tick(t, flights.chosen(), &truth);
-        watch(flights.chosen(), &truth);
+        let seen = Seen::of(vehicle.as_ref(), &frame, against);
+        let over = judge.tick(t, flights.chosen(), &seen);
+        watch(flights.chosen(), &seen);
         if over {
             break;
         }

@@ -1,18 +1,18 @@
 //! How a flight went: the true state against setpoint and estimate, and the attacked sensors against those excluded.
 //!
-//! Judged from the first onset (no earlier than [`STEADY_S`]) to the end, or until the script lands.
+//! Judged from the first onset (no earlier than [`STEADY_S`]) to the end, or until the script lands. Of a recording the times
+//! count from its beginning, what is judged is its time in the air, and nothing is lost: it was flown by somebody else.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use plumbline_agent::attack::Attack;
 use plumbline_agent::command::Command;
 use plumbline_agent::estimate::{Estimate, Residual};
-use plumbline_agent::flight::{Failsafe, Flight, StepReport};
+use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::{Channel, SensorKind};
 
-use crate::flight::Setup;
+use crate::flight::{Deed, Seen, Setup};
 
 /// Nothing is judged before, s: the vehicle takes off and settles.
 pub const STEADY_S: f64 = 12.0;
@@ -95,9 +95,13 @@ struct Means {
     beyond_bound: Mean,
 }
 
-/// Watches one flight.
+/// Watches one flight; a field for each thing it remembers, hence so many.
 pub(crate) struct Judge {
-    attacks: Vec<Attack>,
+    /// Sensors that are attacked, and from when on, s.
+    attacked: Vec<(SensorId, f64)>,
+    /// Is it a recording? When its place was known last, s.
+    recorded: bool,
+    placed_s: Option<f64>,
     from_s: f64,
     /// The script lands or disarms here, s.
     until_s: f64,
@@ -136,9 +140,13 @@ impl Judge {
             _ => None,
         });
         let ends = |command: &Command| matches!(command, Command::Disarm | Command::SetMode(_));
+        let given = setup.attacks.iter().map(|attack| (attack.sensor, attack.start_s));
+        let attacked = given.chain(setup.recording.iter().flat_map(|recorded| recorded.attacked.iter().copied()));
         let until = steps.iter().find(|step| step.at_s > from_s && ends(&step.command));
         Self {
-            attacks: setup.attacks.clone(),
+            attacked: attacked.collect(),
+            recorded: setup.recording.is_some(),
+            placed_s: None,
             from_s,
             until_s: until.map_or(f64::INFINITY, |step| step.at_s),
             mode: modes.next(),
@@ -156,11 +164,13 @@ impl Judge {
     }
 
     /// One tick; true when the flight is over.
-    pub(crate) fn tick(&mut self, t: f64, flight: &Flight, truth: &Truth) -> bool {
+    pub(crate) fn tick(&mut self, t: f64, flight: &Flight, seen: &Seen) -> bool {
         self.exclusions(t, flight);
-        let begun = self.attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
+        let begun = self.attacked.iter().map(|(_, onset_s)| *onset_s).fold(f64::INFINITY, f64::min);
         let contradicted = flight.judge().is_some_and(|judge| judge.isolation().contradicted());
-        if t >= begun && (contradicted || flight.failsafe() != Failsafe::None) {
+        // Failsafes of a flight that only watches say nothing.
+        let failsafe = !self.recorded && flight.failsafe() != Failsafe::None;
+        if t >= begun && (contradicted || failsafe) {
             self.outcome.declared_s.get_or_insert(t - begun);
         }
         if t < self.from_s {
@@ -169,29 +179,56 @@ impl Judge {
         if t >= self.until_s {
             return true;
         }
-        let report = flight.report();
-        let error_m = truth.position_enu_m.z - report.setpoint.position_enu_m.z;
-        let ended = !report.armed || self.mode.is_some_and(|mode| report.mode != mode);
-        if self.comes_down && (self.down_from_m.is_some() || ended && flight.failsafe() != Failsafe::None) {
-            return self.descends(truth, report.armed);
+        let deed = seen.deed(flight);
+        if self.recorded {
+            // Formats that know no mode are taken whole.
+            let flies = deed.mode == Mode::Unspecified || deed.armed && deed.mode != Mode::Land;
+            if flies {
+                self.judge(t, flight, seen, &deed);
+            }
+            return false;
         }
-        let steered = matches!(report.mode, Mode::AltitudeHold | Mode::Hold);
+        let Some(truth) = &seen.truth else { return true };
+        let error_m = truth.position_enu_m.z - deed.setpoint_enu_m.z;
+        let ended = !deed.armed || self.mode.is_some_and(|mode| deed.mode != mode);
+        if self.comes_down && (self.down_from_m.is_some() || ended && flight.failsafe() != Failsafe::None) {
+            return self.descends(truth, deed.armed);
+        }
+        let steered = matches!(deed.mode, Mode::AltitudeHold | Mode::Hold);
         if ended || (steered && error_m.abs() > ASTRAY_M) {
             let why = if ended { format!("{:?}", flight.failsafe()) } else { format!("{error_m:.2} m astray") };
             self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
             self.outcome.lost = Some(why);
             return true;
         }
-        let Some(estimate) = flight.estimate_in_loop() else { return false };
-        self.compare(truth, report, estimate);
-        self.alarm(t, &estimate.residuals);
-        self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(error_m.abs());
-        let judge = flight.judge().filter(|judge| judge.kind() == flight.estimator_in_loop());
-        if let Some(bound_m) = judge.and_then(|judge| judge.height_bound_m()) {
-            let off_m = estimate.kinematics().position_enu_m.z - truth.position_enu_m.z;
-            self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));
-        }
+        self.judge(t, flight, seen, &deed);
         false
+    }
+
+    /// One tick in the air.
+    fn judge(&mut self, t: f64, flight: &Flight, seen: &Seen, deed: &Deed) {
+        let Some(estimate) = flight.estimate_in_loop() else { return };
+        if let Some(place) = seen.place_enu_m(flight) {
+            self.place(t, place, deed);
+        }
+        if let Some(reference) = &seen.reference {
+            self.compare(reference, estimate);
+            let judge = flight.judge().filter(|judge| judge.kind() == flight.estimator_in_loop());
+            let off_m = estimate.kinematics().position_enu_m.z - reference.position_enu_m.z;
+            if let Some(bound_m) = judge.and_then(|judge| judge.height_bound_m()).filter(|_| off_m.is_finite()) {
+                self.means.beyond_bound.add(f64::from(off_m.abs() > bound_m));
+            }
+        }
+        for residual in estimate.residuals.iter().filter(|residual| residual.accepted && residual.sigma > 0.0) {
+            self.means.nis.add((residual.innovation / residual.sigma).powi(2));
+        }
+        if let Some(command) = deed.command
+            && let Some(before) = self.command.replace(command)
+        {
+            let changes = before.throttle.iter().zip(&command.throttle).map(|(old, new)| (new - old).abs());
+            self.means.effort.add(changes.sum::<f64>() / self.tick_s);
+        }
+        self.alarm(t, &estimate.residuals);
     }
 
     /// One tick of a descent that a failsafe began; true when it is over.
@@ -211,35 +248,38 @@ impl Judge {
         why.is_some() || !armed
     }
 
-    /// Truth, setpoint and estimate of one tick.
-    fn compare(&mut self, truth: &Truth, report: &StepReport, estimate: &Estimate) {
-        let means = &mut self.means;
-        let off_m = truth.position_enu_m - report.setpoint.position_enu_m;
-        means.altitude.add(off_m.z * off_m.z);
-        if report.mode == Mode::Hold {
-            means.lateral.add(off_m.xy().norm_squared());
+    /// Where it is in one tick, against where it is to be and where it may be.
+    fn place(&mut self, t: f64, place: Vector3<f64>, deed: &Deed) {
+        let off_m = place - deed.setpoint_enu_m;
+        if off_m.z.is_finite() {
+            self.means.altitude.add(off_m.z * off_m.z);
+            self.outcome.altitude_most_m = self.outcome.altitude_most_m.max(off_m.z.abs());
         }
+        let across = off_m.xy().norm_squared();
+        if deed.mode == Mode::Hold && across.is_finite() {
+            self.means.lateral.add(across);
+        }
+        // A recording knows it now and then.
+        let since_s = t - self.placed_s.replace(t).unwrap_or(t);
+        let (lateral_m, altitude_m) = self.box_m;
+        if place.x.abs() > lateral_m || place.y.abs() > lateral_m || place.z > altitude_m {
+            self.outcome.outside_s += if self.recorded { since_s } else { self.tick_s };
+        }
+    }
+
+    /// True and estimated state of one tick.
+    fn compare(&mut self, reference: &Truth, estimate: &Estimate) {
+        let means = &mut self.means;
         let up = |q: &UnitQuaternion<f64>| q.inverse() * Vector3::z();
-        let tilt = up(&truth.world_from_body).angle(&up(&estimate.world_from_body));
+        let tilt = up(&reference.world_from_body).angle(&up(&estimate.world_from_body));
         means.tilt.add(tilt * tilt);
-        if let Some(motion) = estimate.motion.filter(|motion| motion.altitude_known) {
-            let off_m = motion.position_enu_m.z - truth.position_enu_m.z;
+        let known = estimate.motion.filter(|motion| motion.altitude_known && reference.position_enu_m.z.is_finite());
+        if let Some(motion) = known {
+            let off_m = motion.position_enu_m.z - reference.position_enu_m.z;
             means.estimate.add(off_m * off_m);
             if let Some(sigma_m) = motion.position_sigma_m.filter(|sigma_m| sigma_m.z > 0.0) {
                 means.nees.add((off_m / sigma_m.z).powi(2));
             }
-        }
-        for residual in estimate.residuals.iter().filter(|residual| residual.accepted && residual.sigma > 0.0) {
-            means.nis.add((residual.innovation / residual.sigma).powi(2));
-        }
-        if let Some(before) = self.command.replace(report.command) {
-            let changes = before.throttle.iter().zip(&report.command.throttle).map(|(old, new)| (new - old).abs());
-            means.effort.add(changes.sum::<f64>() / self.tick_s);
-        }
-        let (lateral_m, altitude_m) = self.box_m;
-        let place = truth.position_enu_m;
-        if place.x.abs() > lateral_m || place.y.abs() > lateral_m || place.z > altitude_m {
-            self.outcome.outside_s += self.tick_s;
         }
     }
 
@@ -271,18 +311,18 @@ impl Judge {
         let weak = flight.rotors().effectiveness().iter().zip(1_u8..);
         let rotors = weak.map(|(part, instance)| (SensorId::new(SensorKind::Rotor, instance), *part < 1.0));
         for (sensor, isolated) in devices.map(|device| (device.sensor, device.flagged.is_some())).chain(rotors) {
-            let of = self.attacks.iter().find(|a| a.sensor == sensor);
+            let of = self.attacked.iter().find(|(id, _)| *id == sensor).map(|(_, onset_s)| *onset_s);
             // What an attack left behind takes a while to be trusted again.
-            let attacked = of.is_some_and(|a| t >= a.start_s);
+            let attacked = of.is_some_and(|onset_s| t >= onset_s);
             let known = self.excluded.iter().position(|(id, _)| *id == sensor);
             match (isolated, known) {
                 (true, None) => {
                     self.excluded.push((sensor, t));
                     match of {
-                        Some(attack) if attacked => {
+                        Some(onset_s) if attacked => {
                             if !self.found.contains(&sensor) {
                                 self.found.push(sensor);
-                                self.outcome.delays_s.push(t - attack.start_s);
+                                self.outcome.delays_s.push(t - onset_s);
                             }
                         }
                         _ => self.outcome.false_exclusions += 1,
@@ -302,7 +342,13 @@ impl Judge {
 
     pub(crate) fn verdict(mut self) -> Outcome {
         let (outcome, means) = (&mut self.outcome, &self.means);
-        outcome.missed = self.attacks.len() - self.found.len();
+        outcome.missed = self.attacked.len() - self.found.len();
+        if self.recorded && means.altitude.count == 0.0 {
+            outcome.altitude_most_m = f64::NAN;
+        }
+        if self.recorded && self.placed_s.is_none() {
+            outcome.outside_s = f64::NAN;
+        }
         outcome.altitude_m = means.altitude.value().sqrt();
         outcome.lateral_m = means.lateral.value().sqrt();
         outcome.tilt_rad = means.tilt.value().sqrt();

@@ -1,4 +1,4 @@
-//! Experiments: many simulated flights, each a function of its plan, its index and its seed.
+//! Experiments: many flights, simulated or of recordings flown again, each a function of its plan, its index and its seed.
 //!
 //! ```text
 //! plan.toml ─► plan (factors, conditions) ─► run (all cores) ─► store (a row a flight) ─┬─► summary ─► report.html, API
@@ -7,7 +7,7 @@
 //!                                              └ trace: the first ones, flown again ─► errors over time
 //! ```
 //! [`flight`] flies one, [`judge`] says how it went, [`attacked`] draws what is done to its sensors, [`draw`] has the dice, the
-//! work on all cores and the medians; [`reception`] has what anyone would try first ([`monitor`]: χ² and CUSUM). The project's
+//! work on all cores and the medians; [`recordings`] finds what is flown again; [`reception`] has what anyone would try first ([`monitor`]: χ² and CUSUM). The project's
 //! own campaigns fly with these, too.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -23,6 +23,7 @@ pub mod parquet;
 pub mod part;
 pub mod plan;
 pub mod reception;
+pub mod recordings;
 pub mod report;
 pub mod roc;
 pub mod row;

@@ -6,10 +6,10 @@ use std::time::Duration;
 use plumbline_agent::estimate::secure::suite::Observed;
 use plumbline_agent::flight::{Flight, FlightError};
 use plumbline_agent::log::{self, LogConfig, LogError, RING_BYTES};
-use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
+use plumbline_agent::telemetry::{Around, Identification, Outlet, Replay, Telemetry};
 use plumbline_proto::time::WallTime;
 
-use crate::flight::{FlyError, fly_watched};
+use crate::flight::{FlyError, Seen, Setup, fly_seen};
 use crate::row::Row;
 use crate::store::{Experiment, StoreError};
 
@@ -71,20 +71,7 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let folder = experiment.folder.join(format!("opened-{index}"));
     // What an attempt left that was killed.
     let _ = std::fs::remove_dir_all(&folder);
-    let short = experiment.identity.hash.get(..8).unwrap_or_default();
-    let identification = Identification {
-        agent_id: format!("{short}-{index}"),
-        boot_id: seed,
-        boot_wall_time: WallTime(experiment.identity.made_unix_us),
-        vehicle: "sim",
-        rig: setup.scenario.rig.name().to_owned(),
-        scenario: condition.scenario_text(seed),
-        seed,
-        source_file: String::new(),
-        sensors: setup.scenario.suite.descriptions(),
-        strings: setup.scenario.rig.lines(&setup.scenario.airframe),
-        promise: Some(Observed::promise_at_hover(&setup.scenario.suite, &setup.scenario.airframe)),
-    };
+    let identification = identified(experiment, index, seed, &setup, condition.scenario_text(seed));
     let settings = LogConfig {
         folder: folder.clone(),
         max_bytes: log::DEFAULT_MAX_BYTES,
@@ -96,12 +83,17 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let described = Flight::new(setup.config.clone())?;
     let mut telemetry = Telemetry::new(identification, &described, None, Some(Outlet::new(ring)));
     let mut last = None;
-    let flown = fly_watched(&setup, |flight, truth| {
+    let flown = fly_seen(&setup, |flight, seen| {
         while telemetry.log_room().is_some_and(|room| room < ROOM_BYTES) && kept.state().error().is_none() {
             std::thread::sleep(Duration::from_millis(1));
         }
-        telemetry.tick(flight, Some(truth), &Around::default());
-        last = Some(flight.report().sensed.time);
+        let now = flight.report().sensed.time;
+        if last.is_none() && seen.then.is_some() {
+            // Whoever only watches is never armed.
+            telemetry.record(now, true, false);
+        }
+        telemetry.tick(flight, seen.truth.as_ref(), &around(seen));
+        last = Some(now);
     });
     if let Some(last) = last {
         telemetry.shutdown(last);
@@ -115,4 +107,35 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let files = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut recorded = files.filter(|path| path.extension().is_some_and(|extension| extension == "mcap"));
     recorded.next().ok_or(OpenError::Nothing(index))
+}
+
+/// Who flies: the simulator, or the recording.
+fn identified(experiment: &Experiment, index: u64, seed: u64, setup: &Setup, scenario: String) -> Identification {
+    let known = match &setup.recording {
+        None => Some(&setup.scenario),
+        Some(recorded) => recorded.flown.scenario.as_ref(),
+    };
+    let short = experiment.identity.hash.get(..8).unwrap_or_default();
+    Identification {
+        agent_id: format!("{short}-{index}"),
+        boot_id: seed,
+        boot_wall_time: WallTime(experiment.identity.made_unix_us),
+        vehicle: if setup.recording.is_some() { "replay" } else { "sim" },
+        rig: known.map_or("recording", |scenario| scenario.rig.name()).to_owned(),
+        scenario,
+        seed,
+        source_file: setup.recording.as_ref().map(|recorded| recorded.name.clone()).unwrap_or_default(),
+        sensors: match &setup.recording {
+            None => setup.scenario.suite.descriptions(),
+            Some(recorded) => recorded.flown.sensors.clone(),
+        },
+        strings: known.map(|scenario| scenario.rig.lines(&scenario.airframe)).unwrap_or_default(),
+        promise: known.map(|scenario| Observed::promise_at_hover(&scenario.suite, &scenario.airframe)),
+    }
+}
+
+/// Of a recording: mode, setpoint and motors are those of then.
+fn around(seen: &Seen) -> Around<'static> {
+    let replay = seen.then.map(|(recorded, progress)| Replay { speed: 1.0, progress, recorded });
+    Around { replay, ..Around::default() }
 }

@@ -18,6 +18,9 @@
 //! key = "attack.magnitude"
 //! values = [0.02, 0.05, 0.1, 0.2]
 //! ```
+//! Instead of a scenario a plan may have `recording = "FLIGHT"`, most often as a factor: that flight is flown again, its motors and
+//! setpoints those of then. With an `[attack]`, even one of `sensor = "none"`, its samples are those sensed; without, those received.
+//!
 //! `design` is `grid` (every combination), `list` (each `[[condition]]`), `latin_hypercube` or `draws` (`samples` of them,
 //! factors with `range = [low, high]`, `log = true`, or `values`). Flight `i` is repeat `i / conditions` of condition
 //! `i % conditions`: repeats fill evenly, and results can be looked at while they do.
@@ -34,6 +37,7 @@ pub use condition::Condition;
 pub use factor::{Factor, Levels};
 pub use source::PlanError;
 
+use crate::recordings::{Library, Named, Recordings};
 use factor::Design;
 use source::Source;
 
@@ -42,7 +46,9 @@ pub const MAX_FLIGHTS: u64 = 1_000_000;
 /// Most conditions that are tried before the start; of the rest each level is.
 const TRIED: u64 = 200;
 /// Where factors reach.
-const SECTIONS: [&str; 4] = ["scenario", "agent", "attack", "reception"];
+const SECTIONS: [&str; 5] = ["scenario", "agent", "attack", "reception", RECORDING];
+/// What is flown instead of a scenario.
+const RECORDING: &str = "recording";
 /// Hash of the sources that decide how a flight goes, and the version.
 pub const PROGRAM: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("PLUMBLINE_SOURCES"));
 
@@ -59,6 +65,7 @@ struct RawPlan {
     #[serde(default)]
     attack: Table,
     reception: Option<String>,
+    recording: Option<Spanned<String>>,
     design: Option<Spanned<String>>,
     samples: Option<Spanned<i64>>,
     #[serde(default)]
@@ -106,20 +113,36 @@ pub struct Plan {
     pub seed: u64,
     /// When it ends early.
     pub stop: Option<Stop>,
+    /// Recordings that it names; none before they are looked for.
+    pub recordings: Recordings,
     base: Table,
     design: Design,
     baseline: Vec<(usize, Value)>,
 }
 
 impl Plan {
-    /// Reads and tries a plan: every level of every factor, and every condition where they are not too many.
+    /// Reads and tries a plan of simulated flights: every level of every factor, and every condition where they are not too many.
     ///
     /// # Errors
     /// [`PlanError`]: the first line that cannot be flown.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
+        Self::over(text, &Library::default())
+    }
+
+    /// The same of a plan that may name recordings of this library.
+    ///
+    /// # Errors
+    /// [`PlanError`]: the first line that cannot be flown.
+    pub fn over(text: &str, library: &Library) -> Result<Self, PlanError> {
         let plan = Self::parse(text)?;
+        let plan = plan.found(Source::new(text), library)?;
         plan.tried(Source::new(text))?;
         Ok(plan)
+    }
+
+    /// The same with these recordings, which were found when it was tried.
+    pub fn knowing(self, named: &[Named]) -> Self {
+        Self { recordings: Recordings::known(named), ..self }
     }
 
     /// Reads a plan without trying what it varies: one that was tried before.
@@ -146,6 +169,9 @@ impl Plan {
         base.insert("agent".into(), Value::Table(raw.agent));
         base.insert("attack".into(), Value::Table(raw.attack));
         base.insert("reception".into(), Value::String(raw.reception.unwrap_or_else(|| "all".into())));
+        if let Some(recording) = raw.recording {
+            base.insert(RECORDING.into(), Value::String(recording.into_inner()));
+        }
         let whole = |spanned: Option<&Spanned<i64>>, key: &str, default: u64| match spanned {
             None => Ok(default),
             Some(value) => u64::try_from(*value.get_ref())
@@ -160,6 +186,7 @@ impl Plan {
             seed: whole(raw.seed.as_ref(), "seed", 1)?,
             stop: raw.stop.as_ref().map(|stop| stop_rule(source, stop)).transpose()?,
             baseline: baseline(source, raw.baseline.as_ref(), &factors)?,
+            recordings: Recordings::default(),
             factors,
             base,
             design,
@@ -221,7 +248,7 @@ impl Plan {
                 set(&mut table, &factor.key, level)?;
             }
         }
-        Condition::read(&table).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+        Condition::read(&table, &self.recordings).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
     }
 
     /// What tells this plan, flown by this program, from every other.
@@ -231,7 +258,30 @@ impl Plan {
         // Comments and the order of the keys change nothing.
         let canonical = toml::from_str::<Table>(&self.text).map(|table| table.to_string()).unwrap_or_default();
         hash.update(canonical.as_bytes());
+        for Named { name, sha256, .. } in self.recordings.named() {
+            hash.update(format!("\n{name} {sha256}"));
+        }
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// With the recordings that it names, each found, read and hashed.
+    fn found(self, source: Source<'_>, library: &Library) -> Result<Self, PlanError> {
+        let base = self.base.get(RECORDING).map(|name| (name, None));
+        let factors = self.factors.iter().filter(|factor| factor.key == RECORDING);
+        let levels = factors.flat_map(|factor| factor.extremes().into_iter().map(move |level| (level, Some(factor))));
+        let levels = base.map(|(name, none)| (name.clone(), none)).into_iter().chain(levels);
+        let mut named: Vec<Named> = Vec::new();
+        for (level, factor) in levels {
+            let wrong = |message: String| match factor {
+                Some(factor) => source.at(&factor.span, format!("factor {RECORDING} = {level}: {message}")),
+                None => source.of(RECORDING, message),
+            };
+            let Value::String(name) = &level else { return Err(wrong("not the name of a recording".into())) };
+            if !named.iter().any(|known| known.name == *name) {
+                named.push(Named::find(name, library).map_err(|error| wrong(error.to_string()))?);
+            }
+        }
+        Ok(self.knowing(&named))
     }
 
     /// Is every number of flights one that can be flown?
@@ -279,13 +329,13 @@ impl Plan {
                 set(&mut table, &factor.key, level.clone()).map_err(message)?;
             }
         }
-        let Err(wrong) = Condition::read(&table) else { return Ok(()) };
+        let Err(wrong) = Condition::read(&table, &self.recordings) else { return Ok(()) };
         // The factor whose level alone makes the difference is at fault, if one is.
         for (factor, level) in self.factors.iter().zip(levels) {
             let Some(level) = level else { continue };
             let mut alone = table.clone();
             unset(&mut alone, &factor.key, &self.base);
-            if Condition::read(&alone).is_ok() {
+            if Condition::read(&alone, &self.recordings).is_ok() {
                 let message = format!("factor {} = {level}: {}", factor.key, wrong.complaint);
                 return Err(source.at(&factor.span, message));
             }

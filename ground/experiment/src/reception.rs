@@ -68,6 +68,8 @@ fn take<T>(samples: &mut [Option<T>], index: usize) {
 /// Makes of what is sensed what is received.
 pub(crate) struct Receiver<'a> {
     setup: &'a Setup,
+    /// When onsets count from.
+    begin: FlightTime,
     /// Where somebody stands between sensors and estimator, the attack comes before them.
     injector: Injector,
     monitor: Monitor,
@@ -75,13 +77,13 @@ pub(crate) struct Receiver<'a> {
 }
 
 impl<'a> Receiver<'a> {
-    pub(crate) fn new(setup: &'a Setup) -> Result<Self, FlyError> {
+    pub(crate) fn new(setup: &'a Setup, begin: FlightTime) -> Result<Self, FlyError> {
         let mut injector = Injector::new(setup.config.attacks.bounds, true, &setup.config.sensors);
         if !matches!(setup.reception, Reception::All | Reception::Oracle) && !setup.attacks.is_empty() {
-            let uploaded = injector.upload(&schedule(setup), FlightTime(0));
+            let uploaded = injector.upload(&schedule(setup), begin);
             uploaded.map_err(|error| FlyError::Attacks(error.to_string()))?;
         }
-        Ok(Self { setup, injector, monitor: Monitor::default(), medians: Medians::default() })
+        Ok(Self { setup, begin, injector, monitor: Monitor::default(), medians: Medians::default() })
     }
 
     pub(crate) fn receives(&mut self, sensed: &SensorFrame, flight: &Flight) -> SensorFrame {
@@ -89,7 +91,7 @@ impl<'a> Receiver<'a> {
         match self.setup.reception {
             Reception::All | Reception::EkfPerImu => frame,
             Reception::Oracle => {
-                let t = frame.time.as_seconds();
+                let t = frame.time.seconds_since(self.begin);
                 let mut frame = frame;
                 let active = |a: &&Attack| (a.start_s..a.start_s + a.duration_s).contains(&t);
                 self.setup.attacks.iter().filter(active).for_each(|attack| withhold(&mut frame, attack.sensor));
@@ -119,7 +121,8 @@ pub(crate) struct Flights {
 impl Flights {
     pub(crate) fn new(setup: &Setup) -> Result<Self, FlightError> {
         let many = setup.reception == Reception::EkfPerImu;
-        let count = if many { setup.scenario.suite.imus.len().max(1) } else { 1 };
+        let imus = setup.config.sensors.iter().filter(|sensor| sensor.kind == SensorKind::Imu).count();
+        let count = if many { imus.max(1) } else { 1 };
         let all = (0..count).map(|_| Flight::new(setup.config.clone())).collect::<Result<Vec<_>, _>>()?;
         Ok(Self { all, selector: many.then(|| Selector::new(count)) })
     }

@@ -72,6 +72,9 @@ pub fn page(experiment: &Experiment, address: &str) -> Result<String, StoreError
         escape(&identity.hash),
         escape(&identity.program),
     );
+    for note in &results.notes {
+        let _ = writeln!(out, "<p>{}</p>", escape(note));
+    }
     table(&mut out, &results);
     differences(&mut out, &results);
     for name in SHOWN {

@@ -67,7 +67,7 @@ pub enum Ended {
 /// Flies what is missing. `each` hears of every flight when it is kept.
 ///
 /// # Errors
-/// [`StoreError`]: somebody else flies it, or a row could not be kept; those before it are.
+/// [`StoreError`]: somebody else flies it, a recording is not what it was, or a row could not be kept; those before it are.
 pub fn run(
     experiment: &Experiment,
     options: &Options,
@@ -75,6 +75,7 @@ pub fn run(
     mut each: impl FnMut(&Progress, &Row),
 ) -> Result<Ended, StoreError> {
     let plan = &experiment.plan;
+    plan.recordings.check()?;
     let mut held = experiment.hold()?;
     let mut rows: BTreeMap<u32, Row> = experiment.rows()?.into_iter().map(|row| (row.index, row)).collect();
     let begun = Instant::now();

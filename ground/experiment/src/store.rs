@@ -3,7 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `plan.toml` | as it was written |
-//! | `identity.json` | its hash, the program, when it was made |
+//! | `identity.json` | its hash, the program, when it was made, which recordings it flies |
 //! | `flights.rows` | a [`Row`] for each finished flight, appended in the order they ended |
 //! | `errors.txt` | flights that could not be flown, and why |
 //! | `lock` | held by whoever flies; in it, since when and from where |
@@ -20,6 +20,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Serialize};
 
 use crate::plan::{PROGRAM, Plan, PlanError};
+use crate::recordings::{Named, UnusableError};
 use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, places, row_bytes};
 
 /// A lock is tried again so often.
@@ -55,6 +56,9 @@ pub enum StoreError {
     /// Flights that should be flown again for their traces.
     #[error("traces: {0}")]
     Traces(String),
+    /// A recording is not what it was.
+    #[error(transparent)]
+    Recording(#[from] UnusableError),
     /// Somebody flies it already.
     #[error("experiment {0} is being flown")]
     Running(String),
@@ -79,6 +83,9 @@ pub struct Identity {
     /// What its rows have, in their order.
     #[serde(default = "first")]
     pub measures: Vec<String>,
+    /// The recordings that it flies again.
+    #[serde(default)]
+    pub recordings: Vec<Named>,
 }
 
 fn first() -> Vec<String> {
@@ -143,7 +150,8 @@ impl Experiment {
         }
         fs::create_dir_all(&folder).map_err(io(&folder))?;
         let (program, made_unix_us, flights) = (PROGRAM.into(), now_unix_us(), plan.flights());
-        let identity = Identity { hash, program, made_unix_us, flights, measures: names(&MEASURES) };
+        let (measures, recordings) = (names(&MEASURES), plan.recordings.named().cloned().collect());
+        let identity = Identity { hash, program, made_unix_us, flights, measures, recordings };
         write_whole(&folder.join("plan.toml"), plan.text.as_bytes())?;
         // Last: an experiment is there with it.
         write_whole(&folder.join("identity.json"), &serde_json::to_vec(&identity).unwrap_or_default())?;
@@ -162,9 +170,9 @@ impl Experiment {
         }
         let path = folder.join("identity.json");
         let bytes = fs::read(&path).map_err(io(&path))?;
-        let identity = serde_json::from_slice(&bytes).map_err(|error| io(&path)(error.into()))?;
+        let identity: Identity = serde_json::from_slice(&bytes).map_err(|error| io(&path)(error.into()))?;
         let path = folder.join("plan.toml");
-        let plan = Plan::parse(&fs::read_to_string(&path).map_err(io(&path))?)?;
+        let plan = Plan::parse(&fs::read_to_string(&path).map_err(io(&path))?)?.knowing(&identity.recordings);
         Ok(Self { id: id.to_owned(), folder, plan, identity })
     }
 

@@ -7,6 +7,7 @@ use toml::Value;
 
 use crate::draw::{median, median_interval, percentile, worst};
 use crate::plan::Plan;
+use crate::recordings::{Against, Named};
 use crate::row::{MEASURES, Row};
 use crate::store::{Experiment, StoreError, now_unix_us};
 
@@ -58,8 +59,28 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
         conditions: conditions.collect(),
         factors: plan.factors.iter().map(|factor| factor.key.clone()).collect(),
         measures: MEASURES.map(|m| rest::Measure { name: m.name.into(), about: m.about.into() }).into(),
+        notes: notes(experiment),
         state: state(experiment),
     })
+}
+
+/// What the measures of recordings are, where they are not those of a simulated flight.
+fn notes(experiment: &Experiment) -> Vec<String> {
+    let of = |Named { name, against, .. }: &Named| match against {
+        Against::Truth => None,
+        Against::MotionCapture => Some(format!(
+            "{name}: no truth in this recording. Altitude, place, tilt and the errors of estimates are against motion \
+             capture, as it arrived."
+        )),
+        Against::Setpoint => Some(format!(
+            "{name}: neither truth nor motion capture in this recording. Altitude and place are the estimate's less the \
+             setpoint, where one is recorded; tilt_rad, estimate_m, nees and outside_bound are not known."
+        )),
+    };
+    let each = experiment.plan.recordings.named().filter_map(of);
+    let all = "Recordings flown again: motors, setpoints and the way flown are those of then, the same under every estimator.";
+    let any = experiment.plan.recordings.named().next().map(|_| all.to_owned());
+    any.into_iter().chain(each).collect()
 }
 
 /// A level as it is shown: text without quotes, tables without braces.

@@ -6,12 +6,11 @@
 //! | `bands.json` | [`Bands`], for the report |
 
 use plumbline_agent::flight::Flight;
-use plumbline_agent::vehicle::Truth;
 use plumbline_file::parquet::{Cell, Kind, Writer};
 use serde::{Deserialize, Serialize};
 
 use crate::draw::{median, parallel, percentile};
-use crate::flight::{Setup, fly_watched};
+use crate::flight::{Seen, Setup, fly_seen};
 use crate::store::{Experiment, StoreError, write_whole};
 
 /// Between two points, s.
@@ -24,7 +23,7 @@ pub const MOST: u64 = 2000;
 struct Point {
     /// Since the first onset, or since boot where there is none, s.
     t_s: f64,
-    /// True altitude less setpoint, m.
+    /// True altitude less setpoint, m; NaN where a recording knows no setpoint.
     altitude_m: f64,
     /// Estimated less true altitude, m; NaN where no altitude is known.
     estimate_m: f64,
@@ -87,21 +86,24 @@ pub fn bands(experiment: &Experiment) -> Option<Bands> {
 
 fn traced(setup: &Setup) -> Result<Vec<Point>, String> {
     let mut points: Vec<Point> = Vec::new();
-    let watch = |flight: &mut Flight, truth: &Truth| {
-        let report = flight.report();
-        let t_s = report.sensed.time.as_seconds() - setup.judged_from_s;
+    let mut begin_s = None;
+    let watch = |flight: &mut Flight, seen: &Seen| {
+        let now_s = flight.report().sensed.time.as_seconds();
+        let begin_s = *begin_s.get_or_insert(if setup.recording.is_some() { now_s } else { 0.0 });
+        let t_s = now_s - begin_s - setup.judged_from_s;
+        let Some(place) = seen.place_enu_m(flight) else { return };
         if points.last().is_some_and(|last| t_s < last.t_s + STEP_S - 1e-9) {
             return;
         }
         let motion = flight.estimate_in_loop().and_then(|estimate| estimate.motion);
-        let known = motion.filter(|motion| motion.altitude_known).map(|motion| motion.position_enu_m.z);
-        points.push(Point {
-            t_s,
-            altitude_m: truth.position_enu_m.z - report.setpoint.position_enu_m.z,
-            estimate_m: known.map_or(f64::NAN, |known| known - truth.position_enu_m.z),
-        });
+        let known = motion.filter(|motion| motion.altitude_known && seen.reference.is_some());
+        let altitude_m = place.z - seen.deed(flight).setpoint_enu_m.z;
+        if altitude_m.is_finite() || known.is_some() {
+            let estimate_m = known.map_or(f64::NAN, |known| known.position_enu_m.z - place.z);
+            points.push(Point { t_s, altitude_m, estimate_m });
+        }
     };
-    fly_watched(setup, watch).map_err(|error| error.to_string())?;
+    fly_seen(setup, watch).map_err(|error| error.to_string())?;
     Ok(points)
 }
 
@@ -109,7 +111,7 @@ fn traced(setup: &Setup) -> Result<Vec<Point>, String> {
 fn band(condition: u64, flights: &[&[Point]]) -> Band {
     let step = |point: &Point| (point.t_s / STEP_S).round() as i64;
     let mut at: std::collections::BTreeMap<i64, Vec<f64>> = std::collections::BTreeMap::new();
-    for point in flights.iter().copied().flatten() {
+    for point in flights.iter().copied().flatten().filter(|point| point.altitude_m.is_finite()) {
         at.entry(step(point)).or_default().push(point.altitude_m.abs());
     }
     let quartiles = at.values().map(|values| [percentile(values, 0.25), median(values), percentile(values, 0.75)]);

@@ -6,8 +6,10 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Redirect, Response};
+use plumbline_experiment::flight::FlyError;
 use plumbline_experiment::open::{OpenError, open};
 use plumbline_experiment::plan::Plan;
+use plumbline_experiment::recordings::Library;
 use plumbline_experiment::run::expected_s;
 use plumbline_experiment::store::{Experiment, StoreError};
 use plumbline_experiment::{parquet, report, summary};
@@ -28,7 +30,9 @@ impl From<StoreError> for ApiError {
         match error {
             StoreError::Unknown(_) => Self::NotFound(error.to_string()),
             StoreError::Plan(_) | StoreError::Traces(_) => Self::Invalid(error.to_string()),
-            StoreError::Foreign { .. } | StoreError::Running(_) => Self::Conflict(error.to_string()),
+            StoreError::Foreign { .. } | StoreError::Running(_) | StoreError::Recording(_) => {
+                Self::Conflict(error.to_string())
+            }
             StoreError::Io { .. } => Self::Broken(error.to_string()),
         }
     }
@@ -39,6 +43,7 @@ impl From<OpenError> for ApiError {
         match error {
             OpenError::Store(error) => error.into(),
             OpenError::Unknown { .. } => Self::NotFound(error.to_string()),
+            OpenError::Fly(FlyError::Recording(_)) => Self::Conflict(error.to_string()),
             OpenError::Condition { .. } | OpenError::Nothing(_) => Self::Invalid(error.to_string()),
             other => Self::Broken(other.to_string()),
         }
@@ -58,8 +63,9 @@ fn one(app: &App, id: &str) -> Result<Experiment, ApiError> {
     Ok(Experiment::open(app.experiments.root(), id)?)
 }
 
-fn read(text: &str) -> Result<Plan, ApiError> {
-    Plan::from_toml(text).map_err(|error| ApiError::Invalid(error.to_string()))
+/// Over the network a plan names flights of this ground, and no files.
+fn read(text: &str, library: &Library) -> Result<Plan, ApiError> {
+    Plan::over(text, library).map_err(|error| ApiError::Invalid(error.to_string()))
 }
 
 pub(crate) async fn list(State(app): State<App>) -> Result<Json<rest::Experiments>, ApiError> {
@@ -71,10 +77,10 @@ pub(crate) async fn list(State(app): State<App>) -> Result<Json<rest::Experiment
 }
 
 pub(crate) async fn size(State(app): State<App>, Body(asked): Body<Asked>) -> Result<Json<Size>, ApiError> {
-    let root = app.experiments.root().to_owned();
+    let (root, library) = (app.experiments.root().to_owned(), app.experiments.library().clone());
     // Some flights are begun, to see how long they take.
     let size = app.computing.run(move |waited| {
-        let plan = read(&asked.plan)?;
+        let plan = read(&asked.plan, &library)?;
         waited.check()?;
         let id = Experiment::id_of(&plan);
         let done = Experiment::open(&root, &id).map_or(0, |experiment| experiment.done());
@@ -90,7 +96,7 @@ pub(crate) async fn create(
     Body(asked): Body<Asked>,
 ) -> Result<(StatusCode, Json<rest::State>), ApiError> {
     let made = aside(app, move |app| {
-        let experiment = Experiment::create(app.experiments.root(), read(&asked.plan)?)?;
+        let experiment = Experiment::create(app.experiments.root(), read(&asked.plan, app.experiments.library())?)?;
         app.experiments.start(experiment.clone())?;
         Ok(app.experiments.state(&experiment))
     });

@@ -1,4 +1,4 @@
-//! `plumbline-ground experiment run|status|stop|resume|report|compare|open`: plans of many simulated flights, without a ground that runs
+//! `plumbline-ground experiment run|status|stop|resume|report|compare|open`: plans of many flights, without a ground that runs
 //! and beside one.
 
 use std::io::{IsTerminal as _, Write as _};
@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use plumbline_experiment::plan::Plan;
+use plumbline_experiment::recordings::Library;
 use plumbline_experiment::run::{Ended, Options, Progress, expected_s, run as fly};
 use plumbline_experiment::store::{Experiment, write_whole};
 use plumbline_experiment::{open, parquet, report, summary, trace};
@@ -31,7 +32,7 @@ pub struct ExperimentArguments {
 enum Deed {
     /// Checks a plan, says what it comes to, and flies it; one that was begun goes on.
     Run {
-        /// The plan, TOML.
+        /// The plan, TOML; recordings that it names are flights of the data folder by their ids, or files.
         plan: PathBuf,
         /// Says what it comes to and flies nothing.
         #[arg(long)]
@@ -128,7 +129,7 @@ pub fn run(arguments: &ExperimentArguments) -> Result<(), String> {
     let root = |folder: &DataFolder| Experiment::root(&folder.data);
     let one = |folder: &DataFolder, id: &str| Experiment::open(&root(folder), id).map_err(|error| error.to_string());
     match &arguments.deed {
-        Deed::Run { plan, check, flying, data } => begin(plan, *check, flying, &root(data)),
+        Deed::Run { plan, check, flying, data } => begin(plan, *check, flying, &data.data),
         Deed::Status { id: Some(id), data } => print(&summary::state(&one(data, id)?)),
         Deed::Status { id: None, data } => {
             Experiment::all(&root(data)).iter().try_for_each(|experiment| print(&summary::state(experiment)))
@@ -148,9 +149,10 @@ pub(super) fn print(state: &State) -> Result<(), String> {
     writeln!(std::io::stdout(), "{line}").map_err(|error| format!("standard output: {error}"))
 }
 
-fn begin(file: &Path, check: bool, flying: &Flying, root: &Path) -> Result<(), String> {
+fn begin(file: &Path, check: bool, flying: &Flying, data: &Path) -> Result<(), String> {
     let text = std::fs::read_to_string(file).map_err(|error| format!("{}: {error}", file.display()))?;
-    let plan = Plan::from_toml(&text).map_err(|error| format!("{}: {error}", file.display()))?;
+    let library = Library::archive(data).with_files();
+    let plan = Plan::over(&text, &library).map_err(|error| format!("{}: {error}", file.display()))?;
     let threads = flying.options().threads;
     let (conditions, flights) = (plan.conditions(), plan.flights());
     let seconds = expected_s(&plan, flights, threads)?;
@@ -163,7 +165,7 @@ fn begin(file: &Path, check: bool, flying: &Flying, root: &Path) -> Result<(), S
     if check {
         return Ok(());
     }
-    let experiment = Experiment::create(root, plan).map_err(|error| error.to_string())?;
+    let experiment = Experiment::create(&Experiment::root(data), plan).map_err(|error| error.to_string())?;
     eprintln!("experiment {}", experiment.id);
     flown(&experiment, flying)
 }
@@ -183,11 +185,12 @@ fn flown(experiment: &Experiment, flying: &Flying) -> Result<(), String> {
     let mut said = Instant::now();
     let (mut lost, mut squares, mut kept) = (0_u64, 0.0, 0.0);
     let ended = fly(experiment, &flying.options(), &AtomicBool::new(false), |progress: &Progress, row| {
-        if row.lost().is_empty() {
-            squares += row.value("altitude_m").powi(2);
-            kept += 1.0;
-        } else {
+        let altitude_m = row.value("altitude_m");
+        if !row.lost().is_empty() {
             lost += 1;
+        } else if altitude_m.is_finite() {
+            squares += altitude_m.powi(2);
+            kept += 1.0;
         }
         if said.elapsed() < every && progress.done < progress.flights {
             return;
@@ -196,10 +199,10 @@ fn flown(experiment: &Experiment, flying: &Flying) -> Result<(), String> {
         let Progress { done, flights, per_s, left_s } = *progress;
         let part = (30 * done / flights.max(1)) as usize;
         let bar: String = (0..30).map(|at| if at < part { '=' } else { ' ' }).collect();
-        let mean_mm = 1e3 * f64::sqrt(squares / kept);
+        // A recording may know no altitude, or nothing that it was to be.
+        let rms = if kept > 0.0 { format!("{:.1} mm rms", 1e3 * f64::sqrt(squares / kept)) } else { "unknown".into() };
         let left = duration(left_s);
-        let line =
-            format!("[{bar}] {done}/{flights}  {per_s:.2}/s  {left} left  altitude {mean_mm:.1} mm rms  {lost} lost");
+        let line = format!("[{bar}] {done}/{flights}  {per_s:.2}/s  {left} left  altitude {rms}  {lost} lost");
         // A terminal that takes no more costs the line, and nothing else.
         let _ =
             if watched { write!(std::io::stderr(), "\r{line}\x1b[K") } else { writeln!(std::io::stderr(), "{line}") };

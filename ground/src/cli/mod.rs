@@ -37,7 +37,7 @@ enum Tool {
     Audit(audit::AuditArguments),
     /// Says whether flight files are whole; one JSON line for each.
     Check(check::CheckArguments),
-    /// Flies plans of many simulated flights; reports, and opens any of them.
+    /// Flies plans of many flights, simulated or recorded; reports, and opens any of them.
     Experiment(experiment::ExperimentArguments),
     /// Says whether a ground would start here and record, and what to do where it would not.
     Doctor(doctor::DoctorArguments),

@@ -1,4 +1,4 @@
-//! Experiments: plans of many simulated flights, below `/api/v1/experiments`.
+//! Experiments: plans of many flights, simulated or of recordings flown again, below `/api/v1/experiments`.
 //!
 //! | request | answer |
 //! |---|---|
@@ -107,6 +107,8 @@ pub struct Results {
     pub measures: Vec<Measure>,
     /// In the order of the plan; those without a flight are left out.
     pub conditions: Vec<Condition>,
+    /// What measures are of recordings: against what, and which of them are not known.
+    pub notes: Vec<String>,
 }
 
 /// The flights of one condition.

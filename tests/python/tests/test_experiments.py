@@ -55,3 +55,25 @@ def test_a_plan_is_flown_read_reported_and_opened(ground: plumbline.Ground, tmp_
     assert flight.info["duration_s"] > 5 and len(flight.to_polars(columns=["control"])) > 100
     assert experiment.id in [known.id for known in ground.experiments()]
     assert ground.experiment(experiment.id).state["flights"] == 6
+
+
+AGAIN = """
+name = "again"
+[[factor]]
+key = "recording"
+values = ["{flight}"]
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "lanes"]
+"""
+
+
+def test_a_recorded_flight_is_flown_again_under_other_estimators(ground: plumbline.Ground) -> None:
+    flight = ground.run(PLAN).wait(timeout_s=120).fly_again(1)
+    experiment = ground.run(AGAIN.format(flight=flight.id)).wait(timeout_s=120)
+    frame = experiment.to_polars().sort("index")
+    assert frame["recording"].to_list() == [flight.id] * 2
+    assert frame["altitude_m"].n_unique() == 1, "the way flown is that of then"
+    assert frame["estimate_m"].n_unique() == 2 and frame["estimate_m"].null_count() == 0
+    assert "Recordings flown again" in experiment.results()["notes"][0]
+    assert experiment.fly_again(1).info["vehicle"] == "replay"

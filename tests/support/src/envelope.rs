@@ -136,6 +136,7 @@ pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: O
     config.watermark = watermark;
     let setup = Setup {
         scenario,
+        recording: None,
         config,
         reception: Reception::All,
         attacks: worn.attacks.clone(),

@@ -126,6 +126,7 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
     scenario.duration_s = scenario.duration_s.min(onset_s + if ends { DOWN_S } else { AFTER_S });
     let setup = Setup {
         scenario,
+        recording: None,
         config,
         reception: Reception::All,
         attacks,

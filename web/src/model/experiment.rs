@@ -46,17 +46,23 @@ key = "agent.estimators.in_loop"
 values = ["ekf_bias", "lanes"]
 "#;
 
-/// A plan to begin with: what it asks, and its text.
-pub fn templates() -> [(&'static str, String); 3] {
-    let plan = |name: &str, repeats: u32, rest: &str| {
-        let head = format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
-        // Tables of the plan come after its own keys.
-        format!("{head}{SCRIPT}{rest}")
-    };
+const RECORDED: &str = r#"[[factor]]
+key = "agent.estimators.in_loop"
+values = ["ekf_bias", "lanes"]
+# With an [attack] the clean samples are attacked; without, what was received then is received again.
+"#;
+
+/// A plan to begin with: what it asks, and its text. `flights` are recorded ones, by their ids.
+pub fn templates(flights: &[String]) -> [(&'static str, String); 4] {
+    let head = |name: &str, repeats: u32| format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
+    // Tables of the plan come after its own keys.
+    let plan = |name: &str, repeats: u32, rest: &str| format!("{}{SCRIPT}{rest}", head(name, repeats));
+    let again = format!("[[factor]]\nkey = \"recording\"\nvalues = {flights:?}\n");
     [
         ("From which size on is an attack found?", plan("detectability", 4, DETECTABILITY)),
         ("Which estimator holds altitude under attack?", plan("estimators", 10, ESTIMATORS)),
         ("What does a harder world cost?", plan("worlds", 5, WORLDS)),
+        ("Which estimator fits what was flown?", format!("{}{again}{RECORDED}", head("recorded", 1))),
     ]
 }
 
@@ -124,8 +130,10 @@ mod tests {
 
     #[test]
     fn every_template_has_a_name_and_a_factor() {
-        for (_, plan) in templates() {
+        for (_, plan) in templates(&["20260131-iris-1".into()]) {
             assert!(plan.starts_with("name = ") && plan.contains("[[factor]]"), "{plan}");
         }
+        let [.., (_, again)] = templates(&["a".into(), "b".into()]);
+        assert!(again.contains("values = [\"a\", \"b\"]") && !again.contains("[scenario]"), "{again}");
     }
 }

@@ -14,7 +14,7 @@ pub enum Route {
     Report(String),
     /// Several recorded flights, overlaid.
     Compare(Vec<String>),
-    /// Plans of many simulated flights.
+    /// Plans of many flights.
     Experiments,
     /// Controllers designed, previewed, pushed.
     Tune,

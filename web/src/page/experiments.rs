@@ -1,4 +1,4 @@
-//! Experiments: a plan of many simulated flights is written, flown and read; every dot is a flight that can be opened.
+//! Experiments: a plan of many flights is written, flown and read; every dot is a flight that can be opened.
 
 mod plan;
 mod results;
@@ -52,7 +52,7 @@ pub fn ExperimentsPage() -> impl IntoView {
     view! {
         <main class="sheet wide" id="main">
             <div class="sheet-head"><h1>"Experiments"</h1>
-                <span class="quiet">"Plans of many simulated flights; each can be flown again from its seed, bit for bit."</span>
+                <span class="quiet">"Plans of many flights, simulated or recorded; each can be flown again, bit for bit."</span>
             </div>
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
             <div class="experiments">

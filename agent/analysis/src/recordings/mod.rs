@@ -81,6 +81,8 @@ pub struct RecordingInfo {
     pub has_truth: bool,
     /// Does it carry motor commands?
     pub has_motors: bool,
+    /// Sensors of which something else was received than was sensed, and since when.
+    pub attacked: Vec<(SensorId, FlightTime)>,
     /// Name of the airframe, where the file says.
     pub airframe: Option<String>,
     /// Scenario of a simulated flight, TOML.

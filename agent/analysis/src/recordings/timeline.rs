@@ -1,6 +1,7 @@
 //! Samples of a whole recording in time order, cut into ticks.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use plumbline_core::control::step_response::StepResponse;
 use plumbline_core::sensor::AnySample;
@@ -26,11 +27,11 @@ pub(super) enum Item {
     Tick,
 }
 
-/// A recording being played.
+/// A recording being played; a clone plays the same samples, which are there once.
 #[derive(Debug, Clone)]
 pub struct Recording {
     info: RecordingInfo,
-    items: Vec<(FlightTime, Item)>,
+    items: Arc<[(FlightTime, Item)]>,
     next: usize,
 }
 
@@ -76,7 +77,8 @@ impl Builder {
         let duration_s = last.seconds_since(first);
         let mut sensors: Vec<(SensorId, usize)> = Vec::new();
         let (mut has_truth, mut has_motors) = (false, false);
-        for (_, item) in &self.items {
+        let mut attacked: Vec<(SensorId, FlightTime)> = Vec::new();
+        for (time, item) in &self.items {
             match item {
                 Item::Sensed(index, sample) => {
                     let id = SensorId::new(sample.kind(), *index as u8 + 1);
@@ -85,6 +87,7 @@ impl Builder {
                         None => sensors.push((id, 1)),
                     }
                 }
+                Item::Received(id, _) if !attacked.iter().any(|(known, _)| known == id) => attacked.push((*id, *time)),
                 Item::Truth(_) => has_truth = true,
                 Item::Applied(_) => has_motors = true,
                 _ => {}
@@ -101,12 +104,13 @@ impl Builder {
             imu_noise: noise::of(self.items.iter().map(|(_, item)| item)),
             has_truth,
             has_motors,
+            attacked,
             airframe: self.airframe,
             scenario: self.scenario,
             declination_rad: self.declination_rad,
             notes: self.notes,
         };
-        Ok(Recording { info, items: self.items, next: 0 })
+        Ok(Recording { info, items: self.items.into(), next: 0 })
     }
 }
 

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use super::{
-    AgentConfig, Airframe, Calibration, Chosen, Failure, FlightConfig, FlightTime, FlyArguments, Observed, Scenario,
+    AgentConfig, Calibration, Chosen, Failure, FlightConfig, FlightTime, FlyArguments, Observed, Scenario,
     VehicleChoice, Zero, in_file, read,
 };
 use crate::cli::motors;
+use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::sim::rig::{HangingStrings, Rig};
 use plumbline_agent::types::EstimatorKind;
 use plumbline_devices::autopilot::{Autopilot, AutopilotLine};

@@ -5,6 +5,7 @@ use plumbline_agent::config::AgentConfig;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::scenario::attacks_from_toml;
+use plumbline_agent::sim::script::Script;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
@@ -12,7 +13,9 @@ use toml::{Table, Value};
 
 use crate::attacked::{Attacked, Given};
 use crate::flight::Setup;
+use crate::judge::STEADY_S;
 use crate::reception::Reception;
+use crate::recordings::{Recorded, Recordings};
 
 /// What an onset is drawn for when nothing is given.
 const DRAWN: [&str; 3] = ["any", "imu_and_height", "none"];
@@ -29,6 +32,8 @@ pub(super) struct Wrong {
 #[derive(Debug, Clone)]
 pub struct Condition {
     scenario: Scenario,
+    /// What is flown instead of it.
+    recording: Option<Recorded>,
     table: Table,
     config: FlightConfig,
     reception: Reception,
@@ -71,50 +76,68 @@ impl Default for RawAttack {
 
 impl Condition {
     /// Reads and tries it: what it needs is built, its first attacks are checked.
-    pub(super) fn read(table: &Table) -> Result<Self, Wrong> {
+    pub(super) fn read(table: &Table, recordings: &Recordings) -> Result<Self, Wrong> {
         let in_section = |section| move |complaint: String| Wrong { section, complaint };
         let part = |key: &str| table.get(key).and_then(Value::as_table).cloned().unwrap_or_default();
-        let mut scenario_table = part("scenario");
-        scenario_table.entry("name").or_insert_with(|| Value::String("experiment".into()));
-        let scenario = Scenario::from_toml(&scenario_table.to_string())
-            .map_err(|error| in_section("scenario")(error.to_string().trim_start_matches("scenario: ").to_owned()))?;
         let agent_table = part("agent");
         let agent = AgentConfig::from_toml(&agent_table.to_string())
             .map_err(|error| in_section("agent")(error.to_string().trim_start_matches("configuration: ").to_owned()))?;
-        let mut config = scenario.flight_config();
+        let mut scenario_table = part("scenario");
+        let named = table.get("recording").map(|name| name.as_str().unwrap_or_default());
+        let recording = match named {
+            Some(name) => {
+                if !scenario_table.is_empty() {
+                    let complaint = "a recording is flown instead: leave this out".into();
+                    return Err(Wrong { section: "scenario", complaint });
+                }
+                let again = part("attack").is_empty();
+                let recorded = Recorded::new(recordings, name, again, &agent.airframe);
+                Some(recorded.map_err(in_section("recording"))?)
+            }
+            None => None,
+        };
+        let (scenario, mut config) = match &recording {
+            Some(recorded) => (recorded_scenario(recorded), recorded.flown.flight.clone()),
+            None => {
+                scenario_table.entry("name").or_insert_with(|| Value::String("experiment".into()));
+                let scenario = Scenario::from_toml(&scenario_table.to_string()).map_err(|error| {
+                    in_section("scenario")(error.to_string().trim_start_matches("scenario: ").to_owned())
+                })?;
+                let config = scenario.flight_config();
+                (scenario, config)
+            }
+        };
         agent.apply(&mut config).map_err(|error| in_section("agent")(error.to_string()))?;
         config.tick_rate_hz = scenario.tick_rate_hz;
         // Nobody looks at the others: one estimator is a third of the time.
         if agent.estimators.run.is_none() {
             config.estimators = vec![config.in_loop];
         }
-        let named = table.get("reception").and_then(Value::as_str);
-        let Some((_, reception)) = Reception::NAMED.into_iter().find(|(name, _)| Some(*name) == named) else {
-            let names: Vec<_> = Reception::NAMED.iter().map(|(name, _)| *name).collect();
-            let complaint = format!("{} is not one of {}", named.unwrap_or("what is given"), names.join(", "));
-            return Err(Wrong { section: "reception", complaint });
-        };
+        let reception = reception(table)?;
         let raw: RawAttack = Value::Table(part("attack"))
             .try_into()
             .map_err(|error: toml::de::Error| in_section("attack")(error.message().to_owned()))?;
         let off = raw.kind == "none";
         let attacked = attacked(&raw).map_err(in_section("attack"))?;
-        let condition = Self { scenario, table: scenario_table, config, reception, attacked, off };
+        let condition = Self { scenario, recording, table: scenario_table, config, reception, attacked, off };
         Flight::new(condition.config.clone()).map_err(|error| in_section("agent")(error.to_string()))?;
+        condition.check_length()?;
         condition.check_attacks()?;
         Ok(condition)
     }
 
     /// The flight of this seed.
     pub fn setup(&self, seed: u64) -> Setup {
-        let drawn = self.attacked.attacks(&self.scenario.suite, seed);
-        let onset_s = drawn.iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min);
+        let drawn = self.attacked.attacks(&self.config.sensors, seed);
+        let then = self.recording.iter().flat_map(|recorded| &recorded.attacked).map(|(_, onset_s)| *onset_s);
+        let onset_s = drawn.iter().map(|attack| attack.start_s).chain(then).fold(f64::INFINITY, f64::min);
         let mut scenario = self.scenario.clone();
         scenario.seed = seed;
         let attacks = if self.off { Vec::new() } else { drawn };
         let judged_from_s = if onset_s.is_finite() { onset_s } else { 0.0 };
         Setup {
             scenario,
+            recording: self.recording.clone(),
             config: self.config.clone(),
             reception: self.reception,
             attacks,
@@ -129,15 +152,36 @@ impl Condition {
         self.scenario.duration_s
     }
 
-    /// Its scenario file, for a recording.
+    /// Its scenario file, for a flight file; of a recording the one in it.
     pub fn scenario_text(&self, seed: u64) -> String {
+        if let Some(recorded) = &self.recording {
+            return recorded.flown.scenario.as_ref().map(|scenario| scenario.text.clone()).unwrap_or_default();
+        }
         let mut table = self.table.clone();
         table.insert("seed".into(), Value::Integer(seed.cast_signed()));
         table.to_string()
     }
 
+    /// A recording is as long as it is: something of it must be judged, whatever is drawn.
+    fn check_length(&self) -> Result<(), Wrong> {
+        let Some(recorded) = &self.recording else { return Ok(()) };
+        let (lasts_s, name) = (self.scenario.duration_s, &recorded.name);
+        let onset_s = self.attacked.latest_onset_s();
+        let complaint = if lasts_s <= STEADY_S {
+            format!("recording {name:?} lasts {lasts_s:.1} s, and flights are judged from {STEADY_S} s on")
+        } else if lasts_s <= onset_s {
+            format!("recording {name:?} lasts {lasts_s:.1} s, and an onset may be at {onset_s} s: give attack.start_s")
+        } else {
+            return Ok(());
+        };
+        Err(Wrong { section: "recording", complaint })
+    }
+
     fn check_attacks(&self) -> Result<(), Wrong> {
         let Setup { attacks, config, scenario, .. } = self.setup(1);
+        if self.attacked != Attacked::None && self.attacked.attacks(&config.sensors, 1).is_empty() {
+            return Err(Wrong { section: "attack", complaint: "sensor: the vehicle has none of this kind".into() });
+        }
         let Some(last) = attacks.iter().map(|attack| attack.start_s).reduce(f64::max) else { return Ok(()) };
         if last >= scenario.duration_s {
             let complaint = format!("duration_s = {} ends before an onset at {last:.1} s", scenario.duration_s);
@@ -145,8 +189,33 @@ impl Condition {
         }
         let schedule = Schedule { id: 1, attacks: attacks.into_iter().collect(), ..Schedule::default() };
         let mut injector = Injector::new(config.attacks.bounds, true, &config.sensors).sparing(&config.independent);
-        let refused = |error: AttackError| Wrong { section: "attack", complaint: error.to_string() };
+        let refused = |error: AttackError| {
+            let of = |recorded: &Recorded| format!("recording {:?}: {error}", recorded.name);
+            let complaint = self.recording.as_ref().map_or_else(|| error.to_string(), of);
+            Wrong { section: "attack", complaint }
+        };
         injector.upload(&schedule, FlightTime(0)).map_err(refused)
+    }
+}
+
+fn reception(table: &Table) -> Result<Reception, Wrong> {
+    let named = table.get("reception").and_then(Value::as_str);
+    let found = Reception::NAMED.into_iter().find(|(name, _)| Some(*name) == named);
+    found.map(|(_, reception)| reception).ok_or_else(|| {
+        let names: Vec<_> = Reception::NAMED.iter().map(|(name, _)| *name).collect();
+        let complaint = format!("{} is not one of {}", named.unwrap_or("what is given"), names.join(", "));
+        Wrong { section: "reception", complaint }
+    })
+}
+
+/// What is known of the vehicle of a recording; nothing of it happens again by itself.
+fn recorded_scenario(recorded: &Recorded) -> Scenario {
+    let known = recorded.flown.scenario.clone().unwrap_or_else(Scenario::bare);
+    Scenario {
+        duration_s: recorded.lasts_s,
+        tick_rate_hz: recorded.flown.flight.tick_rate_hz,
+        script: Script::default(),
+        ..known
     }
 }
 

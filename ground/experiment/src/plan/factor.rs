@@ -6,7 +6,7 @@ use serde::Deserialize;
 use toml::{Spanned, Table, Value};
 
 use super::source::Source;
-use super::{PlanError, SECTIONS};
+use super::{PlanError, RECORDING, SECTIONS};
 use crate::draw::Dice;
 
 #[derive(Debug, Deserialize)]
@@ -133,10 +133,9 @@ pub(super) fn read(
 
 fn checked(source: Source<'_>, key: &str, span: &Range<usize>, known: &[Factor]) -> Result<(), PlanError> {
     let (section, inner) = key.split_once('.').unwrap_or((key, ""));
-    if !SECTIONS.contains(&section) || (inner.is_empty() != (section == "reception")) {
-        return Err(
-            source.at(span, format!("factor {key:?} is not a key below scenario, agent or attack, nor reception"))
-        );
+    if !SECTIONS.contains(&section) || (inner.is_empty() != ["reception", RECORDING].contains(&section)) {
+        let known = "not a key below scenario, agent or attack, nor reception or recording";
+        return Err(source.at(span, format!("factor {key:?} is {known}")));
     }
     if key == "scenario.seed" || key.starts_with("scenario.attack") {
         return Err(source.at(span, format!("factor {key:?}: seeds are the repeats', attacks are below attack")));

@@ -181,6 +181,7 @@ impl Pilot {
         };
         Setup {
             scenario: scenario.clone(),
+            recording: None,
             config,
             reception,
             attacks: attacks.to_vec(),

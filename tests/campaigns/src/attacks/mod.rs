@@ -67,7 +67,7 @@ fn fly_all(case: &Case, effort: &Effort, pilots: &[Pilot]) -> Vec<Flown> {
     parallel(effort.flights as usize, |i| {
         let seed = effort.seed_base + i as u64;
         let scenario = case.scenario(seed);
-        let attacks = case.attacked.attacks(&scenario.suite, seed);
+        let attacks = case.attacked.attacks(&scenario.flight_config().sensors, seed);
         let from_s = attacks.iter().map(|a| a.start_s).fold(f64::INFINITY, f64::min);
         let from_s = if from_s.is_finite() { from_s } else { 0.0 };
         let flown = |pilot: Pilot, attacks: &[_]| {

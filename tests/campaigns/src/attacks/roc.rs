@@ -117,7 +117,7 @@ pub fn roc(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     let attacked = parallel(works.len(), |i| {
         let (seed, of, kind) = works[i];
         let scenario = case.scenario(seed);
-        let attacks = Attacked::Kind(of, kind).attacks(&scenario.suite, seed);
+        let attacks = Attacked::Kind(of, kind).attacks(&scenario.flight_config().sensors, seed);
         let scores = scores(&setup(seed, &attacks), attacks[0].start_s);
         let of = scores.into_iter().find(|(sensor, _)| *sensor == attacks[0].sensor);
         let scores = of.map_or([0.0; 3], |(_, scores)| scores);

@@ -94,6 +94,7 @@ altitude_m = 1.0
         (config.limits.lateral_max_m, config.limits.altitude_max_m) = (LATERAL_MAX_M, ALTITUDE_MAX_M);
         let setup = Setup {
             scenario,
+            recording: None,
             config,
             reception: Reception::All,
             attacks: Vec::new(),

@@ -1,4 +1,4 @@
-"""Experiments: plans of many simulated flights, their results and reports."""
+"""Experiments: plans of many flights, their results and reports."""
 
 from __future__ import annotations
 

@@ -741,6 +741,7 @@ class Results(TypedDict):
     conditions: NotRequired[list[Condition]]
     factors: NotRequired[list[str]]
     measures: NotRequired[list[Measure]]
+    notes: NotRequired[list[str]]
     state: NotRequired[State]
 
 

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Asked, Size, State};
+use plumbline_rest::flight::{Completeness, Flight, Flights};
 
 use super::ROOT;
 use crate::{
@@ -16,11 +17,23 @@ use crate::{
 /// A plan is asked about once nothing was typed for so long.
 const STILL: Duration = Duration::from_millis(500);
 
+/// A plan over recordings begins with so many, the newest of those that are long enough, s, to be judged.
+const RECORDINGS: usize = 3;
+const SHORTEST_S: f64 = 15.0;
+
+/// The flights that a plan over recordings begins with.
+async fn recorded() -> Vec<String> {
+    let found: Result<Flights, _> = net::json("GET", "/api/v1/flights?limit=20", None, "").await;
+    let usable = |flight: &Flight| flight.completeness == Completeness::Complete && flight.duration_s > SHORTEST_S;
+    let flights = found.map(|found| found.flights).unwrap_or_default();
+    flights.into_iter().filter(usable).map(|flight| flight.id).take(RECORDINGS).collect()
+}
+
 /// The card; `begun` hears the id of what was started.
 #[component]
 pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
     let ctx = ctx();
-    let [(_, first), ..] = templates();
+    let [(_, first), ..] = templates(&[]);
     let text = RwSignal::new(first);
     let size = RwSignal::new(None::<Result<Size, Failure>>);
     let body = move |plan: String| serde_json::to_string(&Asked { plan }).ok();
@@ -58,6 +71,14 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
             }
         });
     };
+    let choose = move |asked: String| {
+        leptos::task::spawn_local(async move {
+            let flights = recorded().await;
+            if let Some((_, plan)) = templates(&flights).into_iter().find(|(question, _)| *question == asked) {
+                text.try_set(plan);
+            }
+        });
+    };
     let told = move || match size.get() {
         None => view! { <p class="quiet" role="status">"counting…"</p> }.into_any(),
         Some(Err(failure)) => view! { <p class="bad" role="alert">{failure.text}</p> }.into_any(),
@@ -77,12 +98,8 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
     view! {
         <section class="card plan" aria-label="Plan">
             <header><h2>"Plan"</h2></header>
-            <select aria-label="Question to begin with" on:change:target=move |e| {
-                if let Some((_, plan)) = templates().into_iter().find(|(question, _)| *question == e.target().value()) {
-                    text.set(plan);
-                }
-            }>
-                {templates().map(|(question, _)| view! { <option>{question}</option> })}
+            <select aria-label="Question to begin with" on:change:target=move |e| choose(e.target().value())>
+                {templates(&[]).map(|(question, _)| view! { <option>{question}</option> })}
             </select>
             <textarea
                 rows="16"

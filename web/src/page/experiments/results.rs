@@ -46,11 +46,13 @@ pub fn ResultsCard(
     });
     let factors = Memo::new(move |_| results.with(|r| r.factors.clone()));
     let measures = Memo::new(move |_| results.with(|r| r.measures.clone()));
+    let notes = Memo::new(move |_| results.with(|r| r.notes.clone()));
     let numbers = move || results.with(|r| r.conditions.iter().map(|c| c.number).collect::<Vec<_>>());
     let row_at = at.clone();
     view! {
         <section class="card results" aria-label="Results">
             <Head at state states />
+            {move || notes.get().into_iter().map(|note| view! { <p class="quiet">{note}</p> }).collect_view()}
             <label class="field measure">"Measure"
                 <select on:change:target=move |e| measure.set(e.target().value().parse().unwrap_or(0))>
                     {move || measures.get().into_iter().enumerate().map(|(i, m)| view! {
