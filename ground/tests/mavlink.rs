@@ -121,6 +121,72 @@ async fn pymavlink_reads_a_flight_and_commands_it() {
     assert!(audit.lines().any(|line| line.contains("MAVLINK") && line.contains("/arm")), "{audit}");
 }
 
+/// What another station got of the ground: see `tests/browser/stations.py`.
+type Got = Result<serde_json::Value, String>;
+
+/// What `station` got as a viewer, then as an operator, and what the vehicle was asked; `None` where it is not there.
+async fn attaches(station: &'static str, module: &str) -> Option<([serde_json::Value; 2], Vec<Body>)> {
+    let python = files::python_with(module)?;
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let folder = tempfile::tempdir().unwrap();
+    let accounts = Accounts::of(folder.path());
+    for (name, role) in [("root", Role::Admin), ("gcs", Role::Viewer)] {
+        accounts.add(name, role, PASSWORD).unwrap();
+    }
+    let ground = ground(folder.path(), SocketAddr::from(([127, 0, 0, 1], port)), Some("gcs")).await;
+    let (stop, flying) = fly(&ground).await;
+    let both = move || -> [Got; 2] {
+        let viewer = files::station_by(&python, station, port);
+        accounts.change("gcs", Some(Role::Operator), None).unwrap();
+        [viewer, files::station_by(&python, station, port)]
+    };
+    let got = tokio::task::spawn_blocking(both).await.unwrap().map(Result::unwrap);
+    stop.send_replace(true);
+    let (asked, _) = flying.await.unwrap();
+    ground.stop().await;
+    println!("{station} {}: {got:?}", got[0]["version"]);
+    Some((got, asked))
+}
+
+/// It reads where the vehicle is; a viewer is refused, an operator obeyed, and the vehicle hears of nothing else.
+fn reads_and_is_refused((got, asked): ([serde_json::Value; 2], Vec<Body>)) {
+    for found in &got {
+        let number = |key: &str| found[key].as_f64().unwrap_or_else(|| panic!("{key}: {found}"));
+        assert!(
+            (number("yaw") - std::f64::consts::FRAC_PI_2).abs() < 1e-3,
+            "east is a quarter turn from north: {found}"
+        );
+        assert!((number("down_m") + 0.9).abs() < 1e-6 && (number("battery_v") - 15.2).abs() < 1e-6, "{found}");
+    }
+    for (found, answer) in got.iter().zip(["DENIED", "ACCEPTED"]) {
+        for order in ["arm", "land", "cut"] {
+            assert_eq!(found[order], answer, "{order}: {found}");
+        }
+    }
+    let wanted = [
+        asked.iter().any(|body| matches!(body, Body::Arm(_))),
+        asked.iter().any(|body| matches!(body, Body::SetMode(mode) if mode.mode == v1::Mode::Land as i32)),
+        asked.iter().any(|body| matches!(body, Body::CutMotors(_))),
+    ];
+    assert!(wanted == [true; 3] && asked.len() == 3, "{asked:?}");
+}
+
+/// GIVEN a vehicle in flight WHEN MAVProxy attaches THEN it reads it, and may what its account may.
+#[tokio::test(flavor = "multi_thread")]
+async fn mavproxy_reads_a_flight_and_may_what_its_account_may() {
+    if let Some(found) = attaches("mavproxy", "MAVProxy").await {
+        reads_and_is_refused(found);
+    }
+}
+
+/// The same with MAVSDK.
+#[tokio::test(flavor = "multi_thread")]
+async fn mavsdk_reads_a_flight_and_may_what_its_account_may() {
+    if let Some(found) = attaches("mavsdk", "mavsdk").await {
+        reads_and_is_refused(found);
+    }
+}
+
 /// A station by the crate alone.
 struct Gcs {
     socket: UdpSocket,

@@ -16,11 +16,11 @@ const NODE_PACKAGES: [&str; 6] = [
     "ws@8.18.3",
     "axe-core@4.14.1",
 ];
-/// Third-party readers of our flight files and of the results of experiments, a MAVLink ground control station, and a double of
+/// Third-party readers of our flight files and of the results of experiments, MAVLink ground control stations, and a double of
 /// S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil, boto3, moto.server, flask",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -29,15 +29,23 @@ const READERS: PythonTools = PythonTools {
         "polars>=1.0",
         "rosbags>=0.11",
         "pymavlink>=2.4.41",
+        "pyserial>=3.5",
+        "mavsdk>=4.1",
         "moto[s3,server]>=5.0",
     ],
+    // With what it asks for it takes 1.2 GB, of which its command line needs nothing.
+    bare: &["MAVProxy>=1.8.70"],
 };
 /// The peer of `bench estimate`.
 const FILTERPY: PythonTools =
-    PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"] };
+    PythonTools { folder: "filterpy", module: "filterpy.kalman", packages: &["filterpy", "numpy", "scipy"], bare: &[] };
 /// The peers of `bench control`.
-const SLYCOT: PythonTools =
-    PythonTools { folder: "slycot", module: "scipy.linalg, slycot", packages: &["numpy", "scipy", "slycot"] };
+const SLYCOT: PythonTools = PythonTools {
+    folder: "slycot",
+    module: "scipy.linalg, slycot",
+    packages: &["numpy", "scipy", "slycot"],
+    bare: &[],
+};
 
 /// Packages in a Python environment of their own.
 struct PythonTools {
@@ -46,6 +54,8 @@ struct PythonTools {
     /// Can be imported when they are there.
     module: &'static str,
     packages: &'static [&'static str],
+    /// Installed without what they depend on.
+    bare: &'static [&'static str],
 }
 
 /// Runs quietly and says whether it worked.
@@ -195,6 +205,9 @@ fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, Xt
     eprintln!("xtask: a Python environment with {} in {}", tools.packages.join(", "), folder.display());
     environment(&system, &folder)?;
     run(Command::new(&own).args(["-m", "pip", "install", "--quiet"]).args(tools.packages))?;
+    if !tools.bare.is_empty() {
+        run(Command::new(&own).args(["-m", "pip", "install", "--quiet", "--no-deps"]).args(tools.bare))?;
+    }
     Ok(own)
 }
 

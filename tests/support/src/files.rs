@@ -112,6 +112,14 @@ pub fn mavlink_by(python: &OsStr, port: u16) -> Result<serde_json::Value, String
     read_by(python, "mavlink.py", &[OsStr::new(&port.to_string())])
 }
 
+/// What MAVProxy or MAVSDK finds at the ground that speaks to `port` of this machine: see `tests/browser/stations.py`.
+///
+/// # Errors
+/// What it says when something does not come.
+pub fn station_by(python: &OsStr, station: &str, port: u16) -> Result<serde_json::Value, String> {
+    read_by(python, "stations.py", &[OsStr::new(station), OsStr::new(&port.to_string())])
+}
+
 fn read_by(python: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../browser").join(script);
     let ran = Command::new(python).arg(script).args(arguments).output().unwrap();
