@@ -67,9 +67,11 @@ impl Flown {
 }
 
 impl Flown {
-    /// The same along x: pitch, rad, velocity, m/s, position, m.
-    pub fn unseen_along_x(&self, clean: &Self) -> [f64; 3] {
-        let until = self.seen.unwrap_or(usize::MAX);
+    /// The same along x, of a bound over `horizon_s`: pitch, rad, velocity, m/s, position, m.
+    pub fn unseen_along_x(&self, clean: &Self, horizon_s: f64) -> [f64; 3] {
+        // Until the bound's, which is that at the beginning of the last slot.
+        let last = ((horizon_s - 0.04) * TICK_RATE_HZ).round() as usize + 1;
+        let until = self.seen.unwrap_or(usize::MAX).min(last);
         std::array::from_fn(|i| {
             let apart = self.along_x.iter().zip(&clean.along_x).take(until).map(|(a, b)| (a[i] - b[i]).abs());
             apart.fold(0.0, f64::max)
