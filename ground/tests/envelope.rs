@@ -24,11 +24,11 @@ async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
     assert_eq!(ground.request("POST", path, body).await.json(), first);
     let unstable = format!(r#"{{"design":{{"k":{k},"k_attitude":{k}}}}}"#, k = pushing_away());
     for (body, named) in [
-        (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one of the suite's heights and IMUs: height 1, "),
+        (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one that this loop uses: height 1, "),
         (r#"{"most":12}"#, "a set of 12 sensors: the suite has 7"),
         (r#"{"suite":"moon"}"#, "moon"),
         (r#"{"more":"sonar"}"#, "it must be height or imu"),
-        (r#"{"without":["height 7"]}"#, "sensor height 7 is not one of the suite's"),
+        (r#"{"without":["height 7"]}"#, "sensor height 7 is not one that this loop uses"),
         (
             r#"{"without":["imu 1","imu 2","imu 3","imu 4"]}"#,
             "heights or IMUs that are not excluded is 0, it must be at least 1",

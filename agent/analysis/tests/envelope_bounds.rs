@@ -8,7 +8,7 @@ use plumbline_analysis::envelope::prototype::Prototype;
 use plumbline_analysis::envelope::sets::Asked;
 use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
 use plumbline_proto::ids::SensorId;
-use plumbline_rest::envelope::EnvelopeQuestion;
+use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet};
 
 fn of(lasers: usize, attacked: usize, imus: usize, gate_only: bool) -> Prototype {
     let (attacked_lasers, attacked_imus) = ((0..attacked).collect(), (0..imus).collect());
@@ -32,7 +32,7 @@ fn the_table_of_the_prototype() {
     for (lasers, attacked, imus, voted, gated) in TABLE {
         for (gate_only, expected) in [(false, voted), (true, gated)] {
             let model = of(lasers, attacked, imus, gate_only);
-            let bound = program(&model, 10.0, Deviation::Altitude).unwrap().solve().unwrap();
+            let bound = program(&model, 10.0, Deviation::Place).unwrap().solve().unwrap();
             let (upper, reached) = (100.0 * bound.upper, 100.0 * bound.reached);
             println!(
                 "{attacked} of {lasers}, {imus} IMUs, gates only {gate_only}: {reached:.3} to {upper:.3} cm (prototype {expected}), {} steps, {:?}",
@@ -55,7 +55,7 @@ fn ten_drawn_cases_are_those_of_cvxpy() {
         let count = |key: &str| case[key].as_u64().unwrap() as usize;
         let model = of(count("lasers"), count("attacked"), count("imus"), case["gate_only"].as_bool().unwrap());
         let horizon_s = case["horizon_s"].as_f64().unwrap();
-        let bound = program(&model, horizon_s, Deviation::Altitude).unwrap().solve().unwrap();
+        let bound = program(&model, horizon_s, Deviation::Place).unwrap().solve().unwrap();
         let theirs = case["altitude_m"].as_f64().unwrap();
         println!("{case}: {} to {}", bound.reached, bound.upper);
         assert!(bound.reached <= theirs * 1.001 && bound.upper >= theirs * 0.999, "{case}: {bound:?}");
@@ -100,7 +100,7 @@ fn what_one_period_tells_is_what_following_every_sample_tells() {
         let set: Vec<SensorId> = names.iter().map(|name| name.parse().unwrap()).collect();
         let model = asked.flying.attacked(&set, regime).unwrap();
         assert!(model.period_s(3.02) < 1.0);
-        for deviation in [Deviation::Altitude, Deviation::Climb] {
+        for deviation in [Deviation::Place, Deviation::Speed] {
             let short = program(&model, 3.02, deviation).unwrap();
             let long = program(&Followed(&model), 3.02, deviation).unwrap();
             assert!((&short.objective - &long.objective).amax() < 1e-12 * long.objective.amax());
@@ -154,7 +154,7 @@ fn by_clarabel(program: &Program) -> f64 {
 fn another_solver_finds_the_same_optima() {
     let asked = asked(EnvelopeQuestion::default()).unwrap();
     for n in 0..10usize {
-        let deviation = if n == 4 { Deviation::Climb } else { Deviation::Altitude };
+        let deviation = if n == 4 { Deviation::Speed } else { Deviation::Place };
         let horizon_s = 3.0 + 0.2 * n as f64;
         let program = if n % 2 == 0 {
             program(&of(3 + n % 4, 1 + n % 3, n % 3, n == 8), horizon_s, deviation)
@@ -204,26 +204,79 @@ fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none()
     assert!(of(&["imu 1", "imu 2"]) > of(&["imu 1"]) && of(&["height 1", "imu 1"]) > of(&["height 1"]));
 }
 
+fn aside(axis: &str, more: Option<&str>) -> EnvelopeQuestion {
+    EnvelopeQuestion { axis: Some(axis.into()), more: more.map(Into::into), ..EnvelopeQuestion::default() }
+}
+
+#[test]
+fn every_set_has_a_tilt_and_a_velocity_or_nobody_who_judges_it() {
+    let mut tilts = Vec::new();
+    for (axis, more) in [("x", None), ("x", Some("gnss")), ("x", Some("pose")), ("y", None)] {
+        let tell = |set: &EnvelopeSet| {
+            println!("{axis} {more:?} {set:?}");
+            true
+        };
+        let answer = asked(aside(axis, more)).unwrap().answer(false, tell).unwrap();
+        let of = |names: &[&str]| answer.sets.iter().find(|set| set.sensors == names).unwrap();
+        let one = of(&["imu 1"]);
+        assert!(one.reached.is_some_and(|part| part > 0.5 && part <= 1.0), "{one:?}");
+        assert!(one.tilt_rad.is_some_and(|tilt| tilt > 1e-3 && tilt < 0.1) && one.velocity_mps.is_some(), "{one:?}");
+        // Position is told where something measures it, and who attacks that is judged by nobody; so are two of four IMUs without it.
+        assert_eq!(one.position_m.is_some(), more.is_some());
+        // GNSS tells two of four too late for small angles.
+        let two = of(&["imu 1", "imu 2"]);
+        assert_eq!((two.tilt_rad.is_some(), two.binding.is_some()), (more == Some("pose"), more.is_some()), "{two:?}");
+        assert!(two.tilt_rad.is_none_or(|tilt| one.tilt_rad.is_some_and(|of_one| tilt > of_one)));
+        if let Some(more) = more {
+            let name = if more == "pose" { "mocap pose 1" } else { "gnss 1" };
+            let aid = of(&[name]);
+            assert!(aid.tilt_rad.is_none() && aid.position_m.is_none() && aid.binding.is_none(), "{aid:?}");
+        }
+        tilts.push(one.tilt_rad.unwrap());
+    }
+    // Axes differ by their inertia alone, which the gains make up for.
+    assert!((tilts[3] / tilts[0] - 1.0).abs() < 0.01, "{tilts:?}");
+}
+
+#[test]
+fn horizontal_programs_are_those_of_another_solver() {
+    let imu = ["imu 1".parse().unwrap()];
+    for (axis, more, deviation) in
+        [("x", None, Deviation::Tilt), ("y", Some("pose"), Deviation::Place), ("x", Some("gnss"), Deviation::Speed)]
+    {
+        let asked = asked(aside(axis, more)).unwrap();
+        let program = asked.lateral.unwrap().program(&imu, 3.0, deviation).unwrap().unwrap();
+        let linear = Program { squares: Vec::new(), ..program };
+        let (bound, theirs) = (linear.solve().unwrap(), by_clarabel(&linear));
+        println!("{axis} {more:?} {deviation:?}: {} ≤ {theirs} ≤ {}", bound.reached, bound.upper);
+        assert!(bound.reached <= theirs * (1.0 + 1e-6) && theirs <= bound.upper * (1.0 + 1e-6));
+        assert!(bound.upper < 1.002 * theirs, "{theirs}, {}", bound.upper);
+    }
+}
+
 #[test]
 fn what_cannot_be_bounded_says_why_with_the_value() {
     let question = EnvelopeQuestion::default;
     let of = |names: &[&str]| Some(names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>());
     assert_eq!(
         refused(EnvelopeQuestion { sensors: of(&["height 9"]), ..question() }),
-        "sensor height 9 is not one of the suite's heights and IMUs: height 1, height 2, height 3, imu 1, imu 2, imu 3, imu 4"
+        "sensor height 9 is not one that this loop uses: height 1, height 2, height 3, imu 1, imu 2, imu 3, imu 4"
     );
     assert!(
-        refused(EnvelopeQuestion { sensors: of(&["sonar"]), ..question() }).starts_with("sensor sonar is not one of")
+        refused(EnvelopeQuestion { sensors: of(&["sonar"]), ..question() }).starts_with("sensor sonar is not one that")
     );
-    assert_eq!(
-        refused(EnvelopeQuestion { most: Some(8), ..question() }),
-        "a set of 8 sensors: the suite has 7 heights and IMUs"
-    );
+    assert_eq!(refused(EnvelopeQuestion { most: Some(8), ..question() }), "a set of 8 sensors: this loop uses 7");
     assert!(refused(EnvelopeQuestion { suite: Some("moon".into()), ..question() }).contains("\"moon\""));
     assert!(refused(EnvelopeQuestion { horizon_s: Some(1e9), ..question() }).contains("1000000000"));
     let three = EnvelopeQuestion { sensors: of(&["imu 1", "imu 2", "imu 3"]), horizon_s: Some(20.0), ..question() };
     let refusal = asked(three).unwrap().answer(false, |_| true).unwrap_err().to_string();
     assert_eq!(refusal, "what the set may add over the horizon, values, is 1500, it must be at most 1000");
+    assert!(refused(aside("w", None)).contains("axis is \"w\""));
+    assert!(
+        refused(EnvelopeQuestion { axis: None, ..aside("x", Some("pose")) }).contains("with axis x or y also gnss")
+    );
+    let located = EnvelopeQuestion { sensors: of(&["height 1"]), ..aside("x", Some("gnss")) };
+    assert!(refused(located).ends_with("imu 1, imu 2, imu 3, imu 4, gnss 1"));
     assert!(refused(EnvelopeQuestion { noise_mps2: Some(-1.0), ..question() }).contains("-1"));
     let mut unstable = question();
     unstable.design.tick_rate_hz = Some(200.0);

@@ -12,7 +12,7 @@ use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet};
 
 use super::{Failure, in_file, read};
 
-/// Bounds what every set of attacked heights and IMUs can do to the altitude while every detector is silent: a table, or one
+/// Bounds what every set of attacked sensors can do to the altitude, or along x or y, while every detector is silent: a table, or one
 /// JSON line for each set. Bounds are proved by the multipliers of a linear program about hover; "unbounded" by a drift that
 /// stays silent for ever.
 #[derive(Debug, clap::Args)]
@@ -35,12 +35,15 @@ pub struct EnvelopeArguments {
     /// Sensors that are excluded: neither used nor attacked.
     #[arg(long, value_delimiter = ',')]
     without: Vec<String>,
-    /// One sensor more of this kind: height or imu.
+    /// z (the altitude), or x or y: tilt, velocity and, with GNSS or motion capture, position along it.
+    #[arg(long)]
+    axis: Option<String>,
+    /// One sensor more of this kind: height or imu, with --axis x or y also gnss or pose.
     #[arg(long)]
     more: Option<String>,
-    /// How long the attack lasts, s.
-    #[arg(long, default_value_t = 10.0)]
-    horizon_s: f64,
+    /// How long the attack lasts, s: 10, or 5 along x or y.
+    #[arg(long)]
+    horizon_s: Option<f64>,
     /// Noise that the lanes measure of their accelerometers, m/s².
     #[arg(long)]
     noise_mps2: Option<f64>,
@@ -67,18 +70,20 @@ impl EnvelopeArguments {
             most: Some(self.most),
             sensors: self.sensors.clone(),
             without: self.without.clone(),
+            axis: self.axis.clone(),
             more: self.more.clone(),
-            horizon_s: Some(self.horizon_s),
+            horizon_s: self.horizon_s,
             noise_mps2: self.noise_mps2,
         };
         let asked = Asked::new(&question, Some(suite))?;
         let mut out = std::io::stdout();
+        let row = if asked.lateral.is_some() { aside } else { row };
         if !self.json {
-            writeln!(
-                out,
-                "{:<24} {:>12} {:>12} {:>10} {:>9}  holds",
-                "attacked", "at most", "reached", "climb", "solved"
-            )?;
+            let [one, two, three] = match asked.lateral {
+                Some(_) => ["tilt", "velocity", "position"],
+                None => ["at most", "reached", "climb"],
+            };
+            writeln!(out, "{:<24} {one:>12} {two:>12} {three:>10} {:>9}  holds", "attacked", "solved")?;
         }
         let mut failed = None;
         asked.answer(self.climb, |set| {
@@ -120,4 +125,14 @@ fn row(set: &EnvelopeSet) -> String {
     let climb = set.climb_mps.map_or_else(|| "-".to_owned(), |mps| format!("{mps:.3} m/s"));
     let (sensors, reached) = (set.sensors.join(", "), cm(set.reached_m));
     format!("{sensors:<24} {bound:>12} {reached:>12} {climb:>10} {:>6.0} ms  {holds}", set.took_ms)
+}
+
+fn aside(set: &EnvelopeSet) -> String {
+    let of =
+        |value: Option<f64>, unit: &str| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.3} {unit}"));
+    let (tilt, velocity) = (of(set.tilt_rad.map(f64::to_degrees), "°"), of(set.velocity_mps, "m/s"));
+    let (sensors, position) = (set.sensors.join(", "), of(set.position_m, "m"));
+    let reached = set.reached.map_or_else(String::new, |part| format!("; {part:.2} reached"));
+    let holds = set.binding.as_ref().map_or_else(|| "nobody judges them".to_owned(), |held| format!("{held}{reached}"));
+    format!("{sensors:<24} {tilt:>12} {velocity:>12} {position:>10} {:>6.0} ms  {holds}", set.took_ms)
 }

@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly};
+use plumbline_agent::envelope::Deviation;
+use plumbline_agent::envelope::sets::Asked;
+use plumbline_rest::envelope::EnvelopeQuestion;
+use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly, fly_held};
 
 /// So much of its bound a drawn attack may reach.
 const CLIPPED: f64 = 1.05;
@@ -26,4 +29,29 @@ fn unseen_attacks_stay_within_their_bounds_and_the_worst_come_near() {
         // Samples beyond the reach count as if they were at it, which the linear loop does not know.
         assert!(part <= CLIPPED, "{}, {shape} of seed {seed}: {part}", set.name());
     }
+}
+
+/// GIVEN a position held under motion capture WHEN one IMU wears the worst of x THEN pitch, velocity and position come near their bounds,
+/// and are within them while nobody sees it.
+#[test]
+fn along_x_the_worst_come_near_their_bounds_too() {
+    let clean = fly_held("ideal", 1, &Worn::default(), 5.0);
+    assert!(clean.seen.is_none(), "{:?}", clean.excluded);
+    let question = EnvelopeQuestion {
+        axis: Some("x".into()),
+        more: Some("pose".into()),
+        noise_mps2: Some(clean.noise_mps2),
+        ..EnvelopeQuestion::default()
+    };
+    let lateral = Asked::new(&question, None).unwrap().lateral.unwrap();
+    let imu = ["imu 1".parse().unwrap()];
+    let flown = [Deviation::Tilt, Deviation::Speed, Deviation::Place].into_iter().enumerate().map(|(i, deviation)| {
+        let bound = lateral.program(&imu, 5.0, deviation).unwrap().unwrap().solve().unwrap();
+        let flight = fly_held("ideal", 1, &Worn::along_x(&imu, &bound.attack, 1.0), 5.0);
+        let part = flight.unseen_along_x(&clean, 5.0)[i] / bound.upper;
+        println!("{deviation:?}: {part:.3} of {:.5}, excluded {:?}", bound.upper, flight.excluded);
+        (flight.seen, part)
+    });
+    let flown: Vec<_> = flown.collect();
+    assert!(flown.iter().all(|(seen, part)| seen.is_none() && (0.5..1.05).contains(part)), "{flown:?}");
 }

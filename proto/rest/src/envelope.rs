@@ -26,10 +26,13 @@ pub struct EnvelopeQuestion {
     /// Sensors that are excluded: neither used nor attacked.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub without: Vec<String>,
-    /// One sensor more of this kind, `height` or `imu`: what would it buy?
+    /// `z`, the altitude, where it is left out; `x` or `y`: tilt, velocity and position along a horizontal axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<String>,
+    /// One sensor more of this kind, `height` or `imu`, with a horizontal axis also `gnss` or `pose`: what would it buy?
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub more: Option<String>,
-    /// How long the attack lasts, s; 10 where it is left out.
+    /// How long the attack lasts, s; 10 where it is left out, 5 along a horizontal axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
     /// Noise that the lanes measure of their accelerometers, m/s²; what they assume where it is left out.
@@ -71,7 +74,19 @@ pub struct EnvelopeSet {
     /// Without a bound: as fast the altitude can drift for ever, m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_mps: Option<f64>,
-    /// The detector that holds most of the bound.
+    /// Along a horizontal axis: no silent attack tilts it further, rad; absent where nobody judges the set, or it is beyond small angles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt_rad: Option<f64>,
+    /// None makes it faster there, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity_mps: Option<f64>,
+    /// None moves it further there, m; with motion capture or GNSS.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<f64>,
+    /// The worst attacks found there reach at least this part of their bounds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reached: Option<f64>,
+    /// The detector that holds most of the bound, along a horizontal axis of the tilt's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub binding: Option<String>,
     /// Solved in, ms; 0 where another set has the same program.

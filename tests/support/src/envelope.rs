@@ -8,6 +8,7 @@ use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
 use plumbline_agent::flight::Failsafe;
 use plumbline_agent::flight::watermark::{Block, Settings};
+use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::flight::{Setup, fly_watched};
@@ -35,6 +36,8 @@ const LAST: usize = ((HORIZON_S - 0.04) * TICK_RATE_HZ) as usize;
 pub struct Flown {
     /// True altitude at each tick, m.
     pub altitude_m: Vec<f64>,
+    /// Along x there: pitch, rad, velocity, m/s, and position, m.
+    pub along_x: Vec<[f64; 3]>,
     /// Ticks from the onset to the first exclusion, to heights that contradict each other, or to a failsafe.
     pub seen: Option<usize>,
     /// Who was excluded.
@@ -60,6 +63,19 @@ impl Flown {
         let until = self.seen.unwrap_or(LAST).min(LAST);
         let apart = self.altitude_m.iter().zip(&clean.altitude_m).take(until).map(|(a, b)| (a - b).abs());
         apart.fold(0.0, f64::max)
+    }
+}
+
+impl Flown {
+    /// The same along x, of a bound over `horizon_s`: pitch, rad, velocity, m/s, position, m.
+    pub fn unseen_along_x(&self, clean: &Self, horizon_s: f64) -> [f64; 3] {
+        // Until the bound's, which is that at the beginning of the last slot.
+        let last = ((horizon_s - 0.04) * TICK_RATE_HZ).round() as usize + 1;
+        let until = self.seen.unwrap_or(usize::MAX).min(last);
+        std::array::from_fn(|i| {
+            let apart = self.along_x.iter().zip(&clean.along_x).take(until).map(|(a, b)| (a[i] - b[i]).abs());
+            apart.fold(0.0, f64::max)
+        })
     }
 }
 
@@ -117,6 +133,37 @@ impl Worn {
     }
 }
 
+impl Worn {
+    /// `attack` of a program along x, its accelerometers' and gyroscopes' values by turns, times `part`.
+    pub fn along_x(imus: &[SensorId], attack: &Signal, part: f64) -> Self {
+        let (mut worn, allowed) = (Self::default(), plumbline_agent::attack::Bounds::default());
+        let slots = attack.len() / 2 / imus.len().max(1);
+        for (place, imu) in imus.iter().enumerate() {
+            for (turn, channel, most) in
+                [(0, Channel::AccelAxis(0), allowed.accel_max_mps2), (1, Channel::GyroAxis(1), allowed.rate_max_radps)]
+            {
+                let of = attack.rows(2 * place * slots, 2 * slots);
+                let values: Vec<f64> = of.iter().skip(turn).step_by(2).map(|value| part * value * most).collect();
+                let magnitude = values.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
+                let id = worn.attacks.len() as u32 + 1;
+                worn.attacks.push(Attack {
+                    id,
+                    sensor: *imu,
+                    channel,
+                    kind: Kind::Bias,
+                    start_s: ONSET_S,
+                    duration_s: slots as f64 * 0.04,
+                    magnitude,
+                    seed: 1,
+                });
+                let values = values.into_iter().map(|value| value / magnitude).collect();
+                worn.sequences.push(Sequence { attack: id, period_s: 0.04, values });
+            }
+        }
+        worn
+    }
+}
+
 /// Flies `worn` in `world`: `ideal`, `bench`, `datasheet` or `harsh`.
 pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
     fly_for(world, seed, worn, HORIZON_S, None)
@@ -124,11 +171,21 @@ pub fn fly(world: &str, seed: u64, worn: &Worn) -> Flown {
 
 /// The same for `horizon_s`, with this watermark.
 pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>) -> Flown {
+    fly_with(world, seed, worn, horizon_s, watermark, false)
+}
+
+/// Flies `worn` in `world` under motion capture, its position held.
+pub fn fly_held(world: &str, seed: u64, worn: &Worn, horizon_s: f64) -> Flown {
+    fly_with(world, seed, worn, horizon_s, None, true)
+}
+
+fn fly_with(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>, held: bool) -> Flown {
+    let (mode, add) = if held { ("hold", "add = [\"mocap_pose\"]\n") } else { ("altitude_hold", "") };
     let duration_s = ONSET_S + horizon_s + AFTER_S;
     let text = format!(
         "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{world}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
-         [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
-         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n"
+         [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"{mode}\"\n\
+         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
     );
     let scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
     let mut config = scenario.flight_config();
@@ -177,6 +234,8 @@ pub fn fly_for(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: O
             }
         }
         flown.altitude_m.push(truth.position_enu_m.z);
+        let pitch_rad = roll_pitch_yaw(&truth.world_from_body).y;
+        flown.along_x.push([pitch_rad, truth.velocity_enu_mps.x, truth.position_enu_m.x]);
     });
     if outcome.unwrap().lost.is_some() {
         flown.seen.get_or_insert(flown.altitude_m.len());
@@ -219,12 +278,12 @@ impl Bounds {
         let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
-            let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Altitude).unwrap();
+            let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
             let Verdict::Bounded(bound) = found else { return None };
             let mut worst = vec![bound.attack];
             if regime != Regime::Full {
                 let full = asked.flying.attacked(sensors, Regime::Full).unwrap();
-                worst.push(program(&full, HORIZON_S, Deviation::Altitude).unwrap().solve().unwrap().attack);
+                worst.push(program(&full, HORIZON_S, Deviation::Place).unwrap().solve().unwrap().attack);
             }
             let binding = bound.binding.unwrap_or("most that may be added");
             Some(Set { sensors: sensors.clone(), bound_m: bound.upper, reached_m: bound.reached, binding, worst })

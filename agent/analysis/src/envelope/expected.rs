@@ -74,7 +74,7 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     // The last slots are closed behind the horizon of the lanes.
     let response = attacked.respond(horizon_s + HORIZON_S + SLOT, 1, &value)?;
     let within = (horizon_s / SLOT).round() as usize;
-    let altitude_m = response.altitude_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
+    let altitude_m = response.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value)?;
     let schedule = flying.schedule()?;
     let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];

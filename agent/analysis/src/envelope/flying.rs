@@ -17,20 +17,17 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::DMatrix;
 use plumbline_core::control::law::Law;
-use plumbline_core::control::margins::Plant;
 use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, cycle, of_heights, of_imus, slot_of};
 use plumbline_core::model::airframe::Airframe;
-use plumbline_core::model::discretize::zero_order_hold;
-use plumbline_core::model::linearize::{hover, ix};
-use plumbline_core::model::state_space::StateSpace;
+use plumbline_core::model::linearize::ix;
 use plumbline_core::sensor::suite::Suite;
 use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::bank::{Bank, weighted};
+use super::bank::Bank;
+use super::controlled::{Controlled, Motion};
 use super::judges::{Judges, SQUARES};
 use super::program::Memory;
 use super::{EnvelopeError, Model, Response, Signal};
@@ -51,11 +48,36 @@ pub struct Loop {
     /// Rate, Hz, and time of the first sample, s, of each height; `None` for one that is excluded.
     pub(super) timing: Vec<Option<(f64, f64)>>,
     pub(super) imus: usize,
-    law: StateSpace,
-    vehicle: (DMatrix<f64>, DMatrix<f64>),
-    tick_s: f64,
+    controlled: Controlled,
     pub(super) noise_mps2: f64,
     pub(super) most: (f64, f64),
+}
+
+/// Slots after which samples at these rates repeat.
+pub(super) fn repeating(rates_hz: impl Iterator<Item = f64> + Clone) -> Result<usize, EnvelopeError> {
+    let repeats = |slots: &usize| {
+        rates_hz.clone().all(|rate_hz| {
+            let samples = *slots as f64 * SLOT * rate_hz;
+            (samples - samples.round()).abs() < 1e-6 && samples.round() >= 1.0
+        })
+    };
+    let value = rates_hz.clone().next().unwrap_or(f64::NAN);
+    let expected = "such that all samples repeat within 1 s";
+    let found = (1..=LONGEST_CYCLE).find(repeats);
+    found.ok_or(EnvelopeError::Value { what: "rate_hz of the sensors", value, expected })
+}
+
+/// May a loop have these?
+pub(super) fn sound(tick_rate_hz: f64, noise_mps2: f64) -> Result<(), EnvelopeError> {
+    let per_slot = SLOT * tick_rate_hz;
+    if (per_slot - per_slot.round()).abs() > 1e-9 || per_slot < 1.0 {
+        let expected = "such that 40 ms are whole ticks";
+        return Err(EnvelopeError::Value { what: "tick_rate_hz", value: tick_rate_hz, expected });
+    }
+    if !(0.0..=5.0).contains(&noise_mps2) {
+        return Err(EnvelopeError::Value { what: "noise_mps2", value: noise_mps2, expected: "0 to 5" });
+    }
+    Ok(())
 }
 
 /// Which heights weigh how much.
@@ -97,27 +119,8 @@ impl Loop {
         noise_mps2: f64,
         most: (f64, f64),
     ) -> Result<Self, EnvelopeError> {
-        let per_slot = SLOT * tick_rate_hz;
-        if (per_slot - per_slot.round()).abs() > 1e-9 || per_slot < 1.0 {
-            let expected = "such that 40 ms are whole ticks";
-            return Err(EnvelopeError::Value { what: "tick_rate_hz", value: tick_rate_hz, expected });
-        }
-        if !(0.0..=5.0).contains(&noise_mps2) {
-            return Err(EnvelopeError::Value { what: "noise_mps2", value: noise_mps2, expected: "0 to 5" });
-        }
-        let tick_s = 1.0 / tick_rate_hz;
-        let linear = law.linear(tick_s, false);
-        let slowest = Plant::new(airframe, tick_s, false)?.examine(&linear)?.margins.slowest_pole_per_s;
-        if slowest.is_nan() || slowest >= 0.0 {
-            return Err(EnvelopeError::Unstable { pole_per_s: slowest });
-        }
-        // Altitude, climb and thrust behind its lag; the thrust asked for.
-        let about = hover(airframe);
-        let lag_s = 0.5 * (airframe.motor_rise_time_constant_s + airframe.motor_fall_time_constant_s);
-        let (damping, lift) = (about.a[(ix::VZ, ix::VZ)], about.b[(ix::VZ, ix::THRUST)]);
-        let a = DMatrix::from_row_slice(3, 3, &[0.0, 1.0, 0.0, 0.0, damping, lift, 0.0, 0.0, -1.0 / lag_s]);
-        let b = DMatrix::from_row_slice(3, 1, &[0.0, 0.0, 1.0 / lag_s]);
-        let sampled = zero_order_hold(&a, &b, tick_s)?;
+        sound(tick_rate_hz, noise_mps2)?;
+        let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &[ix::Z, ix::VZ], ix::THRUST, false)?;
         let timing: Vec<_> = suite.heights.iter().map(|h| Some((h.timing.rate_hz, h.timing.phase_s))).collect();
         let of = |kind: SensorKind, count: usize| (1..=count).map(move |i| SensorId::new(kind, i as u8));
         let sensors = of(SensorKind::Height, timing.len()).chain(of(SensorKind::Imu, suite.imus.len())).collect();
@@ -134,14 +137,7 @@ impl Loop {
             ),
             timing,
             imus: suite.imus.len(),
-            law: StateSpace {
-                a: linear.a,
-                b: linear.b.select_columns(&[ix::Z, ix::VZ]),
-                c: linear.c.select_rows(&[ix::THRUST]),
-                d: linear.d.select_rows(&[ix::THRUST]).select_columns(&[ix::Z, ix::VZ]),
-            },
-            vehicle: (sampled.a, sampled.b),
-            tick_s,
+            controlled,
             noise_mps2: noise_mps2.max(of_imus::NOISE_MPS2),
             most,
         })
@@ -198,16 +194,7 @@ impl Loop {
 
     /// When each height samples in a cycle of slots: how long before the slot's end, s.
     pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
-        let repeats = |slots: &usize| {
-            self.timing.iter().flatten().all(|(rate_hz, _)| {
-                let samples = *slots as f64 * SLOT * rate_hz;
-                (samples - samples.round()).abs() < 1e-6 && samples.round() >= 1.0
-            })
-        };
-        let first_hz = self.timing.iter().flatten().next().map_or(f64::NAN, |(rate_hz, _)| *rate_hz);
-        let expected = "such that all heights repeat within 1 s";
-        let slots = (1..=LONGEST_CYCLE).find(repeats);
-        let slots = slots.ok_or(EnvelopeError::Value { what: "rate_hz of the heights", value: first_hz, expected })?;
+        let slots = repeating(self.timing.iter().flatten().map(|(rate_hz, _)| *rate_hz))?;
         let mut ages = vec![[None; MAX_HEIGHTS]; slots];
         for (i, timing) in self.timing.iter().enumerate() {
             let Some((rate_hz, phase_s)) = timing else { continue };
@@ -219,34 +206,6 @@ impl Loop {
             }
         }
         Ok(ages)
-    }
-}
-
-/// The vehicle and its law, tick by tick.
-struct Vehicle<'a> {
-    of: &'a Loop,
-    /// Altitude, climb, thrust behind the lag.
-    x: [Signal; 3],
-    law: Vec<Signal>,
-}
-
-impl Vehicle<'_> {
-    fn step(&mut self, estimate: &[Signal; 2], width: usize) {
-        let law = &self.of.law;
-        let seen = |m: &DMatrix<f64>, k: &DMatrix<f64>, row: usize, states: &[Signal]| {
-            let own = weighted(m.row(row).iter().copied(), states.iter(), width);
-            own + weighted(k.row(row).iter().copied(), estimate.iter(), width)
-        };
-        let asked = seen(&law.c, &law.d, 0, &self.law);
-        let next = (0..law.a.nrows()).map(|row| seen(&law.a, &law.b, row, &self.law)).collect();
-        self.law = next;
-        let (a, b) = &self.of.vehicle;
-        let moved = |row: usize| {
-            let mut x = weighted(a.row(row).iter().copied(), self.x.iter(), width);
-            x.axpy(b[(row, 0)], &asked, 1.0);
-            x
-        };
-        self.x = [moved(0), moved(1), moved(2)];
     }
 }
 
@@ -279,7 +238,7 @@ impl Attacked<'_> {
         attack: &dyn Fn(SensorId, usize) -> Signal,
     ) -> Signal {
         let time_s = (number + 1) as f64 * SLOT - age_s;
-        let tick = (time_s / self.flying.tick_s).round() as usize;
+        let tick = (time_s / self.flying.controlled.tick_s).round() as usize;
         let altitude = altitudes.get(tick).or(altitudes.last()).cloned().unwrap_or_else(|| Signal::zeros(0));
         match self.flying.timing.get(i).copied().flatten().filter(|_| self.heights.contains(&i)) {
             Some((rate_hz, phase_s)) if time_s > phase_s - 1e-9 => {
@@ -342,12 +301,12 @@ impl Model for Attacked<'_> {
                 share: 1.0 / of.imus as f64,
             },
             judges: Judges::new(self, &rates_hz, of.imus, of.noise_mps2, width),
-            vehicle: Vehicle { of, x: [zero(), zero(), zero()], law: (0..of.law.a.nrows()).map(|_| zero()).collect() },
+            vehicle: Motion::new(&of.controlled, width),
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),
             response: Response::default(),
         };
-        (0..(horizon_s / of.tick_s).round() as usize).for_each(|tick| running.tick(tick));
+        (0..(horizon_s / of.controlled.tick_s).round() as usize).for_each(|tick| running.tick(tick));
         Ok(running.response)
     }
 }
@@ -360,7 +319,7 @@ struct Running<'a> {
     width: usize,
     bank: Bank<'a>,
     judges: Judges,
-    vehicle: Vehicle<'a>,
+    vehicle: Motion<'a>,
     predictor: Predictor,
     /// At each tick.
     altitudes: Vec<Signal>,
@@ -374,12 +333,12 @@ impl Running<'_> {
     }
 
     fn tick(&mut self, tick: usize) {
-        let tick_s = self.of.flying.tick_s;
+        let tick_s = self.of.flying.controlled.tick_s;
         let (per_slot, late) = ((SLOT / tick_s).round() as usize, (HORIZON_S / tick_s).round() as usize);
         self.altitudes.push(self.vehicle.x[0].clone());
         if tick.is_multiple_of(per_slot) {
-            self.response.altitude_m.push(self.vehicle.x[0].clone());
-            self.response.climb_mps.push(self.vehicle.x[1].clone());
+            self.response.place_m.push(self.vehicle.x[0].clone());
+            self.response.speed_mps.push(self.vehicle.x[1].clone());
         }
         let closed = tick.checked_sub(late).filter(|end| end.is_multiple_of(per_slot) && *end > 0);
         if let Some(number) = closed.map(|end| end / per_slot - 1) {
@@ -403,7 +362,7 @@ impl Running<'_> {
 
     /// Slot `number`: the lanes take it, and the judges hear of it.
     fn close(&mut self, number: usize) {
-        let climbs = &self.response.climb_mps;
+        let climbs = &self.response.speed_mps;
         let force = match (climbs.get(number), climbs.get(number + 1)) {
             (Some(before), Some(after)) => (after - before) / SLOT,
             _ => Signal::zeros(self.width),

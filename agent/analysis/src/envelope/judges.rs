@@ -18,11 +18,16 @@ use super::flying::{Attacked, Regime};
 use super::program::{Memory, Statistic};
 
 /// Names of the detectors that sum squares, of a single one of them.
-const EVIDENCE: &str = "IMU evidence, one sample";
+pub(super) const EVIDENCE: &str = "IMU evidence, one sample";
 const VOTE: &str = "IMU vote, one slot";
+/// Names of the vote over an accelerometer.
+pub(super) const ALONG: (&str, &str) = ("IMU vote", VOTE);
 /// Those, and how long a square counts.
 pub(super) const SQUARES: [(&str, Memory); 2] =
     [(EVIDENCE, Memory::Forgotten(of_imus::MEMORY_S)), (VOTE, Memory::Last(of_imus::SLOTS as f64 * SLOT))];
+
+/// Names of the vote over a gyroscope.
+pub(super) const TURNING: (&str, &str) = ("IMU vote, turning", "IMU vote, turning, one slot");
 
 /// Innovations of a slot: height, its σ, of the healthy lanes, and what those attacked differ by.
 pub(super) type Innovation = (usize, f64, Signal, Vec<Signal>);
@@ -46,15 +51,43 @@ pub(super) struct Judges {
     offsets: Vec<Signal>,
     /// The last residuals of each height, the newest first.
     residuals: Vec<VecDeque<Signal>>,
-    usual_mps2: f64,
     /// Σ wₖ of the evidence.
     weight: f64,
     evidence: Vec<Signal>,
-    learned: Vec<Signal>,
-    deviations: Vec<VecDeque<Signal>>,
+    votes: Vec<Voted>,
 }
 
-fn keep() -> f64 {
+/// The vote over one axis of an attacked IMU.
+pub(super) struct Voted {
+    /// Of the mean, and of a single slot.
+    names: (&'static str, &'static str),
+    usual: f64,
+    learned: Signal,
+    kept: VecDeque<Signal>,
+}
+
+impl Voted {
+    /// Nothing heard; deviations of `usual` size are usual.
+    pub(super) fn new(names: (&'static str, &'static str), usual: f64, width: usize) -> Self {
+        let kept = VecDeque::from(vec![Signal::zeros(width); of_imus::SLOTS]);
+        Self { names, usual, learned: Signal::zeros(width), kept }
+    }
+
+    /// What was `added` in a slot, and what the `bias` of its lane differs by; `add` takes detector, limit and row.
+    pub(super) fn hear(&mut self, added: &Signal, bias: &Signal, add: &mut dyn FnMut(&'static str, f64, Signal)) {
+        let deviation = added - &self.learned;
+        self.kept.pop_back();
+        self.kept.push_front(deviation.clone());
+        let ((shift, size), n) = (of_imus::LIMITS, of_imus::SLOTS);
+        add(self.names.0, shift * self.usual, mean(self.kept.iter().cloned(), n, deviation.len()));
+        add(self.names.1, size * self.usual * (n as f64).sqrt(), deviation);
+        let towards = bias - &self.learned;
+        self.learned.axpy(of_imus::LEARNED, &towards, 1.0);
+    }
+}
+
+/// What is left of evidence after a slot.
+pub(super) fn keep() -> f64 {
     (-SLOT / of_imus::MEMORY_S).exp()
 }
 
@@ -81,11 +114,9 @@ impl Judges {
             width,
             offsets: rates_hz.iter().map(|_| zero()).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
-            usual_mps2: of_imus::USUAL_MPS2.max(noise_mps2),
             weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
-            learned: of.imus.iter().map(|_| zero()).collect(),
-            deviations: of.imus.iter().map(|_| VecDeque::from(vec![zero(); of_imus::SLOTS])).collect(),
+            votes: of.imus.iter().map(|_| Voted::new(ALONG, of_imus::USUAL_MPS2.max(noise_mps2), width)).collect(),
         }
     }
 
@@ -225,22 +256,9 @@ impl Judges {
                 out.push(Statistic { detector, sensor, time_s, limit, row });
             };
             // A vote needs a majority.
-            if let (true, Some(kept), Some(learned), Some([_, _, bias])) = (
-                2 * attacked < self.of_imus,
-                self.deviations.get_mut(place),
-                self.learned.get_mut(place),
-                differ.get(place),
-            ) {
-                let deviation = added - &*learned;
-                let n = of_imus::SLOTS;
-                kept.pop_back();
-                kept.push_front(deviation.clone());
-                let (shift, size) = of_imus::LIMITS;
-                let (shift, size) = (shift * self.usual_mps2, size * self.usual_mps2);
-                add("IMU vote", shift, mean(kept.iter().cloned(), n, self.width));
-                add(VOTE, size * (n as f64).sqrt(), deviation);
-                let towards = bias - &*learned;
-                learned.axpy(of_imus::LEARNED, &towards, 1.0);
+            let voting = 2 * attacked < self.of_imus;
+            if let (true, Some(vote), Some([_, _, bias])) = (voting, self.votes.get_mut(place), differ.get(place)) {
+                vote.hear(added, bias, &mut add);
             }
             // Evidence is held against the second-best lane: two healthy ones.
             if let (true, Some(evidence)) = (self.of_imus >= attacked + 2, self.evidence.get_mut(place)) {

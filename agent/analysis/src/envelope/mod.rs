@@ -11,14 +11,16 @@
 //! | mᵢ, lᵢ | statistic of one detector at one time, and its limit |
 //! | uⱼ | most that an attack may add |
 //!
-//! Two models give c and m: `prototype` (its table is a fixture) and `flying`, the loop as it flies. `program` solves, and proves the
-//! bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
+//! Three models give c and m: `prototype` (its table is a fixture), `flying`, the altitude as it flies, and `lateral`, a horizontal
+//! axis. `program` solves, and proves the bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
 mod bank;
+mod controlled;
 pub mod expected;
 pub mod flying;
 mod interior;
 mod judges;
+pub mod lateral;
 pub mod prepare;
 pub mod program;
 pub mod prototype;
@@ -46,7 +48,7 @@ const COLUMNS: usize = 1000;
 #[derive(Debug, thiserror::Error)]
 pub enum EnvelopeError {
     /// No such sensor, or none whose attack the model knows.
-    #[error("sensor {sensor} is not one of the suite's heights and IMUs: {known}")]
+    #[error("sensor {sensor} is not one that this loop uses: {known}")]
     UnknownSensor {
         /// As asked for.
         sensor: String,
@@ -54,11 +56,11 @@ pub enum EnvelopeError {
         known: String,
     },
     /// More sensors than there are.
-    #[error("a set of {size} sensors: the suite has {sensors} heights and IMUs")]
+    #[error("a set of {size} sensors: this loop uses {sensors}")]
     SetTooLarge {
         /// Asked for.
         size: usize,
-        /// In the suite.
+        /// In the loop.
         sensors: usize,
     },
     /// The loop has no envelope.
@@ -109,10 +111,12 @@ pub enum EnvelopeError {
 /// What the loop makes of an attack.
 #[derive(Debug, Clone, Default)]
 pub struct Response {
-    /// Altitude at the end of each slot, m.
-    pub altitude_m: Vec<Signal>,
-    /// Climb there, m/s.
-    pub climb_mps: Vec<Signal>,
+    /// Place along the axis at the beginning of each slot, m.
+    pub place_m: Vec<Signal>,
+    /// Speed along it there, m/s.
+    pub speed_mps: Vec<Signal>,
+    /// Tilt about the other axis there, rad, for a horizontal axis.
+    pub tilt_rad: Vec<Signal>,
     /// Every detector at every time.
     pub statistics: Vec<Statistic>,
     /// Each time, s, that an attacked height is sampled: how far each healthy one, as last heard, is from their mean, m.
@@ -152,10 +156,12 @@ pub trait Model {
 /// Which quantity is pushed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deviation {
-    /// m.
-    Altitude,
-    /// m/s.
-    Climb,
+    /// Along the axis, m: the altitude.
+    Place,
+    /// Along the axis, m/s: the climb.
+    Speed,
+    /// About the other horizontal axis, rad.
+    Tilt,
     /// Of a healthy height from the mean of the healthy ones, m: which of them, and how many samples of attacked heights before the last;
     /// judged is what was heard before that.
     Apart(usize, usize),
@@ -199,8 +205,9 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
     };
     let response = model.respond(horizon_s, width(&own), &unit)?;
     let followed = match deviation {
-        Deviation::Altitude => response.altitude_m,
-        Deviation::Climb => response.climb_mps,
+        Deviation::Place => response.place_m,
+        Deviation::Speed => response.speed_mps,
+        Deviation::Tilt => response.tilt_rad,
         Deviation::Apart(i, _) => response.apart_m.iter().filter_map(|(_, of)| of.get(i).cloned()).collect(),
     };
     // Places of a period in what is followed, and in what is judged.
@@ -245,9 +252,9 @@ pub fn recession_mps(model: &dyn Model) -> Result<Option<f64>, EnvelopeError> {
         Signal::from_element(1, at)
     };
     let response = model.respond(RAMP_S, 1, &ramp)?;
-    let z = |back: usize| response.altitude_m.iter().nth_back(back).map_or(0.0, |z| z[0]);
+    let z = |back: usize| response.place_m.iter().nth_back(back).map_or(0.0, |z| z[0]);
     // The last tenth of the way.
-    let tenth = response.altitude_m.len() / 10;
+    let tenth = response.place_m.len() / 10;
     let rate_mps = (z(0) - z(tenth)).abs() / (0.1 * RAMP_S);
     let ratio = |s: &Statistic| (s.row[0] / s.limit).abs();
     let peak = response.statistics.iter().map(ratio).fold(0.0, f64::max);

@@ -41,6 +41,9 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         return Err(wrong("sensors", "is empty, a generator attacks at least one".into()));
     }
     let asked = Asked::new(&of, suite)?;
+    if asked.lateral.is_some() {
+        return Err(wrong("axis", "is horizontal: attacks are prepared for the altitude".into()));
+    }
     let set = asked.sets.first().cloned().unwrap_or_default();
     let planned = |sensor: SensorId, kind: &str, magnitude: f64| PlannedAttack {
         sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
@@ -56,7 +59,7 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     let attacks = match question.generator.as_deref() {
         None => question.attacks.clone(),
         Some("optimal") => {
-            let (found, _) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Altitude)?;
+            let (found, _) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
             let Verdict::Bounded(bound) = found else {
                 return Err(wrong(
                     "sensors",

@@ -218,8 +218,8 @@ impl Model for Prototype {
             if let Some(force) = forces.last() {
                 heard.thrust.push(force - &x[2] - &a);
             }
-            response.altitude_m.push(z.clone());
-            response.climb_mps.push(v.clone());
+            response.place_m.push(z.clone());
+            response.speed_mps.push(v.clone());
             z += &v * SLOT_S + &a * (0.5 * SLOT_S * SLOT_S);
             v += &a * SLOT_S;
             a = &a + (u - &a) * (SLOT_S / LAG_S);

@@ -6,6 +6,7 @@ use plumbline_core::attack::Bounds;
 use plumbline_core::control::gains::Examiner;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::policy::MarginPolicy;
+use plumbline_core::estimate::lanes::lateral::Aid;
 use plumbline_core::estimate::lanes::linear::SLOT;
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::MAX_HEIGHTS;
@@ -16,6 +17,7 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet};
 
 use super::flying::{Attacked, Loop, Regime};
+use super::lateral::{self, Lateral};
 use super::program::{Bound, Program};
 use super::{Deviation, EnvelopeError, Model as _, program, recession_mps};
 use crate::design::DesignError;
@@ -23,12 +25,18 @@ use crate::design::file::{field, proposal};
 
 /// Horizons that may be asked for, s: the longest mean has 24 samples.
 const HORIZON_S: (f64, f64) = (3.0, 20.0);
-/// The usual one, s.
+/// The usual one, s …
 pub const USUAL_HORIZON_S: f64 = 10.0;
+/// … and along a horizontal axis, where an IMU has two values for each slot and all settles within a second or grows on.
+const LATERAL_HORIZON_S: f64 = 5.0;
 /// How far healthy heights are guessed to be from their mean, m: the last is none.
 const GUESSES_M: [f64; 4] = [0.003, 0.006, 0.012, f64::INFINITY];
 /// Largest set asked for.
 const MOST: usize = 3;
+/// Beyond this tilt a linear loop says nothing, rad.
+const SMALL_RAD: f64 = 0.35;
+/// What holds a bound that no detector holds.
+const MOST_ADDED: &str = "most that may be added";
 
 pub(super) fn wrong(name: &str, problem: String) -> EnvelopeError {
     field(name, problem).into()
@@ -119,11 +127,11 @@ fn sets(sensors: &[SensorId], count: usize) -> Vec<Vec<SensorId>> {
     all
 }
 
-/// What a set's program depends on: its heights, and how many IMUs (the model has them alike).
+/// What a set's program depends on: its sensors other than IMUs, and how many IMUs (the model has them alike).
 fn class(set: &[SensorId]) -> (Vec<SensorId>, usize) {
-    let heights: Vec<SensorId> = set.iter().copied().filter(|sensor| sensor.kind == SensorKind::Height).collect();
-    let imus = set.len() - heights.len();
-    (heights, imus)
+    let others: Vec<SensorId> = set.iter().copied().filter(|sensor| sensor.kind != SensorKind::Imu).collect();
+    let imus = set.len() - others.len();
+    (others, imus)
 }
 
 /// The largest bound of the altitude over all sets of at most `most` sensors of `flying`, m; `None` where a set has none.
@@ -149,7 +157,7 @@ pub fn largest_m(
         if !go_on() {
             return Err(EnvelopeError::GivenUp);
         }
-        match verdict(flying, &set, horizon_s, Deviation::Altitude)?.0 {
+        match verdict(flying, &set, horizon_s, Deviation::Place)?.0 {
             Verdict::Bounded(bound) => largest_m = largest_m.max(bound.upper),
             Verdict::Unbounded(_) => return Ok(None),
         }
@@ -158,11 +166,44 @@ pub fn largest_m(
     Ok(Some(largest_m))
 }
 
+/// Sensors by `names`, each one `of` these.
+fn named(names: &[String], of: &[SensorId]) -> Result<Vec<SensorId>, EnvelopeError> {
+    let known = || of.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let unknown = |name: &String| EnvelopeError::UnknownSensor { sensor: name.clone(), known: known() };
+    let one = |name: &String| name.parse().ok().filter(|sensor| of.contains(sensor)).ok_or_else(|| unknown(name));
+    names.iter().map(one).collect()
+}
+
+/// The sets of `sensors` that are asked for.
+fn sets_of(question: &EnvelopeQuestion, sensors: &[SensorId]) -> Result<Vec<Vec<SensorId>>, EnvelopeError> {
+    let most = question.most.unwrap_or(2);
+    let size = question.sensors.as_ref().map_or(most, Vec::len);
+    if size > sensors.len() {
+        return Err(EnvelopeError::SetTooLarge { size, sensors: sensors.len() });
+    }
+    if let Some(names) = &question.sensors {
+        return Ok(vec![named(names, sensors)?]);
+    }
+    if !(1..=MOST).contains(&most) {
+        return Err(wrong("most", format!("is {most}, it must be 1 to {MOST}")));
+    }
+    let mut all: Vec<_> = (1..=most).flat_map(|count| sets(sensors, count)).collect();
+    // Where the promise ends.
+    let heights = sensors.iter().copied().filter(|sensor| sensor.kind == SensorKind::Height);
+    let heights: Vec<SensorId> = heights.collect();
+    if heights.len() > most {
+        all.push(heights);
+    }
+    Ok(all)
+}
+
 /// A question, understood.
 #[derive(Debug)]
 pub struct Asked {
-    /// The loop.
+    /// The loop of the altitude.
     pub flying: Loop,
+    /// That of a horizontal axis, where one is asked about.
+    pub lateral: Option<Lateral>,
     suite: String,
     airframe: String,
     pub(super) horizon_s: f64,
@@ -179,11 +220,22 @@ impl Asked {
         let name = question.suite.as_deref().unwrap_or("string_rig");
         let known = || wrong("suite", format!("is {name:.40?}, expected one of {}", PRESETS.join(", ")));
         let mut suite = suite.or_else(|| Suite::preset(name)).ok_or_else(known)?;
+        let axis = match question.axis.as_deref() {
+            None | Some("z") => None,
+            Some("x") => Some(0),
+            Some("y") => Some(1),
+            Some(other) => return Err(wrong("axis", format!("is {other:.40?}, it must be x, y or z"))),
+        };
         if let Some(more) = &question.more {
             let added = match more.as_str() {
                 "height" => suite.add(SensorKind::Height),
                 "imu" => suite.add(SensorKind::Imu),
-                _ => return Err(wrong("more", format!("is {more:.40?}, it must be height or imu"))),
+                "gnss" if axis.is_some() => suite.add(SensorKind::Gnss),
+                "pose" if axis.is_some() => suite.add(SensorKind::MocapPose),
+                _ => {
+                    let known = "it must be height or imu, with axis x or y also gnss or pose";
+                    return Err(wrong("more", format!("is {more:.40?}, {known}")));
+                }
             };
             if !added {
                 return Err(wrong("more", format!("is {more}, there is no place for another")));
@@ -195,7 +247,10 @@ impl Asked {
         if !TICK_RATE_HZ.contains(&tick_rate_hz) {
             return Err(wrong("tick_rate_hz", format!("is {tick_rate_hz}, it must be 50 to 1000")));
         }
-        let horizon_s = question.horizon_s.unwrap_or(USUAL_HORIZON_S);
+        let horizon_s = question.horizon_s.unwrap_or(match axis {
+            Some(_) => LATERAL_HORIZON_S,
+            None => USUAL_HORIZON_S,
+        });
         if !(HORIZON_S.0..=HORIZON_S.1).contains(&horizon_s) {
             return Err(wrong("horizon_s", format!("is {horizon_s}, it must be {} to {}", HORIZON_S.0, HORIZON_S.1)));
         }
@@ -207,39 +262,30 @@ impl Asked {
         let bounds = Bounds::default();
         let most = (bounds.length_max_m, bounds.accel_max_mps2);
         let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(0.0), most)?;
-        let known = flying.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-        let named = |names: &[String]| -> Result<Vec<SensorId>, EnvelopeError> {
-            let unknown =
-                |sensor: &String| EnvelopeError::UnknownSensor { sensor: sensor.clone(), known: known.clone() };
-            names.iter().map(|name| name.parse::<SensorId>().map_err(|_| unknown(name))).collect()
+        let without = match axis {
+            None => named(&question.without, &flying.sensors)?,
+            Some(_) => Vec::new(),
         };
-        let flying = flying.without(&named(&question.without)?)?;
-        let sets = match &question.sensors {
-            Some(names) => {
-                let set = named(names)?;
-                flying.attacked(&set, Regime::Full)?;
-                vec![set]
-            }
-            None => {
-                let most = question.most.unwrap_or(2);
-                if most > flying.sensors.len() {
-                    let sensors = flying.sensors.len();
-                    return Err(EnvelopeError::SetTooLarge { size: most, sensors });
-                }
-                if !(1..=MOST).contains(&most) {
-                    return Err(wrong("most", format!("is {most}, it must be 1 to {MOST}")));
-                }
-                let mut all: Vec<_> = (1..=most).flat_map(|count| sets(&flying.sensors, count)).collect();
-                // Where the promise ends.
-                let heights = flying.sensors.iter().copied().filter(|sensor| sensor.kind == SensorKind::Height);
-                let heights: Vec<SensorId> = heights.collect();
-                if heights.len() > most {
-                    all.push(heights);
-                }
-                all
-            }
-        };
-        Ok(Self { flying, suite: name.to_owned(), airframe: airframe.name.clone(), horizon_s, sets })
+        let flying = flying.without(&without)?;
+        let lateral = axis.map(|axis| {
+            let without = named(&question.without, &lateral::sensors(&suite))?;
+            let (noise_mps2, most) =
+                (question.noise_mps2.unwrap_or(0.0), (bounds.accel_max_mps2, bounds.rate_max_radps));
+            Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, noise_mps2, most, axis)
+        });
+        let lateral = lateral.transpose()?;
+        let sets = sets_of(question, lateral.as_ref().map_or(&flying.sensors, |lateral| &lateral.sensors))?;
+        Ok(Self { flying, lateral, suite: name.to_owned(), airframe: airframe.name.clone(), horizon_s, sets })
+    }
+
+    /// What `set` can do to the altitude.
+    fn above(&self, set: &[SensorId], climb: bool) -> Result<EnvelopeSet, EnvelopeError> {
+        let of = |deviation| verdict(&self.flying, set, self.horizon_s, deviation);
+        let mut found = told(&of(Deviation::Place)?.0);
+        if climb && let (Verdict::Bounded(bound), _) = of(Deviation::Speed)? {
+            found.climb_mps = Some(bound.upper);
+        }
+        Ok(found)
     }
 
     /// Every set; with `climb` its largest climb as well. `line` is told each as it comes, and ends it with false.
@@ -255,13 +301,10 @@ impl Asked {
                 Some(found) => EnvelopeSet { took_ms: 0.0, ..found },
                 None => {
                     let begun = Instant::now();
-                    let mut found = told(&verdict(&self.flying, set, self.horizon_s, Deviation::Altitude)?.0);
-                    if climb
-                        && let (Verdict::Bounded(bound), _) =
-                            verdict(&self.flying, set, self.horizon_s, Deviation::Climb)?
-                    {
-                        found.climb_mps = Some(bound.upper);
-                    }
+                    let mut found = match &self.lateral {
+                        Some(lateral) => aside(lateral, set, self.horizon_s)?,
+                        None => self.above(set, climb)?,
+                    };
                     found.took_ms = 1e3 * begun.elapsed().as_secs_f64();
                     known.push((class(set), found.clone()));
                     found
@@ -277,12 +320,38 @@ impl Asked {
     }
 }
 
+/// What `set` can do along a horizontal axis; nothing is told where nobody judges it.
+fn aside(lateral: &Lateral, set: &[SensorId], horizon_s: f64) -> Result<EnvelopeSet, EnvelopeError> {
+    let mut told = EnvelopeSet::default();
+    let mut reached = f64::INFINITY;
+    let mut of = |deviation| {
+        let bound = lateral.program(set, horizon_s, deviation)?.map(|program| program.solve()).transpose()?;
+        Ok::<_, EnvelopeError>(bound.map(|bound| {
+            reached = f64::min(reached, bound.reached / bound.upper);
+            let binding = bound.binding.unwrap_or(MOST_ADDED).to_owned();
+            (bound.upper, binding)
+        }))
+    };
+    let tilt = of(Deviation::Tilt)?;
+    if tilt.as_ref().is_some_and(|(tilt_rad, _)| *tilt_rad > SMALL_RAD) {
+        told.binding = Some("nothing within small angles".to_owned());
+        return Ok(told);
+    }
+    let velocity = of(Deviation::Speed)?;
+    let position = if lateral.aid == Aid::None { None } else { of(Deviation::Place)? };
+    (told.tilt_rad, told.binding) = tilt.unzip();
+    told.velocity_mps = velocity.map(|(upper, _)| upper);
+    told.position_m = position.map(|(upper, _)| upper);
+    told.reached = reached.is_finite().then_some(reached);
+    Ok(told)
+}
+
 fn told(verdict: &Verdict) -> EnvelopeSet {
     match verdict {
         Verdict::Bounded(bound) => EnvelopeSet {
             altitude_m: Some(bound.upper),
             reached_m: Some(bound.reached),
-            binding: Some(bound.binding.unwrap_or("most that may be added").to_owned()),
+            binding: Some(bound.binding.unwrap_or(MOST_ADDED).to_owned()),
             ..EnvelopeSet::default()
         },
         Verdict::Unbounded(drift_mps) => EnvelopeSet { drift_mps: Some(*drift_mps), ..EnvelopeSet::default() },

@@ -107,6 +107,7 @@ class Due(TypedDict):
 class EnvelopeQuestion(TypedDict):
     """What is asked; what is left out is as usual."""
 
+    axis: NotRequired[str | None]
     design: NotRequired[Design]
     horizon_s: NotRequired[float | None]
     more: NotRequired[str | None]
@@ -124,9 +125,13 @@ class EnvelopeSet(TypedDict):
     binding: NotRequired[str | None]
     climb_mps: NotRequired[float | None]
     drift_mps: NotRequired[float | None]
+    position_m: NotRequired[float | None]
+    reached: NotRequired[float | None]
     reached_m: NotRequired[float | None]
     sensors: NotRequired[list[str]]
+    tilt_rad: NotRequired[float | None]
     took_ms: NotRequired[float]
+    velocity_mps: NotRequired[float | None]
 
 
 class Estimator(TypedDict):

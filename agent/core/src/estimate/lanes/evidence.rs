@@ -29,6 +29,8 @@ const DEAD_SLOPE: f64 = 0.15;
 /// How much the vote, and a tilt apart from the others', count against a lane.
 const VOTE: f64 = 4.0;
 const TILT_VOTE: f64 = 3.0;
+/// Tilts that differ by less count nothing, °.
+pub(super) const TILT_DEG: f64 = 1.0;
 /// Beyond this, for so many slots, a lane is excluded; below this part of it, for so many, it comes back.
 const FAR: f64 = 35.0;
 const FAR_SLOTS: u32 = 8;
@@ -187,7 +189,8 @@ impl Evidence {
         let centre = Vector3::from_fn(|axis, _| median(self.present().map(|lane| lane.up[axis])));
         let apart = |lane: &Judged| (lane.up - centre).norm().to_degrees();
         let usual = median(self.present().map(apart));
-        let votes = self.lanes.map(|lane| if lane.present { apart(&lane) / (2.0 * usual).max(1.0) - 1.0 } else { 0.0 });
+        let votes =
+            self.lanes.map(|lane| if lane.present { apart(&lane) / (2.0 * usual).max(TILT_DEG) - 1.0 } else { 0.0 });
         let of = votes.iter().zip(&self.lanes).filter(|(_, lane)| lane.present).map(|(vote, _)| vote.max(0.0));
         let least = of.fold(f64::INFINITY, f64::min);
         votes.map(|vote| (vote.max(0.0) - least).clamp(0.0, 3.0))

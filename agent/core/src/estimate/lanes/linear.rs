@@ -10,9 +10,9 @@ use super::evidence::{self, Heard};
 use super::heights::{self, Heights};
 use super::integral::Six;
 use super::lane::Lane;
-use super::rows::{self, Around, Correction};
+use super::rows::{self, Around, Correction, Unaided};
 use super::slot::Slot;
-use super::{HORIZON_US, SLOT_S, SLOT_US, noise, split, vote};
+use super::{HORIZON_US, SLOT_S, SLOT_US, noise, rates, split, vote};
 use crate::estimate::Residuals;
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::sensor::measure::Kinematics;
@@ -84,36 +84,70 @@ pub mod of_imus {
     pub const MEMORY_S: f64 = evidence::MEMORY_S;
     /// No accelerometer is taken for better, m/s².
     pub const NOISE_MPS2: f64 = noise::FLOOR.0;
+    /// No usual deviation of a gyroscope is taken for smaller, rad/s.
+    pub const USUAL_RADPS: f64 = vote::FLOOR.1;
+    /// A lane tilted further from the median one weighs less, rad.
+    pub const APART_RAD: f64 = evidence::TILT_DEG * std::f64::consts::PI / 180.0;
+}
+
+/// What brings attitude and rate to now; see `rates.rs`.
+pub mod of_rates {
+    use super::rates;
+    /// δ, s.
+    pub const LATE_S: f64 = rates::LATE_S;
+    /// T, s.
+    pub const FORGOTTEN_S: f64 = rates::FORGOTTEN_S;
 }
 
 /// Slots after which gains are steady.
 const STEADY: u64 = 750;
 
 /// A lane at hover, at rest at `z_m`.
-struct Hovering<'a> {
+pub(super) struct Hovering<'a> {
     model: &'a SensorModel,
     heights: Heights,
-    lane: Lane,
+    pub(super) lane: Lane,
     sigma: Six,
     z_m: f64,
+    /// Drag over mass, 1/s, where it is used.
+    drag: Option<f64>,
 }
 
-impl Hovering<'_> {
-    /// One slot: from the state before less hover, with the specific force less gravity and heights less altitude.
-    fn step(&self, lane: &mut Lane, slot: &Slot, force: f64) -> Residuals {
-        let g = self.model.imus.gravity_mps2;
-        let mean = Six::new(0.0, 0.0, g + force, 0.0, 0.0, 0.0);
+impl<'a> Hovering<'a> {
+    /// With heights that weigh `heights` and accelerometers of the measured noise `sigma_mps2`.
+    pub(super) fn new(
+        model: &'a SensorModel,
+        heights: &[f64; MAX_HEIGHTS],
+        sigma_mps2: f64,
+        z_m: f64,
+        drag: Option<f64>,
+    ) -> Self {
+        let at = Kinematics {
+            position_enu_m: Vector3::z() * z_m,
+            velocity_enu_mps: Vector3::zeros(),
+            world_from_body: UnitQuaternion::identity(),
+        };
+        let mut lane = Lane::new(Vector3::zeros(), model.imus.gravity_mps2);
+        lane.begin(&at, &Six::zeros(), [0.1, 0.1, 0.01, 0.1, 1e-3], model);
+        let (accel, gyro) = (sigma_mps2, noise::FLOOR.1);
+        let sigma = Six::new(accel, accel, accel, gyro, gyro, gyro);
+        Self { model, heights: Heights::weighing(heights), lane, sigma, z_m, drag }
+    }
+
+    /// One slot, with these means less gravity.
+    pub(super) fn step(&self, lane: &mut Lane, slot: &Slot, mut mean: Six, unaided: Option<Unaided>) -> Residuals {
+        mean[2] += self.model.imus.gravity_mps2;
         lane.predict(slot.end(), &mean, &self.sigma, self.model);
         let around = Around {
             model: self.model,
             heights: &self.heights,
             beyond_m: [0.0; MAX_HEIGHTS],
             field_ut: None,
-            drag: None,
+            drag: self.drag,
             barometers: false,
             wash_sigma_m: 0.0,
             gnss_height_m: None,
-            unaided: None,
+            unaided,
         };
         let mut residuals = Residuals::new();
         let mut correction = Correction { lane, heard: Heard::default(), residuals: &mut residuals, named: true };
@@ -131,19 +165,20 @@ impl Hovering<'_> {
         slot
     }
 
-    /// Outputs for these inputs, each a deviation from hover.
+    /// The lane, outputs for these inputs, each a deviation from hover, and residuals.
     fn outputs(
         &self,
         number: u64,
         ages_s: &[Option<f64>; MAX_HEIGHTS],
         x: &[f64; INPUTS],
-    ) -> ([f64; OUTPUTS], Residuals) {
+    ) -> (Lane, [f64; OUTPUTS], Residuals) {
         let mut lane = self.lane.clone();
         lane.at.position_enu_m.z += x[0];
         lane.at.velocity_enu_mps.z += x[1];
         lane.accel_bias.z += x[2];
         let off_m = std::array::from_fn(|i| x[STATES + 1 + i]);
-        let residuals = self.step(&mut lane, &self.slot(number, ages_s, &off_m), x[STATES]);
+        let mean = Six::new(0.0, 0.0, x[STATES], 0.0, 0.0, 0.0);
+        let residuals = self.step(&mut lane, &self.slot(number, ages_s, &off_m), mean, None);
         let mut out = [0.0; OUTPUTS];
         out[0] = lane.at.position_enu_m.z - self.z_m;
         out[1] = lane.at.velocity_enu_mps.z;
@@ -154,7 +189,43 @@ impl Hovering<'_> {
                 out[STATES + i] = residual.innovation;
             }
         }
-        (out, residuals)
+        (lane, out, residuals)
+    }
+
+    /// Maps of `period` slots, covariance steady, and their residuals: finite differences of `outputs`, which tells the lane after a slot
+    /// for these inputs. Of the errors only those `kept` matter, and nothing aids the rest.
+    pub(super) fn maps<const O: usize, const I: usize>(
+        &mut self,
+        period: usize,
+        kept: &[usize],
+        outputs: impl Fn(&Self, u64, &[f64; I]) -> (Lane, [f64; O], Residuals),
+    ) -> Vec<(SMatrix<f64, O, I>, Residuals)> {
+        const STEP: f64 = 1e-4;
+        let period = period.max(1) as u64;
+        let steady = STEADY.next_multiple_of(period);
+        let mut maps = Vec::new();
+        for number in 0..steady + period {
+            for i in (0..self.lane.p.nrows()).filter(|i| !kept.contains(i)) {
+                self.lane.p.row_mut(i).fill(0.0);
+                self.lane.p.column_mut(i).fill(0.0);
+            }
+            let (after, _, residuals) = outputs(self, number, &[0.0; I]);
+            if number >= steady {
+                let mut map = SMatrix::<f64, O, I>::zeros();
+                for column in 0..I {
+                    let one = |sign: f64| {
+                        let mut x = [0.0; I];
+                        x[column] = sign * STEP;
+                        outputs(self, number, &x).1
+                    };
+                    let (up, down) = (one(1.0), one(-1.0));
+                    (0..O).for_each(|row| map[(row, column)] = (up[row] - down[row]) / (2.0 * STEP));
+                }
+                maps.push((map, residuals));
+            }
+            self.lane = after;
+        }
+        maps
     }
 }
 
@@ -167,52 +238,21 @@ pub fn cycle(
     sigma_mps2: f64,
     z_m: f64,
 ) -> Vec<SlotMap> {
-    const STEP: f64 = 1e-4;
-    let at = Kinematics {
-        position_enu_m: Vector3::z() * z_m,
-        velocity_enu_mps: Vector3::zeros(),
-        world_from_body: UnitQuaternion::identity(),
+    let mut hovering = Hovering::new(model, weights, sigma_mps2, z_m, None);
+    let period = ages_s.len().max(1);
+    let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| {
+        let none = [None; MAX_HEIGHTS];
+        hovering.outputs(number, ages_s.get(number as usize % period).unwrap_or(&none), x)
     };
-    let mut lane = Lane::new(Vector3::zeros(), model.imus.gravity_mps2);
-    lane.begin(&at, &Six::zeros(), [0.1, 0.1, 0.01, 0.1, 1e-3], model);
-    let (accel, gyro) = (sigma_mps2, noise::FLOOR.1);
-    let sigma = Six::new(accel, accel, accel, gyro, gyro, gyro);
-    let mut hovering = Hovering { model, heights: Heights::weighing(weights), lane, sigma, z_m };
-    let period = ages_s.len().max(1) as u64;
-    let steady = STEADY.next_multiple_of(period);
-    let mut maps = Vec::with_capacity(ages_s.len());
-    for number in 0..steady + period {
-        let Some(ages) = ages_s.get((number % period) as usize) else { continue };
-        // Nothing but vertical matters, and nothing aids the rest.
-        for i in (0..hovering.lane.p.nrows())
-            .filter(|i| ![ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2].contains(i))
-        {
-            hovering.lane.p.row_mut(i).fill(0.0);
-            hovering.lane.p.column_mut(i).fill(0.0);
-        }
-        if number >= steady {
-            let mut map = SMatrix::<f64, OUTPUTS, INPUTS>::zeros();
-            for column in 0..INPUTS {
-                let one = |sign: f64| {
-                    let mut x = [0.0; INPUTS];
-                    x[column] = sign * STEP;
-                    hovering.outputs(number, ages, &x).0
-                };
-                let (up, down) = (one(1.0), one(-1.0));
-                (0..OUTPUTS).for_each(|row| map[(row, column)] = (up[row] - down[row]) / (2.0 * STEP));
-            }
-            let (_, residuals) = hovering.outputs(number, ages, &[0.0; INPUTS]);
-            let sigma = |i: usize| {
-                let id = SensorId::new(SensorKind::Height, i as u8 + 1);
-                residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
-            };
-            maps.push(SlotMap { map, sigma_m: std::array::from_fn(sigma) });
-        }
-        let mut lane = hovering.lane.clone();
-        hovering.step(&mut lane, &hovering.slot(number, ages, &[0.0; MAX_HEIGHTS]), 0.0);
-        hovering.lane = lane;
-    }
-    maps
+    let maps = hovering.maps(period, &[ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2], outputs);
+    let told = |(map, residuals): (_, Residuals)| {
+        let sigma = |i: usize| {
+            let id = SensorId::new(SensorKind::Height, i as u8 + 1);
+            residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
+        };
+        SlotMap { map, sigma_m: std::array::from_fn(sigma) }
+    };
+    maps.into_iter().map(told).collect()
 }
 
 /// Number of the slot that a sample at `time_s` belongs to, and how long before its end it was, s.

@@ -29,6 +29,7 @@ mod heights;
 mod integral;
 pub mod judged;
 mod lane;
+pub mod lateral;
 pub mod linear;
 mod noise;
 mod predictor;

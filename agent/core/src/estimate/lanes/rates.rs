@@ -16,9 +16,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;
 
 /// T, s.
-const FORGOTTEN_S: f64 = 0.5;
+pub(super) const FORGOTTEN_S: f64 = 0.5;
 /// δ, s. A choice: from 30 ms on the world `harsh` is flown at all, and 40 ms cost 0.05° of tilt on a bench that delays nothing.
-const LATE_S: f64 = 0.04;
+pub(super) const LATE_S: f64 = 0.04;
 /// Most the attitude is led by, rad, and the rate, rad/s.
 const LEAD_MAX_RAD: f64 = 0.15;
 const RATE_LEAD_MAX_RADPS: f64 = 3.0;

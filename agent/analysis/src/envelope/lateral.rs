@@ -1,0 +1,397 @@
+//! The loop along one horizontal axis as it flies, about hover: tilt and velocity, and position where it is observed.
+//!
+//! | part | taken from |
+//! |---|---|
+//! | slot of a lane | finite differences of the lane that flies (`lanes/lateral.rs`), covariance steady; drag, and what bounds a motion that nothing measures |
+//! | attitude and rate | mean of the lanes by the integrals of all IMUs, led by the torques as `lanes/rates.rs` does |
+//! | law | its linear form, with x and y controlled where something measures them |
+//! | vehicle | linearised hover behind the motors' lag: position, velocity, tilt, rate, torque |
+//! | judges | the vote over accelerometer and gyroscope, a tilt apart from the others', evidence of pose or GNSS |
+//! | attack | two values for each slot of an IMU, its accelerometer's along the axis and its gyroscope's about the other, over the most that may be added |
+//!
+//! Necessary conditions of silence as in `judges.rs`; evidence of drag and of the field is left out, which leaves more to an attacker. Pose and
+//! GNSS are judged by nobody: all lanes use them alike. Nor are IMUs where neither a majority votes nor pose or GNSS tells the lanes apart.
+
+use std::collections::VecDeque;
+
+use plumbline_core::control::law::Law;
+use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, ROWS, STATES, UNAIDED_SLOTS};
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, of_imus, of_rates, slot_of};
+use plumbline_core::model::airframe::Airframe;
+use plumbline_core::model::linearize::{hover, ix};
+use plumbline_core::sensor::SensorModel;
+use plumbline_core::sensor::suite::{Suite, Timing};
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
+use super::bank::weighted;
+use super::controlled::{Controlled, Motion};
+use super::flying::{ALTITUDE_M, repeating, sound};
+use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted, keep};
+use super::program::{Memory, Program, Statistic};
+use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
+
+/// The loop along one axis, whoever is attacked.
+#[derive(Debug, Clone)]
+pub struct Lateral {
+    /// IMUs, then what measures the horizontal motion.
+    pub sensors: Vec<SensorId>,
+    /// What that is.
+    pub aid: Aid,
+    imus: usize,
+    controlled: Controlled,
+    maps: Vec<Map>,
+    /// How long before the end of each slot of a cycle the aid measured, s.
+    ages_s: Vec<Option<f64>>,
+    /// Acceleration of a tilt, m/s², and angular acceleration of a torque, 1/(kg m²).
+    drives: (f64, f64),
+    /// What the vote takes for usual, m/s² and rad/s.
+    usual: (f64, f64),
+    most: (f64, f64),
+}
+
+/// A loop under attack.
+struct Attacked<'a> {
+    of: &'a Lateral,
+    /// Attacked IMUs.
+    imus: Vec<SensorId>,
+}
+
+impl Lateral {
+    /// Along `axis` (0: x with pitch, 1: y with roll), of `suite` less what is `without`; an attack adds at most `most`, m/s² and rad/s. The
+    /// rest as [`super::flying::Loop::new`].
+    ///
+    /// # Errors
+    /// [`EnvelopeError`] with the offending value.
+    #[allow(clippy::too_many_arguments, reason = "what a loop is made of")]
+    pub fn new(
+        suite: &Suite,
+        without: &[SensorId],
+        airframe: &Airframe,
+        law: &Law,
+        tick_rate_hz: f64,
+        noise_mps2: f64,
+        most: (f64, f64),
+        axis: usize,
+    ) -> Result<Self, EnvelopeError> {
+        sound(tick_rate_hz, noise_mps2)?;
+        let mut used = sensors(suite);
+        used.retain(|sensor| !without.contains(sensor));
+        let imus = used.iter().filter(|sensor| sensor.kind == SensorKind::Imu).count();
+        if imus == 0 {
+            return Err(EnvelopeError::Value {
+                what: "IMUs that are not excluded",
+                value: 0.0,
+                expected: "at least 1",
+            });
+        }
+        let has = |kind: SensorKind| used.contains(&SensorId::new(kind, 1));
+        // Beside a pose GNSS says next to nothing.
+        let (aid, timing) = if has(SensorKind::MocapPose) {
+            used.retain(|sensor| sensor.kind != SensorKind::Gnss);
+            (Aid::Pose, suite.mocap_pose.as_ref().map(|pose| pose.timing))
+        } else if has(SensorKind::Gnss) {
+            (Aid::Gnss, suite.gnss.as_ref().map(|gnss| gnss.timing))
+        } else {
+            (Aid::None, None)
+        };
+        let ages_s = timing.map_or_else(|| Ok(vec![None; UNAIDED_SLOTS]), |timing| ages_s(&timing))?;
+        let model = SensorModel::from(suite);
+        let gnss_sigma_m = suite.gnss.as_ref().map_or(1.0, |gnss| gnss.horizontal.total_sigma());
+        let noise_mps2 = noise_mps2.max(of_imus::NOISE_MPS2);
+        let along = Along { axis, aid, ages_s: &ages_s, gnss_sigma_m };
+        let maps = along.cycle(&model, airframe, noise_mps2, ALTITUDE_M);
+        let (about, other) = (hover(airframe), 1 - axis);
+        let kept = [ix::X + axis, ix::VX + axis, ix::ROLL + other, ix::P + other];
+        let input = ix::TORQUE_X + other;
+        let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &kept, input, aid != Aid::None)?;
+        let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
+        let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
+        Ok(Self { sensors: used, aid, imus, controlled, maps, ages_s, drives, usual, most })
+    }
+
+    /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`].
+    pub fn program(
+        &self,
+        attacked: &[SensorId],
+        horizon_s: f64,
+        deviation: Deviation,
+    ) -> Result<Option<Program>, EnvelopeError> {
+        let mut imus: Vec<SensorId> = Vec::new();
+        for sensor in attacked.iter().filter(|sensor| self.sensors.contains(sensor)) {
+            if !imus.contains(sensor) {
+                imus.push(*sensor);
+            }
+        }
+        if imus.is_empty() {
+            return Err(EnvelopeError::Value { what: "sensors attacked", value: 0.0, expected: "at least 1" });
+        }
+        let model = Attacked { of: self, imus };
+        let told = self.aid != Aid::None && self.imus >= model.imus.len() + 2;
+        let judged = model.imus.iter().all(|sensor| sensor.kind == SensorKind::Imu) && (model.is_minority() || told);
+        judged.then(|| program(&model, horizon_s, deviation)).transpose()
+    }
+}
+
+/// Those of `suite` that have a say in the horizontal motion.
+pub fn sensors(suite: &Suite) -> Vec<SensorId> {
+    let imus = (1..=suite.imus.len()).map(|i| SensorId::new(SensorKind::Imu, i as u8));
+    let others = [SensorKind::Gnss, SensorKind::MocapPose].map(|kind| SensorId::new(kind, 1));
+    imus.chain(others.into_iter().filter(|sensor| suite.contains(*sensor))).collect()
+}
+
+/// For each slot of a cycle how long before its end the sample that is used was taken, s. One that arrives when its slot is closed is taken in the
+/// oldest that is open.
+fn ages_s(timing: &Timing) -> Result<Vec<Option<f64>>, EnvelopeError> {
+    let slots = repeating(std::iter::once(timing.rate_hz))?;
+    let mut ages_s = vec![None; slots];
+    for k in 0..(slots as f64 * SLOT * timing.rate_hz).round() as usize {
+        let time_s = timing.phase_s + k as f64 / timing.rate_hz;
+        let oldest = ((time_s + timing.delay_s - HORIZON_S) / SLOT - 1e-9).ceil() as usize;
+        let number = slot_of(time_s).0.max(oldest.saturating_sub(1));
+        if let Some(place) = ages_s.get_mut(number % slots) {
+            *place = Some(((number + 1) as f64 * SLOT - time_s).min(0.5));
+        }
+    }
+    Ok(ages_s)
+}
+
+impl Attacked<'_> {
+    fn is_minority(&self) -> bool {
+        2 * self.imus.len() < self.of.imus
+    }
+}
+
+impl Model for Attacked<'_> {
+    fn attacked(&self) -> Vec<(SensorId, f64, f64)> {
+        self.imus.iter().map(|imu| (*imu, 0.5 * SLOT, 1.0)).collect()
+    }
+
+    fn period_s(&self, horizon_s: f64) -> f64 {
+        (self.of.maps.len() as f64 * SLOT).min(horizon_s)
+    }
+
+    fn squares(&self) -> Vec<(&'static str, Memory)> {
+        let mut squares = SQUARES.to_vec();
+        squares.push((TURNING.1, Memory::Last(of_imus::SLOTS as f64 * SLOT)));
+        squares
+    }
+
+    fn respond(
+        &self,
+        horizon_s: f64,
+        width: usize,
+        attack: &dyn Fn(SensorId, usize) -> Signal,
+    ) -> Result<Response, EnvelopeError> {
+        let zeros = |count: usize| vec![Signal::zeros(width); count];
+        let of = self.of;
+        let judge = |_: &SensorId| Judge {
+            votes: [Voted::new(ALONG, of.usual.0, width), Voted::new(TURNING, of.usual.1, width)],
+            evidence: std::array::from_fn(|_| (Signal::zeros(width), 0.0)),
+        };
+        let mut running = Running {
+            of: self,
+            attack,
+            width,
+            motion: Motion::new(&of.controlled, width),
+            places: Vec::new(),
+            felt: zeros(2),
+            means: Vec::new(),
+            healthy: zeros(STATES),
+            differ: self.imus.iter().map(|_| zeros(STATES)).collect(),
+            judges: self.imus.iter().map(judge).collect(),
+            now: zeros(3),
+            biases: zeros(2),
+            grown: VecDeque::new(),
+            turned: VecDeque::from(zeros(1)),
+            response: Response::default(),
+        };
+        (0..(horizon_s / of.controlled.tick_s).round() as usize).for_each(|tick| running.tick(tick));
+        Ok(running.response)
+    }
+}
+
+/// What is held against one IMU.
+struct Judge {
+    votes: [Voted; 2],
+    /// Σ wₖ eₖ and Σ wₖ of each row.
+    evidence: [(Signal, f64); ROWS],
+}
+
+/// A loop as it runs.
+struct Running<'a> {
+    of: &'a Attacked<'a>,
+    attack: &'a dyn Fn(SensorId, usize) -> Signal,
+    width: usize,
+    motion: Motion<'a>,
+    /// Position, velocity, tilt at each tick.
+    places: Vec<[Signal; 3]>,
+    /// Growth of specific force and rate in the slot that runs, without the attack: m/s, rad.
+    felt: Vec<Signal>,
+    /// Their means over each slot.
+    means: Vec<Vec<Signal>>,
+    healthy: Vec<Signal>,
+    /// What the lanes of the attacked IMUs differ by.
+    differ: Vec<Vec<Signal>>,
+    judges: Vec<Judge>,
+    /// Position, velocity, tilt as estimated, before the torques lead them; biases of accelerometer and gyroscope.
+    now: Vec<Signal>,
+    biases: Vec<Signal>,
+    /// What force and rate grew by in each tick since the oldest slot that may be closed.
+    grown: VecDeque<[Signal; 2]>,
+    /// m of `rates.rs`, the oldest first.
+    turned: VecDeque<Signal>,
+    response: Response,
+}
+
+impl Running<'_> {
+    fn lateral(&self) -> &Lateral {
+        self.of.of
+    }
+
+    /// What is added to the accelerometer and the gyroscope of `imu` in slot `number`.
+    fn added(&self, imu: SensorId, number: usize) -> [Signal; 2] {
+        let most = self.lateral().most;
+        [(self.attack)(imu, 2 * number) * most.0, (self.attack)(imu, 2 * number + 1) * most.1]
+    }
+
+    /// Mean of what is added to all IMUs.
+    fn shared(&self, number: usize) -> [Signal; 2] {
+        let share = 1.0 / self.lateral().imus as f64;
+        let none = [Signal::zeros(self.width), Signal::zeros(self.width)];
+        self.of.imus.iter().fold(none, |[force, rate], imu| {
+            let [a, w] = self.added(*imu, number);
+            [force + a * share, rate + w * share]
+        })
+    }
+
+    fn follow(&mut self, grown: &[Signal; 2]) {
+        let (tick_s, pull) = (self.lateral().controlled.tick_s, self.lateral().drives.0);
+        let turned = &grown[1] - &self.biases[1] * tick_s;
+        let mut gained = &grown[0] - &self.biases[0] * tick_s;
+        gained.axpy(pull * tick_s, &(&self.now[2] + &turned * 0.5), 1.0);
+        let [place, speed, tilt] = &mut self.now[..] else { return };
+        place.axpy(tick_s, speed, 1.0);
+        place.axpy(0.5 * tick_s, &gained, 1.0);
+        *speed += gained;
+        *tilt += turned;
+    }
+
+    fn tick(&mut self, tick: usize) {
+        let Lateral { controlled, drives, .. } = self.lateral();
+        let (tick_s, drives) = (controlled.tick_s, *drives);
+        let (per_slot, late) = ((SLOT / tick_s).round() as usize, (HORIZON_S / tick_s).round() as usize);
+        let [place, speed, tilt, rate, torque] = std::array::from_fn(|i| self.motion.x[i].clone());
+        self.places.push([place.clone(), speed.clone(), tilt.clone()]);
+        if tick.is_multiple_of(per_slot) {
+            self.response.place_m.push(place);
+            self.response.speed_mps.push(speed.clone());
+            self.response.tilt_rad.push(tilt.clone());
+        }
+        let closed = tick.checked_sub(late).filter(|end| end.is_multiple_of(per_slot) && *end > 0);
+        if let Some(number) = closed.map(|end| end / per_slot - 1) {
+            self.close(number);
+            let back = self.grown.len().saturating_sub(late);
+            self.grown.drain(..back);
+            let grown: Vec<_> = self.grown.iter().cloned().collect();
+            grown.iter().for_each(|grown| self.follow(grown));
+        }
+        let added = self.shared(tick / per_slot);
+        let estimate = self.led(&rate, &added[1], &torque);
+        self.motion.step(&estimate, self.width);
+        // What the IMUs feel of this tick.
+        let (after, turned) = (&self.motion.x[1], &self.motion.x[2] - &tilt);
+        let force = after - &speed - (&tilt + &turned * 0.5) * (drives.0 * tick_s);
+        for (sum, grown) in self.felt.iter_mut().zip([&force, &turned]) {
+            *sum += grown;
+        }
+        if (tick + 1).is_multiple_of(per_slot) {
+            let mean = |sum: &mut Signal| std::mem::replace(sum, Signal::zeros(sum.len())) / SLOT;
+            let means = self.felt.iter_mut().map(mean).collect();
+            self.means.push(means);
+        }
+        let grown = [force + &added[0] * tick_s, turned + &added[1] * tick_s];
+        self.follow(&grown);
+        self.grown.push_back(grown);
+    }
+
+    /// What the law is given: the torques bring tilt and rate to now.
+    fn led(&mut self, rate: &Signal, added: &Signal, torque: &Signal) -> Vec<Signal> {
+        let Lateral { controlled, drives, .. } = self.lateral();
+        let (tick_s, turning) = (controlled.tick_s, drives.1);
+        let ticks = (of_rates::LATE_S / tick_s).round() as usize;
+        let last = self.turned.back().cloned().unwrap_or_else(|| Signal::zeros(self.width));
+        let kept = 1.0 - tick_s / of_rates::FORGOTTEN_S;
+        self.turned.push_back(last * kept + torque * (turning * tick_s));
+        let more = self.turned.len().saturating_sub(ticks + 1);
+        self.turned.drain(..more);
+        let measured = rate + added - &self.biases[1];
+        let then = self.turned.front().cloned().unwrap_or_else(|| Signal::zeros(self.width));
+        let mut lead = &measured * of_rates::LATE_S;
+        self.turned.iter().skip(1).for_each(|model| lead.axpy(tick_s, &(model - &then), 1.0));
+        let now = self.turned.back().map_or_else(|| Signal::zeros(self.width), |now| now - &then);
+        vec![self.now[0].clone(), self.now[1].clone(), &self.now[2] + lead, measured + now]
+    }
+
+    /// Slot `number`: the lanes take it, and the judges hear of it.
+    fn close(&mut self, number: usize) {
+        let (width, time_s, lateral) = (self.width, (number + 1) as f64 * SLOT, self.of.of);
+        let Some(map) = lateral.maps.get(number % lateral.maps.len().max(1)) else { return };
+        let taken = |states: &[Signal], means: &[Signal], measured: &[Signal]| -> Vec<Signal> {
+            let inputs = || states.iter().chain(means).chain(measured);
+            (0..map.nrows()).map(|row| weighted(map.row(row).iter().copied(), inputs(), width)).collect()
+        };
+        let none = || vec![Signal::zeros(width); 2];
+        let age_s = lateral.ages_s.get(number % lateral.ages_s.len().max(1)).copied().flatten();
+        let tick = |age_s: f64| ((time_s - age_s) / lateral.controlled.tick_s).round().max(0.0) as usize;
+        let measured = age_s.and_then(|age_s| self.places.get(tick(age_s)).cloned());
+        let measured = measured.unwrap_or_else(|| std::array::from_fn(|_| Signal::zeros(width)));
+        let means = self.means.get(number).cloned().unwrap_or_else(none);
+        let mut states = taken(&self.healthy, &means, &measured);
+        states.truncate(STATES);
+        self.healthy = states;
+        let imus = &self.of.imus;
+        for (place, imu) in imus.iter().enumerate() {
+            let added = self.added(*imu, number);
+            let (Some(differ), Some(judge)) = (self.differ.get_mut(place), self.judges.get_mut(place)) else {
+                continue;
+            };
+            *differ = taken(differ, &added, &[]);
+            let rows = differ.split_off(STATES);
+            let mut add = |detector, limit, row| {
+                self.response.statistics.push(Statistic { detector, sensor: Some(*imu), time_s, limit, row });
+            };
+            if self.of.is_minority() {
+                let biases = differ.iter().skip(STATES - 2);
+                for ((vote, added), bias) in judge.votes.iter_mut().zip(&added).zip(biases) {
+                    vote.hear(added, bias, &mut add);
+                }
+                add("IMU tilt", of_imus::APART_RAD, differ[2].clone());
+            }
+            // Evidence is held against the second-best lane: two healthy ones.
+            if lateral.aid == Aid::None || lateral.imus < imus.len() + 2 {
+                continue;
+            }
+            for ((sum, weight), row) in judge.evidence.iter_mut().zip(rows) {
+                *sum *= keep();
+                *weight *= keep();
+                if age_s.is_some() {
+                    *sum += &row;
+                    *weight += 1.0;
+                    add(EVIDENCE, of_imus::EVIDENCE.sqrt(), row);
+                    add("IMU evidence", (of_imus::EVIDENCE * *weight).sqrt(), sum.clone());
+                }
+            }
+        }
+        let share = 1.0 / lateral.imus as f64;
+        let fused = |state: usize| {
+            let differ = self.differ.iter().filter_map(|lane| lane.get(state));
+            differ.fold(self.healthy[state].clone(), |sum, other| sum + other * share)
+        };
+        self.now = (0..3).map(fused).collect();
+        self.biases = (STATES - 2..STATES).map(fused).collect();
+    }
+}
