@@ -162,3 +162,38 @@ async fn recorded_flights_are_flown_again_under_other_estimators() {
     }
     ground.stop().await;
 }
+
+#[test]
+fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown() {
+    use plumbline_experiment::plan::Plan;
+    use plumbline_experiment::row::ROW_BYTES;
+    use plumbline_experiment::run::{Ended, Options, run};
+    use plumbline_experiment::store::Experiment;
+
+    // GIVEN a folder where no file may be longer than 8 KiB: 60 flights need 11
+    const ROOM: u64 = 8192;
+    let folder = tempfile::tempdir().unwrap();
+    let text = PLAN.replace("repeats = 3", "repeats = 30");
+    let (file, data) = (folder.path().join("plan.toml"), folder.path().join("data"));
+    std::fs::write(&file, &text).unwrap();
+    let flown = |limit: &str| {
+        let script = format!("{limit} exec \"$0\" experiment run \"$1\" --data \"$2\"");
+        let mut command = std::process::Command::new("sh");
+        command.arg("-c").arg(script).arg(env!("CARGO_BIN_EXE_plumbline-ground")).arg(&file).arg(&data);
+        command.output().unwrap()
+    };
+    // WHEN it is flown THEN it ends and names the file; every whole row is kept
+    let full = flown("trap '' XFSZ; ulimit -f 16;");
+    let said = String::from_utf8_lossy(&full.stderr).into_owned();
+    assert!(!full.status.success() && said.contains("flights.rows"), "{said}");
+    let plan = || Plan::from_toml(&text).unwrap();
+    let experiment = Experiment::create(&Experiment::root(&data), plan()).unwrap();
+    assert_eq!(experiment.rows().unwrap().len() as u64, ROOM / ROW_BYTES as u64);
+    // WHEN there is room again THEN the rest is flown, and all is as it would have been
+    let rest = flown("");
+    assert!(rest.status.success(), "{}", String::from_utf8_lossy(&rest.stderr));
+    let other = Experiment::create(&folder.path().join("undisturbed"), plan()).unwrap();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    assert_eq!(run(&other, &Options::default(), &stop, |_, _| {}).unwrap(), Ended::Complete);
+    assert!(experiment.rows().unwrap() == other.rows().unwrap() && experiment.done() == 60);
+}

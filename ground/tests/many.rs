@@ -256,7 +256,8 @@ async fn a_job_that_cannot_be_flown_is_set_aside_with_its_error_and_the_lead_say
             async move { lead::spread(&experiment, &url, &shards, 30, &AtomicBool::new(false), |_| {}).await },
         );
     tokio::time::sleep(Duration::from_secs(2)).await;
-    for first in [0, 30] {
+    // More of them than are read at a time: the last one counts as well.
+    for first in std::iter::repeat_n(0, 120).chain([30]) {
         let job = Job { part: Part { first, count: 30 }, ..job(&hash, 0) };
         let poisoned = Poisoned { job: serde_json::to_string(&job).unwrap(), error: format!("because of {first}") };
         let payload = serde_json::to_vec(&poisoned).unwrap();

@@ -5,11 +5,13 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::command::Command;
+use plumbline_agent::control::step_response::{StepMeter, StepResponse};
 use plumbline_agent::estimate::{Estimate, Residual};
 use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::types::{Mode, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{Channel, SensorKind};
 
 use crate::flight::{Deed, Seen, Setup};
@@ -61,6 +63,14 @@ pub struct Outcome {
     pub declared_s: Option<f64>,
     /// Outside the bound on the height's error that was announced, as a part of the time there was one.
     pub outside_bound: f64,
+    /// 10 % to 90 % of the scripted altitude steps, by the true altitude, mean, s.
+    pub rise_s: f64,
+    /// Most of any step, in per cent of it.
+    pub overshoot_percent: f64,
+    /// From a step until inside its band for good, the longest, s; of one that never settled, as long as it was watched.
+    pub settling_s: f64,
+    /// |Mean of the last second less the target|, the most of any step, m.
+    pub steady_m: f64,
 }
 
 /// A mean that is being made.
@@ -95,6 +105,62 @@ struct Means {
     beyond_bound: Mean,
 }
 
+/// The scripted steps of altitude, measured by where the vehicle truly is.
+#[derive(Debug, Default)]
+struct Steps {
+    /// Not begun yet, the next one last: when, s, from where and to where, m.
+    due: Vec<(f64, f64, f64)>,
+    meter: StepMeter,
+    /// As they ended.
+    done: Vec<(StepResponse, f64)>,
+    last_s: f64,
+}
+
+impl Steps {
+    /// Those that are judged: from `from_s` on.
+    fn of(setup: &Setup, from_s: f64) -> Self {
+        let mut at_m = 0.0;
+        let asked = setup.scenario.script.steps.iter().filter_map(|step| match &step.command {
+            Command::Setpoint(change) => change.altitude_m.map(|to_m| (step.at_s, to_m)),
+            _ => None,
+        });
+        let steps = asked.map(|(at_s, to_m)| (at_s, std::mem::replace(&mut at_m, to_m), to_m));
+        let mut due: Vec<_> = steps.filter(|(at_s, ..)| *at_s >= from_s).collect();
+        due.reverse();
+        Self { due, ..Self::default() }
+    }
+
+    fn tick(&mut self, t: f64, altitude_m: f64, profiled_m: f64) {
+        let now = FlightTime::from_seconds(t);
+        while let Some((_, from_m, to_m)) = self.due.pop_if(|(at_s, ..)| *at_s <= t) {
+            self.end();
+            self.meter.begin(now, from_m, to_m, altitude_m);
+        }
+        if self.meter.update(now, altitude_m, profiled_m).is_some() {
+            self.last_s = t;
+        }
+    }
+
+    /// Keeps the one being measured as it stands, and for how long it was watched, s.
+    fn end(&mut self) {
+        let Some(response) = self.meter.response().copied() else { return };
+        self.done.pop_if(|(kept, _)| kept.step == response.step);
+        self.done.push((response, self.last_s - response.start.as_seconds()));
+    }
+
+    fn tell(mut self, outcome: &mut Outcome) {
+        self.end();
+        let most = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NAN, f64::max);
+        let mut rise = Mean::default();
+        self.done.iter().filter_map(|(step, _)| step.rise_time_s).for_each(|rise_s| rise.add(rise_s));
+        outcome.rise_s = rise.value();
+        outcome.overshoot_percent = most(&mut self.done.iter().map(|(step, _)| step.overshoot_percent));
+        let settling = self.done.iter().map(|(step, watched_s)| step.settling_time_s.unwrap_or(*watched_s));
+        outcome.settling_s = most(&mut settling.into_iter());
+        outcome.steady_m = most(&mut self.done.iter().filter_map(|(step, _)| step.steady_error_m).map(f64::abs));
+    }
+}
+
 /// Watches one flight; a field for each thing it remembers, hence so many.
 pub(crate) struct Judge {
     /// Sensors that are attacked, and from when on, s.
@@ -120,6 +186,7 @@ pub(crate) struct Judge {
     excluded: Vec<(SensorId, f64)>,
     found: Vec<SensorId>,
     signals: Vec<Signal>,
+    steps: Steps,
 }
 
 /// One signal's normalised innovations squared: their faded mean, and when the last one came, s.
@@ -160,6 +227,7 @@ impl Judge {
             excluded: Vec::new(),
             found: Vec::new(),
             signals: Vec::new(),
+            steps: Steps::of(setup, from_s),
         }
     }
 
@@ -210,6 +278,7 @@ impl Judge {
         let Some(estimate) = flight.estimate_in_loop() else { return };
         if let Some(place) = seen.place_enu_m(flight) {
             self.place(t, place, deed);
+            self.steps.tick(t, place.z, deed.setpoint_enu_m.z);
         }
         if let Some(reference) = &seen.reference {
             self.compare(reference, estimate);
@@ -357,6 +426,34 @@ impl Judge {
         outcome.nis = means.nis.value();
         outcome.effort_per_s = means.effort.value();
         outcome.outside_bound = means.beyond_bound.value();
+        self.steps.tell(outcome);
         self.outcome
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_measured_by_where_the_vehicle_is_and_the_worst_one_is_told() {
+        // A lag of 0.4 s, then one that stays 0.1 m short of a step of 0.3 m.
+        let mut steps = Steps { due: vec![(20.0, 0.9, 1.2), (5.0, 0.5, 0.9)], ..Steps::default() };
+        for tick in 0..6000 {
+            let t = f64::from(tick) * 0.005;
+            let (start_s, from_m, to_m) = if t < 20.0 { (5.0, 0.5, 0.9) } else { (20.0, 0.9, 1.1) };
+            let z_m = to_m + (from_m - to_m) * (-(t - start_s).max(0.0) / 0.4).exp();
+            steps.tick(t, z_m, to_m);
+        }
+        let mut outcome = Outcome::default();
+        steps.tell(&mut outcome);
+        // The second one passes 90 % never; 0.4 ln 9 = 0.879 s is the first one's.
+        assert!((outcome.rise_s - 0.4 * 9.0_f64.ln()).abs() < 0.01, "{outcome:?}");
+        assert_eq!(outcome.overshoot_percent, 0.0);
+        assert!((outcome.settling_s - 9.995).abs() < 0.01 && (outcome.steady_m - 0.1).abs() < 1e-3, "{outcome:?}");
+
+        let mut none = Outcome::default();
+        Steps::default().tell(&mut none);
+        assert!(none.rise_s.is_nan() && none.settling_s.is_nan(), "no step, nothing measured");
     }
 }

@@ -1,9 +1,9 @@
-//! One flight of a result: 152 bytes, the same on every machine.
+//! One flight of a result: 184 bytes, the same on every machine.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 4 | index, little-endian like everything |
-//! | 16 × 8 | measures, each a `f64`; NaN where there is nothing |
+//! | 20 × 8 | measures, each a `f64`; NaN where there is nothing |
 //! | 16 | why it was lost; empty when it was not |
 //! | 4 | CRC-32 of all before |
 //!
@@ -25,7 +25,7 @@ const fn measure(name: &'static str, about: &'static str) -> Measure {
 }
 
 /// Every measure, in the order of the columns.
-pub const MEASURES: [Measure; 16] = [
+pub const MEASURES: [Measure; 20] = [
     measure("altitude_m", "true altitude less setpoint, rms"),
     measure("altitude_most_m", "true altitude less setpoint, most"),
     measure("lateral_m", "true place less setpoint, rms, where it is held"),
@@ -42,6 +42,13 @@ pub const MEASURES: [Measure; 16] = [
     measure("declared_s", "onset to the first doubt or failsafe"),
     measure("outside_bound", "part of the time outside the bound announced"),
     measure("nis_most", "innovation squared by its variance, the most of one signal over half a second"),
+    measure("rise_s", "10 % to 90 % of an altitude step by the true altitude, mean"),
+    measure("overshoot_percent", "true altitude beyond its step's target, in per cent of the step, the most"),
+    measure(
+        "settling_s",
+        "from a step until inside its band for good, the longest; watched so long where it never was",
+    ),
+    measure("steady_m", "true altitude less target at the end of a step, mean of a second, the most"),
 ];
 
 /// Measures of an experiment whose identity does not name them.
@@ -96,6 +103,10 @@ impl Row {
                 outcome.declared_s.unwrap_or(f64::NAN),
                 outcome.outside_bound,
                 outcome.nis_most,
+                outcome.rise_s,
+                outcome.overshoot_percent,
+                outcome.settling_s,
+                outcome.steady_m,
             ]
             // One NaN: which bits a processor gives it is nobody's result.
             .map(|value| if value.is_nan() { f64::NAN } else { value }),

@@ -186,9 +186,15 @@ async fn set_aside(queue: &mut Queue, id: &str, before: u64) -> Result<Vec<Poiso
         ..pull::Config::default()
     };
     let consumer = queue.poison.create_consumer(config).await.map_err(nats("jobs set aside"))?;
-    let mut batch = consumer.fetch().max_messages(ASIDE).messages().await.map_err(nats("jobs set aside"))?;
-    while let Some(message) = batch.next().await {
-        found.extend(serde_json::from_slice(&message.map_err(nats("a job set aside"))?.payload));
+    loop {
+        let mut batch = consumer.fetch().max_messages(ASIDE).messages().await.map_err(nats("jobs set aside"))?;
+        let mut read = 0;
+        while let Some(message) = batch.next().await {
+            found.extend(serde_json::from_slice(&message.map_err(nats("a job set aside"))?.payload));
+            read += 1;
+        }
+        if read < ASIDE {
+            return Ok(found);
+        }
     }
-    Ok(found)
 }

@@ -19,6 +19,9 @@ script = [
 ]
 "#;
 
+/// Which of them, the sign and the onset are drawn from the flight's seed.
+const HEIGHT: &str = "[attack]\nsensor = \"height\"\n";
+
 const DETECTABILITY: &str = r#"[attack]
 sensor = "height"                # which of them, the sign and the onset are drawn from the seed
 kind = "bias"
@@ -46,14 +49,52 @@ key = "agent.estimators.in_loop"
 values = ["ekf_bias", "lanes"]
 "#;
 
+const STEPS: &str = r#"[[factor]]
+key = "agent.controller.kind"
+values = ["lqr_integral", "lqr", "pid"]
+[[factor]]
+key = "scenario.rig"
+values = [{ hanging_strings = { mode = "flight", height_m = 0.3 } }, { free = { height_m = 0.0 } }]
+"#;
+
 const RECORDED: &str = r#"[[factor]]
 key = "agent.estimators.in_loop"
 values = ["ekf_bias", "lanes"]
 # With an [attack] the clean samples are attacked; without, what was received then is received again.
 "#;
 
+/// [Clinic] Table 1: one of three heights attacked in each of his ways; `altitude_m` over that of "none" is his e / e*.
+fn table_1() -> String {
+    let attacks = [("none", 0.0), ("zero", 0.0), ("bias", 0.5), ("ramp", 0.1), ("noise", 0.2), ("replay", 3.0)];
+    let estimators = ["ekf_bias", "secure", "lanes"];
+    let all = attacks.iter().flat_map(|attack| estimators.map(|estimator| (attack, estimator)));
+    all.map(|((kind, magnitude), estimator)| {
+        format!(
+            "[[condition]]\n\"agent.estimators.in_loop\" = \"{estimator}\"\n\"attack.kind\" = \"{kind}\"\n\"attack.magnitude\" = \
+             {magnitude:?}\n"
+        )
+    })
+    .collect()
+}
+
+/// Weights of the altitude a fourth, as they are by default for an Iris, and four times.
+fn gains() -> String {
+    let weights = [0.25, 1.0, 4.0].map(|factor| {
+        let z = 25.0 * factor;
+        format!(
+            "  {{ state = [1, 1, {z:?}, 0.69, 0.69, 4, 32.7, 32.7, 8.2, 0.11, 0.11, 0.25, 0.11, 0.11, {z:?}, 0.44], input = \
+             [0.0086, 5.9, 5.9, 58] }},\n"
+        )
+    });
+    format!(
+        "# x y z, vx vy vz, roll pitch yaw, p q r, integrals of x y z yaw; thrust, torque x y z\n[[factor]]\nkey = \
+         \"agent.weights\"\nvalues = [\n{}]\n",
+        weights.concat()
+    )
+}
+
 /// A plan to begin with: what it asks, and its text. `flights` are recorded ones, by their ids.
-pub fn templates(flights: &[String]) -> [(&'static str, String); 4] {
+pub fn templates(flights: &[String]) -> [(&'static str, String); 7] {
     let head = |name: &str, repeats: u32| format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
     // Tables of the plan come after its own keys.
     let plan = |name: &str, repeats: u32, rest: &str| format!("{}{SCRIPT}{rest}", head(name, repeats));
@@ -61,6 +102,9 @@ pub fn templates(flights: &[String]) -> [(&'static str, String); 4] {
     [
         ("From which size on is an attack found?", plan("detectability", 4, DETECTABILITY)),
         ("Which estimator holds altitude under attack?", plan("estimators", 10, ESTIMATORS)),
+        ("Table 1 of [Clinic]: one height attacked", plan("clinic_table_1", 5, &format!("{HEIGHT}{}", table_1()))),
+        ("Which gains hold altitude best?", plan("gains", 10, &gains())),
+        ("How do controllers step, on strings and free?", plan("steps", 10, STEPS)),
         ("What does a harder world cost?", plan("worlds", 5, WORLDS)),
         ("Which estimator fits what was flown?", format!("{}{again}{RECORDED}", head("recorded", 1))),
     ]
@@ -129,9 +173,12 @@ mod tests {
     }
 
     #[test]
-    fn every_template_has_a_name_and_a_factor() {
+    fn every_template_has_a_name_and_varies_something() {
         for (_, plan) in templates(&["20260131-iris-1".into()]) {
-            assert!(plan.starts_with("name = ") && plan.contains("[[factor]]"), "{plan}");
+            assert!(
+                plan.starts_with("name = ") && (plan.contains("[[factor]]") || plan.contains("[[condition]]")),
+                "{plan}"
+            );
         }
         let [.., (_, again)] = templates(&["a".into(), "b".into()]);
         assert!(again.contains("values = [\"a\", \"b\"]") && !again.contains("[scenario]"), "{again}");

@@ -20,6 +20,10 @@ use crate::recordings::{Recorded, Recordings};
 /// What an onset is drawn for when nothing is given.
 const DRAWN: [&str; 3] = ["any", "imu_and_height", "none"];
 
+/// Keys of an agent's configuration that a flight of an experiment does not read: what would be varied in them changes nothing.
+const ELSEWHERE: [&str; 10] =
+    ["id", "ground", "identity", "real_time", "calibrations", "rig", "device", "motors", "log", "link"];
+
 /// Why a condition cannot be flown.
 pub(super) struct Wrong {
     /// Which of its tables.
@@ -80,6 +84,9 @@ impl Condition {
         let in_section = |section| move |complaint: String| Wrong { section, complaint };
         let part = |key: &str| table.get(key).and_then(Value::as_table).cloned().unwrap_or_default();
         let agent_table = part("agent");
+        if let Some(key) = ELSEWHERE.into_iter().find(|key| agent_table.contains_key(*key)) {
+            return Err(in_section("agent")(format!("{key}: flights of an experiment do not read it, leave it out")));
+        }
         let agent = AgentConfig::from_toml(&agent_table.to_string())
             .map_err(|error| in_section("agent")(error.to_string().trim_start_matches("configuration: ").to_owned()))?;
         let mut scenario_table = part("scenario");

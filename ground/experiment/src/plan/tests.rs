@@ -28,6 +28,7 @@ fn what_cannot_be_flown_is_refused_with_its_line_and_value() {
         (with("[[factor]]\nkey = \"attack.sensor\"\nvalues = [\"height\", \"gnss\"]\n"), 10, "no gnss 1"),
         (with("[[factor]]\nkey = \"attack.sensor\"\nvalues = [\"nose\"]\n"), 10, "nose"),
         (with("[[factor]]\nkey = \"agent.estimators.in_loop\"\nvalues = [\"oracle\"]\n"), 10, "oracle"),
+        (with("[[factor]]\nkey = \"agent.calibrations\"\nvalues = [[\"a.json\"], []]\n"), 10, "calibrations: flights"),
         (with("[[factor]]\nkey = \"scenario.world\"\nvalues = [\"mars\"]\n"), 10, "mars"),
         (with("[[factor]]\nkey = \"scenario.seed\"\nvalues = [1]\n"), 10, "scenario.seed"),
         (with("[[condition]]\n\"attack.instance\" = 9\n"), 9, "height 9"),
