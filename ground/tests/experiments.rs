@@ -4,7 +4,16 @@
 
 mod common;
 
-use common::Ground;
+use std::path::Path;
+use std::process::Stdio;
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use common::{Ground, PATIENCE, Response, exchange};
+use plumbline_experiment::plan::Plan;
+use plumbline_experiment::row::{ROW_BYTES, Row};
+use plumbline_experiment::run::{Ended, Options, run};
+use plumbline_experiment::store::Experiment;
 use serde_json::json;
 
 const PLAN: &str = r#"
@@ -165,11 +174,6 @@ async fn recorded_flights_are_flown_again_under_other_estimators() {
 
 #[test]
 fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown() {
-    use plumbline_experiment::plan::Plan;
-    use plumbline_experiment::row::ROW_BYTES;
-    use plumbline_experiment::run::{Ended, Options, run};
-    use plumbline_experiment::store::Experiment;
-
     // GIVEN a folder where no file may be longer than 8 KiB: 60 flights need 11
     const ROOM: u64 = 8192;
     let folder = tempfile::tempdir().unwrap();
@@ -192,8 +196,69 @@ fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown
     // WHEN there is room again THEN the rest is flown, and all is as it would have been
     let rest = flown("");
     assert!(rest.status.success(), "{}", String::from_utf8_lossy(&rest.stderr));
-    let other = Experiment::create(&folder.path().join("undisturbed"), plan()).unwrap();
-    let stop = std::sync::atomic::AtomicBool::new(false);
-    assert_eq!(run(&other, &Options::default(), &stop, |_, _| {}).unwrap(), Ended::Complete);
-    assert!(experiment.rows().unwrap() == other.rows().unwrap() && experiment.done() == 60);
+    assert!(experiment.rows().unwrap() == undisturbed(folder.path(), plan()) && experiment.done() == 60);
+}
+
+/// Rows of a run that nobody disturbs.
+fn undisturbed(folder: &Path, plan: Plan) -> Vec<Row> {
+    let experiment = Experiment::create(&folder.join("undisturbed"), plan).unwrap();
+    let ended = run(&experiment, &Options::default(), &AtomicBool::new(false), |_, _| {}).unwrap();
+    assert_eq!(ended, Ended::Complete);
+    experiment.rows().unwrap()
+}
+
+/// A ground that is a process of its own, and is killed in the end.
+struct Process(std::process::Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ground_that_is_killed_while_it_flies_has_every_flight_once_and_the_same() {
+    // Kills of a campaign's rounds; a few of them in a test.
+    let rounds: u64 = std::env::var("PLUMBLINE_ROUNDS").map_or(3, |rounds| rounds.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let plan = || Plan::from_toml(&PLAN.replace("repeats = 3", "repeats = 15")).unwrap();
+    let expected = undisturbed(folder.path(), plan());
+    let (mut kills, mut attempts) = (0, 0);
+    while kills < rounds {
+        attempts += 1;
+        let data = folder.path().join(format!("data-{attempts}"));
+        let experiment = Experiment::create(&Experiment::root(&data), plan()).unwrap();
+        let start = format!("/api/v1/experiments/{}/start", experiment.id);
+        while experiment.done() < expected.len() as u64 {
+            let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+            let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_plumbline-ground"));
+            command.args(["--listen", &address.to_string(), "--agent-listen", "127.0.0.1:0", "--data"]).arg(&data);
+            let ground = Process(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+            let begun = Instant::now();
+            let mut stream = loop {
+                match tokio::net::TcpStream::connect(address).await {
+                    Ok(stream) => break stream,
+                    Err(error) => assert!(begun.elapsed() < PATIENCE, "{error}"),
+                }
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            };
+            let head =
+                format!("POST {start} HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\ncontent-length: 0\r\n\r\n");
+            let answer = Response::parse(&exchange(&mut stream, &head).await);
+            assert_eq!(answer.status, 200, "{}", answer.text());
+            // WHEN it is killed in the middle of a flight, every time at another place
+            let before = experiment.done();
+            while experiment.done() == before || (kills == rounds && experiment.done() < expected.len() as u64) {
+                assert!(begun.elapsed() < 6 * PATIENCE, "{} flights after {kills} kills", experiment.done());
+                tokio::time::sleep(Duration::from_millis(5 + 37 * kills % 90)).await;
+            }
+            drop(ground);
+            kills = (kills + 1).min(rounds);
+        }
+        // THEN every flight is there once, and is the same
+        assert!(experiment.rows().unwrap() == expected, "a row differs");
+        assert_eq!(experiment.done(), expected.len() as u64, "a flight is there twice");
+    }
+    println!("{kills} kills over {attempts} experiments of {} flights", expected.len());
 }

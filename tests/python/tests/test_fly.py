@@ -6,6 +6,8 @@ import runpy
 import time
 from pathlib import Path
 
+import jupytext
+import nbclient
 import pandas
 import polars
 import pytest
@@ -17,15 +19,32 @@ from plumbline import v1
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
+NOTEBOOKS = sorted(path.name for path in EXAMPLES.glob("*.py") if "\n# %%" in path.read_text())
+SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name not in NOTEBOOKS)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_an_example_runs_top_to_bottom(
     name: str, system: System, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PLUMBLINE_URL", system.url)
-    monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(EXAMPLES / name), run_name="__main__")
     assert capsys.readouterr().out, "an example shows something"
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_top_to_bottom_in_jupyter(
+    name: str, system: System, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PLUMBLINE_URL", system.url)
+    notebook = jupytext.read(EXAMPLES / name)
+    assert len(notebook.cells) > 1, "it has cells"
+    place = {"metadata": {"path": str(tmp_path)}}
+    # A cell that raises ends it with the cell's traceback.
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3", resources=place).execute()
+    shown = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert any(output["output_type"] in ("stream", "display_data", "execute_result") for output in shown), shown
 
 
 def test_a_flight_under_attack_is_streamed_and_read_back_as_both_frames(ground: plumbline.Ground, tmp_path: Path) -> None:
