@@ -14,13 +14,14 @@ pub struct Options {
 }
 
 /// Name, and the bench program in `tests/benches` or what xtask does itself.
-const BENCHES: [(&str, Bench); 11] = [
+const BENCHES: [(&str, Bench); 12] = [
     ("control", Bench::Program("control")),
     ("tick", Bench::Program("tick")),
     ("steps", Bench::Program("steps")),
     ("sse", Bench::Program("sse")),
     ("estimate", Bench::Program("estimate")),
     ("experiment", Bench::Program("experiment")),
+    ("many", Bench::Program("many")),
     ("wires", Bench::Program("wires")),
     ("page", Bench::Page),
     ("live", Bench::Program("live_latency")),
@@ -77,6 +78,16 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
 pub fn program(workspace: &Workspace, name: &str) -> Result<(), XtaskError> {
     let mut cargo = workspace.cargo();
     cargo.args(["bench", "--locked", "--workspace", "--bench", name]);
+    if name == "many" {
+        cargo.args(["--features", "plumbline-ground/many"]);
+        match tools::nats_server(workspace) {
+            Ok(server) => drop(cargo.env("PLUMBLINE_NATS", server)),
+            Err(error) => {
+                eprintln!("xtask: bench many is left out: {error}");
+                return Ok(());
+            }
+        }
+    }
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("release"));
     // Without pip the bench says so itself and measures the rest.
     let peers = match name {
