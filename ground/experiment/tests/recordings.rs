@@ -272,3 +272,22 @@ fn files_of_others_are_flown_again_and_say_only_what_is_in_them() {
     assert!(rows[0] != rows[1] && rows[2] != rows[3]);
     assert!(!report::page(&experiment, "").unwrap().contains("NaN"));
 }
+
+#[test]
+fn a_flight_with_turning_motors_is_no_rest_to_calibrate_from() {
+    use plumbline_agent::calibration::Kind;
+    use plumbline_agent::offline::calibrate::{CalibrateError, Request, from_path};
+
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), "first", FLOWN, 1, true);
+    let path = folder.path().join("flights/first.mcap");
+    for kind in [Kind::Accelerometer, Kind::Gyroscope, Kind::Magnetometer, Kind::Thermal, Kind::Allan] {
+        let request = Request::new(kind, "2026-01-31T12:00:00Z");
+        let error = from_path(&path, None, &Request { from_s: Some(10.0), ..request.clone() }).unwrap_err();
+        assert!(matches!(error, CalibrateError::Motors { at_s, .. } if (10.0..10.1).contains(&at_s)), "{error}");
+        assert!(error.to_string().contains("the motors turn at 10.0 s of first.mcap"), "{error}");
+        // Outside the stretch they may turn.
+        let before = from_path(&path, None, &Request { to_s: Some(2.0), ..request }).unwrap_err();
+        assert!(!matches!(before, CalibrateError::Motors { .. }), "{before}");
+    }
+}

@@ -23,7 +23,7 @@ pub const KINDS: [Kind; 8] = [
         from_flight: true,
         guidance: &[
             "Record (R) while the vehicle rests, motors off.",
-            "Put it down in at least nine different poses: each side, both ends, upside down, and some in between.",
+            "Put it down in at least ten different poses: each side, both ends, upside down, and some in between.",
             "Hold each pose still for two seconds or more. Scale, misalignment and bias come out of gravity alone.",
         ],
     },

@@ -64,6 +64,23 @@ impl Request {
             date: date.into(),
         }
     }
+
+    /// From when to when samples count, s.
+    fn stretch(&self, samples: &[Sample]) -> Result<(f64, f64), ArgumentError> {
+        let (first, last) = ends(samples);
+        let half = if self.first_half { 0.5 * (first + last) } else { f64::INFINITY };
+        let from = self.from_s.unwrap_or(f64::NEG_INFINITY);
+        let to = self.to_s.unwrap_or(f64::INFINITY).min(half);
+        if from.partial_cmp(&to) == Some(std::cmp::Ordering::Less) {
+            return Ok((from, to));
+        }
+        Err(ArgumentError::new("from", from, format!("not before the end of the selection, {to} s")))
+    }
+}
+
+/// First and last time, s.
+fn ends(samples: &[Sample]) -> (f64, f64) {
+    samples.first().zip(samples.last()).map_or((0.0, 0.0), |(first, last)| (first.time_s, last.time_s))
 }
 
 /// Why there is no calibration.
@@ -79,6 +96,18 @@ pub enum CalibrateError {
         name: String,
         /// What is wrong with it.
         reason: String,
+    },
+    /// Motors shake and warm what is to rest, and their currents bend the field.
+    #[error(
+        "{kind} calibration refused: the motors turn at {at_s:.1} s of {name}; choose a stretch (from, to) in which they are off"
+    )]
+    Motors {
+        /// Of what.
+        kind: &'static str,
+        /// The recording.
+        name: String,
+        /// When first within the stretch, s.
+        at_s: f64,
     },
     /// The data are refused.
     #[error("{kind} calibration refused: {source}")]
@@ -176,7 +205,11 @@ pub fn from_recording(
         return Err(ArgumentError::new("imu", request.imu, reason).into());
     }
     let mut samples = Vec::with_capacity(recording.info().ticks);
+    let mut turning_s = Vec::new();
     while let Some(tick) = recording.next_tick() {
+        if tick.applied.is_some_and(|command| command.throttle.iter().any(|throttle| *throttle > 0.0)) {
+            turning_s.push(tick.sensed.time.as_seconds());
+        }
         if let Some(Some(imu)) = tick.sensed.imus.get(request.imu - 1) {
             samples.push(Sample {
                 time_s: imu.time.as_seconds(),
@@ -186,6 +219,10 @@ pub fn from_recording(
                 temperature_c: Some(imu.temperature_c),
             });
         }
+    }
+    let (from_s, to_s) = request.stretch(&samples)?;
+    if let Some(at_s) = turning_s.into_iter().find(|at_s| (from_s..=to_s).contains(at_s)) {
+        return Err(CalibrateError::Motors { kind: request.kind.name(), name: name.to_owned(), at_s });
     }
     from_samples(samples, name, request)
 }
@@ -199,15 +236,8 @@ pub fn from_samples(
     name: &str,
     request: &Request,
 ) -> Result<CalibrationFile, CalibrateError> {
-    let ends = samples.first().zip(samples.last()).map(|(a, b)| (a.time_s, b.time_s));
-    let (first, last) = ends.unwrap_or((0.0, 0.0));
-    let half = if request.first_half { 0.5 * (first + last) } else { f64::INFINITY };
-    let from = request.from_s.unwrap_or(f64::NEG_INFINITY);
-    let to = request.to_s.unwrap_or(f64::INFINITY).min(half);
-    if from.partial_cmp(&to) != Some(std::cmp::Ordering::Less) {
-        let reason = format!("not before the end of the selection, {to} s");
-        return Err(ArgumentError::new("from", from, reason).into());
-    }
+    let (first, last) = ends(&samples);
+    let (from, to) = request.stretch(&samples)?;
     // NaN times pass on to the checks of the fit.
     samples.retain(|s| !(s.time_s < from || s.time_s > to));
     let fitted = match request.kind {

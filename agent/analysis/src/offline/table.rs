@@ -8,7 +8,10 @@
 //! | thrust, tunnel | `PropName`, `diameter_in`, `pitch_in`, `rpm`, `CT`, `CP` (UIUC Propeller Database) |
 //! | mass | `axis`, `mass_kg`, then `inertia_kgm2` or `period_s`, `length_m`, `separation_m` |
 //!
+//! Commas, semicolons or tabs between the fields, as the first line has them; where it is not the comma, `0,5` is a half.
 //! Sensors an IMU table lacks are absent. An empty field is NaN, and refused where a fit needs it.
+
+use std::io::BufRead as _;
 
 use nalgebra::Vector3;
 use plumbline_core::calibration::mass::Axis;
@@ -31,14 +34,20 @@ pub(super) struct Table {
     text: String,
     /// Where each of them ends; as many in every row as the header has.
     ends: Vec<u32>,
+    /// A comma may be a decimal one: another sign is between the fields.
+    decimal_comma: bool,
 }
 
 impl Table {
     /// Reads `text`; the reason otherwise.
     pub fn read(text: impl std::io::Read) -> Result<Self, String> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
+        let mut text = std::io::BufReader::new(text);
+        let start = text.fill_buf().map_err(|e| e.to_string())?;
+        let line = start.split(|byte| *byte == b'\n').next().unwrap_or_default();
+        let delimiter = [b';', b'\t'].into_iter().find(|between| line.contains(between)).unwrap_or(b',');
+        let mut reader = csv::ReaderBuilder::new().delimiter(delimiter).trim(csv::Trim::All).from_reader(text);
         let header = reader.headers().map_err(|e| e.to_string())?.iter().map(str::to_lowercase).collect();
-        let mut table = Self { header, text: String::new(), ends: Vec::new() };
+        let mut table = Self { header, text: String::new(), ends: Vec::new(), decimal_comma: delimiter != b',' };
         let mut record = csv::StringRecord::new();
         while reader.read_record(&mut record).map_err(|e| e.to_string())? {
             if table.rows() >= MAX_ROWS {
@@ -81,8 +90,12 @@ impl Table {
             return Ok(f64::NAN);
         }
         let name = self.header.get(column).map_or("", String::as_str);
+        let parsed = match text.split_once(',').filter(|_| self.decimal_comma) {
+            Some((whole, part)) if !part.contains([',', '.', '-', '+']) => format!("{whole}.{part}").parse(),
+            _ => text.parse(),
+        };
         // The header is line 1.
-        text.parse().map_err(|_| format!("line {}: {name} is {text:?}, not a number", row + 2))
+        parsed.map_err(|_| format!("line {}: {name} is {text:?}, not a number", row + 2))
     }
 
     /// Three columns x, y, z of the first unit that is there, times its factor.
@@ -247,6 +260,24 @@ mod tests {
         assert!(error("t_s,b\n0,1\n").contains("no columns of a sensor"));
         assert!(error("t,mx_ut\n").contains("no column t_s or time_s; the first are t, mx_ut"));
         assert!(error("t_s,mx_ut,my_ut,mz_ut\n0,1,x,1\n").contains("line 2: my_ut is \"x\""));
+    }
+
+    #[test]
+    fn semicolons_tabs_and_decimal_commas_are_read_as_a_spreadsheet_writes_them() {
+        let of = |text: &str| Table::read(text.as_bytes()).and_then(|table| table.motor());
+        let expected = vec![(0.25, 120.5), (1.0, -1e3)];
+        for text in [
+            "command,speed_radps\n0.25,120.5\n1,-1e3\n",
+            "command;speed_radps\r\n0,25;120,5\r\n1;-1e3\r\n",
+            "command\tspeed_radps\n0,25\t120.5\n1\t-1000,0\n",
+        ] {
+            assert_eq!(of(text).unwrap(), expected, "{text}");
+        }
+        for text in
+            ["command;speed_radps\n0;1.234,5\n", "command;speed_radps\n0;1,2,3\n", "command;speed_radps\n0;1,-2\n"]
+        {
+            assert!(of(text).unwrap_err().starts_with("line 2: speed_radps is \"1"), "{text}");
+        }
     }
 
     #[test]
