@@ -337,6 +337,30 @@ await step(page, 'compare: laid together, their difference, and what was not the
   return { before, after: await rms(), differs };
 });
 
+await step(page, 'fly again: the ground flies a recording under two estimators with a height off, and lays them over it', async () => {
+  await page.goto(`${url}/flights`);
+  await page.getByRole('table').getByRole('link').first().click();
+  await page.waitForURL(/\/flights\/[^/,]+$/);
+  const original = new URL(page.url()).pathname.split('/').pop();
+  const card = region('Fly again');
+  await card.getByLabel('Sensors').selectOption({ index: 2 });
+  const begun = Date.now();
+  await card.getByRole('button', { name: 'Fly again' }).click();
+  await page.waitForURL(/\/flights\/[^/]+,[^/]+,[^/]+$/, { timeout: 60_000 });
+  const ids = new URL(page.url()).pathname.split('/').pop().split(',');
+  assert(ids.length === 3 && ids[0] === original && new Set(ids).size === 3, ids.join(' '));
+  const told = [];
+  for (const id of ids.slice(1)) {
+    const flight = await (await page.request.get(`${url}/api/v1/flights/${id}`)).json();
+    assert(flight.completeness === 'complete' && flight.vehicle === 'replay', JSON.stringify(flight).slice(0, 300));
+    told.push(flight.attacks.map((attack) => `${attack.sensor} ${attack.kind}`).join());
+  }
+  assert(told.every((attacks) => attacks.includes('bias')), told.join('; '));
+  await drawn(page, page.getByRole('img').first(), 'the flights laid over one another');
+  await shots('fly-again');
+  return { took_s: (Date.now() - begun) / 1000, told };
+});
+
 await step(page, 'a flight that there is not is a page that says so', async () => {
   for (const path of ['/flights/nonsense', '/flights/nonsense/report']) {
     await page.goto(url + path);

@@ -110,6 +110,42 @@ pub fn templates(flights: &[String]) -> [(&'static str, String); 7] {
     ]
 }
 
+/// What is done to the sensors of a recording that is flown again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Again {
+    /// As received then, attacks of then included.
+    Received,
+    /// As sensed, without any attack.
+    Sensed,
+    /// As sensed, and one height is off from the middle on.
+    Attacked,
+}
+
+impl Again {
+    /// Each, in words.
+    pub const ALL: [(Self, &'static str); 3] = [
+        (Self::Received, "what was received then, attacks included"),
+        (Self::Sensed, "what was sensed, without attacks"),
+        (Self::Attacked, "what was sensed, height 1 off by 0.5 m from the middle on"),
+    ];
+
+    /// A plan that flies recording `id`, which lasts so long, once under each of these estimators.
+    pub fn plan(self, id: &str, estimators: &[String], duration_s: f64) -> String {
+        let attack = match self {
+            Self::Received => String::new(),
+            Self::Sensed => "[attack]\nsensor = \"none\"\n".to_owned(),
+            Self::Attacked => format!(
+                "[attack]\nsensor = \"height\"\ninstance = 1\nkind = \"bias\"\nmagnitude = 0.5\nstart_s = {:.1}\n",
+                0.5 * duration_s
+            ),
+        };
+        format!(
+            "name = \"again\"\n{attack}[[factor]]\nkey = \"recording\"\nvalues = [{id:?}]\n[[factor]]\nkey = \"agent.estimators.in_loop\"\n\
+             values = {estimators:?}\n"
+        )
+    }
+}
+
 /// A flight's dot in the row of its condition.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dot {
@@ -170,6 +206,16 @@ mod tests {
         assert!(seen[0].at[0] < seen[1].at[0] && seen[2].at[0] == DOTS_PX && seen[2].lost);
         assert!(seen.iter().all(|dot| (0.0..=ROW_PX).contains(&dot.at[1])));
         assert!(seen[2].title.contains("fell"));
+    }
+
+    #[test]
+    fn a_recording_is_flown_again_under_each_estimator() {
+        let plan = |again: Again| again.plan("f1", &["ukf".into(), "lanes".into()], 41.26);
+        assert!(plan(Again::Received).ends_with(
+            "values = [\"f1\"]\n[[factor]]\nkey = \"agent.estimators.in_loop\"\nvalues = [\"ukf\", \"lanes\"]\n"
+        ));
+        assert!(!plan(Again::Received).contains("[attack]") && plan(Again::Sensed).contains("sensor = \"none\""));
+        assert!(plan(Again::Attacked).contains("start_s = 20.6\n"), "{}", plan(Again::Attacked));
     }
 
     #[test]

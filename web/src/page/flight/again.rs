@@ -1,14 +1,15 @@
-//! Fly again: the exact command that flies a recording under another estimator or attack schedule.
+//! Fly again: the ground flies the recording under the estimators chosen, as an experiment, and what comes of it is laid over it.
 
 use leptos::prelude::*;
 use plumbline_proto::v1::EstimatorKind;
+use plumbline_rest::experiment::{Asked, Opened, State};
 use plumbline_rest::flight::Flight;
 
 use crate::{
-    app::GroundState,
     ctx::ctx,
-    model::{names, route::Route},
-    panel::toolbar::Link,
+    event::Failure,
+    model::{experiment::Again, names, route::Route},
+    net,
 };
 
 /// Estimators that a recording can be flown under.
@@ -21,66 +22,82 @@ const ESTIMATORS: [EstimatorKind; 6] = [
     EstimatorKind::ConstantAcceleration,
 ];
 
-/// A path as a shell takes it.
-fn quoted(path: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '/' | '-' | '_' | '.');
-    if path.chars().all(plain) { path.to_owned() } else { format!("'{}'", path.replace('\'', r"'\''")) }
-}
-
-fn command(folder: &str, id: &str, estimator: Option<EstimatorKind>, attacked: bool) -> String {
-    let mut out = format!("plumbline-agent --vehicle replay {}", quoted(&format!("{folder}/flights/{id}.mcap")));
-    if let Some(kind) = estimator {
-        out.push_str(&format!(" --estimator {}", names::estimator_json(kind)));
+/// Flies a plan of `count` flights and keeps each as a flight file; their ids.
+async fn flown(plan: String, count: usize, operator: &str, told: impl Fn(usize)) -> Result<Vec<String>, Failure> {
+    let body = serde_json::to_string(&Asked { plan }).ok();
+    let State { id, .. } = net::json("POST", "/api/v1/experiments", body, operator).await?;
+    let mut flights = Vec::new();
+    for index in 0..count {
+        told(index);
+        let url = format!("/api/v1/experiments/{id}/flights/{index}");
+        let Opened { flight } = net::json("POST", &url, None, operator).await?;
+        flights.push(flight);
     }
-    if attacked {
-        out.push_str(" --attack-schedule attacks.toml");
-    }
-    out
+    Ok(flights)
 }
 
 /// The card.
 #[component]
 pub fn FlyAgain(flight: Flight) -> impl IntoView {
     let ctx = ctx();
-    let id = flight.id;
-    let folder = Memo::new(move |_| {
-        ctx.app(|app| match &app.ground {
-            GroundState::Up(ground) => ground.data_folder.clone(),
-            _ => "data".to_owned(),
-        })
-    });
-    let chosen = RwSignal::new(None::<EstimatorKind>);
-    let attacked = RwSignal::new(false);
-    let text = move || command(&folder.get(), &id, chosen.get(), attacked.get());
-    let choose = move |value: String| {
-        chosen.set(value.parse().ok().and_then(|n: i32| EstimatorKind::try_from(n).ok()).filter(|k| *k as i32 != 0));
+    let chosen = RwSignal::new(vec![EstimatorKind::EkfBias, EstimatorKind::Lanes]);
+    let sensors = RwSignal::new(Again::Received);
+    let working = RwSignal::new(None::<String>);
+    let problem = RwSignal::new(String::new());
+    let fly = move |_| {
+        let estimators: Vec<String> = chosen.get_untracked().into_iter().map(names::estimator_json).collect();
+        let plan = sensors.get_untracked().plan(&flight.id, &estimators, flight.duration_s);
+        let (count, first) = (estimators.len(), flight.id.clone());
+        problem.set(String::new());
+        working.set(Some("Flying…".to_owned()));
+        leptos::task::spawn_local(async move {
+            let told = move |index: usize| drop(working.try_set(Some(format!("Flying {} of {count}…", index + 1))));
+            let answer = flown(plan, count, &ctx.operator(), told).await;
+            // The page may have been left meanwhile.
+            if working.try_set(None).is_some() {
+                return;
+            }
+            match answer {
+                Ok(flights) => ctx.go(Route::Compare([vec![first], flights].concat())),
+                Err(failure) => problem.set(failure.text),
+            }
+        });
+    };
+    let toggle = move |kind: EstimatorKind, on: bool| {
+        chosen.update(|chosen| {
+            chosen.retain(|known| *known != kind);
+            if on {
+                chosen.push(kind);
+            }
+        });
     };
     view! {
         <section class="card facts again" aria-label="Fly again">
             <header><h2>"Fly again"</h2></header>
+            <fieldset class="checks">
+                <legend class="quiet">"under"</legend>
+                {ESTIMATORS.map(|kind| view! {
+                    <label class="check">
+                        <input type="checkbox" prop:checked=move || chosen.get().contains(&kind) on:change:target=move |e| toggle(kind, e.target().checked()) />
+                        {names::estimator(kind)}
+                    </label>
+                }).collect_view()}
+            </fieldset>
             <div class="row">
-                <select class="small" aria-label="Fly again under estimator" on:change:target=move |e| choose(e.target().value())>
-                    <option value="0">"as it flew"</option>
-                    {ESTIMATORS.map(|k| view! { <option value=(k as i32).to_string()>{names::estimator(k)}</option> }).collect_view()}
+                <select class="small" aria-label="Sensors" on:change:target=move |e| {
+                    let at = e.target().value().parse::<usize>().unwrap_or_default();
+                    sensors.set(Again::ALL.get(at).map_or(Again::Received, |(again, _)| *again));
+                }>
+                    {Again::ALL.into_iter().enumerate().map(|(at, (_, words))| view! { <option value=at.to_string()>{words}</option> }).collect_view()}
                 </select>
-                <label class="check"><input type="checkbox" prop:checked=attacked on:change:target=move |e| attacked.set(e.target().checked()) /> "other attacks"</label>
+                <button type="button" class="small" disabled=move || working.get().is_some() || chosen.get().is_empty() on:click=fly>
+                    {move || working.get().unwrap_or_else(|| "Fly again".to_owned())}
+                </button>
             </div>
-            <p><code class="wrap">{text}</code></p>
-            <p class="quiet">"It appears on Fly at the speed you choose; R records it. Then select both in " <Link to=Route::Flights>"Flights"</Link> " to overlay them."</p>
+            <Show when=move || !problem.with(String::is_empty)>
+                <p class="bad" role="alert">{problem}</p>
+            </Show>
+            <p class="quiet">"The ground flies it, each becomes a flight of its own, and all are laid over this one. What it would have done with other motors nobody knows: they turn as they did."</p>
         </section>
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_command_survives_a_shell() {
-        let plain = command("/srv/data", "20260131-iris-1", None, false);
-        assert_eq!(plain, "plumbline-agent --vehicle replay /srv/data/flights/20260131-iris-1.mcap");
-        let spaced = command("/my data", "f1", Some(EstimatorKind::Secure), true);
-        assert!(spaced.contains("'/my data/flights/f1.mcap' --estimator secure --attack-schedule"), "{spaced}");
-        assert_eq!(quoted("it's"), r"'it'\''s'");
     }
 }
