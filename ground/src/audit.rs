@@ -21,6 +21,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use serde::de::IgnoredAny;
 use serde_json::Value;
 
 pub use chain::{Verdict, verify};
@@ -32,9 +33,10 @@ use crate::sync::{lock, wall_time_us};
 const MAX_QUEUED: usize = 4096;
 /// A file of this size is put away.
 const ROTATE_BYTES: u64 = 64 << 20;
-/// Most lines, and bytes, that are read back at once.
-pub const MAX_READ: usize = 1000;
+/// Most bytes of a file's end that are looked at for its last line.
 const READ_BYTES: u64 = 1 << 20;
+/// Bytes read back at once.
+const BLOCK: u64 = 64 << 10;
 /// What was written is on the disk after this long.
 pub const SYNC_EVERY: Duration = Duration::from_secs(1);
 /// Fields of a body that are never written down.
@@ -108,7 +110,7 @@ enum Input {
 /// The log.
 #[derive(Debug, Clone)]
 pub struct Audit {
-    path: PathBuf,
+    folder: PathBuf,
     queue: SyncSender<Input>,
     lost: Arc<AtomicU64>,
     refusals: Arc<Mutex<Refusals>>,
@@ -125,7 +127,7 @@ impl Audit {
         let lost = Arc::new(AtomicU64::new(0));
         let refusals = Arc::new(Mutex::new(Refusals::default()));
         let writer = Writer {
-            path: path.clone(),
+            path,
             file: None,
             chain: chain::last(data_folder),
             lost: lost.clone(),
@@ -134,7 +136,7 @@ impl Audit {
             unsynced: None,
         };
         std::thread::Builder::new().name("audit".into()).spawn(move || writer.run(&inputs))?;
-        Ok(Self { path, queue, lost, refusals })
+        Ok(Self { folder: data_folder.to_owned(), queue, lost, refusals })
     }
 
     /// Writes a deed down. Never waits.
@@ -160,17 +162,57 @@ impl Audit {
         }
     }
 
-    /// The last `count` deeds, oldest first. Reads the disk.
+    /// The last `limit` deeds before the last `offset`, oldest first, of all files of the log. Reads the disk.
     ///
     /// # Errors
-    /// The file cannot be read; that there is none is no error.
-    pub fn last(&self, count: usize) -> std::io::Result<Vec<Value>> {
-        let text = tail(&self.path)?;
-        // The first line may have lost its beginning, the last its end: neither is JSON then.
-        let mut deeds: Vec<Value> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-        deeds.drain(..deeds.len().saturating_sub(count.min(MAX_READ)));
+    /// A file cannot be read; that there is none is no error.
+    pub fn page(&self, offset: usize, limit: usize) -> std::io::Result<Vec<Value>> {
+        let (mut before, mut deeds) = (offset, Vec::new());
+        for path in chain::files(&self.folder).iter().rev() {
+            if deeds.len() >= limit {
+                break;
+            }
+            // A line that a crash cut short is no deed.
+            backwards(path, |line| {
+                if before > 0 {
+                    before -= usize::from(serde_json::from_slice::<IgnoredAny>(line).is_ok());
+                } else if deeds.len() < limit {
+                    deeds.extend(serde_json::from_slice::<Value>(line));
+                }
+                deeds.len() < limit
+            })?;
+        }
+        deeds.reverse();
         Ok(deeds)
     }
+}
+
+/// Shows `take` the lines of a file, the last first, while it wants more; a file that is not there has none.
+fn backwards(path: &Path, mut take: impl FnMut(&[u8]) -> bool) -> std::io::Result<()> {
+    use std::os::unix::fs::FileExt as _;
+    let file = match File::open(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    let mut at = file.metadata()?.len();
+    // The end of a line whose beginning has not been read yet.
+    let mut rest = Vec::new();
+    while at > 0 {
+        let length = at.min(BLOCK);
+        at -= length;
+        let mut block = vec![0; length as usize];
+        file.read_exact_at(&mut block, at)?;
+        block.append(&mut rest);
+        let begin = if at == 0 { Some(0) } else { block.iter().position(|byte| *byte == b'\n').map(|end| end + 1) };
+        let whole = begin.and_then(|begin| block.get(begin..)).unwrap_or_default();
+        if !whole.rsplit(|byte| *byte == b'\n').all(&mut take) {
+            return Ok(());
+        }
+        block.truncate(begin.unwrap_or(block.len()));
+        rest = block;
+    }
+    Ok(())
 }
 
 /// The end of a file; empty where there is none.
@@ -315,10 +357,10 @@ mod tests {
         let audit = Audit::open(folder.path()).unwrap();
         (0..50).for_each(|n| audit.record(deed(n)));
         audit.flush();
-        assert_eq!(audit.last(MAX_READ).unwrap().len(), 51);
-        let last = audit.last(2).unwrap();
+        assert_eq!(audit.page(0, 1000).unwrap().len(), 51);
+        let last = audit.page(0, 2).unwrap();
         assert_eq!((last[0]["unix_us"].as_u64(), last[1]["unix_us"].as_u64()), (Some(48), Some(49)));
-        assert_eq!(audit.last(MAX_READ).unwrap()[0]["before"], 1, "what was there stays");
+        assert_eq!(audit.page(0, 1000).unwrap()[0]["before"], 1, "what was there stays");
         // A crash cuts a line short; the next start goes on after it.
         drop(audit);
         let mut text = std::fs::read_to_string(&path).unwrap();
@@ -337,6 +379,36 @@ mod tests {
             text.lines().filter(|l| !l.contains("\"unix_us\":30,")).map(|l| format!("{l}\n")).collect();
         std::fs::write(&path, without).unwrap();
         assert_eq!(verify(folder.path()).unwrap().broken, Some(("audit.jsonl".into(), 32)));
+    }
+
+    #[test]
+    fn pages_follow_each_other_over_blocks_files_and_torn_lines() {
+        let folder = tempfile::tempdir().unwrap();
+        let line = |n: u64| format!("{{\"unix_us\":{n},\"body\":\"{}\"}}\n", "x".repeat((n as usize * 37) % 900));
+        let text = |range: std::ops::Range<u64>| range.map(line).collect::<String>();
+        let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();
+        write("audit-1700000000000001.jsonl", text(0..400));
+        write("audit-1700000000000002.jsonl", text(400..700) + "{\"unix_us\":9999,\"wh");
+        let last = text(700..1500);
+        assert!(last.len() as u64 > 3 * BLOCK, "several blocks");
+        write("audit.jsonl", last + "{\"unix_us\":9999,\"wh");
+        let audit = Audit::open(folder.path()).unwrap();
+        let page = |offset, limit| {
+            let deeds = audit.page(offset, limit).unwrap();
+            deeds.iter().map(|deed| deed["unix_us"].as_u64().unwrap()).collect::<Vec<_>>()
+        };
+        let all: Vec<u64> = (0..1500).collect();
+        for (offset, limit) in [(0, 1), (0, 1000), (700, 200), (799, 2), (1000, 1000), (1499, 5), (1500, 5), (0, 5000)]
+        {
+            let end = 1500 - offset.min(1500);
+            assert_eq!(page(offset, limit), all[end.saturating_sub(limit)..end], "{offset} {limit}");
+        }
+        // Pages of any size are all of it, once.
+        let mut whole = Vec::new();
+        while whole.len() < 1500 {
+            whole.splice(0..0, page(whole.len(), 170));
+        }
+        assert_eq!(whole, all);
     }
 
     #[test]

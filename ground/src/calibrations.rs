@@ -74,7 +74,7 @@ impl Calibrations {
             Some(Calibration { covariance: None, picture: Vec::new(), ..whole })
         };
         let mut all: Vec<Calibration> = ids.filter_map(short).collect();
-        all.sort_by(|a, b| b.date.cmp(&a.date));
+        all.sort_by(|a, b| b.date.cmp(&a.date).then_with(|| a.id.cmp(&b.id)));
         all
     }
 }

@@ -109,6 +109,11 @@ impl Commands {
         }
     }
 
+    /// Commands that wait for acknowledgements, cuts included.
+    pub fn waiting(&self) -> usize {
+        lock(&self.waiting).len()
+    }
+
     /// Hands an acknowledgement to whoever waits for it.
     pub fn resolve(&self, vehicle: &str, ack: v1::Ack) {
         if let Some(waiter) = lock(&self.waiting).remove(&(vehicle.to_owned(), ack.command_id)) {

@@ -55,6 +55,11 @@ impl Experiments {
         State { error: lock(&self.errors).get(&experiment.id).cloned(), running: told.running || here, ..told }
     }
 
+    /// Is one being flown here?
+    pub(crate) fn running(&self) -> bool {
+        lock(&self.flown).as_ref().is_some_and(|flown| !flown.thread.is_finished())
+    }
+
     /// How many threads an experiment gets: a core stays free for what flies for real.
     pub(crate) fn threads() -> usize {
         Options::default().threads.saturating_sub(1).max(1)

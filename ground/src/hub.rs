@@ -12,7 +12,8 @@ mod vehicle;
 mod viewer;
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
 use plumbline_proto::codec::{Batch, Frame};
@@ -41,6 +42,8 @@ const ALL_HISTORIES: usize = 256 << 20;
 #[derive(Debug, Default)]
 pub struct Hub {
     vehicles: Mutex<BTreeMap<String, Vehicle>>,
+    /// Messages that viewers were too slow for, since the start.
+    dropped: Arc<AtomicU64>,
 }
 
 /// What a list of vehicles shows.
@@ -189,9 +192,21 @@ impl Hub {
         let (oldest, past) = vehicle.history.since(start);
         let mut backlog = vec![vehicle.snapshot(oldest)];
         backlog.extend(past);
-        let queue = Arc::new(ViewerQueue::default());
+        let queue = Arc::new(ViewerQueue::new(self.dropped.clone()));
         vehicle.viewers.push(Arc::downgrade(&queue));
         Ok(Viewer { backlog, queue })
+    }
+
+    /// Messages that viewers were too slow for, all viewers together, since the start.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Bytes waiting for viewers, all of them together.
+    pub fn queued_bytes(&self) -> usize {
+        let vehicles = lock(&self.vehicles);
+        let queues = vehicles.values().flat_map(|vehicle| &vehicle.viewers).filter_map(Weak::upgrade);
+        queues.map(|queue| queue.queued_bytes()).sum()
     }
 
     /// The batches of the last `history`, oldest first, each shared and none copied.

@@ -13,7 +13,7 @@ const BENCH: &str = "rpm,thrust_n,torque_nm\n3000,1.6,0.02\n4000,2.85,0.036\n500
 async fn a_table_becomes_a_calibration_that_is_kept() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
-    assert_eq!(ground.json("/api/v1/calibrations").await, json!({ "calibrations": [] }));
+    assert_eq!(ground.json("/api/v1/calibrations").await, json!({ "calibrations": [], "total": 0 }));
     let body = json!({ "kind": "thrust", "csv": BENCH, "name": "bench.csv" }).to_string();
     let made = ground.request("POST", "/api/v1/calibrations", &body).await;
     assert_eq!(made.status, 201, "{}", made.text());
@@ -27,6 +27,8 @@ async fn a_table_becomes_a_calibration_that_is_kept() {
     let list = ground.json("/api/v1/calibrations").await;
     assert_eq!(list["calibrations"].as_array().unwrap().len(), 2);
     assert!(list["calibrations"][0].get("picture").is_none());
+    let page = ground.json("/api/v1/calibrations?offset=1&limit=1").await;
+    assert_eq!((&page["total"], &page["calibrations"]), (&json!(2), &json!([list["calibrations"][1]])));
     let id = made["id"].as_str().unwrap();
     assert_eq!(ground.json(&format!("/api/v1/calibrations/{id}")).await["covariance"], made["covariance"]);
     assert!(folder.path().join(format!("calibrations/{id}.json")).is_file());
@@ -54,7 +56,7 @@ async fn what_cannot_be_fitted_is_refused_with_the_reason() {
         assert!(answer.error().contains(expected), "{body}: {}", answer.error());
     }
     assert_eq!(ground.get("/api/v1/calibrations/..%2F..%2Fx").await.status, 404);
-    assert_eq!(ground.json("/api/v1/calibrations").await, json!({ "calibrations": [] }));
+    assert_eq!(ground.json("/api/v1/calibrations").await, json!({ "calibrations": [], "total": 0 }));
     ground.stop().await;
 }
 

@@ -39,12 +39,12 @@ fn asked(plan: &str) -> String {
 async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
-    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [] }));
+    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [], "total": 0 }));
     // GIVEN a plan WHEN its size is asked THEN nothing is kept
     let size = ground.request("POST", "/api/v1/experiments/size", &asked(PLAN)).await.json();
     assert_eq!((size["conditions"].as_u64(), size["flights"].as_u64()), (Some(2), Some(6)));
     assert!(size["expected_s"].as_f64().unwrap() > 0.0, "{size}");
-    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [] }));
+    assert_eq!(ground.json("/api/v1/experiments").await, json!({ "experiments": [], "total": 0 }));
 
     // WHEN it is flown THEN it completes, and each flight is there once
     let made = ground.request("POST", "/api/v1/experiments", &asked(PLAN)).await;
@@ -84,7 +84,17 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     // THEN its files can be had
     assert_eq!(ground.get(&format!("{at}/plan.toml")).await.text(), PLAN);
     assert!(ground.get(&format!("{at}/report.html")).await.text().contains("6 of 6 flights"));
-    assert!(ground.get(&format!("{at}/flights.parquet")).await.body.starts_with(b"PAR1"));
+    let table = ground.get(&format!("{at}/flights.parquet")).await;
+    assert!(table.body.starts_with(b"PAR1"));
+    let known = [("if-none-match", table.header("etag").expect("a tag"))];
+    let written = std::fs::metadata(folder.path().join(format!("experiments/{id}/flights.parquet"))).unwrap();
+    let again = ground.request_as("GET", &format!("{at}/flights.parquet"), "", &known).await;
+    assert_eq!((again.status, again.body.is_empty()), (304, true));
+    let now = std::fs::metadata(folder.path().join(format!("experiments/{id}/flights.parquet"))).unwrap();
+    assert_eq!(now.modified().unwrap(), written.modified().unwrap(), "it is not made again");
+    let listed = ground.json("/api/v1/experiments?limit=1").await;
+    assert_eq!((&listed["total"], &listed["experiments"][0]["id"]), (&json!(1), &json!(id)));
+    assert_eq!(ground.json("/api/v1/experiments?offset=1").await, json!({ "experiments": [], "total": 1 }));
     let against = ground.get(&format!("{at}/against/{id}")).await.text();
     assert!(against.contains("6 of 6 flights of the same condition and seed are the same bit for bit"), "{against}");
     assert_eq!(ground.get(&format!("{at}/against/none")).await.status, 404);
@@ -106,6 +116,7 @@ async fn one_is_flown_at_a_time_and_a_ground_that_ends_loses_nothing() {
     );
     let id =
         ground.request("POST", "/api/v1/experiments", &asked(&long)).await.json()["id"].as_str().unwrap().to_owned();
+    assert_eq!(ground.figure("experiments_running").await, 1.0);
     let second = ground.request("POST", "/api/v1/experiments", &asked(PLAN)).await;
     assert_eq!((second.status, second.error().contains(&id)), (409, true), "{}", second.error());
     // WHEN it is stopped and started again THEN it goes on
@@ -113,6 +124,7 @@ async fn one_is_flown_at_a_time_and_a_ground_that_ends_loses_nothing() {
     ground.wait_json(&at, |results| results["state"]["done"].as_u64() > Some(0)).await;
     assert_eq!(ground.request("POST", &format!("{at}/stop"), "").await.status, 200);
     let stopped = ground.wait_json(&at, |results| results["state"]["running"] == false).await;
+    assert_eq!(ground.figure("experiments_running").await, 0.0);
     let done = stopped["state"]["done"].as_u64().unwrap();
     assert_eq!(ground.request("POST", &format!("{at}/start"), "").await.status, 200);
     ground.wait_json(&at, |results| results["state"]["done"].as_u64() > Some(done)).await;

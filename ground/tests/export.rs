@@ -82,6 +82,61 @@ async fn a_table_has_the_columns_the_range_and_the_rate_that_are_asked_for() {
     ground.stop().await;
 }
 
+/// GIVEN exports of a flight WHEN their tags are shown again THEN they are not sent, until what they are made of has changed.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_export_that_a_client_has_is_not_sent_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    flown(&ground).await;
+    let known = async |path: &str, tags: &str| {
+        ground.request_as("GET", &format!("/api/v1/{path}"), "", &[("if-none-match", tags)]).await
+    };
+    let mut tags = std::collections::BTreeMap::new();
+    for path in [
+        "flights/f1/csv",
+        "flights/f1/csv?rate_hz=50",
+        "flights/f1/csv?columns=control",
+        "flights/f1/csv?to_s=1",
+        "flights/f1/csv?topic=/control",
+        "flights/f1/parquet",
+        "flights/f1/mat",
+        "flights/f1/ros2",
+        "flights/f1/frames",
+        "flights/f1/frames?kinds=control",
+        "archive?ids=f1",
+    ] {
+        let first = known(path, "\"other\"").await;
+        let tag = first.header("etag").unwrap_or_else(|| panic!("{path}: {}", first.head)).to_owned();
+        assert!(first.status == 200 && !first.body.is_empty(), "{path}");
+        for shown in [tag.clone(), format!("\"other\", W/{tag}"), "*".to_owned()] {
+            let again = known(path, &shown).await;
+            assert_eq!((again.status, again.body.len(), again.header("etag")), (304, 0, Some(tag.as_str())), "{path}");
+        }
+        assert!(tags.insert(tag, path).is_none(), "{path} has the tag of another");
+    }
+    assert_eq!(known("flights/f1/csv?columns=colour", "*").await.status, 422, "what is refused has no tag");
+    assert_eq!(ground.figure("downloads_open").await, 0.0);
+    // A name is in the archive, and in no table.
+    assert_eq!(ground.request("PATCH", "/api/v1/flights/f1", "{\"name\":\"first\"}").await.status, 200);
+    for (tag, path) in &tags {
+        let status = if path.starts_with("archive") { 200 } else { 304 };
+        assert_eq!(known(path, tag).await.status, status, "{path}");
+    }
+    // One that still grows is another a moment later.
+    let mut agent = ground.agent("iris-2", 2).await;
+    agent.begin("f2").await;
+    let mut before = String::new();
+    for ticks in [40, 80] {
+        agent.fly(40).await;
+        ground.wait_json("/api/v1/flights/f2", |f| f["messages"].as_u64() > Some(3 * ticks)).await;
+        let now = known("flights/f2/csv?rate_hz=0", &before).await;
+        assert_eq!(now.status, 200, "after {ticks} ticks");
+        now.header("etag").unwrap().clone_into(&mut before);
+    }
+    assert_eq!(known("archive?ids=f1,f2", "*").await.header("etag"), None);
+    ground.stop().await;
+}
+
 /// GIVEN the same table three times WHEN other people's readers open it THEN each finds the same in it.
 #[tokio::test(flavor = "multi_thread")]
 async fn others_read_what_is_written() {

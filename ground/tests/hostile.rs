@@ -212,8 +212,36 @@ async fn a_flight_in_progress_is_served_as_it_is_and_a_download_of_it_goes_on() 
     assert_eq!((rest.status, rest.body.as_slice()), (206, &whole.body[whole.body.len() / 2..]));
     let grown = ground.get(path).await;
     assert!(grown.body.len() > whole.body.len() && grown.header("etag") != Some(tag.as_str()));
-    let beyond = ground.request_as("GET", path, "", &[("range", "bytes=999999999-")]).await;
-    assert_eq!(beyond.status, 416);
+    let asked = async |range: &str| ground.request_as("GET", path, "", &[("range", range)]).await;
+    let length = grown.body.len();
+    for beyond in ["bytes=999999999-", "bytes=999999999-9999999999", "bytes=-0", &format!("bytes={length}-")] {
+        let answer = asked(beyond).await;
+        assert_eq!(answer.status, 416, "{beyond}");
+        assert!(answer.error().contains(&format!("{length} bytes")), "{}", answer.text());
+        assert_eq!(answer.json()["code"], "range_not_satisfiable");
+        assert_eq!(answer.header("content-range"), Some(format!("bytes */{length}").as_str()), "{beyond}");
+    }
+    // What is no range of bytes, and several, is passed over.
+    for range in ["bytes=z", "bytes=9-2", "bytes=", "bytes=--1", "bytes=+1-2", "lines=1-2", "z", "bytes=1-2,5-6"] {
+        let answer = asked(range).await;
+        assert_eq!((answer.status, answer.header("content-range")), (200, None), "{range}");
+        assert!(answer.body == grown.body, "{range}");
+    }
+    for (range, from, until) in
+        [("bytes=-7", length - 7, length), ("bytes=5-999999999", 5, length), ("bytes=0-0", 0, 1)]
+    {
+        let answer = asked(range).await;
+        assert_eq!((answer.status, answer.body.as_slice()), (206, &grown.body[from..until]), "{range}");
+    }
+    // Whoever has it already is sent nothing, whatever range of it is asked for.
+    let now = grown.header("etag").unwrap();
+    for (known, status) in
+        [(now.to_owned(), 304), (format!("\"a\", W/{now}"), 304), ("*".into(), 304), (tag.clone(), 206)]
+    {
+        let headers = [("range", "bytes=0-0"), ("if-none-match", known.as_str())];
+        let answer = ground.request_as("GET", path, "", &headers).await;
+        assert_eq!((answer.status, answer.header("etag")), (status, Some(now)), "{known}");
+    }
     // AND nothing was written to the disk for any of them
     let names: Vec<_> =
         std::fs::read_dir(folder.path().join("flights")).unwrap().flatten().map(|e| e.file_name()).collect();

@@ -125,6 +125,8 @@ async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
     assert!(seen < messages, "the test must stall a viewer to say anything");
     // Ground-made messages in dropped batches count as well.
     assert!(dropped >= messages - seen && dropped < messages - seen + 200, "{dropped} dropped, {seen} seen");
+    let told = ground.figure("viewer_dropped_total").await;
+    assert!(told >= dropped as f64, "{told}, and this viewer alone missed {dropped}");
     ground.stop().await;
 }
 

@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
-use axum::response::{IntoResponse as _, Response};
+use axum::response::{AppendHeaders, IntoResponse as _, Response};
 use plumbline_rest::flight::Due;
 use serde::Deserialize;
 
@@ -11,7 +11,9 @@ use super::App;
 use super::error::ApiError;
 use super::extract::Query;
 use super::flights::on_disk;
+use super::tag::{self, Known};
 use super::{download, operator::Operator};
+use crate::recorder::WRITTEN;
 use crate::recorder::archive::Tar;
 use crate::sync::wall_time_us;
 
@@ -25,15 +27,25 @@ pub(crate) async fn tar(
     State(app): State<App>,
     who: Operator,
     Query(Which { ids }): Query<Which>,
+    known: Known,
 ) -> Result<Response, ApiError> {
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
-    let tar = on_disk(move || Tar::new(recorder, &ids)).await?;
+    let made = on_disk(move || {
+        let tar = Tar::new(recorder, &ids)?;
+        let flights = tar.tag()?;
+        Ok((tar, flights.map(|flights| tag::of(format!("tar {flights} {WRITTEN}").as_bytes()))))
+    });
+    let (tar, tag) = made.await?;
+    if let Some(tag) = tag.as_ref().filter(|tag| known.has(tag)) {
+        return Ok(tag::unchanged(tag.clone()));
+    }
     let kind = [
         (header::CONTENT_TYPE, "application/x-tar"),
         (header::CONTENT_DISPOSITION, "attachment; filename=\"flights.tar\""),
     ];
-    Ok((kind, download::export(place, move |sink| tar.write(sink))).into_response())
+    let tag = tag.map(|tag| AppendHeaders([(header::ETAG, tag)]));
+    Ok((kind, tag, download::export(place, move |sink| tar.write(sink))).into_response())
 }
 
 pub(crate) async fn due(State(app): State<App>) -> Result<Json<Vec<Due>>, ApiError> {

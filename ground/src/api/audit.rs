@@ -1,23 +1,19 @@
-//! `GET /api/v1/audit?limit=N`: the last deeds, oldest first.
+//! `GET /api/v1/audit?offset=N&limit=N`: the last deeds before the last N, oldest first.
 
 use axum::Json;
 use axum::extract::State;
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::App;
 use super::error::ApiError;
-use super::extract::Query;
+use super::extract::{Page, Query};
 
-#[derive(Deserialize)]
-pub(crate) struct Asked {
-    limit: Option<usize>,
-}
+/// Deeds on a page, where nothing else is asked for.
+const PAGE: usize = 200;
 
-pub(crate) async fn show(State(app): State<App>, Query(asked): Query<Asked>) -> Result<Json<Value>, ApiError> {
-    let audit = app.audit.clone();
-    let count = asked.limit.unwrap_or(200);
-    let deeds = tokio::task::spawn_blocking(move || audit.last(count)).await;
+pub(crate) async fn show(State(app): State<App>, Query(page): Query<Page>) -> Result<Json<Value>, ApiError> {
+    let (audit, limit) = (app.audit.clone(), page.limit(PAGE)?);
+    let deeds = tokio::task::spawn_blocking(move || audit.page(page.offset, limit)).await;
     match deeds {
         Ok(Ok(deeds)) => Ok(Json(json!({ "deeds": deeds }))),
         Ok(Err(error)) => Err(ApiError::Broken(format!("audit log: {error}"))),

@@ -20,7 +20,7 @@ use plumbline_rest::calibration::{self as rest, Calibration, Fit};
 use super::App;
 use super::compute::Waited;
 use super::error::ApiError;
-use super::extract::Path;
+use super::extract::{Page, Path, Query};
 use crate::calibrations::{self, Calibrations};
 use crate::recorder::RecorderHandle;
 use crate::sync::wall_time_us;
@@ -114,9 +114,14 @@ async fn upload(request: HttpRequest) -> Result<Bytes, ApiError> {
     body.map_err(|_| slow())?.map_err(|_| ApiError::TooLarge(format!("the body is larger than {MAX_TABLE} bytes")))
 }
 
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<rest::Calibrations>, ApiError> {
+pub(crate) async fn list(
+    State(app): State<App>,
+    Query(page): Query<Page>,
+) -> Result<Json<rest::Calibrations>, ApiError> {
     let kept = Calibrations::open(&app.config.data_folder);
-    Ok(Json(rest::Calibrations { calibrations: aside(move || Ok(kept.list())).await? }))
+    let all = aside(move || Ok(kept.list())).await?;
+    let total = all.len() as u64;
+    Ok(Json(rest::Calibrations { calibrations: page.of(all)?.collect(), total }))
 }
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Calibration>, ApiError> {

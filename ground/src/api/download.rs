@@ -15,6 +15,7 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
 use super::error::ApiError;
+use super::tag::{self, Known};
 use crate::recorder::{RecordingError, Snapshot};
 use crate::sync::lock;
 
@@ -54,6 +55,11 @@ impl Downloads {
         *open.entry(who.to_owned()).or_default() += 1;
         Ok(Download { downloads: self.clone(), who: who.to_owned() })
     }
+
+    /// How many go on.
+    pub(crate) fn count(&self) -> usize {
+        lock(&self.0).values().sum()
+    }
 }
 
 impl Drop for Download {
@@ -70,15 +76,20 @@ impl Drop for Download {
 
 /// A flight's file, or the range of it that is asked for. With `If-Range` a download that broke off goes on where it was,
 /// also when the flight has grown meanwhile.
-pub(crate) fn file(mut flight: Snapshot, asked: &HeaderMap, download: Download, threads: Handle) -> Response {
+pub(crate) fn file(
+    mut flight: Snapshot,
+    asked: &HeaderMap,
+    download: Download,
+    threads: Handle,
+) -> Result<Response, ApiError> {
     let text = |name| asked.get(name).and_then(|value| value.to_str().ok());
-    let unchanged = text(header::IF_RANGE).is_none_or(|tag| flight.go_back_to(tag));
-    let length = flight.length();
     let tag = flight.tag();
-    if text(header::IF_NONE_MATCH) == Some(&tag) {
-        return (StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response();
+    if Known::of(asked).has(&tag) {
+        return Ok(tag::unchanged(tag));
     }
-    // Several ranges at once are as good as none: everything is sent.
+    let unchanged = text(header::IF_RANGE).is_none_or(|tag| flight.go_back_to(tag));
+    let (length, tag) = (flight.length(), flight.tag());
+    // Several ranges at once are as good as none, and so is what is no range: everything is sent.
     let ranges = text(header::RANGE).filter(|range| unchanged && !range.contains(',')).and_then(|range| {
         let range = http_range_header::parse_range_header(range).ok()?;
         Some(range.validate(length).ok().and_then(|valid| valid.first().cloned()))
@@ -86,10 +97,7 @@ pub(crate) fn file(mut flight: Snapshot, asked: &HeaderMap, download: Download, 
     let (status, range) = match ranges {
         None => (StatusCode::OK, None),
         Some(Some(range)) => (StatusCode::PARTIAL_CONTENT, Some(range)),
-        Some(None) => {
-            let none = [(header::CONTENT_RANGE, format!("bytes */{length}"))];
-            return (StatusCode::RANGE_NOT_SATISFIABLE, none).into_response();
-        }
+        Some(None) => return Err(ApiError::Range(length)),
     };
     let (from, until) = range.as_ref().map_or((0, length), |range| (*range.start(), range.end() + 1));
     let mut headers = vec![
@@ -114,7 +122,7 @@ pub(crate) fn file(mut flight: Snapshot, asked: &HeaderMap, download: Download, 
         }
     });
     let headers = axum::response::AppendHeaders(headers);
-    (status, headers, Body::from_stream(pieces)).into_response()
+    Ok((status, headers, Body::from_stream(pieces)).into_response())
 }
 
 /// A body that `write` produces on a thread of its own, at most [`AHEAD`] pieces ahead of the client.
@@ -148,6 +156,7 @@ mod tests {
         let mut open: Vec<_> = (0..MAX_DOWNLOADS_EACH).map(|_| downloads.begin(ann).unwrap()).collect();
         assert!(matches!(downloads.begin(ann), Err(ApiError::Throttled(AGAIN_S, _))));
         assert!(downloads.begin(bob).is_ok());
+        assert_eq!(downloads.count(), MAX_DOWNLOADS_EACH);
         open.pop();
         assert!(downloads.begin(ann).is_ok());
         drop(open);

@@ -23,6 +23,8 @@ pub(crate) enum ApiError {
     /// Wrong Origin or Host, or a role that may not.
     Foreign(String),
     TooLarge(String),
+    /// Nothing of the range asked for is there; how many bytes there are.
+    Range(u64),
     /// The rest of a request did not come.
     Late(String),
     Invalid(String),
@@ -54,6 +56,7 @@ impl ApiError {
             Self::Throttled(..) => (StatusCode::TOO_MANY_REQUESTS, "throttled"),
             Self::Foreign(_) => (StatusCode::FORBIDDEN, "forbidden"),
             Self::TooLarge(_) => (StatusCode::PAYLOAD_TOO_LARGE, "too_large"),
+            Self::Range(_) => (StatusCode::RANGE_NOT_SATISFIABLE, "range_not_satisfiable"),
             Self::Late(_) => (StatusCode::REQUEST_TIMEOUT, "late"),
             Self::Invalid(_) => (StatusCode::UNPROCESSABLE_ENTITY, "invalid"),
             Self::Held(_) => (StatusCode::LOCKED, "held"),
@@ -70,6 +73,7 @@ impl ApiError {
     pub(crate) fn text(&self) -> String {
         match self {
             Self::Held(held) => held.to_string(),
+            Self::Range(length) => format!("the range lies beyond the end: there are {length} bytes"),
             Self::NotFound(text)
             | Self::Method(text)
             | Self::SignIn(text)
@@ -102,15 +106,16 @@ impl IntoResponse for ApiError {
             code: code.into(),
             ..Problem::default()
         };
-        let (wait, problem) = match self {
+        let (more, problem) = match self {
             Self::Throttled(seconds, _) => (Some([(header::RETRY_AFTER, seconds.to_string())]), problem),
+            Self::Range(length) => (Some([(header::CONTENT_RANGE, format!("bytes */{length}"))]), problem),
             Self::Held(held) => (None, Problem { holder: Some(held.holder), ..problem }),
             Self::Rejected { command_id, revision, .. } => {
                 (None, Problem { command_id: Some(command_id), revision, ..problem })
             }
             _ => (None, problem),
         };
-        let mut response = (status, wait.map(axum::response::AppendHeaders), Json(problem)).into_response();
+        let mut response = (status, more.map(axum::response::AppendHeaders), Json(problem)).into_response();
         response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM));
         response
     }

@@ -19,8 +19,10 @@ use serde::Deserialize;
 use super::App;
 use super::body::Body;
 use super::error::ApiError;
-use super::extract::{Path, Query};
+use super::extract::{Page, Path, Query};
+use super::tag::{self, Known};
 use crate::experiments::Experiments;
+use crate::recorder::WRITTEN;
 
 /// Most flights of one answer.
 const PAGE: usize = 1000;
@@ -68,10 +70,15 @@ fn read(text: &str, library: &Library) -> Result<Plan, ApiError> {
     Plan::over(text, library).map_err(|error| ApiError::Invalid(error.to_string()))
 }
 
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<rest::Experiments>, ApiError> {
-    let listed = aside(app, |app| {
+pub(crate) async fn list(
+    State(app): State<App>,
+    Query(page): Query<Page>,
+) -> Result<Json<rest::Experiments>, ApiError> {
+    let listed = aside(app, move |app| {
         let all = Experiment::all(app.experiments.root());
-        Ok(rest::Experiments { experiments: all.iter().map(|experiment| app.experiments.state(experiment)).collect() })
+        let total = all.len() as u64;
+        let experiments = page.of(all)?.map(|experiment| app.experiments.state(&experiment)).collect();
+        Ok(rest::Experiments { experiments, total })
     });
     Ok(Json(listed.await?))
 }
@@ -205,13 +212,24 @@ pub(crate) async fn compare(
     Ok(([(header::CONTENT_TYPE, "text/html; charset=utf-8")], text).into_response())
 }
 
-pub(crate) async fn table(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+pub(crate) async fn table(State(app): State<App>, Path(id): Path<String>, known: Known) -> Result<Response, ApiError> {
     let name = format!("attachment; filename=\"{}.parquet\"", crate::names::clip(&id));
-    let bytes = aside(app, move |app| {
-        let path: PathBuf = parquet::export(&one(app, &id)?)?;
-        std::fs::read(&path).map_err(|error| ApiError::Broken(format!("{}: {error}", path.display())))
+    let made = aside(app, move |app| {
+        let experiment = one(app, &id)?;
+        // Rows are only ever added: how many there are says which.
+        let identity = &experiment.identity;
+        let tag = (&identity.hash, &identity.program, identity.made_unix_us, experiment.done(), WRITTEN);
+        let tag = tag::of(format!("{tag:?}").as_bytes());
+        if known.has(&tag) {
+            return Ok((tag, None));
+        }
+        let path: PathBuf = parquet::export(&experiment)?;
+        let bytes = std::fs::read(&path).map_err(|error| ApiError::Broken(format!("{}: {error}", path.display())))?;
+        Ok((tag, Some(bytes)))
     });
-    let bytes = bytes.await?;
+    let (tag, bytes) = made.await?;
+    let Some(bytes) = bytes else { return Ok(tag::unchanged(tag)) };
     let kind = "application/vnd.apache.parquet".to_owned();
-    Ok(([(header::CONTENT_TYPE, kind), (header::CONTENT_DISPOSITION, name)], bytes).into_response())
+    let head = [(header::CONTENT_TYPE, kind), (header::ETAG, tag), (header::CONTENT_DISPOSITION, name)];
+    Ok((head, bytes).into_response())
 }

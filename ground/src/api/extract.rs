@@ -2,6 +2,8 @@
 
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
+use plumbline_rest::flight::MAX_PAGE;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
@@ -28,4 +30,34 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
         let query = axum::extract::Query::<T>::from_request_parts(parts, state).await;
         query.map(|axum::extract::Query(query)| Self(query)).map_err(|e| ApiError::Invalid(e.body_text()))
     }
+}
+
+/// Which page of a list is asked for.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Page {
+    /// So many are passed over.
+    #[serde(default)]
+    pub(crate) offset: usize,
+    limit: Option<usize>,
+}
+
+impl Page {
+    /// How many it may have; `standard` where nothing is said.
+    pub(crate) fn limit(&self, standard: usize) -> Result<usize, ApiError> {
+        page_limit(self.limit.unwrap_or(standard))
+    }
+
+    /// What is on it, of all.
+    pub(crate) fn of<T>(&self, all: Vec<T>) -> Result<impl Iterator<Item = T> + use<T>, ApiError> {
+        Ok(all.into_iter().skip(self.offset).take(self.limit(MAX_PAGE)?))
+    }
+}
+
+/// A number of entries that a page may have.
+pub(crate) fn page_limit(limit: usize) -> Result<usize, ApiError> {
+    if (1..=MAX_PAGE).contains(&limit) {
+        return Ok(limit);
+    }
+    Err(ApiError::Invalid(format!("limit {limit} is outside 1 to {MAX_PAGE}")))
 }

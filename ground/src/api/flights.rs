@@ -4,16 +4,17 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use plumbline_rest::flight::{Flights, Labels, Listing, MAX_PAGE, page};
+use plumbline_rest::flight::{Flights, Labels, Listing, page};
 use serde::Deserialize;
 
 use super::App;
 use super::body::Body;
 use super::download;
 use super::error::ApiError;
-use super::extract::{Path, Query};
+use super::extract::{Path, Query, page_limit};
 use super::operator::Operator;
-use crate::recorder::{Export, Flight, Format, RecorderHandle, RecordingError, Selection};
+use super::tag::{self, Known};
+use crate::recorder::{Export, Flight, Format, RecorderHandle, RecordingError, Selection, Snapshot, WRITTEN};
 use crate::sync::wall_time_us;
 
 /// Runs `work`, which waits for the disk, off the server's threads.
@@ -27,9 +28,7 @@ pub(super) async fn on_disk<T: Send + 'static>(
 }
 
 pub(crate) async fn list(State(app): State<App>, Query(asked): Query<Listing>) -> Result<Json<Flights>, ApiError> {
-    if !(1..=MAX_PAGE).contains(&asked.limit) {
-        return Err(ApiError::Invalid(format!("limit {} is outside 1 to {MAX_PAGE}", asked.limit)));
-    }
+    page_limit(asked.limit)?;
     let (recorder, retention) = (app.recorder.clone(), app.retention.clone());
     // Asked before the list: a list that says it is ready lacks nothing.
     let ready = recorder.ready();
@@ -84,11 +83,11 @@ pub(crate) async fn mcap(
     let recorder = app.recorder.clone();
     let name = attachment(&id, "mcap");
     let flight = on_disk(move || recorder.open(&id)).await?;
-    Ok(([name], download::file(flight, &headers, place, app.work.clone())).into_response())
+    Ok(([name], download::file(flight, &headers, place, app.work.clone())?).into_response())
 }
 
 /// What of a flight is put into a table.
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Range {
     from_s: Option<f64>,
@@ -104,8 +103,9 @@ pub(crate) async fn csv(
     id: Path<String>,
     who: Operator,
     asked: Query<Range>,
+    known: Known,
 ) -> Result<Response, ApiError> {
-    table(app, id, who, asked, Format::Csv).await
+    table(app, id, who, asked, known, Format::Csv).await
 }
 
 pub(crate) async fn parquet(
@@ -113,8 +113,9 @@ pub(crate) async fn parquet(
     id: Path<String>,
     who: Operator,
     asked: Query<Range>,
+    known: Known,
 ) -> Result<Response, ApiError> {
-    table(app, id, who, asked, Format::Parquet).await
+    table(app, id, who, asked, known, Format::Parquet).await
 }
 
 pub(crate) async fn mat(
@@ -122,8 +123,9 @@ pub(crate) async fn mat(
     id: Path<String>,
     who: Operator,
     asked: Query<Range>,
+    known: Known,
 ) -> Result<Response, ApiError> {
-    table(app, id, who, asked, Format::Mat).await
+    table(app, id, who, asked, known, Format::Mat).await
 }
 
 pub(crate) async fn ros2(
@@ -131,8 +133,9 @@ pub(crate) async fn ros2(
     id: Path<String>,
     who: Operator,
     asked: Query<Range>,
+    known: Known,
 ) -> Result<Response, ApiError> {
-    table(app, id, who, asked, Format::Ros2).await
+    table(app, id, who, asked, known, Format::Ros2).await
 }
 
 async fn table(
@@ -140,8 +143,10 @@ async fn table(
     Path(id): Path<String>,
     who: Operator,
     Query(asked): Query<Range>,
+    known: Known,
     format: Format,
 ) -> Result<Response, ApiError> {
+    let what = format!("{format:?} {asked:?}");
     let standard = Selection::default();
     let selection = Selection {
         from_s: asked.from_s.unwrap_or(standard.from_s),
@@ -155,22 +160,32 @@ async fn table(
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let name = attachment(&id, format.ending());
-    let export = on_disk(move || {
+    let made = on_disk(move || {
         let flight = recorder.open(&id)?;
-        match asked.topic {
+        let tag = tag_of(&flight, &what);
+        let export = match asked.topic {
             Some(topic) => Export::topic(flight, &topic),
             None => Export::wide(flight, selection, format),
-        }
-    })
-    .await?;
+        };
+        Ok((export?, tag))
+    });
+    let (export, tag) = made.await?;
+    if known.has(&tag) {
+        return Ok(tag::unchanged(tag));
+    }
     let kind = match format {
         Format::Csv => "text/csv; charset=utf-8",
         Format::Parquet => "application/vnd.apache.parquet",
         Format::Mat => "application/x-matlab-data",
         Format::Ros2 => "application/octet-stream",
     };
-    let kind = [(header::CONTENT_TYPE, kind.to_owned()), name];
+    let kind = [(header::CONTENT_TYPE, kind.to_owned()), (header::ETAG, tag), name];
     Ok((kind, download::export(place, move |sink| export.write(sink))).into_response())
+}
+
+/// Says which flight an export is of, what of it, and by which program.
+fn tag_of(flight: &Snapshot, what: &str) -> String {
+    tag::of(format!("{} {what} {WRITTEN}", flight.tag()).as_bytes())
 }
 
 #[derive(Deserialize)]
@@ -183,11 +198,20 @@ pub(crate) async fn frames(
     Path(id): Path<String>,
     who: Operator,
     Query(asked): Query<Kinds>,
+    known: Known,
 ) -> Result<Response, ApiError> {
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
-    let export = on_disk(move || Export::frames(recorder.open(&id)?, asked.kinds.as_deref())).await?;
-    let kind = [(header::CONTENT_TYPE, "application/octet-stream")];
+    let made = on_disk(move || {
+        let flight = recorder.open(&id)?;
+        let tag = tag_of(&flight, &format!("frames {:?}", asked.kinds));
+        Ok((Export::frames(flight, asked.kinds.as_deref())?, tag))
+    });
+    let (export, tag) = made.await?;
+    if known.has(&tag) {
+        return Ok(tag::unchanged(tag));
+    }
+    let kind = [(header::CONTENT_TYPE, "application/octet-stream".to_owned()), (header::ETAG, tag)];
     Ok((kind, download::export(place, move |sink| export.write(sink))).into_response())
 }
 

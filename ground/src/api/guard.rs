@@ -23,7 +23,8 @@ const REQUEST_ID: &str = "x-request-id";
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     let id = number(request.headers());
     let span = tracing::info_span!("request", %id, method = %request.method(), path = %request.uri().path());
-    let mut response = answer(app, request, next).instrument(span).await;
+    let mut response = answer(app.clone(), request, next).instrument(span).await;
+    app.counts.answered(response.status());
     if let Ok(id) = HeaderValue::from_str(&id) {
         response.headers_mut().insert(REQUEST_ID, id);
     }

@@ -3,8 +3,11 @@
 //! The first two are open to everybody and tell nothing else. Figures name vehicles: they are for this machine, for
 //! whoever is signed in, and for everybody only where the configuration says so (`metrics_open`).
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use axum::extract::{ConnectInfo, Extension, State};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use plumbline_proto::{Kind, v1};
 
@@ -13,6 +16,27 @@ use super::access::token;
 use super::error::ApiError;
 use crate::front::Peer;
 use crate::metrics::{MEDIA, Metrics, Type};
+
+/// Classes of status.
+const CLASSES: [&str; 5] = ["1xx", "2xx", "3xx", "4xx", "5xx"];
+
+/// What is counted from the start on.
+#[derive(Debug, Default)]
+pub(super) struct Counts {
+    /// Samples that Foxglove clients were too slow for.
+    pub(super) foxglove_dropped: Arc<AtomicU64>,
+    /// Requests, by class of the answer's status.
+    requests: [AtomicU64; CLASSES.len()],
+}
+
+impl Counts {
+    /// A request was answered so.
+    pub(super) fn answered(&self, status: StatusCode) {
+        if let Some(class) = self.requests.get(usize::from(status.as_u16() / 100).saturating_sub(1)) {
+            class.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
 
 /// The ground answers.
 pub(crate) async fn alive() -> &'static str {
@@ -50,6 +74,7 @@ pub(crate) async fn metrics(
     out.one(Type::Gauge, "flights_bytes", "Size of all flight files.", storage.used_bytes as f64);
     out.one(Type::Gauge, "flights", "Flights kept.", storage.flights as f64);
     recorder_figures(&app, &mut out);
+    queue_figures(&app, &mut out);
     vehicle_figures(&app, &mut out);
     Ok(([(header::CONTENT_TYPE, MEDIA)], out.text()).into_response())
 }
@@ -69,13 +94,30 @@ fn recorder_figures(app: &App, out: &mut Metrics) {
     );
     let aside = recorder.set_aside().len() as f64;
     out.one(Type::Gauge, "recorder_set_aside", "Damaged files put aside since the start.", aside);
-    out.one(Type::Gauge, "viewers", "Live views.", app.viewers.count() as f64);
     if let Some(identity) = &app.config.link_identity {
         let refused = identity.refused() as f64;
         out.one(Type::Counter, "link_refused_total", "Agents refused for their certificates.", refused);
         let broken = identity.broken_off() as f64;
         out.one(Type::Counter, "link_handshakes_broken_off_total", "Connections that never said who they are.", broken);
     }
+}
+
+fn queue_figures(app: &App, out: &mut Metrics) {
+    let counts = &app.counts;
+    out.one(Type::Gauge, "viewers", "Live views.", app.viewers.count() as f64);
+    out.one(Type::Gauge, "viewer_queued_bytes", "Waiting for live views.", app.hub.queued_bytes() as f64);
+    let dropped = app.hub.dropped() as f64;
+    out.one(Type::Counter, "viewer_dropped_total", "Messages that live views were too slow for.", dropped);
+    let dropped = counts.foxglove_dropped.load(Ordering::Relaxed) as f64;
+    out.one(Type::Counter, "foxglove_dropped_total", "Samples that Foxglove clients were too slow for.", dropped);
+    let waiting = app.commands.waiting() as f64;
+    out.one(Type::Gauge, "commands_waiting", "Commands that wait for acknowledgements.", waiting);
+    out.one(Type::Gauge, "downloads_open", "Downloads that go on.", app.downloads.count() as f64);
+    let running = f64::from(u8::from(app.experiments.running()));
+    out.one(Type::Gauge, "experiments_running", "Experiments flown here now.", running);
+    let classes = CLASSES.iter().zip(&counts.requests);
+    let requests = classes.map(|(class, count)| ("status", *class, count.load(Ordering::Relaxed) as f64));
+    out.family(Type::Counter, "http_requests_total", "Requests answered, by class of status.", requests);
 }
 
 /// What one vehicle's figure is made of.

@@ -107,6 +107,7 @@ pub(crate) struct Inner {
     started: Instant,
     viewers: Arc<Viewers>,
     downloads: Arc<Downloads>,
+    counts: health::Counts,
     computing: compute::Turns,
     uploads: compute::Turns,
     envelopes: envelope::Envelopes,
@@ -134,6 +135,7 @@ impl App {
             started: Instant::now(),
             viewers: Arc::default(),
             downloads: Arc::default(),
+            counts: health::Counts::default(),
             computing: compute::Turns::new(),
             uploads: compute::Turns::new(),
             envelopes: envelope::Envelopes::default(),
@@ -297,9 +299,8 @@ pub(crate) fn router(app: App) -> Router {
     let mut router = Router::new();
     for Route { path, need, handler, limit, .. } in routes() {
         let admit = from_fn_with_state((app.clone(), need, limit), access::admit);
-        let mut handler = handler.route_layer(DefaultBodyLimit::max(limit));
+        let mut handler = handler.route_layer(DefaultBodyLimit::max(limit)).route_layer(from_fn(tag::tag));
         if !at_once(path) {
-            handler = handler.route_layer(from_fn(tag::tag));
             handler = handler.route_layer(from_fn_with_state(app.work.clone(), work::there));
         }
         router = router.route(path, handler.route_layer(admit));

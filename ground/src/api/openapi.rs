@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 
 use axum::Json;
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
 use axum::response::Html;
 use plumbline_rest::Problem;
 use serde_json::{Map, Value, json};
@@ -69,11 +69,14 @@ pub(super) struct Operation {
     body: Option<Schema>,
     status: u16,
     answer: Option<(&'static str, Option<Schema>)>,
+    tagged: bool,
+    ranged: bool,
 }
 
 impl Operation {
     pub(super) const fn new(method: &'static str, path: &'static str, summary: &'static str) -> Self {
-        Self { method, path, summary, query: &[], body: None, status: 204, answer: None }
+        let (query, body, answer) = (&[] as &[Parameter], None, None);
+        Self { method, path, summary, query, body, status: 204, answer, tagged: false, ranged: false }
     }
 
     pub(super) const fn query(self, query: &'static [Parameter]) -> Self {
@@ -101,6 +104,21 @@ impl Operation {
         Self { status: 200, answer: Some((media, None)), ..self }
     }
 
+    /// It has an ETag, although it is no JSON.
+    pub(super) const fn tagged(self) -> Self {
+        Self { tagged: true, ..self }
+    }
+
+    /// It is served in ranges, too.
+    pub(super) const fn ranged(self) -> Self {
+        Self { ranged: true, ..self.tagged() }
+    }
+
+    /// JSON that is read.
+    fn json_read(&self) -> bool {
+        self.method == "get" && self.answer.is_some_and(|(media, _)| media == JSON)
+    }
+
     fn parameters(&self) -> Vec<Value> {
         let parts = self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
         let path = |name| json!({ "name": name, "in": "path", "required": true, "schema": { "type": "string" } });
@@ -113,6 +131,19 @@ impl Operation {
             let text = "What a client calls itself; with a session it is needed, and the account counts.";
             let schema = json!({ "type": "string", "minLength": 1, "maxLength": 64 });
             all.push(json!({ "name": HEADER, "in": "header", "description": text, "schema": schema }));
+        }
+        let header =
+            |name: &str, text, schema| json!({ "name": name, "in": "header", "description": text, "schema": schema });
+        if self.tagged || self.json_read() {
+            let text = "ETags with commas between them: what has one of them is not sent again.";
+            all.push(header(header::IF_NONE_MATCH.as_str(), text, json!({ "type": "string" })));
+        }
+        if self.ranged {
+            let text = "One range of bytes; what is none, or several, is passed over.";
+            let range = json!({ "type": "string", "pattern": "^bytes=([0-9]+-[0-9]*|-[0-9]+)$" });
+            all.push(header(header::RANGE.as_str(), text, range));
+            let text = "An ETag: the range counts where it is one of the same bytes, else everything is sent.";
+            all.push(header(header::IF_RANGE.as_str(), text, json!({ "type": "string" })));
         }
         all
     }
@@ -127,7 +158,19 @@ impl Operation {
         if !content.is_null() {
             success["content"] = content;
         }
+        if self.tagged || self.json_read() {
+            let text = "Identifies these bytes.";
+            let tag =
+                json!({ "description": text, "required": !self.tagged || self.ranged, "schema": { "type": "string" } });
+            success["headers"] = json!({ "ETag": tag });
+        }
         let mut responses = json!({ self.status.to_string(): success });
+        if self.ranged {
+            let mut part = success;
+            part["description"] = json!("The range that was asked for.");
+            part["headers"]["Content-Range"] = json!({ "required": true, "schema": { "type": "string" } });
+            responses["206"] = part;
+        }
         for status in self.failures() {
             responses[status.to_string()] = json!({ "$ref": format!("#/components/responses/{status}") });
         }
@@ -139,7 +182,7 @@ impl Operation {
                 responses[status.to_string()] = failure;
             }
         }
-        if self.answer.is_some_and(|(media, _)| media == JSON) && self.method == "get" {
+        if self.tagged || self.json_read() {
             responses["304"] = json!({ "description": "What `If-None-Match` names is still so." });
         }
         let mut operation = json!({
@@ -172,6 +215,9 @@ impl Operation {
         if self.status == 101 {
             all.push(426);
         }
+        if self.ranged {
+            all.push(416);
+        }
         let counted = ["session", "login", "flights", "archive"].contains(&self.tag());
         if counted {
             all.push(429);
@@ -189,10 +235,14 @@ impl Operation {
 /// What is said where something was not done.
 fn failure(status: u16) -> Value {
     let reason = StatusCode::from_u16(status).ok().and_then(|status| status.canonical_reason()).unwrap_or_default();
-    json!({
+    let mut failure = json!({
         "description": format!("{reason}: `code` says why to programs, `detail` to people."),
         "content": { PROBLEM: { "schema": { "$ref": "#/components/schemas/Problem" } } },
-    })
+    });
+    if status == 416 {
+        failure["headers"] = json!({ "Content-Range": { "required": true, "schema": { "type": "string" } } });
+    }
+    failure
 }
 
 /// The whole document, and names that clash.
@@ -208,7 +258,7 @@ fn document() -> (Value, Schemas) {
     }
     let failures: BTreeSet<u16> = OPERATIONS.iter().flat_map(Operation::failures).collect();
     let text = "Times are in seconds or microseconds as their names say, lengths in metres, angles in radians, world east \
-                north up. Every answer in JSON has an ETag.";
+                north up. Every answer in JSON to a GET has an ETag.";
     let document = json!({
         "openapi": "3.1.0",
         "info": {

@@ -44,11 +44,17 @@ const CSV: &str = "text/csv; charset=utf-8";
 
 const LISTING: &[Parameter] = &[
     ("search", "string", "Words that must all be found in id, name, notes, vehicle, rig, state or attacks."),
+    ("vehicle", "string", "Of this vehicle only, by its id."),
+    ("from_unix_us", "integer", "Begun then or later, µs since the Unix epoch."),
+    ("to_unix_us", "integer", "Begun earlier than that."),
     ("sort", "string", "started, name, vehicle, rig, duration, steps, attacks, tracking, completeness or size."),
     ("descending", "boolean", "The largest, or newest, first: so where nothing is said."),
-    ("offset", "integer", "So many are passed over."),
+    OFFSET,
     ("limit", "integer", "Most that are answered: 1 to 1000, 100 where nothing is said."),
 ];
+const OFFSET: Parameter = ("offset", "integer", "So many are passed over.");
+const PAGE: &[Parameter] =
+    &[OFFSET, ("limit", "integer", "Most that are answered: 1 to 1000, 1000 where nothing is said.")];
 const DOTS: &[Parameter] = &[
     ("from", "integer", "So many are passed over."),
     ("count", "integer", "Most that are answered, 1000 at most."),
@@ -105,7 +111,10 @@ pub(super) const OPERATIONS: &[Operation] = &[
     patch("/api/v1/people/{id}", "Changes an account").takes(of::<AccountChange>).empty(204),
     delete("/api/v1/people/{id}", "Removes an account").empty(204),
     get("/api/v1/audit", "The last deeds, oldest first")
-        .query(&[("limit", "integer", "Most lines, 200 where nothing is said.")])
+        .query(&[
+            ("offset", "integer", "So many of the last are passed over."),
+            ("limit", "integer", "Most that are answered: 1 to 1000, 200 where nothing is said."),
+        ])
         .json(object),
     post("/api/v1/pairing", "Expects the agent that shows this code").takes(of::<Code>).empty(202),
     get("/api/v1/ground", "What this ground is and how it fares").json(of::<Ground>),
@@ -175,10 +184,12 @@ pub(super) const OPERATIONS: &[Operation] = &[
         )])
         .takes(of::<AttackQuestion>)
         .json(of::<PreparedAttack>),
-    get("/api/v1/calibrations", "Calibrations kept").json(of::<Calibrations>),
+    get("/api/v1/calibrations", "Calibrations kept, a page of them").query(PAGE).json(of::<Calibrations>),
     post("/api/v1/calibrations", "Fits a calibration and keeps it").takes(of::<Fit>).created(of::<Calibration>),
     get("/api/v1/calibrations/{id}", "A calibration, whole").json(of::<Calibration>),
-    get("/api/v1/experiments", "Experiments that are kept").json(of::<experiment::Experiments>),
+    get("/api/v1/experiments", "Experiments that are kept, a page of them")
+        .query(PAGE)
+        .json(of::<experiment::Experiments>),
     post("/api/v1/experiments", "Keeps a plan and starts flying it")
         .takes(of::<Asked>)
         .created(of::<experiment::State>),
@@ -191,31 +202,36 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/experiments/{id}/flights/{index}/open", "The same, then to the page of that flight").empty(303),
     get("/api/v1/experiments/{id}/plan.toml", "Its plan").media("application/toml"),
     get("/api/v1/experiments/{id}/report.html", "Its report, self-contained").media(HTML),
-    get("/api/v1/experiments/{id}/flights.parquet", "A row for each flight").media(PARQUET),
+    get("/api/v1/experiments/{id}/flights.parquet", "A row for each flight").media(PARQUET).tagged(),
     get("/api/v1/experiments/{id}/against/{second}", "What a second experiment differs from it in, self-contained")
         .media(HTML),
     get("/api/v1/archive", "Files of many flights as one tar, with their hashes: unpacked, it is a backup folder")
         .query(&[("ids", "string!", "Ids of flights with commas between them, 500 at most.")])
-        .media("application/x-tar"),
+        .media("application/x-tar")
+        .tagged(),
     get("/api/v1/archive/due", "Flights that retention will delete, the oldest first").json(list::<Due>),
     get("/api/v1/flights", "Flights, a page of them").query(LISTING).json(of::<Flights>),
     get("/api/v1/flights/{id}", "A flight").json(of::<Flight>),
     patch("/api/v1/flights/{id}", "Names and annotates a flight").takes(of::<Labels>).json(of::<Flight>),
     delete("/api/v1/flights/{id}", "Deletes a flight").empty(204),
-    get("/api/v1/flights/{id}/mcap", "Its file; ranges are served").media(BYTES),
-    get("/api/v1/flights/{id}/csv", "Its samples as a table").query(TABLE).media(CSV),
+    get("/api/v1/flights/{id}/mcap", "Its file; ranges are served").media(BYTES).ranged(),
+    get("/api/v1/flights/{id}/csv", "Its samples as a table").query(TABLE).media(CSV).tagged(),
     get("/api/v1/flights/{id}/parquet", "The same, typed and compressed; units in the metadata")
         .query(RANGE)
-        .media(PARQUET),
+        .media(PARQUET)
+        .tagged(),
     get("/api/v1/flights/{id}/mat", "The same for MATLAB: data, names, units, event_time_s, event_text")
         .query(RANGE)
-        .media("application/x-matlab-data"),
+        .media("application/x-matlab-data")
+        .tagged(),
     get("/api/v1/flights/{id}/ros2", "A ROS 2 bag: MCAP, CDR, messages of sensor_msgs, nav_msgs and geometry_msgs")
         .query(&[FROM, TO])
-        .media(BYTES),
+        .media(BYTES)
+        .tagged(),
     get("/api/v1/flights/{id}/frames", "Its messages as batches")
         .query(&[("kinds", "string", "Kinds with commas between them, all where nothing is said.")])
-        .media(BYTES),
+        .media(BYTES)
+        .tagged(),
     get("/api/v1/flights/{id}/estimate", "Estimates the recording again")
         .query(&[("estimator", "string!", "Which."), ("sensors", "string", "Which samples it is given, with commas.")])
         .json(object),

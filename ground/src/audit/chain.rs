@@ -35,7 +35,7 @@ fn unseal(sealed: &str) -> Option<(String, &str)> {
 }
 
 /// The files of a log, oldest first.
-fn files(data_folder: &Path) -> Vec<PathBuf> {
+pub(super) fn files(data_folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = std::fs::read_dir(data_folder) else { return Vec::new() };
     let is_part = |name: &str| name.starts_with("audit-") && name.ends_with(".jsonl");
     let mut files: Vec<PathBuf> =

@@ -2,10 +2,14 @@
 
 use std::io::{ErrorKind, Write as _};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use plumbline_ground::recorder::archive;
 use plumbline_ground::{front, page_is_built, people::Accounts};
+use plumbline_link::identity::load_or_create;
+use plumbline_link::tls;
 
 use super::serve::ServeArguments;
 use super::settings::Settings;
@@ -14,6 +18,8 @@ use super::settings::Settings;
 const ROOM_BYTES: u64 = 2 << 30;
 /// 2026-01-01: no clock that is right shows less.
 const NOT_BEFORE: Duration = Duration::from_secs(1_767_225_600);
+/// A certificate that ends sooner is worth a word.
+const ENDS_SOON: Duration = Duration::from_secs(14 * 86_400);
 
 /// Options as for serving: what they say is looked at.
 #[derive(Debug, clap::Args)]
@@ -54,14 +60,18 @@ pub fn run(arguments: &DoctorArguments) -> Result<(), String> {
 }
 
 fn examine(settings: &Settings) -> Vec<Finding> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     vec![
         port("page and API", settings.listen, "--listen", TcpListener::bind(settings.listen).map(drop)),
         port("agents", settings.agent_listen, "--agent-listen", UdpSocket::bind(settings.agent_listen).map(drop)),
         folder(&settings.data),
         disk(settings),
-        clock(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()),
-        certificate(settings),
+        clock(now),
+        certificate(settings, now),
+        identity(settings),
         accounts(settings),
+        mavlink(settings),
+        backup(settings),
         page(),
         descriptors(),
         times(settings),
@@ -131,11 +141,22 @@ fn clock(now: Duration) -> Finding {
     (Level::Ok, "clock", "plausible".into())
 }
 
-fn certificate(settings: &Settings) -> Finding {
+fn certificate(settings: &Settings, now: Duration) -> Finding {
     let what = "certificate";
-    let loaded = |certificate: &Path, key: &Path| match front::tls(certificate, key) {
-        Ok((_, fingerprint)) => (Level::Ok, what, format!("{}, SHA-256 {fingerprint}", certificate.display())),
-        Err(error) => (Level::Failure, what, format!("{error}; give another by --certificate and --key")),
+    let loaded = |certificate: &Path, key: &Path| {
+        let another = "give another by --certificate and --key, or remove the ground's own, and it makes a new one";
+        let judged = front::tls(certificate, key).and_then(|(_, fingerprint)| {
+            front::holds(certificate, now)?;
+            Ok(fingerprint)
+        });
+        match judged {
+            Err(error) => (Level::Failure, what, format!("{error}; {another}")),
+            Ok(_) if front::holds(certificate, now + ENDS_SOON).is_err() => {
+                let days = ENDS_SOON.as_secs() / 86_400;
+                (Level::Warning, what, format!("{} ends within {days} days; {another}", certificate.display()))
+            }
+            Ok(fingerprint) => (Level::Ok, what, format!("{}, SHA-256 {fingerprint}", certificate.display())),
+        }
     };
     match settings.own_certificate() {
         Err(error) => (Level::Failure, what, error),
@@ -149,6 +170,71 @@ fn certificate(settings: &Settings) -> Finding {
                 (Level::Ok, what, "a self-signed one will be made at the start".into())
             }
         }
+    }
+}
+
+/// What agents know this ground by. One that is not there yet is left to the start.
+fn identity(settings: &Settings) -> Finding {
+    let (what, folder) = ("link identity", settings.identity_folder());
+    let key = folder.join("key.pem");
+    if !key.exists() && !folder.join("cert.pem").exists() {
+        return (Level::Ok, what, format!("one will be made in {} at the start", folder.display()));
+    }
+    let found = load_or_create(&folder).and_then(|identity| tls::server(&identity).map(|_| identity.fingerprint()));
+    let open = std::fs::metadata(&key).is_ok_and(|meta| meta.permissions().mode() & 0o077 != 0);
+    match found {
+        Err(error) => {
+            let text = "put back what is missing, or make a new one, by which every agent is paired anew";
+            (Level::Failure, what, format!("{error}; {text}: plumbline-ground identity --rotate"))
+        }
+        Ok(_) if open => (Level::Warning, what, format!("others may read {0}: chmod 600 {0}", key.display())),
+        Ok(fingerprint) => (Level::Ok, what, fingerprint.to_string()),
+    }
+}
+
+fn mavlink(settings: &Settings) -> Finding {
+    let what = "MAVLink";
+    let Some(station) = settings.mavlink else { return (Level::Ok, what, "off".into()) };
+    let any = if station.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
+    let reached = match UdpSocket::bind(any).and_then(|socket| socket.connect(station)) {
+        _ if station.ip().is_unspecified() || station.port() == 0 => Err("no station can listen there".to_owned()),
+        reached => reached.map_err(|error| error.to_string()),
+    };
+    if let Err(error) = reached {
+        let text = format!("mavlink = {station}: {error}; it is the address of the station, such as 127.0.0.1:14550");
+        return (Level::Failure, what, text);
+    }
+    let watching = |why: &str| (Level::Warning, what, format!("{station} may watch and not command: {why}"));
+    if !station.ip().is_loopback() {
+        return watching("it is another machine");
+    }
+    // That accounts cannot be read is told of them.
+    let accounts = Accounts::of(&settings.data).all().unwrap_or_default();
+    match &settings.mavlink_account {
+        None if !accounts.is_empty() => watching("there are accounts, and mavlink_account names none"),
+        Some(name) if !accounts.is_empty() && accounts.iter().all(|account| account.name != *name) => {
+            watching(&format!("there is no account {name:?}, which mavlink_account names"))
+        }
+        _ => (Level::Ok, what, station.to_string()),
+    }
+}
+
+fn backup(settings: &Settings) -> Finding {
+    let what = "retention";
+    let limits = settings.retention_days.is_some() || settings.retention_bytes.is_some();
+    let Some(folder) = settings.retention_backup.as_deref() else {
+        let text = if limits { "flights are deleted, whether or not there is a copy" } else { "nothing is deleted" };
+        return (Level::Ok, what, text.into());
+    };
+    let fill = format!("plumbline-ground archive backup {} --data {}", folder.display(), settings.data.display());
+    match archive::listed(folder) {
+        Err(error) => (Level::Failure, what, format!("retention_backup: {error}; nothing is deleted before: {fill}")),
+        Ok(0) => (Level::Warning, what, format!("retention_backup holds no flight: nothing is deleted before: {fill}")),
+        Ok(_) if !limits => {
+            let text = "retention_backup changes nothing without retention_days or retention_bytes";
+            (Level::Warning, what, text.into())
+        }
+        Ok(flights) => (Level::Ok, what, format!("only of the {flights} flights in {}", folder.display())),
     }
 }
 
@@ -194,6 +280,7 @@ fn times(settings: &Settings) -> Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_ground::people::Role;
 
     fn level(findings: &[Finding], what: &str) -> Level {
         findings.iter().find(|(_, name, _)| *name == what).unwrap().0
@@ -203,7 +290,7 @@ mod tests {
     fn what_would_keep_a_ground_from_working_is_found_and_named() {
         let folder = tempfile::tempdir().unwrap();
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
-        let well = Settings { listen: any, agent_listen: any, data: folder.path().join("data"), ..Settings::default() };
+        let well = well(folder.path());
         let findings = examine(&well);
         assert!(findings.iter().all(|(level, ..)| *level != Level::Failure), "{findings:?}");
 
@@ -226,5 +313,90 @@ mod tests {
         let outside = Settings { listen: SocketAddr::from(([0, 0, 0, 0], 0)), ..well };
         assert_eq!(level(&examine(&outside), "accounts"), Level::Failure);
         assert_eq!(clock(Duration::from_secs(86_400)).0, Level::Failure);
+    }
+
+    /// What is said of one thing, and how bad it is.
+    fn said(settings: &Settings, what: &str) -> (Level, String) {
+        let found = examine(settings).into_iter().find(|(_, name, _)| *name == what).unwrap();
+        (found.0, found.2)
+    }
+
+    fn well(folder: &Path) -> Settings {
+        let any = SocketAddr::from(([127, 0, 0, 1], 0));
+        Settings { listen: any, agent_listen: any, data: folder.join("data"), ..Settings::default() }
+    }
+
+    #[test]
+    fn a_certificate_that_has_ended_or_has_not_begun_or_ends_soon_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+        let pair = rcgen::KeyPair::generate().unwrap();
+        std::fs::write(&key, pair.serialize_pem()).unwrap();
+        let settings = Settings { certificate: Some(certificate.clone()), key: Some(key), ..well(folder.path()) };
+        let mut params = rcgen::CertificateParams::new(vec!["bench.lab".to_owned()]).unwrap();
+        (params.not_before, params.not_after) = (rcgen::date_time_ymd(2030, 1, 1), rcgen::date_time_ymd(2031, 1, 1));
+        std::fs::write(&certificate, params.self_signed(&pair).unwrap().pem()).unwrap();
+        // 2030-01-01.
+        let begin = Duration::from_secs(1_893_456_000);
+        let day = |n: u32| begin + n * Duration::from_secs(86_400);
+        for (now, level, named) in [
+            (begin - Duration::from_secs(86_400), Level::Failure, "begins in 1.0 days"),
+            (day(1), Level::Ok, "SHA-256"),
+            (day(360), Level::Warning, "within 14 days"),
+            (day(367), Level::Failure, "ended 2.0 days ago"),
+        ] {
+            let found = super::certificate(&settings, now);
+            assert!(found.0 == level && found.2.contains(named), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn an_address_of_mavlink_that_leads_nowhere_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |station: &str, account: Option<&str>| {
+            let (mavlink, mavlink_account) = (Some(station.parse().unwrap()), account.map(str::to_owned));
+            said(&Settings { mavlink, mavlink_account, ..well(folder.path()) }, "MAVLink")
+        };
+        assert_eq!(said(&well(folder.path()), "MAVLink"), (Level::Ok, "off".into()));
+        assert_eq!(of("127.0.0.1:14550", None).0, Level::Ok);
+        for nowhere in ["0.0.0.0:14550", "127.0.0.1:0"] {
+            assert!(matches!(of(nowhere, None), (Level::Failure, text) if text.contains(nowhere)));
+        }
+        // With accounts it needs one that there is.
+        Accounts::of(&folder.path().join("data")).add("ann", Role::Admin, "a long enough password").unwrap();
+        assert!(matches!(of("127.0.0.1:14550", None), (Level::Warning, text) if text.contains("names none")));
+        assert!(matches!(of("127.0.0.1:14550", Some("bob")), (Level::Warning, text) if text.contains("bob")));
+        assert_eq!(of("127.0.0.1:14550", Some("ann")).0, Level::Ok);
+    }
+
+    #[test]
+    fn a_backup_that_is_not_there_and_an_identity_that_is_not_whole_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let backup = folder.path().join("backup");
+        let kept =
+            |retention_days| Settings { retention_backup: Some(backup.clone()), retention_days, ..well(folder.path()) };
+        assert!(matches!(said(&kept(Some(9.0)), "retention"), (Level::Failure, text) if text.contains("SHA256SUMS")));
+        std::fs::create_dir(&backup).unwrap();
+        let sums = backup.join(archive::SUMS);
+        std::fs::write(&sums, "").unwrap();
+        assert!(matches!(said(&kept(Some(9.0)), "retention"), (Level::Warning, text) if text.contains("no flight")));
+        std::fs::write(&sums, format!("{}  f1.mcap\n{}  f1.json\n", "a".repeat(64), "b".repeat(64))).unwrap();
+        assert!(matches!(said(&kept(Some(9.0)), "retention"), (Level::Ok, text) if text.contains("1 flights")));
+        assert!(matches!(said(&kept(None), "retention"), (Level::Warning, text) if text.contains("retention_days")));
+
+        let settings = well(folder.path());
+        let identity = settings.identity_folder();
+        assert!(matches!(said(&settings, "link identity"), (Level::Ok, text) if text.contains("will be made")));
+        assert!(!identity.exists(), "looking makes nothing");
+        let made = load_or_create(&identity).unwrap();
+        assert_eq!(said(&settings, "link identity"), (Level::Ok, made.fingerprint().to_string()));
+        let key = identity.join("key.pem");
+        std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
+        assert_eq!(said(&settings, "link identity").0, Level::Warning);
+        // The key of another.
+        std::fs::write(&key, rcgen::KeyPair::generate().unwrap().serialize_pem()).unwrap();
+        assert_eq!(said(&settings, "link identity").0, Level::Failure);
+        std::fs::remove_file(&key).unwrap();
+        assert!(matches!(said(&settings, "link identity"), (Level::Failure, text) if text.contains("key.pem")));
     }
 }

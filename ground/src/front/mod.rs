@@ -30,7 +30,7 @@ use tower::ServiceExt as _;
 use tower_http::timeout::TimeoutBody;
 
 use crate::sync::stopping;
-pub use certificate::{CertificateError, own, tls};
+pub use certificate::{CertificateError, holds, own, tls};
 use table::Table;
 pub(crate) use table::{Limits, Place};
 pub use table::{MAX_CONNECTIONS, RESERVED_DESCRIPTORS};

@@ -4,7 +4,8 @@
 //! are counted; nobody else notices, because batches are shared and never copied per viewer.
 
 use std::collections::VecDeque;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 use tokio::sync::Notify;
@@ -28,6 +29,8 @@ pub struct Shared {
 pub struct ViewerQueue {
     waiting: Mutex<Waiting>,
     ready: Notify,
+    /// Messages that all viewers were too slow for.
+    all_dropped: Arc<AtomicU64>,
 }
 
 #[derive(Debug, Default)]
@@ -38,6 +41,11 @@ struct Waiting {
 }
 
 impl ViewerQueue {
+    /// A queue that counts what it drops in `all_dropped`, too.
+    pub(super) fn new(all_dropped: Arc<AtomicU64>) -> Self {
+        Self { all_dropped, ..Self::default() }
+    }
+
     /// Adds a batch; drops the oldest while there are too many bytes.
     pub(super) fn push(&self, shared: Shared) {
         let mut waiting = lock(&self.waiting);
@@ -47,6 +55,7 @@ impl ViewerQueue {
             if let Some(oldest) = waiting.batches.pop_front() {
                 waiting.bytes -= oldest.batch.len();
                 waiting.dropped += u64::from(oldest.messages);
+                self.all_dropped.fetch_add(oldest.messages.into(), Ordering::Relaxed);
             }
         }
         drop(waiting);

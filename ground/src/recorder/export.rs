@@ -15,6 +15,10 @@ use super::snapshot::Snapshot;
 /// Takes the output piece by piece; `false` ends the export (the client is gone).
 pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
 
+/// What writes exports: their ETags hold for this program, and for this number of what it writes, to be raised with every
+/// change of it.
+pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 1");
+
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;
 

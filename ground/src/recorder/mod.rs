@@ -46,7 +46,7 @@ use crate::agent_link::CommandSender;
 use crate::config::GroundConfig;
 use crate::error::GroundError;
 use crate::sync::lock;
-pub use export::{Export, Sink};
+pub use export::{Export, Sink, WRITTEN};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use folder::free_bytes;
 use index::FlightIndex;

@@ -133,6 +133,11 @@ impl Snapshot {
         self.data + self.end.len() as u64
     }
 
+    /// Will it grow no more?
+    pub fn finished(&self) -> bool {
+        self.end.is_empty()
+    }
+
     /// Identifies these bytes; a snapshot of other bytes has another one.
     pub fn tag(&self) -> String {
         format!("\"{}.{:x}\"", self.tag, self.data)

@@ -100,6 +100,13 @@ impl Ground {
         response.json()
     }
 
+    /// A figure without labels, or with them as they are told.
+    pub async fn figure(&self, name: &str) -> f64 {
+        let text = self.get("/metrics").await.text();
+        let told = text.lines().find_map(|line| line.strip_prefix("plumbline_")?.strip_prefix(name)?.strip_prefix(' '));
+        told.unwrap_or_else(|| panic!("no {name} in {text}")).parse().unwrap()
+    }
+
     /// Asks `path` until `done` says so.
     pub async fn wait_json(&self, path: &str, done: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
         let start = Instant::now();

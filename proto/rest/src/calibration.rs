@@ -51,8 +51,10 @@ pub struct Fit {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Calibrations {
-    /// Newest first, without covariance and picture.
+    /// One page, newest first, without covariance and picture.
     pub calibrations: Vec<Calibration>,
+    /// Calibrations on all pages.
+    pub total: u64,
 }
 
 /// A calibration: the agent's file, with the name it is kept under. An agent reads it as it is.

@@ -79,8 +79,10 @@ pub struct State {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(default)]
 pub struct Experiments {
-    /// All there are.
+    /// One page.
     pub experiments: Vec<State>,
+    /// Experiments on all pages.
+    pub total: u64,
 }
 
 /// A column of numbers.

@@ -19,7 +19,7 @@ def test_promtool_finds_nothing_in_the_figures(system: System) -> None:
     if not promtool:
         pytest.skip("promtool is not here: it is in Debian's package prometheus")
     figures = httpx.get(f"{system.url}/metrics").text
-    for name in ("link_age_seconds", "recorder_queued_bytes", "tick", "decoder", "disk_free_bytes"):
+    for name in ("link_age_seconds", "recorder_queued_bytes", "tick", "decoder", "disk_free_bytes", "commands_waiting", "http_requests"):
         assert name in figures, f"no figure of {name}"
     checked = subprocess.run([promtool, "check", "metrics"], input=figures, capture_output=True, text=True)
     assert checked.returncode == 0 and not checked.stderr.strip(), checked.stdout + checked.stderr

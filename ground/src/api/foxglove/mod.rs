@@ -16,6 +16,7 @@ mod scene;
 mod services;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -101,7 +102,8 @@ pub(crate) async fn live(
 
 async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {
     let (sender, receiver) = socket.split();
-    let outbox = Arc::new(Outbox::default());
+    let all_dropped = caller.app.counts.foxglove_dropped.clone();
+    let outbox = Arc::new(Outbox { all_dropped, ..Outbox::default() });
     let client = Mutex::new(Client::new(caller.app.hub.latest(&caller.vehicle, Kind::Description)));
     outbox.rare(client::server_info(&caller.vehicle));
     outbox.rare(services::advertise());
@@ -169,6 +171,8 @@ async fn send(mut sender: SplitSink<WebSocket, Message>, outbox: &Outbox) {
 struct Outbox {
     waiting: Mutex<Waiting>,
     ready: Notify,
+    /// Samples that all clients were too slow for.
+    all_dropped: Arc<AtomicU64>,
 }
 
 #[derive(Debug, Default)]
@@ -193,6 +197,7 @@ impl Outbox {
             let Some(oldest) = waiting.samples.pop_front() else { break };
             waiting.bytes -= oldest.len();
             waiting.dropped += 1;
+            self.all_dropped.fetch_add(1, Ordering::Relaxed);
         }
         drop(waiting);
         self.ready.notify_one();
@@ -375,6 +380,7 @@ mod tests {
         assert!(matches!(next(), Some(Message::Text(text)) if text.contains("rare")));
         assert!(matches!(next(), Some(Message::Text(text)) if text.contains("1 samples were dropped")));
         assert_eq!((0..).map_while(|_| next()).count(), 4);
+        assert_eq!(outbox.all_dropped.load(Ordering::Relaxed), 1, "counted for all, also once it was told");
         assert!(!outbox.overflown());
         (0..=MAX_RARE).for_each(|_| outbox.rare(client::warning("")));
         assert!(outbox.overflown());

@@ -92,6 +92,14 @@ pub fn check(backup: &Path) -> Result<(usize, Vec<String>), RecordingError> {
     Ok((sums.0.len() - wrong.len(), wrong))
 }
 
+/// How many flights a backup holds, by its own list; none of them is read.
+///
+/// # Errors
+/// [`RecordingError`] when there is no such list, or it cannot be read.
+pub fn listed(backup: &Path) -> Result<usize, RecordingError> {
+    Ok(Sums::read_present(backup)?.0.keys().filter(|name| name.ends_with(".mcap")).count())
+}
+
 /// Puts flights of a backup that `data_folder` does not have back there. None is ever replaced; no ground may run.
 ///
 /// # Errors

@@ -38,6 +38,24 @@ impl Tar {
         Ok(Self { recorder, ids })
     }
 
+    /// Says which bytes it will have; nothing while one of its flights still grows.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when a flight cannot be read.
+    pub fn tag(&self) -> Result<Option<String>, RecordingError> {
+        let mut tag = String::new();
+        for id in &self.ids {
+            let flight = self.recorder.flight(id)?;
+            let open = self.recorder.open(id)?;
+            if !open.finished() {
+                return Ok(None);
+            }
+            let labels = (&flight.name, &flight.notes, flight.started_unix_us);
+            tag += &format!("{id} {} {labels:?}\n", open.tag());
+        }
+        Ok(Some(tag))
+    }
+
     /// Writes it. Each flight is opened when it is its turn, so that many of them hold one descriptor.
     ///
     /// # Errors

@@ -15,6 +15,15 @@ pub const MAX_PAGE: usize = 1000;
 pub struct Listing {
     /// Words that all must be found in a flight's id, name, notes, vehicle, rig, state or attacks.
     pub search: String,
+    /// Of this vehicle only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vehicle: Option<String>,
+    /// Begun then or later, µs since the Unix epoch, by the agent's clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_unix_us: Option<u64>,
+    /// Begun earlier than that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub to_unix_us: Option<u64>,
     /// By which column.
     pub sort: Column,
     /// The largest, or newest, first?
@@ -27,7 +36,9 @@ pub struct Listing {
 
 impl Default for Listing {
     fn default() -> Self {
-        Self { search: String::new(), sort: Column::Started, descending: true, offset: 0, limit: PAGE }
+        let (vehicle, from_unix_us, to_unix_us) = (None, None, None);
+        let (search, sort, descending) = (String::new(), Column::Started, true);
+        Self { search, vehicle, from_unix_us, to_unix_us, sort, descending, offset: 0, limit: PAGE }
     }
 }
 
@@ -93,7 +104,12 @@ impl Column {
 /// One page of the flights that match, and how many match.
 pub fn page(mut flights: Vec<Flight>, asked: &Listing) -> (Vec<Flight>, u64) {
     let words: Vec<String> = asked.search.split_whitespace().map(str::to_lowercase).collect();
+    let (from, to) = (asked.from_unix_us.unwrap_or(0), asked.to_unix_us.unwrap_or(u64::MAX));
     flights.retain(|f| {
+        let begun = f.started_unix_us >= from && (f.started_unix_us < to || asked.to_unix_us.is_none());
+        if !begun || asked.vehicle.as_ref().is_some_and(|vehicle| f.vehicle_id != *vehicle) {
+            return false;
+        }
         let attacks: String = f
             .attacks
             .iter()
@@ -161,6 +177,30 @@ mod tests {
             flights.iter().map(|f| f.started_unix_us).collect::<Vec<_>>()
         };
         assert_eq!([starts(0), starts(3), starts(6), starts(9)], [vec![6, 5, 4], vec![3, 2, 1], vec![0], vec![]]);
+    }
+
+    #[test]
+    fn flights_of_one_vehicle_or_of_a_stretch_of_time_are_found_by_themselves() {
+        let flown = |id: &str, vehicle: &str, started_unix_us| Flight {
+            vehicle_id: vehicle.into(),
+            started_unix_us,
+            ..flight(id, "", 0.0, None)
+        };
+        let all =
+            [flown("a", "iris-1", 10), flown("b", "iris-10", 20), flown("c", "iris-1", 30), flown("d", "x", u64::MAX)];
+        let ids = |asked: Listing| {
+            let (flights, total) = page(all.to_vec(), &asked);
+            assert_eq!(total, flights.len() as u64);
+            flights.into_iter().map(|f| f.id).collect::<String>()
+        };
+        let base = Listing { descending: false, ..Listing::default() };
+        assert_eq!(ids(base.clone()), "abcd");
+        assert_eq!(ids(Listing { vehicle: Some("iris-1".into()), ..base.clone() }), "ac");
+        assert_eq!(ids(Listing { from_unix_us: Some(20), ..base.clone() }), "bcd");
+        assert_eq!(ids(Listing { to_unix_us: Some(20), ..base.clone() }), "a");
+        let both = Listing { from_unix_us: Some(10), to_unix_us: Some(31), ..base.clone() };
+        assert_eq!(ids(Listing { vehicle: Some("iris-1".into()), search: "c".into(), ..both }), "c");
+        assert_eq!(ids(Listing { from_unix_us: Some(20), to_unix_us: Some(10), ..base }), "");
     }
 
     #[test]

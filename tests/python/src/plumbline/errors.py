@@ -95,6 +95,12 @@ class TooLarge(Problem):
     code = "too_large"
 
 
+class RangeNotSatisfiable(Problem):
+    """The range asked for lies beyond the end of the file."""
+
+    code = "range_not_satisfiable"
+
+
 class Late(Problem):
     """The rest of a request did not come in time."""
 

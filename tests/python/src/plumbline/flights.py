@@ -159,20 +159,12 @@ class Flights(Sequence[Flight]):
         return polars.DataFrame(self._rows())
 
 
-def flights(
-    connection: Connection, search: str | None, sort: str | None, descending: bool, limit: int | None
-) -> Flights:
+def flights(connection: Connection, asked: dict[str, str | int | None], limit: int | None) -> Flights:
     """Asks page after page."""
     found: list[Flight] = []
     while limit is None or len(found) < limit:
         count = PAGE if limit is None else min(PAGE, limit - len(found))
-        query = {
-            "search": search,
-            "sort": sort,
-            "descending": "true" if descending else "false",
-            "offset": len(found),
-            "limit": count,
-        }
+        query = {**asked, "offset": len(found), "limit": count}
         page: models.Flights = connection.json("GET", "/api/v1/flights", query=query)
         found += [Flight(connection, info) for info in page["flights"]]
         if len(found) >= page["total"] or not page["flights"]:

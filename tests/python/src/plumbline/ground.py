@@ -134,12 +134,26 @@ class Ground:
         self,
         search: str | None = None,
         *,
+        vehicle: str | None = None,
+        from_unix_us: int | None = None,
+        to_unix_us: int | None = None,
         sort: str | None = None,
         descending: bool = True,
         limit: int | None = None,
     ) -> Flights:
-        """Recorded flights, newest first: those with every word of `search`, all where no `limit` is given."""
-        return flights(self._connection, search, sort, descending, limit)
+        """Recorded flights, newest first: those with every word of `search`, all where no `limit` is given.
+
+        `vehicle` is an id; `from_unix_us` and `to_unix_us` bound when they began, the second exclusively.
+        """
+        query = {
+            "search": search,
+            "vehicle": vehicle,
+            "from_unix_us": from_unix_us,
+            "to_unix_us": to_unix_us,
+            "sort": sort,
+            "descending": "true" if descending else "false",
+        }
+        return flights(self._connection, query, limit)
 
     def flight(self, id: str) -> Flight:
         """One of them. Raises `NotFound`."""
@@ -157,8 +171,12 @@ class Ground:
 
     def experiments(self) -> list[Experiment]:
         """Every experiment that is kept, newest first."""
-        listed: models.Experiments = self._connection.json("GET", "/api/v1/experiments")
-        return [Experiment(self._connection, state) for state in listed["experiments"]]
+        found: list[Experiment] = []
+        while True:
+            page: models.Experiments = self._connection.json("GET", "/api/v1/experiments", query={"offset": len(found)})
+            found += [Experiment(self._connection, state) for state in page["experiments"]]
+            if len(found) >= page.get("total", 0) or not page["experiments"]:
+                return found
 
     def experiment(self, id: str) -> Experiment:
         """One of them. Raises `NotFound`."""

@@ -646,6 +646,7 @@ class Experiments(TypedDict):
     """`GET /api/v1/experiments`, newest first."""
 
     experiments: NotRequired[list[State]]
+    total: NotRequired[int]
 
 
 class FlownAttack(PlannedAttack):
@@ -772,6 +773,7 @@ class Calibrations(TypedDict):
     """`GET /api/v1/calibrations`."""
 
     calibrations: NotRequired[list[Calibration]]
+    total: NotRequired[int]
 
 
 class Flight(TypedDict):
