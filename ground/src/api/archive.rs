@@ -19,16 +19,17 @@ use crate::sync::wall_time_us;
 #[serde(deny_unknown_fields)]
 pub(crate) struct Which {
     ids: String,
+    format: Option<String>,
 }
 
 pub(crate) async fn tar(
     State(app): State<App>,
     who: Operator,
-    Query(Which { ids }): Query<Which>,
+    Query(Which { ids, format }): Query<Which>,
 ) -> Result<Response, ApiError> {
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
-    let tar = on_disk(move || Tar::new(recorder, &ids)).await?;
+    let tar = on_disk(move || Tar::new(recorder, &ids, format.as_deref())).await?;
     let kind = [
         (header::CONTENT_TYPE, "application/x-tar"),
         (header::CONTENT_DISPOSITION, "attachment; filename=\"flights.tar\""),
