@@ -21,7 +21,7 @@ const NODE_PACKAGES: [&str; 7] = [
 /// ground control stations, and a double of S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -29,6 +29,7 @@ const READERS: PythonTools = PythonTools {
         "duckdb>=1.0",
         "polars>=1.0",
         "rosbags>=0.11",
+        "pyulog>=1.2",
         "pymavlink>=2.4.41",
         "pyserial>=3.5",
         "mavsdk>=4.1",
