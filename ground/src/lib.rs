@@ -30,6 +30,7 @@ pub mod names;
 pub mod people;
 pub mod recorder;
 mod retention;
+mod scene;
 mod sync;
 mod viewers;
 mod work;

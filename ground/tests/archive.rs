@@ -69,6 +69,35 @@ async fn a_tar_of_flights_is_a_backup_that_is_put_back() {
     ground.stop().await;
 }
 
+/// GIVEN flights WHEN a tar of their tables is asked for THEN each is what is served alone, under its hash, and none is a backup.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tar_holds_tables_where_they_are_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    std::fs::create_dir(&data).unwrap();
+    let ground = Ground::start(&data).await;
+    flown(&ground, &["f1", "f2"]).await;
+    for (format, ending) in [("csv", "csv"), ("parquet", "parquet"), ("mat", "mat"), ("foxglove", "foxglove.mcap")] {
+        let answer = ground.get(&format!("/api/v1/archive?ids=f1,f2&format={format}")).await;
+        assert_eq!(answer.status, 200, "{format}: {}", answer.text());
+        let (tar, unpacked) = (folder.path().join("tables.tar"), folder.path().join(format));
+        std::fs::write(&tar, &answer.body).unwrap();
+        assert!(unpack(&tar, &unpacked), "{format}: tar reads it");
+        for id in ["f1", "f2"] {
+            let served = ground.get(&format!("/api/v1/flights/{id}/{format}")).await.body;
+            let file = format!("{id}.{ending}");
+            assert!(std::fs::read(unpacked.join(&file)).unwrap() == served, "{file}");
+        }
+        let sums = Command::new("sha256sum").args(["--check", "SHA256SUMS"]).current_dir(&unpacked).output().unwrap();
+        assert!(sums.status.success(), "{}", String::from_utf8_lossy(&sums.stdout));
+        let refused = archive::restore(&unpacked, &folder.path().join("new"), &[]).unwrap_err().to_string();
+        assert!(!refused.is_empty() && !folder.path().join("new/flights").exists(), "{refused}");
+    }
+    let answer = ground.get("/api/v1/archive?ids=f1&format=mcap").await;
+    assert_eq!(answer.body, ground.get("/api/v1/archive?ids=f1").await.body);
+    ground.stop().await;
+}
+
 /// GIVEN a limit and a backup that lacks a flight WHEN retention looks THEN it tells first, and deletes what is in the backup and has no name.
 #[tokio::test(flavor = "multi_thread")]
 async fn retention_tells_before_it_deletes_and_spares_what_is_named_or_in_no_backup() {

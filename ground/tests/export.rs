@@ -180,6 +180,97 @@ async fn others_read_what_is_written() {
     assert!((0.9..1.1).contains(&at), "{at}");
 }
 
+/// GIVEN the table as .mat WHEN Octave loads it THEN it finds what stands in the CSV.
+#[tokio::test(flavor = "multi_thread")]
+async fn octave_loads_the_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    flown(&ground).await;
+    let rows = table(&ground, "rate_hz=0").await;
+    let answer = ground.get("/api/v1/flights/f1/mat?rate_hz=0").await;
+    let path = folder.path().join("f1.mat");
+    std::fs::write(&path, &answer.body).unwrap();
+    ground.stop().await;
+    let name = "height_2.sensed_m";
+    let Some(found) = files::table_by_octave(&path, name) else { return };
+    let found = found.unwrap();
+    println!("Octave {}", found["version"]);
+    let at = rows[0].iter().position(|column| column == name).unwrap();
+    let known: Vec<f64> = rows[1..].iter().filter_map(|row| row[at].parse().ok()).collect();
+    // Texts are no rows of the matrix; what happened is told beside it.
+    let columns: Vec<&str> = found["columns"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    assert_eq!((columns[0], columns.contains(&name)), ("time_s", true));
+    assert_eq!(
+        (found["rows"].as_u64(), found["known"].as_u64(), found["unit"].as_str()),
+        (Some(400), Some(known.len() as u64), Some("m"))
+    );
+    let difference = found["sum"].as_f64().unwrap() - known.iter().sum::<f64>();
+    assert!(difference.abs() < 1e-9, "{difference}");
+    assert_eq!(found["event_text"][0], "attack: height 2, \"bias\" of 0.5 m");
+    let told_s = found["event_time_s"].as_f64().or_else(|| found["event_time_s"][0].as_f64());
+    assert!(told_s.is_some_and(|s| (0.9..1.1).contains(&s)), "{told_s:?}");
+}
+
+/// Messages in protobuf: sequence, time, topic, bytes.
+fn protobuf(file: &[u8]) -> Vec<(u32, u64, String, Vec<u8>)> {
+    let all = mcap::MessageStream::new(file).unwrap().map(|message| message.unwrap());
+    let own = all.filter(|message| message.channel.message_encoding == "protobuf");
+    let mut own: Vec<_> = own.map(|m| (m.sequence, m.log_time, m.channel.topic.clone(), m.data.into_owned())).collect();
+    own.sort();
+    own
+}
+
+/// GIVEN a flight for Foxglove WHEN the reader of MCAP opens it THEN it holds the flight's own messages, and where the vehicle was
+/// in Foxglove's schemas.
+#[tokio::test(flavor = "multi_thread")]
+async fn others_read_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    flown(&ground).await;
+    let answer = ground.get("/api/v1/flights/f1/foxglove").await;
+    assert_eq!(answer.header("content-disposition"), Some("attachment; filename=\"f1.foxglove.mcap\""));
+    let path = folder.path().join("f1.foxglove.mcap");
+    std::fs::write(&path, &answer.body).unwrap();
+    let part = ground.get("/api/v1/flights/f1/foxglove?from_s=0.5&to_s=1.0").await;
+    let refused = ground.get("/api/v1/flights/f1/foxglove?columns=control").await;
+    assert!(refused.status == 422 && refused.error().contains("columns"), "{}", refused.text());
+    let flight = ground.json("/api/v1/flights/f1").await;
+    let own = ground.get("/api/v1/flights/f1/mcap").await.body;
+    ground.stop().await;
+    let mut counts = common::mcap_counts(&answer.body);
+    let drawn = ["/tf", "/scene", "/log"].map(|topic| counts.remove(topic).unwrap_or_default());
+    assert_eq!(counts, common::api_counts(&flight), "the flight's own messages");
+    // A transform for each estimate in the loop, a scene 20 times a second, each event.
+    assert_eq!((drawn[0], drawn[2]), (400, 1));
+    assert!((35..=41).contains(&drawn[1]), "{} scenes in 2 s", drawn[1]);
+    assert_eq!(protobuf(&answer.body), protobuf(&own), "the same bytes, at the same times");
+    let counts = common::mcap_counts(&part.body);
+    assert!((100..=101).contains(&counts["/tf"]) && counts["/control"] == counts["/tf"], "{counts:?}");
+    let inspected = plumbline_ground::recorder::inspect(&path).unwrap();
+    assert_eq!((inspected.flight_id.as_str(), inspected.damage), ("", None), "it is no flight file");
+    let Some(python) = files::python_with("mcap_protobuf.decoder") else { return };
+    let found = files::scene_by(&python, &path).unwrap();
+    println!("mcap {}", found["version"]);
+    let channels = &found["channels"];
+    for (topic, schema, messages) in [
+        ("/tf", "foxglove.FrameTransform", drawn[0]),
+        ("/scene", "foxglove.SceneUpdate", drawn[1]),
+        ("/log", "foxglove.Log", drawn[2]),
+    ] {
+        let channel = &channels[topic];
+        assert_eq!(
+            (channel["schema"].as_str(), channel["messages"].as_u64()),
+            (Some(schema), Some(messages)),
+            "{topic}"
+        );
+        assert_eq!(channel["encodings"], serde_json::json!(["json", "jsonschema"]), "{topic}");
+    }
+    assert_eq!(channels["/tf"]["off_m"], 0.0, "it is where the estimate in the loop is");
+    assert_eq!(channels["/estimate/1"]["schema"], "plumbline.v1.Estimate");
+    assert!(found["entities"].as_array().unwrap().contains(&"vehicle".into()), "{}", found["entities"]);
+    assert_eq!(found["texts"], serde_json::json!(["height 2, \"bias\" of 0.5 m"]));
+}
+
 /// GIVEN a flight as a ROS 2 bag WHEN rosbags opens it THEN it finds every message, where the flight had one.
 #[tokio::test(flavor = "multi_thread")]
 async fn others_read_the_bag() {
@@ -232,6 +323,7 @@ async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_re
     flown(&ground).await;
     let flights = folder.path().join("flights");
     let served = ground.get("/api/v1/flights/f1/csv").await.body;
+    let drawn = ground.get("/api/v1/flights/f1/foxglove").await.body;
     ground.stop().await;
     let out = folder.path().join("out");
     let (flights, target) = (flights.to_str().unwrap(), out.to_str().unwrap());
@@ -257,6 +349,8 @@ async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_re
     let (done, text) = export(&[file_of(flights).as_str(), "--format", "ros2", "--output", bag.to_str().unwrap()]);
     assert!(done, "{text}");
     let bag = bag.join("f1.ros2.mcap");
+    let (done, text) = export(&[file_of(flights).as_str(), "--format", "foxglove", "--output", target]);
+    assert!(done && std::fs::read(out.join("f1.foxglove.mcap")).unwrap() == drawn, "{text}");
     for (arguments, named) in [
         (vec![noise.to_str().unwrap()], "noise.mcap"),
         (vec![newer.to_str().unwrap()], "MCAP9"),
@@ -272,5 +366,5 @@ async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_re
         assert!(!done && text.contains(named), "{arguments:?}: {text}");
     }
     let left: Vec<_> = std::fs::read_dir(&out).unwrap().flatten().map(|e| e.file_name()).collect();
-    assert_eq!(left.len(), 2, "nothing unfinished stays: {left:?}");
+    assert_eq!(left.len(), 3, "nothing unfinished stays: {left:?}");
 }

@@ -2,6 +2,7 @@
 
 import { createRequire } from 'node:module';
 import { readFileSync } from 'node:fs';
+import { agrees } from './schemas.mjs';
 import { assert, end, need, step, until, url } from './support.mjs';
 
 const require = createRequire(`${need('PLUMBLINE_MODULES')}/`);
@@ -48,6 +49,12 @@ await step(null, 'foxglove: the live link is that of its own client', async () =
   client.on('message', ({ subscriptionId, timestamp, data }) => {
     const topic = topics.get(subscriptionId);
     if (!topic || timestamp === 0n || data.byteLength === 0) trouble.push(`${topic} ${timestamp} ${data.byteLength}`);
+    const { encoding, schemaName, schema } = channels.get(topic) ?? {};
+    try {
+      if (encoding === 'json') agrees(schemaName, schema, new TextDecoder().decode(data));
+    } catch (error) {
+      trouble.push(error.message);
+    }
     if (topic === '/scene') JSON.parse(new TextDecoder().decode(data)).entities.forEach((entity) => drawn.add(entity.id));
     counts.set(topic, (counts.get(topic) ?? 0) + 1);
   });

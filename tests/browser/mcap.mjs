@@ -1,8 +1,10 @@
-// Flight files by the reader that Foxglove uses, `@mcap/core`: by their index and as a stream, every message either way.
+// Flight files by the reader that Foxglove uses, `@mcap/core`: by their index and as a stream, every message either way; and what
+// is in Foxglove's own schemas held to those.
 
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { basename } from 'node:path';
+import { agrees } from './schemas.mjs';
 import { assert, end, need, step } from './support.mjs';
 
 const require = createRequire(`${need('PLUMBLINE_MODULES')}/`);
@@ -17,13 +19,19 @@ async function byIndex(bytes) {
     read: async (offset, length) => bytes.subarray(Number(offset), Number(offset + length)),
   };
   const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
-  let [messages, last] = [0, 0n];
+  let [messages, drawn, last] = [0, 0, 0n];
+  const text = new TextDecoder();
   for await (const message of reader.readMessages()) {
     assert(message.logTime >= last, 'not in the order of time');
     last = message.logTime;
     messages += 1;
+    const channel = reader.channelsById.get(message.channelId);
+    if (channel.messageEncoding !== 'json') continue;
+    const schema = reader.schemasById.get(channel.schemaId);
+    agrees(schema.name, text.decode(schema.data), text.decode(message.data));
+    drawn += 1;
   }
-  return { messages, promised: Number(reader.statistics.messageCount), chunks: reader.chunkIndexes.length };
+  return { messages, drawn, promised: Number(reader.statistics.messageCount), chunks: reader.chunkIndexes.length };
 }
 
 function asStream(bytes) {
@@ -45,6 +53,7 @@ for (const path of process.argv.slice(2)) {
     const indexed = await byIndex(bytes);
     const streamed = asStream(bytes);
     assert(indexed.messages > 0 && indexed.messages === indexed.promised, `${JSON.stringify(indexed)} by index`);
+    assert(indexed.drawn > 0 === path.includes('.foxglove.'), `${indexed.drawn} messages in Foxglove's schemas`);
     assert(indexed.messages === streamed, `${indexed.messages} by index, ${streamed} as a stream`);
     return { path, ...indexed };
   });

@@ -21,20 +21,22 @@ use crate::sync::wall_time_us;
 #[serde(deny_unknown_fields)]
 pub(crate) struct Which {
     ids: String,
+    format: Option<String>,
 }
 
 pub(crate) async fn tar(
     State(app): State<App>,
     who: Operator,
-    Query(Which { ids }): Query<Which>,
+    Query(Which { ids, format }): Query<Which>,
     known: Known,
 ) -> Result<Response, ApiError> {
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let made = on_disk(move || {
-        let tar = Tar::new(recorder, &ids)?;
+        let tar = Tar::new(recorder, &ids, format.as_deref())?;
         let flights = tar.tag()?;
-        Ok((tar, flights.map(|flights| tag::of(format!("tar {flights} {WRITTEN}").as_bytes()))))
+        let text = |flights| format!("tar {format:?} {flights} {WRITTEN}");
+        Ok((tar, flights.map(|flights| tag::of(text(flights).as_bytes()))))
     });
     let (tar, tag) = made.await?;
     if let Some(tag) = tag.as_ref().filter(|tag| known.has(tag)) {

@@ -138,6 +138,16 @@ pub(crate) async fn ros2(
     table(app, id, who, asked, known, Format::Ros2).await
 }
 
+pub(crate) async fn foxglove(
+    app: State<App>,
+    id: Path<String>,
+    who: Operator,
+    asked: Query<Range>,
+    known: Known,
+) -> Result<Response, ApiError> {
+    table(app, id, who, asked, known, Format::Foxglove).await
+}
+
 async fn table(
     State(app): State<App>,
     Path(id): Path<String>,
@@ -177,7 +187,7 @@ async fn table(
         Format::Csv => "text/csv; charset=utf-8",
         Format::Parquet => "application/vnd.apache.parquet",
         Format::Mat => "application/x-matlab-data",
-        Format::Ros2 => "application/octet-stream",
+        Format::Ros2 | Format::Foxglove => "application/octet-stream",
     };
     let kind = [(header::CONTENT_TYPE, kind.to_owned()), (header::ETAG, tag), name];
     Ok((kind, download::export(place, move |sink| export.write(sink))).into_response())

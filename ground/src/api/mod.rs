@@ -282,6 +282,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/flights/{id}/parquet"        View    flights::parquet;
         get    "/api/v1/flights/{id}/mat"            View    flights::mat;
         get    "/api/v1/flights/{id}/ros2"           View    flights::ros2;
+        get    "/api/v1/flights/{id}/foxglove"       View    flights::foxglove;
         get    "/api/v1/flights/{id}/frames"            View    flights::frames;
         get    "/api/v1/flights/{id}/estimate"          View    estimates::again;
         get    "/api/v1/flights/{id}/signals"           View    signals::list;

@@ -206,7 +206,14 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/experiments/{id}/against/{second}", "What a second experiment differs from it in, self-contained")
         .media(HTML),
     get("/api/v1/archive", "Files of many flights as one tar, with their hashes: unpacked, it is a backup folder")
-        .query(&[("ids", "string!", "Ids of flights with commas between them, 500 at most.")])
+        .query(&[
+            ("ids", "string!", "Ids of flights with commas between them, 500 at most."),
+            (
+                "format",
+                "string",
+                "mcap where nothing is said: no backup is what csv, parquet, mat, ros2 or foxglove give.",
+            ),
+        ])
         .media("application/x-tar")
         .tagged(),
     get("/api/v1/archive/due", "Flights that retention will delete, the oldest first").json(list::<Due>),
@@ -228,6 +235,13 @@ pub(super) const OPERATIONS: &[Operation] = &[
         .query(&[FROM, TO])
         .media(BYTES)
         .tagged(),
+    get(
+        "/api/v1/flights/{id}/foxglove",
+        "Its messages, and beside them /tf, /scene and /log in Foxglove's schemas: MCAP",
+    )
+    .query(&[FROM, TO])
+    .media(BYTES)
+    .tagged(),
     get("/api/v1/flights/{id}/frames", "Its messages as batches")
         .query(&[("kinds", "string", "Kinds with commas between them, all where nothing is said.")])
         .media(BYTES)

@@ -41,7 +41,7 @@ enum Tool {
     Experiment(experiment::ExperimentArguments),
     /// Says whether a ground would start here and record, and what to do where it would not.
     Doctor(doctor::DoctorArguments),
-    /// Writes flights as tables (CSV, Parquet, MATLAB) or ROS 2 bags.
+    /// Writes flights as tables (CSV, Parquet, MATLAB), ROS 2 bags or scenes for Foxglove.
     Export(export::ExportArguments),
     /// Takes jobs of experiments from a NATS server, until it is ended.
     #[cfg(feature = "many")]

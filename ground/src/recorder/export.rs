@@ -1,8 +1,10 @@
 //! Flights in other forms: tables, the messages of one topic, and the codec batch that the page replays.
 
+use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
-use mcap::McapResult;
+use mcap::write::NoSeek;
+use mcap::{McapResult, WriteOptions};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::{self, Frame};
 
@@ -22,9 +24,12 @@ pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 1");
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;
 
+/// Writes the messages that lie between two flight times, µs.
+pub(super) type Whole = fn(&FlightReader, (u64, u64), &mut Sink<'_>) -> McapResult<()>;
+
 enum Form {
     Wide(Wide, Format),
-    Ros2((u64, u64)),
+    Whole(Whole, (u64, u64)),
     Topic(String),
     Frames(Option<Vec<String>>),
 }
@@ -42,13 +47,14 @@ impl Export {
     /// [`RecordingError`] when the flight cannot be read, has no `/control`, or not what is selected.
     pub fn wide(flight: Snapshot, selection: Selection, format: Format) -> Result<Self, RecordingError> {
         let reader = open(flight)?;
-        if format == Format::Ros2 {
+        if let Some(whole) = format.whole() {
             let Selection { from_s, to_s, .. } = selection;
             if selection != (Selection { from_s, to_s, ..Selection::default() }) {
-                return Err(RecordingError::Invalid("a bag has no columns and no rate: from_s and to_s only".into()));
+                let text = format!("{} has no columns and no rate: from_s and to_s only", format.name());
+                return Err(RecordingError::Invalid(text));
             }
             let range_us = selection.range_us(&reader)?;
-            return Ok(Self { reader, form: Form::Ros2(range_us) });
+            return Ok(Self { reader, form: Form::Whole(whole, range_us) });
         }
         let wide = Wide::new(&reader, selection)?;
         Ok(Self { reader, form: Form::Wide(wide, format) })
@@ -84,15 +90,15 @@ impl Export {
         Ok(Self { reader, form: Form::Frames(topics) })
     }
 
-    /// Writes the export.
+    /// Writes the export; the same again each time.
     ///
     /// # Errors
     /// [`RecordingError`] when the file turns out to be damaged.
-    pub fn write(self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
-        let written = match self.form {
-            Form::Wide(wide, format) => wide.write(&self.reader, format, sink),
-            Form::Ros2(range_us) => super::ros2::write(&self.reader, range_us, sink),
-            Form::Topic(topic) => write_topic(&self.reader, &topic, sink),
+    pub fn write(&self, sink: &mut Sink<'_>) -> Result<(), RecordingError> {
+        let written = match &self.form {
+            Form::Wide(wide, format) => wide.clone().write(&self.reader, *format, sink),
+            Form::Whole(whole, range_us) => whole(&self.reader, *range_us, sink),
+            Form::Topic(topic) => write_topic(&self.reader, topic, sink),
             Form::Frames(topics) => write_frames(&self.reader, topics.as_deref(), sink),
         };
         written.map_err(damaged)
@@ -110,6 +116,33 @@ pub(super) fn damaged(error: mcap::McapError) -> RecordingError {
 fn kind_of_name(name: &str) -> Result<Kind, RecordingError> {
     let known = Kind::ALL.iter().find(|kind| kind.base_topic().rsplit('/').next() == Some(name));
     known.copied().ok_or_else(|| RecordingError::Invalid(format!("kind {:?} is not known", crate::names::clip(name))))
+}
+
+/// Where a writer's bytes go.
+pub(super) struct Onward<'s, 'f>(&'s mut Sink<'f>);
+
+impl Write for Onward<'_, '_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if (self.0)(bytes.to_vec()) { Ok(bytes.len()) } else { Err(std::io::ErrorKind::BrokenPipe.into()) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// An MCAP file that is written from front to back.
+pub(super) fn mcap_into<'s, 'f>(
+    profile: &str,
+    sink: &'s mut Sink<'f>,
+) -> McapResult<mcap::Writer<NoSeek<BufWriter<Onward<'s, 'f>>>>> {
+    let options = WriteOptions::new()
+        .profile(profile)
+        .library(concat!("plumbline-ground/", env!("CARGO_PKG_VERSION")))
+        .compression(Some(mcap::Compression::Zstd))
+        .compression_threads(0)
+        .disable_seeking(true);
+    options.create(NoSeek::new(BufWriter::with_capacity(PIECE, Onward(sink))))
 }
 
 /// CSV rows gathered into pieces.

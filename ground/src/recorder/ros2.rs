@@ -7,16 +7,15 @@
 //! Source of the encoding: OMG, *DDS-XTypes* 1.3, 7.4: plain CDR, little endian, alignment from the end of its header.
 
 use std::collections::BTreeMap;
-use std::io::{BufWriter, Write};
 
+use mcap::McapResult;
 use mcap::records::MessageHeader;
-use mcap::write::NoSeek;
-use mcap::{McapResult, WriteOptions};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, Message as _, v1};
 
-use super::export::Sink;
+use super::export::{Sink, mcap_into};
 use super::reader::{FlightReader, Recorded};
+use crate::scene::body_from_world;
 
 const HEADER: &str = "std_msgs/Header header";
 const IMU: &str = "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
@@ -143,17 +142,6 @@ impl Cdr {
         }
         self.f64s(&covariance);
     }
-}
-
-/// `world` in the body's axes: the inverse rotation of a unit quaternion, v + 2 u × (u × v − w v) with u its vector part.
-pub(crate) fn body_from_world(q: &v1::Quaternion, world: &v1::Vector3) -> v1::Vector3 {
-    let cross =
-        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    let (u, v) = ([q.x, q.y, q.z], [world.x, world.y, world.z]);
-    let inner = cross(u, v);
-    let inner = [inner[0] - q.w * v[0], inner[1] - q.w * v[1], inner[2] - q.w * v[2]];
-    let turn = cross(u, inner);
-    v1::Vector3 { x: v[0] + 2.0 * turn[0], y: v[1] + 2.0 * turn[1], z: v[2] + 2.0 * turn[2] }
 }
 
 /// A message: where, of which type, its bytes.
@@ -283,28 +271,9 @@ fn convert(message: &Recorded<'_>, time_ns: u64) -> Vec<Out> {
     }
 }
 
-/// Where a writer's bytes go.
-struct Onward<'s, 'f>(&'s mut Sink<'f>);
-
-impl Write for Onward<'_, '_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        if (self.0)(bytes.to_vec()) { Ok(bytes.len()) } else { Err(std::io::ErrorKind::BrokenPipe.into()) }
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
 /// Writes the bag of what lies between two flight times, µs.
 pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Sink<'_>) -> McapResult<()> {
-    let options = WriteOptions::new()
-        .profile("ros2")
-        .library(concat!("plumbline-ground/", env!("CARGO_PKG_VERSION")))
-        .compression(Some(mcap::Compression::Zstd))
-        .compression_threads(0)
-        .disable_seeking(true);
-    let mut bag = options.create(NoSeek::new(BufWriter::with_capacity(64 << 10, Onward(sink))))?;
+    let mut bag = mcap_into("ros2", sink)?;
     let mut schemas: BTreeMap<Type, u16> = BTreeMap::new();
     let mut channels: BTreeMap<String, (u16, u32)> = BTreeMap::new();
     let boot = WallTime(reader.boot_us());
@@ -354,15 +323,6 @@ mod tests {
         cdr.f64s(&[1.0]);
         assert_eq!(cdr.0[..12], [0, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 7]);
         assert_eq!(cdr.0[12..], 1.0_f64.to_le_bytes());
-    }
-
-    #[test]
-    fn velocities_are_turned_into_the_body() {
-        // A quarter turn to the left: what goes north goes forward.
-        let half = std::f64::consts::FRAC_1_SQRT_2;
-        let q = v1::Quaternion { w: half, x: 0.0, y: 0.0, z: half };
-        let v = body_from_world(&q, &v1::Vector3 { x: 0.0, y: 2.0, z: 1.0 });
-        assert!((v.x - 2.0).abs() < 1e-12 && v.y.abs() < 1e-12 && (v.z - 1.0).abs() < 1e-12, "{v:?}");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import tarfile
 import time
 from pathlib import Path
 
@@ -85,11 +86,13 @@ def test_a_flight_under_attack_is_streamed_and_read_back_as_both_frames(ground: 
     assert table.loc[0, "name"] == "read back"
     rows: polars.DataFrame = listed.to_polars()
     assert rows["completeness"].to_list() == ["complete"]
-    for kind in ("mcap", "csv", "mat", "ros2"):
+    for kind in ("mcap", "csv", "mat", "ros2", "foxglove"):
         assert flight.download(tmp_path, kind).stat().st_size > 1000
     assert not list(tmp_path.glob("*.unfinished"))
     tar = ground.archive([flight], tmp_path / "flights.tar")
     assert tar.stat().st_size > flight.info["size_bytes"]
+    with tarfile.open(ground.archive([flight], tmp_path / "tables.tar", format="parquet")) as tables:
+        assert tables.getnames()[0] == f"{flight.id}.parquet"
 
 
 def test_what_goes_wrong_in_a_block_lands_the_vehicle(ground: plumbline.Ground) -> None:

@@ -70,11 +70,12 @@ fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     let watched = run_script(&mut script(workspace, "foxglove.mjs", system.api())?, tally);
     let api = system.api().clone();
     let stopped = system.stop();
-    // One file of each side, as Foxglove would open it.
+    // One file of each side, and what is exported for it, as Foxglove would open them.
     let mut reader = script(workspace, "mcap.mjs", &api)?;
-    for folder in ["ground/flights", "iris-1/log"] {
-        reader.arg(newest_flight(&options.data.join(folder))?);
-    }
+    let (flight, drawn) = (newest_flight(&options.data.join("ground/flights"))?, options.data.join("drawn"));
+    let mut export = Command::new(&options.binaries.ground);
+    super::workspace::run(export.args(["export", "--format", "foxglove", "--output"]).arg(&drawn).arg(&flight))?;
+    reader.arg(flight).arg(newest_flight(&options.data.join("iris-1/log"))?).arg(newest_flight(&drawn)?);
     flown
         .and(hidden)
         .and(trusted)

@@ -6,21 +6,22 @@ use std::process::{Command, Stdio};
 use super::workspace::{apt_install, may_install, on_path, run};
 use super::{Workspace, XtaskError};
 
-/// What the browser scripts are written for: what drives any recent Chromium, the reader of flight files and the client
-/// of the live link that Foxglove uses, and the checker of accessibility.
-const NODE_PACKAGES: [&str; 6] = [
+/// What the browser scripts are written for: what drives any recent Chromium, the reader of flight files, the client of the
+/// live link and the schemas that Foxglove has, and the checker of accessibility.
+const NODE_PACKAGES: [&str; 7] = [
     "playwright-core@1.56.1",
     "@mcap/core@2.2.2",
     "fzstd@0.1.1",
     "@foxglove/ws-protocol@0.8.0",
+    "@foxglove/schemas@2.1.0",
     "ws@8.18.3",
     "axe-core@4.14.1",
 ];
-/// Third-party readers of our flight files and of the results of experiments, MAVLink ground control stations, and a double of
-/// S3-compatible storage.
+/// Third-party readers of our flight files and of the results of experiments, one of PX4's logs to compare ours with, MAVLink
+/// ground control stations, and a double of S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -28,6 +29,7 @@ const READERS: PythonTools = PythonTools {
         "duckdb>=1.0",
         "polars>=1.0",
         "rosbags>=0.11",
+        "pyulog>=1.2",
         "pymavlink>=2.4.41",
         "pyserial>=3.5",
         "mavsdk>=4.1",

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 use mcap::records::Record;
+use plumbline_agent::recordings::skipped;
 
 /// One message as the file holds it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,7 +83,7 @@ pub fn python_with(modules: &str) -> Option<OsString> {
     let import = format!("import {modules}");
     let reads = Command::new(&python).args(["-c", &import]).output().is_ok_and(|ran| ran.status.success());
     if !reads {
-        println!("skipped: no Python with {modules}; `cargo xtask` provides one");
+        skipped(&format!("no Python with {modules}; `cargo xtask` provides one"));
     }
     reads.then_some(python)
 }
@@ -104,6 +105,19 @@ pub fn tables_by(python: &OsStr, files: [&Path; 3], column: &str, text: &str) ->
     read_by(python, "tables.py", &[csv, parquet, mat, OsStr::new(column), OsStr::new(text)])
 }
 
+/// What Octave finds in a .mat file: see `tests/browser/table.m`. Where it is not installed, `None`, and that it is skipped.
+///
+/// # Errors
+/// What it says of a file that it does not open.
+pub fn table_by_octave(file: &Path, column: &str) -> Option<Result<serde_json::Value, String>> {
+    let octave = OsStr::new("octave-cli");
+    if !Command::new(octave).arg("--version").output().is_ok_and(|ran| ran.status.success()) {
+        skipped("octave-cli is not installed");
+        return None;
+    }
+    Some(read_by(octave, "table.m", &[file.as_os_str(), OsStr::new(column)]))
+}
+
 /// What pymavlink finds at the ground that speaks to `port` of this machine: see `tests/browser/mavlink.py`.
 ///
 /// # Errors
@@ -120,13 +134,21 @@ pub fn station_by(python: &OsStr, station: &str, port: u16) -> Result<serde_json
     read_by(python, "stations.py", &[OsStr::new(station), OsStr::new(&port.to_string())])
 }
 
-fn read_by(python: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
+fn read_by(program: &OsStr, script: &str, arguments: &[&OsStr]) -> Result<serde_json::Value, String> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../browser").join(script);
-    let ran = Command::new(python).arg(script).args(arguments).output().unwrap();
+    let ran = Command::new(program).arg(script).args(arguments).output().unwrap();
     if !ran.status.success() {
         return Err(String::from_utf8_lossy(&ran.stderr).into_owned());
     }
     Ok(serde_json::from_slice(&ran.stdout).unwrap())
+}
+
+/// What the third-party reader of MCAP finds in what is exported for Foxglove: see `tests/browser/scene.py`.
+///
+/// # Errors
+/// What it says of a file that it does not open.
+pub fn scene_by(python: &OsStr, file: &Path) -> Result<serde_json::Value, String> {
+    read_by(python, "scene.py", &[file.as_os_str()])
 }
 
 /// Messages by topic, as the third-party reader of [`python`] counts them.

@@ -5,6 +5,8 @@ use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::scene::Offer;
+
 /// What a client asks.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
@@ -129,9 +131,8 @@ pub(super) fn advertise(id: u32, topic: &str, name: &str) -> Message {
 }
 
 /// A topic of a schema that is Foxglove's own.
-pub(super) fn advertise_json(id: u32, topic: &str, name: &str) -> Message {
-    let schema = json!({ "title": name, "type": "object" });
-    channel(id, topic, "json", name, ("jsonschema", schema.to_string()))
+pub(super) fn advertise_json(id: u32, offer: Offer) -> Message {
+    channel(id, offer.topic(), "json", offer.schema_name(), ("jsonschema", offer.schema().to_string()))
 }
 
 /// One message: opcode, subscription, time, payload.

@@ -1,7 +1,7 @@
 //! `GET /api/v1/vehicles/{id}/foxglove`: the Foxglove WebSocket protocol (`foxglove.websocket.v1`, `foxglove.sdk.v1`).
 //!
 //! Channels are the topics of a flight file, with the same bytes and the same descriptors, and beside them well-known
-//! schemas of Foxglove's ([`scene`]). What nobody subscribed to is not sent. Gains and limits are [`parameters`] to be read; mode,
+//! schemas of Foxglove's ([`crate::scene`]). What nobody subscribed to is not sent. Gains and limits are [`parameters`] to be read; mode,
 //! setpoint and cut are [`services`] under the lease. Roles are those of the live view and of commands.
 //!
 //! Two queues lie between hub and socket. Samples: [`MAX_WAITING_BYTES`], the oldest goes when it is full. What is rare
@@ -12,7 +12,6 @@
 
 mod client;
 mod parameters;
-mod scene;
 mod services;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -42,6 +41,7 @@ use super::live::{STALLED, expelled};
 use super::operator::{self, Operator};
 use crate::front::{Peer, Place};
 use crate::hub::{Viewer, ViewerQueue};
+use crate::scene::{Drawn, Offer, Scene};
 use crate::sync::{lock, stopping};
 use crate::viewers::MAX_VIEWERS;
 use client::Asked;
@@ -49,6 +49,8 @@ use services::Caller;
 
 /// What is spoken here, the best first.
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+/// Channels of [`Offer`]s begin here, beyond those of any kind.
+const FIRST_OFFER: u32 = 0xffff_0000;
 /// Most bytes of samples that wait for a client.
 const MAX_WAITING_BYTES: usize = 4 << 20;
 /// Most rare messages that wait.
@@ -107,8 +109,8 @@ async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {
     let client = Mutex::new(Client::new(caller.app.hub.latest(&caller.vehicle, Kind::Description)));
     outbox.rare(client::server_info(&caller.vehicle));
     outbox.rare(services::advertise());
-    for (channel, topic, schema) in scene::OFFERED {
-        outbox.rare(client::advertise_json(channel, topic, schema));
+    for offer in Offer::ALL {
+        outbox.rare(client::advertise_json(FIRST_OFFER + offer as u32, offer));
     }
     let Viewer { backlog, queue } = viewer;
     for shared in backlog {
@@ -244,7 +246,7 @@ struct Client {
     subscriptions: HashMap<u32, u32>,
     /// The latest of channels that say little: a new subscriber is sent it.
     latest: HashMap<u32, (u64, Vec<u8>)>,
-    scene: scene::Scene,
+    scene: Scene,
 }
 
 /// Is this kind sent many times a second?
@@ -262,10 +264,10 @@ impl Client {
     fn new(description: Option<v1::Description>) -> Self {
         Self {
             boot_us: description.map_or(0, |description| description.boot_wall_time_us),
-            channels: scene::OFFERED.map(|(channel, topic, _)| (channel, topic.to_owned())).into(),
+            channels: Offer::ALL.map(|offer| (FIRST_OFFER + offer as u32, offer.topic().to_owned())).into(),
             subscriptions: HashMap::new(),
             latest: HashMap::new(),
-            scene: scene::Scene::default(),
+            scene: Scene::default(),
         }
     }
 
@@ -286,8 +288,8 @@ impl Client {
         let boot = WallTime(if kind.is_ground_made() { 0 } else { self.boot_us });
         let since = boot.at(FlightTime(frame.time_us));
         self.put(channel, since.as_nanos(), frame.payload, sampled(Some(kind)), outbox);
-        for scene::Drawn { channel, json, sampled } in self.scene.take(kind, frame, since.0) {
-            self.put(channel, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
+        for Drawn { offer, json, sampled } in self.scene.take(kind, frame, since.0) {
+            self.put(FIRST_OFFER + offer as u32, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
         }
     }
 

@@ -1,14 +1,17 @@
-//! Flights as one tar (POSIX.1-1988 ustar), made as it is read: nothing is copied to the disk.
+//! Flights as one tar (POSIX.1-1988 ustar), made as it is read: nothing is copied to the disk. A header says how long its file
+//! is, so that what a flight is exported to is made twice, the first time to be measured.
 
 use sha2::{Digest as _, Sha256};
 
-use super::super::{Labels, RecorderHandle, RecordingError, Sink};
+use super::super::{Export, Format, Labels, RecorderHandle, RecordingError, Selection, Sink};
 use super::{SUMS, Sums, hex};
 
 /// Everything in a tar comes in blocks of this size, bytes.
 const BLOCK: usize = 512;
 /// Bytes of a flight read at once.
 const PIECE: usize = 64 << 10;
+/// Name, and ending, of a flight's own file.
+const OWN: &str = "mcap";
 /// Most flights of one tar.
 const MAX_FLIGHTS: usize = 500;
 
@@ -17,14 +20,17 @@ const MAX_FLIGHTS: usize = 500;
 pub struct Tar {
     recorder: RecorderHandle,
     ids: Vec<String>,
+    /// What each is exported to; `None` for its own file.
+    format: Option<Format>,
 }
 
 impl Tar {
-    /// Of these flights, with commas between their ids.
+    /// Of these flights, with commas between their ids, each as a format by its name or, without one, as it is.
     ///
     /// # Errors
-    /// [`RecordingError`] when one is not there, none is named, or too many are.
-    pub fn new(recorder: RecorderHandle, ids: &str) -> Result<Self, RecordingError> {
+    /// [`RecordingError`] when one is not there or cannot be exported so, none is named, too many are, or there is no such
+    /// format.
+    pub fn new(recorder: RecorderHandle, ids: &str, format: Option<&str>) -> Result<Self, RecordingError> {
         let mut ids: Vec<String> = ids.split(',').filter(|id| !id.is_empty()).map(str::to_owned).collect();
         ids.sort();
         ids.dedup();
@@ -32,10 +38,28 @@ impl Tar {
             let text = format!("ids names {} flights: 1 to {MAX_FLIGHTS} are needed", ids.len());
             return Err(RecordingError::Invalid(text));
         }
-        for id in &ids {
-            recorder.flight(id)?;
+        let format = match format.filter(|name| *name != OWN) {
+            None => None,
+            Some(name) => {
+                let unknown = || {
+                    let known = Format::ALL.map(Format::name).join(", ");
+                    RecordingError::Invalid(format!("format {:?} is none of {OWN}, {known}", crate::names::clip(name)))
+                };
+                Some(Format::ALL.into_iter().find(|format| format.name() == name).ok_or_else(unknown)?)
+            }
+        };
+        let tar = Self { recorder, ids, format };
+        for id in &tar.ids {
+            tar.recorder.flight(id)?;
+            if let Some(format) = format {
+                tar.export(id, format)?;
+            }
         }
-        Ok(Self { recorder, ids })
+        Ok(tar)
+    }
+
+    fn export(&self, id: &str, format: Format) -> Result<Export, RecordingError> {
+        Export::wide(self.recorder.open(id)?, Selection::default(), format)
     }
 
     /// Says which bytes it will have; nothing while one of its flights still grows.
@@ -64,24 +88,39 @@ impl Tar {
         let mut sums = Sums::default();
         for id in &self.ids {
             let flight = self.recorder.flight(id)?;
-            let (name, modified_s) = (format!("{id}.mcap"), flight.started_unix_us / 1_000_000);
-            let open = self.recorder.open(id)?;
-            let size = open.length();
-            let mut hash = Sha256::new();
-            let mut at = 0;
-            if !sink(header(&name, size, modified_s).to_vec()) {
-                return Ok(());
-            }
-            while at < size {
-                let piece =
-                    open.piece(at, PIECE).map_err(|source| RecordingError::Io { path: name.clone().into(), source })?;
-                hash.update(&piece);
-                at += piece.len() as u64;
-                if !sink(piece) {
-                    return Ok(());
+            let modified_s = flight.started_unix_us / 1_000_000;
+            let name = format!("{id}.{}", self.format.map_or(OWN, Format::ending));
+            let (size, hash) = match self.format {
+                None => {
+                    let open = self.recorder.open(id)?;
+                    let size = open.length();
+                    let hash = file(&name, size, modified_s, sink, |sink| {
+                        let mut at = 0;
+                        while at < size {
+                            let read = open.piece(at, PIECE);
+                            let piece =
+                                read.map_err(|e| RecordingError::Io { path: name.clone().into(), source: e })?;
+                            at += piece.len() as u64;
+                            if !sink(piece) {
+                                break;
+                            }
+                        }
+                        Ok(())
+                    });
+                    (size, hash?)
                 }
-            }
-            sums.0.insert(name, hex(hash));
+                Some(format) => {
+                    let export = self.export(id, format)?;
+                    let mut size = 0;
+                    export.write(&mut |piece| {
+                        size += piece.len() as u64;
+                        true
+                    })?;
+                    (size, file(&name, size, modified_s, sink, |sink| export.write(sink))?)
+                }
+            };
+            let Some(hash) = hash else { return Ok(()) };
+            sums.0.insert(name, hash);
             let mut more = vec![0; padding(size)];
             if !flight.name.is_empty() || !flight.notes.is_empty() {
                 let labels = Labels { name: flight.name, notes: flight.notes };
@@ -100,6 +139,31 @@ impl Tar {
         sink(end);
         Ok(())
     }
+}
+
+/// Sends a file of that size, which `content` gives piece by piece. Its hash; `None` when nobody listens any more.
+fn file(
+    name: &str,
+    size: u64,
+    modified_s: u64,
+    sink: &mut Sink<'_>,
+    content: impl FnOnce(&mut Sink<'_>) -> Result<(), RecordingError>,
+) -> Result<Option<String>, RecordingError> {
+    if !sink(header(name, size, modified_s).to_vec()) {
+        return Ok(None);
+    }
+    let (mut hash, mut sent, mut listening) = (Sha256::new(), 0, true);
+    content(&mut |piece: Vec<u8>| {
+        sent += piece.len() as u64;
+        hash.update(&piece);
+        listening = sent <= size && sink(piece);
+        listening
+    })?;
+    if sent > size || (listening && sent < size) {
+        let reason = format!("came to {sent} bytes, and to {size} when it was measured");
+        return Err(RecordingError::Damaged { path: name.into(), reason });
+    }
+    Ok(listening.then(|| hex(hash)))
 }
 
 /// Appends a whole file.
@@ -159,6 +223,32 @@ fn number(value: u64) -> [u8; 12] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// GIVEN a file that comes out longer or shorter than it was measured THEN the tar breaks off, and says why.
+    #[test]
+    fn a_file_that_is_not_as_long_as_it_was_is_an_error() {
+        let sent = |pieces: &[usize], size| {
+            let mut all = Vec::new();
+            let content = |sink: &mut Sink<'_>| {
+                pieces.iter().all(|length| sink(vec![7; *length]));
+                Ok(())
+            };
+            let mut sink = |piece: Vec<u8>| {
+                all.extend(piece);
+                true
+            };
+            let hash = file("f1.csv", size, 0, &mut sink, content);
+            (hash, all.len())
+        };
+        let (hash, length) = sent(&[600, 400], 1000);
+        assert_eq!((hash.unwrap(), length), (Some(hex(Sha256::new_with_prefix([7_u8; 1000]))), BLOCK + 1000));
+        for pieces in [[600, 399], [600, 401]] {
+            let (error, length) = sent(&pieces, 1000);
+            let error = error.unwrap_err().to_string();
+            assert!(error.contains("f1.csv") && error.contains("to 1000 when"), "{error}");
+            assert!(length <= BLOCK + 1000, "{length}: nothing of it looks like the next file");
+        }
+    }
 
     #[test]
     fn a_header_is_what_gnu_tar_writes() {

@@ -13,7 +13,7 @@ use mcap::McapResult;
 use plumbline_proto::{Kind, Message as _, v1};
 
 use super::RecordingError;
-use super::export::Sink;
+use super::export::{Sink, Whole};
 use super::flatten::{Cell, Table, Type};
 use super::reader::FlightReader;
 use crate::names::JsonName as _;
@@ -63,16 +63,19 @@ pub enum Format {
     Mat,
     /// No table but a ROS 2 bag: see `ros2.rs`.
     Ros2,
+    /// No table but its messages with a scene beside them: see `foxglove.rs`.
+    Foxglove,
 }
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 4] = [Self::Csv, Self::Parquet, Self::Mat, Self::Ros2];
+    pub const ALL: [Self; 5] = [Self::Csv, Self::Parquet, Self::Mat, Self::Ros2, Self::Foxglove];
 
     /// Ending of a file.
     pub const fn ending(self) -> &'static str {
         match self {
             Self::Ros2 => "ros2.mcap",
+            Self::Foxglove => "foxglove.mcap",
             other => other.name(),
         }
     }
@@ -84,6 +87,16 @@ impl Format {
             Self::Parquet => "parquet",
             Self::Mat => "mat",
             Self::Ros2 => "ros2",
+            Self::Foxglove => "foxglove",
+        }
+    }
+
+    /// What writes it, where it is no table.
+    pub(super) fn whole(self) -> Option<Whole> {
+        match self {
+            Self::Csv | Self::Parquet | Self::Mat => None,
+            Self::Ros2 => Some(super::ros2::write),
+            Self::Foxglove => Some(super::foxglove::write),
         }
     }
 }
@@ -141,6 +154,7 @@ fn chosen(columns: &[String], name: &str) -> bool {
 const ATTACKS: [(&str, Type); 2] = [("attacks.active", Type::Integer), ("attacks.what", Type::Text)];
 const EVENTS: (&str, Type) = ("events", Type::Text);
 
+#[derive(Clone)]
 struct Part {
     topic: String,
     prefix: String,
@@ -151,6 +165,7 @@ struct Part {
 }
 
 /// A table that is known to be possible.
+#[derive(Clone)]
 pub(super) struct Wide {
     parts: Vec<Part>,
     selection: Selection,
@@ -247,7 +262,9 @@ impl Wide {
             Format::Csv => Box::new(text::Csv::new(sink, &heads)?),
             Format::Parquet => Box::new(parquet::Parquet::new(sink, heads)),
             Format::Mat => Box::new(mat::Mat::new(sink, &heads, rows, &events)?),
-            Format::Ros2 => return super::ros2::write(reader, self.range_us, sink),
+            Format::Ros2 | Format::Foxglove => {
+                return format.whole().map_or(Ok(()), |whole| whole(reader, self.range_us, sink));
+            }
         };
         if self.rows(reader, sheet.as_mut())? { sheet.end() } else { Ok(()) }
     }

@@ -22,9 +22,16 @@ if TYPE_CHECKING:
 #: Flights of one page.
 PAGE = 1000
 #: Suffixes of what a flight is served as.
-FORMATS = {"mcap": "mcap", "csv": "csv", "parquet": "parquet", "mat": "mat", "ros2": "ros2.mcap"}
+FORMATS = {"mcap": "mcap", "csv": "csv", "parquet": "parquet", "mat": "mat", "ros2": "ros2.mcap", "foxglove": "foxglove.mcap"}
 #: What no single cell of a table holds.
 NESTED = ("counts", "steps", "attacks")
+
+
+def known(format: str) -> str:
+    """That format. Raises `ValueError` where there is no such one."""
+    if format not in FORMATS:
+        raise ValueError(f"format {format!r} is none of {', '.join(FORMATS)}")
+    return format
 
 
 class Flight:
@@ -105,9 +112,8 @@ class Flight:
         return polars.read_parquet(io.BytesIO(self.parquet(columns, from_s, to_s, rate_hz)))
 
     def download(self, target: str | Path = ".", format: str = "mcap") -> Path:
-        """Writes it to a file or into a folder: `mcap` (as recorded), `csv`, `parquet`, `mat` or `ros2`."""
-        if format not in FORMATS:
-            raise ValueError(f"format {format!r} is none of {', '.join(FORMATS)}")
+        """Writes it to a file or into a folder: `mcap` (as recorded), `csv`, `parquet`, `mat`, `ros2` or `foxglove`."""
+        known(format)
         target = Path(target)
         if target.is_dir():
             target = target / f"{self.id}.{FORMATS[format]}"

@@ -13,7 +13,7 @@ from typing_extensions import Self
 from ._http import COOKIE, Connection
 from .errors import NotFound
 from .experiments import Experiment, text_of
-from .flights import Flight, Flights, flights
+from .flights import Flight, Flights, flights, known
 from .trust import from_file, pinned
 from .vehicle import Vehicle
 
@@ -159,10 +159,10 @@ class Ground:
         """One of them. Raises `NotFound`."""
         return Flight(self._connection, {"id": id}).refresh()
 
-    def archive(self, flights: Iterable[Flight | str], target: str | Path) -> Path:
-        """Writes the files of many flights as one tar, which `plumbline-ground archive` checks and restores."""
+    def archive(self, flights: Iterable[Flight | str], target: str | Path, format: str = "mcap") -> Path:
+        """Writes the files of many flights as one tar, which `plumbline-ground archive` checks and restores; in another format it is no backup."""
         ids = [flight if isinstance(flight, str) else flight.id for flight in flights]
-        return self._connection.save("/api/v1/archive", target, {"ids": ",".join(ids)})
+        return self._connection.save("/api/v1/archive", target, {"ids": ",".join(ids), "format": known(format)})
 
     def due(self) -> list[models.Due]:
         """Flights that the ground's retention will delete, and when; `Flight.label` keeps one."""

@@ -2,6 +2,7 @@
 //! the vehicle, its strings and what every estimator says, `foxglove.Log` of events. A viewer shows them without being told how.
 //!
 //! As JSON, which those schemas have beside protobuf. Frames are ours: `map` is east-north-up, `base_link` forward-left-up.
+//! The live link and the export of a flight say the same by it; a flight file holds the downlink alone.
 
 use std::collections::BTreeMap;
 
@@ -10,16 +11,7 @@ use plumbline_proto::{Kind, v1};
 use serde_json::{Value, json};
 
 use crate::names::JsonName as _;
-use crate::recorder::body_from_world;
 
-/// Channels beyond those of any kind.
-const FIRST_CHANNEL: u32 = 0xffff_0000;
-/// What there is of those schemas: channel, topic, schema. Offered at once, so that a panel finds its topic before the first event.
-pub(super) const OFFERED: [(u32, &str, &str); 3] = [
-    (FIRST_CHANNEL, "/tf", "foxglove.FrameTransform"),
-    (FIRST_CHANNEL + 1, "/scene", "foxglove.SceneUpdate"),
-    (FIRST_CHANNEL + 2, "/log", "foxglove.Log"),
-];
 /// Least time between two scenes, µs: 20 Hz.
 const SCENE_EVERY_US: u64 = 50_000;
 /// Half the length of an arm, for the eye: of an Iris.
@@ -35,20 +27,94 @@ const COLOURS: [[f64; 3]; 7] = [
     [0.941, 0.894, 0.259],
 ];
 
+/// What there is of those schemas. Offered at once, so that a panel finds its topic before the first event.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Offer {
+    Transform,
+    Scene,
+    Log,
+}
+
+impl Offer {
+    pub(crate) const ALL: [Self; 3] = [Self::Transform, Self::Scene, Self::Log];
+
+    pub(crate) const fn topic(self) -> &'static str {
+        match self {
+            Self::Transform => "/tf",
+            Self::Scene => "/scene",
+            Self::Log => "/log",
+        }
+    }
+
+    pub(crate) const fn schema_name(self) -> &'static str {
+        match self {
+            Self::Transform => "foxglove.FrameTransform",
+            Self::Scene => "foxglove.SceneUpdate",
+            Self::Log => "foxglove.Log",
+        }
+    }
+
+    /// Its JSON schema. Foxglove refuses a channel where an object has no `properties`; shapes that are never drawn have
+    /// empty ones.
+    pub(crate) fn schema(self) -> Value {
+        let [number, integer, text, boolean] =
+            ["number", "integer", "string", "boolean"].map(|name| json!({ "type": name }));
+        let object = |fields: Value| json!({ "type": "object", "properties": fields });
+        let list = |of: &Value| json!({ "type": "array", "items": of });
+        let time = object(json!({ "sec": integer, "nsec": integer }));
+        let vector = object(json!({ "x": number, "y": number, "z": number }));
+        let rotation = object(json!({ "x": number, "y": number, "z": number, "w": number }));
+        let mut schema = match self {
+            Self::Transform => object(json!({ "timestamp": time, "parent_frame_id": text, "child_frame_id": text,
+                "translation": vector, "rotation": rotation })),
+            Self::Log => {
+                object(json!({ "timestamp": time, "level": integer, "message": text, "name": text, "file": text,
+                "line": integer }))
+            }
+            Self::Scene => {
+                let pose = object(json!({ "position": vector, "orientation": rotation }));
+                let colour = object(json!({ "r": number, "g": number, "b": number, "a": number }));
+                let solid = list(&object(json!({ "pose": pose, "size": vector, "color": colour })));
+                let line = object(json!({ "type": integer, "pose": pose, "thickness": number,
+                    "scale_invariant": boolean, "points": list(&vector), "color": colour, "colors": list(&colour),
+                    "indices": list(&integer) }));
+                let none = list(&object(json!({})));
+                let entity = object(json!({ "timestamp": time, "frame_id": text, "id": text, "lifetime": time,
+                    "frame_locked": boolean, "metadata": none, "arrows": none, "cubes": solid, "spheres": solid,
+                    "cylinders": none, "lines": list(&line), "triangles": none, "texts": none, "models": none }));
+                object(json!({ "deletions": none, "entities": list(&entity) }))
+            }
+        };
+        schema["title"] = self.schema_name().into();
+        schema
+    }
+}
+
 /// One message of such a schema.
-pub(super) struct Drawn {
-    pub(super) channel: u32,
-    pub(super) json: Value,
-    pub(super) sampled: bool,
+pub(crate) struct Drawn {
+    pub(crate) offer: Offer,
+    pub(crate) json: Value,
+    pub(crate) sampled: bool,
 }
 
 /// What is drawn next.
 #[derive(Debug, Default)]
-pub(super) struct Scene {
+pub(crate) struct Scene {
     estimates: BTreeMap<u16, v1::Estimate>,
     truth: Option<v1::Vector3>,
     strings: Vec<v1::StringDescription>,
     drawn_us: u64,
+}
+
+/// `world` in the body's axes: the inverse rotation of a unit quaternion, v + 2 u × (u × v − w v) with u its vector part.
+pub(crate) fn body_from_world(q: &v1::Quaternion, world: &v1::Vector3) -> v1::Vector3 {
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let (u, v) = ([q.x, q.y, q.z], [world.x, world.y, world.z]);
+    let inner = cross(u, v);
+    let inner = [inner[0] - q.w * v[0], inner[1] - q.w * v[1], inner[2] - q.w * v[2]];
+    let turn = cross(u, inner);
+    v1::Vector3 { x: v[0] + 2.0 * turn[0], y: v[1] + 2.0 * turn[1], z: v[2] + 2.0 * turn[2] }
 }
 
 fn time(us: u64) -> Value {
@@ -86,7 +152,7 @@ fn ball(at: &v1::Vector3, colour: &Value) -> Value {
 
 impl Scene {
     /// What follows from one message.
-    pub(super) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
+    pub(crate) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
         match kind {
             Kind::Event => frame.message().map_or_else(|_| Vec::new(), |event| vec![log(&event, now_us)]),
             Kind::Description => {
@@ -121,7 +187,7 @@ impl Scene {
         let json = json!({ "timestamp": time(now_us), "parent_frame_id": "map", "child_frame_id": "base_link",
             "translation": vector(&estimate.position_enu_m.unwrap_or_default()),
             "rotation": { "x": q.x, "y": q.y, "z": q.z, "w": q.w } });
-        Some(Drawn { channel: FIRST_CHANNEL, json, sampled: true })
+        Some(Drawn { offer: Offer::Transform, json, sampled: true })
     }
 
     /// Strings from their hooks to where an estimate has their knots; pale ones are slack.
@@ -167,7 +233,7 @@ impl Scene {
             entities.push(entity("truth", "map", now_us, &json!({ "spheres": ball(truth, &grey) })));
         }
         let json = json!({ "deletions": [], "entities": entities });
-        Drawn { channel: FIRST_CHANNEL + 1, json, sampled: true }
+        Drawn { offer: Offer::Scene, json, sampled: true }
     }
 }
 
@@ -179,7 +245,7 @@ fn log(event: &v1::Event, now_us: u64) -> Drawn {
         _ => 2,
     };
     let json = json!({ "timestamp": time(now_us), "level": level, "message": event.text, "name": event.kind, "file": "", "line": 0 });
-    Drawn { channel: FIRST_CHANNEL + 2, json, sampled: false }
+    Drawn { offer: Offer::Log, json, sampled: false }
 }
 
 #[cfg(test)]
@@ -187,6 +253,15 @@ mod tests {
     use plumbline_proto::Message as _;
 
     use super::*;
+
+    #[test]
+    fn velocities_are_turned_into_the_body() {
+        // A quarter turn to the left: what goes north goes forward.
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let q = v1::Quaternion { w: half, x: 0.0, y: 0.0, z: half };
+        let v = body_from_world(&q, &v1::Vector3 { x: 0.0, y: 2.0, z: 1.0 });
+        assert!((v.x - 2.0).abs() < 1e-12 && v.y.abs() < 1e-12 && (v.z - 1.0).abs() < 1e-12, "{v:?}");
+    }
 
     /// GIVEN a quarter turn to the left, 2 m up WHEN drawn THEN a string ends at its knot as it is turned, pale while slack.
     #[test]
