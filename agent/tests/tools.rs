@@ -168,7 +168,7 @@ fn designs_become_certified_gains_that_read_back() {
         ("lqr", r#"{"state_weight": [1, 2], "input_weight": [1, 1, 1, 1]}"#, "state_weight has 2 values"),
         ("lqr", r#"{"controller": "pid"}"#, "the weights are for controller \"pid\""),
         ("lqi", r#"{"colour": 1}"#, "colour"),
-        ("pid", r#"{"parameters": {"tilt_p": 49, "tilt_rate_p": 99}}"#, "decays at 14.791 1/s"),
+        ("pid", r#"{"parameters": {"tilt_p": 49, "tilt_rate_p": 99}}"#, "grows at 14.791 1/s"),
     ] {
         std::fs::write(&weights, text).unwrap();
         let done = design(controller, &["--weights", weights.to_str().unwrap()]);

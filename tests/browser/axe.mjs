@@ -31,6 +31,20 @@ const findings = async () => {
   };
 };
 
+// Letters smaller than 12 px on the screen; in a drawing as it is scaled.
+const small = () => page.evaluate(() => {
+  const found = [];
+  for (const element of document.body.querySelectorAll('*')) {
+    const own = [...element.childNodes].filter((n) => n.nodeType === 3).map((n) => n.textContent.trim()).join(' ').trim();
+    const box = element.getBoundingClientRect();
+    if (!own || box.width < 2 || box.height < 2) continue;
+    const scale = element instanceof SVGGraphicsElement ? element.getScreenCTM().a : 1;
+    const size = parseFloat(getComputedStyle(element).fontSize) * scale;
+    if (size < 11.95) found.push(`${size.toFixed(1)} px: ${element.tagName}.${element.className.baseVal ?? element.className} "${own.slice(0, 30)}"`);
+  }
+  return found;
+});
+
 for (const [width, height] of [[1280, 720], [390, 844]]) {
   for (const [name, path] of Object.entries(PAGES)) {
     await step(page, `axe: ${name} at ${width}×${height}, light and dark`, async () => {
@@ -41,6 +55,8 @@ for (const [width, height] of [[1280, 720], [390, 844]]) {
       if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
       await page.waitForTimeout(1200);
       const told = {};
+      const tiny = await small();
+      assert(tiny.length === 0, `${tiny.length} texts below 12 px\n${tiny.slice(0, 8).join('\n')}`);
       for (const theme of ['light', 'dark']) {
         const { grave, lesser } = await findings();
         await page.screenshot({ path: `${screenshots}/axe-${name}-${theme}-${width}x${height}.png` });

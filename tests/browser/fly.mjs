@@ -252,8 +252,16 @@ await step(page, 'tune: a deviation is changed, previewed, pushed in flight, and
   await until('revision 2 in use', async () => /revision 2/.test(await inUse.textContent()));
   await button('Revert to revision 1').click();
   await until('a third revision that is the first again', async () => /revision 3/.test(await inUse.textContent()));
+  // Changed fields are marked with what is in use; the way back to what the flight started with marks them all.
+  const rows = region('Design').locator('.tune-field.changed');
+  await until('the field that was moved', async () => (await rows.count()) === 1 && /in use: [\d.]+ m/.test(await rows.textContent()));
   await button('Dark theme').click();
   await shot('tune-dark-1280x720');
+  await button('Back to the gains the flight started with').click();
+  await until('a fourth revision', async () => /revision 4/.test(await inUse.textContent()));
+  await button('In use').click();
+  await until('no mark', async () => (await rows.count()) === 0);
+  assert((await page.getByLabel('altitude, m', { exact: true }).inputValue()) !== '0.15', 'not what it started with');
   await button('Dark theme').click();
   return { change };
 });

@@ -2,7 +2,7 @@
 
 import { readFileSync } from 'node:fs';
 
-import { assert, complaints, drawn, end, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, launch, number, pilot, pixels, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true, colorScheme: 'light' });
@@ -218,6 +218,21 @@ await step(page, 'a chart goes along as CSV: what is visible, a column per curve
   const length = Number(await page.getByLabel('Time window').inputValue());
   const span = times.at(-1) - times[0];
   assert(times.length > 100 && span <= length + 1e-6 && span > 0.5 * length, `${times.length} rows over ${span} s`);
+  const svg = readFileSync(await save(() => button('Altitude: what is visible as SVG').click()), 'utf8');
+  assert(svg.startsWith('<svg xmlns=') && svg.includes('>setpoint<') && !/var\(|style=|href/.test(svg), svg.slice(0, 300));
+  const picture = await context.newPage();
+  await picture.setContent(svg);
+  assert((await picture.locator('svg path.line').count()) >= 3, 'no curves in it');
+  await picture.screenshot({ path: `${screenshots}/chart-alone.png` });
+  await picture.close();
+  // What the legend points at stays, the rest of its chart steps back.
+  const altitude = region('Altitude chart');
+  const blue = async () => (await pixels(page, altitude.getByRole('img').first())).blue;
+  const before = await blue();
+  await altitude.getByRole('button', { name: 'setpoint', exact: true }).hover();
+  await until('the estimate to step back', async () => (await blue()) < 0.5 * before);
+  await page.mouse.move(1, 1);
+  await until('the estimate to be back', async () => (await blue()) > 0.8 * before);
   await button('Take the cursors away').click();
   await button('Pause charts').click();
   await button('Errors').first().click();
@@ -295,6 +310,10 @@ await step(page, 'the report prints without the page around it, and keeps as one
   assert((await alone.locator('.lead').textContent()) === (await report.locator('.lead').textContent()), 'another sentence');
   await alone.screenshot({ path: `${screenshots}/report-alone.png`, fullPage: true });
   await alone.close();
+  const latex = readFileSync(await save(() => button('LaTeX tables').click()), 'utf8');
+  assert((latex.match(/\\toprule/g) ?? []).length === 6 && /mean \$\\pm\$ \$\\sigma\$/.test(latex), latex.slice(0, 600));
+  const figure = readFileSync(await save(() => button('Figure 1 SVG').click()), 'utf8');
+  assert(figure.startsWith('<svg xmlns=') && figure.includes('Altitude, m') && !/var\(/.test(figure), figure.slice(0, 300));
   await page.reload();
   await report.locator('.lead').waitFor();
   return { bytes: html.length };
@@ -331,6 +350,25 @@ await step(page, 'compare: laid together, their difference, and what was not the
   const before = await until('its RMS', async () => (await rms()) > 0 && rms());
   await page.getByLabel('What is laid on top of each other').selectOption('take-off');
   await until('another one', async () => (await rms()) !== before);
+  // Within a tolerance or not, by the largest difference in view; moved by hand it is another one.
+  const judged = region('Tolerance').getByRole('row').last();
+  const field = page.getByLabel('Tolerance of the difference, in millimetres');
+  for (const [mm, verdict] of [['5000', /pass/], ['0.01', /fail/]]) {
+    await field.fill(mm);
+    await field.press('Tab');
+    await until(`${mm} mm: ${verdict}`, async () => verdict.test(await judged.textContent()));
+  }
+  const largest = async () => number(await judged.getByRole('cell').nth(1).textContent());
+  const unmoved = await largest();
+  await judged.getByLabel(/^Move .* by, in seconds$/).fill('1.5');
+  await page.keyboard.press('Tab');
+  await until('another difference', async () => Math.abs((await largest()) - unmoved) > 1);
+  await page.getByLabel('What is laid on top of each other').selectOption('step');
+  await page.getByLabel('Number of the step').fill('2');
+  await page.keyboard.press('Tab');
+  await page.getByLabel('Number of the step').waitFor();
+  const counted = (await region('Steps').getByRole('row').count()) - 1;
+  assert(counted === flights[0].steps.length + flights[1].steps.length, `${counted} steps`);
   const differs = await region('Configuration and gains').getByRole('rowheader').allTextContents();
   assert(differs.includes('deviation of altitude'), JSON.stringify(differs));
   await shots('compare');

@@ -169,6 +169,10 @@ pub struct Deck {
     pub pins: RwSignal<Option<[f64; 2]>>,
     /// Curves that their legend was asked to hide.
     pub hidden: RwSignal<Vec<Curve>>,
+    /// Differences up to here pass, mm.
+    pub tolerance_mm: RwSignal<Option<f64>>,
+    /// Curve that its legend points at: the others of its chart step back.
+    pub lit: RwSignal<Option<Curve>>,
     /// Groups of curves that are unfolded, and drawn.
     pub unfolded: RwSignal<Vec<Group>>,
     /// Charts on the page that have a legend.
@@ -204,6 +208,8 @@ impl Deck {
             notes: RwSignal::new(Vec::new()),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
+            tolerance_mm: RwSignal::new(None),
+            lit: RwSignal::new(None),
             unfolded: RwSignal::new(store::unfolded()),
             listed: RwSignal::new(Vec::new()),
             playhead: RwSignal::new(0.0),
@@ -448,6 +454,16 @@ impl Deck {
         self.zoom_to(time_s - share * (time_s - axis.start_s), time_s + share * (axis.end_s - time_s));
     }
 
+    /// Moves the stretch zoomed into along with the play head, up to the end of the flight.
+    pub fn follow(self, end_s: f64) {
+        let time_s = self.playhead.get_untracked();
+        let zoom = self.zoom.get_untracked();
+        let moved = zoom.map(|zoom| followed(zoom, time_s, end_s));
+        if moved != zoom {
+            self.zoom.set(moved);
+        }
+    }
+
     /// Back from a zoom, of values too, and back to the moving edge.
     pub fn zoom_out(self) {
         self.zoom.set(None);
@@ -467,6 +483,21 @@ impl Deck {
     }
 }
 
+/// Where the play head stands in a view that moves with it, and where it begins in one that it was outside of.
+const FOLLOWED_AT: f64 = 0.75;
+const BEGINS_AT: f64 = 0.25;
+
+/// The stretch `from_s` to `to_s`, moved so that the play head is in view and has a part of the view before it.
+fn followed((from_s, to_s): (f64, f64), time_s: f64, end_s: f64) -> (f64, f64) {
+    let span_s = to_s - from_s;
+    let start_s = if (from_s..=to_s).contains(&time_s) {
+        from_s.max((time_s - FOLLOWED_AT * span_s).min(from_s.max(end_s - span_s)))
+    } else {
+        (time_s - BEGINS_AT * span_s).min(time_s.max(end_s) - span_s)
+    };
+    (start_s, start_s + span_s)
+}
+
 fn solo(hidden: &mut Vec<Curve>, curve: Curve, all: &[Curve]) {
     let others: Vec<Curve> = all.iter().copied().filter(|other| *other != curve).collect();
     let alone = !hidden.contains(&curve) && others.iter().all(|other| hidden.contains(other));
@@ -484,6 +515,16 @@ pub fn deck() -> Deck {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_zoomed_view_goes_along_with_the_play_head_and_stops_at_the_end() {
+        assert_eq!(followed((10.0, 14.0), 12.0, 60.0), (10.0, 14.0), "it stands still until three quarters");
+        assert_eq!(followed((10.0, 14.0), 13.5, 60.0), (10.5, 14.5));
+        assert_eq!(followed((10.0, 14.0), 40.0, 60.0), (39.0, 43.0), "a view without the play head jumps to it");
+        assert_eq!(followed((10.0, 14.0), 2.0, 60.0), (1.0, 5.0));
+        assert_eq!(followed((56.0, 60.0), 59.9, 60.0), (56.0, 60.0), "nothing is beyond the end");
+        assert_eq!(followed((10.0, 14.0), 59.9, 60.0), (56.0, 60.0));
+    }
 
     #[test]
     fn one_curve_is_shown_alone_and_then_all_are_again() {

@@ -141,6 +141,8 @@ struct Recorded {
     pins: Option<[f64; 2]>,
     error_axis: Axis,
     hidden: Vec<Curve>,
+    lit: Option<Curve>,
+    tolerance_mm: Option<f64>,
     unfolded: Vec<Group>,
     /// Of all curves: another estimator's may be laid over them.
     curves: (usize, u64),
@@ -161,6 +163,8 @@ impl Recorded {
             pins: deck.pins.get_untracked(),
             error_axis: deck.error_axis.get_untracked(),
             hidden: deck.hidden.get_untracked(),
+            lit: deck.lit.get_untracked(),
+            tolerance_mm: deck.tolerance_mm.get_untracked(),
             unfolded: deck.unfolded.get_untracked(),
             curves,
         })

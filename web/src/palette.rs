@@ -24,6 +24,11 @@ impl Ink {
         if dark { self.dark } else { self.light }
     }
 
+    /// For what has no style sheet: on white.
+    pub fn hex(self) -> String {
+        format!("#{:02x}{:02x}{:02x}", self.light.r, self.light.g, self.light.b)
+    }
+
     /// For the style sheet.
     pub const fn css(self) -> &'static str {
         self.css
@@ -53,6 +58,15 @@ pub const SENSOR_3: Ink = Ink::new(0xa89a1a, 0xd8cc3c, "var(--sensor-3)");
 pub const TRUTH: Ink = Ink::new(0x6b7480, 0x98a2ae, "var(--truth)");
 /// Attacks, gates, rejection.
 pub const ATTACK: Ink = Ink::new(0xd55e00, 0xf07a1e, "var(--attack)");
+
+/// The colour that the style sheet has by this name.
+pub fn named(css: &str) -> Option<Ink> {
+    let all = [
+        SETPOINT, IN_LOOP, OTHER_1, OTHER_2, OTHER_3, OTHER_4, OTHER_5, OTHER_6, OTHER_7, SENSOR_1, SENSOR_2, SENSOR_3,
+        TRUTH, ATTACK,
+    ];
+    all.into_iter().find(|ink| ink.css == css)
+}
 
 /// The colour of an estimator.
 pub fn estimator(number: u16, in_loop: u16) -> Ink {
@@ -109,7 +123,7 @@ pub fn axis_css(of: Axis) -> &'static str {
 
 /// Colour number `index` of a series of like things: flights compared, channels of one sensor.
 pub fn series(index: usize) -> Ink {
-    [IN_LOOP, SENSOR_1, OTHER_1, OTHER_2, SENSOR_2, SENSOR_3, TRUTH][index % 7]
+    [IN_LOOP, SENSOR_1, OTHER_1, OTHER_2, SENSOR_2, SENSOR_3, TRUTH, OTHER_7][index % 8]
 }
 
 #[cfg(test)]
@@ -118,7 +132,7 @@ mod tests {
 
     #[test]
     fn an_attack_never_looks_like_a_curve() {
-        for ink in (0..7).map(series).chain((1..6).map(sensor)) {
+        for ink in (0..8).map(series).chain((1..6).map(sensor)) {
             assert_ne!(ink.css(), ATTACK.css());
         }
         assert_eq!(estimator(3, 3), IN_LOOP);
@@ -135,6 +149,33 @@ mod tests {
             if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
         };
         0.2126 * channel(1) + 0.7152 * channel(3) + 0.0722 * channel(5)
+    }
+
+    #[test]
+    fn letters_and_spaces_come_from_their_scales_and_none_is_below_twelve_pixels() {
+        let sheets = [include_str!("../style.css"), include_str!("../report.css")];
+        for size in ["--small: 12px", "--text: 13px", "--large: 16px", "--title: 22px"] {
+            assert!(sheets.iter().all(|sheet| sheet.matches(size.split_once(' ').unwrap().0).count() == 1), "{size}");
+            assert!(sheets.iter().all(|sheet| sheet.contains(size)), "{size}");
+        }
+        let rules = || sheets.into_iter().flat_map(|sheet| sheet.split(['{', '}', ';']).map(str::trim));
+        for (name, value) in rules().filter_map(|rule| rule.split_once(": ")) {
+            let sized = ["inherit", "var(--small)", "var(--text)", "var(--large)", "var(--title)"];
+            match name {
+                "font-size" => assert!(sized.contains(&value), "font-size: {value}"),
+                // What stands alone may name its own.
+                "font" if !value.starts_with("13px/") => {
+                    assert!(sized.iter().any(|size| value.contains(size)), "font: {value}");
+                }
+                _ if ["padding", "margin", "gap"].iter().any(|space| name.starts_with(space)) => {
+                    let pixels = value.split([' ', '(', ')']).filter_map(|part| part.strip_suffix("px")?.parse().ok());
+                    for space in pixels.filter(|px: &f64| (0.0..=16.0).contains(px)) {
+                        assert!([0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0].contains(&space), "{name}: {value}");
+                    }
+                }
+                _ => {}
+            }
+        }
     }
 
     #[test]

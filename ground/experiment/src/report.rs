@@ -28,7 +28,7 @@ const STYLE: &str = "\
 @media(prefers-color-scheme:dark){:root{--ink:#e6e9ed;--soft:#9aa4af;--line:#3a424b;--paper:#14181d;--mark:#56b4e9;--lost:#e69f00}}\
 body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:1100px;margin:2rem auto;padding:0 1rem}\
 h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2.5rem;border-bottom:1px solid var(--line)}\
-figure{margin:1rem 0}figcaption{color:var(--soft)}svg{max-width:100%;height:auto}svg text{fill:var(--ink);font-size:11px}\
+figure{margin:1rem 0}figcaption{color:var(--soft)}svg{max-width:100%;height:auto}svg text{fill:var(--ink);font-size:12px}\
 svg .axis{stroke:var(--line)}svg .box{fill:none;stroke:var(--ink)}svg .violin{fill:var(--mark);fill-opacity:.14}svg .dot{fill:var(--mark);fill-opacity:.45}\
 svg a:hover .dot,svg a:focus .dot{fill-opacity:1;stroke:var(--ink)}svg .lost{fill:var(--lost)}\
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:1rem 0}\

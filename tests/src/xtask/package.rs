@@ -53,7 +53,9 @@ const PACKAGES: [Package; 2] = [
 const MAINTAINER: &str = "The Plumbline developers <plumbline@example.org>";
 const COPYRIGHT: &str = "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n\
     Upstream-Name: Plumbline\n\nFiles: *\nCopyright: 2026 The Plumbline developers\nLicense: MIT or Apache-2.0\n \
-    Either license at your option. The Apache license is in\n /usr/share/common-licenses/Apache-2.0 on Debian.\n";
+    Either license at your option. The Apache license is in\n /usr/share/common-licenses/Apache-2.0 on Debian.\n\n\
+    Files: web/inter.woff2\nCopyright: 2016 The Inter Project Authors\nLicense: OFL-1.1\n \
+    Inside of the ground's page; https://openfontlicense.org.\n";
 
 /// Builds both and prints where they are.
 ///

@@ -23,8 +23,8 @@ pub const KINDS: [Kind; 8] = [
         from_flight: true,
         guidance: &[
             "Record (R) while the vehicle rests, motors off.",
-            "Put it down in at least ten different poses: each side, both ends, upside down, and some in between.",
-            "Hold each pose still for two seconds or more. Scale, misalignment and bias come out of gravity alone.",
+            "Put it down in ten poses or more, 15° or more apart: each side, both ends, upside down, and some in between.",
+            "Hold each pose still for a second or more. Scale, misalignment and bias come out of gravity alone; seven poses give scale and bias.",
         ],
     },
     Kind {
@@ -33,7 +33,7 @@ pub const KINDS: [Kind; 8] = [
         from_flight: true,
         guidance: &[
             "Use the same recording of poses: the turns between two rests are what is compared.",
-            "Turn briskly, about every axis, and rest again each time.",
+            "Turn briskly, six times or more, by 30° or more, about every axis, and rest again each time.",
             "Choose a fitted accelerometer first: it says how far each turn went.",
         ],
     },
@@ -120,6 +120,24 @@ mod tests {
         assert!(points[1][0].is_nan());
         let many = Series { points: vec![[Some(1.0), Some(1.0)]; 100_000], ..Series::default() };
         assert!(drawn(&many, false).len() <= MOST_POINTS);
+    }
+
+    #[test]
+    fn the_guidance_asks_for_what_the_fit_enforces() {
+        let fits = include_str!("../../../agent/core/src/calibration/inertial.rs");
+        let rests = include_str!("../../../agent/core/src/calibration/rest.rs");
+        for (source, enforced, kind, asked) in [
+            (fits, "const POSES_FULL: usize = 10;", "accelerometer", "ten poses or more"),
+            (fits, "const POSES_APART_RAD: f64 = 0.25;", "accelerometer", "15° or more apart"),
+            (fits, "const POSES_SCALE: usize = 7;", "accelerometer", "seven poses give scale and bias"),
+            (rests, "const INTERVAL_S: f64 = 1.0;", "accelerometer", "still for a second or more"),
+            (fits, "const TURNS_MIN: usize = 6;", "gyroscope", "six times or more"),
+            (fits, "const TURN_MIN_RAD: f64 = 0.5;", "gyroscope", "by 30° or more"),
+        ] {
+            assert!(source.contains(enforced), "{enforced}: another number is enforced now");
+            let guidance = KINDS.iter().find(|k| k.name == kind).map(|k| k.guidance.join(" ")).unwrap();
+            assert!(guidance.contains(asked), "{kind}: {asked}");
+        }
     }
 
     #[test]

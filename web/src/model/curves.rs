@@ -132,11 +132,13 @@ pub enum Group {
     Heights,
     /// True angles.
     Truth,
+    /// How far an unseen attack could move the vehicle.
+    Reach,
 }
 
 impl Group {
     /// All of them, in the order of a legend.
-    pub const ALL: [Self; 3] = [Self::Estimators, Self::Heights, Self::Truth];
+    pub const ALL: [Self; 4] = [Self::Estimators, Self::Heights, Self::Truth, Self::Reach];
 
     /// As a legend has it.
     pub const fn name(self) -> &'static str {
@@ -144,6 +146,7 @@ impl Group {
             Self::Estimators => "estimators",
             Self::Heights => "heights",
             Self::Truth => "true angles",
+            Self::Reach => "bounds of an unseen attack",
         }
     }
 }
@@ -157,6 +160,7 @@ impl Curve {
             }
             Self::Height(_) => Some(Group::Heights),
             Self::TruthAttitude(_) => Some(Group::Truth),
+            Self::Reach(_) => Some(Group::Reach),
             _ => None,
         }
     }

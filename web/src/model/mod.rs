@@ -11,6 +11,7 @@ pub mod decimate;
 pub mod draft;
 pub mod envelope;
 pub mod experiment;
+pub mod figure;
 pub mod format;
 pub mod instrument;
 pub mod listing;

@@ -15,7 +15,7 @@ use super::{
     series::Series,
 };
 
-pub use page::document;
+pub use page::{document, figures};
 
 /// What an attack did.
 #[derive(Debug, Clone, PartialEq, Default)]

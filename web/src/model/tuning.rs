@@ -5,9 +5,10 @@
 
 use std::collections::BTreeMap;
 
+use plumbline_proto::v1::GainsInUse;
 use plumbline_rest::design::{Controller, Design, Gains, Preview};
 
-use super::curves::DEGREES;
+use super::{curves::DEGREES, live::Log};
 
 /// States and integrals in the order of the weights: name, unit on the page, page units of one wire unit.
 pub const STATES: [(&str, &str, f64); 16] = [
@@ -206,8 +207,53 @@ pub fn in_use(gains: &Gains) -> Option<Design> {
     })
 }
 
+/// Gains that flew, as a design to push again; `None` of a K given outright.
+pub fn flown(gains: &GainsInUse) -> Option<Design> {
+    if gains.weights.is_none() && gains.parameters.is_empty() {
+        return None;
+    }
+    let (state_weight, input_weight) =
+        gains.weights.as_ref().map(|w| (w.state_weight.clone(), w.input_weight.clone())).unzip();
+    Some(Design {
+        controller: Some(gains.controller.clone()).filter(|name| !name.is_empty()),
+        state_weight,
+        input_weight,
+        parameters: gains.parameters.iter().map(|p| (p.name.clone(), p.value)).collect(),
+        ..Design::default()
+    })
+}
+
+/// The gains that the flight began with.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Start {
+    /// Not flying, or the beginning is not known here.
+    Unknown,
+    /// They are in use.
+    InUse,
+    /// The ground can push this revision again.
+    Revision(u32),
+    /// What the agent started with, which no book has.
+    Configured(Box<Design>),
+}
+
+/// What this flight began with, which is `begin_s` of flight time, against what is in use.
+pub fn start(log: &Log, begin_s: f64, in_use: Option<u32>) -> Start {
+    match log.gains_at(begin_s).filter(|_| begin_s > 0.0) {
+        None => Start::Unknown,
+        first if first == in_use => Start::InUse,
+        Some(0) => log.gains.get(&0).and_then(flown).map_or(Start::Unknown, |design| Start::Configured(design.into())),
+        Some(revision) => Start::Revision(revision),
+    }
+}
+
+/// Two numbers of a draft that are the same but for the way over a weight.
+pub fn same(a: f64, b: f64) -> bool {
+    a == b || (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
+}
+
 #[cfg(test)]
 mod tests {
+    use plumbline_proto::v1;
     use plumbline_rest::design::Parameter;
 
     use super::*;
@@ -290,6 +336,26 @@ mod tests {
     fn a_pole_becomes_a_rate() {
         let rate = rate_of([0.98, 0.0], 200.0);
         assert!((rate[0] + 4.04).abs() < 0.01 && rate[1] == 0.0);
+    }
+
+    #[test]
+    fn the_gains_a_flight_began_with_are_found_and_pushed_again() {
+        let mut log = Log::default();
+        let status =
+            |at_s: u64, gains| v1::Status { time_us: at_s * 1_000_000, gains_revision: gains, ..Default::default() };
+        log.status(&status(1, 0));
+        log.status(&status(30, 1));
+        log.status(&status(60, 2));
+        assert_eq!(start(&log, 0.0, Some(2)), Start::Unknown, "no flight");
+        assert_eq!(start(&log, 10.0, Some(2)), Start::Unknown, "nobody here has seen them");
+        let weights = v1::LqrWeights { state_weight: vec![4.0; 16], input_weight: vec![0.25; 4] };
+        log.gains(GainsInUse { controller: "lqr_integral".into(), weights: Some(weights), ..Default::default() });
+        let Start::Configured(design) = start(&log, 10.0, Some(2)) else { panic!("not as configured") };
+        assert_eq!(Draft::of(&design, &kinds()).unwrap().states, [0.5; 16]);
+        assert_eq!(start(&log, 40.0, Some(2)), Start::Revision(1));
+        assert_eq!(start(&log, 70.0, Some(2)), Start::InUse);
+        assert_eq!(flown(&GainsInUse::default()), None, "a K given outright");
+        assert!(same(0.2, (0.2_f64.powi(-2)).powf(-0.5)) && same(f64::INFINITY, f64::INFINITY) && !same(0.2, 0.201));
     }
 
     #[test]

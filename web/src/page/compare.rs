@@ -1,5 +1,5 @@
-//! Compare: the altitude of several recordings over the same time axis, what each differs by from the first, and what
-//! they were flown with.
+//! Compare: the altitude of several recordings over the same time axis, what each differs by from the first and whether
+//! that is within a tolerance, all their steps, and what they were flown with.
 
 use leptos::prelude::*;
 use plumbline_rest::flight::Flight;
@@ -8,6 +8,7 @@ use crate::{
     ctx::ctx,
     deck::{Deck, Picture},
     model::{
+        axis::TimeAxis,
         configuration::{Row, all, differences},
         curves::{Curve, Curves},
         format,
@@ -26,7 +27,7 @@ use crate::{
 };
 
 /// Most flights at once: more colours than this cannot be told apart.
-const MOST: usize = 6;
+const MOST: usize = 8;
 /// A flight that leads by so much has taken off, m.
 const OFF_THE_GROUND_M: f64 = 0.1;
 
@@ -35,7 +36,8 @@ const OFF_THE_GROUND_M: f64 = 0.1;
 enum Align {
     Begin,
     TakeOff,
-    Step,
+    /// The step of this number, from 1.
+    Step(usize),
     Attack,
 }
 
@@ -43,7 +45,7 @@ impl Align {
     const ALL: [(Self, &'static str); 4] = [
         (Self::Begin, "begin of the recording"),
         (Self::TakeOff, "take-off"),
-        (Self::Step, "first step"),
+        (Self::Step(1), "step"),
         (Self::Attack, "first attack"),
     ];
 
@@ -53,7 +55,7 @@ impl Align {
         let found = match self {
             Self::Begin => None,
             Self::TakeOff => flight.curves.get(Curve::Altitude(flight.in_loop())).and_then(take_off),
-            Self::Step => flight.log.steps.front().map(|s| s.start_time_us as f64 * 1e-6),
+            Self::Step(number) => flight.log.steps.get(number.saturating_sub(1)).map(|s| s.start_time_us as f64 * 1e-6),
             Self::Attack => flight.log.attacks.iter().filter(|s| s.seen).map(|s| s.start_s).min_by(f64::total_cmp),
         };
         found.unwrap_or(begin)
@@ -67,15 +69,20 @@ fn take_off(altitude: &Series) -> Option<f64> {
     known.find(|(_, value)| f64::from(value - ground) > OFF_THE_GROUND_M).map(|(time_s, _)| time_s)
 }
 
-/// Altitude and setpoint of each flight as curves of one, what `align` names at the same time; and what each altitude
-/// differs by from the first.
-fn overlay(flights: &[Live], align: Align) -> Curves {
+/// Altitude and setpoint of each flight as curves of one, what `align` names at the same time and then each moved by its
+/// `shifts_s`; and what each altitude differs by from the first.
+fn overlay(flights: &[Live], align: Align, shifts_s: &[f64]) -> Curves {
     let mut out = Curves::unbounded();
+    let at: Vec<f64> = flights
+        .iter()
+        .enumerate()
+        .map(|(i, flight)| align.time_s(flight) - shifts_s.get(i).copied().unwrap_or(0.0))
+        .collect();
     // Nothing is before zero.
-    let lead = |flight: &Live| align.time_s(flight) - flight.curves.time_span_s().map_or(0.0, |s| s.start);
-    let longest = flights.iter().map(lead).fold(0.0, f64::max);
-    for (i, flight) in flights.iter().enumerate() {
-        let zero = align.time_s(flight) - longest;
+    let begin = |flight: &Live| flight.curves.time_span_s().map_or(0.0, |s| s.start);
+    let longest = flights.iter().zip(&at).map(|(flight, at)| at - begin(flight)).fold(0.0, f64::max);
+    for (i, (flight, at)) in flights.iter().zip(&at).enumerate() {
+        let zero = at - longest;
         let mut copy = |from: Curve, to: Curve| {
             if let Some(series) = flight.curves.get(from) {
                 for (time, value) in series.samples(series.first()..series.end()) {
@@ -92,6 +99,14 @@ fn overlay(flights: &[Live], align: Align) -> Curves {
         }
     }
     out
+}
+
+/// The largest difference of a curve in a stretch, either way, and whether it is within the tolerance; `None` where the
+/// two flights have no time in common there.
+fn verdict(curves: &Curves, of: u8, axis: TimeAxis, tolerance_mm: Option<f64>) -> Option<(f64, Option<bool>)> {
+    let extent = curves.get(Curve::Difference(of))?.extent_between(axis.start_s, axis.end_s);
+    let largest = f64::from(extent.max.max(-extent.min));
+    (!extent.is_empty()).then(|| (largest, tolerance_mm.map(|most| largest <= most)))
 }
 
 /// Flights to compare: their curves, and what is known of them.
@@ -130,7 +145,7 @@ pub fn Compare(
         if let Some(owner) = owner {
             let rows = summaries.iter().zip(&flights).map(|(flight, live)| all(flight, live)).collect();
             let mut live = Live::recorded();
-            live.curves = overlay(&flights, Align::Begin);
+            live.curves = overlay(&flights, Align::Begin, &[]);
             let (flights, deck) = owner.with(|| (StoredValue::new_local(flights), Deck::recorded(ctx, live)));
             state.set(Some(Ok((flights, deck, summaries, rows))));
         }
@@ -152,6 +167,7 @@ pub fn Compare(
                     view! {
                         <Overlay deck lives flights=flights.clone() />
                         <Figures flights=flights.clone() />
+                        <Steps flights=flights.clone() />
                         <Configuration flights rows />
                     }.into_any()
                 }
@@ -175,25 +191,48 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
     };
     let (altitudes, differences) = (entries(Curve::Compared, 0), entries(Curve::Difference, 1));
     let first = flights.first().map(|f| f.title().to_owned()).unwrap_or_default();
-    let align = move |text: String| {
-        let Some((align, _)) = Align::ALL.into_iter().find(|(_, name)| *name == text) else { return };
-        let curves = lives.with_value(|lives| overlay(lives, align));
+    let most_steps = flights.iter().map(|f| f.steps.len()).max().unwrap_or(0).max(1);
+    let chosen = RwSignal::new(Align::Begin);
+    let shifts = RwSignal::new(vec![0.0; flights.len()]);
+    let lay = move || {
+        let curves = lives.with_value(|lives| shifts.with(|shifts| overlay(lives, chosen.get(), shifts)));
         let span = curves.time_span_s().unwrap_or(0.0..1.0);
         deck.data.update_value(|live| live.curves = curves);
         deck.zoom.set(None);
         deck.origin_s.set(span.start);
         deck.window_s.set((span.end - span.start).max(1.0));
     };
+    Effect::new(move |before: Option<()>| {
+        chosen.track();
+        shifts.track();
+        if before.is_some() {
+            lay();
+        }
+    });
+    let align = move |text: String| {
+        if let Some((align, _)) = Align::ALL.into_iter().find(|(_, name)| *name == text) {
+            chosen.set(align);
+        }
+    };
+    let step = move |text: String| {
+        if let Some(number) = text.parse().ok().filter(|n| (1..=most_steps).contains(n)) {
+            chosen.set(Align::Step(number));
+        }
+    };
+    let tolerance = move |text: String| deck.tolerance_mm.set(format::parse_number(&text).ok().filter(|mm| *mm > 0.0));
     view! {
         <section class="card chart compare-chart" aria-label="Altitude of each flight">
             <header>
                 <h2>"Altitude" <small>"m"</small></h2>
-                <TableButton entries=altitudes name="Altitude" unit="m" />
+                <TableButton entries=altitudes name="Altitude" unit="m" picture=Picture::Compare />
                 <label class="row quiet">"same time: "
                     <select class="small" aria-label="What is laid on top of each other" on:change:target=move |e| align(e.target().value())>
                         {Align::ALL.map(|(_, name)| view! { <option>{name}</option> }).collect_view()}
                     </select>
                 </label>
+                <Show when=move || matches!(chosen.get(), Align::Step(_))>
+                    <input type="number" class="brief" min="1" max=most_steps value="1" aria-label="Number of the step" on:change:target=move |e| step(e.target().value()) />
+                </Show>
             </header>
             <div class="chart-body">
                 <Legend entries=altitudes name="Altitude" unit="m" decimals=3 />
@@ -203,13 +242,61 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
         <section class="card chart compare-chart difference" aria-label="Difference of altitude">
             <header>
                 <h2>"Difference" <small>{format!("RMS mm, minus {first}")}</small></h2>
-                <TableButton entries=differences name="Difference" unit="mm" />
+                <TableButton entries=differences name="Difference" unit="mm" picture=Picture::Difference />
             </header>
             <div class="chart-body">
                 <Legend entries=differences name="Difference" unit="mm" decimals=1 errors=true />
                 <Plot picture=Picture::Difference unit="mm" label="Altitude of each flight minus that of the first, in millimetres" />
             </div>
         </section>
+        <section class="card table-wrap" aria-label="Tolerance">
+            <header>
+                <h2>"Within tolerance"</h2>
+                <label class="row quiet">"tolerance, mm "
+                    <input type="text" class="brief" inputmode="decimal" autocomplete="off" aria-label="Tolerance of the difference, in millimetres" on:change:target=move |e| tolerance(e.target().value()) />
+                </label>
+            </header>
+            <table>
+                <thead><tr><th>"flight"</th><th class="num">"moved by, s"</th><th class="num">"largest difference in view, mm"</th><th>"verdict"</th></tr></thead>
+                <tbody>{flights.iter().enumerate().map(|(i, flight)| view! { <Judged deck shifts i flight=flight.clone() /> }).collect_view()}</tbody>
+            </table>
+        </section>
+    }
+}
+
+/// What one flight is moved by, and whether it is close enough to the first.
+#[component]
+fn Judged(deck: Deck, shifts: RwSignal<Vec<f64>>, i: usize, flight: Flight) -> impl IntoView {
+    let judged = Memo::new(move |_| {
+        let tolerance = deck.tolerance_mm.get();
+        deck.zoom.track();
+        deck.read(|live| verdict(&live.curves, i as u8, deck.axis(live), tolerance))
+    });
+    let moved = move |text: String| {
+        let to = if text.trim().is_empty() { Ok(0.0) } else { format::parse_number(&text) };
+        if let Ok(to) = to {
+            shifts.update(|all| {
+                if let Some(shift) = all.get_mut(i) {
+                    *shift = to;
+                }
+            });
+        }
+    };
+    let text = move || match judged.get() {
+        _ if i == 0 => ("quiet", "what the others are compared with"),
+        None => ("quiet", "no time in common"),
+        Some((_, None)) => ("quiet", "no tolerance given"),
+        Some((_, Some(true))) => ("good", "✓ pass"),
+        Some((_, Some(false))) => ("bad", "✗ fail"),
+    };
+    let label = format!("Move {} by, in seconds", flight.title());
+    view! {
+        <tr>
+            <th scope="row">{named(i, &flight)}</th>
+            <td class="num"><input type="text" class="brief" inputmode="decimal" autocomplete="off" placeholder="0" aria-label=label on:change:target=move |e| moved(e.target().value()) /></td>
+            <td class="num">{move || format::maybe(judged.get().map(|(largest, _)| largest), 1)}</td>
+            <td class=move || text().0>{move || text().1}</td>
+        </tr>
     }
 }
 
@@ -226,26 +313,62 @@ fn Figures(flights: Vec<Flight>) -> impl IntoView {
     view! {
         <section class="card table-wrap" aria-label="Figures">
             <table>
-                <thead><tr><th>"flight"</th><th>"rig"</th><th class="num">"duration"</th><th class="num">"error RMS"</th><th class="num">"first step: rise"</th><th class="num">"overshoot"</th><th class="num">"settling"</th><th class="num">"attacks"</th></tr></thead>
+                <thead><tr><th>"flight"</th><th>"rig"</th><th class="num">"duration"</th><th class="num">"error RMS"</th><th class="num">"steps"</th><th class="num">"attacks"</th></tr></thead>
                 <tbody>
                     {flights.into_iter().enumerate().map(|(i, f)| {
-                        let first = f.steps.first().cloned().unwrap_or_default();
-                        let seconds = |v: Option<f64>| v.map_or_else(|| format::NONE.to_owned(), |s| format!("{} s", format::fixed(s, 2)));
                         view! {
                             <tr>
                                 <th scope="row">{named(i, &f)}</th>
                                 <td>{f.rig.clone()}</td>
                                 <td class="num">{format::clock(f.duration_s)}</td>
                                 <td class="num">{f.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)))}</td>
-                                <td class="num">{seconds(first.rise_time_s)}</td>
-                                <td class="num">{format!("{} %", format::fixed(first.overshoot_percent, 1))}</td>
-                                <td class="num">{seconds(first.settling_time_s)}</td>
+                                <td class="num">{f.steps.len()}</td>
                                 <td class="num">{f.attacks.len()}</td>
                             </tr>
                         }
                     }).collect::<Vec<_>>()}
                 </tbody>
             </table>
+        </section>
+    }
+}
+
+/// Every step of every flight, those of the same number together.
+#[component]
+fn Steps(flights: Vec<Flight>) -> impl IntoView {
+    let most = flights.iter().map(|f| f.steps.len()).max().unwrap_or(0);
+    let row = |number: usize, i: usize, flight: &Flight| {
+        let s = flight.steps.get(number)?.clone();
+        let settled = |text: String| if s.interrupted { "interrupted".to_owned() } else { text };
+        let error = s.steady_error_m.filter(|_| !s.interrupted);
+        Some(view! {
+            <tr>
+                <td class="num">{number + 1}</td>
+                <th scope="row">{named(i, flight)}</th>
+                <td class="num">{format!("{} → {} m", format::fixed(s.from_m, 2), format::fixed(s.to_m, 2))}</td>
+                <td class="num">{format::maybe(s.rise_time_s, 2)}</td>
+                <td class="num">{format::fixed(s.overshoot_percent, 1)}</td>
+                <td class="num">{settled(format::maybe(s.settling_time_s, 2))}</td>
+                <td class="num">{error.map_or_else(|| format::NONE.to_owned(), |m| format::signed(m * 1e3, 1))}</td>
+            </tr>
+        })
+    };
+    let rows: Vec<_> = (0..most)
+        .flat_map(|number| flights.iter().enumerate().filter_map(move |(i, flight)| row(number, i, flight)))
+        .collect();
+    view! {
+        <section class="card table-wrap" aria-label="Steps">
+            <header><h2>"Steps"</h2></header>
+            {if rows.is_empty() {
+                view! { <p class="blank">"No step of the altitude setpoint in any of them."</p> }.into_any()
+            } else {
+                view! {
+                    <table>
+                        <thead><tr><th class="num">"step"</th><th>"flight"</th><th class="num">"of"</th><th class="num">"rise s"</th><th class="num">"overshoot %"</th><th class="num">"settling s"</th><th class="num">"error mm"</th></tr></thead>
+                        <tbody>{rows}</tbody>
+                    </table>
+                }.into_any()
+            }}
         </section>
     }
 }
@@ -290,7 +413,7 @@ mod tests {
 
     #[test]
     fn every_flight_begins_at_zero() {
-        let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin);
+        let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin, &[]);
         assert_eq!(out.value_at(Curve::ComparedSetpoint(0), 0.0), Some(0.0));
         assert_eq!(out.value_at(Curve::ComparedSetpoint(1), 0.0041), Some(4.0));
     }
@@ -314,7 +437,37 @@ mod tests {
             let extent = series.extent(series.first()..series.end());
             extent.max.max(-extent.min)
         };
-        assert!(largest(&overlay(&flights, Align::TakeOff)) < 0.1);
-        assert!(largest(&overlay(&flights, Align::Begin)) > 500.0);
+        assert!(largest(&overlay(&flights, Align::TakeOff, &[])) < 0.1);
+        assert!(largest(&overlay(&flights, Align::Begin, &[])) > 500.0);
+    }
+    #[test]
+    fn flights_are_laid_together_at_a_step_or_by_hand_and_judged_by_the_largest_difference_in_view() {
+        let flown = |start: u64, steps: [u64; 2]| {
+            let mut live = Live::recorded();
+            for i in 0..400_u64 {
+                let height = steps.iter().filter(|at| i >= **at).count() as f64;
+                live.curves.push(Curve::Altitude(0), start + i * 10_000, height);
+            }
+            for at in steps {
+                let time_us = start + at * 10_000;
+                live.log.step(plumbline_proto::v1::StepResponse {
+                    start_time_us: time_us,
+                    time_us,
+                    ..Default::default()
+                });
+            }
+            live
+        };
+        // The second step comes 30 samples, 0.3 s, later in the second flight; the first one does not.
+        let flights = [flown(5_000_000, [100, 200]), flown(1_000_000, [100, 230])];
+        let whole = TimeAxis::new(0.0, 10.0);
+        let largest =
+            |align, shifts: &[f64], axis| verdict(&overlay(&flights, align, shifts), 1, axis, Some(50.0)).unwrap();
+        assert_eq!(largest(Align::Step(1), &[], whole), (1000.0, Some(false)));
+        assert_eq!(largest(Align::Step(1), &[], TimeAxis::new(0.0, 1.5)), (0.0, Some(true)), "only what is in view");
+        let second = TimeAxis::new(1.6, 4.0);
+        assert_eq!(largest(Align::Step(2), &[], second), (0.0, Some(true)));
+        assert_eq!(largest(Align::Begin, &[0.0, -0.3], TimeAxis::new(1.6, 4.0)), (0.0, Some(true)), "by hand");
+        assert_eq!(verdict(&overlay(&flights, Align::Begin, &[]), 0, whole, None), None, "the first has no difference");
     }
 }

@@ -99,6 +99,14 @@ impl Bench {
         let _ = self.draft.try_set(made.or_else(|| kinds.first().map(Draft::default_of)));
     }
 
+    /// What is in use, as a draft of the same controller; `None` where it is another one or not known.
+    fn used(self) -> Option<Draft> {
+        let name = self.draft.with(|d| d.as_ref().map(|d| d.controller.clone()))?;
+        let design = self.book.with(tuning::in_use)?;
+        let used = self.kinds.with(|kinds| Draft::of(&design, kinds)).ok()?;
+        (used.controller == name).then_some(used)
+    }
+
     /// The kind of the draft.
     fn kind(self) -> Option<Controller> {
         let name = self.draft.with(|d| d.as_ref().map(|d| d.controller.clone()))?;

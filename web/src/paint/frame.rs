@@ -21,7 +21,7 @@ use crate::{
 use leptos::prelude::*;
 
 /// Shortest altitude range shown, m.
-const ALTITUDE_SPAN_M: f64 = 0.5;
+const ALTITUDE_SPAN_M: f64 = 0.02;
 /// Share of the altitude range left free on top for the figures of steps.
 const STEP_ROOM: f64 = 0.35;
 /// Shortest attitude range shown, °.
@@ -35,6 +35,9 @@ const SIGNAL_SPAN: f64 = 1e-6;
 const ERROR_REACH: f64 = 4.0;
 /// Opacity of the band of ±3σ.
 const BAND_OPACITY: f32 = 0.16;
+
+/// Opacity of the other curves while a legend points at one.
+const BACK_OPACITY: f32 = 0.2;
 
 /// Is a step's response written on this stretch?
 fn step_in_view(live: &Live, axis: TimeAxis) -> bool {
@@ -162,7 +165,7 @@ impl Frame {
                 .into_iter()
                 .filter_map(|side| self.drawn(live, Curve::Reach(side), palette::ATTACK, Style::Thin)),
         );
-        out.extend(self.drawn(live, Curve::TruthAltitude, palette::TRUTH, Style::Dashed));
+        out.extend(self.drawn(live, Curve::TruthAltitude, palette::IN_LOOP, Style::Dashed));
         for curve in live.curves.names() {
             if let Curve::Altitude(number) = curve
                 && number != in_loop
@@ -267,7 +270,14 @@ impl Frame {
         if !self.deck.shows(live, curve) {
             return None;
         }
-        Some(Drawn { series: live.curves.get(curve)?, color: ink.on(self.dark), style, scale: 1.0, room: Room::All })
+        Some(Drawn {
+            curve,
+            series: live.curves.get(curve)?,
+            color: ink.on(self.dark),
+            style,
+            scale: 1.0,
+            room: Room::All,
+        })
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -305,11 +315,20 @@ impl Frame {
         ) {
             view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
         }
+        if let Some(most) = self.deck.tolerance_mm.get_untracked().filter(|_| slot.picture == Picture::Difference) {
+            let color = palette::ATTACK.on(self.dark);
+            view.levels.extend([-most, most].map(|value| LevelLine { value, color, dashed: true }));
+        }
         if slot.picture == Picture::Altitude {
             self.step_lines(live, axis, &mut view);
         }
+        // What the legend points at lies on top, and the others of its chart step back.
+        let lit = self.deck.lit.get_untracked().filter(|lit| drawn.iter().any(|d| d.curve == *lit));
+        let mut drawn = drawn;
+        drawn.sort_by_key(|d| Some(d.curve) == lit);
         for d in drawn {
-            view = view.curve(d.series, d.color, d.style);
+            let back = lit.is_some_and(|lit| lit != d.curve);
+            view = view.curve(d.series, if back { d.color.alpha(BACK_OPACITY) } else { d.color }, d.style);
             if let Some(last) = view.curves.last_mut() {
                 last.scale = d.scale;
             }
@@ -382,6 +401,7 @@ impl Frame {
 /// One curve to draw.
 #[derive(Clone, Copy)]
 struct Drawn<'a> {
+    curve: Curve,
     series: &'a Series,
     color: crate::gpu::Color,
     style: Style,

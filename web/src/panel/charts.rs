@@ -41,11 +41,11 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
                 swatch: Swatch::Thin,
             }),
             Curve::TruthAltitude => {
-                entries.push(Entry { curve, name: "truth".into(), color: "var(--truth)", swatch: Swatch::Dashed });
+                entries.push(Entry { curve, name: "truth".into(), color: "var(--in-loop)", swatch: Swatch::Dashed });
             }
             Curve::Reach(side) => entries.push(Entry {
                 curve,
-                name: if side { "unseen attack, highest" } else { "unseen attack, lowest" }.into(),
+                name: if side { "highest" } else { "lowest" }.into(),
                 color: "var(--attack)",
                 swatch: Swatch::Thin,
             }),
@@ -79,11 +79,11 @@ pub fn AltitudeChart() -> impl IntoView {
         <section class="card chart altitude" aria-label="Altitude chart">
             <header>
                 <h2>"Altitude" <small>"m"</small></h2>
-                <TableButton entries name="Altitude" unit="m" />
+                <TableButton entries name="Altitude" unit="m" picture=Picture::Altitude />
                 <TimeBar />
             </header>
             <div class="chart-body">
-                <Legend entries name="Altitude" unit="m" decimals=2 />
+                <Legend entries name="Altitude" unit="m" decimals=3 />
                 <Plot picture=Picture::Altitude unit="m" label="Altitude over time: setpoint, estimates, heights and truth, in metres">
                     <StepMarks />
                 </Plot>
@@ -132,7 +132,7 @@ pub fn AttitudeChart() -> impl IntoView {
         <section class="card chart attitude" aria-label="Attitude chart">
             <header>
                 <h2>"Attitude" <small>"°"</small></h2>
-                <TableButton entries name="Attitude" unit="°" />
+                <TableButton entries name="Attitude" unit="°" picture=Picture::Attitude />
             </header>
             <div class="chart-body">
                 <Legend entries name="Attitude" unit="°" decimals=1 />

@@ -58,7 +58,7 @@ pub fn Errors() -> impl IntoView {
             <Show when=move || unknown.get()><p class="empty">"No estimate and truth, or setpoint, to compare yet."</p></Show>
             <div class="chart-body">
                 <div class="chart-side">
-                    <h3>"Altitude" <small>{rms}" mm"</small><TableButton entries=altitude name="Altitude error" unit="mm" /></h3>
+                    <h3>"Altitude" <small>{rms}" mm"</small><TableButton entries=altitude name="Altitude error" unit="mm" picture=Picture::AltitudeError /></h3>
                     <Legend entries=altitude name="Altitude error" unit="mm" decimals=1 errors=true />
                 </div>
                 <Plot picture=Picture::AltitudeError unit="mm" times=false label="What each estimator's altitude is off by, in millimetres" />
@@ -72,7 +72,7 @@ pub fn Errors() -> impl IntoView {
                         }>
                             {Axis::ALL.map(|a| view! { <option selected=move || axis.get() == a>{a.name()}</option> }).collect_view()}
                         </select>
-                        <small>{rms}" mrad"</small><TableButton entries=attitude name="Attitude error" unit="mrad" />
+                        <small>{rms}" mrad"</small><TableButton entries=attitude name="Attitude error" unit="mrad" picture=Picture::AttitudeError />
                     </h3>
                     <Legend entries=attitude name="Attitude error" unit="mrad" decimals=1 errors=true />
                 </div>

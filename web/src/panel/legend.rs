@@ -4,14 +4,17 @@
 use leptos::prelude::*;
 
 use crate::{
-    deck::{Deck, deck},
+    deck::{Deck, Picture, deck},
     model::{
+        axis::ValueAxis,
         csv::csv,
         curves::{Curve, Group},
+        figure::{self, Figure},
         format,
         measure::rms,
+        series::Extent,
     },
-    net,
+    net, palette,
 };
 
 /// A mean over the window is taken anew every so many beats of the page.
@@ -83,6 +86,9 @@ pub fn Legend(
     /// The root mean square over the window, instead of the newest value?
     #[prop(default = false)]
     errors: bool,
+    /// The chart, where nothing else offers its picture.
+    #[prop(optional)]
+    picture: Option<Picture>,
 ) -> impl IntoView {
     let deck = deck();
     deck.list(name, unit, decimals, entries);
@@ -116,6 +122,10 @@ pub fn Legend(
                         deck.toggle_curve(entry.curve);
                     }
                     on:dblclick=move |_| deck.solo_curve(entry.curve, &curves())
+                    on:pointerenter=move |_| deck.lit.set(Some(entry.curve))
+                    on:pointerleave=move |_| deck.lit.set(None)
+                    on:focus=move |_| deck.lit.set(Some(entry.curve))
+                    on:blur=move |_| deck.lit.set(None)
                 >
                     <span
                         class="swatch"
@@ -162,11 +172,12 @@ pub fn Legend(
                     Line::Group(group, count) => of_group(group, count).into_any(),
                 }}
             </For>
+            {picture.map(|picture| view! { <li><PictureButton entries name unit picture /></li> })}
         </ul>
     }
 }
 
-/// Keeps what a chart shows as a table.
+/// Keeps what a chart shows: as a picture, as a table.
 #[component]
 pub fn TableButton(
     /// Curves of the chart.
@@ -176,16 +187,49 @@ pub fn TableButton(
     name: &'static str,
     /// Unit of the values.
     unit: &'static str,
+    /// The chart, where it is one and not several.
+    #[prop(optional)]
+    picture: Option<Picture>,
+) -> impl IntoView {
+    let deck = deck();
+    view! {
+        <span class="table-buttons">
+            {picture.map(|picture| view! { <PictureButton entries name unit picture /> })}
+            <button
+                type="button"
+                class="small plain"
+                aria-label=format!("{name}: what is visible as CSV")
+                title="What is visible, as a table (CSV)"
+                on:click=move |_| save(deck, name, unit, &entries.get_untracked())
+            >"CSV"</button>
+        </span>
+    }
+}
+
+/// Keeps what a chart shows as a picture.
+#[component]
+pub fn PictureButton(
+    /// Curves of the chart.
+    #[prop(into)]
+    entries: Signal<Vec<Entry>>,
+    /// Name of the chart.
+    #[prop(into)]
+    name: String,
+    /// Unit of the values.
+    #[prop(into)]
+    unit: String,
+    /// The chart.
+    picture: Picture,
 ) -> impl IntoView {
     let deck = deck();
     view! {
         <button
             type="button"
-            class="small table-button"
-            aria-label=format!("{name}: what is visible as CSV")
-            title="What is visible, as a table (CSV)"
-            on:click=move |_| save(deck, name, unit, &entries.get_untracked())
-        >"⤓"</button>
+            class="small plain"
+            aria-label=format!("{name}: what is visible as SVG")
+            title="What is visible, as a picture (SVG)"
+            on:click=move |_| save_picture(deck, &name, &unit, &entries.get_untracked(), picture)
+        >"SVG"</button>
     }
 }
 
@@ -204,6 +248,38 @@ fn error_text(deck: Deck, curve: Curve, decimals: usize) -> String {
             format::maybe(rms, decimals)
         }
     })
+}
+
+/// Keeps what is visible of some curves as a picture.
+fn save_picture(deck: Deck, name: &str, unit: &str, entries: &[Entry], picture: Picture) {
+    let svg = deck.data.with_value(|live| {
+        let time = deck.axis(live);
+        let shown = entries.iter().filter(|e| deck.shows(live, e.curve));
+        // The legend begins with what lies on top.
+        let mut lines: Vec<_> = shown
+            .filter_map(|e| {
+                let dashed = e.swatch == Swatch::Dashed;
+                Some(figure::Line {
+                    name: e.name.clone(),
+                    series: live.curves.get(e.curve)?,
+                    ink: palette::named(e.color)?,
+                    dashed,
+                })
+            })
+            .collect();
+        lines.reverse();
+        let axis = deck.slots().into_iter().find(|slot| slot.picture == picture).and_then(|slot| slot.axis.get());
+        let values = axis.unwrap_or_else(|| {
+            let extents = lines.iter().map(|line| line.series.extent_between(time.start_s, time.end_s));
+            let all = extents.fold(Extent::EMPTY, Extent::union);
+            ValueAxis::fit(f64::from(all.min), f64::from(all.max), 1e-6, None)
+        });
+        let attacked = live.log.attacks.between(time.start_s, time.end_s).filter(|s| s.seen);
+        let attacked = attacked.map(|s| (s.start_s, s.end_s)).collect();
+        let origin_s = deck.label_origin_s(live, time);
+        Figure { title: name.to_owned(), unit: unit.to_owned(), time, origin_s, values, attacked, lines }.svg()
+    });
+    net::save(&format!("{}.svg", name.to_lowercase().replace(' ', "-")), "image/svg+xml", &svg);
 }
 
 /// Keeps what is visible of some curves as a file.

@@ -68,11 +68,11 @@ pub fn MotorsAndTicks() -> impl IntoView {
             </summary>
             <Show when=move || open.get()>
                 <div class="chart-body folded">
-                    <Legend entries=motors name="Motors" unit="" decimals=2 />
+                    <Legend entries=motors name="Motors" unit="" decimals=2 picture=Picture::Motors />
                     <Plot picture=Picture::Motors unit="of 1" times=false label="Motor commands over time, 0 to 1" />
                 </div>
                 <div class="chart-body folded">
-                    <Legend entries=ticks name="Tick time" unit="µs" decimals=0 />
+                    <Legend entries=ticks name="Tick time" unit="µs" decimals=0 picture=Picture::Ticks />
                     <Plot picture=Picture::Ticks unit="µs" label="Time of a control tick over time, in microseconds" />
                 </div>
             </Show>

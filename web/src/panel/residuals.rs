@@ -241,7 +241,7 @@ fn Channels(sensor: i32, instance: u32, estimator: Memo<u16>) -> impl IntoView {
     let unit = if let [one] = units.as_slice() { *one } else { "" };
     view! {
         <div class="chart-body">
-            <Legend entries name="Innovations" unit="" decimals=3 />
+            <Legend entries name="Innovations" unit="" decimals=3 picture=Picture::Residual />
             <Plot picture=Picture::Residual unit label="Innovation of each channel over time, with its gate" />
         </div>
     }

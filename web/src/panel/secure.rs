@@ -94,7 +94,7 @@ fn fallback(fallback: SecureFallback) -> &'static str {
 }
 
 /// One figure of the certificate: name, value, class, explanation.
-type Figure = (&'static str, String, &'static str, &'static str);
+type Figure = (String, String, &'static str, &'static str);
 
 /// e / e*, once both are known.
 fn ratio(s: &v1::SecureStatus) -> Option<f64> {
@@ -141,6 +141,13 @@ fn sentence(s: &v1::SecureStatus) -> (String, &'static str) {
     (format!("{who}; {height}."), class)
 }
 
+/// The margin of a type as a figure: what it is made of, and what it means.
+fn margin_figure(m: &v1::SecureMargin) -> Figure {
+    let class = if m.margin > 0 { "" } else { "bad" };
+    let what = format!("{} present − 2 · {} excluded = {}", m.present, m.flagged, m.margin);
+    (format!("{} margin", names::sensor(kind(m.sensor))), what, class, "0 or less promises nothing for this type")
+}
+
 /// How many more sensors of a type may be attacked before their majority no longer tells which: (text, class).
 fn margin(m: &v1::SecureMargin) -> (String, &'static str) {
     let name = names::sensor(kind(m.sensor));
@@ -155,21 +162,22 @@ fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
         |v: Option<f64>| v.map_or_else(|| NONE.to_owned(), |v| format!("{} mm", format::fixed(v * 1e3, 1)));
     let ratio = ratio(s);
     let mut figures = vec![
-        ("error e", millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
-        ("e* unattacked", millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
+        ("error e".into(), millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
+        ("e* unattacked".into(), millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
         (
-            "e / e*",
+            "e / e*".into(),
             format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),
             if ratio.is_none_or(|r| r <= RATIO_LIMIT) { "good" } else { "bad" },
             "[Clinic] Table 1: at most 1.2 under attack",
         ),
         (
-            "height bound",
+            "height bound".into(),
             s.height_bound_m.map_or_else(|| "no promise".to_owned(), |b| format!("±{} mm", format::fixed(b * 1e3, 0))),
             "",
             "Most that the altitude is off by while fewer than half of the heights are attacked",
         ),
     ];
+    figures.extend(s.margins.iter().map(margin_figure));
     if s.window_slots > 0 {
         figures.extend(of_window(s));
     }
@@ -186,27 +194,27 @@ fn of_window(s: &v1::SecureStatus) -> [Figure; 6] {
     let force = s.disturbance_enu_n.map_or_else(|| NONE.to_owned(), |f| format!("{} N up", format::signed(f.z, 2)));
     let audit = s.audit_difference.map_or_else(|| NONE.to_owned(), |d| format!("{d:.0e}"));
     [
-        ("decoder", decoder, class, "How the last window ended, and its slots of 40 ms"),
+        ("decoder".into(), decoder, class, "How the last window ended, and its slots of 40 ms"),
         (
-            "optimality gap",
+            "optimality gap".into(),
             format!("{:.0e}", s.gap),
             if s.gap <= GAP_GOOD { "good" } else { "warn" },
             "Certified: how far from optimal at most. It certifies optimality, not truth",
         ),
         (
-            "solved in",
+            "solved in".into(),
             format!("{} µs, {} it.", format::fixed(s.solve_time_us, 0), s.iterations),
             "",
             "Decoding and identification, with Newton iterations",
         ),
         (
-            "audit",
+            "audit".into(),
             audit,
             if s.audit_difference.is_none_or(|d| d < 1e-4) { "" } else { "bad" },
             "Relative difference to Clarabel on the same window, once a second",
         ),
-        ("disturbance", force, "", "Force that neither motors nor gravity explain: strings, ground, wind"),
-        ("resets", s.resets.to_string(), "", "Filter resets to the decoder since boot"),
+        ("disturbance".into(), force, "", "Force that neither motors nor gravity explain: strings, ground, wind"),
+        ("resets".into(), s.resets.to_string(), "", "Filter resets to the decoder since boot"),
     ]
 }
 
@@ -243,11 +251,7 @@ pub fn SecureCard() -> impl IntoView {
             .into_iter()
             .map(|m| {
                 let (text, class) = margin(&m);
-                let why = format!(
-                    "Margin: {} present − 2 · {} excluded = {}; 0 or less promises nothing",
-                    m.present, m.flagged, m.margin
-                );
-                view! { <li class=format!("num {class}") title=why>{text}</li> }
+                view! { <li class=format!("num {class}")>{text}</li> }
             })
             .collect::<Vec<_>>()
     };
@@ -263,26 +267,29 @@ pub fn SecureCard() -> impl IntoView {
                 <Show when=move || newest.get().is_some_and(|s| s.window_slots > 0)><DecoderChoice deck newest /></Show>
                 <span class="buttons-row"><EvidenceSwitch /></span>
             </header>
-            {move || newest.get().map(|s| {
-                let (text, class) = sentence(&s);
-                view! {
-                    <div class="secure-sentence">
-                        <p class=format!("num {class}")>{text}</p>
-                        <ul class="legend margins" aria-label="Margins">{margins}</ul>
-                    </div>
-                }
-            })}
+            <Show when=move || newest.with(Option::is_some)>
+                <div class="secure-sentence">
+                    {move || newest.get().map(|s| {
+                        let (text, class) = sentence(&s);
+                        view! { <p class=format!("num {class}")>{text}</p> }
+                    })}
+                    <ul class="legend margins" aria-label="Margins">{margins}</ul>
+                    <details>
+                        <summary>"Details"</summary>
+                        <dl class="secure-figures" tabindex="0" aria-label="Details of the secure estimator">
+                            {move || newest.get().map(|s| figures(&s)).unwrap_or_default().into_iter().map(|(name, value, class, why)| view! {
+                                <div><dt>{name}</dt><dd class=format!("num {class}")>{value}</dd><dd class="quiet">{why}</dd></div>
+                            }).collect::<Vec<_>>()}
+                        </dl>
+                    </details>
+                </div>
+            </Show>
             {move || deck.read(|live| live.status.get().and_then(rotors)).map(|(text, class)| view! {
                 <p class=format!("num {class}") title="Thrust of each rotor as torque and vertical force say it; no speed of a motor is read">{text}</p>
             })}
             <div class="res-body">
                 <Sensors deck newest />
                 <Plot picture=Picture::Suspicion values=false label="Suspicion of each sensor over time; above 1 it is isolated and excluded" />
-                <dl class="secure-figures">
-                    {move || newest.get().map(|s| figures(&s)).unwrap_or_default().into_iter().map(|(name, value, class, why)| view! {
-                        <div title=why><dt>{name}</dt><dd class=format!("num {class}")>{value}</dd></div>
-                    }).collect::<Vec<_>>()}
-                </dl>
                 <Show when=move || newest.get().is_none()>
                     <p class="empty">"No secure estimator runs here. Choose it under Estimator: it isolates attacked sensors and flies on the rest."</p>
                 </Show>

@@ -7,7 +7,7 @@ use leptos::{ev, html, leptos_dom::helpers::TimeoutHandle, prelude::*};
 use plumbline_rest::flight::{Samples, Signal as Recorded, Signals, Spectrum};
 
 use super::{
-    legend::{Entry, Swatch, TableButton},
+    legend::{Entry, PictureButton, Swatch, TableButton},
     plot::Plot,
     residuals::EvidenceSwitch,
     sketch::{Drawing, Sketch, Trace},
@@ -201,6 +201,8 @@ fn Choice(known: RwSignal<Option<Result<Signals, String>>>, adding: RwSignal<boo
 #[component]
 fn One(charted: Charted, start_s: f64) -> impl IntoView {
     let deck = deck();
+    let drawn = vec![entry(&charted)];
+    let drawn = Signal::derive(move || drawn.clone());
     let Charted { place, name, unit, spectrum } = charted;
     let problem = RwSignal::new(None::<String>);
     let waits = RwSignal::new(false);
@@ -237,7 +239,8 @@ fn One(charted: Charted, start_s: f64) -> impl IntoView {
                     <button type="button" class="plain push" aria-label=format!("Take {name} away") on:click=remove>"×"</button>
                 </h3>
                 <p class="signal-value num">
-                    {(!spectrum).then(|| view! { <b>{value}</b> })} " " <small class="quiet">{unit}</small>
+                    {(!spectrum).then(|| view! { <b>{value}</b> })} " " <small class="quiet">{unit.clone()}</small>
+                    {(!spectrum).then(|| view! { <PictureButton entries=drawn name=name.clone() unit picture=Picture::Signal(place) /> })}
                     <button type="button" class="small push" aria-pressed=spectrum.to_string() title="Its power over frequency, of what is in view, or between the pinned cursors" on:click=turn>"Spectrum"</button>
                 </p>
                 <Show when=move || waits.get()><p class="quiet">"Reading…"</p></Show>

@@ -6,11 +6,11 @@ use leptos::prelude::*;
 use crate::model::axis::ValueAxis;
 
 /// Room for labels, px: left, bottom, right, top.
-const MARGINS: [f64; 4] = [40.0, 17.0, 8.0, 6.0];
+const MARGINS: [f64; 4] = [44.0, 19.0, 8.0, 7.0];
+/// A place smaller than this is none yet, px.
+const LEAST_PX: f64 = 80.0;
 /// Ticks are at least this far apart, px: along the bottom, up the side.
 const SPACING: [f64; 2] = [56.0, 26.0];
-/// Fonts of axis labels, px.
-const FONT: &str = "10";
 
 /// A line.
 #[derive(Debug, Clone, PartialEq)]
@@ -97,15 +97,31 @@ pub fn Sketch(
     /// What is drawn.
     #[prop(into)]
     drawing: Signal<Drawing>,
-    /// Size of the drawing's own pixels; on the page it fills its place.
+    /// Its size where its place leaves it open, px; on the page it fills its place.
     #[prop(default = [300.0, 150.0])]
     size: [f64; 2],
 ) -> impl IntoView {
-    let [width, height] = size;
     let [left, bottom, right, top] = MARGINS;
-    let (w, h) = (width - left - right, height - top - bottom);
+    let node = NodeRef::<leptos::svg::Svg>::new();
+    // A pixel of the drawing is one of the page: letters are as large as all others.
+    let shown = RwSignal::new(size);
+    let measure = move || {
+        let Some(rect) = node.try_get_untracked().flatten().map(|node| node.get_bounding_client_rect()) else { return };
+        let now = [rect.width().round(), rect.height().round()];
+        if now[0] > LEAST_PX && now[1] > LEAST_PX && shown.try_get_untracked().is_some_and(|before| before != now) {
+            shown.set(now);
+        }
+    };
+    Effect::new(move |_| {
+        drawing.track();
+        request_animation_frame(measure);
+    });
+    let resized = window_event_listener(leptos::ev::resize, move |_| measure());
+    on_cleanup(move || resized.remove());
     let body = move || {
         let drawing = drawing.get();
+        let [width, height] = shown.get();
+        let (w, h) = (width - left - right, height - top - bottom);
         let (x, y) = (drawing.axis(0), drawing.axis(1));
         let place = move |[a, b]: [f64; 2]| {
             let clamp = |v: f64| v.clamp(-1.0, 2.0);
@@ -115,14 +131,14 @@ pub fn Sketch(
             let at = left + tick.fraction * w;
             view! {
                 <line class="grid" x1=at x2=at y1=top y2=top + h></line>
-                <text x=at y=height - 4.0 text-anchor="middle" font-size=FONT>{tick.label}</text>
+                <text x=at y=height - 4.0 text-anchor="middle">{tick.label}</text>
             }
         });
         let horizontal = y.ticks(h, SPACING[1]).into_iter().map(|tick| {
             let at = top + (1.0 - tick.fraction) * h;
             view! {
                 <line class="grid" x1=left x2=left + w y1=at y2=at></line>
-                <text x=left - 5.0 y=at + 3.5 text-anchor="end" font-size=FONT>{tick.label}</text>
+                <text x=left - 5.0 y=at + 4.0 text-anchor="end">{tick.label}</text>
             }
         });
         let zero = |low: f64, high: f64| low < 0.0 && high > 0.0;
@@ -156,12 +172,12 @@ pub fn Sketch(
                 {traces.collect::<Vec<_>>()}
                 {dots.collect::<Vec<_>>()}
             </svg>
-            <text x=width - right - 2.0 y=top + h - 4.0 text-anchor="end" font-size=FONT>{drawing.units[0].clone()}</text>
-            <text x=left + 4.0 y=top + 9.0 font-size=FONT>{drawing.units[1].clone()}</text>
+            <text x=width - right - 2.0 y=top + h - 4.0 text-anchor="end">{drawing.units[0].clone()}</text>
+            <text x=left + 4.0 y=top + 11.0>{drawing.units[1].clone()}</text>
         }
     };
     view! {
-        <svg class="sketch" role="img" aria-label=label viewBox=format!("0 0 {width} {height}") preserveAspectRatio="xMidYMid meet">
+        <svg class="sketch" role="img" aria-label=label node_ref=node viewBox=move || { let [w, h] = shown.get(); format!("0 0 {w} {h}") } preserveAspectRatio="xMidYMid meet">
             {body}
         </svg>
     }

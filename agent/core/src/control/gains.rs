@@ -410,7 +410,7 @@ mod tests {
         assert!(refuse(&|w| w.state[6] = -1.0).contains("state weight 6 (roll) is -1"));
         // No weight on z at all: nothing brings it back.
         let lost = refuse(&|w| (w.state[2], w.state[14]) = (0.0, 0.0));
-        assert!(lost.starts_with("no gains: DARE") || lost.contains("decays at"), "{lost}");
+        assert!(lost.starts_with("no gains: DARE") || lost.contains("must decay at"), "{lost}");
         // So eager that the motors' lag makes the loop unstable.
         let eager = refuse(&|w| w.input = w.input.map(|v| v * 1e-6));
         assert!(eager.contains("motor lag"), "{eager}");
@@ -429,9 +429,9 @@ mod tests {
         let by_weights = examiner.certify(&Design::new(ControllerKind::LqrIntegral, &airframe), GainsRevision(1));
         assert_eq!(same.sha256, by_weights.unwrap().sha256);
         // The wrong sign, a loop turned up, an entry that is no number, a controller that is not K.
-        assert!(push(solved.map(|k| -k)).unwrap_err().to_string().contains("decays at"));
+        assert!(push(solved.map(|k| -k)).unwrap_err().to_string().contains("grows at"));
         let loud = push(solved.map(|k| k * 20.0)).unwrap_err().to_string();
-        assert!(loud.contains("margin") || loud.contains("sensitivity") || loud.contains("decays"), "{loud}");
+        assert!(loud.contains("margin") || loud.contains("sensitivity") || loud.contains("grows at"), "{loud}");
         let mut nan = solved;
         nan[1][(2, 7)] = f64::NAN;
         assert_eq!(push(nan).unwrap_err().to_string(), "K[2, 7] is NaN: it must be within ±1e6");

@@ -1,6 +1,6 @@
 //! What happened, oldest first: events, steps of the setpoint, attacks, changes of mode, estimator and gains.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use plumbline_proto::v1;
 
@@ -56,6 +56,8 @@ pub struct Log {
     pub attacks: Spans,
     /// Changes of what flies, oldest first.
     pub states: VecDeque<State>,
+    /// Gains that flew, by their revision.
+    pub gains: BTreeMap<u32, v1::GainsInUse>,
     unbounded: bool,
 }
 
@@ -76,6 +78,23 @@ impl Log {
         past.events.into_iter().for_each(|event| self.event(event));
         past.steps.into_iter().for_each(|step| self.step(step));
         past.states.into_iter().for_each(|state| self.state(state));
+        past.gains.into_values().for_each(|gains| self.gains(gains));
+    }
+
+    /// Takes gains in use.
+    pub fn gains(&mut self, gains: v1::GainsInUse) {
+        self.gains.insert(gains.revision, gains);
+        if !self.unbounded && self.gains.len() > MAX_STATES {
+            // What the agent started with is 0, and is wanted longest.
+            if let Some(oldest) = self.gains.keys().find(|revision| **revision > 0).copied() {
+                self.gains.remove(&oldest);
+            }
+        }
+    }
+
+    /// Revision of the gains at a time, s; `None` before the first status known.
+    pub fn gains_at(&self, time_s: f64) -> Option<u32> {
+        self.states.iter().rev().find(|state| state.from_s <= time_s).map(|state| state.gains)
     }
 
     /// Takes what a status says of mode, estimator and gains.

@@ -124,7 +124,11 @@ impl Live {
                 self.description.set(description, frame.time_us);
             }
             Kind::Device => self.devices.entry(frame.instance).or_default().set(frame.message()?, frame.time_us),
-            Kind::Gains => self.gains.set(frame.message()?, frame.time_us),
+            Kind::Gains => {
+                let gains: v1::GainsInUse = frame.message()?;
+                self.log.gains(gains.clone());
+                self.gains.set(gains, frame.time_us);
+            }
             Kind::Attacks => {
                 let state: v1::AttackState = frame.message()?;
                 self.log.attacks.update(&state);

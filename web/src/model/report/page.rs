@@ -7,22 +7,16 @@ use crate::model::{
     axis::{TimeAxis, ValueAxis},
     configuration::Row,
     curves::Curve,
-    decimate::{Decimated, Joined, decimate},
+    figure::{Figure, Line, plain},
     format::{NONE, clock, count, fixed, signed},
     listing,
     live::Live,
     names,
-    series::Series,
 };
 use crate::palette::{self, Ink};
 
 /// The style of the report, on the page and alone.
 const STYLE: &str = include_str!("../../../report.css");
-
-/// Text that means nothing but itself.
-fn plain(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
 
 /// A whole document around the body.
 pub fn document(title: &str, body: &str) -> String {
@@ -34,24 +28,85 @@ pub fn document(title: &str, body: &str) -> String {
     )
 }
 
-/// A table: heads, rows, and whether each column is of numbers.
-fn table(caption: &str, heads: &[(&str, bool)], rows: &[Vec<String>], foot: Option<Vec<String>>) -> String {
-    let class = |i: usize| if heads.get(i).is_some_and(|(_, number)| *number) { " class=\"num\"" } else { "" };
-    let mut out = format!("<table><caption>{}</caption><thead><tr>", plain(caption));
-    for (i, (head, _)) in heads.iter().enumerate() {
-        let _ = write!(out, "<th scope=\"col\"{}>{}</th>", class(i), plain(head));
+/// A table: what each column is headed by, and whether it is of numbers; rows, and a last one that sums them up.
+struct Table {
+    caption: String,
+    heads: Vec<(&'static str, bool)>,
+    rows: Vec<Vec<String>>,
+    foot: Option<Vec<String>>,
+}
+
+impl Table {
+    fn html(&self) -> String {
+        let class = |i: usize| if self.heads.get(i).is_some_and(|(_, number)| *number) { " class=\"num\"" } else { "" };
+        let mut out = format!("<table><caption>{}</caption><thead><tr>", plain(&self.caption));
+        for (i, (head, _)) in self.heads.iter().enumerate() {
+            let _ = write!(out, "<th scope=\"col\"{}>{}</th>", class(i), plain(head));
+        }
+        out += "</tr></thead><tbody>";
+        let line = |cells: &Vec<String>| {
+            let cells = cells.iter().enumerate().map(|(i, cell)| format!("<td{}>{}</td>", class(i), plain(cell)));
+            format!("<tr>{}</tr>", cells.collect::<String>())
+        };
+        out += &self.rows.iter().map(line).collect::<String>();
+        out += "</tbody>";
+        if let Some(foot) = &self.foot {
+            let _ = write!(out, "<tfoot>{}</tfoot>", line(foot));
+        }
+        out += "</table>";
+        out
     }
-    out += "</tr></thead><tbody>";
-    let line = |cells: &Vec<String>| {
-        let cells = cells.iter().enumerate().map(|(i, cell)| format!("<td{}>{}</td>", class(i), plain(cell)));
-        format!("<tr>{}</tr>", cells.collect::<String>())
-    };
-    out += &rows.iter().map(line).collect::<String>();
-    out += "</tbody>";
-    if let Some(foot) = foot {
-        let _ = write!(out, "<tfoot>{}</tfoot>", line(&foot));
+
+    /// With the rules of booktabs.
+    fn latex(&self, title: &str) -> String {
+        let columns: String = self.heads.iter().map(|(_, number)| if *number { 'r' } else { 'l' }).collect();
+        let line = |cells: &mut dyn Iterator<Item = &str>| {
+            format!("    {} \\\\\n", cells.map(tex).collect::<Vec<_>>().join(" & "))
+        };
+        let mut out = format!("\\begin{{table}}\n  \\centering\n  \\begin{{tabular}}{{{columns}}}\n    \\toprule\n");
+        out += &line(&mut self.heads.iter().map(|(head, _)| *head));
+        out += "    \\midrule\n";
+        for row in &self.rows {
+            out += &line(&mut row.iter().map(String::as_str));
+        }
+        if let Some(foot) = &self.foot {
+            out += "    \\midrule\n";
+            out += &line(&mut foot.iter().map(String::as_str));
+        }
+        out += "    \\bottomrule\n  \\end{tabular}\n";
+        let caption = if self.caption.is_empty() { title.to_owned() } else { format!("{title}. {}", self.caption) };
+        let _ = write!(out, "  \\caption{{{}}}\n\\end{{table}}\n", tex(&caption));
+        out
     }
-    out += "</table>";
+}
+
+/// Text as LaTeX has it.
+fn tex(text: &str) -> String {
+    let mut out = String::new();
+    for letter in text.chars() {
+        match letter {
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', letter]),
+            '\\' => out += "\\textbackslash{}",
+            '~' => out += "\\textasciitilde{}",
+            '^' => out += "\\textasciicircum{}",
+            '\u{2212}' => out += "$-$",
+            '±' => out += "$\\pm$",
+            'σ' => out += "$\\sigma$",
+            'χ' => out += "$\\chi$",
+            'Δ' => out += "$\\Delta$",
+            '→' => out += "$\\to$",
+            '×' => out += "$\\times$",
+            '·' => out += "$\\cdot$",
+            '°' => out += "$^\\circ$",
+            '²' => out += "$^2$",
+            '∞' => out += "$\\infty$",
+            '∫' => out += "$\\int$",
+            'µ' | 'μ' => out += "$\\mu$",
+            '—' => out += "---",
+            '–' => out += "--",
+            _ => out.push(letter),
+        }
+    }
     out
 }
 
@@ -70,12 +125,12 @@ fn spread_text(spread: Option<Spread>, decimals: usize) -> String {
     }
 }
 
-fn steps(report: &Report) -> String {
+fn steps(report: &Report) -> Result<Table, &'static str> {
     let steps = &report.flight.steps;
     if steps.is_empty() {
-        return "<p>No step of the altitude setpoint.</p>".to_owned();
+        return Err("No step of the altitude setpoint.");
     }
-    let heads = [
+    let heads = vec![
         ("at s", true),
         ("from m", true),
         ("to m", true),
@@ -107,12 +162,12 @@ fn steps(report: &Report) -> String {
         spread_text(error, 1),
     ];
     let caption = "Rise is 10 % to 90 % of the step; settling is into the band for good; the error is the mean of the last second.";
-    table(caption, &heads, &steps.iter().map(row).collect::<Vec<_>>(), Some(foot))
+    Ok(Table { caption: caption.to_owned(), heads, rows: steps.iter().map(row).collect(), foot: Some(foot) })
 }
 
-fn attacks(report: &Report) -> String {
+fn attacks(report: &Report) -> Result<Table, &'static str> {
     if report.attacks.is_empty() {
-        return "<p>No attack altered a sample.</p>".to_owned();
+        return Err("No attack altered a sample.");
     }
     let after = |value: Option<f64>, ran: bool| match value {
         Some(s) => fixed(s, 2),
@@ -138,7 +193,7 @@ fn attacks(report: &Report) -> String {
             },
         ]
     };
-    let heads = [
+    let heads = vec![
         ("attack", false),
         ("from s", true),
         ("to s", true),
@@ -152,12 +207,12 @@ fn attacks(report: &Report) -> String {
     ];
     let caption = "Isolated: by the secure estimator. Rejected: first sample outside the gate of the estimator in the loop. \
                    Deviation: altitude minus setpoint, while the attack was on and 2 s after.";
-    table(caption, &heads, &report.attacks.iter().map(row).collect::<Vec<_>>(), None)
+    Ok(Table { caption: caption.to_owned(), heads, rows: report.attacks.iter().map(row).collect(), foot: None })
 }
 
-fn ranking(report: &Report) -> String {
+fn ranking(report: &Report) -> Result<Table, &'static str> {
     if report.ranking.is_empty() {
-        return "<p>No truth in this flight: nothing to rank estimators by.</p>".to_owned();
+        return Err("No truth in this flight: nothing to rank estimators by.");
     }
     let pair =
         |values: Option<[f64; 2]>| values.map_or_else(|| [NONE; 2].map(str::to_owned), |v| v.map(|v| fixed(v, 1)));
@@ -165,7 +220,7 @@ fn ranking(report: &Report) -> String {
         let ([rms, largest], [tilt, yaw]) = (pair(r.altitude_mm), pair(r.attitude_mrad));
         vec![(i + 1).to_string(), names::estimator_numbered(r.number).to_owned(), rms, largest, tilt, yaw]
     };
-    let heads = [
+    let heads = vec![
         ("rank", true),
         ("estimator", false),
         ("altitude RMS mm", true),
@@ -174,134 +229,63 @@ fn ranking(report: &Report) -> String {
         ("yaw RMS mrad", true),
     ];
     let rows: Vec<_> = report.ranking.iter().enumerate().map(row).collect();
-    table("Estimate minus truth while armed, from an estimator's first estimate on.", &heads, &rows, None)
+    let caption = "Estimate minus truth while armed, from an estimator's first estimate on.".to_owned();
+    Ok(Table { caption, heads, rows, foot: None })
 }
 
-fn rows(caption: &str, rows: &[Row]) -> String {
-    let cells: Vec<_> = rows.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
-    table(caption, &[("what", false), ("value", false)], &cells, None)
+fn rows(rows: &[Row]) -> Result<Table, &'static str> {
+    if rows.is_empty() {
+        return Err("The recording does not say.");
+    }
+    let rows = rows.iter().map(|(name, value)| vec![name.clone(), value.clone()]).collect();
+    Ok(Table { caption: String::new(), heads: vec![("what", false), ("value", false)], rows, foot: None })
 }
-
-/// A curve of a figure: its name, its samples, its colour, dashed?
-struct Line<'a> {
-    name: String,
-    series: &'a Series,
-    ink: Ink,
-    dashed: bool,
-}
-
-/// Size of a figure, its margins left and below, px.
-const FIGURE: [f64; 4] = [860.0, 230.0, 46.0, 20.0];
 
 /// So many times the range of the curve that leads is shown of the others.
 const REACH: f64 = 4.0;
 
 /// A figure; where a line `leads`, those that leave its range many times over run along the edge.
-fn figure(title: &str, unit: &str, lines: &[Line<'_>], live: &Live, leads: Option<Curve>) -> String {
-    let Some(span) = live.curves.time_span_s() else { return String::new() };
-    let axis = TimeAxis::new(span.start, span.end.max(span.start + 1e-3));
-    let [width, height, left, below] = FIGURE;
-    let (w, h) = (width - left - 6.0, height - below - 6.0);
-    let extents = lines.iter().map(|l| l.series.extent_between(axis.start_s, axis.end_s)).filter(|e| !e.is_empty());
+fn figure<'a>(
+    title: &str,
+    unit: &str,
+    lines: Vec<Line<'a>>,
+    live: &'a Live,
+    leads: Option<Curve>,
+) -> Option<Figure<'a>> {
+    let span = live.curves.time_span_s()?;
+    let time = TimeAxis::new(span.start, span.end.max(span.start + 1e-3));
+    let extents = lines.iter().map(|l| l.series.extent_between(time.start_s, time.end_s)).filter(|e| !e.is_empty());
     let (low, high) = extents.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), e| {
         (low.min(f64::from(e.min)), high.max(f64::from(e.max)))
     });
     if low > high {
-        return String::new();
+        return None;
     }
     let leader = leads.and_then(|curve| live.curves.get(curve)).zip(armed_s(live));
     let own = leader.map(|(series, (start_s, end_s))| series.extent_between(start_s, end_s));
     let reach = own.filter(|e| !e.is_empty()).map_or(f64::INFINITY, |e| REACH * f64::from(e.max.max(-e.min)).max(1.0));
-    let (low, high) = (low.max(-reach), high.min(reach));
-    let values = ValueAxis::fit(low, high, 1e-3, None);
-    let x = |time_s: f64| left + axis.fraction(time_s).clamp(0.0, 1.0) * w;
-    let y = |value: f64| 6.0 + (1.0 - values.fraction(value).clamp(0.0, 1.0)) * h;
-    let mut out = format!(
-        "<figure><figcaption>{} <small>{}</small></figcaption><svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\">",
-        plain(title),
-        plain(unit),
-        plain(title)
-    );
-    for span in live.log.attacks.iter().filter(|s| s.seen) {
-        let (a, b) = (x(span.start_s), x(span.end_s));
-        let _ = write!(
-            out,
-            "<rect class=\"attacked\" x=\"{a:.1}\" y=\"6\" width=\"{:.1}\" height=\"{h:.1}\"/>",
-            (b - a).max(1.0)
-        );
-    }
-    for tick in values.ticks(h, 36.0) {
-        let at = y(tick.value);
-        let _ = write!(
-            out,
-            "<path class=\"grid\" d=\"M{left} {at:.1}H{:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            left + w,
-            left - 6.0,
-            at + 4.0,
-            tick.label
-        );
-    }
-    let ticks = axis.ticks(w, 90.0, axis.start_s);
-    for (i, tick) in ticks.iter().enumerate() {
-        let at = x(tick.value);
-        let end = if i + 1 == ticks.len() { " min" } else { "" };
-        let _ = write!(
-            out,
-            "<path class=\"grid\" d=\"M{at:.1} 6V{:.1}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}{end}</text>",
-            6.0 + h,
-            height - 4.0,
-            tick.label
-        );
-    }
-    for line in lines {
-        let dash = if line.dashed { " stroke-dasharray=\"6 4\"" } else { "" };
-        let d = path(line.series, axis, w, |column, value| [left + f64::from(column), y(f64::from(value))]);
-        let _ = write!(out, "<path class=\"line\" style=\"stroke:{}\"{dash} d=\"{d}\"/>", line.ink.css());
-    }
-    out += "</svg><ul class=\"key\">";
-    for line in lines {
-        let kind = if line.dashed { "dashed" } else { "" };
-        let _ = write!(
-            out,
-            "<li><i class=\"{kind}\" style=\"border-color:{}\"></i>{}</li>",
-            line.ink.css(),
-            plain(&line.name)
-        );
-    }
-    out += "</ul></figure>";
-    out
+    let values = ValueAxis::fit(low.max(-reach), high.min(reach), 1e-3, None);
+    let attacked = live.log.attacks.iter().filter(|s| s.seen).map(|s| (s.start_s, s.end_s)).collect();
+    Some(Figure {
+        title: title.to_owned(),
+        unit: unit.to_owned(),
+        time,
+        origin_s: time.start_s,
+        values,
+        attacked,
+        lines,
+    })
 }
 
-/// A curve as an SVG path of one point, or one smallest and largest, per column.
-fn path(series: &Series, axis: TimeAxis, columns: f64, place: impl Fn(f32, f32) -> [f64; 2]) -> String {
-    let mut decimated = Decimated::default();
-    decimate(series, axis.start_s, axis.end_s, columns as usize, Joined::Straight, &mut decimated);
-    let mut out = String::new();
-    for run in &decimated.runs {
-        let mut pen = 'M';
-        for point in decimated.points.get(run.clone()).unwrap_or_default() {
-            let mut to = |value: f32| {
-                let [x, y] = place(point.x, value);
-                let _ = write!(out, "{pen}{x:.1} {y:.1}");
-                pen = 'L';
-            };
-            to(point.low);
-            if point.high != point.low {
-                to(point.high);
-            }
-        }
-    }
-    out
-}
-
-fn figures(live: &Live) -> String {
+/// The figures of a report.
+pub fn figures(live: &Live) -> Vec<Figure<'_>> {
     let in_loop = live.in_loop();
     let line = |name: &str, curve: Curve, ink: Ink, dashed: bool| {
         live.curves.get(curve).map(|series| Line { name: name.to_owned(), series, ink, dashed })
     };
     let altitude: Vec<_> = [
         line("setpoint", Curve::SetpointAltitude, palette::SETPOINT, false),
-        line("truth", Curve::TruthAltitude, palette::TRUTH, true),
+        line("truth", Curve::TruthAltitude, palette::IN_LOOP, true),
         line("estimate in the loop", Curve::Altitude(in_loop), palette::IN_LOOP, false),
     ]
     .into_iter()
@@ -315,12 +299,15 @@ fn figures(live: &Live) -> String {
     let against =
         if live.curves.has_truth() { "Altitude: estimate minus truth" } else { "Altitude: estimate minus setpoint" };
     let leads = Some(Curve::AltitudeError(in_loop));
-    figure("Altitude", "m", &altitude, live, None) + &figure(against, "mm", &errors, live, leads)
+    [figure("Altitude", "m", altitude, live, None), figure(against, "mm", errors, live, leads)]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 impl Report {
-    /// The body of the report, with its figures; `offset_min` is how far the reader's clock is behind UTC.
-    pub fn html(&self, live: &Live, offset_min: i64) -> String {
+    /// Its tables by their titles, or why there is none; `offset_min` is how far the reader's clock is behind UTC.
+    fn tables(&self, offset_min: i64) -> [(&'static str, Result<Table, &'static str>); 6] {
         let flight = &self.flight;
         let missing = if flight.missing == 0 { "none".to_owned() } else { count(flight.missing) };
         let facts: Vec<Row> = [
@@ -334,25 +321,71 @@ impl Report {
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into();
+        [
+            ("Steps", steps(self)),
+            ("Attacks", attacks(self)),
+            ("Estimators", ranking(self)),
+            ("Recording", rows(&[facts, self.versions.clone()].concat())),
+            ("Configuration", rows(&self.vehicle)),
+            ("Controller", rows(&self.gains)),
+        ]
+    }
+
+    /// The body of the report, with its figures.
+    pub fn html(&self, live: &Live, offset_min: i64) -> String {
+        let flight = &self.flight;
         let mut out = format!("<h1>{}</h1><p class=\"lead\">{}</p>", plain(flight.title()), plain(&self.sentence));
         if !flight.notes.trim().is_empty() {
             let _ = write!(out, "<p class=\"notes\">{}</p>", plain(&flight.notes));
         }
-        out += &figures(live);
+        out += &figures(live).iter().map(Figure::html).collect::<String>();
         let mut section = |title: &str, body: String| {
             let _ = write!(out, "<section tabindex=\"0\" aria-label=\"{title}\"><h2>{title}</h2>{body}</section>");
         };
-        section("Steps", steps(self));
-        section("Attacks", attacks(self));
-        section("Estimators", ranking(self));
-        section("Recording", rows("", &[facts, self.versions.clone()].concat()));
-        section("Configuration", rows("", &self.vehicle));
-        let none = || "<p>The recording does not say.</p>".to_owned();
-        section("Controller", if self.gains.is_empty() { none() } else { rows("", &self.gains) });
+        for (title, table) in self.tables(offset_min) {
+            section(title, table.map_or_else(|none| format!("<p>{none}</p>"), |table| table.html()));
+        }
         section(
             "Scenario",
-            if self.scenario.is_empty() { none() } else { format!("<pre>{}</pre>", plain(&self.scenario)) },
+            match self.scenario.as_str() {
+                "" => "<p>The recording does not say.</p>".to_owned(),
+                scenario => format!("<pre>{}</pre>", plain(scenario)),
+            },
         );
         out
+    }
+
+    /// Its tables for a LaTeX document that uses booktabs.
+    pub fn latex(&self, offset_min: i64) -> String {
+        let mut out = format!("% {}\n% \\usepackage{{booktabs}}\n", self.flight.id);
+        for (title, table) in self.tables(offset_min) {
+            if let Ok(table) = table {
+                let _ = write!(out, "\n{}", table.latex(title));
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_latex_with_booktabs_and_what_means_something_there_is_escaped() {
+        let table = Table {
+            caption: "10 % to 90 % of the step.".into(),
+            heads: vec![("rise s", true), ("who_what", false)],
+            rows: vec![vec!["0.42".into(), "height 2: bias \u{2212}0.5 m & more".into()]],
+            foot: Some(vec!["0.4 ± 0.1".into(), NONE.into()]),
+        };
+        let text = table.latex("Steps");
+        assert!(
+            text.contains("\\begin{tabular}{rl}\n    \\toprule\n    rise s & who\\_what \\\\\n    \\midrule\n"),
+            "{text}"
+        );
+        assert!(text.contains("    0.42 & height 2: bias $-$0.5 m \\& more \\\\\n    \\midrule\n    0.4 $\\pm$ 0.1 & --- \\\\\n    \\bottomrule"), "{text}");
+        assert!(text.contains("\\caption{Steps. 10 \\% to 90 \\% of the step.}"), "{text}");
+        assert_eq!(tex("a\\b^2~{x}"), "a\\textbackslash{}b\\textasciicircum{}2\\textasciitilde{}\\{x\\}");
     }
 }

@@ -98,6 +98,8 @@ fn a_report_alone_has_the_colours_of_the_light_page() {
         let declared = format!("--{}", part.split(';').next().unwrap());
         assert!(light.contains(&declared), "{declared} is not the page's");
     }
+    let sizes = ["small", "text", "large", "title"].into_iter().filter(|size| style.contains(&format!("--{size}: ")));
+    let named: Vec<&str> = named.into_iter().chain(sizes).collect();
     for used in style.split("var(--").skip(1).filter_map(|part| part.split_once(')')).map(|(name, _)| name) {
         assert!(named.contains(&used), "--{used} is not declared");
     }

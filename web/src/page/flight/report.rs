@@ -8,7 +8,7 @@ use crate::{
     ctx::{Ctx, ctx},
     event::Failure,
     model::{
-        report::{Report, document},
+        report::{Report, document, figures},
         route::Route,
     },
     net,
@@ -21,8 +21,18 @@ use super::{NoFlight, load_kinds};
 /// Kinds that figures are made of.
 const KINDS: &str = "estimate,control,truth,residuals,status,attacks,event,step,description,secure,gains";
 
-/// The body of the report and the name of its file.
-async fn written(ctx: Ctx, id: &str) -> Result<(String, String), Failure> {
+/// A report as it is kept.
+#[derive(Clone)]
+struct Written {
+    title: String,
+    body: String,
+    latex: String,
+    /// Name and picture of each figure.
+    figures: Vec<(String, String)>,
+}
+
+/// Reads the recording and writes its report.
+async fn written(ctx: Ctx, id: &str) -> Result<Written, Failure> {
     let flight: Flight = net::json("GET", &format!("/api/v1/flights/{id}"), None, "").await?;
     let mut live = load_kinds(id, KINDS).await?;
     live.curves.follow_errors();
@@ -36,7 +46,14 @@ async fn written(ctx: Ctx, id: &str) -> Result<(String, String), Failure> {
         ("agent".to_owned(), flight.agent_version.clone()),
     ];
     let title = flight.title().to_owned();
-    Ok((title, Report::of(flight, &live, versions).html(&live, local_offset_min())))
+    let report = Report::of(flight, &live, versions);
+    let offset_min = local_offset_min();
+    Ok(Written {
+        title,
+        body: report.html(&live, offset_min),
+        latex: report.latex(offset_min),
+        figures: figures(&live).iter().map(|figure| (figure.title.clone(), figure.svg())).collect(),
+    })
 }
 
 /// The page.
@@ -46,7 +63,7 @@ pub fn ReportPage(
     id: String,
 ) -> impl IntoView {
     let ctx = ctx();
-    let report = RwSignal::new(None::<Result<(String, String), Failure>>);
+    let report = RwSignal::new(None::<Result<Written, Failure>>);
     {
         let id = id.clone();
         leptos::task::spawn_local(async move {
@@ -54,13 +71,16 @@ pub fn ReportPage(
             report.try_set(Some(written));
         });
     }
-    let file = format!("report-{id}.html");
-    let save = move |_| {
+    let file = StoredValue::new(format!("report-{id}"));
+    let save = move |ending: &str, kind: &str, text: fn(&Written) -> String| {
         report.with_untracked(|r| {
-            if let Some(Ok((title, body))) = r {
-                net::save(&file, "text/html", &document(title, body));
+            if let Some(Ok(written)) = r {
+                net::save(&format!("{}.{ending}", file.get_value()), kind, &text(written));
             }
         })
+    };
+    let pictures = move || {
+        report.with(|r| r.as_ref().and_then(|r| r.as_ref().ok()).map(|r| r.figures.clone()).unwrap_or_default())
     };
     let print = move |_| {
         // A browser that cannot print says so itself.
@@ -74,13 +94,17 @@ pub fn ReportPage(
                 <Link to=flight>"← Flight"</Link>
                 <b>"Report"</b>
                 <button type="button" class="push" disabled=move || !ready.get() on:click=print>"Print"</button>
-                <button type="button" disabled=move || !ready.get() on:click=save>"Save as HTML"</button>
+                <button type="button" disabled=move || !ready.get() on:click=move |_| save("html", "text/html", |r| document(&r.title, &r.body))>"Save as HTML"</button>
+                <button type="button" disabled=move || !ready.get() title="Every table, for booktabs" on:click=move |_| save("tex", "application/x-tex", |r| r.latex.clone())>"LaTeX tables"</button>
+                {move || pictures().into_iter().enumerate().map(|(i, (name, svg))| view! {
+                    <button type="button" title=format!("{name}, as a picture") on:click=move |_| net::save(&format!("{}-{}.svg", file.get_value(), i + 1), "image/svg+xml", &svg)>{format!("Figure {} SVG", i + 1)}</button>
+                }).collect_view()}
             </div>
             {move || report.with(|r| match r {
                 None => view! { <p class="banner" role="status">"Reading the recording…"</p> }.into_any(),
                 Some(Err(failure)) if failure.status == 404 => view! { <NoFlight id=id.clone() /> }.into_any(),
                 Some(Err(failure)) => view! { <p class="banner bad" role="alert"><b>"No report: "</b>{failure.text.clone()}</p> }.into_any(),
-                Some(Ok((_, body))) => view! { <article class="report" inner_html=body.clone()></article> }.into_any(),
+                Some(Ok(written)) => view! { <article class="report" inner_html=written.body.clone()></article> }.into_any(),
             })}
         </main>
     }

@@ -29,6 +29,7 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
         }
         let next = deck.playhead.get_untracked() + passed * speed.get_untracked();
         deck.playhead.set(next.min(end));
+        deck.follow(end);
         if next >= end {
             playing.set(false);
         }

@@ -10,7 +10,7 @@ use crate::{
     event::Tone,
     model::{
         format, listing,
-        tuning::{Draft, title},
+        tuning::{Draft, Start, start, title},
     },
     page::flights::local_offset_min,
 };
@@ -111,6 +111,22 @@ fn Revisions() -> impl IntoView {
     let in_use = Memo::new(move |_| bench.book.with(|b| (b.revision, b.controller.clone().unwrap_or_default())));
     let rows = move || bench.book.with(|b| b.revisions.iter().rev().take(30).cloned().collect::<Vec<_>>());
     let file = NodeRef::<leptos::html::Input>::new();
+    let began = Memo::new(move |_| {
+        bench.ctx.live(|live| {
+            let begin_s = live.status.get().map_or(0.0, |s| s.flight_start_us as f64 * 1e-6);
+            start(&live.log, begin_s, live.status.get().map(|s| s.gains_revision))
+        })
+    });
+    let to_start = move |_| {
+        let what = "Back to the gains the flight started with".to_owned();
+        match began.get_untracked() {
+            Start::Unknown | Start::InUse => {}
+            Start::Revision(number) => {
+                bench.send(what, "POST", "gains/revert", json!(rest::Which { revision: Some(number) }));
+            }
+            Start::Configured(design) => bench.send(what, "PUT", "gains", json!(*design)),
+        }
+    };
     view! {
         <section class="card revisions" aria-label="Gains in use and revisions">
             <header>
@@ -130,6 +146,13 @@ fn Revisions() -> impl IntoView {
                 }>"Open JSON…"</button>
                 <input type="file" accept=".json,application/json" hidden node_ref=file aria-label="Gains file" on:change:target=move |e| import(bench, e.target()) />
             </div>
+            <button type="button" class="to-start" disabled=move || matches!(began.get(), Start::Unknown | Start::InUse) on:click=to_start>
+                {move || match began.get() {
+                    Start::Unknown => "Start of the flight: not known here",
+                    Start::InUse => "As the flight started",
+                    Start::Revision(_) | Start::Configured(_) => "Back to the gains the flight started with",
+                }}
+            </button>
             <div class="table-wrap">
                 {move || {
                     let all = rows();

@@ -6,7 +6,7 @@ use plumbline_rest::design::Controller;
 use super::Bench;
 use crate::model::{
     format,
-    tuning::{Draft, INPUTS, STATES, short, slider_place, slider_value, title},
+    tuning::{Draft, INPUTS, STATES, same, short, slider_place, slider_value, title},
 };
 
 /// Which number of a draft a row edits.
@@ -194,10 +194,20 @@ fn Field(row: Row) -> impl IntoView {
             }
         }
     };
+    // What it is in use, where that is another number.
+    let used = Memo::new(move |_| {
+        let used = bench.used().and_then(|used| row.with_value(|r| r.place.read(&used).map(|v| v * r.factor)))?;
+        (!same(used, value.get())).then_some(used)
+    });
     let label = format!("{name}, {unit}");
     view! {
-        <div class="tune-field">
-            <span class="tune-name">{name.clone()}</span>
+        <div class="tune-field" class:changed=move || used.with(Option::is_some)>
+            <span class="tune-name">{name.clone()}
+                {move || used.get().map(|used| {
+                    let told = row.with_value(|r| format!("in use: {} {}", short(used), r.unit));
+                    view! { <b title=told.clone()>" •"<span class="visually-hidden">{told.clone()}</span></b> }
+                })}
+            </span>
             <input
                 type="range"
                 min="0"

@@ -71,7 +71,9 @@ pub enum GainsError {
     Solve(#[from] LinalgError),
     /// The loop with motors' lag and delay is unstable or too slow.
     #[error(
-        "closed loop ({what}, motor lag and one tick of delay included) decays at {pole_per_s:.3} 1/s, must be below {limit} 1/s"
+        "closed loop ({what}, motor lag and one tick of delay included) {}, must decay at {} 1/s or faster",
+        rate(.pole_per_s),
+        .limit.abs()
     )]
     Unstable {
         /// `position` or `attitude`.
@@ -135,4 +137,10 @@ pub enum GainsError {
         /// The limit.
         limit: f64,
     },
+}
+
+/// What a loop whose slowest pole is there does by itself.
+fn rate(pole_per_s: &f64) -> String {
+    let does = if *pole_per_s < 0.0 { "decays" } else { "grows" };
+    format!("{does} at {:.3} 1/s", pole_per_s.abs())
 }
