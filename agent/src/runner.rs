@@ -63,6 +63,8 @@ const LOG_WAIT: Duration = Duration::from_secs(2);
 const DISARM_WAIT: Duration = Duration::from_secs(1);
 /// A landing that was asked for by a signal ends with a cut after this much flight time, s.
 const LANDING_MAX_S: f64 = 60.0;
+/// How often devices are looked at.
+const DEVICES_S: f64 = 0.2;
 /// Priority of the flight thread, where it is granted.
 const PRIORITY: i32 = 50;
 
@@ -133,6 +135,8 @@ pub struct Runner {
     /// Calibrated magnetometers that stopped fitting, as last told.
     unfit: [bool; MAX_IMUS],
     scripted: Option<FlightTime>,
+    /// When devices were last looked at.
+    devices: Option<FlightTime>,
     ending: Ending,
     ticks: u64,
     deadline_misses: u64,
@@ -223,6 +227,7 @@ impl Runner {
             log_health: LogHealth { changes: u64::MAX, error: None },
             unfit: [false; MAX_IMUS],
             scripted: None,
+            devices: None,
             ending: Ending::default(),
             ticks: 0,
             deadline_misses: 0,
@@ -350,6 +355,7 @@ impl Runner {
         self.heartbeat(frame.time);
         self.script(frame.time);
         self.log_health();
+        self.device_health(frame.time);
 
         let received = self.vehicle.reception().unwrap_or(&frame);
         let command = self.flight.step_received(&frame, received).command;
@@ -379,6 +385,25 @@ impl Runner {
             self.flight.ticks_lost(frame.time, lost);
         }
         Ok(())
+    }
+
+    /// A device that gives nothing, or is another one, keeps the vehicle from arming.
+    fn device_health(&mut self, now: FlightTime) {
+        if self.devices.is_some_and(|last| now.seconds_since(last) < DEVICES_S) {
+            return;
+        }
+        self.devices = Some(now);
+        let (mut count, mut silent) = (0, None);
+        while let Some(state) = self.vehicle.inner_mut().device(count) {
+            if !state.up && silent.is_none() {
+                let reason = if state.reason.is_empty() { "no reading yet" } else { state.reason.as_str() };
+                silent = Some(text(format_args!("{}: {reason}", state.name)));
+            }
+            count += 1;
+        }
+        if count > 0 {
+            self.flight.device_health(count, silent);
+        }
     }
 
     /// Tells when a magnetometer's calibration stops fitting, and when it does again.

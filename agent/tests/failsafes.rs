@@ -3,6 +3,7 @@
 
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_agent::event::text;
 use plumbline_agent::flight::{Failsafe, FlightConfig};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::Mode;
@@ -348,4 +349,17 @@ fn arming_names_every_check_that_fails() {
     let failing: Vec<_> = status.checks.iter().filter(|c| !c.passed).map(|c| (c.name, c.reason.as_str())).collect();
     assert_eq!(failing.len(), 2, "{failing:?}");
     assert_eq!(failing[1], ("log", "disk full: 0 bytes free"));
+}
+
+#[test]
+fn a_device_that_gives_nothing_refuses_arming_by_its_name() {
+    let mut f = Flown::new(&scenario("altitude_step"));
+    f.until(2.9);
+    assert!(f.flight.status().checks.iter().all(|check| check.name != "devices"), "a simulated vehicle has none");
+    f.flight.device_health(3, Some(text(format_args!("cameras: no reading within 0.50 s"))));
+    let ack = f.command(Command::Arm);
+    assert!(!ack.accepted && ack.reason.as_str() == "devices: cameras: no reading within 0.50 s", "{}", ack.reason);
+    f.flight.device_health(3, None);
+    let ack = f.command(Command::Arm);
+    assert!(ack.accepted, "{}", ack.reason);
 }

@@ -118,6 +118,8 @@ struct Liveness {
     /// Charge left, 0..1, averaged over the sag of manoeuvres.
     charge: Option<f64>,
     log_error: Option<Text>,
+    /// How many devices there are, and what is wrong with the first that gives no readings; `None` where none is there.
+    devices: Option<(usize, Option<Text>)>,
     deadline_misses: u64,
 }
 
@@ -286,6 +288,11 @@ impl Flight {
     /// Health of the onboard log, a condition for arming; `Some` is what is wrong with it.
     pub fn log_health(&mut self, error: Option<&str>) {
         self.liveness.log_error = error.map(|e| text(format_args!("{e}")));
+    }
+
+    /// Devices of a vehicle that is there, a condition for arming: how many, and the first that gives no readings, with why.
+    pub fn device_health(&mut self, count: usize, silent: Option<Text>) {
+        self.liveness.devices = Some((count, silent));
     }
 
     /// Hands over every event since the last call, oldest first.

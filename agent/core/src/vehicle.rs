@@ -135,7 +135,7 @@ pub trait Vehicle: Send {
         None
     }
 
-    /// How its device `index` is doing; `None` beyond the last. Asked once a second; must not wait.
+    /// How its device `index` is doing; `None` beyond the last. Asked a few times a second; must not wait.
     fn device(&mut self, index: usize) -> Option<DeviceState<'_>> {
         let _ = index;
         None

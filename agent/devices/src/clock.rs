@@ -36,7 +36,7 @@ pub struct Stamp {
 pub struct Mapped {
     /// On our clock, µs.
     pub time_us: f64,
-    /// The device's clock went backwards or leapt: its line begins anew here. By how much, s.
+    /// The device's clock went backwards (negative) or leapt: its line begins anew here. By how much, s.
     pub jumped_s: Option<f64>,
 }
 
@@ -107,7 +107,9 @@ impl DeviceClock {
         if jumped {
             *self = Self::default();
             self.last = Some((stamp, stamp.ticks as f64 * stamp.tick_us));
-            return Some(off_us * 1e-6);
+            // Backwards reads as nearly a whole roll-over forward.
+            let back_us = off_us - roll_over as f64 * stamp.tick_us;
+            return Some(1e-6 * if back_us.abs() < off_us.abs() { back_us } else { off_us });
         }
         self.last = Some((stamp, device_us));
         None

@@ -7,6 +7,7 @@
 //! The command (0 to 1) is the pulse width scaled, as the fitted motor curve takes it (\[Clinic\] 5.5); 0 is the pulse at
 //! which an ESC stands still.
 
+use std::fs::File;
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
@@ -22,6 +23,8 @@ use crate::protocol::pca9685;
 
 /// Without a record for this long the motors stop: it and the ESC's own reaction fit the promised time-out.
 pub const SILENCE: Duration = Duration::from_millis(60);
+/// A channel of the kernel's PWM can be used this long after it was asked for: its group is given by udev.
+const EXPORTED: Duration = Duration::from_secs(1);
 /// Motors whose pulses cannot be set are tried to be stopped for this long.
 pub const STOPPING: Duration = Duration::from_secs(60);
 const STOP_AGAIN: Duration = Duration::from_millis(5);
@@ -118,7 +121,12 @@ pub struct Sysfs {
 impl Sysfs {
     fn write(&self, file: &str, value: u64) -> Result<(), DeviceError> {
         let path = self.chip.join(file);
-        let written = std::fs::OpenOptions::new().write(true).open(&path).and_then(|mut f| write!(f, "{value}"));
+        let mut options = File::options();
+        let written = options
+            .write(true)
+            .truncate(true)
+            .open(&path)
+            .and_then(|mut f| f.write_all(format!("{value}\n").as_bytes()));
         written.map_err(|source| DeviceError::Port { port: path.display().to_string(), source })
     }
 }
@@ -126,12 +134,20 @@ impl Sysfs {
 impl Pulses for Sysfs {
     fn open(&mut self) -> Result<(), DeviceError> {
         for channel in self.channels {
+            let pulse = format!("pwm{channel}/duty_cycle");
             if !self.chip.join(format!("pwm{channel}")).exists() {
                 self.write("export", channel.into())?;
             }
-            // A period below the pulse is refused: the pulse goes first.
-            let _ = self.write(&format!("pwm{channel}/duty_cycle"), 0);
-            self.write(&format!("pwm{channel}/period"), (1e9 / self.rate_hz) as u64)?;
+            let asked = Instant::now();
+            loop {
+                // A period below the pulse is refused, and a pulse before any period: the pulse goes first, if it can.
+                let _ = self.write(&pulse, 0);
+                match self.write(&format!("pwm{channel}/period"), (1e9 / self.rate_hz) as u64) {
+                    Ok(()) => break,
+                    Err(error) if asked.elapsed() > EXPORTED => return Err(error),
+                    Err(_) => std::thread::sleep(STOP_AGAIN),
+                }
+            }
             self.write(&format!("pwm{channel}/enable"), 1)?;
         }
         Ok(())
@@ -256,13 +272,49 @@ fn obey(
 
 /// Sets the pulses that stop, again and again while that fails.
 fn stop(pulses: &mut dyn Pulses, range: PulseRange) -> Result<(), DeviceError> {
+    until_done(|| pulses.set(&[range.stop_us; ROTORS]))
+}
+
+/// Stops motors that nobody holds any more, whatever they were left with.
+///
+/// # Errors
+/// They could not be reached for [`STOPPING`].
+pub fn stop_anew(pulses: &mut dyn Pulses, range: PulseRange) -> Result<(), DeviceError> {
+    until_done(|| {
+        pulses.open()?;
+        pulses.set(&[range.stop_us; ROTORS])
+    })
+}
+
+fn until_done(mut attempt: impl FnMut() -> Result<(), DeviceError>) -> Result<(), DeviceError> {
     let begun = Instant::now();
     loop {
-        match pulses.set(&[range.stop_us; ROTORS]) {
+        match attempt() {
             Err(error) if begun.elapsed() > STOPPING => return Err(error),
             Err(_) => std::thread::sleep(STOP_AGAIN),
             Ok(()) => return Ok(()),
         }
+    }
+}
+
+/// The right to set the pulses of `port`, for as long as it is kept; `None` while another program has it.
+///
+/// What is locked is the port itself, which everybody sees by one name, also a unit with folders of its own.
+///
+/// # Errors
+/// It cannot be opened.
+pub fn claim(port: &str) -> Result<Option<File>, DeviceError> {
+    let opened = match PortName::parse(port) {
+        // A socket cannot be opened: the lock lies beside it.
+        Some(PortName::Socket(path)) => File::create(format!("{path}.lock")),
+        _ => File::open(port),
+    };
+    let failed = |source| DeviceError::Port { port: port.to_owned(), source };
+    let file = opened.map_err(failed)?;
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(std::fs::TryLockError::WouldBlock) => Ok(None),
+        Err(std::fs::TryLockError::Error(error)) => Err(failed(error)),
     }
 }
 

@@ -91,17 +91,22 @@ impl PortName {
     /// # Errors
     /// It cannot be opened, or is none.
     pub fn open_serial(&self, baud: u32) -> Result<Box<dyn Stream>, DeviceError> {
+        Ok(Box::new(Serial(self.serial(baud, WAIT)?)))
+    }
+
+    /// The serial port itself, whose writes wait for `room` at most.
+    pub(crate) fn serial(&self, baud: u32, room: Duration) -> Result<serial2::SerialPort, DeviceError> {
         let Self::Serial(path) = self else {
             return Err(self.error(io::Error::new(ErrorKind::InvalidInput, "not a serial port")));
         };
         let open = || {
             let mut port = serial2::SerialPort::open(path, baud)?;
             port.set_read_timeout(WAIT)?;
-            port.set_write_timeout(WAIT)?;
+            port.set_write_timeout(room)?;
             port.discard_buffers()?;
-            Ok(Serial(port))
+            Ok(port)
         };
-        Ok(Box::new(open().map_err(|error| self.error(error))?))
+        open().map_err(|error| self.error(error))
     }
 
     /// Opens it for datagrams.
@@ -127,6 +132,17 @@ impl PortName {
 
     /// `source` as an error of this port.
     pub fn error(&self, source: io::Error) -> DeviceError {
+        let group = match self {
+            Self::Serial(_) => Some("dialout"),
+            Self::I2c(_) => Some("i2c"),
+            Self::Socket(_) | Self::Datagrams(_) => None,
+        };
+        let source = match group {
+            Some(group) if source.kind() == ErrorKind::PermissionDenied => {
+                io::Error::new(source.kind(), format!("{source}: the user has to be in the group {group}"))
+            }
+            _ => source,
+        };
         DeviceError::Port { port: self.to_string(), source }
     }
 }
@@ -146,6 +162,15 @@ pub fn serial_ports() -> Vec<std::path::PathBuf> {
     serial2::SerialPort::available_ports().unwrap_or_default()
 }
 
+/// I²C buses of this machine.
+pub fn buses() -> Vec<std::path::PathBuf> {
+    let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
+    let mut all: Vec<_> =
+        entries.filter(|e| e.file_name().to_string_lossy().starts_with("i2c-")).map(|e| e.path()).collect();
+    all.sort();
+    all
+}
+
 /// Did nothing come in time?
 pub fn timed_out(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
@@ -155,16 +180,21 @@ struct Serial(serial2::SerialPort);
 
 impl Stream for Serial {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        match self.0.read(into) {
-            // A serial port has no end but its own.
-            Ok(0) => Err(io::Error::new(ErrorKind::UnexpectedEof, "unplugged")),
-            Err(error) if timed_out(&error) => Ok(0),
-            other => other,
-        }
+        some_of(&self.0, into)
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.0.write_all(bytes)
+    }
+}
+
+/// Some bytes of a serial port; 0 when none came in time.
+pub(crate) fn some_of(port: &serial2::SerialPort, into: &mut [u8]) -> io::Result<usize> {
+    match port.read(into) {
+        // A serial port has no end but its own.
+        Ok(0) => Err(io::Error::new(ErrorKind::UnexpectedEof, "unplugged")),
+        Err(error) if timed_out(&error) => Ok(0),
+        other => other,
     }
 }
 
@@ -238,6 +268,18 @@ mod tests {
         for wrong in ["", "ttyUSB0", "udp:", "udp:1511", "unix:", "COM1"] {
             assert_eq!(PortName::parse(wrong), None, "{wrong}");
         }
+    }
+
+    #[test]
+    fn who_may_not_open_a_port_is_told_its_group() {
+        let denied = || io::Error::from_raw_os_error(13);
+        for (name, group) in [("/dev/ttyUSB0", "dialout"), ("/dev/i2c-1", "i2c")] {
+            let error = PortName::parse(name).unwrap().error(denied()).to_string();
+            assert!(error.starts_with(&format!("{name}: Permission denied")), "{error}");
+            assert!(error.ends_with(&format!("the user has to be in the group {group}")), "{error}");
+        }
+        let absent = io::Error::from_raw_os_error(2);
+        assert!(!PortName::parse("/dev/ttyUSB0").unwrap().error(absent).to_string().contains("group"));
     }
 
     #[test]

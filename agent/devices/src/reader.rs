@@ -53,13 +53,15 @@ pub struct Arrived {
     pub reading: Reading,
 }
 
-/// A device was lost, or is back.
+/// What is to be told of a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Notice {
-    /// Does it give readings?
-    pub up: bool,
-    /// Why not.
-    pub reason: Text,
+pub enum Notice {
+    /// It gives readings.
+    Up,
+    /// It does not any more, or not yet.
+    Lost(Text),
+    /// Its clock went backwards or leapt by so many seconds; the time of its samples begins anew.
+    Clock(f64),
 }
 
 /// How a device is doing; written by its thread, read by anybody.
@@ -230,7 +232,7 @@ impl Work {
                 let was_up = self.state.up.swap(false, Ordering::AcqRel);
                 if was_up || told != Some(reason) {
                     tracing::warn!(device = self.options.name, reason = reason.as_str(), "device lost");
-                    let _ = self.notify.push(Notice { up: false, reason });
+                    let _ = self.notify.push(Notice::Lost(reason));
                 }
                 told = Some(reason);
             }
@@ -252,7 +254,7 @@ impl Work {
         self.clock = DeviceClock::default();
         let Self { driver, options, zero, clock, arrivals, notify, state, stop } = self;
         let mut last = Instant::now();
-        let mut stamped = None;
+        let (mut stamped, mut fault) = (None, None);
         while !stop.load(Ordering::Acquire) {
             let mut heard_one = false;
             let polled = driver.poll(&mut |heard| match heard {
@@ -263,21 +265,30 @@ impl Work {
                         state.readings.fetch_add(1, Ordering::Relaxed);
                     }
                     stamped = heard.stamp;
-                    take(heard, options, zero, clock, arrivals, state);
+                    if let Some(jumped_s) = take(heard, options, zero, clock, arrivals, state) {
+                        tracing::warn!(device = options.name, jumped_s, "device's clock jumped");
+                        let _ = notify.push(Notice::Clock(jumped_s));
+                    }
                 }
-                Err(fault) => given_up(fault, state),
+                Err(given) => {
+                    fault = Some(given);
+                    given_up(given, state);
+                }
             });
             if let Err(error) = polled {
                 return Some(error);
             }
             if heard_one {
+                fault = None;
                 last = Instant::now();
                 if !state.up.swap(true, Ordering::AcqRel) {
                     tracing::info!(device = options.name, "device up");
-                    let _ = notify.push(Notice { up: true, reason: Text::new() });
+                    let _ = notify.push(Notice::Up);
                 }
             } else if last.elapsed() > options.silence {
-                return Some(DeviceError::Silent { what: "reading", seconds: options.silence.as_secs_f64() });
+                // What it says instead of readings tells more than that there is none.
+                let silent = DeviceError::Silent { what: "reading", seconds: options.silence.as_secs_f64() };
+                return Some(fault.map_or(silent, DeviceError::Frame));
             }
         }
         None
@@ -289,7 +300,7 @@ fn given_up(fault: Fault, state: &State) {
     state.say(plumbline_core::event::text(format_args!("{fault}")));
 }
 
-/// Stamps a reading and hands it on.
+/// Stamps a reading and hands it on. Returns by how much its clock jumped, s, if it did.
 fn take(
     heard: Heard,
     options: &Options,
@@ -297,14 +308,15 @@ fn take(
     clock: &mut DeviceClock,
     arrivals: &mut Producer<Arrived>,
     state: &State,
-) {
+) -> Option<f64> {
     // Before flight time begins readings only say that the device is there.
-    let Some(arrival_us) = zero.micros(heard.at) else { return };
-    let mut time_us = arrival_us;
+    let arrival_us = zero.micros(heard.at)?;
+    let (mut time_us, mut jumped_s) = (arrival_us, None);
     if let Some(stamp) = heard.stamp {
         let mapped = clock.map(stamp, arrival_us);
-        if let Some(jumped_s) = mapped.jumped_s {
-            given_up(Fault::Value { what: "clock's jump, s", value: jumped_s, expected: "none" }, state);
+        jumped_s = mapped.jumped_s;
+        if let Some(value) = jumped_s {
+            given_up(Fault::Value { what: "clock's jump, s", value, expected: "none" }, state);
         }
         time_us = mapped.time_us;
         state.jitter_ns.store((clock.jitter_us() * 1e3) as u64, Ordering::Relaxed);
@@ -312,11 +324,12 @@ fn take(
     }
     time_us = (time_us + heard.after_us - 1e6 * options.delay_s).min(arrival_us);
     if time_us < 0.0 {
-        return;
+        return jumped_s;
     }
     state.last_us.store(arrival_us as u64, Ordering::Relaxed);
     let arrived = Arrived { time: FlightTime(time_us as u64), reading: heard.reading };
     if arrivals.push(arrived).is_err() {
         state.given_up.fetch_add(1, Ordering::Relaxed);
     }
+    jumped_s
 }

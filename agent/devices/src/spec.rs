@@ -17,6 +17,7 @@ use crate::autopilot::Autopilot;
 use crate::driver::Driver;
 use crate::driver::bno055::Bno055;
 use crate::driver::hokuyo::Hokuyo;
+use crate::driver::invensense::Invensense;
 use crate::driver::mavlink::Mavlink;
 use crate::driver::mocap::{Mocap, System};
 use crate::driver::registers::{Chip, Registers};
@@ -49,6 +50,8 @@ pub struct SpecError {
 pub enum DriverKind {
     /// Bosch BNO055 on a serial port or I²C.
     Bno055,
+    /// InvenSense MPU or ICM on I²C.
+    Invensense,
     /// UART IMU with barometer.
     Mongoose,
     /// Hokuyo URG-04LX, looking down.
@@ -77,7 +80,7 @@ impl DriverKind {
     /// Kinds of sensors it may be; a voltage is none.
     fn kinds(self) -> &'static [SensorKind] {
         match self {
-            Self::Bno055 => &[SensorKind::Imu],
+            Self::Bno055 | Self::Invensense => &[SensorKind::Imu],
             Self::Mongoose => &[SensorKind::Imu, SensorKind::Barometer],
             Self::Hokuyo | Self::Tfmini => &[SensorKind::Height],
             Self::Gnss => &[SensorKind::Gnss],
@@ -88,10 +91,16 @@ impl DriverKind {
         }
     }
 
+    /// Can it be set to another baud rate?
+    fn any_baud(self) -> bool {
+        matches!(self, Self::Mongoose | Self::Tfmini | Self::Gnss)
+    }
+
     /// Usual baud rate, address and rate, Hz.
     fn usual(self) -> (u32, u8, f64) {
         match self {
             Self::Bno055 => (115_200, 0x28, 100.0),
+            Self::Invensense => (0, 0x68, 200.0),
             Self::Mongoose | Self::Tfmini => (115_200, 0, 100.0),
             Self::Hokuyo => (115_200, 0, 10.0),
             Self::Gnss => (38_400, 0, 5.0),
@@ -117,7 +126,7 @@ pub struct DeviceSpec {
     /// Which sensors it is, as `["imu 1"]`; a voltage is none.
     #[serde(default)]
     pub sensors: Vec<String>,
-    /// Baud rate; usual for the device when left out.
+    /// Baud rate; usual for the device when left out, and the only one of a BNO055 or Hokuyo.
     pub baud: Option<u32>,
     /// I²C address.
     pub address: Option<u8>,
@@ -217,6 +226,11 @@ impl DeviceSpec {
         self.rate_hz.unwrap_or(self.driver.usual().2)
     }
 
+    /// Baud rate of its serial port; 0 of a device that has none.
+    pub fn baud(&self) -> u32 {
+        self.baud.unwrap_or(self.driver.usual().0)
+    }
+
     fn address(&self) -> u8 {
         self.address.unwrap_or(self.driver.usual().1)
     }
@@ -260,6 +274,19 @@ impl DeviceSpec {
             // A NaN fails both comparisons.
             if value >= min && value <= max { Ok(()) } else { Err((key, value.to_string(), expected)) }
         };
+        if let Some(baud) = self.baud {
+            let usual = self.driver.usual().0;
+            match port {
+                Some(PortName::Serial(_)) if self.driver.any_baud() => {
+                    within("baud", baud.into(), 1200.0, 4e6, "1200 to 4000000")?;
+                }
+                Some(PortName::Serial(_)) if baud == usual => {}
+                Some(PortName::Serial(_)) => {
+                    return Err(("baud", baud.to_string(), "115200, the only one of this device"));
+                }
+                _ => return Err(("baud", baud.to_string(), "for this port: only a serial one has a baud rate")),
+            }
+        }
         within("rate_hz", self.rate_hz(), 0.1, 1000.0, "0.1 to 1000 Hz")?;
         within("delay_s", self.delay_s, 0.0, 1.0, "0 to 1 s")?;
         within("sigma", self.sigma.unwrap_or(1.0), 1e-9, 1e6, "a positive number")?;
@@ -286,12 +313,13 @@ impl DeviceSpec {
     /// Its driver, closed; `None` for a port that a check would have refused.
     pub fn driver(&self) -> Option<Box<dyn Driver>> {
         let port = PortName::parse(&self.port)?;
-        let (baud, rate_hz) = (self.baud.unwrap_or(self.driver.usual().0), self.rate_hz());
+        let (baud, rate_hz) = (self.baud(), self.rate_hz());
         let chip = |port, chip| -> Box<dyn Driver> {
             Box::new(Registers::new(port, self.address(), chip, rate_hz, self.divider.unwrap_or(1.0)))
         };
         Some(match self.driver {
             DriverKind::Bno055 => Box::new(Bno055::new(port, self.address(), rate_hz)),
+            DriverKind::Invensense => Box::new(Invensense::new(port, self.address(), rate_hz)),
             DriverKind::Mongoose => Box::new(Talker::new(port, baud, Mongoose)),
             DriverKind::Tfmini => Box::new(Talker::new(port, baud, TfMini)),
             DriverKind::Gnss => Box::new(Talker::new(port, baud, GnssStream::default())),

@@ -18,7 +18,7 @@ use plumbline_core::vehicle::{DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
 use crate::motors::Motors;
-use crate::reader::{Arrived, Reader};
+use crate::reader::{Arrived, Notice, Reader};
 use crate::reading::{RangeReading, Reading};
 
 /// A voltage counts for this long, s.
@@ -156,12 +156,14 @@ impl Vehicle for HardwareVehicle {
 
     fn notice(&mut self) -> Option<(Severity, Text)> {
         self.devices.iter_mut().find_map(|(mounted, reader)| {
-            let notice = reader.notice()?;
             let name = &mounted.name;
-            Some(if notice.up {
-                (Severity::Info, text(format_args!("{name} gives readings")))
-            } else {
-                (Severity::Warning, text(format_args!("{name} lost: {}", notice.reason)))
+            Some(match reader.notice()? {
+                Notice::Up => (Severity::Info, text(format_args!("{name} gives readings"))),
+                Notice::Lost(reason) => (Severity::Warning, text(format_args!("{name} lost: {reason}"))),
+                Notice::Clock(jumped_s) => {
+                    let (by_s, way) = (jumped_s.abs(), if jumped_s < 0.0 { "back" } else { "forward" });
+                    (Severity::Warning, text(format_args!("{name}: its clock jumped {way} by {by_s:.3} s")))
+                }
             })
         })
     }

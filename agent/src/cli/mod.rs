@@ -56,7 +56,7 @@ enum Tool {
     Envelope(envelope::EnvelopeArguments),
     /// Lists ports and what answers on them; `devices test NAME` shows what a device says.
     Devices(devices::DevicesArguments),
-    /// Turns one motor at low throttle, on the bench.
+    /// Turns one motor at low throttle, on the bench; or stops all of them.
     Motors(motors::MotorsArguments),
     /// Holds the motors of an agent that flies, and stops them when it is gone.
     #[command(hide = true)]

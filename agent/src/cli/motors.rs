@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use plumbline_agent::config::AgentConfig;
 use plumbline_agent::types::{MotorCommand, ROTORS};
-use plumbline_devices::motors::{GuardLine, guard};
+use plumbline_devices::motors::{GuardLine, STOPPING, claim, guard, stop_anew};
 use plumbline_devices::spec::MotorsSpec;
 
 use super::{Failure, in_file};
@@ -22,15 +22,19 @@ const THROTTLE_MAX: f64 = 0.15;
 /// How often a command is sent in a test: well within the guard's patience.
 const PERIOD: Duration = Duration::from_millis(20);
 
-/// One motor at low throttle, on the bench.
+/// One motor at low throttle, on the bench; or all of them stopped.
 #[derive(Debug, clap::Args)]
+#[group(id = "what", required = true, multiple = false, args = ["test", "stop"])]
 pub struct MotorsArguments {
     /// Configuration with `[motors]`.
     #[arg(long)]
     config: PathBuf,
     /// Which motor, 1 to 4, in the order of the airframe.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=ROTORS as i64))]
-    test: u8,
+    test: Option<u8>,
+    /// Stop all of them, once no other program holds them: what a dead agent's unit does.
+    #[arg(long)]
+    stop: bool,
     /// Throttle, 0 to 0.15.
     #[arg(long, default_value_t = 0.06)]
     throttle: f64,
@@ -66,17 +70,39 @@ pub fn guarded(file: &Path, config: &AgentConfig) -> Result<GuardLine, Failure> 
     Ok(GuardLine::new(near)?)
 }
 
+fn held(spec: &MotorsSpec) -> Failure {
+    format!("{}: another program holds these motors", spec.port).into()
+}
+
+/// Stops the motors, when the guard that holds them has ended.
+fn stop(file: &Path) -> Result<(), Failure> {
+    let config = AgentConfig::read(file)?;
+    let Some((spec, mut pulses)) = config.motors.as_ref().and_then(|spec| Some((spec, spec.pulses()?))) else {
+        println!("no motors of its own: nothing to stop");
+        return Ok(());
+    };
+    let begun = Instant::now();
+    let _owner = loop {
+        match claim(&spec.port) {
+            Ok(Some(owner)) => break owner,
+            // It tries for as long to stop them.
+            Ok(None) if begun.elapsed() > STOPPING => return Err(held(spec)),
+            Err(error) if begun.elapsed() > STOPPING => return Err(error.into()),
+            Ok(None) | Err(_) => std::thread::sleep(PERIOD),
+        }
+    };
+    stop_anew(pulses.as_mut(), spec.range())?;
+    println!("motors stopped");
+    Ok(())
+}
+
 impl GuardArguments {
     /// Sets pulses until the agent is gone, whatever way it went.
     pub fn run(&self) -> Result<(), Failure> {
         let config = AgentConfig::read(&self.config)?;
         let spec = motors(&self.config, &config)?;
         // One owner: who tests a motor cannot do it in flight.
-        let name = format!("plumbline-motors{}.lock", spec.port.replace(['/', ':'], "-"));
-        let lock = std::fs::File::create(std::env::temp_dir().join(name))?;
-        if lock.try_lock().is_err() {
-            return Err(format!("{}: another program holds these motors", spec.port).into());
-        }
+        let Some(_owner) = claim(&spec.port)? else { return Err(held(&spec)) };
         let mut socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned()?);
         let mut pulses = spec.pulses().ok_or("[motors]: no such port")?;
         guard(&mut socket, pulses.as_mut(), spec.range(), Duration::from_secs_f64(spec.arming_s))?;
@@ -85,8 +111,12 @@ impl GuardArguments {
 }
 
 impl MotorsArguments {
-    /// Asks, then turns one motor.
+    /// Asks, then turns one motor; or stops all.
     pub fn run(&self) -> Result<(), Failure> {
+        self.test.map_or_else(|| stop(&self.config), |motor| self.turn(motor))
+    }
+
+    fn turn(&self, motor: u8) -> Result<(), Failure> {
         // A NaN fails both comparisons.
         if !(self.throttle > 0.0 && self.throttle <= THROTTLE_MAX) {
             return Err(format!("--throttle {}: not above 0, to {THROTTLE_MAX}", self.throttle).into());
@@ -97,7 +127,7 @@ impl MotorsArguments {
         let config = AgentConfig::read(&self.config)?;
         let spec = motors(&self.config, &config)?;
         let mut out = std::io::stdout();
-        write!(out, "Motor {} will turn for {} s. Type \"{CONFIRMATION}\" when they are: ", self.test, self.seconds)?;
+        write!(out, "Motor {motor} will turn for {} s. Type \"{CONFIRMATION}\" when they are: ", self.seconds)?;
         out.flush()?;
         let mut typed = String::new();
         std::io::stdin().lock().read_line(&mut typed)?;
@@ -109,14 +139,14 @@ impl MotorsArguments {
         let arming = Instant::now() + Duration::from_secs_f64(spec.arming_s + 0.2);
         let end = arming + Duration::from_secs_f64(self.seconds);
         while Instant::now() < end {
-            if let Some(throttle) = command.throttle.get_mut(usize::from(self.test) - 1) {
+            if let Some(throttle) = command.throttle.get_mut(usize::from(motor) - 1) {
                 *throttle = if Instant::now() < arming { 0.0 } else { self.throttle };
             }
             line.send(&command).map_err(|error| format!("the guard of the motors is gone: {error}"))?;
             std::thread::sleep(PERIOD);
         }
         line.send(&MotorCommand::default())?;
-        writeln!(out, "motor {} stopped", self.test)?;
+        writeln!(out, "motor {motor} stopped")?;
         Ok(())
     }
 }

@@ -76,6 +76,28 @@ port = \"/dev/i2c-1\"
             ),
             ("height 1", "imu 2", "\"imu 2\" is not a sensor that this driver gives"),
             ("-0.05]", "-5.0]", "position_flu_m = -5 is not within 1 m of the centre of mass; line 12: position_flu_m"),
+            (
+                "\"hokuyo\"\n",
+                "\"hokuyo\"\nbaud = 19200\n",
+                "[[device]] 2: baud = 19200 is not 115200, the only one of this device; line 10: baud = 19200",
+            ),
+            ("\"bno055\"\n", "\"bno055\"\nbaud = 9600\n", "baud = 9600 is not 115200, the only one"),
+            (
+                "\"bno055\"\nport = \"/dev/ttyUSB0\"",
+                "\"bno055\"\nbaud = 9600\nport = \"/dev/i2c-1\"",
+                "baud = 9600 is not for this port: only a serial one has a baud rate; line 4",
+            ),
+            ("\"hokuyo\"\n", "\"tfmini\"\nbaud = 50\n", "baud = 50 is not 1200 to 4000000; line 10"),
+            (
+                "port = \"/dev/ttyACM0\"\nsensors = [\"height 1\"]",
+                "port = \"/dev/ttyACM0\"\nsensors = [\"height 1\"]\nmounting_rpy_rad = [0.0, 0.0, 90.0]",
+                "mounting_rpy_rad = 90 is not angles within ±2π rad; line 12: mounting_rpy_rad",
+            ),
+            (
+                "\"hokuyo\"\nport = \"/dev/ttyACM0\"\nsensors = [\"height 1\"]",
+                "\"bno055\"\nport = \"/dev/ttyACM0\"\nsensors = [\"imu 1\"]",
+                "[[device]] 2: sensors = \"imu 1\" is not a sensor that no other device is; line 11: sensors",
+            ),
             ("\"laser\"", "\"imu\"", "name = \"imu\" is not a name of its own; line 8"),
             ("pca9685", "dshot", "[motors]: driver = \"dshot\""),
             ("\"hokuyo\"", "\"sick\"", "unknown variant `sick`"),

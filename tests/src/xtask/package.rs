@@ -26,6 +26,10 @@ struct Package {
     summary: &'static str,
     about: &'static str,
     manual: &'static str,
+    /// Groups that its unit names, which not every Debian has.
+    groups: &'static [&'static str],
+    /// What gives these groups their devices.
+    recommends: Option<&'static str>,
     /// What becomes of a running one when another version comes: a ground is started again, an agent may be in the air.
     upgraded: &'static str,
 }
@@ -37,6 +41,8 @@ const PACKAGES: [Package; 2] = [
         summary: "ground station of a lab quadrotor: recorder, API and page",
         about: "Records every flight, passes commands, schedules sensor attacks and serves\n the page. Its flights are kept in /var/lib/plumbline/ground, also on purge.",
         manual: "manual.md",
+        groups: &[],
+        recommends: None,
         upgraded: "deb-systemd-helper enable plumbline-ground.service >/dev/null || true\n\
                    [ ! -d /run/systemd/system ] || deb-systemd-invoke restart plumbline-ground.service || true",
     },
@@ -46,6 +52,8 @@ const PACKAGES: [Package; 2] = [
         summary: "onboard agent of a lab quadrotor: fusion, control, attacks, log",
         about: "Flies the vehicle that /etc/plumbline/agent.toml describes. Not started by\n itself: pair it, test its motors, then systemctl enable --now plumbline-agent.",
         manual: "install.md",
+        groups: &["i2c", "spi", "gpio"],
+        recommends: Some("i2c-tools"),
         upgraded: "echo 'plumbline-agent: the running one goes on; restart it while the vehicle stands'",
     },
 ];
@@ -69,7 +77,9 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
         Some(folder) => Binaries::inside(folder),
         None => {
             web::run(workspace, &web::Options::default())?;
-            run(workspace.cargo().args(["build", "--locked", "--release", "--workspace", "--bins"]))?;
+            let build =
+                ["build", "--locked", "--release", "--workspace", "--bins", "--features", "plumbline-agent/i2c"];
+            run(workspace.cargo().args(build))?;
             Binaries::inside(&workspace.target.join("release"))
         }
     };
@@ -149,9 +159,10 @@ fn lay_out(
     run(Command::new("sh").args(["-c", "find usr -type f -exec md5sum {} + > DEBIAN/md5sums"]).current_dir(tree))?;
     let size = output(Command::new("du").args(["-sk"]).arg(tree))?;
     let size = size.split_whitespace().next().unwrap_or("0").to_owned();
+    let recommends = package.recommends.map(|other| format!("Recommends: {other}\n")).unwrap_or_default();
     let control = format!(
         "Package: {name}\nVersion: {}\nArchitecture: {architecture}\nMaintainer: {MAINTAINER}\n\
-         Installed-Size: {size}\nDepends: libc6 (>= {}), libgcc-s1, adduser\nSection: science\n\
+         Installed-Size: {size}\nDepends: libc6 (>= {}), libgcc-s1, adduser\n{recommends}Section: science\n\
          Priority: optional\nDescription: {}\n {}\n",
         env!("CARGO_PKG_VERSION"),
         newest_glibc(&bytes),
@@ -171,12 +182,14 @@ fn configuration(workspace: &Workspace, member: &str, program: &Path) -> Result<
     std::fs::read(&path).map_err(XtaskError::file(&path))
 }
 
-/// After it is unpacked: its own user, and what becomes of one that runs.
+/// After it is unpacked: its own user and groups, and what becomes of one that runs.
 fn after(package: &Package) -> String {
     let upgraded = package.upgraded.replace('\n', "\n    ");
+    let group = |group: &&str| format!("getent group {group} >/dev/null || addgroup --system --quiet {group}\n    ");
+    let groups: String = package.groups.iter().map(group).collect();
     format!(
         "#!/bin/sh\nset -e\nif [ \"$1\" = configure ]; then\n    if ! getent passwd plumbline >/dev/null; then\n        \
-         adduser --system --group --quiet --home /var/lib/plumbline --no-create-home plumbline\n    fi\n    \
+         adduser --system --group --quiet --home /var/lib/plumbline --no-create-home plumbline\n    fi\n    {groups}\
          [ ! -d /run/systemd/system ] || systemctl --system daemon-reload >/dev/null || true\n    {upgraded}\nfi\n"
     )
 }
@@ -213,5 +226,21 @@ mod tests {
     #[test]
     fn the_newest_glibc_is_found_in_a_program() {
         assert_eq!(newest_glibc(b"..GLIBC_2.4\0GLIBC_2.34\0GLIBC_2.17\0GLIBC_PRIVATE\0...."), "2.34");
+    }
+
+    #[test]
+    fn every_group_of_a_unit_is_made_by_its_package() {
+        for package in &PACKAGES {
+            let unit = format!("../{0}/package/{1}.service", package.member, package.name);
+            let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
+            let groups = unit.lines().find_map(|line| line.strip_prefix("SupplementaryGroups=")).unwrap_or_default();
+            let script = after(package);
+            // base-passwd has it everywhere.
+            for group in groups.split(' ').filter(|group| !matches!(*group, "" | "dialout")) {
+                assert!(script.contains(&format!("addgroup --system --quiet {group}\n")), "{}: {group}", package.name);
+            }
+            // The unit's own folders are made by it; a path that may be absent keeps it from starting.
+            assert!(!unit.contains("ReadWritePaths=/"), "{}", package.name);
+        }
     }
 }

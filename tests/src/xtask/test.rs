@@ -18,7 +18,7 @@ pub struct Options {
 }
 
 /// All there is, with what the two commands do without.
-const EVERYTHING: [&str; 4] = ["--workspace", "--locked", "--features", "plumbline-ground/many"];
+const EVERYTHING: [&str; 4] = ["--workspace", "--locked", "--features", "plumbline-ground/many,plumbline-agent/i2c"];
 
 /// Runs everything; a step that fails does not stop the others. True when all is well.
 pub fn run(workspace: &Workspace, options: &Options) -> bool {

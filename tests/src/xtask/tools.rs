@@ -17,11 +17,11 @@ const NODE_PACKAGES: [&str; 7] = [
     "ws@8.18.3",
     "axe-core@4.14.1",
 ];
-/// Third-party readers of our flight files and of the results of experiments, one of PX4's logs to compare ours with, MAVLink
+/// Third-party readers of our flight files, of the results of experiments, of PX4's logs and of what devices send, MAVLink
 /// ground control stations, and a double of S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask, pyubx2, natnet.data_frame",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -34,6 +34,8 @@ const READERS: PythonTools = PythonTools {
         "pyserial>=3.5",
         "mavsdk>=4.1",
         "moto[s3,server]>=5.0",
+        "pyubx2>=1.2",
+        "natnet>=0.3",
     ],
     // With what it asks for it takes 1.2 GB, of which its command line needs nothing.
     bare: &["MAVProxy>=1.8.70"],

@@ -60,6 +60,14 @@ impl Flight {
         let age = self.supervision.watchdog.imu_age_s(now);
         check("imu", age <= IMU_MAX_AGE_S, text(format_args!("last sample {age:.2} s ago, at most {IMU_MAX_AGE_S} s")));
 
+        if let Some((count, silent)) = self.liveness.devices {
+            check(
+                "devices",
+                silent.is_none(),
+                silent.unwrap_or_else(|| text(format_args!("all {count} give readings"))),
+            );
+        }
+
         let heights = self.lasers();
         if heights > 0 {
             let fresh = self.supervision.watchdog.heights_fresh();

@@ -2,6 +2,7 @@
 
 pub mod bno055;
 pub mod hokuyo;
+pub mod invensense;
 pub mod mavlink;
 pub mod mocap;
 pub mod registers;

@@ -12,8 +12,9 @@ use crate::protocol::mongoose::{Mongoose, MongooseReading};
 use crate::protocol::tfmini::TfMini;
 use crate::reading::Reading;
 
-/// So many bytes without one frame are another device, or another baud rate.
-const STRANGE_BYTES: u64 = 2048;
+/// So many bytes without one frame are another device, or another baud rate: a few frames, and less than comes while one that
+/// is silent is waited for.
+const STRANGE_BYTES: u64 = 384;
 
 /// A protocol whose frames are readings.
 pub trait Spoken: Protocol + Send {
@@ -95,7 +96,7 @@ impl<P: Spoken> Driver for Talker<P> {
         }
         let strange = self.framer.skipped() - self.skipped_before;
         if self.frames == 0 && strange > STRANGE_BYTES {
-            let value = format!("{strange} bytes without a frame");
+            let value = format!("{strange} bytes without a frame at {} baud", self.baud);
             return Err(DeviceError::Wrong { what: "what speaks", value, expected: P::NAME });
         }
         Ok(())

@@ -42,6 +42,8 @@ impl Protocol for GnssStream {
             Some(0xB5) => match ubx::scan(bytes) {
                 Scan::Frame(n, reading) => Scan::Frame(n, self.ubx(reading)),
                 Scan::Skip(_) => Scan::Skip(1),
+                // A length that garbage claims holds up no more than the next frame, which is whole in what it would take.
+                Scan::More if holds_frame(bytes) => Scan::Skip(1),
                 Scan::More => Scan::More,
             },
             Some(b'$') => match nmea::scan(bytes) {
@@ -56,6 +58,18 @@ impl Protocol for GnssStream {
             }
         }
     }
+}
+
+/// Is there a whole frame after the first byte?
+fn holds_frame(bytes: &[u8]) -> bool {
+    let begins = |at: &usize| matches!(bytes.get(*at), Some(0xB5 | b'$'));
+    (1..bytes.len()).filter(begins).any(|at| {
+        let rest = bytes.get(at..).unwrap_or_default();
+        match rest.first() {
+            Some(0xB5) => matches!(ubx::scan(rest), Scan::Frame(_, Ok(_))),
+            _ => matches!(nmea::scan(rest), Scan::Frame(_, Ok(_))),
+        }
+    })
 }
 
 impl GnssStream {

@@ -6,6 +6,8 @@
 pub mod bno055;
 pub mod gnss;
 pub mod ina;
+pub mod invensense;
+pub mod mavlink;
 pub mod mongoose;
 pub mod natnet;
 pub mod nmea;

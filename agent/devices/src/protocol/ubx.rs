@@ -11,7 +11,7 @@ const NAV_PVT: [u8; 2] = [0x01, 0x07];
 const NAV_PVT_LENGTH: usize = 92;
 /// Header, class, id, length; checksum.
 const AROUND: usize = 8;
-/// Longest message that is waited for, payload and all around it: a length claimed by garbage holds up no more.
+/// Longest message that is waited for, payload and all around it.
 pub const LONGEST: usize = 1024;
 
 /// Fletcher's sum modulo 256 over `bytes`, as UBX defines it.

@@ -5,7 +5,7 @@ use plumbline_devices::protocol::bno055::{self, UartReplies, UartReply, UartRequ
 use plumbline_devices::protocol::mongoose::{self, Mongoose, MongooseReading};
 use plumbline_devices::protocol::pressure::{bmp280, ms5611};
 use plumbline_devices::protocol::tfmini::{self, TfMini};
-use plumbline_devices::protocol::{ina, pca9685};
+use plumbline_devices::protocol::{ina, invensense, pca9685};
 use plumbline_devices::reading::{BarometerReading, ImuReading, Reading};
 
 use super::read;
@@ -121,4 +121,23 @@ fn tfmini_distances_and_codes() {
     assert_eq!(weak.to_string(), "strength 50 is not 100 to 65534");
     let dark = read(TfMini, &tfmini::encode(655.35, 500, 20.0), 9)[0].unwrap_err();
     assert_eq!(dark.to_string(), "the device reports distance code 65535");
+}
+
+#[test]
+fn an_mpu_counts_as_its_register_map_says() {
+    let icm = invensense::chip(0x12).unwrap();
+    // ±16 g: 2048 counts for 1 g; ±2000 °/s: 164 for 10 °/s; 25 °C at zero.
+    let counts = [2048_i16, -1024, 0, 0, 164, 0, -164];
+    let data: Vec<u8> = counts.iter().flat_map(|count| count.to_be_bytes()).collect();
+    let data: [u8; 14] = data.try_into().unwrap();
+    let reading = invensense::decode(&data, &icm);
+    assert!((reading.accel_mps2 - Vector3::new(9.806_65, -4.903_325, 0.0)).amax() < 1e-9, "{reading:?}");
+    let ten = 10_f64.to_radians();
+    assert!((reading.gyro_radps - Vector3::new(ten, 0.0, -ten)).amax() < 1e-9, "{reading:?}");
+    assert!((reading.temperature_c - 25.0).abs() < 1e-9 && reading.mag_ut.is_none(), "{reading:?}");
+    assert_eq!(invensense::encode(&reading, &icm), data);
+    // An MPU-6050 has 36.53 °C there.
+    let mpu = invensense::decode(&data, &invensense::chip(0x68).unwrap());
+    assert!((mpu.temperature_c - 36.53).abs() < 1e-9, "{mpu:?}");
+    assert_eq!(invensense::chip(0xEA), None, "an ICM-20948 has another map");
 }

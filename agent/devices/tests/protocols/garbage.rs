@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use plumbline_core::sensor::noise::Stream;
 use plumbline_devices::framer::{Framer, Protocol};
-use plumbline_devices::protocol::gnss::GnssStream;
+use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
 use plumbline_devices::protocol::mongoose::{self, Mongoose, MongooseReading};
 use plumbline_devices::protocol::scip::{self, RANGES, Scip};
 use plumbline_devices::protocol::tfmini::{self, TfMini};
@@ -80,19 +80,28 @@ fn every_stream_is_found_again_within_a_frame() {
     resynchronises("scip", Scip::default, &scan);
     let sentence = b"$GNGGA,171926.00,4404.14063,N,12118.85478,W,1,12,0.91,1147.2,M,-21.3,M,,*44\r\n";
     resynchronises("nmea", GnssStream::default, sentence);
+    resynchronises("ubx", GnssStream::default, &ubx::encode_nav_pvt(1000, &fix()));
 }
 
 #[test]
-fn ubx_is_found_again_once_a_length_claimed_by_garbage_is_over() {
-    // A false header may claim up to 1016 bytes: they are waited for, and nothing in them is lost.
+fn a_length_that_garbage_claims_holds_up_one_frame_and_a_long_message_is_one() {
     let frame = ubx::encode_nav_pvt(1000, &fix());
-    let mut drawn = Drawn(Stream::new(8, "ubx"));
-    for round in 0..ROUNDS {
-        let garbage = drawn.garbage(&frame);
-        let bytes = [garbage, frame.repeat(12)].concat();
+    let fixes = |bytes: &[u8]| {
         let mut framer = Framer::new(GnssStream::default());
-        let mut good = 0;
-        bytes.chunks(64).for_each(|piece| framer.push(piece, |outcome| good += usize::from(outcome.is_ok())));
-        assert!(good >= 12, "round {round}: {good} of 12 frames");
-    }
+        let mut all = Vec::new();
+        framer.push(bytes, |outcome| all.push(outcome));
+        all.into_iter().filter(|outcome| matches!(outcome, Ok(GnssReading::Fix { .. }))).count()
+    };
+    // NAV-SAT with 1000 bytes of payload, none of which ever comes.
+    let claims = [0xB5, 0x62, 0x01, 0x35, 0xE8, 0x03];
+    assert_eq!(fixes(&[&claims[..], &frame].concat()), 1, "the first fix after it");
+    let sentence = b"$GNGGA,171926.00,4404.14063,N,12118.85478,W,1,12,0.91,1147.2,M,-21.3,M,,*44\r\n";
+    let read = super::read(GnssStream::default(), &[&claims[..], sentence].concat(), 64);
+    assert!(matches!(read[..], [Ok(_)]), "{read:?}");
+    // The same message whole, and a fix after it: nothing of it is a fault.
+    let mut whole = [&claims[..], &[0x55; 1000]].concat();
+    let sum = ubx::fletcher(&whole[2..]);
+    whole.extend(sum);
+    let read = super::read(GnssStream::default(), &[&whole[..], &frame].concat(), 64);
+    assert!(matches!(read[..], [Ok(GnssReading::Alive), Ok(GnssReading::Fix { .. })]), "{read:?}");
 }

@@ -1,6 +1,7 @@
 mod chips;
 mod garbage;
 mod gnss;
+mod mavlink;
 mod mocap;
 mod peers;
 mod scanner;

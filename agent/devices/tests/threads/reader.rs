@@ -4,8 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use plumbline_devices::clock::Stamp;
 use plumbline_devices::driver::{Driver, Heard, Outlet};
-use plumbline_devices::reader::{Options, QUEUE, Reader, Zero};
+use plumbline_devices::reader::{Notice, Options, QUEUE, Reader, Zero};
 use plumbline_devices::{DeviceError, Fault, Reading};
 
 /// What the device does: 0 talks, 1 hangs, 2 is gone.
@@ -53,7 +54,12 @@ fn a_device_that_is_lost_or_hangs_is_told_and_comes_back() {
     let zero = Zero::default();
     let (does, mut reader) = start(&zero);
     let told = |reader: &mut Reader, up: bool, reason: &str| {
-        until(reason, || reader.notice().is_some_and(|n| n.up == up && n.reason.contains(reason)));
+        let fits = |notice: Notice| match notice {
+            Notice::Up => up,
+            Notice::Lost(why) => !up && why.contains(reason),
+            Notice::Clock(_) => false,
+        };
+        until(reason, || reader.notice().is_some_and(fits));
     };
     told(&mut reader, true, "");
     assert_eq!(reader.pop(), None, "nothing before flight time begins");
@@ -78,4 +84,65 @@ fn a_full_queue_keeps_the_oldest_and_counts_the_rest() {
     let kept: Vec<_> = std::iter::from_fn(|| reader.pop()).take(QUEUE).collect();
     assert_eq!(kept.len(), QUEUE);
     assert!(kept.windows(2).all(|pair| pair[0].time <= pair[1].time));
+}
+
+/// A device with a clock of its own, a hundred times a second; after a second of frames it goes a minute back.
+struct Clocked(u64);
+
+impl Driver for Clocked {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        std::thread::sleep(Duration::from_millis(10));
+        self.0 += 10;
+        let ticks = if self.0 > 101_000 { self.0 - 60_000 } else { self.0 };
+        let stamp = Some(Stamp { ticks, tick_us: 1e3, roll_over: 1 << 32 });
+        out(Ok(Heard { at: Instant::now(), stamp, after_us: 0.0, reading: Reading::Battery(14.8) }));
+        Ok(())
+    }
+}
+
+#[test]
+fn a_clock_that_goes_backwards_is_told_and_no_sample_goes_with_it() {
+    let zero = Zero::default();
+    zero.set(Instant::now());
+    let options = Options { name: "clocked".into(), delay_s: 0.0, silence: Duration::from_secs(5) };
+    let mut reader = Reader::start(Box::new(Clocked(100_000)), options, zero).unwrap();
+    let (mut told, mut last) = (None, plumbline_proto::time::FlightTime(0));
+    until("told", || {
+        while let Some(arrived) = reader.pop() {
+            // A pause of this thread moves the line a little, and never by the jump.
+            assert!(arrived.time.seconds_since(last).abs() < 2.0, "{} after {last}", arrived.time);
+            last = arrived.time;
+        }
+        told = told.or(reader.notice().filter(|notice| matches!(notice, Notice::Clock(_))));
+        told.is_some()
+    });
+    let Some(Notice::Clock(jumped_s)) = told else { panic!("{told:?}") };
+    assert!((jumped_s + 60.0).abs() < 1.0, "{jumped_s}");
+    until("goes on", || reader.pop().is_some_and(|arrived| arrived.time.as_seconds() > 0.9));
+}
+
+/// Frames that are whole, and of another version.
+struct Other;
+
+impl Driver for Other {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        std::thread::sleep(Duration::from_millis(10));
+        out(Err(Fault::Value { what: "frame version", value: 2.0, expected: "1" }));
+        Ok(())
+    }
+}
+
+#[test]
+fn a_device_that_speaks_another_version_is_lost_for_that() {
+    let options = Options { name: "other".into(), delay_s: 0.0, silence: Duration::from_millis(100) };
+    let mut reader = Reader::start(Box::new(Other), options, Zero::default()).unwrap();
+    until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.as_str() == "frame version 2 is not 1"));
 }
