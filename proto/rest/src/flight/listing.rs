@@ -198,8 +198,8 @@ mod tests {
         assert_eq!(ids(Listing { vehicle: Some("iris-1".into()), ..base.clone() }), "ac");
         assert_eq!(ids(Listing { from_unix_us: Some(20), ..base.clone() }), "bcd");
         assert_eq!(ids(Listing { to_unix_us: Some(20), ..base.clone() }), "a");
-        let both = Listing { from_unix_us: Some(10), to_unix_us: Some(31), ..base.clone() };
-        assert_eq!(ids(Listing { vehicle: Some("iris-1".into()), search: "c".into(), ..both }), "c");
+        let both = Listing { from_unix_us: Some(10), to_unix_us: Some(30), ..base.clone() };
+        assert_eq!(ids(Listing { vehicle: Some("iris-1".into()), ..both }), "a");
         assert_eq!(ids(Listing { from_unix_us: Some(20), to_unix_us: Some(10), ..base }), "");
     }
 

@@ -145,7 +145,7 @@ class Ground:
 
         `vehicle` is an id; `from_unix_us` and `to_unix_us` bound when they began, the second exclusively.
         """
-        query = {
+        query: dict[str, str | int | None] = {
             "search": search,
             "vehicle": vehicle,
             "from_unix_us": from_unix_us,
