@@ -22,10 +22,23 @@ async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
     assert!((0.01..0.05).contains(&bound) && first["suite"] == "string_rig", "{first}");
     // The time it took says that it was not solved again.
     assert_eq!(ground.request("POST", path, body).await.json(), first);
+    assert!(first["sets"][0]["certificate"].is_null() && first["sets"][0]["climb_mps"].is_null(), "{first}");
+    let proved = r#"{"sensors":["height 2"],"horizon_s":5,"climb":true,"proof":true}"#;
+    let proved = ground.request("POST", path, proved).await.json();
+    let (set, certificate) = (&proved["sets"][0], &proved["sets"][0]["certificate"]);
+    assert_eq!(set["altitude_m"].as_f64(), Some(bound));
+    let held = certificate["multipliers"].as_array().unwrap().iter();
+    let held = held.map(|one| one["multiplier"].as_f64().unwrap().abs() * one["limit"].as_f64().unwrap());
+    let sum = held.sum::<f64>() + certificate["added_m"].as_f64().unwrap();
+    assert!((sum / bound - 1.0).abs() < 1e-9 && set["climb_mps"].as_f64().unwrap() > 0.0, "{sum} {set}");
+    assert_eq!(
+        (&set["attack"][0]["sensor"], set["attack"][0]["values"].as_array().unwrap().len()),
+        (&"height 2".into(), 50)
+    );
     let unstable = format!(r#"{{"design":{{"k":{k},"k_attitude":{k}}}}}"#, k = pushing_away());
     for (body, named) in [
         (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one that this loop uses: height 1, "),
-        (r#"{"most":12}"#, "a set of 12 sensors: the suite has 7"),
+        (r#"{"most":12}"#, "a set of 12 sensors: this loop uses 7"),
         (r#"{"suite":"moon"}"#, "moon"),
         (r#"{"more":"sonar"}"#, "it must be height or imu"),
         (r#"{"without":["height 7"]}"#, "sensor height 7 is not one that this loop uses"),
@@ -33,6 +46,7 @@ async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
             r#"{"without":["imu 1","imu 2","imu 3","imu 4"]}"#,
             "heights or IMUs that are not excluded is 0, it must be at least 1",
         ),
+        (r#"{"proof":true}"#, "proof is true, it is told of one set of `sensors` along z"),
         (r#"{"colour":1}"#, "colour"),
         (r#"{"horizon_s":0.1}"#, "horizon_s is 0.1"),
         (r#"{"design":{"controller":"magic"}}"#, "magic"),

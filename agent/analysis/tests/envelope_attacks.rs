@@ -77,12 +77,55 @@ fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
     assert_eq!(judge(vec![attack("bias", 0.5)]).probability, Some(1.0));
     assert!(judge(vec![attack("bias", 0.5), attack("bias", -0.5)]).probability.unwrap() < 0.02);
     let replay = judge(vec![attack("replay", 3.0)]);
-    assert_eq!((replay.probability, replay.note.as_str()), (None, "nothing is expected of replay on all of height 2"));
+    let why = "nothing is expected of replay on all of height 2: at hover it is noise of another time, which no judge tells from that of now";
+    assert_eq!((replay.probability, replay.note.as_str()), (None, why));
+    for (kind, why) in [("noise", "another way in each flight"), ("time_shift", "not in the model")] {
+        let found = judge(vec![attack(kind, 0.1)]);
+        assert!(found.probability.is_none() && found.note.ends_with(why), "{found:?}");
+    }
     let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
     assert!(refused(&question(Some("magic"), &["height 1"])).contains("\"magic\""));
     assert!(refused(&question(Some("optimal"), &[])).contains("sensors"));
     assert!(refused(&question(Some("stealthy_bias"), &["imu 1"])).contains("imu 1"));
     assert!(refused(&question(Some("optimal"), &["height 1", "height 2", "height 3"])).contains("no bound"));
+}
+
+#[test]
+fn rotors_and_replays_under_a_watermark_are_judged_by_their_theory() {
+    let one = |sensor: &str, channel: &str, kind: &str, magnitude, duration_s| PlannedAttack {
+        sensor: sensor.into(),
+        instance: 2,
+        channel: channel.into(),
+        kind: kind.into(),
+        duration_s,
+        magnitude,
+        ..PlannedAttack::default()
+    };
+    let judge = |attack: PlannedAttack, watermark_mps2| {
+        prepared(&AttackQuestion { attacks: vec![attack], watermark_mps2, ..AttackQuestion::default() }, None)
+    };
+    let replay = |watermark_mps2| judge(one("imu", "accel", "replay", 8.0, 20.0), watermark_mps2);
+    let told = replay(Some(0.1)).unwrap();
+    assert!((told.probability.unwrap() - 0.926).abs() < 2e-3 && told.note.contains("excludes nobody"), "{told:?}");
+    assert!(replay(None).unwrap().note.contains("watermark_mps2"));
+    assert!(replay(Some(9.0)).unwrap_err().to_string().contains("watermark_mps2 is 9"));
+    let rotor = |left| judge(one("rotor", "all", "scale", left, 5.0), None).unwrap();
+    println!("{:?}", [0.99, 0.95, 0.8, 0.0].map(|left| rotor(left).probability));
+    assert!(rotor(0.8).probability.unwrap() > 0.99 && rotor(0.99).probability.unwrap() < 0.01);
+    let unsure = rotor(0.95);
+    assert!(unsure.probability.is_none() && unsure.note.contains("says more than what is flown"), "{unsure:?}");
+    // More thrust than asked for has no theory.
+    assert!(rotor(1.2).probability.is_none());
+}
+
+#[test]
+fn two_of_three_heights_have_the_sequence_that_is_judged() {
+    let found = prepared(&question(Some("optimal"), &["height 1", "height 2"]), None).unwrap();
+    println!("{:?} {:?} {}", found.probability, found.altitude_m, found.note);
+    // The judged loop has everything weighing fully: there it goes as far as it says.
+    let (_, says) = found.note.split_once("which reaches ").unwrap();
+    let reaches_m = 0.01 * says.split_once(" cm").unwrap().0.parse::<f64>().unwrap();
+    assert!((found.altitude_m.unwrap() / reaches_m - 1.0).abs() < 0.02, "{:?} {reaches_m}", found.altitude_m);
 }
 
 #[test]

@@ -3,9 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_analysis::envelope::flying::Regime;
-use plumbline_analysis::envelope::program::{Memory, Program};
+use plumbline_analysis::envelope::program::{Memory, Program, Statistic};
 use plumbline_analysis::envelope::prototype::Prototype;
-use plumbline_analysis::envelope::sets::Asked;
+use plumbline_analysis::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
 use plumbline_proto::ids::SensorId;
 use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet};
@@ -174,9 +174,9 @@ fn another_solver_finds_the_same_optima() {
 
 #[test]
 fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none() {
-    let answer = asked(EnvelopeQuestion::default())
+    let answer = asked(EnvelopeQuestion { climb: true, ..EnvelopeQuestion::default() })
         .unwrap()
-        .answer(true, |set| {
+        .answer(|set| {
             println!("{set:?}");
             true
         })
@@ -204,6 +204,47 @@ fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none()
     assert!(of(&["imu 1", "imu 2"]) > of(&["imu 1"]) && of(&["height 1", "imu 1"]) > of(&["height 1"]));
 }
 
+#[test]
+fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_what_it_says() {
+    for (names, regime) in
+        [(&["height 2"][..], Regime::Full), (&["imu 1"], Regime::Full), (&["height 1", "height 2"], Regime::Outvoted)]
+    {
+        let sensors = Some(names.iter().map(|name| (*name).to_owned()).collect());
+        let question = EnvelopeQuestion { sensors, proof: true, horizon_s: Some(5.0), ..EnvelopeQuestion::default() };
+        let asked = asked(question).unwrap();
+        let set = asked.answer(|_| true).unwrap().sets.remove(0);
+        let told = set.certificate.unwrap();
+        let sum: f64 = told.multipliers.iter().map(|one| one.multiplier.abs() * one.limit).sum();
+        assert!(((sum + told.added_m) / set.altitude_m.unwrap() - 1.0).abs() < 1e-9, "{names:?}: {sum}");
+        assert_eq!(told.regime, if regime == Regime::Full { "full" } else { "outvoted" });
+        // The rest is what they leave of c, in the program as it stands.
+        let program = program(&asked.flying.attacked(&asked.sets[0], regime).unwrap(), 5.0, Deviation::Place).unwrap();
+        let (Verdict::Bounded(bound), _) = verdict(&asked.flying, &asked.sets[0], 5.0, Deviation::Place).unwrap()
+        else {
+            panic!("{names:?} has no bound")
+        };
+        let mut left = program.objective.clone();
+        for (one, of) in told.multipliers.iter().zip(&bound.certificate) {
+            assert_eq!((one.multiplier, one.statistics), (of.value, of.of.len()));
+            for (place, part) in &of.of {
+                let statistic = &program.statistics[*place];
+                assert_eq!((statistic.detector, statistic.sensor), (of.detector, of.sensor));
+                left.axpy(-one.multiplier * part, &statistic.row, 1.0);
+            }
+        }
+        let rest: f64 = left.iter().zip(&program.most).map(|(left, most)| left.abs() * most).sum();
+        assert!((rest - told.added_m).abs() < 1e-9 * set.altitude_m.unwrap(), "{names:?}: {rest} {}", told.added_m);
+        // The sequence is silent, but for the reach, whose limit is proved apart, and goes so far.
+        let attack = Signal::from_iterator(
+            program.objective.len(),
+            set.attack.iter().flat_map(|one| one.values.iter().copied()),
+        );
+        assert!((program.objective.dot(&attack) / set.reached_m.unwrap() - 1.0).abs() < 1e-9);
+        let loud = |s: &&Statistic| s.detector != "height reach" && s.row.dot(&attack).abs() > s.limit * (1.0 + 1e-6);
+        assert!(!program.statistics.iter().any(|s| loud(&s)), "{names:?}");
+    }
+}
+
 fn aside(axis: &str, more: Option<&str>) -> EnvelopeQuestion {
     EnvelopeQuestion { axis: Some(axis.into()), more: more.map(Into::into), ..EnvelopeQuestion::default() }
 }
@@ -216,7 +257,7 @@ fn every_set_has_a_tilt_and_a_velocity_or_nobody_who_judges_it() {
             println!("{axis} {more:?} {set:?}");
             true
         };
-        let answer = asked(aside(axis, more)).unwrap().answer(false, tell).unwrap();
+        let answer = asked(aside(axis, more)).unwrap().answer(tell).unwrap();
         let of = |names: &[&str]| answer.sets.iter().find(|set| set.sensors == names).unwrap();
         let one = of(&["imu 1"]);
         assert!(one.reached.is_some_and(|part| part > 0.5 && part <= 1.0), "{one:?}");
@@ -269,9 +310,13 @@ fn what_cannot_be_bounded_says_why_with_the_value() {
     assert!(refused(EnvelopeQuestion { suite: Some("moon".into()), ..question() }).contains("\"moon\""));
     assert!(refused(EnvelopeQuestion { horizon_s: Some(1e9), ..question() }).contains("1000000000"));
     let three = EnvelopeQuestion { sensors: of(&["imu 1", "imu 2", "imu 3"]), horizon_s: Some(20.0), ..question() };
-    let refusal = asked(three).unwrap().answer(false, |_| true).unwrap_err().to_string();
+    let refusal = asked(three).unwrap().answer(|_| true).unwrap_err().to_string();
     assert_eq!(refusal, "what the set may add over the horizon, values, is 1500, it must be at most 1000");
     assert!(refused(aside("w", None)).contains("axis is \"w\""));
+    for unnamed in [question(), EnvelopeQuestion { sensors: of(&["imu 1"]), ..aside("x", None) }] {
+        let refusal = refused(EnvelopeQuestion { proof: true, ..unnamed });
+        assert_eq!(refusal, "proof is true, it is told of one set of `sensors` along z");
+    }
     assert!(
         refused(EnvelopeQuestion { axis: None, ..aside("x", Some("pose")) }).contains("with axis x or y also gnss")
     );

@@ -41,7 +41,9 @@ use watermark::{Block, Watermark};
 
 pub use config::{AttackPolicy, EnvelopeDemand, FlightConfig, RigKind};
 pub use report::{Check, Failsafe, FlightStatus, StepReport};
-pub use rotors::{LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, information as rotor_information};
+pub use rotors::{
+    LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, SIGMA as ROTOR_SIGMA, information as rotor_information,
+};
 
 /// Why a flight cannot be set up.
 #[derive(Debug, thiserror::Error)]

@@ -53,6 +53,9 @@ pub struct EnvelopeArguments {
     /// One JSON line for each set instead of the table.
     #[arg(long)]
     json: bool,
+    /// In the JSON line also the maximising sequence, and the multipliers that prove the bound; of one set, --sensors.
+    #[arg(long, requires = "json")]
+    proof: bool,
 }
 
 impl EnvelopeArguments {
@@ -74,6 +77,8 @@ impl EnvelopeArguments {
             more: self.more.clone(),
             horizon_s: self.horizon_s,
             noise_mps2: self.noise_mps2,
+            climb: self.climb,
+            proof: self.proof,
         };
         let asked = Asked::new(&question, Some(suite))?;
         let mut out = std::io::stdout();
@@ -86,7 +91,7 @@ impl EnvelopeArguments {
             writeln!(out, "{:<24} {one:>12} {two:>12} {three:>10} {:>9}  holds", "attacked", "solved")?;
         }
         let mut failed = None;
-        asked.answer(self.climb, |set| {
+        asked.answer(|set| {
             let line = if self.json { serde_json::to_string(set).map_err(Failure::from) } else { Ok(row(set)) };
             let written = line.and_then(|line| Ok(writeln!(out, "{line}")?));
             failed = written.err();

@@ -100,7 +100,7 @@ async fn answer(
         return Ok(Json(known));
     }
     let (question, suite) = key.clone();
-    let work = move |waited: &Waited| Ok(Asked::new(&question, suite)?.answer(false, |_| waited.check().is_ok())?);
+    let work = move |waited: &Waited| Ok(Asked::new(&question, suite)?.answer(|_| waited.check().is_ok())?);
     let answer = app.computing.run(work).await?;
     app.envelopes.keep(key, answer.clone());
     Ok(Json(answer))

@@ -38,6 +38,12 @@ pub struct EnvelopeQuestion {
     /// Noise that the lanes measure of their accelerometers, m/s²; what they assume where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_mps2: Option<f64>,
+    /// The climb as well, along z.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub climb: bool,
+    /// The maximising sequence and the certificate as well; only of one set along z, `sensors`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub proof: bool,
 }
 
 /// The bounds of all sets asked for.
@@ -91,6 +97,59 @@ pub struct EnvelopeSet {
     pub binding: Option<String>,
     /// Solved in, ms; 0 where another set has the same program.
     pub took_ms: f64,
+    /// The sequence that moves the altitude by `reached_m`, silently; where that was asked.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub attack: Vec<EnvelopeSequence>,
+    /// What proves `altitude_m`; where that was asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub certificate: Option<EnvelopeCertificate>,
+}
+
+/// What is added to the samples of one sensor, one after another.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct EnvelopeSequence {
+    /// By name.
+    pub sensor: String,
+    /// Between two of them, s; of an IMU a slot, whose samples all have the same added.
+    pub period_s: f64,
+    /// m, along z m/s² of an IMU.
+    pub values: Vec<f64>,
+}
+
+/// Why no silent attack goes further: cᵀa ≤ Σ |λᵢ| lᵢ + Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ for any λ, and these are some.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct EnvelopeCertificate {
+    /// `full`: every sensor weighs fully; `outvoted`: healthy heights weigh as little as just before their exclusion. The larger
+    /// bound is told, and this is its certificate.
+    pub regime: String,
+    /// λᵢ and lᵢ.
+    pub multipliers: Vec<EnvelopeMultiplier>,
+    /// The second sum, m: what the multipliers leave to the most that may be added.
+    pub added_m: f64,
+}
+
+/// A detector at one time, and its multiplier.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct EnvelopeMultiplier {
+    /// Its name.
+    pub detector: String,
+    /// Whose, where it is a sensor's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
+    /// When, s.
+    pub time_s: f64,
+    /// l, in the unit of its statistic.
+    pub limit: f64,
+    /// λ, m for each of that unit.
+    pub multiplier: f64,
+    /// Statistics that it is made of: more than one where a sum of squares was cut there.
+    pub statistics: usize,
 }
 
 /// An attack to be prepared, or one to be judged before it flies (`POST /api/v1/envelope/attack`).
@@ -108,6 +167,9 @@ pub struct AttackQuestion {
     /// Of a covert one, m/s².
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accel_mps2: Option<f64>,
+    /// rms of the vehicle's watermark, m/s², where it flies one: what tells a replayed accelerometer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub watermark_mps2: Option<f64>,
     /// After the schedule is accepted, s.
     #[serde(default)]
     pub start_s: f64,
@@ -123,13 +185,14 @@ pub struct AttackQuestion {
 pub struct PreparedAttack {
     /// As a schedule has them.
     pub attacks: Vec<PlannedAttack>,
-    /// Part of flights in which an attacked sensor is excluded: drawn noise of the data sheets, about hover.
+    /// Part of flights in which an attacked sensor is excluded: drawn noise of the data sheets, about hover. Of a rotor in which
+    /// it is isolated, of a replay in which the watermark tells it: by closed forms, which `note` says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
     /// Furthest that they move the altitude of the linear loop, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub altitude_m: Option<f64>,
-    /// Why nothing is expected of some.
+    /// Why nothing is expected of some; by what else than draws, and of what, something is; what a sequence is not.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub note: String,
 }

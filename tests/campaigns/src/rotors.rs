@@ -4,8 +4,9 @@
 //! feels it. Hover at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place by eye. `--flights N` flies so
 //! many of each row, `--seed-base N` begins elsewhere, `--only NAME` flies `clean`, `kept`, `power` or `lost`, `--quick` a tenth.
 
+use plumbline_agent::envelope::theory::rotor_isolated;
 use plumbline_experiment::draw::{median, parallel, percentile, worst};
-use plumbline_support::rotors::{AFTER_S, Flown, How, RIGS, fly, predicted};
+use plumbline_support::rotors::{AFTER_S, Flown, How, RIGS, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
@@ -144,7 +145,7 @@ fn power(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         for within_s in [WITHIN_S, AFTER_S] {
             let soon = |f: &&Flown| f.right() && f.isolated.is_some_and(|(after, _)| after <= within_s);
             let found = flown.iter().filter(soon).count();
-            let by_formula: Vec<f64> = flown.iter().map(|f| predicted(loss, information(f), within_s)).collect();
+            let by_formula: Vec<f64> = flown.iter().map(|f| rotor_isolated(loss, information(f), within_s)).collect();
             let formula = by_formula.iter().sum::<f64>() / by_formula.len() as f64;
             let part = found as f64 / flown.len() as f64;
             let [low, high] = interval(found, flown.len());
@@ -170,7 +171,7 @@ fn power(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.table("power", "Isolated, flown and by formula", &headers, &rows)
 }
 
-/// S of [`predicted`]: what a whole rotor at hover adds to the innovations, in their sigmas, each 2T.
+/// S of [`rotor_isolated`]: what a whole rotor at hover adds to the innovations, in their sigmas, each 2T.
 fn information(flown: &Flown) -> f64 {
     plumbline_agent::flight::rotor_information(
         &plumbline_agent::model::airframe::Airframe::iris(),

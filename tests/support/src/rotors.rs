@@ -172,26 +172,3 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
     flown.lost = outcome.unwrap().lost;
     flown
 }
-
-/// How likely a loss ℓ is isolated within `within_s`, by the theory of the sum: a Brownian motion of drift (ℓ ℓ₀ − ½ ℓ₀²) S
-/// and variance ℓ₀² S passes h by then (Wald 1947, inverse Gaussian). S is the information of a whole rotor in a second.
-pub fn predicted(loss: f64, information: f64, within_s: f64) -> f64 {
-    let (least, limit) = (plumbline_agent::flight::ROTOR_LOSS, plumbline_agent::flight::ROTOR_LIMIT);
-    let drift = (loss * least - 0.5 * least * least) * information;
-    let spread = least * information.sqrt();
-    let root = within_s.sqrt();
-    let first = normal((drift * within_s - limit) / (spread * root));
-    let exponent = 2.0 * drift * limit / (spread * spread);
-    let second = normal((-drift * within_s - limit) / (spread * root));
-    (first + if second > 0.0 { (exponent + second.ln()).exp() } else { 0.0 }).clamp(0.0, 1.0)
-}
-
-/// Φ, by the complementary error function of Abramowitz & Stegun 7.1.26 (1.5e-7).
-fn normal(x: f64) -> f64 {
-    let z = x.abs() / std::f64::consts::SQRT_2;
-    let t = 1.0 / (1.0 + 0.327_591_1 * z);
-    let poly =
-        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
-    let tail = 0.5 * poly * (-z * z).exp();
-    if x > 0.0 { 1.0 - tail } else { tail }
-}

@@ -37,6 +37,9 @@ fn told(expected: &PreparedAttack) -> String {
             format::fixed(100.0 * part, 0),
             format::fixed(100.0 * most_m, 1)
         ),
+        (Some(part), None) => {
+            format!("Expected in {} % of flights: {}.", format::fixed(100.0 * part, 0), expected.note)
+        }
         _ => expected.note.clone(),
     }
 }
@@ -87,6 +90,7 @@ pub fn Prepare(
     let chosen = RwSignal::new(vec!["height 2".to_owned()]);
     let (duration, accel) = (RwSignal::new("10".to_owned()), RwSignal::new("0.02".to_owned()));
     let (refusal, busy) = (RwSignal::new(String::new()), RwSignal::new(false));
+    let note = RwSignal::new(String::new());
     let sensors = Memo::new(move |_| {
         ctx.live(|live| {
             let all = live.description.get().map(|told| told.sensors.clone()).unwrap_or_default();
@@ -123,6 +127,7 @@ pub fn Prepare(
             Err(why) => return refusal.set(why),
         };
         refusal.set(String::new());
+        note.set(String::new());
         busy.set(true);
         leptos::task::spawn_local(async move {
             let answer = ask(ctx, question).await;
@@ -131,6 +136,7 @@ pub fn Prepare(
                 Ok(found) => {
                     let prepared = found.attacks.iter().filter_map(Draft::prepared);
                     let _ = drafts.try_update(|all| all.extend(prepared));
+                    let _ = note.try_set(found.note);
                 }
                 Err(why) => {
                     let _ = refusal.try_set(why);
@@ -171,6 +177,7 @@ pub fn Prepare(
                 </label>
                 <button type="submit" disabled=busy>{move || if busy.get() { "Preparing…" } else { "Prepare" }}</button>
                 <p class="bad" role="alert">{move || refusal.get()}</p>
+                <p class="quiet num" aria-live="polite">{move || note.get()}</p>
             </form>
         </details>
     }
@@ -190,5 +197,8 @@ mod tests {
         );
         let note = PreparedAttack { note: "nothing is expected of replay".into(), ..PreparedAttack::default() };
         assert_eq!(told(&note), "nothing is expected of replay");
+        let rotor =
+            PreparedAttack { probability: Some(0.996), note: "rotor 2 isolated".into(), ..PreparedAttack::default() };
+        assert_eq!(told(&rotor), "Expected in 100 % of flights: rotor 2 isolated.");
     }
 }

@@ -25,6 +25,7 @@ pub mod prepare;
 pub mod program;
 pub mod prototype;
 pub mod sets;
+pub mod theory;
 
 use nalgebra::DVector;
 use plumbline_core::linalg::LinalgError;

@@ -2,12 +2,15 @@
 //!
 //! | generator | what is added |
 //! |---|---|
-//! | optimal | the maximising sequence of the envelope, sample by sample |
+//! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample |
 //! | stealthy bias | the same constant to every height attacked, the largest seen in one of twenty flights |
 //! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again |
 
 use plumbline_core::attack::Bounds;
+use plumbline_core::flight::{ROTOR_SIGMA, rotor_information};
+use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::suite::Suite;
+use plumbline_core::types::ROTORS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
@@ -15,8 +18,8 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack}
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
-use super::sets::{Asked, Verdict, verdict, wrong};
-use super::{Deviation, EnvelopeError, Model, columns};
+use super::sets::{Asked, Verdict, sequences, verdict, wrong};
+use super::{Deviation, EnvelopeError, program, theory};
 
 /// A stealthy bias is seen in so many flights …
 const STEALTHY: f64 = 0.05;
@@ -28,6 +31,10 @@ const LARGEST_M: f64 = 0.5;
 const SEED: u64 = 21;
 /// Longest attack that is judged, s.
 const LONGEST_S: f64 = 60.0;
+/// The closed form of a rotor's loss holds in flight from this loss on, or up to this one.
+const LOSSES: (f64, f64) = (0.1, 0.02);
+/// Largest watermark that can be configured, m/s².
+const WATERMARK_MPS2: f64 = 0.5;
 
 /// Prepares what `question` asks for, of the vehicle with the sensors of `suite`, and judges it.
 ///
@@ -56,10 +63,11 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         seed: 1,
         ..PlannedAttack::default()
     };
+    let mut note = String::new();
     let attacks = match question.generator.as_deref() {
         None => question.attacks.clone(),
         Some("optimal") => {
-            let (found, _) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
+            let (found, regime) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
             let Verdict::Bounded(bound) = found else {
                 return Err(wrong(
                     "sensors",
@@ -67,19 +75,28 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
                 ));
             };
             let model = asked.flying.attacked(&set, Regime::Full)?;
-            let every = model.attacked().into_iter().zip(columns(&model, asked.horizon_s));
-            let one =
-                |((sensor, period_s, allowed), (_, first, count)): ((SensorId, f64, f64), (SensorId, usize, usize))| {
-                    let values: Vec<f64> =
-                        bound.attack.rows(first, count).iter().map(|x| x.clamp(-allowed, allowed)).collect();
-                    let most = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
-                    PlannedAttack {
-                        sequence: values.into_iter().map(|x| x / most).collect(),
-                        sequence_period_s: Some(period_s),
-                        ..planned(sensor, "bias", most)
-                    }
-                };
-            every.map(one).collect()
+            let attack = if regime == Regime::Full {
+                bound.attack
+            } else {
+                // What flies and is judged has everything weighing fully.
+                let full = program(&model, asked.horizon_s, Deviation::Place)?.solve()?;
+                note = format!(
+                    "The bound of {:.1} cm has the healthy heights outvoted all the time, which no flight can; this is the \
+                     sequence with all of them weighing fully, which reaches {:.1} cm.",
+                    100.0 * bound.upper,
+                    100.0 * full.reached,
+                );
+                full.attack
+            };
+            let one = |(sensor, period_s, values): (SensorId, f64, Vec<f64>)| {
+                let most = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
+                PlannedAttack {
+                    sequence: values.into_iter().map(|x| x / most).collect(),
+                    sequence_period_s: Some(period_s),
+                    ..planned(sensor, "bias", most)
+                }
+            };
+            sequences(&model, &attack, asked.horizon_s).into_iter().map(one).collect()
         }
         Some("stealthy_bias") => {
             let bias_m = stealthy_m(&asked, &set)?;
@@ -102,13 +119,72 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
             return Err(wrong("generator", problem));
         }
     };
-    let (found, note) = judged(&asked, &attacks)?;
+    if let Some(rms_mps2) = question.watermark_mps2.filter(|rms_mps2| !(0.0..=WATERMARK_MPS2).contains(rms_mps2)) {
+        return Err(wrong("watermark_mps2", format!("is {rms_mps2}, it must be 0 to {WATERMARK_MPS2}")));
+    }
+    if let Some((probability, note)) = closed(&asked, &attacks, question.watermark_mps2.unwrap_or(0.0))? {
+        return Ok(PreparedAttack { attacks, probability: Some(probability), altitude_m: None, note });
+    }
+    let (found, why) = judged(&asked, &attacks)?;
+    note.push_str(&why);
     Ok(PreparedAttack {
         attacks,
         probability: found.as_ref().map(Expected::probability),
         altitude_m: found.as_ref().map(|found| found.altitude_m),
         note,
     })
+}
+
+/// What is expected of a schedule of one attack by a closed form, and by which.
+fn closed(
+    asked: &Asked,
+    attacks: &[PlannedAttack],
+    watermark_mps2: f64,
+) -> Result<Option<(f64, String)>, EnvelopeError> {
+    let [attack] = attacks else { return Ok(None) };
+    let along_z = ["all", "accel", "accel_z"].contains(&attack.channel.as_str());
+    let lasts_s = attack.duration_s.max(0.0);
+    Ok(match (attack.sensor.as_str(), attack.kind.as_str()) {
+        ("imu", "replay") if along_z && watermark_mps2 > 0.0 => {
+            let note = format!(
+                "imu {} told by a watermark of {watermark_mps2} m/s², which excludes nobody: by the deflection and spread flown with \
+                 0.1 m/s²",
+                attack.instance
+            );
+            Some((theory::replay_told(watermark_mps2, lasts_s), note))
+        }
+        ("rotor", "scale") if (1..=ROTORS as u32).contains(&attack.instance) => {
+            let loss = 1.0 - attack.magnitude;
+            let (from, to) = LOSSES;
+            if !(0.0..=to).contains(&loss) && !(from..=1.0).contains(&loss) {
+                return Ok(None);
+            }
+            let airframe = Airframe::by_name(&asked.airframe).map_err(|e| wrong("airframe", e.to_string()))?;
+            let information = rotor_information(&airframe, attack.instance as usize - 1, &ROTOR_SIGMA.into());
+            let note = format!(
+                "rotor {} isolated, whatever estimator is in the loop: by the theory of its sum (Wald 1947) in a calm flight",
+                attack.instance
+            );
+            Some((theory::rotor_isolated(loss, information, lasts_s), note))
+        }
+        _ => None,
+    })
+}
+
+/// Why nothing is expected of an attack.
+fn unknown(attack: &PlannedAttack) -> String {
+    let PlannedAttack { kind, channel, sensor, instance, magnitude, .. } = attack;
+    let why = match (sensor.as_str(), kind.as_str()) {
+        ("imu", "replay") => ": at hover it is noise of another time, which only a watermark (`watermark_mps2`) tells",
+        (_, "replay") => ": at hover it is noise of another time, which no judge tells from that of now",
+        (_, "time_shift") => ": what stamps do to the slots of the lanes is not in the model",
+        ("height" | "imu", "noise") => ": it moves the estimate that it is judged by another way in each flight",
+        ("rotor", "scale") if (LOSSES.1..LOSSES.0).contains(&(1.0 - magnitude)) => {
+            ": between a loss of 2 and of 10 % the theory says more than what is flown"
+        }
+        _ => "",
+    };
+    format!("nothing is expected of {kind} on {channel} of {sensor} {instance}{why}")
 }
 
 /// Power: what is expected of the attacks of `question` with their magnitudes times each of `parts`; with 0 those are false alarms.
@@ -190,10 +266,7 @@ fn judged(asked: &Asked, attacks: &[PlannedAttack]) -> Result<(Option<Expected>,
     for attack in attacks {
         let sensor = name(attack).parse::<SensorId>().ok().filter(|sensor| asked.flying.sensors.contains(sensor));
         let (Some(sensor), Some(adds)) = (sensor, added(attack, first_s)) else {
-            return Ok((
-                None,
-                format!("nothing is expected of {} on {} of {}", attack.kind, attack.channel, name(attack)),
-            ));
+            return Ok((None, unknown(attack)));
         };
         match of.iter_mut().find(|(known, _)| *known == sensor) {
             Some((_, all)) => all.push(adds),

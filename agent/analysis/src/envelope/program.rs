@@ -38,7 +38,7 @@ pub enum Memory {
 
 impl Memory {
     /// What a square of `age_s` counts.
-    fn weight(self, age_s: f64) -> f64 {
+    pub fn weight(self, age_s: f64) -> f64 {
         match self {
             _ if age_s < -1e-9 => 0.0,
             Self::Forgotten(within_s) => (-age_s / within_s).exp(),
@@ -61,6 +61,27 @@ pub struct Statistic {
     /// m.
     pub row: Signal,
 }
+
+/// One multiplier of a certificate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Multiplier {
+    /// λ; its sign says which side of the limit.
+    pub value: f64,
+    /// Detector, sensor, when, and its limit l.
+    pub detector: &'static str,
+    /// See [`Statistic`].
+    pub sensor: Option<SensorId>,
+    /// s.
+    pub time_s: f64,
+    /// l.
+    pub limit: f64,
+    /// m as statistics of the program, by their places, each times so much: itself, or those whose squares were cut.
+    pub of: Vec<(usize, f64)>,
+}
+
+/// A linear one that follows from squares, and what it is made of.
+#[derive(Debug)]
+struct Cut(Statistic, Vec<(usize, f64)>);
 
 /// See the module of the envelope.
 #[derive(Debug, Clone)]
@@ -86,6 +107,10 @@ pub struct Bound {
     pub attack: Signal,
     /// The detector that holds most of the bound; `None` where the most that may be added does.
     pub binding: Option<&'static str>,
+    /// λ, the proof of `upper`: Σ |λᵢ| lᵢ, and `added`.
+    pub certificate: Vec<Multiplier>,
+    /// Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ.
+    pub added: f64,
     /// Of the interior point method.
     pub steps: usize,
 }
@@ -96,7 +121,7 @@ impl Program {
     /// # Errors
     /// [`EnvelopeError::Infeasible`] for a limit that nothing keeps, [`EnvelopeError::Solver`].
     pub fn solve(&self) -> Result<Bound, EnvelopeError> {
-        let mut cuts: Vec<Statistic> = Vec::new();
+        let mut cuts: Vec<Cut> = Vec::new();
         let mut best = self.kept()?;
         for _ in 0..ROUNDS {
             let found = self.within(&cuts)?;
@@ -144,7 +169,7 @@ impl Program {
     }
 
     /// The largest sum of squares that `attack` makes, and the cuts that it does not keep.
-    fn cut(&self, attack: &Signal) -> (f64, Vec<Statistic>) {
+    fn cut(&self, attack: &Signal) -> (f64, Vec<Cut>) {
         let (mut largest, mut cuts) = (0.0_f64, Vec::new());
         for (detector, memory) in &self.squares {
             let of = |sensor| move |s: &&Statistic| s.detector == *detector && s.sensor == sensor;
@@ -155,25 +180,28 @@ impl Program {
                 }
             }
             for sensor in sensors {
-                let mine: Vec<&Statistic> = self.statistics.iter().filter(of(sensor)).collect();
-                let x: Vec<f64> = mine.iter().map(|s| s.row.dot(attack) / s.limit).collect();
+                let mine: Vec<(usize, &Statistic)> =
+                    self.statistics.iter().enumerate().filter(|(_, s)| of(sensor)(s)).collect();
+                let x: Vec<f64> = mine.iter().map(|(_, s)| s.row.dot(attack) / s.limit).collect();
                 let mut next_s = f64::NEG_INFINITY;
-                for end in &mine {
-                    let weights = || mine.iter().zip(&x).map(|(s, x)| (s, x, memory.weight(end.time_s - s.time_s)));
+                for (_, end) in &mine {
+                    let weights = || mine.iter().zip(&x).map(|(s, x)| (s, x, memory.weight(end.time_s - s.1.time_s)));
                     let sum: f64 = weights().map(|(_, x, weight)| weight * x * x).sum();
                     largest = largest.max(sum);
                     if sum <= 1.0 + 1e-6 || end.time_s < next_s {
                         continue;
                     }
                     next_s = end.time_s + CUT_S - 1e-9;
-                    let mut row = Signal::zeros(attack.len());
-                    for (s, x, weight) in weights().filter(|(_, _, weight)| *weight > 1e-4) {
-                        row.axpy(weight * x / (s.limit * sum.sqrt()), &s.row, 1.0);
+                    let (mut row, mut made_of) = (Signal::zeros(attack.len()), Vec::new());
+                    for ((place, s), x, weight) in weights().filter(|(_, _, weight)| *weight > 1e-4) {
+                        let part = weight * x / (s.limit * sum.sqrt());
+                        row.axpy(part, &s.row, 1.0);
+                        made_of.push((*place, part));
                     }
                     // What was left out of the sum is in the limit.
                     let rest: f64 = weights().filter(|(_, _, weight)| *weight <= 1e-4).map(|(_, x, w)| w * x * x).sum();
                     let limit = ((sum - rest) / sum).sqrt();
-                    cuts.push(Statistic { detector, sensor, time_s: end.time_s, limit, row });
+                    cuts.push(Cut(Statistic { detector, sensor, time_s: end.time_s, limit, row }, made_of));
                 }
             }
         }
@@ -181,7 +209,7 @@ impl Program {
     }
 
     /// Without the squares, but for these `cuts`.
-    fn within(&self, cuts: &[Statistic]) -> Result<Bound, EnvelopeError> {
+    fn within(&self, cuts: &[Cut]) -> Result<Bound, EnvelopeError> {
         for s in &self.statistics {
             if s.limit.is_nan() || s.limit <= 0.0 || !s.row.iter().all(|x| x.is_finite()) {
                 return Err(EnvelopeError::Infeasible { detector: s.detector, limit: s.limit });
@@ -189,9 +217,12 @@ impl Program {
         }
         // Those that can pass their limit, in the order of time; columns as they are first heard of.
         let loud =
-            |s: &&Statistic| s.row.iter().zip(&self.most).map(|(x, most)| (x * most).abs()).sum::<f64>() > s.limit;
-        let mut heard: Vec<&Statistic> = self.statistics.iter().chain(cuts).filter(loud).collect();
-        heard.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+            |s: &Statistic| s.row.iter().zip(&self.most).map(|(x, most)| (x * most).abs()).sum::<f64>() > s.limit;
+        let itself = self.statistics.iter().enumerate().map(|(place, s)| (s, vec![(place, 1.0)]));
+        let mut all: Vec<_> =
+            itself.chain(cuts.iter().map(|cut| (&cut.0, cut.1.clone()))).filter(|(s, _)| loud(s)).collect();
+        all.sort_by(|a, b| a.0.time_s.total_cmp(&b.0.time_s));
+        let heard: Vec<&Statistic> = all.iter().map(|(s, _)| *s).collect();
         let n = self.objective.len();
         let first = |j: &usize| heard.iter().position(|s| s.row[*j] != 0.0).unwrap_or(heard.len());
         let mut order: Vec<usize> = (0..n).collect();
@@ -200,12 +231,16 @@ impl Program {
         let m = DMatrix::from_fn(heard.len(), n, scaled);
         let most = Signal::from_iterator(n, order.iter().map(|j| self.most[*j]));
         let mut interior = Interior::new(m, self.objective.select_rows(&order), &most);
-        let mut best: Option<Bound> = None;
+        let (mut best, mut proof): (Option<Bound>, _) = (None, Vec::new());
         for steps in 1..=STEPS {
             let nearer = interior.step();
             let mut attack = Signal::zeros(n);
             order.iter().zip(&interior.attack).for_each(|(j, x)| attack[*j] = *x);
-            let found = self.certified(&attack, &heard, &interior.signed(), steps);
+            let multipliers = interior.signed();
+            let found = self.certified(&attack, &heard, &multipliers, steps);
+            if best.as_ref().is_none_or(|best| found.upper < best.upper) {
+                proof = multipliers;
+            }
             // Of either the best so far: each proves itself.
             best = Some(match best.take() {
                 Some(before) => before.and(found),
@@ -217,7 +252,15 @@ impl Program {
             }
         }
         let near = |best: &Bound| best.upper.is_finite() && best.reached >= LEAST * best.upper;
-        best.filter(near).ok_or_else(|| self.unsolved(heard.len()))
+        let mut best = best.filter(near).ok_or_else(|| self.unsolved(heard.len()))?;
+        let multipliers = all.into_iter().zip(proof).filter(|(_, z)| z.is_finite() && *z != 0.0);
+        best.certificate = multipliers
+            .map(|((s, of), z)| {
+                let Statistic { detector, sensor, time_s, limit, .. } = *s;
+                Multiplier { value: z / limit, detector, sensor, time_s, limit, of }
+            })
+            .collect();
+        Ok(best)
     }
 
     /// What attack and multipliers prove. Neither is taken on trust.
@@ -245,6 +288,8 @@ impl Program {
             upper: upper + rest,
             reached: self.objective.dot(&attack),
             binding: binding.map(|(detector, _)| *detector),
+            certificate: Vec::new(),
+            added: rest,
             attack,
             steps,
         }
@@ -255,10 +300,13 @@ impl Bound {
     /// The better of each.
     fn and(self, other: Self) -> Self {
         let (steps, nearer) = (other.steps, other.reached > self.reached);
-        let (upper, binding) =
-            if other.upper < self.upper { (other.upper, other.binding) } else { (self.upper, self.binding) };
+        let (upper, binding, certificate, added) = if other.upper < self.upper {
+            (other.upper, other.binding, other.certificate, other.added)
+        } else {
+            (self.upper, self.binding, self.certificate, self.added)
+        };
         let (reached, attack) = if nearer { (other.reached, other.attack) } else { (self.reached, self.attack) };
-        Self { upper, reached, attack, binding, steps }
+        Self { upper, reached, attack, binding, certificate, added, steps }
     }
 }
 
@@ -268,6 +316,22 @@ mod tests {
 
     fn statistic(row: &[f64], limit: f64) -> Statistic {
         Statistic { detector: "test", sensor: None, time_s: 0.0, limit, row: Signal::from_column_slice(row) }
+    }
+
+    /// What the certificate alone proves; that each cut follows from its squares is looked at as well.
+    fn summed(program: &Program, bound: &Bound) -> f64 {
+        let (mut left, mut sum) = (program.objective.clone(), 0.0);
+        for one in &bound.certificate {
+            let of = || one.of.iter().map(|(place, part)| (&program.statistics[*place], part));
+            of().for_each(|(s, part)| left.axpy(-one.value * part, &s.row, 1.0));
+            let squares = program.squares.iter().find(|(detector, _)| *detector == one.detector);
+            // Cauchy and Schwarz; one alone keeps its own limit.
+            let weight = |s: &Statistic| squares.map_or(1.0, |(_, memory)| memory.weight(one.time_s - s.time_s));
+            let limit = of().map(|(s, part)| (part * s.limit).powi(2) / weight(s)).sum::<f64>().sqrt();
+            assert!(limit <= one.limit * (1.0 + 1e-9), "{limit} of {one:?}");
+            sum += one.value.abs() * one.limit;
+        }
+        sum + left.iter().zip(&program.most).map(|(left, most)| left.abs() * most).sum::<f64>()
     }
 
     #[test]
@@ -285,6 +349,7 @@ mod tests {
             "{bound:?}"
         );
         assert!(bound.reached <= bound.upper && bound.binding == Some("test"));
+        assert!((summed(&program, &bound) / bound.upper - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -299,6 +364,8 @@ mod tests {
         let bound = program.solve().unwrap();
         assert!(bound.upper >= 10.0 && bound.upper < 10.5 && bound.reached > 9.6 && bound.reached <= 10.0, "{bound:?}");
         assert!((bound.attack.norm() - 2.0).abs() < 1e-3);
+        assert!((summed(&program, &bound) / bound.upper - 1.0).abs() < 1e-12);
+        assert!(bound.certificate.iter().any(|one| one.of.len() == 2), "{bound:?}");
         let free = Program { squares: Vec::new(), ..program };
         assert!((free.solve().unwrap().upper - 14.0).abs() < 0.02);
         assert_eq!([0.0, 0.5, 1.0].map(|age| Memory::Last(1.0).weight(age)), [1.0, 1.0, 0.0]);

@@ -14,12 +14,14 @@ use plumbline_core::sensor::suite::{PRESETS, Suite};
 use plumbline_core::types::TICK_RATE_HZ;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
-use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet};
+use plumbline_rest::envelope::{
+    Envelope, EnvelopeCertificate, EnvelopeMultiplier, EnvelopeQuestion, EnvelopeSequence, EnvelopeSet,
+};
 
 use super::flying::{Attacked, Loop, Regime};
 use super::lateral::{self, Lateral};
-use super::program::{Bound, Program};
-use super::{Deviation, EnvelopeError, Model as _, program, recession_mps};
+use super::program::{Bound, Multiplier, Program};
+use super::{Deviation, EnvelopeError, Model, Signal, columns, program, recession_mps};
 use crate::design::DesignError;
 use crate::design::file::{field, proposal};
 
@@ -205,8 +207,10 @@ pub struct Asked {
     /// That of a horizontal axis, where one is asked about.
     pub lateral: Option<Lateral>,
     suite: String,
-    airframe: String,
+    pub(super) airframe: String,
     pub(super) horizon_s: f64,
+    climb: bool,
+    proof: bool,
     /// In order, the smaller first.
     pub sets: Vec<Vec<SensorId>>,
 }
@@ -247,6 +251,9 @@ impl Asked {
         if !TICK_RATE_HZ.contains(&tick_rate_hz) {
             return Err(wrong("tick_rate_hz", format!("is {tick_rate_hz}, it must be 50 to 1000")));
         }
+        if question.proof && (axis.is_some() || question.sensors.is_none()) {
+            return Err(wrong("proof", "is true, it is told of one set of `sensors` along z".into()));
+        }
         let horizon_s = question.horizon_s.unwrap_or(match axis {
             Some(_) => LATERAL_HORIZON_S,
             None => USUAL_HORIZON_S,
@@ -275,24 +282,42 @@ impl Asked {
         });
         let lateral = lateral.transpose()?;
         let sets = sets_of(question, lateral.as_ref().map_or(&flying.sensors, |lateral| &lateral.sensors))?;
-        Ok(Self { flying, lateral, suite: name.to_owned(), airframe: airframe.name.clone(), horizon_s, sets })
+        let (suite, airframe) = (name.to_owned(), airframe.name.clone());
+        let EnvelopeQuestion { climb, proof, .. } = *question;
+        Ok(Self { flying, lateral, suite, airframe, horizon_s, climb, proof, sets })
     }
 
     /// What `set` can do to the altitude.
-    fn above(&self, set: &[SensorId], climb: bool) -> Result<EnvelopeSet, EnvelopeError> {
+    fn above(&self, set: &[SensorId]) -> Result<EnvelopeSet, EnvelopeError> {
         let of = |deviation| verdict(&self.flying, set, self.horizon_s, deviation);
-        let mut found = told(&of(Deviation::Place)?.0);
-        if climb && let (Verdict::Bounded(bound), _) = of(Deviation::Speed)? {
+        let (place, regime) = of(Deviation::Place)?;
+        let mut found = told(&place);
+        if self.proof
+            && let Verdict::Bounded(bound) = &place
+        {
+            let model = self.flying.attacked(set, regime)?;
+            let sequences = sequences(&model, &bound.attack, self.horizon_s).into_iter();
+            let named = |(sensor, period_s, values): (SensorId, f64, Vec<f64>)| EnvelopeSequence {
+                sensor: sensor.to_string(),
+                period_s,
+                values,
+            };
+            found.attack = sequences.map(named).collect();
+            found.certificate = Some(certificate(bound, regime));
+        }
+        if self.climb
+            && let (Verdict::Bounded(bound), _) = of(Deviation::Speed)?
+        {
             found.climb_mps = Some(bound.upper);
         }
         Ok(found)
     }
 
-    /// Every set; with `climb` its largest climb as well. `line` is told each as it comes, and ends it with false.
+    /// Every set; `line` is told each as it comes, and ends it with false.
     ///
     /// # Errors
     /// [`EnvelopeError`].
-    pub fn answer(&self, climb: bool, mut line: impl FnMut(&EnvelopeSet) -> bool) -> Result<Envelope, EnvelopeError> {
+    pub fn answer(&self, mut line: impl FnMut(&EnvelopeSet) -> bool) -> Result<Envelope, EnvelopeError> {
         let mut known: Vec<((Vec<SensorId>, usize), EnvelopeSet)> = Vec::new();
         let mut sets = Vec::with_capacity(self.sets.len());
         for set in &self.sets {
@@ -303,7 +328,7 @@ impl Asked {
                     let begun = Instant::now();
                     let mut found = match &self.lateral {
                         Some(lateral) => aside(lateral, set, self.horizon_s)?,
-                        None => self.above(set, climb)?,
+                        None => self.above(set)?,
                     };
                     found.took_ms = 1e3 * begun.elapsed().as_secs_f64();
                     known.push((class(set), found.clone()));
@@ -317,6 +342,32 @@ impl Asked {
             }
         }
         Ok(Envelope { suite: self.suite.clone(), airframe: self.airframe.clone(), horizon_s: self.horizon_s, sets })
+    }
+}
+
+/// What `attack` of `model` adds to each sensor: the time between two values, s, and the values.
+pub(super) fn sequences(model: &dyn Model, attack: &Signal, horizon_s: f64) -> Vec<(SensorId, f64, Vec<f64>)> {
+    let every = model.attacked().into_iter().zip(columns(model, horizon_s));
+    let one = |((sensor, period_s, most), (_, first, count)): ((SensorId, f64, f64), (SensorId, usize, usize))| {
+        (sensor, period_s, attack.rows(first, count).iter().map(|x| x.clamp(-most, most)).collect())
+    };
+    every.map(one).collect()
+}
+
+fn certificate(bound: &Bound, regime: Regime) -> EnvelopeCertificate {
+    let told = |of: &Multiplier| EnvelopeMultiplier {
+        detector: of.detector.to_owned(),
+        sensor: of.sensor.map(|sensor| sensor.to_string()),
+        time_s: of.time_s,
+        limit: of.limit,
+        multiplier: of.value,
+        statistics: of.of.len(),
+    };
+    let regime = if regime == Regime::Full { "full" } else { "outvoted" };
+    EnvelopeCertificate {
+        regime: regime.to_owned(),
+        multipliers: bound.certificate.iter().map(told).collect(),
+        added_m: bound.added,
     }
 }
 

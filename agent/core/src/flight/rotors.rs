@@ -39,7 +39,7 @@ const MEAN_S: f64 = 4.0;
 /// … and is one after so long, s.
 const LEARNED_S: f64 = 2.0;
 /// Least sigma of r: what the model leaves out in a calm flight, rad/s² and m/s².
-const SIGMA: Vector4<f64> = Vector4::new(0.5, 0.5, 0.3, 0.2);
+pub const SIGMA: Vector4<f64> = Vector4::new(0.5, 0.5, 0.3, 0.2);
 /// ℓ₀.
 pub const LOSS: f64 = 0.1;
 /// Limit of the sums: none of 120 drawn clean flights of a minute in `datasheet` passed it, nor with half the ℓ₀.

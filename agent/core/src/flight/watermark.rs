@@ -24,7 +24,7 @@ use crate::sensor::{MAX_IMUS, SensorFrame};
 /// Band, Hz.
 const BAND_HZ: (f64, f64) = (2.0, 5.0);
 /// Judged after so long, s.
-const BLOCK_S: f64 = 10.0;
+pub const BLOCK_S: f64 = 10.0;
 /// So much is not carried: exceeded by chance once in a thousand blocks.
 pub const LIMIT: f64 = 3.09;
 /// Watermarks that are never flown.

@@ -3,6 +3,7 @@
 use plumbline_agent::attack::{Channel, Kind};
 use plumbline_agent::envelope::expected::{DRAWN, Expected};
 use plumbline_agent::envelope::prepare::{power, prepared};
+use plumbline_agent::envelope::theory::block_told;
 use plumbline_agent::flight::watermark::{LIMIT, Settings};
 use plumbline_experiment::draw::parallel;
 use plumbline_proto::ids::SensorId;
@@ -26,10 +27,8 @@ const Z: f64 = 1.96;
 const RMS_MPS2: f64 = 0.1;
 const REPLAYED_S: f64 = 8.0;
 const REPLAY_S: f64 = 30.0;
-/// Its detection by the formula: 0.5 A √(25 h)/0.15 with h = 10 s.
+/// What t was designed to be at: 0.5 A √(25 h)/0.15 with h = 10 s.
 const DEFLECTION: f64 = 0.5 * RMS_MPS2 * 15.811_388 / 0.15;
-/// Of it, at one in a thousand.
-const EXPECTED: f64 = 0.985;
 
 /// Interval of a part \[Wilson 1927\].
 fn interval(of: u64, all: u64) -> (f64, f64) {
@@ -262,8 +261,9 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
     let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
     let (told, deflection) = (-mean(&replayed), -mean(&missing));
     let spread_t = (replayed.iter().map(|t| (t + told).powi(2)).sum::<f64>() / replayed.len().max(2) as f64).sqrt();
-    let holds = (low..=high).contains(&EXPECTED);
-    let more = json!({ "blocks": blocks, "low": low, "high": high, "expected": EXPECTED, "holds": holds, "rms_mps2": RMS_MPS2 });
+    let expected = block_told(RMS_MPS2);
+    let holds = (low..=high).contains(&expected);
+    let more = json!({ "blocks": blocks, "low": low, "high": high, "expected": expected, "holds": holds, "rms_mps2": RMS_MPS2 });
     report.value("watermark/detected", part, "of blocks of 10 s", more);
     let more = json!({ "spread": spread_t, "by_the_flights_own_sigma": deflection, "expected": DEFLECTION });
     report.value("watermark/deflection", told, "σ", more);
@@ -285,7 +285,7 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
             "replayed blocks told".into(),
             format!("{part:.3}"),
             format!("{low:.3} to {high:.3} of {blocks}"),
-            format!("{EXPECTED}"),
+            format!("{expected:.3}"),
         ],
         vec![
             "deflection, σ".into(),

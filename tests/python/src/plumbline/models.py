@@ -104,34 +104,39 @@ class Due(TypedDict):
     why: NotRequired[str]
 
 
+class EnvelopeMultiplier(TypedDict):
+    """A detector at one time, and its multiplier."""
+
+    detector: NotRequired[str]
+    limit: NotRequired[float]
+    multiplier: NotRequired[float]
+    sensor: NotRequired[str | None]
+    statistics: NotRequired[int]
+    time_s: NotRequired[float]
+
+
 class EnvelopeQuestion(TypedDict):
     """What is asked; what is left out is as usual."""
 
     axis: NotRequired[str | None]
+    climb: NotRequired[bool]
     design: NotRequired[Design]
     horizon_s: NotRequired[float | None]
     more: NotRequired[str | None]
     most: NotRequired[int | None]
     noise_mps2: NotRequired[float | None]
+    proof: NotRequired[bool]
     sensors: NotRequired[list[str] | None]
     suite: NotRequired[str | None]
     without: NotRequired[list[str]]
 
 
-class EnvelopeSet(TypedDict):
-    """The bound of one set of attacked sensors, from a flight without the attack."""
+class EnvelopeSequence(TypedDict):
+    """What is added to the samples of one sensor, one after another."""
 
-    altitude_m: NotRequired[float | None]
-    binding: NotRequired[str | None]
-    climb_mps: NotRequired[float | None]
-    drift_mps: NotRequired[float | None]
-    position_m: NotRequired[float | None]
-    reached: NotRequired[float | None]
-    reached_m: NotRequired[float | None]
-    sensors: NotRequired[list[str]]
-    tilt_rad: NotRequired[float | None]
-    took_ms: NotRequired[float]
-    velocity_mps: NotRequired[float | None]
+    period_s: NotRequired[float]
+    sensor: NotRequired[str]
+    values: NotRequired[list[float]]
 
 
 class Estimator(TypedDict):
@@ -589,6 +594,7 @@ class AttackQuestion(TypedDict):
     generator: NotRequired[str | None]
     of: NotRequired[EnvelopeQuestion]
     start_s: NotRequired[float]
+    watermark_mps2: NotRequired[float | None]
 
 
 class Condition(TypedDict):
@@ -620,13 +626,30 @@ class Controllers(TypedDict):
     controllers: NotRequired[list[Controller]]
 
 
-class Envelope(TypedDict):
-    """The bounds of all sets asked for."""
+class EnvelopeCertificate(TypedDict):
+    """Why no silent attack goes further: cᵀa ≤ Σ |λᵢ| lᵢ + Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ for any λ, and these are some."""
 
-    airframe: NotRequired[str]
-    horizon_s: NotRequired[float]
-    sets: NotRequired[list[EnvelopeSet]]
-    suite: NotRequired[str]
+    added_m: NotRequired[float]
+    multipliers: NotRequired[list[EnvelopeMultiplier]]
+    regime: NotRequired[str]
+
+
+class EnvelopeSet(TypedDict):
+    """The bound of one set of attacked sensors, from a flight without the attack."""
+
+    altitude_m: NotRequired[float | None]
+    attack: NotRequired[list[EnvelopeSequence]]
+    binding: NotRequired[str | None]
+    certificate: NotRequired[EnvelopeCertificate | None]
+    climb_mps: NotRequired[float | None]
+    drift_mps: NotRequired[float | None]
+    position_m: NotRequired[float | None]
+    reached: NotRequired[float | None]
+    reached_m: NotRequired[float | None]
+    sensors: NotRequired[list[str]]
+    tilt_rad: NotRequired[float | None]
+    took_ms: NotRequired[float]
+    velocity_mps: NotRequired[float | None]
 
 
 class Examined(TypedDict):
@@ -774,6 +797,15 @@ class Calibrations(TypedDict):
 
     calibrations: NotRequired[list[Calibration]]
     total: NotRequired[int]
+
+
+class Envelope(TypedDict):
+    """The bounds of all sets asked for."""
+
+    airframe: NotRequired[str]
+    horizon_s: NotRequired[float]
+    sets: NotRequired[list[EnvelopeSet]]
+    suite: NotRequired[str]
 
 
 class Flight(TypedDict):
