@@ -14,6 +14,8 @@ const EVERY_LOG: Duration = Duration::from_secs(20);
 const EVERY_TERMINAL: Duration = Duration::from_millis(200);
 /// What is built already is counted within moments: an estimate from then on would promise too much.
 const ESTIMATE_AFTER: Duration = Duration::from_secs(10);
+/// Share of the units that must have been built before their pace tells anything.
+const ESTIMATE_FROM: f64 = 0.05;
 
 /// What is being built. Cargo counts: a unit is a crate, a build script or its run.
 #[derive(Debug)]
@@ -156,8 +158,11 @@ impl State {
 impl Lane {
     /// As fast as since the estimate began.
     fn left(&self, elapsed: Duration) -> Option<Duration> {
-        let built = self.done.checked_sub(self.fresh?).filter(|built| *built > 0)?;
-        let left = self.all.saturating_sub(self.done) as f64 / built as f64;
+        let built = self.done.saturating_sub(self.fresh?) as f64;
+        if built <= ESTIMATE_FROM * self.all as f64 {
+            return None;
+        }
+        let left = self.all.saturating_sub(self.done) as f64 / built;
         Some(elapsed.saturating_sub(ESTIMATE_AFTER).mul_f64(left))
     }
 }
@@ -211,7 +216,7 @@ mod tests {
     fn what_is_left_is_told_at_the_pace_since_what_was_there_already_was_counted() {
         let lane = |done| Lane { name: "page", begun: Instant::now(), done, all: 300, fresh: Some(100) };
         assert_eq!(lane(200).left(Duration::from_secs(70)), Some(Duration::from_secs(60)));
-        assert_eq!(lane(100).left(Duration::from_secs(70)), None);
+        assert_eq!(lane(115).left(Duration::from_secs(70)), None);
         assert_eq!(about(Duration::from_secs(61)), "about 2 min left");
         assert_eq!(about(Duration::from_secs(60)), "about a minute left");
     }
