@@ -10,6 +10,7 @@ mod error;
 mod evaluate;
 mod fuzz;
 mod package;
+mod progress;
 mod python;
 mod reproduce;
 mod run;
@@ -79,7 +80,7 @@ pub fn main() -> ExitCode {
         Task::Evaluate => evaluate::run(&workspace).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Package(options) => package::package(&workspace, &options).map(|()| ExitCode::SUCCESS),
-        Task::Web(options) => web::run(&workspace, &options).map(|_| ExitCode::SUCCESS),
+        Task::Web(options) => web::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
     });
     done.unwrap_or_else(|error| {
         eprintln!("xtask: {error}");

@@ -1,14 +1,13 @@
 //! `cargo xtask run`: the whole product with a simulated quadrotor on strings, from nothing.
 
 use std::path::PathBuf;
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use super::workspace::{self, beside};
+use super::progress::Progress;
 use super::{Workspace, XtaskError, signals, web};
 use crate::harness::{Binaries, System, SystemOptions, Vehicle};
 
-/// Measured on two cores.
-const FIRST_BUILD: &str = "eight minutes on two cores";
 const POLL: Duration = Duration::from_millis(100);
 /// The agent itself gives a landing no longer than a minute.
 const LANDING_MAX: Duration = Duration::from_secs(75);
@@ -34,10 +33,7 @@ pub struct Options {
     /// Where flights, identities and onboard logs are kept.
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Build the page with little optimisation: it is there sooner after a change.
-    #[arg(long)]
-    pub dev: bool,
-    /// Build the programs as they go on a vehicle; otherwise only what flies and estimates is optimised.
+    /// Build page and programs as they are released; otherwise only what flies and estimates is optimised.
     #[arg(long)]
     pub release: bool,
 }
@@ -91,26 +87,40 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     system.stop()
 }
 
-/// Builds the page and the programs side by side; programs as they go on a vehicle hold the page, and wait for it. Where the
-/// programs are.
+/// Builds the page, its bundler and the programs side by side; programs as they are released hold the page, and wait for it.
+/// Where the programs are.
 fn build(checkout: &Workspace, options: &Options) -> Result<&'static str, XtaskError> {
-    if !checkout.target.join("web").is_dir() {
-        eprintln!("xtask: building page, ground and agent for the first time: {FIRST_BUILD}");
-    }
     let (profile, folder) = if options.release { ("release", "release") } else { ("dev", "debug") };
-    let packages = ["--package", "plumbline-ground", "--package", "plumbline-agent", "--package", "plumbline-wires"];
-    let packages = if options.wires { &packages[..] } else { &packages[..4] };
     let mut cargo = checkout.cargo();
-    cargo.args(["build", "--locked", "--bins", "--profile", profile]).args(packages);
-    let page = web::Options { dev: options.dev, wasm: None };
+    cargo.args(["build", "--locked", "--bins", "--profile", profile]);
+    cargo.args(["--package", "plumbline-ground", "--package", "plumbline-agent"]);
+    if options.wires {
+        cargo.args(["--package", "plumbline-wires"]);
+    }
+    let progress = Progress::new();
+    let page = web::Options { dev: !options.release, wasm: None };
     if options.release {
         web::run(checkout, &page)?;
-        workspace::run(&mut cargo)?;
+        progress.build("programs", &mut cargo, |_, _| {})?;
         return Ok(folder);
     }
-    let (page, programs) = beside(&mut cargo, || web::run(checkout, &page));
-    page?;
-    programs.map(|()| folder)
+    cargo.args(["--package", web::BUNDLER]);
+    let (made, bundler) = mpsc::channel();
+    std::thread::scope(|scope| {
+        let programs = scope.spawn(|| {
+            progress.build("programs", &mut cargo, move |target, file| {
+                if target == web::BUNDLER {
+                    // Nobody waits for it where the page could not be compiled.
+                    let _ = made.send(file.to_owned());
+                }
+            })
+        });
+        let missing = |_| XtaskError::Other(format!("{} was not built", web::BUNDLER));
+        let page = web::build(checkout, &page, &progress, || bundler.recv().map_err(missing));
+        let panicked = |_| Err(XtaskError::Other("the build of the programs ended in a panic".into()));
+        programs.join().unwrap_or_else(panicked).and(page)
+    })?;
+    Ok(folder)
 }
 
 /// The quadrotor hanging on four strings.

@@ -23,17 +23,14 @@ struct Change {
     file: &'static str,
     /// Before the function that is added.
     attribute: &'static str,
-    /// Of `cargo xtask run`.
-    options: &'static [&'static str],
     goal_s: f64,
 }
 
 /// Without its attribute the linker would leave the page's function out.
 const EXPORTED: &str = "#[wasm_bindgen::prelude::wasm_bindgen]\n";
-const CHANGES: [Change; 3] = [
-    Change { name: "agent_change", file: "agent/core/src/lib.rs", attribute: "", options: &[], goal_s: 30.0 },
-    Change { name: "page_change", file: "web/src/lib.rs", attribute: EXPORTED, options: &[], goal_s: 20.0 },
-    Change { name: "page_change_dev", file: "web/src/lib.rs", attribute: EXPORTED, options: &["--dev"], goal_s: 20.0 },
+const CHANGES: [Change; 2] = [
+    Change { name: "agent_change", file: "agent/core/src/lib.rs", attribute: "", goal_s: 30.0 },
+    Change { name: "page_change", file: "web/src/lib.rs", attribute: EXPORTED, goal_s: 20.0 },
 ];
 
 /// Measures in a copy of the checkout, which is removed afterwards. What cargo has downloaded stays downloaded.
@@ -44,15 +41,13 @@ pub fn run(workspace: &Workspace) -> Result<(), XtaskError> {
     let root = workspace.target.join("bench-build");
     remove(&root)?;
     copy(&workspace.root, &root)?;
-    let cold = until_address(&root, &[])?;
+    let cold = until_address(&root)?;
     tell("cold", &mut [cold], COLD_S);
     for change in &CHANGES {
-        // Before the first change: what only these options build.
-        until_address(&root, change.options)?;
         let mut seconds = [0.0; ROUNDS];
         for (round, took) in seconds.iter_mut().enumerate() {
             change.make(&root, round)?;
-            *took = until_address(&root, change.options)?;
+            *took = until_address(&root)?;
         }
         tell(change.name, &mut seconds, change.goal_s);
     }
@@ -71,11 +66,11 @@ fn tell(name: &str, seconds: &mut [f64], goal: f64) {
 }
 
 /// From the command to the address, s.
-fn until_address(root: &Path, options: &[&str]) -> Result<f64, XtaskError> {
+fn until_address(root: &Path) -> Result<f64, XtaskError> {
     let begun = Instant::now();
     let workspace = Workspace { root: root.to_owned(), target: root.join("target") };
     let mut cargo = workspace.cargo();
-    cargo.args(["xtask", "run", "--port", "0"]).args(options).env_remove("CARGO_TARGET_DIR");
+    cargo.args(["xtask", "run", "--port", "0"]).env_remove("CARGO_TARGET_DIR");
     let mut run = Process::start("cargo xtask run", cargo, false)?;
     run.wait_for(PATIENCE, |line| line.contains("Plumbline is at").then_some(()))?;
     let seconds = begun.elapsed().as_secs_f64();

@@ -53,7 +53,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let whole = chosen.iter().any(|(name, _)| ["live", "charts"].contains(name));
     if whole {
         // The page first: the ground embeds it.
-        web::build(workspace, &web::Options::default())?;
+        web::run(workspace, &web::Options::default())?;
         let programs = ["--bin", "plumbline-ground", "--bin", "plumbline-agent"];
         let mut cargo = workspace.cargo();
         workspace::run(cargo.args(["build", "--locked", "--workspace", "--release"]).args(programs))?;
@@ -61,7 +61,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     for (name, bench) in chosen {
         eprintln!("xtask: bench {name}");
         match bench {
-            Bench::Page => web::run(workspace, &web::Options::default()).map(|_| ())?,
+            Bench::Page => web::run(workspace, &web::Options::default())?,
             Bench::Charts => browser::bench(workspace)?,
             Bench::Build => build::run(workspace)?,
             Bench::Program(name) => program(workspace, name)?,
