@@ -55,6 +55,7 @@ pub struct Arrived {
 
 /// What is to be told of a device.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "it is copied through a bounded ring: nothing is allocated")]
 pub enum Notice {
     /// It gives readings.
     Up,

@@ -78,8 +78,7 @@ fn held(spec: &MotorsSpec) -> Failure {
 fn stop(file: &Path) -> Result<(), Failure> {
     let config = AgentConfig::read(file)?;
     let Some((spec, mut pulses)) = config.motors.as_ref().and_then(|spec| Some((spec, spec.pulses()?))) else {
-        println!("no motors of its own: nothing to stop");
-        return Ok(());
+        return Ok(writeln!(std::io::stdout(), "no motors of its own: nothing to stop")?);
     };
     let begun = Instant::now();
     let _owner = loop {
@@ -92,8 +91,7 @@ fn stop(file: &Path) -> Result<(), Failure> {
         }
     };
     stop_anew(pulses.as_mut(), spec.range())?;
-    println!("motors stopped");
-    Ok(())
+    Ok(writeln!(std::io::stdout(), "motors stopped")?)
 }
 
 impl GuardArguments {

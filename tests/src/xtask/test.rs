@@ -18,12 +18,8 @@ pub struct Options {
 }
 
 /// All there is, with what the two commands do without.
-pub const EVERYTHING: [&str; 4] = [
-    "--workspace",
-    "--locked",
-    "--features",
-    "plumbline-ground/many,plumbline-agent/i2c,plumbline-bundler/compress",
-];
+pub const EVERYTHING: [&str; 4] =
+    ["--workspace", "--locked", "--features", "plumbline-ground/many,plumbline-agent/i2c,plumbline-bundler/compress"];
 
 /// Runs everything; a step that fails does not stop the others. True when all is well.
 pub fn run(workspace: &Workspace, options: &Options) -> bool {

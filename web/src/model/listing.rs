@@ -4,8 +4,34 @@ use plumbline_proto::time::WallTime;
 use plumbline_rest::flight::{Column, Flight};
 
 /// Forms of a flight to download: the route below it, and its name.
-pub const FORMS: [(&str, &str); 5] =
-    [("mcap", "MCAP"), ("csv", "CSV"), ("parquet", "Parquet"), ("mat", "MATLAB"), ("ros2", "ROS 2 bag")];
+pub const FORMS: [(&str, &str); 6] = [
+    (OWN, "MCAP"),
+    ("csv", "CSV"),
+    ("parquet", "Parquet"),
+    ("mat", "MATLAB"),
+    ("ros2", "ROS 2 bag"),
+    ("foxglove", "Foxglove"),
+];
+/// The form that a flight is recorded in: it is downloaded whole.
+const OWN: &str = "mcap";
+
+/// Where a flight is downloaded, or the stretch of it that is meant, s since its start.
+pub fn download(id: &str, form: &str, stretch_s: Option<[f64; 2]>) -> String {
+    let whole = format!("/api/v1/flights/{id}/{form}");
+    match stretch_s {
+        Some([from_s, to_s]) if form != OWN => format!("{whole}?from_s={from_s:.3}&to_s={to_s:.3}"),
+        _ => whole,
+    }
+}
+
+/// Where flights are downloaded: one as it is, several as one tar.
+pub fn download_all(ids: &[String], form: &str) -> Option<String> {
+    match ids {
+        [] => None,
+        [id] => Some(download(id, form, None)),
+        several => Some(format!("/api/v1/archive?ids={}&format={form}", several.join(","))),
+    }
+}
 
 /// Head of a column.
 pub const fn head(column: Column) -> &'static str {
@@ -112,6 +138,17 @@ mod tests {
         assert_eq!(found.path, "M10.0 1.0L30.0 1.0L30.0 3.0L10.0 21.0ZM70.0 9.0L90.0 21.0L90.0 21.0L70.0 11.0Z");
         assert_eq!(found.below, "M10.0 21.0L30.0 3.0L30.0 22.0L10.0 22.0ZM70.0 11.0L90.0 21.0L90.0 22.0L70.0 22.0Z");
         assert_eq!(thumbnail(&Flight::default(), [100.0, 22.0]), None);
+    }
+
+    #[test]
+    fn a_stretch_is_of_exports_and_several_flights_are_a_tar() {
+        let stretch = Some([1.0, 2.5]);
+        assert_eq!(download("f1", "csv", stretch), "/api/v1/flights/f1/csv?from_s=1.000&to_s=2.500");
+        assert_eq!(download("f1", "mcap", stretch), "/api/v1/flights/f1/mcap");
+        let all = |ids: &[&str]| download_all(&ids.iter().map(|id| (*id).to_owned()).collect::<Vec<_>>(), "mat");
+        assert_eq!(all(&[]), None);
+        assert_eq!(all(&["f1"]).as_deref(), Some("/api/v1/flights/f1/mat"));
+        assert_eq!(all(&["f1", "f2"]).as_deref(), Some("/api/v1/archive?ids=f1,f2&format=mat"));
     }
 
     #[test]

@@ -190,6 +190,13 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             None => String::new(),
         })
     };
+    // The charts begin where the flight does.
+    let stretch = Memo::new(move |_| {
+        let deck = ctx.deck.get()?;
+        let begin_s = deck.origin_s.get();
+        deck.zoom.get().map(|(from_s, to_s)| [(from_s - begin_s).max(0.0), to_s - begin_s])
+    });
+    let flight = StoredValue::new(id.clone());
     view! {
         <h1 class="visually-hidden">{move || format!("Flight {}", name.get())}</h1>
         <div class="sheet-head">
@@ -205,8 +212,13 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             <span class="quiet num one-line">{facts}</span>
             <span class="push downloads">
                 <Link to=Route::Report(id.clone())>"Report"</Link>
-                {listing::FORMS.map(|(form, name)| {
-                    view! { <a class="button" href=format!("/api/v1/flights/{id}/{form}") download="">{name}</a> }
+                {move || stretch.get().map(|[from_s, to_s]| view! {
+                    <span class="quiet num one-line" title="Downloads keep to what is zoomed into; MCAP is the file as recorded">
+                        {format!("{from_s:.1} to {to_s:.1} s:")}
+                    </span>
+                })}
+                {listing::FORMS.map(|(form, name)| view! {
+                    <a class="button" href=move || flight.with_value(|id| listing::download(id, form, stretch.get())) download="">{name}</a>
                 })}
             </span>
             <span class="delete"><HoldButton label="Delete" class="warn" action=delete /></span>

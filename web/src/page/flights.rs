@@ -120,8 +120,8 @@ pub fn FlightsPage() -> impl IntoView {
     };
     let form = RwSignal::new(listing::FORMS[0].0.to_owned());
     let download = move |_| {
-        for id in chosen.get_untracked() {
-            net::download(&format!("/api/v1/flights/{id}/{}", form.get_untracked()), "");
+        if let Some(address) = chosen.with_untracked(|ids| listing::download_all(ids, &form.get_untracked())) {
+            net::download(&address, "");
         }
     };
     view! {
@@ -146,7 +146,12 @@ pub fn FlightsPage() -> impl IntoView {
                 <select aria-label="Form of downloads" on:change:target=move |e| form.set(e.target().value())>
                     {listing::FORMS.map(|(form, name)| view! { <option value=form>{name}</option> })}
                 </select>
-                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>"Download"</button>
+                <button type="button" disabled=move || chosen.with(Vec::is_empty) on:click=download>
+                    {move || match chosen.with(Vec::len) {
+                        0 | 1 => "Download".to_owned(),
+                        several => format!("Download {several} as tar"),
+                    }}
+                </button>
             </div>
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
             <div class="card table-wrap">
