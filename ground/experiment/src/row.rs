@@ -208,11 +208,11 @@ mod tests {
 
     #[test]
     fn a_row_of_another_version_is_read_by_the_names_of_its_measures() {
-        let row = Row::new(7, &Outcome { altitude_m: 0.1, nis_most: 4.0, ..Outcome::default() });
+        let row = Row::new(7, &Outcome { altitude_m: 0.1, steady_m: 4.0, ..Outcome::default() });
         let names = names(&MEASURES);
         let swapped: Vec<_> = names.iter().rev().cloned().collect();
         let read = Row::decode(&row.encode(), &places(&swapped)).unwrap();
-        assert_eq!((read.value("altitude_m"), read.value("nis_most")), (4.0, 0.1));
+        assert_eq!((read.value("altitude_m"), read.value("steady_m")), (4.0, 0.1));
         // One measure fewer, and one that nobody knows any more.
         let mut older = row.encode()[..4 + 8 * 2].to_vec(); // index, altitude_m, and another
         older.extend([0; LOST_BYTES]);
