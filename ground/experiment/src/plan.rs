@@ -270,18 +270,24 @@ impl Plan {
         let factors = self.factors.iter().filter(|factor| factor.key == RECORDING);
         let levels = factors.flat_map(|factor| factor.extremes().into_iter().map(move |level| (level, Some(factor))));
         let levels = base.map(|(name, none)| (name.clone(), none)).into_iter().chain(levels);
-        let mut named: Vec<Named> = Vec::new();
-        for (level, factor) in levels {
-            let wrong = |message: String| match factor {
-                Some(factor) => source.at(&factor.span, format!("factor {RECORDING} = {level}: {message}")),
-                None => source.of(RECORDING, message),
-            };
-            let Value::String(name) = &level else { return Err(wrong("not the name of a recording".into())) };
-            if !named.iter().any(|known| known.name == *name) {
-                named.push(Named::find(name, library).map_err(|error| wrong(error.to_string()))?);
+        let levels: Vec<(Value, Option<&Factor>)> = levels.collect();
+        let wrong = |factor: Option<&Factor>, level: &Value, message: String| match factor {
+            Some(factor) => source.at(&factor.span, format!("factor {RECORDING} = {level}: {message}")),
+            None => source.of(RECORDING, message),
+        };
+        let mut named: Vec<(&str, Option<&Factor>, &Value)> = Vec::new();
+        for (level, factor) in &levels {
+            let name = level.as_str().ok_or_else(|| wrong(*factor, level, "not the name of a recording".into()))?;
+            if !named.iter().any(|(known, ..)| *known == name) {
+                named.push((name, *factor, level));
             }
         }
-        Ok(self.knowing(&named))
+        let names: Vec<&str> = named.iter().map(|(name, ..)| *name).collect();
+        let recordings = Recordings::find(&names, library).map_err(|(at, error)| match named.get(at) {
+            Some((_, factor, level)) => wrong(*factor, level, error.to_string()),
+            None => source.of(RECORDING, error.to_string()),
+        })?;
+        Ok(Self { recordings, ..self })
     }
 
     /// Is every number of flights one that can be flown?

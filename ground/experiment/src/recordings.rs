@@ -131,6 +131,21 @@ impl Recordings {
         Self { entries: named.iter().map(entry).collect(), held: Arc::default() }
     }
 
+    /// Those of a plan that is tried now, each looked for, hashed and read once.
+    ///
+    /// # Errors
+    /// [`UnusableError`] with the place among `names` of the first that there is not.
+    pub(crate) fn find(names: &[&str], library: &Library) -> Result<Self, (usize, UnusableError)> {
+        let held = Arc::<Mutex<_>>::default();
+        let mut entries = Vec::new();
+        for (at, name) in names.iter().enumerate() {
+            let (named, recording) = Named::find(name, library).map_err(|error| (at, error))?;
+            entries.push(Entry { named, info: OnceLock::from(recording.info().clone()) });
+            hold(&held, name, recording);
+        }
+        Ok(Self { entries: entries.into(), held })
+    }
+
     /// What is known of each.
     pub fn named(&self) -> impl Iterator<Item = &Named> {
         self.entries.iter().map(|entry| &entry.named)
@@ -152,8 +167,7 @@ impl Recordings {
     /// One of them, at its beginning.
     fn open(&self, name: &str) -> Result<Recording, UnusableError> {
         let entry = self.entry(name)?;
-        let lock = || self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut held = lock();
+        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(at) = held.iter().position(|(known, _)| known == name) {
             let found = held.remove(at);
             let recording = found.1.clone();
@@ -163,11 +177,7 @@ impl Recordings {
         drop(held);
         entry.named.verify()?;
         let recording = entry.named.read()?;
-        let mut held = lock();
-        if held.len() >= HELD {
-            held.remove(0);
-        }
-        held.push((name.to_owned(), recording.clone()));
+        hold(&self.held, name, recording.clone());
         Ok(recording)
     }
 
@@ -185,12 +195,17 @@ impl Recordings {
     }
 }
 
+fn hold(held: &Mutex<Vec<(String, Recording)>>, name: &str, recording: Recording) {
+    let mut held = held.lock().unwrap_or_else(PoisonError::into_inner);
+    if held.len() >= HELD {
+        held.remove(0);
+    }
+    held.push((name.to_owned(), recording));
+}
+
 impl Named {
     /// Looks for a recording and reads it.
-    ///
-    /// # Errors
-    /// [`UnusableError`].
-    pub(crate) fn find(name: &str, library: &Library) -> Result<Self, UnusableError> {
+    fn find(name: &str, library: &Library) -> Result<(Self, Recording), UnusableError> {
         let path = library.path(name).map_err(|reason| UnusableError::Unknown { name: name.into(), reason })?;
         let mut named = Self { name: name.into(), path, sha256: String::new(), against: Against::Truth };
         named.sha256 = named.hash()?;
@@ -206,7 +221,7 @@ impl Named {
             false if has(SensorKind::MocapPose) => Against::MotionCapture,
             false => Against::Setpoint,
         };
-        Ok(named)
+        Ok((named, recording))
     }
 
     fn read(&self) -> Result<Recording, UnusableError> {
