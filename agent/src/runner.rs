@@ -21,6 +21,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
+use plumbline_devices::scheduling;
 use plumbline_proto::time::FlightTime;
 use rtrb::Consumer;
 
@@ -65,8 +66,6 @@ const DISARM_WAIT: Duration = Duration::from_secs(1);
 const LANDING_MAX_S: f64 = 60.0;
 /// How often devices are looked at.
 const DEVICES_S: f64 = 0.2;
-/// Priority of the flight thread, where it is granted.
-const PRIORITY: i32 = 50;
 
 /// How the runner behaves.
 #[derive(Debug, Clone)]
@@ -241,7 +240,7 @@ impl Runner {
     /// [`VehicleError`] when the vehicle fails; the flight is closed all the same.
     pub fn run(&mut self, stop: &Stop) -> Result<Summary, VehicleError> {
         if self.options.real_time {
-            pace::ask_for_real_time(PRIORITY);
+            scheduling::ask_for_real_time(scheduling::FLIGHT);
         }
         let begun = Instant::now();
         let outcome = self.fly(stop);

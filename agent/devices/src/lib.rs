@@ -10,6 +10,7 @@
 //! - [`driver`]: a device on its port: opens, identifies, configures, polls. One file a device.
 //! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver.
 //! - [`spec`]: `[[device]]` and `[motors]` of a configuration, checked.
+//! - [`scheduling`]: which of the threads comes first.
 //! - [`motors`]: pulses, and the guard that stops them. [`autopilot`]: body rates and thrust instead. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -24,6 +25,7 @@ pub mod port;
 pub mod protocol;
 pub mod reader;
 pub mod reading;
+pub mod scheduling;
 pub mod spec;
 pub mod vehicle;
 

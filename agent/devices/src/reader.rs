@@ -15,6 +15,7 @@ use crate::clock::DeviceClock;
 use crate::driver::{Driver, Heard};
 use crate::fault::{DeviceError, Fault};
 use crate::reading::Reading;
+use crate::scheduling;
 
 /// Readings that may wait: a quarter of a second at 1 kHz.
 pub const QUEUE: usize = 256;
@@ -133,6 +134,8 @@ pub struct Options {
     pub delay_s: f64,
     /// Without a reading for this long the device is opened again.
     pub silence: Duration,
+    /// Whether its thread asks for real-time priority.
+    pub real_time: bool,
 }
 
 /// The flight thread's end of a reader.
@@ -167,7 +170,13 @@ impl Reader {
             options,
         };
         let name = format!("dev {}", work.options.name);
-        let thread = std::thread::Builder::new().name(name).spawn(move || work.run())?;
+        let run = move || {
+            if work.options.real_time {
+                scheduling::ask_for_real_time(scheduling::READER);
+            }
+            work.run();
+        };
+        let thread = std::thread::Builder::new().name(name).spawn(run)?;
         Ok(Self { arrived, notices, state, stop, thread: Some(thread), counted: (FlightTime(0), 0, 0.0) })
     }
 

@@ -342,14 +342,19 @@ impl DeviceSpec {
     /// # Errors
     /// No thread could be started.
     pub fn start(&self, zero: &Zero) -> std::io::Result<Option<(Mounted, Reader)>> {
-        self.driver().map(|driver| self.start_with(driver, zero)).transpose()
+        self.driver().map(|driver| self.start_with(driver, zero, false)).transpose()
     }
 
-    /// `driver` in a thread, and where this device sits.
+    /// `driver` in a thread, with `real_time` priority for a flight, and where this device sits.
     ///
     /// # Errors
     /// No thread could be started.
-    pub fn start_with(&self, driver: Box<dyn Driver>, zero: &Zero) -> std::io::Result<(Mounted, Reader)> {
+    pub fn start_with(
+        &self,
+        driver: Box<dyn Driver>,
+        zero: &Zero,
+        real_time: bool,
+    ) -> std::io::Result<(Mounted, Reader)> {
         let place = |barometer: bool| {
             let own = self.ids().find(|id| (id.kind == SensorKind::Barometer) == barometer);
             own.map_or(usize::MAX, |id| usize::from(id.instance) - 1)
@@ -369,7 +374,7 @@ impl DeviceSpec {
         };
         // A receiver without sky is alive, and a device of 1 Hz is not silent after one second.
         let silence = Duration::from_secs_f64((5.0 / self.rate_hz()).max(0.5));
-        let options = Options { name: self.name.clone(), delay_s: self.delay_s, silence };
+        let options = Options { name: self.name.clone(), delay_s: self.delay_s, silence, real_time };
         Ok((mounted, Reader::start(driver, options, zero.clone())?))
     }
 }

@@ -284,10 +284,13 @@ fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
         Some(path) => Scenario::from_toml(&read(path)?).map_err(|e| in_file(path, e))?,
         None => Scenario::default_string_rig(),
     };
+    let mut flight = scenario.flight_config().with_every_estimator();
+    // The simulated world stands still until its next tick, however late that is: told, and no reason to land.
+    flight.failsafe.deadline_descend = u32::MAX;
     Ok(Chosen {
         vehicle: Box::new(SimVehicle::new(&scenario)?),
         calibration: Calibration::default(),
-        flight: scenario.flight_config().with_every_estimator(),
+        flight,
         kind: "sim",
         rig: scenario.rig.name().to_owned(),
         scenario: scenario.text.clone(),

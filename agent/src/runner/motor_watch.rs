@@ -9,13 +9,12 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::pace::ask_for_real_time;
+use plumbline_devices::scheduling;
+
 use crate::vehicle::MotorStop;
 
 /// How often the mark is looked at.
 const PERIOD: Duration = Duration::from_millis(10);
-/// Above the flight thread, so that one that spins cannot keep it off.
-const PRIORITY: i32 = 60;
 
 #[derive(Debug)]
 struct Marks {
@@ -48,7 +47,7 @@ impl MotorWatch {
         let seen = marks.clone();
         let watch = move || {
             if real_time {
-                ask_for_real_time(PRIORITY);
+                scheduling::ask_for_real_time(scheduling::MOTOR_WATCH);
             }
             while !seen.ended.load(Ordering::Acquire) {
                 std::thread::sleep(PERIOD);

@@ -135,23 +135,6 @@ pub fn sleep_until(due: Instant) {
     }
 }
 
-/// Asks for real-time `priority` and memory that stays; a refusal is reported and lived with.
-pub fn ask_for_real_time(priority: i32) {
-    let parameters = libc::sched_param { sched_priority: priority };
-    // SAFETY: plain system calls; 0 is the calling thread.
-    let refused = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) } != 0;
-    if refused {
-        let error = std::io::Error::last_os_error();
-        tracing::warn!(%error, thread = std::thread::current().name(), "no real-time priority; ticks may be late under load");
-        return;
-    }
-    // SAFETY: a plain system call.
-    if unsafe { libc::mlockall(libc::MCL_CURRENT) } != 0 {
-        tracing::warn!(error = %std::io::Error::last_os_error(), "memory is not locked; ticks may wait for a page");
-    }
-    tracing::info!(thread = std::thread::current().name(), priority, "real-time priority");
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use plumbline_devices::scheduling;
 use plumbline_sim::Scenario;
 use plumbline_wires::WireRig;
 
@@ -30,6 +31,8 @@ fn run(folder: &Path, scenario: Option<&PathBuf>) -> Result<(), Box<dyn Error>> 
     };
     std::fs::create_dir_all(folder)?;
     let folder = folder.canonicalize()?;
+    // The world and its devices keep their time under any load, as real ones do; their threads have this one's priority.
+    scheduling::ask_for_real_time(scheduling::FLIGHT);
     let rig = WireRig::start(&scenario, &folder)?;
     let file = folder.join("agent.toml");
     std::fs::write(&file, rig.configuration())?;

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use plumbline_agent::runner::pace;
+use plumbline_devices::scheduling;
 
 use super::figures::quantile;
 
@@ -34,7 +35,7 @@ impl Witness {
                 if let Some(processor) = processor {
                     stay_on(processor);
                 }
-                pace::ask_for_real_time(50);
+                scheduling::ask_for_real_time(scheduling::FLIGHT);
                 let mut due = Instant::now() + period;
                 while !ended.load(Ordering::Relaxed) {
                     pace::sleep_until(due);

@@ -14,34 +14,59 @@ use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
 /// `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
-pub fn test(workspace: &Workspace, tally: &mut Tally) {
-    let outcome = fly(workspace, tally);
-    tally.check("browser: system starts and stops cleanly", outcome);
-    let outcome = replay(workspace, tally);
-    tally.check("browser: a replay starts and stops cleanly", outcome);
-    let outcome = people(workspace, tally);
-    tally.check("browser: a ground with accounts starts and stops cleanly", outcome);
-    let outcome = wires(workspace, tally);
-    tally.check("browser: the wire rig starts and stops cleanly", outcome);
+///
+/// Of the scripts only those that `chosen` names, if it names any.
+pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
+    type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
+    let parts: [(&str, Part, &[&str]); 4] = [
+        (
+            "system",
+            fly,
+            &[
+                "fly.mjs",
+                "hidden.mjs",
+                "trust.mjs",
+                "reports.mjs",
+                "signals.mjs",
+                "axe.mjs",
+                "foxglove.mjs",
+                "mcap.mjs",
+            ],
+        ),
+        ("a replay", replay, &["replay.mjs"]),
+        ("a ground with accounts", people, &["people.mjs"]),
+        ("the wire rig", wires, &["wires.mjs"]),
+    ];
+    for unknown in chosen.iter().filter(|name| !parts.iter().any(|(.., all)| all.contains(&name.as_str()))) {
+        tally.check::<(), _>("browser", Err(format!("there is no script {unknown:?}")));
+    }
+    for (what, part, scripts) in parts {
+        let wanted = |name: &&str| chosen.is_empty() || chosen.iter().any(|one| one == name);
+        let scripts: Vec<&str> = scripts.iter().copied().filter(wanted).collect();
+        if !scripts.is_empty() {
+            let outcome = part(workspace, &scripts, tally);
+            tally.check(&format!("browser: {what} starts and stops cleanly"), outcome);
+        }
+    }
 }
 
-fn wires(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO) };
     let system = System::start(&options(workspace, "debug", "browser-wires")?, &vehicle)?;
-    let read = run_script(&mut script(workspace, "wires.mjs", system.api())?, tally);
+    let read = run_all(workspace, scripts, system.api(), tally);
     let stopped = system.stop();
     read.and(stopped)
 }
 
-fn people(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let mut ground = Ground::start(&options(workspace, "debug", "browser-people")?)?;
-    let read = run_script(&mut script(workspace, "people.mjs", &ground.api)?, tally);
+    let read = run_all(workspace, scripts, &ground.api, tally);
     let stopped = ground.process.interrupt(std::time::Duration::from_secs(10)).map(drop);
     read.and(stopped)
 }
 
 /// Records the scripted flight without a ground, as fast as it goes, and flies it again.
-fn replay(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
+fn replay(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let options = options(workspace, "debug", "browser-replay")?;
     let log = options.data.join("recorded");
     let mut agent = Command::new(&options.binaries.agent);
@@ -51,40 +76,41 @@ fn replay(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
     super::workspace::run(&mut agent)?;
     let file = newest_flight(&log)?;
     let system = System::start(&options, &Vehicle::Replayed { file, speed: "1".into() })?;
-    let read = run_script(&mut script(workspace, "replay.mjs", system.api())?, tally);
+    let read = run_all(workspace, scripts, system.api(), tally);
     let stopped = system.stop();
     read.and(stopped)
 }
 
-fn fly(workspace: &Workspace, tally: &mut Tally) -> Result<(), XtaskError> {
-    let python = tools::python(workspace)?;
+fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let options = options(workspace, "debug", "browser-test")?;
     let vehicle = Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) };
     let system = System::start(&options, &vehicle)?;
-    let flown = run_script(script(workspace, "fly.mjs", system.api())?.env("PLUMBLINE_PYTHON", &python), tally);
-    let hidden = run_script(&mut script(workspace, "hidden.mjs", system.api())?, tally);
-    let trusted = run_script(&mut script(workspace, "trust.mjs", system.api())?, tally);
-    let reported = run_script(&mut script(workspace, "reports.mjs", system.api())?, tally);
-    let browsed = run_script(&mut script(workspace, "signals.mjs", system.api())?, tally);
-    let accessible = run_script(&mut script(workspace, "axe.mjs", system.api())?, tally);
-    let watched = run_script(&mut script(workspace, "foxglove.mjs", system.api())?, tally);
+    let (live, files): (Vec<&str>, Vec<&str>) = scripts.iter().copied().partition(|name| *name != "mcap.mjs");
+    let read = run_all(workspace, &live, system.api(), tally);
     let api = system.api().clone();
     let stopped = system.stop();
-    // One file of each side, and what is exported for it, as Foxglove would open them.
-    let mut reader = script(workspace, "mcap.mjs", &api)?;
-    let (flight, drawn) = (newest_flight(&options.data.join("ground/flights"))?, options.data.join("drawn"));
-    let mut export = Command::new(&options.binaries.ground);
-    super::workspace::run(export.args(["export", "--format", "foxglove", "--output"]).arg(&drawn).arg(&flight))?;
-    reader.arg(flight).arg(newest_flight(&options.data.join("iris-1/log"))?).arg(newest_flight(&drawn)?);
-    flown
-        .and(hidden)
-        .and(trusted)
-        .and(reported)
-        .and(browsed)
-        .and(accessible)
-        .and(watched)
-        .and(stopped)
-        .and(run_script(&mut reader, tally))
+    for name in files {
+        // One file of each side, and what is exported for it, as Foxglove would open them.
+        let mut reader = script(workspace, name, &api)?;
+        let (flight, drawn) = (newest_flight(&options.data.join("ground/flights"))?, options.data.join("drawn"));
+        let mut export = Command::new(&options.binaries.ground);
+        super::workspace::run(export.args(["export", "--format", "foxglove", "--output"]).arg(&drawn).arg(&flight))?;
+        reader.arg(flight).arg(newest_flight(&options.data.join("iris-1/log"))?).arg(newest_flight(&drawn)?);
+        run_script(&mut reader, tally)?;
+    }
+    read.and(stopped)
+}
+
+/// Each of the scripts, whatever came of those before; the first failure.
+fn run_all(workspace: &Workspace, scripts: &[&str], api: &Api, tally: &mut Tally) -> Result<(), XtaskError> {
+    let python = tools::python(workspace)?;
+    let mut all = Ok(());
+    for name in scripts {
+        let ran = script(workspace, name, api)
+            .and_then(|mut script| run_script(script.env("PLUMBLINE_PYTHON", &python), tally));
+        all = all.and(ran);
+    }
+    all
 }
 
 /// The last flight file of a folder.
@@ -129,13 +155,16 @@ fn script(workspace: &Workspace, name: &str, api: &Api) -> Result<Command, Xtask
 }
 
 /// Each step is one line `{"step":"…","ok":true}`, or with `false` and an `error`; other lines are for people.
-pub fn run_script(script: &mut Command, tally: &mut Tally) -> Result<(), XtaskError> {
+fn run_script(script: &mut Command, tally: &mut Tally) -> Result<(), XtaskError> {
     let mut ended = false;
     let success = run_and_read(script, |line| match serde_json::from_str::<Value>(line) {
         Ok(step) if step["step"].is_string() => {
             let name = format!("browser: {}", step["step"].as_str().unwrap_or_default());
             let error = step["error"].as_str().unwrap_or("no reason given").to_owned();
             tally.check(&name, if step["ok"] == true { Ok(()) } else { Err(error) });
+            if step["note"].is_object() {
+                eprintln!("  {}", step["note"]);
+            }
         }
         Ok(end) if end["end"] == true => ended = true,
         _ => println!("{line}"),

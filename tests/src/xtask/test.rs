@@ -15,6 +15,9 @@ pub struct Options {
     /// Only this step, on what is already built.
     #[arg(long, value_name = "STEP", value_parser = ["format", "page-and-clippy", "cargo-test", "python", "browser"])]
     pub only: Option<String>,
+    /// Of the browser's scripts only these, by name: `trust.mjs`; may be given more than once.
+    #[arg(long, value_name = "NAME")]
+    pub script: Vec<String>,
 }
 
 /// All there is, with what the two commands do without.
@@ -59,7 +62,7 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             if options.no_browser {
                 eprintln!("xtask: browser left out, as asked");
             } else {
-                browser::test(workspace, tally);
+                browser::test(workspace, &options.script, tally);
             }
         }),
     ];

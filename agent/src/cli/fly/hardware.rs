@@ -48,7 +48,7 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
             }
             _ => device.driver(),
         };
-        devices.extend(driver.map(|driver| device.start_with(driver, &zero)).transpose()?);
+        devices.extend(driver.map(|driver| device.start_with(driver, &zero, config.real_time)).transpose()?);
     }
     let line: Arc<dyn Motors> = match (arguments.vehicle, autopilot) {
         (VehicleChoice::Mavlink, Some((autopilot, motors))) => {
