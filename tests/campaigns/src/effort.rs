@@ -1,14 +1,22 @@
-//! What is asked of a campaign of drawn flights: `--flights N`, `--seed-base N`, `--only NAME`, `--quick`.
+//! What is asked of a campaign of drawn flights: `--flights N`, `--seed-base N`, `--world NAME`, `--only NAME`,
+//! `--quick`.
 
 pub struct Effort {
     pub flights: u64,
     pub seed_base: u64,
+    /// The world to fly in, where it is for the asker to choose.
+    pub world: Option<String>,
     pub only: Option<String>,
 }
 
 impl Effort {
-    /// As the arguments say; else so many flights, and so many with `--quick`.
-    pub fn asked([flights, quick]: [u64; 2]) -> Self {
+    /// As the arguments say; else so many flights, and so many with `--quick`, from seed 1000.
+    pub fn asked(flights: [u64; 2]) -> Self {
+        Self::asked_from(flights, 1_000)
+    }
+
+    /// The same from another seed.
+    pub fn asked_from([flights, quick]: [u64; 2], seed: u64) -> Self {
         let arguments: Vec<String> = std::env::args().collect();
         let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
         let number = |name: &str, default| {
@@ -17,7 +25,8 @@ impl Effort {
         let default = if arguments.iter().any(|a| a == "--quick") { quick } else { flights };
         Self {
             flights: number("--flights", default),
-            seed_base: number("--seed-base", 1_000),
+            seed_base: number("--seed-base", seed),
+            world: value("--world").cloned(),
             only: value("--only").cloned(),
         }
     }

@@ -10,12 +10,15 @@ pub struct Options {
     /// Fewer seeds and trials, where a program knows it.
     #[arg(long)]
     pub quick: bool,
-    /// First seed of `attacks`: anyone flies fresh ones.
+    /// First seed of drawn flights: anyone flies fresh ones.
     #[arg(long)]
     pub seed_base: Option<u64>,
-    /// Flights of each row of `attacks`.
+    /// Flights of each row.
     #[arg(long)]
     pub flights: Option<u64>,
+    /// World of the flights of `clinic`: `ideal`, `bench`, `datasheet`, `harsh`.
+    #[arg(long)]
+    pub world: Option<String>,
     /// One part of `clinic`, or one row of `attacks`.
     #[arg(long)]
     pub only: Option<String>,
@@ -29,6 +32,7 @@ impl Options {
         for (name, value) in numbers {
             arguments.extend(value.into_iter().flat_map(|value| [name.to_owned(), value.to_string()]));
         }
+        arguments.extend(self.world.iter().flat_map(|world| ["--world".to_owned(), world.clone()]));
         arguments.extend(self.only.iter().flat_map(|only| ["--only".to_owned(), only.clone()]));
         arguments
     }

@@ -27,6 +27,8 @@ pub struct Case {
     pub world: &'static str,
     pub end_s: f64,
     pub pilots: &'static [Pilot],
+    /// Whose flight without attack e* is of.
+    pub against: Pilot,
     pub heights: usize,
     pub imus: usize,
     pub attacked: Attacked,
@@ -47,6 +49,7 @@ impl Case {
         world: "datasheet",
         end_s: END_S,
         pilots: &Pilot::ALL,
+        against: Pilot::EKF,
         heights: 3,
         imus: 4,
         attacked: Attacked::None,
@@ -85,10 +88,11 @@ impl Case {
             ..Self::PLAIN
         },
         Self { name: "two_of_three_heights_colluding", attacked: Attacked::Colluding(2), altitude: ANY, ..Self::PLAIN },
-        Self { name: "harsh_none", world: "harsh", altitude: ANY, lost: 1.0, ..Self::PLAIN },
+        Self { name: "harsh_none", world: "harsh", against: Pilot::LANES, altitude: ANY, lost: 1.0, ..Self::PLAIN },
         Self {
             name: "harsh_one_sensor",
             world: "harsh",
+            against: Pilot::LANES,
             attacked: Attacked::One,
             altitude: [1.3, 1.8, f64::INFINITY],
             lost: 1.0,

@@ -2,8 +2,8 @@
 //! user could pick instead.
 //!
 //! Onset, sensor, channel, kind, size, sign and duration are drawn from each flight's seed. The error is the true altitude
-//! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack. A lost
-//! flight counts among the lost and not among the errors; where the attack is beyond what can be borne, one that flies away,
+//! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack, and in
+//! `harsh`, where that EKF loses its own, of the lanes. A lost flight counts among the lost and not among the errors; where the attack is beyond what can be borne, one that flies away,
 //! falls, or stops in the air. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many
 //! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row, the `curves`, the `consistency` or the `roc`, `--quick` a tenth.
 
@@ -40,8 +40,8 @@ pub fn run() -> Result<(), ReportError> {
     report.paragraph(&format!(
         "{} flights of each row from seed {}, free and on strings by turns, steps of altitude throughout. Error: true \
          altitude less setpoint, rms from the onset to the end of the flight. e* is the shipped EKF's in the same flight \
-         without the attack. Median, 95th percentile and worst are of flights that were not lost; where the \
-         shipped EKF loses its own (harsh), there is no e*, only e.",
+         without the attack; in harsh, where the shipped EKF loses its own, it is the lanes' own without the attack. Median, \
+         95th percentile and worst are of flights that were not lost.",
         effort.flights, effort.seed_base
     ));
     table(&mut report, &effort)?;
@@ -74,7 +74,7 @@ fn fly_all(case: &Case, effort: &Effort, pilots: &[Pilot]) -> Vec<Flown> {
             let comes_down = case.attacked.colludes() && !attacks.is_empty();
             fly(&Setup { comes_down, ..pilot.setup(&scenario, attacks, from_s) }).unwrap()
         };
-        let clean = flown(Pilot::EKF, &[]);
+        let clean = flown(case.against, &[]);
         let by = pilots.iter().map(|pilot| flown(*pilot, &attacks)).collect();
         Flown { clean, by }
     })
@@ -153,7 +153,7 @@ fn row<'a>(
     let more = json!({
         "world": case.world, "seed_base": effort.seed_base, "flights": all.len(), "percentile_95": altitude3[1],
         "worst": altitude3[2], "altitude_mm": altitude_mm, "median_interval": median_interval(&altitude), "limits": case.altitude,
-        "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "e_star_mm": median(&clean_mm),
+        "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "e_star_mm": median(&clean_mm), "e_star_of": case.against.name(),
         "most_mm": 1e3 * worst(&all.iter().map(|o| o.altitude_most_m).collect::<Vec<_>>()),
         "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
         "flights_with_false_exclusion": judged.then_some(falsely),
@@ -184,7 +184,7 @@ const GROWN: [Grown; 3] = [
 /// How likely and how soon a bias is found, and what it does meanwhile, against its size.
 fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Detectability of a bias on one sensor");
-    let effort = Effort { flights: (effort.flights / 5).max(2), seed_base: effort.seed_base, only: None };
+    let effort = Effort { flights: (effort.flights / 5).max(2), seed_base: effort.seed_base, world: None, only: None };
     for (kind, channel, what, unit, sizes) in GROWN {
         let (mut found, mut damage, mut gated) = (Vec::new(), Vec::new(), Vec::new());
         for size in sizes {

@@ -84,6 +84,8 @@ pub struct Plan {
     pub heights: usize,
     pub imus: usize,
     pub seed: u64,
+    /// The bench, unless it is named.
+    pub world: Option<String>,
     pub pilot: Pilot,
     pub keep_track: bool,
 }
@@ -99,6 +101,7 @@ impl Plan {
             heights: 3,
             imus: 4,
             seed,
+            world: None,
             pilot,
             keep_track: false,
         }
@@ -125,8 +128,9 @@ impl Plan {
     }
 
     fn scenario(&self) -> Scenario {
+        let world = self.world.as_ref().map(|name| format!("world = \"{name}\"\n")).unwrap_or_default();
         let mut text = format!(
-            "name = \"clinic\"\nduration_s = {}\n[[script]]\nat_s = 3\ndo = \"arm\"\n\
+            "name = \"clinic\"\nduration_s = {}\n{world}[[script]]\nat_s = 3\ndo = \"arm\"\n\
              [[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n",
             self.duration_s
         );

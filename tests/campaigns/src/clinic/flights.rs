@@ -43,16 +43,16 @@ const DISTURBED: f64 = 1.3;
 const FALSE_FLAG_S: f64 = 0.5;
 
 pub fn run(report: &mut Report, effort: &Effort) {
-    let tuning = tune(report);
+    let tuning = tune(report, effort);
     table_1(report, effort, tuning);
     majority(report, effort);
     contacts(report, effort);
     ten_minutes(report, effort);
-    tracks(report, tuning);
+    tracks(report, effort, tuning);
 }
 
 /// The noise with which the augmented filter estimates altitude best on clean flights, on seeds that no table flies.
-fn tune(report: &mut Report) -> Tuning {
+fn tune(report: &mut Report, effort: &Effort) -> Tuning {
     const SEEDS: usize = 3;
     report.heading("The augmented filter's noise");
     let choices: Vec<Tuning> = [0.3, 0.6, 1.0, 2.0, 4.0]
@@ -61,7 +61,8 @@ fn tune(report: &mut Report) -> Tuning {
         .collect();
     let all = parallel(choices.len() * RIGS.len() * SEEDS, |i| {
         let (choice, rest) = (choices[i / (RIGS.len() * SEEDS)], i % (RIGS.len() * SEEDS));
-        fly(&Plan::new(RIGS[rest / SEEDS].1, STEPS, 901 + (rest % SEEDS) as u64, Pilot::Augmented(choice)))
+        let plan = Plan::new(RIGS[rest / SEEDS].1, STEPS, 901 + (rest % SEEDS) as u64, Pilot::Augmented(choice));
+        fly(&Plan { world: effort.flown.world.clone(), ..plan })
     });
     let scores: Vec<f64> = all
         .chunks(RIGS.len() * SEEDS)
@@ -110,7 +111,7 @@ impl Cell {
 fn table_1(report: &mut Report, effort: &Effort, tuning: Tuning) {
     report.heading("Table 1 in closed loop");
     let pilots = Pilot::every(tuning);
-    let seeds = effort.seeds as usize;
+    let seeds = effort.seeds();
     let mut cells: Vec<Cell> = Vec::new();
     for rig in RIGS {
         cells.extend(["none", "none_of_5", "none_of_2"].map(|place| Cell { rig, place, attack: "none" }));
@@ -118,7 +119,7 @@ fn table_1(report: &mut Report, effort: &Effort, tuning: Tuning) {
     }
     let all = parallel(cells.len() * pilots.len() * seeds, |i| {
         let (cell, rest) = (cells[i / (pilots.len() * seeds)], i % (pilots.len() * seeds));
-        let plan = Plan::new(cell.rig.1, STEPS, 1 + (rest % seeds) as u64, pilots[rest / seeds]);
+        let plan = effort.plan(cell.rig.1, STEPS, rest % seeds, pilots[rest / seeds]);
         fly(&plan.under_attack(cell.place, cell.attack))
     });
     let pilots_of = |cell: usize| -> [&[Outcome]; PILOTS] {
@@ -243,9 +244,9 @@ fn verdict(met: &[Option<bool>]) -> String {
 /// More and more of five heights attack together: up to two are recovered, three and more are the majority.
 fn majority(report: &mut Report, effort: &Effort) {
     report.heading("Up to all heights compromised, in closed loop");
-    let seeds = effort.seeds.min(8) as usize;
+    let seeds = effort.seeds().min(8);
     let all = parallel(6 * seeds, |i| {
-        let plan = Plan::new(STRINGS.1, STEPS, 1 + (i % seeds) as u64, Pilot::Lanes).under_attack("none_of_5", "bias");
+        let plan = effort.plan(STRINGS.1, STEPS, i % seeds, Pilot::Lanes).under_attack("none_of_5", "bias");
         fly(&Plan { attacked: (1..=(i / seeds) as u8).map(|h| SensorId::new(SensorKind::Height, h)).collect(), ..plan })
     });
     let of = |attacked: usize| all[attacked * seeds..(attacked + 1) * seeds].iter().zip(&all[..seeds]);
@@ -270,14 +271,14 @@ fn contacts(report: &mut Report, effort: &Effort) {
         "Setpoints that taut strings or the ground do not let the vehicle down to count whole: e has them in it, that of the \
          undisturbed flight, half a metre higher, has not.",
     );
-    let seeds = effort.seeds as usize;
+    let seeds = effort.seeds();
     for (name, rig, profile) in [("strings", STRINGS.1, TAUT), ("ground", FREE.1, GROUND)] {
         let all = parallel(3 * seeds, |i| {
-            let seed = 1 + (i % seeds) as u64;
+            let n = i % seeds;
             match i / seeds {
-                0 => fly(&Plan::new(FREE.1, profile, seed, Pilot::Plain).raised(CLEAR_M)),
-                1 => fly(&Plan::new(rig, profile, seed, Pilot::Plain)),
-                _ => fly(&Plan::new(rig, profile, seed, Pilot::Lanes)),
+                0 => fly(&effort.plan(FREE.1, profile, n, Pilot::Plain).raised(CLEAR_M)),
+                1 => fly(&effort.plan(rig, profile, n, Pilot::Plain)),
+                _ => fly(&effort.plan(rig, profile, n, Pilot::Lanes)),
             }
         });
         let over = |of: usize| -> Vec<f64> {
@@ -307,9 +308,9 @@ fn ten_minutes(report: &mut Report, effort: &Effort) {
     report.heading("Ten minutes without attack");
     let mut profile = STEPS.to_vec();
     profile.extend((0..55).map(|k| (30.0 + 10.0 * k as f64, [0.8, 0.5, 1.0, 0.6][k % 4])));
-    let flights = effort.seeds.min(6) as usize;
+    let flights = effort.seeds().min(6);
     let all = parallel(flights, |i| {
-        fly(&Plan { duration_s: 600.0, ..Plan::new(STRINGS.1, &profile, 101 + i as u64, Pilot::Lanes) })
+        fly(&Plan { duration_s: 600.0, ..effort.plan(STRINGS.1, &profile, 100 + i, Pilot::Lanes) })
     });
     let flags: Vec<f64> = all.iter().map(|o| o.false_flags as f64).collect();
     let false_exclusions: Vec<String> =
@@ -323,13 +324,13 @@ fn ten_minutes(report: &mut Report, effort: &Effort) {
     );
 }
 
-fn tracks(report: &mut Report, tuning: Tuning) {
+fn tracks(report: &mut Report, effort: &Effort, tuning: Tuning) {
     for attack in ["bias", "ramp", "replay"] {
         let mut plot =
             Plot::new(&format!("One of three heights: {attack}"), "t, s", "altitude, m").band(ATTACK_S.0, ATTACK_S.1);
         let pilots = Pilot::every(tuning);
         let flown = parallel(pilots.len(), |i| {
-            let plan = Plan::new(STRINGS.1, STEPS, 1, pilots[i]).under_attack("height", attack);
+            let plan = effort.plan(STRINGS.1, STEPS, 0, pilots[i]).under_attack("height", attack);
             fly(&Plan { keep_track: true, ..plan })
         });
         let line = |o: &Outcome, pick: fn(&(f64, f64, f64)) -> f64| {

@@ -1,7 +1,7 @@
 //! `cargo xtask reproduce clinic`: [Clinic]'s figures and its Table 1 in closed loop, on the nonlinear simulator.
 //!
-//! `--quick` flies fewer seeds, `--seeds N` so many; `--only decoder|flights|phantom` runs one part. All cores;
-//! figures as JSON lines, an HTML page with plots and CSV beside it.
+//! `--quick` flies fewer seeds, `--flights N` so many, `--seed-base N` others, `--world NAME` elsewhere than on the bench;
+//! `--only decoder|flights|phantom` runs one part. All cores; figures as JSON lines, an HTML page with plots and CSV beside it.
 
 mod decoder;
 mod flight;
@@ -16,26 +16,38 @@ use plumbline_tests::report::Report;
 
 /// How much of it.
 pub struct Effort {
-    /// Seeds of each flight.
-    pub seeds: u64,
+    /// Flights of each kind, seeds and world.
+    pub flown: crate::effort::Effort,
     /// Trials of each point of a figure.
     pub trials: u64,
 }
 
-pub fn run() -> ExitCode {
-    let arguments: Vec<String> = std::env::args().collect();
-    let value = |name: &str| arguments.iter().position(|a| a == name).and_then(|i| arguments.get(i + 1));
-    let quick = arguments.iter().any(|a| a == "--quick");
-    let mut effort = if quick { Effort { seeds: 4, trials: 10 } } else { Effort { seeds: 20, trials: 50 } };
-    if let Some(seeds) = value("--seeds") {
-        effort.seeds = seeds.parse().expect("--seeds N");
+impl Effort {
+    /// Seeds of each flight.
+    pub fn seeds(&self) -> usize {
+        self.flown.flights as usize
     }
-    let runs = |part: &str| value("--only").is_none_or(|only| only == part);
+
+    /// The `n`th flight of a kind, from 0.
+    pub fn plan(&self, rig: &'static str, profile: flight::Profile, n: usize, pilot: flight::Pilot) -> flight::Plan {
+        flight::Plan {
+            world: self.flown.world.clone(),
+            ..flight::Plan::new(rig, profile, self.flown.seed_base + n as u64, pilot)
+        }
+    }
+}
+
+pub fn run() -> ExitCode {
+    let flown = crate::effort::Effort::asked_from([20, 4], 1);
+    let quick = std::env::args().any(|a| a == "--quick");
+    let effort = Effort { flown, trials: if quick { 10 } else { 50 } };
+    let runs = |part: &str| effort.flown.wants(part);
     let mut report =
         Report::open("reproduce", "clinic", "Secure state estimation: [Clinic] Figures 5 to 13 and Table 1").unwrap();
     report.paragraph(&format!(
-        "{} seeds of each flight, {} trials of each point. Ratios are to e*, the tracking error of the plain EKF without attack.",
-        effort.seeds, effort.trials
+        "{} flights of each kind from seed {} in the world {}, {} trials of each point. Ratios are to e*, the tracking error of the \
+         plain EKF without attack.",
+        effort.flown.flights, effort.flown.seed_base, effort.flown.world.as_deref().unwrap_or("bench"), effort.trials
     ));
     deviations(&mut report);
     if runs("decoder") {
