@@ -1,5 +1,5 @@
-//! `cargo xtask bench sse`: the decoders on the reference windows and the whole secure tick on a simulated flight; one
-//! thread, one run, JSON lines.
+//! `cargo xtask bench sse`: the decoders on the reference windows, and the whole tick of decoders and lanes on simulated
+//! flights; one thread, one run, JSON lines.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use std::hint::black_box;
@@ -8,11 +8,12 @@ use std::process::Command;
 use std::time::Duration;
 
 use plumbline_agent::estimate::Estimator;
+use plumbline_agent::estimate::lanes::Lanes;
 use plumbline_agent::estimate::secure::{
     Program, compress::Compressed, conic::Conic, newton::Newton, newton::Settings,
 };
 use plumbline_agent::estimate::secure::{SLOTS, Secure};
-use plumbline_agent::flight::Flight;
+use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::offline::decode::Windows;
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sim::{Scenario, SimVehicle};
@@ -75,6 +76,7 @@ fn main() {
         Err(error) => skipped("decoders", &error.to_string()),
     }
     secure_tick();
+    lanes_tick();
 }
 
 fn decoders(file: &Windows, path: &Path) {
@@ -172,55 +174,113 @@ fn cvxpy(windows: &Path) -> Result<Vec<f64>, String> {
     serde_json::from_slice(&out).map_err(|e| e.to_string())
 }
 
-/// The whole tick of the secure estimator: decode, identify, filter, on the frames of a simulated flight in
-/// which one height and one IMU are attacked.
-fn secure_tick() {
+/// What an estimator was given at each tick of a simulated flight of its own, and the flight it was.
+struct Flown {
+    frames: Vec<(SensorFrame, MotorCommand)>,
+    config: FlightConfig,
+    /// Of the whole flight, simulator included: how many times real time on one core.
+    speed: f64,
+}
+
+/// A flight in `world` with `kind` in the loop and nothing beside it, in which one height and one IMU are attacked.
+fn flown(world: &str, kind: EstimatorKind) -> Flown {
     let text = "name = \"bench\"\nduration_s = 40\n\
         [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n\
         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 0.8\n\
         [[attack]]\nsensor = \"height\"\ninstance = 2\nkind = \"bias\"\nstart_s = 15\nduration_s = 10\nmagnitude = 0.5\n\
         [[attack]]\nsensor = \"imu\"\ninstance = 2\nchannel = \"accel\"\nkind = \"bias\"\nstart_s = 15\nduration_s = 10\n\
         magnitude = 2\n";
-    let scenario = Scenario::from_toml(text).unwrap();
+    let scenario = Scenario::from_toml(&format!("world = \"{world}\"\n{text}")).unwrap();
     let mut config = scenario.flight_config();
-    config.estimators = vec![EstimatorKind::Secure];
-    config.in_loop = EstimatorKind::Secure;
-    let (airframe, model) = (config.airframe.clone(), config.sensor_model.clone());
+    config.estimators = vec![kind];
+    config.in_loop = kind;
     let mut vehicle = SimVehicle::new(&scenario).unwrap();
-    let mut flight = Flight::new(config).unwrap();
-    let mut frames: Vec<(SensorFrame, MotorCommand)> = Vec::new();
+    let mut flight = Flight::new(config.clone()).unwrap();
+    let ticks = (scenario.duration_s * scenario.tick_rate_hz) as usize;
+    let mut frames = Vec::with_capacity(ticks);
     let mut before = None;
     let mut applied = MotorCommand::default();
-    for _ in 0..(scenario.duration_s * scenario.tick_rate_hz) as usize {
-        let frame = vehicle.sense().unwrap();
-        flight.heartbeat(frame.time);
-        scenario.script.commands(before, frame.time, |c| {
-            let _ = flight.apply(c, frame.time);
-        });
-        before = Some(frame.time);
-        let report = flight.step(&frame);
-        frames.push((report.received, applied));
-        applied = vehicle.actuate(&report.command).unwrap();
-        flight.applied(applied);
-    }
-    let mut secure = Secure::new(model, &airframe, SLOTS).unwrap();
-    let (mut all, mut decoding) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
-    let mut windows = 0;
+    let took_us = timed(|| {
+        for _ in 0..ticks {
+            let frame = vehicle.sense().unwrap();
+            flight.heartbeat(frame.time);
+            scenario.script.commands(before, frame.time, |c| {
+                let _ = flight.apply(c, frame.time);
+            });
+            before = Some(frame.time);
+            let report = flight.step(&frame);
+            frames.push((report.received, applied));
+            applied = vehicle.actuate(&report.command).unwrap();
+            flight.applied(applied);
+        }
+    });
+    assert!(flight.report().armed, "{world}: {kind:?} did not fly to the end");
+    Flown { frames, config, speed: 1e6 * scenario.duration_s / took_us }
+}
+
+/// Times every tick of `estimator`, and apart from them those of which `apart` says so.
+fn ticks<E: Estimator>(
+    frames: &[(SensorFrame, MotorCommand)],
+    estimator: &mut E,
+    mut apart: impl FnMut(&E) -> bool,
+) -> Ticks {
+    let (mut all, mut some) = (Vec::with_capacity(frames.len()), Vec::with_capacity(frames.len()));
     let before = counting::requests();
-    for (frame, applied) in &frames {
+    for (frame, applied) in frames {
         let took = timed(|| {
-            black_box(secure.step(frame, applied));
+            black_box(estimator.step(frame, applied));
         });
         all.push(took);
-        if secure.window().count != windows {
-            windows = secure.window().count;
-            decoding.push(took);
+        if apart(estimator) {
+            some.push(took);
         }
     }
     let allocations = counting::requests() - before;
     all.sort_by(f64::total_cmp);
-    decoding.sort_by(f64::total_cmp);
-    let more = serde_json::json!({ "allocations": allocations });
-    print("secure tick that decodes: decode, identify, filter", &decoding, None, more.clone());
-    print("secure tick, all", &all, None, more);
+    some.sort_by(f64::total_cmp);
+    Ticks { all, apart: some, allocations }
+}
+
+/// Sorted times, us.
+struct Ticks {
+    all: Vec<f64>,
+    apart: Vec<f64>,
+    allocations: u64,
+}
+
+/// The whole tick of the decoders' estimator: decode, identify, filter.
+fn secure_tick() {
+    let Flown { frames, config, .. } = flown("bench", EstimatorKind::Secure);
+    let mut secure = Secure::new(config.sensor_model, &config.airframe, SLOTS).unwrap();
+    let mut windows = 0;
+    let timed = ticks(&frames, &mut secure, |secure| std::mem::replace(&mut windows, secure.window().count) != windows);
+    let more = serde_json::json!({ "allocations": timed.allocations });
+    print("secure tick that decodes: decode, identify, filter", &timed.apart, None, more.clone());
+    print("secure tick, all", &timed.all, None, more);
+}
+
+/// The whole tick of the lanes, and that at which the attacked set changes; then how fast their flight runs, beside the
+/// shipped EKF's.
+fn lanes_tick() {
+    const WORLD: &str = "datasheet";
+    let Flown { frames, config, speed } = flown(WORLD, EstimatorKind::Lanes);
+    let mut lanes = Lanes::new(config.sensor_model, &config.airframe);
+    let mut attacked = lanes.isolation().excluded();
+    let timed = ticks(&frames, &mut lanes, |lanes| {
+        let now = lanes.isolation().excluded();
+        std::mem::replace(&mut attacked, now) != now
+    });
+    let more = |limit: f64| serde_json::json!({ "world": WORLD, "allocations": timed.allocations, "limit": limit });
+    print("lanes tick, all", &timed.all, None, more(40.0));
+    if timed.apart.is_empty() {
+        skipped("lanes tick at a detection", "nothing was detected");
+    } else {
+        print("lanes tick at a detection", &timed.apart, None, more(150.0));
+    }
+    let shipped = flown(WORLD, EstimatorKind::EkfBias).speed;
+    for (name, speed) in [("lanes", speed), ("ekf_bias", shipped)] {
+        let line = serde_json::json!({ "bench": "sse", "name": format!("simulated flight with {name}"), "unit": "x real time",
+            "value": speed, "world": WORLD, "limit": 200 });
+        println!("{line}");
+    }
 }
