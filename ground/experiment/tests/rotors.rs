@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use plumbline_agent::attack::Kind;
 use plumbline_agent::flight::Failsafe;
 use plumbline_support::rotors::{How, RIGS, fly};
 
@@ -48,5 +49,17 @@ fn nothing_is_isolated_where_nothing_is_lost() {
             let flown = fly(rig, "datasheet", seed, None);
             assert!(flown.watched && flown.falsely == 0, "{rig}, seed {seed}: {flown:?}");
         }
+    }
+}
+
+#[test]
+fn a_rotor_told_something_else_stays_bounded_is_recorded_and_isolated_or_survived() {
+    for (kind, magnitude) in [(Kind::Bias, -0.1), (Kind::Freeze, 0.0), (Kind::Delay, 0.02), (Kind::Dropout, 0.3)] {
+        let flown = fly("free", "datasheet", SEEDS.start, Some((How::Told(kind), magnitude)));
+        println!("{kind:?} {magnitude}: {flown:?}");
+        assert!(flown.watched && flown.bounded && flown.altered > 0, "{kind:?}: {flown:?}");
+        assert_eq!(flown.falsely, 0, "{kind:?}: {flown:?}");
+        let survived = flown.lost.is_none() && flown.moved_m <= 0.1;
+        assert!(flown.right() || survived, "{kind:?}: {flown:?}");
     }
 }

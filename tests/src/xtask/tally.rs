@@ -27,6 +27,14 @@ impl Tally {
         }
     }
 
+    /// All that `other` counted, which says nothing of its own any more.
+    pub fn take_over(&mut self, other: &mut Self) {
+        self.passed += std::mem::take(&mut other.passed);
+        self.failed += std::mem::take(&mut other.failed);
+        self.skipped += std::mem::take(&mut other.skipped);
+        self.failures.append(&mut other.failures);
+    }
+
     /// Tests that were left out, and those that passed without having what they compare with: their names are told.
     pub fn skip(&mut self, ignored: u64, tests: &std::collections::BTreeSet<String>) {
         let skipped = (tests.len() as u64).min(self.passed);

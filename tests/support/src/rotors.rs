@@ -37,6 +37,8 @@ pub enum How {
     Broken,
     /// Its command is attacked.
     Attacked,
+    /// Its command is attacked in another way than by scaling it; the number beside it is the attack's magnitude.
+    Told(Kind),
 }
 
 /// What became of a flight.
@@ -70,6 +72,10 @@ pub struct Flown {
     pub lost: Option<String>,
     /// Was it watched, before the onset?
     pub watched: bool,
+    /// Commands that its attack is on record to have altered or withheld.
+    pub altered: u64,
+    /// Did every command that reached a motor lie within 0 to 1, and as the mixer told it for every rotor but the attacked one?
+    pub bounded: bool,
 }
 
 impl Flown {
@@ -104,25 +110,27 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
     let mut dice = Dice::new(seed ^ 0x0070_7042);
     let rotor = ((dice.uniform() * ROTORS as f64) as usize).min(ROTORS - 1);
     let onset_s = ONSET_S.0 + (ONSET_S.1 - ONSET_S.0) * dice.uniform();
+    let attack = |kind, magnitude| Attack {
+        id: 1,
+        sensor: SensorId::new(SensorKind::Rotor, rotor as u8 + 1),
+        channel: Channel::All,
+        kind,
+        start_s: onset_s,
+        duration_s: 60.0,
+        magnitude,
+        seed,
+    };
     let mut attacks = Vec::new();
     match loss {
         Some((How::Broken, loss)) => {
             scenario.broken.push(BrokenRotor { rotor: rotor + 1, at_s: onset_s, left: 1.0 - loss });
         }
-        Some((How::Attacked, loss)) => attacks.push(Attack {
-            id: 1,
-            sensor: SensorId::new(SensorKind::Rotor, rotor as u8 + 1),
-            channel: Channel::All,
-            kind: Kind::Scale,
-            start_s: onset_s,
-            duration_s: 60.0,
-            magnitude: 1.0 - loss,
-            seed,
-        }),
+        Some((How::Attacked, loss)) => attacks.push(attack(Kind::Scale, 1.0 - loss)),
+        Some((How::Told(kind), magnitude)) => attacks.push(attack(kind, magnitude)),
         None => {}
     }
     let onset_s = if loss.is_some() { onset_s } else { f64::INFINITY };
-    let ends = loss.is_some_and(|(_, loss)| loss >= ENDS);
+    let ends = loss.is_some_and(|(how, loss)| !matches!(how, How::Told(_)) && loss >= ENDS);
     scenario.duration_s = scenario.duration_s.min(onset_s + if ends { DOWN_S } else { AFTER_S });
     let setup = Setup {
         scenario,
@@ -134,7 +142,7 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
         judged_from_s: onset_s.min(5.0),
         comes_down: ends,
     };
-    let mut flown = Flown { onset_s, rotor, ..Flown::default() };
+    let mut flown = Flown { onset_s, rotor, bounded: true, ..Flown::default() };
     let (mut before, mut altitude_m) = ([false; ROTORS], None);
     let outcome = fly_watched(&setup, |flight, truth| {
         let after_s = truth.time.as_seconds() - onset_s;
@@ -151,6 +159,12 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
             *before = weak;
         }
         flown.found = parts[rotor];
+        flown.altered = flight.attack_state().first().map_or(0, |progress| progress.altered_samples);
+        let report = flight.report();
+        let commands = report.command.throttle.iter().zip(&report.commanded.throttle).enumerate();
+        for (i, (reached, told)) in commands {
+            flown.bounded &= (0.0..=1.0).contains(reached) && (i == rotor || reached == told);
+        }
         if after_s < 0.0 {
             flown.watched = flight.rotors().watches();
             flown.sigma = flight.rotors().sigma().into();
