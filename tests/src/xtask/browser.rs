@@ -1,5 +1,6 @@
 //! The scripted browser: the page as a user has it, driven by role and label.
 
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -112,6 +113,19 @@ fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(),
     read.and(stopped)
 }
 
+/// A browser that root starts puts itself before everything else on the machine, the kernel's workers included that serve
+/// the wire rig's ports; anybody else's may not.
+fn as_anybody(script: &mut Command) {
+    const CAP_SYS_NICE: libc::c_ulong = 23;
+    // SAFETY: between fork and exec there is one system call, with plain numbers; without the right to drop it there is nothing to drop.
+    unsafe {
+        script.pre_exec(|| {
+            libc::prctl(libc::PR_CAPBSET_DROP, CAP_SYS_NICE, 0, 0, 0);
+            Ok(())
+        });
+    }
+}
+
 /// Each of the scripts, whatever came of those before; the first failure.
 fn run_all(workspace: &Workspace, scripts: &[&str], api: &Api, tally: &mut Tally) -> Result<(), XtaskError> {
     let python = tools::python(workspace)?;
@@ -162,6 +176,7 @@ fn script(workspace: &Workspace, name: &str, api: &Api) -> Result<Command, Xtask
         .env("PLUMBLINE_CHROMIUM", &tools.chromium)
         .env("PLUMBLINE_MODULES", &tools.modules)
         .env("PLUMBLINE_SCREENSHOTS", &screenshots);
+    as_anybody(&mut script);
     Ok(script)
 }
 
