@@ -95,8 +95,13 @@ await step(null, 'foxglove: services are commands under the lease', async () => 
   const cut = await call(bob, 'cut', {});
   assert(cut.answer?.stage === 'accepted', JSON.stringify(cut));
   const release = () => fetch(`${url}/api/v1/vehicles/${vehicle}/release-cut`, { method: 'POST', headers: { 'x-plumbline-operator': 'ann' } });
-  // It may still swing on its strings.
-  await until('the cut to be released', async () => (await release()).ok, 60_000);
+  // It may still swing on its strings, for longer than control stays with who says nothing meanwhile.
+  await until('the cut to be released', async () => {
+    assert((await lease('PUT')).ok, 'ann keeps control');
+    const answer = await release();
+    if (!answer.ok) throw new Error(await answer.text());
+    return true;
+  }, 180_000);
   const mode = await call(ann, 'mode', { mode: 'altitude_hold' });
   assert(mode.answer?.stage === 'accepted' || mode.failure, JSON.stringify(mode));
   await lease('DELETE');

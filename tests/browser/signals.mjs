@@ -100,7 +100,8 @@ await step(page, 'flights: each has a small picture of its altitude, with its at
   await attack.getByLabel('kind').selectOption({ label: 'bias' });
   await attack.getByLabel(/^magnitude/).fill('0.5');
   await attack.getByLabel(/^start/).fill('1');
-  await attack.getByLabel(/^duration/).fill('5');
+  // Long enough that the flight's signals come thinned: 15 s and more.
+  await attack.getByLabel(/^duration/).fill('10');
   await attack.getByRole('button', { name: 'Add' }).click();
   await button('Schedule 1 attack').click();
   await until('the end of the attack', async () => /done/i.test(await region('Attacks').getByRole('listitem').first().textContent()), 30_000);
