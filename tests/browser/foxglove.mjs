@@ -91,14 +91,15 @@ await step(null, 'foxglove: services are commands under the lease', async () => 
   assert(served.answer?.stage === 'accepted' || /disarmed|mode/.test(served.failure), JSON.stringify(served));
   const refused = await call(bob, 'setpoint', { yaw_rad: 0 });
   assert(/ann.* holds control/.test(refused.failure), JSON.stringify(refused));
+  const post = (path, body) => fetch(`${url}/api/v1/vehicles/${vehicle}/${path}`, {
+    method: 'POST', headers: { 'x-plumbline-operator': 'ann', 'content-type': 'application/json' }, body: JSON.stringify(body),
+  });
+  // After a flight it swings on its strings for minutes, and a cut is released at rest only.
+  assert((await post('simulator', { reset: true })).ok, 'the simulator is reset');
   // Whoever holds control or not: everybody may cut. At rest it is only latched, and released again.
   const cut = await call(bob, 'cut', {});
   assert(cut.answer?.stage === 'accepted', JSON.stringify(cut));
-  // After a flight it swings on its strings for minutes, and a cut is released at rest only: what the simulator is for.
-  const reset = await fetch(`${url}/api/v1/vehicles/${vehicle}/simulator`, {
-    method: 'POST', headers: { 'x-plumbline-operator': 'ann', 'content-type': 'application/json' }, body: JSON.stringify({ reset: true }),
-  });
-  assert(reset.ok, `reset: ${await reset.text()}`);
+  await until('the cut to be released', async () => (await post('release-cut')).ok, 60_000);
   const mode = await call(ann, 'mode', { mode: 'altitude_hold' });
   assert(mode.answer?.stage === 'accepted' || mode.failure, JSON.stringify(mode));
   await lease('DELETE');
