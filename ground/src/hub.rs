@@ -7,7 +7,6 @@
 
 mod health;
 mod history;
-mod past;
 mod vehicle;
 mod viewer;
 
@@ -23,7 +22,6 @@ use crate::agent_link::CommandSender;
 use crate::agent_link::clock::wall_us;
 use crate::sync::{lock, wall_time_us};
 pub use history::{MAX_BYTES as MAX_HISTORY_BYTES, MAX_SECONDS as MAX_HISTORY_SECONDS};
-pub use past::thin;
 pub use vehicle::SILENT_AFTER;
 use vehicle::Vehicle;
 pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};

@@ -103,6 +103,7 @@ async fn an_export_that_a_client_has_is_not_sent_again() {
         "flights/f1/ros2",
         "flights/f1/frames",
         "flights/f1/frames?kinds=control",
+        "flights/f1/frames?columns=9",
         "archive?ids=f1",
     ] {
         let first = known(path, "\"other\"").await;

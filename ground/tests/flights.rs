@@ -115,6 +115,23 @@ async fn frames_can_be_asked_for_by_kind() {
     assert!(none.is_empty());
     let wrong = ground.get("/api/v1/flights/f1/frames?kinds=height,psychic").await;
     assert_eq!((wrong.status, wrong.error().as_str()), (422, "kind \"psychic\" is not known"));
+
+    let part = frames(&ground.get("/api/v1/flights/f1/frames?kinds=height&from_s=0.05&to_s=0.1").await.body);
+    let start_us = some[0].time_us;
+    assert!(!part.is_empty() && part.len() < 20, "{}", part.len());
+    assert!(part.iter().all(|f| (45_000..=100_000).contains(&(f.time_us - start_us))), "{:?}", part[0].time_us);
+    // Two stretches at most, as they need not begin with the flight: least and greatest of each, and one of residuals.
+    let thinned = frames(&ground.get("/api/v1/flights/f1/frames?kinds=height,residuals&columns=1").await.body);
+    assert!((3..=6).contains(&thinned.len()), "{}", thinned.len());
+    for (query, why) in [
+        ("columns=0", "columns 0 is outside 1 to 10000"),
+        ("columns=10001", "columns 10001 is outside 1 to 10000"),
+        ("from_s=2&to_s=1", "from_s 2 to to_s 1 is no range of time"),
+    ] {
+        let refused = ground.get(&format!("/api/v1/flights/f1/frames?{query}")).await;
+        assert_eq!((refused.status, refused.error().as_str()), (422, why));
+    }
+    assert_eq!(ground.get("/api/v1/flights/f1/frames?colums=9").await.status, 422, "a misspelt one is not passed over");
     ground.stop().await;
 }
 

@@ -21,6 +21,7 @@ pub mod ids;
 mod kind;
 pub mod limits;
 mod names;
+pub mod thinning;
 pub mod time;
 
 pub use error::DecodeError;

@@ -212,6 +212,72 @@ await step(page, 'signals: the address shows the same to others, and says what t
   await signals.getByRole('alert').getByText(/no signal "no.such.signal"/).waitFor();
 });
 
+await step(page, 'a long flight opens thinned; what is looked at comes whole, and its errors are those of its report', async () => {
+  const plan = `name = "long"
+repeats = 1
+seed = 5
+[scenario]
+world = "datasheet"
+duration_s = 300
+suite = { preset = "string_rig" }
+rig = { hanging_strings = { mode = "flight", height_m = 0.3 } }
+[[scenario.script]]
+at_s = 3
+do = "arm"
+[[scenario.script]]
+at_s = 4
+do = "mode"
+mode = "altitude_hold"
+[[scenario.script]]
+at_s = 5
+do = "setpoint"
+altitude_m = 0.9
+[[factor]]
+key = "agent.estimators.in_loop"
+values = ["lanes"]
+`;
+  const post = async (path, data) => {
+    const answer = await page.request.post(`${url}/api/v1/${path}`, { data, headers: { 'X-Plumbline-Operator': 'browser' } });
+    assert(answer.ok(), await answer.text());
+    return answer.json();
+  };
+  const { id } = await post('experiments', { plan });
+  const long = (await post(`experiments/${id}/flights/0`)).flight;
+  const asked = [];
+  page.on('response', async (response) => {
+    const { pathname, searchParams } = new URL(response.url());
+    if (pathname.endsWith('/frames')) asked.push({ what: Object.fromEntries(searchParams), bytes: (await response.body()).length });
+  });
+  const begun = Date.now();
+  await page.goto(`${url}/flights/${long}`);
+  await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+  const opened_ms = Date.now() - begun;
+  await until('the overview', async () => asked.length === 1);
+  assert(asked[0].what.columns === '600' && asked[0].bytes < 4e6, JSON.stringify(asked));
+  const plot = region('Altitude chart').getByRole('img').first();
+  await drawn(page, plot, 'the altitude');
+  // Nothing is drawn as a gap but what is one.
+  const box = await plot.boundingBox();
+  await page.mouse.move(box.x + 0.6 * box.width, box.y + box.height / 2);
+  const legend = region('Altitude chart').getByRole('list').first();
+  await until('a value under the cursor', async () => /0\.\d{3}/.test(await legend.textContent()));
+  for (let i = 0; i < 12; i += 1) await page.mouse.wheel(0, -120);
+  const fine = await until('every sample of what is zoomed into', async () => asked.find(({ what }) => what.from_s && !what.columns));
+  assert(fine.what.kinds.includes('residuals') && Number(fine.what.to_s) - Number(fine.what.from_s) < 62, JSON.stringify(fine.what));
+  await page.keyboard.press('Escape');
+  await button('Errors').first().click();
+  const rms = await until('the errors of the whole flight', async () => {
+    const text = await region('Errors').getByRole('listitem').first().textContent();
+    return number(/(\d+\.\d)$/.exec(text)?.[1]) || false;
+  }, 60_000);
+  await shots('flight-long-errors');
+  await page.goto(`${url}/flights/${long}/report`);
+  const row = page.getByRole('row').filter({ hasText: /^\d*Secure \(lanes\)/ }).first();
+  const reported = number(await row.getByRole('cell').nth(2).textContent());
+  assert(Math.abs(rms - reported) < 0.15, `${rms} mm, and ${reported} mm in the report`);
+  return { opened_ms, bytes: asked[0].bytes, fine: fine.bytes, rms, reported };
+});
+
 await step(page, 'signals: no complaint in the console', async () => {
   // The signal that there is not.
   const others = errors.filter((text) => !/422|400/.test(text));

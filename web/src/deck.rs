@@ -5,8 +5,9 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
+use std::time::Duration;
 
-use leptos::{html, prelude::*};
+use leptos::{html, leptos_dom::helpers::TimeoutHandle, prelude::*};
 use plumbline_proto::v1::SensorKind;
 
 use crate::{
@@ -24,6 +25,9 @@ use crate::{
 
 /// Windows offered, s.
 pub const WINDOWS_S: [f64; 6] = [10.0, 30.0, 60.0, 120.0, 300.0, 600.0];
+
+/// A view that has stood still this long is asked for.
+const SETTLE: Duration = Duration::from_millis(250);
 
 /// What the pinned cursors are called.
 pub const PIN_NAMES: [&str; 2] = ["A", "B"];
@@ -354,6 +358,18 @@ impl Deck {
         }
     }
 
+    /// What the charts of a recorded flight show, s of flight time.
+    pub fn in_view(self) -> [f64; 2] {
+        let begin_s = self.origin_s.get();
+        self.zoom.get().map_or([begin_s, begin_s + self.window_s.get()], |(from, to)| [from, to])
+    }
+
+    /// Does every sample that a curve was recorded with lie on it in view?
+    pub fn is_whole(self, live: &Live, curve: Curve) -> bool {
+        let axis = self.axis(live);
+        live.curves.is_whole(curve, axis.start_s, axis.end_s)
+    }
+
     /// Time that labels count from, s: the moving edge while live, else the flight's begin.
     pub fn label_origin_s(self, live: &Live, axis: TimeAxis) -> f64 {
         if self.is_still() { self.begin_s(live) } else { axis.end_s }
@@ -481,6 +497,35 @@ impl Deck {
             store::set("window_s", &seconds.to_string());
         }
     }
+}
+
+/// Runs `act` with what `view` gives once that has stood still; at first at once.
+pub fn settled<T: PartialEq + Copy + Send + Sync + 'static>(
+    view: impl Fn() -> T + Send + Sync + 'static,
+    act: impl Fn(T) + Clone + 'static,
+) {
+    let waiting = StoredValue::new(None::<TimeoutHandle>);
+    Effect::new(move |before: Option<T>| {
+        let now = view();
+        if before == Some(now) {
+            return now;
+        }
+        if let Some(handle) = waiting.get_value() {
+            handle.clear();
+        }
+        let act = act.clone();
+        if before.is_none() {
+            act(now);
+        } else {
+            waiting.set_value(set_timeout_with_handle(move || act(now), SETTLE).ok());
+        }
+        now
+    });
+    on_cleanup(move || {
+        if let Some(Some(handle)) = waiting.try_get_value() {
+            handle.clear();
+        }
+    });
 }
 
 /// Where the play head stands in a view that moves with it, and where it begins in one that it was outside of.

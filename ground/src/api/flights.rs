@@ -198,24 +198,31 @@ fn tag_of(flight: &Snapshot, what: &str) -> String {
     tag::of(format!("{} {what} {WRITTEN}", flight.tag()).as_bytes())
 }
 
-#[derive(Deserialize)]
-pub(crate) struct Kinds {
+/// Which of a flight's messages.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Messages {
     kinds: Option<String>,
+    from_s: Option<f64>,
+    to_s: Option<f64>,
+    /// What charts so many columns wide show, instead of every message.
+    columns: Option<u64>,
 }
 
 pub(crate) async fn frames(
     State(app): State<App>,
     Path(id): Path<String>,
     who: Operator,
-    Query(asked): Query<Kinds>,
+    Query(asked): Query<Messages>,
     known: Known,
 ) -> Result<Response, ApiError> {
     let place = app.downloads.begin(who.name())?;
     let recorder = app.recorder.clone();
     let made = on_disk(move || {
         let flight = recorder.open(&id)?;
-        let tag = tag_of(&flight, &format!("frames {:?}", asked.kinds));
-        Ok((Export::frames(flight, asked.kinds.as_deref())?, tag))
+        let tag = tag_of(&flight, &format!("frames {asked:?}"));
+        let range_s = (asked.from_s.unwrap_or(0.0), asked.to_s.unwrap_or(f64::INFINITY));
+        Ok((Export::frames(flight, asked.kinds.as_deref(), range_s, asked.columns)?, tag))
     });
     let (export, tag) = made.await?;
     if known.has(&tag) {

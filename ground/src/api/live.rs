@@ -17,7 +17,9 @@ use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse as _, Response};
-use plumbline_proto::{Kind, Message as _, codec, v1};
+use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::thinning::Thinner;
+use plumbline_proto::{Kind, Message as _, v1};
 use serde::Deserialize;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
@@ -27,7 +29,7 @@ use super::error::ApiError;
 use super::extract::{Path, Query};
 use super::operator::{self, Operator};
 use crate::front::Place;
-use crate::hub::{MAX_HISTORY_SECONDS, Viewer, ViewerQueue, thin};
+use crate::hub::{MAX_HISTORY_SECONDS, Shared, Viewer, ViewerQueue};
 use crate::people::Token;
 use crate::sync::stopping;
 use crate::viewers::MAX_VIEWERS;
@@ -38,6 +40,8 @@ pub(super) const STALLED: Duration = Duration::from_secs(30);
 const ASK_EVERY: Duration = Duration::from_millis(250);
 /// How often the state of the link is sent.
 const LINK_EVERY: Duration = Duration::from_millis(250);
+/// Stretches of the past: charts are some 700 pixels wide.
+const COLUMNS: u64 = 480;
 /// Viewers have nothing to say but that they are there.
 const MAX_INCOMING: usize = 4096;
 
@@ -107,9 +111,22 @@ pub(crate) async fn history(
     // In turn: it keeps a processor busy for a while.
     let _turn = app.thinning.acquire().await.map_err(|_| ApiError::Unavailable("the ground is stopping".into()))?;
     let batches = app.hub.past(&id, Duration::from_secs(seconds))?;
-    let thinned = tokio::task::spawn_blocking(move || thin(&batches, seconds)).await;
+    let thinned = tokio::task::spawn_blocking(move || past(&batches, seconds)).await;
     let thinned = thinned.map_err(|e| ApiError::Broken(e.to_string()))?;
     Ok(([(header::CONTENT_TYPE, "application/octet-stream")], thinned).into_response())
+}
+
+/// One batch with what charts show of `batches`, which are of the last `seconds`; each topic in the order of time. What
+/// the newest state repeats (description, gains) is left out.
+fn past(batches: &[Shared], seconds: u64) -> Vec<u8> {
+    let mut out = Vec::new();
+    codec::begin_batch(&mut out);
+    let mut thinner = Thinner::new(seconds * 1_000_000, COLUMNS);
+    let frames = batches.iter().filter_map(|shared| codec::decode_batch(&shared.batch).ok()).flatten();
+    let repeated = |frame: &Frame<'_>| matches!(frame.known_kind(), Some(Kind::Description | Kind::Gains));
+    frames.map_while(Result::ok).filter(|frame| !repeated(frame)).for_each(|frame| thinner.take(&frame, &mut out));
+    thinner.finish(&mut out);
+    out
 }
 
 /// Completes when whoever showed `token` may watch no more: signed out, removed, or with another password.

@@ -243,7 +243,16 @@ pub(super) const OPERATIONS: &[Operation] = &[
     .media(BYTES)
     .tagged(),
     get("/api/v1/flights/{id}/frames", "Its messages as batches")
-        .query(&[("kinds", "string", "Kinds with commas between them, all where nothing is said.")])
+        .query(&[
+            ("kinds", "string", "Kinds with commas between them, all where nothing is said."),
+            FROM,
+            TO,
+            (
+                "columns",
+                "integer",
+                "1 to 10000: no longer every message, but what charts so many columns wide show of them.",
+            ),
+        ])
         .media(BYTES)
         .tagged(),
     get("/api/v1/flights/{id}/estimate", "Estimates the recording again")

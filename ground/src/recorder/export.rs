@@ -7,6 +7,7 @@ use mcap::write::NoSeek;
 use mcap::{McapResult, WriteOptions};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::{self, Frame};
+use plumbline_proto::thinning::{COLUMNS, Thinner};
 
 use super::RecordingError;
 use super::flatten::Table;
@@ -19,7 +20,7 @@ pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
 
 /// What writes exports: their ETags hold for this program, and for this number of what it writes, to be raised with every
 /// change of it.
-pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 1");
+pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 2");
 
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;
@@ -31,7 +32,15 @@ enum Form {
     Wide(Wide, Format),
     Whole(Whole, (u64, u64)),
     Topic(String),
-    Frames(Option<Vec<String>>),
+    Frames(Frames),
+}
+
+/// Which messages are written as a batch.
+struct Frames {
+    topics: Option<Vec<String>>,
+    range_us: (u64, u64),
+    /// Stretches of time, where not every message is wanted.
+    columns: Option<u64>,
 }
 
 /// An export that is known to be possible.
@@ -72,13 +81,24 @@ impl Export {
         }
     }
 
-    /// The messages of some kinds (all when `None`) as one codec batch in the order of time.
+    /// The messages of some kinds (all when `None`) in a range of time as one codec batch: all in the order of time, or
+    /// what charts of so many columns show of them (see [`Thinner`]), each topic in the order of time.
     /// Kinds are named by the last part of their topic: `estimate`, `imu`, `step`.
     ///
     /// # Errors
-    /// [`RecordingError`] when the flight cannot be read or a kind is not known.
-    pub fn frames(flight: Snapshot, kinds: Option<&str>) -> Result<Self, RecordingError> {
+    /// [`RecordingError`] when the flight cannot be read, or a kind, the range or the number of columns is none.
+    pub fn frames(
+        flight: Snapshot,
+        kinds: Option<&str>,
+        (from_s, to_s): (f64, f64),
+        columns: Option<u64>,
+    ) -> Result<Self, RecordingError> {
+        if let Some(columns) = columns.filter(|columns| !COLUMNS.contains(columns)) {
+            let (least, most) = COLUMNS.into_inner();
+            return Err(RecordingError::Invalid(format!("columns {columns} is outside {least} to {most}")));
+        }
         let reader = open(flight)?;
+        let range_us = Selection { from_s, to_s, ..Selection::default() }.range_us(&reader)?;
         let topics = match kinds {
             None => None,
             Some(names) => {
@@ -87,7 +107,7 @@ impl Export {
                 Some(reader.channels().into_keys().filter(wanted).collect())
             }
         };
-        Ok(Self { reader, form: Form::Frames(topics) })
+        Ok(Self { reader, form: Form::Frames(Frames { topics, range_us, columns }) })
     }
 
     /// Writes the export; the same again each time.
@@ -99,7 +119,7 @@ impl Export {
             Form::Wide(wide, format) => wide.clone().write(&self.reader, *format, sink),
             Form::Whole(whole, range_us) => whole(&self.reader, *range_us, sink),
             Form::Topic(topic) => write_topic(&self.reader, topic, sink),
-            Form::Frames(topics) => write_frames(&self.reader, topics.as_deref(), sink),
+            Form::Frames(frames) => write_frames(&self.reader, frames, sink),
         };
         written.map_err(damaged)
     }
@@ -198,10 +218,13 @@ fn write_topic(reader: &FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapR
     out.send().map(|_| ())
 }
 
-fn write_frames(reader: &FlightReader, topics: Option<&[String]>, sink: &mut Sink<'_>) -> McapResult<()> {
+fn write_frames(reader: &FlightReader, frames: &Frames, sink: &mut Sink<'_>) -> McapResult<()> {
+    let (from_us, to_us) = frames.range_us;
+    let span_us = to_us.min(reader.end_us()).saturating_sub(from_us);
+    let mut thinner = frames.columns.map(|columns| Thinner::new(span_us, columns));
     let mut batch = Vec::with_capacity(PIECE + 4096);
     codec::begin_batch(&mut batch);
-    reader.for_each(topics, |message| {
+    reader.for_each_in(frames.topics.as_deref(), frames.range_us, |message| {
         let (kind, instance) = match Kind::from_topic(&message.channel.topic) {
             Some((kind, instance)) => (kind.to_wire(), instance),
             None => match unknown(&message.channel.topic) {
@@ -209,10 +232,17 @@ fn write_frames(reader: &FlightReader, topics: Option<&[String]>, sink: &mut Sin
                 None => return Ok(true),
             },
         };
-        Frame { kind, instance, sequence: message.sequence, time_us: message.time_us, payload: message.payload }
-            .encode(&mut batch);
+        let (sequence, time_us, payload) = (message.sequence, message.time_us, message.payload);
+        let frame = Frame { kind, instance, sequence, time_us, payload };
+        match &mut thinner {
+            Some(thinner) => thinner.take(&frame, &mut batch),
+            None => frame.encode(&mut batch),
+        }
         Ok(if batch.len() >= PIECE { sink(std::mem::take(&mut batch)) } else { true })
     })?;
+    if let Some(thinner) = thinner {
+        thinner.finish(&mut batch);
+    }
     if !batch.is_empty() {
         sink(batch);
     }

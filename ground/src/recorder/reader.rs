@@ -54,6 +54,12 @@ impl FlightReader {
         start.saturating_sub(self.identity.boot_wall_time_us)
     }
 
+    /// Flight time of the last message, µs.
+    pub(super) fn end_us(&self) -> u64 {
+        let end = self.summary.chunk_indexes.iter().map(|chunk| chunk.message_end_time).max().unwrap_or(0) / 1000;
+        end.saturating_sub(self.identity.boot_wall_time_us)
+    }
+
     /// When the agent booted, µs since the Unix epoch.
     pub(super) fn boot_us(&self) -> u64 {
         self.identity.boot_wall_time_us

@@ -174,6 +174,33 @@ pub struct Curves {
     followed: errors::Followed,
     /// How often a whole curve was put in the place of another.
     replaced: u64,
+    whole: Whole,
+}
+
+/// Where every recorded sample is on the curves, and not what is left of it after thinning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Whole {
+    /// Between these times, s.
+    pub between_s: [f64; 2],
+    /// Residuals, too?
+    pub residuals: bool,
+}
+
+impl Default for Whole {
+    fn default() -> Self {
+        Self { between_s: [f64::NEG_INFINITY, f64::INFINITY], residuals: true }
+    }
+}
+
+impl Whole {
+    /// Nowhere.
+    pub const NOWHERE: Self = Self { between_s: [f64::INFINITY, f64::NEG_INFINITY], residuals: false };
+
+    /// Is a curve whole between two times?
+    pub fn covers(&self, curve: Curve, from_s: f64, to_s: f64) -> bool {
+        let residual = matches!(curve, Curve::Innovation(_) | Curve::Gate(_) | Curve::Worst(..));
+        self.between_s[0] <= from_s && to_s <= self.between_s[1] && (self.residuals || !residual)
+    }
 }
 
 impl Default for Curves {
@@ -184,7 +211,13 @@ impl Default for Curves {
 
 impl Curves {
     fn of(samples: usize) -> Self {
-        Self { map: BTreeMap::new(), samples, followed: errors::Followed::default(), replaced: 0 }
+        Self {
+            map: BTreeMap::new(),
+            samples,
+            followed: errors::Followed::default(),
+            replaced: 0,
+            whole: Whole::default(),
+        }
     }
 
     /// For a recorded flight: everything is kept.
@@ -215,6 +248,49 @@ impl Curves {
                 series.push(time_s, value);
             }
         }
+    }
+
+    /// Does every sample of a curve that was recorded between two times lie on it?
+    pub fn is_whole(&self, curve: Curve, one_s: f64, other_s: f64) -> bool {
+        // Outside of the flight there is none.
+        let Some(span) = self.time_span_s() else { return true };
+        let [one_s, other_s] = [one_s, other_s].map(|time_s| time_s.clamp(span.start, span.end));
+        self.whole.covers(curve, one_s.min(other_s), one_s.max(other_s))
+    }
+
+    /// Was nothing of them thinned?
+    pub fn is_everywhere_whole(&self) -> bool {
+        self.whole == Whole::default()
+    }
+
+    /// The same curves once more, to refine them from.
+    pub fn copy(&self) -> Self {
+        Self { map: self.map.clone(), ..Self::of(self.samples) }
+    }
+
+    /// Takes the curves of `overview`, whose samples stand for `step_s` each, with those of `detail` between two times in
+    /// their place; `whole` says where every sample is. Curves that neither has stay.
+    pub fn refine(&mut self, overview: &Self, step_s: f64, detail: Option<(&Self, [f64; 2])>, whole: Whole) {
+        self.forget_errors();
+        let gap_s = GAP_S.max(2.5 * step_s);
+        let names = overview.map.keys().chain(detail.iter().flat_map(|(detail, _)| detail.map.keys()));
+        for name in names.copied().collect::<std::collections::BTreeSet<_>>() {
+            let all = |series: &Series| series.samples(series.first()..series.end()).collect::<Vec<_>>();
+            let outer = overview.map.get(&name).map(all).unwrap_or_default();
+            let fine = detail.and_then(|(detail, span)| Some((all(detail.map.get(&name)?), span)));
+            let samples = match fine {
+                None => outer,
+                Some((inner, [from_s, to_s])) => {
+                    let before = outer.iter().copied().filter(|(time_s, _)| *time_s < from_s);
+                    let after = outer.iter().copied().filter(|(time_s, _)| *time_s > to_s);
+                    let inner = with_gaps(inner).filter(|(time_s, _)| (from_s..=to_s).contains(time_s));
+                    before.chain(inner).chain(after).collect()
+                }
+            };
+            self.map.insert(name, Series::from_samples(samples).with_max_gap(gap_s));
+        }
+        self.whole = whole;
+        self.replaced += 1;
     }
 
     /// Appends one sample. Samples that run backwards in time are left out.
@@ -416,6 +492,16 @@ pub fn suspicion(sensor: &v1::SecureSensor) -> f64 {
     const ABOVE: f64 = 1.01;
     let ratio = sensor.window_ratio.max(sensor.drift_ratio);
     if sensor.flagged { ratio.max(ABOVE) } else { ratio.min(1.0) }
+}
+
+/// Samples, drawn with a gap where neighbours are further apart than [`GAP_S`], whatever the curve they come on allows.
+fn with_gaps(samples: Vec<(f64, f32)>) -> impl Iterator<Item = (f64, f32)> {
+    let mut last_s = f64::INFINITY;
+    samples.into_iter().flat_map(move |(time_s, value)| {
+        let gap = (time_s - last_s > GAP_S).then_some((last_s, f32::NAN));
+        last_s = time_s;
+        gap.into_iter().chain([(time_s, value)])
+    })
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Flight: one recording, with the charts it was flown with, a scrub bar, and everything known about it.
 
 mod again;
+mod detail;
 mod facts;
 mod reestimate;
 mod report;
@@ -52,14 +53,14 @@ enum Loaded {
     Ready(Box<Deck>),
 }
 
-/// Loads the messages of a flight as a deck.
+/// Loads every message of a flight that charts need.
 pub async fn load_frames(id: &str) -> Result<Live, Failure> {
-    load_kinds(id, KINDS).await
+    load(id, KINDS, "").await
 }
 
-/// Messages of some kinds of a flight.
-async fn load_kinds(id: &str, kinds: &str) -> Result<Live, Failure> {
-    let bytes = net::bytes(&format!("/api/v1/flights/{id}/frames?kinds={kinds}")).await?;
+/// Messages of some kinds of a flight: all, or those that the rest of the query leaves.
+async fn load(id: &str, kinds: &str, rest: &str) -> Result<Live, Failure> {
+    let bytes = net::bytes(&format!("/api/v1/flights/{id}/frames?kinds={kinds}{rest}")).await?;
     let mut flight = Live::recorded();
     flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;
     Ok(flight)
@@ -79,13 +80,11 @@ pub fn FlightPage(
     {
         let (url, id) = (url.clone(), id.clone());
         leptos::task::spawn_local(async move {
-            let known = net::json("GET", &url, None, "").await;
-            let missing = known.is_err();
+            let known = net::json::<Flight>("GET", &url, None, "").await;
+            let length_s = known.as_ref().ok().map(|flight| flight.duration_s);
             summary.try_set(Some(known));
-            if missing {
-                return;
-            }
-            let frames = load_frames(&id).await;
+            let Some(length_s) = length_s else { return };
+            let frames = detail::overview(&id, length_s).await;
             // The page may have been left meanwhile: then its signals are gone.
             if loaded.is_disposed() {
                 return;
@@ -245,8 +244,9 @@ fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option
 fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
     provide_context(deck);
-    provide_context(signals::Recording::new(id));
+    provide_context(signals::Recording::new(id.clone()));
     signals::begin(deck);
+    let reading = detail::follow(deck, id);
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {
         <div class="fly replay">
@@ -264,7 +264,7 @@ fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failur
                     <Evidence />
                     <MotorsAndTicks />
                 </Show>
-                <Scrub deck />
+                <Scrub deck reading />
             </div>
             <div class="right"><Summary summary /></div>
         </div>

@@ -42,7 +42,8 @@ fn rows(deck: Deck, listed: &Listed, [a, b]: [f64; 2]) -> Vec<Row> {
     deck.data.with_value(|live| {
         let row = |e: crate::panel::legend::Entry| {
             let series = live.curves.get(e.curve)?;
-            Some(Row { name: e.name, color: e.color, found: measure(series, a, b) })
+            let found = measure(series, a, b).filter(|_| live.curves.is_whole(e.curve, a, b));
+            Some(Row { name: e.name, color: e.color, found })
         };
         entries.into_iter().filter(|e| deck.shows(live, e.curve)).filter_map(row).collect()
     })

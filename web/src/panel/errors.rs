@@ -10,7 +10,10 @@ use super::{
 };
 use crate::{
     deck::{Deck, Picture, deck},
-    model::{curves::Axis, names},
+    model::{
+        curves::{Axis, Curve},
+        names,
+    },
     palette,
 };
 
@@ -45,7 +48,11 @@ pub fn Errors() -> impl IntoView {
     let axis = deck.error_axis;
     let altitude = Memo::new(move |_| entries(deck, None));
     let attitude = Memo::new(move |_| entries(deck, Some(axis.get())));
-    let unknown = Memo::new(move |_| altitude.with(Vec::is_empty) && attitude.with(Vec::is_empty));
+    let partial = Memo::new(move |_| {
+        deck.zoom.track();
+        deck.read(|live| !deck.is_whole(live, Curve::TruthAltitude))
+    });
+    let unknown = Memo::new(move |_| !partial.get() && altitude.with(Vec::is_empty) && attitude.with(Vec::is_empty));
     // Beside each name: the error under the cursor, else the mean over the window.
     let rms = move || if deck.cursor.get().is_some() { "" } else { "RMS" };
     view! {
@@ -55,6 +62,7 @@ pub fn Errors() -> impl IntoView {
                 <span class="quiet">{move || if against.get() { "estimate minus truth; band: ±3σ in the loop" } else { "estimate minus setpoint (no truth here); band: ±3σ in the loop" }}</span>
                 <span class="push buttons-row"><EvidenceSwitch /></span>
             </header>
+            <Show when=move || partial.get()><p class="empty" role="status">"Reading every sample of what is in view…"</p></Show>
             <Show when=move || unknown.get()><p class="empty">"No estimate and truth, or setpoint, to compare yet."</p></Show>
             <div class="chart-body">
                 <div class="chart-side">

@@ -199,7 +199,7 @@ pub fn TableButton(
                 type="button"
                 class="small plain"
                 aria-label=format!("{name}: what is visible as CSV")
-                title="What is visible, as a table (CSV)"
+                title="What is visible, as a table (CSV); of a long flight every sample where it is zoomed into, else the least and the greatest of each pixel"
                 on:click=move |_| save(deck, name, unit, &entries.get_untracked())
             >"CSV"</button>
         </span>
@@ -244,7 +244,8 @@ fn error_text(deck: Deck, curve: Curve, decimals: usize) -> String {
         }
         None => {
             let axis = deck.axis(live);
-            let rms = live.curves.get(curve).and_then(|series| rms(series, axis.start_s, axis.end_s));
+            let series = live.curves.get(curve).filter(|_| deck.is_whole(live, curve));
+            let rms = series.and_then(|series| rms(series, axis.start_s, axis.end_s));
             format::maybe(rms, decimals)
         }
     })

@@ -1,9 +1,7 @@
 //! The signal browser of a recorded flight: any number that was recorded on a chart of its own, on the time axis of the
 //! charts above, or its spectrum over what is in view, or between the pinned cursors. The address keeps what is shown.
 
-use std::time::Duration;
-
-use leptos::{ev, html, leptos_dom::helpers::TimeoutHandle, prelude::*};
+use leptos::{ev, html, prelude::*};
 use plumbline_rest::flight::{Samples, Signal as Recorded, Signals, Spectrum};
 
 use super::{
@@ -13,7 +11,7 @@ use super::{
     sketch::{Drawing, Sketch, Trace},
 };
 use crate::{
-    deck::{Charted, Deck, Evidence, Picture, deck},
+    deck::{Charted, Deck, Evidence, Picture, deck, settled},
     model::{
         curves::Curve,
         format::{self, NONE},
@@ -28,8 +26,6 @@ const MOST: usize = 6;
 const COLUMNS: usize = 1500;
 /// Longer than any flight, s.
 const LONGEST_S: f64 = 1e7;
-/// A view that has stood still this long is asked for.
-const SETTLE: Duration = Duration::from_millis(250);
 
 /// Which recording the charts show.
 #[derive(Debug, Clone, Copy)]
@@ -251,42 +247,6 @@ fn One(charted: Charted, start_s: f64) -> impl IntoView {
     }
 }
 
-/// Runs `act` with what `view` gives once that has stood still; at first at once.
-fn settled<T: PartialEq + Copy + Send + Sync + 'static>(
-    view: impl Fn() -> T + Send + Sync + 'static,
-    act: impl Fn(T) + Clone + 'static,
-) {
-    let waiting = StoredValue::new(None::<TimeoutHandle>);
-    Effect::new(move |before: Option<T>| {
-        let now = view();
-        if before == Some(now) {
-            return now;
-        }
-        if let Some(handle) = waiting.get_value() {
-            handle.clear();
-        }
-        let act = act.clone();
-        if before.is_none() {
-            act(now);
-        } else {
-            waiting.set_value(set_timeout_with_handle(move || act(now), SETTLE).ok());
-        }
-        now
-    });
-    on_cleanup(move || {
-        if let Some(Some(handle)) = waiting.try_get_value() {
-            handle.clear();
-        }
-    });
-}
-
-/// What the charts show, s of flight time.
-fn in_view(deck: Deck) -> [f64; 2] {
-    let zoom = deck.zoom.get();
-    let begin_s = deck.origin_s.get();
-    zoom.map_or([begin_s, begin_s + deck.window_s.get()], |(from, to)| [from, to])
-}
-
 /// Keeps the curve of a signal: the whole flight coarsely, and what is zoomed into finer.
 fn follow(deck: Deck, place: u8, name: String, start_s: f64, problem: RwSignal<Option<String>>, waits: RwSignal<bool>) {
     let recording: Recording = expect_context();
@@ -311,7 +271,7 @@ fn follow(deck: Deck, place: u8, name: String, start_s: f64, problem: RwSignal<O
     let asked = StoredValue::new(0_u32);
     let thinned = move || coarse.with(|known| known.as_ref().is_some_and(|k| k.samples > k.time_s.len() as u64));
     settled(
-        move || thinned().then(|| in_view(deck)),
+        move || thinned().then(|| deck.in_view()),
         move |span| {
             let Some([from, to]) = span.filter(|_| deck.zoom.get_untracked().is_some()) else { return };
             let number = asked.get_value() + 1;
@@ -360,7 +320,7 @@ fn Density(
     let found = RwSignal::new(None::<Spectrum>);
     let asked = StoredValue::new(0_u32);
     let label = format!("Spectrum of {name}");
-    let span = move || deck.pins.get().map_or_else(|| in_view(deck), |[a, b]| [a.min(b), a.max(b)]);
+    let span = move || deck.pins.get().map_or_else(|| deck.in_view(), |[a, b]| [a.min(b), a.max(b)]);
     settled(span, move |range| {
         let number = asked.get_value() + 1;
         asked.set_value(number);

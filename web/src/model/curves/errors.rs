@@ -102,12 +102,15 @@ impl Curves {
         else {
             return;
         };
-        let begin = self.followed.next.get(&source).copied().unwrap_or(0).max(series.first());
+        // What thinning left of two curves cannot be compared.
+        let [from_s, to_s] = self.whole.between_s;
+        let (first, end) = (series.lower_bound(from_s), series.upper_bound(to_s));
+        let begin = self.followed.next.get(&source).copied().unwrap_or(0).max(first);
         let begun_s = series.get(begin).map_or(0.0, |(time_s, _)| time_s);
         let angle = matches!(source, Curve::Attitude(..));
         let mut reference = Reference { series: against, after: against.upper_bound(begun_s), straight, angle };
         let mut found = Vec::new();
-        for (time_s, value) in series.samples(begin..series.end()) {
+        for (time_s, value) in series.samples(begin..end.max(begin)) {
             let Some(reference) = reference.at(time_s) else { break };
             let off = f64::from(value) - reference;
             found.push((time_s, if angle { wrapped(off) * MRAD } else { off * MM }));

@@ -16,7 +16,7 @@ use crate::{
     panel::toolbar::Link,
 };
 
-use super::{NoFlight, load_kinds};
+use super::{NoFlight, load};
 
 /// Kinds that figures are made of.
 const KINDS: &str = "estimate,control,truth,residuals,status,attacks,event,step,description,secure,gains";
@@ -34,7 +34,7 @@ struct Written {
 /// Reads the recording and writes its report.
 async fn written(ctx: Ctx, id: &str) -> Result<Written, Failure> {
     let flight: Flight = net::json("GET", &format!("/api/v1/flights/{id}"), None, "").await?;
-    let mut live = load_kinds(id, KINDS).await?;
+    let mut live = load(id, KINDS, "").await?;
     live.curves.follow_errors();
     let ground = ctx.app.with_value(|app| match &app.ground {
         GroundState::Up(ground) => ground.version.clone(),

@@ -11,7 +11,11 @@ const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 
 /// Play, speed, position, event marks.
 #[component]
-pub(super) fn Scrub(deck: Deck) -> impl IntoView {
+pub(super) fn Scrub(
+    deck: Deck,
+    /// What is being read of the recording; empty: nothing.
+    reading: RwSignal<String>,
+) -> impl IntoView {
     let playing = RwSignal::new(false);
     let speed = RwSignal::new(1.0);
     let bar = NodeRef::<html::Div>::new();
@@ -87,6 +91,7 @@ pub(super) fn Scrub(deck: Deck) -> impl IntoView {
                 {SPEEDS.into_iter().map(|s| view! { <option value=s.to_string() selected=move || speed.get() == s>{format!("{s}×")}</option> }).collect::<Vec<_>>()}
             </select>
             <output class="num">{move || format!("{} / {}", tenths(deck.playhead.get() - begin), tenths(length))}</output>
+            <small class="quiet one-line" role="status">{reading}</small>
           </div>
             <div
                 class="scrub-bar"
