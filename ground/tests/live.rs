@@ -6,8 +6,8 @@ mod common;
 
 use std::time::Instant;
 
-use common::Ground;
 use common::viewer::Viewer;
+use common::{Ground, PATIENCE};
 use plumbline_proto::codec::Batch;
 use plumbline_proto::{Kind, v1};
 use tokio::sync::watch;
@@ -83,15 +83,20 @@ async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
     let mut agent = ground.agent("iris-1", 1).await;
     agent.describe().await;
     ground.wait_json("/api/v1/vehicles", |v| v[0]["rig"] == "strings").await;
-    let mut stalled = ground.view("iris-1", 0).await;
+    // A viewer is told the newest state first: from then on it misses nothing.
+    let watching = async || {
+        let mut viewer = ground.view("iris-1", 0).await;
+        viewer.next_of(Kind::Description).await;
+        viewer
+    };
+    let mut stalled = watching().await;
     let first = agent.sequence + 1;
     let messages = 4000_u64;
     let mut readers = Vec::new();
     let mut progress = Vec::new();
     for _ in 0..19 {
-        let viewer = ground.view("iris-1", 0).await;
         let (read, seen) = watch::channel(0);
-        readers.push(tokio::spawn(read_events(viewer, messages, read)));
+        readers.push(tokio::spawn(read_events(watching().await, messages, read)));
         progress.push(seen);
     }
     // 4000 messages of 4 kB are 16 MB: more than the queue and the socket buffers of one viewer hold.
@@ -102,12 +107,14 @@ async fn a_stalled_viewer_changes_nothing_for_nineteen_others() {
         if n % 100 == 0 {
             // As fast as the slowest of the nineteen reads on this machine, 200 messages behind at most: it must miss none.
             for seen in &mut progress {
-                seen.wait_for(|read| read + 200 >= n).await.unwrap();
+                let close = seen.wait_for(|read| read + 200 >= n);
+                tokio::time::timeout(PATIENCE, close).await.expect("a reader that misses none").unwrap();
             }
         }
     }
     for reader in readers {
-        assert_eq!(reader.await.unwrap(), (first..first + messages).collect::<Vec<_>>(), "complete and in order");
+        let read = tokio::time::timeout(PATIENCE, reader).await.expect("a reader that misses none");
+        assert_eq!(read.unwrap(), (first..first + messages).collect::<Vec<_>>(), "complete and in order");
     }
     // The stalled one reads at last: it lost the oldest and is told how many.
     let mut seen = 0;

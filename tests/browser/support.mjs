@@ -168,7 +168,7 @@ export function countMcap(file) {
 export function complaints(page) {
   const all = [];
   page.on('console', (message) => {
-    if (message.type() === 'error') all.push(message.text());
+    if (message.type() === 'error') all.push(`${message.text()} ${message.location().url}`);
   });
   page.on('pageerror', (error) => all.push(`${error.name}: ${error.message}`));
   return all;

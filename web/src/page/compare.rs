@@ -17,7 +17,7 @@ use crate::{
         series::Series,
     },
     net,
-    page::flight::load_frames,
+    page::flight::load,
     palette,
     panel::{
         legend::{Entry, Legend, Swatch, TableButton},
@@ -26,6 +26,8 @@ use crate::{
     },
 };
 
+/// Kinds that are compared.
+const KINDS: &str = "estimate,control,status,attacks,event,step,description,gains";
 /// Most flights at once: more colours than this cannot be told apart.
 const MOST: usize = 8;
 /// A flight that leads by so much has taken off, m.
@@ -128,7 +130,7 @@ pub fn Compare(
         let mut summaries = Vec::new();
         for id in &ids {
             let summary = net::json::<Flight>("GET", &format!("/api/v1/flights/{id}"), None, "").await;
-            match (summary, load_frames(id).await) {
+            match (summary, load(id, KINDS, "").await) {
                 (Ok(summary), Ok(flight)) => {
                     summaries.push(summary);
                     flights.push(flight);

@@ -53,13 +53,8 @@ enum Loaded {
     Ready(Box<Deck>),
 }
 
-/// Loads every message of a flight that charts need.
-pub async fn load_frames(id: &str) -> Result<Live, Failure> {
-    load(id, KINDS, "").await
-}
-
 /// Messages of some kinds of a flight: all, or those that the rest of the query leaves.
-async fn load(id: &str, kinds: &str, rest: &str) -> Result<Live, Failure> {
+pub async fn load(id: &str, kinds: &str, rest: &str) -> Result<Live, Failure> {
     let bytes = net::bytes(&format!("/api/v1/flights/{id}/frames?kinds={kinds}{rest}")).await?;
     let mut flight = Live::recorded();
     flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;

@@ -273,6 +273,7 @@ impl Flight {
         for (name, unit, value, ..) in fields {
             if let Some(value) = value {
                 let separator = if done.is_empty() { "" } else { ", " };
+                let value = (value * 1e4).round() / 1e4;
                 done = text(format_args!("{done}{separator}{name} {value} {unit}"));
             }
         }

@@ -1,5 +1,6 @@
 //! Play, speed, position and event marks of a recorded flight.
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use leptos::{ev, html, prelude::*};
@@ -8,6 +9,9 @@ use crate::{deck::Deck, net};
 
 /// Playback speeds.
 const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+
+/// Events of one kind that are marked, at most.
+const MOST_MARKS: usize = 60;
 
 /// Play, speed, position, event marks.
 #[component]
@@ -76,7 +80,11 @@ pub(super) fn Scrub(
     let percent = move |time: f64| (time - begin) / length * 100.0;
     let marks = deck.data.with_value(|live| {
         let events = live.log.events.iter().map(|e| (e.time_us as f64 * 1e-6, e.kind.clone(), e.text.clone()));
-        events.filter(|(t, _, _)| *t >= begin && *t <= end).collect::<Vec<_>>()
+        let marks: Vec<_> = events.filter(|(t, _, _)| *t >= begin && *t <= end).collect();
+        // What happens all the time (a stick's setpoints) marks nothing.
+        let mut count = HashMap::<String, usize>::new();
+        marks.iter().for_each(|(_, kind, _)| *count.entry(kind.clone()).or_default() += 1);
+        marks.into_iter().filter(|(_, kind, _)| count.get(kind).is_none_or(|n| *n <= MOST_MARKS)).collect::<Vec<_>>()
     });
     let spans = deck.data.with_value(|live| {
         live.log.attacks.iter().filter(|s| s.seen).map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
