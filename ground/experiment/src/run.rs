@@ -11,6 +11,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use crate::draw::{median, median_interval};
+use crate::expectation;
 use crate::flight::fly;
 use crate::plan::{Condition, Plan};
 use crate::row::Row;
@@ -64,7 +65,7 @@ pub enum Ended {
     Spent,
 }
 
-/// Flies what is missing. `each` hears of every flight when it is kept.
+/// Asks the model what it expects, and flies what is missing. `each` hears of every flight when it is kept.
 ///
 /// # Errors
 /// [`StoreError`]: somebody else flies it, a recording is not what it was, or a row could not be kept; those before it are.
@@ -78,6 +79,7 @@ pub fn run(
     plan.recordings.check()?;
     let mut held = experiment.hold()?;
     let mut rows: BTreeMap<u32, Row> = experiment.rows()?.into_iter().map(|row| (row.index, row)).collect();
+    expectation::keep(experiment, options, stop)?;
     let begun = Instant::now();
     let (before, flights) = (rows.len() as u64, plan.flights());
     let ready: Vec<OnceLock<Result<Condition, String>>> = match plan.conditions() {
