@@ -284,7 +284,7 @@ duration_s = 4.0
             ),
             (step, "altitude_m = 1.0 }, { at_s = 17, do = \"setpoint\", altitude_m = 1.3 },", "moved at 17 s"),
             (step, "altitude_m = 1.0 }, { at_s = 6, do = \"estimator\", estimator = \"lanes\" },", "more than arm"),
-            ("altitude_hold", "stabilize", "no altitude is held"),
+            ("altitude_hold", "stabilise", "no altitude is held"),
             (
                 "duration_s = 24",
                 "duration_s = 24\nsuite = { add = [\"mocap_pose\"] }",
