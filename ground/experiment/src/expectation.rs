@@ -6,7 +6,7 @@
 //! Asked once, when the plan is begun, and kept beside the rows, for the model's own flights take as long as those of the plan.
 //!
 //! It assumes lanes in the loop, a vehicle at rest about hover, and white noise as the data sheets have it: what is flown otherwise
-//! is not known, with the reason.
+//! is not known, with the reason. The noise that the lanes measure of their accelerometers is that of one flight without the attack.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -26,7 +26,7 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
 use plumbline_rest::experiment::Expectation;
 
 use crate::draw::median;
-use crate::flight::Setup;
+use crate::flight::{Setup, fly_watched};
 use crate::judge::STEADY_S;
 use crate::plan::Plan;
 use crate::reception::Reception;
@@ -100,6 +100,10 @@ fn of(plan: &Plan, number: u64) -> Option<Expectation> {
 fn expected(words: Option<&[String; 3]>, first: &Setup, setups: &[Setup]) -> Result<Expectation, String> {
     same_as_the_model(first)?;
     let words = words.ok_or("several sensors are attacked, or each flight draws another kind or size")?;
+    // In `datasheet` a bias of 2 m/s² is expected, and found in none of 20 flights; in `bench` it is found as expected.
+    if words[0] == "imu" && first.scenario.conditions.is_some() {
+        return Err("the model has accelerometers without vibration: `bench` has none".into());
+    }
     // Each sensor attacked, and how long each of its flights goes on from the onset, s.
     let mut sensors: Vec<(Attack, Vec<f64>)> = Vec::new();
     for setup in setups {
@@ -111,7 +115,7 @@ fn expected(words: Option<&[String; 3]>, first: &Setup, setups: &[Setup]) -> Res
             }
         }
     }
-    let of = question(&first.config);
+    let of = EnvelopeQuestion { noise_mps2: Some(noise_mps2(first)?), ..question(&first.config) };
     let (mut sum, mut note) = (0.0, String::new());
     for (attack, judged_s) in &sensors {
         let attacks = planned(words, attack, median(judged_s));
@@ -195,6 +199,22 @@ fn hovers_s(setup: &Setup, onset_s: f64) -> Result<f64, String> {
     Ok(end_s - onset_s)
 }
 
+/// What the lanes measure of their accelerometers' noise from the onset on, m/s²: the most, in a flight of this seed without the attack.
+///
+/// # Errors
+/// Why it cannot be flown.
+fn noise_mps2(setup: &Setup) -> Result<f64, String> {
+    let clean = Setup { attacks: Vec::new(), ..setup.clone() };
+    let mut most: f64 = 0.0;
+    let flown = fly_watched(&clean, |flight, _| {
+        let judged = flight.report().sensed.time.as_seconds() >= setup.judged_from_s;
+        if let Some(lanes) = flight.lanes().filter(|_| judged) {
+            most = most.max(lanes.noise_mps2());
+        }
+    });
+    flown.map_or_else(|error| Err(error.to_string()), |_| Ok(most))
+}
+
 /// The gains as flown, of this airframe at this rate.
 fn question(config: &FlightConfig) -> EnvelopeQuestion {
     let FlightConfig { design, airframe, tick_rate_hz, .. } = config;
@@ -276,6 +296,7 @@ duration_s = 4.0
             ("\"lanes\"", "\"ekf_bias\"", "lanes in the loop, not ekf_bias"),
             ("\"datasheet\"", "\"harsh\"", "not of the world harsh"),
             ("\"datasheet\"", "\"ideal\"", "not of the world ideal"),
+            ("sensor = \"height\"", "sensor = \"imu\"\nchannel = \"accel_z\"", "without vibration"),
             ("repeats = 2", "repeats = 2\nreception = \"median\"", "what stands before the estimator"),
             (
                 "[attack]",
@@ -291,11 +312,7 @@ duration_s = 4.0
                 "mocap pose 1 is not in the model",
             ),
             ("kind = \"bias\"", "kind = \"replay\"", "nothing is expected of replay"),
-            (
-                "sensor = \"height\"",
-                "sensor = \"imu\"\nchannel = \"accel_x\"",
-                "nothing is expected of bias on accel_x",
-            ),
+            ("sensor = \"height\"", "sensor = \"barometer\"", "nothing is expected of bias on all of barometer"),
         ] {
             let found = changed(from, to).unwrap();
             assert!(found.probability.is_none() && found.note.contains(why), "{to}: {found:?}");
