@@ -3,13 +3,12 @@
 //! `plumbline_analysis::envelope::prepare` is asked what the page asks before an attack flies, about the attack as it is flown:
 //! sensor, channel, kind, size, suite, airframe and gains, from the onset until the flight is over. Where the seed draws the
 //! sensor, each that is attacked counts by its flights, with the median of the times left to it; the sign changes nothing.
-//! Asked once, when the plan is begun, and kept beside the rows, for the model's own flights take as long as those of the plan.
+//! Asked once, beside the flights of the plan, and kept in a file of its own: what the model draws takes as long as some flights.
 //!
 //! It assumes lanes in the loop, a vehicle at rest about hover, and white noise as the data sheets have it: what is flown otherwise
 //! is not known, with the reason. The noise that the lanes measure of their accelerometers is that of one flight without the attack.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use plumbline_agent::attack::Attack;
 use plumbline_agent::command::Command;
@@ -30,7 +29,6 @@ use crate::flight::{Setup, fly_watched};
 use crate::judge::STEADY_S;
 use crate::plan::Plan;
 use crate::reception::Reception;
-use crate::run::Options;
 use crate::store::{Experiment, StoreError, write_whole};
 
 /// Conditions of a plan that are asked about: the first ones.
@@ -43,43 +41,29 @@ const SETTLED_S: f64 = 5.0;
 const AFTER_S: f64 = 10.0;
 const FILE: &str = "expected.json";
 
-/// By conditions; empty before the model was asked.
-pub(crate) fn kept(experiment: &Experiment) -> BTreeMap<u64, Expectation> {
+/// By the conditions that were asked about; `None` where nothing is attacked.
+pub(crate) fn kept(experiment: &Experiment) -> BTreeMap<u64, Option<Expectation>> {
     let read = std::fs::read(experiment.folder.join(FILE)).ok();
     read.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
 }
 
-/// Asks the model about every condition, on the threads of `options`, and keeps the answers; once. Where it is stopped nothing is kept.
+/// Asks the model about the conditions that it was not asked about yet, while `go_on` says so, and keeps each answer.
 ///
 /// # Errors
 /// [`StoreError::Io`].
-pub fn keep(experiment: &Experiment, options: &Options, stop: &AtomicBool) -> Result<(), StoreError> {
-    let path = experiment.folder.join(FILE);
-    if path.exists() {
-        return Ok(());
-    }
-    let (next, count) = (AtomicU64::new(0), experiment.plan.conditions().min(CONDITIONS));
-    let work = || {
-        (options.on_thread)();
-        let mut mine = Vec::new();
-        while !stop.load(Ordering::Relaxed) && !experiment.asked_to_stop() {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= count {
-                break;
-            }
-            mine.extend(of(&experiment.plan, number).map(|expected| (number, expected)));
+pub fn keep(experiment: &Experiment, go_on: impl Fn() -> bool) -> Result<(), StoreError> {
+    let mut kept = kept(experiment);
+    for number in 0..experiment.plan.conditions().min(CONDITIONS) {
+        if kept.contains_key(&number) {
+            continue;
         }
-        mine
-    };
-    let answers = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        let answers = workers.into_iter().map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p)));
-        answers.flatten().collect::<BTreeMap<u64, Expectation>>()
-    });
-    if next.load(Ordering::Relaxed) < count {
-        return Ok(());
+        if !go_on() {
+            break;
+        }
+        kept.insert(number, of(&experiment.plan, number));
+        write_whole(&experiment.folder.join(FILE), &serde_json::to_vec(&kept).unwrap_or_default())?;
     }
-    write_whole(&path, &serde_json::to_vec(&answers).unwrap_or_default())
+    Ok(())
 }
 
 /// What is expected of a condition; `None` where nothing is attacked, or it cannot be flown.

@@ -15,7 +15,7 @@ use crate::expectation;
 use crate::flight::fly;
 use crate::plan::{Condition, Plan};
 use crate::row::Row;
-use crate::store::{Experiment, StoreError};
+use crate::store::{Experiment, Held, StoreError};
 
 /// Rows that may wait for the disk.
 const WAITING: usize = 64;
@@ -65,7 +65,7 @@ pub enum Ended {
     Spent,
 }
 
-/// Asks the model what it expects, and flies what is missing. `each` hears of every flight when it is kept.
+/// Flies what is missing, and beside that asks the model what it expects. `each` hears of every flight when it is kept.
 ///
 /// # Errors
 /// [`StoreError`]: somebody else flies it, a recording is not what it was, or a row could not be kept; those before it are.
@@ -73,13 +73,33 @@ pub fn run(
     experiment: &Experiment,
     options: &Options,
     stop: &AtomicBool,
+    each: impl FnMut(&Progress, &Row),
+) -> Result<Ended, StoreError> {
+    experiment.plan.recordings.check()?;
+    let mut held = experiment.hold()?;
+    let over = AtomicBool::new(false);
+    let go_on = || ![&over, stop].iter().any(|end| end.load(Ordering::Relaxed)) && !experiment.asked_to_stop();
+    std::thread::scope(|scope| {
+        let asked = scope.spawn(|| {
+            (options.on_thread)();
+            expectation::keep(experiment, go_on)
+        });
+        let ended = fly_missing(experiment, &mut held, options, stop, each);
+        over.store(!matches!(ended, Ok(Ended::Complete)), Ordering::Relaxed);
+        let asked = asked.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        ended.and_then(|ended| asked.map(|()| ended))
+    })
+}
+
+fn fly_missing(
+    experiment: &Experiment,
+    held: &mut Held,
+    options: &Options,
+    stop: &AtomicBool,
     mut each: impl FnMut(&Progress, &Row),
 ) -> Result<Ended, StoreError> {
     let plan = &experiment.plan;
-    plan.recordings.check()?;
-    let mut held = experiment.hold()?;
     let mut rows: BTreeMap<u32, Row> = experiment.rows()?.into_iter().map(|row| (row.index, row)).collect();
-    expectation::keep(experiment, options, stop)?;
     let begun = Instant::now();
     let (before, flights) = (rows.len() as u64, plan.flights());
     let ready: Vec<OnceLock<Result<Condition, String>>> = match plan.conditions() {

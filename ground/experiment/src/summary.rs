@@ -60,7 +60,7 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
         let flown = condition(plan, *number, rows, baseline.map(|baseline| (baseline, beside)));
         let beyond = || (*number >= CONDITIONS).then(|| rest::Expectation::unknown(BEYOND));
         let expected = flown.detected.and_then(|flown| {
-            let expected = expected.get(number).cloned().or_else(beyond)?;
+            let expected = expected.get(number).cloned().flatten().or_else(beyond)?;
             Some(expected.against(&flown))
         });
         rest::Condition { expected, ..flown }

@@ -1,5 +1,7 @@
 //! What is there of an experiment: a row for each condition, with a dot for each flight.
 
+use std::collections::BTreeMap;
+
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Condition, Expectation, Flight, Flights, Results, Spread, State};
 
@@ -92,6 +94,9 @@ pub fn ResultsCard(
             </table></div>
             {move || results.with(|r| r.conditions.iter().filter_map(differing).collect::<Vec<_>>()).into_iter().map(|says| view! {
                 <p class="warn">{says}</p>
+            }).collect_view()}
+            {move || results.with(|r| unknown(&r.conditions)).into_iter().map(|(why, count)| view! {
+                <p class="quiet">{format!("Expected is not known of {count}: {why}")}</p>
             }).collect_view()}
             <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
         </section>
@@ -233,6 +238,16 @@ fn differing(condition: &Condition) -> Option<String> {
     Some(format!("{}: {}", condition.levels.join(", "), condition.beside()?))
 }
 
+/// Why nothing is expected, and of how many conditions.
+fn unknown(conditions: &[Condition]) -> BTreeMap<String, usize> {
+    let mut reasons = BTreeMap::new();
+    let expected = conditions.iter().filter_map(|condition| condition.expected.as_ref());
+    for Expectation { note, .. } in expected.filter(|expected| expected.probability.is_none()) {
+        *reasons.entry(note.clone()).or_default() += 1;
+    }
+    reasons
+}
+
 /// Three figures.
 fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
@@ -260,6 +275,9 @@ mod tests {
         };
         let says = "0.05: expected 0.95, flown 0.60 (0.39 to 0.78): differs by more than the interval";
         assert_eq!([0.95, 0.5].map(|p| super::differing(&of(Some(p)))), [Some(says.to_owned()), None]);
+        let unknown = Condition { expected: Some(Expectation::unknown("a climb")), ..of(None) };
+        let reasons = super::unknown(&[of(Some(0.5)), unknown.clone(), unknown]);
+        assert_eq!(reasons.into_iter().collect::<Vec<_>>(), [("a climb".to_owned(), 2)]);
         assert_eq!([Some(0.5), None].map(|p| super::expected(&of(p).expected.unwrap())), ["0.50", "not known"]);
     }
 
