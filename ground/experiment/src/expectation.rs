@@ -123,8 +123,8 @@ fn same_as_the_model(setup: &Setup) -> Result<(), String> {
         None if scenario.ideal => "ideal",
         None => "bench",
     };
-    let mut told = SensorModel::from(&scenario.suite);
-    told.imus.mag.declination_rad = config.sensor_model.imus.mag.declination_rad;
+    let mut sheets = SensorModel::from(&scenario.suite);
+    sheets.imus.mag.declination_rad = config.sensor_model.imus.mag.declination_rad;
     let besides = [SensorKind::Gnss, SensorKind::MocapPose, SensorKind::CameraRanges];
     let beside = config.sensors.iter().find(|sensor| besides.contains(&sensor.kind));
     let airframe = Airframe::by_name(&config.airframe.name);
@@ -139,7 +139,7 @@ fn same_as_the_model(setup: &Setup) -> Result<(), String> {
             format!("the model has the noise of data sheets, not of the world {world}"),
         ),
         (scenario.disturbance != Default::default(), "the plan's own disturbance is not in the model".to_owned()),
-        (told != config.sensor_model, "the agent assumes other sensors than those that are flown".to_owned()),
+        (sheets != config.sensor_model, "the agent assumes other sensors than those that are flown".to_owned()),
         (beside.is_some(), format!("{} is not in the model", beside.map(ToString::to_string).unwrap_or_default())),
         (!scenario.outages.is_empty(), "a sensor falls silent".to_owned()),
         (!scenario.broken.is_empty(), "a propeller breaks".to_owned()),
@@ -171,7 +171,7 @@ fn hovers_s(setup: &Setup, onset_s: f64) -> Result<f64, String> {
     let mut moves = moves.chain(script.pushes.iter().map(|push| (push.at_s, push.at_s + push.duration_s)));
     if let Some((at_s, _)) = moves.find(|(begin_s, last_s)| *begin_s < end_s && *last_s > from_s) {
         return Err(format!(
-            "the model hovers, and this one is moved at {at_s} s, with an attack from {onset_s:.1} to {end_s} s"
+            "the model hovers, and this one is moved at {at_s} s, judged from {onset_s:.1} to {end_s} s"
         ));
     }
     let before = || script.steps.iter().rev().filter(|step| step.at_s <= onset_s);

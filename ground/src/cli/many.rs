@@ -163,7 +163,7 @@ pub(super) fn run(deed: &Deed) -> Result<(), String> {
                 lead::spread(&experiment, nats, &shards, size.size, &stop, each).await.map_err(said)
             })?;
             eprintln!("{}", if ended == Ended::Complete { "complete" } else { "stopped; the same command goes on" });
-            told(&experiment)
+            gathered(&experiment)
         }
         Deed::Part { plan, part, storage, size, threads: asked } => {
             let plan = read(plan)?;
@@ -175,13 +175,13 @@ pub(super) fn run(deed: &Deed) -> Result<(), String> {
             let shards = Shards::open(&storage.store).map_err(said)?;
             let came = block_on(async { lead::gather(&experiment, &shards).await.map_err(said) })?;
             eprintln!("{came} flights came");
-            told(&experiment)
+            gathered(&experiment)
         }
     }
 }
 
 /// Says how it stands, with what the model expects kept as after a run here.
-fn told(experiment: &Experiment) -> Result<(), String> {
+fn gathered(experiment: &Experiment) -> Result<(), String> {
     expectation::keep(experiment, || true).map_err(|error| error.to_string())?;
     super::experiment::print(&summary::state(experiment))
 }

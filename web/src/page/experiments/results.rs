@@ -17,7 +17,7 @@ use crate::{
 /// Dots are drawn of so many flights at most.
 const MOST: usize = 1000;
 
-/// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights.
+/// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights, and when a run begins or ends.
 #[component]
 pub fn ResultsCard(
     /// Which.
@@ -31,7 +31,8 @@ pub fn ResultsCard(
     let results = RwSignal::new(Results::default());
     let flights = RwSignal::new(Vec::<Flight>::new());
     let measure = RwSignal::new(0_usize);
-    let done = Memo::new(move |_| state.with(|state| state.done));
+    // The model may answer after the last flight: the run ends with it.
+    let done = Memo::new(move |_| state.with(|state| (state.done, state.running)));
     let from = at.clone();
     Effect::new(move |_| {
         // Read, not only tracked: a memo that nobody reads never changes.
