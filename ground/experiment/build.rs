@@ -1,4 +1,5 @@
-//! A hash of everything that decides how a flight goes: the sources of the agent, its simulator and worlds, the readers of recordings, of this crate, and
+//! A hash of everything that decides how a flight goes and what is expected of it: the sources of the agent, its simulator and worlds, the model of an
+//! attack, the readers of recordings, of this crate, and
 //! the versions of what others wrote. A result never mixes flights of two programs.
 
 use std::path::{Path, PathBuf};
@@ -6,7 +7,8 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 /// What is hashed, from this crate's folder.
-const SOURCES: [&str; 6] = [
+const SOURCES: [&str; 7] = [
+    "../../agent/analysis/src/envelope",
     "../../agent/analysis/src/recordings",
     "../../agent/core/src",
     "../../agent/sim",

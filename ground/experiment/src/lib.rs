@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! plan.toml ─► plan (factors, conditions) ─► run (all cores) ─► store (a row a flight) ─┬─► summary ─► report.html, API
-//!                                              └ flight ─► judge ─► row                └─► parquet
+//!                                              ├ flight ─► judge ─► row                └─► parquet
+//!                                              ├ expectation: what the model expects of each attack
 //!                                              ├ open: one row, flown again ─► flight file (MCAP)
 //!                                              └ trace: the first ones, flown again ─► errors over time
 //! ```
@@ -15,6 +16,7 @@
 pub mod attacked;
 pub mod compare;
 pub mod draw;
+pub mod expectation;
 pub mod flight;
 pub mod judge;
 pub mod monitor;

@@ -81,6 +81,7 @@ pub fn page(experiment: &Experiment, address: &str) -> Result<String, StoreError
         boxes(&mut out, &results, &rows, name, &links);
     }
     curves::detected(&mut out, experiment, &results);
+    expected(&mut out, &results);
     curves::roc(&mut out, experiment, &results, &rows);
     curves::over_time(&mut out, experiment, &results);
     worst(&mut out, &results, experiment, &links)?;
@@ -142,7 +143,7 @@ fn levels(out: &mut String, condition: &Condition) {
 
 fn table(out: &mut String, results: &Results) {
     out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval.</p>\n");
-    let mut columns: Vec<String> = ["flights", "lost", "detected"].map(str::to_owned).into();
+    let mut columns: Vec<String> = ["flights", "lost", "detected", "expected"].map(str::to_owned).into();
     let measured: Vec<usize> = (0..MEASURES.len())
         .filter(|at| {
             results.conditions.iter().any(|condition| condition.measures.get(*at).is_some_and(Option::is_some))
@@ -158,7 +159,15 @@ fn table(out: &mut String, results: &Results) {
             format!("{}/{} <small>{low:.2} … {high:.2}</small>", part.count, part.of)
         });
         let lost = if why.is_empty() { "0".into() } else { escape(&why.join(", ")) };
-        let _ = write!(out, "<td class=n>{}</td><td class=n>{lost}</td><td class=n>{detected}</td>", condition.flights);
+        let expected = condition.expected.as_ref().map_or("–".into(), |expected| {
+            let differs = if expected.differs { " <small>differs</small>" } else { "" };
+            expected.probability.map_or("not known".into(), |probability| format!("{probability:.2}{differs}"))
+        });
+        let _ = write!(
+            out,
+            "<td class=n>{}</td><td class=n>{lost}</td><td class=n>{detected}</td><td class=n>{expected}</td>",
+            condition.flights
+        );
         for at in &measured {
             let spread = condition.measures.get(*at).and_then(Option::as_ref);
             let _ = write!(out, "<td class=n>{}</td>", interval(spread));
@@ -170,6 +179,25 @@ fn table(out: &mut String, results: &Results) {
         let _ = write!(out, "<dt><code>{}</code></dt><dd>{}</dd>", measure.name, escape(measure.about));
     }
     out.push_str("</dl>\n");
+}
+
+/// What the model expects where the flights differ from it, and why it is not known elsewhere.
+fn expected(out: &mut String, results: &Results) {
+    let said: Vec<_> =
+        results.conditions.iter().filter_map(|condition| Some((condition, condition.beside()?))).collect();
+    if said.is_empty() {
+        return;
+    }
+    out.push_str(
+        "<h2>Expected</h2>\n<p>Part of the flights in which the attacked sensor is excluded, by the model: lanes in the loop, at rest \
+         about hover, the noise of the data sheets, 200 flights drawn.</p>\n<ul>",
+    );
+    for (condition, says) in said.iter().take(DRAWN) {
+        let differs = condition.expected.as_ref().is_some_and(|expected| expected.differs);
+        let (b, end) = if differs { ("<b>", "</b>") } else { ("", "") };
+        let _ = writeln!(out, "<li>{b}{}: {}{end}</li>", escape(&label(condition)), escape(says));
+    }
+    out.push_str("</ul>\n");
 }
 
 fn differences(out: &mut String, results: &Results) {

@@ -11,10 +11,11 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use crate::draw::{median, median_interval};
+use crate::expectation;
 use crate::flight::fly;
 use crate::plan::{Condition, Plan};
 use crate::row::Row;
-use crate::store::{Experiment, StoreError};
+use crate::store::{Experiment, Held, StoreError};
 
 /// Rows that may wait for the disk.
 const WAITING: usize = 64;
@@ -64,7 +65,7 @@ pub enum Ended {
     Spent,
 }
 
-/// Flies what is missing. `each` hears of every flight when it is kept.
+/// Flies what is missing, and beside that asks the model what it expects. `each` hears of every flight when it is kept.
 ///
 /// # Errors
 /// [`StoreError`]: somebody else flies it, a recording is not what it was, or a row could not be kept; those before it are.
@@ -72,11 +73,32 @@ pub fn run(
     experiment: &Experiment,
     options: &Options,
     stop: &AtomicBool,
+    each: impl FnMut(&Progress, &Row),
+) -> Result<Ended, StoreError> {
+    experiment.plan.recordings.check()?;
+    let mut held = experiment.hold()?;
+    let over = AtomicBool::new(false);
+    let go_on = || ![&over, stop].iter().any(|end| end.load(Ordering::Relaxed)) && !experiment.asked_to_stop();
+    std::thread::scope(|scope| {
+        let asked = scope.spawn(|| {
+            (options.on_thread)();
+            expectation::keep(experiment, go_on)
+        });
+        let ended = fly_missing(experiment, &mut held, options, stop, each);
+        over.store(!matches!(ended, Ok(Ended::Complete)), Ordering::Relaxed);
+        let asked = asked.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        ended.and_then(|ended| asked.map(|()| ended))
+    })
+}
+
+fn fly_missing(
+    experiment: &Experiment,
+    held: &mut Held,
+    options: &Options,
+    stop: &AtomicBool,
     mut each: impl FnMut(&Progress, &Row),
 ) -> Result<Ended, StoreError> {
     let plan = &experiment.plan;
-    plan.recordings.check()?;
-    let mut held = experiment.hold()?;
     let mut rows: BTreeMap<u32, Row> = experiment.rows()?.into_iter().map(|row| (row.index, row)).collect();
     let begun = Instant::now();
     let (before, flights) = (rows.len() as u64, plan.flights());

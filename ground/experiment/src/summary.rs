@@ -6,6 +6,7 @@ use plumbline_rest::experiment as rest;
 use toml::Value;
 
 use crate::draw::{median, median_interval, percentile, worst};
+use crate::expectation::{self, CONDITIONS};
 use crate::plan::Plan;
 use crate::recordings::{Against, Named};
 use crate::row::{MEASURES, Row};
@@ -13,6 +14,9 @@ use crate::store::{Experiment, StoreError, now_unix_us};
 
 /// z of a 95 % interval.
 const Z_95: f64 = 1.959_963_984_540_054;
+
+/// Why nothing is expected of the last conditions of a long plan.
+const BEYOND: &str = "the model is asked about the first 200 conditions of a plan";
 
 /// How an experiment stands.
 pub fn state(experiment: &Experiment) -> rest::State {
@@ -49,11 +53,17 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
         let (condition, repeat) = plan.place(row.index.into());
         by_condition.entry(condition).or_default().insert(repeat, row);
     }
-    let none = BTreeMap::new();
+    let (none, expected) = (BTreeMap::new(), expectation::kept(experiment));
     let conditions = by_condition.iter().map(|(number, rows)| {
         let baseline = plan.baseline_of(*number);
         let beside = baseline.and_then(|baseline| by_condition.get(&baseline)).unwrap_or(&none);
-        condition(plan, *number, rows, baseline.map(|baseline| (baseline, beside)))
+        let flown = condition(plan, *number, rows, baseline.map(|baseline| (baseline, beside)));
+        let beyond = || (*number >= CONDITIONS).then(|| rest::Expectation::unknown(BEYOND));
+        let expected = flown.detected.and_then(|flown| {
+            let expected = expected.get(number).cloned().flatten().or_else(beyond)?;
+            Some(expected.against(&flown))
+        });
+        rest::Condition { expected, ..flown }
     });
     Ok(rest::Results {
         conditions: conditions.collect(),
@@ -126,6 +136,7 @@ fn condition(
         lost,
         measures: (0..MEASURES.len()).map(|measure| spread(&kept(measure).collect::<Vec<_>>())).collect(),
         detected: attacked.then(|| part(found, rows.len() as u64)),
+        expected: None,
         differences: (0..MEASURES.len()).map(difference).collect(),
     }
 }

@@ -182,6 +182,30 @@ fn an_experiment_is_stopped_resumed_reported_and_opened() {
     assert!(matches!(open::open(&experiment, 7), Err(open::OpenError::Otherwise(7))));
 }
 
+/// GIVEN a height biased with lanes in the loop, and with an EKF WHEN both are flown THEN what the model expects stands beside the first,
+/// and why it is not known beside the second.
+#[test]
+fn what_the_model_expects_stands_beside_what_is_flown() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = PLAN.replace("\"secure\"", "\"lanes\"").replace("repeats = 4", "repeats = 2");
+    let experiment = Experiment::create(folder.path(), Plan::from_toml(&plan).unwrap()).unwrap();
+    flown(&experiment);
+    let results = summary::results(&experiment).unwrap();
+    let says: Vec<_> = results.conditions.iter().map(plumbline_rest::experiment::Condition::beside).collect();
+    let unknown = "expected: not known, the model has lanes in the loop, not ekf_bias";
+    let [None, Some(ekf), None, Some(lanes)] = &says[..] else { panic!("{says:?}") };
+    assert_eq!((ekf.as_str(), lanes.as_str()), (unknown, "expected 1.00, flown 1.00 (0.34 to 1.00)"));
+    let page = report::page(&experiment, "").unwrap();
+    assert!(page.contains(lanes) && page.contains(unknown) && page.contains("<td class=n>1.00</td>"), "{page}");
+    // GIVEN what another version expected of it, and the file of one that knew no expectation
+    let path = experiment.folder.join("expected.json");
+    std::fs::write(&path, r#"{"3":{"probability":0.2}}"#).unwrap();
+    let differs = summary::results(&experiment).unwrap().conditions[3].beside().unwrap();
+    assert_eq!(differs, "expected 0.20, flown 1.00 (0.34 to 1.00): differs by more than the interval");
+    std::fs::remove_file(path).unwrap();
+    assert!(summary::results(&experiment).unwrap().conditions.iter().all(|condition| condition.expected.is_none()));
+}
+
 #[test]
 fn what_changed_between_two_experiments_is_what_was_changed() {
     let folder = tempfile::tempdir().unwrap();

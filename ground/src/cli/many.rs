@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use clap::Subcommand;
 use futures_util::StreamExt as _;
+use plumbline_experiment::expectation;
 use plumbline_experiment::part::Part;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::run::{Ended, Options};
@@ -162,7 +163,7 @@ pub(super) fn run(deed: &Deed) -> Result<(), String> {
                 lead::spread(&experiment, nats, &shards, size.size, &stop, each).await.map_err(said)
             })?;
             eprintln!("{}", if ended == Ended::Complete { "complete" } else { "stopped; the same command goes on" });
-            super::experiment::print(&summary::state(&experiment))
+            gathered(&experiment)
         }
         Deed::Part { plan, part, storage, size, threads: asked } => {
             let plan = read(plan)?;
@@ -174,9 +175,15 @@ pub(super) fn run(deed: &Deed) -> Result<(), String> {
             let shards = Shards::open(&storage.store).map_err(said)?;
             let came = block_on(async { lead::gather(&experiment, &shards).await.map_err(said) })?;
             eprintln!("{came} flights came");
-            super::experiment::print(&summary::state(&experiment))
+            gathered(&experiment)
         }
     }
+}
+
+/// Says how it stands, with what the model expects kept as after a run here.
+fn gathered(experiment: &Experiment) -> Result<(), String> {
+    expectation::keep(experiment, || true).map_err(|error| error.to_string())?;
+    super::experiment::print(&summary::state(experiment))
 }
 
 fn read(file: &Path) -> Result<Plan, String> {

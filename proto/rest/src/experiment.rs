@@ -130,8 +130,52 @@ pub struct Condition {
     pub measures: Vec<Option<Spread>>,
     /// Flights whose attacked sensors were all excluded; `None` where nothing was attacked.
     pub detected: Option<Part>,
+    /// What the model expects of that; `None` where nothing was attacked, or it was never asked.
+    pub expected: Option<Expectation>,
     /// Against the condition it is compared with, flight by flight of the same seed: [`Results::measures`] again.
     pub differences: Vec<Option<Difference>>,
+}
+
+impl Condition {
+    /// What is expected beside what was flown, for people; `None` where nothing is.
+    pub fn beside(&self) -> Option<String> {
+        let (Expectation { probability, note, differs }, flown) = (self.expected.as_ref()?, self.detected?);
+        let Some(probability) = probability else { return Some(format!("expected: not known, {note}")) };
+        let ([low, high], part) = (flown.interval, flown.count as f64 / flown.of.max(1) as f64);
+        let differs = if *differs { ": differs by more than the interval" } else { "" };
+        let note = if note.is_empty() { String::new() } else { format!("; {note}") };
+        Some(format!("expected {probability:.2}, flown {part:.2} ({low:.2} to {high:.2}){differs}{note}"))
+    }
+}
+
+/// What the model of the lanes expects of an attack on one sensor, by the flights of the condition as planned. Of several sensors it
+/// says nothing: the model has any of them excluded, [`Condition::detected`] all.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Expectation {
+    /// Part of flights in which the attacked sensor is excluded, 0 to 1; `None` where the model cannot tell.
+    pub probability: Option<f64>,
+    /// Why it cannot; or by what else than drawn flights it can.
+    pub note: String,
+    /// Does it lie outside the 95 % interval of the flights flown?
+    pub differs: bool,
+}
+
+impl Expectation {
+    /// One of which nothing is known, and why.
+    pub fn unknown(note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..Self::default() }
+    }
+
+    /// Beside what was flown.
+    #[must_use]
+    pub fn against(self, flown: &Part) -> Self {
+        let [low, high] = flown.interval;
+        // Ends that are 0 or 1 are so up to rounding.
+        let differs = self.probability.is_some_and(|p| p < low - 1e-9 || p > high + 1e-9);
+        Self { differs, ..self }
+    }
 }
 
 /// Values of many flights.
@@ -222,4 +266,36 @@ pub struct Flight {
 pub struct Opened {
     /// Its id among the flights.
     pub flight: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 12 of 20 flown, with their interval.
+    fn beside(expected: Expectation) -> Condition {
+        let flown = Part { count: 12, of: 20, interval: [0.387, 0.781] };
+        Condition { detected: Some(flown), expected: Some(expected.against(&flown)), ..Condition::default() }
+    }
+
+    #[test]
+    fn an_expectation_differs_where_it_lies_outside_the_interval() {
+        let of = |p: f64| beside(Expectation { probability: Some(p), ..Expectation::default() });
+        let says = |p: f64| of(p).beside().unwrap();
+        assert_eq!(says(0.95), "expected 0.95, flown 0.60 (0.39 to 0.78): differs by more than the interval");
+        assert_eq!(says(0.5), "expected 0.50, flown 0.60 (0.39 to 0.78)");
+        assert_eq!([0.3, 0.387, 0.781, 0.8].map(|p| of(p).expected.unwrap().differs), [true, false, false, true]);
+        let whole = Part { count: 9, of: 9, interval: [0.7, 1.0 - 1e-16] };
+        assert!(!Expectation { probability: Some(1.0), ..Expectation::default() }.against(&whole).differs);
+    }
+
+    #[test]
+    fn what_is_not_known_says_why_and_what_was_never_asked_says_nothing() {
+        let unknown = beside(Expectation::unknown("several sensors are attacked"));
+        assert_eq!(unknown.beside().unwrap(), "expected: not known, several sensors are attacked");
+        assert!(!unknown.expected.unwrap().differs);
+        // As results were before there was an expectation.
+        let old: Condition = serde_json::from_str(r#"{"number":1,"detected":{"count":1,"of":2}}"#).unwrap();
+        assert!(old.expected.is_none() && old.beside().is_none());
+    }
 }

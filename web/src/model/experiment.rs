@@ -19,6 +19,9 @@ script = [
 ]
 "#;
 
+/// The part of it that climbs while it is attacked.
+const CLIMBS: &str = r#" { at_s = 20, do = "setpoint", altitude_m = 1.2 },"#;
+
 /// Which of them, the sign and the onset are drawn from the flight's seed.
 const HEIGHT: &str = "[attack]\nsensor = \"height\"\n";
 
@@ -98,9 +101,11 @@ pub fn templates(flights: &[String]) -> [(&'static str, String); 7] {
     let head = |name: &str, repeats: u32| format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
     // Tables of the plan come after its own keys.
     let plan = |name: &str, repeats: u32, rest: &str| format!("{}{SCRIPT}{rest}", head(name, repeats));
+    // What the model expects is known of a vehicle that hovers.
+    let hovering = plan("detectability", 4, DETECTABILITY).replace(CLIMBS, "");
     let again = format!("[[factor]]\nkey = \"recording\"\nvalues = {flights:?}\n");
     [
-        ("From which size on is an attack found?", plan("detectability", 4, DETECTABILITY)),
+        ("From which size on is an attack found?", hovering),
         ("Which estimator holds altitude under attack?", plan("estimators", 10, ESTIMATORS)),
         ("Table 1 of [Clinic]: one height attacked", plan("clinic_table_1", 5, &format!("{HEIGHT}{}", table_1()))),
         ("Which gains hold altitude best?", plan("gains", 10, &gains())),
@@ -226,6 +231,8 @@ mod tests {
                 "{plan}"
             );
         }
+        let climb = templates(&[]).map(|(_, plan)| plan.contains("at_s = 20"));
+        assert_eq!(climb, [false, true, true, true, true, true, false], "what the model expects is of a hover");
         let [.., (_, again)] = templates(&["a".into(), "b".into()]);
         assert!(again.contains("values = [\"a\", \"b\"]") && !again.contains("[scenario]"), "{again}");
     }

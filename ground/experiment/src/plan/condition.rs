@@ -42,6 +42,7 @@ pub struct Condition {
     config: FlightConfig,
     reception: Reception,
     attacked: Attacked,
+    words: [String; 3],
     /// Only the onset is drawn: the same part of the flight is judged as with the attack.
     off: bool,
 }
@@ -126,7 +127,8 @@ impl Condition {
             .map_err(|error: toml::de::Error| in_section("attack")(error.message().to_owned()))?;
         let off = raw.kind == "none";
         let attacked = attacked(&raw).map_err(in_section("attack"))?;
-        let condition = Self { scenario, recording, table: scenario_table, config, reception, attacked, off };
+        let words = [raw.sensor, raw.channel.unwrap_or_else(|| "all".into()), raw.kind];
+        let condition = Self { scenario, recording, table: scenario_table, config, reception, attacked, words, off };
         Flight::new(condition.config.clone()).map_err(|error| in_section("agent")(error.to_string()))?;
         condition.check_length()?;
         condition.check_attacks()?;
@@ -152,6 +154,11 @@ impl Condition {
             judged_from_s,
             comes_down: self.attacked.colludes(),
         }
+    }
+
+    /// Sensor, channel and kind of its attack in the plan's words, where that is one kind of attack on one sensor.
+    pub(crate) fn one_attack(&self) -> Option<&[String; 3]> {
+        matches!(self.attacked, Attacked::Given(_)).then_some(&self.words)
     }
 
     /// Length of a flight that is not lost, s.

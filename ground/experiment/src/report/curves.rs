@@ -17,7 +17,7 @@ const SCORE: &str = "nis_most";
 /// What is shown before an onset, s.
 const LEAD_S: f64 = 5.0;
 
-/// Detected against the first factor that is a number: the size of an attack, where that is varied.
+/// Detected, and expected to be, against the first factor that is a number: the size of an attack, where that is varied.
 pub(super) fn detected(out: &mut String, experiment: &Experiment, results: &Results) {
     let factors = &experiment.plan.factors;
     let size = factors.iter().position(|factor| factor.key == "attack.magnitude");
@@ -33,10 +33,13 @@ pub(super) fn detected(out: &mut String, experiment: &Experiment, results: &Resu
             condition.levels.iter().enumerate().filter(|(factor, _)| *factor != x).map(|(_, level)| level.as_str());
         let name = others.collect::<Vec<_>>().join(" · ");
         let point = Point { x: at, y: part.count as f64 / part.of.max(1) as f64, interval: part.interval };
-        match series.iter_mut().find(|(known, _)| *known == name) {
-            Some((_, points)) => points.push(point),
-            None => series.push((name, vec![point])),
-        }
+        let expected = condition.expected.as_ref().and_then(|expected| expected.probability);
+        let expected = expected.map(|y| Point { x: at, y, interval: [y; 2] });
+        let of = series.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
+            series.extend([(name.clone(), Vec::new()), (format!("{name} expected").trim().to_owned(), Vec::new())]);
+            series.len() - 2
+        });
+        series.iter_mut().skip(of).zip([Some(point), expected]).for_each(|((_, points), more)| points.extend(more));
     }
     if series.iter().all(|(_, points)| points.len() < 2) {
         return;
@@ -46,7 +49,7 @@ pub(super) fn detected(out: &mut String, experiment: &Experiment, results: &Resu
     let _ = write!(
         out,
         "<h2>Detected</h2>\n<figure>{}<figcaption>Part of the flights whose attacked sensors were all excluded, with its 95 % \
-         interval (Wilson).</figcaption></figure>\n",
+         interval (Wilson); dashed what the model expects, where it can tell.</figcaption></figure>\n",
         svg::curves(key, "part of flights", Look::Points, &series),
     );
 }

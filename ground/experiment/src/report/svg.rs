@@ -41,7 +41,7 @@ pub(super) struct Point {
 /// How a curve is drawn.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Look {
-    /// Points with intervals, and a line through them; the axis is 0 to 1.
+    /// Points with intervals, and a line through them, and after it a dashed line in its colour; the axis is 0 to 1.
     Points,
     /// A line, and after it a point in its colour; both axes are 0 to 1, and chance is the diagonal.
     Line,
@@ -201,8 +201,9 @@ pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Poi
     if look == Look::Line {
         let _ = write!(out, "<path class=axis stroke-dasharray=4 d=\"M{LEFT} {}L{WIDTH} {TOP}\" />", TOP + HEIGHT);
     }
-    for (nth, (name, points)) in series.iter().enumerate() {
-        let of_two = if look == Look::Line { nth / 2 } else { nth };
+    for (nth, (name, points)) in series.iter().enumerate().filter(|(_, (_, points))| !points.is_empty()) {
+        let of_two = if look == Look::Band { nth } else { nth / 2 };
+        let dashed = look == Look::Points && nth % 2 == 1;
         let colour = COLOURS.get(of_two % COLOURS.len()).copied().unwrap_or("#444");
         let path = |along: &mut dyn Iterator<Item = (f64, f64)>| {
             let mut line = String::new();
@@ -214,6 +215,7 @@ pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Poi
         };
         match look {
             Look::Line if points.len() > 1 => {}
+            Look::Points if dashed => {}
             Look::Points | Look::Line => points.iter().for_each(|point| marked(&mut out, x, colour, point, &place)),
             Look::Band => {
                 let low = points.iter().map(|point| (point.x, point.interval[0]));
@@ -224,9 +226,10 @@ pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Poi
         }
         let line = path(&mut points.iter().map(|point| (point.x, point.y)));
         let foot = TOP + HEIGHT + 44.0 + 18.0 * nth as f64;
+        let dashes = if dashed { " stroke-dasharray=6" } else { "" };
         let _ = write!(
             out,
-            "<path fill=none stroke={colour} stroke-width=2 d=\"{line}\" /><text x={LEFT} y={foot} style=\"fill:{colour}\">{}</text>",
+            "<path fill=none stroke={colour} stroke-width=2{dashes} d=\"{line}\" /><text x={LEFT} y={foot} style=\"fill:{colour}\">{}</text>",
             escape(name),
         );
     }

@@ -145,6 +145,17 @@ class Estimator(TypedDict):
     estimator: str
 
 
+class Expectation(TypedDict):
+    """
+    What the model of the lanes expects of an attack on one sensor, by the flights of the condition as planned. Of several sensors it
+    says nothing: the model has any of them excluded, [`Condition::detected`] all.
+    """
+
+    differs: NotRequired[bool]
+    note: NotRequired[str]
+    probability: NotRequired[float | None]
+
+
 class ExperimentFlight(TypedDict):
     """One flight."""
 
@@ -602,6 +613,7 @@ class Condition(TypedDict):
 
     detected: NotRequired[Part | None]
     differences: NotRequired[list[Difference | None]]
+    expected: NotRequired[Expectation | None]
     flights: NotRequired[int]
     levels: NotRequired[list[str]]
     lost: NotRequired[dict[str, int]]

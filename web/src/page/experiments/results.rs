@@ -1,7 +1,9 @@
 //! What is there of an experiment: a row for each condition, with a dot for each flight.
 
+use std::collections::BTreeMap;
+
 use leptos::prelude::*;
-use plumbline_rest::experiment::{Condition, Flight, Flights, Results, Spread, State};
+use plumbline_rest::experiment::{Condition, Expectation, Flight, Flights, Results, Spread, State};
 
 use super::{ROOT, progress};
 use crate::{
@@ -15,7 +17,7 @@ use crate::{
 /// Dots are drawn of so many flights at most.
 const MOST: usize = 1000;
 
-/// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights.
+/// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights, and when a run begins or ends.
 #[component]
 pub fn ResultsCard(
     /// Which.
@@ -29,7 +31,8 @@ pub fn ResultsCard(
     let results = RwSignal::new(Results::default());
     let flights = RwSignal::new(Vec::<Flight>::new());
     let measure = RwSignal::new(0_usize);
-    let done = Memo::new(move |_| state.with(|state| state.done));
+    // The model may answer after the last flight: the run ends with it.
+    let done = Memo::new(move |_| state.with(|state| (state.done, state.running)));
     let from = at.clone();
     Effect::new(move |_| {
         // Read, not only tracked: a memo that nobody reads never changes.
@@ -73,6 +76,7 @@ pub fn ResultsCard(
                     <th class="num" scope="col">"95 of 100"</th>
                     <th class="num" scope="col">"worst"</th>
                     <th class="num" scope="col">"found"</th>
+                    <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, noise of the data sheets">"expected"</th>
                     <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
@@ -89,6 +93,12 @@ pub fn ResultsCard(
                     </For>
                 </tbody>
             </table></div>
+            {move || results.with(|r| r.conditions.iter().filter_map(differing).collect::<Vec<_>>()).into_iter().map(|says| view! {
+                <p class="warn">{says}</p>
+            }).collect_view()}
+            {move || results.with(|r| unknown(&r.conditions)).into_iter().map(|(why, count)| view! {
+                <p class="quiet">{format!("Expected is not known of {count}: {why}")}</p>
+            }).collect_view()}
             <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
         </section>
     }
@@ -165,6 +175,8 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
     let lost: u64 = condition.lost.values().sum();
     let why: Vec<_> = condition.lost.iter().map(|(why, count)| format!("{count} {why}")).collect();
     let found = condition.detected.map_or_else(String::new, |d| format!("{} of {}", d.count, d.of));
+    let expected = condition.expected.as_ref().map_or_else(String::new, expected);
+    let (differs, beside) = (condition.expected.as_ref().is_some_and(|e| e.differs), condition.beside());
     let spreads = condition.measures.clone();
     let spread = move || spreads.get(measure.get()).copied().flatten();
     let figure = move |of: fn(&Spread) -> f64| spread().map_or_else(String::new, |s| short(of(&s)));
@@ -193,6 +205,7 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
             <td class="num">{move || of_95(|s| s.of_95)}</td>
             <td class="num">{move || most(|s| s.most)}</td>
             <td class="num">{found}</td>
+            <td class="num" class:warn=differs title=beside>{expected}</td>
             <td class="num">{less}</td>
             <td>
                 <div class="dots" style=format!("height:{ROW_PX}px") role="group" aria-label=format!("Flights of {name}")>
@@ -215,6 +228,27 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<u
     }
 }
 
+/// A figure, or that there is none.
+fn expected(expected: &Expectation) -> String {
+    expected.probability.map_or_else(|| "not known".to_owned(), |probability| format!("{probability:.2}"))
+}
+
+/// A condition whose flights differ from the model, in words.
+fn differing(condition: &Condition) -> Option<String> {
+    condition.expected.as_ref().filter(|expected| expected.differs)?;
+    Some(format!("{}: {}", condition.levels.join(", "), condition.beside()?))
+}
+
+/// Why nothing is expected, and of how many conditions.
+fn unknown(conditions: &[Condition]) -> BTreeMap<String, usize> {
+    let mut reasons = BTreeMap::new();
+    let expected = conditions.iter().filter_map(|condition| condition.expected.as_ref());
+    for Expectation { note, .. } in expected.filter(|expected| expected.probability.is_none()) {
+        *reasons.entry(note.clone()).or_default() += 1;
+    }
+    reasons
+}
+
 /// Three figures.
 fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
@@ -226,6 +260,28 @@ fn short(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use plumbline_rest::experiment::{Condition, Expectation, Part};
+
+    #[test]
+    fn a_condition_that_differs_from_the_model_says_so() {
+        let flown = Part { count: 12, of: 20, interval: [0.387, 0.781] };
+        let of = |probability| {
+            let expected = Expectation { probability, ..Expectation::default() }.against(&flown);
+            Condition {
+                levels: vec!["0.05".into()],
+                detected: Some(flown),
+                expected: Some(expected),
+                ..Condition::default()
+            }
+        };
+        let says = "0.05: expected 0.95, flown 0.60 (0.39 to 0.78): differs by more than the interval";
+        assert_eq!([0.95, 0.5].map(|p| super::differing(&of(Some(p)))), [Some(says.to_owned()), None]);
+        let unknown = Condition { expected: Some(Expectation::unknown("a climb")), ..of(None) };
+        let reasons = super::unknown(&[of(Some(0.5)), unknown.clone(), unknown]);
+        assert_eq!(reasons.into_iter().collect::<Vec<_>>(), [("a climb".to_owned(), 2)]);
+        assert_eq!([Some(0.5), None].map(|p| super::expected(&of(p).expected.unwrap())), ["0.50", "not known"]);
+    }
+
     #[test]
     fn figures_have_three_digits() {
         let texts = [0.012_345, 1.5, 123.4, 0.0, -0.5].map(super::short);
