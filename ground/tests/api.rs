@@ -51,8 +51,8 @@ async fn every_answer_in_json_has_the_tag_that_the_description_promises() {
         }
         let tag = first.header("etag").unwrap_or_else(|| panic!("{path} has no tag")).to_owned();
         assert!(first.header("cache-control").is_some_and(|told| told.contains("no-cache")), "{}", first.head);
-        // What changes by the moment has another one by now.
-        if !["/api/v1/ground", "/api/v1/vehicles"].contains(&path.as_str()) {
+        // What changes by the moment has another one by now: the list of flights says how much of the disk is free.
+        if !["/api/v1/ground", "/api/v1/vehicles", "/api/v1/flights"].contains(&path.as_str()) {
             let again = ground.request_as("GET", &path, "", &[("if-none-match", &tag)]).await;
             assert_eq!((again.status, again.body.is_empty()), (304, true), "{path}");
         }
