@@ -98,9 +98,9 @@ fn fuzz_flight_content() {
         for flight in handle.flights().unwrap() {
             let wide = |format| Export::wide(handle.open(&flight.id).unwrap(), Selection::default(), format);
             let mut exports: Vec<_> = Format::ALL.into_iter().map(wide).collect();
-            exports.extend(
-                [None, Some("control,imu")].map(|kinds| Export::frames(handle.open(&flight.id).unwrap(), kinds)),
-            );
+            exports.extend([(None, None), (Some("control,imu"), None), (None, Some(100))].map(|(kinds, columns)| {
+                Export::frames(handle.open(&flight.id).unwrap(), kinds, (0.0, f64::INFINITY), columns)
+            }));
             for kind in Kind::ALL {
                 exports.push(Export::topic(handle.open(&flight.id).unwrap(), &kind.topic(1)));
             }
