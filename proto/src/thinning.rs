@@ -7,6 +7,7 @@
 //! last message of each. What no chart shows is left out.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::ops::RangeInclusive;
 
 use prost::Message;
@@ -315,26 +316,27 @@ impl Thinner {
             frame.encode(out);
             return;
         }
-        let key = (frame.kind, frame.instance);
-        if !self.held.contains_key(&key) {
-            let Some(held) = Held::of(kind) else { return };
-            self.held.insert(key, held);
-        }
+        let held = match self.held.entry((frame.kind, frame.instance)) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => match Held::of(kind) {
+                Some(held) => new.insert(held),
+                None => return,
+            },
+        };
         let stretch = frame.time_us / self.width_us;
-        match self.held.get_mut(&key) {
-            Some(Held::Estimate(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Truth(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Control(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Height(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Status(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Secure(held)) => Extremes::take(held, stretch, frame, out),
-            Some(Held::Residuals(held)) => Worst::take(held, stretch / RESIDUALS, frame, out),
-            Some(Held::Last(held)) => {
+        match held {
+            Held::Estimate(held) => Extremes::take(held, stretch, frame, out),
+            Held::Truth(held) => Extremes::take(held, stretch, frame, out),
+            Held::Control(held) => Extremes::take(held, stretch, frame, out),
+            Held::Height(held) => Extremes::take(held, stretch, frame, out),
+            Held::Status(held) => Extremes::take(held, stretch, frame, out),
+            Held::Secure(held) => Extremes::take(held, stretch, frame, out),
+            Held::Residuals(held) => Worst::take(held, stretch / RESIDUALS, frame, out),
+            Held::Last(held) => {
                 if let Some(number) = number(kind, frame) {
                     Last::take(held, number, frame, out);
                 }
             }
-            None => {}
         }
     }
 
@@ -398,7 +400,9 @@ mod tests {
         };
         let batches = [tick(1, [0.1, 0.9]), tick(2, [0.8, 0.1]), tick(3, [0.2, 0.2])];
         let thinned = thin(&batches, 60);
-        let [only] = frames(&thinned, Kind::Residuals)[..] else { panic!("one message") };
+        let kept = frames(&thinned, Kind::Residuals);
+        assert_eq!(kept.len(), 1);
+        let only = kept[0];
         let ratios: Vec<f64> = only.message::<v1::Residuals>().unwrap().residuals.iter().map(|r| r.ratio).collect();
         assert_eq!((only.sequence, ratios), (3, vec![0.8, 0.9]));
     }
