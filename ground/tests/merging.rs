@@ -21,7 +21,7 @@ const AGE_MAX_ONCE: Duration = Duration::from_secs(1);
 /// What merging may take beyond what was there before: chunks of 1 MiB being read and written, and their compression.
 const GROWN_MAX_MIB: f64 = 48.0;
 /// Two parts that a crash left, of this much each.
-const PART_MESSAGES: u32 = 46_000;
+const PART_MESSAGES: u32 = 120_000;
 const MESSAGE_BYTES: usize = 1_000;
 
 /// Most memory this process ever held, MiB.

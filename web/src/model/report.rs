@@ -132,7 +132,7 @@ const AFTER_S: f64 = 2.0;
 
 fn attacks(live: &Live, begin_s: f64) -> Vec<Attack> {
     // What was over before it began is told in its first status, and is another flight's.
-    let spans: Vec<_> = live.log.attacks.iter().filter(|s| s.seen && s.end_s >= begin_s).collect();
+    let spans: Vec<_> = live.log.attacks.between(begin_s, f64::INFINITY).filter(|s| s.seen).collect();
     let judged = live.suspicion_rows();
     let one = |span: &&super::spans::Span| {
         let a = &span.attack;

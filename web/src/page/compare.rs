@@ -53,14 +53,18 @@ impl Align {
 
     /// When that is in a flight, s of its flight time; its begin where it never was.
     fn time_s(self, flight: &Live) -> f64 {
-        let begin = flight.curves.time_span_s().map_or(0.0, |s| s.start);
+        let span = flight.curves.time_span_s().unwrap_or(0.0..0.0);
         let found = match self {
             Self::Begin => None,
             Self::TakeOff => flight.curves.get(Curve::Altitude(flight.in_loop())).and_then(take_off),
             Self::Step(number) => flight.log.steps.get(number.saturating_sub(1)).map(|s| s.start_time_us as f64 * 1e-6),
-            Self::Attack => flight.log.attacks.iter().filter(|s| s.seen).map(|s| s.start_s).min_by(f64::total_cmp),
+            Self::Attack => {
+                // What is over is told on in the flights after it.
+                let seen = flight.log.attacks.between(span.start, span.end).filter(|s| s.seen);
+                seen.map(|s| s.start_s).min_by(f64::total_cmp)
+            }
         };
-        found.unwrap_or(begin)
+        found.unwrap_or(span.start)
     }
 }
 
@@ -403,6 +407,8 @@ fn Configuration(flights: Vec<Flight>, rows: Vec<Vec<Row>>) -> impl IntoView {
 
 #[cfg(test)]
 mod tests {
+    use plumbline_proto::v1;
+
     use super::*;
 
     fn flight(start: u64) -> Live {
@@ -418,6 +424,24 @@ mod tests {
         let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin, &[]);
         assert_eq!(out.value_at(Curve::ComparedSetpoint(0), 0.0), Some(0.0));
         assert_eq!(out.value_at(Curve::ComparedSetpoint(1), 0.0041), Some(4.0));
+    }
+
+    #[test]
+    fn an_attack_of_a_flight_before_is_not_the_first_of_this_one() {
+        let attacked = |active_time_us: u64| {
+            let mut live = flight(7_000_000);
+            let progress = v1::AttackProgress {
+                attack: Some(v1::Attack { id: 1, duration_s: 0.001, ..Default::default() }),
+                phase: v1::AttackPhase::Done.into(),
+                active_time_us: Some(active_time_us),
+                ended_time_us: Some(active_time_us + 1000),
+                ..Default::default()
+            };
+            live.log.attacks.update(&v1::AttackState { attacks: vec![progress], ..Default::default() });
+            Align::Attack.time_s(&live)
+        };
+        assert_eq!(attacked(2_000_000), 7.0, "its begin");
+        assert_eq!(attacked(7_002_000), 7.002);
     }
 
     #[test]
@@ -442,6 +466,7 @@ mod tests {
         assert!(largest(&overlay(&flights, Align::TakeOff, &[])) < 0.1);
         assert!(largest(&overlay(&flights, Align::Begin, &[])) > 500.0);
     }
+
     #[test]
     fn flights_are_laid_together_at_a_step_or_by_hand_and_judged_by_the_largest_difference_in_view() {
         let flown = |start: u64, steps: [u64; 2]| {
@@ -452,11 +477,7 @@ mod tests {
             }
             for at in steps {
                 let time_us = start + at * 10_000;
-                live.log.step(plumbline_proto::v1::StepResponse {
-                    start_time_us: time_us,
-                    time_us,
-                    ..Default::default()
-                });
+                live.log.step(v1::StepResponse { start_time_us: time_us, time_us, ..Default::default() });
             }
             live
         };

@@ -265,7 +265,8 @@ fn figure<'a>(
     let own = leader.map(|(series, (start_s, end_s))| series.extent_between(start_s, end_s));
     let reach = own.filter(|e| !e.is_empty()).map_or(f64::INFINITY, |e| REACH * f64::from(e.max.max(-e.min)).max(1.0));
     let values = ValueAxis::fit(low.max(-reach), high.min(reach), 1e-3, None);
-    let attacked = live.log.attacks.iter().filter(|s| s.seen).map(|s| (s.start_s, s.end_s)).collect();
+    let seen = live.log.attacks.between(time.start_s, time.end_s).filter(|s| s.seen);
+    let attacked = seen.map(|s| (s.start_s, s.end_s)).collect();
     Some(Figure {
         title: title.to_owned(),
         unit: unit.to_owned(),

@@ -87,7 +87,8 @@ pub(super) fn Scrub(
         marks.into_iter().filter(|(_, kind, _)| count.get(kind).is_none_or(|n| *n <= MOST_MARKS)).collect::<Vec<_>>()
     });
     let spans = deck.data.with_value(|live| {
-        live.log.attacks.iter().filter(|s| s.seen).map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
+        let seen = live.log.attacks.between(begin, end).filter(|s| s.seen);
+        seen.map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
     });
     view! {
         <div class="card scrub" role="group" aria-label="Replay">
