@@ -15,9 +15,6 @@ use crate::store::{Experiment, StoreError, now_unix_us};
 /// z of a 95 % interval.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-/// Why nothing is expected of the last conditions of a long plan.
-const BEYOND: &str = "the model is asked about the first 200 conditions of a plan";
-
 /// How an experiment stands.
 pub fn state(experiment: &Experiment) -> rest::State {
     let (done, flights) = (experiment.done(), experiment.identity.flights);
@@ -58,7 +55,8 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
         let baseline = plan.baseline_of(*number);
         let beside = baseline.and_then(|baseline| by_condition.get(&baseline)).unwrap_or(&none);
         let flown = condition(plan, *number, rows, baseline.map(|baseline| (baseline, beside)));
-        let beyond = || (*number >= CONDITIONS).then(|| rest::Expectation::unknown(BEYOND));
+        let why = || format!("the model is asked about the first {CONDITIONS} conditions of a plan");
+        let beyond = || (*number >= CONDITIONS).then(|| rest::Expectation::unknown(why()));
         let expected = flown.detected.and_then(|flown| {
             let expected = expected.get(number).cloned().flatten().or_else(beyond)?;
             Some(expected.against(&flown))
