@@ -141,6 +141,30 @@ struct Place {
     time_us: u64,
 }
 
+/// What is held of one topic until it is known what is kept of it.
+trait Held {
+    /// The next message, in this stretch of time; what is over is written.
+    fn take(&mut self, stretch: u64, frame: &Frame<'_>, out: &mut Vec<u8>);
+
+    /// Writes what is held.
+    fn write(&self, topic: (Kind, u16), out: &mut Vec<u8>);
+}
+
+/// Of a kind; `None` where nothing is ever held of it.
+fn held(kind: Kind) -> Option<Box<dyn Held>> {
+    Some(match kind {
+        Kind::Estimate => Box::new(None::<Extremes<v1::Estimate>>),
+        Kind::Truth => Box::new(None::<Extremes<v1::Truth>>),
+        Kind::Control => Box::new(None::<Extremes<v1::Control>>),
+        Kind::Height => Box::new(None::<Extremes<v1::HeightSample>>),
+        Kind::Status => Box::new(None::<Extremes<v1::Status>>),
+        Kind::Secure => Box::new(None::<Extremes<v1::SecureStatus>>),
+        Kind::Residuals => Box::new(None::<Worst>),
+        Kind::Attacks | Kind::StepResponse | Kind::Description | Kind::Gains => Box::new(None::<Last>),
+        _ => return None,
+    })
+}
+
 /// What is held of the stretch that a topic is in.
 struct Extremes<M: Plotted> {
     number: u64,
@@ -151,14 +175,13 @@ struct Extremes<M: Plotted> {
     greatest: (Place, M),
 }
 
-impl<M: Plotted> Extremes<M> {
-    /// The next message; what is over is written.
-    fn take(held: &mut Option<Self>, number: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
-        let Ok(mut message) = frame.message::<M>() else { return };
+impl<M: Plotted> Held for Option<Extremes<M>> {
+    fn take(&mut self, number: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
+        let (Some(kind), Ok(mut message)) = (frame.known_kind(), frame.message::<M>()) else { return };
         message.strip();
         let (state, values) = (message.state(), message.values().count());
         let place = Place { sequence: frame.sequence, time_us: frame.time_us };
-        match held {
+        match self {
             Some(held) if held.number == number && held.values == values && held.state == state => {
                 for (least, value) in held.least.1.values().zip(message.values()) {
                     *least = least.min(*value);
@@ -168,22 +191,22 @@ impl<M: Plotted> Extremes<M> {
                 }
                 held.greatest = (place, message);
             }
-            held => {
-                held.iter().for_each(|over| over.write(frame.kind, frame.instance, out));
-                *held =
-                    Some(Self { number, state, values, least: (place, message.clone()), greatest: (place, message) });
+            over => {
+                over.write((kind, frame.instance), out);
+                let (least, greatest) = ((place, message.clone()), (place, message));
+                *over = Some(Extremes { number, state, values, least, greatest });
             }
         }
     }
 
-    fn write(&self, kind: u16, instance: u16, out: &mut Vec<u8>) {
-        let Some(kind) = Kind::from_wire(kind) else { return };
+    fn write(&self, (kind, instance): (Kind, u16), out: &mut Vec<u8>) {
+        let Some(held) = self else { return };
         let mut put = |(place, message): &(Place, M)| {
             codec::encode_message(out, kind, instance, place.sequence, place.time_us, message);
         };
-        put(&self.least);
-        if self.greatest.0.sequence != self.least.0.sequence {
-            put(&self.greatest);
+        put(&held.least);
+        if held.greatest.0.sequence != held.least.0.sequence {
+            put(&held.greatest);
         }
     }
 }
@@ -195,10 +218,11 @@ struct Worst {
     residuals: v1::Residuals,
 }
 
-impl Worst {
-    fn take(held: &mut Option<Self>, number: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
+impl Held for Option<Worst> {
+    fn take(&mut self, stretch: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
+        let number = stretch / RESIDUALS;
         let Ok(more) = frame.message::<v1::Residuals>() else { return };
-        match held {
+        match self {
             Some(held) if held.number == number => {
                 (held.sequence, held.residuals.time_us) = (frame.sequence, more.time_us);
                 for new in more.residuals {
@@ -211,15 +235,16 @@ impl Worst {
                     }
                 }
             }
-            held => {
-                held.iter().for_each(|over| over.write(frame.instance, out));
-                *held = Some(Self { number, sequence: frame.sequence, residuals: more });
+            over => {
+                over.write((Kind::Residuals, frame.instance), out);
+                *over = Some(Worst { number, sequence: frame.sequence, residuals: more });
             }
         }
     }
 
-    fn write(&self, instance: u16, out: &mut Vec<u8>) {
-        codec::encode_message(out, Kind::Residuals, instance, self.sequence, self.residuals.time_us, &self.residuals);
+    fn write(&self, (kind, instance): (Kind, u16), out: &mut Vec<u8>) {
+        let Some(Worst { sequence, residuals, .. }) = self else { return };
+        codec::encode_message(out, kind, instance, *sequence, residuals.time_us, residuals);
     }
 }
 
@@ -230,60 +255,21 @@ struct Last {
     payload: Vec<u8>,
 }
 
-impl Last {
-    fn take(held: &mut Option<Self>, number: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
-        if let Some(over) = held.as_ref().filter(|held| held.number != number) {
-            over.write(frame.kind, frame.instance, out);
+impl Held for Option<Last> {
+    fn take(&mut self, _: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
+        let Some((kind, number)) = frame.known_kind().and_then(|kind| Some((kind, number(kind, frame)?))) else {
+            return;
+        };
+        if self.as_ref().is_some_and(|held| held.number != number) {
+            self.write((kind, frame.instance), out);
         }
         let place = Place { sequence: frame.sequence, time_us: frame.time_us };
-        *held = Some(Self { number, place, payload: frame.payload.to_vec() });
+        *self = Some(Last { number, place, payload: frame.payload.to_vec() });
     }
 
-    fn write(&self, kind: u16, instance: u16, out: &mut Vec<u8>) {
-        let Place { sequence, time_us } = self.place;
-        Frame { kind, instance, sequence, time_us, payload: &self.payload }.encode(out);
-    }
-}
-
-/// What is held of one topic.
-enum Held {
-    Estimate(Option<Extremes<v1::Estimate>>),
-    Truth(Option<Extremes<v1::Truth>>),
-    Control(Option<Extremes<v1::Control>>),
-    Height(Option<Extremes<v1::HeightSample>>),
-    Status(Option<Extremes<v1::Status>>),
-    Secure(Option<Extremes<v1::SecureStatus>>),
-    Residuals(Option<Worst>),
-    Last(Option<Last>),
-}
-
-impl Held {
-    /// Of a kind; `None` where nothing is ever held of it.
-    fn of(kind: Kind) -> Option<Self> {
-        Some(match kind {
-            Kind::Estimate => Self::Estimate(None),
-            Kind::Truth => Self::Truth(None),
-            Kind::Control => Self::Control(None),
-            Kind::Height => Self::Height(None),
-            Kind::Status => Self::Status(None),
-            Kind::Secure => Self::Secure(None),
-            Kind::Residuals => Self::Residuals(None),
-            Kind::Attacks | Kind::StepResponse | Kind::Description | Kind::Gains => Self::Last(None),
-            _ => return None,
-        })
-    }
-
-    fn write(&self, (kind, instance): (u16, u16), out: &mut Vec<u8>) {
-        match self {
-            Self::Estimate(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Truth(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Control(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Height(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Status(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Secure(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-            Self::Residuals(held) => held.iter().for_each(|held| held.write(instance, out)),
-            Self::Last(held) => held.iter().for_each(|held| held.write(kind, instance, out)),
-        }
+    fn write(&self, (kind, instance): (Kind, u16), out: &mut Vec<u8>) {
+        let Some(Last { place: Place { sequence, time_us }, payload, .. }) = self else { return };
+        Frame { kind: kind.to_wire(), instance, sequence: *sequence, time_us: *time_us, payload }.encode(out);
     }
 }
 
@@ -300,7 +286,7 @@ fn number(kind: Kind, frame: &Frame<'_>) -> Option<u64> {
 /// Thins messages that come in the order of time.
 pub struct Thinner {
     width_us: u64,
-    held: BTreeMap<(u16, u16), Held>,
+    held: BTreeMap<(u16, u16), (Kind, Box<dyn Held>)>,
 }
 
 impl Thinner {
@@ -316,33 +302,19 @@ impl Thinner {
             frame.encode(out);
             return;
         }
-        let held = match self.held.entry((frame.kind, frame.instance)) {
+        let (_, held) = match self.held.entry((frame.kind, frame.instance)) {
             Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(new) => match Held::of(kind) {
-                Some(held) => new.insert(held),
+            Entry::Vacant(new) => match held(kind) {
+                Some(held) => new.insert((kind, held)),
                 None => return,
             },
         };
-        let stretch = frame.time_us / self.width_us;
-        match held {
-            Held::Estimate(held) => Extremes::take(held, stretch, frame, out),
-            Held::Truth(held) => Extremes::take(held, stretch, frame, out),
-            Held::Control(held) => Extremes::take(held, stretch, frame, out),
-            Held::Height(held) => Extremes::take(held, stretch, frame, out),
-            Held::Status(held) => Extremes::take(held, stretch, frame, out),
-            Held::Secure(held) => Extremes::take(held, stretch, frame, out),
-            Held::Residuals(held) => Worst::take(held, stretch / RESIDUALS, frame, out),
-            Held::Last(held) => {
-                if let Some(number) = number(kind, frame) {
-                    Last::take(held, number, frame, out);
-                }
-            }
-        }
+        held.take(frame.time_us / self.width_us, frame, out);
     }
 
     /// What is held at the end.
     pub fn finish(self, out: &mut Vec<u8>) {
-        self.held.iter().for_each(|(topic, held)| held.write(*topic, out));
+        self.held.iter().for_each(|((_, instance), (kind, held))| held.write((*kind, *instance), out));
     }
 }
 
