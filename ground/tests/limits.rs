@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "server/common/mod.rs"]
 mod common;
 
 use std::time::{Duration, Instant};

@@ -200,15 +200,25 @@ impl Desk {
         if files.parts.is_empty() && stamp.is_some() && self.index.stamp(id)? == stamp {
             return Ok(());
         }
+        let path = self.store.finished_path(id);
         let mut reading = Reading::default();
         if files.parts.is_empty() {
             reading = self.store.read(files)?;
         }
         if !files.parts.is_empty() || reading.damage != Damage::None {
             tracing::warn!(flight = id, damage = ?reading.damage, parts = files.parts.len(), "repairing");
-            reading = self.store.merge(id, files, None, &self.shared.stopping)?;
+            reading = match self.store.merge(id, files, None, &self.shared.stopping) {
+                Ok(reading) => reading,
+                Err(RecordingError::Stopped) => return Err(RecordingError::Stopped),
+                Err(error) => {
+                    // No room, say: it is listed and read as it is, and the next start tries again.
+                    tracing::error!(flight = id, %error, "not repaired");
+                    let reading = self.store.read(files)?;
+                    let flight = reading.flight(id, self.store.labels(id), self.store.size(files));
+                    return Ok(self.index.put(&flight, Stamp::default())?);
+                }
+            };
         }
-        let path = self.store.finished_path(id);
         match Stamp::of(&path) {
             Some(stamp) => {
                 let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);

@@ -182,7 +182,7 @@ pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
     let folder = folder::lock(&config.data_folder)?;
     let (queue, inputs) = sync_channel(MAX_QUEUED);
     let shared = Arc::new(Shared::default());
-    let store = RecordingStore::new(&config.data_folder);
+    let store = RecordingStore::new(&config.data_folder, config.reserve_bytes);
     let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
     let index = Arc::new(index);
     let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };

@@ -27,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 
 use super::RecordingError;
+use super::folder::free_bytes;
 use super::identity::Identity;
 use super::reading::{Reading, gather};
 use super::snapshot::Snapshot;
@@ -62,6 +63,8 @@ pub struct Labels {
 #[derive(Debug, Clone)]
 pub(super) struct RecordingStore {
     folder: PathBuf,
+    /// What is left free on the disk for flights being recorded, bytes.
+    reserve_bytes: u64,
     /// For files being read by clients.
     descriptors: Arc<Semaphore>,
 }
@@ -97,8 +100,9 @@ fn number(part: &Path) -> u32 {
 }
 
 impl RecordingStore {
-    pub(super) fn new(data_folder: &Path) -> Self {
-        Self { folder: data_folder.join("flights"), descriptors: Arc::new(Semaphore::new(MAX_READ_FILES)) }
+    pub(super) fn new(data_folder: &Path, reserve_bytes: u64) -> Self {
+        let descriptors = Arc::new(Semaphore::new(MAX_READ_FILES));
+        Self { folder: data_folder.join("flights"), reserve_bytes, descriptors }
     }
 
     pub(super) fn folder(&self) -> &Path {
@@ -177,7 +181,8 @@ impl RecordingStore {
     /// Merges these files of a flight, up to message `last`, into one finished file. Answers what it holds.
     ///
     /// # Errors
-    /// [`RecordingError::Stopped`] when it would take long and `stopping` is set: the files stay as they are.
+    /// [`RecordingError::Stopped`] when it would take long and `stopping` is set; [`RecordingError::Io`] where the disk has
+    /// no room for a second copy beside what is reserved for recording. The files stay as they are.
     pub(super) fn merge(
         &self,
         id: &str,
@@ -185,15 +190,18 @@ impl RecordingStore {
         last: Option<u64>,
         stopping: &AtomicBool,
     ) -> Result<Reading, RecordingError> {
-        let long = self.size(files) > LATER_BYTES;
-        let later = || long && stopping.load(Ordering::Acquire);
+        let size = self.size(files);
+        let later = || size > LATER_BYTES && stopping.load(Ordering::Acquire);
         let temporary = self.folder.join(format!("{id}.merge.tmp"));
-        let merged = self.write_merged(files, id, last, &temporary, later);
-        if later() {
-            let _ = fs::remove_file(&temporary);
-            return Err(RecordingError::Stopped);
+        let (free, needed) = (free_bytes(&self.folder), size.saturating_add(self.reserve_bytes));
+        if free < needed {
+            let text = format!("{free} bytes are free, merging needs {needed}");
+            return Err(io(&temporary, std::io::Error::new(std::io::ErrorKind::StorageFull, text)));
         }
-        let (reading, damaged) = merged?;
+        let merged = self.write_merged(files, id, last, &temporary, later);
+        let merged = if later() { Err(RecordingError::Stopped) } else { merged };
+        // What was begun would only fill the disk.
+        let (reading, damaged) = merged.inspect_err(|_| drop(fs::remove_file(&temporary)))?;
         let finished = self.finished_path(id);
         if reading.learner.messages() == 0 {
             fs::remove_file(&temporary).map_err(|e| io(&temporary, e))?;

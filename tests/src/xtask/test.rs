@@ -24,6 +24,9 @@ pub struct Options {
 pub const EVERYTHING: [&str; 4] =
     ["--workspace", "--locked", "--features", "plumbline-ground/many,plumbline-agent/i2c,plumbline-bundler/compress"];
 
+/// Where less is free, bytes, tests that record may fail for want of it.
+const FREE_MIN: u64 = 1 << 30;
+
 /// Runs everything; a step that fails does not stop the others. True when all is well.
 pub fn run(workspace: &Workspace, options: &Options) -> bool {
     signals::catch();
@@ -76,14 +79,21 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
         let started = std::time::Instant::now();
         eprintln!("\nxtask: {name}");
         step(tally);
-        eprintln!("xtask: {name} took {:.0} s", started.elapsed().as_secs_f64());
+        let free = workspace.free_bytes();
+        let free_gb = free.map_or("? GB".into(), |free| format!("{:.1} GB", free as f64 * 1e-9));
+        eprintln!("xtask: {name} took {:.0} s; {free_gb} are free", started.elapsed().as_secs_f64());
+        if free.is_some_and(|free| free < FREE_MIN) {
+            // Grounds stop recording on a full disk, and whatever waits for a flight would fail without saying why.
+            let text = format!("after {name} only {free_gb} are free at {}", workspace.target.display());
+            tally.check::<(), _>("disk", Err(text));
+        }
     }
 }
 
 /// Unit, integration, system and documentation tests of all members.
 fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     // Binaries and tests in one build, so that nothing is compiled twice for other features.
-    let built = workspace::run(workspace.cargo().arg("build").args(EVERYTHING).arg("--all-targets"));
+    let built = workspace::run(workspace.cargo().arg("build").args(EVERYTHING).args(["--bins", "--tests"]));
     if tally.check("build", built).is_none() {
         return;
     }

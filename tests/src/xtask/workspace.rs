@@ -40,6 +40,12 @@ impl Workspace {
         forget_cargo_run(&mut cargo);
         cargo
     }
+
+    /// Free space of the disk that holds the build folder, as `df` tells it.
+    pub fn free_bytes(&self) -> Option<u64> {
+        let told = Command::new("df").args(["--output=avail", "--block-size=1"]).arg(&self.target).output().ok()?;
+        String::from_utf8_lossy(&told.stdout).lines().last()?.trim().parse().ok()
+    }
 }
 
 /// Removes what `cargo run` tells its child about the package it runs.

@@ -45,7 +45,7 @@ pub struct Outcome {
 /// # Errors
 /// [`RecordingError`] of the first file that cannot be copied; those before it are in the backup.
 pub fn back_up(data_folder: &Path, backup: &Path, wanted: &[String]) -> Result<Outcome, RecordingError> {
-    let store = RecordingStore::new(data_folder);
+    let store = RecordingStore::new(data_folder, 0);
     let flights = store.list();
     known(wanted, |id| flights.contains_key(id))?;
     fs::create_dir_all(backup).map_err(|e| io(backup, e))?;
@@ -109,7 +109,7 @@ pub fn restore(backup: &Path, data_folder: &Path, wanted: &[String]) -> Result<O
     let _held = super::folder::lock(data_folder).map_err(|error| RecordingError::Invalid(error.to_string()))?;
     let sums = Sums::read_present(backup)?;
     known(wanted, |id| sums.0.contains_key(&format!("{id}.mcap")))?;
-    let store = RecordingStore::new(data_folder);
+    let store = RecordingStore::new(data_folder, 0);
     store.probe()?;
     let here: BTreeSet<String> = store.list().into_keys().collect();
     let mut outcome = Outcome::default();

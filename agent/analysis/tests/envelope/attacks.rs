@@ -1,0 +1,155 @@
+//! Attacks that know the model: prepared, and judged before they fly.
+
+use plumbline_analysis::envelope::expected::{Added, DRAWN, Expected, expected};
+use plumbline_analysis::envelope::prepare::{power, prepared};
+use plumbline_analysis::envelope::sets::Asked;
+use plumbline_rest::command::PlannedAttack;
+use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
+
+/// A stealthy bias is seen in so many flights.
+const STEALTHY: f64 = 0.05;
+
+fn of(sensors: &[(&str, f64)]) -> Expected {
+    let asked = Asked::new(&EnvelopeQuestion::default(), None).unwrap();
+    let values: Vec<_> = sensors.iter().map(|(_, value)| move |_: f64| *value).collect();
+    let added = sensors.iter().zip(&values);
+    let added: Vec<Added<'_>> = added.map(|((name, _), at)| Added { sensor: name.parse().unwrap(), at }).collect();
+    expected(&asked.flying, &added, 10.0, 1).unwrap()
+}
+
+#[test]
+fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
+    let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
+    println!("{parts:?}");
+    assert!(parts[0].seen() <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen() == DRAWN, "{parts:?}");
+    assert!(parts.windows(2).all(|two| two[1].seen() >= two[0].seen() && two[1].altitude_m > two[0].altitude_m));
+    let accel = [0.02, 0.3, 3.0].map(|bias| of(&[("imu 1", bias)]));
+    println!("{accel:?}");
+    assert!(accel[0].seen() <= 2 && accel[2].seen() == DRAWN, "{accel:?}");
+    // Two of three outvote the third: what is excluded is not attacked.
+    let two = of(&[("height 1", 0.1), ("height 2", 0.1)]);
+    assert!(two.seen() < parts[2].seen(), "{two:?}");
+}
+
+fn question(generator: Option<&str>, sensors: &[&str]) -> AttackQuestion {
+    let sensors = Some(sensors.iter().map(|name| (*name).to_owned()).collect());
+    let of = EnvelopeQuestion { sensors, horizon_s: Some(5.0), ..EnvelopeQuestion::default() };
+    AttackQuestion { of, generator: generator.map(str::to_owned), start_s: 2.0, ..AttackQuestion::default() }
+}
+
+#[test]
+fn generators_prepare_what_a_schedule_takes_and_stealthy_ones_are_hardly_seen() {
+    let optimal = prepared(&question(Some("optimal"), &["height 2", "imu 1"]), None).unwrap();
+    println!("optimal {:?} {:?}", optimal.probability, optimal.altitude_m);
+    let [height, imu] = &optimal.attacks[..] else { panic!("{optimal:?}") };
+    assert_eq!((height.sequence.len(), imu.sequence.len(), imu.channel.as_str()), (50, 125, "accel_z"));
+    assert!(optimal.probability.is_some_and(|p| p < 0.5) && optimal.altitude_m.is_some_and(|m| m > 0.02));
+    let bias = prepared(&question(Some("stealthy_bias"), &["height 2"]), None).unwrap();
+    println!("stealthy {:?} {:?} {:?}", bias.attacks[0].magnitude, bias.probability, bias.altitude_m);
+    assert!(bias.probability.unwrap() <= STEALTHY && (0.01..0.2).contains(&bias.attacks[0].magnitude));
+    // All of them: never seen, however far it goes.
+    let all = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4"];
+    let covert = AttackQuestion { accel_mps2: Some(0.2), ..question(Some("covert"), &all) };
+    let covert = prepared(&covert, None).unwrap();
+    println!("covert {:?} {:?}", covert.probability, covert.altitude_m);
+    assert!(covert.probability.unwrap() <= 0.01 && covert.altitude_m.unwrap() > 2.0, "{covert:?}");
+    // One healthy height tells.
+    let covert = AttackQuestion { accel_mps2: Some(0.2), ..question(Some("covert"), &all[1..]) };
+    println!("but one height {:?}", prepared(&covert, None).unwrap().probability);
+}
+
+#[test]
+fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
+    let attack = |kind: &str, magnitude| PlannedAttack {
+        sensor: "height".into(),
+        instance: 2,
+        channel: "all".into(),
+        kind: kind.into(),
+        start_s: 3.0,
+        duration_s: 6.0,
+        magnitude,
+        ..PlannedAttack::default()
+    };
+    let judge =
+        |attacks: Vec<PlannedAttack>| prepared(&AttackQuestion { attacks, ..AttackQuestion::default() }, None).unwrap();
+    assert_eq!(judge(vec![attack("bias", 0.5)]).probability, Some(1.0));
+    assert!(judge(vec![attack("bias", 0.5), attack("bias", -0.5)]).probability.unwrap() < 0.02);
+    let replay = judge(vec![attack("replay", 3.0)]);
+    let why = "nothing is expected of replay on all of height 2: at hover it is noise of another time, which no judge tells from that of now";
+    assert_eq!((replay.probability, replay.note.as_str()), (None, why));
+    for (kind, why) in [("noise", "another way in each flight"), ("time_shift", "not in the model")] {
+        let found = judge(vec![attack(kind, 0.1)]);
+        assert!(found.probability.is_none() && found.note.ends_with(why), "{found:?}");
+    }
+    let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
+    assert!(refused(&question(Some("magic"), &["height 1"])).contains("\"magic\""));
+    assert!(refused(&question(Some("optimal"), &[])).contains("sensors"));
+    assert!(refused(&question(Some("stealthy_bias"), &["imu 1"])).contains("imu 1"));
+    assert!(refused(&question(Some("optimal"), &["height 1", "height 2", "height 3"])).contains("no bound"));
+}
+
+#[test]
+fn rotors_and_replays_under_a_watermark_are_judged_by_their_theory() {
+    let one = |sensor: &str, channel: &str, kind: &str, magnitude, duration_s| PlannedAttack {
+        sensor: sensor.into(),
+        instance: 2,
+        channel: channel.into(),
+        kind: kind.into(),
+        duration_s,
+        magnitude,
+        ..PlannedAttack::default()
+    };
+    let judge = |attack: PlannedAttack, watermark_mps2| {
+        prepared(&AttackQuestion { attacks: vec![attack], watermark_mps2, ..AttackQuestion::default() }, None)
+    };
+    let replay = |watermark_mps2| judge(one("imu", "accel", "replay", 8.0, 20.0), watermark_mps2);
+    let told = replay(Some(0.1)).unwrap();
+    assert!((told.probability.unwrap() - 0.926).abs() < 2e-3 && told.note.contains("excludes nobody"), "{told:?}");
+    assert!(replay(None).unwrap().note.contains("watermark_mps2"));
+    assert!(replay(Some(9.0)).unwrap_err().to_string().contains("watermark_mps2 is 9"));
+    let rotor = |left| judge(one("rotor", "all", "scale", left, 5.0), None).unwrap();
+    println!("{:?}", [0.99, 0.95, 0.8, 0.0].map(|left| rotor(left).probability));
+    assert!(rotor(0.8).probability.unwrap() > 0.99 && rotor(0.99).probability.unwrap() < 0.01);
+    let unsure = rotor(0.95);
+    assert!(unsure.probability.is_none() && unsure.note.contains("says more than what is flown"), "{unsure:?}");
+    // More thrust than asked for has no theory.
+    assert!(rotor(1.2).probability.is_none());
+}
+
+#[test]
+fn two_of_three_heights_have_the_sequence_that_is_judged() {
+    let found = prepared(&question(Some("optimal"), &["height 1", "height 2"]), None).unwrap();
+    println!("{:?} {:?} {}", found.probability, found.altitude_m, found.note);
+    // The judged loop has everything weighing fully: there it goes as far as it says.
+    let (_, says) = found.note.split_once("which reaches ").unwrap();
+    let reaches_m = 0.01 * says.split_once(" cm").unwrap().0.parse::<f64>().unwrap();
+    assert!((found.altitude_m.unwrap() / reaches_m - 1.0).abs() < 0.02, "{:?} {reaches_m}", found.altitude_m);
+}
+
+#[test]
+fn power_rises_with_the_size_and_begins_with_false_alarms() {
+    let one = |kind: &str| PlannedAttack {
+        sensor: "height".into(),
+        instance: 2,
+        channel: "all".into(),
+        kind: kind.into(),
+        duration_s: 5.0,
+        magnitude: 0.01,
+        ..PlannedAttack::default()
+    };
+    let of = |kind: &str| AttackQuestion { attacks: vec![one(kind)], ..AttackQuestion::default() };
+    let found = power(&of("bias"), None, &[0.0, 3.0, 5.0, 8.0]).unwrap();
+    let found: Vec<&Expected> = found.iter().flatten().collect();
+    // What no limit has passed still has its statistic: the middle one of 200 flights.
+    let middle = |of: &Expected| {
+        let mut scores = of.scores.clone();
+        scores.sort_by(f64::total_cmp);
+        scores[100]
+    };
+    println!("{:?}", found.iter().map(|of| (of.seen(), middle(of))).collect::<Vec<_>>());
+    assert_eq!((found.len(), found[0].seen(), found[3].seen()), (4, 0, DRAWN));
+    assert!(
+        middle(found[0]) < 0.5 && found.windows(2).all(|two| middle(two[1]) > middle(two[0]) || middle(two[0]) > 1.0)
+    );
+    assert_eq!(power(&of("replay"), None, &[1.0]).unwrap(), [None]);
+}

@@ -1,0 +1,26 @@
+//! What a ground does, asked over its ports: one program, as one is linked faster than twenty.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod access;
+mod api;
+mod archive;
+mod calibrations;
+mod commands;
+mod common;
+mod design;
+mod envelope;
+mod experiments;
+mod export;
+mod fade;
+mod flights;
+mod foxglove;
+mod live;
+mod live_agent;
+mod log;
+#[cfg(feature = "many")]
+mod many;
+mod mavlink;
+mod origin;
+mod recording;
+mod repair;
