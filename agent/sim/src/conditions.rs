@@ -94,7 +94,6 @@ pub(crate) struct Imu {
     pub(crate) acc_density_mps2_per_sqrthz: f64,
     pub(crate) acc_bias_left_after_calibration_mps2: f64,
     pub(crate) acc_tco_mps2_per_k: f64,
-    pub(crate) acc_scale_sigma: f64,
     pub(crate) acc_tcs_per_k: f64,
     pub(crate) acc_cross_axis: f64,
     pub(crate) acc_range_mps2: f64,

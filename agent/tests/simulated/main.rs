@@ -17,6 +17,7 @@ mod landings;
 mod lanes;
 mod losses;
 mod random_walk;
+mod recorded;
 mod replay;
 mod replay_commands;
 mod secure;

@@ -28,19 +28,29 @@ struct Real {
     warm_up_m_per_c: f64,
     /// How far its scan is from the vertical plane it should be in, rad.
     mounting_rad: f64,
+    /// Those of its beams that are noisier, by their angle about the middle of the scan.
+    bad_beams: [bool; BEAMS],
 }
 
+/// Beams that may point down: 45° of the scan. Beyond them they repeat.
+const BEAMS: usize = 128;
+/// From one beam to the next: 360° / 1024.
+const BEAM_RAD: f64 = std::f64::consts::TAU / 1024.0;
+
 impl Real {
-    /// Reading of a height of `own_m` with the vehicle pitched by `pitch_rad`, and by how much its stamp is too early, s;
-    /// `None` for a beam without echo. Draws the same numbers either way.
-    fn read(&mut self, own_m: f64, pitch_rad: f64, warm_c: f64) -> (Option<f64>, f64) {
+    /// Reading of a height of `own_m` with the vehicle rolled and pitched by these angles, rad, and by how much its stamp is
+    /// too early, s; `None` for a beam without echo. Draws the same numbers either way.
+    fn read(&mut self, own_m: f64, roll_rad: f64, pitch_rad: f64, warm_c: f64) -> (Option<f64>, f64) {
         let c = &self.conditions;
-        let [bad, invalid] = std::array::from_fn(|_| self.stream.uniform());
+        let invalid = self.stream.uniform();
         let (noise, jitter) = (self.stream.normal(), self.stream.normal());
-        // The scan finds the vertical in its own plane; out of it the distance is slant.
+        // The scan finds the vertical in its own plane, which is another beam as the vehicle rolls; out of it the distance is
+        // slant.
+        let beam = (roll_rad / BEAM_RAD).round() as i64;
+        let bad = self.bad_beams.get(beam.rem_euclid(BEAMS as i64) as usize).is_some_and(|bad| *bad);
         let slant_m = own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
         let sigma_m = if slant_m < 2.0 { c.beam_sigma_m } else { c.beam_sigma_beyond_2m_m };
-        let sigma_m = if bad < c.bad_beam_fraction { c.bad_beam_gain * sigma_m } else { sigma_m };
+        let sigma_m = if bad { c.bad_beam_gain * sigma_m } else { sigma_m };
         let reading_m = slant_m * (1.0 + self.scale) + self.bias_m + self.warm_up_m_per_c * warm_c + sigma_m * noise;
         let early_s = c.nadir_after_scan_start_s - c.host_stamp_jitter_s * jitter.abs();
         (Some(reading_m).filter(|_| invalid >= c.intermittent_invalid_fraction), early_s)
@@ -64,6 +74,10 @@ impl Device for Height {
             bias_m: c.bias_sigma_m * stream.normal(),
             warm_up_m_per_c: c.warm_up_drift_m * stream.normal() / around.warm_up().0,
             mounting_rad: c.mounting_tilt_sigma_rad * stream.normal(),
+            bad_beams: {
+                let mut beams = Stream::new(stream.clone().uniform().to_bits(), "beams");
+                std::array::from_fn(|_| beams.uniform() < c.bad_beam_fraction)
+            },
             stream: stream.clone(),
             conditions: c.clone(),
         });
@@ -81,7 +95,10 @@ impl Device for Height {
         // mounting as if level. The lever's share of a tilt (millimetres) stays in.
         let own_m = x.position_enu_m.z + rotate(&x.world_from_body, &spec.position_flu_m).z;
         let (reading_m, early_s) = match &mut self.real {
-            Some(real) => real.read(own_m, roll_pitch_yaw(&x.attitude()).y, now.warm_c),
+            Some(real) => {
+                let rpy = roll_pitch_yaw(&x.attitude());
+                real.read(own_m, rpy.x, rpy.y, now.warm_c)
+            }
             None => (Some(self.error.read(own_m, stream)), 0.0),
         };
         let reading_m = reading_m?;

@@ -6,6 +6,7 @@ use plumbline_core::sensor::ImuSample;
 use plumbline_core::sensor::imu::{self, Distortion};
 use plumbline_core::sensor::noise::{ScalarError, Stream};
 use plumbline_core::sensor::suite::Quality;
+use plumbline_core::types::GRAVITY_MPS2;
 
 use super::{Device, Now, Surroundings, Transport, read3, triple};
 use crate::conditions::Conditions;
@@ -198,7 +199,8 @@ impl Real {
         // Misalignment of the whole unit, and what its axes are off.
         let turned = Rotation3::new(normal3(stream) * errors.imu_misalignment_sigma_rad).into_inner();
         let mut gain = |scale: f64| turned * (Matrix3::identity() + matrix3(stream, scale, c.acc_cross_axis));
-        let gain = [gain(c.gyr_scale_sigma), gain(c.acc_scale_sigma)];
+        // Turned over at rest, as for its bias, an accelerometer shows its scale: what is left is as much at 1 g.
+        let gain = [gain(c.gyr_scale_sigma), gain(c.acc_bias_left_after_calibration_mps2 / GRAVITY_MPS2)];
         let offset_per_k = [normal3(stream) * c.gyr_tco_radps_per_k, normal3(stream) * c.acc_tco_mps2_per_k];
         let g = c.gyr_g_sensitivity_radps_per_mps2;
         Self {

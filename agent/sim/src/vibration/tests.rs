@@ -4,7 +4,7 @@ use super::super::conditions::Conditions;
 use super::*;
 
 /// Statistics of the recordings (24 of a Phantom 4: 6 paths, 4 IMUs), and what a simulated one must reach.
-const RECORDED: &str = include_str!("../../../../tests/fixtures/worlds/vibration.json");
+const RECORDED: &str = include_str!("../../../../tests/fixtures/worlds/recordings.json");
 /// Samples of the recordings: means over 1/120 s; made here from samples as many times as fast.
 const RATE_HZ: f64 = 120.0;
 const FINER: usize = 16;
