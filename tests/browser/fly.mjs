@@ -36,6 +36,17 @@ await step(page, 'the toolbar tells mode, arming, link, recording and battery', 
   await bar.getByRole('button', { name: /CUT MOTORS/ }).waitFor();
 });
 
+const guide = page.getByRole('complementary', { name: 'First flight' });
+const led = async (to) => until(`the first flight: ${to}`, async () => (await guide.locator('[aria-current]').textContent()).includes(to));
+
+await step(page, 'the first flight leads through it, and waits', async () => {
+  await button('Keys and help').click();
+  await button('First flight, step by step').click();
+  await led('Arm');
+  assert((await guide.textContent()).includes('1 of 6'), 'it begins at the first step');
+  await shot('first-flight');
+});
+
 await step(page, 'arm with a hold', async () => {
   await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
   await until('ARMED', async () => {
@@ -49,6 +60,7 @@ await step(page, 'arm with a hold', async () => {
 });
 
 await step(page, 'altitude hold', async () => {
+  await led('Hold the altitude');
   await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
   await until('the mode', async () => /alt/i.test(await page.getByRole('banner').getByLabel('Mode').textContent()));
 });
@@ -71,8 +83,20 @@ const stepText = async (from, to) => {
 };
 
 await step(page, 'a preset button: 0.5 m', async () => {
+  await led('Raise it');
   await button('Altitude 0.5 m').click();
   await reach(0.5);
+});
+
+await step(page, 'the first flight goes by the vehicle, survives a reload, and is left at any time', async () => {
+  await led('Attack a sensor');
+  await page.reload({ waitUntil: 'commit' });
+  await led('Attack a sensor');
+  await shot('first-flight-aloft');
+  await button('Leave the first flight').click();
+  await page.reload({ waitUntil: 'commit' });
+  await until('a live altitude', async () => Number.isFinite(await readout('altitude')));
+  assert((await guide.count()) === 0, 'it stays left');
 });
 
 await step(page, 'the exact field: 0.8 m, with its step metrics', async () => {

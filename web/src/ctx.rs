@@ -15,8 +15,8 @@ use crate::{
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Tone},
-    model::{draft::Draft, live::Live, route::Route, topic::Topic},
-    net, store,
+    model::{draft::Draft, guide::Guide, live::Live, route::Route, topic::Topic},
+    net, panel, store,
 };
 
 /// Text is written this often.
@@ -80,6 +80,8 @@ pub struct Ctx {
     pub live_deck: StoredValue<Option<Deck>>,
     /// List of keys open?
     pub help: RwSignal<bool>,
+    /// How far the first flight has come; `None` when nobody is led through one.
+    pub guide: RwSignal<Option<Guide>>,
     /// Attack panel asked for by key.
     pub attacks_focus: RwSignal<u64>,
     /// Attacks written and not yet on the vehicle; they outlive a visit to another page, and a refusal.
@@ -109,6 +111,7 @@ impl Ctx {
             deck: RwSignal::new(None),
             live_deck: StoredValue::new(None),
             help: RwSignal::new(false),
+            guide: RwSignal::new(panel::guide::kept()),
             attacks_focus: RwSignal::new(0),
             drafts: RwSignal::new(store::drafts()),
             hint: RwSignal::new(None),

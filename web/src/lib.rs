@@ -90,6 +90,7 @@ fn Root() -> impl IntoView {
         <panel::alarms::HintBubble />
         <panel::alarms::Dock />
         <panel::notices::Notices />
+        <panel::guide::FirstFlight />
         <page::Help />
     }
 }

@@ -13,6 +13,7 @@ pub mod envelope;
 pub mod experiment;
 pub mod figure;
 pub mod format;
+pub mod guide;
 pub mod instrument;
 pub mod listing;
 pub mod live;

@@ -8,7 +8,7 @@ use crate::{
     event::Failure,
     model::{format, listing, route::Route},
     net,
-    panel::toolbar::Link,
+    panel::{guide, toolbar::Link},
 };
 
 /// Columns on the left of the small picture.
@@ -186,9 +186,12 @@ pub fn FlightsPage() -> impl IntoView {
                 </table>
                 <Show when=move || answer.with(|a| matches!(a, Some(Ok(_)))) && rows.with(Vec::is_empty)>
                     <p class="blank">{move || if asked.with(|asked| asked.search.is_empty()) {
-                        "No flights yet. Arm the vehicle on the Fly page: every flight is recorded by itself, and R records by hand."
+                        view! {
+                            "No flights yet. Arm the vehicle on the Fly page: every flight is recorded by itself, and R records by hand. "
+                            <button type="button" on:click=move |_| guide::begin(ctx)>"First flight, step by step"</button>
+                        }.into_any()
                     } else {
-                        "No flight matches the filter."
+                        view! { "No flight matches the filter." }.into_any()
                     }}</p>
                 </Show>
                 <Show when=move || answer.with(Option::is_none)><p class="blank">"Loading…"</p></Show>

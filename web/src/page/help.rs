@@ -2,7 +2,7 @@
 
 use leptos::{html, prelude::*};
 
-use crate::{ctx::ctx, keys::KEYS};
+use crate::{ctx::ctx, keys::KEYS, panel::guide};
 
 /// A dialog with every key; `?` opens it, Esc closes it.
 #[component]
@@ -23,6 +23,9 @@ pub fn Help() -> impl IntoView {
             <dl>
                 {KEYS.into_iter().map(|(key, what)| view! { <div><dt><kbd>{key}</kbd></dt><dd>{what}</dd></div> }).collect::<Vec<_>>()}
             </dl>
+            <p class="quiet">
+                <button type="button" on:click=move |_| guide::begin(ctx)>"First flight, step by step"</button>
+            </p>
             <p class="quiet">
                 "Arm, disarm and delete are held for 0.8 s, by pointer, Space or Enter. The motor cut is not: one click or one key."
             </p>

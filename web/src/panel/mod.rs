@@ -10,6 +10,7 @@ pub mod errors;
 pub mod estimator;
 pub mod events;
 pub mod gamepad;
+pub mod guide;
 pub mod hold;
 pub mod horizon;
 pub mod lanes;
