@@ -168,7 +168,10 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
 await step(page, 'signals: what is zoomed into is read more finely', async () => {
   const asked = [];
   page.on('response', async (response) => {
-    if (/\/signal\?/.test(response.url())) asked.push({ from: Number(new URL(response.url()).searchParams.get('from_s')), ...(await response.json()) });
+    if (!/\/signal\?/.test(response.url())) return;
+    // An answer that the browser has let go of already is none that is shown.
+    const answer = await response.json().catch(() => undefined);
+    if (answer) asked.push({ from: Number(new URL(response.url()).searchParams.get('from_s')), ...answer });
   });
   const plot = region('Altitude chart').getByRole('img').first();
   const box = await plot.boundingBox();
