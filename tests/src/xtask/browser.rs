@@ -55,7 +55,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
 }
 
 /// Times that the wire rig is flown at most.
-const WIRE_FLIGHTS: u32 = 4;
+const WIRE_FLIGHTS: u32 = 2;
 
 /// Flies the wire rig, and again if that fails: its ports are pseudo terminals, which the kernel's workers serve after
 /// everything else on a busy machine, and IMUs that are silent for 80 ms cut the motors, as they should.
@@ -67,17 +67,20 @@ fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(
         let stopped = system.stop();
         read.and(stopped)
     };
-    for flight in 1..WIRE_FLIGHTS {
+    let silent = workspace.target.join("screenshots/imu-silent");
+    for flight in 1..=WIRE_FLIGHTS {
+        let _ = std::fs::remove_file(&silent);
         let mut counted = Tally::silent();
-        match fly(&mut counted) {
-            Ok(()) => {
-                tally.take_over(&mut counted);
-                return Ok(());
-            }
-            Err(error) => eprintln!("xtask: browser: flight {flight} of {WIRE_FLIGHTS} of the wire rig: {error}"),
+        let flown = fly(&mut counted);
+        if flown.is_ok() || !silent.exists() {
+            tally.take_over(&mut counted);
+            return flown;
         }
+        eprintln!("xtask: browser: flight {flight} of {WIRE_FLIGHTS} of the wire rig: IMUs were silent for over 80 ms");
     }
-    fly(tally)
+    // Not the vehicle's fault, and not its success.
+    tally.skip(1, &["browser: the wire rig: this machine serves its ports too late".to_owned()].into());
+    Ok(())
 }
 
 fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
