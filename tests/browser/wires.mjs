@@ -1,7 +1,5 @@
 // The everyday use through the drivers of real devices: the simulator speaks their protocols on ports of its own.
 
-import { writeFileSync } from 'node:fs';
-
 import { assert, end, hold, launch, number, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
@@ -83,6 +81,4 @@ await step(page, 'wires: lands, and is disarmed', async () => {
   await until('disarmed', async () => /disarmed/i.test(await arming()), 60_000);
 });
 
-// What the machine did to the ports is told apart from what the vehicle did.
-if (/no fresh IMU sample/.test(await page.locator('body').textContent())) writeFileSync(`${screenshots}/imu-silent`, '');
 end();

@@ -10,6 +10,7 @@ mod error;
 mod evaluate;
 mod fuzz;
 mod package;
+mod ports;
 mod progress;
 mod python;
 mod reproduce;
