@@ -16,7 +16,7 @@ use crate::{
     deck::Deck,
     event::{Effect, Event, Tone},
     model::{draft::Draft, guide::Guide, live::Live, route::Route, topic::Topic},
-    net, panel, store,
+    net, store,
 };
 
 /// Text is written this often.
@@ -111,7 +111,7 @@ impl Ctx {
             deck: RwSignal::new(None),
             live_deck: StoredValue::new(None),
             help: RwSignal::new(false),
-            guide: RwSignal::new(panel::guide::kept()),
+            guide: RwSignal::new(store::guide()),
             attacks_focus: RwSignal::new(0),
             drafts: RwSignal::new(store::drafts()),
             hint: RwSignal::new(None),

@@ -6,6 +6,7 @@ use crate::{
     model::{
         curves::Group,
         draft::{Draft, Row},
+        guide::Guide,
         operator,
     },
     net::Early,
@@ -55,6 +56,16 @@ pub fn rename(name: &str) -> String {
         let _ = storage.set_item(&key("operator"), &operator);
     }
     operator
+}
+
+/// How far the first flight had come; `None` where it was left, or never begun.
+pub fn guide() -> Option<Guide> {
+    get("guide")?.parse().ok().map(Guide::at)
+}
+
+/// Keeps its step.
+pub fn keep_guide(at: Option<usize>) {
+    set("guide", &at.map_or_else(String::new, |at| at.to_string()));
 }
 
 /// The attacks that were being written.

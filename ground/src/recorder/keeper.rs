@@ -200,7 +200,6 @@ impl Desk {
         if files.parts.is_empty() && stamp.is_some() && self.index.stamp(id)? == stamp {
             return Ok(());
         }
-        let path = self.store.finished_path(id);
         let mut reading = Reading::default();
         if files.parts.is_empty() {
             reading = self.store.read(files)?;
@@ -219,7 +218,7 @@ impl Desk {
                 }
             };
         }
-        match Stamp::of(&path) {
+        match Stamp::of(&self.store.finished_path(id)) {
             Some(stamp) => {
                 let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);
                 self.index.put(&flight, stamp)?;

@@ -11,9 +11,6 @@ use crate::{
     store,
 };
 
-/// The name that the browser keeps the step by; empty: left.
-const KEPT: &str = "guide";
-
 /// Begins it, on Fly.
 pub fn begin(ctx: Ctx) {
     ctx.help.set(false);
@@ -21,17 +18,12 @@ pub fn begin(ctx: Ctx) {
     ctx.guide.set(Some(Guide::default()));
 }
 
-/// As the browser kept it.
-pub fn kept() -> Option<Guide> {
-    store::get(KEPT)?.parse().ok().map(Guide::at)
-}
-
 /// The steps, with what the present one asks for.
 #[component]
 pub fn FirstFlight() -> impl IntoView {
     let ctx = ctx();
     let at = Memo::new(move |_| ctx.guide.get().map(|guide| guide.at));
-    Effect::new(move |_| store::set(KEPT, &at.get().map_or_else(String::new, |at| at.to_string())));
+    Effect::new(move |_| store::keep_guide(at.get()));
     Effect::new(move |_| {
         if at.get().is_none() {
             return;
