@@ -130,6 +130,38 @@ await step(page, 'flights: each has a small picture of its altitude, with its at
   return { stretches: known.length };
 });
 
+await step(page, 'flights: recordings of others are chosen or dropped, and each says what became of it', async () => {
+  // Twenty seconds of a vehicle at rest, as BROAD writes it.
+  const head = 't_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT,ref_qw,ref_qx,ref_qy,ref_qz,ref_px_m,ref_py_m,ref_pz_m,movement';
+  const rows = Array.from({ length: 2000 }, (_, i) => `${i / 100},0,0,0,0,0,9.81,0,20,-40,1,0,0,0,0,0,${0.5 + 0.1 * Math.sin(i / 200)},1`);
+  const rest = { name: 'at rest.csv', mimeType: 'text/csv', buffer: Buffer.from([head, ...rows, ''].join('\n')) };
+  const notes = { name: 'notes.txt', mimeType: 'text/plain', buffer: Buffer.from('hello') };
+  await page.getByLabel('Recordings to import').setInputFiles([rest, notes]);
+  const row = (name) => region('Imports').getByRole('listitem').filter({ hasText: name });
+  await row('at rest.csv').getByRole('link', { name: 'open the flight' }).waitFor();
+  await until('what is no recording is refused', async () => /a file that begins with "hello"; supported are/.test(await row('notes.txt').textContent()));
+  await shots('imports');
+  // Held over the list and let go; it is here already.
+  const held = await page.evaluateHandle((text) => {
+    const held = new DataTransfer();
+    held.items.add(new File([text], 'copy.csv', { type: 'text/csv' }));
+    return held;
+  }, rest.buffer.toString());
+  await page.dispatchEvent('#main', 'dragover', { dataTransfer: held });
+  await until('the list says that it takes it', () => page.evaluate(() => document.querySelector('#main').classList.contains('dropped-on')));
+  await page.dispatchEvent('#main', 'drop', { dataTransfer: held });
+  await until('known', async () => /was here already/.test(await row('copy.csv').textContent()));
+  await row('at rest.csv').getByRole('link', { name: 'open the flight' }).click();
+  const title = page.getByLabel('Name of the flight');
+  await until('its page', async () => (await title.inputValue()) === 'at rest.csv');
+  await drawn(page, region('Altitude chart').getByRole('img').first(), 'its altitude');
+  await shots('imported');
+  const imported = await page.evaluate(() => location.pathname.split('/').pop());
+  assert((await page.request.delete(`${url}/api/v1/flights/${imported}`, { headers: { Origin: url } })).status() === 204, imported);
+  await page.goto(`${url}/flights`);
+  return { imported };
+});
+
 const signals = region('Signals');
 const search = signals.getByRole('searchbox', { name: 'Search the recorded signals' });
 const charted = () => signals.getByRole('group').evaluateAll((all) => all.map((e) => e.getAttribute('aria-label')));

@@ -25,7 +25,8 @@ pub fn unix_s() -> f64 {
     js_sys::Date::now() * 1e-3
 }
 
-fn unreachable_ground() -> Failure {
+/// Nobody answered.
+pub fn unreachable_ground() -> Failure {
     Failure { status: 0, text: failure_text(0, "") }
 }
 
@@ -60,13 +61,15 @@ async fn send(
     if response.ok() {
         return Ok(response);
     }
-    let status = response.status();
+    Err(failed(response.status(), &text(&response).await.unwrap_or_default()))
+}
+
+fn failed(status: u16, text: &str) -> Failure {
     if status == 401 {
         // The session is over: the ground's own form begins another and comes back here.
-        let _ = window.location().set_href("/login");
+        let _ = web_sys::window().map(|window| window.location().set_href("/login"));
     }
-    let text = text(&response).await.unwrap_or_default();
-    Err(Failure { status, text: failure_text(status, &text) })
+    Failure { status, text: failure_text(status, text) }
 }
 
 async fn text(response: &Response) -> Result<String, Failure> {
@@ -103,8 +106,11 @@ pub async fn command(
 }
 
 async fn read<T: DeserializeOwned>(response: Response, url: &str) -> Result<T, Failure> {
-    let text = text(&response).await?;
-    let text = if text.trim().is_empty() { "{}" } else { &text };
+    parsed(&text(&response).await?, url)
+}
+
+fn parsed<T: DeserializeOwned>(text: &str, url: &str) -> Result<T, Failure> {
+    let text = if text.trim().is_empty() { "{}" } else { text };
     serde_json::from_str(text)
         .map_err(|error| Failure { status: 0, text: format!("{url} answered with something else: {error}") })
 }
@@ -118,6 +124,38 @@ pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
     let promise = response.array_buffer().map_err(|_| unreachable_ground())?;
     let buffer = JsFuture::from(promise).await.map_err(|_| unreachable_ground())?;
     Ok(js_sys::Uint8Array::new(&buffer).to_vec())
+}
+
+/// Sends files as a form; `sent` is told which share of them is on its way, 0 to 1.
+///
+/// # Errors
+/// [`Failure`] with the ground's own words.
+pub async fn upload<T: DeserializeOwned>(
+    url: &str,
+    form: &web_sys::FormData,
+    operator: &str,
+    sent: impl Fn(f64) + 'static,
+) -> Result<T, Failure> {
+    // What fetch cannot tell: how far it is.
+    let request = web_sys::XmlHttpRequest::new().map_err(|_| unreachable_ground())?;
+    request.open("POST", url).map_err(|_| unreachable_ground())?;
+    let operator = if operator.is_empty() { "page" } else { operator };
+    request.set_request_header(OPERATOR, operator).map_err(|_| unreachable_ground())?;
+    let progress = Closure::<dyn FnMut(web_sys::ProgressEvent)>::new(move |event: web_sys::ProgressEvent| {
+        sent(event.loaded() / event.total().max(1.0));
+    });
+    let uploading = request.upload().map_err(|_| unreachable_ground())?;
+    uploading.set_onprogress(Some(progress.as_ref().unchecked_ref()));
+    let over = js_sys::Promise::new(&mut |done, _| request.set_onloadend(Some(&done)));
+    request.send_with_opt_form_data(Some(form)).map_err(|_| unreachable_ground())?;
+    // Loaded or not, it is over.
+    let _ = JsFuture::from(over).await;
+    let status = request.status().unwrap_or(0);
+    let text = request.response_text().ok().flatten().unwrap_or_default();
+    if !(200..300).contains(&status) {
+        return Err(failed(status, &text));
+    }
+    parsed(&text, url)
 }
 
 /// Has the browser keep what is at an address, under a name (empty: as the ground calls it).

@@ -5,6 +5,7 @@
 //!                                              ├ flight ─► judge ─► row                └─► parquet
 //!                                              ├ expectation: what the model expects of each attack
 //!                                              ├ open: one row, flown again ─► flight file (MCAP)
+//!                                              ├ import: a recording of another program, flown again ─► flight file
 //!                                              └ trace: the first ones, flown again ─► errors over time
 //! ```
 //! [`flight`] flies one, [`judge`] says how it went, [`attacked`] draws what is done to its sensors, [`draw`] has the dice, the
@@ -18,6 +19,7 @@ pub mod compare;
 pub mod draw;
 pub mod expectation;
 pub mod flight;
+pub mod import;
 pub mod judge;
 pub mod monitor;
 pub mod open;

@@ -10,6 +10,7 @@ use plumbline_agent::telemetry::{Around, Identification, Outlet, Replay, Telemet
 use plumbline_proto::time::WallTime;
 
 use crate::flight::{FlyError, Seen, Setup, fly_seen};
+use crate::judge::Outcome;
 use crate::row::Row;
 use crate::store::{Experiment, StoreError};
 
@@ -40,6 +41,20 @@ pub enum OpenError {
     },
     /// The flight.
     #[error(transparent)]
+    Record(#[from] RecordError),
+    /// It was flown, and nothing was recorded: it never armed.
+    #[error("flight {0} never armed: there is nothing to record")]
+    Nothing(u64),
+    /// It went otherwise than its row says. Nothing explains that but another program or a broken machine.
+    #[error("flight {0} went otherwise than before")]
+    Otherwise(u64),
+}
+
+/// Why a flight could not be flown into a file.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The flight.
+    #[error(transparent)]
     Fly(#[from] FlyError),
     /// Its set-up.
     #[error(transparent)]
@@ -47,12 +62,6 @@ pub enum OpenError {
     /// The flight file.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// It was flown, and nothing was recorded: it never armed.
-    #[error("flight {0} never armed: there is nothing to record")]
-    Nothing(u64),
-    /// It went otherwise than its row says. Nothing explains that but another program or a broken machine.
-    #[error("flight {0} went otherwise than before")]
-    Otherwise(u64),
 }
 
 /// Flies flight `index` again; the flight file is in a folder of its own, and for the caller to move away.
@@ -68,10 +77,29 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let seed = plan.seed_of(repeat);
     let condition = plan.condition(condition).map_err(|reason| OpenError::Condition { index, reason })?;
     let setup = condition.setup(seed);
-    let folder = experiment.folder.join(format!("opened-{index}"));
+    let agent_id = format!("{}-{index}", experiment.identity.hash.get(..8).unwrap_or_default());
+    let made = WallTime(experiment.identity.made_unix_us);
+    let identification = identified(agent_id, made, seed, &setup, condition.scenario_text(seed));
+    let (recorded, outcome) = record(&setup, identification, experiment.folder.join(format!("opened-{index}")))?;
+    let row = Row::new(row_index, &outcome);
+    let before = experiment.rows()?.into_iter().find(|before| before.index == row_index);
+    if before.is_some_and(|before| before != row) {
+        return Err(OpenError::Otherwise(index));
+    }
+    recorded.ok_or(OpenError::Nothing(index))
+}
+
+/// Flies it into a flight file in `folder`, which is made anew: the file, unless nothing was ever armed, and how it went.
+///
+/// # Errors
+/// [`RecordError`].
+pub(crate) fn record(
+    setup: &Setup,
+    identification: Identification,
+    folder: PathBuf,
+) -> Result<(Option<PathBuf>, Outcome), RecordError> {
     // What an attempt left that was killed.
     let _ = std::fs::remove_dir_all(&folder);
-    let identification = identified(experiment, index, seed, &setup, condition.scenario_text(seed));
     let settings = LogConfig {
         folder: folder.clone(),
         max_bytes: log::DEFAULT_MAX_BYTES,
@@ -83,7 +111,7 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let described = Flight::new(setup.config.clone())?;
     let mut telemetry = Telemetry::new(identification, &described, None, Some(Outlet::new(ring)));
     let mut last = None;
-    let flown = fly_seen(&setup, |flight, seen| {
+    let flown = fly_seen(setup, |flight, seen| {
         while telemetry.log_room().is_some_and(|room| room < ROOM_BYTES) && kept.state().error().is_none() {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -99,27 +127,28 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
         telemetry.shutdown(last);
     }
     kept.stop();
-    let row = Row::new(row_index, &flown?);
-    let before = experiment.rows()?.into_iter().find(|before| before.index == row_index);
-    if before.is_some_and(|before| before != row) {
-        return Err(OpenError::Otherwise(index));
-    }
+    let outcome = flown?;
     let files = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut recorded = files.filter(|path| path.extension().is_some_and(|extension| extension == "mcap"));
-    recorded.next().ok_or(OpenError::Nothing(index))
+    Ok((recorded.next(), outcome))
 }
 
-/// Who flies: the simulator, or the recording.
-fn identified(experiment: &Experiment, index: u64, seed: u64, setup: &Setup, scenario: String) -> Identification {
+/// Who flies: the simulator, or the recording, under a name.
+pub(crate) fn identified(
+    agent_id: String,
+    boot_wall_time: WallTime,
+    seed: u64,
+    setup: &Setup,
+    scenario: String,
+) -> Identification {
     let known = match &setup.recording {
         None => Some(&setup.scenario),
         Some(recorded) => recorded.flown.scenario.as_ref(),
     };
-    let short = experiment.identity.hash.get(..8).unwrap_or_default();
     Identification {
-        agent_id: format!("{short}-{index}"),
+        agent_id,
         boot_id: seed,
-        boot_wall_time: WallTime(experiment.identity.made_unix_us),
+        boot_wall_time,
         vehicle: if setup.recording.is_some() { "replay" } else { "sim" },
         rig: known.map_or("recording", |scenario| scenario.rig.name()).to_owned(),
         scenario,

@@ -8,6 +8,8 @@ use plumbline_agent::config::RecordedFlight;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::recordings::{self, Recording, RecordingError, RecordingInfo};
 use plumbline_agent::sensor::{MocapPoseSample, SensorFrame};
+use plumbline_agent::sim::Scenario;
+use plumbline_agent::sim::script::Script;
 use plumbline_agent::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
@@ -146,6 +148,18 @@ impl Recordings {
         Ok(Self { entries: entries.into(), held })
     }
 
+    /// The one at `path`, under a name of its own.
+    ///
+    /// # Errors
+    /// [`UnusableError`].
+    pub(crate) fn one(name: &str, path: PathBuf) -> Result<Self, UnusableError> {
+        let held = Arc::<Mutex<_>>::default();
+        let (named, recording) = Named::at(name, path)?;
+        let entry = Entry { named, info: OnceLock::from(recording.info().clone()) };
+        hold(&held, name, recording);
+        Ok(Self { entries: Arc::new([entry]), held })
+    }
+
     /// What is known of each.
     pub fn named(&self) -> impl Iterator<Item = &Named> {
         self.entries.iter().map(|entry| &entry.named)
@@ -207,6 +221,10 @@ impl Named {
     /// Looks for a recording and reads it.
     fn find(name: &str, library: &Library) -> Result<(Self, Recording), UnusableError> {
         let path = library.path(name).map_err(|reason| UnusableError::Unknown { name: name.into(), reason })?;
+        Self::at(name, path)
+    }
+
+    fn at(name: &str, path: PathBuf) -> Result<(Self, Recording), UnusableError> {
         let mut named = Self { name: name.into(), path, sha256: String::new(), against: Against::Truth };
         named.sha256 = named.hash()?;
         let recording = named.read()?;
@@ -307,6 +325,17 @@ impl Recorded {
             lasts_s: info.span.1.seconds_since(info.span.0),
             flown: Arc::new(flown),
         })
+    }
+
+    /// What is known of its vehicle; nothing of it happens again by itself.
+    pub(crate) fn scenario(&self) -> Scenario {
+        let known = self.flown.scenario.clone().unwrap_or_else(Scenario::bare);
+        Scenario {
+            duration_s: self.lasts_s,
+            tick_rate_hz: self.flown.flight.tick_rate_hz,
+            script: Script::default(),
+            ..known
+        }
     }
 
     /// Ready to be flown.

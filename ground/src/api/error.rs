@@ -160,6 +160,9 @@ impl From<RecordingError> for ApiError {
             RecordingError::Stopped | RecordingError::NotReady | RecordingError::Busy => {
                 Self::Unavailable(error.to_string())
             }
+            RecordingError::Io { ref source, .. } if source.kind() == std::io::ErrorKind::StorageFull => {
+                Self::Unavailable(error.to_string())
+            }
             RecordingError::Io { .. } | RecordingError::Damaged { .. } | RecordingError::Index(_) => {
                 Self::Broken(error.to_string())
             }

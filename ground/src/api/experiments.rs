@@ -7,7 +7,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Redirect, Response};
 use plumbline_experiment::flight::FlyError;
-use plumbline_experiment::open::{OpenError, open};
+use plumbline_experiment::open::{OpenError, RecordError, open};
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::recordings::Library;
 use plumbline_experiment::run::expected_s;
@@ -45,7 +45,7 @@ impl From<OpenError> for ApiError {
         match error {
             OpenError::Store(error) => error.into(),
             OpenError::Unknown { .. } => Self::NotFound(error.to_string()),
-            OpenError::Fly(FlyError::Recording(_)) => Self::Conflict(error.to_string()),
+            OpenError::Record(RecordError::Fly(FlyError::Recording(_))) => Self::Conflict(error.to_string()),
             OpenError::Condition { .. } | OpenError::Nothing(_) => Self::Invalid(error.to_string()),
             other => Self::Broken(other.to_string()),
         }

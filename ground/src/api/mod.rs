@@ -25,6 +25,7 @@ mod gains;
 mod ground;
 mod guard;
 mod health;
+mod import;
 mod lease;
 mod live;
 pub(crate) mod mavlink;
@@ -274,6 +275,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/archive"                        View    archive::tar;
         get    "/api/v1/archive/due"                    View    archive::due;
         get    "/api/v1/flights"                        View    flights::list;
+        post   "/api/v1/flights"                        Operate import::import, import::MAX_FORM;
         get    "/api/v1/flights/{id}"                   View    flights::show;
         patch  "/api/v1/flights/{id}"                   Operate flights::annotate;
         delete "/api/v1/flights/{id}"                   Admin   flights::delete;

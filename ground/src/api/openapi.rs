@@ -19,6 +19,10 @@ use crate::people::{Access, COOKIE};
 
 /// JSON.
 const JSON: &str = "application/json";
+/// Files.
+const FORM: &str = "multipart/form-data";
+/// Any bytes.
+pub(super) const BYTES: &str = "application/octet-stream";
 
 /// Schemas by name, and names that two types claim.
 #[derive(Debug, Default)]
@@ -69,6 +73,10 @@ pub(super) struct Operation {
     body: Option<Schema>,
     status: u16,
     answer: Option<(&'static str, Option<Schema>)>,
+    /// Its body is a form with files.
+    form: bool,
+    /// 200 instead of 201 says that it was here already.
+    known: bool,
     tagged: bool,
     ranged: bool,
 }
@@ -76,7 +84,7 @@ pub(super) struct Operation {
 impl Operation {
     pub(super) const fn new(method: &'static str, path: &'static str, summary: &'static str) -> Self {
         let (query, body, answer) = (&[] as &[Parameter], None, None);
-        Self { method, path, summary, query, body, status: 204, answer, tagged: false, ranged: false }
+        Self { method, path, summary, query, body, status: 204, answer, form: false, known: false, tagged: false, ranged: false }
     }
 
     pub(super) const fn query(self, query: &'static [Parameter]) -> Self {
@@ -85,6 +93,16 @@ impl Operation {
 
     pub(super) const fn takes(self, body: Schema) -> Self {
         Self { body: Some(body), ..self }
+    }
+
+    /// Files, as a form sends them.
+    pub(super) const fn form(self) -> Self {
+        Self { form: true, ..self }
+    }
+
+    /// It may have been done already: then 200 says so.
+    pub(super) const fn known(self) -> Self {
+        Self { known: true, ..self }
     }
 
     pub(super) const fn empty(self, status: u16) -> Self {
@@ -182,6 +200,9 @@ impl Operation {
                 responses[status.to_string()] = failure;
             }
         }
+        if self.known {
+            responses["200"] = responses[self.status.to_string()].clone();
+        }
         if self.tagged || self.json_read() {
             responses["304"] = json!({ "description": "What `If-None-Match` names is still so." });
         }
@@ -199,6 +220,12 @@ impl Operation {
         }
         if let Some(schema) = self.body {
             operation["requestBody"] = json!({ "content": { JSON: { "schema": schema(schemas) } } });
+        }
+        if self.form {
+            let file = json!({ "type": "string", "contentMediaType": BYTES });
+            let files = json!({ "type": "array", "items": file, "description": "One file, or those of one folder." });
+            let schema = json!({ "type": "object", "properties": { "file": files }, "required": ["file"] });
+            operation["requestBody"] = json!({ "required": true, "content": { FORM: { "schema": schema } } });
         }
         operation
     }

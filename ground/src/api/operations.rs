@@ -7,13 +7,13 @@ use plumbline_rest::command::{
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
 use plumbline_rest::envelope::{AttackQuestion, Envelope, EnvelopeQuestion, PreparedAttack};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
-use plumbline_rest::flight::{Due, Flight, Flights, Labels, Samples, Signals, Spectrum};
+use plumbline_rest::flight::{Due, Flight, Flights, Imported, Labels, Samples, Signals, Spectrum};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
 use plumbline_rest::people::{
     AccountChange, Code, Confirmation, Credentials, NewAccount, NewAuthenticator, People, Session,
 };
 
-use super::openapi::{Operation, Parameter, list, object, of};
+use super::openapi::{BYTES, Operation, Parameter, list, object, of};
 
 const fn get(path: &'static str, summary: &'static str) -> Operation {
     Operation::new("get", path, summary)
@@ -38,7 +38,6 @@ const fn command(operation: Operation) -> Operation {
 
 const HTML: &str = "text/html; charset=utf-8";
 const TEXT: &str = "text/plain; charset=utf-8";
-const BYTES: &str = "application/octet-stream";
 const PARQUET: &str = "application/vnd.apache.parquet";
 const CSV: &str = "text/csv; charset=utf-8";
 
@@ -218,6 +217,10 @@ pub(super) const OPERATIONS: &[Operation] = &[
         .tagged(),
     get("/api/v1/archive/due", "Flights that retention will delete, the oldest first").json(list::<Due>),
     get("/api/v1/flights", "Flights, a page of them").query(LISTING).json(of::<Flights>),
+    post("/api/v1/flights", "Takes in a recording: a flight of Plumbline, or of PX4, BROAD, RotorPy or a Phantom 4, flown through every estimator")
+        .form()
+        .created(of::<Imported>)
+        .known(),
     get("/api/v1/flights/{id}", "A flight").json(of::<Flight>),
     patch("/api/v1/flights/{id}", "Names and annotates a flight").takes(of::<Labels>).json(of::<Flight>),
     delete("/api/v1/flights/{id}", "Deletes a flight").empty(204),

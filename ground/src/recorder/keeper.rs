@@ -75,11 +75,10 @@ impl Keeper {
     ///
     /// # Errors
     /// No thread.
-    pub(super) fn start(store: RecordingStore, index: Arc<FlightIndex>, shared: Arc<Shared>) -> io::Result<Self> {
+    pub(super) fn start(desk: Desk) -> io::Result<Self> {
         let (jobs, given) = sync_channel::<Job>(MAX_JOBS);
         let (answers, done) = channel();
         let open = Arc::new(AtomicUsize::new(0));
-        let desk = Desk { store, index, shared };
         let thread = {
             let open = open.clone();
             std::thread::Builder::new().name("keeper".into()).spawn(move || {
@@ -131,10 +130,12 @@ impl Keeper {
     }
 }
 
-struct Desk {
-    store: RecordingStore,
-    index: Arc<FlightIndex>,
-    shared: Arc<Shared>,
+/// Where the work on flights is done.
+#[derive(Debug, Clone)]
+pub(super) struct Desk {
+    pub(super) store: RecordingStore,
+    pub(super) index: Arc<FlightIndex>,
+    pub(super) shared: Arc<Shared>,
 }
 
 impl Desk {
@@ -195,7 +196,11 @@ impl Desk {
         self.shared.changed.notify_one();
     }
 
-    fn catch_up_with(&self, id: &str, files: &Files) -> Result<(), RecordingError> {
+    /// Repairs what is damaged of a flight's files and brings the index in line with them.
+    ///
+    /// # Errors
+    /// [`RecordingError`]; the files stay.
+    pub(super) fn catch_up_with(&self, id: &str, files: &Files) -> Result<(), RecordingError> {
         let stamp = files.finished.as_deref().and_then(Stamp::of);
         if files.parts.is_empty() && stamp.is_some() && self.index.stamp(id)? == stamp {
             return Ok(());

@@ -41,6 +41,7 @@ use std::thread::JoinHandle;
 use plumbline_proto::codec::Batch;
 use plumbline_proto::v1;
 use serde::Serialize;
+use tempfile::TempDir;
 use tokio::sync::Notify;
 
 use crate::agent_link::CommandSender;
@@ -51,6 +52,7 @@ pub use export::{Export, Sink, WRITTEN};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use folder::free_bytes;
 use index::FlightIndex;
+use keeper::Desk;
 pub use intervals::IntervalSet;
 pub use plumbline_rest::ground::Storage;
 pub use sheet::{Format, Selection};
@@ -168,9 +170,7 @@ pub struct Recorder {
 #[derive(Debug, Clone)]
 pub struct RecorderHandle {
     queue: SyncSender<Input>,
-    shared: Arc<Shared>,
-    store: RecordingStore,
-    index: Arc<FlightIndex>,
+    desk: Desk,
 }
 
 /// Starts the recorder's threads.
@@ -184,10 +184,10 @@ pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
     let shared = Arc::new(Shared::default());
     let store = RecordingStore::new(&config.data_folder, config.reserve_bytes);
     let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
-    let index = Arc::new(index);
-    let handle = RecorderHandle { queue, shared: shared.clone(), store: store.clone(), index: index.clone() };
+    let desk = Desk { store: store.clone(), index: Arc::new(index), shared: shared.clone() };
+    let handle = RecorderHandle { queue, desk: desk.clone() };
     let syncer = plumbline_file::Syncer::start().map_err(GroundError::Thread)?;
-    let keeper = keeper::Keeper::start(store.clone(), index, shared.clone()).map_err(GroundError::Thread)?;
+    let keeper = keeper::Keeper::start(desk).map_err(GroundError::Thread)?;
     let worker = worker::Worker::new(config.clone(), store, keeper, shared, syncer);
     let thread = std::thread::Builder::new()
         .name("recorder".into())
@@ -204,7 +204,7 @@ impl Recorder {
 
     /// Finishes every open recording and ends the threads. Waits for the disk.
     pub fn finish(self) {
-        self.handle.shared.stopping.store(true, Ordering::Release);
+        self.handle.desk.shared.stopping.store(true, Ordering::Release);
         let _ = self.handle.queue.send(Input::Finish);
         if self.thread.join().is_err() {
             tracing::error!("the recorder thread panicked");
@@ -219,13 +219,13 @@ impl RecorderHandle {
 
     pub(crate) fn batch(&self, agent_id: String, batch: Batch, backfill: bool) {
         let length = batch.held_bytes();
-        if self.shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES {
-            self.shared.refused.fetch_add(1, Ordering::Relaxed);
+        if self.desk.shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES {
+            self.desk.shared.refused.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
+        self.desk.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
         if !self.put(Input::Batch { agent_id, batch, backfill }) {
-            self.shared.queued_bytes.fetch_sub(length, Ordering::Relaxed);
+            self.desk.shared.queued_bytes.fetch_sub(length, Ordering::Relaxed);
         }
     }
 
@@ -241,7 +241,7 @@ impl RecorderHandle {
         match self.queue.try_send(input) {
             Ok(()) => true,
             Err(TrySendError::Full(_)) => {
-                self.shared.refused.fetch_add(1, Ordering::Relaxed);
+                self.desk.shared.refused.fetch_add(1, Ordering::Relaxed);
                 false
             }
             Err(TrySendError::Disconnected(_)) => false,
@@ -250,47 +250,63 @@ impl RecorderHandle {
 
     /// Waits for the state of a recording to change.
     pub(crate) async fn changed(&self) {
-        self.shared.changed.notified().await;
+        self.desk.shared.changed.notified().await;
     }
 
     /// State of the recording of one vehicle.
     pub fn status(&self, agent_id: &str) -> v1::RecordingStatus {
-        let mut status = lock(&self.shared.status).get(agent_id).cloned().unwrap_or_default();
+        let mut status = lock(&self.desk.shared.status).get(agent_id).cloned().unwrap_or_default();
         status.error = self.error().unwrap_or_default();
         status
     }
 
     /// Why nothing can be recorded.
     pub fn error(&self) -> Option<String> {
-        lock(&self.shared.error).clone()
+        lock(&self.desk.shared.error).clone()
     }
 
     /// Files that were damaged beyond repair, by name.
     pub fn set_aside(&self) -> Vec<String> {
-        lock(&self.shared.set_aside).clone()
+        lock(&self.desk.shared.set_aside).clone()
     }
 
     /// Is the start over: everything repaired and indexed?
     pub fn ready(&self) -> bool {
-        self.shared.ready.load(Ordering::Acquire)
+        self.desk.shared.ready.load(Ordering::Acquire)
     }
 
     /// Batches that the recorder was too slow for, since start; they are asked for again.
     pub fn refused(&self) -> usize {
-        self.shared.refused.load(Ordering::Relaxed)
+        self.desk.shared.refused.load(Ordering::Relaxed)
     }
 
     /// Bytes waiting to be written.
     pub fn queued_bytes(&self) -> usize {
-        self.shared.queued_bytes.load(Ordering::Relaxed)
+        self.desk.shared.queued_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Has the disk room for so many bytes more, beside what is reserved for recording? Asks the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
+    pub fn room_for(&self, bytes: u64) -> Result<(), RecordingError> {
+        self.desk.store.room_for(bytes)
+    }
+
+    /// A folder on the disk of the flights for what is being made, which goes with its end. Asks the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
+    pub fn scratch(&self) -> Result<TempDir, RecordingError> {
+        self.desk.store.scratch()
     }
 
     /// Space taken and left. Asks the disk.
     pub fn storage(&self) -> Storage {
-        let flights = self.store.list();
+        let flights = self.desk.store.list();
         Storage {
-            used_bytes: flights.values().map(|files| self.store.size(files)).sum(),
-            free_bytes: free_bytes(self.store.folder()),
+            used_bytes: flights.values().map(|files| self.desk.store.size(files)).sum(),
+            free_bytes: free_bytes(self.desk.store.folder()),
             flights: flights.len() as u64,
         }
     }
@@ -300,7 +316,7 @@ impl RecorderHandle {
     /// # Errors
     /// [`RecordingError::Index`].
     pub fn flights(&self) -> Result<Vec<Flight>, RecordingError> {
-        Ok(self.index.list()?)
+        Ok(self.desk.index.list()?)
     }
 
     /// One flight. Asks the disk.
@@ -311,7 +327,7 @@ impl RecorderHandle {
         // Asked before the index: one that is ready lacks nothing.
         let ready = self.ready();
         let unknown = || if ready { RecordingError::Unknown(crate::names::clip(id)) } else { RecordingError::NotReady };
-        self.index.get(id)?.ok_or_else(unknown)
+        self.desk.index.get(id)?.ok_or_else(unknown)
     }
 
     /// Changes name or notes of a flight. Writes to the disk.
@@ -331,35 +347,34 @@ impl RecorderHandle {
                 return Err(RecordingError::Invalid(format!("{what} has {length} characters, limit {limit}")));
             }
         }
-        self.store.label(id, &labels)?;
-        self.index.label(id, &labels)?;
+        self.desk.store.label(id, &labels)?;
+        self.desk.index.label(id, &labels)?;
         self.flight(id)
     }
 
-    /// Takes in a finished flight file from elsewhere on the same disk, under the name it has; one that is here already stays. Asks the
-    /// disk.
+    /// Takes in a flight file from elsewhere on the same disk, under the id that it carries; damage is repaired, with the original kept
+    /// beside it. One that is here already stays. Asks the disk.
     ///
     /// # Errors
-    /// [`RecordingError`] when its name is none of a flight, it cannot be read, or the disk refuses.
+    /// [`RecordingError`] when it carries no id of a flight, nothing of it can be read, or the disk refuses.
     pub fn take_in(&self, file: &Path) -> Result<Flight, RecordingError> {
-        let id = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-        if plumbline_proto::ids::FlightId::new(id).is_err() {
-            return Err(RecordingError::Invalid(format!("{:?} is no name of a flight", crate::names::clip(id))));
-        }
+        let carried = identity::Identity::of(file).unwrap_or_default().flight_id;
+        let Ok(id) = plumbline_proto::ids::FlightId::new(carried) else {
+            let name = file.file_name().unwrap_or_default().to_string_lossy();
+            return Err(RecordingError::Invalid(format!("{:?} is not a flight of Plumbline", crate::names::clip(&name))));
+        };
+        let id = id.as_str();
         // The start reads the folder: a file that came meanwhile would be read twice.
         if !self.ready() {
             return Err(RecordingError::NotReady);
         }
-        if let Some(known) = self.index.get(id)? {
+        if let Some(known) = self.desk.index.get(id)? {
             return Ok(known);
         }
-        let path = self.store.finished_path(id);
-        std::fs::rename(file, &path).map_err(|source| RecordingError::Io { path: path.clone(), source })?;
-        let reading = self.store.read(&self.store.files(id))?;
-        let stamp = index::Stamp::of(&path).unwrap_or_default();
-        let flight = reading.flight(id, self.store.labels(id), stamp.size as u64);
-        self.index.put(&flight, stamp)?;
-        Ok(flight)
+        let path = self.desk.store.finished_path(id);
+        std::fs::rename(file, &path).map_err(|source| RecordingError::Io { path, source })?;
+        self.desk.catch_up_with(id, &self.desk.store.files(id))?;
+        self.flight(id)
     }
 
     /// Deletes a flight. Waits for the recorder and the disk.
@@ -384,7 +399,7 @@ impl RecorderHandle {
         if plumbline_proto::ids::FlightId::new(id).is_err() {
             return Err(RecordingError::Unknown(crate::names::clip(id)));
         }
-        self.store.open(id)
+        self.desk.store.open(id)
     }
 }
 

@@ -5,7 +5,7 @@
 //! | `ID.mcap` | a finished flight |
 //! | `ID.001.part` … | being written, or left by a crash; merged into `ID.mcap` |
 //! | `ID.json` | name and notes, by people |
-//! | `*.tmp` | being made; never the only copy; removed at start |
+//! | `*.tmp` | being made, or sent by a client; never the only copy; removed at start |
 //! | `*.corrupt` | damaged; what could be read of it is in `ID.mcap` |
 //!
 //! A file is replaced only by renaming a complete and synced one over it, and parts are removed only
@@ -24,6 +24,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use plumbline_proto::ids::FlightId;
 use serde::{Deserialize, Serialize};
+use tempfile::TempDir;
 use tokio::sync::Semaphore;
 
 use super::RecordingError;
@@ -158,9 +159,15 @@ impl RecordingStore {
         let Ok(entries) = fs::read_dir(&self.folder) else { return };
         for path in entries.flatten().map(|entry| entry.path()) {
             if path.extension().is_some_and(|e| e == "tmp") {
-                let _ = fs::remove_file(path);
+                let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
             }
         }
+    }
+
+    /// A folder for what is being made, which goes with its end.
+    pub(super) fn scratch(&self) -> Result<TempDir, RecordingError> {
+        let made = tempfile::Builder::new().prefix("incoming-").suffix(".tmp").tempdir_in(&self.folder);
+        made.map_err(|error| io(&self.folder, error))
     }
 
     /// Names of the files set aside.
@@ -193,11 +200,7 @@ impl RecordingStore {
         let size = self.size(files);
         let later = || size > LATER_BYTES && stopping.load(Ordering::Acquire);
         let temporary = self.folder.join(format!("{id}.merge.tmp"));
-        let (free, needed) = (free_bytes(&self.folder), size.saturating_add(self.reserve_bytes));
-        if free < needed {
-            let text = format!("{free} bytes are free, merging needs {needed}");
-            return Err(io(&temporary, std::io::Error::new(std::io::ErrorKind::StorageFull, text)));
-        }
+        self.room_for(size)?;
         let merged = self.write_merged(files, id, last, &temporary, later);
         let merged = if later() { Err(RecordingError::Stopped) } else { merged };
         // What was begun would only fill the disk.
@@ -228,6 +231,19 @@ impl RecordingStore {
             }
         }
         Ok(reading)
+    }
+
+    /// Has the disk room for so many bytes more, beside what is reserved for recording?
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`] with what is free and what is needed.
+    pub(super) fn room_for(&self, bytes: u64) -> Result<(), RecordingError> {
+        let (free, needed) = (free_bytes(&self.folder), bytes.saturating_add(self.reserve_bytes));
+        if free >= needed {
+            return Ok(());
+        }
+        let text = format!("{free} bytes are free, {needed} are needed");
+        Err(io(&self.folder, std::io::Error::new(std::io::ErrorKind::StorageFull, text)))
     }
 
     /// Makes the only, finished part of a flight its file.

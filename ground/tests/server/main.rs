@@ -15,6 +15,7 @@ mod export;
 mod fade;
 mod flights;
 mod foxglove;
+mod import;
 mod live;
 mod live_agent;
 mod log;

@@ -200,6 +200,19 @@ pub struct Labels {
     pub notes: Option<String>,
 }
 
+/// `POST /api/v1/flights`: a recording from elsewhere is a flight now.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Imported {
+    /// Its id among the flights.
+    pub flight: String,
+    /// It was here already, and nothing was changed.
+    pub already: bool,
+    /// What one should know of it: what was repaired, rows skipped, sensors left out.
+    pub notes: Vec<String>,
+}
+
 /// `GET /api/v1/flights/{id}/estimate`: the curves of a recording estimated again, columns of equal length. Beside them the
 /// answer has the estimator and its score, as the agent's own command prints it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

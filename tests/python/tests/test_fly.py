@@ -95,6 +95,24 @@ def test_a_flight_under_attack_is_streamed_and_read_back_as_both_frames(ground: 
         assert tables.getnames()[0] == f"{flight.id}.parquet"
 
 
+def test_a_recording_is_taken_in_once(ground: plumbline.Ground, tmp_path: Path) -> None:
+    header = "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT"
+    header += ",ref_qw,ref_qx,ref_qy,ref_qz,ref_px_m,ref_py_m,ref_pz_m,movement\n"
+    rows = (f"{k / 100},0,0,0,0,0,9.81,0,20,-40,1,0,0,0,0,0,0.5,1\n" for k in range(500))
+    table = tmp_path / "at rest.csv"
+    table.write_text(header + "".join(rows))
+    flight = ground.import_recording(table)
+    assert flight.info["name"] == "at rest.csv" and flight.info["notes"].startswith("imported from at rest.csv (broad)")
+    assert "estimate_1.attitude.w" in flight.to_polars(rate_hz=10).columns
+    assert ground.import_recording(table).id == flight.id
+    copy = flight.download(tmp_path)
+    flight.delete()
+    assert ground.import_recording(copy).id == flight.id, "a flight that was deleted comes back from its file"
+    with pytest.raises(plumbline.Invalid, match="notes.txt: a file that begins with"):
+        (tmp_path / "notes.txt").write_text("hello")
+        ground.import_recording(tmp_path / "notes.txt")
+
+
 def test_what_goes_wrong_in_a_block_lands_the_vehicle(ground: plumbline.Ground) -> None:
     with pytest.raises(RuntimeError, match="mine"):
         with ground.vehicle().control() as fly:

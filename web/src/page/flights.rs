@@ -1,4 +1,6 @@
-//! Flights: every recording, to find, compare, download.
+//! Flights: every recording, to find, compare, download, import.
+
+mod import;
 
 use leptos::prelude::*;
 use plumbline_rest::flight::{Column, Completeness, Flight, Flights, Listing};
@@ -10,6 +12,7 @@ use crate::{
     net,
     panel::{guide, toolbar::Link},
 };
+use import::{ImportButton, Importer, Imports};
 
 /// Columns on the left of the small picture.
 const PICTURE_AFTER: usize = 1;
@@ -57,6 +60,7 @@ pub fn FlightsPage() -> impl IntoView {
         asked.track();
         load();
     });
+    let importer = Importer::new(load);
     // A flight that is being recorded, or filled, changes while one looks.
     let timer = set_interval_with_handle(load, std::time::Duration::from_secs(3)).ok();
     on_cleanup(move || {
@@ -125,7 +129,21 @@ pub fn FlightsPage() -> impl IntoView {
         }
     };
     view! {
-        <main class="sheet" id="main">
+        <main
+            class="sheet"
+            id="main"
+            class:dropped-on=move || importer.over.get()
+            on:dragover=move |e| {
+                e.prevent_default();
+                importer.over.set(true);
+            }
+            on:dragleave=move |_| importer.over.set(false)
+            on:drop=move |e| {
+                e.prevent_default();
+                importer.over.set(false);
+                importer.dropped(&e);
+            }
+        >
             <div class="sheet-head">
                 <h1>"Flights"</h1>
                 <span class="quiet num">{storage}</span>
@@ -140,6 +158,7 @@ pub fn FlightsPage() -> impl IntoView {
                         asked.offset = 0;
                     })
                 />
+                <ImportButton importer />
                 <button type="button" disabled=move || chosen.with(|c| c.len() < 2) on:click=move |_| ctx.go(Route::Compare(chosen.get_untracked()))>
                     {move || format!("Compare {}", chosen.with(Vec::len).max(2))}
                 </button>
@@ -154,6 +173,7 @@ pub fn FlightsPage() -> impl IntoView {
                 </button>
             </div>
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
+            <Imports importer />
             <div class="card table-wrap">
                 <table>
                     <thead>

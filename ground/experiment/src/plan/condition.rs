@@ -5,7 +5,6 @@ use plumbline_agent::config::AgentConfig;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::scenario::attacks_from_toml;
-use plumbline_agent::sim::script::Script;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
@@ -105,7 +104,7 @@ impl Condition {
             None => None,
         };
         let (scenario, mut config) = match &recording {
-            Some(recorded) => (recorded_scenario(recorded), recorded.flown.flight.clone()),
+            Some(recorded) => (recorded.scenario(), recorded.flown.flight.clone()),
             None => {
                 scenario_table.entry("name").or_insert_with(|| Value::String("experiment".into()));
                 let scenario = Scenario::from_toml(&scenario_table.to_string()).map_err(|error| {
@@ -220,17 +219,6 @@ fn reception(table: &Table) -> Result<Reception, Wrong> {
         let complaint = format!("{} is not one of {}", named.unwrap_or("what is given"), names.join(", "));
         Wrong { section: "reception", complaint }
     })
-}
-
-/// What is known of the vehicle of a recording; nothing of it happens again by itself.
-fn recorded_scenario(recorded: &Recorded) -> Scenario {
-    let known = recorded.flown.scenario.clone().unwrap_or_else(Scenario::bare);
-    Scenario {
-        duration_s: recorded.lasts_s,
-        tick_rate_hz: recorded.flown.flight.tick_rate_hz,
-        script: Script::default(),
-        ..known
-    }
 }
 
 fn attacked(raw: &RawAttack) -> Result<Attacked, String> {

@@ -181,7 +181,7 @@ impl Pruner {
         let name = format!("{id}.mcap");
         let sums = Sums::read(backup)?;
         let Some(expected) = sums.0.get(&name) else { return Ok(false) };
-        let here = hash(&self.recorder.store.finished_path(id))?;
+        let here = hash(&self.recorder.desk.store.finished_path(id))?;
         Ok(here == *expected && hash(&backup.join(&name)).is_ok_and(|there| there == here))
     }
 }

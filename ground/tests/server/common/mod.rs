@@ -72,9 +72,21 @@ impl Ground {
     }
 
     pub async fn request_as(&self, method: &str, path: &str, body: &str, headers: &[(&str, &str)]) -> Response {
+        self.request_with(method, path, "application/json", body.as_bytes(), headers).await
+    }
+
+    /// The same with a body of any kind.
+    pub async fn request_with(
+        &self,
+        method: &str,
+        path: &str,
+        kind: &str,
+        body: &[u8],
+        headers: &[(&str, &str)],
+    ) -> Response {
         let mut stream = TcpStream::connect(self.address).await.unwrap();
         let mut text = format!(
-            "{method} {path} HTTP/1.1\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: {}\r\n",
+            "{method} {path} HTTP/1.1\r\nconnection: close\r\ncontent-type: {kind}\r\ncontent-length: {}\r\n",
             body.len()
         );
         if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("host")) {
@@ -83,7 +95,9 @@ impl Ground {
         for (name, value) in headers {
             text += &format!("{name}: {value}\r\n");
         }
-        stream.write_all(format!("{text}\r\n{body}").as_bytes()).await.unwrap();
+        stream.write_all(format!("{text}\r\n").as_bytes()).await.unwrap();
+        // So may one that refuses it before it came.
+        let _ = stream.write_all(body).await;
         let mut raw = Vec::new();
         // A server that refuses a large body may reset the connection after its answer.
         let _ = stream.read_to_end(&mut raw).await;

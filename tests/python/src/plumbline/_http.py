@@ -6,7 +6,7 @@ import contextlib
 import ssl
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import httpx
 
@@ -17,6 +17,8 @@ OPERATOR = "X-Plumbline-Operator"
 #: Flight time of the newest message that the script had when it asked, µs.
 SEEN = "X-Plumbline-Seen"
 
+#: Field, then name and content, of each file of a form.
+Files = list[tuple[str, tuple[str, IO[bytes]]]]
 Query = Mapping[str, str | int | float | bool | None]
 
 
@@ -48,11 +50,15 @@ class Connection:
         body: object = None,
         query: Query | None = None,
         seen_us: int | None = None,
+        files: Files | None = None,
     ) -> httpx.Response:
-        """Asks, and raises what the ground refuses."""
+        """Asks, and raises what the ground refuses. A recording that is sent may take its time."""
         headers = {} if seen_us is None else {SEEN: str(seen_us)}
+        timeout = httpx.USE_CLIENT_DEFAULT if files is None else None
         try:
-            response = self.client.request(method, path, json=body, params=_given(query), headers=headers)
+            response = self.client.request(
+                method, path, json=body, params=_given(query), headers=headers, files=files, timeout=timeout
+            )
         except httpx.TransportError as error:
             raise Unreachable(f"{self.url}: {error}") from error
         if response.status_code >= 400:
@@ -66,9 +72,10 @@ class Connection:
         body: object = None,
         query: Query | None = None,
         seen_us: int | None = None,
+        files: Files | None = None,
     ) -> Any:
         """The same, for an answer in JSON."""
-        response = self.request(method, path, body, query, seen_us)
+        response = self.request(method, path, body, query, seen_us, files)
         try:
             return response.json()
         except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ssl
 from collections.abc import Iterable
 from pathlib import Path
@@ -158,6 +159,20 @@ class Ground:
     def flight(self, id: str) -> Flight:
         """One of them. Raises `NotFound`."""
         return Flight(self._connection, {"id": id}).refresh()
+
+    def import_recording(self, path: str | Path) -> Flight:
+        """Takes in a flight of Plumbline, a log of PX4, a recording of BROAD or RotorPy, or the folder of one of a Phantom 4.
+
+        What another program recorded is flown through every estimator. One that is there already is answered as it is. Raises
+        `Invalid` where it is no recording.
+        """
+        path = Path(path)
+        paths = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+        with contextlib.ExitStack() as opened:
+            names = [f"{path.name}/{file.name}" if path.is_dir() else file.name for file in paths]
+            files = [("file", (name, opened.enter_context(file.open("rb")))) for name, file in zip(names, paths)]
+            imported: models.Imported = self._connection.json("POST", "/api/v1/flights", files=files)
+        return self.flight(imported["flight"])
 
     def archive(self, flights: Iterable[Flight | str], target: str | Path, format: str = "mcap") -> Path:
         """Writes the files of many flights as one tar, which `plumbline-ground archive` checks and restores; in another format it is no backup."""
