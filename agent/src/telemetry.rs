@@ -41,6 +41,7 @@ use crate::types::EstimatorKind;
 use crate::vehicle::{RecordedControl, Truth};
 
 use kept::Kept;
+pub use convert::wire_attack;
 pub use outlet::Outlet;
 use outlet::Outlets;
 pub use recording::Recording;

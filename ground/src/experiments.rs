@@ -71,6 +71,9 @@ impl Experiments {
     /// [`StoreError::Running`], that one or another; [`StoreError::Foreign`].
     pub(crate) fn start(&self, experiment: Experiment) -> Result<(), StoreError> {
         experiment.own()?;
+        if experiment.plan.is_by_hand() {
+            return Err(StoreError::ByHand(experiment.id));
+        }
         let mut flown = lock(&self.flown);
         if let Some(other) = flown.as_ref().filter(|other| !other.thread.is_finished()) {
             return Err(StoreError::Running(other.id.clone()));

@@ -406,12 +406,12 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
     await questions.selectOption(question);
     await until(`${question} counted`, async () => /\d+ flights/.test(await counted.textContent()));
   }
-  const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 6').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
+  const text = (await plan.inputValue()).replace(/repeats = \d+/, 'repeats = 15').replace(/values = \[0.02.*\]/, 'values = [0.1, 0.5]');
   await plan.fill(text.replace('0.1, 0.5', '0.1, "much"'));
   const refused = await page.getByRole('region', { name: 'Plan' }).getByRole('alert').textContent();
   assert(/line \d+/.test(refused) && refused.includes('much'), refused);
   await plan.fill(text);
-  await until('the plan counted', async () => (await counted.textContent()).includes('24 flights'));
+  await until('the plan counted', async () => (await counted.textContent()).includes('60 flights'));
   await shots('experiments-plan');
   const begun = Date.now();
   await page.getByRole('button', { name: 'Start' }).click();
@@ -421,18 +421,76 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   const measure = results.getByLabel('Measure');
   await measure.selectOption({ index: 1 });
   const options = await measure.locator('option').allTextContents();
-  const flown = async () => Number(/(\d+) of 24 flights/.exec(await results.textContent())?.[1]);
+  const flown = async () => Number(/(\d+) of 60 flights/.exec(await results.textContent())?.[1]);
   const chosen_at = await flown();
-  assert(chosen_at < 24, 'all were flown before a measure could be chosen');
-  await until('all flown', async () => (await results.textContent()).includes('24 of 24 flights'), 120_000);
+  assert(chosen_at < 60, 'all were flown before a measure could be chosen');
+  await until('all flown', async () => (await results.textContent()).includes('60 of 60 flights'), 120_000);
   const took_s = (Date.now() - begun) / 1000;
   assert((await measure.inputValue()) === '1', `chosen after ${chosen_at} flights: ${options[1]}, shown: ${await measure.inputValue()}`);
-  await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 24);
+  await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 60);
   await shots('experiments-results');
   await results.getByRole('link', { name: /Open the flight/ }).last().click();
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
   return { refused, first_s, chosen_at, took_s };
+});
+
+await step(page, 'experiments by hand: led through a drawn order on the vehicle; accepted, void, left and gone on with', async () => {
+  await page.goto(`${url}/experiments`);
+  const plan = page.getByRole('region', { name: 'Plan' });
+  await plan.getByRole('combobox').selectOption({ label: 'On the rig, flown by hand: which estimator holds steps?' });
+  const text = page.getByLabel('Plan, TOML');
+  await until('the plan', async () => /\[by_hand\]/.test(await text.inputValue()));
+  const short = (await text.inputValue()).replace('repeats = 3', 'repeats = 1').replace(/altitude_m = .*/, 'altitude_m = [0.5, 0.7]')
+    .replace('hold_s = 8.0', 'hold_s = 6.5').replace('rest_s = 20.0', 'rest_s = 3.0');
+  await text.fill(`${short}[attack]\nsensor = "height"\nkind = "bias"\nmagnitude = 0.2\nstart_s = 6.0\nduration_s = 4.0\n`);
+  await until('2 flights', async () => /2 flights.*at the stick/.test(await plan.getByRole('status').textContent()));
+  await button('Keep').click();
+  await until('none flown', async () => /0 of 2 flights/.test(await region('Results').textContent()));
+  await button('Fly the next').click();
+  const led = page.getByRole('complementary', { name: 'Flight by hand' });
+  const present = () => led.locator('li[aria-current="step"]').textContent();
+  const at = (title) => until(title, async () => (await present()).startsWith(title), 30_000);
+  const flown = async () => {
+    // Where the estimator is in the loop already there is nothing to set up.
+    await until('set up, or so already', async () => /^(Set up|Arm)/.test(await present()), 30_000);
+    if (/^Set up/.test(await present())) await led.getByRole('button', { name: 'Set up' }).click();
+    await at('Arm');
+    await arm();
+    await at('Fly the profile');
+    await led.getByRole('button', { name: 'Fly the profile' }).click();
+    await until('it flies', async () => /left/.test(await present()));
+    await until('it climbs', async () => Math.abs((await setpoint()) - 0.5) < 0.01);
+  };
+  const land = async () => {
+    await page.keyboard.press('l');
+    await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 40_000);
+    await at('Does it count?');
+  };
+  await flown();
+  await until('the attack', async () => /active/.test(await region('Attacks').textContent()));
+  await shots('by-hand');
+  await at('Land');
+  await land();
+  await until('it can be accepted', () => led.getByRole('button', { name: 'Accept' }).isEnabled());
+  await shots('by-hand-judged');
+  await led.getByRole('button', { name: 'Accept' }).click();
+  await until('the second', async () => /2 of 2/.test(await led.textContent()) && /last flight: accepted/.test(await led.textContent()));
+  // Landed in the middle: void, with the reason that is there already. A reload loses nothing of it.
+  await flown();
+  await page.reload();
+  await until('still flying', async () => /left/.test(await present()));
+  await land();
+  await until('why', async () => (await led.getByRole('textbox').inputValue()) === 'it ended before its profile did');
+  await led.getByRole('button', { name: 'Void' }).click();
+  await until('flown again', async () => /2 of 2/.test(await led.textContent()) && /void, it ended before/.test(await led.textContent()));
+  await led.getByRole('button', { name: /^Leave/ }).click();
+  await page.getByRole('navigation', { name: 'Pages' }).getByRole('link', { name: 'Experiments' }).click();
+  await until('one counts', async () => /1 of 2 flights/.test(await region('Results').textContent()));
+  await region('Results').getByRole('link', { name: /Open the flight/ }).first().click();
+  await page.waitForURL(/\/flights\/[^/]*iris-1[^/]*$/, { timeout: 30_000 });
+  const measured = (await listed()).filter((flight) => flight.attacks.length === 1).length;
+  return { measured };
 });
 
 await step(page, 'reports: no complaint in the console', async () => {

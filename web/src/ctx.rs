@@ -15,7 +15,7 @@ use crate::{
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Tone},
-    model::{draft::Draft, guide::Guide, live::Live, route::Route, topic::Topic},
+    model::{by_hand::Led, draft::Draft, guide::Guide, live::Live, route::Route, topic::Topic},
     net, store,
 };
 
@@ -82,6 +82,8 @@ pub struct Ctx {
     pub help: RwSignal<bool>,
     /// How far the first flight has come; `None` when nobody is led through one.
     pub guide: RwSignal<Option<Guide>>,
+    /// Through which flight of an experiment by hand somebody is led.
+    pub led: RwSignal<Option<Led>>,
     /// Attack panel asked for by key.
     pub attacks_focus: RwSignal<u64>,
     /// Attacks written and not yet on the vehicle; they outlive a visit to another page, and a refusal.
@@ -112,6 +114,7 @@ impl Ctx {
             live_deck: StoredValue::new(None),
             help: RwSignal::new(false),
             guide: RwSignal::new(store::guide()),
+            led: RwSignal::new(store::led()),
             attacks_focus: RwSignal::new(0),
             drafts: RwSignal::new(store::drafts()),
             hint: RwSignal::new(None),

@@ -91,6 +91,7 @@ fn Root() -> impl IntoView {
         <panel::alarms::Dock />
         <panel::notices::Notices />
         <panel::guide::FirstFlight />
+        <panel::by_hand::FlightsByHand />
         <page::Help />
     }
 }

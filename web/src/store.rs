@@ -4,6 +4,7 @@ use leptos::prelude::window;
 
 use crate::{
     model::{
+        by_hand::Led,
         curves::Group,
         draft::{Draft, Row},
         guide::Guide,
@@ -66,6 +67,16 @@ pub fn guide() -> Option<Guide> {
 /// Keeps its step.
 pub fn keep_guide(at: Option<usize>) {
     set("guide", &at.map_or_else(String::new, |at| at.to_string()));
+}
+
+/// The flight by hand that somebody is led through.
+pub fn led() -> Option<Led> {
+    serde_json::from_str(&get("led")?).ok()
+}
+
+/// Keeps it.
+pub fn keep_led(led: &Option<Led>) {
+    set("led", &led.as_ref().and_then(|led| serde_json::to_string(led).ok()).unwrap_or_default());
 }
 
 /// The attacks that were being written.

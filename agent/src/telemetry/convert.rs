@@ -215,7 +215,7 @@ fn progress(progress: &Progress) -> v1::AttackProgress {
         Phase::Aborted => v1::AttackPhase::Aborted,
     };
     v1::AttackProgress {
-        attack: Some(attack(&progress.attack)),
+        attack: Some(wire_attack(&progress.attack)),
         phase: phase as i32,
         accepted_time_us: progress.accepted.0,
         active_time_us: progress.active.map(|time| time.0),
@@ -243,7 +243,8 @@ fn wire_channel(channel: Channel) -> v1::AttackChannel {
     }
 }
 
-fn attack(attack: &Attack) -> v1::Attack {
+/// An attack as a schedule of the wire has it.
+pub fn wire_attack(attack: &Attack) -> v1::Attack {
     let kind = match attack.kind {
         Kind::Zero => v1::AttackKind::Zero,
         Kind::Bias => v1::AttackKind::Bias,

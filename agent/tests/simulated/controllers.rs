@@ -202,3 +202,20 @@ fn a_circle_is_followed_and_ends_where_it_should() {
     let shape = Trajectory::Shape { shape, duration_s: 1.0 };
     assert!(!f.command(Command::Trajectory(Some(shape))).accepted, "no path while landing");
 }
+
+#[test]
+fn a_list_of_altitudes_takes_off_by_its_first() {
+    let on_the_ground = scenario("takeoff").replace("do = \"setpoint\"\naltitude_m = 1.0\nx_m = 0.0\ny_m = 0.0\n", "do = \"mode\"\nmode = \"hold\"\n");
+    let mut f = flown_from(&on_the_ground, ControllerKind::LqrIntegral);
+    f.until(6.0);
+    assert!(f.last().truth.position_enu_m.z < 0.15, "{}", f.last().truth.position_enu_m.z);
+    let list = Trajectory::Altitudes { altitude_m: [0.6, 0.9].into_iter().collect(), hold_s: 4.0 };
+    let ack = f.command(Command::Trajectory(Some(list)));
+    assert!(ack.accepted, "{}", ack.reason);
+    let begun = f.last().t_s;
+    for (at_s, altitude_m) in [(3.9, 0.6), (7.9, 0.9)] {
+        f.until(begun + at_s);
+        let z = f.last().truth.position_enu_m.z;
+        assert!((z - altitude_m).abs() < 0.08, "{z} m after {at_s} s\n{}", f.log());
+    }
+}

@@ -5,6 +5,7 @@
 //!                                              ├ flight ─► judge ─► row                └─► parquet
 //!                                              ├ expectation: what the model expects of each attack
 //!                                              ├ open: one row, flown again ─► flight file (MCAP)
+//!                                              ├ by_hand: flights of an operator on a vehicle, accepted one by one ─► row
 //!                                              ├ import: a recording of another program, flown again ─► flight file
 //!                                              └ trace: the first ones, flown again ─► errors over time
 //! ```
@@ -15,6 +16,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod attacked;
+pub mod by_hand;
 pub mod compare;
 pub mod draw;
 pub mod expectation;

@@ -21,10 +21,14 @@
 //! Instead of a scenario a plan may have `recording = "FLIGHT"`, most often as a factor: that flight is flown again, its motors and
 //! setpoints those of then. With an `[attack]`, even one of `sensor = "none"`, its samples are those sensed; without, those received.
 //!
+//! Or it has a table `[by_hand]` (`vehicle`, `altitude_m`, `hold_s`, `rest_s`, `gains`): an operator flies it on that vehicle, flight by
+//! flight, in an order that is drawn.
+//!
 //! `design` is `grid` (every combination), `list` (each `[[condition]]`), `latin_hypercube` or `draws` (`samples` of them,
 //! factors with `range = [low, high]`, `log = true`, or `values`). Flight `i` is repeat `i / conditions` of condition
 //! `i % conditions`: repeats fill evenly, and results can be looked at while they do.
 
+mod by_hand;
 mod condition;
 mod factor;
 mod source;
@@ -33,11 +37,13 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use toml::{Spanned, Table, Value};
 
+pub use by_hand::ByHand;
 pub use condition::Condition;
 pub use factor::{Factor, Levels};
 pub use source::PlanError;
 
 use crate::recordings::{Library, Named, Recordings};
+use condition::Wrong;
 use factor::Design;
 use source::Source;
 
@@ -46,7 +52,7 @@ pub const MAX_FLIGHTS: u64 = 1_000_000;
 /// Most conditions that are tried before the start; of the rest each level is.
 const TRIED: u64 = 200;
 /// Where factors reach.
-const SECTIONS: [&str; 5] = ["scenario", "agent", "attack", "reception", RECORDING];
+const SECTIONS: [&str; 6] = ["scenario", "agent", "attack", "reception", RECORDING, by_hand::SECTION];
 /// What is flown instead of a scenario.
 const RECORDING: &str = "recording";
 /// Hash of the sources that decide how a flight goes, and the version.
@@ -64,6 +70,7 @@ struct RawPlan {
     agent: Table,
     #[serde(default)]
     attack: Table,
+    by_hand: Option<Table>,
     reception: Option<String>,
     recording: Option<Spanned<String>>,
     design: Option<Spanned<String>>,
@@ -169,6 +176,9 @@ impl Plan {
         base.insert("agent".into(), Value::Table(raw.agent));
         base.insert("attack".into(), Value::Table(raw.attack));
         base.insert("reception".into(), Value::String(raw.reception.unwrap_or_else(|| "all".into())));
+        if let Some(table) = raw.by_hand {
+            base.insert(by_hand::SECTION.into(), Value::Table(table));
+        }
         if let Some(recording) = raw.recording {
             base.insert(RECORDING.into(), Value::String(recording.into_inner()));
         }
@@ -242,13 +252,42 @@ impl Plan {
     /// # Errors
     /// What is wrong with its scenario, agent or attack.
     pub fn condition(&self, condition: u64) -> Result<Condition, String> {
+        if self.is_by_hand() {
+            return Err("it is flown by hand".into());
+        }
+        Condition::read(&self.table(condition)?, &self.recordings).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+    }
+
+    /// Is it flown by an operator on a vehicle, and not by this program?
+    pub fn is_by_hand(&self) -> bool {
+        self.base.contains_key(by_hand::SECTION)
+    }
+
+    /// A condition that an operator is led through.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn by_hand(&self, condition: u64) -> Result<ByHand, String> {
+        ByHand::read(&self.table(condition)?).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+    }
+
+    /// The tables of a condition.
+    fn table(&self, condition: u64) -> Result<Table, String> {
         let mut table = self.base.clone();
         for (factor, level) in self.factors.iter().zip(self.levels(condition)) {
             if let Some(level) = level {
                 set(&mut table, &factor.key, level)?;
             }
         }
-        Condition::read(&table, &self.recordings).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+        Ok(table)
+    }
+
+    /// Can these tables be flown?
+    fn attempted(&self, table: &Table) -> Result<(), Wrong> {
+        match self.is_by_hand() {
+            true => ByHand::read(table).map(drop),
+            false => Condition::read(table, &self.recordings).map(drop),
+        }
     }
 
     /// What tells this plan, flown by this program, from every other.
@@ -297,10 +336,11 @@ impl Plan {
         if flights == 0 {
             return Err(source.of(key, "there is no flight in it"));
         }
-        if flights > u128::from(MAX_FLIGHTS) {
+        let most = if self.is_by_hand() { by_hand::MOST } else { MAX_FLIGHTS };
+        if flights > u128::from(most) {
             let conditions = self.design.count(&self.factors);
             let counted = format!("{conditions} conditions × {} repeats are {flights} flights", self.repeats);
-            return Err(source.of(key, format!("{counted}, more than {MAX_FLIGHTS}")));
+            return Err(source.of(key, format!("{counted}, more than {most}")));
         }
         Ok(())
     }
@@ -335,13 +375,13 @@ impl Plan {
                 set(&mut table, &factor.key, level.clone()).map_err(message)?;
             }
         }
-        let Err(wrong) = Condition::read(&table, &self.recordings) else { return Ok(()) };
+        let Err(wrong) = self.attempted(&table) else { return Ok(()) };
         // The factor whose level alone makes the difference is at fault, if one is.
         for (factor, level) in self.factors.iter().zip(levels) {
             let Some(level) = level else { continue };
             let mut alone = table.clone();
             unset(&mut alone, &factor.key, &self.base);
-            if Condition::read(&alone, &self.recordings).is_ok() {
+            if self.attempted(&alone).is_ok() {
                 let message = format!("factor {} = {level}: {}", factor.key, wrong.complaint);
                 return Err(source.at(&factor.span, message));
             }

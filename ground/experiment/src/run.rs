@@ -75,6 +75,9 @@ pub fn run(
     stop: &AtomicBool,
     each: impl FnMut(&Progress, &Row),
 ) -> Result<Ended, StoreError> {
+    if experiment.plan.is_by_hand() {
+        return Err(StoreError::ByHand(experiment.id.clone()));
+    }
     experiment.plan.recordings.check()?;
     let mut held = experiment.hold()?;
     let over = AtomicBool::new(false);
@@ -250,6 +253,10 @@ pub fn expected_s(plan: &Plan, missing: u64, threads: usize) -> Result<f64, Stri
     const LOOKS: u64 = 4;
     const LENGTH_S: f64 = 5.0;
     let conditions = plan.conditions();
+    if plan.is_by_hand() {
+        let by_hand = plan.by_hand(0)?;
+        return Ok(missing as f64 * (by_hand.lasts_s() + by_hand.rest_s));
+    }
     let looks = LOOKS.min(conditions);
     let mut per_flight_s = 0.0;
     for look in 0..looks {

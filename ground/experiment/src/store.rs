@@ -5,6 +5,7 @@
 //! | `plan.toml` | as it was written |
 //! | `identity.json` | its hash, the program, when it was made, which recordings it flies |
 //! | `flights.rows` | a [`Row`] for each finished flight, appended in the order they ended |
+//! | `by_hand.jsonl` | what was said of each flight of an operator |
 //! | `errors.txt` | flights that could not be flown, and why |
 //! | `lock` | held by whoever flies; in it, since when and from where |
 //! | `stop` | asks it to end |
@@ -19,6 +20,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
+use crate::by_hand;
 use crate::plan::{PROGRAM, Plan, PlanError};
 use crate::recordings::{Named, UnusableError};
 use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, places, row_bytes};
@@ -59,6 +61,9 @@ pub enum StoreError {
     /// A recording is not what it was.
     #[error(transparent)]
     Recording(#[from] UnusableError),
+    /// It is flown by an operator.
+    #[error("experiment {0} is flown by hand: its next flight is told by the page, or at by-hand")]
+    ByHand(String),
     /// Somebody flies it already.
     #[error("experiment {0} is being flown")]
     Running(String),
@@ -202,6 +207,9 @@ impl Experiment {
 
     /// Finished flights, without reading them.
     pub fn done(&self) -> u64 {
+        if self.plan.is_by_hand() {
+            return by_hand::accepted(self).map_or(0, |accepted| accepted.len() as u64);
+        }
         fs::metadata(self.rows_path()).map_or(0, |meta| meta.len() / row_bytes(self.identity.measures.len()) as u64)
     }
 
@@ -219,6 +227,12 @@ impl Experiment {
         let whole = bytes.chunks_exact(row_bytes(places.len()));
         let mut rows: Vec<_> = whole.filter_map(|bytes| Row::decode(bytes, &places)).collect();
         rows.retain(|row| u64::from(row.index) < self.plan.flights());
+        if self.plan.is_by_hand() {
+            // Of one that was void once, the last counts.
+            rows.reverse();
+            let accepted = by_hand::accepted(self)?;
+            rows.retain(|row| accepted.contains_key(&u64::from(row.index)));
+        }
         rows.sort_by_key(|row| row.index);
         rows.dedup_by_key(|row| row.index);
         Ok(rows)

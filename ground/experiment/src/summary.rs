@@ -34,6 +34,7 @@ pub fn state(experiment: &Experiment) -> rest::State {
         per_s,
         left_s: per_s.map(|per_s| flights.saturating_sub(done) as f64 / per_s),
         own: experiment.own().is_ok(),
+        by_hand: experiment.plan.is_by_hand(),
         error: None,
     }
 }
@@ -88,7 +89,10 @@ fn notes(experiment: &Experiment) -> Vec<String> {
     let each = experiment.plan.recordings.named().filter_map(of);
     let all = "Recordings flown again: motors, setpoints and the way flown are those of then, the same under every estimator.";
     let any = experiment.plan.recordings.named().next().map(|_| all.to_owned());
-    any.into_iter().chain(each).collect()
+    let by_hand = "Flown by hand: each recording is given once more to the estimator that was in the loop, and measured against truth where it \
+                   has one, else motion capture, else the estimate itself.";
+    let by_hand = experiment.plan.is_by_hand().then(|| by_hand.to_owned());
+    by_hand.into_iter().chain(any).chain(each).collect()
 }
 
 /// A level as it is shown: text without quotes, tables without braces.

@@ -6,6 +6,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse as _, Redirect, Response};
+use plumbline_experiment::by_hand;
 use plumbline_experiment::flight::FlyError;
 use plumbline_experiment::open::{OpenError, RecordError, open};
 use plumbline_experiment::plan::Plan;
@@ -32,7 +33,10 @@ impl From<StoreError> for ApiError {
         match error {
             StoreError::Unknown(_) => Self::NotFound(error.to_string()),
             StoreError::Plan(_) | StoreError::Traces(_) => Self::Invalid(error.to_string()),
-            StoreError::Foreign { .. } | StoreError::Running(_) | StoreError::Recording(_) => {
+            StoreError::Foreign { .. }
+            | StoreError::ByHand(_)
+            | StoreError::Running(_)
+            | StoreError::Recording(_) => {
                 Self::Conflict(error.to_string())
             }
             StoreError::Io { .. } => Self::Broken(error.to_string()),
@@ -53,7 +57,7 @@ impl From<OpenError> for ApiError {
 }
 
 /// Runs `work`, which asks the disk, off the server's threads.
-async fn aside<T: Send + 'static>(
+pub(super) async fn aside<T: Send + 'static>(
     app: App,
     work: impl FnOnce(&App) -> Result<T, ApiError> + Send + 'static,
 ) -> Result<T, ApiError> {
@@ -61,7 +65,7 @@ async fn aside<T: Send + 'static>(
     done.map_err(|error| ApiError::Broken(error.to_string()))?
 }
 
-fn one(app: &App, id: &str) -> Result<Experiment, ApiError> {
+pub(super) fn one(app: &App, id: &str) -> Result<Experiment, ApiError> {
     Ok(Experiment::open(app.experiments.root(), id)?)
 }
 
@@ -93,7 +97,8 @@ pub(crate) async fn size(State(app): State<App>, Body(asked): Body<Asked>) -> Re
         let done = Experiment::open(&root, &id).map_or(0, |experiment| experiment.done());
         let (conditions, repeats, flights) = (plan.conditions(), plan.repeats, plan.flights());
         let expected_s = expected_s(&plan, flights.saturating_sub(done), Experiments::threads());
-        Ok(Size { id, conditions, repeats, flights, done, expected_s: expected_s.map_err(ApiError::Invalid)? })
+        let by_hand = plan.is_by_hand();
+        Ok(Size { id, conditions, repeats, flights, done, expected_s: expected_s.map_err(ApiError::Invalid)?, by_hand })
     });
     Ok(Json(size.await?))
 }
@@ -104,7 +109,9 @@ pub(crate) async fn create(
 ) -> Result<(StatusCode, Json<rest::State>), ApiError> {
     let made = aside(app, move |app| {
         let experiment = Experiment::create(app.experiments.root(), read(&asked.plan, app.experiments.library())?)?;
-        app.experiments.start(experiment.clone())?;
+        if !experiment.plan.is_by_hand() {
+            app.experiments.start(experiment.clone())?;
+        }
         Ok(app.experiments.state(&experiment))
     });
     Ok((StatusCode::CREATED, Json(made.await?)))
@@ -183,6 +190,9 @@ async fn opened(app: App, id: String, index: u64) -> Result<Opened, ApiError> {
     app.computing
         .run(move |_| {
             let experiment = one(&within, &id)?;
+            if let Some(flight) = by_hand::accepted(&experiment)?.remove(&index) {
+                return Ok(Opened { flight });
+            }
             let file = open(&experiment, index)?;
             let flight = within.recorder.take_in(&file)?.id;
             if let Some(emptied) = file.parent() {

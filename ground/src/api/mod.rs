@@ -9,6 +9,7 @@ mod assets;
 mod attacks;
 mod audit;
 mod body;
+mod by_hand;
 mod calibrations;
 mod compute;
 mod control;
@@ -268,6 +269,8 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/experiments/{id}/flights"    View    experiments::flights;
         post   "/api/v1/experiments/{id}/flights/{index}" Operate experiments::fly_again;
         get    "/api/v1/experiments/{id}/flights/{index}/open" Operate experiments::go;
+        get    "/api/v1/experiments/{id}/by-hand"    View    by_hand::show;
+        post   "/api/v1/experiments/{id}/by-hand"    Operate by_hand::say;
         get    "/api/v1/experiments/{id}/plan.toml"  View    experiments::plan;
         get    "/api/v1/experiments/{id}/report.html" View   experiments::page;
         get    "/api/v1/experiments/{id}/flights.parquet" View experiments::table;

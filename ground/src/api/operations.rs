@@ -199,6 +199,11 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/experiments/{id}/flights", "Its flights, a page of them").query(DOTS).json(of::<experiment::Flights>),
     post("/api/v1/experiments/{id}/flights/{index}", "Flies one again and records it").json(of::<Opened>),
     get("/api/v1/experiments/{id}/flights/{index}/open", "The same, then to the page of that flight").empty(303),
+    get("/api/v1/experiments/{id}/by-hand", "The next flight of an operator, and what was said of those before")
+        .json(of::<experiment::ByHand>),
+    post("/api/v1/experiments/{id}/by-hand", "Accepts a flight, which is judged then, or says why it is void")
+        .takes(of::<experiment::Said>)
+        .json(of::<experiment::ByHand>),
     get("/api/v1/experiments/{id}/plan.toml", "Its plan").media("application/toml"),
     get("/api/v1/experiments/{id}/report.html", "Its report, self-contained").media(HTML),
     get("/api/v1/experiments/{id}/flights.parquet", "A row for each flight").media(PARQUET).tagged(),

@@ -5,6 +5,7 @@
 mod access;
 mod api;
 mod archive;
+mod by_hand;
 mod calibrations;
 mod commands;
 mod common;

@@ -10,12 +10,16 @@
 //! | `GET …/{id}/flights?from=0&count=100[&condition=N]` | [`Flights`] |
 //! | `POST …/{id}/flights/{index}` | [`Opened`]: flown again from its seed and recorded |
 //! | `GET …/{id}/flights/{index}/open` | the same, then the page of that flight |
+//! | `GET …/{id}/by-hand` | [`ByHand`]: the next flight of an operator, and what was said of those before |
+//! | `POST …/{id}/by-hand` [`Said`] | [`ByHand`]: a flight is accepted, or void |
 //! | `GET …/{id}/plan.toml`, `report.html`, `flights.parquet` | files |
 //! | `GET …/{id}/against/{second}` | what the second differs from it in, HTML |
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+
+use crate::command::{PlannedAttack, Trajectory};
 
 /// A plan, TOML.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -43,6 +47,8 @@ pub struct Size {
     pub done: u64,
     /// How long the others will take here, s.
     pub expected_s: f64,
+    /// Does an operator fly them, on a vehicle?
+    pub by_hand: bool,
 }
 
 /// How an experiment stands.
@@ -68,6 +74,8 @@ pub struct State {
     pub per_s: Option<f64>,
     /// Until all are there, s.
     pub left_s: Option<f64>,
+    /// Does an operator fly it, on a vehicle?
+    pub by_hand: bool,
     /// Was it begun by the program that answers? Only that one goes on with it.
     pub own: bool,
     /// Why its last run ended before its end, as far as this ground knows.
@@ -266,6 +274,83 @@ pub struct Flight {
 pub struct Opened {
     /// Its id among the flights.
     pub flight: String,
+}
+
+/// An experiment that an operator flies.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct ByHand {
+    /// What is to be flown now; `None` when all is.
+    pub next: Option<NextByHand>,
+    /// What was said of flights, the oldest first; the last word counts.
+    pub said: Vec<FlownByHand>,
+}
+
+/// What an operator is led through.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct NextByHand {
+    /// Which of the plan.
+    pub index: u64,
+    /// Its place in the order of flights, from 1.
+    pub place: u64,
+    /// How many there are in all.
+    pub flights: u64,
+    /// What is varied, and its level here.
+    pub levels: Vec<String>,
+    /// The vehicle.
+    pub vehicle: String,
+    /// Time left to rest since the flight before, s.
+    pub rest_left_s: f64,
+    /// To be in the loop.
+    pub estimator: String,
+    /// Revision of the gains to be in use; `None` leaves those that are.
+    pub gains: Option<u32>,
+    /// To be uploaded when the path begins; empty for none.
+    pub attacks: Vec<PlannedAttack>,
+    /// The path.
+    pub path: Trajectory,
+    /// From its begin to its end, s.
+    pub lasts_s: f64,
+    /// Why it cannot be flown as things are; empty where it can.
+    pub lacks: String,
+}
+
+/// What is said of a flight.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Said {
+    /// Which of the plan.
+    pub index: u64,
+    /// What it was flown as: the id of a recording.
+    pub flight: String,
+    /// Does it count?
+    pub accepted: bool,
+    /// Why; needed where it does not.
+    #[serde(default)]
+    pub reason: String,
+}
+
+/// What was said of a flight, and by whom.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct FlownByHand {
+    /// Which of the plan.
+    pub index: u64,
+    /// The recording.
+    pub flight: String,
+    /// Does it count?
+    pub accepted: bool,
+    /// Why.
+    pub reason: String,
+    /// Who said it.
+    pub who: String,
+    /// When, µs since 1970.
+    pub unix_us: u64,
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import plumbline
 from plumbline import models
 
@@ -77,3 +79,24 @@ def test_a_recorded_flight_is_flown_again_under_other_estimators(ground: plumbli
     assert frame["estimate_m"].n_unique() == 2 and frame["estimate_m"].null_count() == 0
     assert "Recordings flown again" in experiment.results()["notes"][0]
     assert experiment.fly_again(1).info["vehicle"] == "replay"
+
+
+BY_HAND = """
+name = "by_hand"
+[by_hand]
+vehicle = "{vehicle}"
+altitude_m = [0.5, 0.8]
+"""
+
+
+def test_a_flight_by_hand_counts_when_it_is_accepted(ground: plumbline.Ground) -> None:
+    flight = ground.run(PLAN).wait(timeout_s=120).fly_again(2)
+    experiment = ground.run(BY_HAND.format(vehicle=flight.info["vehicle_id"]))
+    assert experiment.state["by_hand"] and not experiment.state["running"]
+    index = experiment.by_hand()["next"]["index"]
+    with pytest.raises(plumbline.Invalid, match="say why the flight is void"):
+        experiment.say(index, flight, accepted=False)
+    assert experiment.say(index, flight, accepted=False, reason="a gust")["said"][-1]["reason"] == "a gust"
+    assert experiment.say(index, flight, accepted=True)["next"] is None
+    assert experiment.results()["conditions"][0]["measures"][0]["count"] == 1
+    assert experiment.fly_again(index).id == flight.id, "its dot is the recording"

@@ -66,6 +66,15 @@ values = ["ekf_bias", "lanes"]
 # With an [attack] the clean samples are attacked; without, what was received then is received again.
 "#;
 
+/// Of a vehicle that is there.
+fn by_hand(vehicle: &str) -> String {
+    format!(
+        "[by_hand]                        # an operator flies it, in an order that is drawn\nvehicle = {vehicle:?}\naltitude_m = [0.5, 0.8, 1.0, \
+         0.5]\nhold_s = 8.0\nrest_s = 20.0                    # between two flights, least\n[[factor]]\nkey = \
+         \"agent.estimators.in_loop\"\nvalues = [\"ekf_bias\", \"lanes\"]\n"
+    )
+}
+
 /// [Clinic] Table 1: one of three heights attacked in each of his ways; `altitude_m` over that of "none" is his e / e*.
 fn table_1() -> String {
     let attacks = [("none", 0.0), ("zero", 0.0), ("bias", 0.5), ("ramp", 0.1), ("noise", 0.2), ("replay", 3.0)];
@@ -96,8 +105,8 @@ fn gains() -> String {
     )
 }
 
-/// A plan to begin with: what it asks, and its text. `flights` are recorded ones, by their ids.
-pub fn templates(flights: &[String]) -> [(&'static str, String); 7] {
+/// A plan to begin with: what it asks, and its text. `flights` are recorded ones, by their ids; `vehicle` is the one shown.
+pub fn templates(flights: &[String], vehicle: &str) -> [(&'static str, String); 8] {
     let head = |name: &str, repeats: u32| format!("name = \"{name}\"\nrepeats = {repeats}\nseed = 1000\n");
     // Tables of the plan come after its own keys.
     let plan = |name: &str, repeats: u32, rest: &str| format!("{}{SCRIPT}{rest}", head(name, repeats));
@@ -112,6 +121,7 @@ pub fn templates(flights: &[String]) -> [(&'static str, String); 7] {
         ("How do controllers step, on strings and free?", plan("steps", 10, STEPS)),
         ("What does a harder world cost?", plan("worlds", 5, WORLDS)),
         ("Which estimator fits what was flown?", format!("{}{again}{RECORDED}", head("recorded", 1))),
+        ("On the rig, flown by hand: which estimator holds steps?", format!("{}{}", head("by_hand", 3), by_hand(vehicle))),
     ]
 }
 
@@ -225,15 +235,16 @@ mod tests {
 
     #[test]
     fn every_template_has_a_name_and_varies_something() {
-        for (_, plan) in templates(&["20260131-iris-1".into()]) {
+        for (_, plan) in templates(&["20260131-iris-1".into()], "iris-1") {
             assert!(
                 plan.starts_with("name = ") && (plan.contains("[[factor]]") || plan.contains("[[condition]]")),
                 "{plan}"
             );
         }
-        let climb = templates(&[]).map(|(_, plan)| plan.contains("at_s = 20"));
-        assert_eq!(climb, [false, true, true, true, true, true, false], "what the model expects is of a hover");
-        let [.., (_, again)] = templates(&["a".into(), "b".into()]);
+        let climb = templates(&[], "").map(|(_, plan)| plan.contains("at_s = 20"));
+        assert_eq!(climb, [false, true, true, true, true, true, false, false], "what the model expects is of a hover");
+        let [.., (_, again), (_, by_hand)] = templates(&["a".into(), "b".into()], "iris-2");
         assert!(again.contains("values = [\"a\", \"b\"]") && !again.contains("[scenario]"), "{again}");
+        assert!(by_hand.contains("vehicle = \"iris-2\"") && !by_hand.contains("[scenario]"), "{by_hand}");
     }
 }

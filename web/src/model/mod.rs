@@ -2,6 +2,7 @@
 
 pub mod api;
 pub mod axis;
+pub mod by_hand;
 pub mod calibration;
 pub mod clock;
 pub mod configuration;

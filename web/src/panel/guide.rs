@@ -14,6 +14,7 @@ use crate::{
 /// Begins it, on Fly.
 pub fn begin(ctx: Ctx) {
     ctx.help.set(false);
+    ctx.led.set(None);
     ctx.go(Route::Fly);
     ctx.guide.set(Some(Guide::default()));
 }

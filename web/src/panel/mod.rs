@@ -3,6 +3,7 @@
 pub mod alarms;
 pub mod arming;
 pub mod attacks;
+pub mod by_hand;
 pub mod charts;
 pub mod cursors;
 pub mod envelope;

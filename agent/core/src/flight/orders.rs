@@ -252,10 +252,7 @@ impl Flight {
             self.end_path();
         }
         if let Some(z) = change.altitude_m {
-            let altitude_m = self.motion().position_enu_m.z;
-            let from = if self.phase == Phase::Flying { self.guidance.target.position_enu_m.z } else { altitude_m };
-            self.guidance.meter.begin(now, from, z, altitude_m);
-            self.guidance.target.position_enu_m.z = z;
+            self.climb_to(z, now);
         }
         let target = &mut self.guidance.target;
         let set = |field: &mut f64, value: Option<f64>| {

@@ -48,15 +48,29 @@ impl Flight {
         trajectory
             .check(&from_enu_m, &self.config.limits, self.config.altitude_max_m())
             .map_err(|e| text(format_args!("{e}")))?;
-        self.guidance.path = Some(Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 });
+        let mut path = Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 };
         let done = match trajectory {
             Trajectory::Shape { shape, .. } => text(format_args!("path begins: {shape:?}")),
             Trajectory::Altitudes { altitude_m, hold_s } => {
+                // From the ground it takes off by its first: nothing is followed before it flies.
+                if let Some(&first) = altitude_m.first() {
+                    path.set = 1;
+                    self.climb_to(first, now);
+                }
                 text(format_args!("path begins: {} altitudes, {hold_s} s each", altitude_m.len()))
             }
         };
+        self.guidance.path = Some(path);
         self.event(Severity::Info, EventKind::Setpoint, done);
         Ok(done)
+    }
+
+    /// Makes an altitude the target, and measures the step to it from the target before; on the ground, from there.
+    pub(super) fn climb_to(&mut self, to_m: f64, now: FlightTime) {
+        let altitude_m = self.motion().position_enu_m.z;
+        let from_m = if self.phase == Phase::Flying { self.guidance.target.position_enu_m.z } else { altitude_m };
+        self.guidance.meter.begin(now, from_m, to_m, altitude_m);
+        self.guidance.target.position_enu_m.z = to_m;
     }
 
     /// Stops a path where its setpoint is.
@@ -92,11 +106,7 @@ impl Flight {
                 } else if due >= path.set {
                     path.set = due + 1;
                     if let Some(&to) = altitude_m.get(due) {
-                        let altitude_m = self.motion().position_enu_m.z;
-                        let flying = self.phase == Phase::Flying;
-                        let from = if flying { self.guidance.target.position_enu_m.z } else { altitude_m };
-                        self.guidance.meter.begin(now, from, to, altitude_m);
-                        self.guidance.target.position_enu_m.z = to;
+                        self.climb_to(to, now);
                     }
                 }
                 None

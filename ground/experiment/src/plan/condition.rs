@@ -23,6 +23,11 @@ const DRAWN: [&str; 3] = ["any", "imu_and_height", "none"];
 const ELSEWHERE: [&str; 10] =
     ["id", "ground", "identity", "real_time", "calibrations", "rig", "device", "motors", "log", "link"];
 
+/// Of a complaint, what it is about.
+pub(super) fn in_section(section: &'static str) -> impl FnOnce(String) -> Wrong {
+    move |complaint| Wrong { section, complaint }
+}
+
 /// Why a condition cannot be flown.
 pub(super) struct Wrong {
     /// Which of its tables.
@@ -78,10 +83,16 @@ impl Default for RawAttack {
     }
 }
 
+impl RawAttack {
+    /// Only its onset counts.
+    fn is_off(&self) -> bool {
+        self.kind == "none"
+    }
+}
+
 impl Condition {
     /// Reads and tries it: what it needs is built, its first attacks are checked.
     pub(super) fn read(table: &Table, recordings: &Recordings) -> Result<Self, Wrong> {
-        let in_section = |section| move |complaint: String| Wrong { section, complaint };
         let part = |key: &str| table.get(key).and_then(Value::as_table).cloned().unwrap_or_default();
         let agent_table = part("agent");
         if let Some(key) = ELSEWHERE.into_iter().find(|key| agent_table.contains_key(*key)) {
@@ -121,10 +132,8 @@ impl Condition {
             config.estimators = vec![config.in_loop];
         }
         let reception = reception(table)?;
-        let raw: RawAttack = Value::Table(part("attack"))
-            .try_into()
-            .map_err(|error: toml::de::Error| in_section("attack")(error.message().to_owned()))?;
-        let off = raw.kind == "none";
+        let raw = raw_attack(table).map_err(in_section("attack"))?;
+        let off = raw.is_off();
         let attacked = attacked(&raw).map_err(in_section("attack"))?;
         let words = [raw.sensor, raw.channel.unwrap_or_else(|| "all".into()), raw.kind];
         let condition = Self { scenario, recording, table: scenario_table, config, reception, attacked, words, off };
@@ -219,6 +228,17 @@ fn reception(table: &Table) -> Result<Reception, Wrong> {
         let complaint = format!("{} is not one of {}", named.unwrap_or("what is given"), names.join(", "));
         Wrong { section: "reception", complaint }
     })
+}
+
+/// What is attacked in a condition, and whether only its onset counts.
+pub(super) fn attack_of(table: &Table) -> Result<(Attacked, bool), String> {
+    let raw = raw_attack(table)?;
+    Ok((attacked(&raw)?, raw.is_off()))
+}
+
+fn raw_attack(table: &Table) -> Result<RawAttack, String> {
+    let part = table.get("attack").and_then(Value::as_table).cloned().unwrap_or_default();
+    Value::Table(part).try_into().map_err(|error: toml::de::Error| error.message().to_owned())
 }
 
 fn attacked(raw: &RawAttack) -> Result<Attacked, String> {

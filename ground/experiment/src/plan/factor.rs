@@ -134,7 +134,7 @@ pub(super) fn read(
 fn checked(source: Source<'_>, key: &str, span: &Range<usize>, known: &[Factor]) -> Result<(), PlanError> {
     let (section, inner) = key.split_once('.').unwrap_or((key, ""));
     if !SECTIONS.contains(&section) || (inner.is_empty() != ["reception", RECORDING].contains(&section)) {
-        let known = "not a key below scenario, agent or attack, nor reception or recording";
+        let known = "not a key below scenario, agent, attack or by_hand, nor reception or recording";
         return Err(source.at(span, format!("factor {key:?} is {known}")));
     }
     if key == "scenario.seed" || key.starts_with("scenario.attack") {

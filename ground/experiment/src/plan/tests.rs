@@ -1,3 +1,6 @@
+use plumbline_proto::ids::SensorId;
+use plumbline_proto::v1::SensorKind;
+
 use super::*;
 
 const BASE: &str = r#"name = "a"
@@ -117,4 +120,68 @@ fn every_plan_of_the_repository_can_be_flown() {
         plans += 1;
     }
     assert!(plans > 0);
+}
+
+const BY_HAND: &str = r#"name = "a"
+repeats = 3
+[by_hand]
+vehicle = "iris-1"
+altitude_m = [0.5, 0.8, 0.5]
+hold_s = 10
+[agent]
+estimators = { in_loop = "lanes" }
+[attack]
+sensor = "height"
+kind = "bias"
+magnitude = 0.2
+start_s = 5
+"#;
+
+#[test]
+fn what_cannot_be_flown_by_hand_is_refused_with_its_line_and_value() {
+    let with = |more: &str| format!("{BY_HAND}{more}");
+    for (text, line, expected) in [
+        (BY_HAND.replace("\"iris-1\"", "\"\""), 4, "vehicle = \"\""),
+        (BY_HAND.replace("[0.5, 0.8, 0.5]", "[]"), 5, "altitude_m has 0 altitudes"),
+        (BY_HAND.replace("0.8", "-0.8"), 5, "altitude_m = -0.8"),
+        (BY_HAND.replace("hold_s = 10", "hold_s = 0.1"), 6, "hold_s = 0.1"),
+        (BY_HAND.replace("hold_s = 10", "holds = 10"), 6, "holds"),
+        (BY_HAND.replace("in_loop = \"lanes\"", "run = [\"ukf\"]"), 8, "of a vehicle only estimators.in_loop"),
+        (BY_HAND.replace("{ in_loop = \"lanes\" }", "{ in_loop = \"nose\" }"), 7, "nose"),
+        (BY_HAND.replace("hold_s = 10", "hold_s = 4"), 5, "3 of 4 s are 12 s, and flights are judged from 12 s on"),
+        (BY_HAND.replace("start_s = 5", "start_s = 31"), 5, "an onset may be at 31 s"),
+        (BY_HAND.replace("repeats = 3", "repeats = 1001"), 2, "1001 flights, more than 1000"),
+        (with("[scenario]\nduration_s = 20\n"), 14, "flown by hand instead"),
+        (with("[[factor]]\nkey = \"recording\"\nvalues = [\"f\"]\n"), 15, "not the id of a finished flight"),
+        (with("[[factor]]\nkey = \"by_hand.colour\"\nvalues = [1]\n"), 15, "colour"),
+        (with("[[factor]]\nkey = \"reception\"\nvalues = [\"median\"]\n"), 15, "nothing stands before"),
+    ] {
+        let library = Library::archive(std::path::Path::new("none"));
+        let error = Plan::over(&text, &library).map(|plan| plan.flights()).expect_err(&text);
+        assert!(error.message.contains(expected), "{text}\ngives: {error}");
+        assert_eq!(error.line, line, "{text}\ngives: {error}");
+    }
+}
+
+#[test]
+fn flights_by_hand_come_block_by_block_in_an_order_of_the_seed() {
+    let text = format!("{BY_HAND}[[factor]]\nkey = \"attack.magnitude\"\nvalues = [0.1, 0.2, 0.3, 0.4]\n");
+    let plan = Plan::from_toml(&text).unwrap();
+    let order = crate::by_hand::order(&plan);
+    assert_eq!((order.len(), order.clone()), (12, crate::by_hand::order(&plan)));
+    for (block, flights) in order.chunks(4).enumerate() {
+        let mut sorted = flights.to_vec();
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..4).map(|condition| block as u64 * 4 + condition).collect::<Vec<_>>());
+    }
+    let blocks: Vec<Vec<u64>> = order.chunks(4).map(|block| block.iter().map(|index| index % 4).collect()).collect();
+    assert!(blocks.iter().any(|block| *block != blocks[0]), "each block is drawn for itself: {blocks:?}");
+    let seeded = Plan::from_toml(&text.replace("repeats = 3", "repeats = 3\nseed = 9")).unwrap();
+    assert_ne!(crate::by_hand::order(&seeded), order);
+    // Drawn on the sensors that the vehicle has.
+    let heights: Vec<_> = (1..=5).map(|instance| SensorId::new(SensorKind::Height, instance)).collect();
+    let by_hand = plan.by_hand(1).unwrap();
+    let attacks = by_hand.attacks(&heights, 3).unwrap();
+    assert_eq!((attacks.len(), attacks[0].start_s, attacks[0].magnitude.abs()), (1, 5.0, 0.2));
+    assert!(by_hand.attacks(&heights[..0], 3).unwrap_err().contains("iris-1 has no height"));
 }

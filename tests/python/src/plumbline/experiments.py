@@ -113,6 +113,18 @@ class Experiment:
         opened: models.Opened = self._connection.json("POST", self.path(f"flights/{index}"))
         return Flight(self._connection, self._connection.json("GET", f"/api/v1/flights/{opened['flight']}"))
 
+    def by_hand(self) -> models.ByHand:
+        """Of one that an operator flies: the next flight, and what was said of those before. Raises `NotFound` of another."""
+        told: models.ByHand = self._connection.json("GET", self.path("by-hand"))
+        return told
+
+    def say(self, index: int, flight: str | Flight, *, accepted: bool, reason: str = "") -> models.ByHand:
+        """Accepts a flight of the plan, which is judged then, or says why it is void."""
+        id = flight if isinstance(flight, str) else flight.id
+        said = {"index": index, "flight": id, "accepted": accepted, "reason": reason}
+        told: models.ByHand = self._connection.json("POST", self.path("by-hand"), said)
+        return told
+
     def plan(self) -> str:
         """Its plan, TOML."""
         return self._connection.request("GET", self.path("plan.toml")).text

@@ -33,7 +33,8 @@ async fn recorded() -> Vec<String> {
 #[component]
 pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
     let ctx = ctx();
-    let [(_, first), ..] = templates(&[]);
+    let vehicle = move || ctx.app.with_value(|app| app.vehicle.clone()).unwrap_or_default();
+    let [(_, first), ..] = templates(&[], "");
     let text = RwSignal::new(first);
     let size = RwSignal::new(None::<Result<Size, Failure>>);
     let body = move |plan: String| serde_json::to_string(&Asked { plan }).ok();
@@ -74,7 +75,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
     let choose = move |asked: String| {
         leptos::task::spawn_local(async move {
             let flights = recorded().await;
-            if let Some((_, plan)) = templates(&flights).into_iter().find(|(question, _)| *question == asked) {
+            if let Some((_, plan)) = templates(&flights, &vehicle()).into_iter().find(|(question, _)| *question == asked) {
                 text.try_set(plan);
             }
         });
@@ -89,7 +90,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
                 <p class="num" role="status">
                     {format!("{} × {} = ", format::plural(size.conditions, "condition"), size.repeats)}
                     <b>{format::plural(size.flights, "flight")}</b>{done}
-                    {format!("; about {} here", format::age(if left > 0 { size.expected_s } else { 0.0 }))}
+                    {format!("; about {} {}", format::age(if left > 0 { size.expected_s } else { 0.0 }), if size.by_hand { "at the stick" } else { "here" })}
                 </p>
             }
             .into_any()
@@ -99,7 +100,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
         <section class="card plan" aria-label="Plan">
             <header><h2>"Plan"</h2></header>
             <select aria-label="Question to begin with" on:change:target=move |e| choose(e.target().value())>
-                {templates(&[]).map(|(question, _)| view! { <option>{question}</option> })}
+                {templates(&[], "").map(|(question, _)| view! { <option>{question}</option> })}
             </select>
             <textarea
                 rows="16"
@@ -109,7 +110,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
                 on:input:target=move |e| text.set(e.target().value())
             ></textarea>
             {told}
-            <button type="button" class="fit" disabled=move || !matches!(size.get(), Some(Ok(_))) on:click=start>"Start"</button>
+            <button type="button" class="fit" disabled=move || !matches!(size.get(), Some(Ok(_))) on:click=start>{move || if matches!(size.get(), Some(Ok(size)) if size.by_hand) { "Keep" } else { "Start" }}</button>
         </section>
     }
 }

@@ -12,6 +12,7 @@ use crate::{
     gpu::VALUE_TICK_SPACING_PX,
     model::experiment::{DOTS_PX, ROW_PX, axis, dots},
     net,
+    panel::by_hand,
 };
 
 /// Dots are drawn of so many flights at most.
@@ -132,6 +133,7 @@ fn Head(at: String, state: Memo<State>, states: Memo<Vec<State>>) -> impl IntoVi
             <span class="quiet num">{move || state.with(progress)}</span>
             <span class="push buttons-row">
                 {move || match (running.get(), left.get()) {
+                    (false, true) if state.with(|s| s.by_hand) => view! { <button type="button" on:click=move |_| by_hand::begin(ctx, state.with_untracked(|s| s.id.clone()))>"Fly the next"</button> }.into_any(),
                     (true, _) => view! { <button type="button" on:click=move |_| turn("stop")>"Stop"</button> }.into_any(),
                     (false, true) => view! { <button type="button" on:click=move |_| turn("start")>"Go on"</button> }.into_any(),
                     _ => ().into_any(),

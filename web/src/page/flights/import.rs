@@ -201,7 +201,11 @@ pub fn Imports(importer: Importer) -> impl IntoView {
                 let notes = imported.notes.join("; ");
                 view! { <span class="good">{said}</span><Link to=Route::Flight(imported.flight.clone())>"open the flight"</Link><span class="quiet">{notes}</span> }.into_any()
             }
-            Stage::Failed(why) => view! { <span class="bad">{why}</span> }.into_any(),
+            Stage::Failed(why) => {
+                // Its name stands before it already.
+                let why = why.strip_prefix(&format!("{}: ", recording.name)).map(str::to_owned).unwrap_or(why);
+                view! { <span class="bad">{why}</span> }.into_any()
+            }
         };
         view! { <li><b>{name}</b> {what}</li> }
     };
