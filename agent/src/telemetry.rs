@@ -40,8 +40,8 @@ use crate::sim::rig::{Line, MAX_STRINGS};
 use crate::types::EstimatorKind;
 use crate::vehicle::{RecordedControl, Truth};
 
-use kept::Kept;
 pub use convert::wire_attack;
+use kept::Kept;
 pub use outlet::Outlet;
 use outlet::Outlets;
 pub use recording::Recording;

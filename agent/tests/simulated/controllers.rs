@@ -205,7 +205,8 @@ fn a_circle_is_followed_and_ends_where_it_should() {
 
 #[test]
 fn a_list_of_altitudes_takes_off_by_its_first() {
-    let on_the_ground = scenario("takeoff").replace("do = \"setpoint\"\naltitude_m = 1.0\nx_m = 0.0\ny_m = 0.0\n", "do = \"mode\"\nmode = \"hold\"\n");
+    let on_the_ground = scenario("takeoff")
+        .replace("do = \"setpoint\"\naltitude_m = 1.0\nx_m = 0.0\ny_m = 0.0\n", "do = \"mode\"\nmode = \"hold\"\n");
     let mut f = flown_from(&on_the_ground, ControllerKind::LqrIntegral);
     f.until(6.0);
     assert!(f.last().truth.position_enu_m.z < 0.15, "{}", f.last().truth.position_enu_m.z);

@@ -69,7 +69,8 @@ impl Foreign {
     /// # Errors
     /// [`ImportError`].
     pub fn fly(&self, begin: WallTime, folder: PathBuf) -> Result<PathBuf, ImportError> {
-        let recorded = Recorded::new(&self.recordings, &self.named.name, true, AIRFRAME).map_err(ImportError::Content)?;
+        let recorded =
+            Recorded::new(&self.recordings, &self.named.name, true, AIRFRAME).map_err(ImportError::Content)?;
         let scenario = recorded.scenario();
         let text = recorded.flown.scenario.as_ref().map(|scenario| scenario.text.clone()).unwrap_or_default();
         let setup = Setup {

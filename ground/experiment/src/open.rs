@@ -55,10 +55,10 @@ pub enum OpenError {
 pub enum RecordError {
     /// The flight.
     #[error(transparent)]
-    Fly(#[from] FlyError),
+    Fly(#[from] Box<FlyError>),
     /// Its set-up.
     #[error(transparent)]
-    Flight(#[from] FlightError),
+    Flight(#[from] Box<FlightError>),
     /// The flight file.
     #[error(transparent)]
     Log(#[from] LogError),
@@ -108,7 +108,7 @@ pub(crate) fn record(
     };
     let (ring, frames) = rtrb::RingBuffer::new(RING_BYTES);
     let kept = log::spawn(settings, frames)?;
-    let described = Flight::new(setup.config.clone())?;
+    let described = Flight::new(setup.config.clone()).map_err(Box::new)?;
     let mut telemetry = Telemetry::new(identification, &described, None, Some(Outlet::new(ring)));
     let mut last = None;
     let flown = fly_seen(setup, |flight, seen| {
@@ -127,7 +127,7 @@ pub(crate) fn record(
         telemetry.shutdown(last);
     }
     kept.stop();
-    let outcome = flown?;
+    let outcome = flown.map_err(Box::new)?;
     let files = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut recorded = files.filter(|path| path.extension().is_some_and(|extension| extension == "mcap"));
     Ok((recorded.next(), outcome))

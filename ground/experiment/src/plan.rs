@@ -255,7 +255,8 @@ impl Plan {
         if self.is_by_hand() {
             return Err("it is flown by hand".into());
         }
-        Condition::read(&self.table(condition)?, &self.recordings).map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+        Condition::read(&self.table(condition)?, &self.recordings)
+            .map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
     }
 
     /// Is it flown by an operator on a vehicle, and not by this program?

@@ -68,7 +68,11 @@ fn recorded(app: &App, experiment: &Experiment, told: &FlownByHand) -> Result<()
         return Err(ApiError::Invalid(text));
     }
     if matches!(flight.completeness, Completeness::Recording | Completeness::Filling) {
-        return Err(ApiError::Conflict(format!("{} is {}: wait until it is complete", flight.id, flight.completeness.name())));
+        return Err(ApiError::Conflict(format!(
+            "{} is {}: wait until it is complete",
+            flight.id,
+            flight.completeness.name()
+        )));
     }
     Ok(())
 }
@@ -92,7 +96,9 @@ fn next(app: &App, experiment: &Experiment, place: u64, index: u64) -> Result<Ne
     let levels = named.map(|(factor, level)| format!("{} = {}", factor.key, shown(level.as_ref()))).collect();
     let description: Option<v1::Description> = app.hub.latest(&by_hand.vehicle, Kind::Description);
     let known = description.map(|description| {
-        let id = |sensor: &v1::SensorDescription| Some(SensorId::new(sensor.kind.try_into().ok()?, sensor.instance.try_into().ok()?));
+        let id = |sensor: &v1::SensorDescription| {
+            Some(SensorId::new(sensor.kind.try_into().ok()?, sensor.instance.try_into().ok()?))
+        };
         description.sensors.iter().filter_map(id).collect::<Vec<_>>()
     });
     let (attacks, lacks) = match known.map(|sensors| by_hand.attacks(&sensors, plan.seed_of(repeat))) {
@@ -125,8 +131,9 @@ fn next(app: &App, experiment: &Experiment, place: u64, index: u64) -> Result<Ne
 /// Since the end of the flight that something was said of last, s.
 fn rest_left_s(app: &App, experiment: &Experiment, rest_s: f64) -> Result<f64, ApiError> {
     let Some(last) = by_hand::said(experiment)?.pop() else { return Ok(0.0) };
-    let ended_us = app.recorder.flight(&last.flight).map_or(last.unix_us, |flight| {
-        flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64)
-    });
+    let ended_us = app
+        .recorder
+        .flight(&last.flight)
+        .map_or(last.unix_us, |flight| flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64));
     Ok((rest_s - wall_time_us().saturating_sub(ended_us) as f64 * 1e-6).max(0.0))
 }

@@ -33,10 +33,7 @@ impl From<StoreError> for ApiError {
         match error {
             StoreError::Unknown(_) => Self::NotFound(error.to_string()),
             StoreError::Plan(_) | StoreError::Traces(_) => Self::Invalid(error.to_string()),
-            StoreError::Foreign { .. }
-            | StoreError::ByHand(_)
-            | StoreError::Running(_)
-            | StoreError::Recording(_) => {
+            StoreError::Foreign { .. } | StoreError::ByHand(_) | StoreError::Running(_) | StoreError::Recording(_) => {
                 Self::Conflict(error.to_string())
             }
             StoreError::Io { .. } => Self::Broken(error.to_string()),
@@ -49,7 +46,9 @@ impl From<OpenError> for ApiError {
         match error {
             OpenError::Store(error) => error.into(),
             OpenError::Unknown { .. } => Self::NotFound(error.to_string()),
-            OpenError::Record(RecordError::Fly(FlyError::Recording(_))) => Self::Conflict(error.to_string()),
+            OpenError::Record(RecordError::Fly(ref fly)) if matches!(**fly, FlyError::Recording(_)) => {
+                Self::Conflict(error.to_string())
+            }
             OpenError::Condition { .. } | OpenError::Nothing(_) => Self::Invalid(error.to_string()),
             other => Self::Broken(other.to_string()),
         }

@@ -134,7 +134,8 @@ impl Upload {
             return Ok(Imported { flight: known.id, already: true, notes: foreign.notes });
         }
         let flown = recorder.scratch()?;
-        let file = foreign.fly(WallTime(wall_time_us()), flown.path().join("flown")).map_err(|error| self.refused(error))?;
+        let file =
+            foreign.fly(WallTime(wall_time_us()), flown.path().join("flown")).map_err(|error| self.refused(error))?;
         let flight = recorder.take_in(&file)?.id;
         let said = format!("imported from {name} ({}), {content}", foreign.format.name());
         let notes = std::iter::once(said).chain(foreign.notes.iter().cloned()).collect::<Vec<_>>().join("\n");

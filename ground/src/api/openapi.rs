@@ -84,7 +84,19 @@ pub(super) struct Operation {
 impl Operation {
     pub(super) const fn new(method: &'static str, path: &'static str, summary: &'static str) -> Self {
         let (query, body, answer) = (&[] as &[Parameter], None, None);
-        Self { method, path, summary, query, body, status: 204, answer, form: false, known: false, tagged: false, ranged: false }
+        Self {
+            method,
+            path,
+            summary,
+            query,
+            body,
+            status: 204,
+            answer,
+            form: false,
+            known: false,
+            tagged: false,
+            ranged: false,
+        }
     }
 
     pub(super) const fn query(self, query: &'static [Parameter]) -> Self {

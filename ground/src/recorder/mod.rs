@@ -52,8 +52,8 @@ pub use export::{Export, Sink, WRITTEN};
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use folder::free_bytes;
 use index::FlightIndex;
-use keeper::Desk;
 pub use intervals::IntervalSet;
+use keeper::Desk;
 pub use plumbline_rest::ground::Storage;
 pub use sheet::{Format, Selection};
 pub(crate) use signal::{SignalReader, thinned};
@@ -361,7 +361,10 @@ impl RecorderHandle {
         let carried = identity::Identity::of(file).unwrap_or_default().flight_id;
         let Ok(id) = plumbline_proto::ids::FlightId::new(carried) else {
             let name = file.file_name().unwrap_or_default().to_string_lossy();
-            return Err(RecordingError::Invalid(format!("{:?} is not a flight of Plumbline", crate::names::clip(&name))));
+            return Err(RecordingError::Invalid(format!(
+                "{:?} is not a flight of Plumbline",
+                crate::names::clip(&name)
+            )));
         };
         let id = id.as_str();
         // The start reads the folder: a file that came meanwhile would be read twice.

@@ -61,7 +61,8 @@ async fn flights_by_hand_are_led_through_in_a_drawn_order_and_count_when_accepte
     let flights = recorded(&ground).await;
     let vehicles: Vec<_> = flights.iter().map(|(_, vehicle)| vehicle.clone()).collect();
     // GIVEN a plan that is flown by hand WHEN it is kept THEN nothing flies
-    let size = ground.request("POST", "/api/v1/experiments/size", &json!({ "plan": plan(&vehicles) }).to_string()).await;
+    let size =
+        ground.request("POST", "/api/v1/experiments/size", &json!({ "plan": plan(&vehicles) }).to_string()).await;
     assert_eq!((&size.json()["by_hand"], size.json()["expected_s"].as_f64()), (&json!(true), Some(2.0 * 3616.0)));
     let state = asked(&ground, &plan(&vehicles)).await;
     assert_eq!((&state["by_hand"], &state["running"], &state["flights"]), (&json!(true), &json!(false), &json!(2)));
@@ -73,7 +74,10 @@ async fn flights_by_hand_are_led_through_in_a_drawn_order_and_count_when_accepte
     let by_hand = format!("{at}/by-hand");
     let next = ground.json(&by_hand).await["next"].clone();
     let index = next["index"].as_u64().unwrap() as usize;
-    assert_eq!((&next["place"], &next["vehicle"], &next["estimator"]), (&json!(1), &json!(vehicles[index]), &json!("lanes")));
+    assert_eq!(
+        (&next["place"], &next["vehicle"], &next["estimator"]),
+        (&json!(1), &json!(vehicles[index]), &json!("lanes"))
+    );
     assert_eq!((&next["rest_left_s"], &next["lasts_s"], &next["gains"]), (&json!(0.0), &json!(16.0), &json!(null)));
     assert_eq!(next["path"], json!({ "shape": "altitudes", "altitude_m": [0.5, 0.9], "hold_s": 8.0 }));
     assert!(next["lacks"].as_str().unwrap().contains("was not seen yet"), "{next}");
@@ -84,7 +88,10 @@ async fn flights_by_hand_are_led_through_in_a_drawn_order_and_count_when_accepte
     };
     let next = ground.wait_json(&by_hand, |told| told["next"]["lacks"] == "").await["next"].clone();
     let attack = &next["attacks"][0];
-    assert_eq!((&attack["sensor"], &attack["kind"], &attack["start_s"]), (&json!("height"), &json!("bias"), &json!(6.0)));
+    assert_eq!(
+        (&attack["sensor"], &attack["kind"], &attack["start_s"]),
+        (&json!("height"), &json!("bias"), &json!(6.0))
+    );
     assert_eq!(attack["magnitude"].as_f64().unwrap().abs(), 0.2, "its sign is drawn");
 
     // WHEN something is said of a flight THEN it is kept with who said it, and only an accepted one counts
@@ -110,7 +117,11 @@ async fn flights_by_hand_are_led_through_in_a_drawn_order_and_count_when_accepte
 
     // THEN it is measured as any recording is, and its dot is the flight itself
     let results = ground.json(&at).await;
-    assert_eq!((&results["state"]["done"], results["conditions"].as_array().unwrap().len()), (&json!(1), 1), "{results}");
+    assert_eq!(
+        (&results["state"]["done"], results["conditions"].as_array().unwrap().len()),
+        (&json!(1), 1),
+        "{results}"
+    );
     let altitude = &results["conditions"][0]["measures"][0];
     assert_eq!(altitude["count"], 1);
     assert!((0.0005..0.1).contains(&altitude["median"].as_f64().unwrap()), "{altitude}");

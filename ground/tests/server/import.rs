@@ -13,8 +13,11 @@ async fn started(folder: &std::path::Path) -> Ground {
     ground
 }
 
+/// Name and content.
+type File<'a> = (&'a str, &'a [u8]);
+
 /// Sends files as a browser's form does.
-async fn send(ground: &Ground, files: &[(&str, &[u8])]) -> Response {
+async fn send(ground: &Ground, files: &[File<'_>]) -> Response {
     let mut body = Vec::new();
     for (name, bytes) in files {
         let head = format!("--b\r\nContent-Disposition: form-data; name=\"file\"; filename=\"{name}\"\r\n\r\n");
@@ -86,9 +89,10 @@ async fn a_flight_cut_in_the_middle_is_repaired_and_says_so() {
 
 /// A minute of a BROAD trial in which nothing moves.
 fn at_rest(seconds: usize) -> String {
-    let mut table = "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT,ref_qw,ref_qx,ref_qy,ref_qz,\
+    let mut table =
+        "t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT,ref_qw,ref_qx,ref_qy,ref_qz,\
                      ref_px_m,ref_py_m,ref_pz_m,movement\n"
-        .to_owned();
+            .to_owned();
     for sample in 0..seconds * 100 {
         table += &format!("{:.2},0,0,0,0,0,9.81,0,20,-40,1,0,0,0,0,0,0.5,1\n", sample as f64 * 0.01);
     }
@@ -128,7 +132,7 @@ async fn what_is_no_recording_is_said_with_its_name_and_leaves_nothing() {
     let table = at_rest(1);
     let bad_row = table.clone() + "1.00,0,0,zero,0,0,9.8,0,20,-40,1,0,0,0,0,0,0.5,0\n";
     let half = "t_s,gx_rad_s\n0,1\n";
-    let cases: [(&[(&str, &[u8])], &str); 10] = [
+    let cases: [(&[File<'_>], &str); 10] = [
         (&[], "there is no file in the form"),
         (&[("empty.ulg", b"")], "empty.ulg: an empty file; supported are Plumbline flight files"),
         (&[("notes.txt", b"hello\n")], "notes.txt: a file that begins with \"hello\""),
@@ -181,12 +185,13 @@ async fn real_recordings_of_four_programs_become_flights() {
         let name = path.file_name().unwrap().to_str().unwrap();
         let inside = |file: &std::path::Path| format!("{name}/{}", file.file_name().unwrap().to_str().unwrap());
         let files: Vec<(String, Vec<u8>)> = if path.is_dir() {
-            let files = std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
+            let files =
+                std::fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
             files.map(|file| (inside(&file), std::fs::read(&file).unwrap())).collect()
         } else {
             vec![(name.to_owned(), std::fs::read(&path).unwrap())]
         };
-        let sent: Vec<(&str, &[u8])> = files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())).collect();
+        let sent: Vec<File<'_>> = files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())).collect();
         let taken = send(&ground, &sent).await;
         assert_eq!(taken.status, 201, "{name}: {}", taken.text());
         let id = taken.json()["flight"].as_str().unwrap().to_owned();

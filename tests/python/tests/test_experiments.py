@@ -93,10 +93,14 @@ def test_a_flight_by_hand_counts_when_it_is_accepted(ground: plumbline.Ground) -
     flight = ground.run(PLAN).wait(timeout_s=120).fly_again(2)
     experiment = ground.run(BY_HAND.format(vehicle=flight.info["vehicle_id"]))
     assert experiment.state["by_hand"] and not experiment.state["running"]
-    index = experiment.by_hand()["next"]["index"]
+    following = experiment.by_hand()["next"]
+    assert following is not None
+    index = following["index"]
     with pytest.raises(plumbline.Invalid, match="say why the flight is void"):
         experiment.say(index, flight, accepted=False)
     assert experiment.say(index, flight, accepted=False, reason="a gust")["said"][-1]["reason"] == "a gust"
     assert experiment.say(index, flight, accepted=True)["next"] is None
-    assert experiment.results()["conditions"][0]["measures"][0]["count"] == 1
+    (condition,) = experiment.results()["conditions"]
+    altitude = condition["measures"][0]
+    assert altitude is not None and altitude["count"] == 1
     assert experiment.fly_again(index).id == flight.id, "its dot is the recording"

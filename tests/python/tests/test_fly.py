@@ -103,7 +103,7 @@ def test_a_recording_is_taken_in_once(ground: plumbline.Ground, tmp_path: Path) 
     table.write_text(header + "".join(rows))
     flight = ground.import_recording(table)
     assert flight.info["name"] == "at rest.csv" and flight.info["notes"].startswith("imported from at rest.csv (broad)")
-    assert "estimate_1.attitude.w" in flight.to_polars(rate_hz=10).columns
+    assert any(name.startswith("estimate_1.") for name in flight.to_polars(rate_hz=10).columns)
     assert ground.import_recording(table).id == flight.id
     copy = flight.download(tmp_path)
     flight.delete()

@@ -106,7 +106,13 @@ impl Led {
         }
         self.at = match self.at {
             At::Rest if rested => At::SetUp,
-            At::SetUp if next.lacks.is_empty() && seen.estimator == next.estimator && (self.gains || next.gains.is_none()) => At::Arm,
+            At::SetUp
+                if next.lacks.is_empty()
+                    && seen.estimator == next.estimator
+                    && (self.gains || next.gains.is_none()) =>
+            {
+                At::Arm
+            }
             At::Arm if seen.armed && seen.holds => At::Fly,
             // Nothing of the profile was flown.
             At::Fly if !seen.armed => At::Arm,

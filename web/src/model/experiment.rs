@@ -121,7 +121,10 @@ pub fn templates(flights: &[String], vehicle: &str) -> [(&'static str, String); 
         ("How do controllers step, on strings and free?", plan("steps", 10, STEPS)),
         ("What does a harder world cost?", plan("worlds", 5, WORLDS)),
         ("Which estimator fits what was flown?", format!("{}{again}{RECORDED}", head("recorded", 1))),
-        ("On the rig, flown by hand: which estimator holds steps?", format!("{}{}", head("by_hand", 3), by_hand(vehicle))),
+        (
+            "On the rig, flown by hand: which estimator holds steps?",
+            format!("{}{}", head("by_hand", 3), by_hand(vehicle)),
+        ),
     ]
 }
 

@@ -92,12 +92,15 @@ fn Leading(id: String) -> impl IntoView {
         let (Some(led), Some(next)) = (ctx.led.get_untracked(), next.get_untracked()) else { return };
         leptos::task::spawn_local(async move {
             let said = Said { index: next.index, flight: led.flight, accepted, reason };
-            let answer = net::json::<ByHand>("POST", &address(&led.experiment), Some(json!(said).to_string()), &ctx.operator()).await;
+            let answer =
+                net::json::<ByHand>("POST", &address(&led.experiment), Some(json!(said).to_string()), &ctx.operator())
+                    .await;
             match answer {
                 Ok(told) => {
                     refused.try_set(String::new());
                     take(Ok(told));
-                    let goes_on = ctx.led.with_untracked(|now| now.as_ref().is_some_and(|now| now.experiment == led.experiment));
+                    let goes_on =
+                        ctx.led.with_untracked(|now| now.as_ref().is_some_and(|now| now.experiment == led.experiment));
                     if goes_on {
                         ctx.led.set(Some(Led::through(led.experiment)));
                     }
@@ -112,12 +115,14 @@ fn Leading(id: String) -> impl IntoView {
         let levels = next.levels.iter().map(|level| view! { <li>{level.clone()}</li> }).collect::<Vec<_>>();
         let lacks = next.lacks.clone();
         let next = StoredValue::new(next);
-        let of = move |n: usize| match n {
+        let of = move |n: usize| {
+            match n {
             0 => view! { <p class="num">{move || { ctx.tick.track(); let left_s = (rested_at.get() - net::unix_s()).max(0.0); format!("{} left", format::age(left_s)) }}</p> }.into_any(),
             1 => view! { <SetUp next /> }.into_any(),
             3 => view! { <Fly next /> }.into_any(),
             5 => view! { <Say say /> <p class="bad" role="alert">{refused}</p> }.into_any(),
             _ => ().into_any(),
+        }
         };
         view! {
             <ul class="levels num">{levels}</ul>
@@ -256,11 +261,17 @@ fn Say(say: impl Fn(bool, String) + Copy + 'static) -> impl IntoView {
         on_cleanup(move || timer.clear());
     }
     let whole = move || {
-        flight.with(|flight| flight.as_ref().is_some_and(|flight| !matches!(flight.completeness, Completeness::Recording | Completeness::Filling)))
+        flight.with(|flight| {
+            flight
+                .as_ref()
+                .is_some_and(|flight| !matches!(flight.completeness, Completeness::Recording | Completeness::Filling))
+        })
     };
     let measured = move || {
         flight.get().map(|flight| {
-            let rms = flight.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)));
+            let rms = flight
+                .tracking_rms_m
+                .map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)));
             let state = flight.completeness.name();
             view! {
                 <p class="num">

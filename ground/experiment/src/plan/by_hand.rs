@@ -111,7 +111,10 @@ impl ByHand {
             return Ok(by_hand);
         };
         let (count, hold_s) = (by_hand.altitude_m.len(), by_hand.hold_s);
-        Err(Wrong { section: SECTION, complaint: format!("`altitude_m`: {count} of {hold_s} s are {lasts_s} s, and {why}") })
+        Err(Wrong {
+            section: SECTION,
+            complaint: format!("`altitude_m`: {count} of {hold_s} s are {lasts_s} s, and {why}"),
+        })
     }
 
     /// From the first altitude to the end of the last, s.
@@ -128,7 +131,9 @@ impl ByHand {
             return Ok(Vec::new());
         }
         let drawn = self.attacked.attacks(sensors, seed);
-        let lacking = drawn.iter().find(|attack| attack.sensor.kind != v1::SensorKind::Rotor && !sensors.contains(&attack.sensor));
+        let lacking = drawn
+            .iter()
+            .find(|attack| attack.sensor.kind != v1::SensorKind::Rotor && !sensors.contains(&attack.sensor));
         match lacking {
             Some(attack) => Err(format!("{} has no {} to be attacked", self.vehicle, attack.sensor)),
             None if drawn.is_empty() => Err(format!("{} has no sensor of the kind to be attacked", self.vehicle)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ssl
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,7 +18,7 @@ OPERATOR = "X-Plumbline-Operator"
 SEEN = "X-Plumbline-Seen"
 
 #: Field, then name and content, of each file of a form.
-Files = list[tuple[str, tuple[str, IO[bytes]]]]
+Files = Sequence[tuple[str, tuple[str, IO[bytes]]]]
 Query = Mapping[str, str | int | float | bool | None]
 
 

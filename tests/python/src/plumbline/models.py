@@ -207,6 +207,25 @@ class Flown(TypedDict):
     unit: NotRequired[str]
 
 
+class FlownByHand(TypedDict):
+    """What was said of a flight, and by whom."""
+
+    accepted: NotRequired[bool]
+    flight: NotRequired[str]
+    index: NotRequired[int]
+    reason: NotRequired[str]
+    unix_us: NotRequired[int]
+    who: NotRequired[str]
+
+
+class Imported(TypedDict):
+    """`POST /api/v1/flights`: a recording from elsewhere is a flight now."""
+
+    already: NotRequired[bool]
+    flight: NotRequired[str]
+    notes: NotRequired[list[str]]
+
+
 class Labels(TypedDict):
     """`PATCH /api/v1/flights/{id}`; what is absent stays."""
 
@@ -384,6 +403,15 @@ class Revision(TypedDict):
 Role: TypeAlias = Literal['viewer', 'operator', 'attacker', 'admin']
 
 
+class Said(TypedDict):
+    """What is said of a flight."""
+
+    accepted: bool
+    flight: str
+    index: int
+    reason: NotRequired[str]
+
+
 class Samples(TypedDict):
     """`GET /api/v1/flights/{id}/signal`: samples, or of each stretch of time the least and the greatest, in their order."""
 
@@ -466,6 +494,7 @@ class Simulator(TypedDict):
 class Size(TypedDict):
     """What a plan comes to."""
 
+    by_hand: NotRequired[bool]
     conditions: NotRequired[int]
     done: NotRequired[int]
     expected_s: NotRequired[float]
@@ -501,6 +530,7 @@ class Spread(TypedDict):
 class State(TypedDict):
     """How an experiment stands."""
 
+    by_hand: NotRequired[bool]
     description: NotRequired[str]
     done: NotRequired[int]
     error: NotRequired[str | None]
@@ -729,6 +759,23 @@ class NewAccount(TypedDict):
     role: Role
 
 
+class NextByHand(TypedDict):
+    """What an operator is led through."""
+
+    attacks: NotRequired[list[PlannedAttack]]
+    estimator: NotRequired[str]
+    flights: NotRequired[int]
+    gains: NotRequired[int | None]
+    index: NotRequired[int]
+    lacks: NotRequired[str]
+    lasts_s: NotRequired[float]
+    levels: NotRequired[list[str]]
+    path: NotRequired[Trajectory]
+    place: NotRequired[int]
+    rest_left_s: NotRequired[float]
+    vehicle: NotRequired[str]
+
+
 class People(TypedDict):
     """`GET /api/v1/people`, and `GET /api/v1/sessions` without accounts."""
 
@@ -784,6 +831,13 @@ class Results(TypedDict):
     measures: NotRequired[list[Measure]]
     notes: NotRequired[list[str]]
     state: NotRequired[State]
+
+
+class ByHand(TypedDict):
+    """An experiment that an operator flies."""
+
+    next: NotRequired[NextByHand | None]
+    said: NotRequired[list[FlownByHand]]
 
 
 class Calibration(TypedDict):

@@ -75,7 +75,9 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
     let choose = move |asked: String| {
         leptos::task::spawn_local(async move {
             let flights = recorded().await;
-            if let Some((_, plan)) = templates(&flights, &vehicle()).into_iter().find(|(question, _)| *question == asked) {
+            if let Some((_, plan)) =
+                templates(&flights, &vehicle()).into_iter().find(|(question, _)| *question == asked)
+            {
                 text.try_set(plan);
             }
         });

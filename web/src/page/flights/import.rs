@@ -133,7 +133,12 @@ async fn files_of(folder: &FileSystemDirectoryEntry) -> Vec<(File, String)> {
             continue;
         }
         let entry: FileSystemFileEntry = entry.unchecked_into();
-        if let Some(file) = called(|done| { entry.file_with_callback(done); Ok(()) }).await {
+        if let Some(file) = called(|done| {
+            entry.file_with_callback(done);
+            Ok(())
+        })
+        .await
+        {
             let name = format!("{}/{}", folder.name(), entry.name());
             files.push((file.unchecked_into(), name));
         }
@@ -189,7 +194,8 @@ pub fn Imports(importer: Importer) -> impl IntoView {
     let any = Memo::new(move |_| importer.all.with(|all| !all.is_empty()));
     let told = |recording: Recording| {
         let name = recording.name.clone();
-        let what = move || match recording.stage.get() {
+        let what = move || {
+            match recording.stage.get() {
             Stage::Waiting => view! { <span class="quiet">"waits"</span> }.into_any(),
             Stage::Sending(share) if share < 1.0 => {
                 let percent = format::fixed(share * 100.0, 0);
@@ -206,6 +212,7 @@ pub fn Imports(importer: Importer) -> impl IntoView {
                 let why = why.strip_prefix(&format!("{}: ", recording.name)).map(str::to_owned).unwrap_or(why);
                 view! { <span class="bad">{why}</span> }.into_any()
             }
+        }
         };
         view! { <li><b>{name}</b> {what}</li> }
     };
