@@ -410,13 +410,21 @@ await step(page, 'rename and annotate, kept after a reload', async () => {
   await name.fill('String test, height 2 attacked');
   await name.press('Tab');
   const notes = page.getByLabel('Notes', { exact: true }).and(page.locator('textarea'));
-  await notes.fill('first flight of the day');
+  await notes.fill('first flight of the day #calm');
   await notes.press('Tab');
   await until('the notes to be saved', async () => {
     const kept = await (await page.request.get(`${url}/api/v1/flights/${flight.id}`)).json();
-    return kept.name === 'String test, height 2 attacked' && kept.notes === 'first flight of the day';
+    return kept.name === 'String test, height 2 attacked' && kept.notes === 'first flight of the day #calm';
   });
   await page.reload();
+  await until('the name', async () => (await name.inputValue()) === 'String test, height 2 attacked');
+  // A word with a hash is a tag: the list finds by it.
+  const there = page.url();
+  await page.goto(`${url}/flights`);
+  await button('#calm').click();
+  await until('found by its tag', async () => (await page.getByLabel('Filter flights').inputValue()) === '#calm'
+    && (await page.getByRole('row').count()) === 2);
+  await page.goto(there);
   await until('the name', async () => (await name.inputValue()) === 'String test, height 2 attacked');
 });
 

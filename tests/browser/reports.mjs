@@ -220,6 +220,9 @@ await step(page, 'a chart goes along as CSV: what is visible, a column per curve
   assert(times.length > 100 && span <= length + 1e-6 && span > 0.5 * length, `${times.length} rows over ${span} s`);
   const svg = readFileSync(await save(() => button('Altitude: what is visible as SVG').click()), 'utf8');
   assert(svg.startsWith('<svg xmlns=') && svg.includes('>setpoint<') && !/var\(|style=|href/.test(svg), svg.slice(0, 300));
+  const png = readFileSync(await save(() => button('Altitude: what is visible as PNG').click()));
+  const [wide, high] = [png.readUInt32BE(16), png.readUInt32BE(20)];
+  assert(png.subarray(1, 4).toString() === 'PNG' && wide > 2000 && high > 500 && png.length > 10_000, `${wide}×${high}, ${png.length} bytes`);
   const picture = await context.newPage();
   await picture.setContent(svg);
   assert((await picture.locator('svg path.line').count()) >= 3, 'no curves in it');
@@ -442,7 +445,7 @@ await step(page, 'experiments by hand: led through a drawn order on the vehicle;
   const text = page.getByLabel('Plan, TOML');
   await until('the plan', async () => /\[by_hand\]/.test(await text.inputValue()));
   const short = (await text.inputValue()).replace('repeats = 3', 'repeats = 1').replace(/altitude_m = .*/, 'altitude_m = [0.5, 0.7]')
-    .replace('hold_s = 8.0', 'hold_s = 6.5').replace('rest_s = 20.0', 'rest_s = 3.0');
+    .replace('rest_s = 20.0', 'rest_s = 3.0');
   await text.fill(`${short}[attack]\nsensor = "height"\nkind = "bias"\nmagnitude = 0.2\nstart_s = 6.0\nduration_s = 4.0\n`);
   await until('2 flights', async () => /2 flights.*at the stick/.test(await plan.getByRole('status').textContent()));
   await button('Keep').click();

@@ -171,14 +171,51 @@ pub fn download(url: &str, name: &str) {
 
 /// Has the browser keep a text as a file.
 pub fn save(name: &str, mime: &str, text: &str) {
+    // Without an address there is no file, and nothing to say but that none came.
+    let Some(url) = address_of(mime, text) else { return };
+    download(&url, name);
+    let _ = web_sys::Url::revoke_object_url(&url);
+}
+
+/// Where the browser has a text, until the address is revoked.
+fn address_of(mime: &str, text: &str) -> Option<String> {
     let kind = web_sys::BlobPropertyBag::new();
     kind.set_type(mime);
     let parts = js_sys::Array::of1(&JsValue::from_str(text));
-    let blob = web_sys::Blob::new_with_str_sequence_and_options(&parts, &kind);
-    // Without either there is no file, and nothing to say but that none came.
-    let Some(url) = blob.ok().and_then(|b| web_sys::Url::create_object_url_with_blob(&b).ok()) else { return };
-    download(&url, name);
-    let _ = web_sys::Url::revoke_object_url(&url);
+    let blob = web_sys::Blob::new_with_str_sequence_and_options(&parts, &kind).ok()?;
+    web_sys::Url::create_object_url_with_blob(&blob).ok()
+}
+
+/// Dots of a picture for each of its px: as sharp as print wants it.
+const PNG_SCALE: f64 = 3.0;
+
+/// Has the browser draw an SVG and keep it as a PNG.
+pub fn save_png(name: &str, svg: &str) {
+    let (name, svg) = (name.to_owned(), svg.to_owned());
+    leptos::task::spawn_local(async move {
+        let Some(url) = address_of("image/svg+xml", &svg) else { return };
+        // A browser that cannot draw it makes no file, as one that cannot keep it.
+        if let Ok(png) = drawn(&url).await {
+            download(&png, &name);
+        }
+        let _ = web_sys::Url::revoke_object_url(&url);
+    });
+}
+
+/// The picture at an address as a PNG, itself as an address.
+async fn drawn(url: &str) -> Result<String, JsValue> {
+    let image = web_sys::HtmlImageElement::new()?;
+    image.set_src(url);
+    JsFuture::from(image.decode()).await?;
+    let document = web_sys::window().and_then(|window| window.document()).ok_or(JsValue::UNDEFINED)?;
+    let canvas: web_sys::HtmlCanvasElement = document.create_element("canvas")?.dyn_into()?;
+    let [width, height] = [image.natural_width(), image.natural_height()].map(|px| f64::from(px) * PNG_SCALE);
+    canvas.set_width(width as u32);
+    canvas.set_height(height as u32);
+    let context = canvas.get_context("2d")?.ok_or(JsValue::UNDEFINED)?;
+    let context: web_sys::CanvasRenderingContext2d = context.dyn_into().map_err(JsValue::from)?;
+    context.draw_image_with_html_image_element_and_dw_and_dh(&image, 0.0, 0.0, width, height)?;
+    canvas.to_data_url()
 }
 
 /// Lets the browser do other things for `ms`.

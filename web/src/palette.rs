@@ -1,4 +1,5 @@
-//! One colour for one thing, on every page: Okabe–Ito, safe for colour-blind eyes.
+//! One colour for one thing, on every page. They began as Okabe–Ito; those that were too pale on white, or too near to another,
+//! were moved as little as had to be: any two are told apart, in both themes (the tests say how far).
 //!
 //! The style sheet has the same colours under the names used here; dark pages lighten some of them.
 
@@ -40,32 +41,34 @@ pub const SETPOINT: Ink = Ink::new(0x1c2128, 0xe8ecf1, "var(--setpoint)");
 /// Estimate in the loop.
 pub const IN_LOOP: Ink = Ink::new(0x0072b2, 0x3d9fe0, "var(--in-loop)");
 /// Another estimator: greens and purples, told apart by how light they are.
-pub const OTHER_1: Ink = Ink::new(0x009e73, 0x1fbf92, "var(--other-1)");
+pub const OTHER_1: Ink = Ink::new(0x009e73, 0x2ab76f, "var(--other-1)");
 /// A third.
-pub const OTHER_2: Ink = Ink::new(0xcc79a7, 0xdb93ba, "var(--other-2)");
-const OTHER_3: Ink = Ink::new(0x00573f, 0x0f7f60, "var(--other-3)");
-const OTHER_4: Ink = Ink::new(0x7d3a60, 0x9c567e, "var(--other-4)");
-const OTHER_5: Ink = Ink::new(0x5fb08f, 0xa5ecd4, "var(--other-5)");
-const OTHER_6: Ink = Ink::new(0xa78bd0, 0xc8b6f0, "var(--other-6)");
-const OTHER_7: Ink = Ink::new(0x4b3f9e, 0x8f86e8, "var(--other-7)");
+pub const OTHER_2: Ink = Ink::new(0xcc79a7, 0xf989b6, "var(--other-2)");
+const OTHER_3: Ink = Ink::new(0x00461b, 0x117e63, "var(--other-3)");
+const OTHER_4: Ink = Ink::new(0x783657, 0x9e5781, "var(--other-4)");
+const OTHER_5: Ink = Ink::new(0x1b6e69, 0xaffdd2, "var(--other-5)");
+const OTHER_6: Ink = Ink::new(0x918ad8, 0xcab4f4, "var(--other-6)");
+const OTHER_7: Ink = Ink::new(0x4a3f9d, 0x7f77ee, "var(--other-7)");
 /// Raw sensor.
-pub const SENSOR_1: Ink = Ink::new(0xe69f00, 0xe69f00, "var(--sensor-1)");
+pub const SENSOR_1: Ink = Ink::new(0x86621f, 0xa17914, "var(--sensor-1)");
 /// Raw sensor.
-pub const SENSOR_2: Ink = Ink::new(0x56b4e9, 0x56b4e9, "var(--sensor-2)");
+pub const SENSOR_2: Ink = Ink::new(0x4b9fad, 0x74cfd9, "var(--sensor-2)");
 /// Raw sensor.
-pub const SENSOR_3: Ink = Ink::new(0xa89a1a, 0xd8cc3c, "var(--sensor-3)");
+pub const SENSOR_3: Ink = Ink::new(0x9c9643, 0xd4c839, "var(--sensor-3)");
 /// Truth: dashed neutral.
-pub const TRUTH: Ink = Ink::new(0x6b7480, 0x98a2ae, "var(--truth)");
+pub const TRUTH: Ink = Ink::new(0x74767e, 0x95989f, "var(--truth)");
 /// Attacks, gates, rejection.
 pub const ATTACK: Ink = Ink::new(0xd55e00, 0xf07a1e, "var(--attack)");
 
+/// Every one of them.
+const ALL: [Ink; 14] = [
+    SETPOINT, IN_LOOP, OTHER_1, OTHER_2, OTHER_3, OTHER_4, OTHER_5, OTHER_6, OTHER_7, SENSOR_1, SENSOR_2, SENSOR_3,
+    TRUTH, ATTACK,
+];
+
 /// The colour that the style sheet has by this name.
 pub fn named(css: &str) -> Option<Ink> {
-    let all = [
-        SETPOINT, IN_LOOP, OTHER_1, OTHER_2, OTHER_3, OTHER_4, OTHER_5, OTHER_6, OTHER_7, SENSOR_1, SENSOR_2, SENSOR_3,
-        TRUTH, ATTACK,
-    ];
-    all.into_iter().find(|ink| ink.css == css)
+    ALL.into_iter().find(|ink| ink.css == css)
 }
 
 /// The colour of an estimator.
@@ -139,6 +142,46 @@ mod tests {
         let with_altitude = [1, 2, 3, 4, 5, 7, 9];
         for (i, one) in with_altitude.iter().enumerate() {
             assert!(with_altitude[..i].iter().all(|other| estimator(*one, 1) != estimator(*other, 1)), "{one}");
+        }
+    }
+
+    /// By CIEDE2000, and by how far they lie apart in L*a*b*.
+    #[test]
+    fn any_two_curves_are_told_apart_and_each_stands_out_from_its_chart() {
+        use palette::color_difference::{Ciede2000 as _, EuclideanDistance as _};
+        use palette::{FromColor as _, Lab, Srgb};
+        let lab = |color: Color| Lab::from_color(Srgb::new(color.r, color.g, color.b).into_format::<f64>());
+        let hex = |color: Color| format!("#{:02x}{:02x}{:02x}", color.r, color.g, color.b);
+        for (dark, plot) in [(false, "#ffffff"), (true, "#161a20")] {
+            for (i, one) in ALL.iter().enumerate() {
+                let (a, b) = (luminance(&hex(one.on(dark))), luminance(plot));
+                let contrast = (a.max(b) + 0.05) / (a.min(b) + 0.05);
+                assert!(contrast >= 3.0, "{} has a contrast of {contrast:.2} (dark: {dark})", one.css);
+                for other in &ALL[..i] {
+                    let (x, y) = (lab(one.on(dark)), lab(other.on(dark)));
+                    let (seen, apart) = (x.difference(y), x.distance(y));
+                    assert!(seen >= 20.0 && apart >= 20.0, "{} and {}: ΔE {seen:.1}, {apart:.1}", one.css, other.css);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn both_style_sheets_have_these_colours_for_whatever_they_show() {
+        let (light, dark) = include_str!("../style.css").split_once(":root[data-theme=\"dark\"]").unwrap();
+        let report = include_str!("../report.css");
+        let named = |ink: &Ink, color: Color| {
+            let name = ink.css.trim_start_matches("var(").trim_end_matches(')');
+            format!("{name}: #{:02x}{:02x}{:02x};", color.r, color.g, color.b)
+        };
+        for ink in ALL {
+            assert!(light.contains(&named(&ink, ink.light)), "{}", ink.css);
+            assert!(dark.contains(&named(&ink, ink.dark)), "{}, dark", ink.css);
+        }
+        // Kept as a file, or printed: what its figures are drawn in.
+        let estimators = (1..10).map(|number| estimator(number, 0));
+        for ink in estimators.chain([SETPOINT, IN_LOOP, TRUTH, ATTACK]) {
+            assert_eq!(report.matches(&named(&ink, ink.light)).count(), 2, "{}", ink.css);
         }
     }
 

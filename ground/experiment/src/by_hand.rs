@@ -139,8 +139,12 @@ pub fn keep(experiment: &Experiment, told: &FlownByHand, library: &Library) -> R
         }
     }
     let row = if told.accepted { Some(judged(plan, *index, flight, library)?) } else { None };
-    // Whoever holds it is alone with its files.
+    // Whoever holds it is alone with its files. A row without the word for it does not count; a word without its row would.
     let mut held = experiment.hold()?;
+    if let Some(row) = row {
+        held.append(&row)?;
+        held.sync();
+    }
     let line = serde_json::to_string(told).unwrap_or_default() + "\n";
     let path = path(experiment);
     let kept = File::options().append(true).create(true).open(&path).and_then(|mut file| {
@@ -149,10 +153,6 @@ pub fn keep(experiment: &Experiment, told: &FlownByHand, library: &Library) -> R
         file.write_all(format!("{}{line}", if begun { "\n" } else { "" }).as_bytes())?;
         file.sync_data()
     });
-    if let Some(row) = row {
-        held.append(&row)?;
-        held.sync();
-    }
     kept.map_err(|source| ByHandError::Store(StoreError::Io { path, source }))
 }
 

@@ -53,9 +53,21 @@ pub(crate) async fn say(
             recorded(&within, &experiment, &told)?;
         }
         by_hand::keep(&experiment, &told, within.experiments.library())?;
+        note(&within, &experiment, &told)?;
         self::told(&within, &experiment)
     });
     Ok(Json(answer.await?))
+}
+
+/// Writes it into the notes of the flight, too: what counts is read again when its dot is opened, and retention keeps what has notes.
+fn note(app: &App, experiment: &Experiment, told: &FlownByHand) -> Result<(), ApiError> {
+    // A flight that was never recorded can be void.
+    let Ok(flight) = app.recorder.flight(&told.flight) else { return Ok(()) };
+    let word = if told.accepted { "accepted".to_owned() } else { format!("void, {}", told.reason) };
+    let line = format!("{}, flight {}: {word}", experiment.id, told.index);
+    let notes = [flight.notes.as_str(), line.as_str()].into_iter().filter(|text| !text.is_empty()).collect::<Vec<_>>();
+    app.recorder.label(&told.flight, None, Some(notes.join("\n")))?;
+    Ok(())
 }
 
 /// Is the recording whole, and one of the plan's vehicle?

@@ -9,7 +9,7 @@ use async_nats::jetstream::message::PublishMessage;
 use futures_util::{StreamExt as _, TryStreamExt as _};
 use plumbline_experiment::part::Part;
 use plumbline_experiment::run::Ended;
-use plumbline_experiment::store::{Experiment, Held};
+use plumbline_experiment::store::{Experiment, Held, StoreError};
 
 use super::{Job, ManyError, Poisoned, Queue, Shards, jobs, nats, poison};
 
@@ -96,6 +96,9 @@ pub async fn spread(
 ) -> Result<Ended, ManyError> {
     if experiment.plan.stop.is_some() {
         return Err(ManyError::Stops);
+    }
+    if experiment.plan.is_by_hand() {
+        return Err(StoreError::ByHand(experiment.id.clone()).into());
     }
     let mut gathered = Gathered::hold(experiment, shards)?;
     let mut queue = Queue::open(url).await?;

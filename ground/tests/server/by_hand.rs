@@ -127,6 +127,11 @@ async fn flights_by_hand_are_led_through_in_a_drawn_order_and_count_when_accepte
     assert!((0.0005..0.1).contains(&altitude["median"].as_f64().unwrap()), "{altitude}");
     let dot = ground.request("POST", &format!("{at}/flights/{index}"), "").await;
     assert_eq!(dot.json(), json!({ "flight": own }));
+    let noted = ground.json(&format!("/api/v1/flights/{own}")).await["notes"].as_str().unwrap().to_owned();
+    assert!(
+        noted.ends_with(&format!("flight {index}: accepted")) && noted.contains("void, a string slipped"),
+        "{noted}"
+    );
     assert!(ground.get(&format!("{at}/report.html")).await.text().contains("1 of 2 flights"));
 
     // WHEN it is void after all THEN it counts no more; accepted again it does

@@ -58,6 +58,22 @@ pub fn when(unix_us: u64, offset_min: i64) -> String {
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}")
 }
 
+/// Most tags that a list shows of a flight.
+const TAGS: usize = 4;
+
+/// Words of notes that begin with `#`: what flights are found by together.
+pub fn tags(notes: &str) -> Vec<String> {
+    let mut tags: Vec<String> = Vec::new();
+    for word in notes.split_whitespace().filter(|word| word.starts_with('#')) {
+        let named: String = word.chars().skip(1).take_while(|c| c.is_alphanumeric() || "-_".contains(*c)).collect();
+        let tag = format!("#{}", named.to_lowercase());
+        if !named.is_empty() && !tags.contains(&tag) && tags.len() < TAGS {
+            tags.push(tag);
+        }
+    }
+    tags
+}
+
 /// Least height of a thumbnail, m: noise on the ground is no flight.
 const THUMBNAIL_SPAN_M: f64 = 0.5;
 
@@ -119,6 +135,13 @@ mod tests {
     use plumbline_rest::flight::{FlownAttack, Outline};
 
     use super::*;
+
+    #[test]
+    fn words_with_a_hash_are_tags() {
+        assert_eq!(tags("#Windy, new #prop-8 and #windy\nSHA-256 3#4 # ##x"), ["#windy", "#prop-8"]);
+        assert_eq!(tags("#a #b #c #d #e").len(), TAGS);
+        assert!(tags("nothing").is_empty());
+    }
 
     #[test]
     fn a_thumbnail_holds_every_stretch_that_is_known_and_its_attacks() {

@@ -198,7 +198,7 @@ pub fn FlightsPage() -> impl IntoView {
                                             on:change=move |_| toggle(id.clone())
                                         />
                                     </td>
-                                    <Row flight />
+                                    <Row flight asked />
                                 </tr>
                             }
                         }).collect::<Vec<_>>()}
@@ -253,7 +253,7 @@ fn address(asked: &Listing) -> String {
 
 /// The cells of one flight.
 #[component]
-fn Row(flight: Flight) -> impl IntoView {
+fn Row(flight: Flight, asked: RwSignal<Listing>) -> impl IntoView {
     let (id, title) = (flight.id.clone(), flight.title().to_owned());
     let steps = flight.steps.len();
     let attacks = flight.attacks.len();
@@ -272,6 +272,15 @@ fn Row(flight: Flight) -> impl IntoView {
         <td class="picture"><Picture flight=flight.clone() /></td>
         <td class="flight-name">
             <Link to=Route::Flight(id)>{title}</Link>
+            {listing::tags(&flight.notes).into_iter().map(|tag| {
+                let search = tag.clone();
+                view! {
+                    <button type="button" class="small plain flight-tag" title="Every flight with this tag" on:click=move |_| asked.update(|asked| {
+                        asked.search.clone_from(&search);
+                        asked.offset = 0;
+                    })>{tag}</button>
+                }
+            }).collect::<Vec<_>>()}
             {flight.deleted_unix_us.map(|at| view! {
                 <span class="quiet num" title="Retention deletes it then; a name or a note keeps it">
                     {format!(" until {}", listing::when(at, local_offset_min()))}

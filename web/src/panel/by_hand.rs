@@ -80,6 +80,10 @@ fn Leading(id: String) -> impl IntoView {
     Effect::new(move |_| {
         let seen = ctx.live(Seen::of);
         let (Some(next), Some(led)) = (next.get(), ctx.led.get_untracked()) else { return };
+        // What another vehicle does is no step of this flight.
+        if ctx.app(|app| app.vehicle.as_ref() != Some(&next.vehicle)) {
+            return;
+        }
         let mut after = led.clone();
         after.go_on(&next, &seen, net::unix_s() >= rested_at.get());
         if after != led {
@@ -126,6 +130,12 @@ fn Leading(id: String) -> impl IntoView {
         };
         view! {
             <ul class="levels num">{levels}</ul>
+            {move || {
+                let vehicle = next.with_value(|next| next.vehicle.clone());
+                let other = ctx.app(|app| app.vehicle.as_ref() != Some(&vehicle));
+                let choose = vehicle.clone();
+                other.then(|| view! { <p><button type="button" on:click=move |_| ctx.dispatch(Event::Choose(choose.clone()))>{format!("Show {vehicle}")}</button></p> })
+            }}
             {(!lacks.is_empty()).then(|| view! { <p class="bad" role="alert">{lacks}</p> })}
             <ol aria-live="polite">
                 {STEPS.into_iter().enumerate().map(|(n, (title, how))| view! {
@@ -165,7 +175,6 @@ fn spoken(last: &FlownByHand) -> String {
 #[component]
 fn SetUp(next: StoredValue<NextByHand>) -> impl IntoView {
     let ctx = ctx();
-    let other = move || ctx.app(|app| app.vehicle.clone()) != Some(next.with_value(|next| next.vehicle.clone()));
     let send = move |_| {
         let NextByHand { estimator, gains, .. } = next.get_value();
         ctx.command("Estimator", "POST", "estimator", json!({ "estimator": estimator }));
@@ -184,13 +193,7 @@ fn SetUp(next: StoredValue<NextByHand>) -> impl IntoView {
     };
     view! {
         <p class="num">{wanted}</p>
-        {move || if other() {
-            let vehicle = next.with_value(|next| next.vehicle.clone());
-            let choose = vehicle.clone();
-            view! { <button type="button" on:click=move |_| ctx.dispatch(Event::Choose(choose.clone()))>{format!("Show {vehicle}")}</button> }.into_any()
-        } else {
-            view! { <button type="button" on:click=send>"Set up"</button> }.into_any()
-        }}
+        <button type="button" on:click=send>"Set up"</button>
     }
 }
 
@@ -250,6 +253,10 @@ fn Say(say: impl Fn(bool, String) + Copy + 'static) -> impl IntoView {
     let reason = RwSignal::new(if early { "it ended before its profile did".to_owned() } else { String::new() });
     let look = move || {
         let id = ctx.led.with_untracked(|led| led.as_ref().map(|led| led.flight.clone())).unwrap_or_default();
+        // Nothing was recorded where nothing was flown.
+        if id.is_empty() {
+            return;
+        }
         leptos::task::spawn_local(async move {
             if let Ok(found) = net::json::<Flight>("GET", &format!("/api/v1/flights/{id}"), None, "").await {
                 flight.try_set(Some(found));

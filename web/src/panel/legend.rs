@@ -222,14 +222,16 @@ pub fn PictureButton(
     picture: Picture,
 ) -> impl IntoView {
     let deck = deck();
+    let file = name.to_lowercase().replace(' ', "-");
+    let label = |form: &str| format!("{name}: what is visible as {form}");
+    let labels = [label("SVG"), label("PNG")];
+    let drawn = StoredValue::new((name, unit));
+    let svg = move || drawn.with_value(|(name, unit)| svg_of(deck, name, unit, &entries.get_untracked(), picture));
+    let [vector, raster] = labels;
+    let again = file.clone();
     view! {
-        <button
-            type="button"
-            class="small plain"
-            aria-label=format!("{name}: what is visible as SVG")
-            title="What is visible, as a picture (SVG)"
-            on:click=move |_| save_picture(deck, &name, &unit, &entries.get_untracked(), picture)
-        >"SVG"</button>
+        <button type="button" class="small plain" aria-label=vector title="What is visible, as a picture (SVG)" on:click=move |_| net::save(&format!("{file}.svg"), "image/svg+xml", &svg())>"SVG"</button>
+        <button type="button" class="small plain" aria-label=raster title="What is visible, as a picture (PNG)" on:click=move |_| net::save_png(&format!("{again}.png"), &svg())>"PNG"</button>
     }
 }
 
@@ -252,8 +254,8 @@ fn error_text(deck: Deck, curve: Curve, decimals: usize) -> String {
 }
 
 /// Keeps what is visible of some curves as a picture.
-fn save_picture(deck: Deck, name: &str, unit: &str, entries: &[Entry], picture: Picture) {
-    let svg = deck.data.with_value(|live| {
+fn svg_of(deck: Deck, name: &str, unit: &str, entries: &[Entry], picture: Picture) -> String {
+    deck.data.with_value(|live| {
         let time = deck.axis(live);
         let shown = entries.iter().filter(|e| deck.shows(live, e.curve));
         // The legend begins with what lies on top.
@@ -279,8 +281,7 @@ fn save_picture(deck: Deck, name: &str, unit: &str, entries: &[Entry], picture: 
         let attacked = attacked.map(|s| (s.start_s, s.end_s)).collect();
         let origin_s = deck.label_origin_s(live, time);
         Figure { title: name.to_owned(), unit: unit.to_owned(), time, origin_s, values, attacked, lines }.svg()
-    });
-    net::save(&format!("{}.svg", name.to_lowercase().replace(' ', "-")), "image/svg+xml", &svg);
+    })
 }
 
 /// Keeps what is visible of some curves as a file.

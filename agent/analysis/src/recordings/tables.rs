@@ -8,6 +8,9 @@ use flate2::read::MultiGzDecoder;
 
 use super::RecordingError;
 
+/// Longest table, unpacked, bytes: a day of one IMU at 100 Hz.
+const MOST_BYTES: u64 = 1 << 30;
+
 fn io(path: &Path) -> impl Fn(std::io::Error) -> RecordingError + '_ {
     move |source| RecordingError::Io { path: path.to_owned(), source }
 }
@@ -18,7 +21,25 @@ pub(super) fn reader(path: &Path) -> Result<Box<dyn Read>, RecordingError> {
     let mut magic = [0; 2];
     let is_gzip = open()?.read_exact(&mut magic).is_ok() && magic == [0x1f, 0x8b];
     let file = BufReader::new(open()?);
-    Ok(if is_gzip { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) })
+    let inner: Box<dyn Read> = if is_gzip { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) };
+    Ok(Box::new(Bounded { inner, left: MOST_BYTES }))
+}
+
+/// Fails where there is more: a few bytes of gzip can be any number of bytes.
+struct Bounded {
+    inner: Box<dyn Read>,
+    left: u64,
+}
+
+impl Read for Bounded {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.inner.read(buffer)?;
+        self.left = self.left.checked_sub(count as u64).ok_or_else(|| {
+            let text = format!("it has more than {MOST_BYTES} bytes, unpacked");
+            std::io::Error::new(std::io::ErrorKind::InvalidData, text)
+        })?;
+        Ok(count)
+    }
 }
 
 /// The first `n` bytes, decompressed.
@@ -91,5 +112,21 @@ pub(super) fn for_each_row(
             Err(e) if rows > 0 && e.is_io_error() => return Ok((rows, true)),
             Err(e) => return Err(RecordingError::malformed(path, format!("after {rows} rows: {e}"))),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_than_the_most_is_refused_and_not_cut() {
+        let read = |left| {
+            let mut text = String::new();
+            let mut bounded = Bounded { inner: Box::new(&b"t_s,x\n0,1\n"[..]), left };
+            bounded.read_to_string(&mut text).map(|_| text)
+        };
+        assert_eq!(read(10).unwrap(), "t_s,x\n0,1\n");
+        assert!(read(9).unwrap_err().to_string().contains("unpacked"));
     }
 }

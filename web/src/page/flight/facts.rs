@@ -85,7 +85,7 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
             <textarea
                 id="notes"
                 rows="4"
-                placeholder="What was tried, what was seen. Begin a line with a time (1:23) and it stands on the timeline."
+                placeholder="What was tried, what was seen. Begin a line with a time (1:23) and it stands on the timeline; a #word is a tag."
                 prop:value=notes
                 on:input:target=move |e| notes.set(e.target().value())
                 on:change=move |_| {

@@ -96,8 +96,13 @@ pub fn ReportPage(
                 <button type="button" class="push" disabled=move || !ready.get() on:click=print>"Print"</button>
                 <button type="button" disabled=move || !ready.get() on:click=move |_| save("html", "text/html", |r| document(&r.title, &r.body))>"Save as HTML"</button>
                 <button type="button" disabled=move || !ready.get() title="Every table, for booktabs" on:click=move |_| save("tex", "application/x-tex", |r| r.latex.clone())>"LaTeX tables"</button>
-                {move || pictures().into_iter().enumerate().map(|(i, (name, svg))| view! {
-                    <button type="button" title=format!("{name}, as a picture") on:click=move |_| net::save(&format!("{}-{}.svg", file.get_value(), i + 1), "image/svg+xml", &svg)>{format!("Figure {} SVG", i + 1)}</button>
+                {move || pictures().into_iter().enumerate().map(|(i, (name, svg))| {
+                    let number = i + 1;
+                    let drawn = svg.clone();
+                    view! {
+                        <button type="button" title=format!("{name}, as a picture") on:click=move |_| net::save(&format!("{}-{number}.svg", file.get_value()), "image/svg+xml", &svg)>{format!("Figure {number} SVG")}</button>
+                        <button type="button" title=format!("{name}, as a picture") aria-label=format!("Figure {number} PNG") on:click=move |_| net::save_png(&format!("{}-{number}.png", file.get_value()), &drawn)>"PNG"</button>
+                    }
                 }).collect_view()}
             </div>
             {move || report.with(|r| match r {
