@@ -384,7 +384,24 @@ await step(page, 'compare: laid together, their difference, and what was not the
   const differs = await region('Configuration and gains').getByRole('rowheader').allTextContents();
   assert(differs.includes('deviation of altitude'), JSON.stringify(differs));
   await shots('compare');
-  return { before, after: await rms(), differs };
+  const after = await rms();
+  // Any signal instead of the altitude, in its own unit; a misspelt one is said, and an empty field is the altitude again.
+  const what = page.getByLabel('What is compared: the altitude, or a signal by its name');
+  const ask = async (name) => {
+    await what.fill(name);
+    await what.press('Tab');
+  };
+  await ask('control.thrust');
+  await until('no such signal', async () => /is no signal of the first flight/.test(await page.locator('#main').getByRole('alert').textContent()));
+  await ask('control.thrust_n');
+  const thrust = region('Difference of control.thrust_n');
+  await drawn(page, thrust.getByRole('img').first(), 'the difference of thrust');
+  await until('its RMS', async () => number(/(\d+\.\d+)$/.exec(await thrust.getByRole('listitem').first().textContent())?.[1]) > 0);
+  assert(/minus .*/.test(await thrust.textContent()) && (await thrust.textContent()).includes('RMS N'), await thrust.textContent());
+  await shots('compare-signal');
+  await ask('');
+  await until('the altitude again', async () => (await rms()) > 0);
+  return { before, after, differs };
 });
 
 await step(page, 'a flight that there is not is a page that says so', async () => {

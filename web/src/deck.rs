@@ -173,8 +173,10 @@ pub struct Deck {
     pub pins: RwSignal<Option<[f64; 2]>>,
     /// Curves that their legend was asked to hide.
     pub hidden: RwSignal<Vec<Curve>>,
-    /// Differences up to here pass, mm.
-    pub tolerance_mm: RwSignal<Option<f64>>,
+    /// Differences up to here pass, in the unit they are drawn in.
+    pub tolerance: RwSignal<Option<f64>>,
+    /// Is what is compared another quantity than the altitude?
+    pub another: RwSignal<bool>,
     /// Curve that its legend points at: the others of its chart step back.
     pub lit: RwSignal<Option<Curve>>,
     /// Groups of curves that are unfolded, and drawn.
@@ -212,7 +214,8 @@ impl Deck {
             notes: RwSignal::new(Vec::new()),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
-            tolerance_mm: RwSignal::new(None),
+            tolerance: RwSignal::new(None),
+            another: RwSignal::new(false),
             lit: RwSignal::new(None),
             unfolded: RwSignal::new(store::unfolded()),
             listed: RwSignal::new(Vec::new()),

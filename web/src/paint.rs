@@ -142,7 +142,7 @@ struct Recorded {
     error_axis: Axis,
     hidden: Vec<Curve>,
     lit: Option<Curve>,
-    tolerance_mm: Option<f64>,
+    tolerance: Option<f64>,
     unfolded: Vec<Group>,
     /// Of all curves: another estimator's may be laid over them.
     curves: (usize, u64),
@@ -164,7 +164,7 @@ impl Recorded {
             error_axis: deck.error_axis.get_untracked(),
             hidden: deck.hidden.get_untracked(),
             lit: deck.lit.get_untracked(),
-            tolerance_mm: deck.tolerance_mm.get_untracked(),
+            tolerance: deck.tolerance.get_untracked(),
             unfolded: deck.unfolded.get_untracked(),
             curves,
         })

@@ -1,12 +1,13 @@
-//! Compare: the altitude of several recordings over the same time axis, what each differs by from the first and whether
-//! that is within a tolerance, all their steps, and what they were flown with.
+//! Compare: the altitude, or any signal, of several recordings over the same time axis, what each differs by from the first and
+//! whether that is within a tolerance, all their steps, and what they were flown with.
 
 use leptos::prelude::*;
-use plumbline_rest::flight::Flight;
+use plumbline_rest::flight::{Flight, Samples, Signal as Recorded, Signals};
 
 use crate::{
     ctx::ctx,
     deck::{Deck, Picture},
+    event::Failure,
     model::{
         axis::TimeAxis,
         configuration::{Row, all, differences},
@@ -75,9 +76,9 @@ fn take_off(altitude: &Series) -> Option<f64> {
     known.find(|(_, value)| f64::from(value - ground) > OFF_THE_GROUND_M).map(|(time_s, _)| time_s)
 }
 
-/// Altitude and setpoint of each flight as curves of one, what `align` names at the same time and then each moved by its
-/// `shifts_s`; and what each altitude differs by from the first.
-fn overlay(flights: &[Live], align: Align, shifts_s: &[f64]) -> Curves {
+/// Altitude and setpoint of each flight, or its `signal`, as curves of one, what `align` names at the same time and then each moved
+/// by its `shifts_s`; and what each differs by from the first: altitudes in mm.
+fn overlay(flights: &[Live], align: Align, shifts_s: &[f64], signal: bool) -> Curves {
     let mut out = Curves::unbounded();
     let at: Vec<f64> = flights
         .iter()
@@ -96,12 +97,17 @@ fn overlay(flights: &[Live], align: Align, shifts_s: &[f64]) -> Curves {
                 }
             }
         };
-        copy(Curve::Altitude(flight.in_loop()), Curve::Compared(i as u8));
-        copy(Curve::SetpointAltitude, Curve::ComparedSetpoint(i as u8));
+        if signal {
+            copy(Curve::Signal(0), Curve::Compared(i as u8));
+        } else {
+            copy(Curve::Altitude(flight.in_loop()), Curve::Compared(i as u8));
+            copy(Curve::SetpointAltitude, Curve::ComparedSetpoint(i as u8));
+        }
     }
+    let factor = if signal { 1.0 } else { 1e3 };
     for i in 1..flights.len() as u8 {
-        for (time_s, off_m) in out.minus(Curve::Compared(i), Curve::Compared(0)) {
-            out.push(Curve::Difference(i), (time_s * 1e6).round() as u64, off_m * 1e3);
+        for (time_s, off) in out.minus(Curve::Compared(i), Curve::Compared(0)) {
+            out.push(Curve::Difference(i), (time_s * 1e6).round() as u64, off * factor);
         }
     }
     out
@@ -109,10 +115,10 @@ fn overlay(flights: &[Live], align: Align, shifts_s: &[f64]) -> Curves {
 
 /// The largest difference of a curve in a stretch, either way, and whether it is within the tolerance; `None` where the
 /// two flights have no time in common there.
-fn verdict(curves: &Curves, of: u8, axis: TimeAxis, tolerance_mm: Option<f64>) -> Option<(f64, Option<bool>)> {
+fn verdict(curves: &Curves, of: u8, axis: TimeAxis, tolerance: Option<f64>) -> Option<(f64, Option<bool>)> {
     let extent = curves.get(Curve::Difference(of))?.extent_between(axis.start_s, axis.end_s);
     let largest = f64::from(extent.max.max(-extent.min));
-    (!extent.is_empty()).then(|| (largest, tolerance_mm.map(|most| largest <= most)))
+    (!extent.is_empty()).then(|| (largest, tolerance.map(|most| largest <= most)))
 }
 
 /// Flights to compare: their curves, and what is known of them.
@@ -151,7 +157,7 @@ pub fn Compare(
         if let Some(owner) = owner {
             let rows = summaries.iter().zip(&flights).map(|(flight, live)| all(flight, live)).collect();
             let mut live = Live::recorded();
-            live.curves = overlay(&flights, Align::Begin, &[]);
+            live.curves = overlay(&flights, Align::Begin, &[], false);
             let (flights, deck) = owner.with(|| (StoredValue::new_local(flights), Deck::recorded(ctx, live)));
             state.set(Some(Ok((flights, deck, summaries, rows))));
         }
@@ -182,9 +188,138 @@ pub fn Compare(
     }
 }
 
+/// What is compared: the altitude where nothing is named.
+type What = Option<Recorded>;
+
+/// Stretches asked for of a signal: of two minutes every sample at 200 Hz.
+const COLUMNS: usize = 10_000;
+
+/// Reads a signal of a flight into its curves; how many samples were recorded for each that came.
+async fn read(id: &str, name: &str, lives: StoredValue<Vec<Live>, LocalStorage>, i: usize) -> Result<u64, String> {
+    let told = |failure: Failure| format!("{id}: {}", failure.text);
+    let known = net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await.map_err(told)?;
+    let asked = String::from(js_sys::encode_uri_component(name));
+    let url = format!("/api/v1/flights/{id}/signal?name={asked}&columns={COLUMNS}");
+    let samples = net::json::<Samples>("GET", &url, None, "").await.map_err(told)?;
+    let length_s = samples.time_s.last().copied().unwrap_or(0.0);
+    let pairs = samples.time_s.iter().map(|time_s| known.start_s + time_s).zip(samples.value.iter().copied());
+    lives.try_update_value(|lives| {
+        if let Some(live) = lives.get_mut(i) {
+            live.curves.set_signal(0, pairs, 4.0 * length_s / COLUMNS as f64);
+        }
+    });
+    Ok(samples.samples.div_ceil(samples.time_s.len().max(1) as u64))
+}
+
 /// The curves, and what they differ by.
 #[component]
 fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec<Flight>) -> impl IntoView {
+    let chosen = RwSignal::new(Align::Begin);
+    let shifts = RwSignal::new(vec![0.0; flights.len()]);
+    let what = RwSignal::new(None::<Recorded>);
+    let said = RwSignal::new(None::<Result<String, String>>);
+    let lay = move || {
+        let signal = what.with_untracked(Option::is_some);
+        let curves = lives.with_value(|lives| shifts.with(|shifts| overlay(lives, chosen.get(), shifts, signal)));
+        let span = curves.time_span_s().unwrap_or(0.0..1.0);
+        deck.data.update_value(|live| live.curves = curves);
+        deck.zoom.set(None);
+        deck.origin_s.set(span.start);
+        deck.window_s.set((span.end - span.start).max(1.0));
+    };
+    Effect::new(move |before: Option<()>| {
+        chosen.track();
+        shifts.track();
+        what.track();
+        if before.is_some() {
+            lay();
+        }
+    });
+    let known = RwSignal::new(Vec::<Recorded>::new());
+    let ids: Vec<String> = flights.iter().map(|flight| flight.id.clone()).collect();
+    if let Some(first) = ids.first().cloned() {
+        leptos::task::spawn_local(async move {
+            let url = format!("/api/v1/flights/{first}/signals");
+            if let Ok(found) = net::json::<Signals>("GET", &url, None, "").await {
+                known.try_set(found.signals);
+            }
+        });
+    }
+    let ids = StoredValue::new(ids);
+    let compare = move |name: String| {
+        said.set(None);
+        if name.trim().is_empty() {
+            what.set(None);
+            return;
+        }
+        let Some(signal) = known.with_untracked(|all| all.iter().find(|signal| signal.name == name.trim()).cloned())
+        else {
+            said.set(Some(Err(format!("{name:?} is no signal of the first flight"))));
+            return;
+        };
+        said.set(Some(Ok("reading…".into())));
+        leptos::task::spawn_local(async move {
+            let mut each = 1;
+            for (i, id) in ids.try_get_value().unwrap_or_default().iter().enumerate() {
+                match read(id, &signal.name, lives, i).await {
+                    Ok(of) => each = each.max(of),
+                    Err(why) => return drop(said.try_set(Some(Err(why)))),
+                }
+            }
+            let thinned = format!(
+                "long: drawn is the least and the greatest of about {each} samples, and the difference is between those"
+            );
+            said.try_set((each > 1).then_some(Ok(thinned)));
+            what.try_set(Some(signal));
+        });
+    };
+    let align = move |text: String| {
+        if let Some((align, _)) = Align::ALL.into_iter().find(|(_, name)| *name == text) {
+            chosen.set(align);
+        }
+    };
+    let most_steps = flights.iter().map(|f| f.steps.len()).max().unwrap_or(0).max(1);
+    let step = move |text: String| {
+        if let Some(number) = text.parse().ok().filter(|n| (1..=most_steps).contains(n)) {
+            chosen.set(Align::Step(number));
+        }
+    };
+    let flights = StoredValue::new(flights);
+    view! {
+        <div class="sheet-head">
+            <label class="row quiet">"what: "
+                <input
+                    type="search"
+                    class="filter"
+                    list="compared-signals"
+                    placeholder="altitude, or a signal"
+                    autocomplete="off"
+                    aria-label="What is compared: the altitude, or a signal by its name"
+                    on:change:target=move |e| compare(e.target().value())
+                />
+                <datalist id="compared-signals">{move || known.get().into_iter().map(|signal| view! { <option value=signal.name>{signal.unit}</option> }).collect_view()}</datalist>
+            </label>
+            <label class="row quiet">"same time: "
+                <select class="small" aria-label="What is laid on top of each other" on:change:target=move |e| align(e.target().value())>
+                    {Align::ALL.map(|(_, name)| view! { <option>{name}</option> }).collect_view()}
+                </select>
+            </label>
+            <Show when=move || matches!(chosen.get(), Align::Step(_))>
+                <input type="number" class="brief" min="1" max=most_steps value="1" aria-label="Number of the step" on:change:target=move |e| step(e.target().value()) />
+            </Show>
+            {move || said.get().map(|said| match said {
+                Ok(note) => view! { <span class="quiet" role="status">{note}</span> }.into_any(),
+                Err(why) => view! { <span class="bad" role="alert">{why}</span> }.into_any(),
+            })}
+        </div>
+        // Remade for another quantity: its unit stands on the axes.
+        {move || view! { <Quantity deck shifts what=what.get() flights=flights.get_value() /> }}
+    }
+}
+
+/// One quantity of each flight, what it differs by, and whether that is within a tolerance.
+#[component]
+fn Quantity(deck: Deck, shifts: RwSignal<Vec<f64>>, what: What, flights: Vec<Flight>) -> impl IntoView {
     let entries = |curve: fn(u8) -> Curve, from: usize| {
         let entry = |(i, f): (usize, &Flight)| Entry {
             curve: curve(i as u8),
@@ -195,76 +330,48 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
         let all: Vec<Entry> = flights.iter().enumerate().skip(from).map(entry).collect();
         Signal::derive(move || all.clone())
     };
-    let (altitudes, differences) = (entries(Curve::Compared, 0), entries(Curve::Difference, 1));
+    let (values, differences) = (entries(Curve::Compared, 0), entries(Curve::Difference, 1));
     let first = flights.first().map(|f| f.title().to_owned()).unwrap_or_default();
-    let most_steps = flights.iter().map(|f| f.steps.len()).max().unwrap_or(0).max(1);
-    let chosen = RwSignal::new(Align::Begin);
-    let shifts = RwSignal::new(vec![0.0; flights.len()]);
-    let lay = move || {
-        let curves = lives.with_value(|lives| shifts.with(|shifts| overlay(lives, chosen.get(), shifts)));
-        let span = curves.time_span_s().unwrap_or(0.0..1.0);
-        deck.data.update_value(|live| live.curves = curves);
-        deck.zoom.set(None);
-        deck.origin_s.set(span.start);
-        deck.window_s.set((span.end - span.start).max(1.0));
-    };
-    Effect::new(move |before: Option<()>| {
-        chosen.track();
-        shifts.track();
-        if before.is_some() {
-            lay();
-        }
-    });
-    let align = move |text: String| {
-        if let Some((align, _)) = Align::ALL.into_iter().find(|(_, name)| *name == text) {
-            chosen.set(align);
-        }
-    };
-    let step = move |text: String| {
-        if let Some(number) = text.parse().ok().filter(|n| (1..=most_steps).contains(n)) {
-            chosen.set(Align::Step(number));
-        }
-    };
-    let tolerance = move |text: String| deck.tolerance_mm.set(format::parse_number(&text).ok().filter(|mm| *mm > 0.0));
+    let altitude = what.is_none();
+    let Recorded { name, unit } = what.unwrap_or_else(|| Recorded { name: "Altitude".into(), unit: "m".into() });
+    let apart = if altitude { "mm".to_owned() } else { unit.clone() };
+    let (said, decimals) = if altitude { ("altitude".to_owned(), 3) } else { (name.clone(), 4) };
+    let each = format!("{name} of each flight over time{}", if altitude { "; setpoints dashed" } else { "" });
+    let tolerance = move |text: String| deck.tolerance.set(format::parse_number(&text).ok().filter(|most| *most > 0.0));
+    // One of another unit would be another tolerance.
+    deck.tolerance.set(None);
+    deck.another.set(!altitude);
     view! {
-        <section class="card chart compare-chart" aria-label="Altitude of each flight">
+        <section class="card chart compare-chart" aria-label=format!("{name} of each flight")>
             <header>
-                <h2>"Altitude" <small>"m"</small></h2>
-                <TableButton entries=altitudes name="Altitude" unit="m" picture=Picture::Compare />
-                <label class="row quiet">"same time: "
-                    <select class="small" aria-label="What is laid on top of each other" on:change:target=move |e| align(e.target().value())>
-                        {Align::ALL.map(|(_, name)| view! { <option>{name}</option> }).collect_view()}
-                    </select>
-                </label>
-                <Show when=move || matches!(chosen.get(), Align::Step(_))>
-                    <input type="number" class="brief" min="1" max=most_steps value="1" aria-label="Number of the step" on:change:target=move |e| step(e.target().value()) />
-                </Show>
+                <h2>{name.clone()} " " <small>{unit.clone()}</small></h2>
+                <TableButton entries=values name="Compared" unit="" picture=Picture::Compare />
             </header>
             <div class="chart-body">
-                <Legend entries=altitudes name="Altitude" unit="m" decimals=3 />
-                <Plot picture=Picture::Compare unit="m" label="Altitude of each flight over time, in metres; setpoints dashed" />
+                <Legend entries=values name="Compared" unit="" decimals />
+                <Plot picture=Picture::Compare unit=unit label=each />
             </div>
         </section>
-        <section class="card chart compare-chart difference" aria-label="Difference of altitude">
+        <section class="card chart compare-chart difference" aria-label=format!("Difference of {said}")>
             <header>
-                <h2>"Difference" <small>{format!("RMS mm, minus {first}")}</small></h2>
-                <TableButton entries=differences name="Difference" unit="mm" picture=Picture::Difference />
+                <h2>"Difference" <small>{format!("RMS {apart}, minus {first}")}</small></h2>
+                <TableButton entries=differences name="Difference" unit="" picture=Picture::Difference />
             </header>
             <div class="chart-body">
-                <Legend entries=differences name="Difference" unit="mm" decimals=1 errors=true />
-                <Plot picture=Picture::Difference unit="mm" label="Altitude of each flight minus that of the first, in millimetres" />
+                <Legend entries=differences name="Difference" unit="" decimals=if altitude { 1 } else { 4 } errors=true />
+                <Plot picture=Picture::Difference unit=apart.clone() label=format!("{said} of each flight minus that of the first") />
             </div>
         </section>
         <section class="card table-wrap" aria-label="Tolerance">
             <header>
                 <h2>"Within tolerance"</h2>
-                <label class="row quiet">"tolerance, mm "
-                    <input type="text" class="brief" inputmode="decimal" autocomplete="off" aria-label="Tolerance of the difference, in millimetres" on:change:target=move |e| tolerance(e.target().value()) />
+                <label class="row quiet">{format!("tolerance, {apart} ")}
+                    <input type="text" class="brief" inputmode="decimal" autocomplete="off" aria-label=format!("Tolerance of the difference, {}", if altitude { "in millimetres" } else { &apart }) on:change:target=move |e| tolerance(e.target().value()) />
                 </label>
             </header>
             <table>
-                <thead><tr><th>"flight"</th><th class="num">"moved by, s"</th><th class="num">"largest difference in view, mm"</th><th>"verdict"</th></tr></thead>
-                <tbody>{flights.iter().enumerate().map(|(i, flight)| view! { <Judged deck shifts i flight=flight.clone() /> }).collect_view()}</tbody>
+                <thead><tr><th>"flight"</th><th class="num">"moved by, s"</th><th class="num">{format!("largest difference in view, {apart}")}</th><th>"verdict"</th></tr></thead>
+                <tbody>{flights.iter().enumerate().map(|(i, flight)| view! { <Judged deck shifts i decimals=if altitude { 1 } else { 4 } flight=flight.clone() /> }).collect_view()}</tbody>
             </table>
         </section>
     }
@@ -272,9 +379,9 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
 
 /// What one flight is moved by, and whether it is close enough to the first.
 #[component]
-fn Judged(deck: Deck, shifts: RwSignal<Vec<f64>>, i: usize, flight: Flight) -> impl IntoView {
+fn Judged(deck: Deck, shifts: RwSignal<Vec<f64>>, i: usize, decimals: usize, flight: Flight) -> impl IntoView {
     let judged = Memo::new(move |_| {
-        let tolerance = deck.tolerance_mm.get();
+        let tolerance = deck.tolerance.get();
         deck.zoom.track();
         deck.read(|live| verdict(&live.curves, i as u8, deck.axis(live), tolerance))
     });
@@ -296,11 +403,16 @@ fn Judged(deck: Deck, shifts: RwSignal<Vec<f64>>, i: usize, flight: Flight) -> i
         Some((_, Some(false))) => ("bad", "✗ fail"),
     };
     let label = format!("Move {} by, in seconds", flight.title());
+    // A quantity that is shown anew finds the flights where they were moved to.
+    let shifted = shifts
+        .with_untracked(|all| all.get(i).copied())
+        .filter(|by| *by != 0.0)
+        .map_or_else(String::new, |by| by.to_string());
     view! {
         <tr>
             <th scope="row">{named(i, &flight)}</th>
-            <td class="num"><input type="text" class="brief" inputmode="decimal" autocomplete="off" placeholder="0" aria-label=label on:change:target=move |e| moved(e.target().value()) /></td>
-            <td class="num">{move || format::maybe(judged.get().map(|(largest, _)| largest), 1)}</td>
+            <td class="num"><input type="text" class="brief" inputmode="decimal" autocomplete="off" placeholder="0" aria-label=label prop:value=shifted on:change:target=move |e| moved(e.target().value()) /></td>
+            <td class="num">{move || format::maybe(judged.get().map(|(largest, _)| largest), decimals)}</td>
             <td class=move || text().0>{move || text().1}</td>
         </tr>
     }
@@ -421,7 +533,7 @@ mod tests {
 
     #[test]
     fn every_flight_begins_at_zero() {
-        let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin, &[]);
+        let out = overlay(&[flight(7_000_000), flight(900_000_000)], Align::Begin, &[], false);
         assert_eq!(out.value_at(Curve::ComparedSetpoint(0), 0.0), Some(0.0));
         assert_eq!(out.value_at(Curve::ComparedSetpoint(1), 0.0041), Some(4.0));
     }
@@ -463,8 +575,8 @@ mod tests {
             let extent = series.extent(series.first()..series.end());
             extent.max.max(-extent.min)
         };
-        assert!(largest(&overlay(&flights, Align::TakeOff, &[])) < 0.1);
-        assert!(largest(&overlay(&flights, Align::Begin, &[])) > 500.0);
+        assert!(largest(&overlay(&flights, Align::TakeOff, &[], false)) < 0.1);
+        assert!(largest(&overlay(&flights, Align::Begin, &[], false)) > 500.0);
     }
 
     #[test]
@@ -484,13 +596,38 @@ mod tests {
         // The second step comes 30 samples, 0.3 s, later in the second flight; the first one does not.
         let flights = [flown(5_000_000, [100, 200]), flown(1_000_000, [100, 230])];
         let whole = TimeAxis::new(0.0, 10.0);
-        let largest =
-            |align, shifts: &[f64], axis| verdict(&overlay(&flights, align, shifts), 1, axis, Some(50.0)).unwrap();
+        let largest = |align, shifts: &[f64], axis| {
+            verdict(&overlay(&flights, align, shifts, false), 1, axis, Some(50.0)).unwrap()
+        };
         assert_eq!(largest(Align::Step(1), &[], whole), (1000.0, Some(false)));
         assert_eq!(largest(Align::Step(1), &[], TimeAxis::new(0.0, 1.5)), (0.0, Some(true)), "only what is in view");
         let second = TimeAxis::new(1.6, 4.0);
         assert_eq!(largest(Align::Step(2), &[], second), (0.0, Some(true)));
         assert_eq!(largest(Align::Begin, &[0.0, -0.3], TimeAxis::new(1.6, 4.0)), (0.0, Some(true)), "by hand");
-        assert_eq!(verdict(&overlay(&flights, Align::Begin, &[]), 0, whole, None), None, "the first has no difference");
+        assert_eq!(
+            verdict(&overlay(&flights, Align::Begin, &[], false), 0, whole, None),
+            None,
+            "the first has no difference"
+        );
+    }
+
+    #[test]
+    fn another_signal_is_laid_together_in_its_own_unit_where_the_altitude_says() {
+        let flown = |start: u64, offset: f64| {
+            let mut live = Live::recorded();
+            for i in 0..100_u64 {
+                let climbs = if i < 50 { 0.0 } else { 1.0 };
+                live.curves.push(Curve::Altitude(0), start + i * 10_000, climbs);
+            }
+            let samples = (0..100).map(|i| (start as f64 * 1e-6 + f64::from(i) * 0.01, f64::from(i >= 50) + offset));
+            live.curves.set_signal(0, samples, 0.1);
+            live
+        };
+        let flights = [flown(5_000_000, 0.0), flown(1_000_000, 0.25)];
+        let out = overlay(&flights, Align::TakeOff, &[], true);
+        assert_eq!(out.value_at(Curve::Compared(1), 0.9), Some(1.25));
+        let axis = TimeAxis::new(0.0, 1.0);
+        assert_eq!(verdict(&out, 1, axis, Some(0.3)), Some((0.25, Some(true))), "not in thousandths");
+        assert!(out.get(Curve::ComparedSetpoint(0)).is_none(), "the setpoint is of the altitude");
     }
 }

@@ -71,7 +71,10 @@ impl Frame {
                 Some(Content::Heatmap(self.heatmap(slot.picture, live, axis)))
             }
             Picture::Altitude => Some(self.chart(slot, rect, live, axis, self.altitude(live), ALTITUDE_SPAN_M, None)),
-            Picture::Compare => Some(self.chart(slot, rect, live, axis, self.compared(live), ALTITUDE_SPAN_M, None)),
+            Picture::Compare => {
+                let span = if self.deck.another.get_untracked() { SIGNAL_SPAN } else { ALTITUDE_SPAN_M };
+                Some(self.chart(slot, rect, live, axis, self.compared(live), span, None))
+            }
             Picture::Attitude => Some(self.chart(slot, rect, live, axis, self.attitude(live), ATTITUDE_SPAN_DEG, None)),
             Picture::Residual => Some(self.chart(slot, rect, live, axis, self.residual(live), 1e-3, None)),
             Picture::Motors => {
@@ -92,7 +95,10 @@ impl Frame {
                 let fixed = drawn.is_none().then_some(ValueAxis::new(0.0, 1.0));
                 Some(self.chart(slot, rect, live, axis, drawn.into_iter().collect(), SIGNAL_SPAN, fixed))
             }
-            Picture::Difference => Some(self.chart(slot, rect, live, axis, self.differences(live), ERROR_SPAN, None)),
+            Picture::Difference => {
+                let span = if self.deck.another.get_untracked() { SIGNAL_SPAN } else { ERROR_SPAN };
+                Some(self.chart(slot, rect, live, axis, self.differences(live), span, None))
+            }
         }
     }
 
@@ -315,7 +321,7 @@ impl Frame {
         ) {
             view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
         }
-        if let Some(most) = self.deck.tolerance_mm.get_untracked().filter(|_| slot.picture == Picture::Difference) {
+        if let Some(most) = self.deck.tolerance.get_untracked().filter(|_| slot.picture == Picture::Difference) {
             let color = palette::ATTACK.on(self.dark);
             view.levels.extend([-most, most].map(|value| LevelLine { value, color, dashed: true }));
         }
