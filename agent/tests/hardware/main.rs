@@ -5,6 +5,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod autopilot;
+#[path = "../../../tests/src/xtask/ports.rs"]
+mod ports;
 mod wires;
 
 use std::path::Path;

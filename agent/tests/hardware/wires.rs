@@ -7,6 +7,7 @@ use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
 use plumbline_wires::{PULSES_US, Plug, WireRig};
 
+use crate::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
 use crate::{Agent, PATIENCE};
 
 /// The everyday altitude, step and landing, with time for ports to open and ESCs to arm.
@@ -122,135 +123,164 @@ impl Flown {
     }
 }
 
+/// Flies `test`. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy machine: one that
+/// fails while another such port was late is none, and is flown again.
+fn in_time(test: impl Fn()) {
+    for flight in 1.. {
+        let ports = Ports::watch().unwrap();
+        let failed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&test)).err();
+        let late = ports.worst();
+        match failed {
+            None => return,
+            Some(failure) if late < PORTS_LATE || flight == WIRE_FLIGHTS => std::panic::resume_unwind(failure),
+            Some(_) => eprintln!("a port beside the wire rig's was {} ms late: flown again", late.as_millis()),
+        }
+    }
+}
+
 #[test]
 fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    flown.rig.plug("height1", Plug::Out);
-    flown.wait("height1 lost", |flown| flown.agent.lost("height1"));
-    // Longer than the second between two states of a device.
-    std::thread::sleep(Duration::from_millis(1500));
-    assert!(flown.off(0.5) < 2.0 * HOLDING_M, "two heights are left: {} m off", flown.off(0.5));
-    flown.rig.plug("height1", Plug::In);
-    let ups = |flown: &Flown| flown.agent.said().matches("device up").count();
-    flown.wait("height1 is back", |flown| ups(flown) == 9);
-    flown.hold(0.8);
-    let truths = flown.rig.truths();
-    let held: Vec<f64> = truths.iter().rev().take(400).map(|(_, truth)| truth.position_enu_m.z).collect();
-    let mean = held.iter().sum::<f64>() / held.len() as f64;
-    let spread = (held.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / held.len() as f64).sqrt();
-    println!("holds 0.8 m at {mean:.4} m ± {spread:.4} m through the wires");
-    flown.agent.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
-    flown.land();
-    // The flight file tells of it: as an event, and in the state of that device, the fifth.
-    flown.agent.assert_told(&["height1 lost", "height1 gives readings"]);
-    let states: Vec<v1::DeviceState> = flown.agent.recorded("/device/5");
-    assert!(states.iter().all(|state| state.name == "height1" && state.port.ends_with("/height1")), "{states:?}");
-    let (first, last) = (states.first().unwrap(), states.last().unwrap());
-    assert!(first.up && last.up && last.opened > first.opened, "{states:?}");
-    assert!(states.iter().any(|state| !state.up && !state.reason.is_empty()), "{states:?}");
-    assert!((last.rate_hz - 10.0).abs() < 3.0 && last.age_s.is_some_and(|age_s| age_s < 1.0), "{last:?}");
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        flown.rig.plug("height1", Plug::Out);
+        flown.wait("height1 lost", |flown| flown.agent.lost("height1"));
+        // Longer than the second between two states of a device.
+        std::thread::sleep(Duration::from_millis(1500));
+        assert!(flown.off(0.5) < 2.0 * HOLDING_M, "two heights are left: {} m off", flown.off(0.5));
+        flown.rig.plug("height1", Plug::In);
+        let ups = |flown: &Flown| flown.agent.said().matches("device up").count();
+        flown.wait("height1 is back", |flown| ups(flown) == 9);
+        flown.hold(0.8);
+        let truths = flown.rig.truths();
+        let held: Vec<f64> = truths.iter().rev().take(400).map(|(_, truth)| truth.position_enu_m.z).collect();
+        let mean = held.iter().sum::<f64>() / held.len() as f64;
+        let spread = (held.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / held.len() as f64).sqrt();
+        println!("holds 0.8 m at {mean:.4} m ± {spread:.4} m through the wires");
+        flown.agent.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
+        flown.land();
+        // The flight file tells of it: as an event, and in the state of that device, the fifth.
+        flown.agent.assert_told(&["height1 lost", "height1 gives readings"]);
+        let states: Vec<v1::DeviceState> = flown.agent.recorded("/device/5");
+        assert!(states.iter().all(|state| state.name == "height1" && state.port.ends_with("/height1")), "{states:?}");
+        let (first, last) = (states.first().unwrap(), states.last().unwrap());
+        assert!(first.up && last.up && last.opened > first.opened, "{states:?}");
+        assert!(states.iter().any(|state| !state.up && !state.reason.is_empty()), "{states:?}");
+        assert!((last.rate_hz - 10.0).abs() < 3.0 && last.age_s.is_some_and(|age_s| age_s < 1.0), "{last:?}");
+    });
 }
 
 #[test]
 fn one_of_three_heights_attacked_through_the_drivers_moves_nothing() {
-    let mut flown = Flown::start(ATTACK);
-    flown.hold(0.5);
-    flown.hold(0.8);
-    std::thread::sleep(Duration::from_secs(3));
-    // Half a metre of one height in three would be 17 cm of their mean.
-    assert!(flown.off(0.8) < HOLDING_M, "{} m off", flown.off(0.8));
-    println!("holds 0.8 m within {:.4} m with height 2 attacked", flown.off(0.8));
-    flown.agent.signal("-INT");
-    flown.land();
-    let attacks: Vec<v1::AttackState> = flown.agent.recorded("/attacks");
-    let altered = attacks.iter().flat_map(|state| &state.attacks).map(|attack| attack.altered_samples).max();
-    assert!(altered.is_some_and(|samples| samples > 100), "{altered:?} samples altered");
+    in_time(|| {
+        let mut flown = Flown::start(ATTACK);
+        flown.hold(0.5);
+        flown.hold(0.8);
+        std::thread::sleep(Duration::from_secs(3));
+        // Half a metre of one height in three would be 17 cm of their mean.
+        assert!(flown.off(0.8) < HOLDING_M, "{} m off", flown.off(0.8));
+        println!("holds 0.8 m within {:.4} m with height 2 attacked", flown.off(0.8));
+        flown.agent.signal("-INT");
+        flown.land();
+        let attacks: Vec<v1::AttackState> = flown.agent.recorded("/attacks");
+        let altered = attacks.iter().flat_map(|state| &state.attacks).map(|attack| attack.altered_samples).max();
+        assert!(altered.is_some_and(|samples| samples > 100), "{altered:?} samples altered");
+    });
 }
 
 #[test]
 fn the_motors_of_a_killed_agent_stand_within_their_time_out() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    let turning = |widths: &[f64; 4]| widths.iter().all(|us| *us > PULSES_US[0] + 50.0);
-    assert!(turning(&flown.rig.pulses().last().unwrap().1));
-    let killed = Instant::now();
-    flown.agent.signal("-KILL");
-    let took = flown.stands(killed);
-    println!("motors stand {:.1} ms after SIGKILL", took.as_secs_f64() * 1e3);
-    assert!(took < MOTORS_STAND, "{took:?}");
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        let turning = |widths: &[f64; 4]| widths.iter().all(|us| *us > PULSES_US[0] + 50.0);
+        assert!(turning(&flown.rig.pulses().last().unwrap().1));
+        let killed = Instant::now();
+        flown.agent.signal("-KILL");
+        let took = flown.stands(killed);
+        println!("motors stand {:.1} ms after SIGKILL", took.as_secs_f64() * 1e3);
+        assert!(took < MOTORS_STAND, "{took:?}");
+    });
 }
 
 #[test]
 fn an_agent_that_stops_costs_its_motors_and_they_stay_cut() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    let stopped = Instant::now();
-    flown.agent.signal("-STOP");
-    let took = flown.stands(stopped);
-    println!("motors stand {:.1} ms after SIGSTOP", took.as_secs_f64() * 1e3);
-    assert!(took < MOTORS_STAND, "{took:?}");
-    std::thread::sleep(Duration::from_millis(300));
-    flown.agent.signal("-CONT");
-    std::thread::sleep(Duration::from_secs(1));
-    assert_eq!(flown.stands(stopped), took, "no pulse since");
-    flown.agent.signal("-INT");
-    flown.land();
-    flown.agent.assert_told(&["flight thread silent"]);
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        let stopped = Instant::now();
+        flown.agent.signal("-STOP");
+        let took = flown.stands(stopped);
+        println!("motors stand {:.1} ms after SIGSTOP", took.as_secs_f64() * 1e3);
+        assert!(took < MOTORS_STAND, "{took:?}");
+        std::thread::sleep(Duration::from_millis(300));
+        flown.agent.signal("-CONT");
+        std::thread::sleep(Duration::from_secs(1));
+        assert_eq!(flown.stands(stopped), took, "no pulse since");
+        flown.agent.signal("-INT");
+        flown.land();
+        flown.agent.assert_told(&["flight thread silent"]);
+    });
 }
 
 #[test]
 fn one_device_of_each_kind_is_lost_in_flight_and_comes_back_and_without_any_height_it_descends() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    // One that answers, one that talks and brings the barometer, a beam, the voltage.
-    let lost = ["imu2", "imu4", "height3", "battery"];
-    for (name, plug) in lost.into_iter().zip([Plug::Out, Plug::Hanging, Plug::Hanging, Plug::Out]) {
-        flown.rig.plug(name, plug);
-    }
-    flown.wait("four lost", |flown| lost.iter().all(|name| flown.agent.lost(name)));
-    assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
-    lost.iter().for_each(|name| flown.rig.plug(name, Plug::In));
-    flown.wait("four back", |flown| flown.agent.said().matches("device up").count() == 8 + lost.len());
-    flown.hold(0.8);
-    let heights = ["height1", "height2", "height3"];
-    heights.iter().for_each(|name| flown.rig.plug(name, Plug::Out));
-    flown.stands(Instant::now());
-    flown.agent.signal("-INT");
-    flown.land();
-    flown.agent.assert_told(&["no height any more", "height1 lost", "height2 lost"]);
-    for name in lost {
-        flown.agent.assert_told(&[&format!("{name} lost"), &format!("{name} gives readings")]);
-    }
-    let lowest = flown.rig.truths().last().unwrap().1.position_enu_m.z;
-    assert!(lowest < 0.4, "it hangs on its strings again, at {lowest:.2} m");
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        // One that answers, one that talks and brings the barometer, a beam, the voltage.
+        let lost = ["imu2", "imu4", "height3", "battery"];
+        for (name, plug) in lost.into_iter().zip([Plug::Out, Plug::Hanging, Plug::Hanging, Plug::Out]) {
+            flown.rig.plug(name, plug);
+        }
+        flown.wait("four lost", |flown| lost.iter().all(|name| flown.agent.lost(name)));
+        assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
+        lost.iter().for_each(|name| flown.rig.plug(name, Plug::In));
+        flown.wait("four back", |flown| flown.agent.said().matches("device up").count() == 8 + lost.len());
+        flown.hold(0.8);
+        let heights = ["height1", "height2", "height3"];
+        heights.iter().for_each(|name| flown.rig.plug(name, Plug::Out));
+        flown.stands(Instant::now());
+        flown.agent.signal("-INT");
+        flown.land();
+        flown.agent.assert_told(&["no height any more", "height1 lost", "height2 lost"]);
+        for name in lost {
+            flown.agent.assert_told(&[&format!("{name} lost"), &format!("{name} gives readings")]);
+        }
+        let lowest = flown.rig.truths().last().unwrap().1.position_enu_m.z;
+        assert!(lowest < 0.4, "it hangs on its strings again, at {lowest:.2} m");
+    });
 }
 
 #[test]
 fn without_any_imu_the_motors_are_cut() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    let unplugged = Instant::now();
-    ["imu1", "imu2", "imu3", "imu4"].iter().for_each(|name| flown.rig.plug(name, Plug::Out));
-    let took = flown.stands(unplugged);
-    println!("motors stand {:.1} ms after the last IMU went", took.as_secs_f64() * 1e3);
-    flown.agent.signal("-INT");
-    flown.land();
-    flown.agent.assert_told(&["imu1 lost", "imu4 lost", "no fresh IMU sample"]);
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        let unplugged = Instant::now();
+        ["imu1", "imu2", "imu3", "imu4"].iter().for_each(|name| flown.rig.plug(name, Plug::Out));
+        let took = flown.stands(unplugged);
+        println!("motors stand {:.1} ms after the last IMU went", took.as_secs_f64() * 1e3);
+        flown.agent.signal("-INT");
+        flown.land();
+        flown.agent.assert_told(&["imu1 lost", "imu4 lost", "no fresh IMU sample"]);
+    });
 }
 
 #[test]
 fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_do() {
-    let mut flown = Flown::start("");
-    flown.hold(0.5);
-    flown.rig.plug("motors", Plug::Out);
-    std::thread::sleep(Duration::from_millis(20));
-    flown.rig.plug("motors", Plug::In);
-    std::thread::sleep(Duration::from_millis(500));
-    assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
-    flown.rig.plug("motors", Plug::Out);
-    assert!(!flown.agent.end().success(), "{}", flown.agent.said());
-    flown.rig.plug("motors", Plug::In);
-    flown.stands(Instant::now());
-    flown.agent.assert_told(&["the vehicle can be flown no longer"]);
+    in_time(|| {
+        let mut flown = Flown::start("");
+        flown.hold(0.5);
+        flown.rig.plug("motors", Plug::Out);
+        std::thread::sleep(Duration::from_millis(20));
+        flown.rig.plug("motors", Plug::In);
+        std::thread::sleep(Duration::from_millis(500));
+        assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
+        flown.rig.plug("motors", Plug::Out);
+        assert!(!flown.agent.end().success(), "{}", flown.agent.said());
+        flown.rig.plug("motors", Plug::In);
+        flown.stands(Instant::now());
+        flown.agent.assert_told(&["the vehicle can be flown no longer"]);
+    });
 }

@@ -3,11 +3,10 @@
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
 
 use serde_json::Value;
 
-use super::ports::Ports;
+use super::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
 use super::tally::Tally;
 use super::test::run_and_read;
 use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
@@ -55,11 +54,6 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
         }
     }
 }
-
-/// Times that the wire rig is flown at most.
-const WIRE_FLIGHTS: u32 = 3;
-/// IMUs that are silent for 80 ms cut the motors, as they should: ports so late come near to that by themselves.
-const PORTS_LATE: Duration = Duration::from_millis(60);
 
 /// Flies the wire rig. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy
 /// machine: a flight that fails while another such port was late is none, and is flown again.

@@ -7,6 +7,10 @@ use std::time::{Duration, Instant};
 
 use serial2::SerialPort;
 
+/// Times that the wire rig is flown at most.
+pub const WIRE_FLIGHTS: u32 = 3;
+/// IMUs that are silent for 80 ms cut the motors, as they should: ports so late come near to that by themselves.
+pub const PORTS_LATE: Duration = Duration::from_millis(60);
 /// As often as an IMU sends.
 const EVERY: Duration = Duration::from_millis(10);
 /// Nothing for so long is as late as that.
