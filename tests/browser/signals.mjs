@@ -139,7 +139,7 @@ await step(page, 'flights: recordings of others are chosen or dropped, and each 
   await page.getByLabel('Recordings to import').setInputFiles([rest, notes]);
   const row = (name) => region('Imports').getByRole('listitem').filter({ hasText: name });
   await row('at rest.csv').getByRole('link', { name: 'open the flight' }).waitFor();
-  await until('what is no recording is refused', async () => /^notes.txt a file that begins with "hello"; supported are/.test(await row('notes.txt').textContent()));
+  await until('what is no recording is refused', async () => /^notes.txt ?a file that begins with "hello"; supported are/.test(await row('notes.txt').textContent()));
   await shots('imports');
   // Held over the list and let go; it is here already.
   const held = await page.evaluateHandle((text) => {

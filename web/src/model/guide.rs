@@ -54,6 +54,15 @@ impl Seen {
     }
 }
 
+impl Seen {
+    /// What a step counts from, m: the setpoint, or, before there is one, where the vehicle is. The first that is heard may be on its way to
+    /// where somebody fast has sent it.
+    fn begins_m(&self) -> Option<f64> {
+        let known = |m: &f64| m.is_finite();
+        self.setpoint_m.filter(known).or(self.altitude_m.filter(known))
+    }
+}
+
 /// How far somebody has come.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Guide {
@@ -71,7 +80,7 @@ impl Guide {
 
     /// Goes on where the present step is done; back to the first where the vehicle disarmed too soon.
     pub fn go_on(&mut self, seen: &Seen) {
-        self.from_m = self.from_m.or(seen.setpoint_m);
+        self.from_m = self.from_m.or(seen.begins_m());
         let raised = || {
             let (from_m, setpoint_m, altitude_m) = (self.from_m?, seen.setpoint_m?, seen.altitude_m?);
             Some(setpoint_m - from_m >= RAISED_M && (altitude_m - setpoint_m).abs() <= NEAR_M)
@@ -86,7 +95,7 @@ impl Guide {
             _ => false,
         };
         if done {
-            *self = Self { at: self.at + 1, from_m: seen.setpoint_m };
+            *self = Self { at: self.at + 1, from_m: seen.begins_m() };
         } else if (ARM + 1..LAND).contains(&self.at) && !seen.armed {
             *self = Self::at(ARM);
         }
@@ -119,6 +128,18 @@ mod tests {
         assert_eq!(after(Seen::default()), 5);
         assert_eq!(after(Seen { reads: true, ..Seen::default() }), 6);
         assert_eq!(after(FLYING), 6);
+    }
+
+    #[test]
+    fn whoever_raises_it_before_a_setpoint_was_heard_has_raised_it() {
+        for unheard in [None, Some(f64::NAN)] {
+            let mut guide = Guide::at(1);
+            guide.go_on(&Seen { setpoint_m: unheard, altitude_m: Some(0.3), ..FLYING });
+            assert_eq!(guide.at, 2);
+            guide.go_on(&Seen { setpoint_m: Some(0.48), altitude_m: Some(0.31), ..FLYING });
+            guide.go_on(&Seen { setpoint_m: Some(0.5), altitude_m: Some(0.49), ..FLYING });
+            assert_eq!(guide.at, 3, "{unheard:?}");
+        }
     }
 
     #[test]
