@@ -21,8 +21,8 @@ const AGE_MAX: Duration = Duration::from_millis(250);
 const AGE_MAX_ONCE: Duration = Duration::from_secs(1);
 /// What merging may take beyond what was there before: chunks of 1 MiB being read and written, and their compression.
 const GROWN_MAX_MIB: f64 = 48.0;
-/// Two parts that a crash left, of this much each.
-const PART_MESSAGES: u32 = 120_000;
+/// Two parts that a crash left, of this much each: they are merged for seconds on a fast machine too.
+const PART_MESSAGES: u32 = 240_000;
 const MESSAGE_BYTES: usize = 1_000;
 
 /// Most memory this process ever held, MiB.

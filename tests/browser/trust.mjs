@@ -117,7 +117,12 @@ await step(page, 'live within a second of navigation, by the age of what is show
 await step(page, 'nothing moves under the pointer that arms', async () => {
   await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()), 90_000);
   const cards = ['Setpoint', 'Mode and arming', 'Attacks', 'Estimator', 'Simulator'];
-  const places = () => Promise.all(cards.map(async (name) => JSON.stringify(await region(name).boundingBox())));
+  // In their column: a script that presses a button may scroll it, which is not the page's doing.
+  const place = (card) => {
+    const { x, y, width, height } = card.getBoundingClientRect();
+    return JSON.stringify({ x, y: y + (card.closest('.right')?.scrollTop ?? 0), width, height });
+  };
+  const places = () => Promise.all(cards.map((name) => region(name).evaluate(place)));
   const before = await places();
   await arm();
   await page.waitForTimeout(500);

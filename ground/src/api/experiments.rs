@@ -225,9 +225,9 @@ pub(crate) async fn table(State(app): State<App>, Path(id): Path<String>, known:
     let name = format!("attachment; filename=\"{}.parquet\"", crate::names::clip(&id));
     let made = aside(app, move |app| {
         let experiment = one(app, &id)?;
-        // Rows are only ever added: how many there are says which.
-        let identity = &experiment.identity;
-        let tag = (&identity.hash, &identity.program, identity.made_unix_us, experiment.done(), WRITTEN);
+        // Rows are only ever added, and what is said of a flight by hand: how many there are says which.
+        let (identity, said) = (&experiment.identity, by_hand::said(&experiment)?.len());
+        let tag = (&identity.hash, &identity.program, identity.made_unix_us, experiment.done(), said, WRITTEN);
         let tag = tag::of(format!("{tag:?}").as_bytes());
         if known.has(&tag) {
             return Ok((tag, None));

@@ -55,7 +55,8 @@ impl At {
 #[allow(missing_docs)]
 pub struct Seen {
     pub estimator: String,
-    pub armed: bool,
+    /// Not known before its first status, as after a reload.
+    pub armed: Option<bool>,
     pub holds: bool,
     /// Being recorded; empty for none.
     pub flight: String,
@@ -70,7 +71,7 @@ impl Seen {
         let estimator = i32::from(live.in_loop());
         Self {
             estimator: estimator.try_into().map(names::estimator_json).unwrap_or_default(),
-            armed: status.is_some_and(|s| s.armed),
+            armed: status.map(|s| s.armed),
             holds: status.is_some_and(|s| matches!(s.mode(), Mode::AltitudeHold | Mode::Hold)),
             flight: status.map(|s| s.flight_id.clone()).unwrap_or_default(),
             now_us: live.clock.newest_us(),
@@ -101,7 +102,8 @@ impl Led {
 
     /// Goes on where the present step is done.
     pub fn go_on(&mut self, next: &NextByHand, seen: &Seen, rested: bool) {
-        if seen.armed && !seen.flight.is_empty() && self.at.step() >= At::Arm.step() && self.at != At::Say {
+        let (armed, disarmed) = (seen.armed == Some(true), seen.armed == Some(false));
+        if armed && !seen.flight.is_empty() && self.at.step() >= At::Arm.step() && self.at != At::Say {
             self.flight.clone_from(&seen.flight);
         }
         self.at = match self.at {
@@ -113,15 +115,15 @@ impl Led {
             {
                 At::Arm
             }
-            At::Arm if seen.armed && seen.holds => At::Fly,
+            At::Arm if armed && seen.holds => At::Fly,
             // Nothing of the profile was flown.
-            At::Fly if !seen.armed => At::Arm,
-            At::Flying(_) if !seen.armed => {
+            At::Fly if disarmed => At::Arm,
+            At::Flying(_) if disarmed => {
                 self.early = true;
                 At::Say
             }
             At::Flying(since_us) if self.left_s(next, seen) <= 0.0 && since_us > 0 => At::Land,
-            At::Land if !seen.armed => At::Say,
+            At::Land if disarmed => At::Say,
             at => at,
         };
     }
@@ -144,11 +146,11 @@ mod tests {
     }
 
     fn seen() -> Seen {
-        Seen { estimator: "lanes".into(), ..Seen::default() }
+        Seen { estimator: "lanes".into(), armed: Some(false), ..Seen::default() }
     }
 
     fn flying(now_us: u64) -> Seen {
-        Seen { armed: true, holds: true, flight: "f1".into(), now_us, ..seen() }
+        Seen { armed: Some(true), holds: true, flight: "f1".into(), now_us, ..seen() }
     }
 
     #[test]
@@ -184,6 +186,9 @@ mod tests {
         led.go_on(&next(), &flying(2_000_001), true);
         assert_eq!(led.left_s(&next(), &flying(2_000_001)), 18.0);
         let mut led: Led = serde_json::from_str(&serde_json::to_string(&led).unwrap()).unwrap();
+        // Before its first status nothing is known of the vehicle.
+        led.go_on(&next(), &Seen::default(), true);
+        assert_eq!(led.at, At::Flying(1));
         led.go_on(&next(), &seen(), true);
         assert_eq!((led.at, led.early, led.flight.as_str()), (At::Say, true, "f1"));
     }

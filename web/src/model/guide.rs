@@ -29,7 +29,8 @@ const LAND: usize = 4;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[allow(missing_docs)]
 pub struct Seen {
-    pub armed: bool,
+    /// Not known before its first status, as after a reload.
+    pub armed: Option<bool>,
     pub holds: bool,
     pub setpoint_m: Option<f64>,
     pub altitude_m: Option<f64>,
@@ -44,7 +45,7 @@ impl Seen {
         let status = live.status.get();
         let active = |a: &plumbline_proto::v1::AttackState| a.attacks.iter().any(|p| p.phase() == AttackPhase::Active);
         Self {
-            armed: status.is_some_and(|s| s.armed),
+            armed: status.map(|s| s.armed),
             holds: status.is_some_and(|s| matches!(s.mode(), Mode::AltitudeHold | Mode::Hold)),
             setpoint_m: live.setpoint_m(),
             altitude_m: live.estimate().and_then(|t| t.get()).and_then(|e| e.position_enu_m.as_ref()).map(|p| p.z),
@@ -86,17 +87,17 @@ impl Guide {
             Some(setpoint_m - from_m >= RAISED_M && (altitude_m - setpoint_m).abs() <= NEAR_M)
         };
         let done = match self.at {
-            ARM => seen.armed,
+            ARM => seen.armed == Some(true),
             1 => seen.holds,
             2 => raised().unwrap_or(false),
             3 => seen.attacked,
-            LAND => !seen.armed,
+            LAND => seen.armed == Some(false),
             5 => seen.reads,
             _ => false,
         };
         if done {
             *self = Self { at: self.at + 1, from_m: seen.begins_m() };
-        } else if (ARM + 1..LAND).contains(&self.at) && !seen.armed {
+        } else if (ARM + 1..LAND).contains(&self.at) && seen.armed == Some(false) {
             *self = Self::at(ARM);
         }
     }
@@ -106,8 +107,17 @@ impl Guide {
 mod tests {
     use super::*;
 
-    const FLYING: Seen =
-        Seen { armed: true, holds: true, setpoint_m: Some(0.5), altitude_m: Some(0.5), attacked: false, reads: false };
+    const FLYING: Seen = Seen {
+        armed: Some(true),
+        holds: true,
+        setpoint_m: Some(0.5),
+        altitude_m: Some(0.5),
+        attacked: false,
+        reads: false,
+    };
+
+    const DISARMED: Seen =
+        Seen { armed: Some(false), holds: false, setpoint_m: None, altitude_m: None, attacked: false, reads: false };
 
     #[test]
     fn each_step_is_done_when_the_vehicle_says_so() {
@@ -116,17 +126,17 @@ mod tests {
             guide.go_on(&seen);
             guide.at
         };
-        assert_eq!(after(Seen::default()), 0);
-        assert_eq!(after(Seen { armed: true, ..Seen::default() }), 1);
-        assert_eq!(after(Seen { armed: true, ..Seen::default() }), 1);
+        assert_eq!(after(DISARMED), 0);
+        assert_eq!(after(Seen { armed: Some(true), ..DISARMED }), 1);
+        assert_eq!(after(Seen { armed: Some(true), ..DISARMED }), 1);
         assert_eq!(after(FLYING), 2);
         // It waits for the vehicle, not for the setpoint.
         assert_eq!(after(Seen { setpoint_m: Some(0.6), ..FLYING }), 2);
         assert_eq!(after(Seen { setpoint_m: Some(0.6), altitude_m: Some(0.57), ..FLYING }), 3);
         assert_eq!(after(Seen { attacked: true, ..FLYING }), 4);
         assert_eq!(after(FLYING), 4);
-        assert_eq!(after(Seen::default()), 5);
-        assert_eq!(after(Seen { reads: true, ..Seen::default() }), 6);
+        assert_eq!(after(DISARMED), 5);
+        assert_eq!(after(Seen { reads: true, ..DISARMED }), 6);
         assert_eq!(after(FLYING), 6);
     }
 
@@ -143,9 +153,12 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_disarms_too_soon_begins_again() {
+    fn a_vehicle_that_disarms_too_soon_begins_again_and_one_that_was_not_heard_yet_does_not() {
         let mut guide = Guide::at(3);
+        // A reload: whatever is shown before its first status.
         guide.go_on(&Seen::default());
+        assert_eq!(guide.at, 3);
+        guide.go_on(&DISARMED);
         assert_eq!(guide.at, 0);
         assert_eq!(Guide::at(77).at, STEPS.len());
     }
