@@ -78,7 +78,7 @@ pub enum DriverKind {
 
 impl DriverKind {
     /// Kinds of sensors it may be; a voltage is none.
-    fn kinds(self) -> &'static [SensorKind] {
+    pub fn kinds(self) -> &'static [SensorKind] {
         match self {
             Self::Bno055 | Self::Invensense => &[SensorKind::Imu],
             Self::Mongoose => &[SensorKind::Imu, SensorKind::Barometer],
@@ -231,7 +231,8 @@ impl DeviceSpec {
         self.baud.unwrap_or(self.driver.usual().0)
     }
 
-    fn address(&self) -> u8 {
+    /// I²C address; 0 of a device that has none.
+    pub fn address(&self) -> u8 {
         self.address.unwrap_or(self.driver.usual().1)
     }
 
@@ -308,6 +309,51 @@ impl DeviceSpec {
             return Err(("body", format!("{:?}", self.body), "the name of an object, 1 to 24 characters"));
         }
         Ok(())
+    }
+
+    /// What could be on `port`, to be tried one after the other: each driver that tells its own device from others, at its
+    /// usual addresses and baud rates. Never the address of motors.
+    pub fn guesses(port: &str) -> Vec<Self> {
+        let guess = |driver, baud, address| Self {
+            name: "guess".into(),
+            driver,
+            port: port.into(),
+            sensors: Vec::new(),
+            baud,
+            address,
+            rate_hz: None,
+            delay_s: 0.0,
+            sigma: None,
+            position_flu_m: Vector3::zeros(),
+            mounting_rpy_rad: Vector3::zeros(),
+            calibration: None,
+            body: String::new(),
+            server: None,
+            up: None,
+            origin: None,
+            divider: None,
+        };
+        match PortName::parse(port) {
+            // Those that only talk first: nothing is written to them.
+            Some(PortName::Serial(_)) => vec![
+                guess(DriverKind::Tfmini, None, None),
+                guess(DriverKind::Mongoose, None, None),
+                guess(DriverKind::Gnss, None, None),
+                guess(DriverKind::Gnss, Some(9600), None),
+                guess(DriverKind::Hokuyo, None, None),
+                guess(DriverKind::Bno055, None, None),
+            ],
+            Some(PortName::I2c(_) | PortName::Socket(_)) => [
+                (DriverKind::Bno055, [0x28, 0x29]),
+                (DriverKind::Invensense, [0x68, 0x69]),
+                (DriverKind::Bmp280, [0x76, 0x77]),
+                (DriverKind::Ms5611, [0x76, 0x77]),
+            ]
+            .into_iter()
+            .flat_map(|(driver, addresses)| addresses.map(|address| guess(driver, None, Some(address))))
+            .collect(),
+            _ => Vec::new(),
+        }
     }
 
     /// Its driver, closed; `None` for a port that a check would have refused.

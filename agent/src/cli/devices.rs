@@ -1,18 +1,26 @@
 //! What is attached, and what it says.
 
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use plumbline_agent::config::AgentConfig;
-use plumbline_devices::port::serial_ports;
+use plumbline_devices::port::{PortName, buses, serial_ports};
 use plumbline_devices::reader::Zero;
 use plumbline_devices::spec::DeviceSpec;
+use plumbline_proto::ids::SensorId;
 
 use super::{Failure, in_file};
 
 /// How long devices are given to answer.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// How long each driver tries a port: a BNO055 needs a second to start.
+const ANSWER: Duration = Duration::from_millis(2500);
+/// How long the readings of a device that was found are counted.
+const COUNTED: Duration = Duration::from_secs(1);
+/// So many are no noise that looks like one.
+const FIRST_READINGS: u64 = 3;
 /// How often what a device says is shown.
 const SHOWN: Duration = Duration::from_millis(200);
 
@@ -28,6 +36,12 @@ pub struct DevicesArguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// Asks what answers, driver by driver, and writes what was found as `[[device]]`. On the bench: other devices are sent
+    /// what they may not understand.
+    Probe {
+        /// Ports; where none is named every serial port and I²C bus that no `[[device]]` has.
+        ports: Vec<String>,
+    },
     /// Shows a device's readings.
     Test {
         /// Its name in the configuration.
@@ -47,6 +61,12 @@ impl DevicesArguments {
         };
         match &self.what {
             None => list(&devices),
+            Some(What::Probe { ports }) if ports.is_empty() => {
+                let all = serial_ports().into_iter().chain(buses()).map(|port| port.display().to_string());
+                let free: Vec<String> = all.filter(|port| devices.iter().all(|device| device.port != *port)).collect();
+                probe(&free)
+            }
+            Some(What::Probe { ports }) => probe(ports),
             Some(What::Test { name, seconds }) => {
                 let device = devices.iter().find(|device| device.name == *name);
                 let file = self.config.as_deref().ok_or("devices test: needs --config with [[device]]")?;
@@ -62,7 +82,7 @@ impl DevicesArguments {
 /// Ports, and the devices of the configuration with what they do within [`PATIENCE`].
 fn list(devices: &[DeviceSpec]) -> Result<(), Failure> {
     let mut out = std::io::stdout();
-    for port in serial_ports() {
+    for port in serial_ports().into_iter().chain(buses()) {
         writeln!(out, "port    {}", port.display())?;
     }
     let zero = Zero::default();
@@ -86,6 +106,80 @@ fn list(devices: &[DeviceSpec]) -> Result<(), Failure> {
         writeln!(out, "{}{}", if health.reason.is_empty() { "" } else { ": " }, health.reason)?;
     }
     Ok(())
+}
+
+/// What answers on each of `ports`, as tables of a configuration; every port at a time of its own.
+fn probe(ports: &[String]) -> Result<(), Failure> {
+    if ports.is_empty() {
+        return Err("devices probe: there is no port that is free; name one".into());
+    }
+    if let Some(port) = ports.iter().find(|port| DeviceSpec::guesses(port).is_empty()) {
+        return Err(format!("devices probe: {port:?} is no serial port and no I²C bus").into());
+    }
+    let found: Vec<_> = std::thread::scope(|scope| {
+        let asked: Vec<_> = ports.iter().map(|port| scope.spawn(|| found_on(port))).collect();
+        asked.into_iter().map(|thread| thread.join().unwrap_or_default()).collect()
+    });
+    let mut out = std::io::stdout();
+    // Of each kind of sensor, how many there are.
+    let mut counts: BTreeMap<i32, u8> = BTreeMap::new();
+    for (port, found) in ports.iter().zip(found) {
+        if found.is_empty() {
+            writeln!(out, "# {port}: nothing that a driver knows\n")?;
+        }
+        for Found { device, rate_hz } in found {
+            // As a configuration has it.
+            let driver = format!("{:?}", device.driver).to_lowercase();
+            let sensors = device.driver.kinds().iter().map(|kind| {
+                let count = counts.entry(*kind as i32).or_default();
+                *count += 1;
+                format!("\"{}\"", SensorId::new(*kind, *count))
+            });
+            let sensors: Vec<String> = sensors.collect();
+            let place = counts.values().sum::<u8>();
+            writeln!(out, "[[device]] # {rate_hz:.0} readings/s")?;
+            writeln!(out, "name = \"{driver:.6} {place}\"\ndriver = \"{driver}\"\nport = \"{port}\"")?;
+            if let Some(baud) = device.baud {
+                writeln!(out, "baud = {baud}")?;
+            }
+            if let Some(address) = device.address {
+                writeln!(out, "address = {address}")?;
+            }
+            writeln!(out, "sensors = [{}]\n", sensors.join(", "))?;
+        }
+    }
+    Ok(())
+}
+
+struct Found {
+    device: DeviceSpec,
+    rate_hz: f64,
+}
+
+/// One device of a serial port, every one of a bus.
+fn found_on(port: &str) -> Vec<Found> {
+    let mut found: Vec<Found> = Vec::new();
+    for device in DeviceSpec::guesses(port) {
+        let serial = matches!(PortName::parse(port), Some(PortName::Serial(_)));
+        let taken = |other: &Found| serial || other.device.address() == device.address();
+        if found.iter().any(taken) {
+            continue;
+        }
+        let zero = Zero::default();
+        zero.set(Instant::now());
+        let Ok(Some((_, reader))) = device.start(&zero) else { continue };
+        let begun = Instant::now();
+        while begun.elapsed() < ANSWER && reader.state().health().readings < FIRST_READINGS {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let first = reader.state().health().readings;
+        if first >= FIRST_READINGS {
+            std::thread::sleep(COUNTED);
+            let more = reader.state().health().readings - first;
+            found.push(Found { device, rate_hz: more as f64 / COUNTED.as_secs_f64() });
+        }
+    }
+    found
 }
 
 /// The readings of one device, a few a second, and how it does at the end.

@@ -3,6 +3,7 @@
 
 use std::time::{Duration, Instant};
 
+use plumbline_agent::config::AgentConfig;
 use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
 use plumbline_wires::{PULSES_US, Plug, WireRig};
@@ -283,4 +284,35 @@ fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_
         flown.stands(Instant::now());
         flown.agent.assert_told(&["the vehicle can be flown no longer"]);
     });
+}
+
+/// What is plugged in is found by asking, as a configuration that the agent takes.
+#[test]
+fn what_answers_on_a_port_is_found_by_asking() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path()).unwrap();
+    let wired: toml::Table = rig.configuration().parse().unwrap();
+    let wired: Vec<(&str, &str)> = wired["device"].as_array().unwrap().iter().map(driver_on).collect();
+    let asked: Vec<&str> = wired.iter().map(|(_, port)| *port).filter(|port| port.starts_with('/')).collect();
+    // One of them says nothing.
+    rig.plug("height2", Plug::Hanging);
+    let probed = std::process::Command::new(env!("CARGO_BIN_EXE_plumbline-agent"))
+        .args(["devices", "probe"])
+        .args(&asked)
+        .output()
+        .unwrap();
+    let said = String::from_utf8(probed.stdout).unwrap();
+    assert!(probed.status.success(), "{said}\n{}", String::from_utf8_lossy(&probed.stderr));
+    let found: toml::Table = said.parse().unwrap();
+    let devices = found["device"].as_array().unwrap();
+    for (driver, port) in devices.iter().map(driver_on) {
+        assert!(wired.contains(&(driver, port)), "{driver} on {port}: {wired:?}");
+    }
+    assert_eq!(devices.len() + 1, asked.len(), "{said}");
+    assert!(said.contains("nothing that a driver knows"), "{said}");
+    AgentConfig::from_toml(&said).unwrap();
+}
+
+fn driver_on(device: &toml::Value) -> (&str, &str) {
+    (device["driver"].as_str().unwrap(), device["port"].as_str().unwrap())
 }
