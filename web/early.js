@@ -63,7 +63,7 @@
     // The program was faster, and has opened one of its own.
     if (globalThis.plumblineEarly !== early) return;
     const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-    const query = `operator=${encodeURIComponent(operator)}`;
+    const query = `thinned=true&operator=${encodeURIComponent(operator)}`;
     const socket = new WebSocket(`${scheme}://${location.host}/api/v1/vehicles/${encodeURIComponent(vehicle)}/live?${query}`);
     socket.binaryType = 'arraybuffer';
     const begun = performance.now();

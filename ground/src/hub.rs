@@ -7,12 +7,13 @@
 
 mod health;
 mod history;
+mod thinned;
 mod vehicle;
 mod viewer;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, Weak};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use plumbline_proto::codec::{Batch, Frame};
@@ -109,8 +110,9 @@ impl Hub {
         let mut vehicles = lock(&self.vehicles);
         let before = vehicles.len();
         vehicles.retain(|_, vehicle| {
-            let watched = vehicle.viewers.iter().any(|viewer| viewer.strong_count() > 0);
-            vehicle.linked() || watched || now.saturating_duration_since(vehicle.heard) < FORGOTTEN_AFTER
+            vehicle.linked()
+                || vehicle.queues().next().is_some()
+                || now.saturating_duration_since(vehicle.heard) < FORGOTTEN_AFTER
         });
         vehicles.values_mut().for_each(|vehicle| vehicle.history.trim(now));
         if vehicles.len() < before {
@@ -177,11 +179,12 @@ impl Hub {
         }
     }
 
-    /// A new viewer of `id`: `history` back, then live, with no gap and no repetition between them.
+    /// A new viewer of `id`: `history` back, then live, with no gap and no repetition between them; thinned to what a
+    /// page shows, or every message.
     ///
     /// # Errors
     /// [`VehicleError::Unknown`].
-    pub fn subscribe(&self, id: &str, history: Duration) -> Result<Viewer, VehicleError> {
+    pub fn subscribe(&self, id: &str, history: Duration, thinned: bool) -> Result<Viewer, VehicleError> {
         let now = Instant::now();
         let mut vehicles = lock(&self.vehicles);
         let vehicle = vehicles.get_mut(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
@@ -191,7 +194,7 @@ impl Hub {
         let mut backlog = vec![vehicle.snapshot(oldest)];
         backlog.extend(past);
         let queue = Arc::new(ViewerQueue::new(self.dropped.clone()));
-        vehicle.viewers.push(Arc::downgrade(&queue));
+        vehicle.watch(&queue, thinned);
         Ok(Viewer { backlog, queue })
     }
 
@@ -203,7 +206,7 @@ impl Hub {
     /// Bytes waiting for viewers, all of them together.
     pub fn queued_bytes(&self) -> usize {
         let vehicles = lock(&self.vehicles);
-        let queues = vehicles.values().flat_map(|vehicle| &vehicle.viewers).filter_map(Weak::upgrade);
+        let queues = vehicles.values().flat_map(Vehicle::queues);
         queues.map(|queue| queue.queued_bytes()).sum()
     }
 
@@ -313,17 +316,17 @@ mod tests {
         hub.batch("a", &batch(1, Kind::Control));
         hub.flush();
         hub.batch("a", &batch(2, Kind::Control));
-        let viewer = hub.subscribe("a", Duration::from_secs(60)).unwrap();
+        let viewer = hub.subscribe("a", Duration::from_secs(60), false).unwrap();
         hub.batch("a", &batch(3, Kind::Control));
         hub.flush();
         let mut seen: Vec<u64> = viewer.backlog.iter().flat_map(sequences).collect();
         seen.extend(sequences(&viewer.queue.next().await));
         assert_eq!(seen, [1, 2, 3]);
-        let without = hub.subscribe("a", Duration::ZERO).unwrap();
+        let without = hub.subscribe("a", Duration::ZERO, false).unwrap();
         let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
         assert_eq!(first, [3], "without history the latest sample is in the snapshot");
         hub.batch("a", &batch(4, Kind::Status));
-        let without = hub.subscribe("a", Duration::ZERO).unwrap();
+        let without = hub.subscribe("a", Duration::ZERO, false).unwrap();
         let first: Vec<u64> = without.backlog.iter().flat_map(sequences).collect();
         assert_eq!(first, [3, 4], "what was gathered for others, too, and once");
     }
@@ -345,7 +348,7 @@ mod tests {
         assert_eq!(held(), 1);
         hub.expire(later(MAX_HISTORY_SECONDS + 1));
         assert_eq!((held(), hub.list().len()), (0, MAX_VEHICLES), "its history is over, its last state is kept");
-        let viewer = hub.subscribe("190", Duration::ZERO).unwrap();
+        let viewer = hub.subscribe("190", Duration::ZERO, true).unwrap();
         hub.expire(later(FORGOTTEN_AFTER.as_secs() + 1));
         assert_eq!(hub.ids(), ["190", "here"], "who is watched or connected stays");
         drop(viewer);
@@ -361,7 +364,7 @@ mod tests {
         hub.connected("a", 2, 0, "0", new);
         hub.disconnected("a");
         assert!(hub.commands("a").is_ok());
-        assert!(hub.subscribe("a", Duration::from_secs(9)).unwrap().backlog.iter().all(|s| s.messages == 0));
+        assert!(hub.subscribe("a", Duration::from_secs(9), false).unwrap().backlog.iter().all(|s| s.messages == 0));
         drop(new_end);
         assert_eq!(hub.commands("a").unwrap_err(), VehicleError::Disconnected("a".into()));
     }

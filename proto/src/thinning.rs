@@ -212,39 +212,56 @@ impl<M: Plotted> Held for Option<Extremes<M>> {
 }
 
 /// The worst residuals of the stretch that an estimator is in.
-struct Worst {
-    number: u64,
+#[derive(Debug)]
+pub struct Worst {
+    stretch: u64,
     sequence: u64,
     residuals: v1::Residuals,
 }
 
-impl Held for Option<Worst> {
-    fn take(&mut self, stretch: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
-        let number = stretch / RESIDUALS;
+impl Worst {
+    /// The estimator's next residuals, in this stretch of time; those of a stretch that is over are appended to `out`.
+    pub fn take(held: &mut Option<Self>, stretch: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
         let Ok(more) = frame.message::<v1::Residuals>() else { return };
-        match self {
-            Some(held) if held.number == number => {
-                (held.sequence, held.residuals.time_us) = (frame.sequence, more.time_us);
-                for new in more.residuals {
-                    let known = held.residuals.residuals.iter_mut();
-                    let of = |r: &v1::Residual| (r.sensor, r.instance, r.channel);
-                    match { known }.find(|r| of(r) == of(&new)) {
-                        Some(known) if known.ratio >= new.ratio => {}
-                        Some(known) => *known = new,
-                        None => held.residuals.residuals.push(new),
-                    }
-                }
-            }
+        match held {
+            Some(held) if held.stretch == stretch => held.add(frame.sequence, more),
             over => {
-                over.write((Kind::Residuals, frame.instance), out);
-                *over = Some(Worst { number, sequence: frame.sequence, residuals: more });
+                if let Some(over) = over {
+                    over.write(frame.instance, out);
+                }
+                *over = Some(Self { stretch, sequence: frame.sequence, residuals: more });
             }
         }
     }
 
-    fn write(&self, (kind, instance): (Kind, u16), out: &mut Vec<u8>) {
-        let Some(Worst { sequence, residuals, .. }) = self else { return };
-        codec::encode_message(out, kind, instance, *sequence, residuals.time_us, residuals);
+    fn add(&mut self, sequence: u64, more: v1::Residuals) {
+        (self.sequence, self.residuals.time_us) = (sequence, more.time_us);
+        for new in more.residuals {
+            let known = self.residuals.residuals.iter_mut();
+            let of = |r: &v1::Residual| (r.sensor, r.instance, r.channel);
+            match { known }.find(|r| of(r) == of(&new)) {
+                Some(known) if known.ratio >= new.ratio => {}
+                Some(known) => *known = new,
+                None => self.residuals.residuals.push(new),
+            }
+        }
+    }
+
+    /// Appends them to `out`, as a frame of estimator `instance`.
+    pub fn write(&self, instance: u16, out: &mut Vec<u8>) {
+        codec::encode_message(out, Kind::Residuals, instance, self.sequence, self.residuals.time_us, &self.residuals);
+    }
+}
+
+impl Held for Option<Worst> {
+    fn take(&mut self, stretch: u64, frame: &Frame<'_>, out: &mut Vec<u8>) {
+        Worst::take(self, stretch / RESIDUALS, frame, out);
+    }
+
+    fn write(&self, (_, instance): (Kind, u16), out: &mut Vec<u8>) {
+        if let Some(held) = self {
+            held.write(instance, out);
+        }
     }
 }
 

@@ -55,6 +55,8 @@ await context.addInitScript(() => localStorage.setItem('plumbline.window_s', '12
 const page = await context.newPage();
 page.setDefaultTimeout(10_000);
 const errors = complaints(page);
+let receivedB = 0;
+page.on('websocket', (socket) => socket.on('framereceived', ({ payload }) => { receivedB += payload.length; }));
 const cpu = await context.newCDPSession(page);
 const throttle = (rate) => cpu.send('Emulation.setCPUThrottlingRate', { rate });
 // What a fixed sum takes here, and where the suite was written with nothing else to do, ms: a machine that is slow or busy
@@ -141,6 +143,18 @@ await step(page, 'altitude hold at 0.5 m', async () => {
   await until('the mode', () => vehicle.mode === ALTITUDE_HOLD);
   await button('Altitude 0.5 m').click();
   await reads(0.5);
+});
+
+await step(page, 'in flight a page is sent at most 100 kB a second', async () => {
+  const kB = [];
+  for (let n = 0; n < 3; n += 1) {
+    const [beganB, begun] = [receivedB, performance.now()];
+    await page.waitForTimeout(2000);
+    kB.push(Math.round((receivedB - beganB) / (performance.now() - begun)));
+  }
+  assert(Math.min(...kB) > 10, `${kB} kB/s: nothing is sent`);
+  assert(Math.max(...kB) <= 100, `${kB} kB/s`);
+  return { kB_per_s: kB };
 });
 
 // Reloads in flight; what the operator's sign of life came to. 12 and 13 are its failsafes, freeze and descent; the link's are

@@ -279,7 +279,8 @@ impl LiveSocket {
         let id = js_sys::encode_uri_component(vehicle);
         let who = js_sys::encode_uri_component(operator);
         let host = location.host().ok()?;
-        let socket = WebSocket::new(&format!("{scheme}://{host}/api/v1/vehicles/{id}/live?operator={who}")).ok()?;
+        let url = format!("{scheme}://{host}/api/v1/vehicles/{id}/live?thinned=true&operator={who}");
+        let socket = WebSocket::new(&url).ok()?;
         socket.set_binary_type(BinaryType::Arraybuffer);
         Some(socket)
     }

@@ -2,7 +2,7 @@
 //! charts show of the past, in one batch.
 //!
 //! First the latest of every topic (and, where it is asked for, the whole history), then live batches, each at most
-//! 10 ms old when it leaves the hub. The page asks for no history here: minutes of messages before the newest one
+//! 10 ms old when it leaves the hub; with `thinned=true` only what a page shows of them (`hub/thinned.rs`). The page asks for no history here: minutes of messages before the newest one
 //! would make what it shows minutes old, and its operator's sign of life too late. A viewer that stops reading fills its own queue ([`ViewerQueue`]), loses the
 //! oldest, sees the count in its `LinkStatus`, and is closed after [`STALLED`].
 //!
@@ -49,6 +49,9 @@ const MAX_INCOMING: usize = 4096;
 pub(crate) struct Asked {
     #[serde(default)]
     history: f64,
+    /// Only what a page shows; the newest of every topic first, all the same.
+    #[serde(default)]
+    thinned: bool,
     /// What the page calls itself, where nobody signs in: a browser sends no headers of ours here.
     operator: Option<String>,
 }
@@ -79,7 +82,7 @@ pub(crate) async fn live(
         if let Some(Extension(place)) = &place {
             place.watch();
         }
-        if let Ok(viewer) = app.hub.subscribe(&id, history) {
+        if let Ok(viewer) = app.hub.subscribe(&id, history, asked.thinned) {
             app.leases.page_opened(&id, &who);
             tokio::select! {
                 () = serve(&app, &id, &who, viewer, &mut socket) => {}

@@ -121,6 +121,7 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/vehicles/{id}/live", "A WebSocket of batches, the newest of every topic first")
         .query(&[
             ("history", "number", "Begin so many seconds back."),
+            ("thinned", "boolean", "Only what a page shows: 40 estimates a second, of residuals the worst of each eighth."),
             ("operator", "string", "What the page calls itself."),
         ])
         .empty(101),

@@ -1,7 +1,7 @@
 //! One vehicle as the hub keeps it: the latest of every topic, what is gathered for its viewers, and its history.
 
 use std::collections::BTreeMap;
-use std::sync::Weak;
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use bytes::BytesMut;
@@ -10,6 +10,7 @@ use plumbline_proto::{Kind, Message};
 
 use super::health::Health;
 use super::history::History;
+use super::thinned::Thinned;
 use super::viewer::{Shared, ViewerQueue};
 use crate::agent_link::CommandSender;
 
@@ -19,7 +20,7 @@ const FLUSH_BYTES: usize = 256 << 10;
 /// what lives for milliseconds would leave the memory in pieces.
 const BLOCK_BYTES: usize = 512 << 10;
 /// Most topics of one vehicle whose latest message is kept; more are passed on but not kept.
-const MAX_TOPICS: usize = 512;
+pub(super) const MAX_TOPICS: usize = 512;
 /// A vehicle that says nothing for this long is shown as not connected, whatever its connection may yet become.
 pub const SILENT_AFTER: Duration = Duration::from_secs(2);
 
@@ -36,11 +37,47 @@ pub(super) struct Vehicle {
     latest: BTreeMap<(u16, u16), Latest>,
     pub(super) history: History,
     pub(super) health: Health,
-    pending: Vec<u8>,
-    pending_messages: u32,
+    /// Every message.
+    whole: Stream,
+    /// What is kept for pages.
+    thin: Stream,
+    thinned: Thinned,
     /// What is left of the block that batches are put into.
     block: BytesMut,
-    pub(super) viewers: Vec<Weak<ViewerQueue>>,
+}
+
+/// What is gathered for some viewers, and they.
+#[derive(Debug, Default)]
+struct Stream {
+    /// A batch in the making.
+    pending: Vec<u8>,
+    viewers: Vec<Weak<ViewerQueue>>,
+}
+
+impl Stream {
+    /// To append frames to.
+    fn frames(&mut self) -> &mut Vec<u8> {
+        if self.pending.is_empty() {
+            codec::begin_batch(&mut self.pending);
+        }
+        &mut self.pending
+    }
+
+    /// Shares what was gathered with the viewers; `None` where it is nothing.
+    fn flush(&mut self, block: &mut BytesMut) -> Option<Shared> {
+        if self.pending.len() <= codec::BATCH_HEADER {
+            return None;
+        }
+        let messages = codec::decode_batch(&self.pending).map_or(0, |frames| frames.count() as u32);
+        if block.capacity() < self.pending.len() {
+            *block = BytesMut::with_capacity(BLOCK_BYTES.max(self.pending.len()));
+        }
+        block.extend_from_slice(&self.pending);
+        self.pending.clear();
+        let shared = Shared { batch: block.split().freeze(), messages };
+        self.viewers.retain(|viewer| viewer.upgrade().map(|queue| queue.push(shared.clone())).is_some());
+        Some(shared)
+    }
 }
 
 #[derive(Debug)]
@@ -60,10 +97,10 @@ impl Vehicle {
             latest: BTreeMap::new(),
             history: History::default(),
             health: Health::new(now),
-            pending: Vec::new(),
-            pending_messages: 0,
+            whole: Stream::default(),
+            thin: Stream::default(),
+            thinned: Thinned::default(),
             block: BytesMut::new(),
-            viewers: Vec::new(),
         }
     }
 
@@ -81,6 +118,21 @@ impl Vehicle {
         self.latest.retain(|(kind, _), _| Kind::from_wire(*kind).is_some_and(Kind::is_ground_made));
         self.history.clear();
         self.health = Health::new(now);
+        self.thinned = Thinned::default();
+    }
+
+    pub(super) fn watch(&mut self, queue: &Arc<ViewerQueue>, thinned: bool) {
+        let stream = if thinned { &mut self.thin } else { &mut self.whole };
+        if thinned && stream.viewers.is_empty() {
+            // What was held for those before is old.
+            self.thinned = Thinned::default();
+        }
+        stream.viewers.push(Arc::downgrade(queue));
+    }
+
+    /// Those of whoever watches.
+    pub(super) fn queues(&self) -> impl Iterator<Item = Arc<ViewerQueue>> {
+        self.whole.viewers.iter().chain(&self.thin.viewers).filter_map(Weak::upgrade)
     }
 
     pub(super) fn take(&mut self, frame: &Frame<'_>, now: Instant) {
@@ -91,35 +143,23 @@ impl Vehicle {
             latest.frame.clear();
             frame.encode(&mut latest.frame);
         }
-        if self.pending.is_empty() {
-            codec::begin_batch(&mut self.pending);
+        frame.encode(self.whole.frames());
+        if !self.thin.viewers.is_empty() {
+            self.thinned.take(frame, now, self.thin.frames());
         }
-        frame.encode(&mut self.pending);
-        self.pending_messages += 1;
-        if self.pending.len() >= FLUSH_BYTES {
+        if self.whole.pending.len() >= FLUSH_BYTES {
             self.flush(now);
         }
     }
 
     pub(super) fn flush(&mut self, now: Instant) {
-        if self.pending.is_empty() {
-            return;
+        if !self.thin.viewers.is_empty() {
+            self.thinned.last(now, self.thin.frames());
         }
-        if self.block.capacity() < self.pending.len() {
-            self.block = BytesMut::with_capacity(BLOCK_BYTES.max(self.pending.len()));
+        self.thin.flush(&mut self.block);
+        if let Some(shared) = self.whole.flush(&mut self.block) {
+            self.history.push(now, shared);
         }
-        self.block.extend_from_slice(&self.pending);
-        let shared = Shared { batch: self.block.split().freeze(), messages: self.pending_messages };
-        self.pending.clear();
-        self.pending_messages = 0;
-        self.viewers.retain(|viewer| match viewer.upgrade() {
-            Some(queue) => {
-                queue.push(shared.clone());
-                true
-            }
-            None => false,
-        });
-        self.history.push(now, shared);
     }
 
     /// The latest of every topic as one batch. States come always; samples only when the history,

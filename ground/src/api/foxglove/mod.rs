@@ -93,7 +93,7 @@ pub(crate) async fn live(
         if let Some(Extension(place)) = &place {
             place.watch();
         }
-        let Ok(viewer) = app.hub.subscribe(&id, Duration::ZERO) else { return };
+        let Ok(viewer) = app.hub.subscribe(&id, Duration::ZERO, false) else { return };
         tokio::select! {
             () = serve(&caller, viewer, socket) => {}
             () = seat.closed() => {}

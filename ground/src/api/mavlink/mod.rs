@@ -171,7 +171,7 @@ pub fn understood(datagram: &[u8]) -> usize {
 /// Speaks for one vehicle while it is connected.
 async fn attend(who: ask::Who, line: Line, mut messages: mpsc::Receiver<MavMessage>) {
     let app = &who.app;
-    let Ok(Viewer { backlog, queue }) = app.hub.subscribe(&who.vehicle, Duration::ZERO) else { return };
+    let Ok(Viewer { backlog, queue }) = app.hub.subscribe(&who.vehicle, Duration::ZERO, false) else { return };
     let mut latest = Latest::default();
     backlog.iter().for_each(|shared| take(&mut latest, &shared.batch, &line));
     let (mut fast, mut slow, mut stopped) = (interval(FAST), interval(SLOW), app.stopped.clone());
