@@ -17,13 +17,13 @@ const WIRES: &str = "wires.mjs";
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
-/// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a recording flown again with
-/// `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
+/// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
+/// with `hold.mjs`, a recording flown again with `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
 ///
 /// Of the scripts only those that `chosen` names, if it names any.
 pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
     type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
-    let parts: [(&str, Part, &[&str]); 4] = [
+    let parts: [(&str, Part, &[&str]); 5] = [
         (
             "system",
             fly,
@@ -38,6 +38,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
                 "mcap.mjs",
             ],
         ),
+        ("a vehicle under motion capture", hold, &["hold.mjs"]),
         ("a replay", replay, &["replay.mjs"]),
         ("a ground with accounts", people, &["people.mjs"]),
         ("the wire rig", wires, &[WIRES]),
@@ -80,6 +81,14 @@ fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(
     eprintln!("xtask: skipped: browser: the wire rig: this machine serves its ports too late");
     tally.skip(1, &std::collections::BTreeSet::new());
     Ok(())
+}
+
+fn hold(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
+    let vehicle = Vehicle::Simulated { scenario: workspace.root.join("tests/scenarios/circle.toml") };
+    let system = System::start(&options(workspace, "debug", "browser-hold")?, &vehicle)?;
+    let read = run_all(workspace, scripts, system.api(), tally);
+    let stopped = system.stop();
+    read.and(stopped)
 }
 
 fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {

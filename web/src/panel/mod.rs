@@ -32,3 +32,4 @@ pub mod sketch;
 pub mod steps;
 pub mod timebar;
 pub mod toolbar;
+pub mod top_view;

@@ -5,6 +5,7 @@ use plumbline_proto::v1::Mode;
 use serde_json::json;
 
 use super::paths::{PathForm, PathsButton};
+use super::top_view::TopView;
 use crate::{
     ctx::ctx,
     event::Tone,
@@ -97,15 +98,16 @@ pub fn ModeFields() -> impl IntoView {
             if live.is_replay() { Mode::Unspecified } else { mode }
         })
     });
-    let card = |name, entries| {
-        view! {
-            <section class="card setpoint" aria-label=name><Fields name entries /></section>
-        }
-    };
-    move || match mode.get() {
-        Mode::Hold => card("Position", &POSITION).into_any(),
-        Mode::Stabilise => card("Attitude and thrust", &ATTITUDE).into_any(),
+    move || {
+        match mode.get() {
+        Mode::Hold => view! {
+            <section class="card setpoint" aria-label="Position"><header><h2>"Position"</h2><span class="quiet">"from above, north up"</span></header><TopView /><Fields name="Position" entries=&POSITION /></section>
+        }.into_any(),
+        Mode::Stabilise => view! {
+            <section class="card setpoint" aria-label="Attitude and thrust"><header><h2>"Attitude and thrust"</h2></header><Fields name="Attitude and thrust" entries=&ATTITUDE /></section>
+        }.into_any(),
         _ => ().into_any(),
+    }
     }
 }
 
