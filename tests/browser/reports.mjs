@@ -414,6 +414,33 @@ await step(page, 'a flight that there is not is a page that says so', async () =
   await shots('flight-nonsense');
 });
 
+await step(page, 'experiments: a plan is written from what the vehicle has, and counted as it is', async () => {
+  await page.goto(`${url}/experiments`);
+  const region = page.getByRole('region', { name: 'Plan' });
+  const text = page.getByLabel('Plan, TOML');
+  const counts = async (told) => until(told, async () => (await region.getByRole('status').textContent()).includes(told));
+  await region.getByText('From what this vehicle has').click();
+  const form = region.getByRole('form', { name: 'Plan from this vehicle' });
+  await form.getByLabel('attacked').selectOption({ label: 'IMU 2' });
+  await form.getByLabel('channel').selectOption({ label: 'gyro x' });
+  await form.getByLabel(/^sizes/).fill('0.05 0.2 0,5');
+  await form.getByLabel('harsh').check();
+  await form.getByLabel('repeats').fill('4');
+  // Sizes, estimators and worlds, so often each.
+  await counts('12 conditions × 4 = 48 flights');
+  const plan = await text.inputValue();
+  for (const part of ['instance = 2', 'channel = "gyro_x"', 'values = [0.05, 0.2, 0.5]', '"datasheet", "harsh"']) {
+    assert(plan.includes(part), `${part} is not in ${plan}`);
+  }
+  await form.getByLabel('repeats').fill('many');
+  await form.getByRole('alert').filter({ hasText: 'many' }).waitFor();
+  assert((await text.inputValue()) === plan, 'a wrong answer changed the plan');
+  await form.getByLabel('repeats').fill('5');
+  await form.getByLabel('attacked').selectOption({ label: 'nothing' });
+  await counts('4 conditions × 5 = 20 flights');
+  await shots('experiments-form');
+});
+
 await step(page, 'experiments: a plan is counted, refused with its line, flown; its dots fill in, and one opens as a flight', async () => {
   await page.goto(`${url}/experiments`);
   await page.getByRole('heading', { name: 'Experiments', level: 1 }).waitFor();

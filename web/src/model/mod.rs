@@ -29,5 +29,6 @@ pub mod series;
 pub mod signals;
 pub mod spans;
 pub mod stick;
+pub mod study;
 pub mod topic;
 pub mod tuning;

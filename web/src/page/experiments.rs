@@ -2,6 +2,7 @@
 
 mod plan;
 mod results;
+mod study;
 
 use std::time::Duration;
 

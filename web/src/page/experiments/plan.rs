@@ -7,6 +7,7 @@ use plumbline_rest::experiment::{Asked, Size, State};
 use plumbline_rest::flight::{Completeness, Flight, Flights};
 
 use super::ROOT;
+use super::study::StudyForm;
 use crate::{
     ctx::ctx,
     event::{Event, Failure, Tone},
@@ -104,6 +105,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
             <select aria-label="Question to begin with" on:change:target=move |e| choose(e.target().value())>
                 {templates(&[], "").map(|(question, _)| view! { <option>{question}</option> })}
             </select>
+            <StudyForm text />
             <textarea
                 rows="16"
                 spellcheck="false"
