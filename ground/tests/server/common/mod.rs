@@ -95,9 +95,8 @@ impl Ground {
         for (name, value) in headers {
             text += &format!("{name}: {value}\r\n");
         }
-        stream.write_all(format!("{text}\r\n").as_bytes()).await.unwrap();
-        // So may one that refuses it before it came.
-        let _ = stream.write_all(body).await;
+        // At once: a server that refuses before the rest of a request came resets the connection, and its answer may be lost.
+        let _ = stream.write_all(&[text.as_bytes(), b"\r\n", body].concat()).await;
         let mut raw = Vec::new();
         // A server that refuses a large body may reset the connection after its answer.
         let _ = stream.read_to_end(&mut raw).await;
