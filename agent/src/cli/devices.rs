@@ -158,9 +158,9 @@ struct Found {
 
 /// One device of a serial port, every one of a bus.
 fn found_on(port: &str) -> Vec<Found> {
+    let serial = matches!(PortName::parse(port), Some(PortName::Serial(_)));
     let mut found: Vec<Found> = Vec::new();
     for device in DeviceSpec::guesses(port) {
-        let serial = matches!(PortName::parse(port), Some(PortName::Serial(_)));
         let taken = |other: &Found| serial || other.device.address() == device.address();
         if found.iter().any(taken) {
             continue;

@@ -56,20 +56,29 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
     }
 }
 
+/// Runs `scripts` beside a system that flies `vehicle`, and stops it.
+fn with(
+    workspace: &Workspace,
+    options: &SystemOptions,
+    vehicle: &Vehicle,
+    scripts: &[&str],
+    tally: &mut Tally,
+) -> Result<(), XtaskError> {
+    let system = System::start(options, vehicle)?;
+    let read = run_all(workspace, scripts, system.api(), tally);
+    let stopped = system.stop();
+    read.and(stopped)
+}
+
 /// Flies the wire rig. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy
 /// machine: a flight that fails while another such port was late is none, and is flown again.
 fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO) };
-    let fly = |tally: &mut Tally| {
-        let system = System::start(&options(workspace, "debug", "browser-wires")?, &vehicle)?;
-        let read = run_all(workspace, scripts, system.api(), tally);
-        let stopped = system.stop();
-        read.and(stopped)
-    };
     for flight in 1..=WIRE_FLIGHTS {
         let ports = Ports::watch().map_err(XtaskError::file("a pseudo terminal"))?;
         let mut counted = Tally::silent();
-        let flown = fly(&mut counted);
+        let flown = options(workspace, "debug", "browser-wires")
+            .and_then(|options| with(workspace, &options, &vehicle, scripts, &mut counted));
         let late = ports.worst();
         eprintln!("xtask: browser: a port beside the wire rig's was {} ms late at most", late.as_millis());
         if flown.is_ok() || late < PORTS_LATE {
@@ -85,10 +94,7 @@ fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(
 
 fn hold(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
     let vehicle = Vehicle::Simulated { scenario: workspace.root.join("tests/scenarios/circle.toml") };
-    let system = System::start(&options(workspace, "debug", "browser-hold")?, &vehicle)?;
-    let read = run_all(workspace, scripts, system.api(), tally);
-    let stopped = system.stop();
-    read.and(stopped)
+    with(workspace, &options(workspace, "debug", "browser-hold")?, &vehicle, scripts, tally)
 }
 
 fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
@@ -108,10 +114,7 @@ fn replay(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<
     agent.arg("--identity").arg(options.data.join("recorder"));
     super::workspace::run(&mut agent)?;
     let file = newest_flight(&log)?;
-    let system = System::start(&options, &Vehicle::Replayed { file, speed: "1".into() })?;
-    let read = run_all(workspace, scripts, system.api(), tally);
-    let stopped = system.stop();
-    read.and(stopped)
+    with(workspace, &options, &Vehicle::Replayed { file, speed: "1".into() }, scripts, tally)
 }
 
 fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {

@@ -345,6 +345,12 @@ impl Curves {
         value.is_finite().then_some(f64::from(value))
     }
 
+    /// A place in the plane at or before `time_s`, east and north, m: of the estimate ([`Curve::Plane`]), or the true one.
+    pub fn place_at(&self, of: fn(Horizontal) -> Curve, time_s: f64) -> Option<[f64; 2]> {
+        let axis = |axis| self.value_at(of(axis), time_s);
+        Some([axis(Horizontal::East)?, axis(Horizontal::North)?])
+    }
+
     /// First and last time of all curves.
     pub fn time_span_s(&self) -> Option<Range<f64>> {
         self.map.values().filter_map(Series::time_span_s).fold(None, |span: Option<Range<f64>>, (first, last)| {

@@ -95,6 +95,12 @@ pub fn count(value: u64) -> String {
     out
 }
 
+/// What a person types as a list, part by part: apart by blanks, lines or semicolons, and a comma may end a part.
+pub fn list(text: &str) -> impl Iterator<Item = &str> {
+    let parts = text.split(|c: char| c.is_whitespace() || c == ';').map(|part| part.trim_end_matches(','));
+    parts.filter(|part| !part.is_empty())
+}
+
 /// Parses what a person types into a number field: a comma or a true minus is understood.
 ///
 /// # Errors

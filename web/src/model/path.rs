@@ -4,7 +4,7 @@
 use plumbline_proto::v1::{Limits, Mode};
 use plumbline_rest::command::Trajectory;
 
-use super::format::{fixed, parse_number};
+use super::format::{fixed, list, parse_number};
 
 /// A shape that the vehicle flies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -160,12 +160,10 @@ impl Form {
     }
 
     fn altitudes(&self, limits: Option<&Limits>) -> Result<Vec<f64>, String> {
-        let parts =
-            self.altitudes.split(|c: char| c.is_whitespace() || c == ';').map(|part| part.trim_end_matches(','));
         let (low, high) = limits
             .filter(|l| l.altitude_max_m > 0.0)
             .map_or((0.0, f64::INFINITY), |l| (l.altitude_min_m, l.altitude_max_m));
-        let all = parts.filter(|part| !part.is_empty()).map(|part| number("altitudes", part, "m", low, high));
+        let all = list(&self.altitudes).map(|part| number("altitudes", part, "m", low, high));
         let all = all.collect::<Result<Vec<f64>, String>>()?;
         match all.len() {
             0 => Err("altitudes: at least one is needed".to_owned()),

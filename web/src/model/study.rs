@@ -63,10 +63,9 @@ impl Default for Study {
     }
 }
 
-/// Numbers apart by blanks; commas within them are decimal.
+/// At least one number.
 fn numbers(name: &str, text: &str) -> Result<Vec<f64>, String> {
-    let all: Result<Vec<f64>, String> =
-        text.split([' ', ';']).filter(|part| !part.is_empty()).map(format::parse_number).collect();
+    let all: Result<Vec<f64>, String> = format::list(text).map(format::parse_number).collect();
     match all {
         Ok(all) if all.is_empty() => Err(format!("{name}: none is given")),
         Ok(all) => Ok(all),

@@ -74,11 +74,8 @@ fn strings(description: &Description) -> Vec<StringLine> {
 
 /// Position in the plane as the estimator in the loop has it, else the true one, else above the origin.
 fn plane(live: &Live, time_s: f64) -> [f32; 2] {
-    let read = |of: fn(Horizontal) -> Curve| {
-        let axis = |axis| live.curves.value_at(of(axis), time_s).map(|v| v as f32);
-        Some([axis(Horizontal::East)?, axis(Horizontal::North)?])
-    };
-    read(Curve::Plane).or_else(|| read(Curve::TruthPlane)).unwrap_or_default()
+    let place = |of| live.curves.place_at(of, time_s);
+    place(Curve::Plane).or_else(|| place(Curve::TruthPlane)).unwrap_or_default().map(|v| v as f32)
 }
 
 /// The pose that altitude and angles give, at a place in the plane.

@@ -227,6 +227,56 @@ fn List(bars: Memo<Vec<Bar>>, drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     }
 }
 
+/// One of the channels that an attack can cover; none to choose from, nothing to choose.
+#[component]
+pub fn ChannelSelect(
+    /// Those it can cover.
+    #[prop(into)]
+    offered: Signal<Vec<AttackChannel>>,
+    /// The one chosen.
+    #[prop(into)]
+    chosen: Signal<AttackChannel>,
+    /// Hears of another one.
+    choose: impl Fn(AttackChannel) + 'static,
+) -> impl IntoView {
+    let choose = move |value: String| {
+        let channel = value.parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
+        choose(channel.unwrap_or_default());
+    };
+    view! {
+        <select disabled=move || offered.with(Vec::is_empty) on:change:target=move |e| choose(e.target().value())>
+            {move || offered.get().into_iter().map(|c| view! {
+                <option value=(c as i32).to_string() selected=move || chosen.get() == c>{names::attack_channel(c)}</option>
+            }).collect::<Vec<_>>()}
+        </select>
+    }
+}
+
+/// What is done to a sensor.
+#[component]
+pub fn KindSelect(
+    /// The one chosen.
+    #[prop(into)]
+    chosen: Signal<AttackKind>,
+    /// Nothing to choose?
+    #[prop(into, optional)]
+    disabled: Signal<bool>,
+    /// Hears of another one.
+    choose: impl Fn(AttackKind) + 'static,
+) -> impl IntoView {
+    let choose = move |value: String| {
+        let kind = value.parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
+        choose(kind.unwrap_or_default());
+    };
+    view! {
+        <select disabled=disabled on:change:target=move |e| choose(e.target().value())>
+            {names::ATTACK_KINDS.into_iter().map(|k| view! {
+                <option value=(k as i32).to_string() selected=move || chosen.get() == k>{names::attack_kind(k)}</option>
+            }).collect::<Vec<_>>()}
+        </select>
+    }
+}
+
 /// The form that adds one attack to the draft.
 #[component]
 fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
@@ -299,24 +349,14 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                 </select>
             </label>
             <label class="field wide"><span>"channel"</span>
-                <select on:change:target=move |e| {
-                    let channel = e.target().value().parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
-                    form.update(|f| f.channel = channel.unwrap_or_default());
-                }>
-                    {move || channels.with(|c| draft::offered(c, form.with(|f| f.kind))).into_iter().map(|c| {
-                        view! { <option value=(c as i32).to_string() selected=move || form.with(|f| f.channel == c)>{names::attack_channel(c)}</option> }
-                    }).collect::<Vec<_>>()}
-                </select>
+                <ChannelSelect
+                    offered=move || channels.with(|c| draft::offered(c, form.with(|f| f.kind)))
+                    chosen=move || form.with(|f| f.channel)
+                    choose=move |channel| form.update(|f| f.channel = channel)
+                />
             </label>
             <label class="field wide"><span>"kind"</span>
-                <select on:change:target=move |e| {
-                    let kind = e.target().value().parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
-                    form.update(|f| f.kind = kind.unwrap_or_default());
-                }>
-                    {names::ATTACK_KINDS.into_iter().map(|k| view! {
-                        <option value=(k as i32).to_string() selected=move || form.with(|f| f.kind == k)>{names::attack_kind(k)}</option>
-                    }).collect::<Vec<_>>()}
-                </select>
+                <KindSelect chosen=move || form.with(|f| f.kind) choose=move |kind| form.update(|f| f.kind = kind) />
             </label>
             <label class="field wide"><span>"magnitude " <small>{move || unit.get().unwrap_or_default()}</small></span>
                 <input

@@ -98,16 +98,17 @@ pub fn ModeFields() -> impl IntoView {
             if live.is_replay() { Mode::Unspecified } else { mode }
         })
     });
-    move || {
-        match mode.get() {
-        Mode::Hold => view! {
-            <section class="card setpoint" aria-label="Position"><header><h2>"Position"</h2><span class="quiet">"from above, north up"</span></header><TopView /><Fields name="Position" entries=&POSITION /></section>
-        }.into_any(),
-        Mode::Stabilise => view! {
-            <section class="card setpoint" aria-label="Attitude and thrust"><header><h2>"Attitude and thrust"</h2></header><Fields name="Attitude and thrust" entries=&ATTITUDE /></section>
-        }.into_any(),
+    let card = |name, about: &'static str, picture: Option<AnyView>, entries| {
+        view! {
+            <section class="card setpoint" aria-label=name><header><h2>{name}</h2><span class="quiet">{about}</span></header>{picture}<Fields name entries /></section>
+        }
+    };
+    move || match mode.get() {
+        Mode::Hold => {
+            card("Position", "from above, north up", Some(view! { <TopView /> }.into_any()), &POSITION).into_any()
+        }
+        Mode::Stabilise => card("Attitude and thrust", "", None, &ATTITUDE).into_any(),
         _ => ().into_any(),
-    }
     }
 }
 

@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::{
     ctx::ctx,
     model::{
-        curves::{Axis, Curve, Horizontal},
+        curves::{Axis, Curve},
         format::fixed,
         live::Live,
     },
@@ -40,19 +40,15 @@ struct Seen {
 impl Seen {
     fn new(live: &Live) -> Self {
         let now_s = live.clock.newest_us() as f64 * 1e-6;
-        let at = |of: fn(Horizontal) -> Curve, time_s: f64| {
-            let read = |axis| live.curves.value_at(of(axis), time_s);
-            Some([read(Horizontal::East)?, read(Horizontal::North)?])
-        };
         let times = (0..=TRAIL_POINTS).rev().map(|n| now_s - TRAIL_S * f64::from(n) / f64::from(TRAIL_POINTS));
         let setpoint = live.control.get().and_then(|control| control.setpoint.as_ref());
         let limits = live.description.get().and_then(|description| description.limits.as_ref());
         Self {
             half_m: limits.map_or(0.0, |limits| limits.lateral_max_m),
-            trail: times.filter_map(|time_s| at(Curve::Plane, time_s)).collect(),
+            trail: times.filter_map(|time_s| live.curves.place_at(Curve::Plane, time_s)).collect(),
             yaw_deg: live.curves.value_at(Curve::Attitude(live.in_loop(), Axis::Yaw), now_s).unwrap_or(0.0),
             goal: setpoint.and_then(|setpoint| Some([setpoint.x_m?, setpoint.y_m?])),
-            truth: at(Curve::TruthPlane, now_s),
+            truth: live.curves.place_at(Curve::TruthPlane, now_s),
         }
     }
 

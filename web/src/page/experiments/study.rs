@@ -1,7 +1,7 @@
 //! A plan from what this vehicle has: chosen and ticked, written as text below, where it may be changed further.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::{AttackChannel, AttackKind, SensorKind};
+use plumbline_proto::v1::SensorKind;
 
 use crate::{
     ctx::ctx,
@@ -9,6 +9,7 @@ use crate::{
         draft, names,
         study::{Study, Target},
     },
+    panel::attacks::{ChannelSelect, KindSelect},
 };
 
 const WORLDS: [&str; 3] = ["bench", "datasheet", "harsh"];
@@ -122,24 +123,18 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
                     </select>
                 </label>
                 <label class="field wide"><span>"channel"</span>
-                    <select disabled=move || channels.with(Vec::is_empty) on:change:target=move |e| {
-                        let channel = e.target().value().parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
-                        answer(&|study| study.channel = channel.unwrap_or_default());
-                    }>
-                        {move || channels.get().into_iter().map(|c| view! {
-                            <option value=(c as i32).to_string() selected=move || study.with(|study| study.channel == c)>{names::attack_channel(c)}</option>
-                        }).collect::<Vec<_>>()}
-                    </select>
+                    <ChannelSelect
+                        offered=channels
+                        chosen=move || study.with(|study| study.channel)
+                        choose=move |channel| answer(&|study| study.channel = channel)
+                    />
                 </label>
                 <label class="field wide"><span>"kind"</span>
-                    <select disabled=move || study.with(|study| study.target.is_none()) on:change:target=move |e| {
-                        let kind = e.target().value().parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
-                        answer(&|study| study.kind = kind.unwrap_or_default());
-                    }>
-                        {names::ATTACK_KINDS.into_iter().map(|k| view! {
-                            <option value=(k as i32).to_string() selected=move || study.with(|study| study.kind == k)>{names::attack_kind(k)}</option>
-                        }).collect::<Vec<_>>()}
-                    </select>
+                    <KindSelect
+                        chosen=move || study.with(|study| study.kind)
+                        disabled=move || study.with(|study| study.target.is_none())
+                        choose=move |kind| answer(&|study| study.kind = kind)
+                    />
                 </label>
                 {typed("sizes", Signal::derive(move || unit.get().unwrap_or_default()), |s| &s.sizes, |s| &mut s.sizes)}
                 {typed("altitudes", fixed("m"), |s| &s.altitudes, |s| &mut s.altitudes)}
