@@ -438,6 +438,7 @@ await step(page, 'experiments: a plan is written from what the vehicle has, and 
   await form.getByLabel('repeats').fill('5');
   await form.getByLabel('attacked').selectOption({ label: 'nothing' });
   await counts('4 conditions × 5 = 20 flights');
+  assert(await form.getByLabel(/^sizes/).isDisabled(), 'sizes are asked for of no attack');
   await shots('experiments-form');
 });
 
@@ -480,6 +481,51 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
   return { refused, first_s, chosen_at, took_s };
+});
+
+await step(page, 'experiments: conditions are chosen by their levels and sorted; the address keeps it, and a flight of the list opens', async () => {
+  await page.goBack();
+  const results = region('Results');
+  const rows = results.getByRole('table').first().getByRole('row');
+  const shown = async (rowsOfFour, told) => until(told, async () => (await rows.count()) === rowsOfFour + 1 && (await results.getByRole('status').textContent()) === told);
+  await shown(4, '4 conditions');
+  await results.getByLabel('magnitude').selectOption('0.5');
+  await shown(2, '2 of 4 conditions');
+  await results.getByLabel('in_loop').selectOption('lanes');
+  await shown(1, '1 of 4 conditions');
+  await results.getByRole('button', { name: 'Show all' }).click();
+  await shown(4, '4 conditions');
+  assert((await results.getByLabel('in_loop').inputValue()) === '', 'a choice stays although all are shown');
+  await results.getByLabel('magnitude').selectOption('0.1');
+  const worst = results.getByRole('columnheader', { name: 'worst' });
+  await worst.getByRole('button').press('Enter');
+  const sorted = async () => {
+    await shown(2, '2 of 4 conditions');
+    await until('the greatest first', async () => (await worst.getAttribute('aria-sort')) === 'descending');
+    const at = await results.getByRole('columnheader').allTextContents();
+    const column = at.findIndex((text) => text.startsWith('worst'));
+    const figures = await Promise.all([1, 2].map(async (row) => number(await rows.nth(row).getByRole('cell').nth(column).textContent())));
+    assert(figures[0] >= figures[1], `sorted: ${figures}`);
+    return figures;
+  };
+  const before = await sorted();
+  await page.reload();
+  const after = await sorted();
+  assert(before.join() === after.join(), `${before} before, ${after} after a reload`);
+  assert((await results.getByLabel('Measure').inputValue()) === '1', 'the measure is another one after a reload');
+  await results.getByText('Flights, the worst first').click();
+  const flights = results.getByRole('link', { name: /^Open flight/ });
+  await until('its 30 flights', async () => (await flights.count()) === 30);
+  for (const width of [820, 390]) {
+    await page.setViewportSize({ width, height: 844 });
+    const wide = await page.evaluate(() => document.scrollingElement.scrollWidth - innerWidth);
+    assert(wide <= 0, `${wide} px wider than ${width} px`);
+  }
+  await page.setViewportSize({ width: 1280, height: 720 });
+  await shots('experiments-browsed');
+  await flights.first().click();
+  await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
+  return { before };
 });
 
 await step(page, 'experiments by hand: led through a drawn order on the vehicle; accepted, void, left and gone on with', async () => {

@@ -1,8 +1,11 @@
 //! Plans to begin with, and what the page shows of results.
 
+pub mod selection;
+
 use plumbline_rest::experiment::{Condition, Flight};
 
 use super::axis::ValueAxis;
+use selection::value;
 
 /// Room of a row of dots for them, px.
 pub const DOTS_PX: f64 = 300.0;
@@ -179,7 +182,7 @@ pub struct Dot {
 
 /// The axis that all rows of one measure share, from zero where nothing is below.
 pub fn axis(flights: &[Flight], measure: usize) -> ValueAxis {
-    let values = flights.iter().filter_map(|flight| flight.values.get(measure).copied().flatten());
+    let values = flights.iter().filter_map(|flight| value(flight, measure));
     let (low, high) = values
         .filter(|value| value.is_finite())
         .fold((0.0_f64, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
@@ -191,7 +194,7 @@ pub fn dots(flights: &[Flight], condition: &Condition, measure: usize, axis: &Va
     let of = flights.iter().filter(|flight| flight.condition == condition.number);
     of.filter_map(|flight| {
         let lost = !flight.lost.is_empty();
-        let value = flight.values.get(measure).copied().flatten();
+        let value = value(flight, measure);
         let x = if lost { DOTS_PX } else { axis.fraction(value?) * (DOTS_PX - 16.0) };
         // Flights of the same seed lie at the same height of their rows.
         let y = ROW_PX * (0.25 + 0.5 * ((flight.seed as f64 * 0.618_034).fract()));

@@ -1,5 +1,7 @@
 //! Experiments: a plan of many flights is written, flown and read; every dot is a flight that can be opened.
 
+mod browse;
+mod head;
 mod plan;
 mod results;
 mod study;
@@ -9,13 +11,21 @@ use std::time::Duration;
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Experiments, State};
 
-use crate::{event::Failure, model::format, net};
+use crate::{
+    address,
+    ctx::ctx,
+    event::{Failure, Tone},
+    model::format,
+    net,
+};
 
 use plan::PlanCard;
 use results::ResultsCard;
 
 /// Where they are.
 const ROOT: &str = "/api/v1/experiments";
+/// Name of what an address keeps: which of them is shown.
+const EXPERIMENT: &str = "experiment";
 /// The list is asked for again after this.
 const PERIOD: Duration = Duration::from_secs(2);
 
@@ -23,14 +33,23 @@ const PERIOD: Duration = Duration::from_secs(2);
 #[component]
 pub fn ExperimentsPage() -> impl IntoView {
     let answer = RwSignal::new(None::<Result<Experiments, Failure>>);
-    let chosen = RwSignal::new(None::<String>);
+    let ctx = ctx();
+    let chosen = RwSignal::new(address::all(EXPERIMENT).into_iter().next());
     let load = move || {
         leptos::task::spawn_local(async move {
             let found: Result<Experiments, _> = net::json("GET", ROOT, None, "").await;
             if let Ok(found) = &found
-                && chosen.try_get_untracked() == Some(None)
+                && let Some(asked) = chosen.try_get_untracked()
             {
-                chosen.try_set(found.experiments.first().map(|first| first.id.clone()));
+                // Only an address may name one that there is not; what is begun here is in the next list.
+                let first = answer.try_with_untracked(|a| !matches!(a, Some(Ok(_)))) == Some(true);
+                let missing = asked.filter(|id| first && found.experiments.iter().all(|state| state.id != *id));
+                if let Some(id) = &missing {
+                    ctx.tell(Tone::Error, format!("Experiment {id} is not kept here"));
+                }
+                if missing.is_some() || chosen.try_with_untracked(Option::is_none) == Some(true) {
+                    chosen.try_set(found.experiments.first().map(|first| first.id.clone()));
+                }
             }
             answer.try_set(Some(found));
         });

@@ -10,7 +10,11 @@ use crate::{
     event::Failure,
     model::{format, listing, route::Route},
     net,
-    panel::{guide, toolbar::Link},
+    panel::{
+        guide,
+        table::{Pages, SortHead},
+        toolbar::Link,
+    },
 };
 use import::{ImportButton, Importer, Imports};
 
@@ -73,7 +77,7 @@ pub fn FlightsPage() -> impl IntoView {
         Some(Ok(flights)) => flights.flights,
         _ => Vec::new(),
     });
-    let found = Memo::new(move |_| whole(|flights| flights.total));
+    let found = Memo::new(move |_| whole(|flights| flights.total) as usize);
     let storage = move || {
         answer.with(|a| {
             a.as_ref().and_then(|a| a.as_ref().ok()).map(|f| {
@@ -88,30 +92,21 @@ pub fn FlightsPage() -> impl IntoView {
     };
     let trouble = move || answer.with(|a| a.as_ref().and_then(|a| a.as_ref().err()).map(|e| e.text.clone()));
     let head = move |column: Column| {
+        let press = move || {
+            asked.update(|asked| {
+                let first = listing::is_number(column) || column == Column::Started;
+                asked.descending = if asked.sort == column { !asked.descending } else { first };
+                asked.sort = column;
+                asked.offset = 0;
+            });
+        };
         view! {
-            <th
-                scope="col"
-                class:num=listing::is_number(column)
-                aria-sort=move || match asked.with(|asked| (asked.sort == column, asked.descending)) {
-                    (true, true) => "descending",
-                    (true, false) => "ascending",
-                    _ => "none",
-                }
-            >
-                <button type="button" class="plain" on:click=move |_| asked.update(|asked| {
-                    let first = listing::is_number(column) || column == Column::Started;
-                    asked.descending = if asked.sort == column { !asked.descending } else { first };
-                    asked.sort = column;
-                    asked.offset = 0;
-                })>
-                    {listing::head(column)}
-                    <span aria-hidden="true">{move || match asked.with(|asked| (asked.sort == column, asked.descending)) {
-                        (true, true) => " ▾",
-                        (true, false) => " ▴",
-                        _ => "",
-                    }}</span>
-                </button>
-            </th>
+            <SortHead
+                name=listing::head(column)
+                num=listing::is_number(column)
+                descending=move || asked.with(|asked| (asked.sort == column).then_some(asked.descending))
+                press
+            />
         }
     };
     let toggle = move |id: String| {
@@ -216,30 +211,13 @@ pub fn FlightsPage() -> impl IntoView {
                 </Show>
                 <Show when=move || answer.with(Option::is_none)><p class="blank">"Loading…"</p></Show>
             </div>
-            <Pages asked found />
+            <Pages
+                offset=move || asked.with(|asked| asked.offset)
+                limit=move || asked.with(|asked| asked.limit)
+                found
+                turn=move |offset| asked.update(|asked| asked.offset = offset)
+            />
         </main>
-    }
-}
-
-/// Where in a long list this page is, and the way to the others.
-#[component]
-fn Pages(asked: RwSignal<Listing>, found: Memo<u64>) -> impl IntoView {
-    let offset = move || asked.with(|asked| asked.offset);
-    let several = move || found.get() as usize > asked.with(|asked| asked.limit);
-    let end = move || (offset() + asked.with(|asked| asked.limit)).min(found.get() as usize);
-    let turn = move |by: fn(usize, usize) -> usize| asked.update(|asked| asked.offset = by(asked.offset, asked.limit));
-    view! {
-        <Show when=several>
-            <nav class="sheet-head" aria-label="Further flights">
-                <span class="quiet num">{move || format!("{} to {} of {}", offset() + 1, end(), found.get())}</span>
-                <button type="button" class="push" disabled=move || offset() == 0 on:click=move |_| turn(usize::saturating_sub)>
-                    "Previous page"
-                </button>
-                <button type="button" disabled=move || (found.get() as usize) <= end() on:click=move |_| turn(usize::saturating_add)>
-                    "Next page"
-                </button>
-            </nav>
-        </Show>
     }
 }
 
@@ -281,6 +259,11 @@ fn Row(flight: Flight, asked: RwSignal<Listing>) -> impl IntoView {
                     })>{tag}</button>
                 }
             }).collect::<Vec<_>>()}
+            {flight.away.then(|| view! {
+                <span class="quiet" title="It is fetched from the archive that the grounds share when it is opened">
+                    {format!(" at {}", flight.ground.clone().unwrap_or_default())}
+                </span>
+            })}
             {flight.deleted_unix_us.map(|at| view! {
                 <span class="quiet num" title="Retention deletes it then; a name or a note keeps it">
                     {format!(" until {}", listing::when(at, local_offset_min()))}

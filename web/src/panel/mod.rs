@@ -30,6 +30,7 @@ pub mod signals;
 pub mod simulator;
 pub mod sketch;
 pub mod steps;
+pub mod table;
 pub mod timebar;
 pub mod toolbar;
 pub mod top_view;

@@ -11,6 +11,7 @@ use super::{
     sketch::{Drawing, Sketch, Trace},
 };
 use crate::{
+    address,
     deck::{Charted, Deck, Evidence, Picture, deck, settled},
     model::{
         curves::Curve,
@@ -50,9 +51,8 @@ const QUERY: &str = "signals";
 
 /// Puts the signals that the page's address names on charts, each once.
 pub fn begin(deck: Deck) {
-    let search = window().location().search().unwrap_or_default();
-    let named = web_sys::UrlSearchParams::new_with_str(&search).ok().and_then(|params| params.get(QUERY));
-    for (name, spectrum) in read(&named.unwrap_or_default()).into_iter().take(MOST) {
+    let named = address::all(QUERY);
+    for (name, spectrum) in named.iter().flat_map(|named| read(named)).take(MOST) {
         add(deck, Recorded { name, unit: String::new() }, spectrum);
     }
     if deck.signals.with_untracked(|all| !all.is_empty()) {
@@ -70,16 +70,10 @@ fn add(deck: Deck, signal: Recorded, spectrum: bool) {
     });
 }
 
-/// Writes what is charted into the address, without a page of its own in the history.
+/// Writes what is charted into the address.
 fn keep(charted: &[Charted]) {
     let text = told(charted.iter().map(|c| (c.name.as_str(), c.spectrum)));
-    let path = window().location().pathname().unwrap_or_default();
-    let query =
-        if text.is_empty() { String::new() } else { format!("?{QUERY}={}", js_sys::encode_uri_component(&text)) };
-    if let Ok(history) = window().history() {
-        // Refused where the browser has had too many: the charts are there all the same.
-        let _ = history.replace_state_with_url(&wasm_bindgen::JsValue::NULL, "", Some(&format!("{path}{query}")));
-    }
+    address::keep(Some((QUERY, text)).filter(|(_, text)| !text.is_empty()).as_slice());
 }
 
 /// The card, in the place of the residuals.

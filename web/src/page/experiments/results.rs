@@ -5,18 +5,24 @@ use std::collections::BTreeMap;
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Condition, Expectation, Flight, Flights, Results, Spread, State};
 
-use super::{ROOT, progress};
+use super::{
+    EXPERIMENT, ROOT,
+    browse::{FlightList, Levels, last_part},
+    head::Head,
+};
 use crate::{
-    ctx::ctx,
-    event::{Event, Tone},
+    address,
     gpu::VALUE_TICK_SPACING_PX,
-    model::experiment::{DOTS_PX, ROW_PX, axis, dots},
+    model::experiment::{
+        DOTS_PX, ROW_PX, axis, dots,
+        selection::{Column, Selection},
+    },
     net,
-    panel::by_hand,
+    panel::table::SortHead,
 };
 
-/// Dots are drawn of so many flights at most.
-const MOST: usize = 1000;
+/// So many flights are loaded at most: the ground sends no more at a time.
+pub(super) const MOST: usize = 1000;
 
 /// The card of one experiment. Its rows are asked for when it is shown, and again whenever the state tells of more flights, and when a run begins or ends.
 #[component]
@@ -31,18 +37,38 @@ pub fn ResultsCard(
     let at = format!("{ROOT}/{id}");
     let results = RwSignal::new(Results::default());
     let flights = RwSignal::new(Vec::<Flight>::new());
-    let measure = RwSignal::new(0_usize);
+    // What an address keeps of one experiment is not meant for another.
+    let kept = address::all(EXPERIMENT).contains(&id);
+    let selection = RwSignal::new(if kept { Selection::read(address::all) } else { Selection::default() });
+    Effect::new(move |_| {
+        let own = std::iter::once((EXPERIMENT, id.clone()));
+        address::keep(&own.chain(selection.with(Selection::query)).collect::<Vec<_>>());
+    });
     // The model may answer after the last flight: the run ends with it.
     let done = Memo::new(move |_| state.with(|state| (state.done, state.running)));
+    let alone = Memo::new(move |_| results.with(|r| selection.with(|s| s.alone(r, MOST))));
     let from = at.clone();
     Effect::new(move |_| {
         // Read, not only tracked: a memo that nobody reads never changes.
         done.get();
-        let at = from.clone();
+        let condition = alone.get();
+        let of = condition.map_or_else(String::new, |number| format!("&condition={number}"));
+        let at = format!("{from}/flights?count={MOST}{of}");
         leptos::task::spawn_local(async move {
-            if let Ok(found) = net::json::<Flights>("GET", &format!("{at}/flights?count={MOST}"), None, "").await {
+            let found = net::json::<Flights>("GET", &at, None, "").await;
+            // An answer to what is no longer asked comes too late.
+            if let Ok(found) = found
+                && alone.try_get_untracked() == Some(condition)
+            {
                 flights.try_set(found.flights);
             }
+        });
+    });
+    let from = at.clone();
+    Effect::new(move |_| {
+        done.get();
+        let at = from.clone();
+        leptos::task::spawn_local(async move {
             if let Ok(found) = net::json::<Results>("GET", &at, None, "").await {
                 results.try_set(found);
             }
@@ -51,38 +77,54 @@ pub fn ResultsCard(
     let factors = Memo::new(move |_| results.with(|r| r.factors.clone()));
     let measures = Memo::new(move |_| results.with(|r| r.measures.clone()));
     let notes = Memo::new(move |_| results.with(|r| r.notes.clone()));
-    let numbers = move || results.with(|r| r.conditions.iter().map(|c| c.number).collect::<Vec<_>>());
+    let measure = Memo::new(move |_| results.with(|r| selection.with(|s| s.measure(r))));
+    let choose = move |place: String| {
+        let chosen = place.parse().ok().and_then(|place: usize| measures.with_untracked(|all| all.get(place).cloned()));
+        selection.update(|s| s.measure = chosen.map(|measure| measure.name).unwrap_or_default());
+    };
+    let numbers = Memo::new(move |_| {
+        results.with(|r| selection.with(|s| s.conditions(r).iter().map(|c| c.number).collect::<Vec<_>>()))
+    });
+    let head = move |column: Column| {
+        let title = if let Column::Factor(key) = &column { key.clone() } else { String::new() };
+        let (name, num) = (last_part(column.name()), title.is_empty());
+        let (shown, pressed) = (column.clone(), column);
+        view! {
+            <SortHead
+                name
+                title
+                num
+                descending=move || selection.with(|s| (s.sort.as_ref() == Some(&shown)).then_some(s.descending))
+                press=move || selection.update(|s| s.sort_by(pressed.clone()))
+            />
+        }
+    };
     let row_at = at.clone();
+    let list_at = at.clone();
     view! {
         <section class="card results" aria-label="Results">
             <Head at state states />
             {move || notes.get().into_iter().map(|note| view! { <p class="quiet">{note}</p> }).collect_view()}
             <label class="field measure">"Measure"
-                <select on:change:target=move |e| measure.set(e.target().value().parse().unwrap_or(0))>
+                <select on:change:target=move |e| choose(e.target().value())>
                     {move || measures.get().into_iter().enumerate().map(|(i, m)| view! {
                         <option value=i.to_string() selected=measure.get_untracked() == i>{format!("{}: {}", m.name, m.about)}</option>
                     }).collect_view()}
                 </select>
             </label>
+            <Levels results selection />
             <div class="table-wrap"><table class="dense">
                 <thead><tr>
-                    {move || factors.get().into_iter().map(|factor| {
-                        // The last of its parts; what it is a part of is told to whoever asks.
-                        let name = factor.rsplit('.').next().unwrap_or(&factor).to_owned();
-                        view! { <th scope="col" title=factor>{name}</th> }
-                    }).collect_view()}
-                    <th class="num" scope="col">"lost"</th>
-                    <th class="num" scope="col">"median"</th>
+                    {move || factors.get().into_iter().map(|factor| head(Column::Factor(factor))).collect_view()}
+                    {[Column::Lost, Column::Median].map(head)}
                     <th class="num" scope="col">"95 % interval"</th>
-                    <th class="num" scope="col">"95 of 100"</th>
-                    <th class="num" scope="col">"worst"</th>
-                    <th class="num" scope="col">"found"</th>
+                    {[Column::Of95, Column::Worst, Column::Found].map(head)}
                     <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, noise of the data sheets">"expected"</th>
                     <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
                 <tbody>
-                    <For each=numbers key=|number| *number let:number>
+                    <For each=move || numbers.get() key=|number| *number let:number>
                         {
                             let condition = Memo::new(move |_| results.with(|r| {
                                 r.conditions.iter().find(|c| c.number == number).cloned().unwrap_or_default()
@@ -94,72 +136,22 @@ pub fn ResultsCard(
                     </For>
                 </tbody>
             </table></div>
-            {move || results.with(|r| r.conditions.iter().filter_map(differing).collect::<Vec<_>>()).into_iter().map(|says| view! {
+            {move || results.with(|r| selection.with(|s| s.conditions(r).into_iter().filter_map(differing).collect::<Vec<_>>())).into_iter().map(|says| view! {
                 <p class="warn">{says}</p>
             }).collect_view()}
-            {move || results.with(|r| unknown(&r.conditions)).into_iter().map(|(why, count)| view! {
+            {move || results.with(|r| selection.with(|s| unknown(&s.conditions(r)))).into_iter().map(|(why, count)| view! {
                 <p class="quiet">{format!("Expected is not known of {count}: {why}")}</p>
             }).collect_view()}
             <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
+            <Show when=move || numbers.with(Vec::is_empty) && !results.with(|r| r.conditions.is_empty())><p class="blank">"No condition has these levels."</p></Show>
+            <FlightList at=list_at results selection flights measure />
         </section>
-    }
-}
-
-/// Name, progress, what can be done with it.
-#[component]
-fn Head(at: String, state: Memo<State>, states: Memo<Vec<State>>) -> impl IntoView {
-    let ctx = ctx();
-    let address = StoredValue::new(at.clone());
-    let turn = move |what: &'static str| {
-        let address = format!("{}/{what}", address.get_value());
-        leptos::task::spawn_local(async move {
-            if let Err(failure) = net::json::<State>("POST", &address, None, "").await {
-                ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text)));
-            }
-        });
-    };
-    let running = Memo::new(move |_| state.with(|s| s.running));
-    let left = Memo::new(move |_| state.with(|s| s.own && s.done < s.flights));
-    // Names and hashes: what is flown meanwhile leaves an open list alone.
-    let others = Memo::new(move |_| {
-        let own = state.with(|s| s.id.clone());
-        states.with(|all| all.iter().map(|other| other.id.clone()).filter(|id| *id != own).collect::<Vec<_>>())
-    });
-    let since = RwSignal::new(String::new());
-    let against = move || format!("{ROOT}/{}/against/{}", since.get(), state.with(|s| s.id.clone()));
-    view! {
-        <header>
-            <h2>{move || state.with(|s| s.name.clone())}</h2>
-            <span class="quiet num">{move || state.with(progress)}</span>
-            <span class="push buttons-row">
-                {move || match (running.get(), left.get()) {
-                    (false, true) if state.with(|s| s.by_hand) => view! { <button type="button" on:click=move |_| by_hand::begin(ctx, state.with_untracked(|s| s.id.clone()))>"Fly the next"</button> }.into_any(),
-                    (true, _) => view! { <button type="button" on:click=move |_| turn("stop")>"Stop"</button> }.into_any(),
-                    (false, true) => view! { <button type="button" on:click=move |_| turn("start")>"Go on"</button> }.into_any(),
-                    _ => ().into_any(),
-                }}
-                <a class="button" href=format!("{at}/report.html") target="_blank" rel="external">"Report"</a>
-                <a class="button" href=format!("{at}/flights.parquet") rel="external">"Parquet"</a>
-                <a class="button" href=format!("{at}/plan.toml") rel="external">"Plan"</a>
-                <Show when=move || others.with(|others| !others.is_empty())>
-                    <select aria-label="Another experiment, to compare with" on:change:target=move |e| since.set(e.target().value())>
-                        <option value="">"Compare with…"</option>
-                        {move || others.get().into_iter().map(|id| view! { <option>{id}</option> }).collect_view()}
-                    </select>
-                </Show>
-                <Show when=move || !since.with(String::is_empty)>
-                    <a class="button" href=against target="_blank" rel="external">"What changed"</a>
-                </Show>
-            </span>
-        </header>
-        {move || state.with(|s| s.error.clone()).map(|error| view! { <p class="banner bad" role="alert">{error}</p> })}
-        {move || (!state.with(|s| s.own)).then(|| view! { <p class="banner">"Another version of the program flew this: it can be read, and not gone on with."</p> })}
     }
 }
 
 /// The axis of the dots.
 #[component]
-fn Scale(flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>) -> impl IntoView {
+fn Scale(flights: RwSignal<Vec<Flight>>, measure: Memo<usize>) -> impl IntoView {
     let ticks =
         move || flights.with(|flights| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0));
     view! {
@@ -173,7 +165,7 @@ fn Scale(flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>) -> impl IntoV
 
 /// A condition.
 #[component]
-fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: RwSignal<usize>, at: String) -> impl IntoView {
+fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize>, at: String) -> impl IntoView {
     let lost: u64 = condition.lost.values().sum();
     let why: Vec<_> = condition.lost.iter().map(|(why, count)| format!("{count} {why}")).collect();
     let found = condition.detected.map_or_else(String::new, |d| format!("{} of {}", d.count, d.of));
@@ -242,7 +234,7 @@ fn differing(condition: &Condition) -> Option<String> {
 }
 
 /// Why nothing is expected, and of how many conditions.
-fn unknown(conditions: &[Condition]) -> BTreeMap<String, usize> {
+fn unknown(conditions: &[&Condition]) -> BTreeMap<String, usize> {
     let mut reasons = BTreeMap::new();
     let expected = conditions.iter().filter_map(|condition| condition.expected.as_ref());
     for Expectation { note, .. } in expected.filter(|expected| expected.probability.is_none()) {
@@ -252,7 +244,7 @@ fn unknown(conditions: &[Condition]) -> BTreeMap<String, usize> {
 }
 
 /// Three figures.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
     }
@@ -279,7 +271,7 @@ mod tests {
         let says = "0.05: expected 0.95, flown 0.60 (0.39 to 0.78): differs by more than the interval";
         assert_eq!([0.95, 0.5].map(|p| super::differing(&of(Some(p)))), [Some(says.to_owned()), None]);
         let unknown = Condition { expected: Some(Expectation::unknown("a climb")), ..of(None) };
-        let reasons = super::unknown(&[of(Some(0.5)), unknown.clone(), unknown]);
+        let reasons = super::unknown(&[&of(Some(0.5)), &unknown, &unknown]);
         assert_eq!(reasons.into_iter().collect::<Vec<_>>(), [("a climb".to_owned(), 2)]);
         assert_eq!([Some(0.5), None].map(|p| super::expected(&of(p).expected.unwrap())), ["0.50", "not known"]);
     }

@@ -75,11 +75,13 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
     let typed = move |label: &'static str,
                       unit: Signal<String>,
                       read: fn(&Study) -> &String,
-                      write: fn(&mut Study) -> &mut String| {
+                      write: fn(&mut Study) -> &mut String,
+                      unused: fn(&Study) -> Option<&'static str>| {
         view! {
-            <label class="field"><span>{label} " " <small>{unit}</small></span>
+            <label class="field" title=move || study.with(unused)><span>{label} " " <small>{unit}</small></span>
                 <input
                     type="text" inputmode="decimal" autocomplete="off"
+                    disabled=move || study.with(unused).is_some()
                     prop:value=move || study.with(|study| read(study).clone())
                     on:input:target=move |e| { let value = e.target().value(); answer(&|study| write(study).clone_from(&value)); }
                 />
@@ -136,11 +138,11 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
                         choose=move |kind| answer(&|study| study.kind = kind)
                     />
                 </label>
-                {typed("sizes", Signal::derive(move || unit.get().unwrap_or_default()), |s| &s.sizes, |s| &mut s.sizes)}
-                {typed("altitudes", fixed("m"), |s| &s.altitudes, |s| &mut s.altitudes)}
-                {typed("each for", fixed("s"), |s| &s.hold_s, |s| &mut s.hold_s)}
-                {typed("repeats", fixed(""), |s| &s.repeats, |s| &mut s.repeats)}
-                {typed("first seed", fixed(""), |s| &s.seed, |s| &mut s.seed)}
+                {typed("sizes", Signal::derive(move || unit.get().unwrap_or_default()), |s| &s.sizes, |s| &mut s.sizes, |s| s.target.is_none().then_some("Nothing is attacked"))}
+                {typed("altitudes", fixed("m"), |s| &s.altitudes, |s| &mut s.altitudes, |_| None)}
+                {typed("each for", fixed("s"), |s| &s.hold_s, |s| &mut s.hold_s, |_| None)}
+                {typed("repeats", fixed(""), |s| &s.repeats, |s| &mut s.repeats, |_| None)}
+                {typed("first seed", fixed(""), |s| &s.seed, |s| &mut s.seed, |_| None)}
                 <fieldset><legend>"estimators"</legend>
                     {move || estimators.get().into_iter().map(|kind| {
                         listed(names::estimator_json(kind), names::estimator(kind).to_owned(), |s| &mut s.estimators, |s| &s.estimators)
