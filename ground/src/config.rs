@@ -18,6 +18,19 @@ pub struct Mavlink {
     pub account: Option<String>,
 }
 
+/// What a ground shares with others; it takes a ground with the feature `many`.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Fleet {
+    /// What this ground is called among them.
+    pub name: String,
+    /// Where its page is, for people at other grounds.
+    pub address: String,
+    /// The NATS server by which live vehicles are shared.
+    pub nats: Option<String>,
+    /// Where files and index of the flights are that are shared: a folder or `s3://BUCKET/PREFIX`, and a PostgreSQL database.
+    pub archive: Option<(String, String)>,
+}
+
 /// Settings of one ground. [`GroundConfig::new`] gives the defaults.
 #[derive(Debug, Clone)]
 pub struct GroundConfig {
@@ -42,6 +55,8 @@ pub struct GroundConfig {
     pub reserve_bytes: u64,
     /// How long flights are kept; for ever by default.
     pub retention: Retention,
+    /// What is shared with other grounds.
+    pub fleet: Option<Fleet>,
     /// A message that has not come after this long is asked for again: late datagrams have arrived by
     /// then and the agent has flushed its own log.
     pub backfill_after: Duration,
@@ -64,6 +79,7 @@ impl GroundConfig {
             command_timeout: Duration::from_secs(2),
             reserve_bytes: 64 << 20,
             retention: Retention::default(),
+            fleet: None,
             backfill_after: Duration::from_millis(1500),
             settle_after: Duration::from_secs(12),
         }

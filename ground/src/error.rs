@@ -31,6 +31,9 @@ pub enum GroundError {
     /// The accounts cannot be read.
     #[error(transparent)]
     Accounts(#[from] crate::people::AccountError),
+    /// What should be shared with other grounds.
+    #[error("{0}")]
+    Fleet(String),
     /// Another ground uses this data folder.
     #[error("the data folder {folder} is in use by another ground: {source}")]
     Locked {

@@ -5,8 +5,11 @@
 //! reference-counted, with all viewers as one codec batch: twenty viewers cost twenty queue entries,
 //! not twenty copies. Nothing here waits for a viewer, a disk or an agent.
 
+mod elsewhere;
 mod health;
 mod history;
+#[cfg(feature = "many")]
+mod relayed;
 mod thinned;
 mod vehicle;
 mod viewer;
@@ -18,11 +21,14 @@ use std::time::{Duration, Instant};
 
 use plumbline_proto::codec::{Batch, Frame};
 use plumbline_proto::{Kind, Message, v1};
+use plumbline_rest::ground::AtGround;
 
 use crate::agent_link::CommandSender;
 use crate::agent_link::clock::wall_us;
 use crate::sync::{lock, wall_time_us};
 pub use history::{MAX_BYTES as MAX_HISTORY_BYTES, MAX_SECONDS as MAX_HISTORY_SECONDS};
+#[cfg(feature = "many")]
+pub(crate) use relayed::Linked;
 pub use vehicle::SILENT_AFTER;
 use vehicle::Vehicle;
 pub use viewer::{MAX_QUEUED_BYTES, Shared, ViewerQueue};
@@ -60,6 +66,8 @@ pub struct VehicleInfo {
     pub description: Option<v1::Description>,
     /// Latest status.
     pub status: Option<v1::Status>,
+    /// The ground that its link ends at; `None` where that is this one.
+    pub ground: Option<AtGround>,
 }
 
 /// Why a vehicle cannot be commanded.
@@ -71,6 +79,14 @@ pub enum VehicleError {
     /// The link is down.
     #[error("vehicle {0:?} is not connected")]
     Disconnected(String),
+    /// Its link ends at another ground.
+    #[error("vehicle {vehicle:?} is flown from ground {:?} {}: here it is looked at, and its motors can be cut", .ground.name, .ground.address)]
+    Elsewhere {
+        /// The vehicle.
+        vehicle: String,
+        /// Where it is flown from.
+        ground: AtGround,
+    },
 }
 
 /// One viewer: what it is sent at once, then its queue.
@@ -85,6 +101,16 @@ pub struct Viewer {
 impl Hub {
     /// An agent said hello. A new boot forgets the old one: its times and sequence numbers start again.
     pub fn connected(&self, id: &str, boot_id: u64, boot_wall_time_us: u64, version: &str, commands: CommandSender) {
+        self.linked(id, boot_id, |vehicle| {
+            vehicle.boot_wall_time_us = boot_wall_time_us;
+            version.clone_into(&mut vehicle.version);
+            vehicle.ground = None;
+            vehicle.commands = Some(commands);
+        });
+    }
+
+    /// Makes room for a vehicle and begins its boot, where it is new; then `link` says how it is reached.
+    fn linked(&self, id: &str, boot_id: u64, link: impl FnOnce(&mut Vehicle)) {
         let now = Instant::now();
         let mut vehicles = lock(&self.vehicles);
         if !vehicles.contains_key(id) {
@@ -99,10 +125,8 @@ impl Hub {
         if vehicle.boot_id != boot_id {
             vehicle.reboot(boot_id, now);
         }
-        vehicle.boot_wall_time_us = boot_wall_time_us;
-        version.clone_into(&mut vehicle.version);
-        vehicle.commands = Some(commands);
         vehicle.heard = now;
+        link(vehicle);
     }
 
     /// Lets go of histories that are over, and of vehicles unseen for [`FORGOTTEN_AFTER`].
@@ -281,6 +305,7 @@ impl Hub {
             version: vehicle.version.clone(),
             description: vehicle.latest_message(Kind::Description),
             status: vehicle.latest_message(Kind::Status),
+            ground: vehicle.ground.clone(),
         };
         vehicles.iter().map(info).collect()
     }

@@ -96,7 +96,7 @@ pub(crate) fn publish_lease(hub: &Hub, leases: &Leases, vehicle: &str, taken_fro
 }
 
 fn publish_recordings(hub: &Hub, recorder: &RecorderHandle) {
-    for id in hub.ids() {
+    for id in hub.ids().into_iter().filter(|id| hub.ground_of(id).is_none()) {
         let mut status = recorder.status(&id);
         status.wall_time_us = wall_time_us();
         hub.publish(&id, Kind::Recording, &status);

@@ -18,6 +18,8 @@ pub mod commands;
 pub mod config;
 mod error;
 mod experiments;
+#[cfg(feature = "many")]
+mod fleet;
 pub mod front;
 pub mod gains_book;
 pub mod hub;
@@ -27,10 +29,13 @@ pub mod lease;
 pub mod many;
 pub mod metrics;
 pub mod names;
+#[cfg(feature = "many")]
+mod objects;
 pub mod people;
 pub mod recorder;
 mod retention;
 mod scene;
+mod sharing;
 mod sync;
 mod viewers;
 mod work;
@@ -44,7 +49,7 @@ use tokio::sync::{mpsc, watch};
 
 pub use api::mavlink::understood;
 pub use api::{access_table, page_is_built};
-pub use config::{GroundConfig, Mavlink};
+pub use config::{Fleet, GroundConfig, Mavlink};
 pub use error::GroundError;
 
 use agent_link::LinkEvent;
@@ -76,7 +81,9 @@ pub async fn run(
             return Err(GroundError::NoAccounts { address });
         }
     }
-    let recorder = recorder::start(&config)?;
+    let work = work::Work::start().map_err(GroundError::Thread)?;
+    let fleet = sharing::Shared::of(&config, work.handle())?;
+    let recorder = recorder::start(&config, fleet.archive())?;
     let audit = audit::Audit::open(&config.data_folder).map_err(GroundError::Thread)?;
     let hub = Arc::new(hub::Hub::default());
     let commands = Arc::new(commands::Commands::default());
@@ -84,7 +91,6 @@ pub async fn run(
     let gains = Arc::new(gains_book::GainsBook::open(&config.data_folder));
     let (stop, stopped) = watch::channel(false);
 
-    let work = work::Work::start().map_err(GroundError::Thread)?;
     let limits = front::Limits::of(descriptors());
     let (tls, mavlink) = (config.tls.clone(), config.mavlink.clone());
     let idle = config.lease_idle;
@@ -92,8 +98,10 @@ pub async fn run(
     let retention = recorder::archive::Pruner::open(&config.data_folder, config.retention.clone(), recorder.handle());
     let retention = Arc::new(retention);
     work.handle().spawn(retention::run(retention.clone(), audit.clone(), stopped.clone()));
+    fleet.keep_in_line(&recorder, &work, &stopped);
     let app = api::App::new(api::Parts {
         config,
+        fleet: fleet.clone(),
         address,
         hub: hub.clone(),
         commands: commands.clone(),
@@ -115,6 +123,7 @@ pub async fn run(
             }
         });
     }
+    fleet.be_live(&app, &stopped);
     let ground = ingest::Ground { hub, commands, leases, people, recorder: recorder.handle(), lease_idle: idle };
     let ingest = tokio::spawn(ingest::run(link, ground, stopped.clone()));
     tokio::spawn(async move {

@@ -3,7 +3,7 @@
 //! [`App::update`] is pure: events in, effects out. What flies is in [`Live`]; the runtime that does
 //! the effects is `ctx.rs`, the drawing `paint.rs`.
 
-use plumbline_rest::ground::{Ground, Vehicle};
+use plumbline_rest::ground::{AtGround, Ground, Vehicle};
 use std::collections::VecDeque;
 
 use crate::{
@@ -91,6 +91,11 @@ impl App {
     pub fn listed(&self) -> Option<&Vehicle> {
         let id = self.vehicle.as_ref()?;
         self.vehicles.as_ref()?.iter().find(|v| v.id == *id)
+    }
+
+    /// The ground that the vehicle shown is flown from; `None` where that is this one.
+    pub fn elsewhere(&self) -> Option<&AtGround> {
+        self.listed()?.ground.as_ref()
     }
 
     /// Takes one event into the state.

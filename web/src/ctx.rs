@@ -268,6 +268,9 @@ impl Ctx {
         if self.session.with(|session| session.role == Some(Role::Viewer)) {
             return Some("You are signed in as a viewer".to_owned());
         }
+        if let Some(name) = self.app(|app| app.elsewhere().map(|ground| ground.name.clone())) {
+            return Some(format!("It is flown from ground {name}: here its motors can be cut, and nothing else"));
+        }
         let operator = self.operator.get();
         let open = self.app(|app| app.socket == Socket::Open);
         self.live(|live| {

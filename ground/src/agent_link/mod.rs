@@ -5,7 +5,7 @@
 //! consumer of the other, so that tests stand in for an agent with two channels and no socket.
 
 pub mod clock;
-mod offset;
+pub(crate) mod offset;
 mod registry;
 mod server;
 mod session;

@@ -126,6 +126,7 @@ impl From<VehicleError> for ApiError {
         match error {
             VehicleError::Unknown(_) => Self::NotFound(error.to_string()),
             VehicleError::Disconnected(_) => Self::Unavailable(error.to_string()),
+            VehicleError::Elsewhere { .. } => Self::Conflict(error.to_string()),
         }
     }
 }
@@ -157,7 +158,7 @@ impl From<RecordingError> for ApiError {
             RecordingError::Unknown(_) | RecordingError::NoTopic(_) => Self::NotFound(error.to_string()),
             RecordingError::InProgress(_) => Self::Conflict(error.to_string()),
             RecordingError::Invalid(_) => Self::Invalid(error.to_string()),
-            RecordingError::Stopped | RecordingError::NotReady | RecordingError::Busy => {
+            RecordingError::Stopped | RecordingError::NotReady | RecordingError::Busy | RecordingError::Archive(_) => {
                 Self::Unavailable(error.to_string())
             }
             RecordingError::Io { ref source, .. } if source.kind() == std::io::ErrorKind::StorageFull => {

@@ -22,5 +22,6 @@ pub(crate) async fn show(State(app): State<App>) -> Json<Ground> {
         refused_peers: identity.map_or(0, |identity| identity.refused()),
         identity_error: identity.and_then(|identity| identity.trouble()),
         handshakes_broken_off: identity.map_or(0, |identity| identity.broken_off()),
+        fleet: app.fleet.shown().map(Box::new),
     })
 }

@@ -75,6 +75,7 @@ pub(crate) async fn metrics(
     out.one(Type::Gauge, "flights", "Flights kept.", storage.flights as f64);
     recorder_figures(&app, &mut out);
     queue_figures(&app, &mut out);
+    fleet_figures(&app, &mut out);
     vehicle_figures(&app, &mut out);
     Ok(([(header::CONTENT_TYPE, MEDIA)], out.text()).into_response())
 }
@@ -99,6 +100,19 @@ fn recorder_figures(app: &App, out: &mut Metrics) {
         out.one(Type::Counter, "link_refused_total", "Agents refused for their certificates.", refused);
         let broken = identity.broken_off() as f64;
         out.one(Type::Counter, "link_handshakes_broken_off_total", "Connections that never said who they are.", broken);
+    }
+}
+
+fn fleet_figures(app: &App, out: &mut Metrics) {
+    let Some(fleet) = app.fleet.shown() else { return };
+    let flag = |error: Option<String>| f64::from(u8::from(error.is_none()));
+    if fleet.archive.is_some() {
+        out.one(Type::Gauge, "fleet_waiting", "Flights not in the shared archive yet.", fleet.waiting as f64);
+        out.one(Type::Gauge, "fleet_archive_reached", "1 while it is reached.", flag(fleet.archive_error));
+    }
+    if let Some(grounds) = fleet.grounds {
+        out.one(Type::Gauge, "fleet_grounds", "Other grounds that are heard.", grounds.len() as f64);
+        out.one(Type::Gauge, "fleet_live", "1 while they can be heard.", flag(fleet.live_error));
     }
 }
 

@@ -2,6 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
+use plumbline_proto::{Kind, v1};
 use plumbline_rest::ground::Lease;
 
 use super::App;
@@ -16,7 +17,12 @@ fn known(app: &App, id: &str) -> Result<(), ApiError> {
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Lease>, ApiError> {
     known(&app, &id)?;
-    Ok(Json(Lease { holder: app.leases.holder(&id), taken_from: None }))
+    let holder = match app.hub.ground_of(&id) {
+        // As that ground passes it on.
+        Some(_) => app.hub.latest::<v1::ControlLease>(&id, Kind::Lease).map(|lease| lease.holder),
+        None => app.leases.holder(&id),
+    };
+    Ok(Json(Lease { holder: holder.filter(|holder| !holder.is_empty()), taken_from: None }))
 }
 
 pub(crate) async fn take(
@@ -24,7 +30,7 @@ pub(crate) async fn take(
     Path(id): Path<String>,
     who: Operator,
 ) -> Result<Json<Lease>, ApiError> {
-    known(&app, &id)?;
+    app.hub.commanded_here(&id)?;
     let before = app.leases.take(&id, who.name());
     if before.as_deref() != Some(who.name()) {
         tracing::info!(vehicle = %id, operator = who.name(), from = ?before, "control taken");
@@ -38,7 +44,7 @@ pub(crate) async fn release(
     Path(id): Path<String>,
     who: Operator,
 ) -> Result<Json<Lease>, ApiError> {
-    known(&app, &id)?;
+    app.hub.commanded_here(&id)?;
     app.leases.release(&id, who.name())?;
     app.show_lease(&id, "");
     Ok(Json(Lease::default()))

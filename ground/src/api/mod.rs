@@ -89,6 +89,7 @@ pub(crate) struct App(Arc<Inner>);
 /// What the API is made of.
 pub(crate) struct Parts {
     pub(crate) config: GroundConfig,
+    pub(crate) fleet: crate::sharing::Shared,
     pub(crate) address: SocketAddr,
     pub(crate) hub: Arc<Hub>,
     pub(crate) commands: Arc<Commands>,
@@ -152,6 +153,7 @@ impl App {
 
     /// The way down to `vehicle`, for `operator`, who now holds control of it.
     fn controlled(&self, vehicle: &str, operator: &Operator) -> Result<CommandSender, ApiError> {
+        self.hub.commanded_here(vehicle)?;
         let sender = self.hub.commands(vehicle)?;
         if self.leases.claim(vehicle, operator.name())? {
             self.show_lease(vehicle, "");

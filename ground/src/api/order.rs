@@ -37,6 +37,18 @@ pub(super) struct Sender {
     pub(super) way: &'static str,
 }
 
+#[cfg(feature = "many")]
+impl App {
+    /// Cuts a vehicle's motors for a person at another ground, who may: that ground has looked.
+    ///
+    /// # Errors
+    /// Why not, for people.
+    pub(crate) async fn cut_for(&self, vehicle: &str, name: String) -> Result<(), String> {
+        let sender = Sender { name, role: Role::Operator, from: "fleet".into(), way: "FLEET" };
+        Order::Cut.carry_out(self, vehicle, sender).await.map(drop).map_err(|error| error.text())
+    }
+}
+
 impl Order {
     /// The last part of its path.
     const fn name(&self) -> &'static str {

@@ -15,6 +15,7 @@ pub(crate) async fn list(State(app): State<App>) -> Json<Vec<Vehicle>> {
         Vehicle {
             id: info.id,
             connected: info.connected,
+            ground: info.ground,
             boot_id: info.boot_id,
             version: info.version,
             vehicle: description.vehicle,

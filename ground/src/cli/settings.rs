@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use plumbline_ground::{GroundConfig, Mavlink};
+use plumbline_ground::{Fleet, GroundConfig, Mavlink};
 use serde::{Deserialize, Serialize};
 
 /// Every key of the configuration file, TOML.
@@ -30,12 +30,17 @@ pub struct Settings {
     pub retention_bytes: Option<u64>,
     pub retention_backup: Option<PathBuf>,
     pub retention_notice_hours: f64,
+    pub fleet_name: Option<String>,
+    pub fleet_address: Option<String>,
+    pub fleet_nats: Option<String>,
+    pub fleet_archive: Option<String>,
+    pub fleet_index: Option<String>,
     pub backfill_after_s: f64,
     pub settle_after_s: f64,
 }
 
 /// What each key means, in the order they are printed.
-const ABOUT: [(&str, &str); 21] = [
+const ABOUT: [(&str, &str); 26] = [
     ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
     ("agent_listen", "Address (UDP) that agents connect to."),
     ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
@@ -68,6 +73,26 @@ const ABOUT: [(&str, &str); 21] = [
         "Only flights that this folder of `plumbline-ground archive backup` holds are deleted; absent: all.",
     ),
     ("retention_notice_hours", "So long before it is deleted a flight is told to be due, hours."),
+    (
+        "fleet_name",
+        "What this ground is called among those it shares vehicles and flights with (a ground built with `--features many`); \
+         absent: it shares nothing.",
+    ),
+    ("fleet_address", "Where the page of this ground is, for people at the others; absent: where it listens."),
+    (
+        "fleet_nats",
+        "NATS server by which the grounds show each other their vehicles, such as tls://USER:PASSWORD@nats.lab: whoever may \
+         publish there may cut motors.",
+    ),
+    (
+        "fleet_archive",
+        "Folder or s3://BUCKET/PREFIX where all of them keep their flights (keys, region and endpoint from AWS_* of the \
+         environment); needs fleet_index.",
+    ),
+    (
+        "fleet_index",
+        "PostgreSQL database with the index of these flights, such as postgresql://USER:PASSWORD@db.lab/plumbline.",
+    ),
     ("backfill_after_s", "A message that has not come after this long is asked for again, s."),
     ("settle_after_s", "A flight whose gaps do not shrink for this long after its end is closed as it is, s."),
 ];
@@ -97,6 +122,11 @@ impl Default for Settings {
             retention_days: None,
             retention_bytes: None,
             retention_backup: None,
+            fleet_name: None,
+            fleet_address: None,
+            fleet_nats: None,
+            fleet_archive: None,
+            fleet_index: None,
             retention_notice_hours: config.retention.notice.as_secs_f64() / HOUR_S,
             backfill_after_s: config.backfill_after.as_secs_f64(),
             settle_after_s: config.settle_after.as_secs_f64(),
@@ -150,6 +180,24 @@ impl Settings {
         }
     }
 
+    /// What is shared with other grounds.
+    fn fleet(&self) -> Result<Option<Fleet>, String> {
+        let Self { fleet_name, fleet_address, fleet_nats, fleet_archive, fleet_index, .. } = self;
+        let archive = match (fleet_archive, fleet_index) {
+            (Some(archive), Some(index)) => Some((archive.clone(), index.clone())),
+            (None, None) => None,
+            (Some(_), None) => return Err("fleet_archive without fleet_index: both are needed".into()),
+            (None, Some(_)) => return Err("fleet_index without fleet_archive: both are needed".into()),
+        };
+        let Some(name) = fleet_name else {
+            let any = fleet_address.is_some() || fleet_nats.is_some() || archive.is_some();
+            return if any { Err("fleet_name is needed to share anything".into()) } else { Ok(None) };
+        };
+        let own = || format!("{}://{}/", if self.by_tls() { "https" } else { "http" }, self.listen);
+        let address = fleet_address.clone().unwrap_or_else(own);
+        Ok(Some(Fleet { name: name.clone(), address, nats: fleet_nats.clone(), archive }))
+    }
+
     /// What the ground itself is told.
     ///
     /// # Errors
@@ -169,6 +217,7 @@ impl Settings {
         config.retention.age =
             self.retention_days.map(|days| time("retention_days", days * 24.0 * HOUR_S)).transpose()?;
         config.retention.notice = time("retention_notice_hours", self.retention_notice_hours * HOUR_S)?;
+        config.fleet = self.fleet()?;
         config.lease_idle = time("lease_idle_s", self.lease_idle_s)?;
         config.command_timeout = time("command_timeout_s", self.command_timeout_s)?;
         config.backfill_after = time("backfill_after_s", self.backfill_after_s)?;
@@ -192,6 +241,8 @@ mod tests {
         let bare = bare
             .replace("# retention_bytes =", "retention_bytes = 1")
             .replace("# retention_backup =", "retention_backup = \"d\"");
+        let fleet = ["name", "address", "nats", "archive", "index"].map(|key| format!("# fleet_{key} ="));
+        let bare = fleet.iter().fold(bare, |text, key| text.replace(key, &format!("{} \"e\"", &key[2..])));
         let all: toml::Table = toml::from_str(&bare.replace("# key =", "key = \"c\"")).unwrap();
         assert_eq!(all.len(), ABOUT.len());
         assert_eq!(toml::Table::try_from(toml::from_str::<Settings>(&all.to_string()).unwrap()).unwrap(), all);
@@ -212,6 +263,16 @@ mod tests {
         for seconds in [-1.0, 0.0, f64::NAN, f64::INFINITY] {
             let settings = Settings { command_timeout_s: seconds, ..Settings::default() };
             assert!(settings.config().unwrap_err().contains("command_timeout_s"));
+        }
+        let [e, none] = [Some("e".to_owned()), None];
+        for (name, archive, index, named) in [
+            (&none, &e, &e, "fleet_name is needed"),
+            (&e, &e, &none, "fleet_archive without fleet_index"),
+            (&e, &none, &e, "fleet_index without fleet_archive"),
+        ] {
+            let [fleet_name, fleet_archive, fleet_index] = [name, archive, index].map(Clone::clone);
+            let settings = Settings { fleet_name, fleet_archive, fleet_index, ..Settings::default() };
+            assert!(settings.config().unwrap_err().contains(named));
         }
         let half = Settings { key: Some("k.pem".into()), ..Settings::default() };
         assert!(half.own_certificate().unwrap_err().contains("certificate"));

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use bytes::BytesMut;
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::{Kind, Message};
+use plumbline_rest::ground::AtGround;
 
 use super::health::Health;
 use super::history::History;
@@ -30,6 +31,8 @@ pub(super) struct Vehicle {
     pub(super) boot_id: u64,
     pub(super) boot_wall_time_us: u64,
     pub(super) version: String,
+    /// The ground that its link ends at; `None` where that is this one.
+    pub(super) ground: Option<AtGround>,
     /// `None` while disconnected.
     pub(super) commands: Option<CommandSender>,
     /// When anything came from it last.
@@ -92,6 +95,7 @@ impl Vehicle {
             boot_id,
             boot_wall_time_us: 0,
             version: String::new(),
+            ground: None,
             commands: None,
             heard: now,
             latest: BTreeMap::new(),
@@ -150,6 +154,12 @@ impl Vehicle {
         if self.whole.pending.len() >= FLUSH_BYTES {
             self.flush(now);
         }
+    }
+
+    /// Is the latest of this topic known?
+    #[cfg(feature = "many")]
+    pub(super) fn knows(&self, frame: &Frame<'_>) -> bool {
+        self.latest.contains_key(&(frame.kind, frame.instance))
     }
 
     pub(super) fn flush(&mut self, now: Instant) {

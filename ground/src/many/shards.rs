@@ -1,5 +1,4 @@
-//! Where shards lie: a folder that all machines see, or a bucket of S3-compatible storage (`s3://BUCKET/PREFIX`, its keys, region
-//! and endpoint from `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT`, `AWS_ALLOW_HTTP`).
+//! Where shards lie: in [object storage](crate::objects).
 
 use std::collections::BTreeSet;
 
@@ -9,7 +8,6 @@ use object_store::{ObjectStore, ObjectStoreExt as _};
 use plumbline_experiment::part::{self, Part};
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::Row;
-use url::Url;
 
 use super::ManyError;
 
@@ -30,22 +28,8 @@ impl Shards {
     /// # Errors
     /// [`ManyError::Storage`]: neither.
     pub fn open(address: &str) -> Result<Self, ManyError> {
-        let failed = |reason: String| ManyError::Storage { at: address.to_owned(), reason };
-        let url = if address.contains("://") {
-            Url::parse(address).map_err(|error| failed(error.to_string()))?
-        } else {
-            let made = std::fs::create_dir_all(address).and_then(|()| std::fs::canonicalize(address));
-            let folder = made.map_err(|error| failed(error.to_string()))?;
-            Url::from_directory_path(folder).map_err(|()| failed("not a folder".into()))?
-        };
-        // For https: who asks first chooses, and there is one to choose.
-        let _ = rustls::crypto::ring::default_provider().install_default();
-        let settings = std::env::vars_os();
-        let settings = settings.filter_map(|(key, value)| Some((key.into_string().ok()?, value.into_string().ok()?)));
-        // It takes a plain TOKEN or REGION for its own, too.
-        let settings = settings.filter(|(key, _)| key.starts_with("AWS_"));
-        let (store, prefix) =
-            object_store::parse_url_opts(&url, settings).map_err(|error| failed(error.to_string()))?;
+        let opened = crate::objects::open(address);
+        let (store, prefix) = opened.map_err(|reason| ManyError::Storage { at: address.to_owned(), reason })?;
         Ok(Self { store, prefix, address: address.to_owned() })
     }
 

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use rusqlite::{Connection, OptionalExtension, params};
 
@@ -34,6 +35,8 @@ impl Stamp {
 #[derive(Debug)]
 pub(super) struct FlightIndex {
     connection: Mutex<Connection>,
+    /// Changes since the start.
+    changes: AtomicU64,
 }
 
 impl FlightIndex {
@@ -54,7 +57,7 @@ impl FlightIndex {
                 })?
             }
         };
-        Ok(Self { connection: Mutex::new(connection) })
+        Ok(Self { connection: Mutex::new(connection), changes: AtomicU64::default() })
     }
 
     fn prepare(path: &Path) -> rusqlite::Result<Connection> {
@@ -74,10 +77,22 @@ impl FlightIndex {
         Ok(connection)
     }
 
+    /// Counts changes.
+    #[cfg(feature = "many")]
+    pub(super) fn generation(&self) -> u64 {
+        self.changes.load(Ordering::Acquire)
+    }
+
+    /// Has `change` been made?
+    fn changed<T>(&self, change: rusqlite::Result<T>) -> rusqlite::Result<()> {
+        self.changes.fetch_add(1, Ordering::AcqRel);
+        change.map(drop)
+    }
+
     /// Enters or replaces a flight. Name and notes keep what [`FlightIndex::label`] said last.
     pub(super) fn put(&self, flight: &Flight, stamp: Stamp) -> rusqlite::Result<()> {
         let text = serde_json::to_string(flight).unwrap_or_default();
-        lock(&self.connection).execute(
+        let change = lock(&self.connection).execute(
             "INSERT INTO flights (id, started_us, size, modified_ns, name, notes, flight) VALUES (?1,?2,?3,?4,?5,?6,?7)
              ON CONFLICT (id) DO UPDATE SET started_us = ?2, size = ?3, modified_ns = ?4, flight = ?7",
             params![
@@ -89,18 +104,15 @@ impl FlightIndex {
                 flight.notes,
                 text
             ],
-        )?;
-        Ok(())
+        );
+        self.changed(change)
     }
 
     /// Changes name and notes.
     pub(super) fn label(&self, id: &str, labels: &Labels) -> rusqlite::Result<()> {
-        let connection = lock(&self.connection);
-        connection.execute(
-            "UPDATE flights SET name = ?2, notes = ?3 WHERE id = ?1",
-            params![id, labels.name, labels.notes],
-        )?;
-        Ok(())
+        let change = lock(&self.connection)
+            .execute("UPDATE flights SET name = ?2, notes = ?3 WHERE id = ?1", params![id, labels.name, labels.notes]);
+        self.changed(change)
     }
 
     /// One flight.
@@ -128,8 +140,8 @@ impl FlightIndex {
 
     /// Forgets a flight.
     pub(super) fn remove(&self, id: &str) -> rusqlite::Result<()> {
-        lock(&self.connection).execute("DELETE FROM flights WHERE id = ?1", [id])?;
-        Ok(())
+        let change = lock(&self.connection).execute("DELETE FROM flights WHERE id = ?1", [id]);
+        self.changed(change)
     }
 }
 

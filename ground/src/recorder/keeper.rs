@@ -9,9 +9,9 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
@@ -19,6 +19,7 @@ use super::flight::{Completeness, Flight};
 use super::index::{FlightIndex, Stamp};
 use super::reading::Reading;
 use super::repair::Damage;
+use super::shared::SharedArchive;
 use super::store::{Files, RecordingStore};
 use super::track::Track;
 use super::writer::FlightWriter;
@@ -136,6 +137,10 @@ pub(super) struct Desk {
     pub(super) store: RecordingStore,
     pub(super) index: Arc<FlightIndex>,
     pub(super) shared: Arc<Shared>,
+    /// What it shares with other grounds.
+    pub(super) archive: Option<Arc<dyn SharedArchive>>,
+    /// Held while a flight comes from there.
+    pub(super) fetching: Arc<Mutex<()>>,
 }
 
 impl Desk {

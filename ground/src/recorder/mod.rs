@@ -12,6 +12,8 @@ mod flatten;
 mod flight;
 mod folder;
 mod foxglove;
+#[cfg(feature = "many")]
+mod given;
 mod identity;
 mod index;
 mod intervals;
@@ -22,6 +24,7 @@ mod reader;
 mod reading;
 mod repair;
 mod ros2;
+mod shared;
 mod sheet;
 mod signal;
 mod snapshot;
@@ -55,6 +58,7 @@ use index::FlightIndex;
 pub use intervals::IntervalSet;
 use keeper::Desk;
 pub use plumbline_rest::ground::Storage;
+pub use shared::SharedArchive;
 pub use sheet::{Format, Selection};
 pub(crate) use signal::{SignalReader, thinned};
 pub use snapshot::Snapshot;
@@ -106,6 +110,9 @@ pub enum RecordingError {
         /// What is wrong.
         reason: String,
     },
+    /// The archive that this ground shares with others.
+    #[error("archive of the fleet: {0}")]
+    Archive(String),
     /// The index failed; it can be rebuilt from the files.
     #[error("index of flights: {0}")]
     Index(#[from] rusqlite::Error),
@@ -173,18 +180,24 @@ pub struct RecorderHandle {
     desk: Desk,
 }
 
-/// Starts the recorder's threads.
+/// Starts the recorder's threads; flights of `archive` are shown beside its own.
 ///
 /// # Errors
 /// [`GroundError`] when another ground uses the data folder, or the thread or the index cannot start.
 /// A folder that cannot be written is no such error: it is shown, and flying goes on.
-pub fn start(config: &GroundConfig) -> Result<Recorder, GroundError> {
+pub fn start(config: &GroundConfig, archive: Option<Arc<dyn SharedArchive>>) -> Result<Recorder, GroundError> {
     let folder = folder::lock(&config.data_folder)?;
     let (queue, inputs) = sync_channel(MAX_QUEUED);
     let shared = Arc::new(Shared::default());
     let store = RecordingStore::new(&config.data_folder, config.reserve_bytes);
     let index = FlightIndex::open(&config.data_folder).map_err(|e| GroundError::Index(e.to_string()))?;
-    let desk = Desk { store: store.clone(), index: Arc::new(index), shared: shared.clone() };
+    let desk = Desk {
+        store: store.clone(),
+        index: Arc::new(index),
+        shared: shared.clone(),
+        archive,
+        fetching: Arc::default(),
+    };
     let handle = RecorderHandle { queue, desk: desk.clone() };
     let syncer = plumbline_file::Syncer::start().map_err(GroundError::Thread)?;
     let keeper = keeper::Keeper::start(desk).map_err(GroundError::Thread)?;
@@ -311,14 +324,6 @@ impl RecorderHandle {
         }
     }
 
-    /// All flights, newest first. Asks the disk.
-    ///
-    /// # Errors
-    /// [`RecordingError::Index`].
-    pub fn flights(&self) -> Result<Vec<Flight>, RecordingError> {
-        Ok(self.desk.index.list()?)
-    }
-
     /// One flight. Asks the disk.
     ///
     /// # Errors
@@ -327,7 +332,11 @@ impl RecorderHandle {
         // Asked before the index: one that is ready lacks nothing.
         let ready = self.ready();
         let unknown = || if ready { RecordingError::Unknown(crate::names::clip(id)) } else { RecordingError::NotReady };
-        self.desk.index.get(id)?.ok_or_else(unknown)
+        if let Some(flight) = self.desk.index.get(id)? {
+            return Ok(flight);
+        }
+        let shared = self.desk.archive.as_ref().map_or(Ok(None), |archive| archive.flight(id))?;
+        shared.ok_or_else(unknown)
     }
 
     /// Changes name or notes of a flight. Writes to the disk.
@@ -347,8 +356,13 @@ impl RecorderHandle {
                 return Err(RecordingError::Invalid(format!("{what} has {length} characters, limit {limit}")));
             }
         }
-        self.desk.store.label(id, &labels)?;
-        self.desk.index.label(id, &labels)?;
+        match &self.desk.archive {
+            Some(archive) if flight.away => archive.label(id, &labels)?,
+            _ => {
+                self.desk.store.label(id, &labels)?;
+                self.desk.index.label(id, &labels)?;
+            }
+        }
         self.flight(id)
     }
 
@@ -380,11 +394,26 @@ impl RecorderHandle {
         self.flight(id)
     }
 
-    /// Deletes a flight. Waits for the recorder and the disk.
+    /// Deletes a flight, in the archive of the fleet as well. Waits for the recorder, the disk and the network.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when there is no such flight, it is being recorded, or the disk or the archive refuses.
+    pub fn delete(&self, id: &str) -> Result<(), RecordingError> {
+        let away = self.flight(id)?.away;
+        if let Some(archive) = &self.desk.archive {
+            if lock(&self.desk.shared.status).values().any(|status| status.recording && status.flight_id == id) {
+                return Err(RecordingError::InProgress(id.to_owned()));
+            }
+            archive.delete(id)?;
+        }
+        if away { Ok(()) } else { self.delete_here(id) }
+    }
+
+    /// Deletes a flight of this ground's folder. Waits for the recorder and the disk.
     ///
     /// # Errors
     /// [`RecordingError`] when there is no such flight, it is being recorded, or the disk refuses.
-    pub fn delete(&self, id: &str) -> Result<(), RecordingError> {
+    pub fn delete_here(&self, id: &str) -> Result<(), RecordingError> {
         if !self.ready() {
             return Err(RecordingError::NotReady);
         }
@@ -394,7 +423,8 @@ impl RecorderHandle {
         answered.recv().map_err(|_| RecordingError::Stopped)?
     }
 
-    /// Opens a flight for reading: the finished file, or what was written so far. Asks the disk.
+    /// Opens a flight for reading: the finished file, or what was written so far. Asks the disk; where it is only in the
+    /// archive of the fleet, waits for the network.
     ///
     /// # Errors
     /// [`RecordingError`] when there is no such flight, it cannot be read, or too many are being read.
@@ -402,6 +432,7 @@ impl RecorderHandle {
         if plumbline_proto::ids::FlightId::new(id).is_err() {
             return Err(RecordingError::Unknown(crate::names::clip(id)));
         }
+        self.fetched(id)?;
         self.desk.store.open(id)
     }
 }

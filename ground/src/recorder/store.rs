@@ -154,6 +154,11 @@ impl RecordingStore {
         self.list().remove(id).unwrap_or_default()
     }
 
+    /// Is anything of a flight here? Unlike [`RecordingStore::files`] it lists no folder where it is finished.
+    pub(super) fn has(&self, id: &str) -> bool {
+        self.finished_path(id).exists() || self.files(id) != Files::default()
+    }
+
     /// Removes what was being made when the ground ended.
     pub(super) fn sweep(&self) {
         let Ok(entries) = fs::read_dir(&self.folder) else { return };

@@ -14,6 +14,8 @@ mod envelope;
 mod experiments;
 mod export;
 mod fade;
+#[cfg(feature = "many")]
+mod fleet;
 mod flights;
 mod foxglove;
 mod import;

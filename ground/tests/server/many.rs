@@ -2,13 +2,13 @@
 //!
 //! `nats-server` and moto (Python) are started where they are installed; what is skipped is said.
 
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::common::servers::{Bucket, Nats, PATIENCE, Process};
 use plumbline_experiment::part::Part;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::Row;
@@ -35,82 +35,8 @@ values = ["ekf_bias", "lanes"]
 const FLIGHTS: u64 = 60;
 /// Flights of a job.
 const SIZE: u64 = 4;
-/// Something that takes longer does not come any more.
-const PATIENCE: Duration = Duration::from_secs(300);
 /// Kills of a campaign's rounds; a few of them in a test.
 const ROUNDS: &str = "PLUMBLINE_ROUNDS";
-
-/// Ends with its test.
-struct Process(Child);
-
-impl Process {
-    fn start(command: &mut Command) -> Self {
-        Self(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-    }
-
-    fn kill(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        self.kill();
-    }
-}
-
-fn free_port() -> u16 {
-    TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port()
-}
-
-fn listens(port: u16) {
-    let begun = Instant::now();
-    while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
-        assert!(begun.elapsed() < PATIENCE, "nobody listens at {port}");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-}
-
-/// A NATS server that keeps its streams in a folder.
-struct Nats {
-    process: Process,
-    port: u16,
-    folder: PathBuf,
-}
-
-impl Nats {
-    /// `None` where there is none to start.
-    fn start(folder: &Path) -> Option<Self> {
-        if Self::server().arg("--version").output().is_err() {
-            plumbline_agent::recordings::skipped("no nats-server (a Debian package)");
-            return None;
-        }
-        let (port, folder) = (free_port(), folder.join("nats"));
-        Some(Self { process: Self::process(&folder, port), port, folder })
-    }
-
-    fn server() -> Command {
-        Command::new(std::env::var_os("PLUMBLINE_NATS").unwrap_or_else(|| "nats-server".into()))
-    }
-
-    fn process(folder: &Path, port: u16) -> Process {
-        let mut command = Self::server();
-        let process =
-            Process::start(command.args(["-js", "-a", "127.0.0.1", "-p", &port.to_string(), "-sd"]).arg(folder));
-        listens(port);
-        process
-    }
-
-    fn kill_and_start_again(&mut self) {
-        self.process.kill();
-        self.process = Self::process(&self.folder, self.port);
-    }
-
-    fn url(&self) -> String {
-        format!("nats://127.0.0.1:{}", self.port)
-    }
-}
 
 fn ground() -> Command {
     Command::new(env!("CARGO_BIN_EXE_plumbline-ground"))
@@ -304,56 +230,33 @@ fn an_array_without_a_queue_is_gathered() {
     assert!(!refused.status.success() && said.contains("3/2 is not K/N"), "{said}");
 }
 
-/// Makes or deletes the bucket `shards` of an S3 double, whole.
-const BUCKET: &str = "
-import sys, boto3
-s3 = boto3.resource('s3', endpoint_url=sys.argv[1], region_name='us-east-1', aws_access_key_id='k', aws_secret_access_key='s')
-bucket = s3.Bucket('shards')
-if sys.argv[2] == 'make':
-    bucket.create()
-else:
-    bucket.objects.all().delete()
-    bucket.delete()
-";
-
 #[test]
 fn shards_lie_in_a_bucket_and_one_that_is_gone_costs_nothing_that_was_flown() {
-    let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
-    let has = Command::new(&python).args(["-c", "import boto3, moto.server, flask"]).output();
-    if !has.is_ok_and(|ran| ran.status.success()) {
-        plumbline_agent::recordings::skipped("no Python with moto[server]");
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
-    let Some(nats) = Nats::start(folder.path()) else { return };
-    let port = free_port();
-    let address = format!("http://127.0.0.1:{port}");
-    let main = "import sys; from moto.server import main; main(['-p', sys.argv[1]])";
-    let _moto = Process::start(Command::new(&python).args(["-c", main, &port.to_string()]));
-    listens(port);
-    let bucket = |what: &str| {
-        let ran = Command::new(&python).args(["-c", BUCKET, &address, what]).output().unwrap();
-        assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
-    };
-    let s3 = |command: &mut Command| {
-        let keys = [("AWS_ACCESS_KEY_ID", "k"), ("AWS_SECRET_ACCESS_KEY", "s"), ("AWS_REGION", "us-east-1")];
-        command.envs(keys).envs([("AWS_ENDPOINT", address.as_str()), ("AWS_ALLOW_HTTP", "true")]);
-    };
+    let (Some(nats), Some(storage)) = (Nats::start(folder.path()), Bucket::start("shards")) else { return };
     let (plan, data) = (folder.path().join("plan.toml"), folder.path().join("data"));
     std::fs::write(&plan, PLAN).unwrap();
     let experiment = made(&data);
     // GIVEN a worker whose bucket is not there yet
     let mut working = ground();
-    s3(working.args(["worker", "--threads", "1", "--nats", &nats.url(), "--store", "s3://shards/of/tests"]));
+    working.envs(storage.settings()).args([
+        "worker",
+        "--threads",
+        "1",
+        "--nats",
+        &nats.url(),
+        "--store",
+        "s3://shards/of/tests",
+    ]);
     let _worker = Process::start(&mut working);
     let mut leading = ground();
     leading.args(["experiment", "spread"]).arg(&plan).args(["--nats", &nats.url(), "--store", "s3://shards/of/tests"]);
-    s3(leading.args(["--size", "20", "--data"]).arg(&data));
+    leading.envs(storage.settings()).args(["--size", "20", "--data"]).arg(&data);
     // Without the bucket a lead says so and ends.
     let refused = leading.output().unwrap();
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && said.contains("storage s3://shards/of/tests"), "{said}");
-    bucket("make");
+    storage.make();
     let mut lead = Process::start(&mut leading);
     let wait_for = |flights: u64| {
         let begun = Instant::now();
@@ -365,9 +268,9 @@ fn shards_lie_in_a_bucket_and_one_that_is_gone_costs_nothing_that_was_flown() {
     // WHEN the bucket goes after the first shard was gathered, and comes back empty
     wait_for(20);
     lead.kill();
-    bucket("delete");
+    storage.delete();
     std::thread::sleep(Duration::from_secs(3));
-    bucket("make");
+    storage.make();
     let _lead = Process::start(&mut leading);
     // THEN all is there once
     wait_for(FLIGHTS);

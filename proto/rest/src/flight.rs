@@ -149,6 +149,10 @@ pub struct Flight {
     pub outline: Option<Outline>,
     /// When the ground's retention deletes it as things are, µs since the Unix epoch; absent where it is kept.
     pub deleted_unix_us: Option<u64>,
+    /// The ground that recorded it; absent where no archive is shared.
+    pub ground: Option<String>,
+    /// Is it only in the archive that grounds share? It is fetched when it is opened.
+    pub away: bool,
 }
 
 impl Flight {

@@ -29,6 +29,29 @@ pub struct Ground {
     pub identity_error: Option<String>,
     /// Connections that ended before they said who they are.
     pub handshakes_broken_off: u64,
+    /// What it shares with other grounds; absent where nothing is.
+    pub fleet: Option<Box<Fleet>>,
+}
+
+/// What grounds share.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Fleet {
+    /// What this ground is called among them.
+    pub name: String,
+    /// Where the files of flights are kept; absent where no archive is shared.
+    pub archive: Option<String>,
+    /// Where their index is.
+    pub index: Option<String>,
+    /// Flights of this ground that are not in the archive yet.
+    pub waiting: u64,
+    /// Why the archive is not reached.
+    pub archive_error: Option<String>,
+    /// Grounds whose vehicles are seen here; absent where no live view is shared.
+    pub grounds: Option<Vec<String>>,
+    /// Why they are not heard.
+    pub live_error: Option<String>,
 }
 
 /// What the recordings take and leave.
@@ -53,6 +76,9 @@ pub struct Vehicle {
     pub id: String,
     /// Is it connected now?
     pub connected: bool,
+    /// The ground that it is connected to; absent where that is this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ground: Option<AtGround>,
     /// Changes with every start of the agent.
     pub boot_id: u64,
     /// Version of the agent.
@@ -65,6 +91,17 @@ pub struct Vehicle {
     pub mode: Option<String>,
     /// Armed? Absent before the first status.
     pub armed: Option<bool>,
+}
+
+/// Another ground.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct AtGround {
+    /// What it is called.
+    pub name: String,
+    /// Where its page is, as it says itself; empty where it does not.
+    pub address: String,
 }
 
 /// Who holds control of a vehicle.

@@ -107,6 +107,10 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
         Ok(server) => drop(cargo.env("PLUMBLINE_NATS", server)),
         Err(error) => eprintln!("xtask: {error}"),
     }
+    match tools::postgres(workspace) {
+        Ok(programs) => drop(cargo.env("PLUMBLINE_POSTGRES", programs)),
+        Err(error) => eprintln!("xtask: {error}"),
+    }
     // What is absent is told here by the tests that wanted it.
     let absent = workspace.target.join("skipped.txt");
     if tally.check("list of skipped tests", std::fs::write(&absent, "")).is_some() {

@@ -164,6 +164,30 @@ pub fn nats_server(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     taken_out(workspace, "nats-server", "usr/sbin/nats-server")
 }
 
+/// The folder of PostgreSQL's programs, of Debian's packages.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn postgres(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let own = workspace.target.join("tools/postgresql");
+    let works_in =
+        |folder: &PathBuf| ["initdb", "postgres"].iter().all(|p| works(Command::new(folder.join(p)).arg("--version")));
+    let find = |root: &Path| {
+        let versions = std::fs::read_dir(root.join("usr/lib/postgresql")).into_iter().flatten().flatten();
+        versions.map(|version| version.path().join("bin")).find(works_in)
+    };
+    if let Some(found) = find(Path::new("/")).or_else(|| find(&own)) {
+        return Ok(found);
+    }
+    let missing = || XtaskError::Missing { what: "PostgreSQL".into(), how: "  sudo apt-get install postgresql".into() };
+    std::fs::create_dir_all(&own).map_err(XtaskError::file(&own))?;
+    // The package of that name is empty and needs the one of the version that Debian has.
+    let take_out = "apt-get -qq download $(apt-cache depends postgresql | sed -n 's/.*Depends: \\(postgresql-[0-9]*\\)$/\\1/p') \
+                    && for package in *.deb; do dpkg-deb -x $package . && rm $package; done";
+    works(Command::new("sh").args(["-c", take_out]).current_dir(&own));
+    find(&own).ok_or_else(missing)
+}
+
 /// A program of a Debian package, which is not installed: it would start a server.
 fn taken_out(workspace: &Workspace, package: &str, program: &str) -> Result<PathBuf, XtaskError> {
     let folder = workspace.target.join("tools").join(package);

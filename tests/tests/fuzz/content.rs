@@ -90,7 +90,7 @@ fn fuzz_flight_content() {
         // The ground finds it, learns it and exports it.
         let mut config = GroundConfig::new(folder.path());
         config.reserve_bytes = 0;
-        let recorder = recorder::start(&config).unwrap();
+        let recorder = recorder::start(&config, None).unwrap();
         let handle = recorder.handle();
         while !handle.ready() {
             std::thread::sleep(std::time::Duration::from_millis(1));

@@ -1,6 +1,7 @@
 //! Fly: the everyday screen.
 
 use leptos::prelude::*;
+use plumbline_rest::ground::AtGround;
 
 use super::numbers::Numbers;
 use crate::{
@@ -63,6 +64,7 @@ fn Banner() -> impl IntoView {
         Graphics::Off(why) => Some(why),
         _ => None,
     });
+    let elsewhere = Memo::new(move |_| ctx.app(|app| app.elsewhere().cloned()));
     let lost = Memo::new(move |_| ctx.graphics.get() == Graphics::Lost);
     view! {
         <div class="banners" role="status">
@@ -79,6 +81,9 @@ fn Banner() -> impl IntoView {
                 Obstacle::NoData => view! {
                     <p class="banner"><b>"Connected, no telemetry yet."</b> " Waiting for the vehicle's first message."</p>
                 }.into_any(),
+            })}
+            {move || elsewhere.get().map(|AtGround { name, address }| view! {
+                <p class="banner"><b>{format!("Flown from ground {name}.")}</b> " Here it is looked at, and its motors can be cut. Everything else is commanded at " <a href=address.clone() rel="external">{address.clone()}</a> "."</p>
             })}
             {move || lost.get().then(|| view! {
                 <p class="banner"><b>"Charts are gone for the moment:"</b> " the browser took the graphics away. They come back by themselves; numbers and controls work."</p>

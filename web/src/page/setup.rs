@@ -1,6 +1,7 @@
 //! Setup: the ground, the vehicle, its suite and limits, and how a real one is connected.
 
 use leptos::prelude::*;
+use plumbline_rest::ground::Fleet;
 
 use crate::{
     app::GroundState,
@@ -13,6 +14,25 @@ use crate::{
 
 fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
     view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> }
+}
+
+/// What this ground shares with others.
+fn fleet_facts(fleet: Fleet) -> impl IntoView {
+    let Fleet { name, archive, index, waiting, archive_error, grounds, live_error } = fleet;
+    let kept = archive.map(|archive| {
+        let waits = if waiting > 0 { format!(", {waiting} wait") } else { String::new() };
+        let error = archive_error.map_or_else(String::new, |error| format!(": {error}"));
+        fact("archive", format!("{archive}, index {}{waits}{error}", index.unwrap_or_default()))
+    });
+    let heard = grounds.map(|grounds| {
+        let others = if grounds.is_empty() { "none heard".to_owned() } else { grounds.join(", ") };
+        fact("other grounds", live_error.map_or(others.clone(), |error| format!("{others}: {error}")))
+    });
+    view! {
+        {fact("called", name)}
+        {kept}
+        {heard}
+    }
 }
 
 /// The operator's name, where no account gives it.
@@ -122,6 +142,7 @@ pub fn Setup() -> impl IntoView {
                                 {fact("flights in", g.data_folder)}
                                 {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::plural(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
                                 {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
+                                {g.fleet.map(|fleet| fleet_facts(*fleet))}
                                 {(!g.set_aside.is_empty()).then(|| fact("damaged, set aside", g.set_aside.join(", ")))}
                             </dl>
                         }.into_any(),

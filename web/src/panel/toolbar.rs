@@ -151,6 +151,7 @@ pub fn Toolbar() -> impl IntoView {
             ctx.take_control();
         }
     };
+    let elsewhere = Memo::new(move |_| ctx.app(|app| app.elsewhere().map(|ground| ground.name.clone())));
     let old = Memo::new(move |_| ctx.is_old(|live| &live.status));
     let theme = move |_| {
         ctx.dark.update(|d| *d = !*d);
@@ -221,10 +222,12 @@ pub fn Toolbar() -> impl IntoView {
                 class:other=move || !mine() && !holder.get().is_empty()
                 title=move || {
                     let holder = holder.get();
-                    if holder.is_empty() { "Nobody controls; your first command takes control".to_owned() }
+                    if let Some(ground) = elsewhere.get() { format!("It is flown from ground {ground}: control is taken there") }
+                    else if holder.is_empty() { "Nobody controls; your first command takes control".to_owned() }
                     else if mine() { "You control this vehicle; press to release".to_owned() }
                     else { format!("{holder} controls; press to take over") }
                 }
+                disabled=move || elsewhere.with(Option::is_some)
                 on:click=lease
             >
                 <small>{move || if mine() { "you control".to_owned() } else if holder.get().is_empty() { "nobody controls".to_owned() } else { holder.get() }}</small>

@@ -2,7 +2,8 @@
 //! goes: in the log, in the audit log and at `/api/v1/archive/due`.
 //!
 //! Never due is a flight that is recorded or filled, is not complete, or that people have named or annotated; nor, where a backup is
-//! configured, one that is not in there the same.
+//! configured, one that is not in there the same. Of what is in the archive of a fleet only this ground's copy is deleted, and no
+//! copy that the archive lacks.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -47,9 +48,10 @@ impl Retention {
 
 /// The flights that a policy deletes, the oldest first; when it does is not said yet.
 pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due> {
-    let mut oldest: Vec<&Flight> = flights.iter().collect();
+    let here = || flights.iter().filter(|flight| !flight.away);
+    let mut oldest: Vec<&Flight> = here().collect();
     oldest.sort_by_key(|flight| (flight.started_unix_us, &flight.id));
-    let mut total: u64 = flights.iter().map(|flight| flight.size_bytes).sum();
+    let mut total: u64 = here().map(|flight| flight.size_bytes).sum();
     let mut found = Vec::new();
     for flight in oldest {
         let age = Duration::from_micros(now_unix_us.saturating_sub(ended_us(flight)));
@@ -120,7 +122,7 @@ impl Pruner {
             return Ok(());
         }
         let due: BTreeMap<String, Due> = self.due(now_unix_us)?.into_iter().map(|due| (due.id.clone(), due)).collect();
-        for flight in flights.iter_mut().filter(|flight| !kept(flight)) {
+        for flight in flights.iter_mut().filter(|flight| !flight.away && !kept(flight)) {
             let after =
                 |age: Duration| ended_us(flight).saturating_add(micros(age)).saturating_add(micros(self.policy.notice));
             let told = due.get(&flight.id).and_then(|due| due.deleted_unix_us);
@@ -166,11 +168,11 @@ impl Pruner {
         Ok((told, deleted))
     }
 
-    /// Deletes a flight, where it is in the backup if there has to be one. Answers whether it did.
+    /// Deletes a flight here, where it is in the backup and the archive if there has to be one. Answers whether it did.
     fn delete(&self, id: &str) -> Result<bool, RecordingError> {
-        let may = self.backed_up(id)?;
+        let may = self.recorder.is_shared(&self.recorder.flight(id)?)? && self.backed_up(id)?;
         if may {
-            self.recorder.delete(id)?;
+            self.recorder.delete_here(id)?;
         }
         Ok(may)
     }

@@ -2,6 +2,8 @@
 #![allow(dead_code)]
 
 pub mod agent;
+#[cfg(feature = "many")]
+pub mod servers;
 pub mod viewer;
 
 use std::collections::BTreeMap;

@@ -22,6 +22,13 @@ class Asked(TypedDict):
     plan: str
 
 
+class AtGround(TypedDict):
+    """Another ground."""
+
+    address: NotRequired[str]
+    name: NotRequired[str]
+
+
 class CalibratedParameter(TypedDict):
     """One fitted number."""
 
@@ -188,6 +195,18 @@ class Fit(TypedDict):
     name: NotRequired[str | None]
     propeller: NotRequired[str | None]
     to_s: NotRequired[float | None]
+
+
+class Fleet(TypedDict):
+    """What grounds share."""
+
+    archive: NotRequired[str | None]
+    archive_error: NotRequired[str | None]
+    grounds: NotRequired[list[str] | None]
+    index: NotRequired[str | None]
+    live_error: NotRequired[str | None]
+    name: NotRequired[str]
+    waiting: NotRequired[int]
 
 
 class Flown(TypedDict):
@@ -592,6 +611,7 @@ class Vehicle(TypedDict):
     armed: NotRequired[bool | None]
     boot_id: NotRequired[int]
     connected: NotRequired[bool]
+    ground: NotRequired[AtGround | None]
     id: NotRequired[str]
     mode: NotRequired[str | None]
     rig: NotRequired[str]
@@ -740,6 +760,7 @@ class Ground(TypedDict):
 
     address: NotRequired[str]
     data_folder: NotRequired[str]
+    fleet: NotRequired[Fleet | None]
     handshakes_broken_off: NotRequired[int]
     identity_error: NotRequired[str | None]
     recording_error: NotRequired[str | None]
@@ -880,6 +901,7 @@ class Flight(TypedDict):
     agent_version: NotRequired[str]
     airframe: NotRequired[str]
     attacks: NotRequired[list[FlownAttack]]
+    away: NotRequired[bool]
     boot_id: NotRequired[int]
     completeness: NotRequired[Completeness]
     counts: NotRequired[dict[str, int]]
@@ -887,6 +909,7 @@ class Flight(TypedDict):
     duration_s: NotRequired[float]
     filled: NotRequired[int]
     first_sequence: NotRequired[int | None]
+    ground: NotRequired[str | None]
     id: NotRequired[str]
     last_sequence: NotRequired[int | None]
     live: NotRequired[int]
