@@ -230,6 +230,40 @@ fn an_array_without_a_queue_is_gathered() {
     assert!(!refused.status.success() && said.contains("3/2 is not K/N"), "{said}");
 }
 
+/// GIVEN workers and a lead whose clocks are years apart THEN every flight is there once and the same: nobody compares clocks.
+#[test]
+fn clocks_of_workers_that_are_years_apart_change_nothing() {
+    let Some(library) = std::env::var_os("PLUMBLINE_FAKETIME") else {
+        plumbline_agent::recordings::skipped("no libfaketime (a Debian package)");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let Some(nats) = Nats::start(folder.path()) else { return };
+    let (plan, data, store) =
+        (folder.path().join("plan.toml"), folder.path().join("data"), folder.path().join("shards"));
+    std::fs::write(&plan, PLAN).unwrap();
+    let experiment = made(&data);
+    let at = |mut command: Command, offset: &str| {
+        command.env("LD_PRELOAD", &library).env("FAKETIME", offset).env("DONT_FAKE_MONOTONIC", "1");
+        command
+    };
+    let mut told = at(Command::new("date"), "+2y");
+    let year = |text: Vec<u8>| String::from_utf8(text).unwrap().trim().parse::<u32>().unwrap();
+    let years = [told.arg("+%Y").output().unwrap(), Command::new("date").arg("+%Y").output().unwrap()];
+    let [faked, true_year] = years.map(|ran| year(ran.stdout));
+    assert_eq!(faked, true_year + 2, "clocks are really changed");
+    let worker = |offset: &str| {
+        let mut command = at(ground(), offset);
+        Process::start(command.args(["worker", "--threads", "1", "--nats", &nats.url(), "--store"]).arg(&store))
+    };
+    let _workers = [worker("+2y"), worker("-3y")];
+    let mut lead = at(ground(), "-40m");
+    lead.args(["experiment", "spread"]).arg(&plan).args(["--nats", &nats.url(), "--size", "4", "--store"]).arg(&store);
+    let ran = lead.arg("--data").arg(&data).output().unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    each_once(&experiment, &undisturbed(folder.path()));
+}
+
 #[test]
 fn shards_lie_in_a_bucket_and_one_that_is_gone_costs_nothing_that_was_flown() {
     let folder = tempfile::tempdir().unwrap();

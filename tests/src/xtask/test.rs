@@ -103,13 +103,15 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     if let Some(python) = tally.check("python with mcap", tools::python(workspace)) {
         cargo.env("PLUMBLINE_PYTHON", python);
     }
-    match tools::nats_server(workspace) {
-        Ok(server) => drop(cargo.env("PLUMBLINE_NATS", server)),
-        Err(error) => eprintln!("xtask: {error}"),
-    }
-    match tools::postgres(workspace) {
-        Ok(programs) => drop(cargo.env("PLUMBLINE_POSTGRES", programs)),
-        Err(error) => eprintln!("xtask: {error}"),
+    for (variable, found) in [
+        ("PLUMBLINE_NATS", tools::nats_server(workspace)),
+        ("PLUMBLINE_POSTGRES", tools::postgres(workspace)),
+        ("PLUMBLINE_FAKETIME", tools::faketime(workspace)),
+    ] {
+        match found {
+            Ok(path) => drop(cargo.env(variable, path)),
+            Err(error) => eprintln!("xtask: {error}"),
+        }
     }
     // What is absent is told here by the tests that wanted it.
     let absent = workspace.target.join("skipped.txt");

@@ -164,6 +164,16 @@ pub fn nats_server(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     taken_out(workspace, "nats-server", "usr/sbin/nats-server")
 }
 
+/// The library by which a program sees another time, of Debian's `libfaketime`.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn faketime(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let library = format!("usr/lib/{}-linux-gnu/faketime/libfaketime.so.1", std::env::consts::ARCH);
+    let installed = Path::new("/").join(&library);
+    if installed.is_file() { Ok(installed) } else { taken_out(workspace, "libfaketime", &library) }
+}
+
 /// The folder of PostgreSQL's programs, of Debian's packages.
 ///
 /// # Errors
