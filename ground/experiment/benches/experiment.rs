@@ -140,7 +140,7 @@ fn large() {
     line("bytes_per_flight", ROW_BYTES as f64, "B", Some(BYTES_LIMIT));
 
     let condition = experiment.plan.condition(0).unwrap();
-    let mut row = plumbline_experiment::run::flown(&experiment.plan, &Ok(condition), 0).unwrap();
+    let (mut row, _) = plumbline_experiment::run::flown(&experiment.plan, &Ok(condition), 0).unwrap();
     let mut bytes = std::io::BufWriter::new(std::fs::File::create(experiment.folder.join("flights.rows")).unwrap());
     for index in 0..100_000 {
         row.index = index;

@@ -3,6 +3,7 @@
 //! The same [`Setup`] gives the same flight, bit for bit: that is what lets every row of a result be flown again.
 
 use std::collections::VecDeque;
+use std::time::Instant;
 
 use nalgebra::{Vector2, Vector3};
 use plumbline_agent::attack::{Attack, Sequence};
@@ -20,6 +21,7 @@ use plumbline_proto::time::FlightTime;
 use crate::judge::{Judge, Outcome};
 use crate::reception::{Flights, Receiver, Reception, schedule};
 use crate::recordings::{Against, Recorded, UnusableError, by_motion_capture};
+use crate::ticks::Ticks;
 
 /// Why a flight could not be flown.
 #[derive(Debug, thiserror::Error)]
@@ -172,7 +174,7 @@ pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Res
     let mut flights = Flights::new(setup)?;
     let mut judge = Judge::new(setup);
     let mut operator = Operator::default();
-    let mut before = None;
+    let (mut before, mut took) = (None, Ticks::default());
     // A recording ends by itself; its ticks need not be even.
     let ticks = if recording.is_none() { (scenario.duration_s * scenario.tick_rate_hz) as usize } else { usize::MAX };
     for tick in 0..ticks {
@@ -201,7 +203,9 @@ pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Res
         }
         let given = vehicle.recorded().and_then(|recorded| recorded.reception()).unwrap_or(frame);
         let received = receiver.receives(&given, flights.chosen());
+        let begun = Instant::now();
         let command = flights.step(&frame, &received);
+        took.add(begun.elapsed());
         let applied = vehicle.actuate(&command)?;
         flights.each(|flight| flight.applied(applied));
         let seen = Seen::of(vehicle.as_ref(), &frame, against);
@@ -211,7 +215,7 @@ pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Res
             break;
         }
     }
-    Ok(judge.verdict())
+    Ok(Outcome { ticks: took, ..judge.verdict() })
 }
 
 /// Whoever stands beside it and keeps it over its place by eye, with the stick: altitude hold knows no horizontal position.

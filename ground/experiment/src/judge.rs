@@ -15,6 +15,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{Channel, SensorKind};
 
 use crate::flight::{Deed, Seen, Setup};
+use crate::ticks::Ticks;
 
 /// Nothing is judged before, s: the vehicle takes off and settles.
 pub const STEADY_S: f64 = 12.0;
@@ -71,6 +72,8 @@ pub struct Outcome {
     pub settling_s: f64,
     /// |Mean of the last second less the target|, the most of any step, m.
     pub steady_m: f64,
+    /// How long the agent's ticks took here.
+    pub ticks: Ticks,
 }
 
 /// A mean that is being made.

@@ -37,4 +37,5 @@ pub mod run;
 mod selector;
 pub mod store;
 pub mod summary;
+pub mod ticks;
 pub mod trace;

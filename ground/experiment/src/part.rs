@@ -51,7 +51,8 @@ impl Part {
                 return None;
             }
             let (condition, _) = plan.place(index);
-            rows.push(flown(plan, &plan.condition(condition), index).unwrap_or_else(|error| {
+            let row = flown(plan, &plan.condition(condition), index).map(|(row, _)| row);
+            rows.push(row.unwrap_or_else(|error| {
                 errors.push(format!("flight {index}: {error}"));
                 Row::not_flown(index as u32)
             }));

@@ -142,8 +142,8 @@ fn levels(out: &mut String, condition: &Condition) {
 }
 
 fn table(out: &mut String, results: &Results) {
-    out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval.</p>\n");
-    let mut columns: Vec<String> = ["flights", "lost", "detected", "expected"].map(str::to_owned).into();
+    out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval. tick: the agent's, median … 99 of 100, on the machine that flew it.</p>\n");
+    let mut columns: Vec<String> = ["flights", "lost", "detected", "expected", "tick, µs"].map(str::to_owned).into();
     let measured: Vec<usize> = (0..MEASURES.len())
         .filter(|at| {
             results.conditions.iter().any(|condition| condition.measures.get(*at).is_some_and(Option::is_some))
@@ -163,9 +163,12 @@ fn table(out: &mut String, results: &Results) {
             let differs = if expected.differs { " <small>differs</small>" } else { "" };
             expected.probability.map_or("not known".into(), |probability| format!("{probability:.2}{differs}"))
         });
+        let tick = condition
+            .tick_us
+            .map_or("–".into(), |[median, of_99]| format!("{median:.0} <small>… {of_99:.0}</small>"));
         let _ = write!(
             out,
-            "<td class=n>{}</td><td class=n>{lost}</td><td class=n>{detected}</td><td class=n>{expected}</td>",
+            "<td class=n>{}</td><td class=n>{lost}</td><td class=n>{detected}</td><td class=n>{expected}</td><td class=n>{tick}</td>",
             condition.flights
         );
         for at in &measured {

@@ -16,6 +16,7 @@ use crate::flight::fly;
 use crate::plan::{Condition, Plan};
 use crate::row::Row;
 use crate::store::{Experiment, Held, StoreError};
+use crate::ticks::{Gathered, Ticks};
 
 /// Rows that may wait for the disk.
 const WAITING: usize = 64;
@@ -111,7 +112,7 @@ fn fly_missing(
     };
     let budget = plan.stop.as_ref().and_then(|stop| stop.budget_s).map(Duration::from_secs_f64);
     let rule = plan.stop.as_ref().and_then(|stop| stop.interval.as_ref());
-    let mut synced = Instant::now();
+    let (mut synced, mut ticks) = (Instant::now(), Gathered::of(experiment));
     let mut failure = None;
     let repeats_at_once = if rule.is_some() { BLOCK } else { plan.repeats };
     let mut first = 0;
@@ -121,7 +122,7 @@ fn fly_missing(
         let (ended, next) = (AtomicBool::new(false), AtomicU64::new(0));
         let over = || ended.load(Ordering::Relaxed) || stop.load(Ordering::Relaxed);
         std::thread::scope(|scope| {
-            let (sender, finished) = sync_channel::<Row>(WAITING);
+            let (sender, finished) = sync_channel::<(Row, Ticks)>(WAITING);
             let (wanted, next, over, ready) = (&wanted, &next, &over, &ready);
             for _ in 0..options.threads.max(1) {
                 let sender = sender.clone();
@@ -131,7 +132,7 @@ fn fly_missing(
                 });
             }
             drop(sender);
-            for row in finished {
+            for (row, took) in finished {
                 if failure.is_some() {
                     continue;
                 }
@@ -143,7 +144,9 @@ fn fly_missing(
                 if synced.elapsed() >= SYNC {
                     synced = Instant::now();
                     held.sync();
+                    failure = ticks.keep(experiment).err();
                 }
+                ticks.take(plan.place(row.index.into()).0, &took);
                 rows.insert(row.index, row);
                 let per_s = (rows.len() as u64 - before) as f64 / begun.elapsed().as_secs_f64();
                 let done = rows.len() as u64;
@@ -157,6 +160,7 @@ fn fly_missing(
         if let Some(error) = failure {
             return Err(error);
         }
+        ticks.keep(experiment)?;
         if stop.load(Ordering::Relaxed) || experiment.asked_to_stop() {
             return Ok(Ended::Stopped);
         }
@@ -175,7 +179,7 @@ fn work(
     wanted: &[u64],
     next: &AtomicU64,
     over: &(impl Fn() -> bool + Sync),
-    sender: &SyncSender<Row>,
+    sender: &SyncSender<(Row, Ticks)>,
 ) {
     while !over() {
         let at = next.fetch_add(1, Ordering::Relaxed) as usize;
@@ -191,7 +195,7 @@ fn work(
         };
         let row = flown(&experiment.plan, built, index).unwrap_or_else(|error| {
             experiment.keep_error(index, &error);
-            Row::not_flown(index as u32)
+            (Row::not_flown(index as u32), Ticks::default())
         });
         if sender.send(row).is_err() {
             return;
@@ -199,15 +203,15 @@ fn work(
     }
 }
 
-/// The row of one flight.
+/// The row of one flight, and how long its ticks took.
 ///
 /// # Errors
 /// Why it cannot be flown.
-pub fn flown(plan: &Plan, condition: &Result<Condition, String>, index: u64) -> Result<Row, String> {
+pub fn flown(plan: &Plan, condition: &Result<Condition, String>, index: u64) -> Result<(Row, Ticks), String> {
     let (_, repeat) = plan.place(index);
     let setup = condition.as_ref().map_err(Clone::clone)?.setup(plan.seed_of(repeat));
     let outcome = fly(&setup).map_err(|error| error.to_string())?;
-    Ok(Row::new(index as u32, &outcome))
+    Ok((Row::new(index as u32, &outcome), outcome.ticks))
 }
 
 /// Flights of these repeats that are not there, without the conditions that have enough. What is enough follows from whole blocks

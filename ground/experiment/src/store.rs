@@ -5,6 +5,7 @@
 //! | `plan.toml` | as it was written |
 //! | `identity.json` | its hash, the program, when it was made, which recordings it flies |
 //! | `flights.rows` | a [`Row`] for each finished flight, appended in the order they ended |
+//! | `ticks.json` | how long the agent's ticks took here, by condition |
 //! | `by_hand.jsonl` | what was said of each flight of an operator |
 //! | `errors.txt` | flights that could not be flown, and why |
 //! | `lock` | held by whoever flies; in it, since when and from where |

@@ -11,6 +11,7 @@ use crate::plan::Plan;
 use crate::recordings::{Against, Named};
 use crate::row::{MEASURES, Row};
 use crate::store::{Experiment, StoreError, now_unix_us};
+use crate::ticks::{self, Ticks};
 
 /// z of a 95 % interval.
 const Z_95: f64 = 1.959_963_984_540_054;
@@ -51,7 +52,7 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
         let (condition, repeat) = plan.place(row.index.into());
         by_condition.entry(condition).or_default().insert(repeat, row);
     }
-    let (none, expected) = (BTreeMap::new(), expectation::kept(experiment));
+    let (none, expected, ticks) = (BTreeMap::new(), expectation::kept(experiment), ticks::kept(experiment));
     let conditions = by_condition.iter().map(|(number, rows)| {
         let baseline = plan.baseline_of(*number);
         let beside = baseline.and_then(|baseline| by_condition.get(&baseline)).unwrap_or(&none);
@@ -62,7 +63,8 @@ pub fn results(experiment: &Experiment) -> Result<rest::Results, StoreError> {
             let expected = expected.get(number).cloned().flatten().or_else(beyond)?;
             Some(expected.against(&flown))
         });
-        rest::Condition { expected, ..flown }
+        let tick_us = ticks.get(number).and_then(Ticks::figures_us);
+        rest::Condition { expected, tick_us, ..flown }
     });
     Ok(rest::Results {
         conditions: conditions.collect(),
@@ -139,6 +141,7 @@ fn condition(
         measures: (0..MEASURES.len()).map(|measure| spread(&kept(measure).collect::<Vec<_>>())).collect(),
         detected: attacked.then(|| part(found, rows.len() as u64)),
         expected: None,
+        tick_us: None,
         differences: (0..MEASURES.len()).map(difference).collect(),
     }
 }

@@ -61,6 +61,8 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     assert_eq!(results["conditions"][1]["levels"], json!(["lanes"]));
     assert_eq!(results["conditions"][1]["measures"][0]["count"], 3);
     assert_eq!(results["conditions"][1]["differences"][0]["pairs"], 3);
+    let [median_us, of_99_us] = [0, 1].map(|at| results["conditions"][1]["tick_us"][at].as_f64().unwrap());
+    assert!(0.5 < median_us && median_us <= of_99_us && of_99_us < 1e5, "{results}");
     let flights = ground.json(&format!("{at}/flights?from=1&count=2&condition=1")).await;
     assert_eq!((flights["total"].as_u64(), flights["flights"].as_array().unwrap().len()), (Some(3), 2));
     assert_eq!((flights["flights"][0]["index"].as_u64(), flights["flights"][0]["seed"].as_u64()), (Some(3), Some(2)));

@@ -140,6 +140,8 @@ pub struct Condition {
     pub detected: Option<Part>,
     /// What the model expects of that; `None` where nothing was attacked, or it was never asked.
     pub expected: Option<Expectation>,
+    /// Median and 99 of 100 of the agent's ticks on the machine that flew it, µs; `None` where nobody measured.
+    pub tick_us: Option<[f64; 2]>,
     /// Against the condition it is compared with, flight by flight of the same seed: [`Results::measures`] again.
     pub differences: Vec<Option<Difference>>,
 }

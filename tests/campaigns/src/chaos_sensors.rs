@@ -3,10 +3,9 @@
 //! Beside each walk a flight with everything in order tries to leave its box: every mode on every rig in turn.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use super::figures::{Figures, setting};
+use plumbline_experiment::draw::parallel;
 use plumbline_proto::v1::Failsafe;
 use plumbline_support::walk::edge::edge;
 use plumbline_support::walk::{MARGIN_M, Seen, walk};
@@ -15,24 +14,12 @@ use serde_json::json;
 pub fn run() -> std::process::ExitCode {
     let (walks, seed) = (setting("PLUMBLINE_ROUNDS", 10_000), setting("PLUMBLINE_SEED", 1));
     let mut figures = Figures::new("sensors", seed);
-    let next = AtomicU64::new(0);
-    let flown = Mutex::new(Flown { beyond_m: (f64::NEG_INFINITY, f64::NEG_INFINITY), ..Flown::default() });
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(|| {
-                loop {
-                    let n = next.fetch_add(1, Ordering::Relaxed);
-                    if n >= walks {
-                        return;
-                    }
-                    let (walked, edged) = (walk(seed + n), edge((seed + n) as usize, seed + n));
-                    flown.lock().unwrap_or_else(PoisonError::into_inner).add(walked, edged);
-                }
-            });
-        }
+    let all = parallel(walks as usize, |n| {
+        let seed = seed + n as u64;
+        (walk(seed), edge(seed as usize, seed))
     });
-    let flown = flown.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let mut flown = Flown { beyond_m: (f64::NEG_INFINITY, f64::NEG_INFINITY), ..Flown::default() };
+    all.into_iter().for_each(|(walked, edged)| flown.add(walked, edged));
     let first = |broken: &[String]| json!({ "first": broken.iter().take(5).collect::<Vec<_>>() });
     figures.tell("walks", walks as f64, "walks", json!({ "met_in_walks": flown.met }));
     figures.tell("in_the_air", flown.walked_s, "s", json!({}));

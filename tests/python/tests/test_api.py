@@ -13,9 +13,10 @@ from pathlib import Path
 
 import httpx
 import pytest
-from conftest import System, running
+from conftest import PASSWORD, Guarded, System, running
 
 import plumbline
+from plumbline._http import COOKIE
 
 # Every operation is asked a little, and then for so many seconds whatever there is time for: with the ids that there are, with any.
 EXAMPLES = 1
@@ -44,14 +45,14 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
     yield from running(tmp_path_factory.mktemp("fuzzed"))
 
 
-def run(system: System, folder: Path, config: str, phases: str, *options: str) -> Counter[str]:
-    """Lets schemathesis loose, fails with what it finds, and answers how often each operation was asked."""
+def run(where: tuple[str | Path, ...], folder: Path, config: str, phases: str, *options: str) -> Counter[str]:
+    """Lets schemathesis loose on the description that is there, fails with what it finds, and answers how often each operation was asked."""
     folder.mkdir()
     (folder / "schemathesis.toml").write_text(config)
     report = folder / "report.ndjson"
     command: list[str | Path] = [
         sys.executable, "-c", "import schemathesis.cli, sys; sys.exit(schemathesis.cli.schemathesis())",
-        "run", f"{system.url}/api/v1/openapi.json", "--checks", CHECKS,
+        "run", *where, "--checks", CHECKS,
         "--phases", phases, "--max-examples", str(EXAMPLES), "--seed", "1", "--no-shrink", "--continue-on-failure",
         "--warnings", "off", "--suppress-health-check", "all", "--request-timeout", "120",
         "--report", "ndjson", "--report-ndjson-path", report, *options,
@@ -84,12 +85,47 @@ def test_no_answer_is_a_fault_or_undocumented(fuzzed: System, tmp_path: Path) ->
     others = [part for name in LAST for part in ("--exclude-name", name)]
     quick = [*others, *(part for name in SLOW for part in ("--exclude-name", name))]
     known, any_ids = map(str, MORE_S)
-    asked = run(fuzzed, tmp_path / "each", config, "fuzzing", *others)
-    asked += run(fuzzed, tmp_path / "known", config, "coverage", "--max-time", known, *quick)
-    asked += run(fuzzed, tmp_path / "any", "", "coverage,fuzzing", "--max-time", any_ids, *quick)
-    asked += run(fuzzed, tmp_path / "last", config, "coverage,fuzzing", *only)
+    where = (f"{fuzzed.url}/api/v1/openapi.json",)
+    asked = run(where, tmp_path / "each", config, "fuzzing", *others)
+    asked += run(where, tmp_path / "known", config, "coverage", "--max-time", known, *quick)
+    asked += run(where, tmp_path / "any", "", "coverage,fuzzing", "--max-time", any_ids, *quick)
+    asked += run(where, tmp_path / "last", config, "coverage,fuzzing", *only)
     print(f"{asked.total()} requests")
     document = httpx.get(f"{fuzzed.url}/api/v1/openapi.json").json()
     described = {f"{method.upper()} {path}" for path, methods in document["paths"].items() for method in methods}
     # The description itself was read to begin with.
     assert described - asked.keys() <= {"GET /api/v1/openapi.json"}, "operations that were not asked"
+
+
+def statuses(report: Path) -> Counter[int]:
+    """How often each status was answered."""
+    told: Counter[int] = Counter()
+    for line in report.read_text().splitlines():
+        recorder = json.loads(line).get("ScenarioFinished", {}).get("recorder", {})
+        for interaction in (recorder.get("interactions") or {}).values():
+            told[int(interaction["response"]["status_code"])] += 1
+    return told
+
+
+def test_accounts_and_roles_change_no_promise(guarded: Guarded, tmp_path: Path) -> None:
+    """The same where people sign in: as an administrator (whose own session and account are left alone), a viewer, nobody."""
+    tokens: dict[str, str | None] = {"nobody": None}
+    for name in ("ann", "vic"):
+        with plumbline.connect(guarded.url, certificate=guarded.certificate, name=name, password=PASSWORD) as ground:
+            tokens[name] = ground.token
+    description = tmp_path / "openapi.json"
+    cookie = {"Cookie": f"{COOKIE}={tokens['ann']}"}
+    description.write_bytes(httpx.get(f"{guarded.url}/api/v1/openapi.json", headers=cookie, verify=False).content)
+    own = ("DELETE /api/v1/session", "DELETE /api/v1/sessions/{id}", "PATCH /api/v1/people/{id}", "DELETE /api/v1/people/{id}")
+    left = [part for name in (*own, *SLOW) for part in ("--exclude-name", name)]
+    where = (description, "--url", guarded.url, "--tls-verify", "false")
+    told = {}
+    for name, token in tokens.items():
+        signed = ("--header", f"Cookie: {COOKIE}={token}") if token else ()
+        asked = run(where, tmp_path / name, "", "fuzzing", *signed, *left)
+        told[name] = statuses(tmp_path / name / "report.ndjson")
+        print(name, asked.total(), dict(told[name]))
+    # What only admins, or only people, may do is refused to the others by its documented status; nothing else tells them apart.
+    assert told["ann"][401] == 0 and told["ann"][200] > 0, told
+    assert told["vic"][403] > 0 and told["vic"][200] > 0, told
+    assert told["nobody"][401] > 0.8 * told["nobody"].total(), told

@@ -1,15 +1,14 @@
 //! One flight of [Clinic]'s closed loop: who estimates, who is attacked, and how it went.
 
-use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
-use plumbline_agent::command::Command;
-use plumbline_agent::flight::Flight;
+use plumbline_agent::attack::{Attack, Channel, Kind};
+use plumbline_agent::sensor::SensorModel;
 use plumbline_agent::sensor::height::Height;
 use plumbline_agent::sensor::imu::{Imu, ImuModel};
 use plumbline_agent::sensor::suite::{Sheet as _, Suite};
-use plumbline_agent::sensor::{SensorFrame, SensorModel};
-use plumbline_agent::sim::{Scenario, SimVehicle};
+use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{EstimatorKind, Mode};
-use plumbline_agent::vehicle::Vehicle;
+use plumbline_experiment::flight::{Setup, fly_watched};
+use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
@@ -146,8 +145,8 @@ impl Plan {
         scenario
     }
 
-    /// Attacks of the schedule, each with its own dice.
-    fn schedule(&self) -> Schedule {
+    /// Each with its own dice.
+    fn attacks(&self) -> Vec<Attack> {
         let attack = |(i, sensor): (usize, &SensorId)| {
             let imu = sensor.kind == SensorKind::Imu;
             let (kind, magnitude) = match (self.attack, imu) {
@@ -172,7 +171,7 @@ impl Plan {
                 seed: 100 * self.seed + i as u64,
             }
         };
-        Schedule { id: 1, attacks: self.attacked.iter().enumerate().map(attack).collect(), ..Schedule::default() }
+        self.attacked.iter().enumerate().map(attack).collect()
     }
 
     /// The script's altitude.
@@ -200,20 +199,9 @@ pub struct Outcome {
     pub track: Vec<(f64, f64, f64)>,
 }
 
-/// Takes the sample of `sensor` out of `frame`.
-fn silence(frame: &mut SensorFrame, sensor: SensorId) {
-    let i = usize::from(sensor.instance) - 1;
-    match sensor.kind {
-        SensorKind::Imu => frame.imus[i] = None,
-        SensorKind::Height => frame.heights[i] = None,
-        _ => unreachable!("no other sensor is attacked"),
-    }
-}
-
 pub fn fly(plan: &Plan) -> Outcome {
     let scenario = plan.scenario();
     let mut config = scenario.flight_config();
-    let oracle = plan.pilot == Pilot::Oracle;
     let kind = match plan.pilot {
         Pilot::Plain | Pilot::Augmented(_) | Pilot::Gated => EstimatorKind::EkfBias,
         Pilot::Decoder => EstimatorKind::Secure,
@@ -222,33 +210,22 @@ pub fn fly(plan: &Plan) -> Outcome {
     config.estimators = vec![kind];
     config.in_loop = kind;
     plan.pilot.assume(&mut config.sensor_model);
-    let mut vehicle = SimVehicle::new(&scenario).unwrap();
-    let mut flight = Flight::new(config).unwrap();
+    let setup = Setup {
+        scenario,
+        recording: None,
+        config,
+        reception: if plan.pilot == Pilot::Oracle { Reception::Oracle } else { Reception::All },
+        attacks: plan.attacks(),
+        sequences: Vec::new(),
+        judged_from_s: JUDGED_FROM_S,
+        comes_down: false,
+    };
     let mut outcome = Outcome::default();
     let (mut square, mut estimate_square, mut count) = (0.0, 0.0, 0.0);
-    let mut before = None;
     let mut flags = Flags::default();
-    let ticks = (scenario.duration_s * scenario.tick_rate_hz) as usize;
-    for tick in 0..ticks {
-        let mut frame = vehicle.sense().unwrap();
-        let now = frame.time;
-        flight.heartbeat(now);
-        if oracle && (ATTACK_S.0..ATTACK_S.1).contains(&now.as_seconds()) {
-            plan.attacked.iter().for_each(|sensor| silence(&mut frame, *sensor));
-        }
-        if tick == 0 && !plan.attacked.is_empty() && !oracle {
-            let ack = flight.apply(&Command::Attack(plan.schedule()), now);
-            assert!(ack.accepted, "{}", ack.reason);
-        }
-        scenario.script.commands(before, now, |c| {
-            let _ = flight.apply(c, now);
-        });
-        before = Some(now);
-        let command = flight.step(&frame).command;
-        let applied = vehicle.actuate(&command).unwrap();
-        flight.applied(applied);
-        let t = now.as_seconds();
-        let z = vehicle.truth().unwrap().position_enu_m.z;
+    let verdict = fly_watched(&setup, |flight, truth| {
+        let t = flight.report().sensed.time.as_seconds();
+        let z = truth.position_enu_m.z;
         let holds = flight.report().armed && flight.report().mode == Mode::AltitudeHold;
         let setpoint = if holds { flight.report().setpoint.position_enu_m.z } else { plan.altitude_at(t) };
         if t >= JUDGED_FROM_S {
@@ -266,7 +243,9 @@ pub fn fly(plan: &Plan) -> Outcome {
             let flagged = devices.map(|device| (device.sensor, device.flagged.is_some()));
             flags.look(t, flagged, &plan.attacked, &mut outcome);
         }
-    }
+    })
+    .unwrap();
+    outcome.lost |= verdict.lost.is_some();
     outcome.missed = plan.attacked.len() - flags.found.len();
     outcome.error_m = (square / count).sqrt();
     outcome.estimate_m = (estimate_square / count).sqrt();

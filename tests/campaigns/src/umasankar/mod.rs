@@ -10,11 +10,10 @@ mod literal;
 mod score;
 
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use flights::{Flown, PATHS, Path};
 use literal::Literal;
+use plumbline_experiment::draw::parallel;
 use plumbline_tests::report::{Axis, Plot, Report, Series};
 use score::{Cell, FILTERS, Tables};
 use serde_json::json;
@@ -97,21 +96,13 @@ pub fn run() -> ExitCode {
 /// Every path, run and rate on every core; the filters assume the plant `assumed`.
 fn fly_all(plant: Plant, assumed: Plant) -> Tables {
     let jobs: Vec<(usize, usize)> = (0..PATHS.len()).flat_map(|path| (0..RUNS).map(move |run| (path, run))).collect();
-    let next = AtomicUsize::new(0);
-    let tables = Mutex::new(Tables::default());
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(|| {
-                while let Some(&(path, run)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let flown = Flown::fly(PATHS[path], plant, run as u64);
-                    let scored = score::score(&flown, assumed);
-                    tables.lock().unwrap().take(path, scored);
-                }
-            });
-        }
+    let scored = parallel(jobs.len(), |job| {
+        let (path, run) = jobs[job];
+        (path, score::score(&Flown::fly(PATHS[path], plant, run as u64), assumed))
     });
-    tables.into_inner().unwrap()
+    let mut tables = Tables::default();
+    scored.into_iter().for_each(|(path, scored)| tables.take(path, scored));
+    tables
 }
 
 fn show(report: &mut Report, plant: Plant, tables: &Tables) {

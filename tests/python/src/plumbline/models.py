@@ -669,6 +669,7 @@ class Condition(TypedDict):
     lost: NotRequired[dict[str, int]]
     measures: NotRequired[list[Spread | None]]
     number: NotRequired[int]
+    tick_us: NotRequired[list[float] | None]
 
 
 class Controller(TypedDict):

@@ -120,6 +120,7 @@ pub fn ResultsCard(
                     <th class="num" scope="col">"95 % interval"</th>
                     {[Column::Of95, Column::Worst, Column::Found].map(head)}
                     <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, noise of the data sheets">"expected"</th>
+                    <th class="num" scope="col" title="The agent's tick, median and 99 of 100, on the machine that flew it, µs">"tick, µs"</th>
                     <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
@@ -200,6 +201,7 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize
             <td class="num">{move || most(|s| s.most)}</td>
             <td class="num">{found}</td>
             <td class="num" class:warn=differs title=beside>{expected}</td>
+            <td class="num">{condition.tick_us.map(|[median, of_99]| format!("{median:.0} · {of_99:.0}"))}</td>
             <td class="num">{less}</td>
             <td>
                 <div class="dots" style=format!("height:{ROW_PX}px") role="group" aria-label=format!("Flights of {name}")>
