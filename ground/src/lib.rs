@@ -51,6 +51,8 @@ pub use api::mavlink::understood;
 pub use api::{access_table, page_is_built};
 pub use config::{Fleet, GroundConfig, Mavlink};
 pub use error::GroundError;
+#[cfg(feature = "many")]
+pub use fleet::examine as examine_fleet;
 
 use agent_link::LinkEvent;
 

@@ -59,23 +59,50 @@ pub fn run(arguments: &DoctorArguments) -> Result<(), String> {
     }
 }
 
+/// The servers of a fleet.
+#[cfg(feature = "many")]
+fn fleet(settings: &Settings) -> Vec<Finding> {
+    const NAME: &str = "fleet";
+    let Ok(Some(fleet)) = settings.fleet() else { return Vec::new() };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let Ok(runtime) = runtime.inspect_err(|error| tracing::error!(%error, "no runtime")) else { return Vec::new() };
+    let looked = runtime.block_on(plumbline_ground::examine_fleet(&fleet));
+    let finding = |looked: Result<String, String>| match looked {
+        Ok(text) => (Level::Ok, NAME, text),
+        // It flies and records all the same.
+        Err(text) => (Level::Warning, NAME, format!("{text}; flights wait until it is reached")),
+    };
+    looked.into_iter().map(finding).collect()
+}
+
+#[cfg(not(feature = "many"))]
+fn fleet(settings: &Settings) -> Vec<Finding> {
+    let without = || (Level::Failure, "fleet", "this ground was built without --features many".to_owned());
+    settings.fleet().ok().flatten().map(|_| without()).into_iter().collect()
+}
+
 fn examine(settings: &Settings) -> Vec<Finding> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    vec![
-        port("page and API", settings.listen, "--listen", TcpListener::bind(settings.listen).map(drop)),
-        port("agents", settings.agent_listen, "--agent-listen", UdpSocket::bind(settings.agent_listen).map(drop)),
-        folder(&settings.data),
-        disk(settings),
-        clock(now),
-        certificate(settings, now),
-        identity(settings),
-        accounts(settings),
-        mavlink(settings),
-        backup(settings),
-        page(),
-        descriptors(),
-        times(settings),
-    ]
+    let mut all = fleet(settings);
+    all.splice(
+        ..0,
+        [
+            port("page and API", settings.listen, "--listen", TcpListener::bind(settings.listen).map(drop)),
+            port("agents", settings.agent_listen, "--agent-listen", UdpSocket::bind(settings.agent_listen).map(drop)),
+            folder(&settings.data),
+            disk(settings),
+            clock(now),
+            certificate(settings, now),
+            identity(settings),
+            accounts(settings),
+            mavlink(settings),
+            backup(settings),
+            page(),
+            descriptors(),
+            times(settings),
+        ],
+    );
+    all
 }
 
 fn port(what: &'static str, address: SocketAddr, option: &str, bound: std::io::Result<()>) -> Finding {

@@ -181,7 +181,10 @@ impl Settings {
     }
 
     /// What is shared with other grounds.
-    fn fleet(&self) -> Result<Option<Fleet>, String> {
+    ///
+    /// # Errors
+    /// A key without the other that it needs.
+    pub fn fleet(&self) -> Result<Option<Fleet>, String> {
         let Self { fleet_name, fleet_address, fleet_nats, fleet_archive, fleet_index, .. } = self;
         let archive = match (fleet_archive, fleet_index) {
             (Some(archive), Some(index)) => Some((archive.clone(), index.clone())),

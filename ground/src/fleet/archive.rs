@@ -401,6 +401,14 @@ impl SharedArchive for Archive {
     }
 }
 
+/// Is the storage at `address` reached?
+pub(super) async fn reached(address: &str) -> Result<String, FleetError> {
+    let failed = |reason: String| FleetError::Storage { at: address.to_owned(), reason };
+    let (objects, prefix) = crate::objects::open(address).map_err(failed)?;
+    let listed = objects.list_with_delimiter(Some(&prefix)).await.map_err(|error| failed(error.to_string()))?;
+    Ok(format!("{address} has {} files of flights", listed.objects.len()))
+}
+
 fn messages(flight: &Flight) -> i64 {
     i64::try_from(flight.messages).unwrap_or(i64::MAX)
 }

@@ -373,6 +373,13 @@ async fn cut(app: &App, client: &Client, message: &Message) {
     let _ = client.publish(reply, serde_json::to_vec(&done).unwrap_or_default().into()).await;
 }
 
+/// Is the server at `url`, which is not told, reached?
+pub(super) async fn reached(url: &str) -> Result<String, FleetError> {
+    let client = ConnectOptions::new().name("plumbline doctor").connect(url).await;
+    let client = client.map_err(|error| FleetError::Nats(error.to_string()))?;
+    Ok(format!("NATS {}", client.server_info().version))
+}
+
 #[cfg(test)]
 mod tests {
     #[test]

@@ -67,6 +67,26 @@ fn check_name(name: &str) -> Result<(), FleetError> {
     if fits { Ok(()) } else { Err(FleetError::Settings(text())) }
 }
 
+/// Are its servers reached? For each what it is, or why not.
+pub async fn examine(fleet: &Fleet) -> Vec<Result<String, String>> {
+    let mut found = Vec::new();
+    if let Err(error) = check_name(&fleet.name) {
+        return vec![Err(error.to_string())];
+    }
+    if let Some((storage, index)) = &fleet.archive {
+        found.push(archive::reached(storage).await.map_err(|error| error.to_string()));
+        let database = match index::Database::parse(index) {
+            Ok(database) => database.connect().await.map(|_| format!("index at {}", database.at())),
+            Err(error) => Err(error),
+        };
+        found.push(database.map_err(|error| error.to_string()));
+    }
+    if let Some(url) = &fleet.nats {
+        found.push(bus::reached(url).await.map_err(|error| error.to_string()));
+    }
+    found
+}
+
 /// What of a fleet is configured.
 #[derive(Debug, Clone)]
 pub(crate) struct Parts {

@@ -377,4 +377,12 @@ fn grounds_index_and_storage_are_killed_and_every_flight_is_in_the_archive_once(
         }
     }
     println!("{rounds} kills, {} flights", 2 * FLIGHTS);
+
+    // What the doctor says of its servers, one there and one away.
+    postgres.kill();
+    let mut doctor = Command::new(env!("CARGO_BIN_EXE_plumbline-ground"));
+    let told = doctor.arg("doctor").arg("--config").arg(&grounds[0].file).envs(bucket.settings()).output().unwrap();
+    let told = String::from_utf8(told.stdout).unwrap();
+    assert!(told.contains(&format!("ok       fleet: s3://flights/lab has {} files", 4 * FLIGHTS)), "{told}");
+    assert!(told.contains("warning  fleet: PostgreSQL at 127.0.0.1/postgres: "), "{told}");
 }

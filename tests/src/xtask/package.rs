@@ -58,6 +58,8 @@ const PACKAGES: [Package; 2] = [
     },
 ];
 
+/// What is not in every build: devices on I²C, and grounds that share.
+const FEATURES: &str = "plumbline-agent/i2c,plumbline-ground/many";
 const MAINTAINER: &str = "The Plumbline developers <plumbline@example.org>";
 const COPYRIGHT: &str = "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n\
     Upstream-Name: Plumbline\n\nFiles: *\nCopyright: 2026 The Plumbline developers\nLicense: MIT or Apache-2.0\n \
@@ -77,8 +79,7 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
         Some(folder) => Binaries::inside(folder),
         None => {
             web::run(workspace, &web::Options::default())?;
-            let build =
-                ["build", "--locked", "--release", "--workspace", "--bins", "--features", "plumbline-agent/i2c"];
+            let build = ["build", "--locked", "--release", "--workspace", "--bins", "--features", FEATURES];
             run(workspace.cargo().args(build))?;
             Binaries::inside(&workspace.target.join("release"))
         }
@@ -187,9 +188,11 @@ fn after(package: &Package) -> String {
     let upgraded = package.upgraded.replace('\n', "\n    ");
     let group = |group: &&str| format!("getent group {group} >/dev/null || addgroup --system --quiet {group}\n    ");
     let groups: String = package.groups.iter().map(group).collect();
+    // It may hold passwords.
+    let own = format!("chgrp plumbline /etc/plumbline/{0}.toml && chmod 640 /etc/plumbline/{0}.toml", package.member);
     format!(
         "#!/bin/sh\nset -e\nif [ \"$1\" = configure ]; then\n    if ! getent passwd plumbline >/dev/null; then\n        \
-         adduser --system --group --quiet --home /var/lib/plumbline --no-create-home plumbline\n    fi\n    {groups}\
+         adduser --system --group --quiet --home /var/lib/plumbline --no-create-home plumbline\n    fi\n    {groups}{own}\n    \
          [ ! -d /run/systemd/system ] || systemctl --system daemon-reload >/dev/null || true\n    {upgraded}\nfi\n"
     )
 }
