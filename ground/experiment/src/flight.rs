@@ -155,11 +155,36 @@ pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) ->
     })
 }
 
+/// The same to the scenario's end, also when it is lost: what a source measures so.
+///
+/// # Errors
+/// [`FlyError`]: nothing was flown.
+pub fn fly_to_the_end(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
+    fly_until(
+        setup,
+        |_| false,
+        |flight, seen| {
+            if let Some(truth) = &seen.truth {
+                watch(flight, truth);
+            }
+        },
+    )
+}
+
 /// The same, of recordings as well.
 ///
 /// # Errors
 /// [`FlyError`]: nothing was flown.
-pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
+pub fn fly_seen(setup: &Setup, watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
+    fly_until(setup, |over| over, watch)
+}
+
+/// `ends` is told whether the judge has seen enough.
+fn fly_until(
+    setup: &Setup,
+    ends: impl Fn(bool) -> bool,
+    mut watch: impl FnMut(&mut Flight, &Seen),
+) -> Result<Outcome, FlyError> {
     let Setup { scenario, attacks, reception, recording, .. } = setup;
     let (mut vehicle, begin): (Box<dyn Vehicle>, _) = match recording {
         None => (Box::new(SimVehicle::new(scenario)?), FlightTime(0)),
@@ -211,7 +236,7 @@ pub fn fly_seen(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Seen)) -> Res
         let seen = Seen::of(vehicle.as_ref(), &frame, against);
         let over = judge.tick(t, flights.chosen(), &seen);
         watch(flights.chosen(), &seen);
-        if over {
+        if ends(over) {
             break;
         }
     }

@@ -7,7 +7,7 @@ use plumbline_agent::sensor::imu::{Imu, ImuModel};
 use plumbline_agent::sensor::suite::{Sheet as _, Suite};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{EstimatorKind, Mode};
-use plumbline_experiment::flight::{Setup, fly_watched};
+use plumbline_experiment::flight::{Setup, fly_to_the_end};
 use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -223,7 +223,7 @@ pub fn fly(plan: &Plan) -> Outcome {
     let mut outcome = Outcome::default();
     let (mut square, mut estimate_square, mut count) = (0.0, 0.0, 0.0);
     let mut flags = Flags::default();
-    let verdict = fly_watched(&setup, |flight, truth| {
+    fly_to_the_end(&setup, |flight, truth| {
         let t = flight.report().sensed.time.as_seconds();
         let z = truth.position_enu_m.z;
         let holds = flight.report().armed && flight.report().mode == Mode::AltitudeHold;
@@ -245,7 +245,6 @@ pub fn fly(plan: &Plan) -> Outcome {
         }
     })
     .unwrap();
-    outcome.lost |= verdict.lost.is_some();
     outcome.missed = plan.attacked.len() - flags.found.len();
     outcome.error_m = (square / count).sqrt();
     outcome.estimate_m = (estimate_square / count).sqrt();
