@@ -12,6 +12,7 @@ use plumbline_experiment::store::{Experiment, StoreError};
 use plumbline_experiment::summary;
 use plumbline_rest::experiment::State;
 
+use crate::recorder::RecorderHandle;
 use crate::sync::{give_way, lock};
 
 /// Their folder, and the one that is being flown here.
@@ -32,8 +33,15 @@ struct Flown {
 }
 
 impl Experiments {
-    pub(crate) fn open(data_folder: &Path) -> Self {
-        let (root, library) = (Experiment::root(data_folder), Library::archive(data_folder));
+    pub(crate) fn open(data_folder: &Path, recorder: RecorderHandle) -> Self {
+        let root = Experiment::root(data_folder);
+        // Opened is fetched, where it is only in the archive of the fleet.
+        let library = Library::archive(data_folder).fetching(move |flight| {
+            let opened = recorder.open(flight);
+            if let Err(error) = opened.map(drop) {
+                tracing::debug!(flight, %error, "no recording");
+            }
+        });
         Self { root, library, flown: Mutex::default(), errors: Arc::default() }
     }
 

@@ -96,7 +96,7 @@ pub async fn run(
     let limits = front::Limits::of(descriptors());
     let (tls, mavlink) = (config.tls.clone(), config.mavlink.clone());
     let idle = config.lease_idle;
-    let experiments = Arc::new(experiments::Experiments::open(&config.data_folder));
+    let experiments = Arc::new(experiments::Experiments::open(&config.data_folder, recorder.handle()));
     let retention = recorder::archive::Pruner::open(&config.data_folder, config.retention.clone(), recorder.handle());
     let retention = Arc::new(retention);
     work.handle().spawn(retention::run(retention.clone(), audit.clone(), stopped.clone()));

@@ -64,22 +64,37 @@ pub enum Against {
     Setpoint,
 }
 
+/// Brings a flight that is kept elsewhere, where there is one of this id.
+type Fetch = Arc<dyn Fn(&str) + Send + Sync>;
+
 /// Where recordings are looked for.
-#[derive(Debug, Clone, Default)]
+#[derive(Clone, Default)]
 pub struct Library {
     folder: Option<PathBuf>,
     files: bool,
+    fetch: Option<Fetch>,
+}
+
+impl std::fmt::Debug for Library {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Library").field("folder", &self.folder).field("files", &self.files).finish_non_exhaustive()
+    }
 }
 
 impl Library {
     /// The flights that a ground keeps in its data folder.
     pub fn archive(data: &Path) -> Self {
-        Self { folder: Some(data.join("flights")), files: false }
+        Self { folder: Some(data.join("flights")), ..Self::default() }
     }
 
     /// Files as well, by their paths.
     pub fn with_files(self) -> Self {
         Self { files: true, ..self }
+    }
+
+    /// Flights that are kept elsewhere as well: `fetch` brings the one of an id into the folder, or does nothing.
+    pub fn fetching(self, fetch: impl Fn(&str) + Send + Sync + 'static) -> Self {
+        Self { fetch: Some(Arc::new(fetch)), ..self }
     }
 
     fn path(&self, name: &str) -> Result<PathBuf, String> {
@@ -88,6 +103,9 @@ impl Library {
         };
         let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', '\0']);
         let flight = folder.join(format!("{name}.mcap"));
+        if let Some(fetch) = self.fetch.as_ref().filter(|_| plain && !flight.is_file()) {
+            fetch(name);
+        }
         if plain && flight.is_file() {
             return Ok(flight);
         }

@@ -42,7 +42,8 @@ impl Ticks {
             below += count;
             below > 0 && below as f64 >= wanted
         })?;
-        Some(FIRST_US * 2_f64.powf(bin as f64 / PER_OCTAVE))
+        // The middle of the bin.
+        Some(FIRST_US * 2_f64.powf((bin as f64 - 0.5) / PER_OCTAVE))
     }
 
     /// Median and 99 of 100, µs; `None` of none.
@@ -87,7 +88,7 @@ mod tests {
         assert_eq!(ticks.figures_us(), None);
         (1..=100).for_each(|n| ticks.add(Duration::from_micros(if n > 98 { 400 } else { 40 })));
         let [median, of_99] = ticks.figures_us().unwrap();
-        assert!((40.0..44.0).contains(&median) && (400.0..440.0).contains(&of_99), "{median} {of_99}");
+        assert!((36.4..44.0).contains(&median) && (364.0..440.0).contains(&of_99), "{median} {of_99}");
         let mut both = Ticks::default();
         both.absorb(&ticks);
         both.add(Duration::from_secs(9));

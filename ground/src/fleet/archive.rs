@@ -165,8 +165,7 @@ impl Archive {
     /// The entry is kept last: what is cut off before is done again.
     fn take_one(&self, entry: &Entry, recorder: &RecorderHandle) -> Result<(), RecordingError> {
         let known = self.mirror.entry(&entry.id)?;
-        let here = recorder.flights_here()?.into_iter().find(|flight| flight.id == entry.id);
-        match here {
+        match recorder.flight_here(&entry.id)? {
             Some(_) if entry.deleted => match recorder.delete_here(&entry.id) {
                 // One that is recorded goes on here, and is not brought back there.
                 Ok(()) | Err(RecordingError::InProgress(_) | RecordingError::Unknown(_)) => {}
@@ -202,17 +201,33 @@ impl Archive {
                 }
             }
         }
-        // The oldest first.
+        // The oldest first. A file that cannot be read here holds up none of the others.
+        let mut unread = None;
         while let Some((flight, labels, whole)) = lacking.pop() {
             lock(&self.state).waiting = lacking.len() as u64 + 1;
-            if !whole && let Some(path) = recorder.finished(&flight.id) {
-                self.give_file(index, &flight, &path).await?;
-            }
-            if self.mirror.entry(&flight.id)?.is_some_and(|known| !known.deleted && known.labels() != labels) {
-                self.relabel(index, &flight.id, &labels).await?;
+            match self.give_one(index, recorder, &flight, &labels, whole).await {
+                Err(FleetError::Here(error)) => unread = Some(FleetError::Here(format!("{}: {error}", flight.id))),
+                given => given?,
             }
         }
-        lock(&self.state).waiting = 0;
+        lock(&self.state).waiting = u64::from(unread.is_some());
+        unread.map_or(Ok(()), Err)
+    }
+
+    async fn give_one(
+        &self,
+        index: &mut Connected,
+        recorder: &RecorderHandle,
+        flight: &Flight,
+        labels: &Labels,
+        whole: bool,
+    ) -> Result<(), FleetError> {
+        if !whole && let Some(path) = recorder.finished(&flight.id) {
+            self.give_file(index, flight, &path).await?;
+        }
+        if self.mirror.entry(&flight.id)?.is_some_and(|known| !known.deleted && known.labels() != *labels) {
+            self.relabel(index, &flight.id, labels).await?;
+        }
         Ok(())
     }
 
@@ -245,7 +260,7 @@ impl Archive {
         let kept = index.put(&entry).await?;
         self.mirror.take(&kept)?;
         self.lay_beside(&kept).await?;
-        // What nothing leads to any more; a failure leaves it lying there.
+        // What nothing leads to any more; a failure leaves it there.
         for old in [before.map(|before| before.object), Some(entry.object)].into_iter().flatten() {
             if kept.deleted || old != kept.object {
                 let _ = self.objects.delete(&self.prefix.clone().join(old.as_str())).await;

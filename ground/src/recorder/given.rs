@@ -10,6 +10,14 @@ impl RecorderHandle {
         self.desk.index.generation()
     }
 
+    /// A flight in this ground's folder. Asks the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Index`].
+    pub(crate) fn flight_here(&self, id: &str) -> Result<Option<Flight>, RecordingError> {
+        Ok(self.desk.index.get(id)?)
+    }
+
     /// The flights in this ground's folder. Asks the disk.
     ///
     /// # Errors

@@ -112,8 +112,11 @@ impl Postgres {
                 chown(&folder, Some(NOBODY), Some(NOBODY)).unwrap();
             }
             let mut initdb = Self::program("initdb");
-            let made =
-                initdb.args(["--auth=trust", "--no-sync", "-U", "plumbline", "-D"]).arg(&folder).output().unwrap();
+            let made = initdb
+                .args(["--auth=trust", "--no-sync", "--no-locale", "-E", "UTF8", "-U", "plumbline", "-D"])
+                .arg(&folder)
+                .output()
+                .unwrap();
             assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
             return Some(Self { process: Self::process(&folder, port), port, folder });
         }
