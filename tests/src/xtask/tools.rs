@@ -195,6 +195,10 @@ pub fn postgres(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     let take_out = "apt-get -qq download $(apt-cache depends postgresql | sed -n 's/.*Depends: \\(postgresql-[0-9]*\\)$/\\1/p') \
                     && for package in *.deb; do dpkg-deb -x $package . && rm $package; done";
     works(Command::new("sh").args(["-c", take_out]).current_dir(&own));
+    // Taken out, it lacks the libraries that a bare machine has not.
+    if find(&own).is_none() && may_install() {
+        apt_install(&["libpq5", "libxml2"])?;
+    }
     find(&own).ok_or_else(missing)
 }
 
