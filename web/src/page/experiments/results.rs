@@ -120,7 +120,6 @@ pub fn ResultsCard(
                     <th class="num" scope="col">"95 % interval"</th>
                     {[Column::Of95, Column::Worst, Column::Found].map(head)}
                     <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, noise of the data sheets">"expected"</th>
-                    <th class="num" scope="col" title="The agent's tick, median and 99 of 100, on the machine that flew it, µs">"tick, µs"</th>
                     <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>
@@ -143,6 +142,7 @@ pub fn ResultsCard(
             {move || results.with(|r| selection.with(|s| unknown(&s.conditions(r)))).into_iter().map(|(why, count)| view! {
                 <p class="quiet">{format!("Expected is not known of {count}: {why}")}</p>
             }).collect_view()}
+            {move || results.with(|r| selection.with(|s| ticks(&s.conditions(r)))).map(|says| view! { <p class="quiet">{says}</p> })}
             <Show when=move || results.with(|r| r.conditions.is_empty())><p class="blank">"No flight has ended yet."</p></Show>
             <Show when=move || numbers.with(Vec::is_empty) && !results.with(|r| r.conditions.is_empty())><p class="blank">"No condition has these levels."</p></Show>
             <FlightList at=list_at results selection flights measure />
@@ -201,7 +201,6 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize
             <td class="num">{move || most(|s| s.most)}</td>
             <td class="num">{found}</td>
             <td class="num" class:warn=differs title=beside>{expected}</td>
-            <td class="num">{condition.tick_us.map(|[median, of_99]| format!("{median:.0} · {of_99:.0}"))}</td>
             <td class="num">{less}</td>
             <td>
                 <div class="dots" style=format!("height:{ROW_PX}px") role="group" aria-label=format!("Flights of {name}")>
@@ -233,6 +232,24 @@ fn expected(expected: &Expectation) -> String {
 fn differing(condition: &Condition) -> Option<String> {
     condition.expected.as_ref().filter(|expected| expected.differs)?;
     Some(format!("{}: {}", condition.levels.join(", "), condition.beside()?))
+}
+
+/// How long the agent's ticks took; the report has it by condition.
+fn ticks(conditions: &[&Condition]) -> Option<String> {
+    let figures: Vec<[f64; 2]> = conditions.iter().filter_map(|condition| condition.tick_us).collect();
+    let range = |which: fn(&[f64; 2]) -> f64| {
+        let ends =
+            figures.iter().map(which).fold((f64::INFINITY, 0.0_f64), |(low, high), us| (low.min(us), high.max(us)));
+        let [low, high] = [ends.0, ends.1].map(|us| format!("{us:.0}"));
+        if low == high { low } else { format!("{low} to {high}") }
+    };
+    (!figures.is_empty()).then(|| {
+        format!(
+            "The agent's tick, where it was flown: median {} µs, 99 of 100 within {} µs",
+            range(|f| f[0]),
+            range(|f| f[1])
+        )
+    })
 }
 
 /// Why nothing is expected, and of how many conditions.
@@ -276,6 +293,15 @@ mod tests {
         let reasons = super::unknown(&[&of(Some(0.5)), &unknown, &unknown]);
         assert_eq!(reasons.into_iter().collect::<Vec<_>>(), [("a climb".to_owned(), 2)]);
         assert_eq!([Some(0.5), None].map(|p| super::expected(&of(p).expected.unwrap())), ["0.50", "not known"]);
+    }
+
+    #[test]
+    fn ticks_are_told_over_all_that_is_shown() {
+        let of = |tick_us| Condition { tick_us, ..Condition::default() };
+        let all = [of(Some([3.2, 54.0])), of(None), of(Some([6.1, 54.4]))];
+        let says = "The agent's tick, where it was flown: median 3 to 6 µs, 99 of 100 within 54 µs";
+        assert_eq!(super::ticks(&all.each_ref()), Some(says.to_owned()));
+        assert_eq!(super::ticks(&[&of(None)]), None);
     }
 
     #[test]
