@@ -11,15 +11,14 @@ use common::Ground;
 use plumbline_ground::GroundConfig;
 use plumbline_ground::commands::MAX_WAITING;
 use plumbline_proto::{Kind, v1};
+use plumbline_support::memory_mib;
 
 /// Memory is that of the whole process: one at a time.
 static ALONE: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
 /// Resident memory of this process, MiB.
 fn resident_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap_or("0");
-    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+    memory_mib(std::process::id(), "VmRSS")
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -10,6 +10,7 @@ use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::ROW_BYTES;
 use plumbline_experiment::store::Experiment;
 use plumbline_experiment::{parquet, summary};
+use plumbline_support::memory_mib;
 use serde_json::json;
 
 /// Flight-seconds a second on one core with the secure estimator.
@@ -90,7 +91,7 @@ fn whole() {
     let flights = experiment.plan.flights();
     plumbline_experiment::run::run(&experiment, &options, &stop, |progress, _| {
         if progress.done % (flights / 10) == 0 {
-            held.push(resident_bytes());
+            held.push(memory_mib(std::process::id(), "VmRSS") * f64::from(1 << 20));
         }
     })
     .unwrap();
@@ -117,12 +118,6 @@ fn whole() {
     opened_s.sort_by(f64::total_cmp);
     line("open/median", opened_s[opened_s.len() / 2], "s", Some(OPEN_LIMIT_S));
     line("open/most", opened_s[opened_s.len() - 1], "s", Some(OPEN_LIMIT_S));
-}
-
-/// Memory of this process, bytes.
-fn resident_bytes() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/statm").unwrap();
-    text.split(' ').nth(1).unwrap().parse::<f64>().unwrap() * 4096.0
 }
 
 /// 100 000 flights: reading and trying the plan, making its folder, the first flights that are missing; then its results.

@@ -1,10 +1,10 @@
 //! Experiments over HTTP: sized, refused with the line, flown, stopped, gone on with, read, opened.
 
 use std::path::Path;
-use std::process::Stdio;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use crate::common::servers::{Process, drawn};
 use crate::common::{Ground, PATIENCE, Response, exchange};
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::{ROW_BYTES, Row};
@@ -217,16 +217,6 @@ fn undisturbed(folder: &Path, plan: Plan) -> Vec<Row> {
     experiment.rows().unwrap()
 }
 
-/// A ground that is a process of its own, and is killed in the end.
-struct Process(std::process::Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_ground_that_is_killed_while_it_flies_has_every_flight_once_and_the_same() {
     // Kills of a campaign's rounds; a few of them in a test.
@@ -234,7 +224,7 @@ async fn a_ground_that_is_killed_while_it_flies_has_every_flight_once_and_the_sa
     let folder = tempfile::tempdir().unwrap();
     let plan = || Plan::from_toml(&PLAN.replace("repeats = 3", "repeats = 15")).unwrap();
     let expected = undisturbed(folder.path(), plan());
-    let (mut kills, mut attempts) = (0, 0);
+    let (mut kills, mut attempts, mut dice) = (0, 0, drawn());
     while kills < rounds {
         attempts += 1;
         let data = folder.path().join(format!("data-{attempts}"));
@@ -244,7 +234,7 @@ async fn a_ground_that_is_killed_while_it_flies_has_every_flight_once_and_the_sa
             let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
             let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_plumbline-ground"));
             command.args(["--listen", &address.to_string(), "--agent-listen", "127.0.0.1:0", "--data"]).arg(&data);
-            let ground = Process(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+            let ground = Process::start(&mut command);
             let begun = Instant::now();
             let mut stream = loop {
                 match tokio::net::TcpStream::connect(address).await {
@@ -261,7 +251,7 @@ async fn a_ground_that_is_killed_while_it_flies_has_every_flight_once_and_the_sa
             let before = experiment.done();
             while experiment.done() == before || (kills == rounds && experiment.done() < expected.len() as u64) {
                 assert!(begun.elapsed() < 6 * PATIENCE, "{} flights after {kills} kills", experiment.done());
-                tokio::time::sleep(Duration::from_millis(5 + 37 * kills % 90)).await;
+                tokio::time::sleep(Duration::from_millis(5 + (90.0 * dice.uniform()) as u64)).await;
             }
             drop(ground);
             kills = (kills + 1).min(rounds);

@@ -11,7 +11,7 @@ use plumbline_proto::{Kind, v1};
 use serde_json::Value;
 
 use crate::common::agent::Agent;
-use crate::common::servers::{Bucket, Nats, PATIENCE, Postgres, Process, free_port, listens};
+use crate::common::servers::{Bucket, Nats, PATIENCE, Postgres, Process, drawn, free_port, listens};
 use crate::common::{Ground, Response};
 
 fn config(data: &Path, fleet: Fleet) -> GroundConfig {
@@ -214,6 +214,11 @@ async fn a_vehicle_is_seen_from_another_ground_which_can_cut_its_motors_and_noth
     assert_eq!(command.body, Some(Body::CutMotors(v1::CutMotors {})));
     assert!(command.operator.ends_with(" at west"), "{}", command.operator);
     assert_eq!(answer.status, 200, "{}", answer.text());
+    // Under load as well: within the time that a command has, behind what another vehicle sends as fast as it can.
+    let mut other = east.agent("iris-2", 1).await;
+    let ((answer, command), ()) = tokio::join!(async { tokio::join!(cut(&west), agent.accept()) }, other.fly(4000));
+    assert_eq!((answer.status, command.body), (200, Some(Body::CutMotors(v1::CutMotors {}))));
+    other.disconnect().await;
     let refusing = async {
         let command = agent.command().await;
         agent.ack(command.command_id, v1::AckStage::Rejected, "no motors").await;
@@ -321,9 +326,10 @@ fn grounds_index_and_storage_are_killed_and_every_flight_is_in_the_archive_once(
         std::fs::rename(made.join("flights").join(&file), flights.join(&file)).unwrap();
     }
     let mut grounds = ["east", "west"].map(|name| Killed::start(folder.path(), name, &postgres, &bucket));
-    for round in 0..rounds {
-        std::thread::sleep(Duration::from_millis(120 + 97 * round as u64 % 400));
-        match round % 4 {
+    let mut dice = drawn();
+    for _ in 0..rounds {
+        std::thread::sleep(Duration::from_millis(120 + (400.0 * dice.uniform()) as u64));
+        match (4.0 * dice.uniform()) as u64 {
             0 => grounds[0].process.kill(),
             1 => {
                 postgres.kill();

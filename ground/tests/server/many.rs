@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::servers::{Bucket, Nats, PATIENCE, Process};
+use crate::common::servers::{Bucket, Nats, PATIENCE, Process, drawn};
 use plumbline_experiment::part::Part;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::Row;
@@ -81,7 +81,7 @@ fn workers_server_and_lead_are_killed_and_every_flight_is_there_once_and_is_the_
     let expected = undisturbed(folder.path());
     let plan = folder.path().join("plan.toml");
     std::fs::write(&plan, PLAN).unwrap();
-    let (mut kills, mut attempts) = (0, 0);
+    let (mut kills, mut attempts, mut dice) = (0, 0, drawn());
     while kills < rounds {
         // GIVEN a lead and two workers WHEN one of all is killed every few flights THEN it ends whole
         attempts += 1;
@@ -94,7 +94,7 @@ fn workers_server_and_lead_are_killed_and_every_flight_is_there_once_and_is_the_
         let (begun, mut before) = (Instant::now(), 0);
         while experiment.done() < FLIGHTS {
             assert!(begun.elapsed() < PATIENCE, "{} flights after {kills} kills", experiment.done());
-            std::thread::sleep(Duration::from_millis(30 + 53 * kills % 170));
+            std::thread::sleep(Duration::from_millis(30 + (170.0 * dice.uniform()) as u64));
             // Whoever ended of itself, because nobody answered, is started again as whoever was killed.
             if lead.0.try_wait().unwrap().is_some() && experiment.done() < FLIGHTS {
                 lead = a_lead(&nats, &store, &plan, &data);
@@ -109,7 +109,7 @@ fn workers_server_and_lead_are_killed_and_every_flight_is_there_once_and_is_the_
                 continue;
             }
             before = there;
-            match kills % 4 {
+            match (4.0 * dice.uniform()) as u64 {
                 0 => workers[0].kill(),
                 1 => nats.kill_and_start_again(),
                 2 => lead.kill(),

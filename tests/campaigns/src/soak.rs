@@ -22,8 +22,8 @@ use std::time::{Duration, Instant};
 use super::figures::{Figures, quantile, setting};
 use super::witness::{Witness, now_us};
 use plumbline_proto::{Kind, v1};
-use plumbline_support::scenario_file;
 use plumbline_support::system::{Live, PATIENCE, options, scenario};
+use plumbline_support::{memory_mib, scenario_file};
 use plumbline_tests::harness::{Process, System, SystemOptions, wait_until};
 use serde_json::json;
 
@@ -79,13 +79,8 @@ struct Memory {
 
 impl Memory {
     fn look(&mut self, id: u32, since_start: Duration) {
-        let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
-        let mib = |key: &str| {
-            let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or("0");
-            line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
-        };
-        self.resident.push((since_start.as_secs_f64(), mib("VmRSS:")));
-        self.anonymous.push(mib("RssAnon:"));
+        self.resident.push((since_start.as_secs_f64(), memory_mib(id, "VmRSS")));
+        self.anonymous.push(memory_mib(id, "RssAnon"));
     }
 
     /// Says how it went, and whether it was flat.

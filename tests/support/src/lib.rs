@@ -29,3 +29,10 @@ use std::path::{Path, PathBuf};
 pub fn scenario_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios").join(name).with_extension("toml")
 }
+
+/// Memory of a process as the system tells it under `key` (`VmRSS`, `RssAnon`), MiB; 0 where it does not.
+pub fn memory_mib(process: u32, key: &str) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':')).unwrap_or("0");
+    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+}

@@ -2,7 +2,6 @@
 #![allow(dead_code)]
 
 pub mod agent;
-#[cfg(feature = "many")]
 pub mod servers;
 pub mod viewer;
 

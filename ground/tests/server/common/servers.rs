@@ -7,10 +7,19 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use plumbline_experiment::draw::Dice;
+
 /// Something that takes longer does not come any more.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 /// Who runs PostgreSQL where the tests are run by root, as whom it refuses to run: nobody.
 const NOBODY: u32 = 65_534;
+
+/// Draws who is killed and when; `PLUMBLINE_SEED` has other draws.
+pub fn drawn() -> Dice {
+    let seed = std::env::var("PLUMBLINE_SEED").map_or(1, |seed| seed.parse().unwrap());
+    println!("kills are drawn from seed {seed}");
+    Dice::new(seed)
+}
 
 /// Ends with its test.
 pub struct Process(pub Child);
