@@ -5,7 +5,6 @@
 //! reference-counted, with all viewers as one codec batch: twenty viewers cost twenty queue entries,
 //! not twenty copies. Nothing here waits for a viewer, a disk or an agent.
 
-mod elsewhere;
 mod health;
 mod history;
 #[cfg(feature = "many")]
@@ -278,6 +277,22 @@ impl Hub {
         let vehicle = vehicles.get(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
         let live = vehicle.commands.as_ref().filter(|c| !c.is_closed());
         live.cloned().ok_or_else(|| VehicleError::Disconnected(id.to_owned()))
+    }
+
+    /// The ground that the link of `id` ends at; `None` where that is this one.
+    pub(crate) fn ground_of(&self, id: &str) -> Option<AtGround> {
+        lock(&self.vehicles).get(id)?.ground.clone()
+    }
+
+    /// Is `id` commanded from here?
+    ///
+    /// # Errors
+    /// [`VehicleError`] when it is not known, or is commanded from another ground.
+    pub(crate) fn commanded_here(&self, id: &str) -> Result<(), VehicleError> {
+        let vehicles = lock(&self.vehicles);
+        let vehicle = vehicles.get(id).ok_or_else(|| VehicleError::Unknown(id.to_owned()))?;
+        let elsewhere = |ground| VehicleError::Elsewhere { vehicle: id.to_owned(), ground };
+        vehicle.ground.clone().map_or(Ok(()), |ground| Err(elsewhere(ground)))
     }
 
     /// The latest message of one topic, decoded.

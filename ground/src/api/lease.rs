@@ -11,12 +11,10 @@ use super::extract::Path;
 use super::operator::Operator;
 use crate::hub::VehicleError;
 
-fn known(app: &App, id: &str) -> Result<(), ApiError> {
-    if app.hub.knows(id) { Ok(()) } else { Err(VehicleError::Unknown(id.to_owned()).into()) }
-}
-
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Lease>, ApiError> {
-    known(&app, &id)?;
+    if !app.hub.knows(&id) {
+        return Err(VehicleError::Unknown(id).into());
+    }
     let holder = match app.hub.ground_of(&id) {
         // As that ground passes it on.
         Some(_) => app.hub.latest::<v1::ControlLease>(&id, Kind::Lease).map(|lease| lease.holder),

@@ -4,30 +4,27 @@
 //! one that was begun twice is the same. Beside it lies its entry, `ID.json`: an index that is lost is made again from these.
 
 use std::path::Path as FilePath;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use futures_util::TryStreamExt as _;
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, WriteMultipart};
 use plumbline_rest::ground::Fleet as Shown;
-use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use tokio::fs::File;
 use tokio::io::{AsyncReadExt as _, AsyncSeekExt as _, AsyncWriteExt as _};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
-use super::FleetError;
 use super::index::{Connected, Database};
 use super::mirror::{Entry, Mirror};
+use super::{FleetError, Trouble, until_stopped};
+use crate::recorder::archive::{hash_of, hex};
 use crate::recorder::{Completeness, Flight, Labels, RecorderHandle, RecordingError, SharedArchive};
-use crate::sync::{lock, stopping};
 
 /// How often it is looked for what is new, here and there.
 const LOOKS: Duration = Duration::from_secs(1);
-/// After something failed it is tried again.
-const AGAIN: Duration = Duration::from_secs(3);
 /// Bytes of a file read at once, and sent as one part.
 const PIECE: usize = 8 << 20;
 /// Parts on their way at a time.
@@ -45,28 +42,9 @@ pub(crate) struct Archive {
     at: String,
     mirror: Mirror,
     runtime: Handle,
-    state: Mutex<State>,
-}
-
-#[derive(Debug, Default)]
-struct State {
     /// Flights of this ground that are not in it yet.
-    waiting: u64,
-    error: Option<String>,
-}
-
-/// What lies beside a file.
-#[derive(Debug, Serialize, Deserialize)]
-struct Beside {
-    id: String,
-    ground: String,
-    object: String,
-    sha256: String,
-    size: i64,
-    messages: i64,
-    name: String,
-    notes: String,
-    flight: serde_json::Value,
+    waiting: AtomicU64,
+    trouble: Trouble,
 }
 
 impl Archive {
@@ -90,39 +68,24 @@ impl Archive {
             at: storage.to_owned(),
             mirror: Mirror::open(data_folder)?,
             runtime,
-            state: Mutex::default(),
+            waiting: AtomicU64::default(),
+            trouble: Trouble::with("the archive of the fleet, for which flights wait"),
         })
     }
 
     pub(super) fn shown(&self) -> Shown {
-        let state = lock(&self.state);
         Shown {
             archive: Some(self.at.clone()),
             index: Some(self.database.at().to_owned()),
-            waiting: state.waiting,
-            archive_error: state.error.clone(),
+            waiting: self.waiting.load(Ordering::Relaxed),
+            archive_error: self.trouble.now(),
             ..Shown::default()
         }
     }
 
     /// Keeps archive and ground in line until the ground stops.
-    pub(crate) async fn keep_in_line(&self, recorder: RecorderHandle, mut stopped: watch::Receiver<bool>) {
-        loop {
-            let failed = tokio::select! {
-                failed = self.follow(&recorder) => failed,
-                () = stopping(&mut stopped) => return,
-            };
-            if let Err(error) = failed {
-                let text = error.to_string();
-                if lock(&self.state).error.replace(text.clone()).as_deref() != Some(text.as_str()) {
-                    tracing::warn!(%error, "flights wait for the archive of the fleet");
-                }
-            }
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = stopping(&mut stopped) => return,
-            }
-        }
+    pub(crate) async fn keep_in_line(&self, recorder: RecorderHandle, stopped: watch::Receiver<bool>) {
+        until_stopped(&self.trouble, stopped, || self.follow(&recorder)).await;
     }
 
     /// Takes in and gives what is new, for as long as all goes well.
@@ -142,9 +105,7 @@ impl Archive {
                     self.give(&mut index, recorder).await?;
                     given = Some(generation);
                 }
-                if lock(&self.state).error.take().is_some() {
-                    tracing::info!("the archive of the fleet is there again");
-                }
+                self.trouble.set(None);
             }
             tokio::time::sleep(LOOKS).await;
         }
@@ -204,13 +165,13 @@ impl Archive {
         // The oldest first. A file that cannot be read here holds up none of the others.
         let mut unread = None;
         while let Some((flight, labels, whole)) = lacking.pop() {
-            lock(&self.state).waiting = lacking.len() as u64 + 1;
+            self.waiting.store(lacking.len() as u64 + 1, Ordering::Relaxed);
             match self.give_one(index, recorder, &flight, &labels, whole).await {
                 Err(FleetError::Here(error)) => unread = Some(FleetError::Here(format!("{}: {error}", flight.id))),
                 given => given?,
             }
         }
-        lock(&self.state).waiting = u64::from(unread.is_some());
+        self.waiting.store(unread.is_some().into(), Ordering::Relaxed);
         unread.map_or(Ok(()), Err)
     }
 
@@ -235,7 +196,9 @@ impl Archive {
         let here = |error: std::io::Error| FleetError::Here(format!("{}: {error}", path.display()));
         // One descriptor: a file that is merged anew meanwhile does not change under it.
         let mut file = File::open(path).await.map_err(here)?;
-        let (sha256, size) = hash(&mut file).await.map_err(here)?;
+        let own = file.try_clone().await.map_err(here)?.into_std().await;
+        let hashed = tokio::task::spawn_blocking(move || hash_of(own)).await;
+        let (sha256, size) = hashed.map_err(std::io::Error::other).and_then(|hashed| hashed).map_err(here)?;
         let object = format!("{}-{}.mcap", flight.id, sha256.get(..SHORT).unwrap_or_default());
         let place = self.prefix.clone().join(object.as_str());
         let there = self.objects.head(&place).await;
@@ -296,20 +259,8 @@ impl Archive {
         if entry.deleted {
             return Ok(());
         }
-        let entry = entry.clone();
-        let beside = Beside {
-            flight: serde_json::from_str(&entry.flight).unwrap_or_default(),
-            id: entry.id,
-            ground: entry.ground,
-            object: entry.object,
-            sha256: entry.sha256,
-            size: entry.size,
-            messages: entry.messages,
-            name: entry.name,
-            notes: entry.notes,
-        };
-        let text = serde_json::to_vec_pretty(&beside).unwrap_or_default();
-        let put = self.objects.put(&self.beside(&beside.id), text.into()).await;
+        let text = serde_json::to_vec_pretty(entry).unwrap_or_default();
+        let put = self.objects.put(&self.beside(&entry.id), text.into()).await;
         put.map(drop).map_err(|error| self.failed(&error))
     }
 
@@ -330,13 +281,10 @@ impl Archive {
         for place in &found {
             let got = async { self.objects.get(place).await?.bytes().await };
             let bytes = got.await.map_err(|error| self.failed(&error))?;
-            let Ok(beside) = serde_json::from_slice::<Beside>(&bytes) else {
+            let Ok(entry) = serde_json::from_slice::<Entry>(&bytes) else {
                 tracing::warn!(%place, "not an entry of the shared index");
                 continue;
             };
-            let Beside { id, ground, object, sha256, size, messages, name, notes, flight } = beside;
-            let flight = flight.to_string();
-            let entry = Entry { id, ground, object, sha256, size, messages, name, notes, flight, ..Entry::default() };
             index.put(&entry).await?;
         }
         if !found.is_empty() {
@@ -426,19 +374,4 @@ pub(super) async fn reached(address: &str) -> Result<String, FleetError> {
 
 fn messages(flight: &Flight) -> i64 {
     i64::try_from(flight.messages).unwrap_or(i64::MAX)
-}
-
-/// SHA-256 of a file from where it is read on, and how many bytes that are.
-async fn hash(file: &mut File) -> std::io::Result<(String, u64)> {
-    let (mut hash, mut size, mut piece) = (Sha256::new(), 0, vec![0; PIECE]);
-    loop {
-        let read = file.read(&mut piece).await?;
-        let Some(read) = piece.get(..read).filter(|read| !read.is_empty()) else { return Ok((hex(hash), size)) };
-        hash.update(read);
-        size += read.len() as u64;
-    }
-}
-
-fn hex(hash: Sha256) -> String {
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

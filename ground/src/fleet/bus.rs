@@ -26,13 +26,13 @@ use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval, timeout};
 use tokio_util::task::AbortOnDropHandle;
 
-use super::FleetError;
+use super::{FleetError, Trouble, until_stopped};
 use crate::agent_link::clock::wall_us;
 use crate::agent_link::offset::OffsetEstimator;
 use crate::agent_link::{CommandReceiver, CommandSender, Outgoing};
 use crate::api::App;
 use crate::hub::{Linked, Viewer};
-use crate::sync::{lock, stopping};
+use crate::sync::lock;
 
 const ROOT: &str = "plumbline.fleet";
 /// A vehicle's ground says so often that it is linked there, and clocks are compared as often.
@@ -41,8 +41,6 @@ const SAYS: Duration = Duration::from_millis(250);
 const KEPT_EVERY: u32 = 8;
 /// A vehicle or a ground that was not heard of for so long is gone.
 const GONE_AFTER: Duration = Duration::from_secs(2);
-/// After NATS could not be reached at all it is tried again.
-const AGAIN: Duration = Duration::from_secs(3);
 
 /// The grounds' live link.
 #[derive(Debug)]
@@ -52,6 +50,7 @@ pub(crate) struct Bus {
     /// Tells a second ground of the same name from this one.
     instance: u64,
     heard: Mutex<Heard>,
+    trouble: Trouble,
 }
 
 #[derive(Debug, Default)]
@@ -60,7 +59,6 @@ struct Heard {
     vehicles: BTreeMap<String, Vehicle>,
     /// When another ground of this one's name was heard.
     twin: Option<Instant>,
-    error: Option<String>,
 }
 
 /// Another ground.
@@ -111,71 +109,52 @@ impl Bus {
     /// As `own` is called, over the NATS server at `url`; nothing is connected yet.
     pub(crate) fn new(own: AtGround, url: &str) -> Self {
         let instance = wall_us(Instant::now()) ^ (u64::from(std::process::id()) << 44);
-        Self { own, url: url.to_owned(), instance, heard: Mutex::default() }
+        let trouble = Trouble::with("the grounds of the fleet");
+        Self { own, url: url.to_owned(), instance, heard: Mutex::default(), trouble }
     }
 
     pub(super) fn show(&self, shown: &mut Shown) {
-        let heard = lock(&self.heard);
-        shown.grounds = Some(heard.grounds.keys().cloned().collect());
-        shown.live_error.clone_from(&heard.error);
+        shown.grounds = Some(lock(&self.heard).grounds.keys().cloned().collect());
+        shown.live_error = self.trouble.now();
     }
 
     fn subject(&self, rest: &str) -> String {
         format!("{ROOT}.{}.{rest}", self.own.name)
     }
 
-    fn trouble(&self, client: &Client) -> Option<String> {
+    fn wrong(&self, client: &Client) -> Option<FleetError> {
         if client.connection_state() != State::Connected {
-            return Some(FleetError::Nats("the server is away".into()).to_string());
+            return Some(FleetError::Nats("the server is away".into()));
         }
         let twin = lock(&self.heard).twin.is_some_and(|heard| heard.elapsed() < GONE_AFTER);
         let name = &self.own.name;
-        twin.then(|| FleetError::Settings(format!("another ground is called {name:?}")).to_string())
-    }
-
-    fn complain(&self, error: Option<String>) {
-        let mut heard = lock(&self.heard);
-        if heard.error != error {
-            match &error {
-                Some(error) => tracing::warn!(error, "grounds of the fleet"),
-                None => tracing::info!("the grounds of the fleet are heard again"),
-            }
-            heard.error = error;
-        }
+        twin.then(|| FleetError::Settings(format!("another ground is called {name:?}")))
     }
 
     /// Passes on and listens until the ground stops.
-    pub(crate) async fn run(self: Arc<Self>, app: App, mut stopped: watch::Receiver<bool>) {
-        loop {
-            tokio::select! {
-                ended = self.serve(&app) => self.complain(ended.err().map(|error| error.to_string())),
-                () = stopping(&mut stopped) => return,
-            }
-            tokio::select! {
-                () = tokio::time::sleep(AGAIN) => {}
-                () = stopping(&mut stopped) => return,
-            }
-        }
+    pub(crate) async fn run(self: Arc<Self>, app: App, stopped: watch::Receiver<bool>) {
+        until_stopped(&self.trouble, stopped, || self.serve(&app)).await;
     }
 
     async fn serve(self: &Arc<Self>, app: &App) -> Result<(), FleetError> {
-        let nats = |error: String| FleetError::Nats(error);
-        let options = ConnectOptions::new().name(format!("plumbline {}", self.own.name));
-        let client = options.connect(self.url.as_str()).await.map_err(|error| nats(error.to_string()))?;
-        // What NATS does not take is old by the time that it would.
-        let listen = format!("{ROOT}.>");
-        let mut messages = client.subscribe(listen).await.map_err(|error| nats(error.to_string()))?;
+        let options = ConnectOptions::new().name(format!("plumbline {}", self.own.name)).no_echo();
+        let client = options.connect(self.url.as_str()).await.map_err(nats)?;
+        // Cuts do not wait behind what other grounds' vehicles send.
+        let mut cuts = client.subscribe(self.subject("cut")).await.map_err(nats)?;
+        let mut messages = client.subscribe(format!("{ROOT}.>")).await.map_err(nats)?;
+        let ended = || FleetError::Nats("the connection ended".into());
         let mut passing: BTreeMap<String, AbortOnDropHandle<()>> = BTreeMap::new();
         let mut say = interval(SAYS);
         say.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                message = messages.next() => match message {
-                    Some(message) => self.take(app, &client, &message),
-                    None => return Err(nats("the connection ended".into())),
-                },
+                biased;
+                message = cuts.next() => {
+                    let (app, client, message) = (app.clone(), client.clone(), message.ok_or_else(ended)?);
+                    tokio::spawn(async move { cut(&app, &client, &message).await });
+                }
                 _ = say.tick() => {
-                    self.complain(self.trouble(&client));
+                    self.trouble.set(self.wrong(&client));
                     let here = Here { instance: self.instance, address: self.own.address.clone() };
                     let here = serde_json::to_vec(&here).unwrap_or_default();
                     if client.connection_state() == State::Connected {
@@ -190,16 +169,16 @@ impl Bus {
                     }
                     self.look(app, &client);
                 }
+                message = messages.next() => self.take(app, &client, &message.ok_or_else(ended)?),
             }
         }
     }
 
     /// Passes one vehicle on, while it is linked here.
     async fn pass_on(&self, app: &App, client: &Client, id: &str) {
-        let Ok(Viewer { backlog, queue }) = app.hub.subscribe(id, Duration::ZERO, false) else { return };
+        let Ok(Viewer { queue, .. }) = app.hub.subscribe(id, Duration::ZERO, false) else { return };
         let subject = |what: &str| self.subject(&format!("{}.{what}", token(id)));
         let (live, linked, kept) = (subject("live"), subject("linked"), subject("kept"));
-        drop(backlog);
         let mut say = interval(SAYS);
         say.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut said = 0_u32;
@@ -238,10 +217,6 @@ impl Bus {
                     let (client, now) = (client.clone(), wall_us(Instant::now()).to_string());
                     tokio::spawn(async move { client.publish(reply, now.into()).await });
                 }
-            }
-            [_, "cut"] if own => {
-                let (app, client, message) = (app.clone(), client.clone(), message.clone());
-                tokio::spawn(async move { cut(&app, &client, &message).await });
             }
             [ground, "here"] => {
                 let Ok(Here { instance, address }) = serde_json::from_slice(&message.payload) else { return };
@@ -347,9 +322,14 @@ async fn carry(bus: Arc<Bus>, app: App, client: Client, (ground, id): (String, S
             let operator = format!("{operator} at {}", bus.own.name);
             let cut = Cut { vehicle: id.clone(), operator };
             let payload = serde_json::to_vec(&cut).unwrap_or_default();
-            match client.request(format!("{ROOT}.{ground}.cut"), payload.into()).await {
-                Ok(answer) => serde_json::from_slice(&answer.payload).unwrap_or_default(),
-                Err(error) => Done { accepted: false, reason: format!("ground {ground:?} is not reached: {error}") },
+            let asked = client.request(format!("{ROOT}.{ground}.cut"), payload.into());
+            // No longer than whoever asks waits: the next one goes at once.
+            match timeout(app.config.command_timeout, asked).await {
+                Ok(Ok(answer)) => serde_json::from_slice(&answer.payload).unwrap_or_default(),
+                Ok(Err(error)) => {
+                    Done { accepted: false, reason: format!("ground {ground:?} is not reached: {error}") }
+                }
+                Err(_) => continue,
             }
         } else {
             Done { accepted: false, reason: format!("{id:?} is flown from ground {ground:?}") }
@@ -373,10 +353,13 @@ async fn cut(app: &App, client: &Client, message: &Message) {
     let _ = client.publish(reply, serde_json::to_vec(&done).unwrap_or_default().into()).await;
 }
 
+fn nats(error: impl std::fmt::Display) -> FleetError {
+    FleetError::Nats(error.to_string())
+}
+
 /// Is the server at `url`, which is not told, reached?
 pub(super) async fn reached(url: &str) -> Result<String, FleetError> {
-    let client = ConnectOptions::new().name("plumbline doctor").connect(url).await;
-    let client = client.map_err(|error| FleetError::Nats(error.to_string()))?;
+    let client = ConnectOptions::new().name("plumbline doctor").connect(url).await.map_err(nats)?;
     Ok(format!("NATS {}", client.server_info().version))
 }
 

@@ -5,17 +5,20 @@ use std::sync::Mutex;
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
+use serde::{Deserialize, Serialize};
+
 use super::FleetError;
 use crate::recorder::{Flight, Labels};
 use crate::sync::lock;
 
 const COLUMNS: &str = "id, revision, ground, object, sha256, size, messages, name, notes, flight, deleted";
 
-/// One flight as the shared index has it.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+/// One flight as the shared index has it, and as it lies beside its file.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(super) struct Entry {
     pub(super) id: String,
     /// Counts all changes of the index.
+    #[serde(skip)]
     pub(super) revision: i64,
     /// The ground that recorded it.
     pub(super) ground: String,
@@ -30,8 +33,10 @@ pub(super) struct Entry {
     pub(super) name: String,
     pub(super) notes: String,
     /// The rest, JSON.
+    #[serde(with = "json")]
     pub(super) flight: String,
     /// There is none any more: nobody brings it back.
+    #[serde(skip)]
     pub(super) deleted: bool,
 }
 
@@ -45,6 +50,20 @@ impl Entry {
         let flight: Flight = serde_json::from_str(&self.flight).ok()?;
         let size_bytes = u64::try_from(self.size).unwrap_or(0);
         Some(Flight { name: self.name, notes: self.notes, size_bytes, ground: Some(self.ground), away: true, ..flight })
+    }
+}
+
+/// Text that is JSON, as the JSON that it is.
+mod json {
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer, ser::Error as _};
+    use serde_json::Value;
+
+    pub(super) fn serialize<S: Serializer>(text: &str, to: S) -> Result<S::Ok, S::Error> {
+        serde_json::from_str::<Value>(text).map_err(S::Error::custom)?.serialize(to)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+        Value::deserialize(from).map(|value| value.to_string())
     }
 }
 

@@ -15,12 +15,15 @@ mod index;
 mod mirror;
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use plumbline_rest::ground::{AtGround, Fleet as Shown};
 use tokio::runtime::Handle;
+use tokio::sync::watch;
 
 use crate::config::Fleet;
+use crate::sync::{lock, stopping};
 use archive::Archive;
 use bus::Bus;
 
@@ -55,6 +58,56 @@ pub(crate) enum FleetError {
     /// This ground's own files.
     #[error("{0}")]
     Here(String),
+}
+
+/// After something failed it is tried again.
+const AGAIN: Duration = Duration::from_secs(3);
+
+/// What is wrong with something now, which is said where it changes.
+#[derive(Debug)]
+struct Trouble {
+    with: &'static str,
+    now: Mutex<Option<String>>,
+}
+
+impl Trouble {
+    fn with(with: &'static str) -> Self {
+        Self { with, now: Mutex::default() }
+    }
+
+    fn now(&self) -> Option<String> {
+        lock(&self.now).clone()
+    }
+
+    fn set(&self, error: Option<FleetError>) {
+        let error = error.map(|error| error.to_string());
+        let mut now = lock(&self.now);
+        if *now != error {
+            match &error {
+                Some(error) => tracing::warn!(error, "{}", self.with),
+                None => tracing::info!("{}: all is well again", self.with),
+            }
+            *now = error;
+        }
+    }
+}
+
+/// Does `work`, and again some time after it ended, until the ground stops.
+async fn until_stopped<W: Future<Output = Result<(), FleetError>>>(
+    trouble: &Trouble,
+    mut stopped: watch::Receiver<bool>,
+    work: impl Fn() -> W,
+) {
+    let again = async {
+        loop {
+            trouble.set(work().await.err());
+            tokio::time::sleep(AGAIN).await;
+        }
+    };
+    tokio::select! {
+        () = again => {}
+        () = stopping(&mut stopped) => {}
+    }
 }
 
 /// Is this a name for a ground: letters, digits and `-`, so that it is a part of a subject?

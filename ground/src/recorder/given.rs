@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::{Flight, Labels, RecorderHandle, RecordingError};
+use super::{Flight, RecorderHandle, RecordingError};
 
 impl RecorderHandle {
-    /// Counts what is entered into the index: while it stays, no flight of this ground has changed.
+    /// Counts what is entered into the index: while it stays, no finished flight of this ground has changed.
     pub(crate) fn generation(&self) -> u64 {
         self.desk.index.generation()
     }
@@ -30,14 +30,5 @@ impl RecorderHandle {
     pub(crate) fn finished(&self, id: &str) -> Option<PathBuf> {
         let files = self.desk.store.files(id);
         files.finished.filter(|_| files.parts.is_empty())
-    }
-
-    /// Name and notes of a flight of this folder, as another ground has them. Writes to the disk.
-    ///
-    /// # Errors
-    /// [`RecordingError`] of the disk.
-    pub(crate) fn relabel(&self, id: &str, labels: &Labels) -> Result<(), RecordingError> {
-        self.desk.store.label(id, labels)?;
-        Ok(self.desk.index.label(id, labels)?)
     }
 }

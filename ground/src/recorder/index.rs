@@ -35,7 +35,7 @@ impl Stamp {
 #[derive(Debug)]
 pub(super) struct FlightIndex {
     connection: Mutex<Connection>,
-    /// Changes since the start.
+    /// Changes of finished flights since the start.
     changes: AtomicU64,
 }
 
@@ -77,13 +77,13 @@ impl FlightIndex {
         Ok(connection)
     }
 
-    /// Counts changes.
+    /// Counts changes of flights that are finished.
     #[cfg(feature = "many")]
     pub(super) fn generation(&self) -> u64 {
         self.changes.load(Ordering::Acquire)
     }
 
-    /// Has `change` been made?
+    /// Counts a change.
     fn changed<T>(&self, change: rusqlite::Result<T>) -> rusqlite::Result<()> {
         self.changes.fetch_add(1, Ordering::AcqRel);
         change.map(drop)
@@ -105,7 +105,8 @@ impl FlightIndex {
                 text
             ],
         );
-        self.changed(change)
+        // One that is being recorded is renewed all the time, and is nobody else's yet.
+        if stamp == Stamp::default() { change.map(drop) } else { self.changed(change) }
     }
 
     /// Changes name and notes.

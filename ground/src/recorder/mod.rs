@@ -358,10 +358,7 @@ impl RecorderHandle {
         }
         match &self.desk.archive {
             Some(archive) if flight.away => archive.label(id, &labels)?,
-            _ => {
-                self.desk.store.label(id, &labels)?;
-                self.desk.index.label(id, &labels)?;
-            }
+            _ => self.relabel(id, &labels)?,
         }
         self.flight(id)
     }
@@ -388,10 +385,24 @@ impl RecorderHandle {
         if let Some(known) = self.desk.index.get(id)? {
             return Ok(known);
         }
+        self.adopt(id, file)?;
+        self.flight(id)
+    }
+
+    /// Makes a file on the same disk the one of a flight that has none.
+    fn adopt(&self, id: &str, file: &Path) -> Result<(), RecordingError> {
         let path = self.desk.store.finished_path(id);
         std::fs::rename(file, &path).map_err(|source| RecordingError::Io { path, source })?;
-        self.desk.catch_up_with(id, &self.desk.store.files(id))?;
-        self.flight(id)
+        self.desk.catch_up_with(id, &self.desk.store.files(id))
+    }
+
+    /// Name and notes of a flight of this folder, as they are. Writes to the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`] of the disk.
+    pub(crate) fn relabel(&self, id: &str, labels: &Labels) -> Result<(), RecordingError> {
+        self.desk.store.label(id, labels)?;
+        Ok(self.desk.index.label(id, labels)?)
     }
 
     /// Deletes a flight, in the archive of the fleet as well. Waits for the recorder, the disk and the network.

@@ -66,8 +66,8 @@ impl RecorderHandle {
 
     /// Fetches a flight that is only in the archive. Waits for the network.
     pub(super) fn fetched(&self, id: &str) -> Result<(), RecordingError> {
-        let Some(archive) = &self.desk.archive else { return Ok(()) };
-        let Some(flight) = archive.flight(id)?.filter(|_| !self.desk.store.has(id)) else { return Ok(()) };
+        let Some(archive) = self.desk.archive.as_ref().filter(|_| !self.desk.store.has(id)) else { return Ok(()) };
+        let Some(flight) = archive.flight(id)? else { return Ok(()) };
         // One at a time: whoever asks for the same one finds it.
         let _turn = crate::sync::lock(&self.desk.fetching);
         if self.desk.store.has(id) {
@@ -81,8 +81,6 @@ impl RecorderHandle {
         let file = scratch.path().join("fetched.mcap");
         archive.fetch(id, &file)?;
         self.desk.store.label(id, &Labels { name: flight.name, notes: flight.notes })?;
-        let path = self.desk.store.finished_path(id);
-        std::fs::rename(&file, &path).map_err(|source| RecordingError::Io { path, source })?;
-        self.desk.catch_up_with(id, &self.desk.store.files(id))
+        self.adopt(id, &file)
     }
 }

@@ -8,7 +8,7 @@ mod tar;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
-use std::io::{Read as _, Write as _};
+use std::io::{Read, Write as _};
 use std::path::{Path, PathBuf};
 
 use plumbline_proto::ids::FlightId;
@@ -180,18 +180,28 @@ impl Sums {
     }
 }
 
-fn hex(hash: Sha256) -> String {
+/// A hash, as it is written.
+pub(crate) fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// SHA-256 of what is left to be read, and how many bytes that is.
+///
+/// # Errors
+/// Those of the disk.
+pub(crate) fn hash_of(file: impl Read) -> std::io::Result<(String, u64)> {
+    let (mut hash, mut size) = (Sha256::new(), 0);
+    pieces(file, std::convert::identity, |piece| {
+        hash.update(piece);
+        size += piece.len() as u64;
+        Ok(())
+    })?;
+    Ok((hex(hash), size))
 }
 
 /// SHA-256 of a file.
 fn hash(path: &Path) -> Result<String, RecordingError> {
-    let mut hash = Sha256::new();
-    pieces(path, |piece| {
-        hash.update(piece);
-        Ok(())
-    })?;
-    Ok(hex(hash))
+    File::open(path).and_then(hash_of).map(|(hash, _)| hash).map_err(|e| io(path, e))
 }
 
 /// Copies a file beside its place, syncs it, reads it back, and only then gives it its name. Answers its hash.
@@ -219,10 +229,15 @@ fn copy(from: &Path, to: &Path, expected: Option<&str>) -> Result<String, Record
 fn copy_to(from: &Path, temporary: &Path, expected: Option<&str>) -> Result<String, RecordingError> {
     let mut file = File::create(temporary).map_err(|e| io(temporary, e))?;
     let mut read = Sha256::new();
-    pieces(from, |piece| {
-        read.update(piece);
-        file.write_all(piece).map_err(|e| io(temporary, e))
-    })?;
+    let original = File::open(from).map_err(|e| io(from, e))?;
+    pieces(
+        original,
+        |e| io(from, e),
+        |piece| {
+            read.update(piece);
+            file.write_all(piece).map_err(|e| io(temporary, e))
+        },
+    )?;
     file.sync_all().map_err(|e| io(temporary, e))?;
     let read = hex(read);
     let differs = |path: &Path, found: &str, expected: &str| {
@@ -238,11 +253,14 @@ fn copy_to(from: &Path, temporary: &Path, expected: Option<&str>) -> Result<Stri
 }
 
 /// Passes on a file piece by piece.
-fn pieces(path: &Path, mut take: impl FnMut(&[u8]) -> Result<(), RecordingError>) -> Result<(), RecordingError> {
-    let mut file = File::open(path).map_err(|e| io(path, e))?;
+fn pieces<E>(
+    mut file: impl Read,
+    unread: impl Fn(std::io::Error) -> E,
+    mut take: impl FnMut(&[u8]) -> Result<(), E>,
+) -> Result<(), E> {
     let mut buffer = vec![0; PIECE];
     loop {
-        match file.read(&mut buffer).map_err(|e| io(path, e))? {
+        match file.read(&mut buffer).map_err(&unread)? {
             0 => return Ok(()),
             length => take(buffer.get(..length).unwrap_or_default())?,
         }
