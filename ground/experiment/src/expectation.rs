@@ -29,7 +29,7 @@ use crate::flight::{Setup, fly_watched};
 use crate::judge::STEADY_S;
 use crate::plan::Plan;
 use crate::reception::Reception;
-use crate::store::{Experiment, StoreError, write_whole};
+use crate::store::{Experiment, StoreError};
 
 /// Conditions of a plan that are asked about: the first ones.
 pub(crate) const CONDITIONS: u64 = 200;
@@ -43,8 +43,7 @@ const FILE: &str = "expected.json";
 
 /// By the conditions that were asked about; `None` where nothing is attacked.
 pub(crate) fn kept(experiment: &Experiment) -> BTreeMap<u64, Option<Expectation>> {
-    let read = std::fs::read(experiment.folder.join(FILE)).ok();
-    read.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    experiment.read_beside(FILE)
 }
 
 /// Asks the model about the conditions that it was not asked about yet, while `go_on` says so, and keeps each answer.
@@ -61,7 +60,7 @@ pub fn keep(experiment: &Experiment, go_on: impl Fn() -> bool) -> Result<(), Sto
             break;
         }
         kept.insert(number, of(&experiment.plan, number));
-        write_whole(&experiment.folder.join(FILE), &serde_json::to_vec(&kept).unwrap_or_default())?;
+        experiment.keep_beside(FILE, &kept)?;
     }
     Ok(())
 }

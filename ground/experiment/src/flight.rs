@@ -147,28 +147,25 @@ impl Seen {
 ///
 /// # Errors
 /// [`FlyError`]: nothing was flown.
-pub fn fly_watched(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
-    fly_seen(setup, |flight, seen| {
-        if let Some(truth) = &seen.truth {
-            watch(flight, truth);
-        }
-    })
+pub fn fly_watched(setup: &Setup, watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
+    fly_on(setup, false, with_truth(watch))
 }
 
 /// The same to the scenario's end, also when it is lost: what a source measures so.
 ///
 /// # Errors
 /// [`FlyError`]: nothing was flown.
-pub fn fly_to_the_end(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
-    fly_until(
-        setup,
-        |_| false,
-        |flight, seen| {
-            if let Some(truth) = &seen.truth {
-                watch(flight, truth);
-            }
-        },
-    )
+pub fn fly_to_the_end(setup: &Setup, watch: impl FnMut(&mut Flight, &Truth)) -> Result<Outcome, FlyError> {
+    fly_on(setup, true, with_truth(watch))
+}
+
+/// Watches a simulated flight.
+fn with_truth(mut watch: impl FnMut(&mut Flight, &Truth)) -> impl FnMut(&mut Flight, &Seen) {
+    move |flight, seen| {
+        if let Some(truth) = &seen.truth {
+            watch(flight, truth);
+        }
+    }
 }
 
 /// The same, of recordings as well.
@@ -176,15 +173,11 @@ pub fn fly_to_the_end(setup: &Setup, mut watch: impl FnMut(&mut Flight, &Truth))
 /// # Errors
 /// [`FlyError`]: nothing was flown.
 pub fn fly_seen(setup: &Setup, watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
-    fly_until(setup, |over| over, watch)
+    fly_on(setup, false, watch)
 }
 
-/// `ends` is told whether the judge has seen enough.
-fn fly_until(
-    setup: &Setup,
-    ends: impl Fn(bool) -> bool,
-    mut watch: impl FnMut(&mut Flight, &Seen),
-) -> Result<Outcome, FlyError> {
+/// Until the judge has seen enough, or `to_the_end`.
+fn fly_on(setup: &Setup, to_the_end: bool, mut watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
     let Setup { scenario, attacks, reception, recording, .. } = setup;
     let (mut vehicle, begin): (Box<dyn Vehicle>, _) = match recording {
         None => (Box::new(SimVehicle::new(scenario)?), FlightTime(0)),
@@ -236,7 +229,7 @@ fn fly_until(
         let seen = Seen::of(vehicle.as_ref(), &frame, against);
         let over = judge.tick(t, flights.chosen(), &seen);
         watch(flights.chosen(), &seen);
-        if ends(over) {
+        if over && !to_the_end {
             break;
         }
     }

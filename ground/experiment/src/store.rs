@@ -19,6 +19,7 @@ use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand;
@@ -297,6 +298,20 @@ impl Experiment {
     /// Was that asked?
     pub fn asked_to_stop(&self) -> bool {
         self.folder.join("stop").exists()
+    }
+
+    /// What a file of its folder has, JSON; the default where it has nothing.
+    pub(crate) fn read_beside<T: Default + DeserializeOwned>(&self, file: &str) -> T {
+        let read = fs::read(self.folder.join(file)).ok();
+        read.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    }
+
+    /// Keeps something in a file of its folder, JSON.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub(crate) fn keep_beside(&self, file: &str, what: &impl Serialize) -> Result<(), StoreError> {
+        write_whole(&self.folder.join(file), &serde_json::to_vec(what).unwrap_or_default())
     }
 
     /// Keeps why a flight could not be flown.

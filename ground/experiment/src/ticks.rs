@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::store::{Experiment, StoreError, write_whole};
+use crate::store::{Experiment, StoreError};
 
 const FILE: &str = "ticks.json";
 /// The first bin ends here, µs; each of the others is a quarter of an octave wide, so that what is read of them is 9 % off at most.
@@ -54,8 +54,7 @@ impl Ticks {
 
 /// Those of every condition, as far as they were flown here.
 pub(crate) fn kept(experiment: &Experiment) -> BTreeMap<u64, Ticks> {
-    let read = std::fs::read(experiment.folder.join(FILE)).ok();
-    read.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    experiment.read_beside(FILE)
 }
 
 /// Ticks that are being gathered.
@@ -74,7 +73,7 @@ impl Gathered {
     /// # Errors
     /// [`StoreError::Io`].
     pub(crate) fn keep(&self, experiment: &Experiment) -> Result<(), StoreError> {
-        write_whole(&experiment.folder.join(FILE), &serde_json::to_vec(&self.0).unwrap_or_default())
+        experiment.keep_beside(FILE, &self.0)
     }
 }
 

@@ -18,6 +18,8 @@ pub const STEP_S: f64 = 0.1;
 /// Most flights flown again for them.
 pub const MOST: u64 = 2000;
 
+const BANDS: &str = "bands.json";
+
 /// One point of a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
@@ -74,14 +76,13 @@ pub fn write(experiment: &Experiment, repeats: u64) -> Result<std::path::PathBuf
         band(condition, &of.map(Vec::as_slice).collect::<Vec<_>>())
     });
     let bands = Bands { repeats, bands: bands.collect() };
-    write_whole(&experiment.folder.join("bands.json"), &serde_json::to_vec(&bands).unwrap_or_default())?;
+    experiment.keep_beside(BANDS, &bands)?;
     table(experiment, &flown)
 }
 
 /// What [`write`] kept, if it did.
 pub fn bands(experiment: &Experiment) -> Option<Bands> {
-    let bytes = std::fs::read(experiment.folder.join("bands.json")).ok()?;
-    serde_json::from_slice(&bytes).ok()
+    experiment.read_beside(BANDS)
 }
 
 fn traced(setup: &Setup) -> Result<Vec<Point>, String> {

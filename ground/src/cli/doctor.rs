@@ -64,8 +64,10 @@ pub fn run(arguments: &DoctorArguments) -> Result<(), String> {
 fn fleet(settings: &Settings) -> Vec<Finding> {
     const NAME: &str = "fleet";
     let Ok(Some(fleet)) = settings.fleet() else { return Vec::new() };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let Ok(runtime) = runtime.inspect_err(|error| tracing::error!(%error, "no runtime")) else { return Vec::new() };
+    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return vec![(Level::Failure, NAME, error.to_string())],
+    };
     let looked = runtime.block_on(plumbline_ground::examine_fleet(&fleet));
     let finding = |looked: Result<String, String>| match looked {
         Ok(text) => (Level::Ok, NAME, text),
@@ -83,25 +85,22 @@ fn fleet(settings: &Settings) -> Vec<Finding> {
 
 fn examine(settings: &Settings) -> Vec<Finding> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let mut all = fleet(settings);
-    all.splice(
-        ..0,
-        [
-            port("page and API", settings.listen, "--listen", TcpListener::bind(settings.listen).map(drop)),
-            port("agents", settings.agent_listen, "--agent-listen", UdpSocket::bind(settings.agent_listen).map(drop)),
-            folder(&settings.data),
-            disk(settings),
-            clock(now),
-            certificate(settings, now),
-            identity(settings),
-            accounts(settings),
-            mavlink(settings),
-            backup(settings),
-            page(),
-            descriptors(),
-            times(settings),
-        ],
-    );
+    let mut all = vec![
+        port("page and API", settings.listen, "--listen", TcpListener::bind(settings.listen).map(drop)),
+        port("agents", settings.agent_listen, "--agent-listen", UdpSocket::bind(settings.agent_listen).map(drop)),
+        folder(&settings.data),
+        disk(settings),
+        clock(now),
+        certificate(settings, now),
+        identity(settings),
+        accounts(settings),
+        mavlink(settings),
+        backup(settings),
+        page(),
+        descriptors(),
+        times(settings),
+    ];
+    all.extend(fleet(settings));
     all
 }
 

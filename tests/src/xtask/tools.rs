@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::workspace::{apt_install, may_install, on_path, run};
+use super::workspace::{apt_install, may_install, on_path, output, run};
 use super::{Workspace, XtaskError};
 
 /// What the browser scripts are written for: what drives any recent Chromium, the reader of flight files, the client of the
@@ -179,27 +179,26 @@ pub fn faketime(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
 /// # Errors
 /// What is missing and how to get it.
 pub fn postgres(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
-    let own = workspace.target.join("tools/postgresql");
-    let works_in =
+    let here =
         |folder: &PathBuf| ["initdb", "postgres"].iter().all(|p| works(Command::new(folder.join(p)).arg("--version")));
-    let find = |root: &Path| {
-        let versions = std::fs::read_dir(root.join("usr/lib/postgresql")).into_iter().flatten().flatten();
-        versions.map(|version| version.path().join("bin")).find(works_in)
-    };
-    if let Some(found) = find(Path::new("/")).or_else(|| find(&own)) {
+    let installed = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
+    if let Some(found) = installed.map(|version| version.path().join("bin")).find(here) {
         return Ok(found);
     }
     let missing = || XtaskError::Missing { what: "PostgreSQL".into(), how: "  sudo apt-get install postgresql".into() };
-    std::fs::create_dir_all(&own).map_err(XtaskError::file(&own))?;
     // The package of that name is empty and needs the one of the version that Debian has.
-    let take_out = "apt-get -qq download $(apt-cache depends postgresql | sed -n 's/.*Depends: \\(postgresql-[0-9]*\\)$/\\1/p') \
-                    && for package in *.deb; do dpkg-deb -x $package . && rm $package; done";
-    works(Command::new("sh").args(["-c", take_out]).current_dir(&own));
+    let depends = output(Command::new("apt-cache").args(["depends", "postgresql"])).unwrap_or_default();
+    let version =
+        depends.lines().find_map(|line| line.trim().strip_prefix("Depends: postgresql-")?.parse::<u32>().ok());
+    let version = version.ok_or_else(missing)?;
+    let program = format!("usr/lib/postgresql/{version}/bin/postgres");
+    let own = taken_out(workspace, &format!("postgresql-{version}"), &program)?;
+    let own = own.parent().map(Path::to_owned).ok_or_else(missing)?;
     // Taken out, it lacks the libraries that a bare machine has not.
-    if find(&own).is_none() && may_install() {
+    if !here(&own) && may_install() {
         apt_install(&["libpq5", "libxml2"])?;
     }
-    find(&own).ok_or_else(missing)
+    Some(own).filter(here).ok_or_else(missing)
 }
 
 /// A program of a Debian package, which is not installed: it would start a server.

@@ -1,7 +1,7 @@
 //! Attacks: a schedule written on a timeline, sent whole, watched from accepted to active to done.
 
 use leptos::{html, prelude::*};
-use plumbline_proto::v1::{AttackChannel, AttackKind, AttackPhase, AttackProgress, Description, SensorKind};
+use plumbline_proto::v1::{AttackPhase, AttackProgress, Description, SensorKind};
 use plumbline_rest::command as rest;
 use serde_json::json;
 
@@ -227,51 +227,36 @@ fn List(bars: Memo<Vec<Bar>>, drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     }
 }
 
-/// One of the channels that an attack can cover; none to choose from, nothing to choose.
+/// One of what is said by numbers; none to choose from, nothing to choose.
 #[component]
-pub fn ChannelSelect(
-    /// Those it can cover.
+pub fn EnumSelect<T>(
+    /// What there is.
     #[prop(into)]
-    offered: Signal<Vec<AttackChannel>>,
+    offered: Signal<Vec<T>>,
+    /// Its name for people.
+    name: fn(T) -> &'static str,
     /// The one chosen.
     #[prop(into)]
-    chosen: Signal<AttackChannel>,
-    /// Hears of another one.
-    choose: impl Fn(AttackChannel) + 'static,
-) -> impl IntoView {
-    let choose = move |value: String| {
-        let channel = value.parse::<i32>().ok().and_then(|c| AttackChannel::try_from(c).ok());
-        choose(channel.unwrap_or_default());
-    };
-    view! {
-        <select disabled=move || offered.with(Vec::is_empty) on:change:target=move |e| choose(e.target().value())>
-            {move || offered.get().into_iter().map(|c| view! {
-                <option value=(c as i32).to_string() selected=move || chosen.get() == c>{names::attack_channel(c)}</option>
-            }).collect::<Vec<_>>()}
-        </select>
-    }
-}
-
-/// What is done to a sensor.
-#[component]
-pub fn KindSelect(
-    /// The one chosen.
-    #[prop(into)]
-    chosen: Signal<AttackKind>,
+    chosen: Signal<T>,
     /// Nothing to choose?
     #[prop(into, optional)]
     disabled: Signal<bool>,
     /// Hears of another one.
-    choose: impl Fn(AttackKind) + 'static,
-) -> impl IntoView {
-    let choose = move |value: String| {
-        let kind = value.parse::<i32>().ok().and_then(|k| AttackKind::try_from(k).ok());
-        choose(kind.unwrap_or_default());
-    };
+    choose: impl Fn(T) + 'static,
+) -> impl IntoView
+where
+    T: Copy + Default + PartialEq + TryFrom<i32> + Into<i32> + Send + Sync + 'static,
+{
+    let choose =
+        move |value: String| choose(value.parse().ok().and_then(|n: i32| n.try_into().ok()).unwrap_or_default());
     view! {
-        <select disabled=disabled on:change:target=move |e| choose(e.target().value())>
-            {names::ATTACK_KINDS.into_iter().map(|k| view! {
-                <option value=(k as i32).to_string() selected=move || chosen.get() == k>{names::attack_kind(k)}</option>
+        <select
+            disabled=move || disabled.get() || offered.with(Vec::is_empty)
+            on:change:target=move |e| choose(e.target().value())
+        >
+            {move || offered.get().into_iter().map(|one| {
+                let number: i32 = one.into();
+                view! { <option value=number.to_string() selected=move || chosen.get() == one>{name(one)}</option> }
             }).collect::<Vec<_>>()}
         </select>
     }
@@ -349,14 +334,20 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
                 </select>
             </label>
             <label class="field wide"><span>"channel"</span>
-                <ChannelSelect
+                <EnumSelect
+                    name=names::attack_channel
                     offered=move || channels.with(|c| draft::offered(c, form.with(|f| f.kind)))
                     chosen=move || form.with(|f| f.channel)
                     choose=move |channel| form.update(|f| f.channel = channel)
                 />
             </label>
             <label class="field wide"><span>"kind"</span>
-                <KindSelect chosen=move || form.with(|f| f.kind) choose=move |kind| form.update(|f| f.kind = kind) />
+                <EnumSelect
+                    name=names::attack_kind
+                    offered=names::ATTACK_KINDS.to_vec()
+                    chosen=move || form.with(|f| f.kind)
+                    choose=move |kind| form.update(|f| f.kind = kind)
+                />
             </label>
             <label class="field wide"><span>"magnitude " <small>{move || unit.get().unwrap_or_default()}</small></span>
                 <input

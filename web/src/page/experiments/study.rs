@@ -9,7 +9,7 @@ use crate::{
         draft, names,
         study::{Study, Target},
     },
-    panel::attacks::{ChannelSelect, KindSelect},
+    panel::attacks::EnumSelect,
 };
 
 const WORLDS: [&str; 3] = ["bench", "datasheet", "harsh"];
@@ -125,14 +125,17 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
                     </select>
                 </label>
                 <label class="field wide"><span>"channel"</span>
-                    <ChannelSelect
+                    <EnumSelect
+                        name=names::attack_channel
                         offered=channels
                         chosen=move || study.with(|study| study.channel)
                         choose=move |channel| answer(&|study| study.channel = channel)
                     />
                 </label>
                 <label class="field wide"><span>"kind"</span>
-                    <KindSelect
+                    <EnumSelect
+                        name=names::attack_kind
+                        offered=names::ATTACK_KINDS.to_vec()
                         chosen=move || study.with(|study| study.kind)
                         disabled=move || study.with(|study| study.target.is_none())
                         choose=move |kind| answer(&|study| study.kind = kind)
