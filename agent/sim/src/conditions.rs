@@ -46,6 +46,7 @@ pub struct Conditions {
     pub(crate) ground_effect: GroundEffect,
     pub(crate) air: Air,
     pub(crate) airframe_errors: AirframeErrors,
+    pub(crate) clocks: Clocks,
 }
 
 impl Conditions {
@@ -96,10 +97,13 @@ pub(crate) struct Imu {
     pub(crate) acc_tco_mps2_per_k: f64,
     pub(crate) acc_tcs_per_k: f64,
     pub(crate) acc_cross_axis: f64,
+    pub(crate) acc_nonlinearity_fraction: f64,
     pub(crate) acc_range_mps2: f64,
     pub(crate) acc_lsb_mps2: f64,
     pub(crate) acc_lowpass_hz: f64,
+    pub(crate) acc_rectification_mps2_per_mps2sq: f64,
     pub(crate) acc_walk_mps2_per_sqrts: f64,
+    pub(crate) acc_walk_time_constant_s: f64,
     pub(crate) gyr_density_radps_per_sqrthz: f64,
     pub(crate) gyr_bias_sigma_radps: f64,
     pub(crate) gyr_tco_radps_per_k: f64,
@@ -108,9 +112,13 @@ pub(crate) struct Imu {
     pub(crate) gyr_lsb_radps: f64,
     pub(crate) gyr_lowpass_hz: f64,
     pub(crate) gyr_walk_radps_per_sqrts: f64,
+    pub(crate) gyr_walk_time_constant_s: f64,
     pub(crate) mag_sigma_ut: f64,
+    pub(crate) mag_rate_hz: f64,
     pub(crate) mag_lsb_ut: f64,
+    pub(crate) mag_tco_ut_per_k: f64,
     pub(crate) sample_clock_error_sigma: f64,
+    pub(crate) read_jitter_s: f64,
     pub(crate) missing_fraction: f64,
     pub(crate) gap_rate_per_s: f64,
     pub(crate) gap_max_s: f64,
@@ -122,6 +130,7 @@ pub(crate) struct Imu {
 pub(crate) struct Temperature {
     pub(crate) warm_up_k: f64,
     pub(crate) warm_up_time_constant_s: f64,
+    pub(crate) rotor_wash_step_k: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -159,6 +168,8 @@ pub(crate) struct Laser {
     pub(crate) bias_sigma_m: f64,
     pub(crate) scale_error_sigma: f64,
     pub(crate) warm_up_drift_m: f64,
+    pub(crate) surface_bias_sigma_m: f64,
+    pub(crate) scan_period_s: f64,
     pub(crate) nadir_after_scan_start_s: f64,
     pub(crate) delivery_delay_s: f64,
     pub(crate) host_stamp_jitter_s: f64,
@@ -201,13 +212,19 @@ pub(crate) struct Mocap {
 pub(crate) struct Battery {
     pub(crate) cell_r0_ohm: f64,
     pub(crate) cell_r1_ohm: f64,
+    pub(crate) r1_time_constant_s: f64,
+    pub(crate) ocv_charge: [f64; 5],
+    pub(crate) ocv_v_per_cell: [f64; 5],
     pub(crate) capacity_factor: f64,
+    pub(crate) voltage_gain_sigma: f64,
+    pub(crate) voltage_noise_v: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Power {
     pub(crate) eta_ideal_to_electric: f64,
+    pub(crate) avionics_w: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -225,11 +242,13 @@ pub(crate) struct MotorEsc {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Aerodynamics {
+    pub(crate) torque_over_thrust_diameter: f64,
     pub(crate) rotor_drag_per_mass_x_1ps: f64,
     pub(crate) rotor_drag_per_mass_y_1ps: f64,
     pub(crate) body_drag_n_per_mps2: f64,
     pub(crate) inflow_thrust_loss_ns_per_rad_m: f64,
     pub(crate) translational_lift_n_per_mps2: f64,
+    pub(crate) vortex_ring_thrust_loss: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -244,6 +263,7 @@ pub(crate) struct GroundEffect {
 pub(crate) struct Air {
     pub(crate) sigma_mps: f64,
     pub(crate) time_constant_s: f64,
+    pub(crate) density_kgpm3: f64,
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -255,6 +275,14 @@ pub(crate) struct AirframeErrors {
     pub(crate) rotor_tilt_sigma_rad: f64,
     pub(crate) imu_misalignment_sigma_rad: f64,
     pub(crate) imu_lever_error_sigma_m: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Clocks {
+    pub(crate) imu_to_imu_offset_s: f64,
+    pub(crate) delay_jump_rate_per_s: f64,
+    pub(crate) delay_jump_s: f64,
 }
 
 #[cfg(test)]

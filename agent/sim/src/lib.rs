@@ -27,7 +27,6 @@ use plumbline_proto::time::FlightTime;
 
 use crate::devices::Sensors;
 use crate::world::World;
-use plumbline_core::model::battery::Battery;
 use plumbline_core::sensor::SensorFrame;
 use plumbline_core::types::MotorCommand;
 use plumbline_core::vehicle::{MOTOR_TIMEOUT_S, MotorStop, Service, Simulated, Truth, Vehicle, VehicleError};
@@ -189,7 +188,7 @@ impl Simulated for SimVehicle {
             self.throttle = MotorCommand::default();
         }
         if service.battery {
-            self.world.replace_battery(Battery::new(self.scenario.airframe.battery, 1.0));
+            self.world.replace_battery(self.world.full_battery());
         }
     }
 }

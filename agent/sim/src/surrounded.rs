@@ -2,16 +2,18 @@
 //! about its rotors.
 
 use nalgebra::Vector3;
-use plumbline_core::model::airframe::Airframe;
-use plumbline_core::model::battery;
+use plumbline_core::model::airframe::{AIR_DENSITY_KGPM3, Airframe};
+use plumbline_core::model::battery::{self, Battery};
 use plumbline_core::model::rigid_body::{Input, State, rotate};
 use plumbline_core::sensor::noise::Stream;
 use plumbline_core::types::ROTORS;
 
-use super::conditions::{Aerodynamics, Conditions, GroundEffect};
+use super::conditions::{self, Aerodynamics, Conditions, GroundEffect, Power};
 use super::vibration::Slow;
 use super::world::Disturbance;
 
+/// Torque over thrust and diameter of a propeller of 8 to 10 inches, the middle of UIUC's measurements.
+const TORQUE_OVER_THRUST_DIAMETER: f64 = 0.0636;
 /// Thrust noise lies below 20 Hz.
 const THRUST_NOISE_S: f64 = 0.008;
 
@@ -22,8 +24,8 @@ pub(crate) struct Surrounded {
     pub(crate) airframe: Airframe,
     /// In place of the scenario's.
     pub(crate) disturbance: Disturbance,
-    /// Power that the rotors take over what the battery assumes.
-    pub(crate) power_gain: f64,
+    battery: conditions::Battery,
+    power: Power,
     pub(crate) esc: SpeedController,
     aerodynamics: Aerodynamics,
     ground: GroundEffect,
@@ -57,8 +59,12 @@ impl Surrounded {
         airframe.motor_fall_time_constant_s = motor.fall_time_constant_s;
         // Drag is of the rotors and of the body, below.
         airframe.linear_drag_nspm = 0.0;
-        airframe.battery.internal_resistance_ohm =
-            f64::from(airframe.battery.cells) * (battery.cell_r0_ohm + battery.cell_r1_ohm);
+        let air = conditions.air.density_kgpm3 / AIR_DENSITY_KGPM3;
+        airframe.thrust_coefficient_ns2 *= air;
+        // An airframe's own torque constant is taken for the middle of its kind.
+        let propeller = conditions.aerodynamics.torque_over_thrust_diameter / TORQUE_OVER_THRUST_DIAMETER;
+        airframe.drag_torque_coefficient_nms2 *= air * propeller;
+        airframe.battery.internal_resistance_ohm = f64::from(airframe.battery.cells) * battery.cell_r0_ohm;
         airframe.battery.capacity_ah *= battery.capacity_factor;
         let tilt_rad = std::array::from_fn(|_| std::array::from_fn(|_| normal(errors.rotor_tilt_sigma_rad)));
         let disturbance = Disturbance {
@@ -71,7 +77,8 @@ impl Surrounded {
         Self {
             airframe,
             disturbance,
-            power_gain: battery::EFFICIENCY / conditions.power.eta_ideal_to_electric,
+            battery: conditions.battery.clone(),
+            power: conditions.power.clone(),
             esc: SpeedController::new(motor.command_rate_hz, motor.command_steps, motor.command_delay_s),
             aerodynamics: conditions.aerodynamics.clone(),
             ground: conditions.ground_effect.clone(),
@@ -81,6 +88,19 @@ impl Surrounded {
             near_ground: Slow::default(),
             stream,
         }
+    }
+
+    /// A pack with this charge.
+    pub(crate) fn battery(&self, charge: f64) -> Battery {
+        let (c, pack) = (&self.battery, self.airframe.battery);
+        let r1_ohm = f64::from(pack.cells) * c.cell_r1_ohm;
+        Battery::new(pack, charge).measured(c.ocv_charge, c.ocv_v_per_cell, r1_ohm, c.r1_time_constant_s)
+    }
+
+    /// Ideal induced power by which a battery of the usual efficiency and electronics is drawn as by this world's, W.
+    pub(crate) fn drawn_w(&self, induced_power_w: f64) -> f64 {
+        let more_w = self.power.avionics_w - self.airframe.battery.electronics_w();
+        battery::EFFICIENCY * (induced_power_w / self.power.eta_ideal_to_electric + more_w)
     }
 
     /// The air of one tick.
@@ -106,7 +126,8 @@ impl Surrounded {
             let height_m = (x.position_enu_m.z + rotor.position_flu_m.z).max(0.5 * radius_m);
             let image = self.ground.cheeseman_bennett_c * (radius_m / (4.0 * height_m)).powi(2);
             let near = if height_m < 2.0 * radius_m { self.ground.near_ground_force_noise_fraction } else { 0.0 };
-            let more_n = thrust_n * (image / (1.0 - image))
+            let lost = a.vortex_ring_thrust_loss * vortex_ring(-air_flu.z, thrust_n, radius_m);
+            let more_n = thrust_n * (image / (1.0 - image) - lost)
                 + thrust_n * (self.thrust_noise * stirred.value() + near * self.near_ground.value())
                 + turning * a.translational_lift_n_per_mps2 * lateral2
                 - a.inflow_thrust_loss_ns_per_rad_m * speed * air_flu.z;
@@ -121,6 +142,18 @@ impl Surrounded {
         input.force_enu_n += rotate(&x.world_from_body, &force_flu);
         input.torque_flu_nm += torque_flu;
     }
+}
+
+/// How far a rotor of `thrust_n` that sinks at `sinks_mps` is in the ring of its own wake, 0 to 1: from half of its induced
+/// velocity on, all of it at that velocity, until the wake has left it above at twice as much.
+fn vortex_ring(sinks_mps: f64, thrust_n: f64, radius_m: f64) -> f64 {
+    let disc_m2 = std::f64::consts::PI * radius_m * radius_m;
+    let induced_mps = (thrust_n.max(0.0) / (2.0 * AIR_DENSITY_KGPM3 * disc_m2)).sqrt();
+    if induced_mps <= 0.0 {
+        return 0.0;
+    }
+    let ratio = sinks_mps / induced_mps;
+    (2.0 * ratio - 1.0).min(4.0 - 2.0 * ratio).clamp(0.0, 1.0)
 }
 
 /// Longest delay of a command, ticks.

@@ -136,6 +136,10 @@ pub struct World {
     load: Load,
 }
 
+fn charged(surrounded: Option<&Surrounded>, airframe: &Airframe, charge: f64) -> Battery {
+    surrounded.map_or_else(|| Battery::new(airframe.battery, charge), |surrounded| surrounded.battery(charge))
+}
+
 /// How a world begins.
 #[derive(Debug, Clone)]
 pub struct Beginning {
@@ -184,6 +188,7 @@ impl World {
     pub fn new(beginning: Beginning) -> Self {
         let Beginning { airframe, rig, disturbance, conditions, battery_charge, seed, .. } = beginning;
         let surrounded = conditions.map(|conditions| Surrounded::new(&conditions, &airframe, seed));
+        let charge = battery_charge.unwrap_or(0.5);
         let (airframe, disturbance) = match &surrounded {
             Some(surrounded) => (surrounded.airframe.clone(), surrounded.disturbance),
             None => (airframe, disturbance),
@@ -200,7 +205,7 @@ impl World {
         let mut motors = Stream::new(seed, "motors");
         let motor_factor = std::array::from_fn(|_| 1.0 + disturbance.motor_spread * motors.normal());
         let mut world = Self {
-            battery: Battery::new(airframe.battery, battery_charge.unwrap_or(0.5)),
+            battery: charged(surrounded.as_ref(), &airframe, charge),
             battery_sags: battery_charge.is_some(),
             airframe,
             mounted,
@@ -272,8 +277,9 @@ impl World {
         }
         self.settle(&input);
         if self.battery_sags {
-            let power_gain = self.surrounded.as_ref().map_or(1.0, |surrounded| surrounded.power_gain);
-            self.battery.draw(power_gain * self.airframe.induced_power_w(&self.moving.rotor_speed_radps), dt_s);
+            let induced_w = self.airframe.induced_power_w(&self.moving.rotor_speed_radps);
+            let drawn_w = self.surrounded.as_ref().map_or(induced_w, |surrounded| surrounded.drawn_w(induced_w));
+            self.battery.draw(drawn_w, dt_s);
         }
     }
 
@@ -356,6 +362,11 @@ impl World {
     /// Puts this battery in.
     pub fn replace_battery(&mut self, battery: Battery) {
         self.battery = battery;
+    }
+
+    /// A full one of the kind that the vehicle has.
+    pub fn full_battery(&self) -> Battery {
+        charged(self.surrounded.as_ref(), &self.airframe, 1.0)
     }
 
     /// The battery.

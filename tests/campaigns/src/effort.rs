@@ -5,7 +5,7 @@ pub struct Effort {
     pub flights: u64,
     pub seed_base: u64,
     /// The world to fly in, where it is for the asker to choose.
-    pub world: Option<String>,
+    pub world: String,
     pub only: Option<String>,
 }
 
@@ -26,7 +26,7 @@ impl Effort {
         Self {
             flights: number("--flights", default),
             seed_base: number("--seed-base", seed),
-            world: value("--world").cloned(),
+            world: value("--world").cloned().unwrap_or_else(|| "datasheet".into()),
             only: value("--only").cloned(),
         }
     }

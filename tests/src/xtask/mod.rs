@@ -60,7 +60,7 @@ enum Task {
     Evaluate,
     /// What CI runs: `test`.
     Ci,
-    /// Debian packages of ground and agent, with their systemd units, for this computer's architecture.
+    /// Debian packages of ground and agent, with their systemd units, for this computer or for the vehicle's.
     Package(package::Options),
     /// Bundle the page into web/dist: wasm, bindings, hashed names, brotli.
     Web(web::Options),

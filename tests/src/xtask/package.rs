@@ -1,11 +1,16 @@
-//! `cargo xtask package`: Debian packages of ground and agent, for the architecture of this computer.
+//! `cargo xtask package`: Debian packages of ground and agent, for this computer or for the vehicle's.
+//!
+//! For another architecture, and for computers with an older libc than ours, `cargo-zigbuild` links against glibc 2.31
+//! (Debian 11, Raspberry Pi OS of 2021); what is built so runs here under qemu, which writes its own help into the package.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::workspace::{on_path, output, run};
-use super::{Workspace, XtaskError, web};
+use clap::ValueEnum;
+
+use super::workspace::{forget_cargo_run, on_path, output, run};
+use super::{Workspace, XtaskError, tools, web};
 use crate::harness::Binaries;
 
 /// What to put into the packages.
@@ -14,9 +19,73 @@ pub struct Options {
     /// Take the programs of this folder instead of building them.
     #[arg(long, value_name = "DIR")]
     pub binaries: Option<PathBuf>,
+    /// Build for this architecture and glibc 2.31 [default: this computer's, and its libc].
+    #[arg(long = "for", value_name = "ARCH")]
+    pub architecture: Option<Architecture>,
+    /// Run the tests of what flies (plumbline-core) on that architecture, emulated where it is not ours.
+    #[arg(long, requires = "architecture")]
+    pub check: bool,
     /// Where the packages go [default: target/package].
     #[arg(long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+}
+
+/// An architecture as Debian names it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Architecture {
+    /// x86, 64 bits.
+    Amd64,
+    /// ARMv8, 64 bits: Raspberry Pi 3 and later, Jetson.
+    Arm64,
+    /// ARMv7 with floating point: the companion computers of [Paternain] and [Clinic].
+    Armhf,
+}
+
+impl Architecture {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Amd64 => "amd64",
+            Self::Arm64 => "arm64",
+            Self::Armhf => "armhf",
+        }
+    }
+
+    /// As Rust names it.
+    fn target(self) -> &'static str {
+        match self {
+            Self::Amd64 => "x86_64-unknown-linux-gnu",
+            Self::Arm64 => "aarch64-unknown-linux-gnu",
+            Self::Armhf => "armv7-unknown-linux-gnueabihf",
+        }
+    }
+
+    /// What runs its programs here, with the libc that they find.
+    fn emulator(self) -> Result<Vec<String>, XtaskError> {
+        let (cpu, library) = match self {
+            Self::Amd64 => return Ok(Vec::new()),
+            Self::Arm64 => ("aarch64", "aarch64-linux-gnu"),
+            Self::Armhf => ("arm", "arm-linux-gnueabihf"),
+        };
+        tools::emulator(cpu, self.name()).map(|qemu| vec![qemu, "-L".into(), format!("/usr/{library}")])
+    }
+}
+
+/// The libc that programs for the vehicle's computer are linked against.
+const GLIBC: &str = "2.31";
+
+/// A program that may be another architecture's: how it is started here.
+struct Runs<'a> {
+    emulator: &'a [String],
+    program: &'a Path,
+}
+
+impl Runs<'_> {
+    fn says(&self, arguments: &[&str]) -> Result<String, XtaskError> {
+        let program = self.program.to_string_lossy().into_owned();
+        let words: Vec<&str> = self.emulator.iter().chain([&program]).map(String::as_str).collect();
+        let [first, rest @ ..] = words.as_slice() else { return Ok(String::new()) };
+        output(Command::new(first).args(rest).args(arguments))
+    }
 }
 
 /// One package.
@@ -75,9 +144,15 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
     if on_path("dpkg-deb").is_none() {
         return Err(XtaskError::Missing { what: "dpkg-deb".into(), how: "  sudo apt-get install dpkg".into() });
     }
-    let binaries = match &options.binaries {
-        Some(folder) => Binaries::inside(folder),
-        None => {
+    let emulator = options.architecture.map_or(Ok(Vec::new()), Architecture::emulator)?;
+    let binaries = match (&options.binaries, options.architecture) {
+        (Some(folder), _) => Binaries::inside(folder),
+        (None, Some(architecture)) => {
+            web::run(workspace, &web::Options::default())?;
+            cross(workspace, architecture, &["build", "--release", "--bins", "--features", FEATURES])?;
+            Binaries::inside(&workspace.target.join(architecture.target()).join("release"))
+        }
+        (None, None) => {
             web::run(workspace, &web::Options::default())?;
             let build = ["build", "--locked", "--release", "--workspace", "--bins", "--features", FEATURES];
             run(workspace.cargo().args(build))?;
@@ -85,14 +160,20 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
         }
     };
     let folder = options.output.clone().unwrap_or_else(|| workspace.target.join("package"));
-    let architecture = output(Command::new("dpkg").arg("--print-architecture"))?.trim().to_owned();
+    let architecture = match options.architecture {
+        Some(architecture) => architecture.name().to_owned(),
+        None => output(Command::new("dpkg").arg("--print-architecture"))?.trim().to_owned(),
+    };
+    if let Some(architecture) = options.architecture.filter(|_| options.check) {
+        cross(workspace, architecture, &["test", "--release", "--lib", "--package", "plumbline-core"])?;
+    }
     for package in &PACKAGES {
         let program = if package.member == "ground" { &binaries.ground } else { &binaries.agent };
         let tree = folder.join(package.name);
         if tree.exists() {
             std::fs::remove_dir_all(&tree).map_err(XtaskError::file(&tree))?;
         }
-        lay_out(workspace, package, program, &tree, &architecture)?;
+        lay_out(workspace, package, &Runs { emulator: &emulator, program }, &tree, &architecture)?;
         let file = folder.join(format!("{}_{}_{architecture}.deb", package.name, env!("CARGO_PKG_VERSION")));
         run(Command::new("dpkg-deb").args(["--root-owner-group", "-Zxz", "--build"]).arg(&tree).arg(&file))?;
         if on_path("lintian").is_some() {
@@ -105,11 +186,33 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
     Ok(())
 }
 
+/// `cargo-zigbuild` with these arguments, for `architecture` with the old libc.
+fn cross(workspace: &Workspace, architecture: Architecture, arguments: &[&str]) -> Result<(), XtaskError> {
+    let (zig, target) = (tools::zig(workspace)?, architecture.target());
+    run(Command::new("rustup").args(["target", "add", target]))?;
+    let [subcommand, rest @ ..] = arguments else { return Ok(()) };
+    let mut cargo = Command::new(zig.join("cargo-zigbuild"));
+    forget_cargo_run(&mut cargo);
+    cargo.current_dir(&workspace.root).arg(if *subcommand == "build" { "zigbuild" } else { subcommand });
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::env::join_paths(std::iter::once(zig.clone()).chain(std::env::split_paths(&path)));
+    let path = path.map_err(|error| XtaskError::Other(format!("the path {}: {error}", zig.display())))?;
+    cargo.env("PATH", path).args(["--locked", "--target", &format!("{target}.{GLIBC}")]).args(rest);
+    // The strip of this computer knows its own programs only.
+    cargo.env("CARGO_PROFILE_RELEASE_STRIP", "symbols");
+    let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
+    cargo.env(runner, architecture.emulator()?.join(" "));
+    if *subcommand == "build" {
+        cargo.args(["--package", "plumbline-ground", "--package", "plumbline-agent"]);
+    }
+    run(&mut cargo)
+}
+
 /// Everything as it will lie on the computer, and what dpkg is told of it.
 fn lay_out(
     workspace: &Workspace,
     package: &Package,
-    program: &Path,
+    runs: &Runs<'_>,
     tree: &Path,
     architecture: &str,
 ) -> Result<(), XtaskError> {
@@ -117,15 +220,15 @@ fn lay_out(
     let read = |path: &Path| std::fs::read(path).map_err(XtaskError::file(path));
     let put = |path: String, content: &[u8], mode| put(&tree.join(path), content, mode);
     let root = &workspace.root;
-    let bytes = read(program)?;
+    let bytes = read(runs.program)?;
     put(format!("usr/bin/{name}"), &bytes, 0o755)?;
     // Symbols are of use to who builds, and ten times the program.
-    if on_path("strip").is_some() {
+    if runs.emulator.is_empty() && on_path("strip").is_some() {
         run(Command::new("strip").arg(tree.join(format!("usr/bin/{name}"))))?;
     }
     let unit = read(&root.join(member).join(format!("package/{name}.service")))?;
     put(format!("usr/lib/systemd/system/{name}.service"), &unit, 0o644)?;
-    put(format!("etc/plumbline/{member}.toml"), &configuration(workspace, member, program)?, 0o644)?;
+    put(format!("etc/plumbline/{member}.toml"), &configuration(workspace, member, runs)?, 0o644)?;
     put(format!("usr/share/doc/{name}/{manual}"), &read(&root.join("docs").join(manual))?, 0o644)?;
     let book = root.join("docs/book");
     for entry in std::fs::read_dir(&book).map_err(XtaskError::file(&book))?.flatten() {
@@ -140,7 +243,7 @@ fn lay_out(
         env!("CARGO_PKG_VERSION")
     );
     put_compressed(&tree.join(format!("usr/share/doc/{name}/changelog")), changes.as_bytes())?;
-    let help = output(Command::new(program).arg("--help"))?.replace('\\', "\\\\").replace('-', "\\-");
+    let help = runs.says(&["--help"])?.replace('\\', "\\\\").replace('-', "\\-");
     let page = format!(
         ".TH {} 1\n.SH NAME\n{name} \\- {}\n.SH DESCRIPTION\n.nf\n{help}.fi\n.SH FILES\n/etc/plumbline/{member}.toml\n",
         name.to_uppercase(),
@@ -174,9 +277,9 @@ fn lay_out(
 }
 
 /// The ground says its own configuration; the agent's is a beginning.
-fn configuration(workspace: &Workspace, member: &str, program: &Path) -> Result<Vec<u8>, XtaskError> {
+fn configuration(workspace: &Workspace, member: &str, runs: &Runs<'_>) -> Result<Vec<u8>, XtaskError> {
     if member == "ground" {
-        let text = output(Command::new(program).args(["--data", "/var/lib/plumbline/ground", "--print-config"]))?;
+        let text = runs.says(&["--data", "/var/lib/plumbline/ground", "--print-config"])?;
         return Ok(text.into_bytes());
     }
     let path = workspace.root.join("agent/package/agent.toml");

@@ -51,6 +51,14 @@ const SLYCOT: PythonTools = PythonTools {
     bare: &[],
 };
 
+/// A linker and a C compiler for every architecture and libc.
+const ZIG: PythonTools = PythonTools {
+    folder: "zig",
+    module: "ziglang",
+    packages: &["ziglang==0.17.1", "cargo-zigbuild==0.24.1"],
+    bare: &[],
+};
+
 /// Packages in a Python environment of their own.
 struct PythonTools {
     /// Under `target/tools`.
@@ -127,6 +135,35 @@ pub fn filterpy(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
 /// What is missing and how to get it.
 pub fn slycot(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     python_with(workspace, &SLYCOT)
+}
+
+/// The folder of `cargo-zigbuild`, and of a Python that has its zig.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn zig(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
+    let python = python_with(workspace, &ZIG)?;
+    let missing =
+        || XtaskError::Missing { what: "cargo-zigbuild".into(), how: "  pip install cargo-zigbuild ziglang".into() };
+    python.parent().map(Path::to_owned).filter(|folder| folder.join("cargo-zigbuild").is_file()).ok_or_else(missing)
+}
+
+/// qemu that runs programs of `cpu`, and the libc that they need, of Debian's `architecture`.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn emulator(cpu: &str, architecture: &str) -> Result<String, XtaskError> {
+    let qemu = program(&[&format!("qemu-{cpu}-static"), &format!("qemu-{cpu}")], "qemu-user-static")?;
+    let (libc, libgcc) = (format!("libc6-{architecture}-cross"), format!("libgcc-s1-{architecture}-cross"));
+    let installed = |package: &str| Path::new(&format!("/usr/share/doc/{package}")).is_dir();
+    if !(installed(&libc) && installed(&libgcc)) {
+        if !may_install() {
+            let how = format!("  sudo apt-get install {libc} {libgcc}");
+            return Err(XtaskError::Missing { what: format!("a libc of {architecture}"), how });
+        }
+        apt_install(&[&libc, &libgcc])?;
+    }
+    Ok(qemu.to_string_lossy().into_owned())
 }
 
 /// A Python with what `tests/python/requirements.txt` pins.

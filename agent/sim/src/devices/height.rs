@@ -1,5 +1,6 @@
 //! A simulated laser height.
 
+use nalgebra::Vector3;
 use plumbline_core::frames::{roll_pitch_yaw, tilt_rad};
 use plumbline_core::model::rigid_body::rotate;
 use plumbline_core::sensor::HeightSample;
@@ -7,6 +8,7 @@ use plumbline_core::sensor::height;
 use plumbline_core::sensor::noise::{ScalarError, Stream};
 use plumbline_core::sensor::suite::Quality;
 
+use super::field::Field;
 use super::{Device, Now, Surroundings, Transport};
 use crate::conditions::{Conditions, Laser};
 use plumbline_proto::time::FlightTime;
@@ -30,7 +32,12 @@ struct Real {
     mounting_rad: f64,
     /// Those of its beams that are noisier, by their angle about the middle of the scan.
     bad_beams: [bool; BEAMS],
+    /// What colour and material of the floor add, m.
+    surface: Field,
 }
+
+/// How far the floor is alike (chosen), m.
+const SURFACE_M: f64 = 0.5;
 
 /// Beams that may point down: 45° of the scan. Beyond them they repeat.
 const BEAMS: usize = 128;
@@ -38,9 +45,15 @@ const BEAMS: usize = 128;
 const BEAM_RAD: f64 = std::f64::consts::TAU / 1024.0;
 
 impl Real {
-    /// Reading of a height of `own_m` with the vehicle rolled and pitched by these angles, rad, and by how much its stamp is
+    /// Reading of a height of `own_m` over `place_m` with the vehicle rolled and pitched by these angles, rad, and by how much its stamp is
     /// too early, s; `None` for a beam without echo. Draws the same numbers either way.
-    fn read(&mut self, own_m: f64, roll_rad: f64, pitch_rad: f64, warm_c: f64) -> (Option<f64>, f64) {
+    fn read(
+        &mut self,
+        own_m: f64,
+        place_m: &Vector3<f64>,
+        (roll_rad, pitch_rad): (f64, f64),
+        warm_c: f64,
+    ) -> (Option<f64>, f64) {
         let c = &self.conditions;
         let invalid = self.stream.uniform();
         let (noise, jitter) = (self.stream.normal(), self.stream.normal());
@@ -51,7 +64,8 @@ impl Real {
         let slant_m = own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
         let sigma_m = if slant_m < 2.0 { c.beam_sigma_m } else { c.beam_sigma_beyond_2m_m };
         let sigma_m = if bad { c.bad_beam_gain * sigma_m } else { sigma_m };
-        let reading_m = slant_m * (1.0 + self.scale) + self.bias_m + self.warm_up_m_per_c * warm_c + sigma_m * noise;
+        let bias_m = self.bias_m + self.warm_up_m_per_c * warm_c + self.surface.at(place_m).x;
+        let reading_m = slant_m * (1.0 + self.scale) + bias_m + sigma_m * noise;
         let early_s = c.nadir_after_scan_start_s - c.host_stamp_jitter_s * jitter.abs();
         (Some(reading_m).filter(|_| invalid >= c.intermittent_invalid_fraction), early_s)
     }
@@ -78,6 +92,8 @@ impl Device for Height {
                 let mut beams = Stream::new(stream.clone().uniform().to_bits(), "beams");
                 std::array::from_fn(|_| beams.uniform() < c.bad_beam_fraction)
             },
+            // One floor for all.
+            surface: Field::new(c.surface_bias_sigma_m, SURFACE_M, &mut Stream::new(around.seed, "floor")),
             stream: stream.clone(),
             conditions: c.clone(),
         });
@@ -89,17 +105,22 @@ impl Device for Height {
         Some(Transport { delay_s: c.delivery_delay_s, jitter_s: c.host_stamp_jitter_s, ..Transport::default() })
     }
 
+    fn period_s(conditions: &Conditions) -> Option<f64> {
+        Some(conditions.laser.scan_period_s)
+    }
+
     fn measure(&mut self, now: &Now<'_>, stream: &mut Stream) -> Option<HeightSample> {
         let (spec, x) = (&self.spec, now.world.body());
         // The scan finds the vertical, so the unit's own height is measured; the driver adds its
         // mounting as if level. The lever's share of a tilt (millimetres) stays in.
-        let own_m = x.position_enu_m.z + rotate(&x.world_from_body, &spec.position_flu_m).z;
+        let place_m = x.position_enu_m + rotate(&x.world_from_body, &spec.position_flu_m);
         let (reading_m, early_s) = match &mut self.real {
             Some(real) => {
                 let rpy = roll_pitch_yaw(&x.attitude());
-                real.read(own_m, rpy.x, rpy.y, now.warm_c)
+                let below_m = Vector3::new(place_m.x, place_m.y, 0.0);
+                real.read(place_m.z, &below_m, (rpy.x, rpy.y), now.warm_c)
             }
-            None => (Some(self.error.read(own_m, stream)), 0.0),
+            None => (Some(self.error.read(place_m.z, stream)), 0.0),
         };
         let reading_m = reading_m?;
         let seen =

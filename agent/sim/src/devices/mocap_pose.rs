@@ -19,6 +19,11 @@ pub(super) struct MocapPose {
     swaps: Option<Swaps>,
 }
 
+/// One sigma of a vehicle at rest, measured, m; the world's is that of one that moves.
+const AT_REST_M: f64 = 2e-5;
+/// Slower than this, m/s, and with less than this part of its weight on the rotors, it is at rest.
+const STILL: (f64, f64) = (0.01, 0.1);
+
 /// Shortest and longest that markers stay taken for each other, s.
 const SWAPPED_S: (f64, f64) = (0.1, 1.0);
 /// Markers sit on the corners of a square: one for another is a turn by 90°, 180° or 270°, and the centre of the body that
@@ -83,13 +88,15 @@ impl Device for MocapPose {
     }
 
     fn transport(conditions: &Conditions) -> Option<Transport> {
-        let c = &conditions.mocap;
+        let (c, clocks) = (&conditions.mocap, &conditions.clocks);
         Some(Transport {
             delay_s: c.delay_s,
             jitter_s: c.delay_jitter_s,
             gap_rate_per_s: c.dropout_rate_per_s,
             // Uniform lengths up to twice the mean.
             gap_max_s: 2.0 * c.dropout_mean_s,
+            jump_rate_per_s: clocks.delay_jump_rate_per_s,
+            jump_s: clocks.delay_jump_s,
             ..Transport::default()
         })
     }
@@ -97,9 +104,16 @@ impl Device for MocapPose {
     fn measure(&mut self, now: &Now<'_>, stream: &mut Stream) -> Option<MocapPoseSample> {
         let x = now.world.body();
         let error = read3(&mut self.attitude, &Vector3::zeros(), stream);
+        let (slow_mps, light) = STILL;
+        let airframe = now.world.airframe();
+        let carried = airframe.wrench(now.world.rotor_speed_radps()).thrust_n / airframe.weight_n();
+        let still = now.around.is_some() && x.velocity_enu_mps.norm() < slow_mps && carried < light;
+        let sigma_m = self.position[0].quality().sigma;
+        let part = if still && sigma_m > AT_REST_M { AT_REST_M / sigma_m } else { 1.0 };
+        let error_m = read3(&mut self.position, &Vector3::zeros(), stream) * part;
         let sample = MocapPoseSample {
             time: now.time,
-            position_enu_m: read3(&mut self.position, &(x.position_enu_m * self.scale), stream),
+            position_enu_m: x.position_enu_m * self.scale + error_m,
             world_from_body: UnitQuaternion::from_scaled_axis(error) * x.attitude(),
         };
         let (t_s, period_s) = (now.time.as_seconds(), self.period_s);

@@ -6,6 +6,7 @@
 
 mod barometer;
 mod camera_ranges;
+mod field;
 mod gnss;
 mod height;
 mod imu;
@@ -40,7 +41,7 @@ macro_rules! devices {
             outages: Vec<Outage>,
             surroundings: Option<Surroundings>,
             $($field: $units,)*
-            battery: Option<(f64, Stream)>,
+            battery: Option<(Voltmeter, Stream)>,
         }
 
         impl Sensors {
@@ -57,8 +58,11 @@ macro_rules! devices {
                     site: scenario.site,
                     outages: scenario.outages.clone(),
                     $($field: (1..).zip(suite.$field.iter()).map(|(i, sheet)| Unit::new(i, sheet, seed, around)).collect(),)*
+                    battery: suite.battery_sigma_v.map(|sigma_v| {
+                        let mut stream = Stream::new(seed, "battery");
+                        (Voltmeter::new(sigma_v, around, &mut stream), stream)
+                    }),
                     surroundings,
-                    battery: suite.battery_sigma_v.map(|sigma| (sigma, Stream::new(seed, "battery"))),
                 }
             }
 
@@ -66,15 +70,16 @@ macro_rules! devices {
             pub fn sense(&mut self, world: &World, time: FlightTime) -> SensorFrame {
                 let mut frame = SensorFrame { time, ..SensorFrame::default() };
                 let (warm_up_c, warm_up_s) = self.surroundings.as_ref().map_or((WARM_UP_C, WARM_UP_S), Surroundings::warm_up);
-                let warm_c = warm_up_c * (1.0 - (-time.as_seconds() / warm_up_s).exp());
+                let mut warm_c = warm_up_c * (1.0 - (-time.as_seconds() / warm_up_s).exp());
                 if let Some(around) = &mut self.surroundings {
                     around.vibration.step(world.rotor_speed_radps(), around.tick_s);
+                    warm_c += around.cooled_k(world);
                 }
                 let now = Now { time, world, site: &self.site, warm_c, around: self.surroundings.as_ref() };
                 let outages = self.outages.as_slice();
                 $(tick(&mut self.$field, &now, outages, &mut frame);)*
-                if let Some((sigma, stream)) = &mut self.battery {
-                    frame.battery_v = Some(world.battery_v() + *sigma * stream.normal());
+                if let Some((voltmeter, stream)) = &mut self.battery {
+                    frame.battery_v = Some(voltmeter.gain * world.battery_v() + voltmeter.sigma_v * stream.normal());
                 }
                 frame
             }
@@ -116,12 +121,42 @@ struct Surroundings {
     vibration: Vibration,
     tick_s: f64,
     seed: u64,
+    /// By how much the rotors' wash warms, K.
+    wash_k: f64,
+}
+
+/// How fast the wash of the rotors cools a sensor, s.
+const WASH_S: f64 = 30.0;
+
+/// What reads the battery.
+#[derive(Debug, Clone, Copy)]
+struct Voltmeter {
+    gain: f64,
+    sigma_v: f64,
+}
+
+impl Voltmeter {
+    fn new(sigma_v: f64, around: Option<&Surroundings>, stream: &mut Stream) -> Self {
+        let Some(around) = around else { return Self { gain: 1.0, sigma_v } };
+        let c = &around.conditions.battery;
+        Self { gain: 1.0 + c.voltage_gain_sigma * stream.normal(), sigma_v: c.voltage_noise_v }
+    }
 }
 
 impl Surroundings {
     fn new(conditions: &Conditions, scenario: &Scenario) -> Self {
         let vibration = Vibration::new(conditions.vibration.clone(), scenario.seed);
-        Self { conditions: conditions.clone(), vibration, tick_s: scenario.tick_s(), seed: scenario.seed }
+        let (tick_s, seed) = (scenario.tick_s(), scenario.seed);
+        Self { conditions: conditions.clone(), vibration, tick_s, seed, wash_k: 0.0 }
+    }
+
+    /// One tick in the wash of rotors that turn as in `world`: what it adds to a sensor's temperature, K.
+    fn cooled_k(&mut self, world: &World) -> f64 {
+        let airframe = world.airframe();
+        let carried = airframe.wrench(world.rotor_speed_radps()).thrust_n / airframe.weight_n();
+        let end_k = self.conditions.temperature.rotor_wash_step_k * carried.clamp(0.0, 1.0);
+        self.wash_k += (end_k - self.wash_k) * (1.0 - (-self.tick_s / WASH_S).exp());
+        self.wash_k
     }
 
     /// How far sensors warm up, °C, and how fast, s.
@@ -156,6 +191,11 @@ trait Device: Sized {
         None
     }
 
+    /// How often it measures in a world, where that is not what its data sheet says, s.
+    fn period_s(_conditions: &Conditions) -> Option<f64> {
+        None
+    }
+
     /// Goes on by one tick, before it measures.
     fn tick(&mut self, _now: &Now<'_>) {}
 
@@ -179,6 +219,10 @@ impl<D: Device> Unit<D> {
             let mut stream = Stream::new(around.seed, &format!("{sensor} in a world"));
             device = device.within(around, &mut stream);
             clock.transport = D::transport(&around.conditions).map(|transport| (transport, Way::new(stream)));
+            if let Some(period_s) = D::period_s(&around.conditions) {
+                clock.timing.rate_hz = 1.0 / period_s;
+                clock.plan();
+            }
         }
         Self { device, clock }
     }
@@ -195,6 +239,9 @@ struct Transport {
     /// Stretches without any: how often, 1/s, and how long, s, at most or in the mean.
     gap_rate_per_s: f64,
     gap_max_s: f64,
+    /// The delay is another one from time to time: how often, 1/s, and by how much it is longer at most, s.
+    jump_rate_per_s: f64,
+    jump_s: f64,
 }
 
 /// The way of one sensor's samples.
@@ -203,17 +250,24 @@ struct Way {
     stream: Stream,
     gap_until_us: u64,
     last_arrival_us: u64,
+    jumped_s: f64,
 }
 
 impl Way {
     fn new(stream: Stream) -> Self {
-        Self { stream, gap_until_us: 0, last_arrival_us: 0 }
+        Self { stream, gap_until_us: 0, last_arrival_us: 0, jumped_s: 0.0 }
     }
 
     /// When the sample of `time` arrives, µs; `None` when it is lost. Draws the same numbers either way.
     fn arrival_us(&mut self, time: FlightTime, period_s: f64, by: &Transport) -> Option<u64> {
         let [missing, gap, length] = std::array::from_fn(|_| self.stream.uniform());
-        let late_s = by.delay_s + by.jitter_s * self.stream.normal().abs();
+        if by.jump_rate_per_s > 0.0 {
+            let [jumps, far] = std::array::from_fn(|_| self.stream.uniform());
+            if jumps < by.jump_rate_per_s * period_s {
+                self.jumped_s = by.jump_s * far;
+            }
+        }
+        let late_s = by.delay_s + self.jumped_s + by.jitter_s * self.stream.normal().abs();
         if gap < by.gap_rate_per_s * period_s {
             self.gap_until_us = time.0 + (1e6 * by.gap_max_s * length) as u64;
         }
@@ -319,6 +373,10 @@ impl<T: Copy> Clock<T> {
             _ => None,
         }
     }
+}
+
+fn normal3(stream: &mut Stream) -> Vector3<f64> {
+    Vector3::new(stream.normal(), stream.normal(), stream.normal())
 }
 
 fn triple(quality: Quality, timing: &Timing, stream: &mut Stream) -> [ScalarError; 3] {

@@ -68,3 +68,25 @@ fn the_ground_lifts_by_a_fourteenth_at_one_radius_and_air_drags() {
     let drag = force_at(20.0, Vector3::new(1.0, 0.0, 0.0)).x / real.airframe.mass_kg;
     assert!((drag + 0.2 + 0.01 / real.airframe.mass_kg).abs() < 1e-6, "{drag}");
 }
+
+#[test]
+fn air_and_propeller_are_those_of_the_world() {
+    let (nominal, real) = surrounded("harsh", 5);
+    let airframe = &real.airframe;
+    assert!((airframe.thrust_coefficient_ns2 / nominal.thrust_coefficient_ns2 - 1.15 / 1.225).abs() < 1e-12);
+    let torque_over_thrust = |a: &Airframe| a.drag_torque_coefficient_nms2 / a.thrust_coefficient_ns2;
+    assert!((torque_over_thrust(airframe) / torque_over_thrust(&nominal) - 0.0741 / 0.0636).abs() < 1e-9);
+}
+
+/// GIVEN a rotor that carries 3.7 N, whose wake leaves it at 5.4 m/s THEN it loses lift where it sinks into that, and nowhere
+/// else.
+#[test]
+fn a_rotor_loses_lift_where_it_sinks_into_its_own_wake() {
+    let (nominal, _) = surrounded("harsh", 5);
+    let radius_m = 0.5 * nominal.propeller_diameter_m;
+    let induced_mps = (3.7 / (2.0 * 1.225 * std::f64::consts::PI * radius_m * radius_m)).sqrt();
+    let at = |ratio: f64| vortex_ring(ratio * induced_mps, 3.7, radius_m);
+    assert_eq!([-1.0, 0.0, 0.49, 2.01, 3.0].map(at), [0.0; 5]);
+    assert!((at(0.75) - 0.5).abs() < 1e-9 && at(1.2) == 1.0 && (at(1.75) - 0.5).abs() < 1e-9);
+    assert_eq!(vortex_ring(2.0, 0.0, radius_m), 0.0);
+}

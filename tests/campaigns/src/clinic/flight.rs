@@ -84,7 +84,7 @@ pub struct Plan {
     pub imus: usize,
     pub seed: u64,
     /// The bench, unless it is named.
-    pub world: Option<String>,
+    pub world: String,
     pub pilot: Pilot,
     pub keep_track: bool,
 }
@@ -100,7 +100,7 @@ impl Plan {
             heights: 3,
             imus: 4,
             seed,
-            world: None,
+            world: "datasheet".into(),
             pilot,
             keep_track: false,
         }
@@ -127,11 +127,10 @@ impl Plan {
     }
 
     fn scenario(&self) -> Scenario {
-        let world = self.world.as_ref().map(|name| format!("world = \"{name}\"\n")).unwrap_or_default();
         let mut text = format!(
-            "name = \"clinic\"\nduration_s = {}\n{world}[[script]]\nat_s = 3\ndo = \"arm\"\n\
+            "name = \"clinic\"\nduration_s = {}\nworld = \"{}\"\n[[script]]\nat_s = 3\ndo = \"arm\"\n\
              [[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"altitude_hold\"\n",
-            self.duration_s
+            self.duration_s, self.world
         );
         for (at_s, altitude) in &self.profile {
             text += &format!("[[script]]\nat_s = {at_s}\ndo = \"setpoint\"\naltitude_m = {altitude}\n");

@@ -1,6 +1,6 @@
 //! `cargo xtask reproduce clinic`: [Clinic]'s figures and its Table 1 in closed loop, on the nonlinear simulator.
 //!
-//! `--quick` flies fewer seeds, `--flights N` so many, `--seed-base N` others, `--world NAME` elsewhere than on the bench;
+//! `--quick` flies fewer seeds, `--flights N` so many, `--seed-base N` others, `--world NAME` elsewhere than in `datasheet`;
 //! `--only decoder|flights|phantom` runs one part. All cores; figures as JSON lines, an HTML page with plots and CSV beside it.
 
 mod decoder;
@@ -47,7 +47,7 @@ pub fn run() -> ExitCode {
     report.paragraph(&format!(
         "{} flights of each kind from seed {} in the world {}, {} trials of each point. Ratios are to e*, the tracking error of the \
          plain EKF without attack.",
-        effort.flown.flights, effort.flown.seed_base, effort.flown.world.as_deref().unwrap_or("bench"), effort.trials
+        effort.flown.flights, effort.flown.seed_base, effort.flown.world, effort.trials
     ));
     deviations(&mut report);
     if runs("decoder") {
