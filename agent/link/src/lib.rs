@@ -7,6 +7,7 @@
 pub mod hello;
 pub mod identity;
 pub mod pairing;
+pub mod signing;
 pub mod tls;
 pub mod transport;
 mod window;
