@@ -358,6 +358,7 @@ impl Runner {
 
         let received = self.vehicle.reception().unwrap_or(&frame);
         let command = self.flight.step_received(&frame, received).command;
+        self.vehicle.inner_mut().guide(self.flight.guide().as_ref());
         let applied = self.vehicle.inner_mut().actuate(&command)?;
         self.flight.applied(applied);
         if self.ticks == 0 && self.vehicle.inner().recorded().is_some() && self.options.own_operator {
@@ -372,6 +373,7 @@ impl Runner {
         let around = Around {
             challenge: self.heard.challenges.current(frame.time),
             audit,
+            autopilot: self.vehicle.inner().autopilot(),
             ..around(&self.timing, &self.ports, self.log_health.error.as_deref(), self.replay_state())
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
@@ -519,5 +521,6 @@ fn around<'a>(timing: &Timing, ports: &RunnerPorts, log_error: Option<&'a str>, 
         challenge: 0,
         replay,
         audit: None,
+        autopilot: None,
     }
 }

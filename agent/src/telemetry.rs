@@ -37,8 +37,8 @@ use crate::flight::Flight;
 use crate::sensor::suite::Description as SensorDescription;
 use crate::sensor::{MAX_SENSORS, PairVisitor, Registered, SensorFrame, Wires};
 use crate::sim::rig::{Line, MAX_STRINGS};
-use crate::types::EstimatorKind;
-use crate::vehicle::{RecordedControl, Truth};
+use crate::types::{Actuation, EstimatorKind};
+use crate::vehicle::{AutopilotState, RecordedControl, Truth};
 
 pub use convert::wire_attack;
 use kept::Kept;
@@ -114,6 +114,8 @@ pub struct Around<'a> {
     pub replay: Option<Replay>,
     /// What the audit of the flying decoder said last.
     pub audit: Option<Audit>,
+    /// The autopilot in front of the motors.
+    pub autopilot: Option<AutopilotState>,
 }
 
 /// How a recording is flown.
@@ -216,7 +218,7 @@ impl Telemetry {
         self.sensors(&flight.report().sensed, &flight.report().received);
         self.estimates(flight, now);
         self.secure(flight, now, around);
-        self.control(flight, around.recorded());
+        self.control(flight, around);
         if let Some(truth) = truth
             && due(&mut self.due.truth, now, TRUTH_S)
         {
@@ -391,9 +393,14 @@ impl Telemetry {
         }
     }
 
-    fn control(&mut self, flight: &Flight, recorded: Option<&RecordedControl>) {
+    fn control(&mut self, flight: &Flight, around: &Around<'_>) {
         let report = flight.report();
-        convert::control(&mut self.kept.control, report, recorded);
+        convert::control(&mut self.kept.control, report, around.recorded());
+        match (&around.autopilot, &mut self.kept.control.autopilot) {
+            (Some(state), Some(into)) => convert::autopilot(into, state),
+            // There is one from the first tick on, or never.
+            (_, into) => *into = None,
+        }
         self.outlets.send(Kind::Control, 0, report.sensed.time, &self.kept.control);
     }
 
@@ -488,8 +495,9 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
         boot_id: identification.boot_id,
+        actuation: config.actuation.name().to_owned(),
         actuators: (1_u8..)
-            .take(config.airframe.rotors.len())
+            .take(if config.actuation == Actuation::Pose { 0 } else { config.airframe.rotors.len() })
             .map(|i| convert::actuator_description(i, config))
             .collect(),
     }

@@ -92,7 +92,7 @@ impl Plotted for v1::Control {
     }
 
     fn strip(&mut self) {
-        (self.thrust_n, self.torque_flu_nm, self.battery_v) = (0.0, None, None);
+        (self.thrust_n, self.torque_flu_nm, self.battery_v, self.autopilot) = (0.0, None, None, None);
         (self.motor_command, self.integrator, self.motor_attacked) = Default::default();
     }
 }

@@ -16,8 +16,9 @@ mod support;
 pub mod watermark;
 
 use arrayvec::ArrayVec;
-use plumbline_proto::ids::GainsRevision;
+use plumbline_proto::ids::{GainsRevision, SensorId};
 use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
 
 use crate::attack::{Injector, MAX_ATTACKS, Phase as AttackPhase, Progress};
 use crate::control::gains::{Certified, Examiner, GainsError};
@@ -27,20 +28,20 @@ use crate::control::step_response::StepMeter;
 use crate::estimate::bank::{Bank, BankError, Judge, build};
 use crate::estimate::lanes::Lanes;
 use crate::estimate::secure::Secure;
-use crate::estimate::{Estimate, Estimator, Motion};
+use crate::estimate::{Estimate, Estimator, Health, Motion};
 use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::frames::roll_pitch_yaw;
 use crate::mix::{Mixed, Mixer};
 use crate::sensor::SensorFrame;
 use crate::supervisor::{Monitor, Watchdog};
-use crate::types::{EstimatorKind, Loops, Mode, MotorCommand, Setpoint, TICK_RATE_HZ, Wrench};
+use crate::types::{Actuation, EstimatorKind, Loops, Mode, MotorCommand, ROTORS, Setpoint, TICK_RATE_HZ, Wrench};
 
 use path::Path;
 use support::Support;
 use watermark::{Block, Watermark};
 
 pub use config::{AttackPolicy, EnvelopeDemand, FlightConfig, RigKind};
-pub use report::{Check, Failsafe, FlightStatus, StepReport};
+pub use report::{Check, Failsafe, FlightStatus, Guide, StepReport};
 pub use rotors::{
     LIMIT as ROTOR_LIMIT, LOSS as ROTOR_LOSS, RotorWatch, SIGMA as ROTOR_SIGMA, information as rotor_information,
 };
@@ -185,9 +186,13 @@ impl Flight {
             .ok_or_else(|| FlightError::Allocation(config.airframe.name.clone()))?;
         let mut bank = Bank::new(estimators, config.in_loop)?;
         config.decoder.map_or(Ok(()), |decoder| bank.use_decoder(decoder))?;
+        let mut spared = config.independent.clone();
+        if config.actuation == Actuation::Pose {
+            // No command of ours reaches a motor there.
+            spared.extend((1_u8..).take(ROTORS).map(|rotor| SensorId::new(SensorKind::Rotor, rotor)));
+        }
         Ok(Self {
-            attacks: Injector::new(config.attacks.bounds, config.attacks.enabled, &config.sensors)
-                .sparing(&config.independent),
+            attacks: Injector::new(config.attacks.bounds, config.attacks.enabled, &config.sensors).sparing(&spared),
             bank,
             support: Support::default(),
             rotors: RotorWatch::new(&config.airframe),
@@ -352,6 +357,18 @@ impl Flight {
     /// The last tick.
     pub fn report(&self) -> &StepReport {
         &self.report
+    }
+
+    /// What an autopilot whose own controller flies is given in this tick; `None` where the estimate in the loop carries no
+    /// flight: altitude or horizontal position not known, or not to be trusted.
+    pub fn guide(&self) -> Option<Guide<'_>> {
+        let estimate = self.bank.in_loop();
+        let carries = estimate.health != Health::Initialising
+            && estimate.altitude_known()
+            && estimate.horizontal_known()
+            && self.supervision.blind_since.is_none();
+        let flying = self.phase == Phase::Flying;
+        carries.then(|| Guide { estimate, setpoint: flying.then_some(&self.report.setpoint) })
     }
 
     /// Failsafe acting now.

@@ -13,6 +13,30 @@ pub const ROTORS: usize = 4;
 /// Cameras of the motion-capture system.
 pub const CAMERAS: usize = 4;
 
+/// What a vehicle is commanded by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Actuation {
+    /// Its motors.
+    #[default]
+    Motors,
+    /// Body rates and thrust, for an autopilot that turns motor commands back into them.
+    Rates,
+    /// Where it is and where it shall be: an autopilot's own controller flies, and motor commands only say whether the
+    /// motors shall turn.
+    Pose,
+}
+
+impl Actuation {
+    /// For people and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Motors => "motors",
+            Self::Rates => "rates",
+            Self::Pose => "pose",
+        }
+    }
+}
+
 /// One motor command: what each motor is told, 0 (stopped) to 1 (full).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MotorCommand {

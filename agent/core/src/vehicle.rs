@@ -9,6 +9,7 @@ use plumbline_proto::time::FlightTime;
 
 use crate::control::step_response::StepResponse;
 use crate::event::{Severity, Text};
+use crate::flight::Guide;
 use crate::sensor::SensorFrame;
 use crate::types::{Mode, MotorCommand, ROTORS, Setpoint, Wrench};
 
@@ -89,6 +90,10 @@ pub struct DeviceState<'a> {
     pub age_s: Option<f64>,
     /// One sigma of the delays of its frames, µs; `None` without a clock of its own.
     pub jitter_us: Option<f64>,
+    /// Least time from a question about its clock to the answer, µs; `None` where it is not asked.
+    pub round_trip_us: Option<f64>,
+    /// Its clock less flight time by those answers, µs.
+    pub clock_offset_us: Option<f64>,
     /// Frames given up.
     pub faults: u64,
     /// Readings that a full queue refused.
@@ -97,6 +102,17 @@ pub struct DeviceState<'a> {
     pub opened: u64,
     /// The last fault, or why it is not up.
     pub reason: Text,
+}
+
+/// An autopilot in front of the motors: what it was asked for in a tick, and what it said last that it does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AutopilotState {
+    /// Body rates FLU, rad/s, and thrust, 0 to 1, asked for; `None` where it flies by pose.
+    pub asked: Option<(Vector3<f64>, f64)>,
+    /// Those that its own loops aim at; `None` where it did not say lately.
+    pub aims_at: Option<(Vector3<f64>, f64)>,
+    /// Its outputs to the motors as commands; `None` where it did not say lately.
+    pub outputs: Option<MotorCommand>,
 }
 
 /// Stops the motors of a vehicle from any thread, whatever its own thread does.
@@ -138,6 +154,17 @@ pub trait Vehicle: Send {
     /// How its device `index` is doing; `None` beyond the last. Asked a few times a second; must not wait.
     fn device(&mut self, index: usize) -> Option<DeviceState<'_>> {
         let _ = index;
+        None
+    }
+
+    /// What an autopilot flies by whose own controller flies, before [`Vehicle::actuate`] in each tick; `None` where nothing
+    /// carries a flight. Nothing to any other vehicle.
+    fn guide(&mut self, guide: Option<&Guide<'_>>) {
+        let _ = guide;
+    }
+
+    /// The autopilot in front of its motors after [`Vehicle::actuate`]; `None` where there is none.
+    fn autopilot(&self) -> Option<AutopilotState> {
         None
     }
 

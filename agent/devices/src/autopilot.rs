@@ -1,42 +1,31 @@
-//! An autopilot as the vehicle, commanded by body rates and thrust: PX4's offboard interface over MAVLink 2.
+//! An autopilot in front of the motors: PX4's offboard interface over MAVLink 2, at two depths.
 //!
-//! What the flight commands the motors is taken back to the wrench that they would give, and that to what a rate loop needs
-//! to give it:
+//! - [`rates`]: body rates and thrust (SET_ATTITUDE_TARGET); we estimate and control.
+//! - [`pose`]: our estimate (ODOMETRY) and a place (SET_POSITION_TARGET_LOCAL_NED); we estimate, its own controller flies
+//!   (\[Clinic\] 5.8).
 //!
-//! ω_s = ω + t_r J⁻¹ τ, c = c_h T / (m g)
-//!
-//! | symbol | meaning | unit |
-//! |---|---|---|
-//! | T, τ | thrust and torque of the wrench | N, N m |
-//! | ω | angular rate, as the autopilot measured it last | rad/s |
-//! | J, m g | inertia and weight of the airframe | kg m², N |
-//! | t_r | time constant of the autopilot's rate loop | s |
-//! | c_h | thrust at which the autopilot hovers (`MPC_THR_HOVER`) | 1 |
-//! | ω_s, c | body rates and thrust of SET_ATTITUDE_TARGET | rad/s, 1 |
-//!
-//! Assumes a rate loop of first order and a thrust that is linear in c. The rates' own loop runs in the autopilot on its own
-//! gyroscopes: no attack of ours reaches it. When setpoints stay out for half a second the autopilot leaves offboard mode by
-//! itself; nothing here stops its motors sooner once this program is dead.
+//! When setpoints stay out for half a second the autopilot leaves offboard mode by itself; nothing here stops its motors
+//! sooner once this program is dead.
+
+pub mod pose;
+pub mod rates;
+pub(crate) mod wire;
 
 use std::io::{self, ErrorKind};
-use std::net::UdpSocket;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
-use mavlink::dialects::common::{
-    AttitudeTargetTypemask, COMMAND_LONG_DATA, MavCmd, MavMessage, SET_ATTITUDE_TARGET_DATA,
-};
+use mavlink::dialects::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use nalgebra::Vector3;
-use plumbline_core::frames::{Flu, Frd};
-use plumbline_core::model::airframe::Airframe;
-use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::MotorStop;
+use plumbline_core::types::{Actuation, MotorCommand, ROTORS};
+use plumbline_core::vehicle::AutopilotState;
 
-use crate::fault::DeviceError;
-use crate::motors::Motors;
+use crate::motors::PulseRange;
 use crate::port::PortName;
+use crate::protocol::mavlink::Signer;
+use wire::Wire;
 
 /// Of a companion computer, in the autopilot's own system.
 const COMPONENT: u8 = 191;
@@ -46,20 +35,76 @@ pub(crate) const AUTOPILOT: u8 = 1;
 pub(crate) const OFFBOARD: u32 = 6;
 /// Second parameter of a disarming that asks for no landing.
 const FORCE: f32 = 21_196.0;
-/// Longest that a setpoint waits for room in the socket.
-const ROOM: Duration = Duration::from_millis(1);
 /// What was heard longer ago says nothing of now: the autopilot itself waits for half a second, ms.
 const STALE_MS: u64 = 250;
-/// Battery ratios that count.
-const VOLTAGE_RATIO: (f64, f64) = (0.7, 1.25);
+
+/// Numbers from one thread for another; each is whole, and all are of the same moment or its neighbour.
+#[derive(Debug)]
+pub(crate) struct Numbers<const N: usize> {
+    values: [AtomicU64; N],
+    /// When they were set, ms of our clock; 0 for never.
+    at_ms: AtomicU64,
+}
+
+impl<const N: usize> Default for Numbers<N> {
+    fn default() -> Self {
+        Self { values: std::array::from_fn(|_| AtomicU64::new(0)), at_ms: AtomicU64::new(0) }
+    }
+}
+
+impl<const N: usize> Numbers<N> {
+    pub fn set(&self, values: [f64; N]) {
+        for (to, from) in self.values.iter().zip(values) {
+            to.store(from.to_bits(), Ordering::Relaxed);
+        }
+    }
+
+    pub fn get(&self) -> [f64; N] {
+        self.values.each_ref().map(|value| f64::from_bits(value.load(Ordering::Relaxed)))
+    }
+}
+
+/// What an autopilot is, and how it is used.
+#[derive(Debug, Clone)]
+pub struct Attachment {
+    /// Where its bytes come.
+    pub port: PortName,
+    /// Of a serial port.
+    pub baud: u32,
+    /// Its system's number.
+    pub system: u8,
+    /// Rates or pose.
+    pub actuation: Actuation,
+    /// Its output of each motor, and its pulses as commands.
+    pub channels: [u8; ROTORS],
+    /// At which its outputs stand still and are full.
+    pub range: PulseRange,
+    /// Signs what is sent and verifies what comes.
+    pub signer: Option<Arc<Signer>>,
+}
+
+impl Attachment {
+    /// System 1 on `port`, whose sensors are read.
+    pub fn new(port: PortName, baud: u32) -> Self {
+        Self {
+            port,
+            baud,
+            system: 1,
+            actuation: Actuation::Rates,
+            channels: [0, 1, 2, 3],
+            range: PulseRange { stop_us: 1000.0, full_us: 2000.0 },
+            signer: None,
+        }
+    }
+}
 
 /// The way to one autopilot, for the reader that listens to it and the flight thread that commands it.
 #[derive(Debug)]
 pub struct Autopilot {
-    pub(crate) port: PortName,
-    /// Its system's number.
+    pub(crate) attachment: Attachment,
     pub(crate) system: u8,
-    socket: OnceLock<UdpSocket>,
+    /// Open while its reader has it open. Held for a copy only: the flight thread does not wait for it.
+    wire: Mutex<Option<Arc<Wire>>>,
     begun: Instant,
     sequence: AtomicU8,
     setpoints: AtomicU64,
@@ -69,36 +114,43 @@ pub struct Autopilot {
     obeyed_ms: AtomicU64,
     /// It left offboard mode while it flew for us.
     pub(crate) taken: AtomicBool,
-    gyro_flu_radps: [AtomicU64; 3],
+    gyro_flu_radps: Numbers<3>,
     voltage_v: AtomicU64,
+    /// Rates FLU and thrust that its loops aim at.
+    aims_at: Numbers<4>,
+    /// Commands of its outputs.
+    outputs: Numbers<ROTORS>,
 }
 
 impl Autopilot {
-    /// `system`, whose datagrams come to `port`.
-    pub fn new(port: PortName, system: u8) -> Self {
+    /// As `attachment` says, closed.
+    pub fn new(attachment: Attachment) -> Self {
         Self {
-            port,
-            system,
-            socket: OnceLock::new(),
+            system: attachment.system,
+            attachment,
+            wire: Mutex::default(),
             begun: Instant::now(),
             sequence: AtomicU8::new(0),
             setpoints: AtomicU64::new(0),
             wanted: AtomicBool::new(false),
             obeyed_ms: AtomicU64::new(0),
             taken: AtomicBool::new(false),
-            gyro_flu_radps: Default::default(),
+            gyro_flu_radps: Numbers::default(),
             voltage_v: AtomicU64::new(f64::NAN.to_bits()),
+            aims_at: Numbers::default(),
+            outputs: Numbers::default(),
         }
     }
 
-    /// Its socket, bound by the first who asks.
-    pub(crate) fn socket(&self) -> Result<&UdpSocket, DeviceError> {
-        if let Some(socket) = self.socket.get() {
-            return Ok(socket);
-        }
-        let socket = self.port.open_datagrams()?;
-        socket.set_write_timeout(Some(ROOM)).map_err(|error| self.port.error(error))?;
-        Ok(self.socket.get_or_init(|| socket))
+    /// One that nobody answers for.
+    #[cfg(test)]
+    pub(crate) fn silent() -> Self {
+        Self::new(Attachment::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 0))
+    }
+
+    /// What is sent goes there from here on; nowhere without any.
+    pub(crate) fn attach(&self, wire: Option<Arc<Wire>>) {
+        *self.wire.lock().unwrap_or_else(PoisonError::into_inner) = wire;
     }
 
     /// Setpoints sent so far.
@@ -107,40 +159,94 @@ impl Autopilot {
     }
 
     pub(crate) fn measured(&self, gyro_flu_radps: &Vector3<f64>) {
-        for (to, from) in self.gyro_flu_radps.iter().zip(gyro_flu_radps.iter()) {
-            to.store(from.to_bits(), Ordering::Relaxed);
-        }
+        self.gyro_flu_radps.set((*gyro_flu_radps).into());
+    }
+
+    fn gyro_flu_radps(&self) -> Vector3<f64> {
+        self.gyro_flu_radps.get().into()
     }
 
     pub(crate) fn powered(&self, voltage_v: f64) {
         self.voltage_v.store(voltage_v.to_bits(), Ordering::Relaxed);
     }
 
+    fn voltage_v(&self) -> f64 {
+        f64::from_bits(self.voltage_v.load(Ordering::Relaxed))
+    }
+
+    /// Its loops aim at these rates and this thrust.
+    pub(crate) fn aims_at(&self, rates_flu_radps: &Vector3<f64>, thrust: f64) {
+        let [x, y, z] = (*rates_flu_radps).into();
+        self.aims_at.set([x, y, z, thrust]);
+        self.aims_at.at_ms.store(self.now_ms().max(1), Ordering::Release);
+    }
+
+    /// Its outputs have these pulses, µs, 0 where there is none.
+    pub(crate) fn puts_out(&self, pulses_us: &[u16; 16]) {
+        let PulseRange { stop_us, full_us } = self.attachment.range;
+        let mut commands = [0.0; ROTORS];
+        for (command, channel) in commands.iter_mut().zip(self.attachment.channels) {
+            let pulse_us = pulses_us.get(usize::from(channel)).copied().unwrap_or_default();
+            *command = ((f64::from(pulse_us) - stop_us) / (full_us - stop_us)).clamp(0.0, 1.0);
+        }
+        self.outputs.set(commands);
+        self.outputs.at_ms.store(self.now_ms().max(1), Ordering::Release);
+    }
+
+    /// What it said lately.
+    fn said(&self) -> AutopilotState {
+        let [x, y, z, thrust] = self.aims_at.get();
+        AutopilotState {
+            asked: None,
+            aims_at: self.is_fresh(&self.aims_at.at_ms).then(|| (Vector3::new(x, y, z), thrust)),
+            outputs: self.is_fresh(&self.outputs.at_ms).then(|| MotorCommand { throttle: self.outputs.get() }),
+        }
+    }
+
     /// It is armed and in offboard mode because we asked, or is not.
     pub(crate) fn obeys(&self, does: bool) {
-        let now_ms = self.begun.elapsed().as_millis() as u64;
-        self.obeyed_ms.store(if does { now_ms.max(1) } else { 0 }, Ordering::Release);
+        self.obeyed_ms.store(if does { self.now_ms().max(1) } else { 0 }, Ordering::Release);
     }
 
     /// Is that so, as far as was heard just now? After a silence of ours its own failsafe may fly it.
     fn obeyed(&self) -> bool {
-        let at_ms = self.obeyed_ms.load(Ordering::Acquire);
-        at_ms > 0 && (self.begun.elapsed().as_millis() as u64).saturating_sub(at_ms) < STALE_MS
+        self.is_fresh(&self.obeyed_ms)
     }
 
-    /// Our clock, ns.
-    pub(crate) fn now_ns(&self) -> i64 {
-        self.begun.elapsed().as_nanos() as i64
+    fn is_fresh(&self, at_ms: &AtomicU64) -> bool {
+        let at_ms = at_ms.load(Ordering::Acquire);
+        at_ms > 0 && self.now_ms().saturating_sub(at_ms) < STALE_MS
+    }
+
+    /// Our clock at `instant`, ns: the one that TIMESYNC answers with.
+    pub(crate) fn ns_at(&self, instant: Instant) -> i64 {
+        instant.saturating_duration_since(self.begun).as_nanos() as i64
+    }
+
+    fn now_ms(&self) -> u64 {
+        self.begun.elapsed().as_millis() as u64
     }
 
     /// Sends a message. What finds no room, or nobody yet, is given up.
     pub(crate) fn say(&self, message: &MavMessage) {
-        let Some(socket) = self.socket.get() else { return };
+        let Some(wire) = self.wire.try_lock().ok().and_then(|wire| wire.clone()) else { return };
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
-        let mut raw = MAVLinkV2MessageRaw::new();
         let header = MavHeader { system_id: self.system.into(), component_id: COMPONENT, sequence };
-        raw.serialize_message(header, message);
-        let _ = socket.send(raw.raw_bytes());
+        let raw = match &self.attachment.signer {
+            Some(signer) => signer.sign(header, message),
+            None => {
+                let mut raw = MAVLinkV2MessageRaw::new();
+                raw.serialize_message(header, message);
+                raw
+            }
+        };
+        wire.write(raw.raw_bytes());
+    }
+
+    /// The same of a setpoint, which is counted: a stream of them keeps it in offboard mode.
+    fn setpoint(&self, message: &MavMessage) {
+        self.say(message);
+        self.setpoints.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Sends a command with its first two parameters.
@@ -163,110 +269,24 @@ impl Autopilot {
     pub(crate) fn disarm(&self) {
         self.order(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE);
     }
-}
 
-/// The flight thread's end: commands of four motors, as body rates and thrust.
-#[derive(Debug)]
-pub struct AutopilotLine {
-    autopilot: Arc<Autopilot>,
-    airframe: Airframe,
-    hover_thrust: f64,
-    rate_loop_s: f64,
-}
-
-impl AutopilotLine {
-    /// To `autopilot` on `airframe`: hovers at `hover_thrust`, 0 to 1; its rate loop has the time constant `rate_loop_s`.
-    pub fn new(autopilot: Arc<Autopilot>, airframe: Airframe, hover_thrust: f64, rate_loop_s: f64) -> Self {
-        Self { autopilot, airframe, hover_thrust, rate_loop_s }
-    }
-
-    /// Body rates FLU, rad/s, and thrust, 0 to 1, that give the wrench of `command`.
-    pub fn target(&self, command: &MotorCommand) -> (Vector3<f64>, f64) {
-        if *command == MotorCommand::default() {
-            return (Vector3::zeros(), 0.0);
-        }
-        let load = |value: &AtomicU64| f64::from_bits(value.load(Ordering::Relaxed));
-        let ratio = load(&self.autopilot.voltage_v) / self.airframe.battery.nominal_v();
-        let (least, most) = VOLTAGE_RATIO;
-        let ratio = if ratio.is_nan() { 1.0 } else { ratio.clamp(least, most) };
-        let speeds = command.throttle.map(|throttle| self.airframe.motor_curve.speed_radps(throttle, ratio));
-        let wrench = self.airframe.wrench(&speeds);
-        let gyro = Vector3::from(self.autopilot.gyro_flu_radps.each_ref().map(load));
-        let turn = wrench.torque_flu_nm.component_div(&self.airframe.inertia_kgm2);
-        let thrust = self.hover_thrust * wrench.thrust_n / self.airframe.weight_n();
-        (gyro + self.rate_loop_s * turn, thrust.clamp(0.0, 1.0))
-    }
-}
-
-impl Motors for AutopilotLine {
-    fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand> {
-        let autopilot = &self.autopilot;
-        if autopilot.taken.load(Ordering::Acquire) {
+    /// The motors shall turn, or shall not, as `command` says.
+    fn wants(&self, command: &MotorCommand) -> io::Result<()> {
+        if self.taken.load(Ordering::Acquire) {
             return Err(io::Error::new(
                 ErrorKind::ConnectionAborted,
                 "left offboard mode: its pilot or its failsafe flies",
             ));
         }
-        autopilot.wanted.store(*command != MotorCommand::default(), Ordering::Release);
-        let (rates, thrust) = self.target(command);
-        let Frd(rates) = Flu(rates).into();
-        autopilot.say(&MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
-            time_boot_ms: autopilot.begun.elapsed().as_millis() as u32,
-            q: [1.0, 0.0, 0.0, 0.0],
-            body_roll_rate: rates.x as f32,
-            body_pitch_rate: rates.y as f32,
-            body_yaw_rate: rates.z as f32,
-            thrust: thrust as f32,
-            target_system: autopilot.system,
-            target_component: AUTOPILOT,
-            type_mask: AttitudeTargetTypemask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
-            thrust_body: [0.0; 3],
-        }));
-        autopilot.setpoints.fetch_add(1, Ordering::Relaxed);
-        Ok(if autopilot.obeyed() { *command } else { MotorCommand::default() })
+        self.wanted.store(*command != MotorCommand::default(), Ordering::Release);
+        Ok(())
     }
-}
 
-impl MotorStop for AutopilotLine {
+    /// Motors off, where it flies for us.
     fn stop(&self) {
-        self.autopilot.wanted.store(false, Ordering::Release);
-        if self.autopilot.obeyed() {
-            self.autopilot.disarm();
+        self.wanted.store(false, Ordering::Release);
+        if self.obeyed() {
+            self.disarm();
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn line() -> AutopilotLine {
-        let autopilot = Arc::new(Autopilot::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 1));
-        AutopilotLine::new(autopilot, Airframe::iris(), 0.4, 0.05)
-    }
-
-    #[test]
-    fn hovering_asks_for_hover_thrust_and_keeps_the_rate_that_is() {
-        let line = line();
-        let hovers = MotorCommand { throttle: [line.airframe.hover_command(); 4] };
-        line.autopilot.measured(&Vector3::new(0.1, -0.2, 0.3));
-        let (rates, thrust) = line.target(&hovers);
-        assert!((thrust - 0.4).abs() < 1e-6, "{thrust}");
-        assert!((rates - Vector3::new(0.1, -0.2, 0.3)).norm() < 1e-6, "{rates}");
-        assert_eq!(line.target(&MotorCommand::default()), (Vector3::zeros(), 0.0));
-    }
-
-    #[test]
-    fn a_torque_asks_for_a_rate_that_its_loop_turns_into_that_torque() {
-        let line = line();
-        let hover = line.airframe.hover_command();
-        let throttle =
-            std::array::from_fn(|motor| hover + 0.02 * line.airframe.rotors[motor].position_flu_m.y.signum());
-        let (rates, _) = line.target(&MotorCommand { throttle });
-        let speeds = throttle.map(|t| line.airframe.motor_curve.speed_radps(t, 1.0));
-        let torque = line.airframe.wrench(&speeds).torque_flu_nm;
-        assert!(torque.x.abs() > 0.01);
-        let given = rates.component_mul(&line.airframe.inertia_kgm2) / 0.05;
-        assert!((given - torque).norm() < 1e-9, "{given} {torque}");
     }
 }

@@ -4,8 +4,11 @@
 //! jumps about. The least a − t of each second has next to none of it; a straight line through the last [`BLOCKS`] of these
 //! minima (least squares) is offset and skew. A frame's time on our clock is then t on that line, never after its arrival.
 //!
-//! Assumes that the shortest delay of a second is the same from second to second; it is taken for zero, so a constant
-//! latency of the device is configured (`delay_s`), not found.
+//! Assumes that the shortest delay of a second is the same from second to second. One-way it cannot be told from the offset and
+//! is taken for zero, so a constant latency of the device is configured (`delay_s`), not found. Where the device answers
+//! questions about its clock (Cristian 1989) it is found: a question asked at s and answered at a, with t in between, has the offset
+//! (s + a)/2 − t within (a − s)/2; of the last [`EXCHANGES`] the one with the least round trip counts, and what the line lies
+//! above it is the shortest delay.
 
 use arrayvec::ArrayVec;
 
@@ -13,6 +16,8 @@ use arrayvec::ArrayVec;
 pub const BLOCKS: usize = 16;
 /// Length of a block, µs.
 const BLOCK_US: f64 = 1e6;
+/// Answers that are kept.
+pub const EXCHANGES: usize = 16;
 /// A crystal is off by less than 100 ppm, an RC oscillator by a few per cent.
 const SKEW_MAX: f64 = 0.05;
 /// A stamp that is off the line by more than this has jumped, µs.
@@ -50,6 +55,10 @@ pub struct DeviceClock {
     block: Option<(f64, [f64; 2])>,
     /// a − t at `at`, and its slope.
     line: Line,
+    /// Round trip, device's time, offset there of the last answers, µs.
+    exchanges: ArrayVec<[f64; 3], EXCHANGES>,
+    /// Shortest delay by them, µs.
+    shortest_us: f64,
     delay_us: f64,
     variance_us2: f64,
 }
@@ -59,6 +68,13 @@ struct Line {
     at_us: f64,
     offset_us: f64,
     skew: f64,
+}
+
+impl Line {
+    /// a − t at the device's time `device_us`.
+    fn at(&self, device_us: f64) -> f64 {
+        self.offset_us + self.skew * (device_us - self.at_us)
+    }
 }
 
 impl DeviceClock {
@@ -72,6 +88,30 @@ impl DeviceClock {
         self.variance_us2.sqrt()
     }
 
+    /// Least round trip of the last answers, and the device's clock less ours by it, µs; `None` without any.
+    pub fn offset(&self) -> Option<(f64, f64)> {
+        self.least().map(|[round_trip_us, _, offset_us]| (round_trip_us, -offset_us))
+    }
+
+    /// A question asked at `asked_us` was answered with `stamp` at `answered_us`. Nothing before the first frame.
+    pub fn answered(&mut self, stamp: Stamp, asked_us: f64, answered_us: f64) {
+        let Some((last, last_us)) = self.last else { return };
+        let (now, roll_over) = (stamp.ticks as f64 * stamp.tick_us, stamp.roll_over as f64 * stamp.tick_us);
+        let since_us = now - last.ticks as f64 * last.tick_us;
+        let device_us = last_us + since_us - roll_over * (since_us / roll_over).round();
+        if self.exchanges.is_full() {
+            self.exchanges.remove(0);
+        }
+        self.exchanges.push([answered_us - asked_us, device_us, 0.5 * (asked_us + answered_us) - device_us]);
+        if let Some([round_trip_us, device_us, offset_us]) = self.least() {
+            self.shortest_us = (self.line.at(device_us) - offset_us).clamp(0.0, round_trip_us.max(0.0));
+        }
+    }
+
+    fn least(&self) -> Option<[f64; 3]> {
+        self.exchanges.iter().copied().min_by(|a, b| a[0].total_cmp(&b[0]))
+    }
+
     /// Mean delay beyond the shortest, µs.
     pub fn delay_us(&self) -> f64 {
         self.delay_us
@@ -82,13 +122,12 @@ impl DeviceClock {
         let jumped_s = self.advance(stamp, arrival_us);
         let device_us = self.last.map_or(0.0, |(_, us)| us);
         self.learn([device_us, arrival_us - device_us]);
-        let line = &self.line;
-        let mapped = device_us + line.offset_us + line.skew * (device_us - line.at_us);
+        let mapped = device_us + self.line.at(device_us);
         let delay = arrival_us - mapped;
         let late = delay - self.delay_us;
         self.delay_us += SMOOTHING * late;
         self.variance_us2 += SMOOTHING * (late * late - self.variance_us2);
-        Mapped { time_us: mapped.min(arrival_us), jumped_s }
+        Mapped { time_us: mapped.min(arrival_us) - self.shortest_us, jumped_s }
     }
 
     /// Counts on through roll-overs; begins anew where that makes no sense.
@@ -100,7 +139,7 @@ impl DeviceClock {
         let roll_over = stamp.roll_over.max(1);
         let forward = (stamp.ticks % roll_over + roll_over - last.ticks % roll_over) % roll_over;
         let device_us = last_us + forward as f64 * stamp.tick_us;
-        let expected_us = device_us + self.line.offset_us + self.line.skew * (device_us - self.line.at_us);
+        let expected_us = device_us + self.line.at(device_us);
         let off_us = expected_us - arrival_us;
         // Late frames may be very late, but nothing arrives before it was sent.
         let jumped = !(-10.0 * JUMP_US..=JUMP_US).contains(&off_us);

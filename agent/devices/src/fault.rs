@@ -26,6 +26,23 @@ pub enum Fault {
         /// What it should be.
         expected: &'static str,
     },
+    /// It carries no signature made with the configured key, or one that was used before.
+    #[error("not signed with the configured key")]
+    Unsigned,
+    /// The device does not send this message as often as it was asked to.
+    #[error("the device refuses the interval of {what}, result {code}")]
+    Refused {
+        /// The message.
+        what: &'static str,
+        /// Its MAV_RESULT.
+        code: u32,
+    },
+    /// The device says nothing to what was asked.
+    #[error("the device does not answer for the interval of {what}")]
+    Unanswered {
+        /// The message.
+        what: &'static str,
+    },
     /// The device itself reports an error.
     #[error("the device reports {what} {code}")]
     Reported {
@@ -56,6 +73,14 @@ pub enum DeviceError {
         value: String,
         /// What it should be.
         expected: &'static str,
+    },
+    /// Others are there, and not the one that is configured.
+    #[error("system {wanted} is silent; system {heard} is heard")]
+    Stranger {
+        /// As configured.
+        wanted: u8,
+        /// Who speaks instead.
+        heard: u32,
     },
     /// Nothing that makes sense came.
     #[error("no {what} within {seconds:.2} s")]

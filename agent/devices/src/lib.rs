@@ -11,7 +11,7 @@
 //! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver.
 //! - [`spec`]: `[[device]]` and `[motors]` of a configuration, checked.
 //! - [`scheduling`]: which of the threads comes first.
-//! - [`motors`]: pulses, and the guard that stops them. [`autopilot`]: body rates and thrust instead. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
+//! - [`motors`]: pulses, and the guard that stops them. [`autopilot`]: body rates and thrust, or a pose, instead. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 

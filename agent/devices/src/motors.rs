@@ -14,8 +14,9 @@ use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use plumbline_core::flight::Guide;
 use plumbline_core::types::{MotorCommand, ROTORS};
-use plumbline_core::vehicle::{MOTOR_TIMEOUT_S, MotorStop};
+use plumbline_core::vehicle::{AutopilotState, MOTOR_TIMEOUT_S, MotorStop};
 
 use crate::fault::DeviceError;
 use crate::port::{Bus, PortName};
@@ -325,6 +326,16 @@ pub trait Motors: MotorStop {
     /// # Errors
     /// Nobody is there any more who would apply it.
     fn send(&self, command: &MotorCommand) -> io::Result<MotorCommand>;
+
+    /// What an autopilot flies by whose own controller flies; `None` where nothing carries a flight.
+    fn guide(&self, guide: Option<&Guide<'_>>) {
+        let _ = guide;
+    }
+
+    /// The autopilot, where it is one.
+    fn autopilot(&self) -> Option<AutopilotState> {
+        None
+    }
 }
 
 impl Motors for GuardLine {

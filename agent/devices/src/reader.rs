@@ -12,7 +12,7 @@ use plumbline_proto::time::FlightTime;
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::clock::DeviceClock;
-use crate::driver::{Driver, Heard};
+use crate::driver::{Driver, Exchange, Heard};
 use crate::fault::{DeviceError, Fault};
 use crate::reading::Reading;
 use crate::scheduling;
@@ -77,6 +77,8 @@ pub struct State {
     last_us: AtomicU64,
     jitter_ns: AtomicU64,
     skew_ppb: AtomicI64,
+    round_trip_ns: AtomicU64,
+    clock_offset_ns: AtomicI64,
     reason: Mutex<Text>,
 }
 
@@ -99,6 +101,10 @@ pub struct Health {
     pub jitter_us: f64,
     /// How much faster our clock runs than its own.
     pub skew: f64,
+    /// Least time from a question about its clock to the answer, µs; 0 where none was answered lately.
+    pub round_trip_us: f64,
+    /// Its clock less flight time by those answers, µs; 0 where none was answered lately.
+    pub clock_offset_us: f64,
     /// The last fault, or why it is not up.
     pub reason: Text,
 }
@@ -116,6 +122,8 @@ impl State {
             last_us: load(&self.last_us),
             jitter_us: load(&self.jitter_ns) as f64 * 1e-3,
             skew: self.skew_ppb.load(Ordering::Relaxed) as f64 * 1e-9,
+            round_trip_us: load(&self.round_trip_ns) as f64 * 1e-3,
+            clock_offset_us: self.clock_offset_ns.load(Ordering::Relaxed) as f64 * 1e-3,
             reason: self.reason.try_lock().map_or_else(|_| Text::new(), |reason| *reason),
         }
     }
@@ -288,6 +296,9 @@ impl Work {
             if let Err(error) = polled {
                 return Some(error);
             }
+            if let Some(exchange) = driver.exchange() {
+                answered(&exchange, zero, clock, state);
+            }
             if heard_one {
                 fault = None;
                 last = Instant::now();
@@ -308,6 +319,17 @@ impl Work {
 fn given_up(fault: Fault, state: &State) {
     state.faults.fetch_add(1, Ordering::Relaxed);
     state.say(plumbline_core::event::text(format_args!("{fault}")));
+}
+
+/// Takes an answer about the device's clock in.
+fn answered(exchange: &Exchange, zero: &Zero, clock: &mut DeviceClock, state: &State) {
+    let (Some(asked_us), Some(answered_us)) = (zero.micros(exchange.asked), zero.micros(exchange.answered)) else {
+        return;
+    };
+    clock.answered(exchange.stamp, asked_us, answered_us);
+    let (round_trip_us, offset_us) = clock.offset().unwrap_or_default();
+    state.round_trip_ns.store((round_trip_us * 1e3) as u64, Ordering::Relaxed);
+    state.clock_offset_ns.store((offset_us * 1e3) as i64, Ordering::Relaxed);
 }
 
 /// Stamps a reading and hands it on. Returns by how much its clock jumped, s, if it did.

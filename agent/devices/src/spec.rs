@@ -8,12 +8,12 @@ use std::time::Duration;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use plumbline_core::model::geodesy::{Geodetic, TangentPlane};
 use plumbline_core::sensor::suite::Suite;
-use plumbline_core::types::ROTORS;
+use plumbline_core::types::{Actuation, ROTORS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
 
-use crate::autopilot::Autopilot;
+use crate::autopilot::{Attachment, Autopilot};
 use crate::driver::Driver;
 use crate::driver::bno055::Bno055;
 use crate::driver::hokuyo::Hokuyo;
@@ -25,6 +25,7 @@ use crate::driver::stream::Talker;
 use crate::motors::{Pca9685, PulseRange, Pulses, Sysfs};
 use crate::port::PortName;
 use crate::protocol::gnss::GnssStream;
+use crate::protocol::mavlink::Signer;
 use crate::protocol::mongoose::Mongoose;
 use crate::protocol::tfmini::TfMini;
 use crate::reader::{Options, Reader, Zero};
@@ -93,7 +94,7 @@ impl DriverKind {
 
     /// Can it be set to another baud rate?
     fn any_baud(self) -> bool {
-        matches!(self, Self::Mongoose | Self::Tfmini | Self::Gnss)
+        matches!(self, Self::Mongoose | Self::Tfmini | Self::Gnss | Self::Mavlink)
     }
 
     /// Usual baud rate, address and rate, Hz.
@@ -108,7 +109,7 @@ impl DriverKind {
             Self::Ms5611 => (0, 0x77, 40.0),
             Self::Bmp280 => (0, 0x76, 50.0),
             Self::Ina219 | Self::Ina226 => (0, 0x40, 10.0),
-            Self::Mavlink => (0, 0, 200.0),
+            Self::Mavlink => (921_600, 0, 200.0),
         }
     }
 }
@@ -164,18 +165,18 @@ pub struct DeviceSpec {
 pub struct MotorsSpec {
     /// `pca9685`, `sysfs`, or `mavlink`: an autopilot in front of them.
     pub driver: String,
-    /// Bus of the chip, the folder of the kernel's PWM chip, or where the autopilot's datagrams come, as its device says.
+    /// Bus of the chip, the folder of the kernel's PWM chip, or the autopilot's port, as its device says.
     pub port: String,
     /// I²C address.
     #[serde(default = "pca9685_address")]
     pub address: u8,
-    /// Channel of each motor, in the order of the airframe.
+    /// Channel of each motor, in the order of the airframe; an autopilot's output of it, from 0.
     #[serde(default = "first_four")]
     pub channels: [u8; ROTORS],
     /// Pulses a second.
     #[serde(default = "pulse_rate_hz")]
     pub rate_hz: f64,
-    /// Pulse at which the ESCs stand still, and at full, µs.
+    /// Pulse at which the ESCs stand still, and at full, µs; of an autopilot's outputs too.
     #[serde(default = "pulse_us")]
     pub pulse_us: [f64; 2],
     /// The pulse that stands still is given this long before any other, s: ESCs arm.
@@ -184,12 +185,21 @@ pub struct MotorsSpec {
     /// An autopilot's: number of its system.
     #[serde(default = "first_system")]
     pub system: u8,
+    /// What it is given: `rates`, with thrust, or `pose`, our estimate and a place, which its own controller flies by.
+    pub depth: Option<String>,
+    /// File with the key that both sides sign their messages with: 32 bytes, or 64 hexadecimal digits.
+    pub signing_key: Option<PathBuf>,
     /// Thrust at which it hovers, 0 to 1.
     #[serde(default = "hover_thrust")]
     pub hover_thrust: f64,
     /// Time constant of its rate loop, s.
     #[serde(default = "rate_loop_s")]
     pub rate_loop_s: f64,
+}
+
+/// Bits a second on an autopilot's wire with `rate_hz` IMU samples a second: see [`crate::driver::mavlink`] for the rest.
+fn autopilot_baud(rate_hz: f64) -> f64 {
+    10.0 * (75.0 * rate_hz + 7800.0)
 }
 
 fn pca9685_address() -> u8 {
@@ -248,9 +258,8 @@ impl DeviceSpec {
         let port = PortName::parse(&self.port);
         let fits = match self.driver {
             DriverKind::Bno055 => matches!(port, Some(PortName::Serial(_) | PortName::I2c(_) | PortName::Socket(_))),
-            DriverKind::Natnet | DriverKind::Vicon | DriverKind::Mavlink => {
-                matches!(port, Some(PortName::Datagrams(_)))
-            }
+            DriverKind::Natnet | DriverKind::Vicon => matches!(port, Some(PortName::Datagrams(_))),
+            DriverKind::Mavlink => matches!(port, Some(PortName::Datagrams(_) | PortName::Serial(_))),
             _ if self.driver.usual().0 > 0 => matches!(port, Some(PortName::Serial(_))),
             _ => matches!(port, Some(PortName::I2c(_) | PortName::Socket(_))),
         };
@@ -287,6 +296,12 @@ impl DeviceSpec {
                 }
                 _ => return Err(("baud", baud.to_string(), "for this port: only a serial one has a baud rate")),
             }
+        }
+        let serial = matches!(port, Some(PortName::Serial(_)));
+        if self.driver == DriverKind::Mavlink && serial && f64::from(self.baud()) < autopilot_baud(self.rate_hz()) {
+            let expected =
+                "enough for its messages: ten bits a byte, 75 bytes an IMU sample, 7800 bytes a second besides";
+            return Err(("baud", self.baud().to_string(), expected));
         }
         within("rate_hz", self.rate_hz(), 0.1, 1000.0, "0.1 to 1000 Hz")?;
         within("delay_s", self.delay_s, 0.0, 1.0, "0 to 1 s")?;
@@ -340,6 +355,7 @@ impl DeviceSpec {
                 guess(DriverKind::Mongoose, None, None),
                 guess(DriverKind::Gnss, None, None),
                 guess(DriverKind::Gnss, Some(9600), None),
+                guess(DriverKind::Mavlink, None, None),
                 guess(DriverKind::Hokuyo, None, None),
                 guess(DriverKind::Bno055, None, None),
             ],
@@ -379,7 +395,10 @@ impl DeviceSpec {
             DriverKind::Bmp280 => chip(port, Chip::Bmp280([0; 24])),
             DriverKind::Ina219 => chip(port, Chip::Ina219),
             DriverKind::Ina226 => chip(port, Chip::Ina226),
-            DriverKind::Mavlink => Box::new(Mavlink::new(Arc::new(Autopilot::new(port, first_system())), rate_hz)),
+            DriverKind::Mavlink => {
+                let autopilot = Autopilot::new(Attachment::new(port, baud));
+                Box::new(Mavlink::new(Arc::new(autopilot), rate_hz))
+            }
         })
     }
 
@@ -508,19 +527,31 @@ impl MotorsSpec {
     /// [`SpecError`] of the first bad one.
     pub fn check(&self) -> Result<(), SpecError> {
         let bad = |key, value, expected| Err(SpecError { device: None, key, value, expected });
-        let bus = matches!(PortName::parse(&self.port), Some(PortName::I2c(_) | PortName::Socket(_)));
+        let port = PortName::parse(&self.port);
+        let bus = matches!(port, Some(PortName::I2c(_) | PortName::Socket(_)));
         match self.driver.as_str() {
             "pca9685" if bus => {}
             "sysfs" if self.port.starts_with('/') => {}
-            "mavlink" if matches!(PortName::parse(&self.port), Some(PortName::Datagrams(_))) => {}
+            "mavlink" if matches!(port, Some(PortName::Datagrams(_) | PortName::Serial(_))) => {}
             "pca9685" | "sysfs" | "mavlink" => {
                 return bad(
                     "port",
                     format!("{:?}", self.port),
-                    "a bus, the folder of a PWM chip, or an autopilot's udp",
+                    "a bus, the folder of a PWM chip, or an autopilot's serial port or udp",
                 );
             }
             _ => return bad("driver", format!("{:?}", self.driver), "\"pca9685\", \"sysfs\" or \"mavlink\""),
+        }
+        match self.depth.as_deref() {
+            None => {}
+            Some("rates" | "pose") if self.is_autopilot() => {}
+            Some("rates" | "pose") => {
+                return bad("depth", format!("{:?}", self.depth), "for these motors: only an autopilot has it");
+            }
+            Some(other) => return bad("depth", format!("{other:?}"), "\"rates\" or \"pose\""),
+        }
+        if let Some(key) = self.signing_key.as_ref().filter(|_| !self.is_autopilot()) {
+            return bad("signing_key", format!("{key:?}"), "for these motors: only an autopilot signs");
         }
         if !(50.0..=400.0).contains(&self.rate_hz) {
             return bad("rate_hz", self.rate_hz.to_string(), "50 to 400 Hz");
@@ -554,6 +585,28 @@ impl MotorsSpec {
     /// Is it an autopilot that is commanded?
     pub fn is_autopilot(&self) -> bool {
         self.driver == "mavlink"
+    }
+
+    /// What is commanded.
+    pub fn actuation(&self) -> Actuation {
+        match self.depth.as_deref() {
+            _ if !self.is_autopilot() => Actuation::Motors,
+            Some("pose") => Actuation::Pose,
+            _ => Actuation::Rates,
+        }
+    }
+
+    /// The autopilot on `port` at `baud`, closed, with the key of [`MotorsSpec::signing_key`].
+    pub fn autopilot(&self, port: PortName, baud: u32, key: Option<[u8; 32]>) -> Autopilot {
+        Autopilot::new(Attachment {
+            port,
+            baud,
+            system: self.system,
+            actuation: self.actuation(),
+            channels: self.channels,
+            range: self.range(),
+            signer: key.map(|key| Arc::new(Signer::new(key))),
+        })
     }
 
     /// What sets the pulses, closed; `None` for an autopilot, and for what a check would have refused.

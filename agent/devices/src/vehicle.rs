@@ -9,12 +9,13 @@ use std::sync::Arc;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use plumbline_core::estimate::vqf::{Vqf, VqfOptions};
 use plumbline_core::event::{Severity, Text, text};
+use plumbline_core::flight::Guide;
 use plumbline_core::model::geodesy::{Geodetic, Projection as _, TangentPlane};
 use plumbline_core::sensor::{
     AnySample, BarometerSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame,
 };
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{DeviceState, MotorStop, Vehicle, VehicleError};
+use plumbline_core::vehicle::{AutopilotState, DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
 use crate::motors::Motors;
@@ -119,6 +120,14 @@ impl Vehicle for HardwareVehicle {
         Ok(frame)
     }
 
+    fn guide(&mut self, guide: Option<&Guide<'_>>) {
+        self.motors.guide(guide);
+    }
+
+    fn autopilot(&self) -> Option<AutopilotState> {
+        self.motors.autopilot()
+    }
+
     fn actuate(&mut self, command: &MotorCommand) -> Result<MotorCommand, VehicleError> {
         let clipped = command.throttle.map(|t| if t.is_nan() { 0.0 } else { t.clamp(0.0, 1.0) });
         let gone = |error: std::io::Error| VehicleError::Invalid { what: "motors".into(), reason: error.to_string() };
@@ -147,6 +156,8 @@ impl Vehicle for HardwareVehicle {
             rate_hz,
             age_s: (health.last_us > 0).then(age_s),
             jitter_us: (health.jitter_us > 0.0).then_some(health.jitter_us),
+            round_trip_us: (health.round_trip_us > 0.0).then_some(health.round_trip_us),
+            clock_offset_us: (health.round_trip_us > 0.0).then_some(health.clock_offset_us),
             faults: health.faults,
             given_up: health.given_up,
             opened: health.opened,

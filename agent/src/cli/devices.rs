@@ -203,11 +203,16 @@ fn show(device: &DeviceSpec, span: Duration) -> Result<(), Failure> {
     let health = reader.state().health();
     writeln!(
         out,
-        "{} readings, {} faults, jitter {:.0} µs, clock {:+.1} ppm, opened {} times; {}",
+        "{} readings, {} faults, jitter {:.0} µs, clock {:+.1} ppm{}, opened {} times; {}",
         health.readings,
         health.faults,
         health.jitter_us,
         1e6 * health.skew,
+        if health.round_trip_us > 0.0 {
+            format!(", round trip {:.0} µs", health.round_trip_us)
+        } else {
+            String::new()
+        },
         health.opened,
         if health.reason.is_empty() { "no fault" } else { &health.reason }
     )?;

@@ -18,7 +18,7 @@ use crate::sensor::wire::{quaternion, vector};
 use crate::sim::rig::Line;
 use crate::telemetry::Replay;
 use crate::types::{EstimatorKind, Setpoint};
-use crate::vehicle::{RecordedControl, Truth};
+use crate::vehicle::{AutopilotState, RecordedControl, Truth};
 
 /// Puts `text` into a string that keeps its memory.
 pub(super) fn set(into: &mut String, text: &str) {
@@ -84,6 +84,15 @@ pub(super) fn truth(into: &mut v1::Truth, truth: &Truth) {
 fn values(into: &mut Vec<f64>, from: &[f64]) {
     into.clear();
     into.extend_from_slice(from);
+}
+
+/// What an autopilot was asked for and said; the message keeps its memory while there is none.
+pub(super) fn autopilot(into: &mut v1::AutopilotControl, state: &AutopilotState) {
+    let rates = |pair: &Option<(nalgebra::Vector3<f64>, f64)>| pair.as_ref().and_then(|(rates, _)| vector(rates));
+    let thrust = |pair: Option<(nalgebra::Vector3<f64>, f64)>| pair.map(|(_, thrust)| thrust);
+    (into.rates_asked_flu_radps, into.thrust_asked) = (rates(&state.asked), thrust(state.asked));
+    (into.rates_target_flu_radps, into.thrust_target) = (rates(&state.aims_at), thrust(state.aims_at));
+    values(&mut into.motor_output, state.outputs.as_ref().map_or(&[], |outputs| &outputs.throttle));
 }
 
 /// `recorded` is what a recording did then: shown in the place of a flight that only watches.

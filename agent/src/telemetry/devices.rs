@@ -24,6 +24,7 @@ impl Telemetry {
             convert::set(&mut message.reason, &state.reason);
             (message.up, message.rate_hz) = (state.up, state.rate_hz);
             (message.age_s, message.jitter_us) = (state.age_s, state.jitter_us);
+            (message.round_trip_us, message.clock_offset_us) = (state.round_trip_us, state.clock_offset_us);
             (message.faults, message.given_up, message.opened) = (state.faults, state.given_up, state.opened);
             outlets.send(Kind::Device, instance, now, message);
         }

@@ -42,6 +42,7 @@ impl Kept {
                 motor_applied: four(),
                 motor_attacked: four(),
                 integrator: four(),
+                autopilot: Some(v1::AutopilotControl { motor_output: four(), ..v1::AutopilotControl::default() }),
                 ..v1::Control::default()
             },
             residuals: v1::Residuals {

@@ -89,7 +89,7 @@ fn Devices() -> impl IntoView {
                 <table class="dense">
                     <thead><tr>
                         <th>"device"</th><th>"port"</th><th class="num">"rate"</th><th class="num">"age"</th>
-                        <th class="num">"jitter"</th><th class="num">"errors"</th><th class="num">"opened"</th><th>"last reason"</th>
+                        <th class="num">"jitter"</th><th class="num">"round trip"</th><th class="num">"errors"</th><th class="num">"opened"</th><th>"last reason"</th>
                     </tr></thead>
                     <tbody>{rows.into_iter().map(|d| view! {
                         <tr>
@@ -98,6 +98,7 @@ fn Devices() -> impl IntoView {
                             <td class="num">{format!("{} Hz", format::fixed(d.rate_hz, 1))}</td>
                             <td class="num">{milliseconds(d.age_s)}</td>
                             <td class="num">{milliseconds(d.jitter_us.map(|us| 1e-6 * us))}</td>
+                            <td class="num">{milliseconds(d.round_trip_us.map(|us| 1e-6 * us))}</td>
                             <td class="num">{format::count(d.faults + d.given_up)}</td>
                             <td class="num">{format::count(d.opened)}</td>
                             <td>{d.reason}</td>

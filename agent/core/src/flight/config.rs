@@ -14,7 +14,7 @@ use crate::model::airframe::Airframe;
 use crate::sensor::SensorModel;
 use crate::sensor::suite::Suite;
 use crate::supervisor::Settings;
-use crate::types::{ControllerKind, EstimatorKind};
+use crate::types::{Actuation, ControllerKind, EstimatorKind};
 
 /// Fraction of the weight that the motors may lift in the orientation test. At 0.9 the string holds so little that two
 /// degrees of tilt swing the vehicle by 35°; with 0.8 it is a quarter of that.
@@ -107,6 +107,8 @@ pub struct FlightConfig {
     pub airframe: Airframe,
     /// What holds it.
     pub rig: RigKind,
+    /// What it is commanded by.
+    pub actuation: Actuation,
     /// Control ticks a second, 50 to 1000.
     pub tick_rate_hz: f64,
     /// Limits of setpoints.
@@ -148,6 +150,7 @@ impl FlightConfig {
             margins: MarginPolicy::default(),
             airframe,
             rig,
+            actuation: Actuation::Motors,
             tick_rate_hz: 200.0,
             limits: Limits::default(),
             estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Complementary, EstimatorKind::Lanes],

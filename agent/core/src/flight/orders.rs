@@ -18,7 +18,7 @@ use crate::estimate::{Estimate, Health};
 use crate::event::{EventKind, Severity, Text, text};
 use crate::frames::wrap_pi;
 use crate::supervisor::Watchdog;
-use crate::types::{EstimatorKind, Mode};
+use crate::types::{Actuation, EstimatorKind, Mode};
 
 /// Body rate below which a vehicle stands still, rad/s (10 °/s).
 const STILL_RADPS: f64 = 0.175;
@@ -163,6 +163,9 @@ impl Flight {
         if mode == self.mode {
             return Ok(text(format_args!("mode is {} already", mode_name(mode))));
         }
+        if mode == Mode::Stabilise && self.config.actuation == Actuation::Pose {
+            return Err(text(format_args!("stabilise: by pose the autopilot controls attitude and thrust")));
+        }
         if mode != Mode::Stabilise && !self.config.rig.can_lift() {
             let rig = self.config.rig.name();
             return Err(text(format_args!("{rig}: no {}, only stabilise", mode_name(mode))));
@@ -242,6 +245,9 @@ impl Flight {
             }
             if value > most {
                 return Err(text(format_args!("{name} {value} {unit} above limit {most} {unit}")));
+            }
+            if self.config.actuation == Actuation::Pose && matches!(name, "roll" | "pitch" | "throttle") {
+                return Err(text(format_args!("{name} {value} {unit}: by pose the autopilot controls it")));
             }
             if !allowed {
                 return Err(text(format_args!("{name} is not controlled in mode {}", mode_name(self.mode))));

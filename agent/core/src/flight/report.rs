@@ -5,6 +5,7 @@ use plumbline_proto::ids::GainsRevision;
 use plumbline_proto::time::FlightTime;
 
 use crate::control::step_response::StepResponse;
+use crate::estimate::Estimate;
 use crate::event::Text;
 use crate::sensor::SensorFrame;
 use crate::types::{EstimatorKind, Mode, MotorCommand, Setpoint, Wrench};
@@ -43,6 +44,15 @@ pub struct StepReport {
     pub integrator: [f64; 4],
     /// The response to the last altitude step, while it is measured: about 10 Hz and when it ends.
     pub step_response: Option<StepResponse>,
+}
+
+/// What an autopilot flies by whose own controller flies: see [`crate::types::Actuation::Pose`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guide<'a> {
+    /// By the estimator in the loop.
+    pub estimate: &'a Estimate,
+    /// The setpoint of this tick; `None` while the vehicle shall stay on the ground.
+    pub setpoint: Option<&'a Setpoint>,
 }
 
 /// One pre-arm check.

@@ -11,7 +11,7 @@ use crate::control::gains::Certified;
 use crate::estimate::Health;
 use crate::event::{Text, text};
 use crate::model::motor;
-use crate::types::EstimatorKind;
+use crate::types::{Actuation, EstimatorKind};
 
 /// Most tilt at arming, rad (15°); on a single axis the vehicle may lean as far as that lets it.
 const TILT_MAX_RAD: f64 = 0.262;
@@ -42,6 +42,13 @@ impl Flight {
                 estimate.altitude_known(),
                 text(format_args!("{known} to {kind:?}, which is in the loop")),
             );
+        }
+
+        if self.config.actuation == Actuation::Pose {
+            let carries = self.guide().is_some();
+            let known = if carries { "known" } else { "not known" };
+            let line = text(format_args!("place {known} to {kind:?}: an autopilot flies by it"));
+            check("pose", carries, line);
         }
 
         let tilt = self.supervision.watchdog.tilt_rad();

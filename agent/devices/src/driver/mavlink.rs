@@ -1,33 +1,38 @@
-//! A PX4 autopilot over MAVLink 2: its sensors, and the way into and out of offboard mode.
+//! A PX4 autopilot over MAVLink 2, on a serial port or UDP: its sensors, its clock, what it says that it does, and the way
+//! into and out of offboard mode.
 //!
 //! | asked for | when |
 //! |---|---|
-//! | HIGHRES_IMU, DISTANCE_SENSOR, SYS_STATUS at their rates | when it is found, and again while no IMU comes |
+//! | [`MESSAGES`] at their rates, one after the other | when it is found, and again while no IMU comes |
+//! | TIMESYNC | ten times a second until ten were answered, then each second |
 //! | offboard mode | disarmed, after [`STREAMED`] of setpoints, until it is in it |
 //! | arming | in offboard mode, once the flight's motors shall turn |
 //! | disarming, without landing | in offboard mode, armed by us, once they shall not |
 //!
-//! Whoever else arms it, or takes it out of offboard mode, is left alone.
+//! An interval that is refused is told as a fault; of a message without which nothing flies it is an error. Whoever else arms
+//! it, or takes it out of offboard mode, is left alone.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use mavlink::MavHeader;
 use mavlink::dialects::common::{
-    COMMAND_ACK_DATA, DISTANCE_SENSOR_DATA, HEARTBEAT_DATA, HIGHRES_IMU_DATA, HighresImuUpdatedFlags, MavAutopilot,
-    MavCmd, MavMessage, MavModeFlag, MavResult, MavSensorOrientation, MavState, MavType, TIMESYNC_DATA,
+    ATTITUDE_TARGET_DATA, COMMAND_ACK_DATA, DISTANCE_SENSOR_DATA, HEARTBEAT_DATA, HIGHRES_IMU_DATA,
+    HighresImuUpdatedFlags, MavAutopilot, MavCmd, MavMessage, MavModeFlag, MavResult, MavSensorOrientation, MavState,
+    MavType, SERVO_OUTPUT_RAW_DATA, TIMESYNC_DATA,
 };
-use mavlink::error::MessageReadError;
-use mavlink::{MavHeader, MavlinkReader};
 use nalgebra::Vector3;
 use plumbline_core::frames::{Flu, Frd};
+use plumbline_core::types::Actuation;
 
-use super::{Driver, Heard, Outlet};
+use super::{Driver, Exchange, Heard, Outlet};
+use crate::autopilot::wire::Wire;
 use crate::autopilot::{AUTOPILOT, Autopilot, OFFBOARD};
 use crate::clock::Stamp;
 use crate::fault::{DeviceError, Fault};
-use crate::port::timed_out;
+use crate::framer::Framer;
+use crate::protocol::mavlink::Frames;
 use crate::reading::{BarometerReading, ImuReading, RangeReading, Reading};
 
 /// Setpoints this long before the switch: PX4 asks for a second.
@@ -42,10 +47,81 @@ const DISARM_AGAIN: Duration = Duration::from_millis(50);
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// A reader that was held up for longer looks anew.
 const STALL: Duration = Duration::from_millis(250);
-/// Rates of height and voltage, Hz.
-const SLOW_HZ: [f64; 2] = [50.0, 2.0];
-/// Largest datagram taken.
-const DATAGRAM: usize = 4096;
+/// An interval that is not answered is asked for again, so often in all.
+const ANSWERED: Duration = Duration::from_millis(300);
+const ASKED: u8 = 3;
+/// Between two questions about its clock: of the first ones, and later.
+const QUICK: (u8, Duration) = (10, Duration::from_millis(100));
+const CALM: Duration = Duration::from_secs(1);
+/// Most bytes taken at once.
+const READ: usize = 4096;
+
+/// A message that is asked for.
+struct Wanted {
+    id: u32,
+    name: &'static str,
+    /// As the error calls it.
+    interval: &'static str,
+    /// Hz; `None`: as the IMU is configured.
+    rate_hz: Option<f64>,
+    /// Refused, it cannot be used: never, by pose, always.
+    needed: Needed,
+}
+
+#[derive(PartialEq)]
+enum Needed {
+    No,
+    ByPose,
+    Always,
+}
+
+/// What is asked for.
+const MESSAGES: [Wanted; 5] = [
+    Wanted {
+        id: 105,
+        name: "HIGHRES_IMU",
+        interval: "the interval of HIGHRES_IMU",
+        rate_hz: None,
+        needed: Needed::Always,
+    },
+    Wanted {
+        id: 36,
+        name: "SERVO_OUTPUT_RAW",
+        interval: "the interval of SERVO_OUTPUT_RAW",
+        rate_hz: Some(50.0),
+        needed: Needed::ByPose,
+    },
+    Wanted {
+        id: 132,
+        name: "DISTANCE_SENSOR",
+        interval: "the interval of DISTANCE_SENSOR",
+        rate_hz: Some(50.0),
+        needed: Needed::No,
+    },
+    Wanted {
+        id: 83,
+        name: "ATTITUDE_TARGET",
+        interval: "the interval of ATTITUDE_TARGET",
+        rate_hz: Some(50.0),
+        needed: Needed::No,
+    },
+    Wanted {
+        id: 1,
+        name: "SYS_STATUS",
+        interval: "the interval of SYS_STATUS",
+        rate_hz: Some(5.0),
+        needed: Needed::No,
+    },
+];
+
+/// The interval being asked for; answers name none, so there is one at a time.
+#[derive(Debug)]
+struct Asking {
+    /// Of [`MESSAGES`]; beyond the last: all are dealt with.
+    index: usize,
+    times: u8,
+    at: Instant,
+}
 
 /// What is known of the autopilot, and what was asked last.
 #[derive(Debug)]
@@ -61,6 +137,10 @@ struct Known {
     polled: Instant,
     asked: Instant,
     greeted: Instant,
+    asking: Asking,
+    /// When its clock was asked last, and how often it answered.
+    clock: (Instant, u8),
+    exchange: Option<Exchange>,
 }
 
 /// The reader's end.
@@ -68,61 +148,64 @@ pub struct Mavlink {
     autopilot: Arc<Autopilot>,
     rate_hz: f64,
     known: Option<Known>,
-    datagram: Box<[u8; DATAGRAM]>,
+    wire: Option<Arc<Wire>>,
+    framer: Framer<Frames>,
+    bytes: Box<[u8; READ]>,
 }
 
 impl Mavlink {
     /// Of `autopilot`, not yet found, with so many IMU samples a second.
     pub fn new(autopilot: Arc<Autopilot>, rate_hz: f64) -> Self {
-        Self { autopilot, rate_hz, known: None, datagram: Box::new([0; DATAGRAM]) }
+        let framer = Framer::new(Frames { signer: autopilot.attachment.signer.clone() });
+        Self { autopilot, rate_hz, known: None, wire: None, framer, bytes: Box::new([0; READ]) }
     }
 
-    /// One datagram's length and sender, if one comes in time.
-    fn datagram(&mut self) -> Result<Option<(usize, SocketAddr)>, DeviceError> {
-        match self.autopilot.socket()?.recv_from(self.datagram.as_mut()) {
-            Ok(found) => Ok(Some(found)),
-            // Nobody listens there just now.
-            Err(error) if timed_out(&error) || error.kind() == std::io::ErrorKind::ConnectionRefused => Ok(None),
-            Err(error) => Err(self.autopilot.port.error(error)),
+    /// What comes within a read's wait, and who sent it where there are several.
+    fn read(&mut self, mut each: impl FnMut(Result<(MavHeader, MavMessage), Fault>)) -> Result<Peer, DeviceError> {
+        let Some(wire) = &self.wire else { return Ok(None) };
+        let read = wire.read(self.bytes.as_mut());
+        let (count, peer) = read.map_err(|error| self.autopilot.attachment.port.error(error))?;
+        if wire.is_datagrams() {
+            // No frame goes on in the next one.
+            self.framer.clear();
         }
+        self.framer.push(self.bytes.get(..count).unwrap_or_default(), &mut each);
+        Ok(peer)
     }
 
-    /// Drops what waits: it says what was, not what is.
-    fn forget(&mut self) -> Result<(), DeviceError> {
-        let Self { autopilot, datagram, .. } = self;
-        let socket = autopilot.socket()?;
-        let blocking = |on: bool| socket.set_nonblocking(!on).map_err(|error| autopilot.port.error(error));
-        blocking(false)?;
-        while socket.recv(datagram.as_mut()).is_ok() {}
-        blocking(true)
-    }
-
-    /// Asks for its messages.
-    fn subscribe(&self) {
-        let [height_hz, voltage_hz] = SLOW_HZ;
-        for (message, rate_hz) in [(105.0, self.rate_hz), (132.0, height_hz), (1.0, voltage_hz)] {
-            self.autopilot.order(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, message, (1e6 / rate_hz) as f32);
-        }
-    }
-}
-
-/// The messages of `system`'s autopilot in a datagram; what is damaged or foreign is passed over.
-fn messages(datagram: &[u8], system: u8) -> impl Iterator<Item = MavMessage> {
-    let mut reader = MavlinkReader::new(datagram);
-    std::iter::from_fn(move || {
-        loop {
-            match reader.read_any_message::<MavMessage>() {
-                Ok((MavHeader { system_id, component_id: AUTOPILOT, .. }, message))
-                    if system_id == u32::from(system) =>
-                {
-                    return Some(message);
+    /// Waits for its heartbeat, and speaks with nobody else from then on.
+    fn find(&mut self) -> Result<HEARTBEAT_DATA, DeviceError> {
+        let (system, begun) = (self.autopilot.system, Instant::now());
+        let (mut stranger, mut fault) = (None, None);
+        while begun.elapsed() < PATIENCE {
+            let mut found = None;
+            let peer = self.read(|frame| match frame {
+                Ok((MavHeader { system_id, component_id: AUTOPILOT, .. }, MavMessage::HEARTBEAT(beat))) => {
+                    if system_id == u32::from(system) {
+                        found = Some(beat);
+                    } else {
+                        stranger = Some(system_id);
+                    }
                 }
-                Ok(_) | Err(MessageReadError::Parse(_)) => {}
-                Err(MessageReadError::Io(_)) => return None,
+                Ok(_) => {}
+                Err(given) => fault = Some(given),
+            })?;
+            if let (Some(beat), Some(wire)) = (found, &self.wire) {
+                wire.keep_to(peer).map_err(|error| self.autopilot.attachment.port.error(error))?;
+                return Ok(beat);
             }
         }
-    })
+        let silent = DeviceError::Silent { what: "heartbeat of the autopilot", seconds: PATIENCE.as_secs_f64() };
+        Err(match (stranger, fault) {
+            (Some(heard), _) => DeviceError::Stranger { wanted: system, heard },
+            (None, Some(Fault::Unsigned)) => Fault::Unsigned.into(),
+            _ => silent,
+        })
+    }
 }
+
+/// Who sent what was read.
+type Peer = Option<std::net::SocketAddr>;
 
 impl Known {
     fn new(now: Instant, flew: bool) -> Self {
@@ -137,6 +220,9 @@ impl Known {
             polled: now,
             asked: now,
             greeted: now - HEARTBEAT,
+            asking: Asking { index: 0, times: 0, at: now },
+            clock: (now - CALM, 0),
+            exchange: None,
         }
     }
 
@@ -148,14 +234,75 @@ impl Known {
     }
 
     /// An answer comes sooner than the next heartbeat.
-    fn answered(&mut self, ack: &COMMAND_ACK_DATA, wanted: bool) {
-        if ack.result == MavResult::MAV_RESULT_ACCEPTED {
-            match ack.command {
-                MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => self.armed = wanted,
-                MavCmd::MAV_CMD_DO_SET_MODE => self.offboard = true,
-                _ => {}
+    fn answered(
+        &mut self,
+        ack: &COMMAND_ACK_DATA,
+        autopilot: &Autopilot,
+        out: &mut Outlet<'_>,
+    ) -> Result<(), DeviceError> {
+        let accepted = ack.result == MavResult::MAV_RESULT_ACCEPTED;
+        match ack.command {
+            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM if accepted => self.armed = autopilot.wanted.load(Ordering::Acquire),
+            MavCmd::MAV_CMD_DO_SET_MODE if accepted => self.offboard = true,
+            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if self.asking.times > 0 => {
+                let Some(wanted) = MESSAGES.get(self.asking.index) else { return Ok(()) };
+                (self.asking.index, self.asking.times) = (self.asking.index + 1, 0);
+                if !accepted {
+                    return refused(wanted, Some(ack.result), autopilot, out);
+                }
             }
+            _ => {}
         }
+        Ok(())
+    }
+
+    /// Asks for the next message that is not dealt with.
+    fn subscribe(
+        &mut self,
+        autopilot: &Autopilot,
+        rate_hz: f64,
+        now: Instant,
+        out: &mut Outlet<'_>,
+    ) -> Result<(), DeviceError> {
+        let Some(wanted) = MESSAGES.get(self.asking.index) else { return Ok(()) };
+        if self.asking.times > 0 && now - self.asking.at < ANSWERED {
+            return Ok(());
+        }
+        if self.asking.times >= ASKED {
+            (self.asking.index, self.asking.times) = (self.asking.index + 1, 0);
+            return refused(wanted, None, autopilot, out);
+        }
+        (self.asking.times, self.asking.at) = (self.asking.times + 1, now);
+        let interval_us = 1e6 / wanted.rate_hz.unwrap_or(rate_hz);
+        autopilot.order(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, wanted.id as f32, interval_us as f32);
+        Ok(())
+    }
+
+    /// Asks its clock, when that is due.
+    fn synchronise(&mut self, autopilot: &Autopilot, now: Instant) {
+        let (asked, times) = self.clock;
+        let (first, quick) = QUICK;
+        if now - asked >= if times < first { quick } else { CALM } {
+            self.clock.0 = now;
+            let ts1 = autopilot.ns_at(Instant::now());
+            autopilot.say(&MavMessage::TIMESYNC(TIMESYNC_DATA { tc1: 0, ts1, ..TIMESYNC_DATA::DEFAULT }));
+        }
+    }
+
+    /// A question about our clock, or the answer about its own, which came `at`.
+    fn timesync(&mut self, sync: &TIMESYNC_DATA, autopilot: &Autopilot, at: Instant) {
+        if sync.tc1 == 0 {
+            let tc1 = autopilot.ns_at(Instant::now());
+            autopilot.say(&MavMessage::TIMESYNC(TIMESYNC_DATA { tc1, ..*sync }));
+            return;
+        }
+        let age_ns = autopilot.ns_at(at) - sync.ts1;
+        // Others ask it too, by their own clocks; ours is asked each second.
+        let Ok(age) = u64::try_from(age_ns).map(Duration::from_nanos) else { return };
+        let Some(asked) = at.checked_sub(age).filter(|_| age < CALM && sync.tc1 > 0) else { return };
+        self.clock.1 = self.clock.1.saturating_add(1);
+        let stamp = Stamp { ticks: sync.tc1.unsigned_abs(), tick_us: 1e-3, roll_over: 1 << 62 };
+        self.exchange = Some(Exchange { asked, answered: at, stamp });
     }
 
     /// What is due: our heartbeat, the next step towards what the flight wants.
@@ -201,82 +348,138 @@ impl Known {
             }
         }
     }
-}
 
-impl Driver for Mavlink {
-    fn open(&mut self) -> Result<(), DeviceError> {
-        self.forget()?;
-        let (system, begun) = (self.autopilot.system, Instant::now());
-        while begun.elapsed() < PATIENCE {
-            let Some((length, from)) = self.datagram()? else { continue };
-            let datagram = self.datagram.get(..length).unwrap_or_default();
-            let beat = messages(datagram, system).find_map(|message| match message {
-                MavMessage::HEARTBEAT(beat) => Some(beat),
-                _ => None,
-            });
-            let Some(beat) = beat else { continue };
-            if beat.autopilot != MavAutopilot::MAV_AUTOPILOT_PX4 {
-                let value = format!("{:?}", beat.autopilot);
-                return Err(DeviceError::Wrong { what: "autopilot", value, expected: "MAV_AUTOPILOT_PX4" });
+    /// Takes a message of the autopilot that came `at`.
+    fn take(
+        &mut self,
+        message: &MavMessage,
+        autopilot: &Autopilot,
+        at: Instant,
+        out: &mut Outlet<'_>,
+    ) -> Result<(), DeviceError> {
+        match message {
+            MavMessage::HEARTBEAT(beat) => self.beat(beat, at),
+            MavMessage::COMMAND_ACK(ack) => return self.answered(ack, autopilot, out),
+            MavMessage::HIGHRES_IMU(imu) => {
+                self.imu = at;
+                inertial(imu, autopilot, at, out);
             }
-            if beat.mavtype != MavType::MAV_TYPE_QUADROTOR {
-                let value = format!("{:?}", beat.mavtype);
-                return Err(DeviceError::Wrong { what: "vehicle", value, expected: "MAV_TYPE_QUADROTOR" });
+            MavMessage::DISTANCE_SENSOR(range) => below(range, at, out),
+            MavMessage::SYS_STATUS(status) if status.voltage_battery != u16::MAX => {
+                let volts = 1e-3 * f64::from(status.voltage_battery);
+                autopilot.powered(volts);
+                out(Ok(Heard { at, stamp: None, after_us: 0.0, reading: Reading::Battery(volts) }));
             }
-            // From here on nobody else is heard, nor spoken to.
-            self.autopilot.socket()?.connect(from).map_err(|error| self.autopilot.port.error(error))?;
-            let now = Instant::now();
-            let mut known = Known::new(now, self.known.as_ref().is_some_and(|known| known.flew));
-            known.beat(&beat, now);
-            self.known = Some(known);
-            self.subscribe();
-            return Ok(());
+            MavMessage::ATTITUDE_TARGET(target) => aims(target, autopilot),
+            MavMessage::SERVO_OUTPUT_RAW(outputs) if outputs.port == 0 => {
+                autopilot.puts_out(&pulses(outputs));
+            }
+            MavMessage::TIMESYNC(sync) => self.timesync(sync, autopilot, at),
+            _ => {}
         }
-        Err(DeviceError::Silent { what: "heartbeat of the autopilot", seconds: PATIENCE.as_secs_f64() })
+        Ok(())
     }
 
-    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
-        let length = self.datagram()?.map_or(0, |(length, _)| length);
-        let (at, autopilot) = (Instant::now(), self.autopilot.clone());
-        let Some(known) = &mut self.known else { return Ok(()) };
-        let gap = at - std::mem::replace(&mut known.polled, at);
+    /// Does what is due at `at`.
+    fn due(
+        &mut self,
+        autopilot: &Autopilot,
+        rate_hz: f64,
+        at: Instant,
+        out: &mut Outlet<'_>,
+    ) -> Result<(), DeviceError> {
+        let gap = at - std::mem::replace(&mut self.polled, at);
         if gap > STALL {
             // This thread stood still: what has come since is old.
             return Err(
                 Fault::Value { what: "silence of this reader, s", value: gap.as_secs_f64(), expected: "less" }.into()
             );
         }
-        for message in messages(self.datagram.get(..length).unwrap_or_default(), autopilot.system) {
-            match message {
-                MavMessage::HEARTBEAT(beat) => known.beat(&beat, at),
-                MavMessage::COMMAND_ACK(ack) => known.answered(&ack, autopilot.wanted.load(Ordering::Acquire)),
-                MavMessage::HIGHRES_IMU(imu) => {
-                    known.imu = at;
-                    inertial(&imu, &autopilot, at, out);
-                }
-                MavMessage::DISTANCE_SENSOR(range) => below(&range, at, out),
-                MavMessage::SYS_STATUS(status) if status.voltage_battery != u16::MAX => {
-                    let volts = 1e-3 * f64::from(status.voltage_battery);
-                    autopilot.powered(volts);
-                    out(Ok(Heard { at, stamp: None, after_us: 0.0, reading: Reading::Battery(volts) }));
-                }
-                MavMessage::TIMESYNC(sync) if sync.tc1 == 0 => {
-                    let tc1 = autopilot.now_ns();
-                    autopilot.say(&MavMessage::TIMESYNC(TIMESYNC_DATA { tc1, ..sync }));
-                }
-                _ => {}
-            }
-        }
-        known.attend(&autopilot, at);
-        if at - known.heard > PATIENCE {
+        self.attend(autopilot, at);
+        self.synchronise(autopilot, at);
+        self.subscribe(autopilot, rate_hz, at, out)?;
+        if at - self.heard > PATIENCE {
             return Err(DeviceError::Silent { what: "heartbeat of the autopilot", seconds: PATIENCE.as_secs_f64() });
         }
-        if at - known.imu > HEARTBEAT {
-            known.imu = at;
-            self.subscribe();
+        if at - self.imu > HEARTBEAT {
+            (self.imu, self.asking) = (at, Asking { index: 0, times: 0, at });
         }
         Ok(())
     }
+}
+
+impl Driver for Mavlink {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        let attachment = &self.autopilot.attachment;
+        self.framer.clear();
+        self.wire = Some(Arc::new(Wire::open(&attachment.port, attachment.baud)?));
+        let beat = self.find()?;
+        if beat.autopilot != MavAutopilot::MAV_AUTOPILOT_PX4 {
+            let value = format!("{:?}", beat.autopilot);
+            return Err(DeviceError::Wrong { what: "autopilot", value, expected: "MAV_AUTOPILOT_PX4" });
+        }
+        if beat.mavtype != MavType::MAV_TYPE_QUADROTOR {
+            let value = format!("{:?}", beat.mavtype);
+            return Err(DeviceError::Wrong { what: "vehicle", value, expected: "MAV_TYPE_QUADROTOR" });
+        }
+        self.autopilot.attach(self.wire.clone());
+        let now = Instant::now();
+        let mut known = Known::new(now, self.known.as_ref().is_some_and(|known| known.flew));
+        known.beat(&beat, now);
+        self.known = Some(known);
+        Ok(())
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        let autopilot = self.autopilot.clone();
+        let Some(mut known) = self.known.take() else { return Ok(()) };
+        let mut outcome = Ok(());
+        let read = self.read(|frame| {
+            let at = Instant::now();
+            match frame {
+                Ok((header, message))
+                    if header.component_id == AUTOPILOT && header.system_id == u32::from(autopilot.system) =>
+                {
+                    let taken = known.take(&message, &autopilot, at, out);
+                    if outcome.is_ok() {
+                        outcome = taken;
+                    }
+                }
+                Ok(_) => {}
+                Err(fault) => out(Err(fault)),
+            }
+        });
+        let at = Instant::now();
+        let outcome = read.map(drop).and(outcome).and_then(|()| known.due(&autopilot, self.rate_hz, at, out));
+        self.known = Some(known);
+        outcome
+    }
+
+    fn exchange(&mut self) -> Option<Exchange> {
+        self.known.as_mut()?.exchange.take()
+    }
+
+    fn close(&mut self) {
+        self.autopilot.attach(None);
+        self.wire = None;
+    }
+}
+
+/// The interval of `wanted` is refused with `result`, or not answered for.
+fn refused(
+    wanted: &Wanted,
+    result: Option<MavResult>,
+    autopilot: &Autopilot,
+    out: &mut Outlet<'_>,
+) -> Result<(), DeviceError> {
+    let by_pose = autopilot.attachment.actuation == Actuation::Pose;
+    if wanted.needed == Needed::Always || (wanted.needed == Needed::ByPose && by_pose) {
+        let value = result.map_or_else(|| "not answered".to_owned(), |result| format!("{result:?}"));
+        return Err(DeviceError::Wrong { what: wanted.interval, value, expected: "MAV_RESULT_ACCEPTED" });
+    }
+    let what = wanted.name;
+    out(Err(result.map_or(Fault::Unanswered { what }, |result| Fault::Refused { what, code: result as u32 })));
+    Ok(())
 }
 
 /// Gyroscope, accelerometer, magnetometer; the barometer where it is new.
@@ -319,13 +522,45 @@ fn below(range: &DISTANCE_SENSOR_DATA, at: Instant, out: &mut Outlet<'_>) {
     }
 }
 
+/// Rates and thrust that its own loops aim at.
+fn aims(target: &ATTITUDE_TARGET_DATA, autopilot: &Autopilot) {
+    let rates = Vector3::new(target.body_roll_rate, target.body_pitch_rate, target.body_yaw_rate).cast::<f64>();
+    if rates.iter().all(|rate| rate.is_finite()) && target.thrust.is_finite() {
+        let Flu(rates) = Frd(rates).into();
+        autopilot.aims_at(&rates, f64::from(target.thrust));
+    }
+}
+
+/// Pulses of its outputs, µs.
+fn pulses(outputs: &SERVO_OUTPUT_RAW_DATA) -> [u16; 16] {
+    let SERVO_OUTPUT_RAW_DATA {
+        servo1_raw: a,
+        servo2_raw: b,
+        servo3_raw: c,
+        servo4_raw: d,
+        servo5_raw: e,
+        servo6_raw: f,
+        servo7_raw: g,
+        servo8_raw: h,
+        servo9_raw: i,
+        servo10_raw: j,
+        servo11_raw: k,
+        servo12_raw: l,
+        servo13_raw: m,
+        servo14_raw: n,
+        servo15_raw: o,
+        servo16_raw: p,
+        ..
+    } = *outputs;
+    [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::port::PortName;
 
     fn heard(imu: &HIGHRES_IMU_DATA) -> Vec<Result<Reading, Fault>> {
-        let autopilot = Autopilot::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 1);
+        let autopilot = Autopilot::silent();
         let mut all = Vec::new();
         inertial(imu, &autopilot, Instant::now(), &mut |heard| all.push(heard.map(|heard| heard.reading)));
         all
@@ -357,7 +592,7 @@ mod tests {
 
     #[test]
     fn offboard_mode_is_asked_for_after_a_second_of_setpoints_and_never_while_it_is_armed() {
-        let autopilot = Autopilot::new(PortName::parse("udp:127.0.0.1:0").unwrap(), 1);
+        let autopilot = Autopilot::silent();
         let begun = Instant::now();
         let asked = |known: &mut Known, until_s: f64| {
             let mut at_s = None;

@@ -27,6 +27,17 @@ pub struct Heard {
     pub reading: Reading,
 }
 
+/// A question about its clock that a device answered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exchange {
+    /// When it was asked.
+    pub asked: Instant,
+    /// When the answer was there.
+    pub answered: Instant,
+    /// The device's own time between the two.
+    pub stamp: Stamp,
+}
+
 /// Takes what a driver hears.
 pub type Outlet<'a> = dyn FnMut(Result<Heard, Fault>) + 'a;
 
@@ -43,6 +54,11 @@ pub trait Driver: Send {
     /// # Errors
     /// The device is to be opened again.
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError>;
+
+    /// A question that was answered since this was asked last.
+    fn exchange(&mut self) -> Option<Exchange> {
+        None
+    }
 
     /// Lets the device rest and the port go.
     fn close(&mut self) {}

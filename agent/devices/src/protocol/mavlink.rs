@@ -2,10 +2,16 @@
 //!
 //! 0xFE, length, sequence, system, component, message (1 byte), payload, sum; or 0xFD, length, flags that must be understood,
 //! flags that need not, sequence, system, component, message (3 bytes), payload, sum, signature (13 bytes, where the first
-//! flag says so). Signatures are passed over.
+//! flag says so). Without a key signatures are passed over; with one, a frame that is not signed with it is refused, as is one
+//! whose signature's time is not newer than the last of its sender.
+
+use std::sync::Arc;
 
 use mavlink::dialects::common::MavMessage;
-use mavlink::{MAV_STX, MAV_STX_V2, MavHeader, MavlinkVersion, Message as _, calculate_crc};
+use mavlink::{
+    MAV_STX, MAV_STX_V2, MAVLinkV2MessageRaw, MavHeader, MavlinkVersion, Message as _, SigningConfig, SigningData,
+    calculate_crc,
+};
 
 use crate::fault::Fault;
 use crate::framer::{Protocol, Scan, le};
@@ -14,9 +20,46 @@ use crate::framer::{Protocol, Scan, le};
 const SIGNED: u8 = 1;
 const SIGNATURE: usize = 13;
 
+/// Link of a signature: there is one.
+const LINK: u8 = 0;
+
+/// Signs and verifies with one key, which is never printed.
+pub struct Signer(SigningData);
+
+impl Signer {
+    /// With `key`.
+    pub fn new(key: [u8; 32]) -> Self {
+        Self(SigningData::from_config(SigningConfig::new(key, LINK, true, false)))
+    }
+
+    /// `message` of `header`, signed.
+    pub fn sign(&self, header: MavHeader, message: &MavMessage) -> MAVLinkV2MessageRaw {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.serialize_message_for_signing(header, message);
+        self.0.sign_message(&mut raw);
+        raw
+    }
+
+    /// Is this whole frame of version 2 signed, with our key, and not an old one?
+    fn accepts(&self, frame: &[u8]) -> bool {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.as_mut_slice().iter_mut().zip(frame).for_each(|(to, from)| *to = *from);
+        self.0.verify_signature(&raw)
+    }
+}
+
+impl std::fmt::Debug for Signer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Signer")
+    }
+}
+
 /// Decoder.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Frames;
+#[derive(Debug, Clone, Default)]
+pub struct Frames {
+    /// Who verifies signatures; `None`: nobody.
+    pub signer: Option<Arc<Signer>>,
+}
 
 impl Protocol for Frames {
     type Reading = (MavHeader, MavMessage);
@@ -50,6 +93,10 @@ impl Protocol for Frames {
         let got = le::u16(sum, 0);
         if expected != got {
             return Scan::Frame(1, Err(Fault::Checksum { expected: expected.into(), got: got.into() }));
+        }
+        let trusted = |signer: &Arc<Signer>| version == MavlinkVersion::V2 && signer.accepts(frame);
+        if !self.signer.as_ref().is_none_or(trusted) {
+            return Scan::Frame(frame.len(), Err(Fault::Unsigned));
         }
         let [sequence, system, component_id] = le::bytes(body, sender);
         let header = MavHeader { system_id: system.into(), component_id, sequence };

@@ -51,3 +51,36 @@ fn a_clock_that_jumps_back_is_told_once_and_followed() {
     let after = clock.map(at(45_010), 5.01e6);
     assert_eq!((after.jumped_s, after.time_us), (None, 5.01e6));
 }
+
+/// Each way takes 20 ms, and the way there at times less.
+#[test]
+fn a_latency_that_is_the_same_both_ways_is_found_where_the_clock_can_be_asked() {
+    const LATENCY_US: f64 = 20e3;
+    let mut clock = DeviceClock::default();
+    let mut noise = Stream::new(3, "exchange");
+    let theirs = |ours_us: f64| (ours_us * (1.0 + 40e-6) + 7e9) as u64;
+    let stamp = |ours_us: f64, tick_us: f64| Stamp {
+        ticks: (theirs(ours_us) as f64 / tick_us) as u64,
+        tick_us,
+        roll_over: 1 << 62,
+    };
+    let mut worst_us: f64 = 0.0;
+    for frame in 0..4_000_u64 {
+        let true_us = frame as f64 * 5_000.0 + 5e6;
+        let mut delay = || LATENCY_US + 2e3 * noise.normal().abs();
+        if frame % 100 == 50 {
+            let (asked_us, there_us) = (true_us, true_us + delay());
+            clock.answered(stamp(there_us, 1e-3), asked_us, there_us + delay());
+        }
+        let mapped = clock.map(stamp(true_us, 1.0), true_us + delay());
+        assert_eq!(mapped.jumped_s, None);
+        if frame > 1_000 {
+            worst_us = worst_us.max((mapped.time_us - true_us).abs());
+        }
+    }
+    let (round_trip_us, offset_us) = clock.offset().unwrap();
+    println!("round trip {round_trip_us:.0} µs, worst {worst_us:.0} µs, offset {offset_us:.0} µs");
+    assert!((2.0 * LATENCY_US..2.3 * LATENCY_US).contains(&round_trip_us), "{round_trip_us}");
+    assert!(worst_us < 1_000.0, "20 ms of latency, all but {worst_us} µs of it found");
+    assert!((offset_us - 7e9).abs() < 3e3, "{offset_us}");
+}

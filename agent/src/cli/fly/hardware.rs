@@ -9,14 +9,16 @@ use super::{
 use crate::cli::motors;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::sim::rig::{HangingStrings, Rig};
-use plumbline_agent::types::EstimatorKind;
-use plumbline_devices::autopilot::{Autopilot, AutopilotLine};
+use plumbline_agent::types::{Actuation, EstimatorKind};
+use plumbline_devices::autopilot::pose::PoseLine;
+use plumbline_devices::autopilot::rates::RatesLine;
 use plumbline_devices::driver::Driver;
 use plumbline_devices::driver::mavlink::Mavlink;
 use plumbline_devices::motors::Motors;
 use plumbline_devices::port::PortName;
 use plumbline_devices::spec::{self, DriverKind, MotorsSpec};
 use plumbline_devices::vehicle::HardwareVehicle;
+use plumbline_link::signing;
 
 /// Opens everything; what does not answer yet is waited for by its reader, and keeps the vehicle from arming.
 pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Failure> {
@@ -42,7 +44,8 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
     for device in &config.device {
         let driver = match &config.motors {
             Some(motors) if device.driver == DriverKind::Mavlink && motors.port == device.port => {
-                let found = Arc::new(Autopilot::new(port(&device.port)?, motors.system));
+                let key = motors.signing_key.as_deref().map(signing::read_key).transpose()?;
+                let found = Arc::new(motors.autopilot(port(&device.port)?, device.baud(), key.map(|key| key.bytes())));
                 autopilot = Some((found.clone(), motors));
                 Some(Box::new(Mavlink::new(found, device.rate_hz())) as Box<dyn Driver>)
             }
@@ -52,7 +55,11 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
     }
     let line: Arc<dyn Motors> = match (arguments.vehicle, autopilot) {
         (VehicleChoice::Mavlink, Some((autopilot, motors))) => {
-            Arc::new(AutopilotLine::new(autopilot, airframe.clone(), motors.hover_thrust, motors.rate_loop_s))
+            flight.actuation = motors.actuation();
+            match flight.actuation {
+                Actuation::Pose => Arc::new(PoseLine::new(autopilot, zero.clone())),
+                _ => Arc::new(RatesLine::new(autopilot, airframe.clone(), motors.hover_thrust, motors.rate_loop_s)),
+            }
         }
         (VehicleChoice::Mavlink, None) => {
             let wanted = "--vehicle mavlink: needs [motors] and a [[device]], both driver = \"mavlink\" on one port";
