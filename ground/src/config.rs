@@ -6,16 +6,19 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use plumbline_link::identity::Identity;
+use plumbline_link::signing::Key;
 
 use crate::recorder::archive::Retention;
 
 /// A MAVLink ground control station.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mavlink {
-    /// Where it listens, UDP. One on another machine may watch, and not command.
+    /// Where it listens, UDP. One on another machine may watch, and command only where there is a key.
     pub station: SocketAddr,
     /// The account that it commands as; without one it commands only where nobody has to sign in.
     pub account: Option<String>,
+    /// Both sides sign with it; what is not signed with it is refused.
+    pub key: Option<Key>,
 }
 
 /// What a ground shares with others; it takes a ground with the feature `many`.

@@ -1,6 +1,7 @@
-"""Other people's MAVLink stations at the ground: MAVProxy, a program, and MAVSDK, a library.
+"""Other people's MAVLink stations at the ground: MAVProxy, a program, and MAVSDK and pymavlink, libraries.
 
-Usage: stations.py mavproxy|mavsdk PORT. Each attaches, reads a flight, and asks to arm, to land and to cut. Prints what it got, as JSON:
+Usage: stations.py mavproxy|mavsdk|pymavlink PORT. The last one signs: without a key, with a wrong one, with the right one (bytes 0
+to 31), and sends what it signed once more. The others attach, reads a flight, and asks to arm, to land and to cut. Prints what it got, as JSON:
 answers are named as COMMAND_ACK names them.
 """
 
@@ -98,7 +99,46 @@ def mavsdk(port):
     }
 
 
+def pymavlink(port):
+    """By its own signing: what each way of it gets for an order to arm."""
+    import os
+
+    os.environ["MAVLINK20"] = "1"
+    from pymavlink import mavutil
+
+    mav = mavutil.mavlink
+    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)
+    assert link.wait_heartbeat(timeout=PATIENCE) is not None, "no heartbeat"
+    attitude = link.recv_match(type="ATTITUDE", blocking=True, timeout=PATIENCE)
+    # Without a key all of it can be read.
+    found = {"yaw": attitude.yaw, "signed": attitude.get_signed()}
+    order = mav.MAVLink_command_long_message(1, 1, mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, *[0] * 6)
+
+    def answer(send):
+        """The result and what is said of it within a second."""
+        until, got, texts = time.time() + 1.2, None, []
+        send()
+        while time.time() < until:
+            message = link.recv_match(type=["COMMAND_ACK", "STATUSTEXT"], blocking=True, timeout=0.1)
+            if message is not None and message.get_type() == "COMMAND_ACK":
+                got = message.result
+            elif message is not None:
+                texts.append(message.text)
+        return [got, texts]
+
+    key = bytes(range(32))
+    found["unsigned"] = answer(lambda: link.mav.send(order))
+    link.setup_signing(key[::-1], allow_unsigned_callback=lambda *_: True)
+    found["wrong"] = answer(lambda: link.mav.send(order))
+    link.setup_signing(key)
+    found["right"] = answer(lambda: link.mav.send(order))
+    frame = order.get_msgbuf()
+    found["again"] = answer(lambda: link.write(frame))
+    found["verified"], found["unverified"] = link.mav.signing.goodsig_count, link.mav.signing.badsig_count
+    return found
+
+
 station, port = sys.argv[1:]
-found = mavproxy(port) if station == "mavproxy" else mavsdk(port)
+found = {"mavproxy": mavproxy, "mavsdk": mavsdk, "pymavlink": pymavlink}[station](port)
 found["version"] = importlib.metadata.version(station)
 print(json.dumps(found))

@@ -25,6 +25,8 @@ const CLASSES: [&str; 5] = ["1xx", "2xx", "3xx", "4xx", "5xx"];
 pub(super) struct Counts {
     /// Samples that Foxglove clients were too slow for.
     pub(super) foxglove_dropped: Arc<AtomicU64>,
+    /// MAVLink messages that were not signed with the configured key.
+    pub(super) mavlink_refused: AtomicU64,
     /// Requests, by class of the answer's status.
     requests: [AtomicU64; CLASSES.len()],
 }
@@ -124,6 +126,8 @@ fn queue_figures(app: &App, out: &mut Metrics) {
     out.one(Type::Counter, "viewer_dropped_total", "Messages that live views were too slow for.", dropped);
     let dropped = counts.foxglove_dropped.load(Ordering::Relaxed) as f64;
     out.one(Type::Counter, "foxglove_dropped_total", "Samples that Foxglove clients were too slow for.", dropped);
+    let refused = counts.mavlink_refused.load(Ordering::Relaxed) as f64;
+    out.one(Type::Counter, "mavlink_refused_total", "MAVLink messages not signed with the configured key.", refused);
     let waiting = app.commands.waiting() as f64;
     out.one(Type::Gauge, "commands_waiting", "Commands that wait for acknowledgements.", waiting);
     out.one(Type::Gauge, "downloads_open", "Downloads that go on.", app.downloads.count() as f64);

@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use plumbline_ground::recorder::archive;
 use plumbline_ground::{front, page_is_built, people::Accounts};
 use plumbline_link::identity::load_or_create;
-use plumbline_link::tls;
+use plumbline_link::{signing, tls};
 
 use super::serve::ServeArguments;
 use super::settings::Settings;
@@ -231,8 +231,11 @@ fn mavlink(settings: &Settings) -> Finding {
         return (Level::Failure, what, text);
     }
     let watching = |why: &str| (Level::Warning, what, format!("{station} may watch and not command: {why}"));
-    if !station.ip().is_loopback() {
-        return watching("it is another machine");
+    if let Some(Err(error)) = settings.mavlink_key.as_deref().map(signing::read_key) {
+        return (Level::Failure, what, format!("mavlink_key: {error}"));
+    }
+    if !station.ip().is_loopback() && settings.mavlink_key.is_none() {
+        return watching("it is another machine, and there is no mavlink_key");
     }
     // That accounts cannot be read is told of them.
     let accounts = Accounts::of(&settings.data).all().unwrap_or_default();
@@ -307,6 +310,7 @@ fn times(settings: &Settings) -> Finding {
 mod tests {
     use super::*;
     use plumbline_ground::people::Role;
+    use std::path::PathBuf;
 
     fn level(findings: &[Finding], what: &str) -> Level {
         findings.iter().find(|(_, name, _)| *name == what).unwrap().0
@@ -393,6 +397,16 @@ mod tests {
         assert!(matches!(of("127.0.0.1:14550", None), (Level::Warning, text) if text.contains("names none")));
         assert!(matches!(of("127.0.0.1:14550", Some("bob")), (Level::Warning, text) if text.contains("bob")));
         assert_eq!(of("127.0.0.1:14550", Some("ann")).0, Level::Ok);
+        // On another machine it commands where it signs, with a key that can be read.
+        let signed = |mavlink_key: Option<PathBuf>| {
+            let (mavlink, mavlink_account) = (Some("10.0.0.2:14550".parse().unwrap()), Some("ann".to_owned()));
+            said(&Settings { mavlink, mavlink_account, mavlink_key, ..well(folder.path()) }, "MAVLink")
+        };
+        assert!(matches!(signed(None), (Level::Warning, text) if text.contains("no mavlink_key")));
+        let key = folder.path().join("signing");
+        assert!(matches!(signed(Some(key.clone())), (Level::Failure, text) if text.contains("signing")));
+        std::fs::write(&key, [7; 32]).unwrap();
+        assert_eq!(signed(Some(key)).0, Level::Ok);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use plumbline_ground::{Fleet, GroundConfig, Mavlink};
+use plumbline_link::signing;
 use serde::{Deserialize, Serialize};
 
 /// Every key of the configuration file, TOML.
@@ -23,6 +24,7 @@ pub struct Settings {
     pub metrics_open: bool,
     pub mavlink: Option<SocketAddr>,
     pub mavlink_account: Option<String>,
+    pub mavlink_key: Option<PathBuf>,
     pub lease_idle_s: f64,
     pub command_timeout_s: f64,
     pub reserve_bytes: u64,
@@ -40,7 +42,7 @@ pub struct Settings {
 }
 
 /// What each key means, in the order they are printed.
-const ABOUT: [(&str, &str); 26] = [
+const ABOUT: [(&str, &str); 27] = [
     ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
     ("agent_listen", "Address (UDP) that agents connect to."),
     ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
@@ -57,9 +59,14 @@ const ABOUT: [(&str, &str); 26] = [
     (
         "mavlink",
         "Address (UDP) where a MAVLink ground control station listens, such as 127.0.0.1:14550; absent: MAVLink is off. \
-         One on another machine may watch, and not command.",
+         One on another machine may watch, and command only with `mavlink_key`.",
     ),
     ("mavlink_account", "The account that this station commands as; needed as soon as there are accounts."),
+    (
+        "mavlink_key",
+        "File with the key that both sides sign with, 32 bytes or 64 hexadecimal digits; absent: nothing is signed. With it \
+         what the station says unsigned is refused.",
+    ),
     ("lease_idle_s", "Control is given up when its holder does nothing and shows no sign of life for this long, s."),
     ("command_timeout_s", "How long a command waits for its acknowledgement, s."),
     ("reserve_bytes", "Recording stops, loudly, when the disk has less than this left, bytes."),
@@ -116,6 +123,7 @@ impl Default for Settings {
             metrics_open: config.metrics_open,
             mavlink: None,
             mavlink_account: None,
+            mavlink_key: None,
             lease_idle_s: config.lease_idle.as_secs_f64(),
             command_timeout_s: config.command_timeout.as_secs_f64(),
             reserve_bytes: config.reserve_bytes,
@@ -213,7 +221,10 @@ impl Settings {
         let mut config = GroundConfig::new(&self.data);
         config.allowed_hosts.clone_from(&self.allow_hosts);
         config.metrics_open = self.metrics_open;
-        config.mavlink = self.mavlink.map(|station| Mavlink { station, account: self.mavlink_account.clone() });
+        let key = self.mavlink_key.as_deref().map(signing::read_key).transpose();
+        let key = key.map_err(|error| format!("mavlink_key: {error}"))?;
+        let account = self.mavlink_account.clone();
+        config.mavlink = self.mavlink.map(|station| Mavlink { station, account, key });
         config.reserve_bytes = self.reserve_bytes;
         config.retention.bytes = self.retention_bytes;
         config.retention.backup.clone_from(&self.retention_backup);
@@ -240,6 +251,7 @@ mod tests {
         let bare = text.replace("# identity =", "identity = \"a\"").replace("# certificate =", "certificate = \"b\"");
         let bare = bare.replace("# mavlink =", "mavlink = \"127.0.0.1:14550\"");
         let bare = bare.replace("# mavlink_account =", "mavlink_account = \"d\"");
+        let bare = bare.replace("# mavlink_key =", "mavlink_key = \"k\"");
         let bare = bare.replace("# retention_days =", "retention_days = 30.0");
         let bare = bare
             .replace("# retention_bytes =", "retention_bytes = 1")

@@ -11,6 +11,7 @@ use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkReader};
 use plumbline_ground::agent_link::Outgoing;
 use plumbline_ground::people::{Accounts, Role};
 use plumbline_ground::{GroundConfig, Mavlink};
+use plumbline_link::signing;
 use plumbline_proto::v1::command::Body;
 use plumbline_proto::{Kind, v1};
 use plumbline_support::files;
@@ -22,7 +23,7 @@ const PASSWORD: &str = "a long enough password";
 async fn ground(folder: &Path, station: SocketAddr, account: Option<&str>) -> Ground {
     let mut config = GroundConfig::new(folder);
     config.reserve_bytes = 1;
-    config.mavlink = Some(Mavlink { station, account: account.map(str::to_owned) });
+    config.mavlink = Some(Mavlink { station, account: account.map(str::to_owned), key: None });
     Ground::start_with(config).await
 }
 
@@ -181,6 +182,40 @@ async fn mavsdk_reads_a_flight_and_may_what_its_account_may() {
     if let Some(found) = attaches("mavsdk", "mavsdk").await {
         reads_and_is_refused(found);
     }
+}
+
+/// GIVEN a key WHEN a station orders unsigned, with another key, with the key, and with what it sent before THEN one order is
+/// done, the others are counted, and the flight can be read by all.
+#[tokio::test(flavor = "multi_thread")]
+async fn only_what_is_signed_with_the_key_is_an_order() {
+    let Some(python) = files::python_with("pymavlink.mavutil") else { return };
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let folder = tempfile::tempdir().unwrap();
+    let key = folder.path().join("signing");
+    std::fs::write(&key, (0..32).collect::<Vec<u8>>()).unwrap();
+    let mut config = GroundConfig::new(folder.path());
+    config.reserve_bytes = 1;
+    let station = SocketAddr::from(([127, 0, 0, 1], port));
+    config.mavlink = Some(Mavlink { station, account: None, key: Some(signing::read_key(&key).unwrap()) });
+    let ground = Ground::start_with(config).await;
+    let (stop, flying) = fly(&ground).await;
+    let attach = move || files::station_by(&python, "pymavlink", port);
+    let found = tokio::task::spawn_blocking(attach).await.unwrap().unwrap();
+    let metrics = ground.get("/metrics").await.text();
+    stop.send_replace(true);
+    let (asked, _) = flying.await.unwrap();
+    ground.stop().await;
+    println!("{found}");
+    assert!((found["yaw"].as_f64().unwrap() - std::f64::consts::FRAC_PI_2).abs() < 1e-3, "{found}");
+    for refused in ["unsigned", "wrong", "again"] {
+        assert!(found[refused][0].is_null(), "{refused}: {found}");
+        assert!(found[refused][1].to_string().contains("not signed with the configured key"), "{refused}: {found}");
+    }
+    assert_eq!(found["right"][0], 0, "{found}");
+    assert!(found["verified"].as_u64().unwrap() > 10, "{found}");
+    assert!(matches!(asked.as_slice(), [Body::Arm(_)]), "{asked:?}");
+    let counted = metrics.lines().find_map(|line| line.strip_prefix("plumbline_mavlink_refused_total "));
+    assert!(counted.unwrap().parse::<f64>().unwrap() >= 3.0, "{counted:?}");
 }
 
 /// A station by the crate alone.

@@ -156,11 +156,12 @@ fn acknowledged(command: MavCmd, result: MavResult) -> MavMessage {
 }
 
 impl Who {
-    /// Under which name, and as what. A station on another machine only watches.
+    /// Under which name, and as what. A station on another machine only watches, unless it signs.
     fn person(&self) -> (String, Role) {
         let person = self.app.people.standing();
         let Person { account, role } = person.unwrap_or(Person { account: None, role: Role::Viewer });
-        let role = if self.config.station.ip().is_loopback() { role } else { Role::Viewer };
+        let trusted = self.config.station.ip().is_loopback() || self.config.key.is_some();
+        let role = if trusted { role } else { Role::Viewer };
         (account.unwrap_or_else(|| "mavlink".into()), role)
     }
 

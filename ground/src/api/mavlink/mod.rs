@@ -3,7 +3,8 @@
 //! One UDP socket, on the loopback unless the station configured is elsewhere, speaks with that one address. Each vehicle
 //! is a system with a number of its own, in the order in which they came. What a station asks goes the way of the HTTP
 //! API: the account configured, its role, the lease, a command that is acknowledged, a line in the audit log. Datagrams
-//! carry no password, so a station on another machine may watch and not command.
+//! carry no password, so a station on another machine may watch and not command, unless a key is configured: then both sides sign
+//! (MAVLink 2), and what is not signed with it, or with a time that was used, is refused, counted and told once a second.
 //!
 //! | message | when |
 //! |---|---|
@@ -20,11 +21,13 @@ mod say;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use mavlink::dialects::common::MavMessage;
 use mavlink::error::MessageReadError;
-use mavlink::{MAVLinkV2MessageRaw, MavHeader, MavlinkReader};
+use mavlink::{
+    MAVLinkMessageRaw, MAVLinkV2MessageRaw, MavHeader, MavlinkReader, Message as _, SigningConfig, SigningData,
+};
 use plumbline_proto::{Kind, codec, v1};
 use tokio::net::UdpSocket;
 use tokio::sync::mpsc;
@@ -43,6 +46,8 @@ const LOOK: Duration = Duration::from_millis(500);
 const INBOX: usize = 128;
 /// Largest datagram taken: several messages.
 const DATAGRAM: usize = 4096;
+/// Of signatures: there is one link.
+const LINK: u8 = 0;
 /// System numbers given away; a GCS is usually 255.
 const SYSTEMS: usize = 250;
 
@@ -50,6 +55,7 @@ const SYSTEMS: usize = 250;
 #[derive(Clone)]
 struct Line {
     socket: Arc<UdpSocket>,
+    signing: Option<Arc<SigningData>>,
     system: u8,
     sequence: Arc<AtomicU8>,
 }
@@ -61,7 +67,13 @@ impl Line {
         // 1: the autopilot of the system.
         let header = MavHeader { system_id: self.system.into(), component_id: 1, sequence };
         let mut raw = MAVLinkV2MessageRaw::new();
-        raw.serialize_message(header, message);
+        match &self.signing {
+            Some(signing) => {
+                raw.serialize_message_for_signing(header, message);
+                signing.sign_message(&mut raw);
+            }
+            None => raw.serialize_message(header, message),
+        }
         let _ = self.socket.try_send(raw.raw_bytes());
     }
 }
@@ -89,15 +101,23 @@ pub(crate) async fn serve(app: App, config: Mavlink) -> std::io::Result<()> {
     // From now on the kernel drops what comes from anywhere else.
     socket.connect(config.station).await?;
     tracing::info!(station = %config.station, "MAVLink");
+    let signing = config.key.as_ref().map(|key| {
+        let config = SigningConfig::new(key.bytes(), LINK, true, false);
+        Arc::new(SigningData::from_config(config))
+    });
     let mut stations: Vec<Station> = Vec::new();
+    let mut told = None;
     let (mut look, mut stopped) = (interval(LOOK), app.stopped.clone());
     look.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut datagram = [0; DATAGRAM];
     loop {
         tokio::select! {
-            _ = look.tick() => find(&app, &config, &socket, &mut stations),
+            _ = look.tick() => find(&app, &config, &socket, signing.as_ref(), &mut stations),
             came = socket.recv(&mut datagram) => match came {
-                Ok(length) => hand_out(datagram.get(..length).unwrap_or_default(), &stations),
+                Ok(length) => {
+                    let refused = hand_out(datagram.get(..length).unwrap_or_default(), &stations, signing.as_deref());
+                    tell_refused(&app, refused, &mut told, stations.first());
+                }
                 // Nobody listens there yet.
                 Err(_) => tokio::time::sleep(FAST).await,
             },
@@ -114,7 +134,13 @@ struct Station {
 }
 
 /// Begins a task for each vehicle that is connected and has none.
-fn find(app: &App, config: &Mavlink, socket: &Arc<UdpSocket>, stations: &mut Vec<Station>) {
+fn find(
+    app: &App,
+    config: &Mavlink,
+    socket: &Arc<UdpSocket>,
+    signing: Option<&Arc<SigningData>>,
+    stations: &mut Vec<Station>,
+) {
     for id in app.hub.ids() {
         let known = stations.iter().position(|station| station.id == id);
         let idle = known.and_then(|at| stations.get(at)).is_none_or(|station| station.inbox.is_closed());
@@ -127,7 +153,7 @@ fn find(app: &App, config: &Mavlink, socket: &Arc<UdpSocket>, stations: &mut Vec
             station.line.clone()
         } else {
             let system = stations.len() as u8 + 1;
-            let line = Line { socket: socket.clone(), system, sequence: Arc::default() };
+            let line = Line { socket: socket.clone(), signing: signing.cloned(), system, sequence: Arc::default() };
             stations.push(Station { id: id.clone(), line: line.clone(), inbox });
             line
         };
@@ -136,26 +162,59 @@ fn find(app: &App, config: &Mavlink, socket: &Arc<UdpSocket>, stations: &mut Vec
     }
 }
 
-/// Gives each message of a datagram to the vehicle that it names, or to all where it names none.
-fn hand_out(datagram: &[u8], stations: &[Station]) {
-    for message in messages(datagram) {
+/// Counts messages that were `refused`, and says so to the station once a second.
+fn tell_refused(app: &App, refused: u64, told: &mut Option<Instant>, station: Option<&Station>) {
+    if refused == 0 {
+        return;
+    }
+    let all = app.counts.mavlink_refused.fetch_add(refused, Ordering::Relaxed) + refused;
+    if told.is_some_and(|last| last.elapsed() < SLOW) {
+        return;
+    }
+    *told = Some(Instant::now());
+    tracing::warn!(all, "MAVLink: not signed with the configured key");
+    let text = format!("refused {all}: not signed with the configured key");
+    let said = say::text(v1::Severity::Warning, &text);
+    said.iter().zip(station.into_iter().cycle()).for_each(|(message, station)| station.line.say(message));
+}
+
+/// Gives each message of a datagram to the vehicle that it names, or to all where it names none. How many were refused,
+/// as they are not signed.
+fn hand_out(datagram: &[u8], stations: &[Station], signing: Option<&SigningData>) -> u64 {
+    let mut refused = 0;
+    for message in messages(datagram, signing, &mut refused) {
         let target = ask::target(&message);
         for station in stations.iter().filter(|station| target.is_none_or(|system| system == station.line.system)) {
             let _ = station.inbox.try_send(message.clone());
         }
     }
+    refused
 }
 
-/// The messages of a datagram; what is damaged, or of another dialect, is passed over.
-fn messages(datagram: &[u8]) -> impl Iterator<Item = MavMessage> {
+/// The messages of a datagram; what is damaged, or of another dialect, is passed over, and what is not signed counted.
+fn messages<'a>(
+    datagram: &'a [u8],
+    signing: Option<&'a SigningData>,
+    refused: &'a mut u64,
+) -> impl Iterator<Item = MavMessage> + 'a {
     let mut reader = MavlinkReader::new(datagram);
     std::iter::from_fn(move || {
         loop {
-            match reader.read_any_message::<MavMessage>() {
-                Ok((_, message)) => return Some(message),
+            let raw = match reader.read_any_raw_message::<MavMessage>() {
+                Ok(raw) => raw,
                 Err(MessageReadError::Io(_)) => return None,
                 // A whole frame was taken.
-                Err(MessageReadError::Parse(_)) => {}
+                Err(MessageReadError::Parse(_)) => continue,
+            };
+            let trusted = match (signing, &raw) {
+                (None, _) => true,
+                (Some(signing), MAVLinkMessageRaw::V2(raw)) => signing.verify_signature(raw),
+                (Some(_), MAVLinkMessageRaw::V1(_)) => false,
+            };
+            if !trusted {
+                *refused += 1;
+            } else if let Ok(message) = MavMessage::parse(raw.version(), raw.message_id(), raw.payload()) {
+                return Some(message);
             }
         }
     })
@@ -165,7 +224,7 @@ fn messages(datagram: &[u8]) -> impl Iterator<Item = MavMessage> {
 pub fn understood(datagram: &[u8]) -> usize {
     let latest = Latest::default();
     let meant = |message: &MavMessage| ask::read(message, &latest) != ask::Asked::Nothing;
-    messages(datagram).filter(meant).count()
+    messages(datagram, None, &mut 0).filter(meant).count()
 }
 
 /// Speaks for one vehicle while it is connected.
