@@ -102,7 +102,6 @@ impl Attachment {
 #[derive(Debug)]
 pub struct Autopilot {
     pub(crate) attachment: Attachment,
-    pub(crate) system: u8,
     /// Open while its reader has it open. Held for a copy only: the flight thread does not wait for it.
     wire: Mutex<Option<Arc<Wire>>>,
     begun: Instant,
@@ -126,7 +125,6 @@ impl Autopilot {
     /// As `attachment` says, closed.
     pub fn new(attachment: Attachment) -> Self {
         Self {
-            system: attachment.system,
             attachment,
             wire: Mutex::default(),
             begun: Instant::now(),
@@ -231,7 +229,7 @@ impl Autopilot {
     pub(crate) fn say(&self, message: &MavMessage) {
         let Some(wire) = self.wire.try_lock().ok().and_then(|wire| wire.clone()) else { return };
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
-        let header = MavHeader { system_id: self.system.into(), component_id: COMPONENT, sequence };
+        let header = MavHeader { system_id: self.attachment.system.into(), component_id: COMPONENT, sequence };
         let raw = match &self.attachment.signer {
             Some(signer) => signer.sign(header, message),
             None => {
@@ -255,7 +253,7 @@ impl Autopilot {
             param1,
             param2,
             command,
-            target_system: self.system,
+            target_system: self.attachment.system,
             target_component: AUTOPILOT,
             ..COMMAND_LONG_DATA::DEFAULT
         }));

@@ -4,6 +4,7 @@
 
 mod altitude;
 mod attitude;
+mod by_pose;
 mod calibrated;
 mod controllers;
 mod ending;

@@ -6,6 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_devices::framer::{Framer, Protocol};
 use plumbline_devices::protocol::bno055::{UartReplies, UartRequests};
 use plumbline_devices::protocol::gnss::GnssStream;
+use plumbline_devices::protocol::mavlink::Frames;
 use plumbline_devices::protocol::mongoose::{self, Mongoose, MongooseReading};
 use plumbline_devices::protocol::scip::{self, RANGES, Scip};
 use plumbline_devices::protocol::tfmini::{self, TfMini};
@@ -139,8 +140,8 @@ fn fuzz_device_scan_height() {
     });
 }
 
-#[test]
-fn fuzz_mavlink_station() {
+/// Frames of a station's orders.
+fn mavlink_frames() -> [Vec<u8>; 2] {
     let arm = COMMAND_LONG_DATA {
         command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
         param1: 1.0,
@@ -151,11 +152,21 @@ fn fuzz_mavlink_station() {
         MavMessage::COMMAND_LONG(arm),
         MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA { target_system: 1, target_component: 1 }),
     ];
-    let seeds = messages.map(|message| {
+    messages.map(|message| {
         let mut raw = MAVLinkV2MessageRaw::new();
         raw.serialize_message(MavHeader { system_id: 255, component_id: 190, sequence: 3 }, &message);
         raw.raw_bytes().to_vec()
-    });
+    })
+}
+
+#[test]
+fn fuzz_device_mavlink() {
+    stream("device_mavlink", Frames::default, &mavlink_frames());
+}
+
+#[test]
+fn fuzz_mavlink_station() {
+    let seeds = mavlink_frames();
     assert_eq!(plumbline_ground::understood(&seeds.concat()), 2);
     fuzz("mavlink_station", &seeds, |input| {
         plumbline_ground::understood(input);

@@ -109,7 +109,7 @@ impl Motors for PoseLine {
         let time_us = (flight_us as f64 - zero_us).max(0.0) as u64;
         self.autopilot.say(&MavMessage::ODOMETRY(odometry(guide.estimate, time_us, sent.resets)));
         let mut target = position_target(guide, (time_us / 1000) as u32);
-        (target.target_system, target.target_component) = (self.autopilot.system, AUTOPILOT);
+        (target.target_system, target.target_component) = (self.autopilot.attachment.system, AUTOPILOT);
         self.autopilot.setpoint(&MavMessage::SET_POSITION_TARGET_LOCAL_NED(target));
     }
 

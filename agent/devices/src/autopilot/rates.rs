@@ -80,7 +80,7 @@ impl Motors for RatesLine {
             body_pitch_rate: rates.y as f32,
             body_yaw_rate: rates.z as f32,
             thrust: thrust as f32,
-            target_system: autopilot.system,
+            target_system: autopilot.attachment.system,
             target_component: AUTOPILOT,
             type_mask: AttitudeTargetTypemask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
             thrust_body: [0.0; 3],

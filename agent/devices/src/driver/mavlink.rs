@@ -175,7 +175,7 @@ impl Mavlink {
 
     /// Waits for its heartbeat, and speaks with nobody else from then on.
     fn find(&mut self) -> Result<HEARTBEAT_DATA, DeviceError> {
-        let (system, begun) = (self.autopilot.system, Instant::now());
+        let (system, begun) = (self.autopilot.attachment.system, Instant::now());
         let (mut stranger, mut fault) = (None, None);
         while begun.elapsed() < PATIENCE {
             let mut found = None;
@@ -438,7 +438,8 @@ impl Driver for Mavlink {
             let at = Instant::now();
             match frame {
                 Ok((header, message))
-                    if header.component_id == AUTOPILOT && header.system_id == u32::from(autopilot.system) =>
+                    if header.component_id == AUTOPILOT
+                        && header.system_id == u32::from(autopilot.attachment.system) =>
                 {
                     let taken = known.take(&message, &autopilot, at, out);
                     if outcome.is_ok() {

@@ -1,9 +1,14 @@
 //! Garbage before, between and inside frames: no panic, no frame lost that is whole, found again at once.
 
+use mavlink::dialects::common::MavMessage;
+use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use nalgebra::Vector3;
+use plumbline_core::estimate::Estimate;
 use plumbline_core::sensor::noise::Stream;
+use plumbline_devices::autopilot::pose::odometry;
 use plumbline_devices::framer::{Framer, Protocol};
 use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
+use plumbline_devices::protocol::mavlink::Frames;
 use plumbline_devices::protocol::mongoose::{self, Mongoose, MongooseReading};
 use plumbline_devices::protocol::scip::{self, RANGES, Scip};
 use plumbline_devices::protocol::tfmini::{self, TfMini};
@@ -81,6 +86,12 @@ fn every_stream_is_found_again_within_a_frame() {
     let sentence = b"$GNGGA,171926.00,4404.14063,N,12118.85478,W,1,12,0.91,1147.2,M,-21.3,M,,*44\r\n";
     resynchronises("nmea", GnssStream::default, sentence);
     resynchronises("ubx", GnssStream::default, &ubx::encode_nav_pvt(1000, &fix()));
+    // A long message: a length that garbage claims is one as well.
+    let mut raw = MAVLinkV2MessageRaw::new();
+    let header = MavHeader { system_id: 1, component_id: 1, sequence: 7 };
+    let estimate = Estimate { body_rates_radps: Vector3::repeat(0.1), ..Estimate::default() };
+    raw.serialize_message(header, &MavMessage::ODOMETRY(odometry(&estimate, 1_234_567, 0)));
+    resynchronises("mavlink", Frames::default, raw.raw_bytes());
 }
 
 #[test]

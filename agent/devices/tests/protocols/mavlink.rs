@@ -1,9 +1,11 @@
 //! MAVLink frames that pymavlink packed: read, their fields compared, and written again byte for byte.
 
-use mavlink::dialects::common::MavMessage;
-use mavlink::{MAVLinkV2MessageRaw, Message as _};
+use std::sync::Arc;
+
+use mavlink::dialects::common::{MavMessage, SYSTEM_TIME_DATA};
+use mavlink::{MAVLinkV2MessageRaw, MavHeader, Message as _};
 use plumbline_devices::fault::Fault;
-use plumbline_devices::protocol::mavlink::Frames;
+use plumbline_devices::protocol::mavlink::{Frames, Signer};
 use serde_json::Value;
 
 use super::peers::bytes;
@@ -51,6 +53,23 @@ fn vectors_of_pymavlink_are_read_and_written_again() {
     // The same as one stream in pieces.
     let whole = read(Frames::default(), &stream, 31).iter().filter(|outcome| outcome.is_ok()).count();
     assert_eq!(whole, good);
+}
+
+#[test]
+fn with_a_key_only_what_is_signed_with_it_is_read_and_only_once() {
+    let header = MavHeader { system_id: 1, component_id: 1, sequence: 7 };
+    let beat = MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA { time_unix_usec: 5, time_boot_ms: 7 });
+    let (ours, others) = (Arc::new(Signer::new([7; 32])), Signer::new([8; 32]));
+    let with = |bytes: &[u8]| read(Frames { signer: Some(ours.clone()) }, bytes, 11);
+    let signed = Signer::new([7; 32]).sign(header, &beat);
+    let mut unsigned = MAVLinkV2MessageRaw::new();
+    unsigned.serialize_message(header, &beat);
+    assert!(matches!(&with(signed.raw_bytes())[..], [Ok((_, message))] if *message == beat));
+    for refused in [signed.raw_bytes(), unsigned.raw_bytes(), others.sign(header, &beat).raw_bytes()] {
+        assert_eq!(with(refused), [Err(Fault::Unsigned)]);
+        assert_eq!(read(Frames::default(), refused, 11).iter().filter(|outcome| outcome.is_ok()).count(), 1);
+    }
+    assert_eq!(format!("{ours:?}"), "Signer");
 }
 
 /// Fields of the messages that the driver uses, against pymavlink's; how many there were.
