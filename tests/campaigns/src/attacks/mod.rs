@@ -128,6 +128,8 @@ fn row<'a>(
     let tilt: Vec<f64> = comparable.clone().map(|(clean, o)| o.tilt_rad / clean.tilt_rad).collect();
     let all: Vec<&Outcome> = flights.clone().map(|(_, o)| o).collect();
     let lost = all.iter().filter(|o| o.lost.is_some()).count();
+    let lost_seeds: Vec<u64> =
+        (effort.seed_base..).zip(&all).filter_map(|(seed, o)| o.lost.as_ref().map(|_| seed)).collect();
     let mut why: BTreeMap<&str, usize> = BTreeMap::new();
     all.iter().filter_map(|o| o.lost.as_deref()).for_each(|reason| *why.entry(reason).or_default() += 1);
     let kept_mm = all.iter().filter(|o| o.lost.is_none()).map(|o| 1e3 * o.altitude_m).collect::<Vec<_>>();
@@ -153,7 +155,7 @@ fn row<'a>(
     let more = json!({
         "world": case.world, "seed_base": effort.seed_base, "flights": all.len(), "percentile_95": altitude3[1],
         "worst": altitude3[2], "altitude_mm": altitude_mm, "median_interval": median_interval(&altitude), "limits": case.altitude,
-        "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "e_star_mm": median(&clean_mm), "e_star_of": case.against.name(),
+        "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "lost_seeds": lost_seeds, "e_star_mm": median(&clean_mm), "e_star_of": case.against.name(),
         "most_mm": 1e3 * worst(&all.iter().map(|o| o.altitude_most_m).collect::<Vec<_>>()),
         "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
         "flights_with_false_exclusion": judged.then_some(falsely),
