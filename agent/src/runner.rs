@@ -378,6 +378,7 @@ impl Runner {
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
         self.telemetry.devices(frame.time, self.vehicle.inner_mut());
+        self.telemetry.scans(self.vehicle.inner_mut());
 
         self.ticks += 1;
         let lost = self.timing.tick(due, started, Instant::now());

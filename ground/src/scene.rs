@@ -1,5 +1,6 @@
 //! Foxglove's own schemas beside ours: `foxglove.FrameTransform` of the estimate in the loop, `foxglove.SceneUpdate` with
-//! the vehicle, its strings and what every estimator says, `foxglove.Log` of events. A viewer shows them without being told how.
+//! the vehicle, its strings and what every estimator says, `foxglove.Log` of events, `foxglove.LaserScan` of scans where they are
+//! recorded. A viewer shows them without being told how.
 //!
 //! As JSON, which those schemas have beside protobuf. Frames are ours: `map` is east-north-up, `base_link` forward-left-up.
 //! The live link and the export of a flight say the same by it; a flight file holds the downlink alone.
@@ -33,16 +34,18 @@ pub(crate) enum Offer {
     Transform,
     Scene,
     Log,
+    Laser,
 }
 
 impl Offer {
-    pub(crate) const ALL: [Self; 3] = [Self::Transform, Self::Scene, Self::Log];
+    pub(crate) const ALL: [Self; 4] = [Self::Transform, Self::Scene, Self::Log, Self::Laser];
 
     pub(crate) const fn topic(self) -> &'static str {
         match self {
             Self::Transform => "/tf",
             Self::Scene => "/scene",
             Self::Log => "/log",
+            Self::Laser => "/laser",
         }
     }
 
@@ -51,6 +54,7 @@ impl Offer {
             Self::Transform => "foxglove.FrameTransform",
             Self::Scene => "foxglove.SceneUpdate",
             Self::Log => "foxglove.Log",
+            Self::Laser => "foxglove.LaserScan",
         }
     }
 
@@ -64,6 +68,7 @@ impl Offer {
         let time = object(json!({ "sec": integer, "nsec": integer }));
         let vector = object(json!({ "x": number, "y": number, "z": number }));
         let rotation = object(json!({ "x": number, "y": number, "z": number, "w": number }));
+        let pose = object(json!({ "position": vector, "orientation": rotation }));
         let mut schema = match self {
             Self::Transform => object(json!({ "timestamp": time, "parent_frame_id": text, "child_frame_id": text,
                 "translation": vector, "rotation": rotation })),
@@ -71,8 +76,9 @@ impl Offer {
                 object(json!({ "timestamp": time, "level": integer, "message": text, "name": text, "file": text,
                 "line": integer }))
             }
+            Self::Laser => object(json!({ "timestamp": time, "frame_id": text, "pose": pose, "start_angle": number,
+                "end_angle": number, "ranges": list(&number), "intensities": list(&number) })),
             Self::Scene => {
-                let pose = object(json!({ "position": vector, "orientation": rotation }));
                 let colour = object(json!({ "r": number, "g": number, "b": number, "a": number }));
                 let solid = list(&object(json!({ "pose": pose, "size": vector, "color": colour })));
                 let line = object(json!({ "type": integer, "pose": pose, "thickness": number,
@@ -155,6 +161,7 @@ impl Scene {
     pub(crate) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
         match kind {
             Kind::Event => frame.message().map_or_else(|_| Vec::new(), |event| vec![log(&event, now_us)]),
+            Kind::Scan => frame.message().map_or_else(|_| Vec::new(), |scan| vec![laser(&scan, now_us)]),
             Kind::Description => {
                 self.strings = frame.message::<v1::Description>().map_or_else(|_| Vec::new(), |told| told.strings);
                 Vec::new()
@@ -248,6 +255,22 @@ fn log(event: &v1::Event, now_us: u64) -> Drawn {
     Drawn { offer: Offer::Log, json, sampled: false }
 }
 
+/// A range below this is the scanner's error code, mm.
+const RANGE_MIN_MM: u32 = 20;
+
+/// Error codes are no ranges. JSON has no number for that: they lie at the scanner itself.
+fn laser(scan: &v1::Scan, now_us: u64) -> Drawn {
+    let steps = scan.range_mm.len().saturating_sub(1) as f64;
+    let range = |mm: &u32| if *mm >= RANGE_MIN_MM { f64::from(*mm) * 1e-3 } else { 0.0 };
+    let ranges: Vec<f64> = scan.range_mm.iter().map(range).collect();
+    let q = scan.body_from_scan.unwrap_or_default();
+    let pose = json!({ "position": vector(&scan.position_flu_m.unwrap_or_default()),
+        "orientation": { "x": q.x, "y": q.y, "z": q.z, "w": q.w } });
+    let json = json!({ "timestamp": time(now_us), "frame_id": "base_link", "pose": pose, "start_angle": scan.first_angle_rad,
+        "end_angle": scan.first_angle_rad + steps * scan.step_angle_rad, "ranges": ranges, "intensities": [] });
+    Drawn { offer: Offer::Laser, json, sampled: true }
+}
+
 #[cfg(test)]
 mod tests {
     use plumbline_proto::Message as _;
@@ -261,6 +284,27 @@ mod tests {
         let q = v1::Quaternion { w: half, x: 0.0, y: 0.0, z: half };
         let v = body_from_world(&q, &v1::Vector3 { x: 0.0, y: 2.0, z: 1.0 });
         assert!((v.x - 2.0).abs() < 1e-12 && v.y.abs() < 1e-12 && (v.z - 1.0).abs() < 1e-12, "{v:?}");
+    }
+
+    #[test]
+    fn a_scan_is_a_laser_scan_and_its_error_codes_are_no_ranges() {
+        let scan = v1::Scan {
+            first_angle_rad: -1.0,
+            step_angle_rad: 0.5,
+            range_mm: vec![1500, 7, 20, 4000],
+            position_flu_m: Some(v1::Vector3 { x: 0.08, y: 0.0, z: -0.05 }),
+            body_from_scan: Some(v1::Quaternion { w: 0.0, x: 0.6, y: 0.0, z: -0.8 }),
+            ..Default::default()
+        };
+        let payload = scan.encode_to_vec();
+        let frame = Frame { kind: Kind::Scan.to_wire(), instance: 2, sequence: 1, time_us: 5, payload: &payload };
+        let drawn = Scene::default().take(Kind::Scan, &frame, 1_500_000);
+        assert_eq!((drawn.len(), drawn[0].offer), (1, Offer::Laser));
+        let laser = &drawn[0].json;
+        assert_eq!(laser["ranges"], json!([1.5, 0.0, 0.02, 4.0]));
+        assert_eq!((laser["start_angle"].as_f64(), laser["end_angle"].as_f64()), (Some(-1.0), Some(0.5)));
+        assert_eq!(laser["pose"]["orientation"], json!({ "x": 0.6, "y": 0.0, "z": -0.8, "w": 0.0 }));
+        assert_eq!(laser["timestamp"], json!({ "sec": 1, "nsec": 500_000_000 }));
     }
 
     /// GIVEN a quarter turn to the left, 2 m up WHEN drawn THEN a string ends at its knot as it is turned, pale while slack.

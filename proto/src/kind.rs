@@ -68,6 +68,8 @@ kinds! {
     Flight = 34, "/flight", "FlightMark";
     /// How one device of a real vehicle is doing; the instance is its place in the configuration, from 1.
     Device = 35, "/device", "DeviceState";
+    /// One whole scan of a scanner, where its configuration asks for it; the instance is that of its height.
+    Scan = 36, "/scan", "Scan";
     /// State of the link, made by the ground.
     Link = 40, "/link", "LinkStatus";
     /// State of the recording, made by the ground.
@@ -82,9 +84,9 @@ impl Kind {
         self as u16
     }
 
-    /// Is there one topic per instance (sensor instance, estimator or device)?
+    /// Is there one topic per instance (sensor instance, estimator, device or scanner)?
     pub const fn has_instances(self) -> bool {
-        self.is_sensor() || matches!(self, Kind::Estimate | Kind::Residuals | Kind::Device)
+        self.is_sensor() || matches!(self, Kind::Estimate | Kind::Residuals | Kind::Device | Kind::Scan)
     }
 
     /// Is it a sample of a sensor? Their numbers are those below the first estimate.

@@ -155,6 +155,7 @@ fn generated_types_keep_every_field() {
         Description,
         FlightMark,
         DeviceState,
+        Scan,
         LinkStatus,
         RecordingStatus,
         ControlLease,

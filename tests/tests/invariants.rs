@@ -93,7 +93,7 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-devices"), names(&["core", "proto"]), "a driver knows no simulator and no radio");
     assert_eq!(
         knows("plumbline-wires"),
-        names(&["core", "devices", "sim"]),
+        names(&["core", "devices", "proto", "sim"]),
         "the wire rig meets the agent on its ports only"
     );
     assert_eq!(knows("plumbline-file"), names(&[]), "the format of a flight file knows no vehicle");

@@ -115,6 +115,27 @@ pub struct AutopilotState {
     pub outputs: Option<MotorCommand>,
 }
 
+/// One whole scan of a scanner. Range i lies at `first_angle_rad + i * step_angle_rad`, from x towards y of the scan's axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scan<'a> {
+    /// Which height it is, from 1.
+    pub instance: u16,
+    /// As of the height that was found in it; of its arrival where none was.
+    pub time: FlightTime,
+    /// By the scanner's own clock, as sent, ms.
+    pub device_time_ms: u32,
+    /// Of the first range.
+    pub first_angle_rad: f64,
+    /// From one range to the next.
+    pub step_angle_rad: f64,
+    /// mm; below 20 the scanner's error code.
+    pub ranges_mm: &'a [u16],
+    /// Where the scanner sits, FLU from the centre of mass, m.
+    pub position_flu_m: Vector3<f64>,
+    /// The scan's axes in the body: x straight ahead of the scanner, z the axis that it turns about.
+    pub body_from_scan: UnitQuaternion<f64>,
+}
+
 /// Stops the motors of a vehicle from any thread, whatever its own thread does.
 pub trait MotorStop: Send + Sync + std::fmt::Debug {
     /// Motors off, now. The next command may start them again.
@@ -166,6 +187,12 @@ pub trait Vehicle: Send {
     /// The autopilot in front of its motors after [`Vehicle::actuate`]; `None` where there is none.
     fn autopilot(&self) -> Option<AutopilotState> {
         None
+    }
+
+    /// Shows the scans that came since the last call, of those devices whose configuration asks for them. Asked each tick;
+    /// must not wait.
+    fn scans(&mut self, each: &mut dyn FnMut(Scan<'_>)) {
+        let _ = each;
     }
 
     /// Applies one motor command; returns what was really applied (clipped, or recorded).

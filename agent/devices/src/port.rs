@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `/dev/ttyUSB0` | serial |
 //! | `/dev/i2c-1` | I²C of the kernel |
+//! | `/dev/spidev0.0` | SPI of the kernel, one chip |
 //! | `unix:/path` | the wire rig's I²C: a socket that carries the same transfers |
 //! | `udp:0.0.0.0:1511`, `udp:239.255.42.99:1511` | datagrams; a multicast group is joined |
 
@@ -16,7 +17,7 @@ use crate::fault::DeviceError;
 
 /// Longest wait of one read; whoever owns the port looks about in between.
 pub const WAIT: Duration = Duration::from_millis(50);
-/// Longest transfer of the wire rig's bus, bytes.
+/// Longest transfer of the wire rig's bus, and of SPI, bytes.
 pub const TRANSFER_MAX: usize = 64;
 
 /// Bytes in order.
@@ -43,6 +44,41 @@ pub trait Bus: Send {
     fn transfer(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()>;
 }
 
+/// One chip on SPI: while bytes go out, as many come back.
+pub trait Exchange: Send {
+    /// Sends `out`; what comes back meanwhile is as long.
+    ///
+    /// # Errors
+    /// The port is gone.
+    fn exchange(&mut self, out: &[u8], back: &mut [u8]) -> io::Result<()>;
+}
+
+/// Into the first byte, a register: it is read.
+const READS: u8 = 0x80;
+
+/// A chip on SPI as a bus of one, whatever its address. The first byte is a register with its highest bit for reading, as of
+/// InvenSense, Bosch and ST; those after it are its value and its successors' (MPU-6500 product specification 7.5).
+pub struct Spi<E>(pub E);
+
+impl<E: Exchange> Bus for Spi<E> {
+    fn transfer(&mut self, _address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()> {
+        let mut out = arrayvec::ArrayVec::<u8, TRANSFER_MAX>::new();
+        let (written, length) = (write.len(), write.len() + read.len());
+        if length > TRANSFER_MAX || out.try_extend_from_slice(write).is_err() {
+            return Err(io::Error::new(ErrorKind::InvalidInput, format!("a transfer of {length} bytes, at most 64")));
+        }
+        if let Some(register) = out.first_mut().filter(|_| !read.is_empty()) {
+            *register |= READS;
+        }
+        out.extend(std::iter::repeat_n(0, read.len()));
+        let mut back = [0; TRANSFER_MAX];
+        let back = back.get_mut(..length).unwrap_or_default();
+        self.0.exchange(&out, back)?;
+        read.iter_mut().zip(back.iter().skip(written)).for_each(|(to, from)| *to = *from);
+        Ok(())
+    }
+}
+
 /// What a port's name means.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortName {
@@ -50,6 +86,8 @@ pub enum PortName {
     Serial(String),
     /// The kernel's I²C.
     I2c(String),
+    /// The kernel's SPI.
+    Spi(String),
     /// The wire rig's I²C.
     Socket(String),
     /// Where datagrams come in.
@@ -65,8 +103,11 @@ impl PortName {
         if let Some(path) = name.strip_prefix("unix:") {
             return (!path.is_empty()).then(|| Self::Socket(path.to_owned()));
         }
-        let i2c = name.rsplit('/').next().is_some_and(|file| file.starts_with("i2c-"));
-        let kind = if i2c { Self::I2c } else { Self::Serial };
+        let kind = match name.rsplit('/').next() {
+            Some(file) if file.starts_with("i2c-") => Self::I2c,
+            Some(file) if file.starts_with("spidev") => Self::Spi,
+            _ => Self::Serial,
+        };
         name.starts_with('/').then(|| kind(name.to_owned()))
     }
 
@@ -77,12 +118,13 @@ impl PortName {
     pub fn open_bus(&self) -> Result<Box<dyn Bus>, DeviceError> {
         match self {
             Self::I2c(path) => kernel::open(path).map_err(|error| self.error(error)),
+            Self::Spi(path) => kernel_spi::open(path).map_err(|error| self.error(error)),
             Self::Socket(path) => {
                 let socket = UnixStream::connect(path).map_err(|error| self.error(error))?;
                 socket.set_read_timeout(Some(WAIT)).map_err(|error| self.error(error))?;
                 Ok(Box::new(Socket(socket)))
             }
-            _ => Err(self.error(io::Error::new(ErrorKind::InvalidInput, "not an I²C bus"))),
+            _ => Err(self.error(io::Error::new(ErrorKind::InvalidInput, "neither I²C nor SPI"))),
         }
     }
 
@@ -135,6 +177,7 @@ impl PortName {
         let group = match self {
             Self::Serial(_) => Some("dialout"),
             Self::I2c(_) => Some("i2c"),
+            Self::Spi(_) => Some("spi"),
             Self::Socket(_) | Self::Datagrams(_) => None,
         };
         let source = match group {
@@ -150,7 +193,7 @@ impl PortName {
 impl std::fmt::Display for PortName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Serial(path) | Self::I2c(path) => f.write_str(path),
+            Self::Serial(path) | Self::I2c(path) | Self::Spi(path) => f.write_str(path),
             Self::Socket(path) => write!(f, "unix:{path}"),
             Self::Datagrams(address) => write!(f, "udp:{address}"),
         }
@@ -162,11 +205,13 @@ pub fn serial_ports() -> Vec<std::path::PathBuf> {
     serial2::SerialPort::available_ports().unwrap_or_default()
 }
 
-/// I²C buses of this machine.
+/// I²C buses of this machine, and its chips on SPI.
 pub fn buses() -> Vec<std::path::PathBuf> {
-    let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten();
-    let mut all: Vec<_> =
-        entries.filter(|e| e.file_name().to_string_lossy().starts_with("i2c-")).map(|e| e.path()).collect();
+    let entries = std::fs::read_dir("/dev").into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_bus = |path: &std::path::PathBuf| {
+        matches!(PortName::parse(&path.to_string_lossy()), Some(PortName::I2c(_) | PortName::Spi(_)))
+    };
+    let mut all: Vec<_> = entries.filter(is_bus).collect();
     all.sort();
     all
 }
@@ -234,6 +279,41 @@ mod kernel {
     }
 }
 
+/// The kernel's SPI: mode 3 and 1 MHz, which every register of these chips bears (a burst of theirs takes 0.12 ms).
+#[cfg(feature = "spi")]
+mod kernel_spi {
+    use std::io;
+
+    use spidev::{SpiModeFlags, Spidev, SpidevOptions, SpidevTransfer};
+
+    const CLOCK_HZ: u32 = 1_000_000;
+
+    struct Kernel(Spidev);
+
+    pub fn open(path: &str) -> io::Result<Box<dyn super::Bus>> {
+        let mut device = Spidev::open(path)?;
+        let options =
+            SpidevOptions::new().bits_per_word(8).max_speed_hz(CLOCK_HZ).mode(SpiModeFlags::SPI_MODE_3).build();
+        device.configure(&options)?;
+        Ok(Box::new(super::Spi(Kernel(device))))
+    }
+
+    impl super::Exchange for Kernel {
+        fn exchange(&mut self, out: &[u8], back: &mut [u8]) -> io::Result<()> {
+            self.0.transfer(&mut SpidevTransfer::read_write(out, back))
+        }
+    }
+}
+
+#[cfg(not(feature = "spi"))]
+mod kernel_spi {
+    use std::io;
+
+    pub fn open(_path: &str) -> io::Result<Box<dyn super::Bus>> {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "built without SPI: build with --features spi"))
+    }
+}
+
 /// Address, bytes to write, bytes to read, what is written; the answer is 0 and what was read, or another number.
 struct Socket(UnixStream);
 
@@ -261,6 +341,7 @@ mod tests {
     fn names_say_what_they_are() {
         assert_eq!(PortName::parse("/dev/ttyUSB0"), Some(PortName::Serial("/dev/ttyUSB0".into())));
         assert_eq!(PortName::parse("/dev/i2c-1"), Some(PortName::I2c("/dev/i2c-1".into())));
+        assert_eq!(PortName::parse("/dev/spidev0.1"), Some(PortName::Spi("/dev/spidev0.1".into())));
         assert_eq!(PortName::parse("unix:/tmp/bus").unwrap().to_string(), "unix:/tmp/bus");
         assert!(
             matches!(PortName::parse("udp:239.255.42.99:1511"), Some(PortName::Datagrams(a)) if a.ip().is_multicast())
@@ -273,7 +354,7 @@ mod tests {
     #[test]
     fn who_may_not_open_a_port_is_told_its_group() {
         let denied = || io::Error::from_raw_os_error(13);
-        for (name, group) in [("/dev/ttyUSB0", "dialout"), ("/dev/i2c-1", "i2c")] {
+        for (name, group) in [("/dev/ttyUSB0", "dialout"), ("/dev/i2c-1", "i2c"), ("/dev/spidev0.0", "spi")] {
             let error = PortName::parse(name).unwrap().error(denied()).to_string();
             assert!(error.starts_with(&format!("{name}: Permission denied")), "{error}");
             assert!(error.ends_with(&format!("the user has to be in the group {group}")), "{error}");
@@ -287,6 +368,34 @@ mod tests {
         let error = PortName::parse("/nowhere/ttyUSB9").unwrap().open_serial(115_200).err().unwrap();
         assert!(error.to_string().starts_with("/nowhere/ttyUSB9: "), "{error}");
         let error = PortName::parse("/dev/null").unwrap().open_bus().err().unwrap();
-        assert!(error.to_string().contains("not an I²C bus"), "{error}");
+        assert!(error.to_string().contains("neither I²C nor SPI"), "{error}");
+    }
+
+    /// A chip that counts up from its register, and keeps what went over the wires.
+    #[derive(Default)]
+    struct Wires(Vec<Vec<u8>>);
+
+    impl Exchange for Wires {
+        fn exchange(&mut self, out: &[u8], back: &mut [u8]) -> io::Result<()> {
+            assert_eq!(out.len(), back.len(), "as many come back");
+            self.0.push(out.to_vec());
+            back.iter_mut().zip(0..).for_each(|(to, at)| *to = at);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn registers_on_spi_are_read_in_one_burst_with_their_highest_bit_set() {
+        let mut bus = Spi(Wires::default());
+        let (mut burst, mut one) = ([0; 14], [0]);
+        bus.transfer(0x68, &[0x3B], &mut burst).unwrap();
+        bus.transfer(0x68, &[0x75], &mut one).unwrap();
+        bus.transfer(0x68, &[0x6B, 0x01], &mut []).unwrap();
+        let read = [&[0xBB][..], &[0; 14]].concat();
+        assert_eq!(bus.0.0, [read, vec![0xF5, 0], vec![0x6B, 0x01]], "no address, no read bit in what is written");
+        // What comes back with the register's own byte is none of its value.
+        assert_eq!((burst, one), (std::array::from_fn(|at| at as u8 + 1), [1]));
+        let long = bus.transfer(0, &[0x3B], &mut [0; 64]).unwrap_err().to_string();
+        assert_eq!(long, "a transfer of 65 bytes, at most 64");
     }
 }

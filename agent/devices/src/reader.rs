@@ -1,6 +1,7 @@
 //! The thread that owns a driver: opens it, stamps what it hears, maps the device's clock, opens it again when it is lost.
 //!
-//! Bound: [`QUEUE`] readings wait for the flight thread; when it is full the newest is given up and counted.
+//! Bounds: [`QUEUE`] readings wait for the flight thread, and [`SCANS`] scans where they are recorded; when a queue is full the
+//! newest is given up and counted.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
@@ -12,13 +13,15 @@ use plumbline_proto::time::FlightTime;
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use crate::clock::DeviceClock;
-use crate::driver::{Driver, Exchange, Heard};
+use crate::driver::{Driver, Exchange, Heard, Scanned};
 use crate::fault::{DeviceError, Fault};
 use crate::reading::Reading;
 use crate::scheduling;
 
 /// Readings that may wait: a quarter of a second at 1 kHz.
 pub const QUEUE: usize = 256;
+/// Scans that may wait: 0.4 s of them.
+pub const SCANS: usize = 4;
 /// Notices that may wait.
 const NOTICES: usize = 16;
 /// Shortest span that a rate is counted over, s.
@@ -144,12 +147,15 @@ pub struct Options {
     pub silence: Duration,
     /// Whether its thread asks for real-time priority.
     pub real_time: bool,
+    /// Whether whole scans are handed over, too.
+    pub record_scans: bool,
 }
 
 /// The flight thread's end of a reader.
 #[derive(Debug)]
 pub struct Reader {
     arrived: Consumer<Arrived>,
+    scans: Consumer<(FlightTime, Scanned)>,
     notices: Consumer<Notice>,
     state: Arc<State>,
     stop: Arc<AtomicBool>,
@@ -165,12 +171,14 @@ impl Reader {
     /// No thread could be started.
     pub fn start(driver: Box<dyn Driver>, options: Options, zero: Zero) -> std::io::Result<Self> {
         let (arrivals, arrived) = RingBuffer::new(QUEUE);
+        let (scanned, scans) = RingBuffer::new(if options.record_scans { SCANS } else { 0 });
         let (notify, notices) = RingBuffer::new(NOTICES);
         let (state, stop) = (Arc::new(State::default()), Arc::new(AtomicBool::new(false)));
         let mut work = Work {
             driver,
             zero,
             arrivals,
+            scanned,
             notify,
             state: state.clone(),
             stop: stop.clone(),
@@ -185,12 +193,17 @@ impl Reader {
             work.run();
         };
         let thread = std::thread::Builder::new().name(name).spawn(run)?;
-        Ok(Self { arrived, notices, state, stop, thread: Some(thread), counted: (FlightTime(0), 0, 0.0) })
+        Ok(Self { arrived, scans, notices, state, stop, thread: Some(thread), counted: (FlightTime(0), 0, 0.0) })
     }
 
     /// The oldest reading that waits. Never blocks, never allocates.
     pub fn pop(&mut self) -> Option<Arrived> {
         self.arrived.pop().ok()
+    }
+
+    /// The oldest scan that waits, with its time. Never blocks, never allocates.
+    pub fn scan(&mut self) -> Option<(FlightTime, Scanned)> {
+        self.scans.pop().ok()
     }
 
     /// The oldest notice that waits.
@@ -230,6 +243,7 @@ struct Work {
     zero: Zero,
     clock: DeviceClock,
     arrivals: Producer<Arrived>,
+    scanned: Producer<(FlightTime, Scanned)>,
     notify: Producer<Notice>,
     state: Arc<State>,
     stop: Arc<AtomicBool>,
@@ -270,11 +284,11 @@ impl Work {
         }
         self.state.opened.fetch_add(1, Ordering::Relaxed);
         self.clock = DeviceClock::default();
-        let Self { driver, options, zero, clock, arrivals, notify, state, stop } = self;
+        let Self { driver, options, zero, clock, arrivals, scanned, notify, state, stop } = self;
         let mut last = Instant::now();
         let (mut stamped, mut fault) = (None, None);
         while !stop.load(Ordering::Acquire) {
-            let mut heard_one = false;
+            let (mut heard_one, mut time) = (false, None);
             let polled = driver.poll(&mut |heard| match heard {
                 Ok(heard) => {
                     heard_one = true;
@@ -283,7 +297,9 @@ impl Work {
                         state.readings.fetch_add(1, Ordering::Relaxed);
                     }
                     stamped = heard.stamp;
-                    if let Some(jumped_s) = take(heard, options, zero, clock, arrivals, state) {
+                    let taken = take(heard, options, zero, clock, arrivals, state);
+                    time = taken.time.or(time);
+                    if let Some(jumped_s) = taken.jumped_s {
                         tracing::warn!(device = options.name, jumped_s, "device's clock jumped");
                         let _ = notify.push(Notice::Clock(jumped_s));
                     }
@@ -298,6 +314,13 @@ impl Work {
             }
             if let Some(exchange) = driver.exchange() {
                 answered(&exchange, zero, clock, state);
+            }
+            if let Some(scan) = driver.scan().filter(|_| options.record_scans) {
+                // One without a floor has its arrival's.
+                let time = time.or_else(|| flight_time(zero.micros(scan.at)? - 1e6 * options.delay_s));
+                if time.is_some_and(|time| scanned.push((time, scan)).is_err()) {
+                    state.given_up.fetch_add(1, Ordering::Relaxed);
+                }
             }
             if heard_one {
                 fault = None;
@@ -332,7 +355,20 @@ fn answered(exchange: &Exchange, zero: &Zero, clock: &mut DeviceClock, state: &S
     state.clock_offset_ns.store((offset_us * 1e3) as i64, Ordering::Relaxed);
 }
 
-/// Stamps a reading and hands it on. Returns by how much its clock jumped, s, if it did.
+/// What became of a reading.
+#[derive(Debug, Clone, Copy, Default)]
+struct Taken {
+    /// When it was measured; `None` before flight time began.
+    time: Option<FlightTime>,
+    /// By how much its clock jumped, s, if it did.
+    jumped_s: Option<f64>,
+}
+
+fn flight_time(us: f64) -> Option<FlightTime> {
+    (us >= 0.0).then_some(FlightTime(us as u64))
+}
+
+/// Stamps a reading and hands it on.
 fn take(
     heard: Heard,
     options: &Options,
@@ -340,9 +376,9 @@ fn take(
     clock: &mut DeviceClock,
     arrivals: &mut Producer<Arrived>,
     state: &State,
-) -> Option<f64> {
+) -> Taken {
     // Before flight time begins readings only say that the device is there.
-    let arrival_us = zero.micros(heard.at)?;
+    let Some(arrival_us) = zero.micros(heard.at) else { return Taken::default() };
     let (mut time_us, mut jumped_s) = (arrival_us, None);
     if let Some(stamp) = heard.stamp {
         let mapped = clock.map(stamp, arrival_us);
@@ -355,13 +391,12 @@ fn take(
         state.skew_ppb.store((clock.skew() * 1e9) as i64, Ordering::Relaxed);
     }
     time_us = (time_us + heard.after_us - 1e6 * options.delay_s).min(arrival_us);
-    if time_us < 0.0 {
-        return jumped_s;
+    let time = flight_time(time_us);
+    if let Some(time) = time {
+        state.last_us.store(arrival_us as u64, Ordering::Relaxed);
+        if arrivals.push(Arrived { time, reading: heard.reading }).is_err() {
+            state.given_up.fetch_add(1, Ordering::Relaxed);
+        }
     }
-    state.last_us.store(arrival_us as u64, Ordering::Relaxed);
-    let arrived = Arrived { time: FlightTime(time_us as u64), reading: heard.reading };
-    if arrivals.push(arrived).is_err() {
-        state.given_up.fetch_add(1, Ordering::Relaxed);
-    }
-    jumped_s
+    Taken { time, jumped_s }
 }

@@ -51,7 +51,7 @@ pub struct SpecError {
 pub enum DriverKind {
     /// Bosch BNO055 on a serial port or I²C.
     Bno055,
-    /// InvenSense MPU or ICM on I²C.
+    /// InvenSense MPU or ICM on I²C or SPI.
     Invensense,
     /// UART IMU with barometer.
     Mongoose,
@@ -157,6 +157,9 @@ pub struct DeviceSpec {
     pub origin: Option<[f64; 3]>,
     /// Voltage: of the battery for one volt at the chip.
     pub divider: Option<f64>,
+    /// Scanner: whole scans go into the flight file, too.
+    #[serde(default)]
+    pub record_scans: bool,
 }
 
 /// `[motors]`.
@@ -260,6 +263,9 @@ impl DeviceSpec {
             DriverKind::Bno055 => matches!(port, Some(PortName::Serial(_) | PortName::I2c(_) | PortName::Socket(_))),
             DriverKind::Natnet | DriverKind::Vicon => matches!(port, Some(PortName::Datagrams(_))),
             DriverKind::Mavlink => matches!(port, Some(PortName::Datagrams(_) | PortName::Serial(_))),
+            DriverKind::Invensense => {
+                matches!(port, Some(PortName::I2c(_) | PortName::Socket(_) | PortName::Spi(_)))
+            }
             _ if self.driver.usual().0 > 0 => matches!(port, Some(PortName::Serial(_))),
             _ => matches!(port, Some(PortName::I2c(_) | PortName::Socket(_))),
         };
@@ -314,6 +320,9 @@ impl DeviceSpec {
         for value in self.mounting_rpy_rad.iter() {
             within("mounting_rpy_rad", *value, -std::f64::consts::TAU, std::f64::consts::TAU, "angles within ±2π rad")?;
         }
+        if self.record_scans && (self.driver != DriverKind::Hokuyo || self.ids().next().is_none()) {
+            return Err(("record_scans", "true".into(), "for this device: only a hokuyo that is a height has scans"));
+        }
         if !matches!(self.up.as_deref(), None | Some("y" | "z")) {
             return Err(("up", format!("{:?}", self.up), "\"y\" or \"z\""));
         }
@@ -347,6 +356,7 @@ impl DeviceSpec {
             up: None,
             origin: None,
             divider: None,
+            record_scans: false,
         };
         match PortName::parse(port) {
             // Those that only talk first: nothing is written to them.
@@ -368,6 +378,7 @@ impl DeviceSpec {
             .into_iter()
             .flat_map(|(driver, addresses)| addresses.map(|address| guess(driver, None, Some(address))))
             .collect(),
+            Some(PortName::Spi(_)) => vec![guess(DriverKind::Invensense, None, None)],
             _ => Vec::new(),
         }
     }
@@ -439,7 +450,8 @@ impl DeviceSpec {
         };
         // A receiver without sky is alive, and a device of 1 Hz is not silent after one second.
         let silence = Duration::from_secs_f64((5.0 / self.rate_hz()).max(0.5));
-        let options = Options { name: self.name.clone(), delay_s: self.delay_s, silence, real_time };
+        let (name, record_scans) = (self.name.clone(), self.record_scans);
+        let options = Options { name, delay_s: self.delay_s, silence, real_time, record_scans };
         Ok((mounted, Reader::start(driver, options, zero.clone())?))
     }
 }

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use plumbline_core::estimate::vqf::{Vqf, VqfOptions};
 use plumbline_core::event::{Severity, Text, text};
 use plumbline_core::flight::Guide;
@@ -15,10 +15,11 @@ use plumbline_core::sensor::{
     AnySample, BarometerSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame,
 };
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{AutopilotState, DeviceState, MotorStop, Vehicle, VehicleError};
+use plumbline_core::vehicle::{AutopilotState, DeviceState, MotorStop, Scan, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
 use crate::motors::Motors;
+use crate::protocol::scan_height;
 use crate::reader::{Arrived, Notice, Reader};
 use crate::reading::{RangeReading, Reading};
 
@@ -165,6 +166,24 @@ impl Vehicle for HardwareVehicle {
         })
     }
 
+    fn scans(&mut self, each: &mut dyn FnMut(Scan<'_>)) {
+        for (mounted, reader) in &mut self.devices {
+            while let Some((time, scanned)) = reader.scan() {
+                let body_from_scanner = UnitQuaternion::from_rotation_matrix(&mounted.body_from_sensor);
+                each(Scan {
+                    instance: mounted.index as u16 + 1,
+                    time,
+                    device_time_ms: scanned.stamp_ms,
+                    first_angle_rad: scan_height::angle_rad(0),
+                    step_angle_rad: scan_height::STEP_RAD,
+                    ranges_mm: &scanned.ranges_mm,
+                    position_flu_m: mounted.position_flu_m,
+                    body_from_scan: body_from_scanner * scanner_from_scan(),
+                });
+            }
+        }
+    }
+
     fn notice(&mut self) -> Option<(Severity, Text)> {
         self.devices.iter_mut().find_map(|(mounted, reader)| {
             let name = &mounted.name;
@@ -178,6 +197,12 @@ impl Vehicle for HardwareVehicle {
             })
         })
     }
+}
+
+/// A scanner looks along −z of its axes, and its angles go from there to −y: half a turn about the bisector of x and −z.
+fn scanner_from_scan() -> UnitQuaternion<f64> {
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    UnitQuaternion::new_unchecked(Quaternion::new(0.0, half, 0.0, -half))
 }
 
 /// A reading in the body's terms, and its place in the frame.
@@ -257,6 +282,17 @@ mod tests {
             origin: None,
             world_from_mocap: UnitQuaternion::identity(),
         }
+    }
+
+    #[test]
+    fn the_axes_of_a_scan_are_those_of_its_ranges() {
+        // Rolled to its left, y up, a scanner sees the floor on its right: at the angle where its range is the shortest.
+        let up: Vector3<f64> = UnitQuaternion::from_euler_angles(0.2, 0.0, 0.0).inverse() * Vector3::z();
+        let ranges = scan_height::encode(1.0, up.y.atan2(up.z), 4.0, || 0.0);
+        let nearest = ranges.iter().enumerate().filter(|(_, mm)| **mm > 0).min_by_key(|(_, mm)| **mm).unwrap().0;
+        let (sin, cos) = scan_height::angle_rad(nearest).sin_cos();
+        let beam = scanner_from_scan() * Vector3::new(cos, sin, 0.0);
+        assert!((beam + up).norm() < 0.05, "{beam} down {}", -up);
     }
 
     #[test]

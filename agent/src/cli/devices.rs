@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use plumbline_agent::config::AgentConfig;
+use plumbline_agent::sensor::suite::Suite;
 use plumbline_devices::port::{PortName, buses, serial_ports};
 use plumbline_devices::reader::Zero;
-use plumbline_devices::spec::DeviceSpec;
+use plumbline_devices::spec::{DeviceSpec, DriverKind};
 use plumbline_proto::ids::SensorId;
 
 use super::{Failure, in_file};
@@ -17,6 +18,8 @@ use super::{Failure, in_file};
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How long each driver tries a port: a BNO055 needs a second to start.
 const ANSWER: Duration = Duration::from_millis(2500);
+/// A GNSS receiver has a fix a second, as it is made.
+const FIXES: Duration = Duration::from_millis(4500);
 /// How long the readings of a device that was found are counted.
 const COUNTED: Duration = Duration::from_secs(1);
 /// So many are no noise that looks like one.
@@ -121,8 +124,8 @@ fn probe(ports: &[String]) -> Result<(), Failure> {
         asked.into_iter().map(|thread| thread.join().unwrap_or_default()).collect()
     });
     let mut out = std::io::stdout();
-    // Of each kind of sensor, how many there are.
-    let mut counts: BTreeMap<i32, u8> = BTreeMap::new();
+    // Of each kind of sensor, how many there are; of some there is room for few.
+    let (mut counts, mut suite) = (BTreeMap::<i32, u8>::new(), Suite::empty());
     for (port, found) in ports.iter().zip(found) {
         if found.is_empty() {
             writeln!(out, "# {port}: nothing that a driver knows\n")?;
@@ -130,14 +133,19 @@ fn probe(ports: &[String]) -> Result<(), Failure> {
         for Found { device, rate_hz } in found {
             // As a configuration has it.
             let driver = format!("{:?}", device.driver).to_lowercase();
-            let sensors = device.driver.kinds().iter().map(|kind| {
+            let (mut sensors, mut left_out) = (Vec::new(), String::new());
+            for kind in device.driver.kinds() {
                 let count = counts.entry(*kind as i32).or_default();
-                *count += 1;
-                format!("\"{}\"", SensorId::new(*kind, *count))
-            });
-            let sensors: Vec<String> = sensors.collect();
+                let next = SensorId::new(*kind, *count + 1);
+                if suite.add(*kind) {
+                    *count += 1;
+                    sensors.push(format!("\"{next}\""));
+                } else {
+                    left_out += &format!(", no room for {next}");
+                }
+            }
             let place = counts.values().sum::<u8>();
-            writeln!(out, "[[device]] # {rate_hz:.0} readings/s")?;
+            writeln!(out, "[[device]] # {rate_hz:.0} readings/s{left_out}")?;
             writeln!(out, "name = \"{driver:.6} {place}\"\ndriver = \"{driver}\"\nport = \"{port}\"")?;
             if let Some(baud) = device.baud {
                 writeln!(out, "baud = {baud}")?;
@@ -168,8 +176,8 @@ fn found_on(port: &str) -> Vec<Found> {
         let zero = Zero::default();
         zero.set(Instant::now());
         let Ok(Some((_, reader))) = device.start(&zero) else { continue };
-        let begun = Instant::now();
-        while begun.elapsed() < ANSWER && reader.state().health().readings < FIRST_READINGS {
+        let (begun, answer) = (Instant::now(), if device.driver == DriverKind::Gnss { FIXES } else { ANSWER });
+        while begun.elapsed() < answer && reader.state().health().readings < FIRST_READINGS {
             std::thread::sleep(Duration::from_millis(20));
         }
         let first = reader.state().health().readings;

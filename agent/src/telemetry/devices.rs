@@ -1,9 +1,10 @@
-//! How the devices of a real vehicle are doing.
+//! How the devices of a real vehicle are doing, and the scans of those that are asked for them.
 
 use plumbline_proto::Kind;
 use plumbline_proto::time::FlightTime;
 
 use super::{Telemetry, convert, due};
+use crate::sensor::wire;
 use crate::vehicle::Vehicle;
 
 const DEVICES_S: f64 = 1.0;
@@ -28,5 +29,20 @@ impl Telemetry {
             (message.faults, message.given_up, message.opened) = (state.faults, state.given_up, state.opened);
             outlets.send(Kind::Device, instance, now, message);
         }
+    }
+
+    /// The scans that came since the last tick.
+    pub fn scans(&mut self, vehicle: &mut dyn Vehicle) {
+        let Self { outlets, kept, .. } = self;
+        vehicle.scans(&mut |scan| {
+            let message = &mut kept.scan;
+            (message.time_us, message.device_time_ms) = (scan.time.0, scan.device_time_ms);
+            (message.first_angle_rad, message.step_angle_rad) = (scan.first_angle_rad, scan.step_angle_rad);
+            message.range_mm.clear();
+            message.range_mm.extend(scan.ranges_mm.iter().map(|mm| u32::from(*mm)));
+            message.position_flu_m = wire::vector(&scan.position_flu_m);
+            message.body_from_scan = wire::quaternion(&scan.body_from_scan);
+            outlets.send(Kind::Scan, scan.instance, scan.time, message);
+        });
     }
 }

@@ -9,6 +9,8 @@ use crate::event::Text;
 use crate::flight::report::MAX_CHECKS;
 use crate::sensor::Wires;
 
+/// Ranges of a scan.
+const MAX_RANGES: usize = 1024;
 /// Motors, strings, integrators, cameras: no list of a tick is longer.
 const MAX_ROTORS_AND_STRINGS: usize = 8;
 
@@ -25,6 +27,7 @@ pub(super) struct Kept {
     pub event: v1::Event,
     pub ack: v1::Ack,
     pub device: v1::DeviceState,
+    pub scan: v1::Scan,
     pub secure: v1::SecureStatus,
 }
 
@@ -74,6 +77,7 @@ impl Kept {
             event: v1::Event { kind: text(), text: text(), ..v1::Event::default() },
             ack: v1::Ack { reason: text(), ..v1::Ack::default() },
             device: v1::DeviceState { name: text(), port: text(), reason: text(), ..v1::DeviceState::default() },
+            scan: v1::Scan { range_mm: Vec::with_capacity(MAX_RANGES), ..v1::Scan::default() },
             secure: secure::with_room(),
         }
     }

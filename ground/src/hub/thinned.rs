@@ -2,7 +2,7 @@
 //!
 //! Of what a tick of the vehicle makes anew (estimates, control, truth) a page is sent the first in each stretch of
 //! flight time, at once; of residuals, the worst of each scalar in each; of sensors only the heights, for it shows no
-//! others. Stretches of estimators that are not in the loop are longer. What is rarer comes whole. Where the stream stands
+//! others, nor whole scans. Stretches of estimators that are not in the loop are longer. What is rarer comes whole. Where the stream stands
 //! still the last comes, too, after [`LAST_AFTER`].
 
 use std::collections::BTreeMap;
@@ -56,6 +56,7 @@ impl Thinned {
                 *since = now;
                 Worst::take(worst, frame.time_us / (RESIDUALS_US * times), frame, out);
             }
+            Some(Kind::Scan) => {}
             Some(kind) if kind.is_sensor() && kind != Kind::Height => {}
             kind => {
                 if kind == Some(Kind::Status)

@@ -180,7 +180,7 @@ impl Vehicle {
         let mut messages = 0;
         for ((kind, _), latest) in &self.latest {
             let wanted = match Kind::from_wire(*kind) {
-                Some(Kind::Event | Kind::Ack) => false,
+                Some(Kind::Event | Kind::Ack | Kind::Scan) => false,
                 Some(
                     Kind::Description
                     | Kind::Gains

@@ -127,8 +127,8 @@ const PACKAGES: [Package; 2] = [
     },
 ];
 
-/// What is not in every build: devices on I²C, and grounds that share.
-const FEATURES: &str = "plumbline-agent/i2c,plumbline-ground/many";
+/// What is not in every build: devices on I²C and SPI, and grounds that share.
+const FEATURES: &str = "plumbline-agent/i2c,plumbline-agent/spi,plumbline-ground/many";
 const MAINTAINER: &str = "The Plumbline developers <plumbline@example.org>";
 const COPYRIGHT: &str = "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n\
     Upstream-Name: Plumbline\n\nFiles: *\nCopyright: 2026 The Plumbline developers\nLicense: MIT or Apache-2.0\n \

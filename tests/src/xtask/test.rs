@@ -21,8 +21,12 @@ pub struct Options {
 }
 
 /// All there is, with what the two commands do without.
-pub const EVERYTHING: [&str; 4] =
-    ["--workspace", "--locked", "--features", "plumbline-ground/many,plumbline-agent/i2c,plumbline-bundler/compress"];
+pub const EVERYTHING: [&str; 4] = [
+    "--workspace",
+    "--locked",
+    "--features",
+    "plumbline-ground/many,plumbline-agent/i2c,plumbline-agent/spi,plumbline-bundler/compress",
+];
 
 /// Where less is free, bytes, tests that record may fail for want of it.
 const FREE_MIN: u64 = 1 << 30;

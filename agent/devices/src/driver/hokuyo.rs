@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use super::{Driver, Heard, Outlet};
+use arrayvec::ArrayVec;
+
+use super::{Driver, Heard, Outlet, Scanned};
 use crate::clock::Stamp;
 use crate::fault::{DeviceError, Fault};
 use crate::framer::Framer;
@@ -21,12 +23,14 @@ pub struct Hokuyo {
     port: PortName,
     framer: Framer<Scip>,
     open: Option<Box<dyn Stream>>,
+    /// When the scan of the last poll was there, and its stamp, ms.
+    scanned: Option<(Instant, u32)>,
 }
 
 impl Hokuyo {
     /// On `port`, closed.
     pub fn new(port: PortName) -> Self {
-        Self { port, framer: Framer::new(Scip::default()), open: None }
+        Self { port, framer: Framer::new(Scip::default()), open: None, scanned: None }
     }
 
     /// Ranges of the last scan, mm, from step 44 on.
@@ -110,6 +114,7 @@ impl Driver for Hokuyo {
             Some(Err(fault)) => out(Err(fault)),
             Some(Ok(ScipReading::Scan { stamp_ms })) => {
                 let at = Instant::now();
+                self.scanned = Some((at, stamp_ms));
                 let stamp = Stamp { ticks: stamp_ms.into(), tick_us: 1e3, roll_over: ROLL_OVER_MS.into() };
                 let after_us = TURN_US * FRONT_STEP as f64 / STEPS_PER_TURN as f64;
                 out(scan_height::fit(self.ranges()).map(|height| Heard {
@@ -130,6 +135,11 @@ impl Driver for Hokuyo {
             Some(Ok(_)) => {}
         }
         Ok(())
+    }
+
+    fn scan(&mut self) -> Option<Scanned> {
+        let (at, stamp_ms) = self.scanned.take()?;
+        Some(Scanned { at, stamp_ms, ranges_mm: ArrayVec::try_from(self.ranges()).ok()? })
     }
 
     fn close(&mut self) {

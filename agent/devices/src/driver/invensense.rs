@@ -1,4 +1,4 @@
-//! InvenSense MPU and ICM on I²C: a burst of all axes at a rate of our own.
+//! InvenSense MPU and ICM on I²C or SPI: a burst of all axes at a rate of our own.
 
 use std::time::{Duration, Instant};
 
@@ -29,12 +29,10 @@ impl Invensense {
         let (now, period) = (Instant::now(), Duration::from_secs_f64(1.0 / rate_hz));
         Self { port, address, period, open: None, due: now, look_due: now }
     }
-}
 
-impl Driver for Invensense {
-    fn open(&mut self) -> Result<(), DeviceError> {
+    /// Identifies the chip behind `bus` and sets it up.
+    fn set_up(&self, bus: &mut dyn Bus) -> Result<Thermometer, DeviceError> {
         let Self { port, address, .. } = self;
-        let mut bus = port.open_bus()?;
         let mut transfer =
             |write: &[u8], read: &mut [u8]| bus.transfer(*address, write, read).map_err(|error| port.error(error));
         let mut identity = [0];
@@ -49,6 +47,9 @@ impl Driver for Invensense {
         std::thread::sleep(reset);
         transfer(&[register::PWR_MGMT_1, AWAKE], &mut [])?;
         std::thread::sleep(wake);
+        if matches!(port, PortName::Spi(_)) {
+            transfer(&invensense::without_i2c(identity), &mut [])?;
+        }
         for (at, value) in (register::SMPLRT_DIV..).zip(SETTING) {
             transfer(&[at, value], &mut [])?;
         }
@@ -58,6 +59,14 @@ impl Driver for Invensense {
             let value = format!("{set:02x?}");
             return Err(DeviceError::Wrong { what: "range registers", value, expected: "[00, 02, 18, 18, 02]" });
         }
+        Ok(thermometer)
+    }
+}
+
+impl Driver for Invensense {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        let mut bus = self.port.open_bus()?;
+        let thermometer = self.set_up(bus.as_mut())?;
         self.open = Some((bus, thermometer));
         (self.due, self.look_due) = (Instant::now(), Instant::now() + LOOK);
         Ok(())

@@ -13,6 +13,8 @@ use crate::reading::Reading;
 
 /// Longest wait for a server's answer.
 const PATIENCE: Duration = Duration::from_millis(500);
+/// How often a server is told that somebody listens still.
+const KEEP_ALIVE: Duration = Duration::from_secs(1);
 /// Largest datagram.
 const DATAGRAM: usize = 65_536;
 
@@ -42,6 +44,7 @@ pub struct Mocap {
     port: PortName,
     system: System,
     version: Version,
+    alive_due: Instant,
     socket: Option<UdpSocket>,
     datagram: Box<[u8; DATAGRAM]>,
 }
@@ -49,7 +52,14 @@ pub struct Mocap {
 impl Mocap {
     /// On `port`, closed.
     pub fn new(port: PortName, system: System) -> Self {
-        Self { port, system, version: natnet::OLDEST, socket: None, datagram: Box::new([0; DATAGRAM]) }
+        Self {
+            port,
+            system,
+            version: natnet::OLDEST,
+            alive_due: Instant::now(),
+            socket: None,
+            datagram: Box::new([0; DATAGRAM]),
+        }
     }
 
     fn version_of(&mut self, socket: &UdpSocket, server: SocketAddr) -> Result<Version, DeviceError> {
@@ -86,6 +96,12 @@ impl Driver for Mocap {
 
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
         let Some(socket) = &self.socket else { return Ok(()) };
+        if let System::NatNet { server, .. } = self.system
+            && Instant::now() >= self.alive_due
+        {
+            self.alive_due = Instant::now() + KEEP_ALIVE;
+            socket.send_to(&natnet::encode_keep_alive(), server).map_err(|error| self.port.error(error))?;
+        }
         let count = match socket.recv(self.datagram.as_mut()) {
             Ok(count) => count,
             Err(error) if timed_out(&error) => return Ok(()),

@@ -10,8 +10,11 @@ pub mod stream;
 
 use std::time::Instant;
 
+use arrayvec::ArrayVec;
+
 use crate::clock::Stamp;
 use crate::fault::{DeviceError, Fault};
+use crate::protocol::scip;
 use crate::reading::Reading;
 
 /// A reading as it came in.
@@ -38,6 +41,17 @@ pub struct Exchange {
     pub stamp: Stamp,
 }
 
+/// A whole scan as it came in.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scanned {
+    /// When its last byte was there.
+    pub at: Instant,
+    /// The scanner's own time, ms.
+    pub stamp_ms: u32,
+    /// From the first step on, mm; small ones are error codes.
+    pub ranges_mm: ArrayVec<u16, { scip::RANGES }>,
+}
+
 /// Takes what a driver hears.
 pub type Outlet<'a> = dyn FnMut(Result<Heard, Fault>) + 'a;
 
@@ -57,6 +71,11 @@ pub trait Driver: Send {
 
     /// A question that was answered since this was asked last.
     fn exchange(&mut self) -> Option<Exchange> {
+        None
+    }
+
+    /// The scan of the last poll, if it had one.
+    fn scan(&mut self) -> Option<Scanned> {
         None
     }
 

@@ -21,6 +21,11 @@ pub fn ina226_v(word: u16) -> f64 {
     f64::from(word & 0x7fff) * 1.25e-3
 }
 
+/// The bus register of an INA219 at this voltage, its conversion done.
+pub fn encode_ina219(voltage_v: f64) -> u16 {
+    (((voltage_v / 4e-3).round() as u16) << 3) | 2
+}
+
 /// The bus register of an INA226 at this voltage.
 pub fn encode_ina226(voltage_v: f64) -> u16 {
     (voltage_v / 1.25e-3).round() as u16 & 0x7fff

@@ -27,6 +27,12 @@ pub const AWAKE: u8 = 0x01;
 /// Into [`register::SMPLRT_DIV`] and what follows: 1 kHz; low-pass at about 92 Hz; ±2000 °/s; ±16 g; the accelerometer's
 /// own low-pass at about 99 Hz, where it has one.
 pub const SETTING: [u8; 5] = [0, 2, 0x18, 0x18, 2];
+/// Register and value that leave a chip on SPI no I²C, which it could take its clock for (ICM-20602 8.1.30; MPU-6500, ICM-20608
+/// and ICM-20689 in USER_CTRL).
+pub fn without_i2c(identity: u8) -> [u8; 2] {
+    if identity == 0x12 { [0x70, 0x40] } else { [0x6A, 0x10] }
+}
+
 /// Bytes of a burst.
 pub const DATA_LENGTH: usize = 14;
 

@@ -13,6 +13,7 @@ use crate::reading::PoseReading;
 const CONNECT: u16 = 0;
 const SERVER_INFO: u16 = 1;
 const FRAME: u16 = 7;
+const KEEP_ALIVE: u16 = 10;
 const SHORT: Fault = Fault::Malformed("NatNet datagram");
 /// More of anything than this is garbage.
 const COUNT_MAX: i32 = 1000;
@@ -118,6 +119,17 @@ pub fn encode_connect() -> Vec<u8> {
     payload.iter_mut().skip(260).zip([4_u8, 1, 0, 0]).for_each(|(to, from)| *to = from);
     out.extend(payload);
     out
+}
+
+/// What a client that is sent frames of its own, not those of a group, says every second or so: a server forgets it otherwise.
+pub fn encode_keep_alive() -> [u8; 4] {
+    let [low, high] = KEEP_ALIVE.to_le_bytes();
+    [low, high, 0, 0]
+}
+
+/// Does a client ask?
+pub fn is_connect(datagram: &[u8]) -> bool {
+    datagram.len() >= 4 && le::u16(datagram, 0) == CONNECT
 }
 
 /// A server's answer.

@@ -138,6 +138,32 @@ fn place([latitude, north, longitude, east]: [&str; 4]) -> Result<[f64; 2], Faul
     Ok([n * latitude, e * longitude])
 }
 
+/// The two sentences of a fix at `time_s` (s since midnight), as a receiver sends them.
+pub fn encode(time_s: f64, fix: &FixReading) -> String {
+    let sentence = |body: String| {
+        let check = body.bytes().fold(0, |sum, b| sum ^ b);
+        format!("${body}*{check:02X}\r\n")
+    };
+    // Hundredths, so that no minute has sixty seconds.
+    let hundredths = (time_s.rem_euclid(86_400.0) * 100.0).round() as u64 % 8_640_000;
+    let (minutes, seconds) = (hundredths / 6000, (hundredths % 6000) as f64 * 0.01);
+    let time = format!("{:02}{:02}{seconds:05.2}", minutes / 60, minutes % 60);
+    let angle = |degrees: f64, digits: usize, [positive, negative]: [char; 2]| {
+        // Of a minute the fifth decimal, 2 cm.
+        let minutes = (degrees.abs() * 60e5).round() * 1e-5;
+        let whole = (minutes / 60.0).floor();
+        format!("{whole:0digits$}{:08.5},{}", minutes - 60.0 * whole, if degrees < 0.0 { negative } else { positive })
+    };
+    let [latitude, longitude, altitude_m] = fix.geodetic;
+    let place = format!("{},{}", angle(latitude, 2, ['N', 'S']), angle(longitude, 3, ['E', 'W']));
+    let velocity = fix.velocity_enu_mps.xy();
+    let (knots, course) = (velocity.norm() / KNOT_MPS, velocity.x.atan2(velocity.y).to_degrees().rem_euclid(360.0));
+    let dilution = fix.horizontal_sigma_m / RANGE_SIGMA_M;
+    let satellites = fix.satellites;
+    sentence(format!("GNRMC,{time},A,{place},{knots:.3},{course:.2},010126,,,A"))
+        + &sentence(format!("GNGGA,{time},{place},1,{satellites:02},{dilution:.2},{altitude_m:.3},M,0.0,M,,"))
+}
+
 /// Matches the sentences of an epoch.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Epoch {

@@ -4,9 +4,19 @@ use crate::fault::Fault;
 use crate::framer::le;
 use crate::reading::BarometerReading;
 
+/// The least raw value of so many bits that reaches something; all of them where none does.
+fn least(bits: u32, reaches: impl Fn(u32) -> bool) -> u32 {
+    let (mut low, mut high) = (0, (1 << bits) - 1);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if reaches(middle) { high = middle } else { low = middle + 1 }
+    }
+    low
+}
+
 /// MS5611: commands.
 pub mod ms5611 {
-    use super::{BarometerReading, Fault};
+    use super::{BarometerReading, Fault, least};
 
     /// Reset; 2.8 ms.
     pub const RESET: u8 = 0x1E;
@@ -20,8 +30,12 @@ pub mod ms5611 {
     /// Checks the four bits of checksum in the last of the eight words (AN520).
     ///
     /// # Errors
-    /// The checksum is another one.
+    /// The checksum is another one, or nothing is there.
     pub fn check(prom: &[u16; 8]) -> Result<(), Fault> {
+        // A bus that is held low passes the checksum.
+        if prom.iter().all(|word| *word == 0) {
+            return Err(Fault::Malformed("calibration: nothing but zeros"));
+        }
         let got = prom[7] & 0xf;
         let expected = crc4(prom);
         if expected == got { Ok(()) } else { Err(Fault::Checksum { expected: expected.into(), got: got.into() }) }
@@ -40,6 +54,12 @@ pub mod ms5611 {
             }
         }
         remainder >> 12 & 0xf
+    }
+
+    /// Raw pressure and temperature of a reading: what [`compensate`] finds it in again.
+    pub fn encode(prom: &[u16; 8], reading: &BarometerReading) -> [u32; 2] {
+        let raw_t = least(24, |raw| compensate(prom, 0, raw).temperature_c >= reading.temperature_c);
+        [least(24, |raw| compensate(prom, raw, raw_t).pressure_pa >= reading.pressure_pa), raw_t]
     }
 
     /// Pressure and temperature of raw values (24 bit), second order included.
@@ -69,7 +89,7 @@ pub mod ms5611 {
 
 /// BMP280: registers.
 pub mod bmp280 {
-    use super::{BarometerReading, le};
+    use super::{BarometerReading, le, least};
 
     /// Identity, 0x58.
     pub const ID: u8 = 0xD0;
@@ -83,6 +103,19 @@ pub mod bmp280 {
     pub const SETTING: [u8; 2] = [0x33, 0x00];
     /// Pressure and temperature, 20 bit each, in six bytes.
     pub const DATA: u8 = 0xF7;
+
+    /// The data registers of a reading: what [`compensate`] finds it in again.
+    pub fn encode(calibration: &[u8; 24], reading: &BarometerReading) -> [u8; 6] {
+        let data = |raw_p: u32, raw_t: u32| {
+            let [p, t] = [raw_p, raw_t].map(|raw| (raw << 4).to_be_bytes());
+            [p[1], p[2], p[3], t[1], t[2], t[3]]
+        };
+        let seen = |raw_p, raw_t| compensate(calibration, &data(raw_p, raw_t));
+        let raw_t = least(20, |raw| seen(0, raw).temperature_c >= reading.temperature_c);
+        // The more pressure, the less its register holds.
+        let raw_p = least(20, |raw| seen(raw, raw_t).pressure_pa <= reading.pressure_pa);
+        data(raw_p, raw_t)
+    }
 
     /// Pressure and temperature of the data registers (3.11.3, in floating point as 8.1).
     pub fn compensate(calibration: &[u8; 24], data: &[u8; 6]) -> BarometerReading {

@@ -9,6 +9,8 @@ use crate::fault::Fault;
 use crate::protocol::scip::{FRONT_STEP, RANGES, SMALLEST_MM, STEPS, STEPS_PER_TURN};
 use arrayvec::ArrayVec;
 
+/// Angle from one range to the next, rad.
+pub const STEP_RAD: f64 = std::f64::consts::TAU / STEPS_PER_TURN as f64;
 /// Half of the sector that may see the floor, rad.
 const HALF_SECTOR_RAD: f64 = 0.7;
 /// Accuracy that the maker promises up to 1 m; beyond it, this share of the distance (URG-04LX: ±30 mm, ±3 %).
@@ -37,7 +39,7 @@ pub struct ScanHeight {
 /// Angle of the range at `index`, rad; zero straight ahead, counter-clockwise.
 pub fn angle_rad(index: usize) -> f64 {
     let step = (STEPS.start() + index) as f64 - FRONT_STEP as f64;
-    step * std::f64::consts::TAU / STEPS_PER_TURN as f64
+    step * STEP_RAD
 }
 
 /// Fits the floor to `ranges_mm`, from step 44 on.

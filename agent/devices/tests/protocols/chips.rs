@@ -24,6 +24,15 @@ fn ms5611_as_its_data_sheet_computes() {
     ms5611::check(&marked).unwrap();
     marked[2] ^= 0x10;
     assert!(ms5611::check(&marked).is_err());
+    assert!(ms5611::check(&[0; 8]).is_err(), "a bus that is held low");
+    // What the wire rig sends is found again, below 20 °C too, where the second order begins.
+    let prom = [0, 40_127, 36_924, 23_317, 23_282, 33_464, 28_312, 0];
+    for (pressure_pa, temperature_c) in [(101_325.0, 22.5), (99_123.0, 31.0), (100_960.0, 12.0)] {
+        let [raw_p, raw_t] = ms5611::encode(&prom, &BarometerReading { pressure_pa, temperature_c });
+        let back = ms5611::compensate(&prom, raw_p, raw_t);
+        assert_eq!(back.pressure_pa, pressure_pa);
+        assert!((back.temperature_c - temperature_c).abs() < 0.011, "{back:?}");
+    }
 }
 
 #[test]
@@ -39,6 +48,13 @@ fn bmp280_as_its_data_sheet_computes() {
     let reading = bmp280::compensate(&calibration, &data);
     assert!((reading.temperature_c - 25.08).abs() < 0.005, "{reading:?}");
     assert!((reading.pressure_pa - 100_653.27).abs() < 0.2, "{reading:?}");
+    for (pressure_pa, temperature_c) in [(101_325.0, 22.5), (99_123.0, 31.0)] {
+        let sent = bmp280::encode(&calibration, &BarometerReading { pressure_pa, temperature_c });
+        let back = bmp280::compensate(&calibration, &sent);
+        // A step of either register is 0.3 Pa and 0.005 °C at most.
+        assert!((back.pressure_pa - pressure_pa).abs() < 0.3, "{back:?}");
+        assert!((back.temperature_c - temperature_c).abs() < 0.005, "{back:?}");
+    }
 }
 
 #[test]
@@ -46,6 +62,7 @@ fn voltages_and_pulses() {
     // INA219: 0x5D98 is 11.98 V (data sheet, table of the example); INA226: 0x2570 is 11.98 V.
     assert!((ina::ina219_v(0x5D98).unwrap() - 11.98).abs() < 0.005);
     assert_eq!(ina::ina219_v(0x5D99), None, "overflow");
+    assert!((ina::ina219_v(ina::encode_ina219(14.8)).unwrap() - 14.8).abs() < 2.1e-3);
     assert!((ina::ina226_v(0x2570) - 11.98).abs() < 1e-9);
     assert!((ina::ina226_v(ina::encode_ina226(14.8)) - 14.8).abs() < 1e-3);
     // Data sheet 7.3.5: 200 Hz is a divider of 30.

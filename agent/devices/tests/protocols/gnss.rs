@@ -115,3 +115,24 @@ fn ubx_fixes_there_and_back_and_nmea_of_the_same_receiver_gives_none_beside_them
     assert_eq!((back.velocity_enu_mps, back.satellites), (fix().velocity_enu_mps, 11));
     assert_eq!((back.horizontal_sigma_m, back.vertical_sigma_m), (1.25, 2.5));
 }
+
+#[test]
+fn nmea_fixes_there_and_back_within_their_resolution() {
+    for (time_s, fix) in
+        [(43_200.0, fix()), (86_399.996, fix()), (59.999, FixReading { geodetic: [47.5, 8.75, -3.5], ..fix() })]
+    {
+        let sent = nmea::encode(time_s, &fix);
+        let frames = read(GnssStream::default(), sent.as_bytes(), 17);
+        let [Ok(GnssReading::Alive), Ok(GnssReading::Fix { stamp_ms, roll_over_ms, fix: back })] = frames[..] else {
+            panic!("{sent}{frames:?}")
+        };
+        assert!(roll_over_ms == 86_400_000 && stamp_ms < roll_over_ms, "{sent}");
+        let late_ms = (f64::from(stamp_ms) - 1e3 * time_s).rem_euclid(86_400e3);
+        assert!(late_ms.min(86_400e3 - late_ms) <= 5.0, "{time_s}: {stamp_ms}");
+        let off = Vector3::from(back.geodetic) - Vector3::from(fix.geodetic);
+        assert!(off.xy().amax() < 1e-7 && off.z.abs() < 1e-3, "{sent}{off}");
+        // Vertical speed is part of neither sentence.
+        assert!((back.velocity_enu_mps.xy() - fix.velocity_enu_mps.xy()).amax() < 1e-3, "{sent}");
+        assert!((back.horizontal_sigma_m - 1.25).abs() < 0.02 && back.satellites == 11, "{back:?}");
+    }
+}

@@ -49,4 +49,5 @@ fn natnet_bodies_are_found_in_every_version_read() {
     let info = natnet::encode_server_info((4, 1));
     assert_eq!((natnet::decode_server_info(&info), natnet::decode(&info, (4, 1), 5)), (Some((4, 1)), Ok(None)));
     assert_eq!(natnet::decode_server_info(&natnet::encode_connect()), None);
+    assert!(natnet::is_connect(&natnet::encode_connect()) && !natnet::is_connect(&info) && !natnet::is_connect(&[0]));
 }

@@ -1,11 +1,11 @@
-//! Against implementations that others wrote: pyubx2 and natnet, in a Python named by `PLUMBLINE_PYTHON`, or any.
+//! Against implementations that others wrote: pyubx2, pynmeagps and natnet, in a Python named by `PLUMBLINE_PYTHON`, or any.
 
 use std::io::Write as _;
 use std::process::{Command, Stdio};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
-use plumbline_devices::protocol::{natnet, ubx};
+use plumbline_devices::protocol::{natnet, nmea, ubx};
 use plumbline_devices::reading::{FixReading, PoseReading};
 
 use super::read;
@@ -85,4 +85,43 @@ fn a_natnet_client_of_others_reads_our_frames() {
         let expected = [1.5, -0.25, 0.875, attitude.i, attitude.j, attitude.k, attitude.w];
         assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{line}");
     }
+}
+
+#[test]
+fn pynmeagps_reads_our_sentences() {
+    let fix = FixReading {
+        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
+        velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0),
+        horizontal_sigma_m: 1.25,
+        vertical_sigma_m: 2.5,
+        satellites: 11,
+    };
+    let script = "import sys\nfrom pynmeagps import NMEAReader\nfor line in sys.stdin:\n\
+        \x20   m = NMEAReader.parse(line.strip() + '\\r\\n')\n\
+        \x20   print(m.identity, m.time, m.lat, m.lon, *([m.spd, m.cog, m.status] if m.msgID == 'RMC' else \
+        [m.alt, m.numSV, m.HDOP, m.quality]))\n";
+    let Some(printed) = python("pynmeagps", script, &nmea::encode(45_296.25, &fix)) else { return };
+    let lines: Vec<Vec<&str>> = printed.lines().map(|line| line.split(' ').collect()).collect();
+    let [rmc, gga] = &lines[..] else { panic!("{printed}") };
+    let numbers = |words: &[&str]| words.iter().map(|word| word.parse().unwrap()).collect::<Vec<f64>>();
+    let near = |found: &[f64], expected: &[f64], within: f64| {
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < within), "{printed}");
+    };
+    assert_eq!((rmc[0], rmc[1], gga[0]), ("GNRMC", "12:34:56.250000", "GNGGA"), "{printed}");
+    near(&numbers(&rmc[2..4]), &[-34.918_123_4, -56.167_765_4], 2e-7);
+    // 5 m/s are 9.719 knots; 36.87° east of south.
+    near(&numbers(&rmc[4..6]), &[9.719, 143.13], 6e-3);
+    near(&numbers(&gga[2..4]), &[-34.918_123_4, -56.167_765_4], 2e-7);
+    near(&numbers(&gga[4..]), &[31.234, 11.0, 0.5, 1.0], 1e-3);
+    assert_eq!(rmc[6], "A", "{printed}");
+}
+
+#[test]
+fn a_natnet_client_of_others_reads_our_answer() {
+    let script = "import sys\nfrom natnet.packet_buffer import PacketBuffer\nfrom natnet.server_info import ServerInfo\n\
+        from natnet.version import Version\n\
+        i = ServerInfo.read_from_buffer(PacketBuffer(bytes.fromhex(sys.stdin.read())[4:]), Version(3))\n\
+        print(i.application_name, i.nat_net_protocol_version.major, i.nat_net_protocol_version.minor)\n";
+    let Some(printed) = python("natnet", script, &hex(&natnet::encode_server_info((4, 1)))) else { return };
+    assert_eq!(printed.trim(), "Motive 4 1");
 }

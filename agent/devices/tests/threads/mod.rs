@@ -1,3 +1,4 @@
 mod clock;
 mod guard;
 mod reader;
+mod sysfs;

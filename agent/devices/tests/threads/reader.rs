@@ -45,8 +45,13 @@ fn until(what: &str, mut done: impl FnMut() -> bool) {
 
 fn start(zero: &Zero) -> (Arc<AtomicU32>, Reader) {
     let does = Arc::<AtomicU32>::default();
-    let options =
-        Options { name: "fake".into(), delay_s: 0.002, silence: Duration::from_millis(200), real_time: false };
+    let options = Options {
+        name: "fake".into(),
+        delay_s: 0.002,
+        silence: Duration::from_millis(200),
+        real_time: false,
+        record_scans: false,
+    };
     (does.clone(), Reader::start(Box::new(Fake(does)), options, zero.clone()).unwrap())
 }
 
@@ -109,7 +114,13 @@ impl Driver for Clocked {
 fn a_clock_that_goes_backwards_is_told_and_no_sample_goes_with_it() {
     let zero = Zero::default();
     zero.set(Instant::now());
-    let options = Options { name: "clocked".into(), delay_s: 0.0, silence: Duration::from_secs(5), real_time: false };
+    let options = Options {
+        name: "clocked".into(),
+        delay_s: 0.0,
+        silence: Duration::from_secs(5),
+        real_time: false,
+        record_scans: false,
+    };
     let mut reader = Reader::start(Box::new(Clocked(100_000)), options, zero).unwrap();
     let (mut told, mut last) = (None, plumbline_proto::time::FlightTime(0));
     until("told", || {
@@ -143,7 +154,13 @@ impl Driver for Other {
 
 #[test]
 fn a_device_that_speaks_another_version_is_lost_for_that() {
-    let options = Options { name: "other".into(), delay_s: 0.0, silence: Duration::from_millis(100), real_time: false };
+    let options = Options {
+        name: "other".into(),
+        delay_s: 0.0,
+        silence: Duration::from_millis(100),
+        real_time: false,
+        record_scans: false,
+    };
     let mut reader = Reader::start(Box::new(Other), options, Zero::default()).unwrap();
     until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.as_str() == "frame version 2 is not 1"));
 }

@@ -255,7 +255,7 @@ fn sampled(kind: Option<Kind>) -> bool {
         kind.is_sensor()
             || matches!(
                 kind,
-                Kind::Estimate | Kind::Residuals | Kind::Truth | Kind::Secure | Kind::Control | Kind::Link
+                Kind::Estimate | Kind::Residuals | Kind::Truth | Kind::Secure | Kind::Control | Kind::Link | Kind::Scan
             )
     })
 }

@@ -60,6 +60,7 @@ KINDS: dict[int, tuple[str, type[Message], bool]] = {
     33: ("/description", v1.Description, False),
     34: ("/flight", v1.FlightMark, False),
     35: ("/device", v1.DeviceState, True),
+    36: ("/scan", v1.Scan, True),
     40: ("/link", v1.LinkStatus, False),
     41: ("/recording", v1.RecordingStatus, False),
     42: ("/lease", v1.ControlLease, False),
