@@ -1,10 +1,12 @@
 //! The agent as a process on vehicles that are there, as far as it can tell.
 //!
 //! - [`wires`]: the simulator behind ports that speak each device's protocol.
+//! - [`every`]: the same with a device of each driver.
 //! - [`autopilot`]: a double of a PX4 autopilot that keeps its rules of offboard mode.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod autopilot;
+mod every;
 #[path = "../../../tests/src/xtask/ports.rs"]
 mod ports;
 mod wires;
@@ -70,6 +72,11 @@ impl Agent {
     /// Has its reader lost the device of that name?
     fn lost(&self, name: &str) -> bool {
         self.said().lines().any(|line| line.contains("device lost") && line.contains(name))
+    }
+
+    /// How often devices came up.
+    fn ups(&self) -> usize {
+        self.said().matches("device up").count()
     }
 
     /// Messages of one topic of the flight file.

@@ -3,16 +3,15 @@
 
 use std::time::{Duration, Instant};
 
-use plumbline_agent::config::AgentConfig;
 use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
-use plumbline_wires::{PULSES_US, Plug, WireRig};
+use plumbline_wires::{Drive, PULSES_US, Plug, WireRig, Wiring};
 
 use crate::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
 use crate::{Agent, PATIENCE};
 
 /// The everyday altitude, step and landing, with time for ports to open and ESCs to arm.
-const SCENARIO: &str = r#"
+pub const SCENARIO: &str = r#"
 name = "wires"
 seed = 1
 duration_s = 50
@@ -55,23 +54,28 @@ magnitude = 0.5
 "#;
 
 /// Held altitude, m: what the bench's flights without wires keep, and 2 cm for laser and clock of the wires.
-const HOLDING_M: f64 = 0.05;
+pub const HOLDING_M: f64 = 0.05;
 /// What the motors' own time-out promises.
 const MOTORS_STAND: Duration = Duration::from_millis(100);
-struct Flown {
-    rig: WireRig,
-    agent: Agent,
+pub struct Flown {
+    pub rig: WireRig,
+    pub agent: Agent,
 }
 
 impl Flown {
     fn start(attacks: &str) -> Self {
+        Self::on(&Wiring::usual(), SCENARIO, attacks)
+    }
+
+    /// The script of `scenario` flown through the devices of `wiring`.
+    pub fn on(wiring: &Wiring, scenario: &str, attacks: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path()).unwrap();
-        let agent = Agent::start(folder, "hardware", &rig.configuration(), SCENARIO, attacks);
+        let rig = WireRig::start(&Scenario::from_toml(scenario).unwrap(), folder.path(), wiring).unwrap();
+        let agent = Agent::start(folder, "hardware", &rig.configuration(), scenario, attacks);
         Self { rig, agent }
     }
 
-    fn wait(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
+    pub fn wait(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
         let begun = Instant::now();
         while !done(self) {
             let (late, ended) = (begun.elapsed() > PATIENCE, self.agent.ended());
@@ -81,7 +85,7 @@ impl Flown {
     }
 
     /// Largest distance from `altitude_m` in the last two seconds.
-    fn off(&self, altitude_m: f64) -> f64 {
+    pub fn off(&self, altitude_m: f64) -> f64 {
         let truths = self.rig.truths();
         if truths.len() < 400 {
             return f64::INFINITY;
@@ -91,7 +95,7 @@ impl Flown {
     }
 
     /// Altitude and first pulse, once a second.
-    fn course(&self) -> String {
+    pub fn course(&self) -> String {
         let pulses = self.rig.pulses();
         let seconds = self.rig.truths();
         let altitudes: Vec<String> =
@@ -101,14 +105,14 @@ impl Flown {
     }
 
     /// Until it has landed, by its script or as the signal asked, and the agent has ended.
-    fn land(&mut self) {
+    pub fn land(&mut self) {
         assert!(self.agent.end().success(), "{}", self.agent.said());
         let still = self.rig.pulses().last().unwrap().1;
         assert!(still.iter().all(|us| (us - PULSES_US[0]).abs() < 1.0), "{still:?}");
     }
 
     /// Until every motor stands, for as long as anybody waits; how long after `from`.
-    fn stands(&self, from: Instant) -> Duration {
+    pub fn stands(&self, from: Instant) -> Duration {
         let stands = |widths: &[f64; 4]| widths.iter().all(|us| *us < PULSES_US[0] + 3.0);
         loop {
             if let Some((at, _)) = self.rig.pulses().last().filter(|(_, widths)| stands(widths)) {
@@ -119,14 +123,14 @@ impl Flown {
         }
     }
 
-    fn hold(&mut self, altitude_m: f64) {
+    pub fn hold(&mut self, altitude_m: f64) {
         self.wait(&format!("holds {altitude_m} m"), |flown| flown.off(altitude_m) < HOLDING_M);
     }
 }
 
 /// Flies `test`. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy machine: one that
 /// fails while another such port was late is none, and is flown again.
-fn in_time(test: impl Fn()) {
+pub fn in_time(test: impl Fn()) {
     for flight in 1.. {
         let ports = Ports::watch().unwrap();
         let failed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&test)).err();
@@ -150,8 +154,7 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
         std::thread::sleep(Duration::from_millis(1500));
         assert!(flown.off(0.5) < 2.0 * HOLDING_M, "two heights are left: {} m off", flown.off(0.5));
         flown.rig.plug("height1", Plug::In);
-        let ups = |flown: &Flown| flown.agent.said().matches("device up").count();
-        flown.wait("height1 is back", |flown| ups(flown) == 9);
+        flown.wait("height1 is back", |flown| flown.agent.ups() == 9);
         flown.hold(0.8);
         let truths = flown.rig.truths();
         let held: Vec<f64> = truths.iter().rev().take(400).map(|(_, truth)| truth.position_enu_m.z).collect();
@@ -189,18 +192,28 @@ fn one_of_three_heights_attacked_through_the_drivers_moves_nothing() {
     });
 }
 
+/// By a PCA9685, and by the kernel's PWM.
+fn each_drive(test: impl Fn(&Wiring)) {
+    for drive in [Drive::Pca9685, Drive::Sysfs] {
+        in_time(|| test(&Wiring { drive, ..Wiring::usual() }));
+    }
+}
+
 #[test]
 fn the_motors_of_a_killed_agent_stand_within_their_time_out() {
-    in_time(|| {
-        let mut flown = Flown::start("");
+    each_drive(|wiring| {
+        let mut flown = Flown::on(wiring, SCENARIO, "");
         flown.hold(0.5);
         let turning = |widths: &[f64; 4]| widths.iter().all(|us| *us > PULSES_US[0] + 50.0);
         assert!(turning(&flown.rig.pulses().last().unwrap().1));
         let killed = Instant::now();
         flown.agent.signal("-KILL");
         let took = flown.stands(killed);
-        println!("motors stand {:.1} ms after SIGKILL", took.as_secs_f64() * 1e3);
+        println!("motors stand {:.1} ms after SIGKILL, by {:?}", took.as_secs_f64() * 1e3, wiring.drive);
         assert!(took < MOTORS_STAND, "{took:?}");
+        if wiring.drive == Drive::Sysfs {
+            assert_eq!(flown.rig.pwm(), (0, 2500.0), "nothing refused, 400 Hz");
+        }
     });
 }
 
@@ -237,7 +250,7 @@ fn one_device_of_each_kind_is_lost_in_flight_and_comes_back_and_without_any_heig
         flown.wait("four lost", |flown| lost.iter().all(|name| flown.agent.lost(name)));
         assert!(flown.off(0.5) < 2.0 * HOLDING_M, "{} m off", flown.off(0.5));
         lost.iter().for_each(|name| flown.rig.plug(name, Plug::In));
-        flown.wait("four back", |flown| flown.agent.said().matches("device up").count() == 8 + lost.len());
+        flown.wait("four back", |flown| flown.agent.ups() == 8 + lost.len());
         flown.hold(0.8);
         let heights = ["height1", "height2", "height3"];
         heights.iter().for_each(|name| flown.rig.plug(name, Plug::Out));
@@ -270,8 +283,8 @@ fn without_any_imu_the_motors_are_cut() {
 
 #[test]
 fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_do() {
-    in_time(|| {
-        let mut flown = Flown::start("");
+    each_drive(|wiring| {
+        let mut flown = Flown::on(wiring, SCENARIO, "");
         flown.hold(0.5);
         flown.rig.plug("motors", Plug::Out);
         std::thread::sleep(Duration::from_millis(20));
@@ -284,35 +297,4 @@ fn motors_that_do_not_answer_for_a_moment_fly_on_and_longer_they_stop_once_they_
         flown.stands(Instant::now());
         flown.agent.assert_told(&["the vehicle can be flown no longer"]);
     });
-}
-
-/// What is plugged in is found by asking, as a configuration that the agent takes.
-#[test]
-fn what_answers_on_a_port_is_found_by_asking() {
-    let folder = tempfile::tempdir().unwrap();
-    let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path()).unwrap();
-    let wired: toml::Table = rig.configuration().parse().unwrap();
-    let wired: Vec<(&str, &str)> = wired["device"].as_array().unwrap().iter().map(driver_on).collect();
-    let asked: Vec<&str> = wired.iter().map(|(_, port)| *port).filter(|port| port.starts_with('/')).collect();
-    // One of them says nothing.
-    rig.plug("height2", Plug::Hanging);
-    let probed = std::process::Command::new(env!("CARGO_BIN_EXE_plumbline-agent"))
-        .args(["devices", "probe"])
-        .args(&asked)
-        .output()
-        .unwrap();
-    let said = String::from_utf8(probed.stdout).unwrap();
-    assert!(probed.status.success(), "{said}\n{}", String::from_utf8_lossy(&probed.stderr));
-    let found: toml::Table = said.parse().unwrap();
-    let devices = found["device"].as_array().unwrap();
-    for (driver, port) in devices.iter().map(driver_on) {
-        assert!(wired.contains(&(driver, port)), "{driver} on {port}: {wired:?}");
-    }
-    assert_eq!(devices.len() + 1, asked.len(), "{said}");
-    assert!(said.contains("nothing that a driver knows"), "{said}");
-    AgentConfig::from_toml(&said).unwrap();
-}
-
-fn driver_on(device: &toml::Value) -> (&str, &str) {
-    (device["driver"].as_str().unwrap(), device["port"].as_str().unwrap())
 }

@@ -2,16 +2,25 @@
 //!
 //! The agent flies it with `--vehicle hardware` through the drivers that it would fly a real one with, in real time. Devices
 //! have clocks that drift, send their frames in pieces, damage some, can be unplugged, plugged in again, or made to hang.
-//! The emulated PWM chip goes on with its last pulses for ever, as a real one does.
+//! Whatever gives the pulses goes on with its last ones for ever, as real chips do.
+//!
+//! - [`wiring`]: which devices there are, where, and the configuration that fits.
+//! - [`speak`]: those that talk on a UART. [`chips`], [`bus`]: those that answer by registers. [`capture`]: motion capture.
+//! - [`pwm`]: the kernel's PWM.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod bus;
+mod capture;
+mod chips;
+mod pwm;
 mod speak;
 mod uart;
+mod wiring;
 
 use std::collections::VecDeque;
 use std::io;
+use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::mpsc::{Sender, channel};
@@ -20,14 +29,17 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nalgebra::Rotation3;
-use plumbline_core::sensor::{BarometerSample, HeightSample, ImuSample, SensorFrame};
+use plumbline_core::sensor::{HeightSample, ImuSample, PairVisitor, Registered, SensorFrame};
 use plumbline_core::types::{MotorCommand, ROTORS};
 use plumbline_core::vehicle::{Truth, Vehicle as _};
 use plumbline_devices::reading::ImuReading;
+use plumbline_proto::ids::SensorId;
 use plumbline_sim::{Scenario, SimVehicle};
 
-use bus::Chips;
-pub use speak::Speaks;
+use bus::Placed;
+use capture::Capture;
+use chips::{Bmp280, Bno055, Bno055OnBus, Chip, Icm, Inertial, Ms5611, Pwm, Voltmeter};
+pub use wiring::{Attached, Drive, Speaks, Wire, Wiring};
 
 /// Ticks of truth, pulses and samples that are kept: five minutes at 200 Hz; the oldest give way.
 const KEPT: usize = 60_000;
@@ -47,26 +59,38 @@ pub enum Plug {
     Hanging = 2,
 }
 
-/// A device of the rig.
-#[derive(Debug, Clone)]
-pub struct Device {
-    /// Name in the configuration, and of its port's link in the folder.
-    pub name: String,
-    /// Its protocol.
-    pub speaks: Speaks,
-    /// Which IMU or height it is, from 0.
-    pub index: usize,
-    plug: Arc<AtomicU8>,
-}
-
-/// What one of the simulated sensors measured, and the truth beside it.
+/// What the simulated sensors measured in a tick, and the truth beside it.
 #[derive(Debug, Clone, Copy)]
 struct Measured {
-    imu: Option<ImuSample>,
-    height: Option<HeightSample>,
-    barometer: Option<BarometerSample>,
+    frame: SensorFrame,
     truth: Truth,
 }
+
+impl Measured {
+    fn imu(&self, index: usize) -> Option<ImuSample> {
+        self.frame.imus.get(index).copied().flatten()
+    }
+
+    fn height(&self, index: usize) -> Option<HeightSample> {
+        self.frame.heights.get(index).copied().flatten()
+    }
+
+    /// Has it a new sample of one of these sensors?
+    fn has(&self, sensors: &[SensorId]) -> bool {
+        struct Look<'a>(&'a [SensorId], bool);
+        impl PairVisitor for Look<'_> {
+            fn pair<S: Registered>(&mut self, sensor: SensorId, _: &S, _: Option<&S>) {
+                self.1 |= self.0.contains(&sensor);
+            }
+        }
+        let mut look = Look(sensors, false);
+        self.frame.visit_beside(&self.frame, &mut look);
+        look.1
+    }
+}
+
+/// What a chip that is asked finds: the last tick that had a new sample of its sensor.
+type Latest = Arc<Mutex<Option<Measured>>>;
 
 /// A sample of an IMU as its device sent it, whole and undamaged.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,109 +101,154 @@ pub struct Sent {
     pub reading: ImuReading,
 }
 
+/// A scan as its scanner sent it, whole and undamaged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SentScan {
+    /// Which height, from 0.
+    pub height: usize,
+    /// The scanner's own clock, ms.
+    pub stamp_ms: u32,
+    /// mm, from the first step on.
+    pub ranges_mm: Box<[u16]>,
+}
+
 /// What happened on the wires, and when; the last [`KEPT`].
 type Kept<T> = Arc<Mutex<VecDeque<(Instant, T)>>>;
 /// Pulses as they were set.
 type PulseLog = Kept<[f64; ROTORS]>;
+
+/// A device that is attached, its plug, and the ports of its datagrams: the agent's own and the server's.
+#[derive(Debug, Clone)]
+struct Device {
+    attached: Attached,
+    plug: Arc<AtomicU8>,
+    ports: [u16; 2],
+}
 
 /// The rig, running. Ends when it is dropped.
 #[derive(Debug)]
 pub struct WireRig {
     folder: PathBuf,
     scenario: Scenario,
+    wiring: Wiring,
     devices: Vec<Device>,
-    chips: Chips,
+    motors: Arc<AtomicU8>,
+    pwm: pwm::Seen,
+    pulses: PulseLog,
     truths: Kept<Truth>,
     sent: Kept<Sent>,
+    scans: Kept<SentScan>,
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl WireRig {
-    /// Starts `scenario` behind ports in `folder`: three BNO055 and a Mongoose (the fourth IMU, and the barometer), two
-    /// Hokuyo and a TFmini, a PCA9685 and an INA226.
+    /// Starts `scenario`, with whatever `wiring` needs besides, behind ports in `folder` and on the loopback.
     ///
     /// # Errors
     /// A port or a thread cannot be made, or the scenario is none.
-    pub fn start(scenario: &Scenario, folder: &Path) -> io::Result<Self> {
-        use Speaks::{Bno055, Hokuyo, Mongoose, Tfmini};
-        let device = |(name, speaks, index): (&str, Speaks, usize)| Device {
-            name: name.to_owned(),
-            speaks,
-            index,
-            plug: plugged_in(),
-        };
-        let devices: Vec<Device> = [
-            ("imu1", Bno055, 0),
-            ("imu2", Bno055, 1),
-            ("imu3", Bno055, 2),
-            ("imu4", Mongoose, 3),
-            ("height1", Hokuyo, 0),
-            ("height2", Hokuyo, 1),
-            ("height3", Tfmini, 2),
-        ]
-        .into_iter()
-        .map(device)
-        .collect();
-        let stop = Arc::new(AtomicBool::new(false));
-        let (motors, battery) = (plugged_in(), plugged_in());
-        let chips = Chips { pulses: PulseLog::default(), voltage: Arc::default(), motors, battery };
-        let mut threads = vec![bus::serve(&folder.join("bus"), &chips, stop.clone())?];
-        let (mut outlets, sent) = (Vec::new(), Kept::default());
-        for device in &devices {
-            let (outlet, inlet) = channel();
-            let emulated = speak::Emulated::new(device, scenario, folder, sent.clone());
-            let (stop, plug) = (stop.clone(), device.plug.clone());
-            let run = move || emulated.run(&inlet, &plug, &stop);
-            threads.push(std::thread::Builder::new().name(device.name.clone()).spawn(run)?);
-            outlets.push((device.clone(), outlet));
+    pub fn start(scenario: &Scenario, folder: &Path, wiring: &Wiring) -> io::Result<Self> {
+        let scenario = wiring.completed(scenario.clone());
+        let (stop, motors, voltage) = (Arc::new(AtomicBool::new(false)), plugged_in(), Arc::<Mutex<f64>>::default());
+        let (pulses, sent, truths) = (PulseLog::default(), Kept::default(), Kept::default());
+        let scans = Kept::<SentScan>::default();
+        let (mut devices, mut outlets, mut chips, mut threads) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for attached in &wiring.devices {
+            let (plug, mut ports) = (plugged_in(), [0; 2]);
+            let inertial = || Inertial {
+                index: attached.index(),
+                body_from_sensor: body_from_sensor(&attached.place(&scenario)[1]),
+                sent: sent.clone(),
+            };
+            let named = std::thread::Builder::new().name(attached.name.into());
+            let (until, plugged) = (stop.clone(), plug.clone());
+            let outlet = match attached.wire {
+                Wire::Uart => {
+                    let (outlet, inlet) = channel();
+                    let emulated = speak::Emulated::new(
+                        attached,
+                        &scenario,
+                        folder,
+                        inertial(),
+                        wiring.record_scans.then(|| scans.clone()),
+                    );
+                    threads.push(named.spawn(move || emulated.run(&inlet, &plugged, &until))?);
+                    Outlet::Queue(outlet)
+                }
+                Wire::Datagrams => {
+                    let (outlet, inlet) = channel();
+                    // A port that is free now: the agent's, until it binds it.
+                    let own = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?.port();
+                    let rate_hz = scenario.suite.mocap_pose.as_ref().map_or(100.0, |sheet| sheet.timing.rate_hz);
+                    let server = Capture::new(attached.speaks, own, rate_hz)?;
+                    ports = [own, server.port()?];
+                    threads.push(named.spawn(move || server.run(&inlet, &plugged, &until))?);
+                    Outlet::Queue(outlet)
+                }
+                Wire::Bus(address) => {
+                    let latest = Latest::default();
+                    let chip = chip(attached, latest.clone(), inertial(), voltage.clone())?;
+                    chips.push(Placed { address, plug: plugged, chip: Mutex::new(chip) });
+                    Outlet::Latest(latest)
+                }
+            };
+            outlets.push((attached.ids().collect(), outlet));
+            devices.push(Device { attached: *attached, plug, ports });
         }
-        let vehicle = SimVehicle::new(scenario).map_err(|error| io::Error::other(error.to_string()))?;
-        let truths = Kept::default();
-        let world = World { vehicle, outlets, chips: chips.clone(), truths: truths.clone(), tick_s: scenario.tick_s() };
+        let pwm = pwm::Seen::default();
+        match wiring.drive {
+            Drive::Pca9685 => {
+                let chip = Box::new(Pwm::new(pulses.clone()));
+                chips.push(Placed { address: wiring::PWM, plug: motors.clone(), chip: Mutex::new(chip) });
+            }
+            Drive::Sysfs => {
+                let chip = folder.join("pwmchip0");
+                threads.push(pwm::serve(chip, pulses.clone(), motors.clone(), pwm.clone(), stop.clone())?);
+            }
+        }
+        threads.push(bus::serve(&folder.join("bus"), chips, stop.clone())?);
+        let vehicle = SimVehicle::new(&scenario).map_err(|error| io::Error::other(error.to_string()))?;
+        let world = World {
+            vehicle,
+            outlets,
+            pulses: pulses.clone(),
+            voltage,
+            truths: Kept::clone(&truths),
+            tick_s: scenario.tick_s(),
+        };
         let until = stop.clone();
         threads.push(std::thread::Builder::new().name("world".into()).spawn(move || world.run(&until))?);
-        let (folder, scenario) = (folder.to_owned(), scenario.clone());
-        Ok(Self { folder, scenario, devices, chips, truths, sent, stop, threads })
+        let (folder, wiring) = (folder.to_owned(), wiring.clone());
+        Ok(Self { folder, scenario, wiring, devices, motors, pwm, pulses, truths, sent, scans, stop, threads })
+    }
+
+    /// What is simulated: the scenario, with whatever the wiring needs besides.
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
     }
 
     /// The agent's configuration for it: devices, motors, and attacks allowed, as nothing can fall.
     pub fn configuration(&self) -> String {
-        let mut text = "[rig.hanging_strings]\n\n[attacks]\nenabled = true\n".to_owned();
-        let folder = self.folder.display();
-        for Device { name, speaks, index, .. } in &self.devices {
-            let (driver, rate_hz, sensors) = match speaks {
-                Speaks::Bno055 => ("bno055", 100, format!("\"imu {}\"", index + 1)),
-                Speaks::Mongoose => ("mongoose", 100, format!("\"imu {}\", \"barometer 1\"", index + 1)),
-                Speaks::Hokuyo => ("hokuyo", 10, format!("\"height {}\"", index + 1)),
-                Speaks::Tfmini => ("tfmini", 10, format!("\"height {}\"", index + 1)),
-            };
-            let (position, mounting) = speak::place(*speaks, *index, &self.scenario);
-            text += &format!(
-                "\n[[device]]\nname = \"{name}\"\ndriver = \"{driver}\"\nport = \"{folder}/{name}\"\nsensors = [{sensors}]\n\
-                 rate_hz = {rate_hz}\nposition_flu_m = {:?}\nmounting_rpy_rad = {:?}\n",
-                position.as_slice(),
-                mounting.as_slice()
-            );
-        }
-        text + &format!(
-            "\n[[device]]\nname = \"battery\"\ndriver = \"ina226\"\nport = \"unix:{folder}/bus\"\naddress = 65\n\n\
-             [motors]\ndriver = \"pca9685\"\nport = \"unix:{folder}/bus\"\narming_s = 1.0\n"
-        )
+        let ports: Vec<[u16; 2]> = self.devices.iter().map(|device| device.ports).collect();
+        self.wiring.configuration(&self.scenario, &self.folder, &ports)
     }
 
-    /// Unplugs the device `name`, plugs it in, lets it hang; nothing where there is none. Chips of the bus, `motors` and
-    /// `battery`, answer or do not.
+    /// Unplugs the device `name`, plugs it in, lets it hang; nothing where there is none. What gives the pulses is called
+    /// `motors`.
     pub fn plug(&self, name: &str, plug: Plug) {
-        let ports = self.devices.iter().map(|device| (device.name.as_str(), &device.plug));
-        let chips = [("motors", &self.chips.motors), ("battery", &self.chips.battery)];
-        let found = ports.chain(chips).find(|(known, _)| *known == name);
+        let devices = self.devices.iter().map(|device| (device.attached.name, &device.plug));
+        let found = devices.chain([("motors", &self.motors)]).find(|(known, _)| *known == name);
         found.into_iter().for_each(|(_, of)| of.store(plug as u8, Ordering::Release));
+    }
+
+    /// Of the kernel's PWM: values that it would have refused, and the longest period that was set, µs.
+    pub fn pwm(&self) -> (u64, f64) {
+        (self.pwm.refused.load(Ordering::Relaxed), self.pwm.period_ns.load(Ordering::Relaxed) as f64 * 1e-3)
     }
 
     /// The pulses set, and when: those of the last minutes.
     pub fn pulses(&self) -> Vec<(Instant, [f64; ROTORS])> {
-        lock(&self.chips.pulses).iter().copied().collect()
+        lock(&self.pulses).iter().copied().collect()
     }
 
     /// The truth of every tick of the last minutes, and when it was.
@@ -190,6 +259,11 @@ impl WireRig {
     /// The samples that IMUs sent, and when the last byte of each went out: those of the last minutes.
     pub fn sent(&self) -> Vec<(Instant, Sent)> {
         lock(&self.sent).iter().copied().collect()
+    }
+
+    /// The scans that scanners sent, where they are recorded: those of the last minutes.
+    pub fn scans(&self) -> Vec<SentScan> {
+        lock(&self.scans).iter().map(|(_, scan)| scan.clone()).collect()
     }
 }
 
@@ -219,11 +293,38 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// The chip that `attached` is.
+fn chip(
+    attached: &Attached,
+    latest: Latest,
+    inertial: Inertial,
+    voltage: Arc<Mutex<f64>>,
+) -> io::Result<Box<dyn Chip>> {
+    let index = attached.index();
+    Ok(match attached.speaks {
+        Speaks::Bno055 => Box::new(Bno055OnBus { registers: Bno055::new(), latest, inertial }),
+        Speaks::Invensense => Box::new(Icm::new(latest, inertial)),
+        Speaks::Ms5611 => Box::new(Ms5611::new(latest, index)),
+        Speaks::Bmp280 => Box::new(Bmp280::new(latest, index)),
+        Speaks::Ina219 | Speaks::Ina226 => Box::new(Voltmeter { speaks: attached.speaks, voltage }),
+        other => return Err(io::Error::other(format!("{other:?} is no chip on a bus"))),
+    })
+}
+
+/// Where the samples of a device go.
+enum Outlet {
+    /// To one that talks.
+    Queue(Sender<Measured>),
+    /// To one that is asked.
+    Latest(Latest),
+}
+
 /// The simulator in real time.
 struct World {
     vehicle: SimVehicle,
-    outlets: Vec<(Device, Sender<Measured>)>,
-    chips: Chips,
+    outlets: Vec<(Vec<SensorId>, Outlet)>,
+    pulses: PulseLog,
+    voltage: Arc<Mutex<f64>>,
     truths: Kept<Truth>,
     tick_s: f64,
 }
@@ -237,32 +338,25 @@ impl World {
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
             ticks += 1.0;
             let [still, full] = PULSES_US;
-            let widths = lock(&self.chips.pulses).back().map_or([still; ROTORS], |(_, widths)| *widths);
+            let widths = lock(&self.pulses).back().map_or([still; ROTORS], |(_, widths)| *widths);
             // An ESC stands still a little above the pulse that says so.
             let throttle =
                 widths.map(|us| if us < still + 3.0 { 0.0 } else { ((us - still) / (full - still)).min(1.0) });
             let moved = self.vehicle.actuate(&MotorCommand { throttle }).and_then(|_| self.vehicle.sense());
             let (Ok(frame), Some(truth)) = (moved, self.vehicle.truth()) else { return };
-            self.hand_out(&frame, truth);
+            self.hand_out(&Measured { frame, truth });
         }
     }
 
-    fn hand_out(&self, frame: &SensorFrame, truth: Truth) {
-        keep(&self.truths, truth);
-        if let Some(volts) = frame.battery_v {
-            *lock(&self.chips.voltage) = volts;
+    fn hand_out(&self, measured: &Measured) {
+        keep(&self.truths, measured.truth);
+        if let Some(volts) = measured.frame.battery_v {
+            *lock(&self.voltage) = volts;
         }
-        for (device, outlet) in &self.outlets {
-            let at = |is: bool| if is { device.index } else { usize::MAX };
-            let looks_down = matches!(device.speaks, Speaks::Hokuyo | Speaks::Tfmini);
-            let measured = Measured {
-                imu: frame.imus.get(at(!looks_down)).copied().flatten(),
-                height: frame.heights.get(at(looks_down)).copied().flatten(),
-                barometer: frame.barometers.first().copied().flatten(),
-                truth,
-            };
-            if measured.imu.is_some() || measured.height.is_some() {
-                let _ = outlet.send(measured);
+        for (_, outlet) in self.outlets.iter().filter(|(sensors, _)| measured.has(sensors)) {
+            match outlet {
+                Outlet::Queue(queue) => drop(queue.send(*measured)),
+                Outlet::Latest(latest) => *lock(latest) = Some(*measured),
             }
         }
     }

@@ -1,35 +1,25 @@
-//! Devices as they answer.
+//! Devices on a UART: those that talk, and a BNO055, which answers.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 use plumbline_core::sensor::noise::Stream;
-use plumbline_core::sensor::{HeightSample, ImuSample};
+use plumbline_core::sensor::{BarometerSample, GnssSample, HeightSample};
 use plumbline_devices::framer::Framer;
 use plumbline_devices::protocol::bno055::{self, UartRequest, UartRequests, register};
 use plumbline_devices::protocol::mongoose::{self, MongooseReading};
-use plumbline_devices::protocol::{scan_height, scip, tfmini};
-use plumbline_devices::reading::{BarometerReading, ImuReading};
+use plumbline_devices::protocol::{nmea, scan_height, scip, tfmini, ubx};
+use plumbline_devices::reading::{BarometerReading, FixReading, ImuReading};
+use plumbline_proto::time::FlightTime;
 use plumbline_sim::Scenario;
 
+use crate::chips::{Bno055, Inertial};
 use crate::uart::Uart;
-use crate::{Device, Kept, Measured, Plug, Sent, body_from_sensor, keep};
-
-/// What a device speaks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Speaks {
-    /// An IMU that answers.
-    Bno055,
-    /// An IMU with barometer that talks.
-    Mongoose,
-    /// A scanner that streams once it is asked to.
-    Hokuyo,
-    /// A beam that talks.
-    Tfmini,
-}
+use crate::wiring::{Attached, Speaks};
+use crate::{Kept, Measured, Plug, SentScan, keep};
 
 /// One frame in so many is damaged.
 const DAMAGED: u64 = 97;
@@ -42,56 +32,49 @@ const SKEW: f64 = 80e-6;
 /// Scatter of one range of a scan, m.
 const RANGE_SIGMA_M: f64 = 0.01;
 
-/// Where device `index` sits in the scenario's vehicle, and how it is turned.
-pub fn place(speaks: Speaks, index: usize, scenario: &Scenario) -> (Vector3<f64>, Vector3<f64>) {
-    let suite = &scenario.suite;
-    let of_imu = || suite.imus.get(index).map(|imu| (imu.position_flu_m, imu.mounting_rpy_rad));
-    let of_height = || suite.heights.get(index).map(|height| (height.position_flu_m, Vector3::zeros()));
-    match speaks {
-        Speaks::Bno055 | Speaks::Mongoose => of_imu(),
-        Speaks::Hokuyo | Speaks::Tfmini => of_height(),
-    }
-    .unwrap_or_default()
-}
-
 /// A device and what it keeps.
 pub struct Emulated {
     speaks: Speaks,
-    index: usize,
+    inertial: Inertial,
     link: PathBuf,
     position_flu_m: Vector3<f64>,
-    body_from_sensor: Rotation3<f64>,
     noise: Stream,
     frames: u64,
-    registers: [u8; 128],
+    registers: Bno055,
     requests: Framer<UartRequests>,
     line: Vec<u8>,
     streaming: bool,
+    scans: Option<Kept<SentScan>>,
     latest: Option<Measured>,
-    sent: Kept<Sent>,
+    /// Of a device that has a barometer: it samples at other ticks than the IMU beside it.
+    barometer: Option<BarometerSample>,
 }
 
 impl Emulated {
-    /// `device` of the vehicle of `scenario`, its port in `folder`; samples of IMUs are written down in `sent`.
-    pub fn new(device: &Device, scenario: &Scenario, folder: &Path, sent: Kept<Sent>) -> Self {
-        let (position_flu_m, rpy) = place(device.speaks, device.index, scenario);
-        let mut registers = [0; 128];
-        registers.iter_mut().zip(bno055::IDENTITY).for_each(|(to, from)| *to = from);
-        registers[usize::from(register::ST_RESULT)] = bno055::SELF_TEST_PASSED;
+    /// `device` of the vehicle of `scenario`, its port in `folder`; `inertial` is what it is as an IMU; scans are written
+    /// down in `scans`.
+    pub fn new(
+        device: &Attached,
+        scenario: &Scenario,
+        folder: &Path,
+        inertial: Inertial,
+        scans: Option<Kept<SentScan>>,
+    ) -> Self {
+        let [position_flu_m, _] = device.place(scenario);
         Self {
             speaks: device.speaks,
-            index: device.index,
-            link: folder.join(&device.name),
+            inertial,
+            link: folder.join(device.name),
             position_flu_m,
-            body_from_sensor: body_from_sensor(&rpy),
             noise: Stream::new(scenario.seed, &format!("wire {}", device.name)),
             frames: 0,
-            registers,
+            registers: Bno055::new(),
             requests: Framer::new(UartRequests),
             line: Vec::new(),
             streaming: false,
+            scans,
             latest: None,
-            sent,
+            barometer: None,
         }
     }
 
@@ -115,6 +98,9 @@ impl Emulated {
                 }
             }
             self.latest = fresh.last().copied().or(self.latest);
+            for measured in &fresh {
+                self.barometer = measured.frame.barometers.first().copied().flatten().or(self.barometer);
+            }
             let Some(open) = &uart else {
                 std::thread::sleep(Duration::from_millis(5));
                 continue;
@@ -145,20 +131,9 @@ impl Emulated {
             last = second;
         }
         if let Some(reading) = sample.filter(|_| !damaged) {
-            keep(&self.sent, Sent { imu: self.index, reading });
+            self.inertial.sent(reading);
         }
         uart.write(last);
-    }
-
-    /// In the device's own axes.
-    fn imu(&self, sample: &ImuSample) -> ImuReading {
-        let turn = self.body_from_sensor.inverse();
-        ImuReading {
-            gyro_radps: turn * sample.gyro_radps,
-            accel_mps2: turn * sample.accel_mps2,
-            mag_ut: sample.mag_ut.map(|field| turn * field),
-            temperature_c: sample.temperature_c,
-        }
     }
 
     /// Distance below the device along the vertical, and the vertical in its axes.
@@ -170,38 +145,55 @@ impl Emulated {
 
     /// What a device says by itself.
     fn talk(&mut self, uart: &Uart, measured: &Measured) {
-        let device_us = measured.truth.time.0 as f64 * (1.0 + SKEW) + 12_345_678.0;
-        match (self.speaks, &measured.imu, &measured.height) {
-            (Speaks::Mongoose, Some(sample), _) => {
-                let barometer =
-                    measured.barometer.map_or(BarometerReading { pressure_pa: 101_325.0, temperature_c: 20.0 }, |b| {
-                        BarometerReading { pressure_pa: b.pressure_pa, temperature_c: b.temperature_c }
-                    });
+        let index = self.inertial.index;
+        let (imu, height) = (measured.imu(index), measured.height(index));
+        match (self.speaks, imu, height, measured.frame.gnss) {
+            (Speaks::Mongoose, Some(sample), ..) => {
+                let unheard = BarometerReading { pressure_pa: 101_325.0, temperature_c: 20.0 };
+                let barometer = self.barometer.map_or(unheard, |b| BarometerReading {
+                    pressure_pa: b.pressure_pa,
+                    temperature_c: b.temperature_c,
+                });
                 let reading = MongooseReading {
                     sequence: self.frames as u8,
-                    stamp_us: device_us as u64 as u32,
-                    imu: self.imu(sample),
+                    stamp_us: device_us(sample.time) as u64 as u32,
+                    imu: self.inertial.reading(&sample),
                     barometer,
                 };
                 let frame = mongoose::encode(&reading);
                 self.send(uart, frame.to_vec(), true, mongoose::decode(&frame).ok().map(|reading| reading.imu));
             }
-            (Speaks::Tfmini, _, Some(sample)) => {
-                let (own_m, up) = self.below(sample, measured);
+            (Speaks::Tfmini, _, Some(sample), _) => {
+                let (own_m, up) = self.below(&sample, measured);
                 let frame = tfmini::encode((own_m / up.z).clamp(0.0, 12.0), 1200, 30.0);
                 self.send(uart, frame.to_vec(), true, None);
             }
-            (Speaks::Hokuyo, _, Some(sample)) if self.streaming => {
-                let (own_m, up) = self.below(sample, measured);
+            (Speaks::Hokuyo, _, Some(sample), _) if self.streaming => {
+                let (own_m, up) = self.below(&sample, measured);
                 let noise = &mut self.noise;
                 let perpendicular_m = own_m / up.yz().norm();
                 let ranges =
                     scan_height::encode(perpendicular_m, up.y.atan2(up.z), 4.0, || RANGE_SIGMA_M * noise.normal());
                 // The stamp is the turn's begin; the floor was passed later.
                 let after_ms = 1e2 * scip::FRONT_STEP as f64 / scip::STEPS_PER_TURN as f64;
-                let stamp_ms = (device_us * 1e-3 - after_ms).max(0.0) as u32;
+                let stamp_ms = (device_us(sample.time) * 1e-3 - after_ms).max(0.0) as u32;
                 let command = String::from_utf8_lossy(scip::STREAM.trim_ascii_end()).into_owned();
+                if let Some(scans) = self.scans.as_ref().filter(|_| !(self.frames + 1).is_multiple_of(DAMAGED)) {
+                    let stamp_ms = stamp_ms % scip::ROLL_OVER_MS;
+                    keep(scans, SentScan { height: index, stamp_ms, ranges_mm: Box::from(ranges) });
+                }
                 self.send(uart, scip::encode_scan(&command, stamp_ms, &ranges), true, None);
+            }
+            (Speaks::Ubx | Speaks::Nmea, _, _, Some(sample)) => {
+                let (seconds, fix) = fix(&sample);
+                let sentences = nmea::encode(seconds, &fix).into_bytes();
+                let frame = if self.speaks == Speaks::Ubx {
+                    let pvt = ubx::encode_nav_pvt((seconds * 1e3).round() as u32, &fix);
+                    [&pvt[..], &sentences].concat()
+                } else {
+                    sentences
+                };
+                self.send(uart, frame, true, None);
             }
             _ => {}
         }
@@ -222,40 +214,28 @@ impl Emulated {
                     self.command(uart, String::from_utf8_lossy(&line).trim());
                 }
             }
-            Speaks::Mongoose | Speaks::Tfmini => {}
+            _ => {}
         }
     }
 
     fn answer(&mut self, uart: &Uart, request: &UartRequest) {
         match *request {
             UartRequest::Read(from, length) => {
-                let second_page = self.registers[usize::from(register::PAGE_ID)] == 1;
-                let raw = self.registers[usize::from(register::OPR_MODE)] == bno055::MODE_AMG && !second_page;
-                let mut read = None;
-                if let Some(sample) = self.latest.and_then(|measured| measured.imu).filter(|_| raw) {
-                    let reading = self.imu(&sample);
-                    let data = bno055::encode_data(&reading);
-                    read = Some(bno055::decode_data(&data, reading.temperature_c));
-                    let place = self.registers.iter_mut().skip(usize::from(register::DATA));
-                    place.zip(data).for_each(|(to, from)| *to = from);
-                    self.registers[usize::from(register::TEMP)] = reading.temperature_c as i8 as u8;
-                }
-                let data: Vec<u8> =
-                    self.registers.iter().skip(usize::from(from)).take(usize::from(length)).copied().collect();
+                let sample = self.latest.and_then(|measured| measured.imu(self.inertial.index));
+                let reading = sample.map(|sample| self.inertial.reading(&sample));
+                let mut data = vec![0; usize::from(length)];
+                let read = self.registers.read(from, &mut data, reading);
                 // Its UART misses a request now and then.
                 let answer = [&[0xBB, length][..], &data].concat();
                 let whole = from == register::DATA && usize::from(length) == bno055::DATA_LENGTH;
                 if self.frames % DAMAGED == DAMAGED - 1 && whole {
                     self.send(uart, vec![0xEE, 0x07], false, None);
                 } else {
-                    self.send(uart, answer, false, read.filter(|_| whole));
+                    self.send(uart, answer, false, read);
                 }
             }
             UartRequest::Write(to, value) => {
-                let second_page = self.registers[usize::from(register::PAGE_ID)] == 1;
-                if to == register::PAGE_ID || !second_page {
-                    self.registers[usize::from(to & 0x7f)] = value;
-                }
+                self.registers.write(to, value);
                 uart.write(&[0xEE, 0x01]);
             }
         }
@@ -279,4 +259,21 @@ impl Emulated {
         };
         uart.write(&reply);
     }
+}
+
+/// A device's own clock at flight time `time`, µs.
+fn device_us(time: FlightTime) -> f64 {
+    time.0 as f64 * (1.0 + SKEW) + 12_345_678.0
+}
+
+/// A fix as a receiver has it, and its time of the day, s: noon, when the rig began.
+fn fix(sample: &GnssSample) -> (f64, FixReading) {
+    let fix = FixReading {
+        geodetic: sample.geodetic,
+        velocity_enu_mps: sample.velocity_enu_mps,
+        horizontal_sigma_m: sample.horizontal_sigma_m,
+        vertical_sigma_m: sample.vertical_sigma_m,
+        satellites: sample.satellites,
+    };
+    (43_200.0 + sample.time.as_seconds(), fix)
 }
