@@ -56,7 +56,7 @@ fn main() {
         scenario.duration_s += LATER_S;
         scenario.script.steps.iter_mut().for_each(|step| step.at_s += LATER_S);
         through.push(fly(&scenario, (seed - 1) as f64 / FLIGHTS as f64));
-        without.push(simulate(&scenario));
+        without.push(simulate(&Wiring::usual().completed(scenario)));
     }
     ways(&through, "talks", &[3]);
     ways(&through, "answers", &[0, 1, 2]);

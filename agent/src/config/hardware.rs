@@ -53,6 +53,10 @@ port = \"/dev/i2c-1\"
         assert_eq!((suite.imus.len(), suite.heights.len(), suite.barometers.len()), (1, 1, 0));
         assert_eq!(suite.heights[0].position_flu_m.x, 0.08);
         assert_eq!(suite.heights[0].timing.rate_hz, 10.0);
+        let recorded = GOOD.replace("\"hokuyo\"\n", "\"hokuyo\"\nrecord_scans = true\n");
+        assert!(AgentConfig::from_toml(&recorded).unwrap().device[1].record_scans);
+        let on_spi = GOOD.replace("\"bno055\"\nport = \"/dev/ttyUSB0\"", "\"invensense\"\nport = \"/dev/spidev0.0\"");
+        assert_eq!(AgentConfig::from_toml(&on_spi).unwrap().device[0].port, "/dev/spidev0.0");
     }
 
     #[test]
@@ -97,6 +101,16 @@ port = \"/dev/i2c-1\"
                 "\"hokuyo\"\nport = \"/dev/ttyACM0\"\nsensors = [\"height 1\"]",
                 "\"bno055\"\nport = \"/dev/ttyACM0\"\nsensors = [\"imu 1\"]",
                 "[[device]] 2: sensors = \"imu 1\" is not a sensor that no other device is; line 11: sensors",
+            ),
+            (
+                "/dev/ttyACM0",
+                "/dev/spidev0.0",
+                "port = \"/dev/spidev0.0\" is not a port that this driver can use; line 10",
+            ),
+            (
+                "\"bno055\"\n",
+                "\"bno055\"\nrecord_scans = true\n",
+                "[[device]] 1: record_scans = true is not for this device: only a hokuyo that is a height has scans; line 4",
             ),
             ("\"laser\"", "\"imu\"", "name = \"imu\" is not a name of its own; line 8"),
             ("pca9685", "dshot", "[motors]: driver = \"dshot\""),

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 use plumbline_core::sensor::suite::Timing;
+use plumbline_devices::protocol::scip;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_sim::Scenario;
@@ -72,6 +73,10 @@ pub enum Drive {
     Sysfs,
 }
 
+/// A scan is whole so long after its scanner has passed the front, s.
+const SCAN_WHOLE_S: f64 = 0.1 * (*scip::STEPS.end() - scip::FRONT_STEP) as f64 / scip::STEPS_PER_TURN as f64;
+/// And there so long after it, s: on the grid of the ticks.
+const SCAN_THERE_S: f64 = 0.035;
 /// Address of the PWM chip.
 pub(crate) const PWM: u8 = 0x40;
 /// Streaming id of the rigid body, and name of the object.
@@ -147,11 +152,17 @@ impl Wiring {
         wiring
     }
 
-    /// `scenario` with a typical unit of each sensor that is attached and that its suite lacks.
+    /// `scenario` with a typical unit of each sensor that is attached and that its suite lacks, and heights by a scanner as late as
+    /// its scans are.
     #[must_use]
     pub fn completed(&self, mut scenario: Scenario) -> Scenario {
         for sensor in self.devices.iter().flat_map(Attached::ids) {
             while !scenario.suite.contains(sensor) && scenario.suite.add(sensor.kind) {}
+        }
+        for scanner in self.devices.iter().filter(|device| device.speaks == Speaks::Hokuyo) {
+            if let Some(height) = scenario.suite.heights.get_mut(scanner.index()) {
+                height.timing.delay_s = SCAN_THERE_S;
+            }
         }
         scenario
     }
@@ -186,7 +197,7 @@ impl Wiring {
                 text += &format!(
                     "sensors = {sensors:?}\nrate_hz = {:?}\ndelay_s = {:?}\nposition_flu_m = {:?}\nmounting_rpy_rad = {:?}\n",
                     speaks.rate_hz(&timing),
-                    timing.delay_s,
+                    speaks.delay_s(&timing),
                     position.as_slice(),
                     turn.as_slice()
                 );
@@ -218,6 +229,11 @@ impl Speaks {
             Self::Ina219 => "ina219",
             Self::Ina226 => "ina226",
         }
+    }
+
+    /// What its driver cannot know of the way of its samples.
+    fn delay_s(self, timing: &Timing) -> f64 {
+        if self == Self::Hokuyo { timing.delay_s - SCAN_WHOLE_S } else { timing.delay_s }
     }
 
     /// How often it is read, or talks, for a simulated sensor that samples so often.

@@ -11,8 +11,8 @@ use prost_reflect::{DescriptorPool, DynamicMessage, FieldDescriptor, Kind, Messa
 
 /// Messages nested deeper than this are left out: a schema may be recursive.
 const MAX_DEPTH: usize = 6;
-/// Most columns of one repeated field.
-const MAX_WIDTH: usize = 256;
+/// Most columns of one repeated field: a scan has 682 ranges.
+const MAX_WIDTH: usize = 1024;
 
 #[derive(Debug, Clone)]
 enum Column {

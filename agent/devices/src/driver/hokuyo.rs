@@ -10,13 +10,16 @@ use crate::fault::{DeviceError, Fault};
 use crate::framer::Framer;
 use crate::port::{PortName, Stream};
 use crate::protocol::scan_height;
-use crate::protocol::scip::{self, FRONT_STEP, ROLL_OVER_MS, STEPS_PER_TURN, Scip, ScipReading};
+use crate::protocol::scip::{self, FRONT_STEP, ROLL_OVER_MS, STEPS, STEPS_PER_TURN, Scip, ScipReading};
 use crate::reading::{RangeReading, Reading};
 
 /// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_millis(600);
-/// Length of a turn at 600 rpm, µs. The stamp is the turn's begin; the front is passed later.
+/// Length of a turn at 600 rpm, µs.
 const TURN_US: f64 = 100e3;
+/// How long after the front the last step is measured, µs. The stamp is the turn's begin; a scan is sent when it is whole, so its
+/// shortest way, which a clock takes for none, ends there.
+const AFTER_FRONT_US: f64 = TURN_US * (*STEPS.end() - FRONT_STEP) as f64 / STEPS_PER_TURN as f64;
 
 /// The scanner.
 pub struct Hokuyo {
@@ -116,7 +119,7 @@ impl Driver for Hokuyo {
                 let at = Instant::now();
                 self.scanned = Some((at, stamp_ms));
                 let stamp = Stamp { ticks: stamp_ms.into(), tick_us: 1e3, roll_over: ROLL_OVER_MS.into() };
-                let after_us = TURN_US * FRONT_STEP as f64 / STEPS_PER_TURN as f64;
+                let after_us = -AFTER_FRONT_US;
                 out(scan_height::fit(self.ranges()).map(|height| Heard {
                     at,
                     stamp: Some(stamp),
