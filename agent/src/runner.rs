@@ -38,7 +38,7 @@ use crate::sensor::MAX_IMUS;
 use crate::sim::script::Script;
 use crate::telemetry::{Around, Replay, Telemetry};
 use crate::vehicle::calibrated::CalibratedVehicle;
-use crate::vehicle::{MOTOR_TIMEOUT_S, Vehicle, VehicleError};
+use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Vehicle, VehicleError};
 
 use auditor::Auditor;
 use bounding::Bounding;
@@ -79,7 +79,7 @@ pub struct RunnerOptions {
     /// Run on the first tick on which somebody is there (a ground, or the program itself).
     pub attacks: Option<Schedule>,
     /// The program stands in for the ground: scripted flights, replays without a ground. Such a replay is
-    /// recorded from its first tick, as it would have no other effect.
+    /// recorded from its first tick, as it would have no other effect; so is what an autopilot of its own flies.
     pub own_operator: bool,
     /// Stay when the recording has ended, for somebody to look at.
     pub stay: bool,
@@ -359,9 +359,14 @@ impl Runner {
         let received = self.vehicle.reception().unwrap_or(&frame);
         let command = self.flight.step_received(&frame, received).command;
         self.vehicle.inner_mut().guide(self.flight.guide().as_ref());
+        if let Some(piloted) = self.vehicle.inner_mut().piloted() {
+            piloted.receive(&self.flight.report().received);
+        }
         let applied = self.vehicle.inner_mut().actuate(&command)?;
         self.flight.applied(applied);
-        if self.ticks == 0 && self.vehicle.inner().recorded().is_some() && self.options.own_operator {
+        let piloted = self.piloted(frame.time);
+        let replayed = self.vehicle.inner().recorded().is_some() && self.options.own_operator;
+        if self.ticks == 0 && (replayed || piloted.is_some()) {
             self.telemetry.record(frame.time, true, false);
         }
         self.wait_for_log();
@@ -374,6 +379,7 @@ impl Runner {
             challenge: self.heard.challenges.current(frame.time),
             audit,
             autopilot: self.vehicle.inner().autopilot(),
+            piloted,
             ..around(&self.timing, &self.ports, self.log_health.error.as_deref(), self.replay_state())
         };
         self.telemetry.tick(&mut self.flight, truth.as_ref(), &around);
@@ -387,6 +393,17 @@ impl Runner {
             self.flight.ticks_lost(frame.time, lost);
         }
         Ok(())
+    }
+
+    /// What the autopilot does that flies the vehicle by itself. Estimators begin anew with one that was started anew.
+    fn piloted(&mut self, now: FlightTime) -> Option<RecordedControl> {
+        let piloted = self.vehicle.inner_mut().piloted()?;
+        let (control, anew) = (piloted.control(), piloted.began_anew());
+        if anew {
+            self.flight.apply(&Command::BeginAnew, now);
+            time_steps(&mut self.flight, self.options.pace);
+        }
+        Some(control)
     }
 
     /// A device that gives nothing, or is another one, keeps the vehicle from arming.
@@ -521,6 +538,7 @@ fn around<'a>(timing: &Timing, ports: &RunnerPorts, log_error: Option<&'a str>, 
         connections: link.map_or(0, |link| link.connections.load(Ordering::Acquire)),
         challenge: 0,
         replay,
+        piloted: None,
         audit: None,
         autopilot: None,
     }

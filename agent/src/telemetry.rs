@@ -66,7 +66,7 @@ pub struct Identification {
     pub boot_id: u64,
     /// Wall time at flight time zero.
     pub boot_wall_time: WallTime,
-    /// sim, replay or hardware.
+    /// sim, replay, hardware, mavlink, px4 or ardupilot.
     pub vehicle: &'static str,
     /// Name of the rig.
     pub rig: String,
@@ -112,6 +112,8 @@ pub struct Around<'a> {
     pub challenge: u64,
     /// A recording is flown: nothing can be armed.
     pub replay: Option<Replay>,
+    /// What the autopilot does that flies the vehicle by itself: nothing can be armed here either.
+    pub piloted: Option<RecordedControl>,
     /// What the audit of the flying decoder said last.
     pub audit: Option<Audit>,
     /// The autopilot in front of the motors.
@@ -130,8 +132,9 @@ pub struct Replay {
 }
 
 impl Around<'_> {
-    fn recorded(&self) -> Option<&RecordedControl> {
-        self.replay.as_ref().map(|replay| &replay.recorded)
+    /// What flies, where this flight code only watches.
+    fn watched(&self) -> Option<&RecordedControl> {
+        self.replay.as_ref().map(|replay| &replay.recorded).or(self.piloted.as_ref())
     }
 }
 
@@ -225,7 +228,7 @@ impl Telemetry {
             convert::truth(&mut self.kept.truth, truth);
             self.outlets.send(Kind::Truth, 0, now, &self.kept.truth);
         }
-        let step_response = around.recorded().map_or(&flight.report().step_response, |then| &then.step_response);
+        let step_response = around.watched().map_or(&flight.report().step_response, |then| &then.step_response);
         if let Some(response) = step_response {
             self.outlets.send(Kind::StepResponse, 0, now, &convert::step_response(now, response));
         }
@@ -385,7 +388,7 @@ impl Telemetry {
     /// With every window decoded.
     fn secure(&mut self, flight: &Flight, now: FlightTime, around: &Around<'_>) {
         let Some(judge) = flight.judge() else { return };
-        self.tracking.tick(flight, judge, around.recorded());
+        self.tracking.tick(flight, judge, around.watched());
         if self.windows != judge.window().count {
             self.windows = judge.window().count;
             secure::fill(&mut self.kept.secure, now, judge, &self.tracking, around.audit);
@@ -395,7 +398,7 @@ impl Telemetry {
 
     fn control(&mut self, flight: &Flight, around: &Around<'_>) {
         let report = flight.report();
-        convert::control(&mut self.kept.control, report, around.recorded());
+        convert::control(&mut self.kept.control, report, around.watched());
         match (&around.autopilot, &mut self.kept.control.autopilot) {
             (Some(state), Some(into)) => convert::autopilot(into, state),
             // There is one from the first tick on, or never.
@@ -424,7 +427,7 @@ impl Telemetry {
             self.outlets.send(Kind::Attacks, 0, now, &self.kept.attacks);
         }
         let report = flight.report();
-        let (mode, armed) = around.recorded().map_or((report.mode, report.armed), |then| (then.mode, then.armed));
+        let (mode, armed) = around.watched().map_or((report.mode, report.armed), |then| (then.mode, then.armed));
         let key = (
             mode,
             armed,
@@ -447,6 +450,10 @@ impl Telemetry {
         convert::rotors(status, flight.rotors());
         if let Some(replay) = &around.replay {
             convert::replay_status(status, replay);
+        }
+        if let Some(control) = &around.piloted {
+            let reason = "an autopilot of its own flies the vehicle: arm it there";
+            convert::watched_status(status, control, "autopilot", reason);
         }
         status.time_us = now.0;
         convert::set(&mut status.flight_id, self.recording.flight_id());

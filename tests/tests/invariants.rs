@@ -92,6 +92,11 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-sim"), names(&["core", "proto"]));
     assert_eq!(knows("plumbline-devices"), names(&["core", "proto"]), "a driver knows no simulator and no radio");
     assert_eq!(
+        knows("plumbline-hil"),
+        names(&["core", "devices", "proto", "sim"]),
+        "who flies the simulator knows no flight thread and no radio"
+    );
+    assert_eq!(
         knows("plumbline-wires"),
         names(&["core", "devices", "proto", "sim"]),
         "the wire rig meets the agent on its ports only"
@@ -100,7 +105,7 @@ fn crates_know_only_those_below_them() {
     assert_eq!(knows("plumbline-analysis"), names(&["core", "file", "proto", "rest"]), "no flight thread, no socket");
     assert_eq!(
         knows("plumbline-agent"),
-        names(&["analysis", "core", "devices", "file", "link", "proto", "rest", "sim"])
+        names(&["analysis", "core", "devices", "file", "hil", "link", "proto", "rest", "sim"])
     );
     assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
     assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
@@ -195,6 +200,7 @@ fn the_lints_against_panics_stay_on_in_library_code() {
         "agent/analysis",
         "agent/core",
         "agent/devices",
+        "agent/hil",
         "agent/link",
         "agent/sim",
         "ground/experiment",
@@ -217,6 +223,7 @@ fn the_lints_against_panics_stay_on_in_library_code() {
             "agent/analysis/src",
             "agent/core/src",
             "agent/devices/src",
+            "agent/hil/src",
             "agent/link/src",
             "agent/sim/src",
             "agent/wires/src",

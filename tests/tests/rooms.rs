@@ -14,7 +14,7 @@ use source::{code, root, rust_files};
 
 /// Crates and their rooms, the lowest first: each room may use those before it, and no other. A crate without rooms
 /// is one itself.
-const CRATES: [(&str, &str, &[&str]); 6] = [
+const CRATES: [(&str, &str, &[&str]); 7] = [
     (
         "plumbline-core",
         "agent/core/src",
@@ -38,6 +38,7 @@ const CRATES: [(&str, &str, &[&str]); 6] = [
     ),
     ("plumbline-devices", "agent/devices/src", &[]),
     ("plumbline-sim", "agent/sim/src", &[]),
+    ("plumbline-hil", "agent/hil/src", &[]),
     ("plumbline-link", "agent/link/src", &[]),
     ("plumbline-analysis", "agent/analysis/src", &["recordings", "design", "envelope", "offline"]),
     ("plumbline-agent", "agent/src", &["link", "log", "telemetry", "config", "runner", "cli"]),
@@ -184,6 +185,7 @@ fn picture() -> String {
         "plumbline-core" => "#2f6f4f",
         "plumbline-sim" => "#8a5a00",
         "plumbline-devices" => "#6b6b00",
+        "plumbline-hil" => "#00696b",
         "plumbline-link" => "#5b3f8c",
         "plumbline-analysis" => "#8c2f39",
         _ => "#1f5f8b",

@@ -5,7 +5,7 @@ pub mod calibrated;
 use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use plumbline_proto::time::FlightTime;
+use plumbline_proto::{ids::SensorId, time::FlightTime};
 
 use crate::control::step_response::StepResponse;
 use crate::event::{Severity, Text};
@@ -228,6 +228,11 @@ pub trait Vehicle: Send {
     fn recorded(&self) -> Option<&dyn Recorded> {
         None
     }
+
+    /// Itself, if an autopilot of its own flies it: the flight code only watches.
+    fn piloted(&mut self) -> Option<&mut dyn Piloted> {
+        None
+    }
 }
 
 /// What a simulated vehicle does besides.
@@ -249,7 +254,23 @@ pub trait Recorded {
     fn control(&self) -> RecordedControl;
 }
 
-/// What the recorded flight was told to do, and did about it.
+/// What a vehicle does besides that an autopilot of its own flies.
+pub trait Piloted {
+    /// What the autopilot is to receive of the frame last sensed, attacks included. [`Vehicle::actuate`] hands it over and
+    /// waits for the answer, whatever it is told itself.
+    fn receive(&mut self, received: &SensorFrame);
+
+    /// Is there a way for the samples of `sensor` to the autopilot?
+    fn reaches(&self, sensor: SensorId) -> bool;
+
+    /// What the autopilot does.
+    fn control(&self) -> RecordedControl;
+
+    /// Was the autopilot started anew since this was asked last? Then the world has begun anew with it.
+    fn began_anew(&mut self) -> bool;
+}
+
+/// What a flight that is only watched was told to do, and did about it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RecordedControl {
     /// Flight mode.

@@ -1,6 +1,7 @@
 //! Flying: vehicle, flight thread, log, link.
 
 mod hardware;
+mod piloted;
 mod service;
 
 use std::path::PathBuf;
@@ -8,6 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use arrayvec::ArrayVec;
+use plumbline_agent::attack::Schedule;
 use plumbline_agent::calibration::Calibration;
 use plumbline_agent::config::{AgentConfig, RecordedFlight};
 use plumbline_agent::estimate::secure::suite::{Observed, Promise, SuiteError};
@@ -55,12 +57,38 @@ struct Chosen {
     strings: ArrayVec<Line, MAX_STRINGS>,
     promise: Option<Result<Promise, SuiteError>>,
     script: Option<Script>,
+    /// Those of its scenario, where no script begins them.
+    attacks: Option<Schedule>,
     end: Option<FlightTime>,
     /// Of a vehicle whose samples are stamped as they arrive.
     zero: Option<Zero>,
 }
 
 impl Chosen {
+    /// A `vehicle` in the world of `scenario`, without its script.
+    fn simulated(scenario: &Scenario, vehicle: Box<dyn Vehicle>) -> Self {
+        let mut flight = scenario.flight_config().with_every_estimator();
+        // The simulated world stands still until its next tick, however late that is: told, and no reason to land.
+        flight.failsafe.deadline_descend = u32::MAX;
+        Self {
+            vehicle,
+            calibration: Calibration::default(),
+            flight,
+            kind: "sim",
+            rig: scenario.rig.name().to_owned(),
+            scenario: scenario.text.clone(),
+            seed: scenario.seed,
+            source_file: String::new(),
+            sensors: scenario.suite.descriptions(),
+            strings: scenario.rig.lines(&scenario.airframe),
+            promise: Some(Observed::promise_at_hover(&scenario.suite, &scenario.airframe)),
+            script: None,
+            attacks: None,
+            end: None,
+            zero: None,
+        }
+    }
+
     /// Its sensors: those of its scenario, or typical ones at the rates told.
     fn suite(&self) -> Result<Suite, Failure> {
         if !self.scenario.is_empty() {
@@ -92,11 +120,18 @@ impl Chosen {
 pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let config = configuration(arguments)?;
     let pace = pace(&arguments.speed)?;
-    let mut chosen = chosen(arguments, &config)?;
     let attacks = match &arguments.attack_schedule {
         Some(path) => Some(attacks_from_toml(&read(path)?).map_err(|e| in_file(path, e))?),
         None => None,
     };
+    let stop = Arc::new(Stop::default());
+    let mut chosen = match arguments.vehicle {
+        VehicleChoice::Sim => simulated(arguments)?,
+        VehicleChoice::Replay => recorded(arguments, &config)?,
+        VehicleChoice::Hardware | VehicleChoice::Mavlink => hardware::attached(arguments, &config)?,
+        VehicleChoice::Px4 | VehicleChoice::Ardupilot => piloted::piloted(arguments, attacks.as_ref(), pace, &stop)?,
+    };
+    configure(&mut chosen, &config)?;
     let flight = Flight::new(chosen.flight.clone())?;
     // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
     let boot = Boot::in_a_moment()?;
@@ -118,13 +153,14 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     };
 
     let replay = arguments.vehicle == VehicleChoice::Replay;
+    let piloted = matches!(arguments.vehicle, VehicleChoice::Px4 | VehicleChoice::Ardupilot);
     let radio = link.is_some().then(|| Outlet::new(link_ring));
     let options = RunnerOptions {
         pace,
         end: chosen.end,
-        own_operator: chosen.script.is_some() || (replay && !with_ground),
+        own_operator: chosen.script.is_some() || ((replay || piloted) && !with_ground),
         script: chosen.script.take(),
-        attacks,
+        attacks: attacks.or(chosen.attacks.take()),
         stay: replay && with_ground,
         real_time: config.real_time && matches!(pace, Pace::Times(_)),
         bounding: Bounding::new(&chosen.flight, &chosen.suite()?),
@@ -140,7 +176,6 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let (vehicle, identification) = chosen.identified(&config.id, &boot);
     let telemetry = Telemetry::new(identification, &flight, radio, Some(Outlet::new(log_ring)));
 
-    let stop = Arc::new(Stop::default());
     stop_on_signal(stop.clone())?;
     let flying = std::thread::Builder::new()
         .name("flight".into())
@@ -184,13 +219,8 @@ impl Boot {
     }
 }
 
-/// The vehicle asked for, its flight as configured, calibrations applied.
-fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Failure> {
-    let mut chosen = match arguments.vehicle {
-        VehicleChoice::Sim => simulated(arguments)?,
-        VehicleChoice::Replay => recorded(arguments, config)?,
-        VehicleChoice::Hardware | VehicleChoice::Mavlink => hardware::attached(arguments, config)?,
-    };
+/// What the configuration says of the flight of a vehicle; calibrations applied.
+fn configure(chosen: &mut Chosen, config: &AgentConfig) -> Result<(), Failure> {
     let frame_rate_hz = chosen.flight.tick_rate_hz;
     config.apply(&mut chosen.flight)?;
     let of_devices = config.device.iter().filter_map(|device| device.calibration.clone());
@@ -202,7 +232,7 @@ fn chosen(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fail
     }
     // Frames come at the rate of the scenario or the recording, whatever the configuration says.
     chosen.flight.tick_rate_hz = frame_rate_hz;
-    Ok(chosen)
+    Ok(())
 }
 
 /// The onboard log, and the ring that it is filled through.
@@ -276,32 +306,23 @@ fn pace(speed: &str) -> Result<Pace, Failure> {
     }
 }
 
-fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
+/// The scenario asked for.
+fn scenario(arguments: &FlyArguments) -> Result<Scenario, Failure> {
     if let Some(file) = &arguments.file {
         return Err(in_file(file, "only --vehicle replay takes a file"));
     }
-    let scenario = match &arguments.scenario {
+    Ok(match &arguments.scenario {
         Some(path) => Scenario::from_toml(&read(path)?).map_err(|e| in_file(path, e))?,
         None => Scenario::default_string_rig(),
-    };
-    let mut flight = scenario.flight_config().with_every_estimator();
-    // The simulated world stands still until its next tick, however late that is: told, and no reason to land.
-    flight.failsafe.deadline_descend = u32::MAX;
+    })
+}
+
+fn simulated(arguments: &FlyArguments) -> Result<Chosen, Failure> {
+    let scenario = scenario(arguments)?;
     Ok(Chosen {
-        vehicle: Box::new(SimVehicle::new(&scenario)?),
-        calibration: Calibration::default(),
-        flight,
-        kind: "sim",
-        rig: scenario.rig.name().to_owned(),
-        scenario: scenario.text.clone(),
-        seed: scenario.seed,
-        source_file: String::new(),
-        sensors: scenario.suite.descriptions(),
-        strings: scenario.rig.lines(&scenario.airframe),
-        promise: Some(Observed::promise_at_hover(&scenario.suite, &scenario.airframe)),
         script: arguments.script.then(|| scenario.script.clone()),
         end: arguments.script.then(|| FlightTime::from_seconds(scenario.duration_s)),
-        zero: None,
+        ..Chosen::simulated(&scenario, Box::new(SimVehicle::new(&scenario)?))
     })
 }
 
@@ -329,6 +350,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
         promise: scenario.as_ref().map(|s| Observed::promise_at_hover(&s.suite, &s.airframe)),
         strings: scenario.map(|scenario| scenario.rig.lines(&scenario.airframe)).unwrap_or_default(),
         script: None,
+        attacks: None,
         end: None,
         zero: None,
     })

@@ -13,6 +13,7 @@ mod observability;
 mod riccati;
 
 use std::fmt::Display;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand, ValueEnum};
@@ -74,6 +75,10 @@ enum VehicleChoice {
     Hardware,
     /// The quadrotor behind a PX4 autopilot, by body rates and thrust.
     Mavlink,
+    /// The simulator, flown by a stock PX4 (SITL): its MAVLink interface for simulators, lockstep over TCP.
+    Px4,
+    /// The simulator, flown by a stock ArduPilot (SITL): its JSON interface over UDP.
+    Ardupilot,
 }
 
 /// How to fly.
@@ -114,9 +119,15 @@ struct FlyArguments {
     /// Program that the secure estimator solves: l2, l1, l2_split or l1_split.
     #[arg(long)]
     decoder: Option<String>,
-    /// Fly the scenario's own script and end with it.
+    /// Fly the scenario's own script and end with it; where an autopilot flies, only end with it.
     #[arg(long)]
     script: bool,
+    /// Where a stock autopilot finds the simulator; 127.0.0.1:4560 (PX4) or 127.0.0.1:9002 (ArduPilot) when left out.
+    #[arg(long)]
+    listen: Option<SocketAddr>,
+    /// Longest wait for an answer of a stock autopilot in lockstep, s.
+    #[arg(long, default_value_t = 10.0)]
+    answer_s: f64,
 }
 
 impl Arguments {

@@ -18,13 +18,9 @@ impl Runner {
         for _ in 0..COMMANDS_PER_TICK {
             let Some(inbound) = self.ports.inbound.as_mut().and_then(|queue| queue.pop().ok()) else { return };
             match inbound.request {
-                Request::Flight(command) if self.vehicle.inner().recorded().is_some() && controls(&command) => {
-                    let reason = "a recording is flown: its motors and setpoints are those of then";
-                    self.telemetry.ack(now, inbound.id, false, reason);
-                }
                 Request::Flight(command) => {
-                    let ack = self.flight.apply(&command, now);
-                    self.telemetry.ack(now, inbound.id, ack.accepted, &ack.reason);
+                    let (accepted, reason) = self.obey(&command, now);
+                    self.telemetry.ack(now, inbound.id, accepted, &reason);
                 }
                 Request::Gains { revision, proposal } => {
                     // Answered when they are in use, or refused.
@@ -52,6 +48,30 @@ impl Runner {
                 Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
             }
         }
+    }
+
+    /// Applies a command, unless it would move, or attack, what is only watched here.
+    fn obey(&mut self, command: &Command, now: FlightTime) -> (bool, Text) {
+        if let Some(reason) = self.in_vain(command) {
+            return (false, reason);
+        }
+        let ack = self.flight.apply(command, now);
+        (ack.accepted, ack.reason)
+    }
+
+    /// Why a command would have no effect on a vehicle that somebody else flies.
+    fn in_vain(&mut self, command: &Command) -> Option<Text> {
+        let vehicle = self.vehicle.inner_mut();
+        if vehicle.recorded().is_some() && controls(command) {
+            return Some(text(format_args!("a recording is flown: its motors and setpoints are those of then")));
+        }
+        let piloted = vehicle.piloted()?;
+        if controls(command) {
+            return Some(text(format_args!("an autopilot of its own flies the vehicle: command it there")));
+        }
+        let Command::Attack(schedule) = command else { return None };
+        let attack = schedule.attacks.iter().find(|attack| !piloted.reaches(attack.sensor))?;
+        Some(text(format_args!("attack {}: {} has no way to the autopilot", attack.id, attack.sensor)))
     }
 
     /// Gains that have been examined since the last tick.
@@ -135,9 +155,9 @@ impl Runner {
         self.flight.heartbeat(now);
         // Attacks end on link loss, so they begin with the link.
         if let Some(schedule) = self.options.attacks.take() {
-            let ack = self.flight.apply(&Command::Attack(schedule), now);
-            let severity = if ack.accepted { Severity::Info } else { Severity::Warning };
-            self.telemetry.event(now, severity, EventKind::Attack, format_args!("attack schedule: {}", ack.reason));
+            let (accepted, reason) = self.obey(&Command::Attack(schedule), now);
+            let severity = if accepted { Severity::Info } else { Severity::Warning };
+            self.telemetry.event(now, severity, EventKind::Attack, format_args!("attack schedule: {reason}"));
         }
     }
 }

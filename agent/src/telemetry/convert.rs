@@ -195,16 +195,22 @@ pub(super) fn rotors(into: &mut v1::Status, watch: &RotorWatch) {
 
 /// A recording cannot be armed, whatever its samples look like; its mode is the one of then.
 pub(super) fn replay_status(into: &mut v1::Status, replay: &Replay) {
-    into.mode = replay.recorded.mode as i32;
-    into.armed = replay.recorded.armed;
     into.replay_speed = replay.speed;
     into.replay_progress = replay.progress;
+    let reason = "a recording is flown: its motors are those of then";
+    watched_status(into, &replay.recorded, "recording", reason);
+}
+
+/// What is only watched cannot be armed; one check called `name` says why.
+pub(super) fn watched_status(into: &mut v1::Status, control: &RecordedControl, name: &str, reason: &str) {
+    into.mode = control.mode as i32;
+    into.armed = control.armed;
     into.ready_to_arm = false;
     into.checks.resize_with(1, v1::Check::default);
     if let Some(check) = into.checks.first_mut() {
-        set(&mut check.name, "recording");
+        set(&mut check.name, name);
         check.passed = false;
-        set(&mut check.reason, "a recording is flown: its motors are those of then");
+        set(&mut check.reason, reason);
     }
 }
 

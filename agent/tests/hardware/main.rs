@@ -3,12 +3,14 @@
 //! - [`wires`]: the simulator behind ports that speak each device's protocol.
 //! - [`every`]: the same with a device of each driver.
 //! - [`autopilot`]: a double of a PX4 autopilot that keeps its rules of offboard mode.
+//! - [`stock`]: doubles of a stock PX4 and a stock ArduPilot that the simulator is flown by.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod autopilot;
 mod every;
 #[path = "../../../tests/src/xtask/ports.rs"]
 mod ports;
+mod stock;
 mod wires;
 
 use std::path::Path;
@@ -29,11 +31,23 @@ struct Agent {
 impl Agent {
     /// Flies the script of `scenario` in `folder` with these attacks, if any.
     fn start(folder: tempfile::TempDir, vehicle: &str, configuration: &str, scenario: &str, attacks: &str) -> Self {
+        Self::start_with(folder, vehicle, configuration, scenario, attacks, &["--script"])
+    }
+
+    /// The same, told `options` as well, and the script only if they say so.
+    fn start_with(
+        folder: tempfile::TempDir,
+        vehicle: &str,
+        configuration: &str,
+        scenario: &str,
+        attacks: &str,
+        options: &[&str],
+    ) -> Self {
         let at = |name: &str| folder.path().join(name);
         std::fs::write(at("agent.toml"), configuration).unwrap();
         std::fs::write(at("scenario.toml"), scenario).unwrap();
         let mut agent = Command::new(env!("CARGO_BIN_EXE_plumbline-agent"));
-        agent.args(["--vehicle", vehicle, "--ground", "none", "--script", "--config"]).arg(at("agent.toml"));
+        agent.args(["--vehicle", vehicle, "--ground", "none", "--config"]).arg(at("agent.toml")).args(options);
         agent.arg("--scenario").arg(at("scenario.toml"));
         agent.arg("--log").arg(at("log")).arg("--identity").arg(at("identity"));
         if !attacks.is_empty() {

@@ -89,6 +89,7 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         source_file: String::new(),
         end: scenario.as_ref().map(|scenario| FlightTime::from_seconds(scenario.duration_s)),
         script: scenario.map(|scenario| scenario.script),
+        attacks: None,
         zero: Some(zero),
     })
 }
