@@ -1,4 +1,4 @@
-"""A controller for the doubles of stock autopilots: attitude and position by PD, for a quad-X as PX4 and ArduPilot number it.
+"""A pilot for the doubles of stock autopilots: attitude and position by PD, of a quad-X as PX4 and ArduPilot number it.
 
 Everything is NED and FRD. The numbers are those of the simulated Iris; what a pilot would have tuned.
 """
@@ -11,6 +11,8 @@ THRUST, TORQUE = 5.84e-6, 0.06  # N s², m
 # Forward, right (m), and the sign of the reaction about down: motors 1 and 2 turn counter-clockwise, seen from above.
 MOTORS = ((0.13, 0.22, 1), (-0.13, -0.20, 1), (0.13, -0.22, -1), (-0.13, 0.20, -1))
 TILT_MAX = 0.3
+# A full battery lifts more than these numbers say, m/s².
+TRIM = 1.8
 
 
 def turned(q, v):
@@ -37,6 +39,10 @@ def wrapped(angle):
     return math.atan2(math.sin(angle), math.cos(angle))
 
 
+def cut(v, most):
+    return max(-most, min(most, v))
+
+
 def motors(q, rates, position, velocity, goal, yaw_goal):
     """Commands 0 to 1 that bring the vehicle from `position` to `goal`."""
     roll, pitch, yaw = angles(q)
@@ -44,9 +50,8 @@ def motors(q, rates, position, velocity, goal, yaw_goal):
     # Accelerations in the vertical plane of the heading, taken by tilt.
     forward = ahead[0] * math.cos(yaw) + ahead[1] * math.sin(yaw)
     right = -ahead[0] * math.sin(yaw) + ahead[1] * math.cos(yaw)
-    cut = lambda v, most: max(-most, min(most, v))
     wanted = (cut(right / G, TILT_MAX), cut(-forward / G, TILT_MAX), yaw_goal)
-    down = cut(4.0 * (goal[2] - position[2]) - 3.0 * velocity[2], 4.0)
+    down = cut(6.0 * (goal[2] - position[2]) - 4.0 * velocity[2] + TRIM, 6.0)
     lift = MASS * (G - down) / max(0.5, math.cos(roll) * math.cos(pitch))
     error = (wanted[0] - roll, wanted[1] - pitch, cut(wrapped(wanted[2] - yaw), 0.5))
     gains = ((60.0, 13.0), (60.0, 13.0), (6.0, 4.0))

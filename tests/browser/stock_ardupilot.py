@@ -71,7 +71,7 @@ while True:
         silent_since, heard = None, text
     except (TimeoutError, ConnectionRefusedError) as error:
         silent_since = silent_since or time.time()
-        if time.time() - silent_since > 5 and seen["lines"] > 0 or time.time() - begun > 120:
+        if time.time() - silent_since > 5 and seen["lines"] > 0 or seen["lines"] == 0 and time.time() - begun > 30:
             seen["stopped"] = f"no answer: {error}"
             break
         seen["again"] += 1
@@ -87,6 +87,8 @@ while True:
     q = field(text, "", "quaternion", FOUR)
     assert said["timestamp"] == now_s and said["velocity"] == velocity and said["imu"]["gyro"] == rates, text
     seen["lines"] += 1
+    if seen["lines"] == 1:
+        stands, yaw = position[2], quad_x.angles(q)[2]
     if last_s is not None and not anew:
         step = f"{(now_s - last_s) * 1e3:.1f}"
         seen["steps_ms"][step] = seen["steps_ms"].get(step, 0) + 1
@@ -96,10 +98,10 @@ while True:
     anew, last_s = False, now_s
     if sorted(said) != seen["keys"]:
         seen["keys"] = sorted(said)
-    if now_s < ARMED_S:
+    if now_s < ARMED_S and seen["anew_at_s"] is None:
         seen["rest"].append([*force, *rates, *position, *q])
     if seen["lines"] % 40 == 0:
-        seen["course"].append([now_s, position[0], position[1], -position[2]])
+        seen["course"].append([now_s, position[0], position[1], stands - position[2]])
         seen["gyro_z"].append([now_s, rates[2]])
         seen["ranges"].append([now_s, *(said.get(f"rng_{k}") for k in (1, 2, 3))])
         seen["volts"] = said.get("battery", {}).get("voltage")
@@ -107,8 +109,7 @@ while True:
         break
     pulses = [1000] * 4
     if now_s >= ARMED_S:
-        goal = [0.0, 0.0, -min(1.0, 0.5 * (now_s - ARMED_S))]
-        yaw = quad_x.angles(seen["rest"][0][9:13])[2]
+        goal = [0.0, 0.0, stands - min(1.0, 0.5 * (now_s - ARMED_S))]
         pulses = [round(1000 + 1000 * u) for u in quad_x.motors(q, rates, position, velocity, goal, yaw)]
     count += 1
     if now_s > FAULT_S and fault == "silent":

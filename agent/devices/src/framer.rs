@@ -100,6 +100,16 @@ impl<P: Protocol> Framer<P> {
         }
     }
 
+    /// What waits is no frame, as nothing more comes: its first byte is skipped, so that [`Framer::next`] finds what hides in it.
+    /// False where nothing waits.
+    pub fn give_up(&mut self) -> bool {
+        let waits = self.begin < self.end;
+        if waits {
+            self.skip(1);
+        }
+        waits
+    }
+
     fn skip(&mut self, n: usize) {
         let n = n.clamp(1, self.end - self.begin);
         self.begin += n;

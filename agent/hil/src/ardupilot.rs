@@ -30,7 +30,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::Vector3;
 use plumbline_core::event::{Severity, text};
-use plumbline_core::frames::{Enu, Flu, Frd, Ned, ned_from_frd};
+use plumbline_core::frames::{Enu, Flu, Frd, Ned};
 use plumbline_core::sensor::suite::Suite;
 use plumbline_core::sensor::{MAX_HEIGHTS, SensorFrame};
 use plumbline_core::types::ROTORS;
@@ -41,7 +41,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use plumbline_sim::Scenario;
 
-use crate::{Answer, HilError, Line, Notices, Patience, SLICE, Step, check_rates, notice, slant_m};
+use crate::{Answer, HilError, Line, Notices, Patience, SLICE, Step, attitude_wxyz, check, notice, slant_m};
 
 /// Where ArduPilot's first instance looks for its simulator.
 pub const ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 9002);
@@ -143,20 +143,16 @@ fn write_line(line: &mut String, time_s: f64, held: &Held, truth: &Truth, batter
     let (gyro, force) = held.imu.unwrap_or((truth.body_rates_radps, truth.specific_force_mps2));
     let (Frd(gyro), Frd(force)) = (Flu(gyro).into(), Flu(force).into());
     let (Ned(position), Ned(velocity)) = (Enu(truth.position_enu_m).into(), Enu(truth.velocity_enu_mps).into());
-    let q = ned_from_frd(truth.world_from_body);
+    let [w, x, y, z] = attitude_wxyz(truth.world_from_body);
     line.clear();
     // Writing into a string does not fail.
     let _ = write!(
         line,
         "\n{{\"timestamp\":{time_s:.6},\"imu\":{{\"gyro\":{},\"accel_body\":{}}},\"position\":{},\
-         \"quaternion\":[{:e},{:e},{:e},{:e}],\"velocity\":{}",
+         \"quaternion\":[{w:e},{x:e},{y:e},{z:e}],\"velocity\":{}",
         Three(gyro),
         Three(force),
         Three(position),
-        q.w,
-        q.i,
-        q.j,
-        q.k,
         Three(velocity),
     );
     for (number, range_m) in (1..).zip(held.ranges_m) {
@@ -203,9 +199,9 @@ impl Listener {
     /// On `address`, to fly `scenario`.
     ///
     /// # Errors
-    /// [`HilError`] when nothing can be received there, or the scenario's rates are not ArduPilot's.
+    /// [`HilError`] when nothing can be received there, or ArduPilot cannot fly the scenario.
     pub fn bind(address: SocketAddr, scenario: &Scenario) -> Result<Self, HilError> {
-        check_rates(scenario, NAME, RATES_HZ)?;
+        check(scenario, NAME, RATES_HZ)?;
         let failed = |source| HilError::Port { autopilot: NAME, address, source };
         let socket = UdpSocket::bind(address).map_err(failed)?;
         let address = socket.local_addr().map_err(failed)?;
@@ -433,7 +429,7 @@ mod tests {
         assert_eq!(said["imu"]["gyro"], serde_json::json!([0.1, -0.2, -0.3]));
         assert_eq!(said["position"], serde_json::json!([2.0, 1.0, -3.0]));
         assert_eq!(said["velocity"], serde_json::json!([0.2, 0.1, -1e-9]));
-        assert!((said["quaternion"][0].as_f64().unwrap().abs() - 1.0).abs() < 1e-9, "facing north: {said}");
+        assert!((said["quaternion"][0].as_f64().unwrap() - 1.0).abs() < 1e-9, "facing north: {said}");
         assert_eq!((&said["rng_1"], &said["rng_3"], &said["rng_2"]), (&3.0.into(), &2.5.into(), &().into()));
         assert_eq!(said["battery"]["voltage"], 11.1);
         // Its reader looks for the first place where the letters of a key stand.

@@ -25,7 +25,7 @@ use std::time::Duration;
 use arrayvec::ArrayVec;
 use nalgebra::UnitQuaternion;
 use plumbline_core::event::{Severity, Text};
-use plumbline_core::frames::tilt_rad;
+use plumbline_core::frames::{ned_from_frd, tilt_rad};
 use plumbline_core::sensor::SensorFrame;
 use plumbline_core::types::{Mode, MotorCommand, ROTORS};
 use plumbline_core::vehicle::{Piloted, RecordedControl, Service, Simulated as _, Truth, Vehicle, VehicleError};
@@ -249,8 +249,9 @@ impl Piloted for PilotedVehicle {
     }
 }
 
-/// Does the world of `scenario` tick as `autopilot` expects, with a sample of IMU 1 at every tick?
-fn check_rates(scenario: &Scenario, autopilot: &'static str, [least_hz, most_hz]: [f64; 2]) -> Result<(), HilError> {
+/// Can `autopilot` fly `scenario`: a quad-X in a world that ticks as it expects, with a sample of IMU 1 at every tick?
+fn check(scenario: &Scenario, autopilot: &'static str, [least_hz, most_hz]: [f64; 2]) -> Result<(), HilError> {
+    quad_x::rotors(&scenario.airframe)?;
     let rate_hz = scenario.tick_rate_hz;
     if !(least_hz..=most_hz).contains(&rate_hz) {
         return Err(HilError::TickRate { autopilot, rate_hz, least_hz, most_hz });
@@ -260,6 +261,13 @@ fn check_rates(scenario: &Scenario, autopilot: &'static str, [least_hz, most_hz]
         return Err(HilError::ImuRate { autopilot, imu_hz, rate_hz });
     }
     Ok(())
+}
+
+/// The attitude as w, x, y, z of NED ← FRD; of the two that mean the same, the one with w ≥ 0.
+fn attitude_wxyz(world_from_body: UnitQuaternion<f64>) -> [f64; 4] {
+    let q = ned_from_frd(world_from_body);
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+    [q.w, q.i, q.j, q.k].map(|part| sign * part)
 }
 
 /// What a beam fixed to the body measures of a height, m: autopilots take out the tilt themselves.

@@ -36,7 +36,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use plumbline_sim::Scenario;
 
-use crate::{Answer, HilError, Line, Notices, Patience, SLICE, Step, check_rates, notice};
+use crate::{Answer, HilError, Line, Notices, Patience, SLICE, Step, check, notice};
 
 /// Where PX4's first instance looks for its simulator.
 pub const ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 4560);
@@ -52,6 +52,8 @@ const RATES_HZ: [f64; 2] = [200.0, 400.0];
 /// Longest wait for its motors after it connected: it may still be starting.
 const STARTS: Duration = Duration::from_secs(60);
 const HEARTBEAT_S: f64 = 1.0;
+/// After such a silence in lockstep a frame begun is none.
+const RESYNCHRONISE: Duration = Duration::from_millis(500);
 /// Bytes read at once: some forty answers.
 const BYTES: usize = 4096;
 /// A tick's messages.
@@ -82,9 +84,9 @@ impl Listener {
     /// On `address`, to fly `scenario`.
     ///
     /// # Errors
-    /// [`HilError`] when nothing can be received there, or the scenario's rates are not PX4's.
+    /// [`HilError`] when nothing can be received there, or PX4 cannot fly the scenario.
     pub fn bind(address: SocketAddr, scenario: &Scenario) -> Result<Self, HilError> {
-        check_rates(scenario, NAME, RATES_HZ)?;
+        check(scenario, NAME, RATES_HZ)?;
         let failed = |source| HilError::Port { autopilot: NAME, address, source };
         let socket = TcpListener::bind(address).map_err(failed)?;
         let address = socket.local_addr().map_err(failed)?;
@@ -133,6 +135,29 @@ struct Heard {
     /// Frames that were damaged.
     faults: u64,
     told_faults: bool,
+}
+
+/// The newest answer to the messages of `now` among the bytes at hand.
+fn newest_answer(
+    framer: &mut Framer<Frames>,
+    heard: &mut Heard,
+    now: FlightTime,
+) -> Option<HIL_ACTUATOR_CONTROLS_DATA> {
+    let mut newest = None;
+    while let Some(frame) = framer.next() {
+        match frame {
+            Ok((_, MavMessage::HIL_ACTUATOR_CONTROLS(controls))) => {
+                heard.follows |= controls.time_usec == now.0;
+                if !(heard.follows && controls.time_usec < now.0) {
+                    newest = Some(controls);
+                }
+            }
+            // Its heartbeat, and the wish for HIL_STATE_QUATERNION, which it gets at every tick.
+            Ok(_) => {}
+            Err(_) => heard.faults += 1,
+        }
+    }
+    newest
 }
 
 /// The connection to one PX4.
@@ -264,31 +289,30 @@ impl Px4 {
     /// The newest answer to the messages of `now`; `None` where none comes within `wait`, or the program was asked to end.
     fn answer(&mut self, now: FlightTime, wait: Duration) -> Result<Option<HIL_ACTUATOR_CONTROLS_DATA>, VehicleError> {
         let until = Instant::now() + wait;
+        let mut heard = Instant::now();
         loop {
             let left = until.saturating_duration_since(Instant::now());
             let read = self.read(left.min(SLICE)).map_err(|error| self.lost(now, &error.to_string()))?;
-            let Some(length) = read else {
-                if left.is_zero() || (self.patience.asked_to_end)() {
-                    return Ok(None);
-                }
-                continue;
-            };
-            if length == 0 {
-                return Err(self.lost(now, "closed the connection"));
-            }
             let mut newest = None;
-            let (framer, heard) = (&mut self.framer, &mut self.heard);
-            framer.push(self.bytes.get(..length).unwrap_or_default(), |frame| match frame {
-                Ok((_, MavMessage::HIL_ACTUATOR_CONTROLS(controls))) => {
-                    heard.follows |= controls.time_usec == now.0;
-                    if !(heard.follows && controls.time_usec < now.0) {
-                        newest = Some(controls);
+            match read {
+                Some(0) => return Err(self.lost(now, "closed the connection")),
+                Some(length) => {
+                    heard = Instant::now();
+                    let mut rest = self.bytes.get(..length).unwrap_or_default();
+                    while !rest.is_empty() {
+                        rest = self.framer.fill(rest);
+                        newest = newest_answer(&mut self.framer, &mut self.heard, now).or(newest);
                     }
                 }
-                // Its heartbeat, and the wish for HIL_STATE_QUATERNION, which it gets at every tick.
-                Ok(_) => {}
-                Err(_) => heard.faults += 1,
-            });
+                None if left.is_zero() || (self.patience.asked_to_end)() => return Ok(None),
+                // It waits for us as we do for it: the answer may hide behind noise that promised a longer frame.
+                None if heard.elapsed() >= RESYNCHRONISE => {
+                    while newest.is_none() && self.framer.give_up() {
+                        newest = newest_answer(&mut self.framer, &mut self.heard, now);
+                    }
+                }
+                None => {}
+            }
             if newest.is_some() {
                 return Ok(newest);
             }

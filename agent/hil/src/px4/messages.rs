@@ -13,7 +13,7 @@ use mavlink::dialects::common::{
     MavDistanceSensor, MavEstimatorType, MavFrame, MavSensorOrientation, ODOMETRY_DATA,
 };
 use nalgebra::{UnitQuaternion, Vector3};
-use plumbline_core::frames::{Enu, Flu, Frd, Ned, ned_from_frd};
+use plumbline_core::frames::{Enu, Flu, Frd, Ned};
 use plumbline_core::sensor::barometer::{self, STANDARD_PRESSURE_PA};
 use plumbline_core::sensor::height::Height;
 use plumbline_core::sensor::mocap_pose::MocapPose;
@@ -23,7 +23,7 @@ use plumbline_core::vehicle::Truth;
 use plumbline_proto::time::FlightTime;
 use plumbline_sim::site::Site;
 
-use crate::slant_m;
+use crate::{attitude_wxyz, slant_m};
 
 /// µT in one gauss.
 const UT_PER_GAUSS: f64 = 100.0;
@@ -40,14 +40,6 @@ fn ned(v: &Vector3<f64>) -> Vector3<f64> {
 fn frd(v: &Vector3<f64>) -> Vector3<f64> {
     let Frd(v) = Flu(*v).into();
     v
-}
-
-/// As the four numbers w, x, y, z of NED ← FRD.
-fn attitude(world_from_body: UnitQuaternion<f64>) -> [f32; 4] {
-    let q = ned_from_frd(world_from_body);
-    // One of the two that mean the same, always the same one.
-    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
-    [q.w, q.i, q.j, q.k].map(|part| (sign * part) as f32)
 }
 
 /// Latitude, longitude (1e-7 °) and altitude (mm). Numbers beyond the type are cut by the conversion.
@@ -134,7 +126,7 @@ pub fn state(truth: &Truth, site: &Site) -> HIL_STATE_QUATERNION_DATA {
     let speed = (truth.velocity_enu_mps.norm() * 100.0).round() as u16;
     HIL_STATE_QUATERNION_DATA {
         time_usec: truth.time.0,
-        attitude_quaternion: attitude(truth.world_from_body),
+        attitude_quaternion: attitude_wxyz(truth.world_from_body).map(|part| part as f32),
         rollspeed: rates.x as f32,
         pitchspeed: rates.y as f32,
         yawspeed: rates.z as f32,
@@ -193,7 +185,7 @@ pub fn odometry(time: FlightTime, sample: &MocapPoseSample, sheet: &MocapPose) -
         x: position.x as f32,
         y: position.y as f32,
         z: position.z as f32,
-        q: attitude(sample.world_from_body),
+        q: attitude_wxyz(sample.world_from_body).map(|part| part as f32),
         // It measures no velocity and no rates.
         vx: f32::NAN,
         vy: f32::NAN,

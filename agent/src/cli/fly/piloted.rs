@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Chosen, Failure, FlightTime, FlyArguments, Pace, Scenario, Schedule, Stop, VehicleChoice, scenario};
+use super::{Chosen, Failure, FlightTime, FlyArguments, Pace, Schedule, Stop, VehicleChoice, scenario};
 use plumbline_hil::{Line, Patience, PilotedVehicle, ardupilot, px4};
 
 /// Longest and shortest wait for an answer that can be asked for, s.
@@ -32,23 +32,20 @@ pub(super) fn piloted(
         unstepped: if pace == Pace::Free { Duration::from_secs_f64(scenario.tick_s()) } else { Duration::ZERO },
         asked_to_end: Arc::new(move || asked.asked() > 0),
     };
-    let ardupilot = arguments.vehicle == VehicleChoice::Ardupilot;
-    let reaches = if ardupilot { ardupilot::reaches } else { px4::reaches };
+    let by_ardupilot = arguments.vehicle == VehicleChoice::Ardupilot;
+    let reaches = if by_ardupilot { ardupilot::reaches } else { px4::reaches };
     if let Some(attack) = attacks.attacks.iter().find(|attack| !reaches(&scenario.suite, attack.sensor)) {
-        let name = if ardupilot { "ArduPilot" } else { "PX4" };
+        let name = if by_ardupilot { "ArduPilot" } else { "PX4" };
         return Err(format!("attack {}: {} has no way to {name}", attack.id, attack.sensor).into());
     }
-    let (line, kind) = match ardupilot {
-        true => {
-            let listener = ardupilot::Listener::bind(arguments.listen.unwrap_or(ardupilot::ADDRESS), &scenario)?;
-            tracing::info!("waiting for ArduPilot's servo packets on udp {}", listener.address());
-            (Box::new(listener.accept(patience)?) as Box<dyn Line>, "ardupilot")
-        }
-        false => {
-            let listener = px4::Listener::bind(arguments.listen.unwrap_or(px4::ADDRESS), &scenario)?;
-            tracing::info!("waiting for PX4 to connect to tcp {}", listener.address());
-            (Box::new(listener.accept(patience)?) as Box<dyn Line>, "px4")
-        }
+    let (line, kind): (Box<dyn Line>, _) = if by_ardupilot {
+        let listener = ardupilot::Listener::bind(arguments.listen.unwrap_or(ardupilot::ADDRESS), &scenario)?;
+        tracing::info!("waiting for ArduPilot's servo packets on udp {}", listener.address());
+        (Box::new(listener.accept(patience)?), "ardupilot")
+    } else {
+        let listener = px4::Listener::bind(arguments.listen.unwrap_or(px4::ADDRESS), &scenario)?;
+        tracing::info!("waiting for PX4 to connect to tcp {}", listener.address());
+        (Box::new(listener.accept(patience)?), "px4")
     };
     let vehicle = PilotedVehicle::new(&scenario, line)?;
     tracing::info!(autopilot = kind, scenario = scenario.name, "an autopilot flies");
