@@ -114,7 +114,7 @@ impl Listener {
             suite: self.suite,
             tick: self.tick,
             patience,
-            framer: Framer::new(Frames),
+            framer: Framer::new(Frames::default()),
             bytes: Box::new([0; BYTES]),
             out: Vec::with_capacity(OUT_BYTES),
             sequence: 0,
