@@ -178,6 +178,7 @@ mod tests {
         assert_eq!(sequences(&out), [99]);
         for tick in 0..2 {
             assert!(take(&mut thinned, Kind::Imu, tick, now, &v1::ImuSample::default()).is_empty());
+            assert!(take(&mut thinned, Kind::Scan, tick, now, &v1::Scan::default()).is_empty());
             assert_eq!(take(&mut thinned, Kind::Height, tick, now, &v1::HeightSample::default()), [tick + 1]);
             assert_eq!(take(&mut thinned, Kind::Status, tick, now, &v1::Status::default()), [tick + 1]);
         }

@@ -1,12 +1,12 @@
-//! A reader and its device: lost, hanging, back; a full queue.
+//! A reader and its device: lost, hanging, back; a full queue; scans.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use plumbline_devices::clock::Stamp;
-use plumbline_devices::driver::{Driver, Heard, Outlet};
-use plumbline_devices::reader::{Notice, Options, QUEUE, Reader, Zero};
+use plumbline_devices::driver::{Driver, Heard, Outlet, Scanned};
+use plumbline_devices::reader::{Notice, Options, QUEUE, Reader, SCANS, Zero};
 use plumbline_devices::{DeviceError, Fault, Reading};
 
 /// What the device does: 0 talks, 1 hangs, 2 is gone.
@@ -163,4 +163,62 @@ fn a_device_that_speaks_another_version_is_lost_for_that() {
     };
     let mut reader = Reader::start(Box::new(Other), options, Zero::default()).unwrap();
     until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.as_str() == "frame version 2 is not 1"));
+}
+
+/// A scanner with a clock of its own that finds a floor in every second scan.
+struct Scanner(u32);
+
+impl Driver for Scanner {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        std::thread::sleep(Duration::from_millis(10));
+        self.0 += 1;
+        let stamp = Some(Stamp { ticks: (10 * self.0).into(), tick_us: 1e3, roll_over: 1 << 24 });
+        out(if self.0.is_multiple_of(2) {
+            let reading = Reading::Battery(f64::from(self.0));
+            Ok(Heard { at: Instant::now(), stamp, after_us: -3e3, reading })
+        } else {
+            Err(Fault::Malformed("floor"))
+        });
+        Ok(())
+    }
+
+    fn scan(&mut self) -> Option<Scanned> {
+        let ranges_mm = std::iter::repeat_n(self.0 as u16, 7).collect();
+        Some(Scanned { at: Instant::now(), stamp_ms: 10 * self.0, ranges_mm })
+    }
+}
+
+#[test]
+fn scans_are_handed_over_where_they_are_asked_for_at_the_time_of_what_was_found_in_them() {
+    let zero = Zero::default();
+    zero.set(Instant::now() - Duration::from_secs(1));
+    let options = |record_scans| Options {
+        name: "scanner".into(),
+        delay_s: 0.0,
+        silence: Duration::from_secs(5),
+        real_time: false,
+        record_scans,
+    };
+    let mut reader = Reader::start(Box::new(Scanner(0)), options(true), zero.clone()).unwrap();
+    until("more than there is room for", || reader.state().health().given_up > 2);
+    let scans: Vec<_> = std::iter::from_fn(|| reader.scan()).take(SCANS).collect();
+    assert_eq!(
+        scans.iter().map(|(_, scan)| scan.stamp_ms).collect::<Vec<_>>(),
+        [10, 20, 30, 40],
+        "the oldest are kept"
+    );
+    let found: Vec<_> = std::iter::from_fn(|| reader.pop()).take(2).collect();
+    for (time, scan) in &scans {
+        let number = scan.stamp_ms / 10;
+        assert_eq!(scan.ranges_mm[..], [number as u16; 7]);
+        let own = found.iter().find(|arrived| arrived.reading == Reading::Battery(f64::from(number)));
+        assert_eq!(own.map(|arrived| arrived.time), number.is_multiple_of(2).then_some(*time), "scan {number}");
+    }
+    let mut reader = Reader::start(Box::new(Scanner(0)), options(false), zero).unwrap();
+    until("readings", || reader.pop().is_some());
+    assert_eq!(reader.scan(), None, "nobody asked");
 }

@@ -111,7 +111,9 @@ pub(super) struct Head {
 impl Head {
     /// Unit, as the name says it; empty for none.
     pub(super) fn unit(&self) -> &'static str {
-        const UNITS: [(&str, &str); 15] = [
+        const UNITS: [(&str, &str); 17] = [
+            ("_mm", "mm"),
+            ("_ms", "ms"),
             ("_radps", "rad/s"),
             ("_rad", "rad"),
             ("_mps2", "m/s²"),
