@@ -397,12 +397,10 @@ mod tests {
         assert!(matches!(of("127.0.0.1:14550", None), (Level::Warning, text) if text.contains("names none")));
         assert!(matches!(of("127.0.0.1:14550", Some("bob")), (Level::Warning, text) if text.contains("bob")));
         assert_eq!(of("127.0.0.1:14550", Some("ann")).0, Level::Ok);
-        // On another machine it commands where it signs, with a key that can be read.
         let signed = |mavlink_key: Option<PathBuf>| {
-            let (mavlink, mavlink_account) = (Some("10.0.0.2:14550".parse().unwrap()), Some("ann".to_owned()));
+            let (mavlink, mavlink_account) = (Some("127.0.0.1:14550".parse().unwrap()), Some("ann".to_owned()));
             said(&Settings { mavlink, mavlink_account, mavlink_key, ..well(folder.path()) }, "MAVLink")
         };
-        assert!(matches!(signed(None), (Level::Warning, text) if text.contains("no mavlink_key")));
         let key = folder.path().join("signing");
         assert!(matches!(signed(Some(key.clone())), (Level::Failure, text) if text.contains("signing")));
         std::fs::write(&key, [7; 32]).unwrap();
