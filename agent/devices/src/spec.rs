@@ -464,6 +464,10 @@ pub fn check(devices: &[DeviceSpec]) -> Result<(), SpecError> {
     for (index, device) in devices.iter().enumerate() {
         let bad = |key, value, expected| SpecError { device: Some(index), key, value, expected };
         device.check().map_err(|(key, value, expected)| bad(key, value, expected))?;
+        if device.sensors.is_empty() && !measures_voltage(device.driver) {
+            // Its readings would go nowhere.
+            return Err(bad("sensors", "[]".into(), "the sensors that it is, as \"imu 1\""));
+        }
         for other in devices.iter().take(index) {
             if other.name == device.name {
                 return Err(bad("name", format!("{:?}", device.name), "a name of its own"));
@@ -483,6 +487,10 @@ pub fn check(devices: &[DeviceSpec]) -> Result<(), SpecError> {
         }
     }
     suite(devices).map(drop)
+}
+
+fn measures_voltage(driver: DriverKind) -> bool {
+    driver.kinds().is_empty() || driver == DriverKind::Mavlink
 }
 
 /// The suite that these devices are, with the data sheets of typical units.
@@ -525,8 +533,7 @@ pub fn suite(devices: &[DeviceSpec]) -> Result<Suite, SpecError> {
             height.position_flu_m = device.position_flu_m;
         }
     }
-    let measures = |driver: DriverKind| driver.kinds().is_empty() || driver == DriverKind::Mavlink;
-    if devices.iter().any(|device| measures(device.driver)) {
+    if devices.iter().any(|device| measures_voltage(device.driver)) {
         suite.battery_sigma_v = Some(0.02);
     }
     Ok(suite)

@@ -112,6 +112,11 @@ port = \"/dev/i2c-1\"
                 "\"bno055\"\nrecord_scans = true\n",
                 "[[device]] 1: record_scans = true is not for this device: only a hokuyo that is a height has scans; line 4",
             ),
+            (
+                "sensors = [\"height 1\"]",
+                "",
+                "[[device]] 2: sensors = [] is not the sensors that it is, as \"imu 1\"; line 8",
+            ),
             ("\"laser\"", "\"imu\"", "name = \"imu\" is not a name of its own; line 8"),
             ("pca9685", "dshot", "[motors]: driver = \"dshot\""),
             ("\"hokuyo\"", "\"sick\"", "unknown variant `sick`"),
