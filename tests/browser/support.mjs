@@ -106,6 +106,28 @@ export function pilot(page) {
   return { region, button, banner, setpoint, arm, to, disarm };
 }
 
+// What a fixed sum takes where the suite was written with nothing else to do, ms.
+const SUM_MS = 150;
+
+/** Has a page run on a processor `times` slower than that; a machine that is slow or busy already is slowed down by that much less. */
+export async function slowed(page, times = 4) {
+  const sum = () => page.evaluate(() => {
+    const begun = performance.now();
+    let x = 0;
+    for (let n = 0; n < 2e7; n += 1) x = (x * 31 + n) | 0;
+    globalThis.sum = x;
+    return performance.now() - begun;
+  });
+  const sums = [];
+  for (let n = 0; n < 9; n += 1) sums.push(await sum());
+  const sum_ms = sums.toSorted((a, b) => a - b)[4];
+  const rate = Math.min(times, Math.max(1, (times * SUM_MS) / sum_ms));
+  const cpu = await page.context().newCDPSession(page);
+  const throttle = (rate) => cpu.send('Emulation.setCPUThrottlingRate', { rate });
+  await throttle(rate);
+  return { rate, sum_ms, end: () => throttle(1) };
+}
+
 /**
  * What an element (or a part of its box) shows, canvas behind it included: number of colours, share of the most common
  * one, of some colours, of the bare page where nothing is drawn; a digest.

@@ -111,11 +111,13 @@ struct RawBattery {
     charge: f64,
     /// Held at its nominal voltage when false.
     sags: bool,
+    /// Instead of the airframe's.
+    capacity_ah: Option<f64>,
 }
 
 impl Default for RawBattery {
     fn default() -> Self {
-        Self { charge: 0.95, sags: true }
+        Self { charge: 0.95, sags: true, capacity_ah: None }
     }
 }
 
@@ -181,11 +183,12 @@ fn within(key: &str, value: f64, min: f64, max: f64) -> Read<f64> {
 
 /// Turns words into types; ranges that concern one key alone are checked here, the rest by the scenario.
 pub(super) fn read(raw: RawScenario, text: &str) -> Read<Scenario> {
-    let airframe = match raw.airframe {
+    let mut airframe = match raw.airframe {
         None => Airframe::iris(),
         Some(toml::Value::String(name)) => Airframe::by_name(&name)?,
         Some(table) => table.try_into::<Airframe>().map_err(|e| ScenarioError::Syntax(format!("airframe: {e}")))?,
     };
+    airframe.battery.capacity_ah = raw.battery.capacity_ah.unwrap_or(airframe.battery.capacity_ah);
     let mut suite = read_suite(raw.suite)?;
     for change in &raw.sensor {
         change_sensor(&mut suite, change)?;

@@ -387,6 +387,7 @@ mod tests {
             ("name = \"a\"\n[[push]]\nat_s = 1\nduration_s = 0\ntorque_flu_nm = [1, 0, 0]", "duration_s = 0"),
             ("name = \"a\"\n[site]\nlatitude_deg = 100", "latitude_deg = 100"),
             ("name = \"a\"\n[battery]\ncharge = 2", "battery.charge = 2"),
+            ("name = \"a\"\n[battery]\ncapacity_ah = 0", "battery.capacity_ah"),
             ("name = \"a\"\n[initial]\nroll_pitch_yaw_rad = [9, 0, 0]", "[9, 0, 0]"),
         ] {
             let message = error(text);

@@ -18,12 +18,12 @@ const WIRES: &str = "wires.mjs";
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
-/// with `hold.mjs`, a recording flown again with `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
+/// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
 ///
 /// Of the scripts only those that `chosen` names, if it names any.
 pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
     type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
-    let parts: [(&str, Part, &[&str]); 5] = [
+    let parts: [(&str, Part, &[&str]); 6] = [
         (
             "system",
             fly,
@@ -39,6 +39,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
             ],
         ),
         ("a vehicle under motion capture", hold, &["hold.mjs"]),
+        ("a small battery", battery, &["battery.mjs"]),
         ("a replay", replay, &["replay.mjs"]),
         ("a ground with accounts", people, &["people.mjs"]),
         ("the wire rig", wires, &[WIRES]),
@@ -93,8 +94,23 @@ fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(
 }
 
 fn hold(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
-    let vehicle = Vehicle::Simulated { scenario: workspace.root.join("tests/scenarios/circle.toml") };
-    with(workspace, &options(workspace, "debug", "browser-hold")?, &vehicle, scripts, tally)
+    simulated(workspace, "browser-hold", "circle", scripts, tally)
+}
+
+fn battery(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
+    simulated(workspace, "browser-battery", "small_battery", scripts, tally)
+}
+
+/// Runs `scripts` beside a simulated vehicle under this scenario.
+fn simulated(
+    workspace: &Workspace,
+    name: &str,
+    scenario: &str,
+    scripts: &[&str],
+    tally: &mut Tally,
+) -> Result<(), XtaskError> {
+    let vehicle = Vehicle::Simulated { scenario: workspace.root.join(format!("tests/scenarios/{scenario}.toml")) };
+    with(workspace, &options(workspace, "debug", name)?, &vehicle, scripts, tally)
 }
 
 fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
