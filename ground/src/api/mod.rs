@@ -232,6 +232,9 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/vehicles/{id}/live"             View    live::live;
         get    "/api/v1/vehicles/{id}/foxglove"      View    foxglove::live;
         get    "/api/v1/vehicles/{id}/history"          View    live::history;
+        get    "/api/v1/vehicles/{id}/signals"          View    signals::live_list;
+        get    "/api/v1/vehicles/{id}/signal"           View    signals::live_samples;
+        get    "/api/v1/vehicles/{id}/spectrum"         View    signals::live_spectrum;
         post   "/api/v1/vehicles/{id}/cut"              Operate control::cut;
         post   "/api/v1/vehicles/{id}/arm"              Operate control::arm;
         post   "/api/v1/vehicles/{id}/disarm"           Operate control::disarm;

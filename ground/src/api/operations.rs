@@ -73,6 +73,11 @@ const TABLE: &[Parameter] = &[
 ];
 const RANGE: &[Parameter] = &[FROM, TO, COLUMNS, RATE];
 const SIGNAL: Parameter = ("name", "string!", "As it is listed: imu_1.gyro_radps.x.");
+/// Of samples.
+const STRETCHES: Parameter =
+    ("columns", "integer", "Stretches of time, 1 to 10000, 1000 where nothing is said; fewer samples are all told.");
+const SINCE_BOOT: [Parameter; 2] =
+    [("from_s", "number", "Flight time, s: since the vehicle's boot."), ("to_s", "number", "Flight time, s.")];
 const FROM: Parameter = ("from_s", "number", "Since the start of the flight, s.");
 const TO: Parameter = ("to_s", "number", "Since the start of the flight, s.");
 const COLUMNS: Parameter = (
@@ -134,6 +139,13 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/vehicles/{id}/history", "The past as one batch, thinned for charts")
         .query(&[("seconds", "integer!", "How far back.")])
         .media(BYTES),
+    get("/api/v1/vehicles/{id}/signals", "Every number that a vehicle sends, by topic").json(of::<Signals>),
+    get("/api/v1/vehicles/{id}/signal", "One of them over flight time, of the last two minutes at most")
+        .query(&[SIGNAL, SINCE_BOOT[0], SINCE_BOOT[1], STRETCHES])
+        .json(of::<Samples>),
+    get("/api/v1/vehicles/{id}/spectrum", "Its spectrum, of the last two minutes at most")
+        .query(&[SIGNAL, SINCE_BOOT[0], SINCE_BOOT[1]])
+        .json(of::<Spectrum>),
     command(post(
         "/api/v1/vehicles/{id}/cut",
         "Cuts the motors: the vehicle falls. Open to every operator, whoever holds control",
@@ -273,11 +285,7 @@ pub(super) const OPERATIONS: &[Operation] = &[
             SIGNAL,
             FROM,
             TO,
-            (
-                "columns",
-                "integer",
-                "Stretches of time, 1 to 10000, 1000 where nothing is said; fewer samples are all told.",
-            ),
+            STRETCHES,
         ])
         .json(of::<Samples>),
     get("/api/v1/flights/{id}/spectrum", "Its power over frequency, by Welch's method")

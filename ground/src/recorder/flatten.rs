@@ -6,7 +6,10 @@
 //! - A repeated message (residuals, checks) is a row per element.
 //! - An absent field is an empty cell; an enum is its name.
 
+use std::sync::LazyLock;
+
 use mcap::Channel;
+use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use prost_reflect::{DescriptorPool, DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, Value};
 
 /// Messages nested deeper than this are left out: a schema may be recursive.
@@ -96,9 +99,19 @@ impl Table {
     pub(super) fn of(channel: &Channel<'_>) -> Option<Self> {
         let schema = channel.schema.as_ref().filter(|s| s.encoding == "protobuf")?;
         let pool = DescriptorPool::decode(schema.data.as_ref()).ok()?;
-        let message = pool.get_message_by_name(&schema.name)?;
+        Some(Self::of_message(pool.get_message_by_name(&schema.name)?))
+    }
+
+    /// The table for messages of a kind as this build knows them; `None` where it does not describe them.
+    pub(super) fn of_kind(kind: plumbline_proto::Kind) -> Option<Self> {
+        static POOL: LazyLock<DescriptorPool> =
+            LazyLock::new(|| DescriptorPool::decode(FILE_DESCRIPTOR_SET).unwrap_or_default());
+        POOL.get_message_by_name(kind.message_name()).map(Self::of_message)
+    }
+
+    fn of_message(message: MessageDescriptor) -> Self {
         let columns = columns(&message, 0);
-        Some(Self { message, columns })
+        Self { message, columns }
     }
 
     /// Is there a row per element of a repeated message?
@@ -330,7 +343,7 @@ fn shout(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use plumbline_proto::{Message as _, descriptor::FILE_DESCRIPTOR_SET, v1};
+    use plumbline_proto::{Message as _, v1};
     use std::{borrow::Cow, sync::Arc};
 
     fn table(message: &str) -> Table {

@@ -60,7 +60,7 @@ use keeper::Desk;
 pub use plumbline_rest::ground::Storage;
 pub use shared::SharedArchive;
 pub use sheet::{Format, Selection};
-pub(crate) use signal::{SignalReader, thinned};
+pub(crate) use signal::{SignalReader, live as live_signal, thinned};
 pub use snapshot::Snapshot;
 use store::RecordingStore;
 pub use store::{Labels, MAX_NAME, MAX_NOTES};

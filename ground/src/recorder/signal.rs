@@ -1,6 +1,8 @@
 //! One number of one topic over time, named as in tables. The rows of a message (residuals, sensors of the secure
 //! estimator) are told apart by the names and numbers they carry: `residuals_1[height 2 altitude].innovation`.
 
+pub(crate) mod live;
+
 use std::collections::BTreeSet;
 
 use mcap::McapResult;
@@ -40,6 +42,53 @@ struct Place {
     row: Option<String>,
 }
 
+/// A signal, read from one message after another.
+struct Reading {
+    place: Place,
+    /// Places of the columns that tell rows apart.
+    keys: Vec<usize>,
+    /// Rows mostly come in the same order: it is looked for where it was last.
+    last: usize,
+}
+
+impl Reading {
+    fn new(topic: &Topic, place: Place) -> Self {
+        Self { place, keys: topic.keys(), last: 0 }
+    }
+
+    /// What a message says of it; `None` where that is no finite number.
+    fn value(&mut self, table: &Table, payload: &[u8]) -> Option<f64> {
+        let rows = table.read(payload)?;
+        let count = rows.count();
+        let mut all = (0..count).map(|k| (self.last + k) % count).map(|index| (index, rows.row(index)));
+        let named = |row: &[Cell]| self.place.row.as_ref().is_none_or(|wanted| row_name(row, &self.keys) == *wanted);
+        let (index, row) = all.find(|(_, row)| named(row))?;
+        self.last = index;
+        row.get(self.place.column).map(Cell::number).filter(|value| value.is_finite())
+    }
+}
+
+/// The rotors' mean speed while they turn.
+#[derive(Default)]
+struct Rotors {
+    sum_radps: f64,
+    count: u64,
+}
+
+impl Rotors {
+    fn take(&mut self, truth: &[u8]) {
+        let speeds = v1::Truth::decode(truth).unwrap_or_default().rotor_speed_radps;
+        for radps in speeds.into_iter().filter(|radps| *radps > TURNING_RADPS) {
+            self.sum_radps += radps;
+            self.count += 1;
+        }
+    }
+
+    fn mean_hz(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum_radps / self.count as f64 / std::f64::consts::TAU)
+    }
+}
+
 impl SignalReader {
     /// # Errors
     /// [`RecordingError::Damaged`].
@@ -57,11 +106,7 @@ impl SignalReader {
     /// # Errors
     /// [`RecordingError::Damaged`].
     pub(crate) fn list(&self) -> Result<Vec<Signal>, RecordingError> {
-        let topics = self.look(|_| true).map_err(damaged)?;
-        let of = |topic: &Topic| topic.signals().map(|(name, unit, _)| Signal { name, unit }).collect::<Vec<_>>();
-        let mut signals: Vec<Signal> = topics.iter().flat_map(of).collect();
-        signals.sort_by_key(|signal| signal.name.contains('['));
-        Ok(signals)
+        Ok(signals_of(&self.look(|_| true).map_err(damaged)?))
     }
 
     /// Samples of a signal: time since the start of the flight, s, and value; as many as there are until `goes_on` is
@@ -83,19 +128,11 @@ impl SignalReader {
         });
         let unknown = || RecordingError::Invalid(format!("the flight has no signal {:?}", crate::names::clip(name)));
         let (topic, place) = found.ok_or_else(unknown)?;
-        let keys = topic.keys();
+        let mut reading = Reading::new(&topic, place);
         let start_us = self.0.start_us();
-        let (mut samples, mut last) = (Vec::new(), 0);
+        let mut samples = Vec::new();
         let read = self.0.for_each_in(Some(std::slice::from_ref(&topic.topic)), range_us, |message| {
-            let Some(rows) = topic.table.read(message.payload) else { return Ok(goes_on()) };
-            let count = rows.count();
-            // Rows mostly come in the same order: it is looked for where it was last.
-            let all = (0..count).map(|k| (last + k) % count).map(|index| (index, rows.row(index)));
-            let named = |row: &[Cell]| place.row.as_ref().is_none_or(|wanted| row_name(row, &keys) == *wanted);
-            let found = { all }.find(|(_, row)| named(row));
-            last = found.as_ref().map_or(last, |(index, _)| *index);
-            let value = found.and_then(|(_, row)| row.get(place.column).map(Cell::number)).unwrap_or(f64::NAN);
-            if value.is_finite() {
+            if let Some(value) = reading.value(&topic.table, message.payload) {
                 samples.push((message.time_us.saturating_sub(start_us) as f64 / 1e6, value));
             }
             Ok(goes_on())
@@ -111,17 +148,13 @@ impl SignalReader {
     /// Those of [`SignalReader::read`].
     pub(crate) fn rotor_hz(&self, range_s: (f64, f64)) -> Result<Option<f64>, RecordingError> {
         let (range_us, topic) = (self.range_us(range_s)?, Kind::Truth.base_topic().to_owned());
-        let (mut sum, mut count) = (0.0, 0_u64);
+        let mut rotors = Rotors::default();
         let read = self.0.for_each_in(Some(&[topic]), range_us, |message| {
-            let speeds = v1::Truth::decode(message.payload).unwrap_or_default().rotor_speed_radps;
-            for radps in speeds.into_iter().filter(|radps| *radps > TURNING_RADPS) {
-                sum += radps;
-                count += 1;
-            }
+            rotors.take(message.payload);
             Ok(true)
         });
         read.map_err(damaged)?;
-        Ok((count > 0).then(|| sum / count as f64 / std::f64::consts::TAU))
+        Ok(rotors.mean_hz())
     }
 
     fn range_us(&self, (from_s, to_s): (f64, f64)) -> Result<(u64, u64), RecordingError> {
@@ -134,9 +167,8 @@ impl SignalReader {
         let plotted = channels.values().filter(|channel| is_plotted(&channel.topic));
         let mut topics: Vec<Topic> = plotted
             .filter_map(|channel| {
-                let (topic, prefix) = (channel.topic.clone(), prefix(&channel.topic));
-                let table = wanted(&prefix).then(|| Table::of(channel)).flatten()?;
-                Some(Topic { topic, prefix, table, begun_us: None, rows: BTreeSet::new() })
+                let topic = channel.topic.clone();
+                Some(Topic::new(topic, wanted(&prefix(&channel.topic)).then(|| Table::of(channel)).flatten()?))
             })
             .collect();
         let names: Vec<String> = topics.iter().map(|topic| topic.topic.clone()).collect();
@@ -166,7 +198,19 @@ fn row_name(row: &[Cell], keys: &[usize]) -> String {
     keys.iter().filter_map(|key| row.get(*key)).map(ToString::to_string).collect::<Vec<_>>().join(" ").replace('_', " ")
 }
 
+/// Every signal of some topics; those of rows, of which there are hundreds, last.
+fn signals_of(topics: &[Topic]) -> Vec<Signal> {
+    let of = |topic: &Topic| topic.signals().map(|(name, unit, _)| Signal { name, unit }).collect::<Vec<_>>();
+    let mut signals: Vec<Signal> = topics.iter().flat_map(of).collect();
+    signals.sort_by_key(|signal| signal.name.contains('['));
+    signals
+}
+
 impl Topic {
+    fn new(topic: String, table: Table) -> Self {
+        Self { prefix: prefix(&topic), topic, table, begun_us: None, rows: BTreeSet::new() }
+    }
+
     fn look(&mut self, time_us: u64, payload: &[u8]) {
         let begun_us = *self.begun_us.get_or_insert(time_us);
         if time_us > begun_us.saturating_add(LOOK_US) {

@@ -432,7 +432,7 @@ class Said(TypedDict):
 
 
 class Samples(TypedDict):
-    """`GET /api/v1/flights/{id}/signal`: samples, or of each stretch of time the least and the greatest, in their order."""
+    """`GET /api/v1/flights/{id}/signal`, `GET /api/v1/vehicles/{id}/signal`: samples, or of each stretch of time the least and the greatest, in their order."""
 
     samples: NotRequired[int]
     time_s: NotRequired[list[float]]
@@ -485,7 +485,7 @@ class Signal(TypedDict):
 
 
 class Signals(TypedDict):
-    """`GET /api/v1/flights/{id}/signals`."""
+    """`GET /api/v1/flights/{id}/signals`, `GET /api/v1/vehicles/{id}/signals`."""
 
     signals: NotRequired[list[Signal]]
     start_s: NotRequired[float]
@@ -523,12 +523,14 @@ class Size(TypedDict):
 
 
 class Spectrum(TypedDict):
-    """`GET /api/v1/flights/{id}/spectrum`: Welch's method, Hann windows that overlap by half, one-sided."""
+    """`GET /api/v1/flights/{id}/spectrum`, `GET /api/v1/vehicles/{id}/spectrum`: Welch's method, Hann windows that overlap by half, one-sided."""
 
     density: NotRequired[list[float]]
     frequency_hz: NotRequired[list[float]]
     harmonics_hz: NotRequired[list[float]]
+    mean: NotRequired[float]
     rate_hz: NotRequired[float]
+    rms: NotRequired[float]
     rotor_hz: NotRequired[float | None]
     windows: NotRequired[int]
 
