@@ -67,6 +67,78 @@ await step(page, 'tones: heard, switched off by a key, and kept so', async () =>
   await until('them to be on', async () => !(await button('Hear one').isDisabled()));
 });
 
+const signals = region('Signals');
+const search = signals.getByRole('searchbox', { name: 'Search the signals' });
+const charted = () => signals.getByRole('group').evaluateAll((all) => all.map((e) => e.getAttribute('aria-label')));
+/** Takes the one signal that all of these words name off the list, and lets it go over the charts. */
+const dragged = async (words) => {
+  await search.fill(words);
+  const item = signals.getByRole('listitem').first();
+  await item.waitFor();
+  const box = await item.boundingBox();
+  await page.mouse.move(box.x + 20, box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 40, box.y + box.height / 2 + 5, { steps: 3 });
+  const zone = signals.getByText('Drop it here: a plot of its own');
+  await zone.waitFor();
+  const place = await zone.boundingBox();
+  await page.mouse.move(place.x + place.width / 2, place.y + place.height / 2, { steps: 4 });
+  await page.mouse.up();
+  await zone.waitFor({ state: 'detached' });
+};
+
+await step(page, 'signals, live: what no page is sent otherwise comes onto a plot, dragged there or by the keyboard', async () => {
+  await page.goto(url);
+  await region('Residuals').getByRole('button', { name: 'Signals' }).click();
+  await dragged('imu_1.sensed.gyro_radps.y');
+  await until('its plot', async () => (await charted()).join() === 'imu_1.sensed.gyro_radps.y');
+  await search.fill('status tick_time_p99');
+  await search.press('Enter');
+  await until('two plots', async () => (await charted()).length === 2);
+  for (const one of await signals.getByRole('img').all()) await drawn(page, one, await one.getAttribute('aria-label'));
+  // What came before it was asked for is there too, and it goes on.
+  const value = signals.locator('.signal-value b').first();
+  const values = new Set();
+  await until('values that change', async () => values.add(await value.textContent()).size >= 4);
+  await shots('fly-signals');
+  const [name] = await charted();
+  await signals.getByRole('group', { name, exact: true }).getByRole('button', { name: 'Spectrum' }).click();
+  const told = signals.locator('.density > p').first();
+  await until('its spectrum', async () => /^RMS [\d.]+ rad\/s; peak [\d.]+ Hz; in view, mean of \d+ windows/.test(await told.textContent()));
+  await until('the address', async () => decodeURIComponent(page.url()).includes('?signals=~imu_1.sensed.gyro_radps.y,status.tick_time_p99_us'));
+  return { told: await told.textContent() };
+});
+
+await step(page, 'layouts: kept under a name, taken back, and the same after a reload', async () => {
+  const bar = page.getByRole('dialog', { name: 'Layouts' });
+  const rows = bar.getByRole('listitem');
+  // By the keyboard.
+  await button('Layout').focus();
+  await page.keyboard.press('Enter');
+  await bar.getByLabel('Name for this layout').fill(' rates ');
+  await page.keyboard.press('Enter');
+  await until('its name', async () => (await rows.allTextContents()).some((text) => text.startsWith('rates')));
+  const link = await bar.getByLabel('Address, to share').inputValue();
+  assert(link === page.url(), `${link} is not ${page.url()}`);
+  await shots('fly-layouts');
+  await rows.getByRole('button', { name: 'default' }).click();
+  await region('Residuals').waitFor();
+  await until('an address without it', async () => !page.url().includes('signals='));
+  await page.getByLabel('Time window').selectOption('60');
+  await button('Layout').click();
+  await rows.getByRole('button', { name: 'rates', exact: true }).click();
+  await until('both plots', async () => (await charted()).length === 2);
+  assert((await page.getByLabel('Time window').inputValue()) === '30', 'its window');
+  await page.reload();
+  await until('both plots after a reload', async () => (await charted()).join() === 'imu_1.sensed.gyro_radps.y,status.tick_time_p99_us');
+  await until('its spectrum', async () => /peak/.test(await signals.locator('.density > p').first().textContent()));
+  await button('Layout').click();
+  await bar.getByRole('button', { name: 'Forget the layout rates' }).click();
+  await until('it to be forgotten', async () => (await rows.count()) === 1);
+  await rows.getByRole('button', { name: 'default' }).click();
+  await region('Residuals').waitFor();
+});
+
 await step(page, 'gamepad: flies while its button is held, and holds the altitude when it is let go', async () => {
   await page.goto(url);
   // Whatever flew before may still swing.
@@ -162,9 +234,6 @@ await step(page, 'flights: recordings of others are chosen or dropped, and each 
   return { imported };
 });
 
-const signals = region('Signals');
-const search = signals.getByRole('searchbox', { name: 'Search the recorded signals' });
-const charted = () => signals.getByRole('group').evaluateAll((all) => all.map((e) => e.getAttribute('aria-label')));
 await step(page, 'signals: any number that was recorded, found by a part of its name, on a chart of its own', async () => {
   await page.goto(`${url}/flights/${flight.id}`);
   await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
@@ -180,8 +249,8 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
   const plot = signals.getByRole('img').first();
   await drawn(page, plot, 'the rate');
   await button('Add a signal…').click();
-  await search.fill('residuals height 2 innovation');
-  await signals.getByRole('listitem').getByRole('button').first().click();
+  await dragged('residuals height 2 innovation');
+  await button('Close the list').click();
   await until('two charts', async () => (await charted()).length === 2);
   const names = await charted();
   assert(/^residuals_\d+\[height 2/.test(names[1]), names.join());
@@ -229,6 +298,34 @@ await step(page, 'signals: a spectrum with the rotors marked, between the cursor
   await page.keyboard.press('m');
   await signals.getByText(/in view/).waitFor();
   return { whole };
+});
+
+await step(page, 'signals: two stretches lie over one another, with the rotors and the RMS of each', async () => {
+  const rms = (text) => number(/RMS ([\d.]+)/.exec(text)?.[1]);
+  await page.keyboard.press('m');
+  const cursors = region('Cursors');
+  const between = async (a, b) => {
+    await cursors.getByLabel(/Time of cursor A/).fill(String(a));
+    await cursors.getByLabel(/Time of cursor B/).fill(String(b));
+    await page.keyboard.press('Tab');
+  };
+  const told = signals.locator('.density > p:not(.kept)').first();
+  const lines = () => signals.locator('.density svg path').count();
+  await between(1, 5);
+  await until('the first stretch', async () => /between the cursors/.test(await told.textContent()));
+  const before = await lines();
+  await button('Keep').click();
+  const kept = signals.locator('.density .kept').first();
+  await until('it to be kept', async () => /A: RMS [\d.]+ rad\/s.*1\.0 to 5\.0 s/.test(await kept.textContent()));
+  await between(6, 12);
+  await until('both', async () => (await lines()) > before && rms(await told.textContent()) !== rms(await kept.textContent()));
+  const [a, b, times] = [rms(await kept.textContent()), rms(await told.textContent()), number(/B has ([\d.]+) times/.exec(await kept.textContent())?.[1])];
+  assert(Math.abs(times - b / a) < 0.02 * times, `${b} / ${a} is not ${times}`);
+  await shots('flight-spectra');
+  await button('Keep').click();
+  await kept.waitFor({ state: 'detached' });
+  await page.keyboard.press('m');
+  return { a, b, times };
 });
 
 await step(page, 'signals: the address shows the same to others, and says what there is not', async () => {

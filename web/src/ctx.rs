@@ -12,10 +12,11 @@ use plumbline_rest::people::{Role, Session};
 use serde_json::{Value, json};
 
 use crate::{
+    address,
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Tone},
-    model::{by_hand::Led, draft::Draft, guide::Guide, live::Live, route::Route, topic::Topic},
+    model::{by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
     net, store,
 };
 
@@ -124,6 +125,9 @@ impl Ctx {
             socket: StoredValue::new_local(None),
         };
         let deck = Deck::live(ctx);
+        if let Some(layout) = Layout::read(address::all).filter(|_| ctx.route.with_untracked(|r| *r == Route::Fly)) {
+            deck.show(layout);
+        }
         // First what the window shows.
         let window_s = deck.window_s.get_untracked();
         ctx.app.update_value(|app| app.history_s = window_s.clamp(LEAST_HISTORY_S, MOST_HISTORY_S));

@@ -16,6 +16,7 @@ use crate::{
         axis::{Tick, TimeAxis, ValueAxis},
         curves::{Axis, Curve, Group},
         instrument::Instrument,
+        layout::{Evidence, Layout},
         live::Live,
     },
     net,
@@ -25,6 +26,10 @@ use crate::{
 
 /// Windows offered, s.
 pub const WINDOWS_S: [f64; 6] = [10.0, 30.0, 60.0, 120.0, 300.0, 600.0];
+/// The one where nothing is said, s.
+const USUAL_WINDOW_S: f64 = 30.0;
+/// Most signals on charts of their own at a time.
+pub const MOST_SIGNALS: u8 = 6;
 
 /// A view that has stood still this long is asked for.
 const SETTLE: Duration = Duration::from_millis(250);
@@ -57,7 +62,7 @@ pub enum Picture {
     AltitudeError,
     /// And their attitudes, one axis of it.
     AttitudeError,
-    /// A recorded signal.
+    /// A signal.
     Signal(u8),
     /// Artificial horizon.
     Horizon,
@@ -76,21 +81,7 @@ pub struct Labels {
     pub pins: Vec<Tick>,
 }
 
-/// What stands below altitude and attitude.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Evidence {
-    /// Innovation ratio of every sensor.
-    #[default]
-    Residuals,
-    /// What the secure estimator finds of every sensor.
-    Secure,
-    /// What each estimator is off by.
-    Errors,
-    /// Recorded signals, one on each chart.
-    Signals,
-}
-
-/// A recorded signal on a chart of its own.
+/// A signal on a chart of its own.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Charted {
     /// Number of its curve and picture.
@@ -165,8 +156,12 @@ pub struct Deck {
     pub evidence: RwSignal<Evidence>,
     /// Axis whose errors are shown.
     pub error_axis: RwSignal<Axis>,
-    /// Recorded signals on charts of their own.
+    /// Signals on charts of their own.
     pub signals: RwSignal<Vec<Charted>>,
+    /// A stretch of time, s of flight time, whose spectra are kept to lie under those of what is looked at.
+    pub kept: RwSignal<Option<[f64; 2]>>,
+    /// Motors and the time of a tick charted?
+    pub motors: RwSignal<bool>,
     /// Notes that name a time of the flight: s of flight time, text.
     pub notes: RwSignal<Vec<(f64, String)>>,
     /// Two pinned cursors, s of flight time.
@@ -201,7 +196,7 @@ impl Deck {
         Self {
             source,
             data,
-            window_s: RwSignal::new(window_s.unwrap_or(30.0)),
+            window_s: RwSignal::new(window_s.unwrap_or(USUAL_WINDOW_S)),
             zoom: RwSignal::new(None),
             paused_at: RwSignal::new(None),
             cursor: RwSignal::new(None),
@@ -211,6 +206,8 @@ impl Deck {
             evidence: RwSignal::new(Evidence::default()),
             error_axis: RwSignal::new(Axis::Roll),
             signals: RwSignal::new(Vec::new()),
+            kept: RwSignal::new(None),
+            motors: RwSignal::new(false),
             notes: RwSignal::new(Vec::new()),
             pins: RwSignal::new(None),
             hidden: RwSignal::new(Vec::new()),
@@ -305,6 +302,40 @@ impl Deck {
         self.unfolded.with_untracked(|unfolded| store::keep_unfolded(unfolded));
     }
 
+    /// What stands on the page now; runs again when that changes.
+    pub fn layout(self) -> Layout {
+        Layout {
+            evidence: self.evidence.get(),
+            axis: self.error_axis.get(),
+            signals: self.signals.with(|all| all.iter().map(|c| (c.name.clone(), c.spectrum)).collect()),
+            unfolded: self.unfolded.get(),
+            motors: self.motors.get(),
+            space: self.space.get(),
+            window_s: (self.source == Source::Live).then(|| self.window_s.get()).filter(|s| *s != USUAL_WINDOW_S),
+        }
+    }
+
+    /// Puts that on the page.
+    pub fn show(self, layout: Layout) {
+        let before = self.signals.get_untracked();
+        self.data.update_value(|live| before.iter().for_each(|charted| live.curves.remove_signal(charted.place)));
+        let charted = layout.signals.into_iter().zip(0..MOST_SIGNALS).map(|((name, spectrum), place)| {
+            let unit = before.iter().find(|c| c.name == name).map(|c| c.unit.clone()).unwrap_or_default();
+            Charted { place, name, unit, spectrum }
+        });
+        self.signals.set(charted.collect());
+        self.evidence.set(layout.evidence);
+        self.error_axis.set(layout.axis);
+        self.unfolded.set(layout.unfolded);
+        self.motors.set(layout.motors);
+        self.space.set(layout.space);
+        if self.source == Source::Live {
+            let window_s = layout.window_s.filter(|s| WINDOWS_S.contains(s));
+            self.window_s.set(window_s.unwrap_or(USUAL_WINDOW_S));
+            self.zoom.set(None);
+        }
+    }
+
     /// Hides a curve, or shows it again.
     pub fn toggle_curve(self, curve: Curve) {
         self.hidden.update(|hidden| match hidden.iter().position(|h| *h == curve) {
@@ -361,10 +392,11 @@ impl Deck {
         }
     }
 
-    /// What the charts of a recorded flight show, s of flight time.
+    /// What the charts show, s of flight time; runs again when that changes otherwise than by time that passes.
     pub fn in_view(self) -> [f64; 2] {
-        let begin_s = self.origin_s.get();
-        self.zoom.get().map_or([begin_s, begin_s + self.window_s.get()], |(from, to)| [from, to])
+        (self.origin_s.track(), self.window_s.track(), self.zoom.track(), self.paused_at.track());
+        let axis = self.data.with_value(|live| self.axis(live));
+        [axis.start_s, axis.end_s]
     }
 
     /// Does every sample that a curve was recorded with lie on it in view?

@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use wasm_bindgen::{JsCast, JsValue, closure::Closure};
 use wasm_bindgen_futures::JsFuture;
-use web_sys::{BinaryType, MessageEvent, Request, RequestInit, Response, WebSocket};
+use web_sys::{BinaryType, MessageEvent, ReadableStreamDefaultReader, Request, RequestInit, Response, WebSocket};
 
 use crate::{
     event::{Event, Failure},
@@ -120,10 +120,30 @@ fn parsed<T: DeserializeOwned>(text: &str, url: &str) -> Result<T, Failure> {
 /// # Errors
 /// [`Failure`] with the ground's own words.
 pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
+    bytes_told(url, |_| {}).await
+}
+
+/// The same; `told` is given all that has come, again and again.
+///
+/// # Errors
+/// [`Failure`] with the ground's own words.
+pub async fn bytes_told(url: &str, mut told: impl FnMut(&[u8])) -> Result<Vec<u8>, Failure> {
     let response = send("GET", url, None, "", 0).await?;
-    let promise = response.array_buffer().map_err(|_| unreachable_ground())?;
-    let buffer = JsFuture::from(promise).await.map_err(|_| unreachable_ground())?;
-    Ok(js_sys::Uint8Array::new(&buffer).to_vec())
+    let body = response.body().ok_or_else(unreachable_ground)?;
+    let reader: ReadableStreamDefaultReader = body.get_reader().unchecked_into();
+    let mut all = Vec::new();
+    loop {
+        let piece = JsFuture::from(reader.read()).await.map_err(|_| unreachable_ground())?;
+        let value = js_sys::Reflect::get(&piece, &"value".into()).unwrap_or(JsValue::UNDEFINED);
+        // Without a value it is over.
+        let Ok(piece) = value.dyn_into::<js_sys::Uint8Array>() else { return Ok(all) };
+        let begin = all.len();
+        all.resize(begin + piece.length() as usize, 0);
+        if let Some(room) = all.get_mut(begin..) {
+            piece.copy_to(room);
+        }
+        told(&all);
+    }
 }
 
 /// Sends files as a form; `sent` is told which share of them is on its way, 0 to 1.

@@ -8,6 +8,7 @@ use crate::{
         curves::Group,
         draft::{Draft, Row},
         guide::Guide,
+        layout::{self, Layout, Saved},
         operator,
     },
     net::Early,
@@ -32,13 +33,22 @@ pub fn set(name: &str, value: &str) {
 
 /// Groups of curves that legends unfold: as left, else only what lies close to a curve of its own.
 pub fn unfolded() -> Vec<Group> {
-    let Some(names) = get("unfolded") else { return vec![Group::Truth] };
-    Group::ALL.into_iter().filter(|group| names.split(',').any(|name| name == group.name())).collect()
+    get("unfolded").map_or_else(|| Layout::default().unfolded, |names| layout::groups_of(&names))
 }
 
 /// Keeps them.
 pub fn keep_unfolded(groups: &[Group]) {
-    set("unfolded", &groups.iter().map(|group| group.name()).collect::<Vec<_>>().join(","));
+    set("unfolded", &layout::group_names(groups));
+}
+
+/// Layouts kept under names.
+pub fn layouts() -> Vec<Saved> {
+    get("layouts").and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+}
+
+/// Keeps them.
+pub fn keep_layouts(all: &[Saved]) {
+    set("layouts", &serde_json::to_string(all).unwrap_or_default());
 }
 
 /// This page's name towards the ground: the operator's, and what tells this tab from others. `early.js` chose it; it

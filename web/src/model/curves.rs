@@ -19,6 +19,8 @@ const PAST_SAMPLES: usize = 1 << 12;
 const RECORDED_SAMPLES: usize = 1 << 20;
 /// A live curve breaks where samples are further apart than this, s.
 const GAP_S: f64 = 1.0;
+/// A live signal does where they are further apart than this, s: some are sent once a second.
+const SIGNAL_GAP_S: f64 = 2.5;
 
 /// Degrees per radian.
 pub const DEGREES: f64 = 180.0 / std::f64::consts::PI;
@@ -111,15 +113,15 @@ pub enum Curve {
     Difference(u8),
     /// Attitude setpoint, °.
     SetpointAttitude(Axis),
-    /// One sigma of the altitude, as the estimator in the loop says, m.
-    AltitudeSigma,
+    /// One sigma of an estimator's altitude, as it says itself, m.
+    AltitudeSigma(u16),
     /// One sigma of its attitude, rad.
-    AttitudeSigma(Axis),
+    AttitudeSigma(u16, Axis),
     /// Altitude of an estimator minus truth, or minus the setpoint where no truth is known, mm; see [`Curves::follow_errors`].
     AltitudeError(u16),
     /// The same of its attitude, mrad.
     AttitudeError(u16, Axis),
-    /// A recorded signal that was put on a chart of its own, in its own unit.
+    /// A signal that was put on a chart of its own, in its own unit.
     Signal(u8),
 }
 
@@ -324,6 +326,16 @@ impl Curves {
         self.replaced += 1;
     }
 
+    /// Appends what came of a signal since: time, s, and value.
+    pub fn extend_signal(&mut self, place: u8, samples: impl IntoIterator<Item = (f64, f64)>) {
+        let capacity = self.samples;
+        let new = || Series::new(capacity).with_max_gap(SIGNAL_GAP_S);
+        let series = self.map.entry(Curve::Signal(place)).or_insert_with(new);
+        for (time_s, value) in samples {
+            series.push(time_s, value as f32);
+        }
+    }
+
     /// Takes it away.
     pub fn remove_signal(&mut self, place: u8) {
         self.map.remove(&Curve::Signal(place));
@@ -394,24 +406,27 @@ impl Curves {
                 self.push(Curve::Attitude(number, axis), time, value * DEGREES * known);
             }
         }
-        if estimate.in_loop {
-            self.push_sigma(estimate, known);
-            if let Some(position) = estimate.position_enu_m.as_ref().filter(|_| estimate.horizontal_known) {
-                self.push(Curve::Plane(Horizontal::East), time, position.x * known);
-                self.push(Curve::Plane(Horizontal::North), time, position.y * known);
-            }
+        self.push_sigma(number, estimate, known);
+        if estimate.in_loop
+            && let Some(position) = estimate.position_enu_m.as_ref().filter(|_| estimate.horizontal_known)
+        {
+            self.push(Curve::Plane(Horizontal::East), time, position.x * known);
+            self.push(Curve::Plane(Horizontal::North), time, position.y * known);
         }
     }
 
-    /// How sure the estimator in the loop is of itself; zero says nothing.
-    fn push_sigma(&mut self, estimate: &v1::Estimate, known: f64) {
-        let told = |sigma: f64| if sigma > 0.0 { sigma * known } else { f64::NAN };
-        if let Some(sigma) = &estimate.position_sigma_m {
-            self.push(Curve::AltitudeSigma, estimate.time_us, told(sigma.z));
-        }
-        if let Some(sigma) = &estimate.attitude_sigma_rad {
-            for (axis, value) in Axis::ALL.into_iter().zip([sigma.x, sigma.y, sigma.z]) {
-                self.push(Curve::AttitudeSigma(axis), estimate.time_us, told(value));
+    /// How sure estimator `number` is of itself; zero says nothing, and one that never says has no curve.
+    fn push_sigma(&mut self, number: u16, estimate: &v1::Estimate, known: f64) {
+        let altitude = estimate.position_sigma_m.iter().map(|sigma| (Curve::AltitudeSigma(number), sigma.z));
+        let attitude = estimate.attitude_sigma_rad.iter().flat_map(|sigma| {
+            let axes = Axis::ALL.into_iter().zip([sigma.x, sigma.y, sigma.z]);
+            axes.map(|(axis, value)| (Curve::AttitudeSigma(number, axis), value))
+        });
+        for (curve, sigma) in altitude.chain(attitude) {
+            if sigma > 0.0 {
+                self.push(curve, estimate.time_us, sigma * known);
+            } else if self.map.contains_key(&curve) {
+                self.push(curve, estimate.time_us, f64::NAN);
             }
         }
     }
@@ -525,6 +540,33 @@ mod tests {
         }
         assert_eq!(curves.value_at(Curve::Altitude(7), 1.5), None);
         assert_eq!(curves.value_at(Curve::Altitude(7), 2.0), Some(0.5));
+    }
+
+    #[test]
+    fn each_estimator_that_has_a_covariance_has_a_band_and_no_other() {
+        let mut curves = Curves::default();
+        let sigma = |z| Some(v1::Vector3 { x: 0.01, y: 0.02, z });
+        let mut push = |number, time_us, in_loop, altitude, attitude| {
+            let estimate = v1::Estimate {
+                time_us,
+                in_loop,
+                position_sigma_m: altitude,
+                attitude_sigma_rad: attitude,
+                health: v1::Health::Healthy.into(),
+                ..Default::default()
+            };
+            curves.push_estimate(number, &estimate);
+        };
+        push(1, 1_000_000, true, sigma(0.05), sigma(0.03));
+        push(4, 1_000_000, false, sigma(0.07), None);
+        push(2, 1_000_000, false, sigma(0.0), None);
+        push(4, 2_000_000, false, sigma(0.0), None);
+        let at = |curve, time_s| curves.value_at(curve, time_s).map(|sigma| (sigma * 1e3).round());
+        assert_eq!(at(Curve::AltitudeSigma(1), 1.5), Some(50.0));
+        assert_eq!(at(Curve::AttitudeSigma(1, Axis::Pitch), 1.5), Some(20.0));
+        assert_eq!((at(Curve::AltitudeSigma(4), 1.5), at(Curve::AltitudeSigma(4), 2.0)), (Some(70.0), None));
+        assert!(curves.get(Curve::AttitudeSigma(4, Axis::Roll)).is_none());
+        assert!(curves.get(Curve::AltitudeSigma(2)).is_none(), "it says nothing of itself");
     }
 
     #[test]

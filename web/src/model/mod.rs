@@ -1,6 +1,7 @@
 //! What the page knows, apart from how it looks. Pure: everything here is tested natively.
 
 pub mod api;
+pub mod arriving;
 pub mod axis;
 pub mod by_hand;
 pub mod calibration;
@@ -16,6 +17,7 @@ pub mod figure;
 pub mod format;
 pub mod guide;
 pub mod instrument;
+pub mod layout;
 pub mod listing;
 pub mod live;
 pub mod liveness;

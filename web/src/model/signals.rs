@@ -1,4 +1,4 @@
-//! Choosing among the signals of a recording, their place in an address, and what a picture of a spectrum needs.
+//! Choosing among the signals of a recording or a vehicle, their place in an address, and what a picture of a spectrum needs.
 
 use plumbline_rest::flight::{Signal, Spectrum};
 

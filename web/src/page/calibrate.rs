@@ -17,7 +17,10 @@ use crate::{
     net,
     page::flights::local_offset_min,
     palette,
-    panel::sketch::{Dot, Drawing, Sketch, Trace},
+    panel::{
+        sketch::{Dot, Drawing, Sketch, Trace},
+        waiting::Waiting,
+    },
 };
 
 /// What the parts of the page share.
@@ -225,7 +228,8 @@ fn Form() -> impl IntoView {
                     </select>
                 </label>
             </Show>
-            <button type="button" class="fit" disabled=bench.busy on:click=move |_| bench.fit()>{move || if bench.busy.get() { "Fitting…" } else { "Fit and keep" }}</button>
+            <button type="button" class="fit" disabled=bench.busy on:click=move |_| bench.fit()>"Fit and keep"</button>
+            <Show when=move || bench.busy.get()><Waiting text="The ground fits…" /></Show>
         </section>
     }
 }

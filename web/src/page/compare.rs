@@ -24,6 +24,7 @@ use crate::{
         legend::{Entry, Legend, Swatch, TableButton},
         plot::Plot,
         toolbar::Link,
+        waiting::Waiting,
     },
 };
 
@@ -135,12 +136,17 @@ pub fn Compare(
     let left_out = ids.len().saturating_sub(MOST);
     let ids: Vec<String> = ids.into_iter().take(MOST).collect();
     let state = RwSignal::new(None::<Result<Loaded, String>>);
+    let share = RwSignal::new(None::<f64>);
     leptos::task::spawn_local(async move {
         let mut flights = Vec::new();
         let mut summaries = Vec::new();
-        for id in &ids {
+        for (done, id) in ids.iter().enumerate() {
             let summary = net::json::<Flight>("GET", &format!("/api/v1/flights/{id}"), None, "").await;
-            match (summary, load(id, KINDS, "").await) {
+            let length_s = summary.as_ref().map_or(f64::INFINITY, |flight| flight.duration_s.max(1e-3));
+            let told = |covered_s: f64| {
+                let _ = share.try_set(Some((done as f64 + (covered_s / length_s).min(1.0)) / ids.len() as f64));
+            };
+            match (summary, load(id, KINDS, "", told).await) {
                 (Ok(summary), Ok(flight)) => {
                     summaries.push(summary);
                     flights.push(flight);
@@ -171,7 +177,7 @@ pub fn Compare(
                 {(left_out > 0).then(|| view! { <span class="quiet">{format!("the first {MOST} of {}", MOST + left_out)}</span> })}
             </div>
             {move || match state.get() {
-                None => view! { <p class="banner">"Loading the recordings…"</p> }.into_any(),
+                None => view! { <Waiting text="Loading the recordings…" share /> }.into_any(),
                 Some(Err(why)) => view! { <p class="banner bad" role="alert">{why}</p> }.into_any(),
                 Some(Ok((lives, deck, flights, rows))) => {
                     ctx.deck.set(Some(deck));

@@ -16,6 +16,7 @@ use crate::{
     deck::Deck,
     event::{Failure, Tone},
     model::{
+        arriving::Arriving,
         format::{self, NONE},
         listing,
         live::Live,
@@ -30,11 +31,13 @@ use crate::{
         hold::HoldButton,
         horizon::HorizonCard,
         lanes::Lanes,
+        layouts,
         motors::MotorsAndTicks,
         readouts::Readouts,
         residuals::Evidence,
-        signals,
+        signals::Messages,
         toolbar::Link,
+        waiting::Waiting,
     },
 };
 
@@ -53,9 +56,12 @@ enum Loaded {
     Ready(Box<Deck>),
 }
 
-/// Messages of some kinds of a flight: all, or those that the rest of the query leaves.
-pub async fn load(id: &str, kinds: &str, rest: &str) -> Result<Live, Failure> {
-    let bytes = net::bytes(&format!("/api/v1/flights/{id}/frames?kinds={kinds}{rest}")).await?;
+/// Messages of some kinds of a flight: all, or those that the rest of the query leaves; `told` is told which part of the
+/// flight has come, s.
+pub async fn load(id: &str, kinds: &str, rest: &str, told: impl Fn(f64)) -> Result<Live, Failure> {
+    let mut arriving = Arriving::default();
+    let url = format!("/api/v1/flights/{id}/frames?kinds={kinds}{rest}");
+    let bytes = net::bytes_told(&url, |bytes| told(arriving.covered_s(bytes))).await?;
     let mut flight = Live::recorded();
     flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;
     Ok(flight)
@@ -70,6 +76,7 @@ pub fn FlightPage(
     let ctx = ctx();
     let summary = RwSignal::new(None::<Result<Flight, Failure>>);
     let loaded = RwSignal::new(Loaded::Loading);
+    let share = RwSignal::new(None::<f64>);
     let owner = Owner::current();
     let url = format!("/api/v1/flights/{id}");
     {
@@ -79,7 +86,10 @@ pub fn FlightPage(
             let length_s = known.as_ref().ok().map(|flight| flight.duration_s);
             summary.try_set(Some(known));
             let Some(length_s) = length_s else { return };
-            let frames = detail::overview(&id, length_s).await;
+            let told = move |covered_s: f64| {
+                let _ = share.try_set(Some(covered_s / length_s.max(1e-3)));
+            };
+            let frames = detail::overview(&id, length_s, told).await;
             // The page may have been left meanwhile: then its signals are gone.
             if loaded.is_disposed() {
                 return;
@@ -109,7 +119,7 @@ pub fn FlightPage(
             </main>
         }
         .into_any(),
-        None => view! { <Shown id=id.clone() summary loaded /> }.into_any(),
+        None => view! { <Shown id=id.clone() summary loaded share /> }.into_any(),
     }
 }
 
@@ -127,13 +137,18 @@ fn NoFlight(
 }
 
 #[component]
-fn Shown(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>, loaded: RwSignal<Loaded>) -> impl IntoView {
+fn Shown(
+    id: String,
+    summary: RwSignal<Option<Result<Flight, Failure>>>,
+    loaded: RwSignal<Loaded>,
+    share: RwSignal<Option<f64>>,
+) -> impl IntoView {
     let ctx = ctx();
     view! {
         <main class="flight-page" id="main">
             <Head id=id.clone() summary />
             {move || match loaded.get() {
-                Loaded::Loading => view! { <p class="banner">"Loading the recording…"</p> }.into_any(),
+                Loaded::Loading => view! { <Waiting text="Loading the recording…" share /> }.into_any(),
                 Loaded::Failed(why) => view! {
                     <p class="banner bad" role="alert"><b>"The recording cannot be shown: "</b>{why}". Its files can still be downloaded above."</p>
                 }.into_any(),
@@ -239,8 +254,8 @@ fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option
 fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     let ctx = ctx();
     provide_context(deck);
-    provide_context(signals::Recording::new(id.clone()));
-    signals::begin(deck);
+    provide_context(Messages::of_flight(id.clone()));
+    layouts::begin(deck);
     let reading = detail::follow(deck, id);
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));
     view! {

@@ -14,6 +14,7 @@ use crate::{
         guide,
         table::{Pages, SortHead},
         toolbar::Link,
+        waiting::Waiting,
     },
 };
 use import::{ImportButton, Importer, Imports};
@@ -209,7 +210,7 @@ pub fn FlightsPage() -> impl IntoView {
                         view! { "No flight matches the filter." }.into_any()
                     }}</p>
                 </Show>
-                <Show when=move || answer.with(Option::is_none)><p class="blank">"Loading…"</p></Show>
+                <Show when=move || answer.with(Option::is_none)><Waiting text="Loading the list…" /></Show>
             </div>
             <Pages
                 offset=move || asked.with(|asked| asked.offset)

@@ -18,11 +18,13 @@ use crate::{
         gamepad::GamepadCard,
         horizon::HorizonCard,
         lanes::Lanes,
+        layouts,
         motors::MotorsAndTicks,
         readouts::Readouts,
         replay::ReplayCard,
         residuals::Evidence,
         setpoint::{ModeFields, SetpointCard},
+        signals::Messages,
         simulator::SimulatorCard,
     },
 };
@@ -101,6 +103,8 @@ pub fn Fly() -> impl IntoView {
     let ctx = ctx();
     if let Some(deck) = ctx.live_deck.get_value() {
         provide_context(deck);
+        provide_context(Messages::Vehicle(ctx));
+        layouts::begin(deck);
         ctx.deck.set(Some(deck));
     }
     let drawn = Memo::new(move |_| !matches!(ctx.graphics.get(), Graphics::Off(_)));

@@ -236,23 +236,27 @@ impl Frame {
         (0..16).filter_map(|i| self.drawn(live, Curve::Difference(i), ink(i), Style::Solid)).collect()
     }
 
-    /// Errors of altitude or of one axis, and three sigma of the estimator in the loop around none.
+    /// Errors of altitude or of one axis, and about none three sigma of each estimator that says how sure it is. A band is
+    /// shown with the curve it belongs to.
     fn errors<'a>(&self, live: &'a Live, axis: Option<Axis>) -> Vec<Drawn<'a>> {
         let in_loop = live.in_loop();
-        // Sigmas are stored in m and rad, errors in mm and mrad.
-        let sigma = axis.map_or(Curve::AltitudeSigma, Curve::AttitudeSigma);
-        let band = self.drawn(live, sigma, palette::IN_LOOP, Style::Band);
-        let mut out: Vec<_> = band
-            .map(|band| Drawn { color: band.color.alpha(BAND_OPACITY), scale: 3e3, room: Room::Some, ..band })
-            .into_iter()
-            .collect();
         let (own, others): (Vec<_>, Vec<_>) = live.curves.error_names(axis).partition(|(_, n)| *n == in_loop);
-        for (curve, number) in others {
-            let other = self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid);
-            out.extend(other.map(|drawn| Drawn { room: Room::Some, ..drawn }));
-        }
-        out.extend(own.into_iter().filter_map(|(curve, _)| self.drawn(live, curve, palette::IN_LOOP, Style::Strong)));
-        out
+        // The estimator in the loop lies on top; others leave it its room.
+        let all = || others.iter().chain(&own).copied();
+        let ink = |number| palette::estimator(number, in_loop);
+        let bands = all().filter(|(curve, _)| self.deck.shows(live, *curve)).filter_map(|(_, n)| {
+            let sigma = axis.map_or(Curve::AltitudeSigma(n), |axis| Curve::AttitudeSigma(n, axis));
+            let band = self.drawn(live, sigma, ink(n), Style::Band)?;
+            let room = if n == in_loop { Room::Some } else { Room::None };
+            // Sigmas are stored in m and rad, errors in mm and mrad.
+            Some(Drawn { color: band.color.alpha(BAND_OPACITY), scale: 3e3, room, ..band })
+        });
+        let curves = all().filter_map(|(curve, n)| {
+            let style = if n == in_loop { Style::Strong } else { Style::Solid };
+            let drawn = self.drawn(live, curve, ink(n), style)?;
+            Some(if n == in_loop { drawn } else { Drawn { room: Room::Some, ..drawn } })
+        });
+        bands.chain(curves).collect()
     }
 
     fn motors<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
@@ -313,8 +317,8 @@ impl Frame {
         view.cursor_s = self.cursor();
         view.spans = self.spans(live, axis);
         view.marks = self.marks(live, axis);
-        let pins = self.deck.pins.get_untracked();
-        view.marks.extend(pins.into_iter().flatten().map(|time_s| Mark { time_s, color: self.theme.ink }));
+        let ends = self.deck.pins.get_untracked().into_iter().chain(self.deck.kept.get_untracked()).flatten();
+        view.marks.extend(ends.map(|time_s| Mark { time_s, color: self.theme.ink }));
         if matches!(
             slot.picture,
             Picture::Residual | Picture::AltitudeError | Picture::AttitudeError | Picture::Difference

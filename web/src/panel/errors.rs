@@ -1,5 +1,5 @@
 //! The error view: each estimator minus truth, or minus the setpoint where no truth is known, in mm and mrad, with ±3σ
-//! of the estimator in the loop, on the time axis of the charts above.
+//! of each estimator that has a covariance, on the time axis of the charts above.
 
 use leptos::prelude::*;
 
@@ -59,7 +59,7 @@ pub fn Errors() -> impl IntoView {
         <section class="card chart residuals errors" aria-label="Errors">
             <header>
                 <h2>"Errors"</h2>
-                <span class="quiet">{move || if against.get() { "estimate minus truth; band: ±3σ in the loop" } else { "estimate minus setpoint (no truth here); band: ±3σ in the loop" }}</span>
+                <span class="quiet">{move || if against.get() { "estimate minus truth; bands: ±3σ of each" } else { "estimate minus setpoint (no truth here); bands: ±3σ of each" }}</span>
                 <span class="push buttons-row"><EvidenceSwitch /></span>
             </header>
             <Show when=move || partial.get()><p class="empty" role="status">"Reading every sample of what is in view…"</p></Show>

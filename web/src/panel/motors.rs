@@ -16,7 +16,7 @@ use crate::{
 #[component]
 pub fn MotorsAndTicks() -> impl IntoView {
     let deck = deck();
-    let open = RwSignal::new(false);
+    let open = deck.motors;
     let motors = Memo::new(move |_| {
         deck.read(|live| {
             let names = live.curves.names().filter_map(|c| if let Curve::Motor(i) = c { Some(i) } else { None });
@@ -61,7 +61,7 @@ pub fn MotorsAndTicks() -> impl IntoView {
         })
     };
     view! {
-        <details class="card chart motors" on:toggle:target=move |e| open.set(e.target().open())>
+        <details class="card chart motors" prop:open=move || open.get() on:toggle:target=move |e| open.set(e.target().open())>
             <summary>
                 <h2>"Motors and tick time"</h2>
                 <span class="num quiet">{summary}</span>

@@ -11,8 +11,8 @@ use super::{
     signals::SignalsCard,
 };
 use crate::{
-    deck::{Evidence as Shown, Picture, Source, deck},
-    model::{curves::Curve, format, names},
+    deck::{Picture, Source, deck},
+    model::{curves::Curve, format, layout::Evidence as Shown, names},
     palette,
 };
 
@@ -74,7 +74,7 @@ pub fn EvidenceSwitch() -> impl IntoView {
         <Show when=move || runs.get()>
             {button("Secure", "Attacked set, margins and certificate of the secure estimator", Shown::Secure)}
         </Show>
-        {(deck.source == Source::Recorded).then(|| button("Signals", "Any number that was recorded, on a chart of its own", Shown::Signals))}
+        {button("Signals", "Any number of any topic, on a chart of its own", Shown::Signals)}
     }
 }
 

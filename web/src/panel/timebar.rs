@@ -2,7 +2,7 @@
 
 use leptos::prelude::*;
 
-use super::cursors::PinButton;
+use super::{cursors::PinButton, layouts::LayoutsButton};
 use crate::{
     deck::{Source, WINDOWS_S, deck},
     model::format,
@@ -26,6 +26,7 @@ pub fn TimeBar() -> impl IntoView {
                 </button>
             })}
             <PinButton />
+            <LayoutsButton />
             {live.then(|| view! {
                 <select
                     class="small"

@@ -10,6 +10,7 @@ use crate::{
     event::Failure,
     model::{experiment::Again, names, route::Route},
     net,
+    panel::waiting::Waiting,
 };
 
 /// Estimators that a recording can be flown under.
@@ -42,16 +43,18 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
     let ctx = ctx();
     let chosen = RwSignal::new(vec![EstimatorKind::EkfBias, EstimatorKind::Lanes]);
     let sensors = RwSignal::new(Again::Received);
-    let working = RwSignal::new(None::<String>);
+    let working = RwSignal::new(None::<[usize; 2]>);
     let problem = RwSignal::new(String::new());
     let fly = move |_| {
         let estimators: Vec<String> = chosen.get_untracked().into_iter().map(names::estimator_json).collect();
         let plan = sensors.get_untracked().plan(&flight.id, &estimators, flight.duration_s);
         let (count, first) = (estimators.len(), flight.id.clone());
         problem.set(String::new());
-        working.set(Some("Flying…".to_owned()));
+        working.set(Some([0, count]));
         leptos::task::spawn_local(async move {
-            let told = move |index: usize| drop(working.try_set(Some(format!("Flying {} of {count}…", index + 1))));
+            let told = move |index: usize| {
+                let _ = working.try_set(Some([index, count]));
+            };
             let answer = flown(plan, count, &ctx.operator(), told).await;
             // The page may have been left meanwhile.
             if working.try_set(None).is_some() {
@@ -91,9 +94,15 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
                     {Again::ALL.into_iter().enumerate().map(|(at, (_, words))| view! { <option value=at.to_string()>{words}</option> }).collect_view()}
                 </select>
                 <button type="button" class="small" disabled=move || working.get().is_some() || chosen.get().is_empty() on:click=fly>
-                    {move || working.get().unwrap_or_else(|| "Fly again".to_owned())}
+                    "Fly again"
                 </button>
             </div>
+            <Show when=move || working.with(Option::is_some)>
+                <Waiting
+                    text=Signal::derive(move || working.get().map_or_else(String::new, |[at, count]| format!("Flying {} of {count}…", at + 1)))
+                    share=Signal::derive(move || working.get().map(|[at, count]| at as f64 / count as f64))
+                />
+            </Show>
             <Show when=move || !problem.with(String::is_empty)>
                 <p class="bad" role="alert">{problem}</p>
             </Show>

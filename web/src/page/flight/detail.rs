@@ -5,10 +5,11 @@ use leptos::prelude::*;
 
 use super::{KINDS, load};
 use crate::{
-    deck::{Deck, Evidence, settled},
+    deck::{Deck, settled},
     event::Failure,
     model::{
         curves::{Curves, Whole},
+        layout::Evidence,
         live::Live,
     },
 };
@@ -27,12 +28,12 @@ const SLACK_S: f64 = 0.5;
 /// Plotted kinds. Residuals are half of all bytes.
 const FLOWN: &str = "estimate,control,truth,height,status,secure";
 
-/// Messages of a flight that lasts `length_s`, thinned where it is long.
-pub(super) async fn overview(id: &str, length_s: f64) -> Result<Live, Failure> {
+/// Messages of a flight that lasts `length_s`, thinned where it is long; `told` as by [`load`].
+pub(super) async fn overview(id: &str, length_s: f64, told: impl Fn(f64)) -> Result<Live, Failure> {
     if length_s <= WHOLE_S {
-        return load(id, KINDS, "").await;
+        return load(id, KINDS, "", told).await;
     }
-    let mut flight = load(id, KINDS, &format!("&columns={COLUMNS}")).await?;
+    let mut flight = load(id, KINDS, &format!("&columns={COLUMNS}"), told).await?;
     let thinned = std::mem::replace(&mut flight.curves, Curves::unbounded());
     flight.curves.refine(&thinned, length_s / COLUMNS, None, Whole::NOWHERE);
     Ok(flight)
@@ -150,7 +151,7 @@ pub(super) fn follow(deck: Deck, id: String) -> RwSignal<String> {
             let id = id.clone();
             leptos::task::spawn_local(async move {
                 let kinds = if part.has_residuals() { format!("{FLOWN},residuals") } else { FLOWN.to_owned() };
-                let answer = load(&id, &kinds, &part.query(begin_s)).await;
+                let answer = load(&id, &kinds, &part.query(begin_s), |_| {}).await;
                 // The page may have been left meanwhile, or something else be looked at.
                 if asked.try_get_value() != Some(number) {
                     return;

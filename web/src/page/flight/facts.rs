@@ -14,7 +14,7 @@ use crate::{
         listing,
     },
     page::flights::local_offset_min,
-    panel::lanes::timed_notes,
+    panel::{lanes::timed_notes, waiting::Waiting},
 };
 
 /// Everything known about the flight, beside its charts.
@@ -22,7 +22,7 @@ use crate::{
 pub(super) fn Summary(summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl IntoView {
     view! {
         {move || match summary.get() {
-            None => view! { <section class="card"><header><h2>"Flight"</h2></header><p class="quiet">"Loading…"</p></section> }.into_any(),
+            None => view! { <section class="card"><header><h2>"Flight"</h2></header><Waiting text="Loading…" /></section> }.into_any(),
             Some(Err(failure)) => view! { <section class="card"><header><h2>"Flight"</h2></header><p class="bad">{failure.text}</p></section> }.into_any(),
             Some(Ok(flight)) => view! { <Facts flight summary /> }.into_any(),
         }}

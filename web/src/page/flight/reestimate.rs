@@ -10,6 +10,7 @@ use crate::{
         format, names,
     },
     net,
+    panel::waiting::Waiting,
 };
 
 /// Estimators that run over a recording: the complementary filter is there to be compared with in flight.
@@ -106,9 +107,10 @@ pub(super) fn Reestimate(
                     }).collect_view()}
                 </select>
                 <button type="button" class="small" disabled=working on:click=run>
-                    {move || if working.get() { "Running…" } else { "Re-estimate" }}
+                    "Re-estimate"
                 </button>
             </div>
+            <Show when=move || working.get()><Waiting text="The ground runs it over the recording…" /></Show>
             <fieldset class="checks">
                 <legend class="quiet">"from the IMUs and"</legend>
                 {offered.into_iter().map(|(name, label)| {

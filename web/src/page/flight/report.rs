@@ -13,7 +13,7 @@ use crate::{
     },
     net,
     page::flights::local_offset_min,
-    panel::toolbar::Link,
+    panel::{toolbar::Link, waiting::Waiting},
 };
 
 use super::{NoFlight, load};
@@ -31,10 +31,11 @@ struct Written {
     figures: Vec<(String, String)>,
 }
 
-/// Reads the recording and writes its report.
-async fn written(ctx: Ctx, id: &str) -> Result<Written, Failure> {
+/// Reads the recording and writes its report; `told` is told which share has been read.
+async fn written(ctx: Ctx, id: &str, told: impl Fn(f64)) -> Result<Written, Failure> {
     let flight: Flight = net::json("GET", &format!("/api/v1/flights/{id}"), None, "").await?;
-    let mut live = load(id, KINDS, "").await?;
+    let length_s = flight.duration_s.max(1e-3);
+    let mut live = load(id, KINDS, "", |covered_s| told(covered_s / length_s)).await?;
     live.curves.follow_errors();
     let ground = ctx.app.with_value(|app| match &app.ground {
         GroundState::Up(ground) => ground.version.clone(),
@@ -64,10 +65,14 @@ pub fn ReportPage(
 ) -> impl IntoView {
     let ctx = ctx();
     let report = RwSignal::new(None::<Result<Written, Failure>>);
+    let share = RwSignal::new(None::<f64>);
     {
         let id = id.clone();
         leptos::task::spawn_local(async move {
-            let written = written(ctx, &id).await;
+            let told = move |part| {
+                let _ = share.try_set(Some(part));
+            };
+            let written = written(ctx, &id, told).await;
             report.try_set(Some(written));
         });
     }
@@ -106,7 +111,7 @@ pub fn ReportPage(
                 }).collect_view()}
             </div>
             {move || report.with(|r| match r {
-                None => view! { <p class="banner" role="status">"Reading the recording…"</p> }.into_any(),
+                None => view! { <Waiting text="Reading the recording…" share /> }.into_any(),
                 Some(Err(failure)) if failure.status == 404 => view! { <NoFlight id=id.clone() /> }.into_any(),
                 Some(Err(failure)) => view! { <p class="banner bad" role="alert"><b>"No report: "</b>{failure.text.clone()}</p> }.into_any(),
                 Some(Ok(written)) => view! { <article class="report" inner_html=written.body.clone()></article> }.into_any(),

@@ -9,9 +9,9 @@ use web_sys::{DragEvent, File, FileList, FileSystemDirectoryEntry, FileSystemEnt
 use crate::{
     ctx::{Ctx, ctx},
     event::Failure,
-    model::{format, route::Route},
+    model::route::Route,
     net,
-    panel::toolbar::Link,
+    panel::{toolbar::Link, waiting::Waiting},
 };
 
 /// How far one of them is.
@@ -196,23 +196,22 @@ pub fn Imports(importer: Importer) -> impl IntoView {
         let name = recording.name.clone();
         let what = move || {
             match recording.stage.get() {
-            Stage::Waiting => view! { <span class="quiet">"waits"</span> }.into_any(),
-            Stage::Sending(share) if share < 1.0 => {
-                let percent = format::fixed(share * 100.0, 0);
-                view! { <progress value=share max="1" aria-label=format!("{} is sent", recording.name)></progress><span class="num">{percent} " % sent"</span> }.into_any()
+                Stage::Waiting => view! { <span class="quiet">"waits"</span> }.into_any(),
+                Stage::Sending(share) if share < 1.0 => {
+                    view! { <Waiting text="is sent" share=Some(share) /> }.into_any()
+                }
+                Stage::Sending(_) => view! { <Waiting text="is read, and flown through every estimator" /> }.into_any(),
+                Stage::Done(imported) => {
+                    let said = if imported.already { "was here already: " } else { "is here: " };
+                    let notes = imported.notes.join("; ");
+                    view! { <span class="good">{said}</span><Link to=Route::Flight(imported.flight.clone())>"open the flight"</Link><span class="quiet">{notes}</span> }.into_any()
+                }
+                Stage::Failed(why) => {
+                    // Its name stands before it already.
+                    let why = why.strip_prefix(&format!("{}: ", recording.name)).map(str::to_owned).unwrap_or(why);
+                    view! { <span class="bad">{why}</span> }.into_any()
+                }
             }
-            Stage::Sending(_) => view! { <progress aria-label=format!("{} is read", recording.name)></progress><span>"read, and flown through every estimator"</span> }.into_any(),
-            Stage::Done(imported) => {
-                let said = if imported.already { "was here already: " } else { "is here: " };
-                let notes = imported.notes.join("; ");
-                view! { <span class="good">{said}</span><Link to=Route::Flight(imported.flight.clone())>"open the flight"</Link><span class="quiet">{notes}</span> }.into_any()
-            }
-            Stage::Failed(why) => {
-                // Its name stands before it already.
-                let why = why.strip_prefix(&format!("{}: ", recording.name)).map(str::to_owned).unwrap_or(why);
-                view! { <span class="bad">{why}</span> }.into_any()
-            }
-        }
         };
         view! { <li><b>{name}</b> {what}</li> }
     };

@@ -15,6 +15,7 @@ use crate::{
     panel::{
         sketch::{Dot, Drawing, Sketch, Trace},
         steps,
+        waiting::Waiting,
     },
 };
 
@@ -29,12 +30,11 @@ fn answered(bench: Bench) -> Option<Preview> {
 
 /// What stands in the place of a preview while there is none.
 #[component]
-fn Waiting() -> impl IntoView {
+fn NoPreview() -> impl IntoView {
     let bench: Bench = expect_context();
     move || match bench.preview.get() {
         Some(Err(why)) => view! { <p class="bad blank" role="alert">{format!("No preview: {why}")}</p> }.into_any(),
-        None => view! { <p class="quiet blank">"The ground computes the preview with the agent's own library…"</p> }
-            .into_any(),
+        None => view! { <Waiting text="The ground computes the preview with the agent's own library…" /> }.into_any(),
         Some(Ok(_)) => ().into_any(),
     }
 }
@@ -118,7 +118,7 @@ pub(super) fn Responses() -> impl IntoView {
                     })}
                 </ul>
             </header>
-            <Waiting />
+            <NoPreview />
             <div class="tune-grid" hidden=unanswered>
                 {panel("z", "altitude")} {panel("yaw", "yaw")} {panel("x", "east")} {panel("y", "north")}
             </div>
