@@ -616,7 +616,7 @@ mod tests {
         assert_eq!(picture(&now, None, "1", "var(--in-loop)").traces.len(), 3);
         assert_eq!(
             described(&kept, "m/s²", "3.0 to 9.0 s"),
-            "RMS 31.62 m/s²; peak 50 Hz; 3.0 to 9.0 s, mean of 4 windows; dashed: rotors, 30 Hz, 1 to 2 times, folded at 100 Hz"
+            "RMS 31.62 m/s²; peak 50.00 Hz; 3.0 to 9.0 s, mean of 4 windows; dashed: rotors, 30.00 Hz, 1 to 2 times, folded at 100.0 Hz"
         );
     }
 }
