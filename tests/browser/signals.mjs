@@ -120,7 +120,7 @@ await step(page, 'layouts: kept under a name, taken back, and the same after a r
   await until('its name', async () => (await rows.allTextContents()).some((text) => text.startsWith('rates')));
   const link = await bar.getByLabel('Address, to share').inputValue();
   assert(link === page.url(), `${link} is not ${page.url()}`);
-  await shots('fly-layouts');
+  await page.screenshot({ path: `${screenshots}/fly-layouts-light-1280x720.png` });
   await rows.getByRole('button', { name: 'default' }).click();
   await region('Residuals').waitFor();
   await until('an address without it', async () => !page.url().includes('signals='));
