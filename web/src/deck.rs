@@ -394,7 +394,10 @@ impl Deck {
 
     /// What the charts show, s of flight time; runs again when that changes otherwise than by time that passes.
     pub fn in_view(self) -> [f64; 2] {
-        (self.origin_s.track(), self.window_s.track(), self.zoom.track(), self.paused_at.track());
+        self.origin_s.track();
+        self.window_s.track();
+        self.zoom.track();
+        self.paused_at.track();
         let axis = self.data.with_value(|live| self.axis(live));
         [axis.start_s, axis.end_s]
     }

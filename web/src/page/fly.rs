@@ -103,7 +103,7 @@ pub fn Fly() -> impl IntoView {
     let ctx = ctx();
     if let Some(deck) = ctx.live_deck.get_value() {
         provide_context(deck);
-        provide_context(Messages::Vehicle(ctx));
+        provide_context(Messages::Vehicle(ctx.app));
         layouts::begin(deck);
         ctx.deck.set(Some(deck));
     }

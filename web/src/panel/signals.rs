@@ -15,7 +15,7 @@ use super::{
     waiting::Waiting,
 };
 use crate::{
-    ctx::Ctx,
+    app::App,
     deck::{Charted, Deck, MOST_SIGNALS, Picture, Source, deck, settled},
     event::Failure,
     model::{
@@ -44,7 +44,7 @@ pub enum Messages {
     /// Those of the recorded flight with this id.
     Flight(StoredValue<String>),
     /// Those that the vehicle shown sends.
-    Vehicle(Ctx),
+    Vehicle(StoredValue<App, LocalStorage>),
 }
 
 impl Messages {
@@ -57,8 +57,8 @@ impl Messages {
     fn base(self) -> Option<String> {
         match self {
             Self::Flight(id) => Some(format!("/api/v1/flights/{}", id.try_get_value()?)),
-            Self::Vehicle(ctx) => {
-                let id = ctx.app.try_with_value(|app| app.vehicle.clone())??;
+            Self::Vehicle(app) => {
+                let id = app.try_with_value(|app| app.vehicle.clone())??;
                 Some(format!("/api/v1/vehicles/{}", js_sys::encode_uri_component(&id)))
             }
         }
