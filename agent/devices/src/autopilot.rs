@@ -102,7 +102,7 @@ impl Attachment {
 #[derive(Debug)]
 pub struct Autopilot {
     pub(crate) attachment: Attachment,
-    /// Open while its reader has it open. Held for a copy only: the flight thread does not wait for it.
+    /// Open while its reader has it open.
     wire: Mutex<Option<Arc<Wire>>>,
     begun: Instant,
     sequence: AtomicU8,
@@ -225,9 +225,11 @@ impl Autopilot {
         self.begun.elapsed().as_millis() as u64
     }
 
-    /// Sends a message. What finds no room, or nobody yet, is given up.
+    /// Sends a message. What finds no room, or nobody yet, is given up. Two threads speak, and one waits until the other's
+    /// frame is written, 1 ms at most: a signature whose time is not newer than the last that arrived is refused.
     pub(crate) fn say(&self, message: &MavMessage) {
-        let Some(wire) = self.wire.try_lock().ok().and_then(|wire| wire.clone()) else { return };
+        let wire = self.wire.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(wire) = wire.as_ref() else { return };
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
         let header = MavHeader { system_id: self.attachment.system.into(), component_id: COMPONENT, sequence };
         let raw = match &self.attachment.signer {

@@ -115,7 +115,7 @@ port = \"/dev/i2c-1\"
             (
                 "sensors = [\"height 1\"]",
                 "",
-                "[[device]] 2: sensors = [] is not the sensors that it is, as \"imu 1\"; line 8",
+                "[[device]] 2: sensors = [] is not the sensors that it is, as \"imu 1\"; line 7",
             ),
             ("\"laser\"", "\"imu\"", "name = \"imu\" is not a name of its own; line 8"),
             ("pca9685", "dshot", "[motors]: driver = \"dshot\""),

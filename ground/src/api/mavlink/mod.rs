@@ -19,8 +19,8 @@ mod ask;
 mod say;
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use mavlink::dialects::common::MavMessage;
@@ -36,7 +36,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use super::App;
 use crate::config::Mavlink;
 use crate::hub::Viewer;
-use crate::sync::stopping;
+use crate::sync::{lock, stopping};
 
 const FAST: Duration = Duration::from_millis(50);
 const SLOW: Duration = Duration::from_secs(1);
@@ -57,15 +57,17 @@ struct Line {
     socket: Arc<UdpSocket>,
     signing: Option<Arc<SigningData>>,
     system: u8,
-    sequence: Arc<AtomicU8>,
+    /// Of the next frame; held until that is sent, as a signature's time must be newer than the last that arrived.
+    sequence: Arc<Mutex<u8>>,
 }
 
 impl Line {
     /// Sends one message, or gives it up.
     fn say(&self, message: &MavMessage) {
-        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
+        let mut sequence = lock(&self.sequence);
         // 1: the autopilot of the system.
-        let header = MavHeader { system_id: self.system.into(), component_id: 1, sequence };
+        let header = MavHeader { system_id: self.system.into(), component_id: 1, sequence: *sequence };
+        *sequence = sequence.wrapping_add(1);
         let mut raw = MAVLinkV2MessageRaw::new();
         match &self.signing {
             Some(signing) => {
