@@ -282,7 +282,7 @@ await step(page, 'another operator takes over: said by name, refused beside the 
     await page.setViewportSize({ width, height });
     await page.waitForTimeout(300);
     const bars = await page.getByLabel('Alarms').boundingBox();
-    const head = await page.getByRole('region', { name: 'Altitude chart' }).locator('header').boundingBox();
+    const head = await page.getByRole('region', { name: 'Altitude chart' }).locator('header').first().boundingBox();
     const apart = bars.y + bars.height <= head.y || head.y + head.height <= bars.y;
     assert(apart && bars.height >= 26, `at ${width}×${height} the bar lies at ${JSON.stringify(bars)}, the chart's head at ${JSON.stringify(head)}`);
     await shot(`trust-taken-light-${width}x${height}`);
