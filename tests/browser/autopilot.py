@@ -27,6 +27,8 @@ import sys
 import time
 import tty
 
+from quad_x import G, INERTIA, MASS, THRUST, TORQUE, angles, turned
+
 os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil
 
@@ -84,7 +86,7 @@ else:
 if options.key:
     link.setup_signing(bytes.fromhex(options.key), sign_outgoing=True, link_id=0)
 vicon = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-HOVER, RATE_LOOP_S, G, STEP_S = 0.4, 0.05, 9.81, 0.0025
+HOVER, RATE_LOOP_S, STEP_S = 0.4, 0.05, 0.0025
 OFFBOARD, LAND = 6 << 16, (4 << 16) | (6 << 24)
 FORCE = 21196
 BOOTED_US = 7_000_000
@@ -99,25 +101,14 @@ setpoints, intervals = [], {}
 vision, place_target = None, None
 integral = [0.0, 0.0, 0.0]
 offset_ns = None
-# Of the Iris: rotor arms x, y and spin; mass, inertia, thrust coefficient, torque per thrust, motor curve.
+# Of the Iris: rotor arms x, y and spin, FLU; motor curve.
 ROTORS = [(0.13, -0.22, 1), (-0.13, 0.20, 1), (0.13, 0.22, -1), (-0.13, -0.20, -1)]
-MASS, INERTIA, THRUST, TORQUE = 1.545, (0.029125, 0.029125, 0.055225), 5.84e-6, 0.06
 BATTERY_V, NOMINAL_V, CURVE = 11.9, 11.1, (100.0, 1000.0)
 VISION_S = 0.5
 seen = {"refused": 0, "wrong_setpoints": 0, "heartbeats": 0, "timesync_ms": None, "left_offboard": 0, "gap_max_s": 0.0,
         "disarmed_by_force": 0, "setpoints_in_offboard": 0, "altitudes": [], "modes": [], "first_offboard_s": None, "round_trips": 0, "odometry": {
             "count": 0, "refused": {}, "rate_hz": 0.0, "place_error_max_m": 0.0, "velocity_error_max_mps": 0.0,
             "attitude_error_max_rad": 0.0, "age_max_s": 0.0, "resets": 0, "above": None}, "vision_lost": 0}
-
-
-def turned(v):
-    """A vector of the body in NED."""
-    w, x, y, z = q
-    return [
-        (1 - 2 * (y * y + z * z)) * v[0] + 2 * (x * y - w * z) * v[1] + 2 * (x * z + w * y) * v[2],
-        2 * (x * y + w * z) * v[0] + (1 - 2 * (x * x + z * z)) * v[1] + 2 * (y * z - w * x) * v[2],
-        2 * (x * z - w * y) * v[0] + 2 * (y * z + w * x) * v[1] + (1 - 2 * (x * x + y * y)) * v[2],
-    ]
 
 
 def fly(dt):
@@ -128,13 +119,14 @@ def fly(dt):
     for axis in range(3):
         rates[axis] += (wanted[axis] - rates[axis]) * dt / RATE_LOOP_S
     lift = thrust / HOVER * G
-    down = turned([0.0, 0.0, -lift])
+    down = turned(q, [0.0, 0.0, -lift])
     force = [down[1], down[0], -down[2]]  # ENU
     force = [f - 0.2 * v for f, v in zip(force, velocity)]
     stands = position[2] <= 0.0 and force[2] < G
     if stands:
         rates[:], velocity[:], position[2] = [0.0] * 3, [0.0] * 3, 0.0
-        q = [math.cos(yaw() / 2), 0.0, 0.0, math.sin(yaw() / 2)]
+        yaw = angles(q)[2]
+        q = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
         return [0.0, 0.0, -G]
     for axis in range(3):
         velocity[axis] += (force[axis] - (G if axis == 2 else 0.0)) * dt
@@ -145,26 +137,7 @@ def fly(dt):
     norm = math.sqrt(sum(c * c for c in q))
     q = [c / norm for c in q]
     # Of what is not weight, in FRD: the conjugate turns NED into FRD.
-    north, east, below = force[1], force[0], -force[2]
-    w, x, y, z = q[0], -q[1], -q[2], -q[3]
-    own, q = q, [w, x, y, z]
-    felt = turned([north, east, below])
-    q = own
-    return felt
-
-
-def yaw():
-    w, x, y, z = q
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def rotated(attitude, v):
-    """A vector of the body in the frame of `attitude`."""
-    global q
-    own, q = q, attitude
-    out = turned(v)
-    q = own
-    return out
+    return turned(conjugate(q), [force[1], force[0], -force[2]])
 
 
 def conjugate(a):
@@ -225,7 +198,7 @@ def see(message, now, stamp_s):
     attitude = list(message.q)
     vision = {
         "came_s": now, "stamp_s": stamp_s, "place": [message.x, message.y, message.z], "attitude": attitude,
-        "velocity": rotated(attitude, [message.vx, message.vy, message.vz]),
+        "velocity": turned(attitude, [message.vx, message.vy, message.vz]),
     }
     return None
 
@@ -320,7 +293,7 @@ def outputs():
 
 def show(frame):
     """The true pose as a Vicon server says it, world ENU and body FLU, with a millimetre of noise."""
-    axes = [turned(axis) for axis in ([1, 0, 0], [0, -1, 0], [0, 0, -1])]  # of FLU, in NED
+    axes = [turned(q, axis) for axis in ([1, 0, 0], [0, -1, 0], [0, 0, -1])]  # of FLU, in NED
     r = [[axis[i] for axis in axes] for i in (1, 0)] + [[-axis[2] for axis in axes]]
     turn = [math.atan2(-r[1][2], r[2][2]), math.asin(clipped(r[0][2], -1, 1)), math.atan2(-r[0][1], r[0][0])]
     place = [1e3 * (c + random.gauss(0.0, 0.001)) for c in position]

@@ -145,18 +145,11 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
         return Err(XtaskError::Missing { what: "dpkg-deb".into(), how: "  sudo apt-get install dpkg".into() });
     }
     let emulator = options.architecture.map_or(Ok(Vec::new()), Architecture::emulator)?;
-    let binaries = match (&options.binaries, options.architecture) {
-        (Some(folder), _) => Binaries::inside(folder),
-        (None, Some(architecture)) => {
+    let binaries = match &options.binaries {
+        Some(folder) => Binaries::inside(folder),
+        None => {
             web::run(workspace, &web::Options::default())?;
-            cross(workspace, architecture, &["build", "--release", "--bins", "--features", FEATURES])?;
-            Binaries::inside(&workspace.target.join(architecture.target()).join("release"))
-        }
-        (None, None) => {
-            web::run(workspace, &web::Options::default())?;
-            let build = ["build", "--locked", "--release", "--workspace", "--bins", "--features", FEATURES];
-            run(workspace.cargo().args(build))?;
-            Binaries::inside(&workspace.target.join("release"))
+            Binaries::inside(&built(workspace, options.architecture)?)
         }
     };
     let folder = options.output.clone().unwrap_or_else(|| workspace.target.join("package"));
@@ -165,7 +158,7 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
         None => output(Command::new("dpkg").arg("--print-architecture"))?.trim().to_owned(),
     };
     if let Some(architecture) = options.architecture.filter(|_| options.check) {
-        cross(workspace, architecture, &["test", "--release", "--lib", "--package", "plumbline-core"])?;
+        cross(workspace, architecture, &["test", "--lib", "--package", "plumbline-core"])?;
     }
     for package in &PACKAGES {
         let program = if package.member == "ground" { &binaries.ground } else { &binaries.agent };
@@ -186,24 +179,35 @@ pub fn package(workspace: &Workspace, options: &Options) -> Result<(), XtaskErro
     Ok(())
 }
 
-/// `cargo-zigbuild` with these arguments, for `architecture` with the old libc.
+/// Builds the programs, and says where they are.
+fn built(workspace: &Workspace, architecture: Option<Architecture>) -> Result<PathBuf, XtaskError> {
+    let programs = ["--bins", "--features", FEATURES];
+    let Some(architecture) = architecture else {
+        run(workspace.cargo().args(["build", "--locked", "--release", "--workspace"]).args(programs))?;
+        return Ok(workspace.target.join("release"));
+    };
+    let only = ["zigbuild", "--package", "plumbline-ground", "--package", "plumbline-agent"];
+    cross(workspace, architecture, &[&only[..], &programs].concat())?;
+    Ok(workspace.target.join(architecture.target()).join("release"))
+}
+
+/// `cargo-zigbuild` with these arguments, optimised, for `architecture` with the old libc.
 fn cross(workspace: &Workspace, architecture: Architecture, arguments: &[&str]) -> Result<(), XtaskError> {
     let (zig, target) = (tools::zig(workspace)?, architecture.target());
     run(Command::new("rustup").args(["target", "add", target]))?;
-    let [subcommand, rest @ ..] = arguments else { return Ok(()) };
     let mut cargo = Command::new(zig.join("cargo-zigbuild"));
     forget_cargo_run(&mut cargo);
-    cargo.current_dir(&workspace.root).arg(if *subcommand == "build" { "zigbuild" } else { subcommand });
+    cargo.current_dir(&workspace.root).args(arguments);
     let path = std::env::var_os("PATH").unwrap_or_default();
     let path = std::env::join_paths(std::iter::once(zig.clone()).chain(std::env::split_paths(&path)));
     let path = path.map_err(|error| XtaskError::Other(format!("the path {}: {error}", zig.display())))?;
-    cargo.env("PATH", path).args(["--locked", "--target", &format!("{target}.{GLIBC}")]).args(rest);
+    cargo.env("PATH", path).args(["--locked", "--release", "--target", &format!("{target}.{GLIBC}")]);
     // The strip of this computer knows its own programs only.
     cargo.env("CARGO_PROFILE_RELEASE_STRIP", "symbols");
     let runner = format!("CARGO_TARGET_{}_RUNNER", target.to_uppercase().replace('-', "_"));
-    cargo.env(runner, architecture.emulator()?.join(" "));
-    if *subcommand == "build" {
-        cargo.args(["--package", "plumbline-ground", "--package", "plumbline-agent"]);
+    let emulator = architecture.emulator()?;
+    if !emulator.is_empty() {
+        cargo.env(runner, emulator.join(" "));
     }
     run(&mut cargo)
 }
