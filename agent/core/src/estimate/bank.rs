@@ -68,21 +68,25 @@ pub struct Assumptions<'a> {
 /// [`BankError::NotAvailable`] for a kind that cannot be built.
 pub fn build(kind: EstimatorKind, assumed: &Assumptions) -> Result<Box<dyn Estimator>, BankError> {
     let (airframe, sensors) = (assumed.airframe, assumed.sensors.clone());
-    Ok(match kind {
-        EstimatorKind::EkfBias => Box::new(EkfBias::new(sensors).standing_at(airframe.standing_m())),
-        EstimatorKind::Complementary => Box::new(Complementary::new(sensors)),
-        EstimatorKind::EkfHybrid => Box::new(TwelveStateEstimator::<EkfHybrid>::new(airframe, sensors)),
-        EstimatorKind::Ukf => Box::new(TwelveStateEstimator::<Ukf>::new(airframe, sensors)),
-        EstimatorKind::ConstantAcceleration => Box::new(ConstantAccelerationEstimator::new(sensors)),
-        EstimatorKind::Vqf => Box::new(VqfEstimator::new(&sensors.imus)),
-        EstimatorKind::AttitudeEkf => Box::new(AttitudeEkfEstimator::new(&sensors.imus)),
-        EstimatorKind::Secure => {
-            let secure = Secure::new(sensors, airframe, assumed.window_slots);
-            Box::new(secure.map_err(|_| BankError::NotAvailable(EstimatorKind::Secure))?)
-        }
-        EstimatorKind::Lanes => Box::new(Lanes::new(sensors, airframe)),
-        other => return Err(BankError::NotAvailable(other)),
-    })
+    match kind {
+        EstimatorKind::EkfBias => boxed(|| Some(EkfBias::new(sensors).standing_at(airframe.standing_m()))),
+        EstimatorKind::Complementary => boxed(|| Some(Complementary::new(sensors))),
+        EstimatorKind::EkfHybrid => boxed(|| Some(TwelveStateEstimator::<EkfHybrid>::new(airframe, sensors))),
+        EstimatorKind::Ukf => boxed(|| Some(TwelveStateEstimator::<Ukf>::new(airframe, sensors))),
+        EstimatorKind::ConstantAcceleration => boxed(|| Some(ConstantAccelerationEstimator::new(sensors))),
+        EstimatorKind::Vqf => boxed(|| Some(VqfEstimator::new(&sensors.imus))),
+        EstimatorKind::AttitudeEkf => boxed(|| Some(AttitudeEkfEstimator::new(&sensors.imus))),
+        EstimatorKind::Secure => boxed(|| Secure::new(sensors, airframe, assumed.window_slots).ok()),
+        EstimatorKind::Lanes => boxed(|| Some(Lanes::new(sensors, airframe))),
+        _ => None,
+    }
+    .ok_or(BankError::NotAvailable(kind))
+}
+
+/// Estimators are large, and are made where the caller's stack is: each in a frame that goes with it, not all in one.
+#[inline(never)]
+fn boxed<E: Estimator + 'static>(make: impl FnOnce() -> Option<E>) -> Option<Box<dyn Estimator>> {
+    Some(Box::new(make()?))
 }
 
 /// An estimator that says which sensors it excludes.

@@ -168,7 +168,12 @@ fn an_experiment_is_stopped_resumed_reported_and_opened() {
     }
     assert!(page.contains("A &lt;bias&gt; on one height") && !page.contains("<script") && !page.contains("src="));
     // THEN a flight is flown again, the same bit for bit, into a file that readers of recordings open
-    let file = open::open(&experiment, 7).unwrap();
+    // and on three quarters of the stack that a thread has, which an estimator is made on before it is on the heap.
+    let opened = std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().stack_size(3 << 19);
+        thread.spawn_scoped(scope, || open::open(&experiment, 7)).unwrap().join()
+    });
+    let file = opened.unwrap().unwrap();
     let recording = plumbline_agent::recordings::open(&file).unwrap();
     assert!(recording.info().ticks > 2000, "{:?}", recording.info());
     assert!(recording.info().scenario.as_deref().unwrap().contains("seed = 41"), "{:?}", recording.info().scenario);

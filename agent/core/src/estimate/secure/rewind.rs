@@ -47,10 +47,11 @@ pub struct Rewind {
     ring: Vec<Past>,
     /// Frames so far.
     frames: u64,
-    old: Checkpoint,
-    young: Checkpoint,
+    // Each as large as a filter: not where its owner is made.
+    old: Box<Checkpoint>,
+    young: Box<Checkpoint>,
     /// On its way from `old` to now, without `attacked`.
-    replay: Checkpoint,
+    replay: Box<Checkpoint>,
     attacked: SensorSet,
     under_way: bool,
     count: u32,
@@ -59,7 +60,7 @@ pub struct Rewind {
 impl Rewind {
     /// Nothing but the present.
     pub fn new(filter: &EkfBias) -> Self {
-        let checkpoint = Checkpoint { filter: filter.clone(), frames: 0 };
+        let checkpoint = Box::new(Checkpoint { filter: filter.clone(), frames: 0 });
         Self {
             ring: vec![Past::default(); FRAMES],
             frames: 0,
