@@ -502,6 +502,7 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
         boot_id: identification.boot_id,
+        declination_rad: Some(config.sensor_model.imus.mag.declination_rad),
         actuation: config.actuation.name().to_owned(),
         actuators: (1_u8..)
             .take(if config.actuation == Actuation::Pose { 0 } else { config.airframe.rotors.len() })

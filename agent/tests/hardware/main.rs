@@ -96,9 +96,11 @@ impl Agent {
     /// Messages of one topic of the flight file.
     fn recorded<M: Message + Default>(&self, topic: &str) -> Vec<M> {
         let files = std::fs::read_dir(self.folder.path().join("log")).unwrap().flatten().map(|entry| entry.path());
-        let file = files.filter(|path| path.extension().is_some_and(|e| e == "mcap")).max().unwrap();
-        let bytes = std::fs::read(file).unwrap();
-        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        let file = files.filter(|path| path.extension().is_some_and(|e| e == "mcap")).max();
+        let bytes = std::fs::read(file.unwrap_or_else(|| panic!("no flight file: {}", self.said()))).unwrap();
+        let stream = mcap::MessageStream::new(&bytes);
+        let stream = stream.unwrap_or_else(|error| panic!("a file of {} B, {error}: {}", bytes.len(), self.said()));
+        let messages = stream.map(Result::unwrap);
         messages.filter(|m| m.channel.topic == topic).map(|m| M::decode(&*m.data).unwrap()).collect()
     }
 

@@ -14,7 +14,9 @@ use plumbline_support::flown::{BOOT, identification, runner_options};
 
 #[test]
 fn a_scripted_flight_is_recorded_whole() {
-    let scenario = Scenario::default_string_rig();
+    let mut scenario = Scenario::default_string_rig();
+    // Magnetic north is 8° west of the frame's.
+    scenario.site.magnetic_field_enu_ut.x = -2.5;
     let folder = tempfile::tempdir().unwrap();
     let flight = Flight::new(scenario.flight_config()).unwrap();
     let (ring, frames) = rtrb::RingBuffer::new(8 * RING_BYTES);
@@ -42,6 +44,8 @@ fn a_scripted_flight_is_recorded_whole() {
 
     let files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(files.len(), 1, "{files:?}");
+    let told = plumbline_agent::recordings::open(&files[0]).unwrap().info().declination_rad.unwrap();
+    assert_eq!((told, told.to_degrees().round()), (scenario.site.declination_rad(), -8.0));
     let bytes = std::fs::read(&files[0]).unwrap();
     let mut counts = BTreeMap::new();
     let mut sequences = Vec::new();

@@ -27,6 +27,8 @@ pub enum Vehicle {
     OnWires {
         /// Scenario file (TOML).
         scenario: PathBuf,
+        /// Its devices, by a name that `plumbline-wires` knows.
+        wiring: String,
     },
     /// A recording, flown again.
     Replayed {
@@ -161,8 +163,8 @@ impl Agent {
         std::fs::create_dir_all(&data).map_err(XtaskError::file(&data))?;
         let mut text = agent_toml(id, ground.link, &identity, &data.join("log"));
         let mut rig = None;
-        if let Vehicle::OnWires { scenario } = vehicle {
-            let (process, devices) = wire_rig(options, &data.join("wires"), scenario)?;
+        if let Vehicle::OnWires { scenario, wiring } = vehicle {
+            let (process, devices) = wire_rig(options, &data.join("wires"), scenario, wiring)?;
             (rig, text) = (Some(process), text + &devices);
         }
         std::fs::write(&config, text).map_err(XtaskError::file(&config))?;
@@ -200,9 +202,9 @@ impl Agent {
 }
 
 /// Starts the wire rig; returns what of the agent's configuration describes its devices and motors.
-fn wire_rig(options: &Options, folder: &Path, scenario: &Path) -> Result<(Process, String), XtaskError> {
+fn wire_rig(options: &Options, folder: &Path, scenario: &Path, wiring: &str) -> Result<(Process, String), XtaskError> {
     let mut command = Command::new(&options.binaries.wires);
-    command.arg(folder).arg(scenario);
+    command.arg(folder).arg(scenario).arg(wiring);
     let mut process = Process::start("wires", command, options.echo)?;
     process.wait_for(START, |line| line.contains("--vehicle hardware").then_some(()))?;
     let file = folder.join("agent.toml");

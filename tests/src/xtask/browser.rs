@@ -7,9 +7,10 @@ use std::process::Command;
 use serde_json::Value;
 
 use super::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
+use super::run::{DEFAULT_SCENARIO, USUAL_WIRING};
 use super::tally::Tally;
 use super::test::run_and_read;
-use super::{Workspace, XtaskError, run::DEFAULT_SCENARIO, tools};
+use super::{Workspace, XtaskError, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
 /// Flies the wire rig.
@@ -74,7 +75,7 @@ fn with(
 /// Flies the wire rig. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy
 /// machine: a flight that fails while another such port was late is none, and is flown again.
 fn wires(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
-    let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO) };
+    let vehicle = Vehicle::OnWires { scenario: workspace.root.join(DEFAULT_SCENARIO), wiring: USUAL_WIRING.to_owned() };
     for flight in 1..=WIRE_FLIGHTS {
         let ports = Ports::watch().map_err(XtaskError::file("a pseudo terminal"))?;
         let mut counted = Tally::silent();

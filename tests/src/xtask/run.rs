@@ -24,9 +24,11 @@ pub struct Options {
     /// Scenario to simulate; the default is the quadrotor hanging on four strings.
     #[arg(long, value_name = "FILE")]
     pub scenario: Option<PathBuf>,
-    /// Fly the simulator through the drivers of real devices: it speaks their protocols on ports of its own.
-    #[arg(long, conflicts_with = "replay")]
-    pub wires: bool,
+    /// Fly the simulator through the drivers of real devices: it speaks their protocols on ports of its own. `every` has a device of
+    /// each driver, `others` the other ways to the same.
+    #[arg(long, value_name = "RIG", conflicts_with = "replay", num_args = 0..=1, default_missing_value = USUAL_WIRING)]
+    #[arg(value_parser = [USUAL_WIRING, "every", "others"])]
+    pub wires: Option<String>,
     /// Port of the page; agents connect to the next one (UDP).
     #[arg(long, default_value_t = 4747)]
     pub port: u16,
@@ -48,7 +50,10 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         (None, scenario) => {
             let own = || Ok(workspace.root.join(DEFAULT_SCENARIO));
             let scenario = scenario.as_deref().map_or_else(own, absolute)?;
-            if options.wires { Vehicle::OnWires { scenario } } else { Vehicle::Simulated { scenario } }
+            match options.wires.clone() {
+                Some(wiring) => Vehicle::OnWires { scenario, wiring },
+                None => Vehicle::Simulated { scenario },
+            }
         }
     };
     let folder = build(workspace, options)?;
@@ -94,7 +99,7 @@ fn build(checkout: &Workspace, options: &Options) -> Result<&'static str, XtaskE
     let mut cargo = checkout.cargo();
     cargo.args(["build", "--locked", "--bins", "--profile", profile]);
     cargo.args(["--package", "plumbline-ground", "--package", "plumbline-agent"]);
-    if options.wires {
+    if options.wires.is_some() {
         cargo.args(["--package", "plumbline-wires"]);
     }
     let progress = Progress::new();
@@ -123,6 +128,8 @@ fn build(checkout: &Workspace, options: &Options) -> Result<&'static str, XtaskE
     Ok(folder)
 }
 
+/// The wire rig with the devices of the string rig's suite.
+pub const USUAL_WIRING: &str = "usual";
 /// The quadrotor hanging on four strings.
 pub const DEFAULT_SCENARIO: &str = "tests/scenarios/altitude_step.toml";
 

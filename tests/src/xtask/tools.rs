@@ -21,7 +21,7 @@ const NODE_PACKAGES: [&str; 7] = [
 /// ground control stations, and a double of S3-compatible storage.
 const READERS: PythonTools = PythonTools {
     folder: "python",
-    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask, pyubx2, natnet.data_frame",
+    module: "mcap.reader, scipy.io, duckdb, polars, rosbags.highlevel, pyulog, pymavlink.mavutil, MAVProxy, mavsdk, boto3, moto.server, flask, pyubx2, natnet.data_frame, hokuyolx",
     packages: &[
         "mcap>=1.2",
         "mcap-protobuf-support>=0.5",
@@ -36,6 +36,7 @@ const READERS: PythonTools = PythonTools {
         "moto[s3,server]>=5.0",
         "pyubx2>=1.2",
         "natnet>=0.3",
+        "hokuyolx>=0.9",
     ],
     // With what it asks for it takes 1.2 GB, of which its command line needs nothing.
     bare: &["MAVProxy>=1.8.70"],
@@ -318,7 +319,9 @@ pub fn browser(workspace: &Workspace) -> Result<BrowserTools, XtaskError> {
         eprintln!("xtask: {} into {}", NODE_PACKAGES.join(", "), modules.display());
         std::fs::create_dir_all(&modules).map_err(XtaskError::file(&modules))?;
         let mut install = Command::new(npm);
-        install.args(["install", "--no-save", "--no-package-lock", "--no-audit", "--no-fund", "--prefix"]);
+        install.args(["install", "--no-save", "--no-package-lock", "--no-audit", "--no-fund"]);
+        // A connection that hangs is given up after seconds, not after five minutes, and tried again.
+        install.args(["--fetch-timeout=20000", "--fetch-retries=4", "--fetch-retry-mintimeout=1000", "--prefix"]);
         run(install.arg(&modules).args(NODE_PACKAGES).current_dir(&modules))?;
     }
     Ok(BrowserTools { node, chromium, modules })

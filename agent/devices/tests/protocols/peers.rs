@@ -1,11 +1,12 @@
-//! Against implementations that others wrote: pyubx2, pynmeagps and natnet, in a Python named by `PLUMBLINE_PYTHON`, or any.
+//! Against implementations that others wrote: pyubx2, pynmeagps, natnet and hokuyolx, in a Python named by `PLUMBLINE_PYTHON`, or any.
 
-use std::io::Write as _;
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::TcpListener;
 use std::process::{Command, Stdio};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
-use plumbline_devices::protocol::{natnet, nmea, ubx};
+use plumbline_devices::protocol::{natnet, nmea, scip, ubx};
 use plumbline_devices::reading::{FixReading, PoseReading};
 
 use super::read;
@@ -124,4 +125,53 @@ fn a_natnet_client_of_others_reads_our_answer() {
         print(i.application_name, i.nat_net_protocol_version.major, i.nat_net_protocol_version.minor)\n";
     let Some(printed) = python("natnet", script, &hex(&natnet::encode_server_info((4, 1)))) else { return };
     assert_eq!(printed.trim(), "Motive 4 1");
+}
+
+/// The client is for the devices with a network port of the same family: what it asks comes here, and is answered as on the wire.
+#[test]
+fn a_hokuyo_client_of_others_reads_our_answers_and_scans() {
+    let script = "import sys, numpy\nfrom hokuyolx import HokuyoLX\n\
+        l = HokuyoLX(False, False, False, ('127.0.0.1', int(sys.stdin.read())), convert_time=False)\n\
+        print(l._get_info('VV'), l.activate()[0])\n\
+        for scan, stamp, pending in l.iter_dist(0, 44, 725):\n\
+        \x20   print(stamp, pending, *scan, flush=True)\n\
+        \x20   if stamp == 100: break\nl.close()\n";
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let scan = |n: usize| -> Vec<u16> { (0..scip::RANGES).map(|i| ((37 * i + 911 * n) % 5600) as u16).collect() };
+    let device = std::thread::spawn(move || {
+        let (mut socket, _) = listener.accept().unwrap();
+        let asked = BufReader::new(socket.try_clone().unwrap());
+        for asked in asked.lines().map_while(Result::ok) {
+            let identity = scip::identity("H1510998");
+            let lines: Vec<&str> = identity.iter().map(|line| line.as_str()).collect();
+            let info = if asked == "VV" { &lines[..] } else { &[] };
+            socket.write_all(&scip::encode_reply(&asked, "00", info)).unwrap();
+            if format!("{asked}\n").as_bytes() != scip::STREAM {
+                continue;
+            }
+            // The stamp rolls over between the two.
+            for (n, stamp_ms) in [scip::ROLL_OVER_MS - 1, scip::ROLL_OVER_MS + 100].into_iter().enumerate() {
+                std::thread::sleep(std::time::Duration::from_millis(100));
+                socket.write_all(&scip::encode_scan(&asked, stamp_ms, &scan(n))).unwrap();
+            }
+            return;
+        }
+        panic!("it never asked for scans as we do");
+    });
+    // Where there is no such client the device waits for nobody, and ends with the test.
+    let Some(printed) = python("hokuyolx", script, &port.to_string()) else { return };
+    device.join().unwrap();
+    let (told, scans) = printed.split_once('\n').unwrap();
+    assert!(
+        told.contains("'SERI': 'H1510998'") && told.contains("'PROT': 'SCIP 2.0'") && told.ends_with("} 0"),
+        "{told}"
+    );
+    let scans: Vec<Vec<u32>> =
+        scans.lines().map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect()).collect();
+    assert_eq!(scans.len(), 2);
+    for (n, (found, stamp_ms)) in scans.iter().zip([scip::ROLL_OVER_MS - 1, 100]).enumerate() {
+        assert_eq!(found[..2], [stamp_ms, 0]);
+        assert!(found[2..].iter().copied().eq(scan(n).into_iter().map(u32::from)), "scan {n}");
+    }
 }
