@@ -509,14 +509,6 @@ fn Density(name: String, unit: String, color: &'static str, start_s: f64, progre
     };
     let found = spectrum_of(name.clone(), start_s, span, progress);
     let kept = spectrum_of(name, start_s, move || deck.kept.get(), progress);
-    let node = NodeRef::<html::Div>::new();
-    let size = RwSignal::new(None::<[f64; 2]>);
-    Effect::new(move |_| {
-        if let Some(node) = node.get() {
-            let place = node.get_bounding_client_rect();
-            size.set(Some([place.width().max(200.0), place.height().max(60.0)]));
-        }
-    });
     let of = if unit.is_empty() { "1".to_owned() } else { format!("({unit})²") };
     let drawing = Signal::derive(move || {
         found.with(|found| {
@@ -545,9 +537,7 @@ fn Density(name: String, unit: String, color: &'static str, start_s: f64, progre
             <Show when=move || deck.kept.get().is_some()>
                 <p class="quiet num kept" title=told_kept><i class="swatch" style=format!("--swatch:{}", palette::SETPOINT.css())></i>{told_kept}</p>
             </Show>
-            <div class="density-plot" node_ref=node>
-                {move || size.get().filter(|_| known.get()).map(|size| view! { <Sketch label=label.clone() drawing size /> })}
-            </div>
+            <div class="density-plot">{move || known.get().then(|| view! { <Sketch label=label.clone() drawing /> })}</div>
         </div>
     }
 }

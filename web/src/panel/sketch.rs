@@ -8,7 +8,7 @@ use crate::model::axis::ValueAxis;
 /// Room for labels, px: left, bottom, right, top.
 const MARGINS: [f64; 4] = [44.0, 19.0, 8.0, 7.0];
 /// A place smaller than this is none yet, px.
-const LEAST_PX: f64 = 80.0;
+const LEAST_PX: [f64; 2] = [80.0, 40.0];
 /// Ticks are at least this far apart, px: along the bottom, up the side.
 const SPACING: [f64; 2] = [56.0, 26.0];
 
@@ -108,7 +108,8 @@ pub fn Sketch(
     let measure = move || {
         let Some(rect) = node.try_get_untracked().flatten().map(|node| node.get_bounding_client_rect()) else { return };
         let now = [rect.width().round(), rect.height().round()];
-        if now[0] > LEAST_PX && now[1] > LEAST_PX && shown.try_get_untracked().is_some_and(|before| before != now) {
+        let is_place = now.iter().zip(LEAST_PX).all(|(now, least)| *now > least);
+        if is_place && shown.try_get_untracked().is_some_and(|before| before != now) {
             shown.set(now);
         }
     };
