@@ -292,6 +292,10 @@ await step(page, 'tune: a deviation is changed, previewed, pushed in flight, and
 
 await step(page, 'calibrate: guidance, and a fit that is refused with its reason', async () => {
   await page_of('Calibrate');
+  // It flies: nobody is asked to take it in his hands.
+  const guided = region('Guided calibration');
+  await guided.getByText('iris-1 is armed: disarm it first.').waitFor();
+  assert(await guided.getByRole('button', { name: 'Begin' }).isDisabled(), 'samples can be taken by hand in flight');
   await page.getByLabel('What', { exact: true }).selectOption({ label: 'Thrust and torque' });
   await page.getByText(/thrust stand/).waitFor();
   const rows = (count) => ['rpm,thrust_n', ...Array.from({ length: count }, (_, i) => `${2000 + 500 * i},${1.6e-5 * ((2000 + 500 * i) * Math.PI / 30) ** 2}`)].join('\n');

@@ -11,7 +11,9 @@ use axum::Json;
 use axum::body::{Bytes, to_bytes};
 use axum::extract::{Request as HttpRequest, State};
 use axum::http::StatusCode;
-use plumbline_analysis::offline::calibrate::{CalibrateError, Request, from_recording, from_table, iso_8601};
+use plumbline_analysis::offline::calibrate::{
+    CalibrateError, Request, from_recording, from_samples, from_table, iso_8601,
+};
 use plumbline_analysis::recordings;
 use plumbline_core::calibration::{CalibrationFile, Kind};
 use plumbline_proto::time::WallTime;
@@ -22,7 +24,6 @@ use super::compute::Waited;
 use super::error::ApiError;
 use super::extract::{Page, Path, Query};
 use crate::calibrations::{self, Calibrations};
-use crate::recorder::RecorderHandle;
 use crate::sync::wall_time_us;
 
 /// Largest table: half an hour of one IMU at 200 Hz as text.
@@ -54,22 +55,27 @@ fn request(asked: &Fit, kept: &Calibrations) -> Result<Request, ApiError> {
     })
 }
 
-fn fit(asked: Fit, request: &Request, recorder: &RecorderHandle, waited: &Waited) -> Result<CalibrationFile, ApiError> {
-    match (&asked.flight, asked.csv) {
-        (Some(id), None) => {
-            let bytes = recorder.open(id)?.bytes();
+fn fit(asked: Fit, request: &Request, app: &App, waited: &Waited) -> Result<CalibrationFile, ApiError> {
+    match (&asked.flight, asked.csv, &asked.vehicle) {
+        (Some(id), None, None) => {
+            let bytes = app.recorder.open(id)?.bytes();
             let bytes = bytes.map_err(|e| ApiError::Broken(format!("{}: {e}", crate::names::clip(id))))?;
             waited.check()?;
             let recording = recordings::open_flight(&bytes, std::path::Path::new(id));
             let recording = recording.map_err(|e| ApiError::Invalid(e.to_string()))?;
             from_recording(recording, id, request).map_err(refused)
         }
-        (None, Some(text)) => {
+        (None, Some(text), None) => {
             let name = asked.name.as_deref().map_or_else(|| "uploaded.csv".to_owned(), crate::names::clip);
             // Read to its end and gone before anything is fitted.
             from_table(waited.reading(std::io::Cursor::new(text)), &name, request).map_err(refused)
         }
-        _ => Err(ApiError::Invalid("one of flight and csv, not both and not neither".into())),
+        (None, None, Some(vehicle)) => {
+            let (imu, samples) = app.guided.taken(vehicle, request.kind)?;
+            let request = Request { imu, ..request.clone() };
+            from_samples(samples, &format!("{vehicle}, by hand"), &request).map_err(refused)
+        }
+        _ => Err(ApiError::Invalid("one of flight, csv and vehicle, not several and not none".into())),
     }
 }
 
@@ -94,13 +100,13 @@ pub(crate) async fn create(
     body: HttpRequest,
 ) -> Result<(StatusCode, Json<Calibration>), ApiError> {
     let kept = Calibrations::open(&app.config.data_folder);
-    let recorder = app.recorder.clone();
+    let reached = app.clone();
     // A table waits outside until it is its turn: only so many are in memory at a time.
     let answer = app.uploads.after(upload(body), move |bytes, waited| {
         let asked: Fit = serde_json::from_slice(&bytes).map_err(|e| ApiError::Invalid(e.to_string()))?;
         drop(bytes);
         let wanted = request(&asked, &kept)?;
-        let file = fit(asked, &wanted, &recorder, waited)?;
+        let file = fit(asked, &wanted, &reached, waited)?;
         waited.check()?;
         let id = kept.keep(&file).map_err(|e| ApiError::Broken(format!("calibrations: {e}")))?;
         Ok(calibrations::answer(&id, file))

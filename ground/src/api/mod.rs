@@ -25,6 +25,7 @@ mod foxglove;
 mod gains;
 mod ground;
 mod guard;
+mod guided;
 mod health;
 mod import;
 mod lease;
@@ -114,6 +115,7 @@ pub(crate) struct Inner {
     computing: compute::Turns,
     uploads: compute::Turns,
     envelopes: envelope::Envelopes,
+    guided: guided::Guided,
     thinning: Semaphore,
 }
 
@@ -142,6 +144,7 @@ impl App {
             computing: compute::Turns::new(),
             uploads: compute::Turns::new(),
             envelopes: envelope::Envelopes::default(),
+            guided: guided::Guided::default(),
             thinning: Semaphore::new(THINNING),
         }))
     }
@@ -255,6 +258,9 @@ fn routes() -> Vec<Route> {
         post   "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::fly;
         delete "/api/v1/vehicles/{id}/trajectory"       Operate trajectory::stop;
         get    "/api/v1/vehicles/{id}/envelope"         View    envelope::show;
+        get    "/api/v1/vehicles/{id}/calibration"      View    guided::show;
+        post   "/api/v1/vehicles/{id}/calibration"      Operate guided::begin;
+        delete "/api/v1/vehicles/{id}/calibration"      Operate guided::end;
         get    "/api/v1/vehicles/{id}/lease"            View    lease::show;
         put    "/api/v1/vehicles/{id}/lease"            Operate lease::take;
         delete "/api/v1/vehicles/{id}/lease"            Operate lease::release;

@@ -1,6 +1,6 @@
 //! What every route of the table is for, is asked and answers, in the order of that table; a test holds both together.
 
-use plumbline_rest::calibration::{Calibration, Calibrations, Fit};
+use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Taken, Taking};
 use plumbline_rest::command::{
     Answer, AttackPlan, Decoder, Estimator, Mode, Recording, Replay, Setpoint, Simulator, Trajectory, Which,
 };
@@ -175,6 +175,12 @@ pub(super) const OPERATIONS: &[Operation] = &[
     ),
     command(delete("/api/v1/vehicles/{id}/trajectory", "Stops it")),
     get("/api/v1/vehicles/{id}/envelope", "How far an attacker who is not seen can push it").json(of::<Envelope>),
+    get("/api/v1/vehicles/{id}/calibration", "How far the samples taken by hand are from what a fit asks for")
+        .json(of::<Taken>),
+    post("/api/v1/vehicles/{id}/calibration", "Takes samples for a calibration while somebody turns the vehicle, disarmed")
+        .takes(of::<Taking>)
+        .json(of::<Taken>),
+    delete("/api/v1/vehicles/{id}/calibration", "Gives them up").empty(204),
     get("/api/v1/vehicles/{id}/lease", "Who holds control").json(of::<Lease>),
     put("/api/v1/vehicles/{id}/lease", "Takes control").json(of::<Lease>),
     delete("/api/v1/vehicles/{id}/lease", "Gives control back").json(of::<Lease>),

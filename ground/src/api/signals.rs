@@ -185,6 +185,7 @@ async fn of_past<T: Send + 'static>(
     tokio::task::spawn_blocking(move || work(&past)).await.map_err(|e| ApiError::Broken(e.to_string()))?
 }
 
-fn frames(past: &[Shared]) -> impl Iterator<Item = Frame<'_>> {
+/// The messages of batches.
+pub(super) fn frames(past: &[Shared]) -> impl Iterator<Item = Frame<'_>> {
     past.iter().filter_map(|shared| codec::decode_batch(&shared.batch).ok()).flatten().map_while(Result::ok)
 }

@@ -1,10 +1,13 @@
 //! Calibrations: `POST /api/v1/calibrations` fits and keeps one, `GET` lists those kept, `GET …/{id}` is a whole one.
+//!
+//! Samples for one are taken of a vehicle in somebody's hands by `POST /api/v1/vehicles/{id}/calibration`; `GET` says how far that has
+//! come, `DELETE` gives it up.
 
 use serde::{Deserialize, Serialize};
 
 use crate::number;
 
-/// `POST /api/v1/calibrations`: what to fit, from exactly one of `flight` and `csv`.
+/// `POST /api/v1/calibrations`: what to fit, from exactly one of `flight`, `csv` and `vehicle`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
@@ -17,10 +20,13 @@ pub struct Fit {
     /// Text of a table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub csv: Option<String>,
+    /// Id of a vehicle whose samples were taken by hand, of this kind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vehicle: Option<String>,
     /// Name of the table, to be noted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Which IMU, from 1; 1 when left out.
+    /// Which IMU, from 1; 1 when left out; of a vehicle that whose samples were taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imu: Option<usize>,
     /// Flight time to begin at, s.
@@ -44,6 +50,67 @@ pub struct Fit {
     /// Id of a kept calibration, for a gyroscope.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accelerometer: Option<String>,
+}
+
+/// `POST /api/v1/vehicles/{id}/calibration`: take samples for this; what was taken before is dropped.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Taking {
+    /// `accelerometer`, `gyroscope` or `magnetometer`.
+    pub kind: String,
+    /// Which IMU, from 1; 1 when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<usize>,
+}
+
+/// `GET /api/v1/vehicles/{id}/calibration`: samples taken so far, and what the fit asks for, counted by the fit's own code. Directions
+/// are unit vectors in the body frame FLU.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Taken {
+    /// As [`Taking::kind`]; empty while nothing is taken.
+    pub kind: String,
+    /// Which IMU, from 1.
+    pub imu: usize,
+    /// Samples taken.
+    pub samples: u64,
+    /// From the first of them to the last, s.
+    pub span_s: f64,
+    /// Why none are taken now; empty while they are.
+    pub problem: String,
+    /// What the fit counts.
+    pub aims: Vec<Aim>,
+    /// Is everything there without which the fit refuses?
+    pub ready: bool,
+    /// How long the vehicle has been held still by now, as a share of what makes a pose, 0 to 1.
+    pub still: f64,
+    /// Where up is now; absent where no pose is asked for.
+    pub up: Option<[f64; 3]>,
+    /// Where up was in each pose that counts, in the order they were taken.
+    pub poses: Vec<[f64; 3]>,
+    /// Where the field points now; absent where no field is asked for, or sent.
+    pub field: Option<[f64; 3]>,
+    /// The sphere of directions is cut into so many bands of one height, from −z to z.
+    pub bands: u64,
+    /// Which sectors of it were seen: band by band, in each from −π to π about z.
+    pub sectors: Vec<bool>,
+}
+
+/// Something that a fit counts.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(default)]
+pub struct Aim {
+    /// Of what.
+    pub what: String,
+    /// How many there are.
+    pub found: u64,
+    /// With fewer the fit refuses.
+    pub needed: u64,
+    /// From here on more of them determine no more parameters.
+    pub best: u64,
 }
 
 /// `GET /api/v1/calibrations`.

@@ -19,12 +19,13 @@ const WIRES: &str = "wires.mjs";
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
-/// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
+/// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, one of a sensor in
+/// somebody's hands with `guided.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
 ///
 /// Of the scripts only those that `chosen` names, if it names any.
 pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
     type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
-    let parts: [(&str, Part, &[&str]); 6] = [
+    let parts: [(&str, Part, &[&str]); 7] = [
         (
             "system",
             fly,
@@ -42,6 +43,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
         ("a vehicle under motion capture", hold, &["hold.mjs"]),
         ("a small battery", battery, &["battery.mjs"]),
         ("a replay", replay, &["replay.mjs"]),
+        ("a sensor in somebody's hands", hands, &["guided.mjs"]),
         ("a ground with accounts", people, &["people.mjs"]),
         ("the wire rig", wires, &[WIRES]),
     ];
@@ -132,6 +134,16 @@ fn replay(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<
     super::workspace::run(&mut agent)?;
     let file = newest_flight(&log)?;
     with(workspace, &options, &Vehicle::Replayed { file, speed: "1".into() }, scripts, tally)
+}
+
+/// Makes a recording of a sensor that is turned by hand, and flies it again from a standstill.
+fn hands(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
+    let options = options(workspace, "debug", "browser-hands")?;
+    std::fs::create_dir_all(&options.data).map_err(XtaskError::file(&options.data))?;
+    let file = options.data.join("turned.csv");
+    let mut maker = Command::new(tools::browser(workspace)?.node);
+    super::workspace::run(maker.arg(workspace.root.join("tests/browser/turned.mjs")).arg(&file))?;
+    with(workspace, &options, &Vehicle::Replayed { file, speed: "0".into() }, scripts, tally)
 }
 
 fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {

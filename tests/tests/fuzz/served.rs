@@ -89,7 +89,7 @@ impl Ground {
             }
         }
         for vehicle in ["iris-1", "iris-2"] {
-            for view in ["history?seconds=60", "gains", "gains/export", "lease"] {
+            for view in ["history?seconds=60", "gains", "gains/export", "lease", "calibration"] {
                 self.ask("GET", &format!("/api/v1/vehicles/{vehicle}/{view}"), &Value::Null);
             }
         }

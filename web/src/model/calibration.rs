@@ -11,6 +11,8 @@ pub struct Kind {
     pub title: &'static str,
     /// Can a recorded flight be its data?
     pub from_flight: bool,
+    /// Can samples be taken by hand, and how; empty where they cannot.
+    pub by_hand: &'static str,
     /// What to do, one step after the other.
     pub guidance: &'static [&'static str],
 }
@@ -21,6 +23,7 @@ pub const KINDS: [Kind; 8] = [
         name: "accelerometer",
         title: "Accelerometer",
         from_flight: true,
+        by_hand: "Put the vehicle down, motors off, on each of its sides, then in some poses in between, and hold it still for a second each time.",
         guidance: &[
             "Record (R) while the vehicle rests, motors off.",
             "Put it down in ten poses or more, 15° or more apart: each side, both ends, upside down, and some in between.",
@@ -31,6 +34,7 @@ pub const KINDS: [Kind; 8] = [
         name: "gyroscope",
         title: "Gyroscope",
         from_flight: true,
+        by_hand: "Hold the vehicle still for a second, turn it briskly by 30° or more, hold it still again; six times or more, about every axis.",
         guidance: &[
             "Use the same recording of poses: the turns between two rests are what is compared.",
             "Turn briskly, six times or more, by 30° or more, about every axis, and rest again each time.",
@@ -41,6 +45,7 @@ pub const KINDS: [Kind; 8] = [
         name: "magnetometer",
         title: "Magnetometer",
         from_flight: true,
+        by_hand: "Away from steel and cables, motors off: turn the vehicle slowly about all its axes, until every side has looked everywhere.",
         guidance: &[
             "Record away from steel and cables, motors off.",
             "Turn the vehicle about all its axes until every side has looked up and down, for half a minute.",
@@ -51,6 +56,7 @@ pub const KINDS: [Kind; 8] = [
         name: "thermal",
         title: "Temperature",
         from_flight: true,
+        by_hand: "",
         guidance: &[
             "Record at rest from cold until the temperature stands still; ten minutes or more.",
             "Nothing may move: what changes is then the sensors' own drift.",
@@ -60,6 +66,7 @@ pub const KINDS: [Kind; 8] = [
         name: "motor-curve",
         title: "Motor curve",
         from_flight: false,
+        by_hand: "",
         guidance: &[
             "On a stand with a tachometer: command each motor from low to high in ten steps, wait for the speed to settle.",
             "Table with the columns command (0 to 1) and rpm, or speed_radps.",
@@ -69,6 +76,7 @@ pub const KINDS: [Kind; 8] = [
         name: "thrust",
         title: "Thrust and torque",
         from_flight: false,
+        by_hand: "",
         guidance: &[
             "On a thrust stand: speed, thrust and, where measured, torque, for ten speeds or more.",
             "Table with the columns rpm and thrust_n, and torque_nm; a wind-tunnel table of a propeller works too.",
@@ -78,6 +86,7 @@ pub const KINDS: [Kind; 8] = [
         name: "mass",
         title: "Mass and inertia",
         from_flight: false,
+        by_hand: "",
         guidance: &[
             "Weigh the vehicle with its battery.",
             "For inertia hang it on two strings and time the swing about each axis; the columns are in the table's help.",
@@ -87,6 +96,7 @@ pub const KINDS: [Kind; 8] = [
         name: "allan",
         title: "IMU noise (Allan)",
         from_flight: true,
+        by_hand: "",
         guidance: &[
             "Record at rest, motors off, on something solid; the longer the better, an hour shows the bias instability.",
             "White noise is the slope −½ at one second, bias instability the flat bottom.",

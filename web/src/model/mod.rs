@@ -16,6 +16,7 @@ pub mod experiment;
 pub mod figure;
 pub mod format;
 pub mod guide;
+pub mod guided;
 pub mod instrument;
 pub mod layout;
 pub mod listing;

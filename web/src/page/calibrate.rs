@@ -1,4 +1,6 @@
-//! Calibrate: guidance for each kind, a fit from a flight or a table, its picture, and what is kept.
+//! Calibrate: guidance for each kind, a fit from a flight, a table or a vehicle in somebody's hands, its picture, and what is kept.
+
+mod guided;
 
 use leptos::prelude::*;
 use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Picture};
@@ -91,6 +93,11 @@ impl Bench {
                 return;
             }
         };
+        self.ask(body, |_| {});
+    }
+
+    /// Has the ground fit; `then` is told whether it did.
+    fn ask(self, body: Fit, then: impl FnOnce(bool) + 'static) {
         self.busy.set(true);
         leptos::task::spawn_local(async move {
             let operator = self.ctx.operator();
@@ -98,6 +105,7 @@ impl Bench {
                 net::json::<Calibration>("POST", "/api/v1/calibrations", Some(json!(body).to_string()), &operator)
                     .await;
             let _ = self.busy.try_set(false);
+            then(answer.is_ok());
             let _ = self.shown.try_set(Some(answer.map_err(|failure| failure.text)));
             self.reload();
         });
@@ -150,7 +158,7 @@ pub fn Calibrate() -> impl IntoView {
             <div class="sheet-head"><h1>"Calibrate"</h1></div>
             <div class="calibrate">
                 <div class="calibrate-side"><Form /><Kept /></div>
-                <Outcome />
+                <div class="calibrate-side"><guided::Guided /><Outcome /></div>
             </div>
         </main>
     }
@@ -329,6 +337,7 @@ fn Result(calibration: Calibration) -> impl IntoView {
                 </table>
             </div>
         </div>
+        <p class="quiet">"To fly with it: keep the JSON beside the agent, list it in its configuration and start it again: " <code>{format!("calibrations = [\"{}.json\"]", c.id)}</code></p>
         <ul class="notes-list">{c.notes.iter().map(|n| view! { <li>{n.clone()}</li> }).collect::<Vec<_>>()}</ul>
     }
 }

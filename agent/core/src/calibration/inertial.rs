@@ -21,7 +21,8 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::fit::{self, Fit};
-use super::rest::{Pair, Rest, intervals, poses};
+use super::guide::{Aim, Progress};
+use super::rest::{self, Pair, Rest, intervals, poses};
 use super::samples::{Channel, Sample, channel};
 use super::{CalibrationError, CalibrationFile, Kind};
 use crate::calibration::file::{Plot, Series};
@@ -46,6 +47,9 @@ const ACCEL_RESIDUAL_MAX: f64 = 0.2;
 const TURN_RESIDUAL_MAX: f64 = 0.1;
 /// Samples for anything at all.
 const SAMPLES_MIN: usize = 200;
+/// What is counted.
+const POSES: &str = "poses at rest (a second each, 15° apart)";
+const TURNS: &str = "turns of 30° and more between rests";
 
 /// Reading ─► calibrated: `matrix` (reading − `offset`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -102,7 +106,11 @@ pub fn accelerometer_of(file: &CalibrationFile) -> Result<Triad, CalibrationErro
 
 /// Samples that have both sensors, or the accelerometer alone.
 fn pairs(samples: &[Sample]) -> Result<Vec<Pair>, CalibrationError> {
-    let accel = channel(samples, Channel::Accelerometer, "accelerometer samples", SAMPLES_MIN)?;
+    paired(samples, SAMPLES_MIN)
+}
+
+fn paired(samples: &[Sample], needed: usize) -> Result<Vec<Pair>, CalibrationError> {
+    let accel = channel(samples, Channel::Accelerometer, "accelerometer samples", needed)?;
     let mut gyros = samples.iter().filter(|s| s.accel_mps2.is_some()).map(|s| s.gyro_radps);
     Ok(accel
         .into_iter()
@@ -119,8 +127,7 @@ pub fn accelerometer(samples: &[Sample], gravity_mps2: f64) -> Result<Calibratio
     let rests = intervals(&pairs);
     let poses = poses(&rests, POSES_APART_RAD);
     if poses.len() < POSES_SCALE {
-        let what = "poses at rest (a second each, 15° apart)";
-        return Err(CalibrationError::TooFew { what, found: poses.len(), needed: POSES_SCALE });
+        return Err(CalibrationError::TooFew { what: POSES, found: poses.len(), needed: POSES_SCALE });
     }
     let full = poses.len() >= POSES_FULL;
     let fit = fit_accelerometer(&poses, gravity_mps2, if full { 9 } else { 6 })?;
@@ -156,6 +163,37 @@ pub fn accelerometer(samples: &[Sample], gravity_mps2: f64) -> Result<Calibratio
         ],
     });
     Ok(file)
+}
+
+/// How far samples are from what [`accelerometer`] asks for.
+pub(super) fn poses_taken(samples: &[Sample]) -> Result<Progress, CalibrationError> {
+    let pairs = paired(samples, 0)?;
+    let poses = poses(&intervals(&pairs), POSES_APART_RAD);
+    let aims = vec![Aim { what: POSES, found: poses.len(), needed: POSES_SCALE, best: POSES_FULL }];
+    Ok(Progress { aims, ..still(&pairs, &poses) })
+}
+
+/// How far they are from what [`gyroscope`] asks for.
+pub(super) fn turns_taken(samples: &[Sample]) -> Result<Progress, CalibrationError> {
+    let pairs = paired(samples, 0)?;
+    let rests: Vec<Rest> = intervals(&pairs).into_iter().filter(|r| r.gyro_radps.is_some()).collect();
+    let turns = if rests.is_empty() {
+        0
+    } else {
+        let (bias, _) = still_bias(&pairs, &rests);
+        turns(&pairs, &rests, &Triad::identity(), &bias).len()
+    };
+    let aims = vec![Aim { what: TURNS, found: turns, needed: TURNS_MIN, best: TURNS_MIN }];
+    Ok(Progress { aims, ..still(&pairs, &poses(&rests, POSES_APART_RAD)) })
+}
+
+fn still(pairs: &[Pair], poses: &[Rest]) -> Progress {
+    Progress {
+        still: rest::share(pairs),
+        up: pairs.last().and_then(|pair| pair.accel_mps2.try_normalize(1e-9)),
+        poses: poses.iter().filter_map(|pose| pose.accel_mps2.try_normalize(1e-9)).collect(),
+        ..Progress::default()
+    }
 }
 
 fn fit_accelerometer(poses: &[Rest], gravity_mps2: f64, unknowns: usize) -> Result<Fit, CalibrationError> {
@@ -215,8 +253,7 @@ pub fn gyroscope(samples: &[Sample], accel: &Triad) -> Result<CalibrationFile, C
     let (bias, bias_variance) = still_bias(&pairs, &rests);
     let turns = turns(&pairs, &rests, accel, &bias);
     if turns.len() < TURNS_MIN {
-        let what = "turns of 30° and more between rests";
-        return Err(CalibrationError::TooFew { what, found: turns.len(), needed: TURNS_MIN });
+        return Err(CalibrationError::TooFew { what: TURNS, found: turns.len(), needed: TURNS_MIN });
     }
     let start: Vec<f64> = Matrix3::<f64>::identity().transpose().iter().copied().collect();
     let fit = fit::least_squares(&start, &[0.1; 9], |x, r| {

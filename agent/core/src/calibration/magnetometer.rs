@@ -15,6 +15,7 @@
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::fit::{self, Fit, median};
+use super::guide::{Aim, Progress};
 use super::inertial::Triad;
 use super::samples::{Channel, Sample, channel};
 use super::{CalibrationError, CalibrationFile, Kind};
@@ -29,6 +30,10 @@ const BANDS: usize = 3;
 const SECTORS: usize = 6;
 /// So many of the 18 must have been seen.
 const SECTORS_MIN: usize = 9;
+/// What is counted.
+const DIRECTIONS: &str = "directions of the field 4° apart (turn the vehicle about all axes)";
+const THICK: &str = "% of its width is the thickness of the cloud of readings (turn the vehicle about all axes)";
+const SEEN: &str = "of 18 sectors of the sphere seen (turn the vehicle about all axes)";
 /// Least spread of the readings over their greatest: a disc has many spheres through its edge.
 const THICKNESS_MIN: f64 = 0.08;
 /// Prior of each entry of S, one-sigma: 5 % of soft iron is common, 15 % is rare.
@@ -99,8 +104,7 @@ pub fn magnetometer(samples: &[Sample]) -> Result<CalibrationFile, CalibrationEr
     let all = channel(samples, Channel::Magnetometer, "magnetometer samples", DIRECTIONS_MIN)?;
     let directions = thin(&all);
     if directions.len() < DIRECTIONS_MIN {
-        let what = "directions of the field 4° apart (turn the vehicle about all axes)";
-        return Err(CalibrationError::TooFew { what, found: directions.len(), needed: DIRECTIONS_MIN });
+        return Err(CalibrationError::TooFew { what: DIRECTIONS, found: directions.len(), needed: DIRECTIONS_MIN });
     }
     refuse_flat(&directions)?;
     let (centre, radius) = sphere(&directions)?;
@@ -177,12 +181,7 @@ fn thin(all: &[(f64, Vector3<f64>)]) -> Vec<Vector3<f64>> {
 
 /// Readings that lie nearly in a plane, as of a vehicle that only yaws, are refused.
 fn refuse_flat(directions: &[Vector3<f64>]) -> Result<(), CalibrationError> {
-    let mean = directions.iter().sum::<Vector3<f64>>() / directions.len() as f64;
-    let scatter: Matrix3<f64> = directions.iter().map(|m| (m - mean) * (m - mean).transpose()).sum();
-    let Some(eigen) = SymmetricEigen::try_new(scatter, 1e-12, 100) else {
-        return Err(CalibrationError::Singular("the spread of the readings has no axes"));
-    };
-    let found = (eigen.eigenvalues.min().max(0.0) / eigen.eigenvalues.max().max(1e-300)).sqrt();
+    let found = thickness(directions).ok_or(CalibrationError::Singular("the spread of the readings has no axes"))?;
     if found < THICKNESS_MIN {
         let what = "thickness of the cloud of readings over its width (turn the vehicle about all axes)";
         return Err(CalibrationError::TooSmall { what, found, needed: THICKNESS_MIN, unit: "" });
@@ -190,8 +189,41 @@ fn refuse_flat(directions: &[Vector3<f64>]) -> Result<(), CalibrationError> {
     Ok(())
 }
 
-/// How many of the sectors of one size hold a direction; too few are refused.
-fn refuse_unseen(directions: &[Vector3<f64>]) -> Result<usize, CalibrationError> {
+/// Least spread of the readings over their greatest; `None` where they have none.
+fn thickness(directions: &[Vector3<f64>]) -> Option<f64> {
+    let mean = directions.iter().sum::<Vector3<f64>>() / directions.len() as f64;
+    let scatter: Matrix3<f64> = directions.iter().map(|m| (m - mean) * (m - mean).transpose()).sum();
+    let eigen = SymmetricEigen::try_new(scatter, 1e-12, 100)?;
+    Some((eigen.eigenvalues.min().max(0.0) / eigen.eigenvalues.max().max(1e-300)).sqrt())
+}
+
+/// How far samples are from what [`magnetometer`] asks for.
+pub(super) fn directions_taken(samples: &[Sample]) -> Result<Progress, CalibrationError> {
+    let all = channel(samples, Channel::Magnetometer, "magnetometer samples", 0)?;
+    let directions = thin(&all);
+    let thick = if directions.len() < 3 { 0.0 } else { thickness(&directions).unwrap_or(0.0) };
+    // Without a shape yet there is no centre either: hard iron is most often less than the field.
+    let shaped = directions.len() * 2 >= DIRECTIONS_MIN && thick >= THICKNESS_MIN;
+    let centre =
+        if shaped { sphere(&directions).map_or(Vector3::zeros(), |(centre, _)| centre) } else { Vector3::zeros() };
+    let sectors = seen(directions.iter().map(|m| m - centre));
+    let percent = |share: f64| (share * 100.0) as usize;
+    let aims = vec![
+        Aim { what: DIRECTIONS, found: directions.len(), needed: DIRECTIONS_MIN, best: DIRECTIONS_MIN },
+        Aim { what: SEEN, found: sectors.iter().filter(|s| **s).count(), needed: SECTORS_MIN, best: sectors.len() },
+        Aim { what: THICK, found: percent(thick), needed: percent(THICKNESS_MIN), best: percent(THICKNESS_MIN) },
+    ];
+    Ok(Progress {
+        bands: BANDS,
+        sectors: sectors.to_vec(),
+        field: all.last().and_then(|(_, m)| (m - centre).try_normalize(1e-9)),
+        aims,
+        ..Progress::default()
+    })
+}
+
+/// Which of the sectors of one size hold a direction: bands from −z to z, in each of them from −π about z.
+fn seen(directions: impl Iterator<Item = Vector3<f64>>) -> [bool; BANDS * SECTORS] {
     let mut seen = [false; BANDS * SECTORS];
     for v in directions {
         let Some(u) = v.try_normalize(1e-9) else { continue };
@@ -200,10 +232,14 @@ fn refuse_unseen(directions: &[Vector3<f64>]) -> Result<usize, CalibrationError>
         let turn = (u.y.atan2(u.x) / std::f64::consts::TAU + 0.5) * SECTORS as f64;
         seen[band * SECTORS + (turn as usize).min(SECTORS - 1)] = true;
     }
-    let found = seen.iter().filter(|s| **s).count();
+    seen
+}
+
+/// How many of them hold a direction; too few are refused.
+fn refuse_unseen(directions: &[Vector3<f64>]) -> Result<usize, CalibrationError> {
+    let found = seen(directions.iter().copied()).iter().filter(|s| **s).count();
     if found < SECTORS_MIN {
-        let what = "of 18 sectors of the sphere seen (turn the vehicle about all axes)";
-        return Err(CalibrationError::TooFew { what, found, needed: SECTORS_MIN });
+        return Err(CalibrationError::TooFew { what: SEEN, found, needed: SECTORS_MIN });
     }
     Ok(found)
 }

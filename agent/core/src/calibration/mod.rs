@@ -15,12 +15,15 @@
 //! | thrust | [`thrust`] | T = k ω², Q = b ω² |
 //! | mass | [`mass`] | scales and a bifilar pendulum |
 //! | allan | [`allan`] | IEEE Std 952, overlapping estimator |
+//!
+//! Whoever turns a vehicle by hand is told by [`guide`] how much of what a fit asks for is there.
 
 pub mod allan;
 pub mod applied;
 pub mod field_monitor;
 pub mod file;
 pub mod fit;
+pub mod guide;
 pub mod inertial;
 pub mod magnetometer;
 pub mod mass;

@@ -12,6 +12,8 @@ use super::fit::median;
 const WINDOW_S: f64 = 0.5;
 /// Shortest interval that counts, s.
 const INTERVAL_S: f64 = 1.0;
+/// Some of it may be lost to the edges of windows.
+const WHOLE: f64 = 0.9;
 /// A window is still while its spread stays below this many sigmas of white noise …
 const NOISE_SIGMAS: f64 = 2.5;
 /// … plus what a table or a hand adds: m/s² …
@@ -72,6 +74,33 @@ fn spread(values: impl Iterator<Item = Vector3<f64>> + Clone) -> (f64, Vector3<f
 
 /// The intervals at rest, in time order.
 pub fn intervals(samples: &[Pair]) -> Vec<Rest> {
+    let long = |(first, end): &(usize, usize)| end > first && held_s(samples, *first, *end) >= WHOLE * INTERVAL_S;
+    let rest = |(first, end): (usize, usize)| {
+        let window = &samples[first..end];
+        let (_, accel_mps2) = spread(window.iter().map(|s| s.accel_mps2));
+        let gyros = window.iter().filter_map(|s| s.gyro_radps);
+        let gyro_radps = (gyros.clone().count() > 0).then(|| spread(gyros).1);
+        Rest { first, end, accel_mps2, gyro_radps }
+    };
+    still(samples).into_iter().filter(long).map(rest).collect()
+}
+
+/// How long the newest samples have been at rest, as a share of what makes an interval: 1 where they are one, 0 in motion.
+pub fn share(samples: &[Pair]) -> f64 {
+    let newest_s = samples.last().map_or(0.0, |s| s.time_s);
+    let last = still(samples).last().copied().filter(|(_, end)| {
+        // The windows do not end with the newest sample.
+        samples.get(*end - 1).is_some_and(|s| newest_s - s.time_s < WINDOW_S)
+    });
+    last.map_or(0.0, |(first, end)| (held_s(samples, first, end) / (WHOLE * INTERVAL_S)).min(1.0))
+}
+
+fn held_s(samples: &[Pair], first: usize, end: usize) -> f64 {
+    samples[end - 1].time_s - samples[first].time_s
+}
+
+/// First and one past the last sample of each run of still windows of one pose, however short.
+fn still(samples: &[Pair]) -> Vec<(usize, usize)> {
     let accel_limit = NOISE_SIGMAS * white_sigma(|k| Some(samples[k].accel_mps2), samples.len()) + ACCEL_FLOOR_MPS2;
     let gyro_limit = NOISE_SIGMAS * white_sigma(|k| samples[k].gyro_radps, samples.len()) + GYRO_FLOOR_RADPS;
     // Windows of half their own length apart; an interval is a run of still ones.
@@ -104,16 +133,6 @@ pub fn intervals(samples: &[Pair]) -> Vec<Rest> {
         }
     }
     merged
-        .into_iter()
-        .filter(|(first, end)| *end > *first && samples[end - 1].time_s - samples[*first].time_s >= 0.9 * INTERVAL_S)
-        .map(|(first, end)| {
-            let window = &samples[first..end];
-            let (_, accel_mps2) = spread(window.iter().map(|s| s.accel_mps2));
-            let gyros = window.iter().filter_map(|s| s.gyro_radps);
-            let gyro_radps = (gyros.clone().count() > 0).then(|| spread(gyros).1);
-            Rest { first, end, accel_mps2, gyro_radps }
-        })
-        .collect()
 }
 
 fn same_pose(a: &[Pair], b: &[Pair], limit: f64) -> bool {

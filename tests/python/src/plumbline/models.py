@@ -7,6 +7,15 @@ from typing import Any, Literal, TypeAlias, TypedDict
 from typing_extensions import NotRequired
 
 
+class Aim(TypedDict):
+    """Something that a fit counts."""
+
+    best: NotRequired[int]
+    found: NotRequired[int]
+    needed: NotRequired[int]
+    what: NotRequired[str]
+
+
 class Answer(TypedDict):
     """The answer to a command that the vehicle accepted; one that it rejected is a [`crate::Problem`] of status 409."""
 
@@ -181,7 +190,7 @@ class ExperimentFlights(TypedDict):
 
 
 class Fit(TypedDict):
-    """`POST /api/v1/calibrations`: what to fit, from exactly one of `flight` and `csv`."""
+    """`POST /api/v1/calibrations`: what to fit, from exactly one of `flight`, `csv` and `vehicle`."""
 
     accelerometer: NotRequired[str | None]
     air_density_kgpm3: NotRequired[float | None]
@@ -195,6 +204,7 @@ class Fit(TypedDict):
     name: NotRequired[str | None]
     propeller: NotRequired[str | None]
     to_s: NotRequired[float | None]
+    vehicle: NotRequired[str | None]
 
 
 class Fleet(TypedDict):
@@ -593,6 +603,34 @@ class Storage(TypedDict):
     flights: NotRequired[int]
     free_bytes: NotRequired[int]
     used_bytes: NotRequired[int]
+
+
+class Taken(TypedDict):
+    """
+    `GET /api/v1/vehicles/{id}/calibration`: samples taken so far, and what the fit asks for, counted by the fit's own code. Directions
+    are unit vectors in the body frame FLU.
+    """
+
+    aims: NotRequired[list[Aim]]
+    bands: NotRequired[int]
+    field: NotRequired[list[float] | None]
+    imu: NotRequired[int]
+    kind: NotRequired[str]
+    poses: NotRequired[list[list[float]]]
+    problem: NotRequired[str]
+    ready: NotRequired[bool]
+    samples: NotRequired[int]
+    sectors: NotRequired[list[bool]]
+    span_s: NotRequired[float]
+    still: NotRequired[float]
+    up: NotRequired[list[float] | None]
+
+
+class Taking(TypedDict):
+    """`POST /api/v1/vehicles/{id}/calibration`: take samples for this; what was taken before is dropped."""
+
+    imu: NotRequired[int | None]
+    kind: str
 
 
 class Trajectory(TypedDict):

@@ -148,3 +148,39 @@ fn motion_saturation_and_nan_are_refused() {
     let text = accelerometer(&broken, GRAVITY_MPS2).unwrap_err().to_string();
     assert_eq!(text, "sample 100: accelerometer x is inf, not a finite number");
 }
+
+#[test]
+fn guidance_counts_what_the_fits_count() {
+    let mut ready = [None; 2];
+    let (samples, ..) = Bench { accel: ACCEL, poses: 12, ..Bench::default() }.samples();
+    for seconds in (3..60).step_by(2) {
+        let taken = &samples[..(seconds * 100).min(samples.len())];
+        let of = [
+            (poses_taken(taken).unwrap(), accelerometer(taken, GRAVITY_MPS2).map(drop)),
+            (turns_taken(taken).unwrap(), gyroscope(taken, &Triad::identity()).map(drop)),
+        ];
+        for (ready, (progress, fitted)) in ready.iter_mut().zip(of) {
+            let Some(short) = progress.aims.iter().find(|aim| aim.found < aim.needed) else {
+                *ready = ready.or(Some(seconds));
+                continue;
+            };
+            // THEN the fit refuses for the very number, but for turns before there are two rests.
+            let CalibrationError::TooFew { what, found, .. } = fitted.unwrap_err() else { panic!("{seconds} s") };
+            assert!((what, found) == (short.what, short.found) || seconds < 7, "{seconds} s: {found} {what}");
+        }
+    }
+    // Seven poses of 4.5 s each, the last of which has been held for a second.
+    assert!(ready.iter().all(|s| s.is_some_and(|s| (28..=33).contains(&s))), "{ready:?}");
+}
+
+#[test]
+fn a_pose_fills_while_it_is_held_and_empties_in_motion() {
+    let (samples, ..) = Bench::default().samples();
+    let share = |until_s: f64| poses_taken(&samples[..(until_s / DT_S) as usize]).unwrap().still;
+    assert!(share(0.3) == 0.0 && (0.3..0.9).contains(&share(0.8)) && share(2.9) == 1.0);
+    // In the midst of the turn that follows the first rest.
+    assert_eq!(share(REST_S + 0.75), 0.0);
+    let progress = poses_taken(&samples[..290]).unwrap();
+    assert_eq!(progress.poses.len(), 1);
+    assert!(progress.up.unwrap().angle(&up(0, 24)) < 0.1 && progress.poses[0].angle(&up(0, 24)) < 0.1);
+}

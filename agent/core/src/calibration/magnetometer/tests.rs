@@ -79,3 +79,31 @@ fn too_little_turning_is_refused_with_the_numbers() {
     assert!(text.contains("1 directions of the field"), "{text}");
     assert!(magnetometer(&[]).unwrap_err().to_string().contains("0 magnetometer samples"));
 }
+
+#[test]
+fn guidance_fills_the_sphere_until_the_fit_takes_it() {
+    let samples = turned(1.0, &distorted());
+    let mut before = 0;
+    for seconds in 1..=40 {
+        let taken = &samples[..seconds * 100];
+        let progress = directions_taken(taken).unwrap();
+        let aim = |what: &str| progress.aims.iter().find(|aim| aim.what == what).copied().unwrap();
+        assert_eq!(aim(SEEN).found, progress.sectors.iter().filter(|s| **s).count());
+        assert!(aim(DIRECTIONS).found >= before);
+        before = aim(DIRECTIONS).found;
+        let fitted = magnetometer(taken);
+        if let Some(short) = progress.aims.iter().find(|aim| aim.found < aim.needed) {
+            assert!(fitted.is_err(), "{seconds} s: fitted without {}", short.what);
+        } else if seconds > 30 {
+            assert!(fitted.is_ok(), "{seconds} s: {fitted:?}");
+        }
+    }
+    let whole = directions_taken(&samples).unwrap();
+    assert!(whole.is_ready() && whole.bands * 6 == whole.sectors.len());
+    // Once the centre is known the field points where it does without hard iron.
+    let last = samples.last().and_then(|s| s.mag_ut).unwrap() - Vector3::from(HARD);
+    assert!(whole.field.unwrap().angle(&last) < 0.1);
+    let flat = directions_taken(&turned(0.0, &distorted())).unwrap();
+    assert!(!flat.is_ready() && flat.aims.iter().any(|aim| aim.what == THICK && aim.found < aim.needed));
+    assert!(directions_taken(&[]).unwrap().field.is_none());
+}

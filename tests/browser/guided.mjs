@@ -1,0 +1,101 @@
+// Calibrate with the vehicle in one's hands, from the first pose to a fit: a recording of an IMU that is turned (`turned.mjs`) is flown
+// again, as the simulated vehicle hangs on strings and has no hands about it.
+
+import { assert, complaints, end, launch, screenshots, step, until, url } from './support.mjs';
+
+const browser = await launch();
+const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
+page.setDefaultTimeout(10_000);
+const errors = complaints(page);
+const card = page.getByRole('region', { name: 'Guided calibration' });
+const fit = page.getByRole('region', { name: 'Fit', exact: true });
+const button = (name) => card.getByRole('button', { name, exact: true });
+const said = () => card.getByRole('status').textContent();
+const held = () => card.getByRole('listitem').filter({ hasText: ': held' }).allTextContents();
+const shot = (name) => page.screenshot({ path: `${screenshots}/guided-${name}.png`, fullPage: true });
+const run = async (speed) => {
+  const answer = await page.request.post(`${url}/api/v1/vehicles/iris-1/replay`, { data: { speed, step: 0 }, headers: { 'X-Plumbline-Operator': 'browser' } });
+  assert(answer.ok(), await answer.text());
+};
+const kept = async (kind) => (await (await page.request.get(`${url}/api/v1/calibrations`)).json()).calibrations.find((c) => c.kind === kind);
+const value = (calibration, name) => calibration.parameters.find((p) => p.name === name)?.value;
+
+await step(page, 'guided: a sensor that sends nothing, and one without a magnetometer, are said in words', async () => {
+  await page.goto(`${url}/calibrate`);
+  await page.getByLabel('What', { exact: true }).selectOption({ label: 'Magnetometer' });
+  // By the keyboard.
+  await until('Begin to be offered', () => button('Begin').isEnabled());
+  await button('Begin').focus();
+  await page.keyboard.press('Enter');
+  await until('that nothing comes', async () => /nothing comes from IMU 1/.test(await said()));
+  await run(1);
+  await until('that there is no field', async () => /IMU 1 has no magnetometer/.test(await said()));
+  await run(0);
+  await button('Give up').click();
+  await button('Begin').waitFor();
+});
+
+await step(page, 'guided: poses fill one after the other, and a reload loses none', async () => {
+  await page.getByLabel('What', { exact: true }).selectOption({ label: 'Accelerometer' });
+  await button('Begin').click();
+  await run(2);
+  await until('three poses', async () => (await held()).length >= 3);
+  await run(0);
+  await until('standing still', async () => /nothing comes/.test(await said()));
+  const before = await held();
+  assert(before.some((text) => /nose up/.test(text)), JSON.stringify(before));
+  assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after three poses');
+  await shot('poses-light-1280x720');
+  await page.reload();
+  await until('the same poses', async () => JSON.stringify(await held()) === JSON.stringify(before));
+  assert((await page.getByLabel('What', { exact: true }).inputValue()) === 'accelerometer', 'another kind is shown after a reload');
+  return { before };
+});
+
+await step(page, 'guided: all poses are held, and the fit finds the scale and the bias that were put in', async () => {
+  await run(2);
+  await until('Complete', async () => /Complete/.test(await said()), 40_000);
+  await run(0);
+  await shot('complete-light-1280x720');
+  await button('Fit what was taken').click();
+  await fit.getByText(/Left after the fit/).waitFor();
+  await button('Begin').waitFor();
+  const made = await kept('accelerometer');
+  assert(made.input === 'iris-1, by hand' && made.samples >= 9, JSON.stringify([made.input, made.samples]));
+  const scales = ['x', 'y', 'z'].map((axis) => 1 / value(made, `scale_${axis}`));
+  [1.02, 0.99, 1.01].forEach((scale, n) => assert(Math.abs(scales[n] - scale) < 0.004, `scales ${scales}`));
+  assert(value(made, 'misalignment_yz') !== undefined, 'ten poses give misalignment, too');
+  return { scales };
+});
+
+await step(page, 'guided: the sphere fills while the vehicle is turned, and the fit finds the hard iron that was put in', async () => {
+  await page.getByLabel('What', { exact: true }).selectOption({ label: 'Magnetometer' });
+  await button('Begin').click();
+  await run(1);
+  const part = /(\d+) of 12 sectors seen/;
+  const seen = async () => Number(part.exec(await card.getByRole('img', { name: /^above it/ }).getAttribute('aria-label'))?.[1] ?? 0);
+  await until('the first sectors', async () => (await seen()) >= 2, 30_000);
+  assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after a few directions');
+  await shot('sphere-light-1280x720');
+  await until('enough of them', () => button('Fit what was taken').isEnabled(), 30_000);
+  await page.emulateMedia({ colorScheme: 'dark' });
+  await page.getByRole('button', { name: 'Dark theme' }).click();
+  await shot('sphere-dark-1280x720');
+  await page.setViewportSize({ width: 390, height: 844 });
+  await shot('sphere-dark-390x844');
+  await page.setViewportSize({ width: 1280, height: 720 });
+  await button('Fit what was taken').click();
+  await fit.getByText(/Left after the fit/).waitFor();
+  await shot('fitted-dark-1280x720');
+  const made = await kept('magnetometer');
+  const hard = ['x', 'y', 'z'].map((axis) => value(made, `hard_${axis}`));
+  [4, -7, 12].forEach((put, n) => assert(Math.abs(hard[n] - put) < 1, `hard iron ${hard}`));
+  return { field_ut: value(made, 'field'), hard, directions: made.samples };
+});
+
+await step(page, 'guided: no complaint in the console', async () => {
+  assert(errors.length === 0, errors.join('\n'));
+});
+
+await browser.close();
+end();
