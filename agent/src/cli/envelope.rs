@@ -8,7 +8,7 @@ use plumbline_agent::envelope::sets::Asked;
 use plumbline_agent::offline::ArgumentError;
 use plumbline_agent::sensor::suite::{PRESETS, Suite};
 use plumbline_rest::design::Design;
-use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet};
+use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet, Heave};
 
 use super::{Failure, in_file, read};
 
@@ -47,6 +47,9 @@ pub struct EnvelopeArguments {
     /// Noise that the lanes measure of their accelerometers, m/s².
     #[arg(long)]
     noise_mps2: Option<f64>,
+    /// Along a heave in the place of a hover: amplitude, m, and period, s: "0.4,4".
+    #[arg(long, value_delimiter = ',', num_args = 2)]
+    heave: Option<Vec<f64>>,
     /// Bounds the climb as well.
     #[arg(long)]
     climb: bool,
@@ -77,6 +80,10 @@ impl EnvelopeArguments {
             more: self.more.clone(),
             horizon_s: self.horizon_s,
             noise_mps2: self.noise_mps2,
+            heave: self.heave.as_deref().and_then(|heave| match heave {
+                [amplitude_m, period_s] => Some(Heave { amplitude_m: *amplitude_m, period_s: *period_s }),
+                _ => None,
+            }),
             climb: self.climb,
             proof: self.proof,
         };

@@ -38,12 +38,24 @@ pub struct EnvelopeQuestion {
     /// Noise that the lanes measure of their accelerometers, m/s²; what they assume where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_mps2: Option<f64>,
+    /// Along a heave in the place of a hover: the altitude only, from where a swing begins. Not asked over HTTP.
+    #[serde(skip)]
+    pub heave: Option<Heave>,
     /// The climb as well, along z.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub climb: bool,
     /// The maximising sequence and the certificate as well; only of one set along z, `sensors`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub proof: bool,
+}
+
+/// Up and down about 1 m.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Heave {
+    /// m.
+    pub amplitude_m: f64,
+    /// Of one swing, s.
+    pub period_s: f64,
 }
 
 /// The bounds of all sets asked for.
@@ -157,14 +169,15 @@ pub struct EnvelopeMultiplier {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AttackQuestion {
-    /// The loop; `sensors` are those attacked, for `horizon_s`.
+    /// The loop; `sensors` are those attacked, for `horizon_s`. For `zero_dynamics` and `covert` they may name `rotors`, all of them.
     #[serde(default)]
     pub of: EnvelopeQuestion,
-    /// `optimal` (what the bound is nearly reached with), `stealthy_bias` (the largest constant one seen in one of twenty flights)
-    /// or `covert` (a motion that is none); left out, `attacks` are judged as they are.
+    /// `optimal` (what the bound is nearly reached with), `stealthy_bias` (the largest constant one seen in one of twenty flights),
+    /// `zero_dynamics` (what no healthy sensor sees; no `attacks` where the loop has none, and `note` tells its zeros)
+    /// or `covert` (a motion that is not in what is received); left out, `attacks` are judged as they are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub generator: Option<String>,
-    /// Of a covert one, m/s².
+    /// Of a covert one, and the largest that rotors add along zero dynamics, m/s².
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accel_mps2: Option<f64>,
     /// rms of the vehicle's watermark, m/s², where it flies one: what tells a replayed accelerometer.

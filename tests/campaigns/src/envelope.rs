@@ -2,14 +2,15 @@
 //!
 //! The maximising sequence of every set of one or two sensors of the default suite, and drawn attacks on them. The deviation is that
 //! of the true altitude from the same flight without the attack, until somebody is excluded. `--flights N` draws so many attacks in
-//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `watermark` or one world, `--quick` a twentieth.
+//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `commanded`, `heave`, `watermark` or one world, `--quick` a twentieth.
 
+mod commanded;
 mod detection;
 
 use std::collections::HashMap;
 
 use plumbline_experiment::draw::{parallel, percentile, worst};
-use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly};
+use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly, fly_heaving};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
@@ -21,6 +22,8 @@ const REACHED: f64 = 0.9;
 const PARTS: [f64; 4] = [1.0, 0.95, 0.8, 0.6];
 /// Worlds that attacks are drawn in; in the first none may go further than its bound unseen.
 const WORLDS: [&str; 3] = ["ideal", "bench", "datasheet"];
+/// A heave in the place of a hover, m and s.
+const HEAVE: (f64, f64) = (0.4, 4.0);
 /// Flights without an attack that attacked ones are held against, in a world with noise.
 const CLEAN: u64 = 25;
 
@@ -38,8 +41,14 @@ pub fn run() -> Result<(), ReportError> {
     if effort.wants("detect") {
         detection::of_generators(&mut report, &effort)?;
     }
+    if effort.wants("commanded") {
+        commanded::of_rotors(&mut report, &effort)?;
+    }
     if effort.wants("watermark") {
         detection::of_replays(&mut report, &effort)?;
+    }
+    if effort.wants("heave") {
+        heaving(&mut report, &effort)?;
     }
     for world in WORLDS.into_iter().filter(|world| effort.wants(world)) {
         drawn(&mut report, world, &effort)?;
@@ -81,6 +90,43 @@ fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     }
     let headers = ["attacked", "bound, cm", "held by", "scaled by", "flown, of the bound", "excluded"];
     report.table("worst", "Maximising sequences", &headers, &rows)
+}
+
+/// Drawn attacks along a heave in the ideal world, and the worst sequences of single sensors and of a height with an IMU.
+fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
+    let (amplitude_m, period_s) = HEAVE;
+    report.heading(&format!("A heave of {amplitude_m} m within {period_s} s: the ideal world"));
+    let clean = fly_heaving("ideal", effort.seed_base, &Worn::default(), HEAVE);
+    let (bounds, hover) = (Bounds::along(clean.noise_mps2, Some(HEAVE), None), Bounds::new(clean.noise_mps2));
+    let flown = parallel(bounds.sets.len(), |i| {
+        fly_heaving("ideal", effort.seed_base, &bounds.worst(&bounds.sets[i], 1.0), HEAVE)
+    });
+    let mut rows = Vec::new();
+    for (set, flight) in bounds.sets.iter().zip(flown) {
+        let about = hover.sets.iter().find(|of| of.sensors == set.sensors).map_or(f64::NAN, |of| of.bound_m);
+        let reached = flight.unseen_m(&clean) / set.bound_m;
+        let seen = flight.seen.is_some();
+        let more = json!({ "bound_m": set.bound_m, "hover_m": about, "linear_m": set.reached_m, "seen": seen });
+        report.value(&format!("heave/worst/{}", set.name()), reached, "of the bound", more);
+        let cm = |m: f64| format!("{:.3}", 100.0 * m);
+        rows.push(vec![set.name(), cm(set.bound_m), cm(about), format!("{reached:.3}"), seen.to_string()]);
+    }
+    let headers = ["attacked", "bound, cm", "about hover, cm", "flown, of the bound", "seen"];
+    report.table("heave", "Maximising sequences along a heave", &headers, &rows)?;
+    let parts = parallel(effort.flights as usize, |i| {
+        let set = &bounds.sets[i % bounds.sets.len()];
+        let (_, attack) = bounds.drawn(set, effort.seed_base + i as u64);
+        let flight = fly_heaving("ideal", effort.seed_base, &attack, HEAVE);
+        (flight.unseen_m(&clean) / set.bound_m, flight.seen.is_some())
+    });
+    let reached: Vec<f64> = parts.iter().map(|(part, _)| *part).collect();
+    let beyond = reached.iter().filter(|part| **part > LINEAR).count();
+    let more = json!({
+        "flights": parts.len(), "seed_base": effort.seed_base, "beyond": beyond, "worst": worst(&reached),
+        "seen": parts.iter().filter(|(_, seen)| *seen).count(), "holds": beyond == 0,
+    });
+    report.value("heave/drawn", percentile(&reached, 0.95), "of the bound, 95 %", more);
+    Ok(())
 }
 
 /// Drawn attacks in one world.

@@ -17,7 +17,7 @@ use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 const WIRES: &str = "wires.mjs";
 
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
-/// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `axe.mjs` look for what keeps people out and `foxglove.mjs`
+/// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `envelope.mjs` has attacks prepared, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
 /// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, one of a sensor in
 /// somebody's hands with `guided.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
@@ -35,6 +35,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
                 "trust.mjs",
                 "reports.mjs",
                 "signals.mjs",
+                "envelope.mjs",
                 "axe.mjs",
                 "foxglove.mjs",
                 "mcap.mjs",

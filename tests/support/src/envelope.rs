@@ -15,7 +15,7 @@ use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
-use plumbline_rest::envelope::EnvelopeQuestion;
+use plumbline_rest::envelope::{EnvelopeQuestion, Heave, PreparedAttack};
 use rand::{RngExt as _, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -134,6 +134,28 @@ impl Worn {
 }
 
 impl Worn {
+    /// What was prepared, from so long after the usual onset on, s: a sample of the height that its thrust is held between.
+    pub fn prepared(attack: &PreparedAttack, late_s: f64) -> Self {
+        let mut worn = Self::default();
+        for (id, one) in (1..).zip(&attack.attacks) {
+            worn.attacks.push(Attack {
+                id,
+                sensor: format!("{} {}", one.sensor, one.instance).parse().unwrap(),
+                channel: if one.channel == "accel_z" { Channel::AccelAxis(2) } else { Channel::All },
+                kind: Kind::Bias,
+                start_s: ONSET_S + late_s + one.start_s,
+                duration_s: one.duration_s,
+                magnitude: one.magnitude,
+                seed: one.seed,
+            });
+            let period_s = one.sequence_period_s.unwrap();
+            worn.sequences.push(Sequence { attack: id, period_s, values: one.sequence.clone() });
+        }
+        worn
+    }
+}
+
+impl Worn {
     /// `attack` of a program along x, its accelerometers' and gyroscopes' values by turns, times `part`.
     pub fn along_x(imus: &[SensorId], attack: &Signal, part: f64) -> Self {
         let (mut worn, allowed) = (Self::default(), plumbline_agent::attack::Bounds::default());
@@ -179,13 +201,40 @@ pub fn fly_held(world: &str, seed: u64, worn: &Worn, horizon_s: f64) -> Flown {
     fly_with(world, seed, worn, horizon_s, None, true)
 }
 
+/// Flies `worn` in `world` along a heave, m and s, of which a swing begins with the onset: setpoints of it.
+pub fn fly_heaving(world: &str, seed: u64, worn: &Worn, (amplitude_m, period_s): (f64, f64)) -> Flown {
+    const EVERY_S: f64 = 0.05;
+    let begin_s = ONSET_S - ((ONSET_S - 9.0) / period_s).floor() * period_s;
+    let steps = ((ONSET_S + HORIZON_S + AFTER_S - begin_s) / EVERY_S) as usize;
+    let step = |k: usize| {
+        let since_s = k as f64 * EVERY_S;
+        let altitude_m = 1.0 + amplitude_m * (std::f64::consts::TAU * since_s / period_s).sin();
+        let at_s = begin_s + since_s;
+        format!("[[script]]\nat_s = {at_s:.3}\ndo = \"setpoint\"\naltitude_m = {altitude_m:.5}\n")
+    };
+    let script: String = (0..steps).map(step).collect();
+    fly_scripted(world, seed, worn, HORIZON_S, None, ("altitude_hold", "", &script))
+}
+
 fn fly_with(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>, held: bool) -> Flown {
     let (mode, add) = if held { ("hold", "add = [\"mocap_pose\"]\n") } else { ("altitude_hold", "") };
+    fly_scripted(world, seed, worn, horizon_s, watermark, (mode, add, ""))
+}
+
+/// In a mode, with more of the suite and more of the script.
+fn fly_scripted(
+    world: &str,
+    seed: u64,
+    worn: &Worn,
+    horizon_s: f64,
+    watermark: Option<Settings>,
+    (mode, add, script): (&str, &str, &str),
+) -> Flown {
     let duration_s = ONSET_S + horizon_s + AFTER_S;
     let text = format!(
         "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{world}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
          [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"{mode}\"\n\
-         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
+         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n{script}[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
     );
     let scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
     let mut config = scenario.flight_config();
@@ -275,7 +324,14 @@ pub struct Bounds {
 impl Bounds {
     /// Where the lanes measure `noise_mps2` of their accelerometers.
     pub fn new(noise_mps2: f64) -> Self {
-        let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
+        Self::along(noise_mps2, None, None)
+    }
+
+    /// The same along a heave, m and s, or of one set only.
+    pub fn along(noise_mps2: f64, heave: Option<(f64, f64)>, only: Option<&str>) -> Self {
+        let heave = heave.map(|(amplitude_m, period_s)| Heave { amplitude_m, period_s });
+        let sensors = only.map(|names| names.split(", ").map(str::to_owned).collect());
+        let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), heave, sensors, ..EnvelopeQuestion::default() };
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
             let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();

@@ -17,8 +17,14 @@ use crate::{
 /// What is expected is asked for when the draft has stood still this long.
 const SETTLE: Duration = Duration::from_millis(300);
 /// Generators: name on the wire, name for people.
-const GENERATORS: [(&str, &str); 3] =
-    [("optimal", "optimal, unseen"), ("stealthy_bias", "stealthy bias"), ("covert", "covert motion")];
+const GENERATORS: [(&str, &str); 4] = [
+    ("optimal", "optimal, unseen"),
+    ("stealthy_bias", "stealthy bias"),
+    ("zero_dynamics", "zero dynamics"),
+    ("covert", "covert motion"),
+];
+/// Those that are told how large they may be, and may attack the rotors.
+const COMMANDED: [&str; 2] = ["zero_dynamics", "covert"];
 /// Prepared ones begin so long after acceptance, s.
 const START_S: f64 = 5.0;
 
@@ -42,6 +48,23 @@ fn told(expected: &PreparedAttack) -> String {
         }
         _ => expected.note.clone(),
     }
+}
+
+/// What is said of a prepared attack besides what is expected of the draft: of one on rotors that is here.
+fn remark(found: &PreparedAttack) -> String {
+    let rotors = found.attacks.iter().any(|attack| attack.sensor == "rotor");
+    let expected = match (found.probability.filter(|_| rotors), found.altitude_m) {
+        (Some(part), Some(most_m)) => format!(
+            " A sensor is expected to be excluded in {} % of flights; the altitude moves {} cm.",
+            format::fixed(100.0 * part, 0),
+            format::fixed(100.0 * most_m, 1)
+        ),
+        (Some(part), None) => {
+            format!(" A sensor is expected to be excluded in {} % of flights.", format::fixed(100.0 * part, 0))
+        }
+        _ => String::new(),
+    };
+    format!("{}{expected}", found.note)
 }
 
 /// What is expected of the draft.
@@ -95,7 +118,8 @@ pub fn Prepare(
         ctx.live(|live| {
             let all = live.description.get().map(|told| told.sensors.clone()).unwrap_or_default();
             let bounded = all.iter().filter(|s| matches!(s.kind(), SensorKind::Height | SensorKind::Imu));
-            bounded.map(|s| SensorId::new(s.kind(), s.instance as u8).to_string()).collect::<Vec<_>>()
+            let rotors = live.description.get().filter(|told| !told.actuators.is_empty()).map(|_| "rotors".to_owned());
+            bounded.map(|s| SensorId::new(s.kind(), s.instance as u8).to_string()).chain(rotors).collect::<Vec<_>>()
         })
     });
     let choose = move |name: String, on: bool| {
@@ -118,7 +142,7 @@ pub fn Prepare(
                 ..EnvelopeQuestion::default()
             };
             let (name, _) = GENERATORS.get(generator.get_untracked()).copied().unwrap_or_default();
-            let accel_mps2 = if name == "covert" { Some(number("acceleration", accel)?) } else { None };
+            let accel_mps2 = if COMMANDED.contains(&name) { Some(number("acceleration", accel)?) } else { None };
             let generator = Some(name.to_owned());
             Ok(AttackQuestion { of, generator, accel_mps2, start_s: START_S, ..AttackQuestion::default() })
         });
@@ -136,7 +160,7 @@ pub fn Prepare(
                 Ok(found) => {
                     let prepared = found.attacks.iter().filter_map(Draft::prepared);
                     let _ = drafts.try_update(|all| all.extend(prepared));
-                    let _ = note.try_set(found.note);
+                    let _ = note.try_set(remark(&found));
                 }
                 Err(why) => {
                     let _ = refusal.try_set(why);
@@ -172,7 +196,7 @@ pub fn Prepare(
                 </label>
                 <label class="field"><span>"acceleration " <small>"m/s²"</small></span>
                     <input type="text" inputmode="decimal" autocomplete="off"
-                        disabled=move || GENERATORS.get(generator.get()).is_none_or(|(name, _)| *name != "covert")
+                        disabled=move || GENERATORS.get(generator.get()).is_none_or(|(name, _)| !COMMANDED.contains(name))
                         prop:value=move || accel.get() on:input:target=move |e| accel.set(e.target().value()) />
                 </label>
                 <button type="submit" disabled=busy>{move || if busy.get() { "Preparing…" } else { "Prepare" }}</button>
@@ -186,6 +210,7 @@ pub fn Prepare(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_rest::command::PlannedAttack;
 
     #[test]
     fn what_is_expected_is_one_line_and_what_is_not_says_why() {
@@ -200,5 +225,12 @@ mod tests {
         let rotor =
             PreparedAttack { probability: Some(0.996), note: "rotor 2 isolated".into(), ..PreparedAttack::default() };
         assert_eq!(told(&rotor), "Expected in 100 % of flights: rotor 2 isolated.");
+        let attacks = vec![PlannedAttack { sensor: "rotor".into(), ..PlannedAttack::default() }];
+        let prepared =
+            PreparedAttack { attacks, probability: Some(0.02), altitude_m: Some(0.35), note: "Held.".into() };
+        let said = "Held. A sensor is expected to be excluded in 2 % of flights; the altitude moves 35.0 cm.";
+        assert_eq!(remark(&prepared), said);
+        // What sensors have added is expected of the draft.
+        assert_eq!(remark(&PreparedAttack { attacks: Vec::new(), ..prepared }), "Held.");
     }
 }

@@ -34,6 +34,8 @@ use super::{EnvelopeError, Model, Response, Signal};
 
 /// Altitude of the hover, m.
 pub(super) const ALTITUDE_M: f64 = 1.0;
+/// Furthest up and down, m, and shortest swing, s, of a heave: it stays between floor and ceiling, and no limit is reached.
+const HEAVE: (f64, f64) = (0.7, 2.0);
 /// Slots after which the samples of all heights must repeat.
 const LONGEST_CYCLE: usize = 25;
 
@@ -51,6 +53,8 @@ pub struct Loop {
     controlled: Controlled,
     pub(super) noise_mps2: f64,
     pub(super) most: (f64, f64),
+    /// Up and down about the hover, m and s; the attack begins where a swing does.
+    heave: Option<(f64, f64)>,
 }
 
 /// Slots after which samples at these rates repeat.
@@ -140,7 +144,32 @@ impl Loop {
             controlled,
             noise_mps2: noise_mps2.max(of_imus::NOISE_MPS2),
             most,
+            heave: None,
         })
+    }
+
+    /// About a heave of `amplitude_m` and `period_s` in the place of a hover: the loop varies along it. About one the thrust that is commanded
+    /// enters v̇ as about the other; what the heights' judges learn as scale depends on the altitude.
+    ///
+    /// # Errors
+    /// [`EnvelopeError::Value`] for one beyond small accelerations, or whose swing is not whole slots.
+    pub fn heaving(self, amplitude_m: f64, period_s: f64) -> Result<Self, EnvelopeError> {
+        let (most_m, least_s) = HEAVE;
+        if !(0.0..=most_m).contains(&amplitude_m) {
+            return Err(EnvelopeError::Value { what: "amplitude_m", value: amplitude_m, expected: "0 to 0.7" });
+        }
+        let slots = period_s / SLOT;
+        if !(least_s..=20.0).contains(&period_s) || (slots - slots.round()).abs() > 1e-6 {
+            let expected = "2 to 20, in whole slots of 40 ms";
+            return Err(EnvelopeError::Value { what: "period_s", value: period_s, expected });
+        }
+        Ok(Self { heave: Some((amplitude_m, period_s)), ..self })
+    }
+
+    /// So long after the onset, m.
+    pub(super) fn altitude_m(&self, time_s: f64) -> f64 {
+        let swing = |(m, period_s): (f64, f64)| m * (std::f64::consts::TAU * time_s / period_s).sin();
+        ALTITUDE_M + self.heave.map_or(0.0, swing)
     }
 
     /// With `excluded` sensors left out: neither used nor attacked.
@@ -263,8 +292,10 @@ impl Model for Attacked<'_> {
 
     fn period_s(&self, horizon_s: f64) -> f64 {
         let Ok(schedule) = self.flying.schedule() else { return horizon_s };
-        let all = |slots: &usize| [schedule.len(), of_heights::EVERY].iter().all(|own| slots.is_multiple_of(*own));
-        let slots = (schedule.len()..=schedule.len() * of_heights::EVERY).find(all).unwrap_or(usize::MAX);
+        let swing = self.flying.heave.map_or(1, |(_, period_s)| (period_s / SLOT).round() as usize);
+        let each = [schedule.len(), of_heights::EVERY, swing];
+        let all = |slots: &usize| each.iter().all(|own| slots.is_multiple_of(*own));
+        let slots = (1..=each.iter().product()).find(all).unwrap_or(usize::MAX);
         (slots as f64 * SLOT).min(horizon_s)
     }
 
@@ -372,7 +403,8 @@ impl Running<'_> {
         let height = |i: usize, age_s: f64| self.of.height(i, number, age_s, &self.altitudes, self.attack);
         let measured: Vec<Option<Signal>> =
             ages.iter().enumerate().map(|(i, age_s)| age_s.map(|age_s| height(i, age_s))).collect();
-        let corrected = self.judges.without_offsets(&measured);
+        let z_m = self.of.flying.altitude_m((number + 1) as f64 * SLOT);
+        let corrected = self.judges.without_offsets(&measured, z_m);
         let innovations = self.bank.take(number, &force, &added, &corrected, self.width);
         let (z, v) = (self.bank.fused(0), self.bank.fused(1));
         let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
@@ -383,7 +415,7 @@ impl Running<'_> {
         }
         let residuals: Vec<Option<Signal>> = corrected.iter().zip(&ages).map(after).collect();
         let (time_s, out) = ((number + 1) as f64 * SLOT, &mut self.response.statistics);
-        self.judges.hear_heights(time_s, number, &innovations, &residuals, out);
+        self.judges.hear_heights((time_s, z_m), number, &innovations, &residuals, out);
         self.judges.hear_imus(time_s, &added, &innovations, &self.bank.differ, out);
         self.predictor.bias = self.bank.fused(2);
         self.predictor.now = [z, v];

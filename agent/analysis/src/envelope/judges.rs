@@ -48,7 +48,8 @@ pub(super) struct Judges {
     regime: Regime,
     reach_m: f64,
     width: usize,
-    offsets: Vec<Signal>,
+    /// What was learned of each height: an offset, m, and a scale.
+    offsets: Vec<[Signal; 2]>,
     /// The last residuals of each height, the newest first.
     residuals: Vec<VecDeque<Signal>>,
     /// Σ wₖ of the evidence.
@@ -112,7 +113,7 @@ impl Judges {
             regime: of.regime,
             reach_m: of_heights::REACH_M + of.near_m,
             width,
-            offsets: rates_hz.iter().map(|_| zero()).collect(),
+            offsets: rates_hz.iter().map(|_| [zero(), zero()]).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
             weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
@@ -128,9 +129,11 @@ impl Judges {
         (of_heights::SOFT / of_heights::LIMIT).powi(2) * (of_heights::REACH_M / apart_m).min(1.0)
     }
 
-    /// Heights as measured, what was learned of each taken off.
-    pub(super) fn without_offsets(&self, measured: &[Option<Signal>]) -> Vec<Option<Signal>> {
-        let one = |(y, off): (&Option<Signal>, &Signal)| y.as_ref().map(|y| y - off);
+    /// Heights as measured at altitude `z_m`, what was learned of each taken off.
+    pub(super) fn without_offsets(&self, measured: &[Option<Signal>], z_m: f64) -> Vec<Option<Signal>> {
+        let one = |(y, [off, scale]): (&Option<Signal>, &[Signal; 2])| {
+            y.as_ref().map(|y| y - off - scale * (z_m - of_heights::PIVOT_M))
+        };
         measured.iter().zip(&self.offsets).map(one).collect()
     }
 
@@ -159,10 +162,10 @@ impl Judges {
         of.filter_map(|(residuals, _)| Some(residuals.front()? - &mean)).collect()
     }
 
-    /// Slot `number` that ends at `time_s`: innovations, and residuals after the correction.
+    /// Slot `number` that ends at `time_s`, at altitude `z_m`: innovations, and residuals after the correction.
     pub(super) fn hear_heights(
         &mut self,
-        time_s: f64,
+        (time_s, z_m): (f64, f64),
         number: usize,
         innovations: &[Innovation],
         residuals: &[Option<Signal>],
@@ -196,11 +199,11 @@ impl Judges {
             }
         }
         if (number + 1).is_multiple_of(of_heights::EVERY) && attacked > 0 {
-            self.decode(time_s, out);
+            self.decode(time_s, z_m, out);
         }
     }
 
-    fn decode(&mut self, time_s: f64, out: &mut Vec<Statistic>) {
+    fn decode(&mut self, time_s: f64, z_m: f64, out: &mut Vec<Statistic>) {
         let (attacked, healthy) = self.counts();
         for ((n, sigma_m), detector) in of_heights::MEANS.into_iter().zip(["height mean, short", "height mean, long"]) {
             let means: Vec<Signal> =
@@ -233,8 +236,10 @@ impl Judges {
             if n == of_heights::MEANS[1].0 && self.regime == Regime::Full {
                 let used = || means.iter().zip(&self.heights).filter(|(_, role)| **role != Role::Excluded);
                 let common = mean(used().map(|(mean, _)| mean.clone()), attacked + healthy, self.width);
-                for (offset, mean) in self.offsets.iter_mut().zip(&means) {
-                    offset.axpy(of_heights::learned(super::flying::ALTITUDE_M), &(mean - &common), 1.0);
+                for ([offset, scale], mean) in self.offsets.iter_mut().zip(&means) {
+                    let off = mean - &common;
+                    offset.axpy(of_heights::LEARNED, &off, 1.0);
+                    scale.axpy(of_heights::LEARNED * of_heights::SCALE_SHARE * (z_m - of_heights::PIVOT_M), &off, 1.0);
                 }
             }
         }

@@ -15,6 +15,7 @@
 //! axis. `program` solves, and proves the bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
 mod bank;
+mod commanded;
 mod controlled;
 pub mod expected;
 pub mod flying;
@@ -24,6 +25,7 @@ pub mod lateral;
 pub mod prepare;
 pub mod program;
 pub mod prototype;
+mod rotors;
 pub mod sets;
 pub mod theory;
 

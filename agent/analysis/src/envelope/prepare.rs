@@ -4,7 +4,8 @@
 //! |---|---|
 //! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample |
 //! | stealthy bias | the same constant to every height attacked, the largest seen in one of twenty flights |
-//! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again |
+//! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again; with the rotors attacked too that motion is commanded, and the model's response to it taken off |
+//! | zero dynamics | what no healthy sensor sees, along the zeros of the loop that do not die away; none where there is none |
 
 use plumbline_core::attack::Bounds;
 use plumbline_core::flight::{ROTOR_SIGMA, rotor_information};
@@ -18,17 +19,18 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack}
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
+use super::rotors;
 use super::sets::{Asked, Verdict, sequences, verdict, wrong};
 use super::{Deviation, EnvelopeError, program, theory};
 
 /// A stealthy bias is seen in so many flights …
-const STEALTHY: f64 = 0.05;
+pub(super) const STEALTHY: f64 = 0.05;
 /// … and told to within a part of 2 to this.
-const HALVINGS: usize = 7;
+pub(super) const HALVINGS: usize = 7;
 /// Largest bias tried, m.
 const LARGEST_M: f64 = 0.5;
 /// Seed of the noise drawn: the same question, the same answer.
-const SEED: u64 = 21;
+pub(super) const SEED: u64 = 21;
 /// Longest attack that is judged, s.
 const LONGEST_S: f64 = 60.0;
 /// The closed form of a rotor's loss holds in flight from this loss on, or up to this one.
@@ -42,9 +44,10 @@ const WATERMARK_MPS2: f64 = 0.5;
 /// [`EnvelopeError`] naming field and value.
 pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<PreparedAttack, EnvelopeError> {
     let mut of = question.of.clone();
+    let rotors = rotors::taken(&mut of.sensors, question.generator.as_deref())?;
     if question.generator.is_none() {
         of.sensors = Some(Vec::new());
-    } else if of.sensors.as_ref().is_none_or(Vec::is_empty) {
+    } else if !rotors && of.sensors.as_ref().is_none_or(Vec::is_empty) {
         return Err(wrong("sensors", "is empty, a generator attacks at least one".into()));
     }
     let asked = Asked::new(&of, suite)?;
@@ -63,6 +66,11 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         seed: 1,
         ..PlannedAttack::default()
     };
+    match question.generator.as_deref() {
+        Some("zero_dynamics") => return rotors::zero_dynamics(question, &asked, &set, rotors),
+        Some("covert") if rotors => return rotors::covert(question, &asked, &set),
+        _ => {}
+    }
     let mut note = String::new();
     let attacks = match question.generator.as_deref() {
         None => question.attacks.clone(),
@@ -115,7 +123,7 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
             set.iter().map(of).collect()
         }
         Some(other) => {
-            let problem = format!("is {other:.40?}, it must be optimal, stealthy_bias or covert");
+            let problem = format!("is {other:.40?}, it must be optimal, stealthy_bias, zero_dynamics or covert");
             return Err(wrong("generator", problem));
         }
     };

@@ -273,7 +273,13 @@ impl Asked {
             None => named(&question.without, &flying.sensors)?,
             Some(_) => Vec::new(),
         };
-        let flying = flying.without(&without)?;
+        let mut flying = flying.without(&without)?;
+        if let Some(heave) = &question.heave {
+            if axis.is_some() {
+                return Err(wrong("heave", "is along z: x and y have none".into()));
+            }
+            flying = flying.heaving(heave.amplitude_m, heave.period_s)?;
+        }
         let lateral = axis.map(|axis| {
             let without = named(&question.without, &lateral::sensors(&suite))?;
             let (noise_mps2, most) =

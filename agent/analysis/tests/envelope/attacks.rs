@@ -58,6 +58,75 @@ fn generators_prepare_what_a_schedule_takes_and_stealthy_ones_are_hardly_seen() 
     println!("but one height {:?}", prepared(&covert, None).unwrap().probability);
 }
 
+/// Every height and IMU of the default suite but these.
+fn but(healthy: &[&'static str]) -> Vec<&'static str> {
+    let all = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4"];
+    all.into_iter().filter(|name| !healthy.contains(name)).collect()
+}
+
+#[test]
+fn zero_dynamics_are_those_there_are_and_no_attack_is_made_up() {
+    let zeros = |sensors: &[&str]| prepared(&question(Some("zero_dynamics"), sensors), None).unwrap();
+    // A healthy height sees whatever moves; what an accelerometer alone could hide is its bias.
+    for (sensors, why) in [
+        (vec!["height 2"], "there is no zero"),
+        (vec!["height 1", "height 2"], "there is no zero"),
+        (vec!["imu 1"], "1.00: none of them moves the vehicle, a constant bias or force is learned"),
+        (vec!["height 1", "imu 1", "imu 2"], "1.00 (2 times): none of them moves the vehicle"),
+        // A thrust that is off for ever is as a wind.
+        (vec!["rotors"], "1.00: none of them moves the vehicle"),
+    ] {
+        let found = zeros(&sensors);
+        println!("{sensors:?}: {}", found.note);
+        assert!(found.attacks.is_empty() && found.probability.is_none() && found.note.contains(why), "{found:?}");
+    }
+    // All heights: a ramp, two zeros at 1.
+    let ramp = zeros(&but(&["imu 1", "imu 2", "imu 3", "imu 4"]));
+    println!("{} {:?} {:?}", ramp.note, ramp.probability, ramp.altitude_m);
+    assert!(ramp.attacks.len() == 3 && ramp.note.contains("1.00 (2 times)"), "{}", ramp.note);
+    assert!(ramp.probability.unwrap() <= STEALTHY && ramp.altitude_m.unwrap() > 0.1, "{:?}", ramp.altitude_m);
+    // Three heights one after another see any thrust; a single one leaves a zero of the hold between its samples.
+    let mut three = but(&["height 1", "height 2", "height 3"]);
+    three.push("rotors");
+    println!("{}", zeros(&three).note);
+    assert!(zeros(&three).attacks.is_empty());
+    let mut alone = but(&["height 3"]);
+    alone.push("rotors");
+    let found = zeros(&alone);
+    println!("{} {:?} {:?}", found.note, found.probability, found.altitude_m);
+    // As SciPy's generalised eigenvalues: −1.70948, −0.05275, and what is learned.
+    assert!(found.note.contains("zeros of a period of 100 ms: −1.71, 1.00 (5 times), −0.05."), "{}", found.note);
+    assert!(found.note.contains("a sample of height 3") && found.probability.unwrap() <= 0.02);
+    // With so much thrust it is hardly anywhere between the samples.
+    assert!(found.altitude_m.unwrap() < 1e-4, "{:?}", found.altitude_m);
+    assert_eq!(found.attacks.len(), 10);
+    let rotor = found.attacks.iter().find(|attack| attack.sensor == "rotor").unwrap();
+    assert_eq!((rotor.channel.as_str(), rotor.kind.as_str(), rotor.sequence.len()), ("all", "bias", 1000));
+    let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
+    assert!(refused(&question(Some("optimal"), &["rotors"])).contains("only zero_dynamics and covert"));
+    let large = AttackQuestion { accel_mps2: Some(99.0), ..question(Some("covert"), &["rotors"]) };
+    assert!(refused(&large).contains("accel_mps2 is 99"));
+}
+
+#[test]
+fn a_covert_motion_by_command_is_not_in_what_is_received() {
+    let mut all = but(&[]);
+    all.push("rotors");
+    let covert = |sensors: &[&str]| {
+        prepared(&AttackQuestion { accel_mps2: Some(0.2), ..question(Some("covert"), sensors) }, None).unwrap()
+    };
+    let whole = covert(&all);
+    println!("{} {:?} {:?}", whole.note, whole.probability, whole.altitude_m);
+    // 0.2 m/s² at most over 5 s: 0.2 · 25 · √3/10 m.
+    assert!((whole.altitude_m.unwrap() - 0.866).abs() < 0.01 && whole.probability.unwrap() <= 0.02, "{whole:?}");
+    assert_eq!(whole.attacks.len(), 11);
+    // One healthy height reads all of it.
+    all.retain(|name| *name != "height 3");
+    let seen = covert(&all);
+    println!("{} {:?}", seen.note, seen.probability);
+    assert!(seen.altitude_m.is_none() && seen.probability.unwrap() > 0.9, "{:?}", seen.probability);
+}
+
 #[test]
 fn a_schedule_is_judged_as_it_is_and_what_cannot_be_says_why() {
     let attack = |kind: &str, magnitude| PlannedAttack {

@@ -14,3 +14,4 @@ pub mod motor_curve;
 pub mod rigid_body;
 pub mod state_space;
 pub mod trim;
+pub mod zeros;

@@ -1,9 +1,10 @@
 //! The attack envelope flown: GIVEN a world without noise WHEN attacks are worn THEN none goes further than its bound unseen.
 
 use plumbline_agent::envelope::Deviation;
+use plumbline_agent::envelope::prepare::prepared;
 use plumbline_agent::envelope::sets::Asked;
-use plumbline_rest::envelope::EnvelopeQuestion;
-use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly, fly_held};
+use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
+use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly, fly_heaving, fly_held};
 
 /// So much of its bound a drawn attack may reach.
 const CLIPPED: f64 = 1.05;
@@ -52,4 +53,59 @@ fn along_x_the_worst_come_near_their_bounds_too() {
     });
     let flown: Vec<_> = flown.collect();
     assert!(flown.iter().all(|(seen, part)| seen.is_none() && (0.5..1.05).contains(part)), "{flown:?}");
+}
+
+/// GIVEN a heave in the place of a hover WHEN the worst of single sensors along it are worn THEN they come near their bounds along it, not beyond.
+#[test]
+fn along_a_heave_the_worst_come_near_their_bounds_too() {
+    let heave = (0.4, 4.0);
+    let clean = fly_heaving("ideal", 3, &Worn::default(), heave);
+    let (low, high) = clean.altitude_m.iter().fold((9.0_f64, 0.0_f64), |(low, high), z| (low.min(*z), high.max(*z)));
+    assert!(clean.seen.is_none() && (low - 0.6).abs() < 0.1 && (high - 1.4).abs() < 0.1, "{low} {high}");
+    // An IMU's 0.9 is missed along a heave.
+    for (names, least) in [("height 2", 0.9), ("imu 1", 0.7)] {
+        let bounds = Bounds::along(clean.noise_mps2, Some(heave), Some(names));
+        let set = &bounds.sets[0];
+        let flight = fly_heaving("ideal", 3, &bounds.worst(set, 1.0), heave);
+        let part = flight.unseen_m(&clean) / set.bound_m;
+        println!("{names}: {part:.3} of {:.4} m, excluded {:?}", set.bound_m, flight.excluded);
+        assert!(flight.seen.is_none() && part > least && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
+    }
+}
+
+/// What `generator` makes of every sensor and rotor but those `healthy`, for 10 s.
+fn of_all(generator: &str, accel_mps2: f64, healthy: &[&str]) -> PreparedAttack {
+    let all = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4", "rotors"];
+    let sensors = all.iter().filter(|name| !healthy.contains(name)).map(|name| (*name).to_owned()).collect();
+    let of = EnvelopeQuestion { sensors: Some(sensors), ..EnvelopeQuestion::default() };
+    let generator = Some(generator.to_owned());
+    prepared(&AttackQuestion { of, generator, accel_mps2: Some(accel_mps2), ..AttackQuestion::default() }, None)
+        .unwrap()
+}
+
+/// GIVEN a world without noise WHEN every height, IMU and rotor is attacked covertly THEN the vehicle goes where it is told, and nobody hears it.
+#[test]
+fn a_covert_motion_by_command_is_flown_as_asked_and_not_heard() {
+    let clean = fly("ideal", 2, &Worn::default());
+    let attack = of_all("covert", 0.02, &[]);
+    let flight = fly("ideal", 2, &Worn::prepared(&attack, 0.0));
+    // Behind its end everything is seen at once.
+    let last = 1990;
+    let moved_m = flight.altitude_m[last] - clean.altitude_m[last];
+    let asked_m = attack.altitude_m.unwrap();
+    println!("asked {asked_m:.3} m, moved {moved_m:.3} m, seen {:?}, excluded {:?}", flight.seen, flight.excluded);
+    assert!((moved_m / asked_m - 1.0).abs() < 0.02, "{moved_m} of {asked_m} m");
+    assert!(flight.seen.is_none_or(|tick| tick > last), "{:?} {:?}", flight.seen, flight.excluded);
+}
+
+/// GIVEN one healthy height WHEN a thrust grows along the zero of its samples THEN nobody hears it.
+#[test]
+fn a_thrust_along_the_zero_of_a_height_is_not_in_its_samples() {
+    let clean = fly("ideal", 2, &Worn::default());
+    let attack = of_all("zero_dynamics", 0.5, &["height 3"]);
+    let flight = fly("ideal", 2, &Worn::prepared(&attack, 0.065));
+    let apart = |tick: usize| (flight.altitude_m[tick] - clean.altitude_m[tick]).abs();
+    let furthest_m = (0..1990).map(apart).fold(0.0, f64::max);
+    println!("{} asked {:?}, moved {furthest_m:.5}, seen {:?}", attack.note, attack.altitude_m, flight.seen);
+    assert!(flight.seen.is_none_or(|tick| tick > 1990), "{:?} {:?}", flight.seen, flight.excluded);
 }

@@ -31,7 +31,7 @@ const REPLAY_S: f64 = 30.0;
 const DEFLECTION: f64 = 0.5 * RMS_MPS2 * 15.811_388 / 0.15;
 
 /// Interval of a part \[Wilson 1927\].
-fn interval(of: u64, all: u64) -> (f64, f64) {
+pub(super) fn interval(of: u64, all: u64) -> (f64, f64) {
     let (n, p) = (all.max(1) as f64, of as f64 / all.max(1) as f64);
     let (centre, spread) = (p + Z * Z / (2.0 * n), Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt());
     let scale = 1.0 + Z * Z / n;

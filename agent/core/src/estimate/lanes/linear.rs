@@ -61,10 +61,12 @@ pub mod of_heights {
     /// Slots between two decodes.
     pub const EVERY: usize = heights::EVERY as usize;
 
-    /// Part of a deviation that is learned at each decode, at altitude `z_m`.
-    pub fn learned(z_m: f64) -> f64 {
-        heights::GAINS.1 * (1.0 + heights::SCALE_SHARE * (z_m - heights::PIVOT_M).powi(2))
-    }
+    /// Part of a deviation that is learned as an offset at each decode, …
+    pub const LEARNED: f64 = heights::GAINS.1;
+    /// … of that so much as a scale, for each m from …
+    pub const SCALE_SHARE: f64 = heights::SCALE_SHARE;
+    /// … this altitude, m.
+    pub const PIVOT_M: f64 = heights::PIVOT_M;
 }
 
 /// Limits of the judges of IMUs; see `vote.rs`, `evidence.rs` and `noise.rs`.
