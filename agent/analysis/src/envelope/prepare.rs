@@ -223,11 +223,20 @@ fn stealthy_m(asked: &Asked, set: &[SensorId]) -> Result<f64, EnvelopeError> {
         let added: Vec<Added<'_>> = set.iter().map(|sensor| Added { sensor: *sensor, at: &at }).collect();
         Ok::<bool, EnvelopeError>(expected(&asked.flying, &added, asked.horizon_s, SEED)?.probability() > STEALTHY)
     };
-    if !seen(LARGEST_M)? {
-        return Ok(LARGEST_M);
+    largest_unseen(LARGEST_M, HALVINGS, seen)
+}
+
+/// The largest size up to `most` that is not `seen`, to within a part of 2 to `halvings`.
+pub(super) fn largest_unseen(
+    most: f64,
+    halvings: usize,
+    seen: impl Fn(f64) -> Result<bool, EnvelopeError>,
+) -> Result<f64, EnvelopeError> {
+    if !seen(most)? {
+        return Ok(most);
     }
-    let (mut low, mut high) = (0.0, LARGEST_M);
-    for _ in 0..HALVINGS {
+    let (mut low, mut high) = (0.0, most);
+    for _ in 0..halvings {
         let middle = 0.5 * (low + high);
         if seen(middle)? { high = middle } else { low = middle }
     }

@@ -11,7 +11,7 @@ use plumbline_rest::envelope::{AttackQuestion, PreparedAttack};
 use super::EnvelopeError;
 use super::commanded::{Commanded, Course, Found};
 use super::expected::{Added, Expected, expected};
-use super::prepare::{HALVINGS, SEED, STEALTHY};
+use super::prepare::{HALVINGS, SEED, STEALTHY, largest_unseen};
 use super::sets::{Asked, wrong};
 
 /// All rotors, among the names of those attacked.
@@ -151,15 +151,8 @@ impl<'a> Prepared<'a> {
         let whole = course.clone().times(1.0 / course.added.iter().map(part).fold(f64::MIN_POSITIVE, f64::max));
         let seen =
             |part: f64| Ok::<_, EnvelopeError>(self.expected(&whole.clone().times(part))?.probability() > STEALTHY);
-        if !seen(1.0)? {
-            return Ok(whole);
-        }
-        let (mut low, mut high) = (0.0, 1.0);
-        for _ in 0..2 * HALVINGS {
-            let middle = 0.5 * (low + high);
-            if seen(middle)? { high = middle } else { low = middle }
-        }
-        Ok(whole.times(low))
+        let part = largest_unseen(1.0, 2 * HALVINGS, seen)?;
+        Ok(whole.times(part))
     }
 
     /// The schedule of `course`. What is shorter than the horizon ends with it.
