@@ -40,8 +40,8 @@ const MEDIAN_LIMIT_MS: f64 = 2.0;
 const P99_LIMIT_MS: f64 = 5.0;
 /// The figures of the altitude through the wires may be so many times those without.
 const ALTITUDE_LIMIT: f64 = 1.1;
-/// Phases between ticks and samples, in a tick; a seed for each. The largest overshoot of one flight varies by a seventh: of four
-/// the mean is known to 10 % only.
+/// Phases between ticks and samples, in a tick; a seed for each; `PLUMBLINE_FLIGHTS` says otherwise. The largest overshoot of one
+/// flight varies by a seventh: of four the mean is known to 10 % only.
 const FLIGHTS: u64 = 8;
 /// Ports open and ESCs arm before the script begins, s.
 const LATER_S: f64 = 3.0;
@@ -50,18 +50,25 @@ const SETTLING_S: f64 = 5.0;
 
 fn main() {
     let (mut through, mut without) = (Vec::new(), Vec::new());
-    for seed in 1..=FLIGHTS {
+    let flights =
+        std::env::var("PLUMBLINE_FLIGHTS").map_or(FLIGHTS, |given| given.parse().expect("a number of flights"));
+    for seed in 1..=flights {
         let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
         scenario.seed = seed;
         scenario.duration_s += LATER_S;
         scenario.script.steps.iter_mut().for_each(|step| step.at_s += LATER_S);
-        through.push(fly(&scenario, (seed - 1) as f64 / FLIGHTS as f64));
-        without.push(simulate(&Wiring::usual().completed(scenario)));
+        through.push(fly(&scenario, (seed - 1) as f64 / flights as f64));
+        without.push(simulate(&wiring().completed(scenario)));
     }
     ways(&through, "talks", &[3]);
     ways(&through, "answers", &[0, 1, 2]);
     costs(&through);
     altitudes(&through, &without);
+}
+
+/// The scans themselves go the way of every sample.
+fn wiring() -> Wiring {
+    Wiring { record_scans: true, ..Wiring::usual() }
 }
 
 /// A tick as it went.
@@ -131,7 +138,7 @@ struct Through {
 
 fn fly(scenario: &Scenario, phase: f64) -> Through {
     let folder = tempfile::tempdir().unwrap();
-    let rig = WireRig::start(scenario, folder.path(), &Wiring::usual()).unwrap();
+    let rig = WireRig::start(scenario, folder.path(), &wiring()).unwrap();
     let file = folder.path().join("agent.toml");
     std::fs::write(&file, rig.configuration()).unwrap();
     let config = AgentConfig::read(&file).unwrap();

@@ -43,11 +43,14 @@ pub(crate) async fn serve(State(app): State<App>, method: Method, uri: Uri, head
     let path = uri.path().trim_matches('/');
     let flight = path.strip_prefix("flights/").map(|id| id.strip_suffix("/report").unwrap_or(id));
     let page = PAGES.contains(&path) || flight.is_some_and(|id| !id.contains('/'));
-    if page && app.people.person(token(&headers).as_ref()).is_none() {
+    // Who mistyped an address is told by the page; a program gets its error.
+    let mistyped = !page && wants_page(&headers) && !is_there(path);
+    if (page || mistyped) && app.people.person(token(&headers).as_ref()).is_none() {
         return Redirect::to("/login").into_response();
     }
-    let name = if page { "index.html" } else { path };
+    let name = if page || mistyped { "index.html" } else { path };
     match find(name, accepts_brotli(&headers)) {
+        Ok(Some(asset)) if mistyped => (StatusCode::NOT_FOUND, respond(name, asset, &HeaderMap::new())).into_response(),
         Ok(Some(asset)) => respond(name, asset, &headers),
         Ok(None) if page => (
             StatusCode::OK,
@@ -62,7 +65,16 @@ pub(crate) async fn serve(State(app): State<App>, method: Method, uri: Uri, head
 
 /// Is the page built into this program?
 pub fn page_is_built() -> bool {
-    ["index.html", "index.html.br"].iter().any(|name| Dist::get(name).is_some())
+    is_there("index.html")
+}
+
+fn is_there(name: &str) -> bool {
+    Dist::get(name).is_some() || Dist::get(&format!("{name}.br")).is_some()
+}
+
+/// Does a person ask, from a browser's address bar or a link?
+fn wants_page(headers: &HeaderMap) -> bool {
+    headers.get(header::ACCEPT).and_then(|v| v.to_str().ok()).is_some_and(|accepts| accepts.contains("text/html"))
 }
 
 struct Asset {

@@ -62,6 +62,20 @@ pub enum Horizontal {
 /// One scalar residual: estimator, sensor kind, instance, channel, by their numbers.
 pub type ResidualKey = (u16, i32, u32, i32);
 
+/// What an autopilot is asked for by rates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Demand {
+    /// A rate of the body about one of its axes.
+    Rate(Axis),
+    /// Collective thrust.
+    Thrust,
+}
+
+impl Demand {
+    /// All four.
+    pub const ALL: [Self; 4] = [Self::Rate(Axis::Roll), Self::Rate(Axis::Pitch), Self::Rate(Axis::Yaw), Self::Thrust];
+}
+
 /// The name of a curve. Angles are in degrees, as on screen; all else SI.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Curve {
@@ -91,6 +105,10 @@ pub enum Curve {
     AgainAttitude(u16, Axis),
     /// A motor's command as applied, 0..1.
     Motor(u8),
+    /// What an autopilot was asked for: a rate of the body, rad/s (FLU), or thrust, 0..1.
+    Asked(Demand),
+    /// What it said that its own loops aim at.
+    AimedAt(Demand),
     /// Innovation of one scalar, in its screen unit.
     Innovation(ResidualKey),
     /// Gate of one scalar, in its screen unit.
@@ -387,6 +405,25 @@ impl Curves {
         }
         for (i, applied) in control.motor_applied.iter().enumerate().take(8) {
             self.push(Curve::Motor(i as u8), control.time_us, *applied);
+        }
+        if let Some(autopilot) = &control.autopilot {
+            self.push_autopilot(control.time_us, autopilot);
+        }
+    }
+
+    fn push_autopilot(&mut self, time_us: u64, autopilot: &v1::AutopilotControl) {
+        let demand = |rates: &Option<v1::Vector3>, thrust| {
+            let rates = rates.as_ref().map_or([None; 3], |r| [r.x, r.y, r.z].map(Some));
+            let [roll, pitch, yaw] = rates;
+            Demand::ALL.into_iter().zip([roll, pitch, yaw, thrust])
+        };
+        let asked = demand(&autopilot.rates_asked_flu_radps, autopilot.thrust_asked);
+        let aimed_at = demand(&autopilot.rates_target_flu_radps, autopilot.thrust_target);
+        let asked = asked.map(|(of, value)| (Curve::Asked(of), value));
+        for (curve, value) in asked.chain(aimed_at.map(|(of, value)| (Curve::AimedAt(of), value))) {
+            if let Some(value) = value {
+                self.push(curve, time_us, value);
+            }
         }
     }
 

@@ -7,6 +7,9 @@ use super::{
     live::Live,
 };
 
+/// Where a recording begins the instruments show what comes first, at most so much later, s.
+const FIRST_S: f64 = 0.25;
+
 /// Values of one moment; `None` where nothing is known.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Instrument {
@@ -62,7 +65,8 @@ impl Instrument {
     /// Values of a recorded flight at `time_s`, read from its curves.
     pub fn at(live: &Live, time_s: f64) -> Self {
         let estimator = live.in_loop();
-        let read = |curve| live.curves.value_at(curve, time_s);
+        let at = |curve, time_s| live.curves.value_at(curve, time_s);
+        let read = |curve| at(curve, time_s).or_else(|| at(curve, time_s + FIRST_S));
         let angle = |axis| read(Curve::Attitude(estimator, axis));
         let angles = match (angle(Axis::Roll), angle(Axis::Pitch), angle(Axis::Yaw)) {
             (Some(roll), Some(pitch), Some(yaw)) => Some([roll, pitch, yaw]),

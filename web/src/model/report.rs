@@ -6,7 +6,7 @@ use plumbline_rest::flight::{Flight, Step};
 
 use super::{
     configuration::{self, Row},
-    curves::{Axis, Curve},
+    curves::{Axis, Curve, Demand},
     draft::subject,
     format::{clock, fixed, plural},
     live::Live,
@@ -49,6 +49,17 @@ pub struct Ranked {
     pub attitude_mrad: Option<[f64; 2]>,
 }
 
+/// How an autopilot took over what it was asked for, rad/s or 0..1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Followed {
+    /// What.
+    pub demand: Demand,
+    /// RMS of what was asked.
+    pub asked_rms: f64,
+    /// RMS and largest of what it said it aims at, less what was asked in the same tick; absent where it never said.
+    pub off: Option<[f64; 2]>,
+}
+
 /// Mean, standard deviation and number of some values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
@@ -73,6 +84,8 @@ pub struct Report {
     pub secure: bool,
     /// Best altitude first; empty where no truth is known.
     pub ranking: Vec<Ranked>,
+    /// What an autopilot was asked for, and did; empty where the motors are commanded.
+    pub autopilot: Vec<Followed>,
     /// What it was flown with.
     pub vehicle: Vec<Row>,
     /// And with which gains.
@@ -206,6 +219,26 @@ fn ranking(live: &Live) -> Vec<Ranked> {
     all
 }
 
+/// What an autopilot in front of the motors was asked for while armed, and what it said of that.
+fn autopilot(live: &Live) -> Vec<Followed> {
+    let Some((start_s, end_s)) = armed_s(live) else { return Vec::new() };
+    let followed = |demand: Demand| {
+        let asked = live.curves.get(Curve::Asked(demand))?;
+        let asked_rms = rms(asked, start_s, end_s)?;
+        let aimed_at = live.curves.get(Curve::AimedAt(demand));
+        let told = aimed_at.into_iter().flat_map(|s| s.samples(s.lower_bound(start_s)..s.upper_bound(end_s)));
+        let off = told.filter_map(|(time_s, aimed_at)| Some(f64::from(aimed_at) - f64::from(asked.at(time_s)?.1)));
+        let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
+        for off in off.filter(|off| off.is_finite()) {
+            largest = largest.max(off.abs());
+            squares += off * off;
+            count += 1;
+        }
+        Some(Followed { demand, asked_rms, off: (count > 0).then(|| [(squares / f64::from(count)).sqrt(), largest]) })
+    };
+    Demand::ALL.into_iter().filter_map(followed).collect()
+}
+
 /// One sentence for each thing that happened.
 fn sentence(flight: &Flight, live: &Live, attacks: &[Attack], secure: bool) -> String {
     let kind = if flight.vehicle == "sim" { "simulated" } else { flight.vehicle.as_str() };
@@ -256,6 +289,7 @@ impl Report {
             sentence: sentence(&flight, live, &attacks, secure),
             secure,
             ranking: ranking(live),
+            autopilot: autopilot(live),
             vehicle: configuration::vehicle(&flight, live),
             gains: configuration::gains(live),
             scenario: live.description.get().map(|d| d.scenario.clone()).unwrap_or_default(),

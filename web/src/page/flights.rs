@@ -171,7 +171,7 @@ pub fn FlightsPage() -> impl IntoView {
             {move || trouble().map(|text| view! { <p class="banner bad" role="alert"><b>"The list cannot be loaded: "</b>{text}</p> })}
             <Imports importer />
             <div class="card table-wrap">
-                <table>
+                <table class="flights-table">
                     <thead>
                         <tr>
                             <th scope="col"><span class="visually-hidden">"Choose"</span></th>

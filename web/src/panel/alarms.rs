@@ -18,8 +18,8 @@ use crate::{
 /// From this age on the bar says how old the data are, s.
 const OLD_S: f64 = 1.0;
 /// Charge below which the battery is low, and nearly empty.
-const LOW: f64 = 0.30;
-const EMPTY: f64 = 0.15;
+pub(super) const LOW: f64 = 0.30;
+pub(super) const EMPTY: f64 = 0.15;
 
 /// The failsafe that acts, or ended the flight, with its reason, and whether it still acts.
 fn failsafe(ctx: Ctx) -> Option<(String, bool)> {

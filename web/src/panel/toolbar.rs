@@ -9,6 +9,7 @@ use crate::{
     ctx::{Ctx, ctx},
     event::Event,
     model::{api, format, names, route::Route},
+    panel::alarms::{EMPTY, LOW},
     store,
 };
 
@@ -136,10 +137,11 @@ pub fn Toolbar() -> impl IntoView {
     let recording = Memo::new(move |_| recording_state(ctx));
     let battery = Memo::new(move |_| {
         ctx.live(|live| {
-            live.status
-                .get()
-                .filter(|s| s.battery_v > 0.0)
-                .map(|s| (format::fixed(s.battery_v, 1), (s.battery_fraction * 100.0).round()))
+            live.status.get().filter(|s| s.battery_v > 0.0).map(|s| {
+                let (volts, percent) = (format::fixed(s.battery_v, 1), format::fixed(100.0 * s.battery_fraction, 0));
+                // By the charge itself, as the alarms: what is shown is rounded.
+                (format!("{volts} V · {percent} %"), s.battery_fraction < LOW, s.battery_fraction < EMPTY)
+            })
         })
     });
     let holder = Memo::new(move |_| ctx.live(|live| live.holder().to_owned()));
@@ -209,11 +211,11 @@ pub fn Toolbar() -> impl IntoView {
             <span
                 class="tag battery num"
                 class:stale=old
-                class:bad=move || battery.get().is_some_and(|b| b.1 < 15.0)
-                class:warn=move || battery.get().is_some_and(|b| (15.0..30.0).contains(&b.1))
+                class:bad=move || battery.get().is_some_and(|b| b.2)
+                class:warn=move || battery.get().is_some_and(|b| b.1 && !b.2)
                 aria-label="Battery"
                 title="Battery voltage and charge"
-            >{move || battery.get().map_or_else(|| format::NONE.to_owned(), |(volts, percent)| format!("{volts} V · {percent:.0} %"))}</span>
+            >{move || battery.get().map_or_else(|| format::NONE.to_owned(), |b| b.0)}</span>
             <span class="spring"></span>
             <button
                 type="button"

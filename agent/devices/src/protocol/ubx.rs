@@ -105,6 +105,8 @@ pub fn encode_nav_pvt(time_of_week_ms: u32, fix: &FixReading) -> [u8; NAV_PVT_LE
         (52, v.x * 1e3),
         (56, -v.z * 1e3),
         (60, ground * 1e3),
+        // Of the motion, clockwise from north.
+        (64, v.x.atan2(v.y).to_degrees().rem_euclid(360.0) * 1e5),
     ] {
         put(6 + at, &(value.round() as i32).to_le_bytes());
     }

@@ -1,4 +1,5 @@
-//! Against implementations that others wrote: pyubx2, pynmeagps, natnet and hokuyolx, in a Python named by `PLUMBLINE_PYTHON`, or any.
+//! Against implementations that others wrote: pyubx2, pynmeagps, natnet and hokuyolx, in a Python named by `PLUMBLINE_PYTHON`, or any,
+//! and gpsd, where gpsfake is installed.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpListener;
@@ -115,6 +116,54 @@ fn pynmeagps_reads_our_sentences() {
     near(&numbers(&gga[2..4]), &[-34.918_123_4, -56.167_765_4], 2e-7);
     near(&numbers(&gga[4..]), &[31.234, 11.0, 0.5, 1.0], 1e-3);
     assert_eq!(rmc[6], "A", "{printed}");
+}
+
+/// What gpsd says of each fix of `log`, which gpsfake gives it at a pseudo terminal; `None`, and a line that says so, without
+/// gpsfake.
+fn gpsd(name: &str, log: &[u8]) -> Option<Vec<serde_json::Value>> {
+    if !Command::new("gpsfake").arg("-h").output().is_ok_and(|done| done.status.success()) {
+        crate::shared::shared("program gpsfake");
+        return None;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join(name);
+    std::fs::write(&file, log).unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let ran = Command::new("gpsfake").args(["-1", "-n", "-c", "0.02", "-P", &port, "-p"]).arg(&file).output().unwrap();
+    let printed = String::from_utf8_lossy(&ran.stdout).into_owned();
+    let fixes = printed.lines().filter(|line| line.starts_with("{\"class\":\"TPV\""));
+    let fixes: Vec<serde_json::Value> = fixes.map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(!fixes.is_empty(), "{printed}{}", String::from_utf8_lossy(&ran.stderr));
+    Some(fixes)
+}
+
+#[test]
+fn gpsd_reads_our_sentences_and_fixes() {
+    let fix = FixReading {
+        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
+        velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0),
+        horizontal_sigma_m: 1.25,
+        vertical_sigma_m: 2.5,
+        satellites: 11,
+    };
+    let sentences: String = (0..12).map(|second| nmea::encode(45_296.0 + f64::from(second), &fix)).collect();
+    let messages: Vec<u8> =
+        (0..12_u32).flat_map(|second| ubx::encode_nav_pvt(45_296_000 + 1000 * second, &fix)).collect();
+    for (name, log) in [("ours.nmea", sentences.as_bytes()), ("ours.ubx", &messages)] {
+        let Some(fixes) = gpsd(name, log) else { return };
+        let number = |fix: &serde_json::Value, key: &str| fix[key].as_f64().unwrap_or(f64::NAN);
+        let last = fixes.iter().rev().find(|fix| fix["mode"] == 3).unwrap_or_else(|| panic!("{name}: {fixes:?}"));
+        // 5 m/s, 36.87° east of south.
+        for (key, expected, within) in [
+            ("lat", -34.918_123_4, 2e-7),
+            ("lon", -56.167_765_4, 2e-7),
+            ("altMSL", 31.234, 2e-3),
+            ("speed", 5.0, 6e-3),
+            ("track", 143.13, 6e-3),
+        ] {
+            assert!((number(last, key) - expected).abs() < within, "{name}: {key} in {last}");
+        }
+    }
 }
 
 #[test]

@@ -2,11 +2,11 @@
 
 use std::fmt::Write;
 
-use super::{Attack, Ranked, Report, Spread, armed_s, step_spreads};
+use super::{Attack, Followed, Ranked, Report, Spread, armed_s, step_spreads};
 use crate::model::{
     axis::{TimeAxis, ValueAxis},
     configuration::Row,
-    curves::Curve,
+    curves::{Axis, Curve, Demand},
     figure::{Figure, Line, plain},
     format::{NONE, clock, count, fixed, signed},
     listing,
@@ -233,6 +233,23 @@ fn ranking(report: &Report) -> Result<Table, &'static str> {
     Ok(Table { caption, heads, rows, foot: None })
 }
 
+/// None where the motors are commanded.
+fn autopilot(report: &Report) -> Option<Table> {
+    let row = |f: &Followed| {
+        let what = match f.demand {
+            Demand::Rate(axis) => format!("{} rate, rad/s", axis.name()),
+            Demand::Thrust => "thrust, 0 to 1".to_owned(),
+        };
+        let [off, largest] = f.off.map_or([None; 2], |off| off.map(Some));
+        vec![what, fixed(f.asked_rms, 3), maybe(off, 3), maybe(largest, 3)]
+    };
+    let heads = vec![("asked for", false), ("asked RMS", true), ("aimed at less asked, RMS", true), ("largest", true)];
+    let caption =
+        "What the autopilot was asked for in each tick while armed, and what it said last that its own loops aim at.";
+    let rows: Vec<_> = report.autopilot.iter().map(row).collect();
+    (!rows.is_empty()).then(|| Table { caption: caption.to_owned(), heads, rows, foot: None })
+}
+
 fn rows(rows: &[Row]) -> Result<Table, &'static str> {
     if rows.is_empty() {
         return Err("The recording does not say.");
@@ -300,15 +317,25 @@ pub fn figures(live: &Live) -> Vec<Figure<'_>> {
     let against =
         if live.curves.has_truth() { "Altitude: estimate minus truth" } else { "Altitude: estimate minus setpoint" };
     let leads = Some(Curve::AltitudeError(in_loop));
-    [figure("Altitude", "m", altitude, live, None), figure(against, "mm", errors, live, leads)]
-        .into_iter()
-        .flatten()
-        .collect()
+    let rates = Axis::ALL.into_iter().flat_map(|axis| {
+        let demand = Demand::Rate(axis);
+        let (ink, name) = (palette::axis(axis), axis.name());
+        let aimed_at = line(&format!("{name} aimed at"), Curve::AimedAt(demand), ink, true);
+        [line(&format!("{name} asked"), Curve::Asked(demand), ink, false), aimed_at]
+    });
+    [
+        figure("Altitude", "m", altitude, live, None),
+        figure(against, "mm", errors, live, leads),
+        figure("Rates asked of the autopilot", "rad/s", rates.flatten().collect(), live, None),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 impl Report {
     /// Its tables by their titles, or why there is none; `offset_min` is how far the reader's clock is behind UTC.
-    fn tables(&self, offset_min: i64) -> [(&'static str, Result<Table, &'static str>); 6] {
+    fn tables(&self, offset_min: i64) -> Vec<(&'static str, Result<Table, &'static str>)> {
         let flight = &self.flight;
         let missing = if flight.missing == 0 { "none".to_owned() } else { count(flight.missing) };
         let facts: Vec<Row> = [
@@ -322,14 +349,14 @@ impl Report {
         ]
         .map(|(name, value)| (name.to_owned(), value))
         .into();
-        [
-            ("Steps", steps(self)),
-            ("Attacks", attacks(self)),
-            ("Estimators", ranking(self)),
+        let flown = [("Steps", steps(self)), ("Attacks", attacks(self)), ("Estimators", ranking(self))];
+        let set_up = [
             ("Recording", rows(&[facts, self.versions.clone()].concat())),
             ("Configuration", rows(&self.vehicle)),
             ("Controller", rows(&self.gains)),
-        ]
+        ];
+        let autopilot = autopilot(self).map(|table| ("Autopilot", Ok(table)));
+        flown.into_iter().chain(autopilot).chain(set_up).collect()
     }
 
     /// The body of the report, with its figures.

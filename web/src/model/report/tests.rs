@@ -74,6 +74,42 @@ fn estimators_are_ranked_by_altitude_where_truth_is_known() {
 }
 
 #[test]
+fn an_autopilot_is_held_to_what_it_was_asked_for() {
+    assert!(autopilot(&flown()).is_empty(), "the motors were commanded");
+    let mut live = flown();
+    let rates = |x| Some(v1::Vector3 { x, y: 0.0, z: 0.0 });
+    for i in 0..=100_u64 {
+        // It is told of late, and then 0.1 rad/s short of what was asked.
+        let autopilot = v1::AutopilotControl {
+            rates_asked_flu_radps: rates(0.5),
+            thrust_asked: Some(0.4),
+            rates_target_flu_radps: if i < 20 { None } else { rates(0.4) },
+            ..Default::default()
+        };
+        live.curves.push_control(&v1::Control {
+            time_us: i * 100_000,
+            autopilot: Some(autopilot),
+            ..Default::default()
+        });
+    }
+    let report = Report::of(Flight::default(), &live, Vec::new());
+    let [roll, pitch, _, thrust] = report.autopilot.as_slice() else { panic!("{:?}", report.autopilot) };
+    let [off, largest] = roll.off.unwrap();
+    assert!(
+        (roll.asked_rms - 0.5).abs() < 1e-6 && (off - 0.1).abs() < 1e-6 && (largest - 0.1).abs() < 1e-6,
+        "{roll:?}"
+    );
+    assert_eq!(pitch.off, Some([0.0; 2]));
+    assert_eq!((thrust.demand, thrust.off), (Demand::Thrust, None), "it did not say");
+    let body = report.html(&live, 0);
+    assert!(
+        body.contains("<td>roll rate, rad/s</td><td class=\"num\">0.500</td><td class=\"num\">0.100</td>"),
+        "{body}"
+    );
+    assert!(body.contains("Rates asked of the autopilot") && report.latex(0).contains("thrust, 0 to 1 & 0.400 & ---"));
+}
+
+#[test]
 fn the_document_needs_nothing_else_and_says_only_what_was_said() {
     let flight =
         Flight { name: "<script>alert(1)</script> & more".into(), notes: "a \"note\"".into(), ..Flight::default() };

@@ -13,9 +13,12 @@ use super::{
 use crate::{
     address,
     gpu::VALUE_TICK_SPACING_PX,
-    model::experiment::{
-        DOTS_PX, ROW_PX, axis, dots,
-        selection::{Column, Selection},
+    model::{
+        experiment::{
+            DOTS_PX, ROW_PX, axis, dots,
+            selection::{Column, Selection, value},
+        },
+        format,
     },
     net,
     panel::table::SortHead,
@@ -153,8 +156,12 @@ pub fn ResultsCard(
 /// The axis of the dots.
 #[component]
 fn Scale(flights: RwSignal<Vec<Flight>>, measure: Memo<usize>) -> impl IntoView {
-    let ticks =
-        move || flights.with(|flights| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0));
+    let ticks = move || {
+        flights.with(|flights| {
+            let any = flights.iter().any(|flight| value(flight, measure.get()).is_some());
+            any.then(|| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0)).unwrap_or_default()
+        })
+    };
     view! {
         <div class="dots scale" aria-hidden="true">
             {move || ticks().into_iter().map(|tick| view! {
@@ -167,6 +174,7 @@ fn Scale(flights: RwSignal<Vec<Flight>>, measure: Memo<usize>) -> impl IntoView 
 /// A condition.
 #[component]
 fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize>, at: String) -> impl IntoView {
+    let none = || format::NONE.to_owned();
     let lost: u64 = condition.lost.values().sum();
     let why: Vec<_> = condition.lost.iter().map(|(why, count)| format!("{count} {why}")).collect();
     let found = condition.detected.map_or_else(String::new, |d| format!("{} of {}", d.count, d.of));
@@ -174,12 +182,12 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize
     let (differs, beside) = (condition.expected.as_ref().is_some_and(|e| e.differs), condition.beside());
     let spreads = condition.measures.clone();
     let spread = move || spreads.get(measure.get()).copied().flatten();
-    let figure = move |of: fn(&Spread) -> f64| spread().map_or_else(String::new, |s| short(of(&s)));
+    let figure = move |of: fn(&Spread) -> f64| spread().map_or_else(none, |s| short(of(&s)));
     let [median, of_95, most] = [figure.clone(), figure.clone(), figure];
     let spreads = condition.measures.clone();
     let interval = move || {
         let spread = spreads.get(measure.get()).copied().flatten();
-        spread.map_or_else(String::new, |s| format!("{} to {}", short(s.interval[0]), short(s.interval[1])))
+        spread.map_or_else(none, |s| format!("{} to {}", short(s.interval[0]), short(s.interval[1])))
     };
     let differences = condition.differences.clone();
     let less = move || {
