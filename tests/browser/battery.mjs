@@ -36,7 +36,9 @@ await step(page, 'battery: low is a bar over the page before anything acts, and 
 
 await step(page, 'battery: nearly empty lands by itself, with what is left', async () => {
   await alarm(/battery at \d+ % \(limit 15 %\): descending/).waitFor({ timeout: 60_000 });
-  await alarm(/^Battery nearly empty/).waitFor();
+  await alarm(/^[\d.]+ V$/).waitFor();
+  const cut = await page.getByLabel('Alarms').locator('b').evaluateAll((all) => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.textContent));
+  assert(cut.length === 0, `cut: ${cut.join(', ')}`);
   await shot('battery-descends');
   await until('it to stand, disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 60_000);
   const left = await charge();

@@ -20,12 +20,13 @@ const WIRES: &str = "wires.mjs";
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `envelope.mjs` has attacks prepared, `axe.mjs` look for what keeps people out and `foxglove.mjs`
 /// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
 /// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, one of a sensor in
-/// somebody's hands with `guided.mjs`, accounts on a ground of their own with `people.mjs`, and the drivers of real devices with `wires.mjs`.
+/// somebody's hands with `guided.mjs`, every page beside its pictures with `looks.mjs`, accounts on a ground of their own with
+/// `people.mjs`, and the drivers of real devices with `wires.mjs`.
 ///
 /// Of the scripts only those that `chosen` names, if it names any.
 pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
     type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
-    let parts: [(&str, Part, &[&str]); 7] = [
+    let parts: [(&str, Part, &[&str]); 8] = [
         (
             "system",
             fly,
@@ -45,6 +46,7 @@ pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
         ("a small battery", battery, &["battery.mjs"]),
         ("a replay", replay, &["replay.mjs"]),
         ("a sensor in somebody's hands", hands, &["guided.mjs"]),
+        ("a recording that stands still", looks, &["looks.mjs"]),
         ("a ground with accounts", people, &["people.mjs"]),
         ("the wire rig", wires, &[WIRES]),
     ];
@@ -124,9 +126,23 @@ fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<
     read.and(stopped)
 }
 
-/// Records the scripted flight without a ground, as fast as it goes, and flies it again.
 fn replay(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
-    let options = options(workspace, "debug", "browser-replay")?;
+    recorded(workspace, "browser-replay", "1", scripts, tally)
+}
+
+fn looks(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
+    recorded(workspace, "browser-looks", "0", scripts, tally)
+}
+
+/// Records the scripted flight without a ground, as fast as it goes, and flies it again at this speed.
+fn recorded(
+    workspace: &Workspace,
+    name: &str,
+    speed: &str,
+    scripts: &[&str],
+    tally: &mut Tally,
+) -> Result<(), XtaskError> {
+    let options = options(workspace, "debug", name)?;
     let log = options.data.join("recorded");
     let mut agent = Command::new(&options.binaries.agent);
     agent.args(["--vehicle", "sim", "--script", "--ground", "none", "--speed", "max", "--scenario"]);
@@ -134,7 +150,7 @@ fn replay(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<
     agent.arg("--identity").arg(options.data.join("recorder"));
     super::workspace::run(&mut agent)?;
     let file = newest_flight(&log)?;
-    with(workspace, &options, &Vehicle::Replayed { file, speed: "1".into() }, scripts, tally)
+    with(workspace, &options, &Vehicle::Replayed { file, speed: speed.into() }, scripts, tally)
 }
 
 /// Makes a recording of a sensor that is turned by hand, and flies it again from a standstill.

@@ -123,7 +123,7 @@ const PACKAGES: [Package; 2] = [
         manual: "install.md",
         groups: &["i2c", "spi", "gpio"],
         recommends: Some("i2c-tools"),
-        upgraded: "echo 'plumbline-agent: the running one goes on; restart it while the vehicle stands'",
+        upgraded: "[ -z \"$2\" ] || echo 'plumbline-agent: the running one goes on; restart it while the vehicle stands'",
     },
 ];
 

@@ -179,7 +179,7 @@ pub fn failsafe(failsafe: Failsafe) -> &'static str {
         Failsafe::ImuCut => "No IMU: motors cut",
         Failsafe::StallCut => "Flight thread silent: motors cut",
         Failsafe::BatteryLow => "Battery low",
-        Failsafe::BatteryDescend => "Battery empty: descending",
+        Failsafe::BatteryDescend => "Battery empty",
         Failsafe::ThrustDescend => "Does not follow its thrust: descending",
         Failsafe::AltitudeDescend => "No height: descending on attitude alone",
         Failsafe::PositionHold => "Position lost: altitude hold",

@@ -40,7 +40,12 @@ fn battery(ctx: Ctx) -> Option<(String, bool)> {
         let what = if empty { "Battery nearly empty" } else { "Battery low" };
         let (volts, percent) = (format::fixed(status.battery_v, 1), format::fixed(100.0 * status.battery_fraction, 0));
         let todo = if status.armed { ": land now" } else { "" };
-        Some((format!("{what}, {volts} V · {percent} %{todo}."), empty))
+        // A failsafe beside it says the rest.
+        let text = match status.failsafe() {
+            Failsafe::BatteryLow | Failsafe::BatteryDescend => format!("{volts} V"),
+            _ => format!("{what}, {volts} V · {percent} %{todo}."),
+        };
+        Some((text, empty))
     })
 }
 
