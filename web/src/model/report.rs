@@ -56,7 +56,7 @@ pub struct Followed {
     pub demand: Demand,
     /// RMS of what was asked.
     pub asked_rms: f64,
-    /// RMS and largest of what it said it aims at, less what was asked in the same tick; absent where it never said.
+    /// Largest and RMS of what it said it aims at, less what was asked in the same tick; absent where it never said.
     pub off: Option<[f64; 2]>,
 }
 
@@ -129,10 +129,14 @@ fn deviation(live: &Live, start_s: f64, end_s: f64) -> Option<[f64; 2]> {
     let own = Curve::Altitude(live.in_loop());
     let altitude = live.curves.get(Curve::TruthAltitude).or_else(|| live.curves.get(own))?;
     let setpoint = live.curves.get(Curve::SetpointAltitude)?;
+    let within = altitude.samples(altitude.lower_bound(start_s)..altitude.lower_bound(end_s));
+    largest_and_rms(within.filter_map(|(time_s, value)| Some(f64::from(value) - f64::from(setpoint.at(time_s)?.1))))
+}
+
+/// Of what is finite among `off`; absent where nothing is.
+fn largest_and_rms(off: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
-    for (time_s, value) in altitude.samples(altitude.lower_bound(start_s)..altitude.lower_bound(end_s)) {
-        let Some((_, wanted)) = setpoint.at(time_s).filter(|_| value.is_finite()) else { continue };
-        let off = f64::from(value) - f64::from(wanted);
+    for off in off.filter(|off| off.is_finite()) {
         largest = largest.max(off.abs());
         squares += off * off;
         count += 1;
@@ -228,13 +232,7 @@ fn autopilot(live: &Live) -> Vec<Followed> {
         let aimed_at = live.curves.get(Curve::AimedAt(demand));
         let told = aimed_at.into_iter().flat_map(|s| s.samples(s.lower_bound(start_s)..s.upper_bound(end_s)));
         let off = told.filter_map(|(time_s, aimed_at)| Some(f64::from(aimed_at) - f64::from(asked.at(time_s)?.1)));
-        let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
-        for off in off.filter(|off| off.is_finite()) {
-            largest = largest.max(off.abs());
-            squares += off * off;
-            count += 1;
-        }
-        Some(Followed { demand, asked_rms, off: (count > 0).then(|| [(squares / f64::from(count)).sqrt(), largest]) })
+        Some(Followed { demand, asked_rms, off: largest_and_rms(off) })
     };
     Demand::ALL.into_iter().filter_map(followed).collect()
 }

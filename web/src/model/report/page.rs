@@ -240,7 +240,7 @@ fn autopilot(report: &Report) -> Option<Table> {
             Demand::Rate(axis) => format!("{} rate, rad/s", axis.name()),
             Demand::Thrust => "thrust, 0 to 1".to_owned(),
         };
-        let [off, largest] = f.off.map_or([None; 2], |off| off.map(Some));
+        let [largest, off] = f.off.map_or([None; 2], |off| off.map(Some));
         vec![what, fixed(f.asked_rms, 3), maybe(off, 3), maybe(largest, 3)]
     };
     let heads = vec![("asked for", false), ("asked RMS", true), ("aimed at less asked, RMS", true), ("largest", true)];

@@ -94,7 +94,7 @@ fn an_autopilot_is_held_to_what_it_was_asked_for() {
     }
     let report = Report::of(Flight::default(), &live, Vec::new());
     let [roll, pitch, _, thrust] = report.autopilot.as_slice() else { panic!("{:?}", report.autopilot) };
-    let [off, largest] = roll.off.unwrap();
+    let [largest, off] = roll.off.unwrap();
     assert!(
         (roll.asked_rms - 0.5).abs() < 1e-6 && (off - 0.1).abs() < 1e-6 && (largest - 0.1).abs() < 1e-6,
         "{roll:?}"
