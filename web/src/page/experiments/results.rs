@@ -158,8 +158,10 @@ pub fn ResultsCard(
 fn Scale(flights: RwSignal<Vec<Flight>>, measure: Memo<usize>) -> impl IntoView {
     let ticks = move || {
         flights.with(|flights| {
-            let any = flights.iter().any(|flight| value(flight, measure.get()).is_some());
-            any.then(|| axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0)).unwrap_or_default()
+            if flights.iter().all(|flight| value(flight, measure.get()).is_none()) {
+                return Vec::new();
+            }
+            axis(flights, measure.get()).ticks(DOTS_PX, VALUE_TICK_SPACING_PX * 2.0)
         })
     };
     view! {
