@@ -71,14 +71,16 @@ impl Channel {
     /// Takes what was written; how many values the kernel would have refused, and whether any pulse was set.
     fn look(&mut self) -> (u64, bool) {
         let (mut refused, mut set) = (0, false);
+        // The driver waits for no answer between its files; what it wrote before something that is read here is there too.
+        let (enables, duties) = (self.enable.numbers(), self.duty.numbers());
         for ns in self.period.numbers() {
             if ns >= self.duty_ns && ns > 0 { self.period_ns = ns } else { refused += 1 }
         }
-        for ns in self.duty.numbers() {
+        for ns in duties {
             // Zero into a channel without a period is what a driver begins with, and the kernel refuses it or not by version.
             if ns <= self.period_ns { (self.duty_ns, set) = (ns, true) } else { refused += 1 }
         }
-        for value in self.enable.numbers() {
+        for value in enables {
             if self.period_ns > 0 { self.enabled = value == 1 } else { refused += 1 }
         }
         (refused, set)
@@ -140,4 +142,39 @@ pub fn serve(
             }
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use plumbline_devices::motors::{Pulses as _, Sysfs};
+
+    use super::*;
+
+    /// GIVEN a driver that writes its files without waiting WHEN it opens the chip, as often as not while they are looked at,
+    /// THEN every channel of it is enabled.
+    #[test]
+    fn what_is_written_in_one_look_is_taken_in_the_order_it_was_written() {
+        let folder = std::env::temp_dir().join(format!("plumbline-pwm-{}", std::process::id()));
+        for round in 0..100 {
+            let (chip, stop, seen) = (folder.join(round.to_string()), Arc::default(), Seen::default());
+            let pulses = PulseLog::default();
+            let thread =
+                serve(chip.clone(), pulses.clone(), crate::plugged_in(), seen.clone(), Arc::clone(&stop)).unwrap();
+            let mut driver = Sysfs { chip, channels: [0, 1, 2, 3], rate_hz: 400.0 };
+            driver.open().unwrap();
+            driver.set(&[1000.0; ROTORS]).unwrap();
+            let begun = Instant::now();
+            let set = || crate::lock(&pulses).back().is_some_and(|(_, widths)| *widths == [1000.0; ROTORS]);
+            while !set() {
+                assert!(begun.elapsed() < Duration::from_secs(1), "round {round}: {:?}", crate::lock(&pulses).back());
+                std::thread::sleep(LOOK);
+            }
+            stop.store(true, Ordering::Release);
+            thread.join().unwrap();
+            assert_eq!(seen.refused.load(Ordering::Relaxed), 0);
+        }
+        std::fs::remove_dir_all(folder).unwrap();
+    }
 }
