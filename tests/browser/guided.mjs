@@ -1,7 +1,7 @@
 // Calibrate with the vehicle in one's hands, from the first pose to a fit: a recording of an IMU that is turned (`turned.mjs`) is flown
 // again, as the simulated vehicle hangs on strings and has no hands about it.
 
-import { assert, complaints, end, launch, screenshots, step, until, url } from './support.mjs';
+import { asks, assert, complaints, end, launch, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -13,11 +13,8 @@ const button = (name) => card.getByRole('button', { name, exact: true });
 const said = () => card.getByRole('status').textContent();
 const held = () => card.getByRole('listitem').filter({ hasText: ': held' }).allTextContents();
 const shot = (name) => page.screenshot({ path: `${screenshots}/guided-${name}.png`, fullPage: true });
-const run = async (speed) => {
-  const answer = await page.request.post(`${url}/api/v1/vehicles/iris-1/replay`, { data: { speed, step: 0 }, headers: { 'X-Plumbline-Operator': 'browser' } });
-  assert(answer.ok(), await answer.text());
-};
-const kept = async (kind) => (await (await page.request.get(`${url}/api/v1/calibrations`)).json()).calibrations.find((c) => c.kind === kind);
+const run = (speed) => asks(page, 'POST', 'vehicles/iris-1/replay', { speed, step: 0 });
+const kept = async (kind) => (await asks(page, 'GET', 'calibrations')).calibrations.find((c) => c.kind === kind);
 const value = (calibration, name) => calibration.parameters.find((p) => p.name === name)?.value;
 
 await step(page, 'guided: a sensor that sends nothing, and one without a magnetometer, are said in words', async () => {

@@ -1,7 +1,7 @@
 // What lies in a recording: small pictures in the list, any signal on a chart of its own, spectra; curves shown alone,
 // tones, and a gamepad.
 
-import { assert, complaints, drawn, end, hold, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, hold, launch, number, pilot, screenshots, step, steppedWith, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -345,36 +345,7 @@ await step(page, 'signals: the address shows the same to others, and says what t
 });
 
 await step(page, 'a long flight opens thinned; what is looked at comes whole, and its errors are those of its report', async () => {
-  const plan = `name = "long"
-repeats = 1
-seed = 5
-[scenario]
-world = "datasheet"
-duration_s = 300
-suite = { preset = "string_rig" }
-rig = { hanging_strings = { mode = "flight", height_m = 0.3 } }
-[[scenario.script]]
-at_s = 3
-do = "arm"
-[[scenario.script]]
-at_s = 4
-do = "mode"
-mode = "altitude_hold"
-[[scenario.script]]
-at_s = 5
-do = "setpoint"
-altitude_m = 0.9
-[[factor]]
-key = "agent.estimators.in_loop"
-values = ["lanes"]
-`;
-  const post = async (path, data) => {
-    const answer = await page.request.post(`${url}/api/v1/${path}`, { data, headers: { 'X-Plumbline-Operator': 'browser' } });
-    assert(answer.ok(), await answer.text());
-    return answer.json();
-  };
-  const { id } = await post('experiments', { plan });
-  const long = (await post(`experiments/${id}/flights/0`)).flight;
+  const { flights: [long] } = await steppedWith(page, 'long', 300, ['lanes']);
   const asked = [];
   page.on('request', (request) => {
     const { pathname, searchParams } = new URL(request.url());

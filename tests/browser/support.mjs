@@ -186,6 +186,44 @@ export function countMcap(file) {
   return JSON.parse(ran.stdout);
 }
 
+/** What the ground answers to a request of its API, made beside the page; refused is failed. */
+export async function asks(page, method, path, data) {
+  const answer = await page.request.fetch(`${url}/api/v1/${path}`, { method, data, headers: { 'X-Plumbline-Operator': 'browser' } });
+  assert(answer.ok(), `${method} ${path}: ${await answer.text()}`);
+  return answer.json();
+}
+
+/** Flies a step on the string rig, `duration_s` long, with each of these estimators in the loop; it is the same flight whenever it is flown. */
+export async function steppedWith(page, name, duration_s, estimators) {
+  const plan = `name = "${name}"
+repeats = 1
+seed = 5
+[scenario]
+world = "datasheet"
+duration_s = ${duration_s}
+suite = { preset = "string_rig" }
+rig = { hanging_strings = { mode = "flight", height_m = 0.3 } }
+[[scenario.script]]
+at_s = 3
+do = "arm"
+[[scenario.script]]
+at_s = 4
+do = "mode"
+mode = "altitude_hold"
+[[scenario.script]]
+at_s = 5
+do = "setpoint"
+altitude_m = 0.9
+[[factor]]
+key = "agent.estimators.in_loop"
+values = [${estimators.map((estimator) => `"${estimator}"`).join(', ')}]
+`;
+  const { id: experiment } = await asks(page, 'POST', 'experiments', { plan });
+  const flights = [];
+  for (const index of estimators.keys()) flights.push((await asks(page, 'POST', `experiments/${experiment}/flights/${index}`)).flight);
+  return { experiment, flights };
+}
+
 /** Counts what the browser complains about. */
 export function complaints(page) {
   const all = [];

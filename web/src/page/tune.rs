@@ -13,6 +13,7 @@ use serde_json::json;
 use crate::{
     ctx::{Ctx, ctx},
     event::Tone,
+    model::live::Live,
     model::tuning::{self, Draft},
     net,
     panel::envelope::EnvelopeBeside,
@@ -127,7 +128,7 @@ impl Bench {
         let Some(draft) = self.draft.get_untracked() else { return };
         let number = self.asked.get_value() + 1;
         self.asked.set_value(number);
-        let z_m = Some(self.measured_size().unwrap_or(STEP_M));
+        let z_m = Some(self.ctx.live.with_value(Self::measured_size).unwrap_or(STEP_M));
         let question = Question {
             design: draft.design(),
             step: Steps { z_m, yaw_rad: Some(YAW_STEP_RAD), ..Steps::default() },
@@ -147,8 +148,8 @@ impl Bench {
     }
 
     /// Size of the newest altitude step measured in this flight, m.
-    fn measured_size(self) -> Option<f64> {
-        self.ctx.live.with_value(|live| live.log.steps.back().map(|s| s.to_m - s.from_m)).filter(|s| s.abs() >= 0.05)
+    fn measured_size(live: &Live) -> Option<f64> {
+        live.log.steps.back().map(|s| s.to_m - s.from_m).filter(|s| s.abs() >= 0.05)
     }
 
     /// Sends a request about the gains of this vehicle; afterwards the book is read again.
@@ -194,8 +195,11 @@ pub fn Tune() -> impl IntoView {
         bench.load();
     });
     let waiting = StoredValue::new(None::<TimeoutHandle>);
+    // A step that is measured is predicted at its size.
+    let measured = Memo::new(move |_| ctx.live(Bench::measured_size));
     Effect::new(move |_| {
         bench.draft.track();
+        measured.track();
         bench.fresh.set(false);
         if let Some(handle) = waiting.get_value() {
             handle.clear();
