@@ -70,7 +70,8 @@ fn recorded_positions_are_those_of_gpsd() {
     assert!(fixes > 300, "{fixes}");
 }
 
-fn fix() -> FixReading {
+/// Of a receiver that moves a little.
+pub(super) fn fix() -> FixReading {
     FixReading {
         geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
         velocity_enu_mps: Vector3::new(0.25, -1.5, 0.125),

@@ -10,6 +10,7 @@ use plumbline_devices::protocol::gnss::{GnssReading, GnssStream};
 use plumbline_devices::protocol::{natnet, nmea, scip, ubx};
 use plumbline_devices::reading::{FixReading, PoseReading};
 
+use super::gnss::fix;
 use super::read;
 
 /// What `script` prints for `input`; `None`, and a line that says so, where Python lacks `module`.
@@ -38,13 +39,7 @@ pub fn bytes(hex: &str) -> Vec<u8> {
 
 #[test]
 fn pyubx2_reads_our_fixes_and_we_read_its_own() {
-    let fix = FixReading {
-        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
-        velocity_enu_mps: Vector3::new(0.25, -1.5, 0.125),
-        horizontal_sigma_m: 1.25,
-        vertical_sigma_m: 2.5,
-        satellites: 11,
-    };
+    let fix = fix();
     let script = "import sys\nfrom pyubx2 import UBXReader, UBXMessage\n\
         m = UBXReader.parse(bytes.fromhex(sys.stdin.read()))\n\
         print(m.identity, m.iTOW, m.lat, m.lon, m.hMSL, m.velN, m.velE, m.velD, m.hAcc, m.vAcc, m.numSV, m.fixType, m.gnssFixOk)\n\
@@ -91,13 +86,7 @@ fn a_natnet_client_of_others_reads_our_frames() {
 
 #[test]
 fn pynmeagps_reads_our_sentences() {
-    let fix = FixReading {
-        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
-        velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0),
-        horizontal_sigma_m: 1.25,
-        vertical_sigma_m: 2.5,
-        satellites: 11,
-    };
+    let fix = FixReading { velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0), ..fix() };
     let script = "import sys\nfrom pynmeagps import NMEAReader\nfor line in sys.stdin:\n\
         \x20   m = NMEAReader.parse(line.strip() + '\\r\\n')\n\
         \x20   print(m.identity, m.time, m.lat, m.lon, *([m.spd, m.cog, m.status] if m.msgID == 'RMC' else \
@@ -139,13 +128,7 @@ fn gpsd(name: &str, log: &[u8]) -> Option<Vec<serde_json::Value>> {
 
 #[test]
 fn gpsd_reads_our_sentences_and_fixes() {
-    let fix = FixReading {
-        geodetic: [-34.918_123_4, -56.167_765_4, 31.234],
-        velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0),
-        horizontal_sigma_m: 1.25,
-        vertical_sigma_m: 2.5,
-        satellites: 11,
-    };
+    let fix = FixReading { velocity_enu_mps: Vector3::new(3.0, -4.0, 0.0), ..fix() };
     let sentences: String = (0..12).map(|second| nmea::encode(45_296.0 + f64::from(second), &fix)).collect();
     let messages: Vec<u8> =
         (0..12_u32).flat_map(|second| ubx::encode_nav_pvt(45_296_000 + 1000 * second, &fix)).collect();
