@@ -12,6 +12,7 @@ use plumbline_core::event::Text;
 use plumbline_proto::time::FlightTime;
 use rtrb::{Consumer, Producer, RingBuffer};
 
+use crate::asking::Asking;
 use crate::clock::DeviceClock;
 use crate::driver::{Driver, Exchange, Heard, Scanned};
 use crate::fault::{DeviceError, Fault};
@@ -29,19 +30,34 @@ const COUNTED_S: f64 = 0.5;
 /// First and longest pause before a device is opened again.
 const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1)];
 
-/// When flight time is zero, once that is known. Shared by readers and vehicle.
+/// When flight time is zero, once that is known, and how often it ticks. Shared by readers and vehicle.
 #[derive(Debug, Clone, Default)]
-pub struct Zero(Arc<OnceLock<Instant>>);
+pub struct Zero {
+    instant: Arc<OnceLock<Instant>>,
+    tick: Option<Duration>,
+}
 
 impl Zero {
+    /// Of a flight thread that takes what arrived `rate_hz` times a second, from zero on.
+    pub fn ticking(rate_hz: f64) -> Self {
+        Self { tick: Some(Duration::from_secs_f64(1.0 / rate_hz)), ..Self::default() }
+    }
+
     /// Flight time is zero at `instant`; only the first call counts.
     pub fn set(&self, instant: Instant) {
-        let _ = self.0.set(instant);
+        let _ = self.instant.set(instant);
+    }
+
+    /// The tick that is nearest to `instant`, and the time between two; `None` without ticks, or before zero is known.
+    pub(crate) fn nearest_tick(&self, instant: Instant) -> Option<(Instant, Duration)> {
+        let (zero, tick) = (*self.instant.get()?, self.tick?);
+        let ticks = instant.saturating_duration_since(zero).as_secs_f64() / tick.as_secs_f64();
+        Some((zero + tick.mul_f64(ticks.round()), tick))
     }
 
     /// Microseconds of flight time at `instant`; `None` before it is known. Negative before zero.
     pub fn micros(&self, instant: Instant) -> Option<f64> {
-        let zero = self.0.get()?;
+        let zero = self.instant.get()?;
         let after = instant.saturating_duration_since(*zero).as_secs_f64();
         let before = zero.saturating_duration_since(instant).as_secs_f64();
         Some(1e6 * (after - before))
@@ -287,11 +303,15 @@ impl Work {
         let Self { driver, options, zero, clock, arrivals, scanned, notify, state, stop } = self;
         let mut last = Instant::now();
         let (mut stamped, mut fault) = (None, None);
+        let mut asking = driver.period().map(|period| Asking::new(period, last));
         while !stop.load(Ordering::Acquire) {
-            let (mut heard_one, mut time) = (false, None);
+            let (mut heard_one, mut time, mut answer) = (false, None, None);
+            if let Some(asking) = &asking {
+                std::thread::sleep(asking.wait(Instant::now()));
+            }
             let polled = driver.poll(&mut |heard| match heard {
                 Ok(heard) => {
-                    heard_one = true;
+                    (heard_one, answer) = (true, Some(heard.at));
                     // A frame may hold several readings.
                     if heard.stamp.is_none() || heard.stamp != stamped {
                         state.readings.fetch_add(1, Ordering::Relaxed);
@@ -311,6 +331,10 @@ impl Work {
             });
             if let Err(error) = polled {
                 return Some(error);
+            }
+            if let Some(asking) = &mut asking {
+                let now = Instant::now();
+                asking.answered(answer.unwrap_or(now), now, zero);
             }
             if let Some(exchange) = driver.exchange() {
                 answered(&exchange, zero, clock, state);

@@ -80,7 +80,6 @@ pub struct Bno055 {
     address: u8,
     period: Duration,
     way: Option<Way>,
-    due: Instant,
     slow_due: Instant,
     temperature_c: f64,
     failures: u32,
@@ -95,7 +94,6 @@ impl Bno055 {
             address,
             period: Duration::from_secs_f64(1.0 / rate_hz),
             way: None,
-            due: now,
             slow_due: now,
             temperature_c: f64::NAN,
             failures: 0,
@@ -140,6 +138,20 @@ impl Bno055 {
         }
         Ok(())
     }
+
+    /// What is asked every [`SLOW`].
+    fn slow(&mut self) -> Result<(), DeviceError> {
+        let Some(way) = &mut self.way else { return Ok(()) };
+        self.slow_due = Instant::now() + SLOW;
+        let mut slow = [0];
+        if way.read(&self.port, register::TEMP, &mut slow).is_ok() {
+            self.temperature_c = f64::from(i8::from_le_bytes(slow));
+        }
+        if way.read(&self.port, register::SYS_ERR, &mut slow).is_ok() && slow != [0] {
+            return Err(Fault::Reported { what: "system error", code: slow[0].into() }.into());
+        }
+        Ok(())
+    }
 }
 
 impl Driver for Bno055 {
@@ -153,25 +165,15 @@ impl Driver for Bno055 {
         self.set_up(&mut way)?;
         self.way = Some(way);
         self.failures = 0;
-        (self.due, self.slow_due) = (Instant::now(), Instant::now());
-        Ok(())
+        self.slow()
+    }
+
+    fn period(&self) -> Option<Duration> {
+        Some(self.period)
     }
 
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
         let Some(way) = &mut self.way else { return Ok(()) };
-        std::thread::sleep(self.due.saturating_duration_since(Instant::now()));
-        let now = Instant::now();
-        self.due = (self.due + self.period).max(now);
-        if now >= self.slow_due {
-            self.slow_due = now + SLOW;
-            let mut slow = [0];
-            if way.read(&self.port, register::TEMP, &mut slow).is_ok() {
-                self.temperature_c = f64::from(i8::from_le_bytes(slow));
-            }
-            if way.read(&self.port, register::SYS_ERR, &mut slow).is_ok() && slow != [0] {
-                return Err(Fault::Reported { what: "system error", code: slow[0].into() }.into());
-            }
-        }
         let begun = Instant::now();
         let mut data = [0; DATA_LENGTH];
         match way.read(&self.port, register::DATA, &mut data) {
@@ -181,7 +183,8 @@ impl Driver for Bno055 {
                 let after_us = -1e6 * begun.elapsed().as_secs_f64();
                 let reading = Reading::Imu(bno055::decode_data(&data, self.temperature_c));
                 out(Ok(Heard { at: Instant::now(), stamp: None, after_us, reading }));
-                Ok(())
+                // Behind what is waited for.
+                if self.slow_due <= begun { self.slow() } else { Ok(()) }
             }
             Err(DeviceError::Frame(fault)) if self.failures < FAILURES_MAX => {
                 self.failures += 1;

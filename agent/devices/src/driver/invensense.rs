@@ -19,7 +19,6 @@ pub struct Invensense {
     address: u8,
     period: Duration,
     open: Option<(Box<dyn Bus>, Thermometer)>,
-    due: Instant,
     look_due: Instant,
 }
 
@@ -27,7 +26,7 @@ impl Invensense {
     /// At `address` of `port`, closed, to be read `rate_hz` times a second.
     pub fn new(port: PortName, address: u8, rate_hz: f64) -> Self {
         let (now, period) = (Instant::now(), Duration::from_secs_f64(1.0 / rate_hz));
-        Self { port, address, period, open: None, due: now, look_due: now }
+        Self { port, address, period, open: None, look_due: now }
     }
 
     /// Identifies the chip behind `bus` and sets it up.
@@ -68,26 +67,19 @@ impl Driver for Invensense {
         let mut bus = self.port.open_bus()?;
         let thermometer = self.set_up(bus.as_mut())?;
         self.open = Some((bus, thermometer));
-        (self.due, self.look_due) = (Instant::now(), Instant::now() + LOOK);
+        self.look_due = Instant::now() + LOOK;
         Ok(())
+    }
+
+    fn period(&self) -> Option<Duration> {
+        Some(self.period)
     }
 
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
         let Some((bus, thermometer)) = &mut self.open else { return Ok(()) };
-        std::thread::sleep(self.due.saturating_duration_since(Instant::now()));
-        let now = Instant::now();
-        self.due = (self.due + self.period).max(now);
         let mut read = |register: u8, into: &mut [u8]| {
             bus.transfer(self.address, &[register], into).map_err(|error| self.port.error(error))
         };
-        if now >= self.look_due {
-            self.look_due = now + LOOK;
-            let mut power = [0];
-            read(register::PWR_MGMT_1, &mut power)?;
-            if power != [AWAKE] {
-                return Err(Fault::Reported { what: "power register", code: power[0].into() }.into());
-            }
-        }
         let begun = Instant::now();
         let mut data = [0; DATA_LENGTH];
         read(register::DATA, &mut data)?;
@@ -96,6 +88,15 @@ impl Driver for Invensense {
         let after_us = -1e6 * at.duration_since(begun).as_secs_f64();
         let reading = Reading::Imu(invensense::decode(&data, thermometer));
         out(Ok(Heard { at, stamp: None, after_us, reading }));
+        // Behind what is waited for.
+        if at >= self.look_due {
+            self.look_due = at + LOOK;
+            let mut power = [0];
+            read(register::PWR_MGMT_1, &mut power)?;
+            if power != [AWAKE] {
+                return Err(Fault::Reported { what: "power register", code: power[0].into() }.into());
+            }
+        }
         Ok(())
     }
 

@@ -8,7 +8,7 @@ pub mod mocap;
 pub mod registers;
 pub mod stream;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use arrayvec::ArrayVec;
 
@@ -63,7 +63,12 @@ pub trait Driver: Send {
     /// The port, another device, another protocol version, no answer.
     fn open(&mut self) -> Result<(), DeviceError>;
 
-    /// Hands over what comes within about [`crate::port::WAIT`].
+    /// Time between two questions to a device that says nothing by itself; `None`: it speaks when it wants to.
+    fn period(&self) -> Option<Duration> {
+        None
+    }
+
+    /// Hands over what comes within about [`crate::port::WAIT`]; asks first, where there is a [`Driver::period`].
     ///
     /// # Errors
     /// The device is to be opened again.

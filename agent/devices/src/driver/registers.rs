@@ -34,14 +34,13 @@ pub struct Registers {
     /// Voltage of the battery for one volt at the chip.
     divider: f64,
     bus: Option<Box<dyn Bus>>,
-    due: Instant,
 }
 
 impl Registers {
     /// `chip` on `port`, closed, to be read `rate_hz` times a second.
     pub fn new(port: PortName, address: u8, chip: Chip, rate_hz: f64, divider: f64) -> Self {
         let period = Duration::from_secs_f64(1.0 / rate_hz);
-        Self { port, address, chip, period, divider, bus: None, due: Instant::now() }
+        Self { port, address, chip, period, divider, bus: None }
     }
 
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), DeviceError> {
@@ -91,7 +90,6 @@ impl Registers {
 impl Driver for Registers {
     fn open(&mut self) -> Result<(), DeviceError> {
         self.bus = Some(self.port.open_bus()?);
-        self.due = Instant::now();
         let wrong =
             |what, value: u16, expected| Err(DeviceError::Wrong { what, value: format!("{value:#x}"), expected });
         match self.chip {
@@ -132,9 +130,11 @@ impl Driver for Registers {
         Ok(())
     }
 
+    fn period(&self) -> Option<Duration> {
+        Some(self.period)
+    }
+
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
-        std::thread::sleep(self.due.saturating_duration_since(Instant::now()));
-        self.due = (self.due + self.period).max(Instant::now());
         let begun = Instant::now();
         let reading = match self.measure() {
             Ok(reading) => reading,

@@ -39,7 +39,7 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         // them at one instant takes that for faults.
         flight.in_loop = EstimatorKind::Lanes;
     }
-    let zero = Zero::default();
+    let zero = Zero::ticking(tick_rate_hz);
     let (mut devices, mut autopilot) = (Vec::new(), None);
     for device in &config.device {
         let driver = match &config.motors {
