@@ -128,6 +128,8 @@ struct Through {
     ways: [Vec<f64>; MAX_IMUS],
     /// Time and altitude.
     truth: Vec<(f64, f64)>,
+    /// The rig's longest time between two of its ticks, and between two pulses in flight, ms: what stood still where a flight stands out.
+    gaps_ms: [f64; 2],
     /// Per armed tick.
     requests: Vec<u64>,
     /// Share of a core.
@@ -198,6 +200,7 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
     let seconds = |at: &Instant| at.saturating_duration_since(begins).as_secs_f64();
     Through {
         ways: ways_of(&rig, &marks),
+        gaps_ms: [gap_ms(rig.truths().iter().map(|(at, _)| *at)), gap_ms(turning(&rig).into_iter())],
         truth: rig.truths().iter().map(|(at, truth)| (seconds(at), truth.position_enu_m.z)).collect(),
         requests: flying_marks(&rig, &marks).windows(2).map(|pair| pair[1].requests - pair[0].requests).collect(),
         readers: share(|used| used.readers),
@@ -242,10 +245,20 @@ impl Used {
     }
 }
 
+/// Longest time between two, ms.
+fn gap_ms(times: impl Iterator<Item = Instant> + Clone) -> f64 {
+    let gaps = times.clone().zip(times.skip(1)).map(|(before, after)| after.saturating_duration_since(before));
+    round(gaps.max().unwrap_or_default().as_secs_f64() * 1e3)
+}
+
+/// The pulses that turned a motor.
+fn turning(rig: &WireRig) -> Vec<Instant> {
+    rig.pulses().iter().filter(|(_, widths)| widths[0] > PULSES_US[0] + 3.0).map(|(at, _)| *at).collect()
+}
+
 /// Ticks between the first and the last pulse that turned a motor.
 fn flying_marks(rig: &WireRig, marks: &[Mark]) -> Vec<Mark> {
-    let turning: Vec<Instant> =
-        rig.pulses().iter().filter(|(_, widths)| widths[0] > PULSES_US[0] + 3.0).map(|(at, _)| *at).collect();
+    let turning = turning(rig);
     let (first, last) = (turning.first().expect("it flew"), turning.last().unwrap());
     marks.iter().filter(|mark| mark.told >= *first && mark.told < *last).copied().collect()
 }
@@ -320,6 +333,10 @@ fn costs(flights: &[Through]) {
         "per tick",
         json!({ "limit": 0, "ticks": ticks, "most": most }),
     );
+    for (index, name) in ["rig_gap", "pulse_gap"].into_iter().enumerate() {
+        let each: Vec<f64> = flights.iter().map(|flown| flown.gaps_ms[index]).collect();
+        line(name, each.iter().fold(0.0, |most, gap| gap.max(most)), "ms", json!({ "flights": each }));
+    }
     let misses: u64 = flights.iter().map(|flown| flown.misses).sum();
     line("deadlines_missed", misses as f64, "ticks", json!({ "flights": flights.len() }));
 }
