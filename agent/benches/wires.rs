@@ -154,11 +154,7 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
 
     let (line, mut guard) = guarded(&file);
     let zero = Zero::ticking(scenario.tick_rate_hz);
-    let devices = config
-        .device
-        .iter()
-        .filter_map(|device| device.driver().map(|driver| device.start_with(driver, &zero, config.real_time).unwrap()))
-        .collect();
+    let devices = config.device.iter().filter_map(|device| device.start(&zero, config.real_time).unwrap()).collect();
     let marks = Arc::new(Mutex::new(Vec::with_capacity((scenario.duration_s * scenario.tick_rate_hz) as usize + 400)));
     let next = Mark { told: Instant::now(), imus: [None; MAX_IMUS], requests: 0 };
     let inner = HardwareVehicle::new(devices, Arc::new(line), scenario.tick_rate_hz);

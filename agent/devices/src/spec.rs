@@ -413,12 +413,13 @@ impl DeviceSpec {
         })
     }
 
-    /// Its driver in a thread, and where it sits; `None` for a port that a check would have refused.
+    /// Its driver in a thread, with `real_time` priority for a flight, and where it sits; `None` for a port that a check would have
+    /// refused.
     ///
     /// # Errors
     /// No thread could be started.
-    pub fn start(&self, zero: &Zero) -> std::io::Result<Option<(Mounted, Reader)>> {
-        self.driver().map(|driver| self.start_with(driver, zero, false)).transpose()
+    pub fn start(&self, zero: &Zero, real_time: bool) -> std::io::Result<Option<(Mounted, Reader)>> {
+        self.driver().map(|driver| self.start_with(driver, zero, real_time)).transpose()
     }
 
     /// `driver` in a thread, with `real_time` priority for a flight, and where this device sits.

@@ -92,7 +92,7 @@ fn list(devices: &[DeviceSpec]) -> Result<(), Failure> {
     zero.set(Instant::now());
     let mut started = Vec::new();
     for device in devices {
-        started.extend(device.start(&zero)?.map(|(_, reader)| (device, reader)));
+        started.extend(device.start(&zero, false)?.map(|(_, reader)| (device, reader)));
     }
     let begun = Instant::now();
     let waiting = |(_, reader): &(_, plumbline_devices::reader::Reader)| !reader.state().health().up;
@@ -175,7 +175,7 @@ fn found_on(port: &str) -> Vec<Found> {
         }
         let zero = Zero::default();
         zero.set(Instant::now());
-        let Ok(Some((_, reader))) = device.start(&zero) else { continue };
+        let Ok(Some((_, reader))) = device.start(&zero, false) else { continue };
         let (begun, answer) = (Instant::now(), if device.driver == DriverKind::Gnss { FIXES } else { ANSWER });
         while begun.elapsed() < answer && reader.state().health().readings < FIRST_READINGS {
             std::thread::sleep(Duration::from_millis(20));
@@ -195,7 +195,7 @@ fn show(device: &DeviceSpec, span: Duration) -> Result<(), Failure> {
     let mut out = std::io::stdout();
     let zero = Zero::default();
     zero.set(Instant::now());
-    let Some((_, mut reader)) = device.start(&zero)? else {
+    let Some((_, mut reader)) = device.start(&zero, false)? else {
         return Err(format!("{}: no such port", device.port).into());
     };
     let begun = Instant::now();
