@@ -59,7 +59,9 @@ struct Samples {
 impl Guided {
     fn begin(&self, vehicle: &str, samples: Samples) {
         let mut all = lock(&self.0);
-        let oldest = all.iter().min_by_key(|(_, one)| lock(one).asked).map(|(id, _)| id.clone());
+        // One that is being counted is being asked about.
+        let asked = |one: &Mutex<Samples>| one.try_lock().map_or_else(|_| Instant::now(), |one| one.asked);
+        let oldest = all.iter().min_by_key(|(_, one)| asked(one)).map(|(id, _)| id.clone());
         if let Some(oldest) = oldest.filter(|_| all.len() >= MAX_VEHICLES && !all.contains_key(vehicle)) {
             all.remove(&oldest);
         }
@@ -155,6 +157,7 @@ impl Samples {
             problem: refused.unwrap_or_else(|| self.problem.clone()),
             aims: progress.aims.iter().map(aim).collect(),
             ready: progress.is_ready(),
+            undetermined: progress.undetermined.map_or_else(String::new, |error| error.to_string()),
             still: progress.still,
             up: progress.up.map(Into::into),
             poses: progress.poses.into_iter().map(Into::into).collect(),

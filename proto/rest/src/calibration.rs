@@ -82,6 +82,8 @@ pub struct Taken {
     pub problem: String,
     /// What the fit counts.
     pub aims: Vec<Aim>,
+    /// What the fit cannot tell yet, although all that it counts is there: more of the same mends that. Empty otherwise.
+    pub undetermined: String,
     /// Is everything there without which the fit refuses?
     pub ready: bool,
     /// How long the vehicle has been held still by now, as a share of what makes a pose, 0 to 1.

@@ -102,6 +102,8 @@ pub fn now(taken: &Taken) -> String {
         format!("Nothing is taken: {}.", taken.problem)
     } else if taken.aims.is_empty() || taken.samples == 0 {
         "Waiting for the first samples…".to_owned()
+    } else if !taken.undetermined.is_empty() {
+        format!("Turn it on, in directions that were not there yet: {}.", taken.undetermined)
     } else if whole {
         "Complete: fit it.".to_owned()
     } else if taken.up.is_some() {
@@ -280,6 +282,10 @@ mod tests {
         };
         assert_eq!(now(&held), "Hold it still, level…");
         assert_eq!(now(&Taken { still: 1.0, ..held.clone() }), "Held still, level: turn it on to the next pose.");
-        assert!(now(&Taken { still: 0.0, ..held }).contains("It moves"));
+        assert!(now(&Taken { still: 0.0, ..held.clone() }).contains("It moves"));
+        let counted = Taken { aims: vec![Aim { found: 10, ..aim("poses") }], ..held };
+        assert_eq!(now(&counted), "Complete: fit it.");
+        let open = Taken { undetermined: "hard_y is not determined".into(), ..counted };
+        assert_eq!(now(&open), "Turn it on, in directions that were not there yet: hard_y is not determined.");
     }
 }

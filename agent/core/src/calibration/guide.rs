@@ -3,8 +3,10 @@
 
 use nalgebra::Vector3;
 
+use super::inertial::Triad;
 use super::samples::Sample;
 use super::{CalibrationError, Kind, inertial, magnetometer};
+use crate::types::GRAVITY_MPS2;
 
 /// Something that a fit counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,6 +26,8 @@ pub struct Aim {
 pub struct Progress {
     /// What the fit counts; empty before the first sample.
     pub aims: Vec<Aim>,
+    /// What the fit cannot tell yet, although all that it counts is there: more of the same mends that.
+    pub undetermined: Option<CalibrationError>,
     /// How long the vehicle has been held still by now, as a share of what makes a pose, 0 to 1.
     pub still: f64,
     /// Where up is now; absent where no pose is asked for.
@@ -41,6 +45,10 @@ pub struct Progress {
 impl Progress {
     /// Is everything there without which the fit refuses?
     pub fn is_ready(&self) -> bool {
+        self.is_counted() && self.undetermined.is_none()
+    }
+
+    fn is_counted(&self) -> bool {
         !self.aims.is_empty() && self.aims.iter().all(|aim| aim.found >= aim.needed)
     }
 }
@@ -55,10 +63,25 @@ pub fn is_guided(kind: Kind) -> bool {
 /// # Errors
 /// [`CalibrationError`]: NaN, saturation, time that runs backwards, as the fit refuses them.
 pub fn progress(kind: Kind, samples: &[Sample]) -> Result<Progress, CalibrationError> {
-    match kind {
-        Kind::Accelerometer => inertial::poses_taken(samples),
-        Kind::Gyroscope => inertial::turns_taken(samples),
-        Kind::Magnetometer => magnetometer::directions_taken(samples),
-        _ => Ok(Progress::default()),
+    let mut progress = match kind {
+        Kind::Accelerometer => inertial::poses_taken(samples)?,
+        Kind::Gyroscope => inertial::turns_taken(samples)?,
+        Kind::Magnetometer => magnetometer::directions_taken(samples)?,
+        _ => Progress::default(),
+    };
+    if progress.is_counted() {
+        let fitted = match kind {
+            Kind::Accelerometer => inertial::accelerometer(samples, GRAVITY_MPS2),
+            Kind::Gyroscope => inertial::gyroscope(samples, &Triad::identity()),
+            _ => magnetometer::magnetometer(samples),
+        };
+        progress.undetermined = fitted.err().filter(is_mended_by_more);
     }
+    Ok(progress)
+}
+
+/// A sensor in another field, or one that no model describes, is not: of that the fit itself tells.
+fn is_mended_by_more(error: &CalibrationError) -> bool {
+    use CalibrationError::{Singular, TooFew, TooSmall, Undetermined};
+    matches!(error, TooFew { .. } | TooSmall { .. } | Undetermined { .. } | Singular(_))
 }

@@ -94,7 +94,7 @@ pub enum CalibrationError {
         count: usize,
     },
     /// The data do not determine a parameter.
-    #[error("{parameter} is not determined: one sigma is {sigma:.3e}, at most {limit:.3e} is useful")]
+    #[error("{parameter} is not determined: one sigma is {sigma:.3}, at most {limit:.3} is useful")]
     Undetermined {
         /// Which parameter.
         parameter: String,

@@ -1,6 +1,7 @@
 //! Round trips with the simulator's own error model: what distorted the readings is found again.
 
 use super::*;
+use crate::calibration::guide;
 use crate::sensor::imu::{Distortion, Imu};
 use crate::sensor::noise::{ScalarError, Stream};
 use crate::sensor::suite::{Quality, Sheet as _};
@@ -156,10 +157,11 @@ fn guidance_counts_what_the_fits_count() {
     for seconds in (3..60).step_by(2) {
         let taken = &samples[..(seconds * 100).min(samples.len())];
         let of = [
-            (poses_taken(taken).unwrap(), accelerometer(taken, GRAVITY_MPS2).map(drop)),
-            (turns_taken(taken).unwrap(), gyroscope(taken, &Triad::identity()).map(drop)),
+            (guide::progress(Kind::Accelerometer, taken).unwrap(), accelerometer(taken, GRAVITY_MPS2).map(drop)),
+            (guide::progress(Kind::Gyroscope, taken).unwrap(), gyroscope(taken, &Triad::identity()).map(drop)),
         ];
         for (ready, (progress, fitted)) in ready.iter_mut().zip(of) {
+            assert_eq!(progress.is_ready(), fitted.is_ok(), "{seconds} s: {progress:?}, {fitted:?}");
             let Some(short) = progress.aims.iter().find(|aim| aim.found < aim.needed) else {
                 *ready = ready.or(Some(seconds));
                 continue;
