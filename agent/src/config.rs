@@ -86,6 +86,8 @@ pub struct AgentConfig {
     pub airframe: String,
     /// Folder of the link identity.
     pub identity: PathBuf,
+    /// Folder of the calibrations that an operator put to use from the page; of a vehicle that is really there.
+    pub kept_calibrations: PathBuf,
     /// Ask for real-time priority.
     pub real_time: bool,
     /// Limits of setpoints.
@@ -133,6 +135,7 @@ impl Default for AgentConfig {
             tick_rate_hz: None,
             airframe: "iris".to_owned(),
             identity: PathBuf::from("data/agent/identity"),
+            kept_calibrations: PathBuf::from("data/agent/calibrations"),
             real_time: true,
             limits: Limits::default(),
             attacks: Attacks::default(),

@@ -11,12 +11,14 @@ pub mod auditor;
 pub mod bounding;
 pub mod certifier;
 pub mod challenge;
+pub mod keeper;
 mod motor_watch;
 pub mod pace;
 pub mod stop;
 mod timing;
 mod uplane;
 
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
@@ -44,6 +46,7 @@ use auditor::Auditor;
 use bounding::Bounding;
 use certifier::Certifier;
 use challenge::Challenges;
+use keeper::Keeper;
 use motor_watch::MotorWatch;
 use pace::{Pace, Pacer};
 use stop::Stop;
@@ -87,6 +90,8 @@ pub struct RunnerOptions {
     pub real_time: bool,
     /// How the attack envelope is bounded, where that is demanded.
     pub bounding: Option<Bounding>,
+    /// Where calibrations that a command puts to use are kept for the next start; nowhere for a vehicle that is not really there.
+    pub calibrations: Option<PathBuf>,
 }
 
 /// Where the runner meets the link and the log.
@@ -146,6 +151,7 @@ struct Beside {
     certifier: Option<Certifier>,
     auditor: Option<Auditor>,
     motor_watch: Option<MotorWatch>,
+    keeper: Option<Keeper>,
 }
 
 impl Beside {
@@ -165,7 +171,10 @@ impl Beside {
                 .inspect_err(|error| tracing::error!(%error, "nothing watches over the flight thread"))
                 .ok()
         });
-        Self { certifier, auditor, motor_watch }
+        let keeper = options.calibrations.clone().and_then(|folder| {
+            Keeper::start(folder).inspect_err(|error| tracing::error!(%error, "calibrations cannot be kept")).ok()
+        });
+        Self { certifier, auditor, motor_watch, keeper }
     }
 }
 
@@ -201,13 +210,14 @@ impl Runner {
     pub fn new(
         vehicle: impl Into<CalibratedVehicle>,
         mut flight: Flight,
-        telemetry: Telemetry,
+        mut telemetry: Telemetry,
         options: RunnerOptions,
         ports: RunnerPorts,
     ) -> Self {
         let vehicle = vehicle.into();
         time_steps(&mut flight, options.pace);
         let mut pacer = Pacer::new(options.pace);
+        telemetry.calibrations(vehicle.calibration());
         if let Some(zero) = ports.zero {
             pacer.begin_at(zero, &ports.clock);
         }
@@ -351,6 +361,7 @@ impl Runner {
         self.ports.clock.tick(frame.time);
         self.commands(frame.time);
         self.certified(frame.time);
+        self.kept(frame.time);
         self.heartbeat(frame.time);
         self.script(frame.time);
         self.log_health();

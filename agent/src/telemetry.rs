@@ -30,6 +30,7 @@ use plumbline_proto::ids::{CommandId, SensorId};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, SCHEMA, v1};
 
+use crate::calibration::Calibration;
 use crate::estimate::Estimate;
 use crate::estimate::secure::suite::{Promise, SuiteError};
 use crate::event::{Event, EventKind, Severity, text};
@@ -204,6 +205,12 @@ impl Telemetry {
             tracking: Tracking::default(),
             windows: 0,
         }
+    }
+
+    /// What corrects the samples has changed: told with the next tick. Disarmed only, as it allocates.
+    pub fn calibrations(&mut self, calibration: &Calibration) {
+        self.description.calibrations = calibration.used().iter().map(convert::calibration_in_use).collect();
+        self.due.description = None;
     }
 
     /// Everything about one tick.
@@ -502,6 +509,7 @@ fn describe(identification: &Identification, flight: &Flight) -> v1::Description
         strings: identification.strings.iter().map(convert::string_description).collect(),
         observability: identification.promise.as_ref().map(convert::observability),
         boot_id: identification.boot_id,
+        calibrations: Vec::new(),
         declination_rad: Some(config.sensor_model.imus.mag.declination_rad),
         actuation: config.actuation.name().to_owned(),
         actuators: (1_u8..)

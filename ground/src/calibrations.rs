@@ -6,9 +6,9 @@ use std::sync::Mutex;
 
 use plumbline_core::calibration::CalibrationFile;
 use plumbline_core::calibration::file::{Parameter, Plot, Series};
+use plumbline_file::write_atomically;
 use plumbline_rest::calibration::{self as rest, Calibration};
 
-use crate::gains_book::write_atomically;
 use crate::sync::lock;
 
 /// One at a time: two of one second must not take one name.

@@ -164,6 +164,8 @@ fn name(body: &Body) -> &'static str {
         Body::SetReplay(_) => "replay",
         Body::SetTrajectory(_) => "trajectory",
         Body::SetSimulator(_) => "simulator",
+        Body::UseCalibration(_) => "use-calibration",
+        Body::DropCalibration(_) => "drop-calibration",
     }
 }
 

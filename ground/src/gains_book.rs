@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use plumbline_file::write_atomically;
 use plumbline_rest::design::Revision;
 use serde_json::{Map, Value};
 
@@ -123,20 +123,6 @@ impl GainsBook {
             tracing::error!(vehicle, %error, "gains book cannot be written");
         }
     }
-}
-
-/// Writes a file so that a crash leaves the old or the new content, never a part.
-pub(crate) fn write_atomically(path: &Path, content: &[u8]) -> std::io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
-    let mut name = path.as_os_str().to_owned();
-    name.push(".tmp");
-    let temporary = PathBuf::from(name);
-    let mut file = fs::File::create(&temporary)?;
-    file.write_all(content)?;
-    file.sync_all()?;
-    fs::rename(&temporary, path)
 }
 
 #[cfg(test)]

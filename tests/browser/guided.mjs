@@ -85,6 +85,9 @@ await step(page, 'guided: the sphere fills while the vehicle is turned, and the 
   // The fit before it is on the page until then.
   await until('the fit', async () => (await kept('magnetometer')) !== undefined);
   await shot('fitted-dark-1280x720');
+  // What was recorded stays as it was: the vehicle says so, and goes on without.
+  await fit.getByText('A recording is flown: its samples are those of then.').waitFor();
+  assert(await fit.getByRole('button', { name: 'Use on iris-1' }).isDisabled(), 'a recording can be calibrated otherwise');
   const made = await kept('magnetometer');
   const hard = ['x', 'y', 'z'].map((axis) => value(made, `hard_${axis}`));
   [4, -7, 12].forEach((put, n) => assert(Math.abs(hard[n] - put) < 1, `hard iron ${hard}`));

@@ -298,7 +298,7 @@ impl Ctx {
     }
 
     /// Sends a command to the vehicle shown. The answer becomes a notice named `what`.
-    pub fn command(self, what: impl Into<String>, method: &'static str, action: &'static str, body: Value) {
+    pub fn command(self, what: impl Into<String>, method: &'static str, action: &str, body: Value) {
         self.command_then(what, method, action, body, |_| {});
     }
 
@@ -307,7 +307,7 @@ impl Ctx {
         self,
         what: impl Into<String>,
         method: &'static str,
-        action: &'static str,
+        action: &str,
         body: Value,
         then: impl FnOnce(Result<(), &str>) + 'static,
     ) {

@@ -24,6 +24,8 @@ pub enum Command {
     ReleaseCut,
     /// The vehicle was put back where it began, by whoever simulates it: estimators begin anew, a cut is over.
     BeginAnew,
+    /// Samples are corrected otherwise from now on: estimators begin anew; disarmed only.
+    Recalibrated,
     /// Change the flight mode.
     SetMode(Mode),
     /// Change the setpoint; fields left out keep their value.

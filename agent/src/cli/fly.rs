@@ -4,7 +4,7 @@ mod hardware;
 mod piloted;
 mod service;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -22,6 +22,7 @@ use plumbline_agent::offline::{ArgumentError, calibrate};
 use plumbline_agent::recordings;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
 use plumbline_agent::runner::bounding::Bounding;
+use plumbline_agent::runner::keeper;
 use plumbline_agent::runner::pace::Pace;
 use plumbline_agent::runner::stop::Stop;
 use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
@@ -131,7 +132,10 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         VehicleChoice::Hardware | VehicleChoice::Mavlink => hardware::attached(arguments, &config)?,
         VehicleChoice::Px4 | VehicleChoice::Ardupilot => piloted::piloted(arguments, attacks.as_ref(), pace, &stop)?,
     };
-    configure(&mut chosen, &config)?;
+    // What is only simulated, or recorded, has other errors at the next start.
+    let attached = matches!(arguments.vehicle, VehicleChoice::Hardware | VehicleChoice::Mavlink);
+    let kept = attached.then(|| config.kept_calibrations.clone());
+    configure(&mut chosen, &config, kept.as_deref())?;
     let flight = Flight::new(chosen.flight.clone())?;
     // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
     let boot = Boot::in_a_moment()?;
@@ -163,6 +167,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         attacks: attacks.or(chosen.attacks.take()),
         stay: replay && with_ground,
         real_time: config.real_time && matches!(pace, Pace::Times(_)),
+        calibrations: kept,
         bounding: Bounding::new(&chosen.flight, &chosen.suite()?),
     };
     let ports = RunnerPorts {
@@ -219,8 +224,8 @@ impl Boot {
     }
 }
 
-/// What the configuration says of the flight of a vehicle; calibrations applied.
-fn configure(chosen: &mut Chosen, config: &AgentConfig) -> Result<(), Failure> {
+/// What the configuration says of the flight of a vehicle; calibrations applied, those in the folder `kept` too.
+fn configure(chosen: &mut Chosen, config: &AgentConfig, kept: Option<&Path>) -> Result<(), Failure> {
     let frame_rate_hz = chosen.flight.tick_rate_hz;
     config.apply(&mut chosen.flight)?;
     let of_devices = config.device.iter().filter_map(|device| device.calibration.clone());
@@ -229,6 +234,9 @@ fn configure(chosen: &mut Chosen, config: &AgentConfig) -> Result<(), Failure> {
         let calibration = calibrate::load(&files)?;
         calibration.apply_to_airframe(&mut chosen.flight.airframe);
         chosen.calibration = calibration;
+    }
+    if let Some(folder) = kept {
+        keeper::load(folder, &mut chosen.calibration)?;
     }
     // Frames come at the rate of the scenario or the recording, whatever the configuration says.
     chosen.flight.tick_rate_hz = frame_rate_hz;

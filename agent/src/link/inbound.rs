@@ -8,6 +8,8 @@ use plumbline_proto::ids::{CommandId, GainsRevision, SensorId};
 use plumbline_proto::v1::{self, command::Body};
 
 use crate::attack::{Attack, Channel, Kind, MAX_ATTACKS, Schedule, Sequence};
+use crate::calibration::applied::Correction;
+use crate::calibration::{CalibrationFile, Kind as Of};
 use crate::command::{Command, SetpointChange};
 use crate::control::gains::Gain;
 use crate::control::lqr_integral::Weights;
@@ -47,6 +49,8 @@ pub enum Request {
     Replay(ReplayRate),
     /// For the runner: what only a simulated vehicle can be given.
     Simulator(Service),
+    /// For the runner: how samples are corrected.
+    Calibration(Calibrating),
     /// Not understood.
     Refused(String),
 }
@@ -58,6 +62,29 @@ pub struct ReplayRate {
     pub speed: f64,
     /// Ticks to go while standing still.
     pub step: u32,
+}
+
+/// A change of what corrects the samples of an IMU.
+#[derive(Debug, Clone, PartialEq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "handed over once per command; a box would be freed on the flight thread"
+)]
+pub enum Calibrating {
+    /// Put this to use.
+    Use {
+        /// What it does.
+        correction: Correction,
+        /// The whole file, to be kept.
+        file: String,
+    },
+    /// Use none of this kind any more.
+    Drop {
+        /// Which.
+        kind: Of,
+        /// Which IMU, from 1.
+        imu: u8,
+    },
 }
 
 /// Fastest replay, times real time.
@@ -102,6 +129,16 @@ fn request(body: Body) -> Result<Request, String> {
         Body::SetTrajectory(set) => Command::Trajectory(trajectory(&set)?),
         Body::SetSimulator(v1::SetSimulator { new_battery, reset }) => {
             return Ok(Request::Simulator(Service { battery: new_battery, reset }));
+        }
+        Body::UseCalibration(v1::UseCalibration { file }) => {
+            let read = CalibrationFile::from_json(&file).and_then(|read| Correction::of(&read));
+            let correction = read.map_err(|error| error.to_string())?;
+            return Ok(Request::Calibration(Calibrating::Use { correction, file }));
+        }
+        Body::DropCalibration(v1::DropCalibration { kind, imu }) => {
+            let kind = Of::by_name(&kind).map_err(|error| error.to_string())?;
+            let imu = u8::try_from(imu).map_err(|_| format!("there is no IMU {imu}"))?;
+            return Ok(Request::Calibration(Calibrating::Drop { kind, imu }));
         }
         Body::SetReplay(replay) => {
             let speed = finite("replay speed", replay.speed)?;

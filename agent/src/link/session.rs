@@ -293,7 +293,11 @@ fn in_time(inbound: Inbound, late: Option<String>, state: &LinkState) -> Inbound
     let harmless = match &inbound.request {
         Request::Flight(command) => never_too_late(command),
         Request::Refused(_) => true,
-        Request::Gains { .. } | Request::Recording(_) | Request::Replay(_) | Request::Simulator(_) => false,
+        Request::Gains { .. }
+        | Request::Recording(_)
+        | Request::Replay(_)
+        | Request::Simulator(_)
+        | Request::Calibration(_) => false,
     };
     match late {
         Some(reason) if !harmless => {

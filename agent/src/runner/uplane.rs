@@ -5,12 +5,14 @@ use std::sync::atomic::Ordering;
 use plumbline_proto::time::FlightTime;
 
 use super::certifier::{Answer, Certifier};
+use super::keeper::Keeper;
 use super::pace::Pace;
 use super::{COMMANDS_PER_TICK, Runner, time_steps};
 use crate::command::Command;
 use crate::control::gains::refusal;
 use crate::event::{EventKind, Severity, Text, text};
-use crate::link::inbound::{ReplayRate, Request};
+use crate::link::inbound::{Calibrating, ReplayRate, Request};
+use crate::sensor::MAX_IMUS;
 use crate::vehicle::Service;
 
 impl Runner {
@@ -43,6 +45,10 @@ impl Runner {
                 }
                 Request::Simulator(service) => {
                     let (accepted, reason) = self.serve(service, now);
+                    self.telemetry.ack(now, inbound.id, accepted, &reason);
+                }
+                Request::Calibration(asked) => {
+                    let (accepted, reason) = self.calibrate(asked, now);
                     self.telemetry.ack(now, inbound.id, accepted, &reason);
                 }
                 Request::Refused(reason) => self.telemetry.ack(now, inbound.id, false, &reason),
@@ -111,6 +117,56 @@ impl Runner {
         let ack = self.flight.apply(&Command::BeginAnew, now);
         time_steps(&mut self.flight, self.options.pace);
         (ack.accepted, ack.reason)
+    }
+
+    /// Another correction of the samples: what the estimators learnt of the old ones is of no use.
+    fn calibrate(&mut self, asked: Calibrating, now: FlightTime) -> (bool, Text) {
+        if self.flight.report().armed {
+            return (false, text(format_args!("armed: land and disarm first")));
+        }
+        if self.vehicle.inner().recorded().is_some() {
+            return (false, text(format_args!("a recording is flown: its samples are those of then")));
+        }
+        let (kind, imu, done) = match &asked {
+            Calibrating::Use { correction, .. } => {
+                let (kind, imu) = correction.of_what();
+                (kind, imu, self.vehicle.put(correction).map(|()| "is in use"))
+            }
+            Calibrating::Drop { kind, imu } => {
+                (*kind, *imu, self.vehicle.take(*kind, *imu).map(|()| "is no longer used"))
+            }
+        };
+        let done = match done {
+            Ok(done) => done,
+            Err(reason) => return (false, text(format_args!("{reason}"))),
+        };
+        self.unfit = [false; MAX_IMUS];
+        self.flight.apply(&Command::Recalibrated, now);
+        time_steps(&mut self.flight, self.options.pace);
+        self.telemetry.calibrations(self.vehicle.calibration());
+        let kept = match &mut self.beside.keeper {
+            Some(keeper) => keeper.keep(kind, imu, asked).map(|()| ""),
+            None => Ok(" until the agent stops"),
+        };
+        match kept {
+            Ok(until) => {
+                let said = text(format_args!("IMU {imu}: {} calibration {done}{until}", kind.name()));
+                self.telemetry.event(now, Severity::Info, EventKind::Estimator, format_args!("{said}"));
+                (true, said)
+            }
+            Err(why) => {
+                let said = text(format_args!("IMU {imu}: {} calibration {done}, but not kept: {why}", kind.name()));
+                self.telemetry.event(now, Severity::Warning, EventKind::Estimator, format_args!("{said}"));
+                (true, said)
+            }
+        }
+    }
+
+    /// What became of calibrations that were to be kept.
+    pub(super) fn kept(&mut self, now: FlightTime) {
+        while let Some(problem) = self.beside.keeper.as_mut().and_then(Keeper::problem) {
+            self.telemetry.event(now, Severity::Warning, EventKind::Estimator, format_args!("{problem}"));
+        }
     }
 
     fn replay(&mut self, rate: ReplayRate) -> (bool, &'static str) {

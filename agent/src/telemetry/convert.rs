@@ -5,6 +5,7 @@ use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::{self, SensorKind};
 
 use crate::attack::{Attack, Bounds, Channel, Injector, Kind, Phase, Progress, offered};
+use crate::calibration::applied::Used;
 use crate::control::step_response::StepResponse;
 use crate::estimate::secure::suite::{NAMES, Promise, SuiteError};
 use crate::estimate::{Estimate, Residual};
@@ -284,6 +285,16 @@ pub fn wire_attack(attack: &Attack) -> v1::Attack {
         duration_s: attack.duration_s,
         magnitude: attack.magnitude,
         seed: attack.seed,
+    }
+}
+
+pub(super) fn calibration_in_use(used: &Used) -> v1::CalibrationInUse {
+    v1::CalibrationInUse {
+        kind: used.kind.name().to_owned(),
+        imu: u32::from(used.imu),
+        date: used.date.to_string(),
+        input: used.input.to_string(),
+        configured: used.configured,
     }
 }
 

@@ -3,10 +3,11 @@
 use std::fmt::Write as _;
 
 use arrayvec::ArrayVec;
+use plumbline_agent::calibration::Kind as Of;
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::estimate::secure::Decoder;
 use plumbline_agent::flight::{Flight, FlightConfig, RigKind};
-use plumbline_agent::link::inbound::{Inbound, Request};
+use plumbline_agent::link::inbound::{Calibrating, Inbound, Request};
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::recordings;
 use plumbline_agent::recordings::replay::{ReplayVehicle, Samples};
@@ -62,6 +63,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         (Request::Flight(Command::SelectEstimator(EstimatorKind::Complementary)), true),
         (Request::Flight(Command::SelectDecoder(Decoder::L1)), true),
         (Request::Flight(Command::AbortAttacks), true),
+        (Request::Calibration(Calibrating::Drop { kind: Of::Gyroscope, imu: 1 }), false),
         (Request::Recording(true), true),
     ];
     let (mut commands, inbound) = rtrb::RingBuffer::new(16);
@@ -79,6 +81,7 @@ fn motors_and_setpoints_are_refused_and_the_rest_is_obeyed() {
         stay: false,
         real_time: false,
         bounding: None,
+        calibrations: None,
     };
     let ports = RunnerPorts { inbound: Some(inbound), ..RunnerPorts::default() };
     let vehicle = Box::new(ReplayVehicle::new(recording, Samples::Received));

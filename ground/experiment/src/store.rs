@@ -343,8 +343,5 @@ impl Held {
 /// # Errors
 /// [`StoreError::Io`].
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
-    let beside = path.with_extension("tmp");
-    let mut file = File::create(&beside).map_err(io(&beside))?;
-    file.write_all(bytes).and_then(|()| file.sync_data()).map_err(io(&beside))?;
-    fs::rename(&beside, path).map_err(io(path))
+    plumbline_file::write_atomically(path, bytes).map_err(io(path))
 }

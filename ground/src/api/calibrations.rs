@@ -17,12 +17,16 @@ use plumbline_analysis::offline::calibrate::{
 use plumbline_analysis::recordings;
 use plumbline_core::calibration::{CalibrationFile, Kind};
 use plumbline_proto::time::WallTime;
+use plumbline_proto::v1::{self, command};
 use plumbline_rest::calibration::{self as rest, Calibration, Fit};
 
 use super::App;
+use super::body::Body;
 use super::compute::Waited;
+use super::control::{Answer, send};
 use super::error::ApiError;
 use super::extract::{Page, Path, Query};
+use super::operator::Operator;
 use crate::calibrations::{self, Calibrations};
 use crate::sync::wall_time_us;
 
@@ -134,4 +138,28 @@ pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Resu
     let kept = Calibrations::open(&app.config.data_folder);
     let answer = aside(move || Ok(calibrations::answer(&id, kept.read(&id).ok_or_else(|| unknown(&id))?)));
     Ok(Json(answer.await?))
+}
+
+/// What an agent reads of a file, without what is for people.
+pub(crate) async fn put_to_use(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    who: Operator,
+    Body(asked): Body<rest::Using>,
+) -> Answer {
+    let kept = Calibrations::open(&app.config.data_folder);
+    let name = asked.calibration;
+    let file = aside(move || kept.read(&name).ok_or_else(|| unknown(&name))).await?;
+    let file = CalibrationFile { covariance: Vec::new(), picture: Vec::new(), ..file };
+    let body = command::Body::UseCalibration(v1::UseCalibration { file: file.to_value().to_string() });
+    send(&app, &id, &who, body).await
+}
+
+pub(crate) async fn stop_using(
+    State(app): State<App>,
+    Path((id, kind, imu)): Path<(String, String, u32)>,
+    who: Operator,
+) -> Answer {
+    let kind = Kind::by_name(&kind).map_err(|e| ApiError::Invalid(e.to_string()))?.name().to_owned();
+    send(&app, &id, &who, command::Body::DropCalibration(v1::DropCalibration { kind, imu })).await
 }

@@ -261,6 +261,8 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/vehicles/{id}/calibration"      View    guided::show;
         post   "/api/v1/vehicles/{id}/calibration"      Operate guided::begin;
         delete "/api/v1/vehicles/{id}/calibration"      Operate guided::end;
+        post   "/api/v1/vehicles/{id}/calibrations"     Operate calibrations::put_to_use;
+        delete "/api/v1/vehicles/{id}/calibrations/{kind}/{imu}" Operate calibrations::stop_using;
         get    "/api/v1/vehicles/{id}/lease"            View    lease::show;
         put    "/api/v1/vehicles/{id}/lease"            Operate lease::take;
         delete "/api/v1/vehicles/{id}/lease"            Operate lease::release;

@@ -1,6 +1,6 @@
 //! What every route of the table is for, is asked and answers, in the order of that table; a test holds both together.
 
-use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Taken, Taking};
+use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Taken, Taking, Using};
 use plumbline_rest::command::{
     Answer, AttackPlan, Decoder, Estimator, Mode, Recording, Replay, Setpoint, Simulator, Trajectory, Which,
 };
@@ -181,6 +181,14 @@ pub(super) const OPERATIONS: &[Operation] = &[
         .takes(of::<Taking>)
         .json(of::<Taken>),
     delete("/api/v1/vehicles/{id}/calibration", "Gives them up").empty(204),
+    command(
+        post("/api/v1/vehicles/{id}/calibrations", "Corrects the samples of an IMU by a kept calibration, disarmed")
+            .takes(of::<Using>),
+    ),
+    command(delete(
+        "/api/v1/vehicles/{id}/calibrations/{kind}/{imu}",
+        "Stops using the calibration of a kind (accelerometer, gyroscope, magnetometer, thermal) on an IMU, disarmed",
+    )),
     get("/api/v1/vehicles/{id}/lease", "Who holds control").json(of::<Lease>),
     put("/api/v1/vehicles/{id}/lease", "Takes control").json(of::<Lease>),
     delete("/api/v1/vehicles/{id}/lease", "Gives control back").json(of::<Lease>),

@@ -8,12 +8,12 @@ use std::time::SystemTime;
 
 use argon2::Argon2;
 use argon2::password_hash::{PasswordHash, PasswordHasher, PasswordVerifier, SaltString};
+use plumbline_file::write_atomically;
 use ring::rand::{SecureRandom as _, SystemRandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::{Authenticator, Role};
-use crate::gains_book::write_atomically;
 use crate::sync::lock;
 
 /// Longest name.

@@ -22,6 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use mcap::McapResult;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
+use plumbline_file::write_atomically;
 use plumbline_proto::ids::FlightId;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
@@ -33,7 +34,6 @@ use super::identity::Identity;
 use super::reading::{Reading, gather};
 use super::snapshot::Snapshot;
 use super::writer;
-use crate::gains_book::write_atomically;
 
 /// Longest name of a flight, characters.
 pub const MAX_NAME: usize = 200;

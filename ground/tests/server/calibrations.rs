@@ -2,7 +2,9 @@
 
 use crate::common::Ground;
 use crate::common::agent::Agent;
-use plumbline_proto::{Kind, v1};
+use plumbline_core::calibration::{CalibrationFile, Kind};
+use plumbline_proto::v1::command::Body;
+use plumbline_proto::{Kind as Topic, v1};
 use serde_json::json;
 
 const BENCH: &str = "rpm,thrust_n,torque_nm\n3000,1.6,0.02\n4000,2.85,0.036\n5000,4.45,0.056\n6000,6.4,0.08\n";
@@ -100,7 +102,7 @@ async fn hold(agent: &mut Agent, up: [f64; 3]) {
         agent.time_us += 10_000;
         let sensed = Some(at_rest(up.map(|u| u / length), agent.time_us));
         let sample = v1::ImuSample { time_us: agent.time_us, sensed, ..Default::default() };
-        sequences.push(agent.encode(Kind::Imu, 1, &sample));
+        sequences.push(agent.encode(Topic::Imu, 1, &sample));
     }
     agent.send(sequences, false).await;
 }
@@ -121,11 +123,11 @@ async fn samples_taken_by_hand_are_counted_by_the_fit_and_fitted() {
     let answer = ground.request("POST", "/api/v1/calibrations", &fit).await;
     assert!(answer.status == 404 && answer.error().contains("no samples are taken"), "{}", answer.error());
     // WHEN it is armed, or no such sensor, or no such vehicle THEN none are taken
-    agent.say(Kind::Status, 0, &status(true, agent.time_us)).await;
+    agent.say(Topic::Status, 0, &status(true, agent.time_us)).await;
     ground.wait_json("/api/v1/vehicles", |all| all[0]["armed"] == true).await;
     let answer = begin("accelerometer").await;
     assert!(answer.status == 409 && answer.error().contains("disarm it first"), "{}", answer.text());
-    agent.say(Kind::Status, 0, &status(false, agent.time_us)).await;
+    agent.say(Topic::Status, 0, &status(false, agent.time_us)).await;
     ground.wait_json("/api/v1/vehicles", |all| all[0]["armed"] == false).await;
     assert!(begin("thrust").await.error().contains("thrust is not calibrated by hand"));
     assert!(begin("soup").await.error().contains("soup"));
@@ -146,7 +148,7 @@ async fn samples_taken_by_hand_are_counted_by_the_fit_and_fitted() {
         assert_eq!(taken["ready"], n == 6, "{taken}");
     }
     // WHEN it is armed meanwhile THEN that is said, and its samples are passed over
-    agent.say(Kind::Status, 0, &status(true, agent.time_us)).await;
+    agent.say(Topic::Status, 0, &status(true, agent.time_us)).await;
     ground.wait_json("/api/v1/vehicles", |all| all[0]["armed"] == true).await;
     hold(&mut agent, [1.0, -1.0, 1.0]).await;
     let taken = ground.wait_json(TAKING, |taken| taken["problem"] != "").await;
@@ -160,6 +162,32 @@ async fn samples_taken_by_hand_are_counted_by_the_fit_and_fitted() {
     let other = json!({ "kind": "magnetometer", "vehicle": "iris-1" }).to_string();
     let answer = ground.request("POST", "/api/v1/calibrations", &other).await;
     assert!(answer.error().contains("for accelerometer, not for magnetometer"), "{}", answer.error());
+    // WHEN it is put to use THEN the vehicle is given the file; what a picture is drawn of stays here
+    let id = made["id"].as_str().unwrap();
+    let using = json!({ "calibration": id }).to_string();
+    let uses = "/api/v1/vehicles/iris-1/calibrations";
+    let (answer, command) = tokio::join!(ground.request("POST", uses, &using), agent.accept());
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    let Some(Body::UseCalibration(sent)) = command.body else { panic!("{:?}", command.body) };
+    let file = CalibrationFile::from_json(&sent.file).unwrap();
+    assert_eq!((file.kind, file.sensor, file.picture.len()), (Kind::Accelerometer, Some(1), 0));
+    let answer = ground.request("POST", uses, r#"{"calibration":"../x"}"#).await;
+    assert!(answer.status == 404 && answer.error().contains("../x"), "{}", answer.text());
+    // WHEN it says that it flies with it THEN no samples are taken on top of it
+    agent.say(Topic::Status, 0, &status(false, agent.time_us)).await;
+    ground.wait_json("/api/v1/vehicles", |all| all[0]["armed"] == false).await;
+    let used = v1::CalibrationInUse { kind: "accelerometer".into(), imu: 1, date: "then".into(), ..Default::default() };
+    agent.say(Topic::Description, 0, &v1::Description { calibrations: vec![used], ..Default::default() }).await;
+    ground.wait_json("/api/v1/vehicles", |all| all[0]["rig"] != "strings").await;
+    let answer = begin("accelerometer").await;
+    assert!(answer.status == 409 && answer.error().contains("of then: stop using that first"), "{}", answer.text());
+    let one = format!("{uses}/accelerometer/1");
+    let (answer, command) = tokio::join!(ground.request("DELETE", &one, ""), agent.accept());
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    let drop = v1::DropCalibration { kind: "accelerometer".into(), imu: 1 };
+    assert_eq!(command.body, Some(Body::DropCalibration(drop)));
+    let answer = ground.request("DELETE", &format!("{uses}/soup/1"), "").await;
+    assert!(answer.status == 422 && answer.error().contains("soup"), "{}", answer.text());
     // WHEN its link is lost THEN that is said; WHEN it is given up THEN nothing is left
     agent.disconnect().await;
     ground.wait_json(TAKING, |taken| taken["problem"].as_str().unwrap().contains("link")).await;

@@ -12,8 +12,10 @@ mod ends;
 pub mod parquet;
 mod space;
 mod sync;
+mod whole;
 
 pub use chunk::{MAX_RECORD, chunk_records};
 pub use ends::{METADATA, ends_with_magic, metadata};
 pub use space::free_bytes;
 pub use sync::{SyncedFile, Syncer};
+pub use whole::write_atomically;

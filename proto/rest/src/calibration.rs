@@ -1,7 +1,7 @@
 //! Calibrations: `POST /api/v1/calibrations` fits and keeps one, `GET` lists those kept, `GET …/{id}` is a whole one.
 //!
 //! Samples for one are taken of a vehicle in somebody's hands by `POST /api/v1/vehicles/{id}/calibration`; `GET` says how far that has
-//! come, `DELETE` gives it up.
+//! come, `DELETE` gives it up. `POST /api/v1/vehicles/{id}/calibrations` puts a kept one to use, `DELETE …/{kind}/{imu}` stops that.
 
 use serde::{Deserialize, Serialize};
 
@@ -62,6 +62,15 @@ pub struct Taking {
     /// Which IMU, from 1; 1 when left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imu: Option<usize>,
+}
+
+/// `POST /api/v1/vehicles/{id}/calibrations`: correct the vehicle's samples by this from now on.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Using {
+    /// Id of a kept calibration.
+    pub calibration: String,
 }
 
 /// `GET /api/v1/vehicles/{id}/calibration`: samples taken so far, and what the fit asks for, counted by the fit's own code. Directions

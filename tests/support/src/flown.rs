@@ -201,6 +201,7 @@ pub fn identification(scenario: &Scenario) -> Identification {
 pub fn runner_options(pace: Pace, end_s: Option<f64>, script: Option<Script>) -> RunnerOptions {
     RunnerOptions {
         bounding: None,
+        calibrations: None,
         pace,
         end: end_s.map(FlightTime::from_seconds),
         script,

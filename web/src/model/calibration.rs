@@ -104,6 +104,17 @@ pub const KINDS: [Kind; 8] = [
     },
 ];
 
+/// Does a calibration of this kind correct the samples of an IMU? Then a vehicle takes it up at once.
+pub fn corrects(kind: &str) -> bool {
+    matches!(kind, "accelerometer" | "gyroscope" | "magnetometer" | "thermal")
+}
+
+/// What is calibrated, for people: its title, and of which IMU (0: of the vehicle itself).
+pub fn named(kind: &str, imu: u32) -> String {
+    let title = KINDS.iter().find(|known| known.name == kind).map_or(kind, |known| known.title);
+    if imu == 0 { title.to_owned() } else { format!("{title} of IMU {imu}") }
+}
+
 /// At most this many points of a series are drawn.
 const MOST_POINTS: usize = 600;
 
@@ -152,6 +163,8 @@ mod tests {
 
     #[test]
     fn every_kind_says_what_to_do() {
+        assert_eq!(KINDS.iter().filter(|k| corrects(k.name)).count(), 4);
+        assert_eq!((named("thermal", 2), named("mass", 0)), ("Temperature of IMU 2".into(), "Mass and inertia".into()));
         assert!(KINDS.iter().all(|k| !k.guidance.is_empty() && k.guidance.iter().all(|g| g.ends_with('.'))));
     }
 }

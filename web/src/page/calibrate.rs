@@ -1,6 +1,7 @@
 //! Calibrate: guidance for each kind, a fit from a flight, a table or a vehicle in somebody's hands, its picture, and what is kept.
 
 mod guided;
+mod in_use;
 
 use leptos::prelude::*;
 use plumbline_rest::calibration::{Calibration, Calibrations, Fit, Picture};
@@ -134,6 +135,22 @@ impl Bench {
     }
 }
 
+/// Why a vehicle is not taken in hand, nor calibrated otherwise; `None` where it is.
+fn hindrance(ctx: Ctx, vehicle: Memo<Option<String>>) -> Option<String> {
+    let Some(id) = vehicle.get() else {
+        return Some("No vehicle is connected: Fly says how to start one.".to_owned());
+    };
+    let lost = ctx.live(|live| live.ground.link.as_ref().is_none_or(|link| !link.connected));
+    let armed = ctx.live(|live| live.status.get().is_some_and(|status| status.armed));
+    if lost {
+        Some(format!("The link to {id} is lost."))
+    } else if armed {
+        Some(format!("{id} is armed: disarm it first."))
+    } else {
+        None
+    }
+}
+
 /// The Calibrate page.
 #[component]
 pub fn Calibrate() -> impl IntoView {
@@ -258,7 +275,7 @@ fn Kept() -> impl IntoView {
                     let id = c.id.clone();
                     let residual = c.residual.value.map_or_else(String::new, |v| format!("{} {}", short(v), c.residual.unit));
                     view! {
-                        <div class="revision">
+                        <div class="kept-row">
                             <button type="button" class="plain" title=c.input.clone() on:click=move |_| bench.show(id.clone())>{c.kind.clone()} {c.sensor.map(|n| format!(" {n}"))}</button>
                             <span class="quiet num one-line">{c.date.clone()}</span>
                             <span class="num push">{residual}</span>
@@ -266,7 +283,7 @@ fn Kept() -> impl IntoView {
                     }
                 }).collect::<Vec<_>>().into_any()
             }}
-            <p class="quiet">"An agent flies with them once its configuration lists their files: " <code>"calibrations = [\"…json\"]"</code></p>
+            <in_use::InUse />
         </section>
     }
 }
@@ -337,7 +354,7 @@ fn Result(calibration: Calibration) -> impl IntoView {
                 </table>
             </div>
         </div>
-        <p class="quiet">"To fly with it: keep the JSON beside the agent, list it in its configuration and start it again: " <code>{format!("calibrations = [\"{}.json\"]", c.id)}</code></p>
+        <in_use::Use id=c.id.clone() kind=c.kind.clone() imu=c.sensor.map_or(1, u32::from) date=c.date.clone() />
         <ul class="notes-list">{c.notes.iter().map(|n| view! { <li>{n.clone()}</li> }).collect::<Vec<_>>()}</ul>
     }
 }

@@ -224,7 +224,15 @@ pub fn from_recording(
     if let Some(at_s) = turning_s.into_iter().find(|at_s| (from_s..=to_s).contains(at_s)) {
         return Err(CalibrateError::Motors { kind: request.kind.name(), name: name.to_owned(), at_s });
     }
-    from_samples(samples, name, request)
+    let mut file = from_samples(samples, name, request)?;
+    let info = recording.info();
+    let before =
+        info.calibrations.iter().find(|used| used.kind == request.kind.name() && used.imu as usize == request.imu);
+    if let Some(used) = before {
+        let (imu, date) = (used.imu, &used.date);
+        file.notes.push(format!("IMU {imu} was calibrated already, by that of {date}: this is what that one left"));
+    }
+    Ok(file)
 }
 
 /// Fits from samples of one IMU.

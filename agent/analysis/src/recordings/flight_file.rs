@@ -159,6 +159,11 @@ impl Reader<'_> {
             ));
         }
         self.builder.airframe = Some(message.airframe);
+        for used in message.calibrations {
+            if !self.builder.calibrations.contains(&used) {
+                self.builder.calibrations.push(used);
+            }
+        }
         self.builder.declination_rad = message.declination_rad.filter(|declination_rad| declination_rad.is_finite());
         self.builder.scenario = Some(message.scenario).filter(|s| !s.is_empty());
         Ok(())

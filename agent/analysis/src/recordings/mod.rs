@@ -23,7 +23,8 @@ use plumbline_core::sensor::imu::ImuModel;
 use plumbline_core::sensor::{SensorFrame, SensorModel};
 use plumbline_core::types::MotorCommand;
 use plumbline_core::vehicle::{RecordedControl, Truth};
-use plumbline_proto::{ids::SensorId, time::FlightTime, v1::SensorKind};
+use plumbline_proto::v1::{self, SensorKind};
+use plumbline_proto::{ids::SensorId, time::FlightTime};
 
 pub use phantom4::Phantom4Options;
 pub use shared::{VARIABLE as SHARED_VARIABLE, shared, skipped};
@@ -89,6 +90,8 @@ pub struct RecordingInfo {
     pub scenario: Option<String>,
     /// Magnetic declination there, rad, where the recording says; else the frame's north is magnetic.
     pub declination_rad: Option<f64>,
+    /// Calibrations that corrected its samples when they were recorded.
+    pub calibrations: Vec<v1::CalibrationInUse>,
     /// Things a user should know: rows skipped, sensors left out.
     pub notes: Vec<String>,
 }

@@ -7,7 +7,7 @@ use plumbline_core::control::step_response::StepResponse;
 use plumbline_core::sensor::AnySample;
 use plumbline_core::types::MotorCommand;
 use plumbline_core::vehicle::Truth;
-use plumbline_proto::{ids::SensorId, time::FlightTime};
+use plumbline_proto::{ids::SensorId, time::FlightTime, v1};
 
 use super::{Format, RecordedControl, RecordedSensor, RecordedTick, RecordingError, RecordingInfo, noise};
 
@@ -43,6 +43,8 @@ pub(super) struct Builder {
     pub scenario: Option<String>,
     /// Of the place, rad, where the recording says.
     pub declination_rad: Option<f64>,
+    /// Calibrations that corrected its samples.
+    pub calibrations: Vec<v1::CalibrationInUse>,
     pub notes: Vec<String>,
 }
 
@@ -108,6 +110,7 @@ impl Builder {
             airframe: self.airframe,
             scenario: self.scenario,
             declination_rad: self.declination_rad,
+            calibrations: self.calibrations,
             notes: self.notes,
         };
         Ok(Recording { info, items: self.items.into(), next: 0 })

@@ -47,6 +47,7 @@ impl Flight {
             Command::CutMotors => self.order_cut(),
             Command::ReleaseCut => self.release_cut(),
             Command::BeginAnew => self.begin_anew(),
+            Command::Recalibrated => self.estimators_anew().map(|()| text(format_args!("estimators begun anew"))),
             Command::SetMode(mode) => self.set_mode(*mode),
             Command::Setpoint(change) => self.set_setpoint(change, now),
             Command::Trajectory(trajectory) => self.set_trajectory(trajectory.as_ref(), now),
@@ -129,8 +130,17 @@ impl Flight {
         Ok(done)
     }
 
-    /// Builds the estimators again: disarmed, of a simulated vehicle, and so outside the rules of a tick.
     fn begin_anew(&mut self) -> Outcome {
+        self.estimators_anew()?;
+        self.supervision.cut_latched = false;
+        (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
+        let done = text(format_args!("begun anew, disarmed"));
+        self.disarm(done);
+        Ok(done)
+    }
+
+    /// Builds the estimators again: disarmed, and so outside the rules of a tick.
+    fn estimators_anew(&mut self) -> Result<(), Text> {
         if self.armed() {
             return Err(text(format_args!("armed, mode {}: land or cut first", mode_name(self.mode))));
         }
@@ -145,11 +155,7 @@ impl Flight {
             .map_err(|e| text(format_args!("{e}")))?;
         self.bank = bank;
         (self.supervision.watchdog, self.support) = (Watchdog::new(&self.config.independent), Support::default());
-        self.supervision.cut_latched = false;
-        (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::None, Text::new());
-        let done = text(format_args!("begun anew, disarmed"));
-        self.disarm(done);
-        Ok(done)
+        Ok(())
     }
 
     fn set_mode(&mut self, mode: Mode) -> Outcome {

@@ -4,8 +4,8 @@
 //! it a calibration only if it was flown without one.
 
 use super::{Vehicle, VehicleError};
-use crate::calibration::Calibration;
-use crate::calibration::applied::FieldReport;
+use crate::calibration::applied::{Correction, FieldReport, UseError};
+use crate::calibration::{Calibration, Kind};
 use crate::sensor::SensorFrame;
 
 /// A vehicle and its calibration.
@@ -20,7 +20,7 @@ pub struct CalibratedVehicle {
 impl CalibratedVehicle {
     /// Calibrates everything `inner` senses.
     pub fn new(inner: Box<dyn Vehicle>, calibration: Calibration) -> Self {
-        Self { inner, sensed: calibration, received: calibration, reception: None }
+        Self { inner, sensed: calibration.clone(), received: calibration, reception: None }
     }
 
     /// The vehicle itself, for all but its readings.
@@ -50,6 +50,29 @@ impl CalibratedVehicle {
     /// What the estimators received of the frame last sensed, calibrated, where a recording says that it differs.
     pub fn reception(&self) -> Option<&SensorFrame> {
         self.reception.as_ref()
+    }
+
+    /// What is in use.
+    pub fn calibration(&self) -> &Calibration {
+        &self.sensed
+    }
+
+    /// Corrects by `correction` from the next frame on.
+    ///
+    /// # Errors
+    /// As [`Calibration::put`].
+    pub fn put(&mut self, correction: &Correction) -> Result<(), UseError> {
+        self.sensed.put(correction)?;
+        self.received.put(correction)
+    }
+
+    /// Stops using the calibration of `kind` on IMU `imu`, from 1.
+    ///
+    /// # Errors
+    /// As [`Calibration::take`].
+    pub fn take(&mut self, kind: Kind, imu: u8) -> Result<(), UseError> {
+        self.sensed.take(kind, imu)?;
+        self.received.take(kind, imu)
     }
 
     /// How its calibrated magnetometers fare.

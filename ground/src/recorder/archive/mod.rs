@@ -11,12 +11,12 @@ use std::fs::{self, File};
 use std::io::{Read, Write as _};
 use std::path::{Path, PathBuf};
 
+use plumbline_file::write_atomically;
 use plumbline_proto::ids::FlightId;
 use sha2::{Digest as _, Sha256};
 
 use super::RecordingError;
 use super::store::RecordingStore;
-use crate::gains_book::write_atomically;
 
 pub(crate) use retention::Pruner;
 pub use retention::{Retention, due};

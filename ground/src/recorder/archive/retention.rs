@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::Duration;
 
+use plumbline_file::write_atomically;
 use plumbline_rest::flight::Due;
 
 use super::super::{Completeness, Flight, RecorderHandle, RecordingError};
 use super::{Sums, hash};
-use crate::gains_book::write_atomically;
 use crate::sync::lock;
 
 /// What is kept how long.

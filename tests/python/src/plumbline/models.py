@@ -623,6 +623,7 @@ class Taken(TypedDict):
     sectors: NotRequired[list[bool]]
     span_s: NotRequired[float]
     still: NotRequired[float]
+    undetermined: NotRequired[str]
     up: NotRequired[list[float] | None]
 
 
@@ -643,6 +644,12 @@ class Trajectory(TypedDict):
     shape: str
     size_m: NotRequired[float | None]
     speed_mps: NotRequired[float | None]
+
+
+class Using(TypedDict):
+    """`POST /api/v1/vehicles/{id}/calibrations`: correct the vehicle's samples by this from now on."""
+
+    calibration: str
 
 
 class Vehicle(TypedDict):

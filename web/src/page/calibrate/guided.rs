@@ -7,7 +7,7 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_rest::calibration::{Aim, Fit, Taken, Taking};
 use serde_json::{Value, json};
 
-use super::Bench;
+use super::{Bench, hindrance};
 use crate::{
     model::{
         calibration::KINDS,
@@ -92,23 +92,6 @@ impl Hands {
             }
         });
     }
-
-    /// Why no samples would be taken of the vehicle; `None` where they would.
-    fn hindrance(self) -> Option<String> {
-        let ctx = self.bench.ctx;
-        let Some(id) = self.vehicle.get() else {
-            return Some("No vehicle is connected: Fly says how to start one.".to_owned());
-        };
-        let lost = ctx.live(|live| live.ground.link.as_ref().is_none_or(|link| !link.connected));
-        let armed = ctx.live(|live| live.status.get().is_some_and(|status| status.armed));
-        if lost {
-            Some(format!("The link to {id} is lost."))
-        } else if armed {
-            Some(format!("{id} is armed: disarm it first."))
-        } else {
-            None
-        }
-    }
 }
 
 /// The card; nothing for kinds whose samples are not taken by hand.
@@ -172,7 +155,7 @@ fn Begin(hands: Hands) -> impl IntoView {
         };
         bench.ctx.live(|live| live.description.get().map(of).unwrap_or_default())
     });
-    let hindrance = Memo::new(move |_| hands.hindrance());
+    let hindrance = Memo::new(move |_| hindrance(bench.ctx, hands.vehicle));
     let choice = move || {
         let options = imus.get().into_iter().map(
             |n| view! { <option value=n.to_string() selected=move || imu.get() == n>{format!("IMU {n}")}</option> },
@@ -183,7 +166,7 @@ fn Begin(hands: Hands) -> impl IntoView {
     };
     view! {
         <p>{move || bench.kind.get().by_hand}</p>
-        <p class="quiet">"The ground takes the samples and says at once what the fit still asks for. They are sent calibrated: a calibration of this sensor that the agent flies with already is taken out of its configuration first."</p>
+        <p class="quiet">"The ground takes the samples and says at once what the fit still asks for. A calibration of this sensor that is in use is stopped first: the samples would be corrected by it."</p>
         <div class="row">
             <Show when=move || imus.with(|all| all.len() > 1)>{choice}</Show>
             <button type="button" disabled=move || hindrance.with(Option::is_some) on:click=move |_| hands.begin(bench.kind.get_untracked().name)>"Begin"</button>
