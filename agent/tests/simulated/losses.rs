@@ -150,6 +150,22 @@ fn thrust_that_is_commanded_and_not_answered_disarms_a_vehicle_that_stays_on_its
 }
 
 #[test]
+fn a_rotor_that_is_dead_from_take_off_on_ends_the_flight_before_it_spins_in_its_strings() {
+    // The rotor test stands back during take-off and on taut strings, and the strings hold the vehicle below 60°.
+    for rotor in 0..4 {
+        let mut f = Flown::new(&scenario("altitude_step"));
+        f.motor_factor[rotor] = 0.0;
+        f.until(12.0);
+        let armed = || f.rows.iter().filter(|r| r.report.armed);
+        let beyond_s = armed().find(|r| tilt_rad(&r.truth.world_from_body) > 0.53).map(|r| r.t_s).unwrap();
+        let at_s = acted(&f, Failsafe::TiltCut, "where 20° may be asked for: motors cut");
+        assert!((0.5..0.6).contains(&(at_s - beyond_s)), "rotor {}: {beyond_s}, {at_s}\n{}", rotor + 1, f.log());
+        let fastest = armed().map(|r| r.truth.body_rates_radps.norm()).fold(0.0, f64::max);
+        assert!(fastest < 7.0, "rotor {}: {fastest} rad/s", rotor + 1);
+    }
+}
+
+#[test]
 fn motors_that_nobody_commands_stop_by_themselves() {
     use plumbline_agent::vehicle::Vehicle;
     let mut f = flying("hover", 14.0, |_, _| {});

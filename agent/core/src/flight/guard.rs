@@ -91,6 +91,7 @@ impl Flight {
             flying: self.phase == Phase::Flying,
             imu_age_s,
             tilt_rad: self.supervision.watchdog.tilt_rad(),
+            tilt_max_rad: self.config.limits.tilt_max_rad,
             rate_radps: self.supervision.watchdog.rates_radps().norm(),
             raw_height_m,
             altitude_m: estimate.altitude_m(),

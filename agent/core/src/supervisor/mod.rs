@@ -9,6 +9,7 @@
 //! | no fresh IMU sample for 80 ms in flight | cut, latched |
 //! | flight thread silent for 100 ms | cut, latched; the motors' own time-out has stopped them |
 //! | tilt > 60° for 0.3 s, or rate > 1000 °/s | cut, latched |
+//! | in flight, tilt > 10° more than may be asked for, for 0.5 s | cut, latched |
 //! | about to leave the box, in any mode | take over with altitude control, hold at the edge, then descend |
 //! | no height where the mode needs one | descend on attitude alone |
 //! | no horizontal position in hold | altitude hold, then descend |
@@ -54,6 +55,10 @@ pub struct Settings {
     pub tilt_low_m: f64,
     /// … after this long already, s.
     pub tilt_low_s: f64,
+    /// Tilt beyond the largest that may be asked for, rad, at which a vehicle in flight is out of control …
+    pub tilt_beyond_rad: f64,
+    /// … after this long, s.
+    pub tilt_beyond_s: f64,
     /// Rate that cuts the motors, rad/s.
     pub rate_cut_radps: f64,
     /// How far outside the limits the box ends, m.
@@ -100,6 +105,8 @@ impl Default for Settings {
             tilt_cut_s: 0.3,
             tilt_low_m: 0.5,
             tilt_low_s: 0.1,
+            tilt_beyond_rad: 10.0_f64.to_radians(),
+            tilt_beyond_s: 0.5,
             rate_cut_radps: 1000.0_f64.to_radians(),
             box_margin_m: 0.3,
             box_hold_s: 2.0,

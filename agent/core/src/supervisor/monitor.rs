@@ -37,6 +37,8 @@ pub struct Inputs {
     pub imu_age_s: f64,
     /// Tilt by the watchdog, rad.
     pub tilt_rad: f64,
+    /// Largest tilt that may be asked for, rad.
+    pub tilt_max_rad: f64,
     /// Largest body rate by the watchdog, rad/s.
     pub rate_radps: f64,
     /// Median raw height, m.
@@ -95,6 +97,7 @@ impl Outward {
 #[derive(Debug, Clone, Copy, Default)]
 struct Since {
     tilted: Option<FlightTime>,
+    beyond: Option<FlightTime>,
     outside: Option<FlightTime>,
     position_lost: Option<FlightTime>,
     not_moving: Option<FlightTime>,
@@ -178,6 +181,8 @@ impl Monitor {
     pub fn judge(&mut self, i: &Inputs) -> Failsafe {
         let s = self.settings;
         let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
+        let beyond = i.flying && i.tilt_rad > i.tilt_max_rad + s.tilt_beyond_rad;
+        let beyond_s = over_for(&mut self.since.beyond, beyond, i.now);
         let (above, aside) = self.leaves_box(i);
         self.leaving = above || aside;
         let outside_s = over_for(&mut self.since.outside, self.taken_over || self.leaving, i.now);
@@ -198,7 +203,7 @@ impl Monitor {
         let rows = [
             (Failsafe::ImuCut, i.flying && i.imu_age_s > s.imu_silent_s),
             (Failsafe::RateCut, i.rate_radps > s.rate_cut_radps),
-            (Failsafe::TiltCut, tilted_s > self.tilt_patience_s(i)),
+            (Failsafe::TiltCut, tilted_s > self.tilt_patience_s(i) || beyond_s > s.tilt_beyond_s),
             (Failsafe::AltitudeDescend, i.flying && i.altitude_needed && i.altitude_m.is_none()),
             (Failsafe::EstimatorDescend, i.flying && degraded),
             (Failsafe::DeadlineDescend, lost >= s.deadline_descend),
@@ -266,6 +271,12 @@ impl Monitor {
                 "no fresh IMU sample for {:.0} ms (limit {:.0} ms): motors cut",
                 1e3 * i.imu_age_s,
                 1e3 * s.imu_silent_s
+            )),
+            Failsafe::TiltCut if i.tilt_rad <= s.tilt_cut_rad => text(format_args!(
+                "tilt {:.0}° for {} s, where {:.0}° may be asked for: motors cut",
+                i.tilt_rad.to_degrees(),
+                s.tilt_beyond_s,
+                i.tilt_max_rad.to_degrees()
             )),
             Failsafe::TiltCut => text(format_args!(
                 "tilt {:.0}° above {:.0}° for {} s: motors cut",
