@@ -9,6 +9,7 @@ use super::{AttackPhase, Failsafe, Flight, Phase};
 use crate::control::setpoint::Limits;
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, Text, text};
+use crate::frames::tilt_rad;
 use crate::supervisor::monitor::{DESCENDS, Outward, climb_stops_m};
 use crate::supervisor::{Inputs, descent_limits, severity};
 use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
@@ -91,6 +92,7 @@ impl Flight {
             flying: self.phase == Phase::Flying,
             imu_age_s,
             tilt_rad: self.supervision.watchdog.tilt_rad(),
+            tilt_agreed_rad: self.supervision.watchdog.tilt_rad().min(tilt_rad(&estimate.world_from_body)),
             tilt_max_rad: self.config.limits.tilt_max_rad,
             rate_radps: self.supervision.watchdog.rates_radps().norm(),
             raw_height_m,

@@ -37,6 +37,8 @@ pub struct Inputs {
     pub imu_age_s: f64,
     /// Tilt by the watchdog, rad.
     pub tilt_rad: f64,
+    /// The smaller of that and the tilt by the estimator in the loop, rad: an attacked gyroscope leads only one of them astray.
+    pub tilt_agreed_rad: f64,
     /// Largest tilt that may be asked for, rad.
     pub tilt_max_rad: f64,
     /// Largest body rate by the watchdog, rad/s.
@@ -181,7 +183,7 @@ impl Monitor {
     pub fn judge(&mut self, i: &Inputs) -> Failsafe {
         let s = self.settings;
         let tilted_s = over_for(&mut self.since.tilted, i.tilt_rad > s.tilt_cut_rad, i.now);
-        let beyond = i.flying && i.tilt_rad > i.tilt_max_rad + s.tilt_beyond_rad;
+        let beyond = i.flying && i.tilt_agreed_rad > i.tilt_max_rad + s.tilt_beyond_rad;
         let beyond_s = over_for(&mut self.since.beyond, beyond, i.now);
         let (above, aside) = self.leaves_box(i);
         self.leaving = above || aside;
@@ -274,7 +276,7 @@ impl Monitor {
             )),
             Failsafe::TiltCut if i.tilt_rad <= s.tilt_cut_rad => text(format_args!(
                 "tilt {:.0}° for {} s, where {:.0}° may be asked for: motors cut",
-                i.tilt_rad.to_degrees(),
+                i.tilt_agreed_rad.to_degrees(),
                 s.tilt_beyond_s,
                 i.tilt_max_rad.to_degrees()
             )),

@@ -8,6 +8,7 @@ fn fine(now_s: f64) -> Inputs {
         flying: true,
         imu_age_s: 0.01,
         tilt_rad: 0.1,
+        tilt_agreed_rad: 0.1,
         tilt_max_rad: 0.35,
         rate_radps: 1.0,
         raw_height_m: Some(1.0),
@@ -76,11 +77,16 @@ fn every_row_of_the_table_comes_at_its_time() {
     expect(&first_seen(doubted(3.0, 1.6)), &[(Failsafe::BoxHold, 0.0), (Failsafe::EstimatorDescend, 0.2)]);
     let low = |_, i: &mut Inputs| (i.tilt_rad, i.raw_height_m) = (61.0_f64.to_radians(), Some(0.4));
     expect(&first_seen(low), &[(Failsafe::TiltCut, 0.1)]);
-    // 20 degrees may be asked for.
-    expect(&first_seen(|_, i| i.tilt_rad = 29.0_f64.to_radians()), &[]);
-    expect(&first_seen(|_, i| i.tilt_rad = 31.0_f64.to_radians()), &[(Failsafe::TiltCut, 0.5)]);
-    expect(&first_seen(|_, i| (i.tilt_rad, i.flying) = (31.0_f64.to_radians(), false)), &[]);
-    expect(&first_seen(|t, i| i.tilt_rad = if t < 0.45 { 0.8 } else { 0.0 }), &[]);
+    // 20 degrees may be asked for, and watchdog and estimator must agree on more.
+    let both = |degrees: f64, flying: bool| {
+        let tilt_rad = degrees.to_radians();
+        move |_, i: &mut Inputs| (i.tilt_rad, i.tilt_agreed_rad, i.flying) = (tilt_rad, tilt_rad, flying)
+    };
+    expect(&first_seen(both(29.0, true)), &[]);
+    expect(&first_seen(both(31.0, true)), &[(Failsafe::TiltCut, 0.5)]);
+    expect(&first_seen(both(31.0, false)), &[]);
+    expect(&first_seen(|_, i| i.tilt_rad = 59.0_f64.to_radians()), &[]);
+    expect(&first_seen(|t, i| i.tilt_agreed_rad = if t < 0.45 { 0.8 } else { 0.0 }), &[]);
     expect(&first_seen(|_, i| i.rate_radps = 1001.0_f64.to_radians()), &[(Failsafe::RateCut, 0.0)]);
     expect(&first_seen(|_, i| i.altitude_m = Some(2.4)), &[(Failsafe::BoxHold, 0.0), (Failsafe::BoxDescend, 2.0)]);
     // The estimate is wrong, the raw heights are not; or the watchdog agrees with it.
