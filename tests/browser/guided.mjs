@@ -65,6 +65,25 @@ await step(page, 'guided: all poses are held, and the fit finds the scale and th
   return { scales };
 });
 
+await step(page, 'guided: turns are counted, and the fit finds the scale of the gyroscope by the accelerometer of before', async () => {
+  await page.getByLabel('What', { exact: true }).selectOption({ label: 'Gyroscope' });
+  await page.getByLabel('accelerometer calibration').selectOption({ index: 1 });
+  await button('Begin').click();
+  await run(2);
+  await until('a turn', () => card.getByText(/[1-9] of 6 turns/).isVisible(), 20_000);
+  assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after a turn');
+  await until('Complete', async () => /Complete/.test(await said()), 40_000);
+  await run(0);
+  await shot('gyroscope-light-1280x720');
+  await button('Fit what was taken').click();
+  await until('the fit', async () => (await kept('gyroscope')) !== undefined);
+  const made = await kept('gyroscope');
+  const scales = ['xx', 'yy', 'zz'].map((axis) => 1 / value(made, `matrix_${axis}`));
+  [1.03, 0.98, 1.01].forEach((scale, n) => assert(Math.abs(scales[n] - scale) < 0.01, `scales ${scales}`));
+  [0.004, -0.003, 0.005].forEach((bias, n) => assert(Math.abs(value(made, `bias_${'xyz'[n]}`) - bias) < 0.001, JSON.stringify(made.parameters)));
+  return { scales, turns: made.samples };
+});
+
 await step(page, 'guided: the sphere fills while the vehicle is turned, and the fit finds the hard iron that was put in', async () => {
   await page.getByLabel('What', { exact: true }).selectOption({ label: 'Magnetometer' });
   await button('Begin').click();

@@ -1,5 +1,6 @@
 // A recording of an IMU in somebody's hands, in BROAD's columns: ten poses, each held for a moment, made here with a known scale and
-// bias and without a magnetometer; then it is turned every way, with one, in a known field and hard iron.
+// bias and without a magnetometer; the same once more, for its gyroscope; then it is turned every way, with one, in a known field and
+// hard iron.
 //     node turned.mjs FILE
 
 import { writeFileSync } from 'node:fs';
@@ -8,6 +9,7 @@ import { writeFileSync } from 'node:fs';
 const RATE_HZ = 100, FIRST_S = 12, HOLD_S = 1.8, TURN_S = 0.8, GRAVITY_MPS2 = 9.80665;
 const ROUND_S = 20, FIELD_UT = [0, 30, -38], HARD_IRON_UT = [4, -7, 12];
 const SCALE = [1.02, 0.99, 1.01], BIAS_MPS2 = [0.1, -0.15, 0.2];
+const GYRO_SCALE = [1.03, 0.98, 1.01], GYRO_BIAS_RADPS = [0.004, -0.003, 0.005];
 // Where up is in the body: each side, then four in between.
 const POSES = [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 1, 0], [1, 1, 1], [0, -1, 0], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]];
 
@@ -34,12 +36,12 @@ const turned = (v, axis, angle) => {
 const rows = ['t_s,gx_rad_s,gy_rad_s,gz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,mx_uT,my_uT,mz_uT,ref_qw,ref_qx,ref_qy,ref_qz,ref_px_m,ref_py_m,ref_pz_m,movement'];
 let tick = 0;
 const sample = (up, rate, field = Array(3).fill('nan')) => {
-  const gyro = rate.map((x) => (x + noise(0.002)).toFixed(5));
+  const gyro = rate.map((x, n) => (GYRO_SCALE[n] * x + GYRO_BIAS_RADPS[n] + noise(0.002)).toFixed(5));
   const accel = up.map((x, n) => (SCALE[n] * GRAVITY_MPS2 * x + BIAS_MPS2[n] + noise(0.03)).toFixed(4));
   rows.push([(tick / RATE_HZ).toFixed(4), ...gyro, ...accel, ...field, ...Array(7).fill('nan'), 0].join(','));
   tick += 1;
 };
-POSES.map(unit).forEach((up, n, all) => {
+[...POSES, ...POSES].map(unit).forEach((up, n, all) => {
   for (let k = 0; k < (n === 0 ? FIRST_S : HOLD_S) * RATE_HZ; k += 1) sample(up, [0, 0, 0]);
   const next = all[n + 1];
   if (!next) return;

@@ -32,6 +32,7 @@ pub struct Fit {
     pub rms: f64,
     /// Iterations it took.
     pub iterations: usize,
+    converged: bool,
 }
 
 impl Fit {
@@ -39,13 +40,24 @@ impl Fit {
     pub fn sigma(&self, i: usize) -> f64 {
         self.covariance.get((i, i)).map_or(f64::INFINITY, |v| v.max(0.0).sqrt())
     }
+
+    /// Is it a minimum? To be asked after the sigmas: along a parameter that the data hardly determine the search creeps, and
+    /// that they do not is what a user can mend.
+    ///
+    /// # Errors
+    /// [`CalibrationError::NotConverged`].
+    pub fn converged(&self) -> Result<(), CalibrationError> {
+        let Self { iterations, rms: residual, .. } = *self;
+        if self.converged { Ok(()) } else { Err(CalibrationError::NotConverged { iterations, residual }) }
+    }
 }
 
 /// Minimises |r(x)|² from `start`; `sizes` are natural sizes of changes, `residuals` clears and fills its list
 /// with the same number of values every time.
 ///
 /// # Errors
-/// [`CalibrationError::TooFew`] residuals, [`CalibrationError::Singular`], [`CalibrationError::NotConverged`].
+/// [`CalibrationError::TooFew`] residuals, [`CalibrationError::Singular`]; whether it ended at a minimum is
+/// [`Fit::converged`].
 pub fn least_squares(
     start: &[f64],
     sizes: &[f64],
@@ -64,7 +76,9 @@ pub fn least_squares(
     let mut damping = 1e-6;
     let (mut plus, mut minus) = (Vec::new(), Vec::new());
     let mut jacobian = DMatrix::zeros(m, n);
-    for iteration in 1..=ITERATIONS_MAX {
+    let mut iteration = 0;
+    loop {
+        iteration += 1;
         for j in 0..n {
             let h = DIFFERENCE * sizes[j];
             let centre = x[j];
@@ -114,17 +128,18 @@ pub fn least_squares(
             damping *= 10.0;
         }
         // A minimum to rounding: no step improves.
-        if done || !improved {
+        let converged = done || !improved;
+        if converged || iteration == ITERATIONS_MAX {
             let covariance = covariance(&normal, sizes, now / (m - n) as f64)?;
             return Ok(Fit {
                 x: DVector::from_vec(x),
                 covariance,
                 rms: (now / m as f64).sqrt(),
                 iterations: iteration,
+                converged,
             });
         }
     }
-    Err(CalibrationError::NotConverged { iterations: ITERATIONS_MAX, residual: (now / m as f64).sqrt() })
 }
 
 /// σ²(JᵀJ)⁻¹, back in the parameters' own units.

@@ -138,6 +138,7 @@ pub fn accelerometer(samples: &[Sample], gravity_mps2: f64) -> Result<Calibratio
             return Err(CalibrationError::Undetermined { parameter: (*name).into(), sigma: fit.sigma(i), limit });
         }
     }
+    fit.converged()?;
     if fit.rms > ACCEL_RESIDUAL_MAX {
         return Err(CalibrationError::BadFit { found: fit.rms, limit: ACCEL_RESIDUAL_MAX, unit: "m/s²" });
     }
@@ -270,6 +271,7 @@ pub fn gyroscope(samples: &[Sample], accel: &Triad) -> Result<CalibrationFile, C
             return Err(CalibrationError::Undetermined { parameter: (*name).into(), sigma, limit });
         }
     }
+    fit.converged()?;
     // Three components, of which the one along gravity is nearly nothing.
     let angle = fit.rms * 3.0_f64.sqrt();
     if angle > TURN_RESIDUAL_MAX {

@@ -124,6 +124,7 @@ pub fn magnetometer(samples: &[Sample]) -> Result<CalibrationFile, CalibrationEr
             return Err(CalibrationError::Undetermined { parameter: (*name).into(), sigma: fit.sigma(i), limit });
         }
     }
+    fit.converged()?;
     if sigma > RESIDUAL_MAX * field {
         return Err(CalibrationError::BadFit { found: sigma, limit: RESIDUAL_MAX * field, unit: "µT" });
     }

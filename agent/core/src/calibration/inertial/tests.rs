@@ -186,3 +186,38 @@ fn a_pose_fills_while_it_is_held_and_empties_in_motion() {
     assert_eq!(progress.poses.len(), 1);
     assert!(progress.up.unwrap().angle(&up(0, 24)) < 0.1 && progress.poses[0].angle(&up(0, 24)) < 0.1);
 }
+
+#[test]
+fn turns_that_leave_an_axis_open_are_told_as_such_however_slowly_the_fit_creeps() {
+    // Held for 1.8 s each, and turned on about the axis that leads there by the shortest way: about y, y, y, then about few others.
+    let ups =
+        [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 1, 0], [1, 1, 1], [0, -1, 0], [1, -1, -1], [-1, 1, -1]];
+    let ups = ups.map(|up| Vector3::from(up.map(f64::from)).normalize());
+    let mut stream = Stream::new(3, "turned on");
+    let mut samples = Vec::new();
+    let mut push = |up: &Vector3<f64>, rate: Vector3<f64>| {
+        let mut noise = |sigma: f64| Vector3::from_fn(|_, _| sigma * stream.normal());
+        samples.push(Sample {
+            time_s: samples.len() as f64 * DT_S,
+            gyro_radps: Some(rate + noise(0.002)),
+            accel_mps2: Some(up * GRAVITY_MPS2 + noise(0.03)),
+            ..Sample::default()
+        });
+    };
+    for (k, up) in ups.iter().enumerate() {
+        (0..180).for_each(|_| push(up, Vector3::zeros()));
+        let Some(next) = ups.get(k + 1) else { continue };
+        let (axis, angle) = (nalgebra::Unit::new_normalize(up.cross(next)), up.angle(next));
+        for step in 0..80 {
+            let turned = UnitQuaternion::from_axis_angle(&axis, angle * f64::from(step) / 80.0) * up;
+            push(&turned, -axis.into_inner() * angle / 0.8);
+        }
+    }
+    let open = &samples[..6 * 260 + 180];
+    let progress = guide::progress(Kind::Gyroscope, open).unwrap();
+    assert!(!progress.is_ready(), "{progress:?}");
+    let refused = gyroscope(open, &Triad::identity()).unwrap_err();
+    assert!(matches!(refused, CalibrationError::Undetermined { .. }), "{refused}");
+    assert_eq!(progress.undetermined, Some(refused));
+    gyroscope(&samples, &Triad::identity()).unwrap();
+}
