@@ -93,6 +93,21 @@ await step(page, 'envelope: the optimal attack comes into the draft, and what is
   return { one, text };
 });
 
+await step(page, 'envelope: where there is no zero no attack is made up, and the page says why', async () => {
+  await clear();
+  await choose('height 2');
+  await prepare('zero dynamics', '5');
+  const none = form.getByText(/^No attack: .*(no zero|moves the vehicle)/);
+  await none.waitFor();
+  assert((await drafted()).length === 0, 'an attack all the same');
+  const why = await none.textContent();
+  await choose('height 1', 'height 2', 'height 3');
+  await prepare('zero dynamics', '5');
+  await until('three in the draft', async () => (await drafted()).length === 3);
+  await form.getByText(/^Along the zeros of a period of/).waitFor();
+  return { why, drafted: await drafted() };
+});
+
 await step(page, 'envelope: a covert motion of every sensor is taken by the vehicle; too large a one is refused with the value', async () => {
   await clear();
   await choose('height 1', 'height 2', 'height 3', 'imu 1', 'imu 2', 'imu 3', 'imu 4');
@@ -109,6 +124,20 @@ await step(page, 'envelope: a covert motion of every sensor is taken by the vehi
   await until('accepted', async () => /accepted|active/i.test(await attacks.getByRole('listitem').first().textContent()));
   await attacks.getByRole('button', { name: 'Abort all' }).click();
   await until('aborted', async () => /aborted/i.test(await attacks.getByRole('listitem').first().textContent()));
+});
+
+await step(page, 'envelope: the rotors can move along, and their part is in the draft', async () => {
+  await clear();
+  for (const box of await form.getByRole('checkbox').all()) await box.setChecked(true);
+  await prepare('covert motion', '5');
+  await until('eleven in the draft', async () => (await drafted()).length === 11);
+  const rotors = (await drafted()).filter((text) => /^rotor \d: bias/.test(text));
+  assert(rotors.length === 4, JSON.stringify(await drafted()));
+  await attacks.getByRole('button', { name: 'Schedule 11 attacks' }).click();
+  await until('accepted', async () => /accepted|active/i.test(await attacks.getByRole('listitem').first().textContent()));
+  await attacks.getByRole('button', { name: 'Abort all' }).click();
+  await until('aborted', async () => /aborted/i.test(await attacks.getByRole('listitem').first().textContent()));
+  return { rotors };
 });
 
 await step(page, 'envelope: no complaint in the console', async () => {
