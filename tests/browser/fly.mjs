@@ -298,6 +298,8 @@ await step(page, 'calibrate: guidance, and a fit that is refused with its reason
   assert(await guided.getByRole('button', { name: 'Begin' }).isDisabled(), 'samples can be taken by hand in flight');
   await page.getByLabel('What', { exact: true }).selectOption({ label: 'Thrust and torque' });
   await page.getByText(/thrust stand/).waitFor();
+  const [example] = await Promise.all([page.waitForEvent('download'), button('Example table').click()]);
+  assert(/^rpm,thrust_n,torque_nm\n2000,/.test(readFileSync(await example.path(), 'utf8')), `${example.suggestedFilename()} has other columns`);
   const rows = (count) => ['rpm,thrust_n', ...Array.from({ length: count }, (_, i) => `${2000 + 500 * i},${1.6e-5 * ((2000 + 500 * i) * Math.PI / 30) ** 2}`)].join('\n');
   const open = (text) => page.locator('input[type=file]').setInputFiles({ name: 'bench.csv', mimeType: 'text/csv', buffer: Buffer.from(text) });
   const fit = region('Fit');

@@ -47,7 +47,6 @@ const SET_UP: Duration = Duration::from_millis(100);
 /// A vehicle and all that follows from it.
 struct Chosen {
     vehicle: Box<dyn Vehicle>,
-    calibration: Calibration,
     flight: FlightConfig,
     kind: &'static str,
     rig: String,
@@ -73,7 +72,6 @@ impl Chosen {
         flight.failsafe.deadline_descend = u32::MAX;
         Self {
             vehicle,
-            calibration: Calibration::default(),
             flight,
             kind: "sim",
             rig: scenario.rig.name().to_owned(),
@@ -98,8 +96,8 @@ impl Chosen {
         Ok(Suite::at_rates(self.sensors.iter().map(|sensor| (sensor.id, sensor.rate_hz))))
     }
 
-    /// The vehicle, and what telemetry says of it.
-    fn identified(self, agent_id: &str, boot: &Boot) -> (CalibratedVehicle, Identification) {
+    /// The vehicle behind its calibration, and what telemetry says of it.
+    fn identified(self, agent_id: &str, boot: &Boot, calibration: Calibration) -> (CalibratedVehicle, Identification) {
         let identification = Identification {
             agent_id: agent_id.to_owned(),
             boot_id: boot.id,
@@ -113,7 +111,7 @@ impl Chosen {
             strings: self.strings,
             promise: self.promise,
         };
-        (CalibratedVehicle::new(self.vehicle, self.calibration), identification)
+        (CalibratedVehicle::new(self.vehicle, calibration), identification)
     }
 }
 
@@ -125,6 +123,11 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         Some(path) => Some(attacks_from_toml(&read(path)?).map_err(|e| in_file(path, e))?),
         None => None,
     };
+    // What is only simulated, or recorded, has other errors at the next start.
+    let attached = matches!(arguments.vehicle, VehicleChoice::Hardware | VehicleChoice::Mavlink);
+    let kept = attached.then(|| config.kept_calibrations.clone());
+    // Before any device is opened.
+    let calibration = calibration(&config, kept.as_deref())?;
     let stop = Arc::new(Stop::default());
     let mut chosen = match arguments.vehicle {
         VehicleChoice::Sim => simulated(arguments)?,
@@ -132,10 +135,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         VehicleChoice::Hardware | VehicleChoice::Mavlink => hardware::attached(arguments, &config)?,
         VehicleChoice::Px4 | VehicleChoice::Ardupilot => piloted::piloted(arguments, attacks.as_ref(), pace, &stop)?,
     };
-    // What is only simulated, or recorded, has other errors at the next start.
-    let attached = matches!(arguments.vehicle, VehicleChoice::Hardware | VehicleChoice::Mavlink);
-    let kept = attached.then(|| config.kept_calibrations.clone());
-    configure(&mut chosen, &config, kept.as_deref())?;
+    configure(&mut chosen, &config, &calibration)?;
     let flight = Flight::new(chosen.flight.clone())?;
     // Flight time begins when everything that follows is set up, and not before the wall time that is told of it.
     let boot = Boot::in_a_moment()?;
@@ -178,7 +178,7 @@ pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
         // A recording has a time of its own.
         zero: (!replay).then_some(boot.zero),
     };
-    let (vehicle, identification) = chosen.identified(&config.id, &boot);
+    let (vehicle, identification) = chosen.identified(&config.id, &boot, calibration);
     let telemetry = Telemetry::new(identification, &flight, radio, Some(Outlet::new(log_ring)));
 
     stop_on_signal(stop.clone())?;
@@ -224,20 +224,22 @@ impl Boot {
     }
 }
 
-/// What the configuration says of the flight of a vehicle; calibrations applied, those in the folder `kept` too.
-fn configure(chosen: &mut Chosen, config: &AgentConfig, kept: Option<&Path>) -> Result<(), Failure> {
-    let frame_rate_hz = chosen.flight.tick_rate_hz;
-    config.apply(&mut chosen.flight)?;
+/// The calibrations of the configuration, and those in the folder `kept`.
+fn calibration(config: &AgentConfig, kept: Option<&Path>) -> Result<Calibration, Failure> {
     let of_devices = config.device.iter().filter_map(|device| device.calibration.clone());
     let files: Vec<PathBuf> = config.calibrations.iter().cloned().chain(of_devices).collect();
-    if !files.is_empty() {
-        let calibration = calibrate::load(&files)?;
-        calibration.apply_to_airframe(&mut chosen.flight.airframe);
-        chosen.calibration = calibration;
-    }
+    let mut calibration = calibrate::load(&files)?;
     if let Some(folder) = kept {
-        keeper::load(folder, &mut chosen.calibration)?;
+        keeper::load(folder, &mut calibration)?;
     }
+    Ok(calibration)
+}
+
+/// What the configuration says of the flight of a vehicle, and what its calibrations say of the vehicle itself.
+fn configure(chosen: &mut Chosen, config: &AgentConfig, calibration: &Calibration) -> Result<(), Failure> {
+    let frame_rate_hz = chosen.flight.tick_rate_hz;
+    config.apply(&mut chosen.flight)?;
+    calibration.apply_to_airframe(&mut chosen.flight.airframe);
     // Frames come at the rate of the scenario or the recording, whatever the configuration says.
     chosen.flight.tick_rate_hz = frame_rate_hz;
     Ok(())
@@ -348,7 +350,6 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     Ok(Chosen {
         vehicle: Box::new(ReplayVehicle::new(recording, samples)),
         flight,
-        calibration: Calibration::default(),
         kind: "replay",
         rig: scenario.as_ref().map_or("recording", |scenario| scenario.rig.name()).to_owned(),
         seed: scenario.as_ref().map_or(0, |scenario| scenario.seed),

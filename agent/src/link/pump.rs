@@ -37,7 +37,8 @@ const RELIABLE_BATCH_BYTES: usize = 32 * 1024;
 
 /// Kinds that are rare and that somebody waits for: they take the reliable stream.
 pub const fn must_arrive(kind: Option<Kind>) -> bool {
-    matches!(kind, Some(Kind::Ack | Kind::Event | Kind::Flight | Kind::Description | Kind::Gains | Kind::Attacks))
+    use Kind::{Ack, Attacks, Description, Event, Flight, Gains, StepResponse};
+    matches!(kind, Some(Ack | Event | Flight | Description | Gains | Attacks | StepResponse))
 }
 
 /// One datagram and how many messages it holds.

@@ -141,7 +141,11 @@ impl Runner {
             Err(reason) => return (false, text(format_args!("{reason}"))),
         };
         self.unfit = [false; MAX_IMUS];
-        self.flight.apply(&Command::Recalibrated, now);
+        let ack = self.flight.apply(&Command::Recalibrated, now);
+        if !ack.accepted {
+            let what = format_args!("estimators go on with what they learnt of other samples: {}", ack.reason);
+            self.telemetry.event(now, Severity::Warning, EventKind::Estimator, what);
+        }
         time_steps(&mut self.flight, self.options.pace);
         self.telemetry.calibrations(self.vehicle.calibration());
         let kept = match &mut self.beside.keeper {

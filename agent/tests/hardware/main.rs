@@ -22,6 +22,9 @@ use plumbline_proto::{Message, v1};
 /// Longest wait for anything, on a machine that compiles beside us.
 const PATIENCE: Duration = Duration::from_secs(90);
 
+/// Where it keeps calibrations.
+const KEPT: &str = "kept";
+
 /// An agent that flies a script without a ground.
 struct Agent {
     process: Child,
@@ -44,7 +47,9 @@ impl Agent {
         options: &[&str],
     ) -> Self {
         let at = |name: &str| folder.path().join(name);
-        std::fs::write(at("agent.toml"), configuration).unwrap();
+        // What somebody calibrated here is not flown with.
+        let kept = format!("kept_calibrations = {:?}\n", at(KEPT));
+        std::fs::write(at("agent.toml"), kept + configuration).unwrap();
         std::fs::write(at("scenario.toml"), scenario).unwrap();
         let mut agent = Command::new(env!("CARGO_BIN_EXE_plumbline-agent"));
         agent.args(["--vehicle", vehicle, "--ground", "none", "--config"]).arg(at("agent.toml")).args(options);

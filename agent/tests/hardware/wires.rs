@@ -3,12 +3,13 @@
 
 use std::time::{Duration, Instant};
 
+use plumbline_agent::calibration::{CalibrationFile, Kind};
 use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
 use plumbline_wires::{Drive, PULSES_US, Plug, WireRig, Wiring};
 
 use crate::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
-use crate::{Agent, PATIENCE};
+use crate::{Agent, KEPT, PATIENCE};
 
 /// The everyday altitude, step and landing, with time for ports to open and ESCs to arm.
 pub const SCENARIO: &str = r#"
@@ -69,7 +70,11 @@ impl Flown {
 
     /// The script of `scenario` flown through the devices of `wiring`.
     pub fn on(wiring: &Wiring, scenario: &str, attacks: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        Self::within(tempfile::tempdir().unwrap(), wiring, scenario, attacks)
+    }
+
+    /// The same, in a folder with something in it.
+    fn within(folder: tempfile::TempDir, wiring: &Wiring, scenario: &str, attacks: &str) -> Self {
         let rig = WireRig::start(&Scenario::from_toml(scenario).unwrap(), folder.path(), wiring).unwrap();
         let agent = Agent::start(folder, "hardware", &rig.configuration(), scenario, attacks);
         Self { rig, agent }
@@ -146,7 +151,10 @@ pub fn in_time(test: impl Fn()) {
 #[test]
 fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
     in_time(|| {
-        let mut flown = Flown::start("");
+        // It flies with a calibration of before, which changes nothing.
+        let folder = tempfile::tempdir().unwrap();
+        keep(&folder, "accelerometer-1.json", &unchanged().to_value().to_string());
+        let mut flown = Flown::within(folder, &Wiring::usual(), SCENARIO, "");
         flown.hold(0.5);
         flown.rig.plug("height1", Plug::Out);
         flown.wait("height1 lost", |flown| flown.agent.lost("height1"));
@@ -163,6 +171,9 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
         println!("holds 0.8 m at {mean:.4} m ± {spread:.4} m through the wires");
         flown.agent.said().lines().filter(|line| line.contains("device")).for_each(|line| println!("{line}"));
         flown.land();
+        let description: v1::Description = flown.agent.recorded("/description").pop().unwrap();
+        let used: Vec<_> = description.calibrations.iter().map(|used| (used.kind.as_str(), used.imu)).collect();
+        assert_eq!(used, [("accelerometer", 1)]);
         // The flight file tells of it: as an event, and in the state of that device, the fifth.
         flown.agent.assert_told(&["height1 lost", "height1 gives readings"]);
         let states: Vec<v1::DeviceState> = flown.agent.recorded("/device/5");
@@ -172,6 +183,30 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
         assert!(states.iter().any(|state| !state.up && !state.reason.is_empty()), "{states:?}");
         assert!((last.rate_hz - 10.0).abs() < 3.0 && last.age_s.is_some_and(|age_s| age_s < 1.0), "{last:?}");
     });
+}
+
+fn keep(folder: &tempfile::TempDir, name: &str, text: &str) {
+    std::fs::create_dir_all(folder.path().join(KEPT)).unwrap();
+    std::fs::write(folder.path().join(KEPT).join(name), text).unwrap();
+}
+
+/// The calibration of an accelerometer that reads right.
+fn unchanged() -> CalibrationFile {
+    let mut file = CalibrationFile::new(Kind::Accelerometer, 10, 0.01, "m/s²");
+    (file.sensor, file.date) = (Some(1), "2026-11-26T11:00:00Z".into());
+    ["scale_x", "scale_y", "scale_z"].iter().for_each(|name| file.push(name, 1.0, None, ""));
+    ["bias_x", "bias_y", "bias_z"].iter().for_each(|name| file.push(name, 0.0, None, "m/s²"));
+    file
+}
+
+#[test]
+fn with_a_calibration_that_cannot_be_read_nothing_is_started() {
+    let folder = tempfile::tempdir().unwrap();
+    keep(&folder, "gyroscope-2.json", "{\"schema\": 1");
+    let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path(), &Wiring::usual()).unwrap();
+    let mut agent = Agent::start(folder, "hardware", &rig.configuration(), SCENARIO, "");
+    assert!(!agent.end().success());
+    assert!(agent.said().contains("gyroscope-2.json") && !agent.said().contains("device up"), "{}", agent.said());
 }
 
 #[test]

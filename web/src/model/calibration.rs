@@ -15,7 +15,15 @@ pub struct Kind {
     pub by_hand: &'static str,
     /// What to do, one step after the other.
     pub guidance: &'static [&'static str],
+    /// A table of it, to be filled in: with the columns that are read.
+    pub example: &'static str,
 }
+
+/// Samples of an IMU as a table; the reader's own tests read these.
+const IMU: &str = include_str!("../../../agent/analysis/tables/imu.csv");
+const MOTOR_CURVE: &str = include_str!("../../../agent/analysis/tables/motor-curve.csv");
+const THRUST: &str = include_str!("../../../agent/analysis/tables/thrust.csv");
+const MASS: &str = include_str!("../../../agent/analysis/tables/mass.csv");
 
 /// Every kind.
 pub const KINDS: [Kind; 8] = [
@@ -29,6 +37,7 @@ pub const KINDS: [Kind; 8] = [
             "Put it down in ten poses or more, 15° or more apart: each side, both ends, upside down, and some in between.",
             "Hold each pose still for a second or more. Scale, misalignment and bias come out of gravity alone; seven poses give scale and bias.",
         ],
+        example: IMU,
     },
     Kind {
         name: "gyroscope",
@@ -40,6 +49,7 @@ pub const KINDS: [Kind; 8] = [
             "Turn briskly, six times or more, by 30° or more, about every axis, and rest again each time.",
             "Choose a fitted accelerometer first: it says how far each turn went.",
         ],
+        example: IMU,
     },
     Kind {
         name: "magnetometer",
@@ -51,6 +61,7 @@ pub const KINDS: [Kind; 8] = [
             "Turn the vehicle about all its axes until every side has looked up and down, for half a minute.",
             "Hard iron is the centre of the ellipsoid, soft iron its shape: afterwards the points lie on a sphere.",
         ],
+        example: IMU,
     },
     Kind {
         name: "thermal",
@@ -61,6 +72,7 @@ pub const KINDS: [Kind; 8] = [
             "Record at rest from cold until the temperature stands still; ten minutes or more.",
             "Nothing may move: what changes is then the sensors' own drift.",
         ],
+        example: IMU,
     },
     Kind {
         name: "motor-curve",
@@ -71,6 +83,7 @@ pub const KINDS: [Kind; 8] = [
             "On a stand with a tachometer: command each motor from low to high in ten steps, wait for the speed to settle.",
             "Table with the columns command (0 to 1) and rpm, or speed_radps.",
         ],
+        example: MOTOR_CURVE,
     },
     Kind {
         name: "thrust",
@@ -81,6 +94,7 @@ pub const KINDS: [Kind; 8] = [
             "On a thrust stand: speed, thrust and, where measured, torque, for ten speeds or more.",
             "Table with the columns rpm and thrust_n, and torque_nm; a wind-tunnel table of a propeller works too.",
         ],
+        example: THRUST,
     },
     Kind {
         name: "mass",
@@ -89,8 +103,9 @@ pub const KINDS: [Kind; 8] = [
         by_hand: "",
         guidance: &[
             "Weigh the vehicle with its battery.",
-            "For inertia hang it on two strings and time the swing about each axis; the columns are in the table's help.",
+            "For inertia hang it on two strings and time the swing about each axis, as the example table has them.",
         ],
+        example: MASS,
     },
     Kind {
         name: "allan",
@@ -101,6 +116,7 @@ pub const KINDS: [Kind; 8] = [
             "Record at rest, motors off, on something solid; the longer the better, an hour shows the bias instability.",
             "White noise is the slope −½ at one second, bias instability the flat bottom.",
         ],
+        example: IMU,
     },
 ];
 
@@ -165,6 +181,7 @@ mod tests {
     fn every_kind_says_what_to_do() {
         assert_eq!(KINDS.iter().filter(|k| corrects(k.name)).count(), 4);
         assert_eq!((named("thermal", 2), named("mass", 0)), ("Temperature of IMU 2".into(), "Mass and inertia".into()));
+        assert!(KINDS.iter().all(|k| k.example.lines().count() > 3 && k.from_flight == k.example.starts_with("t_s,")));
         assert!(KINDS.iter().all(|k| !k.guidance.is_empty() && k.guidance.iter().all(|g| g.ends_with('.'))));
     }
 }

@@ -231,6 +231,7 @@ fn Form() -> impl IntoView {
             </Show>
             <div class="row">
                 <button type="button" on:click=move |_| if let Some(input) = file.get_untracked() { input.click() }>"Open table (CSV)…"</button>
+                <button type="button" class="plain" title="The columns that are read, with some rows" on:click=move |_| example(bench.kind.get_untracked())>"Example table"</button>
                 <span class="quiet one-line">{move || bench.table.get().map(|(name, _)| name)}</span>
                 <input type="file" accept=".csv,text/csv,.txt" hidden aria-label="Table" node_ref=file on:change:target=move |e| bench.open(e.target()) />
             </div>
@@ -257,6 +258,11 @@ fn Form() -> impl IntoView {
             <Show when=move || bench.busy.get()><Waiting text="The ground fits…" /></Show>
         </section>
     }
+}
+
+/// Gives the example table of `kind`.
+fn example(kind: Kind) {
+    net::save(&format!("{}-example.csv", kind.name), "text/csv", kind.example);
 }
 
 /// Calibrations kept by the ground.

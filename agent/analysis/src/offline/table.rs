@@ -8,6 +8,8 @@
 //! | thrust, tunnel | `PropName`, `diameter_in`, `pitch_in`, `rpm`, `CT`, `CP` (UIUC Propeller Database) |
 //! | mass | `axis`, `mass_kg`, then `inertia_kgm2` or `period_s`, `length_m`, `separation_m` |
 //!
+//! An example of each is in `tables/`; the page offers them.
+//!
 //! Commas, semicolons or tabs between the fields, as the first line has them; where it is not the comma, `0,5` is a half.
 //! Sensors an IMU table lacks are absent. An empty field is NaN, and refused where a fit needs it.
 
@@ -292,6 +294,24 @@ mod tests {
         assert!(
             table.thrust(Some("apcsf 9x9"), 1.225).unwrap_err().contains("no propeller \"apcsf 9x9\" among 2 rows")
         );
+    }
+
+    #[test]
+    fn the_examples_are_read_and_those_of_a_bench_are_fitted() {
+        use crate::offline::calibrate::{Request, from_table};
+        use plumbline_core::calibration::Kind;
+        for (kind, text, name, near) in [
+            (Kind::MotorCurve, include_str!("../../tables/motor-curve.csv"), "slope", 890.0),
+            (Kind::Thrust, include_str!("../../tables/thrust.csv"), "thrust_coefficient", 1.62e-5),
+            (Kind::Mass, include_str!("../../tables/mass.csv"), "inertia_z", 0.055),
+        ] {
+            let made = from_table(text.as_bytes(), "example", &Request::new(kind, String::new())).unwrap();
+            let value = made.value(name).unwrap();
+            assert!((value / near - 1.0).abs() < 0.01, "{name} is {value}");
+        }
+        let samples = Table::read(include_bytes!("../../tables/imu.csv").as_slice()).unwrap().imu().unwrap();
+        let whole = |s: &Sample| s.gyro_radps.is_some() && s.accel_mps2.is_some() && s.mag_ut.is_some();
+        assert!(samples.len() == 5 && samples.iter().all(whole));
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::{
-    AgentConfig, Calibration, Chosen, Failure, FlightConfig, FlightTime, FlyArguments, Observed, Scenario,
-    VehicleChoice, Zero, in_file, read,
+    AgentConfig, Chosen, Failure, FlightConfig, FlightTime, FlyArguments, Observed, Scenario, VehicleChoice, Zero,
+    in_file, read,
 };
 use crate::cli::motors;
 use plumbline_agent::model::airframe::Airframe;
@@ -77,7 +77,6 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
     };
     Ok(Chosen {
         vehicle: Box::new(HardwareVehicle::new(devices, line, tick_rate_hz)),
-        calibration: Calibration::default(),
         sensors: suite.descriptions(),
         strings: rig.lines(&airframe),
         promise: Some(Observed::promise_at_hover(&suite, &airframe)),
