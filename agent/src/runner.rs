@@ -17,6 +17,7 @@ pub mod pace;
 pub mod stop;
 mod timing;
 mod uplane;
+mod worker;
 
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;

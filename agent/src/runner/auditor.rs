@@ -4,13 +4,11 @@
 //! never waits and never allocates. While no case is free, that second is not audited.
 
 use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 
 use plumbline_proto::time::FlightTime;
 use rtrb::{Consumer, Producer, RingBuffer};
 
+use super::worker::{Going, Worker};
 use crate::estimate::secure::conic::Conic;
 use crate::estimate::secure::{AuditCase, Secure};
 use crate::telemetry::Audit;
@@ -29,8 +27,7 @@ pub struct Auditor {
     free: Vec<AuditCase>,
     asked: Option<FlightTime>,
     last: Option<Audit>,
-    stop: Arc<AtomicBool>,
-    worker: Option<JoinHandle<()>>,
+    worker: Worker,
 }
 
 impl Auditor {
@@ -45,12 +42,10 @@ impl Auditor {
         }
         let (cases, mut asked) = RingBuffer::<AuditCase>::new(CASES);
         let (mut answered, answers) = RingBuffer::new(CASES);
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = stop.clone();
-        let work = move || {
-            while !stopped.load(Ordering::Acquire) {
+        let work = move |going: Going| {
+            while going.on() {
                 let Ok(case) = asked.pop() else {
-                    std::thread::park();
+                    going.sleep();
                     continue;
                 };
                 let audit = solve(&case);
@@ -58,8 +53,8 @@ impl Auditor {
                 let _ = answered.push((case, audit));
             }
         };
-        let worker = std::thread::Builder::new().name("auditor".into()).spawn(work)?;
-        Ok(Self { cases, answers, free, asked: None, last: None, stop, worker: Some(worker) })
+        let worker = Worker::start("auditor", work)?;
+        Ok(Self { cases, answers, free, asked: None, last: None, worker })
     }
 
     /// Takes back what is answered and, once a second, hands over the last window. Does not wait.
@@ -74,24 +69,14 @@ impl Auditor {
                 self.asked = Some(now);
                 if let Err(rtrb::PushError::Full(case)) = self.cases.push(case) {
                     self.free.push(case);
-                } else if let Some(worker) = &self.worker {
-                    worker.thread().unpark();
+                } else {
+                    self.worker.wake();
                 }
             } else {
                 self.free.push(case);
             }
         }
         self.last
-    }
-}
-
-impl Drop for Auditor {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Release);
-        if let Some(worker) = self.worker.take() {
-            worker.thread().unpark();
-            let _ = worker.join();
-        }
     }
 }
 

@@ -7,15 +7,13 @@
 #![allow(clippy::result_large_err, reason = "bounded text on the stack: the flight thread does not allocate")]
 
 use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use plumbline_proto::ids::{CommandId, GainsRevision};
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 
 use super::bounding::Bounding;
+use super::worker::{Going, Worker};
 use crate::control::gains::{Certified, Examiner, GainsError};
 use crate::control::policy::MarginPolicy;
 use crate::control::tuning::Proposal;
@@ -55,8 +53,7 @@ pub struct Certifier {
     questions: Producer<Question>,
     answers: Consumer<Answer>,
     bounds: Consumer<Bounded>,
-    stop: Arc<AtomicBool>,
-    worker: Option<JoinHandle<()>>,
+    worker: Worker,
 }
 
 impl Certifier {
@@ -74,22 +71,19 @@ impl Certifier {
         let (questions, mut asked) = RingBuffer::<Question>::new(WAITING);
         let (mut answered, answers) = RingBuffer::new(WAITING);
         let (mut bounded, bounds) = RingBuffer::<Bounded>::new(WAITING);
-        let stop = Arc::new(AtomicBool::new(false));
-        let (airframe, stopped) = (airframe.clone(), stop.clone());
-        let work = move || {
+        let airframe = airframe.clone();
+        let work = move |going: Going| {
             let examiner = Examiner::new(&airframe, period_s, policy);
-            let going = || !stopped.load(Ordering::Acquire);
             let (bounding, in_use) = bounding.unzip();
             // One that finds the queue full is not missed: later gains have taken its place.
             let mut bound = |gains: &Certified| {
-                let of = bounding.as_ref().map(|bounding: &Bounding| bounding.bound_m(&gains.law, going));
+                let of = bounding.as_ref().map(|bounding: &Bounding| bounding.bound_m(&gains.law, || going.on()));
                 let _ = of.map(|bound_m| bounded.push((gains.revision, bound_m)));
             };
             in_use.iter().for_each(&mut bound);
-            while going() {
+            while going.on() {
                 let Ok(Question { id, revision, proposal }) = asked.pop() else {
-                    // An `unpark` since the look into the queue is not lost: `park` then returns at once.
-                    std::thread::park();
+                    going.sleep();
                     continue;
                 };
                 let outcome = examiner.as_ref().map_err(GainsError::clone).and_then(|examiner| {
@@ -99,7 +93,7 @@ impl Certifier {
                 let found = outcome.as_ref().ok().filter(|_| bounding.is_some()).cloned();
                 let mut answer = Answer { id, revision, outcome };
                 while let Err(PushError::Full(back)) = answered.push(answer) {
-                    if !going() {
+                    if !going.on() {
                         return;
                     }
                     answer = back;
@@ -108,8 +102,8 @@ impl Certifier {
                 found.iter().for_each(&mut bound);
             }
         };
-        let worker = std::thread::Builder::new().name("certifier".into()).spawn(work)?;
-        Ok(Self { questions, answers, bounds, stop, worker: Some(worker) })
+        let worker = Worker::start("certifier", work)?;
+        Ok(Self { questions, answers, bounds, worker })
     }
 
     /// Hands a design over; the answer comes later under the same `id`. Does not wait.
@@ -120,9 +114,7 @@ impl Certifier {
         self.questions
             .push(Question { id, revision, proposal: proposal.clone() })
             .map_err(|_| "4 pushes of gains are waiting to be certified: try again")?;
-        if let Some(worker) = &self.worker {
-            worker.thread().unpark();
-        }
+        self.worker.wake();
         Ok(())
     }
 
@@ -134,16 +126,6 @@ impl Certifier {
     /// The next bound, if one is ready. Does not wait.
     pub fn bounded(&mut self) -> Option<Bounded> {
         self.bounds.pop().ok()
-    }
-}
-
-impl Drop for Certifier {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Release);
-        if let Some(worker) = self.worker.take() {
-            worker.thread().unpark();
-            let _ = worker.join();
-        }
     }
 }
 

@@ -8,13 +8,11 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 
 use plumbline_file::write_atomically;
 use rtrb::{Consumer, Producer, RingBuffer};
 
+use super::worker::{Going, Worker};
 use crate::calibration::applied::Correction;
 use crate::calibration::{Calibration, CalibrationFile, Kind};
 use crate::event::{Text, text};
@@ -36,8 +34,7 @@ struct Change {
 pub struct Keeper {
     changes: Producer<Change>,
     problems: Consumer<Text>,
-    stop: Arc<AtomicBool>,
-    worker: Option<JoinHandle<()>>,
+    worker: Worker,
 }
 
 impl Keeper {
@@ -48,17 +45,14 @@ impl Keeper {
     pub fn start(folder: PathBuf) -> io::Result<Self> {
         let (changes, mut asked) = RingBuffer::<Change>::new(WAITING);
         let (mut problem, problems) = RingBuffer::new(WAITING);
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = stop.clone();
-        let work = move || loop {
+        let work = move |going: Going| loop {
             // Looked at before the queue: what was handed over before the end is kept.
-            let ends = stopped.load(Ordering::Acquire);
+            let ends = !going.on();
             let Ok(Change { kind, imu, asked }) = asked.pop() else {
                 if ends {
                     return;
                 }
-                // An `unpark` since the look into the queue is not lost: `park` then returns at once.
-                std::thread::park();
+                going.sleep();
                 continue;
             };
             let path = path(&folder, kind, imu);
@@ -75,8 +69,8 @@ impl Keeper {
                 let _ = problem.push(text(what));
             }
         };
-        let worker = std::thread::Builder::new().name("keeper".into()).spawn(work)?;
-        Ok(Self { changes, problems, stop, worker: Some(worker) })
+        let worker = Worker::start("keeper", work)?;
+        Ok(Self { changes, problems, worker })
     }
 
     /// Hands a change over. Does not wait.
@@ -85,25 +79,13 @@ impl Keeper {
     /// Why it is not kept: too many are waiting.
     pub fn keep(&mut self, kind: Kind, imu: u8, asked: Calibrating) -> Result<(), &'static str> {
         self.changes.push(Change { kind, imu, asked }).map_err(|_| "8 changes wait for the disk")?;
-        if let Some(worker) = &self.worker {
-            worker.thread().unpark();
-        }
+        self.worker.wake();
         Ok(())
     }
 
     /// The next thing that went wrong. Does not wait.
     pub fn problem(&mut self) -> Option<Text> {
         self.problems.pop().ok()
-    }
-}
-
-impl Drop for Keeper {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Release);
-        if let Some(worker) = self.worker.take() {
-            worker.thread().unpark();
-            let _ = worker.join();
-        }
     }
 }
 

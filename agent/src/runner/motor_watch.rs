@@ -6,11 +6,11 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use plumbline_devices::scheduling;
 
+use super::worker::{Going, Worker};
 use crate::vehicle::MotorStop;
 
 /// How often the mark is looked at.
@@ -22,14 +22,13 @@ struct Marks {
     /// Nanoseconds since `begun` of the last mark; 0 while there is nothing to watch.
     last_ns: AtomicU64,
     stopped: AtomicBool,
-    ended: AtomicBool,
 }
 
 /// The watch. Ends with the runner.
 #[derive(Debug)]
 pub struct MotorWatch {
     marks: Arc<Marks>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Worker,
 }
 
 impl MotorWatch {
@@ -38,18 +37,14 @@ impl MotorWatch {
     /// # Errors
     /// No thread could be started.
     pub fn start(motors: Arc<dyn MotorStop>, limit: Duration, real_time: bool) -> std::io::Result<Self> {
-        let marks = Arc::new(Marks {
-            begun: Instant::now(),
-            last_ns: AtomicU64::new(0),
-            stopped: AtomicBool::new(false),
-            ended: AtomicBool::new(false),
-        });
+        let marks =
+            Arc::new(Marks { begun: Instant::now(), last_ns: AtomicU64::new(0), stopped: AtomicBool::new(false) });
         let seen = marks.clone();
-        let watch = move || {
+        let watch = move |going: Going| {
             if real_time {
                 scheduling::ask_for_real_time(scheduling::MOTOR_WATCH);
             }
-            while !seen.ended.load(Ordering::Acquire) {
+            while going.on() {
                 std::thread::sleep(PERIOD);
                 let last_ns = seen.last_ns.load(Ordering::Acquire);
                 let silent = seen.begun.elapsed().saturating_sub(Duration::from_nanos(last_ns));
@@ -59,8 +54,7 @@ impl MotorWatch {
                 }
             }
         };
-        let thread = std::thread::Builder::new().name("motor-watch".into()).spawn(watch)?;
-        Ok(Self { marks, thread: Some(thread) })
+        Ok(Self { marks, _thread: Worker::start("motor-watch", watch)? })
     }
 
     /// A tick begins; `armed` is what the last one left.
@@ -72,15 +66,6 @@ impl MotorWatch {
     /// Have the motors been stopped since this was asked last?
     pub fn stopped(&self) -> bool {
         self.marks.stopped.swap(false, Ordering::AcqRel)
-    }
-}
-
-impl Drop for MotorWatch {
-    fn drop(&mut self) {
-        self.marks.ended.store(true, Ordering::Release);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 

@@ -152,18 +152,15 @@ impl Runner {
             Some(keeper) => keeper.keep(kind, imu, asked).map(|()| ""),
             None => Ok(" until the agent stops"),
         };
-        match kept {
-            Ok(until) => {
-                let said = text(format_args!("IMU {imu}: {} calibration {done}{until}", kind.name()));
-                self.telemetry.event(now, Severity::Info, EventKind::Estimator, format_args!("{said}"));
-                (true, said)
-            }
+        let kind = kind.name();
+        let (severity, said) = match kept {
+            Ok(until) => (Severity::Info, text(format_args!("IMU {imu}: {kind} calibration {done}{until}"))),
             Err(why) => {
-                let said = text(format_args!("IMU {imu}: {} calibration {done}, but not kept: {why}", kind.name()));
-                self.telemetry.event(now, Severity::Warning, EventKind::Estimator, format_args!("{said}"));
-                (true, said)
+                (Severity::Warning, text(format_args!("IMU {imu}: {kind} calibration {done}, but not kept: {why}")))
             }
-        }
+        };
+        self.telemetry.event(now, severity, EventKind::Estimator, format_args!("{said}"));
+        (true, said)
     }
 
     /// What became of calibrations that were to be kept.

@@ -140,7 +140,7 @@ pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Resu
     Ok(Json(answer.await?))
 }
 
-/// What an agent reads of a file, without what is for people.
+/// Gives the vehicle what an agent reads of a file; what is for people stays here.
 pub(crate) async fn put_to_use(
     State(app): State<App>,
     Path(id): Path<String>,

@@ -20,7 +20,7 @@ const OF_AN_IMU: usize = 4;
 /// Kinds that tell of the vehicle itself.
 const OF_THE_AIRFRAME: usize = 3;
 /// Most calibrations in use.
-pub const MAX_USED: usize = OF_AN_IMU * MAX_IMUS + OF_THE_AIRFRAME;
+const MAX_USED: usize = OF_AN_IMU * MAX_IMUS + OF_THE_AIRFRAME;
 /// A scale or an axis that is off by more is a wrong file, or a wrong unit.
 const MATRIX_OFF_MAX: f64 = 0.5;
 /// So is a larger bias of an accelerometer, m/s², or of a gyroscope, rad/s.
@@ -45,11 +45,8 @@ pub struct Used {
 impl Used {
     fn of(file: &CalibrationFile, imu: u8) -> Self {
         let mut date = ArrayString::new();
-        for letter in file.date.chars() {
-            if date.try_push(letter).is_err() {
-                break;
-            }
-        }
+        // What is longer is no date.
+        let _ = file.date.chars().try_for_each(|letter| date.try_push(letter));
         Self { kind: file.kind, imu, date, input: text(format_args!("{}", file.input)), configured: true }
     }
 
