@@ -132,20 +132,11 @@ fn remove(path: &Path) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_support::calibrations::accelerometer;
 
-    fn file(imu: u8, bias: f64) -> String {
-        let mut file = CalibrationFile::new(Kind::Accelerometer, 10, 0.01, "m/s²");
-        file.sensor = Some(imu);
-        for (name, value) in [("scale_x", 1.0), ("scale_y", 1.0), ("scale_z", 1.0), ("bias_x", bias)] {
-            file.push(name, value, None, "");
-        }
-        ["bias_y", "bias_z"].iter().for_each(|name| file.push(name, 0.0, None, ""));
-        file.to_value().to_string()
-    }
-
-    fn asked(file: String) -> Calibrating {
-        let read = CalibrationFile::from_json(&file).unwrap();
-        Calibrating::Use { correction: Correction::of(&read).unwrap(), file }
+    fn asked(imu: u8) -> Calibrating {
+        let file = accelerometer(imu, [1.0; 3]);
+        Calibrating::Use { correction: Correction::of(&file).unwrap(), file: file.to_value().to_string() }
     }
 
     #[test]
@@ -153,8 +144,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let kept = folder.path().join("kept");
         let mut keeper = Keeper::start(kept.clone()).unwrap();
-        keeper.keep(Kind::Accelerometer, 1, asked(file(1, 0.1))).unwrap();
-        keeper.keep(Kind::Accelerometer, 2, asked(file(2, 0.2))).unwrap();
+        keeper.keep(Kind::Accelerometer, 1, asked(1)).unwrap();
+        keeper.keep(Kind::Accelerometer, 2, asked(2)).unwrap();
         keeper.keep(Kind::Accelerometer, 1, Calibrating::Drop { kind: Kind::Accelerometer, imu: 1 }).unwrap();
         // Never there: nothing to complain of.
         keeper.keep(Kind::Thermal, 3, Calibrating::Drop { kind: Kind::Thermal, imu: 3 }).unwrap();
@@ -165,7 +156,7 @@ mod tests {
         assert_eq!(used, [(Kind::Accelerometer, 2, false)]);
         // The configuration's goes first.
         let mut configured = Calibration::default();
-        configured.add(&CalibrationFile::from_json(&file(2, 0.3)).unwrap()).unwrap();
+        configured.add(&accelerometer(2, [1.0; 3])).unwrap();
         load(&kept, &mut configured).unwrap();
         assert!(configured.used().iter().all(|used| used.configured));
         std::fs::write(kept.join("gyroscope-1.json"), "{").unwrap();
@@ -180,7 +171,7 @@ mod tests {
         let taken = folder.path().join("file");
         std::fs::write(&taken, "").unwrap();
         let mut keeper = Keeper::start(taken).unwrap();
-        keeper.keep(Kind::Accelerometer, 1, asked(file(1, 0.1))).unwrap();
+        keeper.keep(Kind::Accelerometer, 1, asked(1)).unwrap();
         let begun = std::time::Instant::now();
         let said = loop {
             if let Some(said) = keeper.problem() {

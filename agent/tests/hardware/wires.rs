@@ -3,9 +3,9 @@
 
 use std::time::{Duration, Instant};
 
-use plumbline_agent::calibration::{CalibrationFile, Kind};
 use plumbline_agent::sim::Scenario;
 use plumbline_proto::v1;
+use plumbline_support::calibrations::accelerometer;
 use plumbline_wires::{Drive, PULSES_US, Plug, WireRig, Wiring};
 
 use crate::ports::{PORTS_LATE, Ports, WIRE_FLIGHTS};
@@ -153,7 +153,7 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
     in_time(|| {
         // It flies with a calibration of before, which changes nothing.
         let folder = tempfile::tempdir().unwrap();
-        keep(&folder, "accelerometer-1.json", &unchanged().to_value().to_string());
+        keep(&folder, "accelerometer-1.json", &accelerometer(1, [1.0; 3]).to_value().to_string());
         let mut flown = Flown::within(folder, &Wiring::usual(), SCENARIO, "");
         flown.hold(0.5);
         flown.rig.plug("height1", Plug::Out);
@@ -188,15 +188,6 @@ fn altitude_steps_through_the_drivers_with_a_height_unplugged_in_flight() {
 fn keep(folder: &tempfile::TempDir, name: &str, text: &str) {
     std::fs::create_dir_all(folder.path().join(KEPT)).unwrap();
     std::fs::write(folder.path().join(KEPT).join(name), text).unwrap();
-}
-
-/// The calibration of an accelerometer that reads right.
-fn unchanged() -> CalibrationFile {
-    let mut file = CalibrationFile::new(Kind::Accelerometer, 10, 0.01, "m/s²");
-    (file.sensor, file.date) = (Some(1), "2026-11-26T11:00:00Z".into());
-    ["scale_x", "scale_y", "scale_z"].iter().for_each(|name| file.push(name, 1.0, None, ""));
-    ["bias_x", "bias_y", "bias_z"].iter().for_each(|name| file.push(name, 0.0, None, "m/s²"));
-    file
 }
 
 #[test]

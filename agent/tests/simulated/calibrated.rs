@@ -21,15 +21,8 @@ use plumbline_proto::codec::decode_frames;
 use plumbline_proto::ids::CommandId;
 use plumbline_proto::v1::command::Body;
 use plumbline_proto::{Kind as Topic, v1};
+use plumbline_support::calibrations::{accelerometer, file};
 use plumbline_support::flown::{identification, runner_options};
-
-/// A file with these parameters.
-fn file(kind: Kind, parameters: &[(&str, f64)]) -> CalibrationFile {
-    let mut file = CalibrationFile::new(kind, 1, 0.5, "");
-    file.sensor = Some(1);
-    parameters.iter().for_each(|(name, value)| file.push(name, *value, None, ""));
-    file
-}
 
 #[test]
 fn a_distorted_simulator_reads_as_a_true_one_once_calibrated() {
@@ -43,12 +36,10 @@ fn a_distorted_simulator_reads_as_a_true_one_once_calibrated() {
     };
     let field_ut = scenario.site.magnetic_field_enu_ut.norm();
     let mut calibration = Calibration::default();
-    let scale = [("scale_x", 1.0 / 1.1), ("scale_y", 1.0 / 0.95), ("scale_z", 1.0 / 1.04)];
-    let none = [("bias_x", 0.0), ("bias_y", 0.0), ("bias_z", 0.0)];
-    calibration.add(&file(Kind::Accelerometer, &[scale, none].concat())).unwrap();
+    calibration.add(&accelerometer(1, [1.1, 0.95, 1.04])).unwrap();
     let hard = [("hard_x", 5.0), ("hard_y", -9.0), ("hard_z", 20.0), ("field", field_ut)];
     let soft = ["soft_xx", "soft_yy", "soft_xy", "soft_xz", "soft_yz"].map(|name| (name, 0.0));
-    calibration.add(&file(Kind::Magnetometer, &[&hard[..], &soft[..]].concat())).unwrap();
+    calibration.add(&file(Kind::Magnetometer, 1, &[&hard[..], &soft[..]].concat())).unwrap();
 
     let sim = |scenario: &Scenario| Box::new(SimVehicle::new(scenario).unwrap());
     let mut calibrated = CalibratedVehicle::new(sim(&scenario), calibration.clone());
@@ -82,21 +73,6 @@ fn a_distorted_simulator_reads_as_a_true_one_once_calibrated() {
     });
     let fields: Vec<_> = other.fields().collect();
     assert!(fields.len() == 1 && !fields[0].fits && fields[0].withheld > 50, "{fields:?}");
-}
-
-/// An accelerometer of IMU `imu` that reads `scale` too much along z.
-fn accelerometer(imu: u8, scale: f64) -> CalibrationFile {
-    let parameters = [
-        ("scale_x", 1.0),
-        ("scale_y", 1.0),
-        ("scale_z", 1.0 / scale),
-        ("bias_x", 0.0),
-        ("bias_y", 0.0),
-        ("bias_z", 0.0),
-    ];
-    let mut file = file(Kind::Accelerometer, &parameters);
-    (file.sensor, file.date) = (Some(imu), "2026-11-26T11:00:00Z".into());
-    file
 }
 
 fn use_of(file: &CalibrationFile) -> Request {
@@ -134,15 +110,15 @@ fn a_command_puts_a_calibration_to_use_and_stops_that() {
     let folder = tempfile::tempdir().unwrap();
     let drop = |kind, imu| Request::Calibration(Calibrating::Drop { kind, imu });
     let requests = [
-        (use_of(&accelerometer(1, 1.04)), Ok("IMU 1: accelerometer calibration is in use")),
-        (use_of(&accelerometer(1, 1.05)), Err("of 2026-11-26T11:00:00Z is in use: stop using that first")),
-        (use_of(&accelerometer(2, 1.01)), Ok("IMU 2: accelerometer calibration is in use")),
+        (use_of(&accelerometer(1, [1.0, 1.0, 1.04])), Ok("IMU 1: accelerometer calibration is in use")),
+        (use_of(&accelerometer(1, [1.0, 1.0, 1.05])), Err("of 2026-11-26T11:00:00Z is in use: stop using that first")),
+        (use_of(&accelerometer(2, [1.0, 1.0, 1.01])), Ok("IMU 2: accelerometer calibration is in use")),
         (drop(Kind::Accelerometer, 2), Ok("IMU 2: accelerometer calibration is no longer used")),
         (drop(Kind::Gyroscope, 1), Err("IMU 1: no gyroscope calibration is in use")),
         // What no sensor needs, what corrects nothing, and what is no file.
-        (use_of(&accelerometer(3, 3.0)), Err("scale or axis off by is 0.6")),
-        (use_of(&file(Kind::Mass, &[])), Err("mass: corrects no samples")),
-        (use_of(&accelerometer(9, 1.0)), Err("sensor 9 is not 1 to")),
+        (use_of(&accelerometer(3, [1.0, 1.0, 3.0])), Err("scale or axis off by is 0.6")),
+        (use_of(&file(Kind::Mass, 1, &[])), Err("mass: corrects no samples")),
+        (use_of(&accelerometer(9, [1.0, 1.0, 1.0])), Err("sensor 9 is not 1 to")),
     ];
     let asked: Vec<Request> = requests.iter().map(|(request, _)| request.clone()).collect();
     let (acks, description, events) = answered(&asked, Some(folder.path()));
@@ -204,7 +180,7 @@ fn armed_nothing_changes_under_the_estimators() {
             }
             if ack.stage() == v1::AckStage::Accepted && !armed {
                 armed = true;
-                let request = use_of(&accelerometer(1, 1.04));
+                let request = use_of(&accelerometer(1, [1.0, 1.0, 1.04]));
                 commands.push(Inbound { id: CommandId(USE), request }).unwrap();
             }
         }
@@ -236,13 +212,13 @@ fn samples_are_corrected_from_the_next_frame_on() {
         off.iter().copied().fold(0.0, f64::max)
     };
     assert!(apart(&mut vehicle) > 0.3);
-    vehicle.put(&Correction::of(&accelerometer(1, 1.04)).unwrap()).unwrap();
+    vehicle.put(&Correction::of(&accelerometer(1, [1.0, 1.0, 1.04])).unwrap()).unwrap();
     assert!(apart(&mut vehicle) < 0.1);
     vehicle.take(Kind::Accelerometer, 1).unwrap();
     assert!(apart(&mut vehicle) > 0.3);
     // What the configuration says is taken out there.
     let mut configured = Calibration::default();
-    configured.add(&accelerometer(1, 1.04)).unwrap();
+    configured.add(&accelerometer(1, [1.0, 1.0, 1.04])).unwrap();
     let refused = configured.take(Kind::Accelerometer, 1).unwrap_err().to_string();
     assert!(refused.contains("configuration"), "{refused}");
 }

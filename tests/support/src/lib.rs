@@ -4,10 +4,12 @@
 //! - [`headless`]: scripted flights in this process for benches and reports, nothing kept.
 //! - [`envelope`]: how far attacks push that nobody sees, flown.
 //! - [`rotors`]: rotors that lose thrust, flown.
+//! - [`calibrations`]: files as a fit makes them.
 //! - [`counting`]: an allocator that counts.
 //! - [`system`], [`files`], [`kill`]: ground and agent as processes, what they record, and what a kill costs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod calibrations;
 pub mod counting;
 #[cfg(feature = "envelope")]
 pub mod envelope;
