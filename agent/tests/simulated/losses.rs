@@ -162,6 +162,7 @@ fn a_rotor_that_is_dead_from_take_off_on_ends_the_flight_before_it_spins_in_its_
         assert!((0.5..0.6).contains(&(at_s - beyond_s)), "rotor {}: {beyond_s}, {at_s}\n{}", rotor + 1, f.log());
         let fastest = armed().map(|r| r.truth.body_rates_radps.norm()).fold(0.0, f64::max);
         assert!(fastest < 7.0, "rotor {}: {fastest} rad/s", rotor + 1);
+        assert_down(&f);
     }
 }
 

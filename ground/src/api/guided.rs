@@ -202,8 +202,8 @@ pub(crate) async fn begin(
     if armed(&vehicle) {
         return Err(ApiError::Conflict(format!("{id} is armed: disarm it first")));
     }
-    let in_use = vehicle.description.iter().flat_map(|told| &told.calibrations);
-    if let Some(used) = in_use.into_iter().find(|used| used.kind == of.name() && used.imu as usize == imu) {
+    let mut in_use = vehicle.description.iter().flat_map(|told| &told.calibrations);
+    if let Some(used) = in_use.find(|used| used.kind == of.name() && used.imu as usize == imu) {
         // What it sends is corrected already: a fit of that would hold only on top of this one.
         let why = format!("IMU {imu} flies with the {} calibration of {}: stop using that first", used.kind, used.date);
         return Err(ApiError::Conflict(why));

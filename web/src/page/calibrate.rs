@@ -30,6 +30,8 @@ use crate::{
 #[derive(Clone, Copy)]
 struct Bench {
     ctx: Ctx,
+    /// The vehicle shown.
+    vehicle: Memo<Option<String>>,
     kind: RwSignal<Kind>,
     /// Flight to fit from; empty for a table.
     flight: RwSignal<String>,
@@ -46,6 +48,22 @@ struct Bench {
 }
 
 impl Bench {
+    /// Why the vehicle is not taken in hand, nor calibrated otherwise; `None` where it is.
+    fn hindrance(self) -> Option<String> {
+        let Some(id) = self.vehicle.get() else {
+            return Some("No vehicle is connected: Fly says how to start one.".to_owned());
+        };
+        let lost = self.ctx.live(|live| live.ground.link.as_ref().is_none_or(|link| !link.connected));
+        let armed = self.ctx.live(|live| live.status.get().is_some_and(|status| status.armed));
+        if lost {
+            Some(format!("The link to {id} is lost."))
+        } else if armed {
+            Some(format!("{id} is armed: disarm it first."))
+        } else {
+            None
+        }
+    }
+
     fn reload(self) {
         leptos::task::spawn_local(async move {
             if let Ok(list) = net::json::<Calibrations>("GET", "/api/v1/calibrations", None, "").await {
@@ -135,27 +153,13 @@ impl Bench {
     }
 }
 
-/// Why a vehicle is not taken in hand, nor calibrated otherwise; `None` where it is.
-fn hindrance(ctx: Ctx, vehicle: Memo<Option<String>>) -> Option<String> {
-    let Some(id) = vehicle.get() else {
-        return Some("No vehicle is connected: Fly says how to start one.".to_owned());
-    };
-    let lost = ctx.live(|live| live.ground.link.as_ref().is_none_or(|link| !link.connected));
-    let armed = ctx.live(|live| live.status.get().is_some_and(|status| status.armed));
-    if lost {
-        Some(format!("The link to {id} is lost."))
-    } else if armed {
-        Some(format!("{id} is armed: disarm it first."))
-    } else {
-        None
-    }
-}
-
 /// The Calibrate page.
 #[component]
 pub fn Calibrate() -> impl IntoView {
+    let ctx = ctx();
     let bench = Bench {
-        ctx: ctx(),
+        ctx,
+        vehicle: Memo::new(move |_| ctx.app(|app| app.vehicle.clone())),
         kind: RwSignal::new(KINDS[2]),
         flight: RwSignal::new(String::new()),
         imu: RwSignal::new(1),
@@ -231,7 +235,7 @@ fn Form() -> impl IntoView {
             </Show>
             <div class="row">
                 <button type="button" on:click=move |_| if let Some(input) = file.get_untracked() { input.click() }>"Open table (CSV)…"</button>
-                <button type="button" class="plain" title="The columns that are read, with some rows" on:click=move |_| example(bench.kind.get_untracked())>"Example table"</button>
+                <button type="button" title="The columns that are read, with some rows" on:click=move |_| example(bench.kind.get_untracked())>"Example table"</button>
                 <span class="quiet one-line">{move || bench.table.get().map(|(name, _)| name)}</span>
                 <input type="file" accept=".csv,text/csv,.txt" hidden aria-label="Table" node_ref=file on:change:target=move |e| bench.open(e.target()) />
             </div>

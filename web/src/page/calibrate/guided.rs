@@ -7,7 +7,7 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_rest::calibration::{Aim, Fit, Taken, Taking};
 use serde_json::{Value, json};
 
-use super::{Bench, hindrance};
+use super::Bench;
 use crate::{
     model::{
         calibration::KINDS,
@@ -23,7 +23,6 @@ const EVERY: Duration = Duration::from_millis(300);
 #[derive(Clone, Copy)]
 struct Hands {
     bench: Bench,
-    vehicle: Memo<Option<String>>,
     imu: RwSignal<usize>,
     /// What was taken so far; `None` while nothing is.
     taken: RwSignal<Option<Taken>>,
@@ -33,7 +32,7 @@ struct Hands {
 
 impl Hands {
     fn address(self) -> Option<String> {
-        let id = self.vehicle.get_untracked()?;
+        let id = self.bench.vehicle.get_untracked()?;
         Some(format!("/api/v1/vehicles/{}/calibration", js_sys::encode_uri_component(&id)))
     }
 
@@ -48,7 +47,7 @@ impl Hands {
             let answer = net::json::<Taken>("GET", &address, None, "").await;
             self.asking.try_set_value(false);
             // Of the vehicle that is shown still.
-            if self.vehicle.try_get_untracked().is_some() && self.address().as_ref() == Some(&address) {
+            if self.bench.vehicle.try_get_untracked().is_some() && self.address().as_ref() == Some(&address) {
                 match answer {
                     Ok(taken) => self.show(taken),
                     // Said by the bar above; what was taken is with the ground.
@@ -81,7 +80,7 @@ impl Hands {
         let accelerometer = self.bench.accelerometer.get_untracked();
         let fit = Fit {
             kind: kind.to_owned(),
-            vehicle: self.vehicle.get_untracked(),
+            vehicle: self.bench.vehicle.get_untracked(),
             accelerometer: (kind == "gyroscope" && !accelerometer.is_empty()).then_some(accelerometer),
             ..Fit::default()
         };
@@ -98,11 +97,9 @@ impl Hands {
 #[component]
 pub(super) fn Guided() -> impl IntoView {
     let bench: Bench = expect_context();
-    let ctx = bench.ctx;
-    let vehicle = Memo::new(move |_| ctx.app(|app| app.vehicle.clone()));
+    let vehicle = bench.vehicle;
     let hands = Hands {
         bench,
-        vehicle,
         imu: RwSignal::new(1),
         taken: RwSignal::new(None),
         refused: RwSignal::new(String::new()),
@@ -155,7 +152,7 @@ fn Begin(hands: Hands) -> impl IntoView {
         };
         bench.ctx.live(|live| live.description.get().map(of).unwrap_or_default())
     });
-    let hindrance = Memo::new(move |_| hindrance(bench.ctx, hands.vehicle));
+    let hindrance = Memo::new(move |_| bench.hindrance());
     let choice = move || {
         let options = imus.get().into_iter().map(
             |n| view! { <option value=n.to_string() selected=move || imu.get() == n>{format!("IMU {n}")}</option> },

@@ -5,7 +5,7 @@ use plumbline_proto::v1::CalibrationInUse;
 use plumbline_rest::calibration::Using;
 use serde_json::json;
 
-use super::{Bench, hindrance};
+use super::Bench;
 use crate::model::{
     calibration::{corrects, named},
     live::Live,
@@ -22,14 +22,14 @@ fn told(bench: Bench) -> Memo<Vec<CalibrationInUse>> {
 #[component]
 pub(super) fn InUse() -> impl IntoView {
     let bench: Bench = expect_context();
-    let vehicle = Memo::new(move |_| bench.ctx.app(|app| app.vehicle.clone()));
+    let Bench { ctx, vehicle, .. } = bench;
     let all = told(bench);
-    let hindered = Memo::new(move |_| hindrance(bench.ctx, vehicle).or_else(|| bench.ctx.refusal()).is_some());
+    let why_not = Memo::new(move |_| bench.hindrance().or_else(|| ctx.refusal()));
     let row = move |used: CalibrationInUse| {
         let what = named(&used.kind, used.imu);
         let label = format!("Stop using the {what} calibration");
         let action = format!("calibrations/{}/{}", used.kind, used.imu);
-        let stop = move |_| bench.ctx.command("Calibration", "DELETE", &action, json!({}));
+        let stop = move |_| ctx.command("Calibration", "DELETE", &action, json!({}));
         view! {
             <div class="kept-row">
                 <span title=used.input.clone()>{what}</span>
@@ -37,7 +37,7 @@ pub(super) fn InUse() -> impl IntoView {
                 {if used.configured {
                     view! { <span class="quiet push">"by configuration"</span> }.into_any()
                 } else {
-                    view! { <button type="button" class="push" aria-label=label disabled=hindered on:click=stop>"Stop using"</button> }.into_any()
+                    view! { <button type="button" class="push" aria-label=label title=why_not disabled=move || why_not.with(Option::is_some) on:click=stop>"Stop using"</button> }.into_any()
                 }}
             </div>
         }
@@ -58,7 +58,7 @@ pub(super) fn InUse() -> impl IntoView {
 #[component]
 pub(super) fn Use(id: String, kind: String, imu: u32, date: String) -> impl IntoView {
     let bench: Bench = expect_context();
-    let vehicle = Memo::new(move |_| bench.ctx.app(|app| app.vehicle.clone()));
+    let Bench { ctx, vehicle, .. } = bench;
     if kind == "allan" {
         return view! { <p class="quiet">"It tells of noise and corrects nothing: compare it with the data sheet of the sensor."</p> }.into_any();
     }
@@ -70,23 +70,21 @@ pub(super) fn Use(id: String, kind: String, imu: u32, date: String) -> impl Into
         .into_any();
     }
     let all = told(bench);
-    let taken = {
-        let kind = kind.clone();
-        Memo::new(move |_| all.with(|all| all.iter().find(|used| used.kind == kind && used.imu == imu).cloned()))
-    };
+    let taken =
+        Memo::new(move |_| all.with(|all| all.iter().find(|used| used.kind == kind && used.imu == imu).cloned()));
     let why = Memo::new(move |_| {
         let in_use = taken.get().map(|used| match used.date {
             of if of == date => "It is in use.".to_owned(),
             of => format!("That of {of} is in use: stop using it first."),
         });
         let recorded =
-            bench.ctx.live(Live::is_replay).then(|| "A recording is flown: its samples are those of then.".to_owned());
-        hindrance(bench.ctx, vehicle).or(recorded).or(in_use).or_else(|| bench.ctx.refusal())
+            ctx.live(Live::is_replay).then(|| "A recording is flown: its samples are those of then.".to_owned());
+        bench.hindrance().or(recorded).or(in_use).or_else(|| ctx.refusal())
     });
     let id = StoredValue::new(id);
     let put = move |_| {
         let asked = Using { calibration: id.get_value() };
-        bench.ctx.command("Calibration", "POST", "calibrations", json!(asked));
+        ctx.command("Calibration", "POST", "calibrations", json!(asked));
     };
     view! {
         <div class="row">
