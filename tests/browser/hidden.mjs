@@ -4,14 +4,11 @@
 
 import { spawn } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
-import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 
-import { assert, end, step, until, url } from './support.mjs';
+import { assert, end, Socket, step, until, url } from './support.mjs';
 
-const modules = process.env.PLUMBLINE_MODULES;
-const { ws: Socket } = createRequire(`${modules}/`)(join(modules, 'node_modules/playwright-core/lib/utilsBundle.js'));
 const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 const profile = mkdtempSync(join(tmpdir(), 'plumbline-hidden-'));

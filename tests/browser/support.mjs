@@ -2,6 +2,7 @@
 
 import { createRequire } from 'node:module';
 import { spawnSync } from 'node:child_process';
+import { join } from 'node:path';
 
 export const need = (name) => {
   const value = process.env[name];
@@ -9,7 +10,9 @@ export const need = (name) => {
   return value;
 };
 
-const { chromium } = createRequire(`${need('PLUMBLINE_MODULES')}/`)('playwright-core');
+const modules = need('PLUMBLINE_MODULES');
+const { chromium } = createRequire(`${modules}/`)('playwright-core');
+export const { ws: Socket } = createRequire(`${modules}/`)(join(modules, 'node_modules/playwright-core/lib/utilsBundle.js'));
 
 export const url = need('PLUMBLINE_URL');
 export const screenshots = need('PLUMBLINE_SCREENSHOTS');
@@ -127,6 +130,64 @@ export async function slowed(page, times = 4) {
   await throttle(rate);
   return { rate, sum_ms, end: () => throttle(1) };
 }
+
+/** The integers of a protobuf message under these field numbers; 0 where it has none. */
+function varints(bytes, wanted) {
+  const found = {};
+  for (let at = 0; at < bytes.length;) {
+    const read = () => {
+      let value = 0, shift = 1;
+      for (;;) {
+        const byte = bytes[at++];
+        value += (byte & 127) * shift;
+        shift *= 128;
+        if (!(byte & 128)) return value;
+      }
+    };
+    const key = read();
+    if (key % 8 === 0) found[Math.floor(key / 8)] = read();
+    else if (key % 8 === 1) at += 8;
+    else if (key % 8 === 5) at += 4;
+    else { const length = read(); at += length; }
+  }
+  return wanted.map((field) => found[field] ?? 0);
+}
+
+/** What the vehicle says, past the page: newest flight time, mode, arming, failsafes; and how old what a page shows is, s. */
+export function listen(id) {
+  const KIND = { estimate: 10, status: 30 };
+  const vehicle = { newestUs: 0, atMs: 0, mode: 0, armed: false, failsafes: new Set() };
+  const live = new Socket(`${url.replace('http', 'ws')}/api/v1/vehicles/${id}/live`);
+  live.on('message', (data) => {
+    for (let at = 2; at + 24 <= data.length;) {
+      const end = at + 24 + data.readUInt32LE(at + 4);
+      const kind = data.readUInt16LE(at);
+      const us = Number(data.readBigUInt64LE(at + 16));
+      if (kind === KIND.estimate && us > vehicle.newestUs) [vehicle.newestUs, vehicle.atMs] = [us, performance.now()];
+      if (kind === KIND.status) {
+        const [mode, armed, failsafe] = varints(data.subarray(at + 24, end), [2, 3, 5]);
+        Object.assign(vehicle, { mode, armed: armed === 1 });
+        if (failsafe) vehicle.failsafes.add(failsafe);
+      }
+      at = end;
+    }
+  });
+  vehicle.age = async (page) => {
+    const shown = await page.evaluate(() => Number(document.querySelector('[data-time-us]')?.dataset.timeUs ?? NaN));
+    return (vehicle.newestUs - shown) * 1e-6 + (performance.now() - vehicle.atMs) * 1e-3;
+  };
+  return vehicle;
+}
+
+/** Milliseconds from navigation until what the page shows is less than half a second old. */
+export async function liveAfter(page, vehicle) {
+  const begun = performance.now();
+  await page.goto(url, { waitUntil: 'commit' });
+  await until('live numbers', async () => (await vehicle.age(page)) < 0.5, 60_000);
+  return Math.round(performance.now() - begun);
+}
+
+export const median = (all) => all.toSorted((a, b) => a - b)[Math.floor(all.length / 2)];
 
 /**
  * What an element (or a part of its box) shows, canvas behind it included: number of colours, share of the most common

@@ -1,51 +1,8 @@
 // Can what the page shows be trusted, and does it do what was meant? On a slowed-down processor where that matters.
 
-import { createRequire } from 'node:module';
-import { join } from 'node:path';
+import { assert, complaints, end, hold, launch, listen, liveAfter, median, number, screenshots, slowed, step, until, url } from './support.mjs';
 
-import { assert, complaints, end, hold, launch, number, screenshots, slowed, step, until, url } from './support.mjs';
-
-const modules = process.env.PLUMBLINE_MODULES;
-const { ws: Socket } = createRequire(`${modules}/`)(join(modules, 'node_modules/playwright-core/lib/utilsBundle.js'));
-
-// What the vehicle says, past the page: newest flight time, mode, failsafe.
-const KIND = { estimate: 10, status: 30 };
-const vehicle = { newestUs: 0, atMs: 0, mode: 0, armed: false, failsafes: new Set() };
-const varints = (bytes, wanted) => {
-  const found = {};
-  for (let at = 0; at < bytes.length;) {
-    const read = () => {
-      let value = 0, shift = 1;
-      for (;;) {
-        const byte = bytes[at++];
-        value += (byte & 127) * shift;
-        shift *= 128;
-        if (!(byte & 128)) return value;
-      }
-    };
-    const key = read();
-    if (key % 8 === 0) found[Math.floor(key / 8)] = read();
-    else if (key % 8 === 1) at += 8;
-    else if (key % 8 === 5) at += 4;
-    else { const length = read(); at += length; }
-  }
-  return wanted.map((field) => found[field] ?? 0);
-};
-const watch = new Socket(`${url.replace('http', 'ws')}/api/v1/vehicles/iris-1/live`);
-watch.on('message', (data) => {
-  for (let at = 2; at + 24 <= data.length;) {
-    const end = at + 24 + data.readUInt32LE(at + 4);
-    const kind = data.readUInt16LE(at);
-    const us = Number(data.readBigUInt64LE(at + 16));
-    if (kind === KIND.estimate && us > vehicle.newestUs) [vehicle.newestUs, vehicle.atMs] = [us, performance.now()];
-    if (kind === KIND.status) {
-      const [mode, armed, failsafe] = varints(data.subarray(at + 24, end), [2, 3, 5]);
-      Object.assign(vehicle, { mode, armed: armed === 1 });
-      if (failsafe) vehicle.failsafes.add(failsafe);
-    }
-    at = end;
-  }
-});
+const vehicle = listen('iris-1');
 const ALTITUDE_HOLD = 3;
 
 const browser = await launch();
@@ -70,19 +27,7 @@ const operator = () => page.evaluate(() => ({ 'X-Plumbline-Operator': sessionSto
 const shot = (name) => page.screenshot({ path: `${screenshots}/${name}.png` });
 const reads = (metres) => until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
 
-/** How old the numbers on the page are, s, by the flight time the vehicle has reached meanwhile. */
-const age = async (of = page) => {
-  const shown = await of.evaluate(() => Number(document.querySelector('[data-time-us]')?.dataset.timeUs ?? NaN));
-  return (vehicle.newestUs - shown) * 1e-6 + (performance.now() - vehicle.atMs) * 1e-3;
-};
-/** Milliseconds from navigation until what is shown is less than half a second old. */
-const liveAfter = async (navigate) => {
-  const begun = performance.now();
-  await navigate();
-  await until('live numbers', async () => (await age()) < 0.5, 60_000);
-  return Math.round(performance.now() - begun);
-};
-const median = (all) => all.toSorted((a, b) => a - b)[Math.floor(all.length / 2)];
+const age = (of = page) => vehicle.age(of);
 
 const arm = async () => {
   await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()), 90_000);
@@ -98,7 +43,7 @@ await step(page, 'live within a second of navigation, by the age of what is show
   await page.goto(url);
   await until('a vehicle', async () => (await age()) < 0.5);
   const ms = [];
-  for (let n = 0; n < 5; n += 1) ms.push(await liveAfter(() => page.goto(url, { waitUntil: 'commit' })));
+  for (let n = 0; n < 5; n += 1) ms.push(await liveAfter(page, vehicle));
   // The best of them: a machine that tests has other things to do as well.
   assert(Math.min(...ms) <= 1000, `live after ${ms} ms`);
   return { ms, median: median(ms) };
@@ -154,7 +99,7 @@ const reloads = async (count) => {
   vehicle.failsafes.clear();
   const ms = [];
   for (let n = 0; n < count; n += 1) {
-    ms.push(await liveAfter(() => page.goto(url, { waitUntil: 'commit' })));
+    ms.push(await liveAfter(page, vehicle));
     // As long as the sign of life may stay away.
     await page.waitForTimeout(4000);
     await until('live numbers still', async () => (await age()) < 1, 10_000);

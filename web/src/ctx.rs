@@ -95,6 +95,8 @@ pub struct Ctx {
     pub session: RwSignal<Session>,
     /// Altitude asked for and not yet reached, m: steps count from there.
     asked_m: StoredValue<Option<f64>>,
+    /// Of which vehicle so much past is wanted, s, once a page is open that shows it.
+    past_wanted: RwSignal<Option<(String, f64)>>,
     operator: RwSignal<String>,
     socket: StoredValue<Option<net::LiveSocket>, LocalStorage>,
 }
@@ -121,6 +123,7 @@ impl Ctx {
             hint: RwSignal::new(None),
             asked_m: StoredValue::new(None),
             session: RwSignal::new(Session::default()),
+            past_wanted: RwSignal::new(None),
             operator: RwSignal::new(store::operator()),
             socket: StoredValue::new_local(None),
         };
@@ -142,6 +145,13 @@ impl Ctx {
         };
         set_interval(beat, TICK);
         leptos::prelude::Effect::new(move |_| ctx.drafts.with(|drafts| store::keep_drafts(drafts)));
+        leptos::prelude::Effect::new(move |_| {
+            let shown = ctx.route.with(|route| matches!(route, Route::Fly | Route::Tune));
+            if let Some((id, seconds)) = ctx.past_wanted.get().filter(|_| shown) {
+                ctx.past_wanted.set(None);
+                leptos::task::spawn_local(ctx.history(id, seconds));
+            }
+        });
         set_interval(move || ctx.dispatch(Event::Poll), POLL);
         leptos::task::spawn_local(async move {
             // The account is the operator's name where there is one; the first socket is opened after it is known.
@@ -187,7 +197,7 @@ impl Ctx {
                 }
                 self.socket.set_value(socket);
             }
-            Effect::FetchHistory(id, seconds) => leptos::task::spawn_local(self.history(id, seconds)),
+            Effect::FetchHistory(id, seconds) => self.past_wanted.set(Some((id, seconds))),
             Effect::RetryIn(ms) => {
                 set_timeout(move || self.dispatch(Event::Reconnect), Duration::from_millis(ms.into()))
             }

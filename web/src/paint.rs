@@ -37,6 +37,8 @@ const LIGHT_MS: f64 = 8.0;
 const PAUSE_SHARE: f64 = 1.5;
 /// Longest pause between two frames, ms.
 const MOST_PAUSE_MS: f64 = 250.0;
+/// While no chart can be seen, whether one can is looked at this often.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Starts drawing on `canvas`, for as long as the page lives.
 pub fn start(ctx: Ctx, canvas: NodeRef<html::Canvas>) {
@@ -94,6 +96,7 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
             acquire(ctx, canvas.clone(), painter.clone());
             return;
         }
+        let nothing = shown.as_ref().is_some_and(Still::shows_nothing);
         let again = again.clone();
         let ask = move || {
             if let Some(closure) = again.borrow().as_ref() {
@@ -103,16 +106,18 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
         };
         // A timer of no time ends when the browser has put the frame on the screen: in software it reads the canvas
         // back meanwhile, and nothing else happens on this thread.
-        let shown = move || {
+        let on_screen = move || {
             let spent_ms = net::now_ms() - begun;
-            if spent_ms < LIGHT_MS {
+            if nothing {
+                set_timeout(ask, LOOK);
+            } else if spent_ms < LIGHT_MS {
                 ask();
             } else {
                 let pause_ms = (PAUSE_SHARE * spent_ms).min(MOST_PAUSE_MS);
                 set_timeout(ask, Duration::from_millis(pause_ms as u64));
             }
         };
-        set_timeout(shown, Duration::ZERO);
+        set_timeout(on_screen, Duration::ZERO);
     });
     let _ = window().request_animation_frame(body.as_ref().unchecked_ref());
     *next.borrow_mut() = Some(body);
@@ -125,6 +130,13 @@ struct Still {
     size: (f64, f64, f64),
     places: Vec<(Picture, Option<Rect>)>,
     recorded: Option<Recorded>,
+}
+
+impl Still {
+    /// Is there no chart that can be seen?
+    fn shows_nothing(&self) -> bool {
+        self.places.iter().all(|(_, rect)| rect.is_none())
+    }
 }
 
 /// What the charts of a recorded flight depend on.

@@ -120,7 +120,17 @@ fn simulated(
 }
 
 fn people(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
-    let mut ground = Ground::start(&options(workspace, "debug", "browser-people")?)?;
+    alone(workspace, &options(workspace, "debug", "browser-people")?, scripts, tally)
+}
+
+/// Runs `scripts` beside a ground without a vehicle, and stops it.
+fn alone(
+    workspace: &Workspace,
+    options: &SystemOptions,
+    scripts: &[&str],
+    tally: &mut Tally,
+) -> Result<(), XtaskError> {
+    let mut ground = Ground::start(options)?;
     let read = run_all(workspace, scripts, &ground.api, tally);
     let stopped = ground.process.interrupt(std::time::Duration::from_secs(10)).map(drop);
     read.and(stopped)
@@ -220,16 +230,29 @@ fn newest_flight(folder: &Path) -> Result<PathBuf, XtaskError> {
     flights.max().ok_or_else(|| XtaskError::Other(format!("no flight was recorded in {}", folder.display())))
 }
 
-/// The charts' frame rate, as the page's own bench measures it; needs the ground of the release build.
+/// What flies beside a measured page.
+#[derive(Debug, Clone, Copy)]
+pub enum Beside {
+    /// The simulated vehicle on its strings.
+    Vehicle,
+    /// The ground alone.
+    Nothing,
+}
+
+/// Measures in a browser, by this script; needs the programs of the release build.
 ///
 /// # Errors
-/// The page did not measure, or drew nothing.
-pub fn bench(workspace: &Workspace) -> Result<(), XtaskError> {
-    let mut ground = Ground::start(&options(workspace, "release", "charts-bench")?)?;
+/// Something was not measured.
+pub fn bench(workspace: &Workspace, name: &str, beside: Beside) -> Result<(), XtaskError> {
+    let options = options(workspace, "release", "browser-bench")?;
     let mut tally = Tally::silent();
-    let read = run_script(&mut script(workspace, "charts.mjs", &ground.api)?, &mut tally);
-    let _ = ground.process.interrupt(std::time::Duration::from_secs(10));
-    read
+    match beside {
+        Beside::Vehicle => {
+            let vehicle = Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) };
+            with(workspace, &options, &vehicle, &[name], &mut tally)
+        }
+        Beside::Nothing => alone(workspace, &options, &[name], &mut tally),
+    }
 }
 
 fn options(workspace: &Workspace, folder: &str, name: &str) -> Result<SystemOptions, XtaskError> {

@@ -1,4 +1,4 @@
-//! The benchmark: 8 × 100 000 samples at 800×500, sliding and growing.
+//! The benchmark: eight curves at 800×500, sliding and growing.
 
 use super::pixels::Pixels;
 use super::stage::Stage;
@@ -7,7 +7,6 @@ use crate::model::axis::{TimeAxis, ValueAxis};
 use crate::model::series::Series;
 
 const CURVES: usize = 8;
-const SAMPLES: usize = 100_000;
 /// Time between samples, s.
 const STEP_S: f64 = 0.001;
 /// Samples appended to every curve in every frame: 1 kHz at 60 frames/s.
@@ -39,6 +38,8 @@ fn signal(curve: usize, sample: usize) -> f32 {
 
 struct Bench {
     renderer: Renderer,
+    /// Of each curve.
+    samples: usize,
     series: Vec<Series>,
     appended: usize,
     frames: usize,
@@ -51,11 +52,11 @@ struct Bench {
     first: Option<Pixels>,
 }
 
-pub(super) fn run(stage: Stage, renderer: Renderer) {
+pub(super) fn run(stage: Stage, renderer: Renderer, samples: usize) {
     let series = (0..CURVES)
         .map(|curve| {
-            let mut series = Series::new(SAMPLES);
-            (0..SAMPLES).for_each(|i| {
+            let mut series = Series::new(samples);
+            (0..samples).for_each(|i| {
                 series.push(i as f64 * STEP_S, signal(curve, i));
             });
             series
@@ -63,8 +64,9 @@ pub(super) fn run(stage: Stage, renderer: Renderer) {
         .collect();
     let mut bench = Bench {
         renderer,
+        samples,
         series,
-        appended: SAMPLES,
+        appended: samples,
         frames: 0,
         started_ms: 0.0,
         last_ms: 0.0,
@@ -112,7 +114,7 @@ impl Bench {
 
     fn draw(&mut self) -> FrameOutcome {
         let end_s = self.appended as f64 * STEP_S;
-        let time = TimeAxis::ending_at(end_s, SAMPLES as f64 * STEP_S);
+        let time = TimeAxis::ending_at(end_s, self.samples as f64 * STEP_S);
         let mut view = ChartView::new(time, ValueAxis::new(0.0, CURVES as f64), Theme::LIGHT);
         for (series, color) in self.series.iter().zip(COLORS) {
             view = view.curve(series, color, Style::Solid);
@@ -135,7 +137,7 @@ impl Bench {
             Backend::WebGl => "webgl2",
         };
         let line = serde_json::json!({
-            "bench": "web", "name": "charts_8x100k_800x500", "value": round(rate), "unit": "frames/s",
+            "bench": "charts", "name": format!("{CURVES}x{}k_800x500", self.samples / 1000), "value": round(rate), "unit": "frames/s",
             "median_ms": round(median_ms), "p99_ms": round(p99_ms),
             "busy_median_ms": round(quantile(&mut self.busy_ms, 0.5)),
             "curves_seen": seen, "curves": CURVES, "pixels_moved": moved,

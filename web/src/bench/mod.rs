@@ -1,8 +1,8 @@
 //! Pages without a vehicle: the benchmark of the charts (`/?bench`) and a gallery of everything the
 //! canvas draws, from synthetic data (`/?gallery`, `/?gallery&dark`).
 //!
-//! The benchmark draws eight curves of 100 000 samples at 800×500, sliding and growing as in a
-//! flight, and writes its figure as text into `#bench-frames-per-second` and as one JSON line into
+//! The benchmark draws eight curves of 100 000 samples (`/?bench&samples=1000000`: of so many) at 800×500, sliding and growing
+//! as in a flight, and writes its figure as text into `#bench-frames-per-second` and as one JSON line into
 //! `#bench-result`. It reads the pixels back: a frame counter alone also rises on a white canvas.
 
 mod charts;
@@ -12,11 +12,17 @@ mod stage;
 
 use stage::Stage;
 
+/// Of each curve of the benchmark, unless the address says otherwise.
+const SAMPLES: usize = 100_000;
+
 /// Which of these pages the address asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Page {
     /// The benchmark.
-    Charts,
+    Charts {
+        /// Of each curve.
+        samples: usize,
+    },
     /// The gallery.
     Gallery {
         /// In dark colours.
@@ -29,8 +35,9 @@ pub enum Page {
 pub fn page_of(query: &str) -> Option<(Page, bool)> {
     let words: Vec<&str> = query.trim_start_matches('?').split('&').collect();
     let has = |word: &str| words.contains(&word);
+    let samples = words.iter().find_map(|word| word.strip_prefix("samples=")?.parse().ok());
     let page = if has("bench") {
-        Page::Charts
+        Page::Charts { samples: samples.unwrap_or(SAMPLES) }
     } else if has("gallery") {
         Page::Gallery { dark: has("dark") }
     } else {
@@ -47,7 +54,7 @@ pub fn start() -> bool {
         let Some(stage) = Stage::new() else { return };
         match stage.renderer(webgl).await {
             Ok(renderer) => match page {
-                Page::Charts => charts::run(stage, renderer),
+                Page::Charts { samples } => charts::run(stage, renderer, samples),
                 Page::Gallery { dark } => gallery::run(stage, renderer, dark),
             },
             Err(error) => stage.say("bench-error", &error.to_string()),
@@ -64,8 +71,8 @@ mod tests {
     fn only_these_queries_leave_the_ordinary_page() {
         assert_eq!(page_of(""), None);
         assert_eq!(page_of("?flight=bench"), None);
-        assert_eq!(page_of("?bench"), Some((Page::Charts, false)));
-        assert_eq!(page_of("?bench&webgl"), Some((Page::Charts, true)));
+        assert_eq!(page_of("?bench"), Some((Page::Charts { samples: 100_000 }, false)));
+        assert_eq!(page_of("?bench&samples=5000&webgl"), Some((Page::Charts { samples: 5000 }, true)));
         assert_eq!(page_of("?gallery&dark"), Some((Page::Gallery { dark: true }, false)));
     }
 }

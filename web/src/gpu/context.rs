@@ -1,8 +1,7 @@
 //! One frame: panels to triangles, triangles to the canvas.
 //!
-//! The canvas is fixed over the window, behind the page. Each frame clears it, draws every panel
-//! inside its own scissor, and resets the scissor before the pass ends (wgpu's WebGL present obeys
-//! the last one). A lost context is reported as [`FrameOutcome::Rebuild`] once drawing is possible
+//! The canvas is fixed over the window, behind the page. Each frame clears it and draws every panel
+//! inside its own scissor. A lost context is reported as [`FrameOutcome::Rebuild`] once drawing is possible
 //! again: the page then makes a new [`Renderer`] on the same canvas.
 
 use web_sys::HtmlCanvasElement;
@@ -113,7 +112,7 @@ impl Renderer {
     async fn with_backends(canvas: HtmlCanvasElement, backends: wgpu::Backends) -> Result<Self, GpuError> {
         let screen = Screen::open(canvas, backends, PICTURE_FORMAT).await?;
         let pipelines = Pipelines::new(&screen);
-        pipelines.set_canvas_size(&screen.queue, screen.size());
+        pipelines.set_canvas_size(&screen.queue, screen.size(), screen.upside_down());
         Ok(Self {
             stream: Stream::new(&screen.device, "shapes", 1 << 18),
             screen,
@@ -145,26 +144,25 @@ impl Renderer {
     /// nothing changed, so it may be called before each frame.
     pub fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) {
         if self.screen.resize(css_width, css_height, device_pixel_ratio) {
-            self.pipelines.set_canvas_size(&self.screen.queue, self.screen.size());
+            self.pipelines.set_canvas_size(&self.screen.queue, self.screen.size(), self.screen.upside_down());
         }
     }
 
     /// Draw these panels, and nothing else, on a canvas of the theme's page colour.
     pub fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
-        let surface = match self.screen.texture() {
-            Ok(texture) => texture,
+        let target = match self.screen.target() {
+            Ok(target) => target,
             Err(Missing::Busy) => return FrameOutcome::Skipped,
             Err(Missing::Lost) => return FrameOutcome::Lost,
             Err(Missing::Gone) => return FrameOutcome::Rebuild,
         };
         self.build(panels);
-        let view = surface.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder =
             self.screen.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         self.draw_pictures(&mut encoder, panels);
-        self.draw_canvas(&mut encoder, &view, theme);
+        self.draw_canvas(&mut encoder, &target.view, theme);
         self.screen.queue.submit([encoder.finish()]);
-        self.screen.queue.present(surface);
+        self.screen.show(target);
         FrameOutcome::Drawn
     }
 
@@ -236,7 +234,8 @@ impl Renderer {
             &self.screen.queue,
             bytemuck::cast_slice(target.space.clear.vertices()),
         );
-        self.pipelines.copier.place(&self.screen.queue, &target.picture, [plot.left, plot.top]);
+        let rows = if self.screen.upside_down() { self.screen.size()[1] } else { 0 };
+        self.pipelines.copier.place(&self.screen.queue, &target.picture, [plot.left, plot.top], rows);
     }
 
     fn new_picture(&self, size: [u32; 2]) -> SpacePicture {
@@ -307,25 +306,26 @@ impl Renderer {
             })],
             ..wgpu::RenderPassDescriptor::default()
         });
+        let [_, height] = self.screen.size();
+        let leave = |pass: &mut wgpu::RenderPass<'_>, [x, y, wide, high]: [u32; 4]| {
+            let first = if self.screen.upside_down() { height - y - high } else { y };
+            pass.set_scissor_rect(x, first, wide, high);
+        };
         for draw in &self.draws {
             match draw {
-                Draw::Shapes { vertices, scissor: [x, y, width, height] } => {
-                    pass.set_scissor_rect(*x, *y, *width, *height);
+                Draw::Shapes { vertices, scissor } => {
+                    leave(&mut pass, *scissor);
                     pass.set_pipeline(&self.pipelines.shapes);
                     pass.set_bind_group(0, &self.pipelines.canvas_group, &[]);
                     pass.set_vertex_buffer(0, self.stream.buffer.slice(..));
                     pass.draw(vertices.clone(), 0..1);
                 }
-                Draw::Picture { index, scissor: [x, y, width, height] } => {
+                Draw::Picture { index, scissor } => {
                     let Some(target) = self.pictures.get(*index) else { continue };
-                    pass.set_scissor_rect(*x, *y, *width, *height);
+                    leave(&mut pass, *scissor);
                     self.pipelines.copier.copy(&mut pass, &target.picture);
                 }
             }
         }
-        // wgpu's WebGL present obeys the last scissor and viewport.
-        let [width, height] = self.screen.size();
-        pass.set_viewport(0.0, 0.0, width as f32, height as f32, 0.0, 1.0);
-        pass.set_scissor_rect(0, 0, width, height);
     }
 }

@@ -130,9 +130,9 @@ impl ImageCopier {
         Picture { size, samples, drawn, resolved, depth, placement, group }
     }
 
-    /// Say where a picture goes; before the pass that copies it.
-    pub fn place(&self, queue: &wgpu::Queue, picture: &Picture, corner: [f32; 2]) {
-        let placement = Placement { corner: [corner[0], corner[1], 0.0, 0.0] };
+    /// Say where a picture goes, and how many rows a canvas has whose first is the lowest (else 0); before the pass that copies it.
+    pub fn place(&self, queue: &wgpu::Queue, picture: &Picture, corner: [f32; 2], rows: u32) {
+        let placement = Placement { corner: [corner[0], corner[1], rows as f32, 0.0] };
         queue.write_buffer(&picture.placement, 0, bytemuck::bytes_of(&placement));
     }
 

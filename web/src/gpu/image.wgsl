@@ -1,7 +1,7 @@
 // Copies a finished picture onto the canvas, pixel by pixel. Keep in sync with `Placement` in image.rs.
 
 struct Placement {
-    // Top left corner on the canvas, device pixels; zw unused.
+    // Top left corner on the canvas, device pixels; z is the number of rows where the first is the lowest, else 0; w unused.
     corner: vec4<f32>,
 }
 
@@ -18,6 +18,8 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let pixel = vec2<i32>(floor(position.xy - placement.corner.xy));
+    let rows = placement.corner.z;
+    let y = select(position.y, rows - position.y, rows > 0.0);
+    let pixel = vec2<i32>(floor(vec2<f32>(position.x, y) - placement.corner.xy));
     return textureLoad(picture, pixel, 0);
 }

@@ -43,9 +43,9 @@ impl Pipelines {
         }
     }
 
-    /// Tells the shaders how large the canvas is, px.
-    pub(super) fn set_canvas_size(&self, queue: &wgpu::Queue, [width, height]: [u32; 2]) {
-        let size = [width as f32, height as f32, 0.0, 0.0];
+    /// Tells the shaders how large the canvas is, px, and whether its first row is the lowest.
+    pub(super) fn set_canvas_size(&self, queue: &wgpu::Queue, [width, height]: [u32; 2], upside_down: bool) {
+        let size = [width as f32, height as f32, if upside_down { -1.0 } else { 1.0 }, 0.0];
         queue.write_buffer(&self.canvas_size, 0, bytemuck::bytes_of(&size));
     }
 

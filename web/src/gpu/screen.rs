@@ -30,11 +30,21 @@ pub(super) enum Missing {
     Gone,
 }
 
+/// What one frame is drawn on.
+pub(super) struct Target {
+    pub(super) view: wgpu::TextureView,
+    /// To be presented; `None` where the browser shows what was drawn by itself.
+    surface: Option<wgpu::SurfaceTexture>,
+}
+
 /// See the module documentation.
 pub(super) struct Screen {
     canvas: HtmlCanvasElement,
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
+    /// The framebuffer of the canvas itself, in WebGL: presenting a surface there copies every pixel once more, which takes
+    /// three times as long as all else where there is no graphics card.
+    framebuffer: Option<wgpu::Texture>,
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) backend: Backend,
@@ -78,7 +88,7 @@ impl Screen {
             .map_err(|error| GpuError::Device(error.to_string()))?;
         let config = configuration(&surface, &adapter, &canvas)
             .ok_or_else(|| GpuError::Format { adapter: info.name.clone() })?;
-        let screen = Self {
+        let mut screen = Self {
             watch: ContextWatch::new(canvas.clone()),
             device_lost: watch_device(&device),
             multisampled: adapter.get_texture_format_features(picture).flags.sample_count_supported(4),
@@ -87,6 +97,7 @@ impl Screen {
             canvas,
             surface,
             config,
+            framebuffer: None,
             device,
             queue,
             backend,
@@ -122,21 +133,33 @@ impl Screen {
         true
     }
 
-    fn configure(&self) {
-        self.surface.configure(&self.device, &self.config);
+    /// Is the first row of pixels the lowest, as OpenGL has it?
+    pub(super) fn upside_down(&self) -> bool {
+        self.framebuffer.is_some()
+    }
+
+    fn configure(&mut self) {
+        match self.backend {
+            Backend::WebGpu => self.surface.configure(&self.device, &self.config),
+            Backend::WebGl => self.framebuffer = framebuffer_of(&self.device, &self.config),
+        }
     }
 
     /// What the next frame is drawn on.
-    pub(super) fn texture(&self) -> Result<wgpu::SurfaceTexture, Missing> {
+    pub(super) fn target(&mut self) -> Result<Target, Missing> {
         if self.watch.lost.get() {
             return Err(if self.watch.restored.get() { Missing::Gone } else { Missing::Lost });
         }
         if self.device_lost.load(Ordering::Relaxed) {
             return Err(Missing::Gone);
         }
+        let view_of = |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        if let Some(framebuffer) = &self.framebuffer {
+            return Ok(Target { view: view_of(framebuffer), surface: None });
+        }
         match self.surface.get_current_texture() {
             wgpu::CurrentSurfaceTexture::Success(texture) | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => {
-                Ok(texture)
+                Ok(Target { view: view_of(&texture.texture), surface: Some(texture) })
             }
             wgpu::CurrentSurfaceTexture::Timeout
             | wgpu::CurrentSurfaceTexture::Occluded
@@ -146,6 +169,13 @@ impl Screen {
                 Err(Missing::Busy)
             }
             wgpu::CurrentSurfaceTexture::Lost => Err(Missing::Gone),
+        }
+    }
+
+    /// Shows a frame whose commands have been submitted.
+    pub(super) fn show(&self, target: Target) {
+        if let Some(surface) = target.surface {
+            self.queue.present(surface);
         }
     }
 }
@@ -161,6 +191,37 @@ fn surface_of(instance: &wgpu::Instance, canvas: &HtmlCanvasElement) -> Result<w
 #[cfg(not(target_arch = "wasm32"))]
 fn surface_of(_: &wgpu::Instance, _: &HtmlCanvasElement) -> Result<wgpu::Surface<'static>, GpuError> {
     Err(GpuError::Surface("a canvas needs a browser".to_owned()))
+}
+
+/// The framebuffer that the browser shows, of the canvas that `device` was made for.
+#[cfg(target_arch = "wasm32")]
+fn framebuffer_of(device: &wgpu::Device, config: &wgpu::SurfaceConfiguration) -> Option<wgpu::Texture> {
+    use wgpu::hal::gles;
+
+    let mut framebuffer = gles::Texture::default_framebuffer(config.format);
+    // No framebuffer object stands for the canvas's own; wgpu's name for that, `DefaultRenderbuffer`, would have the browser complain
+    // of each pass: it names a colour attachment, of which that framebuffer has none.
+    framebuffer.inner = gles::TextureInner::ExternalFramebuffer { inner: wasm_bindgen::JsValue::NULL.unchecked_into() };
+    let descriptor = wgpu::TextureDescriptor {
+        label: Some("canvas"),
+        size: wgpu::Extent3d { width: config.width, height: config.height, depth_or_array_layers: 1 },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: config.format,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    };
+    // SAFETY: the device draws by the canvas's own context, to which no framebuffer object means the canvas; that is as large as its
+    // configuration says, has a plain colour for each pixel, is cleared before anything is drawn, and is only ever drawn on.
+    Some(unsafe {
+        device.create_texture_from_hal::<wgpu::hal::api::Gles>(framebuffer, &descriptor, wgpu::TextureUses::UNINITIALIZED)
+    })
+}
+
+#[cfg(not(target_arch = "wasm32"))]
+fn framebuffer_of(_: &wgpu::Device, _: &wgpu::SurfaceConfiguration) -> Option<wgpu::Texture> {
+    None
 }
 
 /// How the canvas is drawn on; `None` where the adapter cannot draw on it at all.

@@ -1,7 +1,7 @@
 // Flat triangles with anti-aliased edges. Keep in sync with `Vertex` in shape.rs.
 
 struct Canvas {
-    // Device pixels; zw unused (a uniform is at least 16 bytes long in WebGL2).
+    // Device pixels; z is -1 where the first row is the lowest, else 1; w unused (a uniform is at least 16 bytes long in WebGL2).
     size: vec4<f32>,
 }
 
@@ -21,7 +21,7 @@ fn vertex(
 ) -> Out {
     let unit = position / canvas.size.xy;
     var out: Out;
-    out.position = vec4<f32>(unit.x * 2.0 - 1.0, 1.0 - unit.y * 2.0, 0.0, 1.0);
+    out.position = vec4<f32>(unit.x * 2.0 - 1.0, (1.0 - unit.y * 2.0) * canvas.size.z, 0.0, 1.0);
     out.color = color;
     out.edge = edge;
     return out;

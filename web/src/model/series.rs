@@ -231,23 +231,17 @@ impl Series {
         let end = range.end.min(self.held.end);
         let mut extent = Extent::EMPTY;
         while start < end {
-            let block =
-                self.levels.iter().rev().find(|level| {
-                    start.is_multiple_of(level.samples_per_block) && start + level.samples_per_block <= end
-                });
-            match block {
-                Some(level) => {
-                    extent = extent.union(level.blocks[level.slot(start / level.samples_per_block)]);
-                    start += level.samples_per_block;
-                }
-                None => {
-                    // Samples up to the next block border, in one go.
-                    let border = ((start / FAN + 1) * FAN).min(end);
-                    while start < border {
-                        extent = extent.with(self.sample(start).1);
-                        start += 1;
-                    }
-                }
+            // The largest block that begins here and ends in time: they are of FAN, FAN², … samples.
+            let aligned = (start.trailing_zeros() / FAN.trailing_zeros()) as usize;
+            let begins = self.levels.iter().take(aligned).rev();
+            if let Some(level) = begins.into_iter().find(|level| start + level.samples_per_block <= end) {
+                extent = extent.union(level.blocks[level.slot(start / level.samples_per_block)]);
+                start += level.samples_per_block;
+            } else {
+                // Samples up to the next block border, in one go.
+                let border = ((start / FAN + 1) * FAN).min(end);
+                extent = self.values(start..border).fold(extent, |extent, value| extent.with(*value));
+                start = border;
             }
         }
         extent
@@ -268,6 +262,14 @@ impl Series {
         let there = |sample: f32| (f64::from(sample) - value).abs() < tolerance;
         let mut after = self.samples(self.lower_bound(from_s)..u64::MAX).skip_while(|(_, sample)| !there(*sample));
         after.find(|(_, sample)| !there(*sample)).map_or(f64::INFINITY, |(t, _)| t)
+    }
+
+    /// Values of samples that are held, oldest first.
+    fn values(&self, range: Range<u64>) -> impl Iterator<Item = &f32> {
+        let slot = (range.start % self.capacity as u64) as usize;
+        let count = (range.end - range.start) as usize;
+        let straight = count.min(self.capacity - slot);
+        self.values[slot..slot + straight].iter().chain(&self.values[..count - straight])
     }
 
     fn time(&self, number: u64) -> f64 {

@@ -1,6 +1,7 @@
 //! Setup: the ground, the vehicle, its suite and limits, and how a real one is connected.
 
 use leptos::prelude::*;
+use plumbline_proto::v1::LinkStatus;
 use plumbline_rest::ground::Fleet;
 
 use crate::{
@@ -116,7 +117,11 @@ pub fn Setup() -> impl IntoView {
     let ctx = ctx();
     let ground = Memo::new(move |_| ctx.app(|app| app.ground.clone()));
     let description = Memo::new(move |_| ctx.live(|live| live.description.get().cloned()));
-    let link = Memo::new(move |_| ctx.live(|live| live.ground.link));
+    // Once a second: the browser lays all these columns out anew for each figure that changes.
+    let link = Memo::new(move |shown: Option<&Option<LinkStatus>>| match shown.copied().flatten() {
+        Some(shown) if !ctx.tick.get().is_multiple_of(10) => Some(shown),
+        _ => ctx.live(|live| live.ground.link),
+    });
     let graphics = move || match ctx.graphics.get() {
         Graphics::Starting => "starting".to_owned(),
         Graphics::On(what) => what,

@@ -23,18 +23,18 @@ const BENCHES: [(&str, Bench); 12] = [
     ("experiment", Bench::Program("experiment")),
     ("many", Bench::Program("many")),
     ("wires", Bench::Program("wires")),
-    ("page", Bench::Page),
+    ("page", Bench::Browser("page.mjs", browser::Beside::Vehicle)),
     ("live", Bench::Program("live_latency")),
-    ("charts", Bench::Charts),
+    ("charts", Bench::Browser("charts.mjs", browser::Beside::Nothing)),
     ("build", Bench::Build),
 ];
 
 #[derive(Debug, Clone, Copy)]
 enum Bench {
-    Page,
     /// A bench program.
     Program(&'static str),
-    Charts,
+    /// A script of the browser.
+    Browser(&'static str, browser::Beside),
     Build,
 }
 
@@ -50,7 +50,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
         let names = BENCHES.map(|(name, _)| name).join(", ");
         return Err(XtaskError::Other(format!("no bench is called `{wanted}`; there are: {names}")));
     }
-    let whole = chosen.iter().any(|(name, _)| ["live", "charts"].contains(name));
+    let whole = chosen.iter().any(|(name, _)| ["live", "page", "charts"].contains(name));
     if whole {
         // The page first: the ground embeds it.
         web::run(workspace, &web::Options::default())?;
@@ -61,8 +61,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     for (name, bench) in chosen {
         eprintln!("xtask: bench {name}");
         match bench {
-            Bench::Page => web::run(workspace, &web::Options::default())?,
-            Bench::Charts => browser::bench(workspace)?,
+            Bench::Browser(script, beside) => browser::bench(workspace, script, *beside)?,
             Bench::Build => build::run(workspace)?,
             Bench::Program(name) => program(workspace, name)?,
         }
