@@ -166,11 +166,7 @@ async fn whoever_watches_over_the_ground_is_answered() {
     let mut agent = ground.agent("iris-1", 1).await;
     agent.fly(3).await;
     assert_eq!(ground.get("/healthz").await.text(), "ok\n");
-    let begun = std::time::Instant::now();
-    while ground.get("/readyz").await.status != 200 {
-        assert!(begun.elapsed() < crate::common::PATIENCE, "{}", ground.get("/readyz").await.text());
-        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
-    }
+    ground.wait_ready().await;
     ground.wait_json("/api/v1/vehicles", |v| v[0]["connected"] == true).await;
     let metrics = ground.get("/metrics").await;
     assert_eq!(metrics.header("content-type"), Some("text/plain; version=0.0.4; charset=utf-8"));

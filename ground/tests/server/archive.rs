@@ -61,6 +61,8 @@ async fn a_tar_of_flights_is_a_backup_that_is_put_back() {
     let ground = Ground::start(&data).await;
     let flight = ground.wait_json("/api/v1/flights/f2", |f| f["completeness"] == "complete").await;
     assert_eq!(flight["name"], "figure 3");
+    // What is not there is known once the index has been put in line with the files.
+    ground.wait_ready().await;
     assert_eq!(ground.get("/api/v1/flights/f1").await.status, 404);
     ground.stop().await;
 }

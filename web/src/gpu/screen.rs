@@ -215,7 +215,11 @@ fn framebuffer_of(device: &wgpu::Device, config: &wgpu::SurfaceConfiguration) ->
     // SAFETY: the device draws by the canvas's own context, to which no framebuffer object means the canvas; that is as large as its
     // configuration says, has a plain colour for each pixel, is cleared before anything is drawn, and is only ever drawn on.
     Some(unsafe {
-        device.create_texture_from_hal::<wgpu::hal::api::Gles>(framebuffer, &descriptor, wgpu::TextureUses::UNINITIALIZED)
+        device.create_texture_from_hal::<wgpu::hal::api::Gles>(
+            framebuffer,
+            &descriptor,
+            wgpu::TextureUses::UNINITIALIZED,
+        )
     })
 }
 

@@ -135,6 +135,15 @@ impl Ground {
         }
     }
 
+    /// Waits until it says that it is ready: before that its index of flights may lack some.
+    pub async fn wait_ready(&self) {
+        let start = Instant::now();
+        while self.get("/readyz").await.status != 200 {
+            assert!(start.elapsed() < PATIENCE, "{}", self.get("/readyz").await.text());
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
     pub async fn view(&self, vehicle: &str, history: u32) -> Viewer {
         let url = format!("ws://{}/api/v1/vehicles/{vehicle}/live?history={history}", self.address);
         // The agent's connection may still be on its way to the hub: unknown until then.
