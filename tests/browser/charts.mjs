@@ -19,7 +19,7 @@ for (const samples of [100_000, 1_000_000]) {
     const canvas = page.locator('canvas').first();
     const seen = await pixels(page, canvas);
     assert(seen.colours >= 8 && seen.common < 0.9, `the canvas shows ${JSON.stringify(seen)}`);
-    console.log(JSON.stringify({ ...result, wanted: 45, pixel_colours: seen.colours, pixel_common: Number(seen.common.toFixed(3)) }));
+    console.log(JSON.stringify({ ...result, limit: 45, pixel_colours: seen.colours, pixel_common: Number(seen.common.toFixed(3)) }));
     assert(errors.length === 0, errors.join('\n'));
   });
 }
