@@ -22,12 +22,11 @@ use plumbline_agent::sensor::{ImuSample, MAX_IMUS, SensorFrame};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::telemetry::{Outlet, Telemetry};
 use plumbline_agent::types::{EstimatorKind, MotorCommand};
-use plumbline_agent::vehicle::{DeviceState, MotorStop, Vehicle, VehicleError};
+use plumbline_agent::vehicle::{Awaited, DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_devices::motors::GuardLine;
 use plumbline_devices::reader::Zero;
 use plumbline_devices::spec;
 use plumbline_devices::vehicle::HardwareVehicle;
-use plumbline_proto::time::FlightTime;
 use plumbline_support::counting::{self, Counting};
 use plumbline_support::flown::{Flown, identification, runner_options, scenario};
 use plumbline_wires::{PULSES_US, WireRig, Wiring};
@@ -108,7 +107,7 @@ impl Vehicle for Marked {
         self.marks.lock().unwrap().push(self.next);
         self.inner.actuate(command)
     }
-    fn awaited(&self) -> Option<FlightTime> {
+    fn awaited(&mut self) -> Option<Awaited> {
         self.inner.awaited()
     }
     fn motor_stop(&self) -> Option<Arc<dyn MotorStop>> {
@@ -157,7 +156,7 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
     let devices = config.device.iter().filter_map(|device| device.start(&zero, config.real_time).unwrap()).collect();
     let marks = Arc::new(Mutex::new(Vec::with_capacity((scenario.duration_s * scenario.tick_rate_hz) as usize + 400)));
     let next = Mark { told: Instant::now(), imus: [None; MAX_IMUS], requests: 0 };
-    let inner = HardwareVehicle::new(devices, Arc::new(line), scenario.tick_rate_hz);
+    let inner = HardwareVehicle::new(devices, Arc::new(line), zero.clone());
     let vehicle = Marked { inner, marks: marks.clone(), next };
     let (ring, mut sink) = rtrb::RingBuffer::new(1 << 20);
     let telemetry = Telemetry::new(identification(scenario), &flight, Some(Outlet::new(ring)), None);

@@ -41,7 +41,7 @@ use crate::sensor::MAX_IMUS;
 use crate::sim::script::Script;
 use crate::telemetry::{Around, Replay, Telemetry};
 use crate::vehicle::calibrated::CalibratedVehicle;
-use crate::vehicle::{MOTOR_TIMEOUT_S, RecordedControl, Vehicle, VehicleError};
+use crate::vehicle::{Awaited, MOTOR_TIMEOUT_S, RecordedControl, Vehicle, VehicleError};
 
 use auditor::Auditor;
 use bounding::Bounding;
@@ -349,7 +349,10 @@ impl Runner {
     }
 
     fn tick(&mut self) -> Result<(), VehicleError> {
-        let awaited = self.vehicle.inner().awaited().map(|time| self.wait_for(time));
+        let awaited = self.vehicle.inner_mut().awaited().map(|Awaited { time, set_back_ns }| {
+            self.pacer.set_back(set_back_ns, &self.ports.clock);
+            self.wait_for(time)
+        });
         let frame = self.vehicle.sense()?;
         self.magnetometers(frame.time);
         let (due, started) = match awaited {

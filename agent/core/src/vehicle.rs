@@ -151,6 +151,15 @@ pub struct Service {
     pub reset: bool,
 }
 
+/// The frame that a caller waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Awaited {
+    /// When it is due.
+    pub time: FlightTime,
+    /// By how much flight time is to be set back before, ns, so that samples are young at ticks.
+    pub set_back_ns: i64,
+}
+
 /// Something that can be flown: the real quadrotor, the simulator, or a recording.
 pub trait Vehicle: Send {
     /// The next frame, calibrated and in SI units. Time comes from here and nowhere else.
@@ -163,7 +172,7 @@ pub trait Vehicle: Send {
 
     /// When its next frame is due, for one whose samples arrive by themselves: the caller waits before it senses, so that
     /// the frame holds what has arrived by then. `None`: sense first, then wait.
-    fn awaited(&self) -> Option<FlightTime> {
+    fn awaited(&mut self) -> Option<Awaited> {
         None
     }
 

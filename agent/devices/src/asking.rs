@@ -9,6 +9,8 @@ use crate::reader::Zero;
 const ANSWERS: usize = 128;
 /// After so many it is looked at anew.
 const AGAIN: usize = 16;
+/// So much sooner than the last answers say, s: a little too late costs a whole tick.
+pub(crate) const SPARE_S: f64 = 100e-6;
 /// What an answer takes before any came, s.
 const FIRST_S: f64 = 2e-3;
 
@@ -52,7 +54,7 @@ impl Asking {
         let before = taken.checked_sub(self.lead).unwrap_or(self.even);
         self.due = if before < now { before + tick } else { before };
         if self.answers.is_multiple_of(AGAIN) {
-            let lead_s = youngest(self.took_s, tick.as_secs_f64());
+            let lead_s = youngest(self.took_s, tick.as_secs_f64()) + SPARE_S;
             self.lead = Duration::from_secs_f64(lead_s.min(self.period.as_secs_f64()));
         }
     }

@@ -8,7 +8,7 @@
 //! - [`framer`]: finds the frames of any of them in a stream, through garbage.
 //! - [`port`]: serial ports, sockets, I²C, behind two narrow traits.
 //! - [`driver`]: a device on its port: opens, identifies, configures, polls. One file a device.
-//! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver. `asking`: when a device that is asked is asked.
+//! - [`clock`]: the device's clock as flight time. [`reader`]: the thread that owns a driver. `asking`: when a device that is asked is asked. `following`: when ticks are due beside one that talks by itself.
 //! - [`spec`]: `[[device]]` and `[motors]` of a configuration, checked.
 //! - [`scheduling`]: which of the threads comes first.
 //! - [`motors`]: pulses, and the guard that stops them. [`autopilot`]: body rates and thrust, or a pose, instead. [`vehicle`]: all of it as a [`plumbline_core::vehicle::Vehicle`].
@@ -20,6 +20,7 @@ pub mod autopilot;
 pub mod clock;
 pub mod driver;
 pub mod fault;
+mod following;
 pub mod framer;
 pub mod motors;
 pub mod port;

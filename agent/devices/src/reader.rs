@@ -35,6 +35,7 @@ const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1
 pub struct Zero {
     instant: Arc<OnceLock<Instant>>,
     tick: Option<Duration>,
+    set_back_ns: Arc<AtomicI64>,
 }
 
 impl Zero {
@@ -51,8 +52,24 @@ impl Zero {
     /// The tick that is nearest to `instant`, and the time between two; `None` without ticks, or before zero is known.
     pub(crate) fn nearest_tick(&self, instant: Instant) -> Option<(Instant, Duration)> {
         let (zero, tick) = (*self.instant.get()?, self.tick?);
-        let ticks = instant.saturating_duration_since(zero).as_secs_f64() / tick.as_secs_f64();
-        Some((zero + tick.mul_f64(ticks.round()), tick))
+        let set_back_s = self.set_back_s();
+        let since_s = (instant.saturating_duration_since(zero).as_secs_f64() - set_back_s).max(0.0);
+        let at_s = (since_s / tick.as_secs_f64()).round() * tick.as_secs_f64() + set_back_s;
+        Some((zero + Duration::try_from_secs_f64(at_s).unwrap_or_default(), tick))
+    }
+
+    /// Time between two ticks; `None` without.
+    pub fn tick(&self) -> Option<Duration> {
+        self.tick
+    }
+
+    /// From now on flight time is so much less.
+    pub fn set_back(&self, by_ns: i64) {
+        self.set_back_ns.fetch_add(by_ns, Ordering::Relaxed);
+    }
+
+    fn set_back_s(&self) -> f64 {
+        self.set_back_ns.load(Ordering::Relaxed) as f64 * 1e-9
     }
 
     /// Microseconds of flight time at `instant`; `None` before it is known. Negative before zero.
@@ -60,7 +77,7 @@ impl Zero {
         let zero = self.instant.get()?;
         let after = instant.saturating_duration_since(*zero).as_secs_f64();
         let before = zero.saturating_duration_since(instant).as_secs_f64();
-        Some(1e6 * (after - before))
+        Some(1e6 * (after - before - self.set_back_s()))
     }
 }
 
@@ -147,6 +164,11 @@ impl State {
         }
     }
 
+    /// When the last reading arrived; zero for none.
+    pub(crate) fn last(&self) -> FlightTime {
+        FlightTime(self.last_us.load(Ordering::Relaxed))
+    }
+
     fn say(&self, reason: Text) {
         *self.reason.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = reason;
     }
@@ -178,6 +200,7 @@ pub struct Reader {
     thread: Option<JoinHandle<()>>,
     /// When readings were counted last, how many there were, and how many a second came before.
     counted: (FlightTime, u64, f64),
+    talks: bool,
 }
 
 impl Reader {
@@ -190,6 +213,7 @@ impl Reader {
         let (scanned, scans) = RingBuffer::new(if options.record_scans { SCANS } else { 0 });
         let (notify, notices) = RingBuffer::new(NOTICES);
         let (state, stop) = (Arc::new(State::default()), Arc::new(AtomicBool::new(false)));
+        let talks = driver.period().is_none();
         let mut work = Work {
             driver,
             zero,
@@ -209,7 +233,13 @@ impl Reader {
             work.run();
         };
         let thread = std::thread::Builder::new().name(name).spawn(run)?;
-        Ok(Self { arrived, scans, notices, state, stop, thread: Some(thread), counted: (FlightTime(0), 0, 0.0) })
+        let counted = (FlightTime(0), 0, 0.0);
+        Ok(Self { arrived, scans, notices, state, stop, thread: Some(thread), counted, talks })
+    }
+
+    /// Does its device speak without being asked?
+    pub fn talks(&self) -> bool {
+        self.talks
     }
 
     /// The oldest reading that waits. Never blocks, never allocates.

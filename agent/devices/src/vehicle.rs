@@ -5,6 +5,7 @@
 //! makes of it, degrees of latitude.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use plumbline_core::estimate::vqf::{Vqf, VqfOptions};
@@ -15,14 +16,17 @@ use plumbline_core::sensor::{
     AnySample, BarometerSample, GnssSample, HeightSample, ImuSample, MocapPoseSample, SensorFrame,
 };
 use plumbline_core::types::MotorCommand;
-use plumbline_core::vehicle::{AutopilotState, DeviceState, MotorStop, Scan, Vehicle, VehicleError};
+use plumbline_core::vehicle::{AutopilotState, Awaited, DeviceState, MotorStop, Scan, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
+use crate::following::Following;
 use crate::motors::Motors;
 use crate::protocol::scan_height;
-use crate::reader::{Arrived, Notice, Reader};
+use crate::reader::{Arrived, Notice, Reader, Zero};
 use crate::reading::{RangeReading, Reading};
 
+/// Of a vehicle whose flight time is told no rate.
+const TICK: Duration = Duration::from_millis(5);
 /// A voltage counts for this long, s.
 const VOLTAGE_S: f64 = 1.0;
 
@@ -53,6 +57,8 @@ pub struct HardwareVehicle {
     motors: Arc<dyn Motors>,
     tick_us: u64,
     next: FlightTime,
+    zero: Zero,
+    following: Following,
     level: Level,
     voltage: Option<(FlightTime, f64)>,
 }
@@ -79,14 +85,17 @@ impl Level {
 }
 
 impl HardwareVehicle {
-    /// Of `devices` and `motors`, at so many ticks a second.
-    pub fn new(devices: Vec<(Mounted, Reader)>, motors: Arc<dyn Motors>, tick_rate_hz: f64) -> Self {
+    /// Of `devices` and `motors`, at the ticks of `zero`, which are moved to where samples are young.
+    pub fn new(devices: Vec<(Mounted, Reader)>, motors: Arc<dyn Motors>, zero: Zero) -> Self {
+        let tick = zero.tick().unwrap_or(TICK);
         let options = VqfOptions { period_s: 0.01, use_mag: false, declination_rad: 0.0 };
         Self {
             devices,
             motors,
-            tick_us: (1e6 / tick_rate_hz).round() as u64,
+            tick_us: (1e6 * tick.as_secs_f64()).round() as u64,
             next: FlightTime(0),
+            zero,
+            following: Following::new(tick.as_secs_f64()),
             level: Level { filter: Vqf::new(options), last: None },
             voltage: None,
         }
@@ -99,22 +108,29 @@ impl HardwareVehicle {
 }
 
 impl Vehicle for HardwareVehicle {
-    fn awaited(&self) -> Option<FlightTime> {
-        Some(self.next)
+    fn awaited(&mut self) -> Option<Awaited> {
+        let set_back_ns = self.following.step_ns();
+        self.zero.set_back(set_back_ns);
+        Some(Awaited { time: self.next, set_back_ns })
     }
 
     fn sense(&mut self) -> Result<SensorFrame, VehicleError> {
         let mut frame = SensorFrame { time: self.next, ..SensorFrame::default() };
         self.next = FlightTime(self.next.0 + self.tick_us);
-        let Self { devices, level, voltage, .. } = self;
-        for (mounted, reader) in devices {
+        let Self { devices, level, voltage, following, .. } = self;
+        for (number, (mounted, reader)) in devices.iter_mut().enumerate() {
+            let mut inertial = false;
             while let Some(mut arrived) = reader.pop() {
                 arrived.time = arrived.time.min(frame.time);
+                inertial |= matches!(arrived.reading, Reading::Imu(_));
                 if let Reading::Battery(volts) = arrived.reading {
                     *voltage = Some((arrived.time, volts));
                 } else if let Some((index, sample)) = sample(mounted, level, &arrived) {
                     frame.put(index, sample);
                 }
+            }
+            if inertial && reader.talks() {
+                following.sample(number, frame.time.seconds_since(reader.state().last()));
             }
         }
         frame.battery_v = voltage.filter(|(time, _)| frame.time.seconds_since(*time) <= VOLTAGE_S).map(|(_, v)| v);

@@ -39,6 +39,13 @@ impl FlightClock {
         *self.anchor.write().unwrap_or_else(PoisonError::into_inner) = Some(Anchor { at, flight, speed });
     }
 
+    /// As [`run`](Self::run), for what differs from before by next to nothing. Never waits: while somebody reads it stays as it was.
+    pub fn follow(&self, at: Instant, flight: FlightTime, speed: f64) {
+        if let Ok(mut anchor) = self.anchor.try_write() {
+            *anchor = Some(Anchor { at, flight, speed });
+        }
+    }
+
     /// From now on time is that of the last tick (stepped, or as fast as possible).
     pub fn stop(&self) {
         *self.anchor.write().unwrap_or_else(PoisonError::into_inner) = None;

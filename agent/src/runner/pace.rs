@@ -74,6 +74,16 @@ impl Pacer {
         }
     }
 
+    /// From now on every tick is due so much later, in real time.
+    pub fn set_back(&mut self, by_ns: i64, clock: &FlightClock) {
+        let (Pace::Times(speed), Some((at, time))) = (self.pace, &mut self.anchor) else { return };
+        let by = Duration::from_nanos(by_ns.unsigned_abs());
+        if let (false, Some(moved)) = (by_ns == 0, if by_ns < 0 { at.checked_sub(by) } else { at.checked_add(by) }) {
+            *at = moved;
+            clock.follow(moved, *time, speed);
+        }
+    }
+
     /// Waits until the tick of `time` is due; answers when that was, which may be long ago. `None`: it was not waited for.
     pub fn wait_for(&mut self, time: FlightTime, clock: &FlightClock) -> Option<Instant> {
         let speed = match self.pace {
@@ -148,6 +158,21 @@ mod tests {
         assert_eq!(second - first, Duration::from_millis(20), "40 ms at twice real time");
         assert!(Instant::now() >= second);
         assert!(clock.now() >= FlightTime(1_040_000));
+    }
+
+    #[test]
+    fn ticks_that_are_set_back_are_due_later_and_flight_time_with_them() {
+        let clock = FlightClock::default();
+        let mut pacer = Pacer::new(Pace::Times(1.0));
+        let first = pacer.wait_for(FlightTime(0), &clock).unwrap();
+        pacer.set_back(2_000_000, &clock);
+        let second = pacer.wait_for(FlightTime(5_000), &clock).unwrap();
+        assert_eq!(second - first, Duration::from_millis(7));
+        let late_us = (Instant::now() - second).as_micros() as u64;
+        assert!((5_000..=5_000 + late_us + 1_000).contains(&clock.now().0), "{} {late_us}", clock.now().0);
+        pacer.set_back(-1_000_000, &clock);
+        let third = pacer.wait_for(FlightTime(10_000), &clock).unwrap();
+        assert_eq!(third - second, Duration::from_millis(4));
     }
 
     #[test]

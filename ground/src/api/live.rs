@@ -2,7 +2,7 @@
 //! charts show of the past, in one batch.
 //!
 //! First the latest of every topic (and, where it is asked for, the whole history), then live batches, each at most
-//! 10 ms old when it leaves the hub; with `thinned=true` only what a page shows of them (`hub/thinned.rs`). The page asks for no history here: minutes of messages before the newest one
+//! 10 ms old when it leaves the hub; with `thinned=true` only what a page shows of them (`hub/thinned.rs`), at most 35 ms old. The page asks for no history here: minutes of messages before the newest one
 //! would make what it shows minutes old, and its operator's sign of life too late. A viewer that stops reading fills its own queue ([`ViewerQueue`]), loses the
 //! oldest, sees the count in its `LinkStatus`, and is closed after [`STALLED`].
 //!

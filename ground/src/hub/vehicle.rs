@@ -17,6 +17,8 @@ use crate::agent_link::CommandSender;
 
 /// Gathered frames are flushed early beyond this many bytes.
 const FLUSH_BYTES: usize = 256 << 10;
+/// A page is sent a batch so often, and no more: it draws no oftener, and each wakes it up.
+const PAGE_EVERY: Duration = Duration::from_millis(25);
 /// Batches are kept side by side in blocks of this size, which go back to the system whole: batches of minutes between
 /// what lives for milliseconds would leave the memory in pieces.
 const BLOCK_BYTES: usize = 512 << 10;
@@ -45,6 +47,8 @@ pub(super) struct Vehicle {
     /// What is kept for pages.
     thin: Stream,
     thinned: Thinned,
+    /// When pages were sent a batch last.
+    thin_at: Instant,
     /// What is left of the block that batches are put into.
     block: BytesMut,
 }
@@ -104,6 +108,7 @@ impl Vehicle {
             whole: Stream::default(),
             thin: Stream::default(),
             thinned: Thinned::default(),
+            thin_at: now,
             block: BytesMut::new(),
         }
     }
@@ -117,6 +122,7 @@ impl Vehicle {
     }
 
     pub(super) fn reboot(&mut self, boot_id: u64, now: Instant) {
+        self.thin_at = now.checked_sub(PAGE_EVERY).unwrap_or(now);
         self.flush(now);
         self.boot_id = boot_id;
         self.latest.retain(|(kind, _), _| Kind::from_wire(*kind).is_some_and(Kind::is_ground_made));
@@ -166,7 +172,10 @@ impl Vehicle {
         if !self.thin.viewers.is_empty() {
             self.thinned.last(now, self.thin.frames());
         }
-        self.thin.flush(&mut self.block);
+        if now.saturating_duration_since(self.thin_at) >= PAGE_EVERY {
+            self.thin_at = now;
+            self.thin.flush(&mut self.block);
+        }
         if let Some(shared) = self.whole.flush(&mut self.block) {
             self.history.push(now, shared);
         }

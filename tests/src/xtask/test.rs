@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
+use std::sync::mpsc;
 
 use super::tally::{CargoTestOutput, Tally};
 use super::{Workspace, XtaskError, browser, python, signals, tools, web, workspace};
@@ -28,6 +29,8 @@ pub const EVERYTHING: [&str; 4] = [
     "plumbline-ground/many,plumbline-agent/i2c,plumbline-agent/spi,plumbline-bundler/compress",
 ];
 
+/// How many tests of a binary run side by side.
+const THREADS: &str = "RUST_TEST_THREADS";
 /// Where less is free, bytes, tests that record may fail for want of it.
 const FREE_MIN: u64 = 1 << 30;
 
@@ -52,17 +55,7 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             };
             tally.check("format", format());
         }),
-        // The page before any program that is built: the ground embeds it.
-        ("page-and-clippy", &mut |tally| {
-            let mut clippy = workspace.cargo();
-            clippy.arg("clippy").args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
-            // Before clippy, for whose lock it would wait.
-            let bundler = web::bundler(workspace);
-            let page = || web::weigh(workspace, &web::Options::default(), bundler?);
-            let (page, clippy) = workspace::beside(&mut clippy, page);
-            tally.check("page ≤ 2 MB", page);
-            tally.check("clippy", clippy);
-        }),
+        ("page-and-clippy", &mut |tally| page_and_clippy(workspace, tally)),
         ("cargo-test", &mut |tally| cargo_test(workspace, tally)),
         ("python", &mut |tally| python::test(workspace, tally)),
         ("browser", &mut |tally| {
@@ -94,15 +87,46 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
     }
 }
 
+/// The page, lints, programs and tests. What links the page keeps one core busy for long: the others are made meanwhile.
+fn page_and_clippy(workspace: &Workspace, tally: &mut Tally) {
+    let (made, bundler) = mpsc::channel();
+    let page = std::thread::scope(|scope| {
+        let missing = |_| XtaskError::Other("the page has no bundler".into());
+        let page =
+            scope.spawn(move || web::weigh(workspace, &web::Options::default(), || bundler.recv().map_err(missing)));
+        // The first under the lock that all of these wait for.
+        if let Some(built) = tally.check("bundler", web::bundler(workspace)) {
+            // Nobody waits for it where the page could not be compiled.
+            let _ = made.send(built);
+        }
+        drop(made);
+        let mut clippy = workspace.cargo();
+        clippy.arg("clippy").args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
+        tally.check("clippy", workspace::run(&mut clippy));
+        // What does not compile is counted by the step that runs it.
+        let _ = build(workspace);
+        page.join().unwrap_or_else(|_| Err(XtaskError::Other("the build of the page ended in a panic".into())))
+    });
+    tally.check("page ≤ 2 MB", page);
+}
+
+/// Binaries and tests in one build, so that nothing is compiled twice for other features.
+fn build(workspace: &Workspace) -> Result<(), XtaskError> {
+    workspace::run(workspace.cargo().arg("build").args(EVERYTHING).args(["--bins", "--tests"]))
+}
+
 /// Unit, integration, system and documentation tests of all members.
 fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
-    // Binaries and tests in one build, so that nothing is compiled twice for other features.
-    let built = workspace::run(workspace.cargo().arg("build").args(EVERYTHING).args(["--bins", "--tests"]));
-    if tally.check("build", built).is_none() {
+    if tally.check("build", build(workspace)).is_none() {
         return;
     }
     let mut cargo = workspace.cargo();
     cargo.arg("test").args(EVERYTHING).arg("--no-fail-fast").stdout(Stdio::piped());
+    // Those that take long fly in real time, and leave the cores idle.
+    if std::env::var_os(THREADS).is_none() {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        cargo.env(THREADS, (2 * cores + 1).to_string());
+    }
     cargo.env("PLUMBLINE_BINARIES", workspace.target.join("debug"));
     if let Some(python) = tally.check("python with mcap", tools::python(workspace)) {
         cargo.env("PLUMBLINE_PYTHON", python);

@@ -36,13 +36,17 @@ pub struct Options {
 /// No toolchain, a build error, a placeholder that names nothing, or a page that is too large.
 pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
     let bundler = bundler(workspace)?;
-    weigh(workspace, options, bundler)
+    weigh(workspace, options, || Ok(bundler))
 }
 
-/// [`run`] with a bundler that is there already.
-pub fn weigh(workspace: &Workspace, options: &Options, bundler: PathBuf) -> Result<(), XtaskError> {
+/// [`run`] with a bundler that is there already, or is once the page is compiled.
+pub fn weigh(
+    workspace: &Workspace,
+    options: &Options,
+    bundler: impl FnOnce() -> Result<PathBuf, XtaskError>,
+) -> Result<(), XtaskError> {
     let progress = Progress::new();
-    let files = build(workspace, options, &progress, || Ok(bundler))?;
+    let files = build(workspace, options, &progress, bundler)?;
     let total: usize = files.values().sum();
     let line = json!({
         "bench": "page", "name": "compressed_total", "value": total, "unit": "B", "limit": SIZE_LIMIT_BYTES,

@@ -72,19 +72,6 @@ pub fn run(command: &mut Command) -> Result<(), XtaskError> {
     if status.success() { Ok(()) } else { Err(XtaskError::Failed { command: command_line(command), status }) }
 }
 
-/// Runs a command while `work` is done: what links the page keeps one core busy for long. How the work ended, and the command.
-pub fn beside<T>(
-    command: &mut Command,
-    work: impl FnOnce() -> Result<T, XtaskError>,
-) -> (Result<T, XtaskError>, Result<(), XtaskError>) {
-    std::thread::scope(|scope| {
-        let command = scope.spawn(|| run(command));
-        let done = work();
-        let panicked = |_| Err(XtaskError::Other("what ran beside ended in a panic".into()));
-        (done, command.join().unwrap_or_else(panicked))
-    })
-}
-
 /// Runs to the end and returns what it wrote to its standard output; its standard error is ours.
 pub fn output(command: &mut Command) -> Result<String, XtaskError> {
     let ran = command

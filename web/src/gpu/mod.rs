@@ -30,3 +30,32 @@ pub use error::GpuError;
 pub use grid::{TIME_TICK_SPACING_PX, VALUE_TICK_SPACING_PX};
 pub use scene::*;
 pub use screen::Backend;
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    /// GIVEN every shader WHEN it is parsed and validated without a graphics device THEN it is within what WebGL2 offers.
+    #[test]
+    fn every_shader_is_valid() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gpu");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let found: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "wgsl")).collect();
+        assert!(found.len() >= 3, "only {found:?}");
+        for path in found {
+            let source = std::fs::read_to_string(&path).unwrap();
+            let module = naga::front::wgsl::parse_str(&source)
+                .unwrap_or_else(|error| panic!("{}: {}", path.display(), error.emit_to_string(&source)));
+            // No capability beyond the core: WebGL2 has none of them.
+            let mut validator =
+                naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+            if let Err(error) = validator.validate(&module) {
+                panic!("{}: {}", path.display(), error.emit_to_string(&source));
+            }
+            let stages: Vec<_> = module.entry_points.iter().map(|entry| entry.stage).collect();
+            assert!(stages.contains(&naga::ShaderStage::Vertex), "{}: no vertex stage", path.display());
+            assert!(stages.contains(&naga::ShaderStage::Fragment), "{}: no fragment stage", path.display());
+            assert!(!stages.contains(&naga::ShaderStage::Compute), "{}: WebGL2 has no compute", path.display());
+        }
+    }
+}

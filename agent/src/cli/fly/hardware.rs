@@ -76,7 +76,7 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
         _ => None,
     };
     Ok(Chosen {
-        vehicle: Box::new(HardwareVehicle::new(devices, line, tick_rate_hz)),
+        vehicle: Box::new(HardwareVehicle::new(devices, line, zero.clone())),
         sensors: suite.descriptions(),
         strings: rig.lines(&airframe),
         promise: Some(Observed::promise_at_hover(&suite, &airframe)),

@@ -1,5 +1,4 @@
 //! Recording is on by default; what is downloaded is what was promised, whoever reads it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_support::files;
 use plumbline_support::system::{Rig, options, promised_counts, scenario};

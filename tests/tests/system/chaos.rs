@@ -1,5 +1,4 @@
 //! The fast part of `cargo xtask chaos kill`: a few kills, each file whole afterwards.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_support::kill;
 use plumbline_support::system::{free_port, options};

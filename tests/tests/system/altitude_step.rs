@@ -1,5 +1,4 @@
 //! The everyday use: a hanging-string test with altitude steps, through the real programs.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use plumbline_proto::{Kind, v1};
 use plumbline_support::system::{PATIENCE, Rig, scenario};

@@ -1,5 +1,4 @@
 //! Inject an attack, watch which sensor is attacked, abort it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::time::Duration;
 

@@ -1,5 +1,4 @@
 //! A flight file flown again goes through the same pipeline: the same every time, and as it was.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,5 +1,4 @@
 //! Viewers: what they are told first, that they miss nothing, and that a stalled one is alone with it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};

@@ -1,5 +1,4 @@
 //! What cannot work says so at once, with the offending value, and disturbs nobody.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::{BufRead as _, BufReader, PipeReader, Write as _};
 use std::os::fd::AsRawFd as _;

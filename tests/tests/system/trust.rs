@@ -1,6 +1,5 @@
 //! Who is trusted changes in flight, with the commands the manual names: revoked, trusted again, new certificates on
 //! either side. Whoever is trusted no more is refused and counted; the vehicle flies on and comes back by itself.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::Path;
 use std::process::Command;
