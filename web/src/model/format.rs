@@ -36,6 +36,11 @@ pub fn signed(value: f64, decimals: usize) -> String {
     }
 }
 
+/// What is shown of a `value` that trembles: `shown`, while they differ by no more than `band`.
+pub fn steady(shown: f64, value: f64, band: f64) -> f64 {
+    if (value - shown).abs() <= band { shown } else { value }
+}
+
 /// [`fixed`] of a value that may be absent.
 pub fn maybe(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| NONE.to_owned(), |v| fixed(v, decimals))
@@ -147,6 +152,18 @@ mod tests {
         assert_eq!(bytes(4_400_000), "4.2 MiB");
         assert_eq!(count(1234567), "1\u{2009}234\u{2009}567");
         assert_eq!(count(999), "999");
+    }
+
+    #[test]
+    fn a_trembling_value_is_shown_steadily_and_followed() {
+        let volts = [12.44, 12.46, 12.43, 12.47, 12.40];
+        let shown = volts.iter().fold(vec![12.45], |mut shown: Vec<f64>, volts| {
+            shown.push(steady(*shown.last().unwrap(), *volts, 0.08));
+            shown
+        });
+        assert_eq!(shown, [12.45; 6]);
+        assert_eq!(steady(12.45, 12.36, 0.08), 12.36);
+        assert!(steady(12.45, f64::NAN, 0.08).is_nan(), "what is not known is not what it was");
     }
 
     #[test]

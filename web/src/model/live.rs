@@ -65,6 +65,8 @@ pub struct Live {
     pub reach: Option<super::envelope::Table>,
     /// Flight time: the newest seen, and now.
     pub clock: Clock,
+    /// Of the battery, as it is shown.
+    volts: f64,
     reading: Reading,
 }
 
@@ -112,6 +114,11 @@ impl Live {
     /// The altitude setpoint in use, m: where the profile is, not where it goes.
     pub fn setpoint_m(&self) -> Option<f64> {
         self.control.get().and_then(|c| c.setpoint.as_ref()).and_then(|s| s.altitude_m)
+    }
+
+    /// Voltage of the battery without the trembling of its last digit, V; `None` without a battery.
+    pub fn battery_v(&self) -> Option<f64> {
+        self.status.get().filter(|status| status.battery_v > 0.0).map(|_| self.volts)
     }
 
     /// Is a recording flown again?

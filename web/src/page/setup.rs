@@ -1,7 +1,7 @@
 //! Setup: the ground, the vehicle, its suite and limits, and how a real one is connected.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::LinkStatus;
+use plumbline_proto::v1::{Description, LinkStatus};
 use plumbline_rest::ground::Fleet;
 
 use crate::{
@@ -116,10 +116,15 @@ fn Devices() -> impl IntoView {
 pub fn Setup() -> impl IntoView {
     let ctx = ctx();
     let ground = Memo::new(move |_| ctx.app(|app| app.ground.clone()));
-    let description = Memo::new(move |_| ctx.live(|live| live.description.get().cloned()));
-    // Once a second: the browser lays all these columns out anew for each figure that changes.
+    // Said again and again: what it says changes seldom.
+    let described = Memo::new(move |_| ctx.live(|live| live.description.time_us()));
+    let description = Memo::new(move |_| {
+        described.track();
+        ctx.live.with_value(|live| live.description.get().map(|told| Description { time_us: 0, ..told.clone() }))
+    });
+    // Every two seconds: the browser lays all these columns out anew for each figure that changes.
     let link = Memo::new(move |shown: Option<&Option<LinkStatus>>| match shown.copied().flatten() {
-        Some(shown) if !ctx.tick.get().is_multiple_of(10) => Some(shown),
+        Some(shown) if !ctx.tick.get().is_multiple_of(20) => Some(shown),
         _ => ctx.live(|live| live.ground.link),
     });
     let graphics = move || match ctx.graphics.get() {

@@ -35,10 +35,11 @@ fn failsafe(ctx: Ctx) -> Option<(String, bool)> {
 /// Battery, where it is low: (text, nearly empty?).
 fn battery(ctx: Ctx) -> Option<(String, bool)> {
     ctx.live(|live| {
-        let status = live.status.get().filter(|s| s.battery_v > 0.0 && s.battery_fraction < LOW)?;
+        let battery_v = live.battery_v()?;
+        let status = live.status.get().filter(|status| status.battery_fraction < LOW)?;
         let empty = status.battery_fraction < EMPTY;
         let what = if empty { "Battery nearly empty" } else { "Battery low" };
-        let (volts, percent) = (format::fixed(status.battery_v, 1), format::fixed(100.0 * status.battery_fraction, 0));
+        let (volts, percent) = (format::fixed(battery_v, 1), format::fixed(100.0 * status.battery_fraction, 0));
         let todo = if status.armed { ": land now" } else { "" };
         // A failsafe beside it says the rest.
         let text = match status.failsafe() {

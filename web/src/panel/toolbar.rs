@@ -137,8 +137,8 @@ pub fn Toolbar() -> impl IntoView {
     let recording = Memo::new(move |_| recording_state(ctx));
     let battery = Memo::new(move |_| {
         ctx.live(|live| {
-            live.status.get().filter(|s| s.battery_v > 0.0).map(|s| {
-                let (volts, percent) = (format::fixed(s.battery_v, 1), format::fixed(100.0 * s.battery_fraction, 0));
+            live.status.get().zip(live.battery_v()).map(|(s, battery_v)| {
+                let (volts, percent) = (format::fixed(battery_v, 1), format::fixed(100.0 * s.battery_fraction, 0));
                 // By the charge itself, as the alarms: what is shown is rounded.
                 (format!("{volts} V · {percent} %"), s.battery_fraction < LOW, s.battery_fraction < EMPTY)
             })

@@ -8,7 +8,10 @@ use plumbline_proto::{
 };
 
 use super::Live;
-use crate::model::{clock::Clock, curves::Curve};
+use crate::model::{clock::Clock, curves::Curve, format};
+
+/// So much the voltage of a battery trembles, V.
+const VOLTS_BAND: f64 = 0.08;
 
 /// How far reading has come.
 #[derive(Debug, Default)]
@@ -152,6 +155,7 @@ impl Live {
                     self.curves.push_status(&status);
                     self.log.status(&status);
                 }
+                self.volts = format::steady(self.volts, status.battery_v, VOLTS_BAND);
                 self.status.set(status, time_us);
             }
             Kind::Control => {
