@@ -1,8 +1,8 @@
 //! Ticks that follow a device which talks when it wants to: flight time is set back or forth, little by little, until each of its
 //! samples is there just before a tick. Else it waits half a tick on average, and another time in every flight.
 //!
-//! Flight time then runs by that device's crystal instead of ours. It is left alone where nothing would be won: where the
-//! device's period is no whole number of ticks, or its clock is off by more than [`RATE_MAX`].
+//! Flight time then runs by that device's crystal instead of ours. It is left alone where nothing would be won, as where the
+//! device's period is no whole number of ticks; a clock that is off by more than [`RATE_MAX`] is followed no faster than that, and in vain.
 
 use arrayvec::ArrayVec;
 

@@ -33,14 +33,24 @@ pub use screen::Backend;
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
+    use std::path::{Path, PathBuf};
+
+    fn shaders(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                shaders(&path, found);
+            } else if path.extension().is_some_and(|extension| extension == "wgsl") {
+                found.push(path);
+            }
+        }
+    }
 
     /// GIVEN every shader WHEN it is parsed and validated without a graphics device THEN it is within what WebGL2 offers.
     #[test]
     fn every_shader_is_valid() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gpu");
-        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-        let found: Vec<_> = files.filter(|path| path.extension().is_some_and(|e| e == "wgsl")).collect();
+        let mut found = Vec::new();
+        shaders(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut found);
         assert!(found.len() >= 3, "only {found:?}");
         for path in found {
             let source = std::fs::read_to_string(&path).unwrap();
