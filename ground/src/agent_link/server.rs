@@ -154,8 +154,15 @@ impl AgentLink {
             tokio::pin!(shutdown);
             loop {
                 tokio::select! {
+                    // In this order: who stops the ground stops the hub too, and nothing has failed then.
+                    biased;
                     () = &mut shutdown => break Ok(()),
                     () = events.closed() => break Err(AgentLinkError::HubGone),
+                    Some(ended) = sessions.join_next(), if !sessions.is_empty() => {
+                        if let Err(error) = ended {
+                            tracing::error!(%error, "an agent's session died");
+                        }
+                    }
                     incoming = endpoint.accept() => match incoming {
                         Some(incoming) if sessions.len() < MAX_CONNECTIONS => {
                             sessions.spawn(serve(incoming, shared.clone()));
@@ -163,11 +170,6 @@ impl AgentLink {
                         Some(incoming) => incoming.refuse(),
                         None => break Ok(()),
                     },
-                    Some(ended) = sessions.join_next(), if !sessions.is_empty() => {
-                        if let Err(error) = ended {
-                            tracing::error!(%error, "an agent's session died");
-                        }
-                    }
                 }
             }
         };

@@ -181,6 +181,22 @@ fn arm(command_id: u64) -> v1::Command {
     v1::Command { command_id, operator: "test".into(), seen_us: None, body: Some(v1::command::Body::Arm(v1::Arm {})) }
 }
 
+/// Whoever stops the ground stops what takes the events too, and the link may see both at once.
+#[tokio::test]
+async fn a_ground_that_is_stopped_ends_without_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let identity = identity::load_or_create(&folder.path().join("ground")).unwrap();
+    for _ in 0..16 {
+        let mut ground = Ground::start(&identity, any_port());
+        ground.stop.take().unwrap().send(()).unwrap();
+        drop(ground.events);
+        ground.task.await.unwrap().unwrap();
+    }
+    let ground = Ground::start(&identity, any_port());
+    drop(ground.events);
+    assert!(matches!(ground.task.await.unwrap(), Err(AgentLinkError::HubGone)));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn telemetry_comes_down_and_commands_go_up() {
     let folder = tempfile::tempdir().unwrap();

@@ -93,7 +93,8 @@ pub fn run(workspace: &Workspace, options: &Options) -> Result<(), XtaskError> {
 }
 
 /// Builds the page, its bundler and the programs side by side; programs as they are released hold the page, and wait for it.
-/// Where the programs are.
+///
+/// Returns the folder of the programs below the target folder.
 fn build(checkout: &Workspace, options: &Options) -> Result<&'static str, XtaskError> {
     let (profile, folder) = if options.release { ("release", "release") } else { ("dev", "debug") };
     let mut cargo = checkout.cargo();
