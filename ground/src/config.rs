@@ -42,6 +42,8 @@ pub struct GroundConfig {
     /// Host names (without port), beside `localhost` and IP addresses, under which the page may be
     /// reached. A name that is not listed is refused: it could be rebound to this machine by anyone.
     pub allowed_hosts: Vec<String>,
+    /// Pages of others, by their origin as their browser says it, that may open the Foxglove link, and so command by it.
+    pub allowed_origins: Vec<String>,
     /// Identity of the link, so that the page can pair agents and show who was refused.
     pub link_identity: Option<Identity>,
     /// TLS of page and API; needed on every address but the loopback.
@@ -74,6 +76,7 @@ impl GroundConfig {
         Self {
             data_folder: data_folder.into(),
             allowed_hosts: Vec::new(),
+            allowed_origins: Vec::new(),
             link_identity: None,
             tls: None,
             metrics_open: false,

@@ -17,8 +17,10 @@ use crate::names::JsonName as _;
 const SCENE_EVERY_US: u64 = 50_000;
 /// Half the length of an arm, for the eye: of an Iris.
 const ARM_M: f64 = 0.25;
-/// Colours told apart by most people (Okabe and Ito 2008).
-const COLOURS: [[f64; 3]; 7] = [
+/// What an estimate says further from the one in the loop than this, m, bears its name.
+const APART_M: f64 = 0.1;
+/// Colours told apart by most people (Okabe and Ito 2008), and three of Tol's (2021): one for the vehicle, and for each estimator.
+const COLOURS: [[f64; 3]; 10] = [
     [0.0, 0.447, 0.698],
     [0.902, 0.624, 0.0],
     [0.0, 0.62, 0.451],
@@ -26,9 +28,12 @@ const COLOURS: [[f64; 3]; 7] = [
     [0.835, 0.369, 0.0],
     [0.337, 0.706, 0.914],
     [0.941, 0.894, 0.259],
+    [0.533, 0.133, 0.333],
+    [0.2, 0.133, 0.533],
+    [0.6, 0.6, 0.2],
 ];
 
-/// What there is of those schemas. Offered at once, so that a panel finds its topic before the first event.
+/// What there is of those schemas. All but scans are offered at once, so that a panel finds its topic before the first event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Offer {
     Transform,
@@ -84,10 +89,12 @@ impl Offer {
                 let line = object(json!({ "type": integer, "pose": pose, "thickness": number,
                     "scale_invariant": boolean, "points": list(&vector), "color": colour, "colors": list(&colour),
                     "indices": list(&integer) }));
+                let words = list(&object(json!({ "pose": pose, "billboard": boolean, "font_size": number,
+                    "scale_invariant": boolean, "color": colour, "text": text })));
                 let none = list(&object(json!({})));
                 let entity = object(json!({ "timestamp": time, "frame_id": text, "id": text, "lifetime": time,
                     "frame_locked": boolean, "metadata": none, "arrows": none, "cubes": solid, "spheres": solid,
-                    "cylinders": none, "lines": list(&line), "triangles": none, "texts": none, "models": none }));
+                    "cylinders": none, "lines": list(&line), "triangles": none, "texts": words, "models": none }));
                 object(json!({ "deletions": none, "entities": list(&entity) }))
             }
         };
@@ -157,9 +164,17 @@ fn ball(at: &v1::Vector3, colour: &Value) -> Value {
 }
 
 impl Scene {
-    /// What follows from one message.
-    pub(crate) fn take(&mut self, kind: Kind, frame: &Frame<'_>, now_us: u64) -> Vec<Drawn> {
+    /// What follows from one message, of what is `wanted`.
+    pub(crate) fn take(
+        &mut self,
+        kind: Kind,
+        frame: &Frame<'_>,
+        now_us: u64,
+        wanted: impl Fn(Offer) -> bool,
+    ) -> Vec<Drawn> {
         match kind {
+            Kind::Event if !wanted(Offer::Log) => Vec::new(),
+            Kind::Scan if !wanted(Offer::Laser) => Vec::new(),
             Kind::Event => frame.message().map_or_else(|_| Vec::new(), |event| vec![log(&event, now_us)]),
             Kind::Scan => frame.message().map_or_else(|_| Vec::new(), |scan| vec![laser(&scan, now_us)]),
             Kind::Description => {
@@ -177,8 +192,9 @@ impl Scene {
                 if !leads {
                     return Vec::new();
                 }
-                let mut drawn: Vec<Drawn> = self.transform(frame.instance, now_us).into_iter().collect();
-                if now_us.abs_diff(self.drawn_us) >= SCENE_EVERY_US {
+                let transform = wanted(Offer::Transform).then(|| self.transform(frame.instance, now_us)).flatten();
+                let mut drawn: Vec<Drawn> = transform.into_iter().collect();
+                if wanted(Offer::Scene) && now_us.abs_diff(self.drawn_us) >= SCENE_EVERY_US {
                     self.drawn_us = now_us;
                     drawn.push(self.scene(frame.instance, now_us));
                 }
@@ -229,11 +245,21 @@ impl Scene {
                 "color": colour(0, 1.0), "colors": [], "indices": [] }],
         });
         let mut entities = vec![entity("vehicle", "base_link", now_us, &body)];
-        entities.extend(self.estimates.get(&leader).map_or_else(Vec::new, |estimate| self.strings(estimate, now_us)));
+        let leads = self.estimates.get(&leader);
+        entities.extend(leads.map_or_else(Vec::new, |estimate| self.strings(estimate, now_us)));
+        let leads = leads.and_then(|estimate| estimate.position_enu_m).unwrap_or_default();
         for (at, estimate) in self.estimates.values().enumerate() {
             let (Some(position), true) = (estimate.position_enu_m, estimate.altitude_known) else { continue };
             let name = v1::EstimatorKind::json_name(estimate.estimator());
-            entities.push(entity(&name, "map", now_us, &json!({ "spheres": ball(&position, &colour(at + 1, 0.8)) })));
+            let mut shapes = json!({ "spheres": ball(&position, &colour(at + 1, 0.8)) });
+            let apart = (position.x - leads.x).hypot(position.y - leads.y).hypot(position.z - leads.z);
+            if apart > APART_M {
+                let above = v1::Vector3 { z: position.z + 0.08, ..position };
+                shapes["texts"] = json!([{ "pose": { "position": vector(&above), "orientation": still() },
+                    "billboard": true, "font_size": 14.0, "scale_invariant": true, "color": colour(at + 1, 1.0),
+                    "text": name }]);
+            }
+            entities.push(entity(&name, "map", now_us, &shapes));
         }
         if let Some(truth) = &self.truth {
             let grey = json!({ "r": 0.5, "g": 0.5, "b": 0.5, "a": 0.6 });
@@ -298,13 +324,48 @@ mod tests {
         };
         let payload = scan.encode_to_vec();
         let frame = Frame { kind: Kind::Scan.to_wire(), instance: 2, sequence: 1, time_us: 5, payload: &payload };
-        let drawn = Scene::default().take(Kind::Scan, &frame, 1_500_000);
+        let drawn = Scene::default().take(Kind::Scan, &frame, 1_500_000, |_| true);
         assert_eq!((drawn.len(), drawn[0].offer), (1, Offer::Laser));
         let laser = &drawn[0].json;
         assert_eq!(laser["ranges"], json!([1.5, 0.0, 0.02, 4.0]));
         assert_eq!((laser["start_angle"].as_f64(), laser["end_angle"].as_f64()), (Some(-1.0), Some(0.5)));
         assert_eq!(laser["pose"]["orientation"], json!({ "x": 0.6, "y": 0.0, "z": -0.8, "w": 0.0 }));
         assert_eq!(laser["timestamp"], json!({ "sec": 1, "nsec": 500_000_000 }));
+    }
+
+    /// GIVEN two estimates WHEN they part THEN the one that is not in the loop bears its name, and each has a colour of its own.
+    #[test]
+    fn what_parts_from_the_loop_bears_its_name() {
+        let mut scene = Scene::default();
+        let mut texts = |z: f64, now_us: u64| {
+            let mut last = Vec::new();
+            for (instance, estimator, in_loop, z) in
+                [(2, v1::EstimatorKind::Secure, false, z), (1, v1::EstimatorKind::EkfBias, true, 1.0)]
+            {
+                let position_enu_m = Some(v1::Vector3 { x: 0.0, y: 0.0, z });
+                let world_from_body = Some(v1::Quaternion { w: 1.0, ..Default::default() });
+                let mut estimate = v1::Estimate {
+                    in_loop,
+                    position_enu_m,
+                    world_from_body,
+                    altitude_known: true,
+                    ..Default::default()
+                };
+                estimate.set_estimator(estimator);
+                let payload = estimate.encode_to_vec();
+                let frame =
+                    Frame { kind: Kind::Estimate.to_wire(), instance, sequence: 1, time_us: now_us, payload: &payload };
+                last = scene.take(Kind::Estimate, &frame, now_us, |offer| offer == Offer::Scene);
+            }
+            let entities = last[0].json["entities"].as_array().unwrap().clone();
+            entities.iter().flat_map(|entity| entity["texts"].as_array().unwrap().clone()).collect::<Vec<_>>()
+        };
+        assert!(texts(1.05, 100_000).is_empty());
+        let apart = texts(1.2, 200_000);
+        assert_eq!((apart.len(), apart[0]["text"].as_str()), (1, Some("secure")));
+        let colours: std::collections::BTreeSet<String> = COLOURS.iter().map(|colour| format!("{colour:?}")).collect();
+        let kinds = (1..).take_while(|kind| v1::EstimatorKind::try_from(*kind).is_ok()).count();
+        assert!(colours.len() > kinds, "{} colours, {kinds} estimators", colours.len());
     }
 
     /// GIVEN a quarter turn to the left, 2 m up WHEN drawn THEN a string ends at its knot as it is turned, pale while slack.
@@ -319,7 +380,7 @@ mod tests {
         let mut scene = Scene::default();
         let mut take = |kind: Kind, payload: &[u8]| {
             let frame = Frame { kind: kind.to_wire(), instance: 1, sequence: 1, time_us: 100_000, payload };
-            scene.take(kind, &frame, 100_000)
+            scene.take(kind, &frame, 100_000, |_| true)
         };
         let described = v1::Description { strings: vec![string(0.5), string(5.0)], ..Default::default() };
         assert!(take(Kind::Description, &described.encode_to_vec()).is_empty());

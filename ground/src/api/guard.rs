@@ -4,7 +4,8 @@
 //!   its own name to this machine is refused, because its name is not one of these.
 //! - `Origin`, which browsers send with every WebSocket, every writing request and every request of a
 //!   foreign page, must be that same host, by TLS where TLS is on. Its absence means no foreign page; what a
-//!   session changes needs it (see [`super::access`]).
+//!   session changes needs it (see [`super::access`]). The Foxglove link is opened to configured origins, too: what shows
+//!   it is a page of others.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,6 +20,8 @@ use super::{App, access};
 
 /// Where the number of a request stands, asked and answered.
 const REQUEST_ID: &str = "x-request-id";
+/// How the one address ends that pages of others may open.
+const FOXGLOVE: &str = "/foxglove";
 
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     let id = number(request.headers());
@@ -62,7 +65,12 @@ fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> 
     }
     if !own_origin(headers, host, app.secure()) {
         let origin = headers.get(header::ORIGIN);
-        return Err(ApiError::Foreign(format!("origin {origin:?} is not this ground's page")));
+        if !uri.path().ends_with(FOXGLOVE) {
+            return Err(ApiError::Foreign(format!("origin {origin:?} is not this ground's page")));
+        }
+        if !configured_origin(headers, &app.config.allowed_origins) {
+            return Err(ApiError::Foreign(format!("origin {origin:?} is none of allow_origins (--allow-origin)")));
+        }
     }
     Ok(host.to_owned())
 }
@@ -86,6 +94,15 @@ fn own_origin(headers: &HeaderMap, host: &str, secure: bool) -> bool {
             let rest = origin.strip_prefix(if secure { "https://" } else { "http://" });
             rest.is_some_and(|rest| rest.eq_ignore_ascii_case(host))
         }),
+        _ => false,
+    }
+}
+
+/// Is there exactly one Origin, and is it among `allowed`?
+fn configured_origin(headers: &HeaderMap, allowed: &[String]) -> bool {
+    let mut origins = headers.get_all(header::ORIGIN).iter();
+    match (origins.next(), origins.next()) {
+        (Some(origin), None) => allowed.iter().any(|known| origin.as_bytes().eq_ignore_ascii_case(known.as_bytes())),
         _ => false,
     }
 }
@@ -155,5 +172,22 @@ mod tests {
             assert!(!origin(&[bad]), "{bad}");
         }
         assert!(!origin(&["http://127.0.0.1:4747", "http://127.0.0.1:4747"]));
+    }
+
+    #[test]
+    fn a_configured_origin_is_one_and_the_same() {
+        let allowed = ["https://app.foxglove.dev".to_owned(), "file://".to_owned()];
+        let among = |values: &[&'static str]| {
+            let mut headers = HeaderMap::new();
+            for value in values {
+                headers.append(header::ORIGIN, HeaderValue::from_static(value));
+            }
+            configured_origin(&headers, &allowed)
+        };
+        assert!(among(&["https://app.foxglove.dev"]) && among(&["file://"]));
+        assert!(
+            !among(&["https://app.foxglove.dev.evil"]) && !among(&["http://app.foxglove.dev"]) && !among(&["null"])
+        );
+        assert!(!among(&["file://", "file://"]) && !among(&[]));
     }
 }

@@ -42,6 +42,9 @@ pub struct ServeArguments {
     /// Host name, beside localhost and IP addresses, under which the page may be reached (repeatable).
     #[arg(long = "allow-host", value_name = "NAME")]
     allow_hosts: Vec<String>,
+    /// Page of others that may open the Foxglove link, and so command by it, such as https://app.foxglove.dev (repeatable).
+    #[arg(long = "allow-origin", value_name = "ORIGIN")]
+    allow_origins: Vec<String>,
     /// Serve the page by TLS on the loopback, too.
     #[arg(long)]
     tls: bool,
@@ -63,12 +66,25 @@ impl ServeArguments {
     /// The file cannot be read.
     pub fn settings(&self) -> Result<Settings, String> {
         let mut all = self.config.as_deref().map_or_else(|| Ok(Settings::default()), Settings::read)?;
-        let Self { listen, agent_listen, identity, data, allow_hosts, tls, certificate, key, json_log, .. } = self;
+        let Self {
+            listen,
+            agent_listen,
+            identity,
+            data,
+            allow_hosts,
+            allow_origins,
+            tls,
+            certificate,
+            key,
+            json_log,
+            ..
+        } = self;
         all.listen = listen.unwrap_or(all.listen);
         all.agent_listen = agent_listen.unwrap_or(all.agent_listen);
         all.identity = identity.clone().or(all.identity);
         all.data = data.clone().unwrap_or(all.data);
         all.allow_hosts.extend(allow_hosts.iter().cloned());
+        all.allow_origins.extend(allow_origins.iter().cloned());
         all.tls |= tls;
         all.certificate = certificate.clone().or(all.certificate);
         all.key = key.clone().or(all.key);

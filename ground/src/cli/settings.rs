@@ -17,6 +17,7 @@ pub struct Settings {
     pub data: PathBuf,
     pub identity: Option<PathBuf>,
     pub allow_hosts: Vec<String>,
+    pub allow_origins: Vec<String>,
     pub tls: bool,
     pub certificate: Option<PathBuf>,
     pub key: Option<PathBuf>,
@@ -42,7 +43,7 @@ pub struct Settings {
 }
 
 /// What each key means, in the order they are printed.
-const ABOUT: [(&str, &str); 27] = [
+const ABOUT: [(&str, &str); 28] = [
     ("listen", "Address of the page and the API. Anything but the loopback needs accounts, and is served by TLS."),
     ("agent_listen", "Address (UDP) that agents connect to."),
     ("data", "Folder of flight files, index, gains book, identities, accounts and audit log."),
@@ -51,6 +52,11 @@ const ABOUT: [(&str, &str); 27] = [
         "Folder of this ground's certificate and of the agents it trusts; absent: `identity` in the data folder.",
     ),
     ("allow_hosts", "Host names, beside localhost and IP addresses, under which the page may be reached."),
+    (
+        "allow_origins",
+        "Pages of others that may open the Foxglove link, and so command by it, such as https://app.foxglove.dev; an app on a \
+         desktop may be file://.",
+    ),
     ("tls", "Serve the page by TLS on the loopback, too."),
     ("certificate", "Certificate chain (PEM) for the page; absent: a self-signed one, made once in the data folder."),
     ("key", "Its private key (PEM)."),
@@ -116,6 +122,7 @@ impl Default for Settings {
             data: config.data_folder,
             identity: None,
             allow_hosts: config.allowed_hosts,
+            allow_origins: config.allowed_origins,
             tls: false,
             certificate: None,
             key: None,
@@ -188,6 +195,26 @@ impl Settings {
         }
     }
 
+    /// Origins as browsers say them.
+    ///
+    /// # Errors
+    /// One that no browser says.
+    fn origins(&self) -> Result<Vec<String>, String> {
+        let said = |origin: &String| {
+            let host = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+            let web = host.is_some_and(|host| {
+                let authority = host.parse::<axum::http::uri::Authority>().ok();
+                authority.is_some_and(|authority| authority.as_str() == host && !host.contains('@'))
+            });
+            if web || origin == "file://" {
+                Ok(origin.clone())
+            } else {
+                Err(format!("allow_origins: {origin:?} is no origin such as https://app.foxglove.dev, without a path"))
+            }
+        };
+        self.allow_origins.iter().map(said).collect()
+    }
+
     /// What is shared with other grounds.
     ///
     /// # Errors
@@ -220,6 +247,7 @@ impl Settings {
         };
         let mut config = GroundConfig::new(&self.data);
         config.allowed_hosts.clone_from(&self.allow_hosts);
+        config.allowed_origins = self.origins()?;
         config.metrics_open = self.metrics_open;
         let key = self.mavlink_key.as_deref().map(signing::read_key).transpose();
         let key = key.map_err(|error| format!("mavlink_key: {error}"))?;

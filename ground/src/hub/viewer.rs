@@ -47,7 +47,7 @@ impl ViewerQueue {
     }
 
     /// Adds a batch; drops the oldest while there are too many bytes.
-    pub(super) fn push(&self, shared: Shared) {
+    pub(crate) fn push(&self, shared: Shared) {
         let mut waiting = lock(&self.waiting);
         waiting.bytes += shared.batch.len();
         waiting.batches.push_back(shared);

@@ -40,7 +40,7 @@ pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Si
         let (topic, wall) = (&message.channel.topic, boot.at(FlightTime(message.time_us)));
         let drawn = Kind::from_topic(topic).map_or_else(Vec::new, |(kind, instance)| {
             let Recorded { sequence, time_us, payload, .. } = *message;
-            scene.take(kind, &Frame { kind: kind.to_wire(), instance, sequence, time_us, payload }, wall.0)
+            scene.take(kind, &Frame { kind: kind.to_wire(), instance, sequence, time_us, payload }, wall.0, |_| true)
         });
         // What came before the range is in the scene, and not in the file.
         if message.time_us < from {

@@ -341,3 +341,24 @@ async fn a_viewer_is_refused_the_services() {
     assert!(by("\"status\":403") >= 1 && by("\"status\":200") == 1, "{audit}");
     assert!(!audit.contains("\"who\":\"root\""), "the account counts, not what the address says: {audit}");
 }
+
+/// GIVEN a ground that knows a page of others WHEN that page opens the link THEN it is served, and no other page is; the rest of the API
+/// stays closed to it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_page_of_others_is_served_where_it_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = plumbline_ground::GroundConfig::new(folder.path());
+    config.allowed_origins = vec!["https://app.foxglove.dev".into()];
+    config.reserve_bytes = 1;
+    let ground = Ground::start_with(config).await;
+    let _agent = ground.agent("iris-1", 7).await;
+    let from = |origin: &str, path: &'static str| {
+        let headers = [("origin", origin.to_owned())];
+        let ground = &ground;
+        async move { connect_with(ground, path, Some("foxglove.websocket.v1"), &headers).await.map(|_| ()) }
+    };
+    assert_eq!(from("https://app.foxglove.dev", "iris-1/foxglove").await, Ok(()));
+    assert_eq!(from("https://elsewhere.dev", "iris-1/foxglove").await, Err(403));
+    assert_eq!(from("null", "iris-1/foxglove").await, Err(403));
+    assert_eq!(from("https://app.foxglove.dev", "iris-1/live").await, Err(403));
+}

@@ -46,14 +46,14 @@ def test_the_layout_of_plotjuggler() -> None:
 def test_the_layout_of_foxglove() -> None:
     layout = json.loads((ROOT / "docs" / "foxglove.json").read_text())
     panels = layout["configById"]
-    shown = set(re.findall(r'"((?:3D|Plot|StateTransitions|Log|Parameters|CallService)![a-z]+)"', json.dumps(layout["layout"])))
+    shown = set(re.findall(r'"((?:3D|Plot|StateTransitions|RosOut|Parameters|CallService)![a-z]+)"', json.dumps(layout["layout"])))
     assert shown == panels.keys(), "every panel is shown once"
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
     assert len(paths) > 8
     for path in paths:
         topic, _, fields = path.partition(".")
         check(topic, re.sub(r"\{[^}]*\}", "", fields).split("."))
-    named = {panels["Log!events"]["topicToRender"], *panels["3D!vehicle"]["topics"]}
+    named = {panels["RosOut!events"]["topicToRender"], *panels["3D!vehicle"]["topics"]}
     assert named <= FOXGLOVES
     for panel in panels.values():
         if request := panel.get("requestPayload"):

@@ -109,8 +109,8 @@ async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {
     let client = Mutex::new(Client::new(caller.app.hub.latest(&caller.vehicle, Kind::Description)));
     outbox.rare(client::server_info(&caller.vehicle));
     outbox.rare(services::advertise());
-    for offer in Offer::ALL {
-        outbox.rare(client::advertise_json(FIRST_OFFER + offer as u32, offer));
+    for offer in [Offer::Transform, Offer::Scene, Offer::Log] {
+        lock(&client).offer(offer, &outbox);
     }
     let Viewer { backlog, queue } = viewer;
     for shared in backlog {
@@ -130,6 +130,8 @@ async fn pump(queue: &ViewerQueue, client: &Mutex<Client>, outbox: &Outbox) {
     while !outbox.overflown() {
         let shared = queue.next().await;
         take(client, outbox, &shared.batch);
+        // Where many wait the next is there at once: what sends and what listens would not have their turn until all are taken.
+        tokio::task::yield_now().await;
     }
 }
 
@@ -218,7 +220,7 @@ impl Outbox {
         if waiting.dropped > 0 {
             let dropped = std::mem::take(&mut waiting.dropped);
             return Some(client::warning(&format!(
-                "{dropped} samples were dropped: this client takes them too slowly"
+                "{dropped} samples were dropped: they came faster than they could be sent"
             )));
         }
         let sample = waiting.samples.pop_front()?;
@@ -264,7 +266,7 @@ impl Client {
     fn new(description: Option<v1::Description>) -> Self {
         Self {
             boot_us: description.map_or(0, |description| description.boot_wall_time_us),
-            channels: Offer::ALL.map(|offer| (FIRST_OFFER + offer as u32, offer.topic().to_owned())).into(),
+            channels: BTreeMap::new(),
             subscriptions: HashMap::new(),
             latest: HashMap::new(),
             scene: Scene::default(),
@@ -288,9 +290,23 @@ impl Client {
         let boot = WallTime(if kind.is_ground_made() { 0 } else { self.boot_us });
         let since = boot.at(FlightTime(frame.time_us));
         self.put(channel, since.as_nanos(), frame.payload, sampled(Some(kind)), outbox);
-        for Drawn { offer, json, sampled } in self.scene.take(kind, frame, since.0) {
+        if kind == Kind::Scan {
+            self.offer(Offer::Laser, outbox);
+        }
+        // Events are few, and kept for who subscribes later.
+        let subscriptions = &self.subscriptions;
+        let wanted = |offer| offer == Offer::Log || subscriptions.values().any(|of| *of == FIRST_OFFER + offer as u32);
+        for Drawn { offer, json, sampled } in self.scene.take(kind, frame, since.0, wanted) {
             self.put(FIRST_OFFER + offer as u32, since.as_nanos(), json.to_string().as_bytes(), sampled, outbox);
         }
+    }
+
+    fn offer(&mut self, offer: Offer, outbox: &Outbox) {
+        let channel = FIRST_OFFER + offer as u32;
+        self.channels.entry(channel).or_insert_with(|| {
+            outbox.rare(client::advertise_json(channel, offer));
+            offer.topic().to_owned()
+        });
     }
 
     fn put(&mut self, channel: u32, time_ns: u64, payload: &[u8], sampled: bool, outbox: &Outbox) {
@@ -386,6 +402,25 @@ mod tests {
         assert!(!outbox.overflown());
         (0..=MAX_RARE).for_each(|_| outbox.rare(client::warning("")));
         assert!(outbox.overflown());
+    }
+
+    /// GIVEN a queue with a hundred batches WHEN they are taken THEN what shares the task has its turn between them.
+    #[tokio::test]
+    async fn a_backlog_leaves_turns_to_what_sends_and_listens() {
+        let (queue, outbox, client) = (ViewerQueue::default(), Outbox::default(), Mutex::new(Client::new(None)));
+        for _ in 0..100 {
+            queue.push(crate::hub::Shared { batch: vec![1].into(), messages: 1 });
+        }
+        let turns = async {
+            for _ in 0..10 {
+                tokio::task::yield_now().await;
+            }
+        };
+        tokio::select! {
+            () = pump(&queue, &client, &outbox) => panic!("it ends with the client alone"),
+            () = turns => {}
+        }
+        assert!(queue.queued_bytes() > 50, "{} batches are left after ten turns", queue.queued_bytes());
     }
 
     #[test]

@@ -58,8 +58,10 @@ pub(super) fn advertise() -> Message {
     };
     let services = SERVICES.map(|service| {
         let kind = format!("plumbline.{}", service.name);
-        json!({ "id": service.id, "name": service.name, "type": kind,
-            "request": typed(&kind, (service.request)()), "response": typed("plumbline.answer", schema::<Answer>()) })
+        let (request, response) = (typed(&kind, (service.request)()), typed("plumbline.answer", schema::<Answer>()));
+        // Clients of before 2024 read the schemas alone.
+        json!({ "id": service.id, "name": service.name, "type": kind, "requestSchema": request["schema"],
+            "responseSchema": response["schema"], "request": request, "response": response })
     });
     client::text(&json!({ "op": "advertiseServices", "services": services }))
 }
