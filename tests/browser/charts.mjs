@@ -1,5 +1,5 @@
 // Frames per second of eight curves at 800×500, of 100 000 and of a million samples each, measured by the page itself and
-// checked by pixels.
+// checked by pixels: by what the page chooses here, and by WebGL2.
 
 import { assert, complaints, end, launch, pixels, step, until, url } from './support.mjs';
 
@@ -7,9 +7,9 @@ const browser = await launch();
 const page = await browser.newPage({ viewport: { width: 800, height: 500 } });
 const errors = complaints(page);
 
-for (const samples of [100_000, 1_000_000]) {
-  await step(page, `charts: 8 × ${samples} samples`, async () => {
-    await page.goto(`${url}/?bench&samples=${samples}`);
+for (const [samples, means] of [100_000, 1_000_000].flatMap((samples) => ['', '&webgl'].map((means) => [samples, means]))) {
+  await step(page, `charts: 8 × ${samples} samples${means}`, async () => {
+    await page.goto(`${url}/?bench&samples=${samples}${means}`);
     const text = await until('#bench-result', async () => {
       const trouble = await page.locator('#bench-error').textContent({ timeout: 100 }).catch(() => '');
       assert(!trouble, `the bench page says: ${trouble}`);

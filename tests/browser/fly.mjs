@@ -193,42 +193,86 @@ await step(page, 'abort with one click', async () => {
   await until('aborted', async () => /aborted/i.test(await region('Attacks').getByRole('listitem').first().textContent()));
 });
 
-await step(page, 'turned to portrait, the canvas is painted to its last row', async () => {
-  await page.setViewportSize({ width: 1080, height: 810 });
-  await page.waitForTimeout(300);
-  await page.setViewportSize({ width: 810, height: 1080 });
-  // The plot that reaches into the strip as high as the toolbar at the very bottom.
-  const plots = await page.locator('.plot').all();
-  const boxes = await Promise.all(plots.map((plot) => plot.boundingBox()));
-  const lowest = boxes.findIndex((box) => box && box.y < 1060 && box.y + box.height > 1040);
-  assert(lowest >= 0, `no plot at the bottom: ${JSON.stringify(boxes)}`);
-  const bottom = (box) => ({ x: box.x + 2, y: 1040, width: box.width - 4, height: Math.min(box.y + box.height, 1080) - 1042 });
-  const seen = await until('the strip at the bottom', async () => {
-    const seen = await pixels(page, plots[lowest], bottom);
-    return seen.page < 0.5 ? seen : false;
-  }, 3000);
-  await shot('fly-light-portrait-810x1080');
-  await page.setViewportSize({ width: 1280, height: 720 });
-  return { page: seen.page };
+// The processor draws where there is no graphics card, as here; by WebGL2 the same is drawn when asked for.
+const webgl = await context.newPage();
+webgl.setDefaultTimeout(20_000);
+await step(webgl, 'WebGL2 draws when the address asks for it', async () => {
+  await webgl.goto(`${url}/?graphics=webgl`);
+  await drawn(webgl, webgl.getByRole('region', { name: 'Altitude' }).getByRole('img').first(), 'the altitude');
 });
 
-await step(page, 'a lost graphics context is said, and everything is drawn again', async () => {
-  const altitude = region('Altitude').getByRole('img').first();
+for (const [name, drawing] of [['by the processor', page], ['by WebGL2', webgl]]) {
+  await step(drawing, `turned to portrait, the canvas is painted to its last row ${name}`, async () => {
+    await drawing.bringToFront();
+    await drawing.setViewportSize({ width: 1080, height: 810 });
+    await drawing.waitForTimeout(300);
+    await drawing.setViewportSize({ width: 810, height: 1080 });
+    // The plot that reaches into the strip as high as the toolbar at the very bottom.
+    const plots = await drawing.locator('.plot').all();
+    const boxes = await Promise.all(plots.map((plot) => plot.boundingBox()));
+    const lowest = boxes.findIndex((box) => box && box.y < 1060 && box.y + box.height > 1040);
+    assert(lowest >= 0, `no plot at the bottom: ${JSON.stringify(boxes)}`);
+    const bottom = (box) => ({ x: box.x + 2, y: 1040, width: box.width - 4, height: Math.min(box.y + box.height, 1080) - 1042 });
+    const seen = await until('the strip at the bottom', async () => {
+      const seen = await pixels(drawing, plots[lowest], bottom);
+      return seen.page < 0.5 ? seen : false;
+    }, 3000);
+    if (drawing === page) await shot('fly-light-portrait-810x1080');
+    await drawing.setViewportSize({ width: 1280, height: 720 });
+    return { page: seen.page };
+  });
+}
+
+await step(webgl, 'a lost graphics context is said, and everything is drawn again', async () => {
+  const altitude = webgl.getByRole('region', { name: 'Altitude' }).getByRole('img').first();
   // Within the plot: legend, labels and texts stay. Curves and grid leave less of one colour than an empty plot.
   const plot = ({ x, y, width, height }) => ({ x: x + 0.3 * width, y: y + 0.5 * height, width: 0.5 * width, height: 0.3 * height });
-  const common = async () => (await pixels(page, altitude, plot)).common;
+  const common = async () => (await pixels(webgl, altitude, plot)).common;
   await until('a chart that could go', async () => (await common()) < 0.98);
-  await page.evaluate(() => {
+  await webgl.evaluate(() => {
     const canvas = document.querySelector('canvas.behind');
     globalThis.plumblineLoss = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
     globalThis.plumblineLoss.loseContext();
   });
-  await page.getByText('Charts are gone for the moment').waitFor();
+  await webgl.getByText('Charts are gone for the moment').waitFor();
   await until('the chart to be gone', async () => (await common()) > 0.99);
-  assert(Number.isFinite(await readout('altitude')), 'the numbers are gone too');
-  await page.evaluate(() => globalThis.plumblineLoss.restoreContext());
-  await page.getByText('Charts are gone for the moment').waitFor({ state: 'detached' });
-  return charts(['Altitude', 'Attitude', 'Residuals']);
+  const altitude_m = number(await webgl.getByRole('region', { name: 'Readouts' }).getByRole('definition').nth(6).textContent());
+  assert(Number.isFinite(altitude_m), 'the numbers are gone too');
+  await webgl.evaluate(() => globalThis.plumblineLoss.restoreContext());
+  await webgl.getByText('Charts are gone for the moment').waitFor({ state: 'detached' });
+  await until('the chart again', async () => (await common()) < 0.98);
+});
+await webgl.close();
+await page.bringToFront();
+
+await step(page, 'the processor draws what WebGL2 draws', async () => {
+  const pictures = await context.newPage();
+  const seen = {};
+  for (const theme of ['', '&dark']) {
+    const [processor, webgl] = await Promise.all(['', '&webgl'].map(async (means, n) => {
+      const gallery = n === 0 ? pictures : await context.newPage();
+      await gallery.goto(`${url}/?gallery${theme}${means}`);
+      await gallery.locator('#gallery-drawn').waitFor();
+      const picture = (await gallery.screenshot({ clip: { x: 0, y: 0, width: 1280, height: 680 } })).toString('base64');
+      if (n === 1) await gallery.close();
+      return picture;
+    }));
+    // Levels of 255 that the channels of all pixels are apart: the mean, and what one in two hundred exceeds.
+    seen[theme] = await pictures.evaluate(async (both) => {
+      const [a, b] = await Promise.all(both.map(async (png) => {
+        const image = await createImageBitmap(new Blob([Uint8Array.from(atob(png), (c) => c.charCodeAt(0))], { type: 'image/png' }));
+        const context = new OffscreenCanvas(image.width, image.height).getContext('2d');
+        context.drawImage(image, 0, 0);
+        return context.getImageData(0, 0, image.width, image.height).data;
+      }));
+      const apart = a.map((level, i) => Math.abs(level - b[i])).toSorted();
+      return { mean: apart.reduce((sum, one) => sum + one, 0) / apart.length, most: apart[Math.floor(0.995 * apart.length)] };
+    }, [processor, webgl]);
+    assert(seen[theme].mean < 0.5 && seen[theme].most <= 24, `pictures differ: ${JSON.stringify(seen)}`);
+  }
+  await pictures.close();
+  await page.bringToFront();
+  return seen;
 });
 
 await step(page, 'the vehicle in space hangs on its strings', async () => {

@@ -19,12 +19,17 @@ const open = async () => {
   await context.addInitScript(() => {
     window.drawn = 0;
     let drew = false;
-    for (const call of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']) {
-      const draw = WebGL2RenderingContext.prototype[call];
-      WebGL2RenderingContext.prototype[call] = function (...all) {
-        drew = true;
-        return draw.apply(this, all);
-      };
+    for (const [{ prototype: context }, calls] of [
+      [WebGL2RenderingContext, ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']],
+      [CanvasRenderingContext2D, ['putImageData']],
+    ]) {
+      for (const call of calls) {
+        const draw = context[call];
+        context[call] = function (...all) {
+          drew = true;
+          return draw.apply(this, all);
+        };
+      }
     }
     const ask = window.requestAnimationFrame.bind(window);
     window.requestAnimationFrame = (then) => ask((now) => {

@@ -297,10 +297,14 @@ await step(page, 'a page without charts draws nothing', async () => {
   await page.waitForTimeout(500);
   await page.evaluate(() => {
     globalThis.drawn = 0;
-    const real = WebGL2RenderingContext.prototype;
-    for (const name of ['clear', 'clearBufferfv', 'drawArrays', 'drawElements', 'drawArraysInstanced', 'blitFramebuffer']) {
-      const call = real[name];
-      real[name] = function (...all) { globalThis.drawn += 1; return call.apply(this, all); };
+    for (const [real, names] of [
+      [WebGL2RenderingContext.prototype, ['clear', 'clearBufferfv', 'drawArrays', 'drawElements', 'drawArraysInstanced', 'blitFramebuffer']],
+      [CanvasRenderingContext2D.prototype, ['fillRect', 'putImageData']],
+    ]) {
+      for (const name of names) {
+        const call = real[name];
+        real[name] = function (...all) { globalThis.drawn += 1; return call.apply(this, all); };
+      }
     }
   });
   await page.waitForTimeout(1000);

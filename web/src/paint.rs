@@ -37,6 +37,11 @@ const LIGHT_MS: f64 = 8.0;
 const PAUSE_SHARE: f64 = 1.5;
 /// Longest pause between two frames, ms.
 const MOST_PAUSE_MS: f64 = 250.0;
+/// What a live chart shows besides where its newest sample is, new spans and marks, is looked at this often, ms.
+const NEWS_MS: f64 = 200.0;
+/// Without a graphics card every second frame of a usual screen is drawn, which begins at most this long after the last, ms:
+/// shorter than two of its periods, so that the browser's own beat decides.
+const SOFTWARE_MS: f64 = 24.0;
 /// While no chart can be seen, whether one can is looked at this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -66,6 +71,7 @@ fn acquire(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Opt
                 let backend = match renderer.backend() {
                     Backend::WebGpu => "WebGPU",
                     Backend::WebGl => "WebGL2",
+                    Backend::Processor => "the processor, as there is no graphics card",
                 };
                 ctx.graphics.set(Graphics::On(format!("{backend}, {}", renderer.adapter_name())));
                 let first = painter.borrow().is_none();
@@ -84,10 +90,10 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
     type Loop = Rc<RefCell<Option<Closure<dyn FnMut()>>>>;
     let next: Loop = Rc::new(RefCell::new(None));
     let again = next.clone();
-    let mut shown = None;
+    let (mut shown, mut charted) = (None, None);
     let body = Closure::<dyn FnMut()>::new(move || {
         let begun = net::now_ms();
-        let outcome = painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer, &mut shown));
+        let outcome = painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer, &mut shown, &mut charted));
         if outcome == Some(FrameOutcome::Lost) && ctx.graphics.with_untracked(|g| *g != Graphics::Lost) {
             ctx.graphics.set(Graphics::Lost);
         }
@@ -98,22 +104,23 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
         }
         let nothing = shown.as_ref().is_some_and(Still::shows_nothing);
         let again = again.clone();
+        let in_software = painter.borrow().as_ref().is_some_and(|renderer| renderer.backend() == Backend::Processor);
         let ask = move || {
             if let Some(closure) = again.borrow().as_ref() {
                 // Fails only without a window.
                 let _ = window().request_animation_frame(closure.as_ref().unchecked_ref());
             }
         };
-        // A timer of no time ends when the browser has put the frame on the screen: in software it reads the canvas
-        // back meanwhile, and nothing else happens on this thread.
+        // A timer of no time ends when the browser has put the frame on the screen.
         let on_screen = move || {
             let spent_ms = net::now_ms() - begun;
             if nothing {
                 set_timeout(ask, LOOK);
-            } else if spent_ms < LIGHT_MS {
+            } else if spent_ms < LIGHT_MS && !in_software {
                 ask();
             } else {
-                let pause_ms = (PAUSE_SHARE * spent_ms).min(MOST_PAUSE_MS);
+                let least_ms = if in_software { SOFTWARE_MS - spent_ms } else { 0.0 };
+                let pause_ms = (PAUSE_SHARE * spent_ms).max(least_ms).min(MOST_PAUSE_MS);
                 set_timeout(ask, Duration::from_millis(pause_ms as u64));
             }
         };
@@ -129,7 +136,7 @@ struct Still {
     dark: bool,
     size: (f64, f64, f64),
     places: Vec<(Picture, Option<Rect>)>,
-    recorded: Option<Recorded>,
+    recorded: Option<Charted>,
 }
 
 impl Still {
@@ -139,9 +146,9 @@ impl Still {
     }
 }
 
-/// What the charts of a recorded flight depend on.
+/// What charts depend on.
 #[derive(PartialEq)]
-struct Recorded {
+struct Charted {
     instrument: Instrument,
     axis: TimeAxis,
     cursor: Option<f64>,
@@ -161,7 +168,7 @@ struct Recorded {
     curves: (usize, u64),
 }
 
-impl Recorded {
+impl Charted {
     fn of(deck: Deck, instrument: &Instrument) -> Option<Self> {
         let (axis, curves) = deck.data.try_with_value(|live| (deck.axis(live), live.curves.state()))?;
         Some(Self {
@@ -183,10 +190,21 @@ impl Recorded {
             curves,
         })
     }
+
+    /// Of a live vehicle, to the pixel: a chart `width_px` wide, which moves on with time, looks the same until it has moved by one.
+    fn live(deck: Deck, width_px: f64) -> Option<Self> {
+        let mut charted = Self::of(deck, &Instrument::default())?;
+        let TimeAxis { end_s, .. } = charted.axis;
+        let span_s = charted.axis.span_s();
+        charted.axis = TimeAxis::new(0.0, span_s);
+        charted.curves = ((net::now_ms() / NEWS_MS) as usize, (end_s / span_s * width_px) as u64);
+        Some(charted)
+    }
 }
 
-/// One frame; nothing is drawn while it would be `shown` again.
-fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>) -> FrameOutcome {
+/// One frame; nothing is drawn while it would be `shown` again, and no chart while it would be as it was `charted`, where what is not
+/// drawn stays.
+fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: &mut Option<Charted>) -> FrameOutcome {
     let number = |value: Result<wasm_bindgen::JsValue, _>| value.ok().and_then(|v| v.as_f64()).unwrap_or(1.0);
     let (width, height) = (number(window().inner_width()), number(window().inner_height()));
     let size = (width, height, window().device_pixel_ratio());
@@ -198,13 +216,18 @@ fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>) -> FrameO
     let rects: Vec<Option<Rect>> = slots.iter().map(|slot| visible(slot, height)).collect();
     let instrument = deck.map(Deck::instrument_now).unwrap_or_default();
     let recorded = deck.filter(|deck| deck.source == Source::Recorded);
-    let recorded = recorded.and_then(|deck| Recorded::of(deck, &instrument));
+    let recorded = recorded.and_then(|deck| Charted::of(deck, &instrument));
     let places: Vec<_> = slots.iter().map(|slot| slot.picture).zip(rects.iter().copied()).collect();
     let moves = recorded.is_none() && rects.iter().any(Option::is_some);
     let now = (!moves).then_some(Still { dark, size, places, recorded });
     if now.is_some() && now == *shown {
         return FrameOutcome::Skipped;
     }
+    let seen: Vec<Rect> = rects.iter().copied().flatten().collect();
+    let width = seen.iter().map(|rect| f64::from(rect.width)).fold(1.0, f64::max) * size.2;
+    let charts = deck.filter(|_| moves).and_then(|deck| Charted::live(deck, width));
+    let stay = !renderer.lay_out(&theme, &seen) && charts.is_some() && charts == *charted;
+    *charted = charts;
     let mut draw = |live: &Live, deck: Deck| {
         let frame = Frame { deck, dark, theme };
         let body = Body::new(live, &instrument);
@@ -214,6 +237,9 @@ fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>) -> FrameO
             .zip(&rects)
             .filter_map(|(slot, rect)| {
                 let rect = (*rect)?;
+                if stay && !matches!(slot.picture, Picture::Horizon | Picture::Space) {
+                    return None;
+                }
                 let content = frame.content(slot, rect, live, axis, &instrument, &body)?;
                 Some(Panel { rect, content })
             })

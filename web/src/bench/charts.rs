@@ -120,6 +120,7 @@ impl Bench {
             view = view.curve(series, color, Style::Solid);
         }
         let rect = Rect::new(0.0, 0.0, SIZE_PX[0], SIZE_PX[1]);
+        self.renderer.lay_out(&Theme::LIGHT, &[rect]);
         self.renderer.frame(&Theme::LIGHT, &[Panel { rect, content: Content::Chart(view) }])
     }
 
@@ -135,6 +136,7 @@ impl Bench {
         let backend = match self.renderer.backend() {
             Backend::WebGpu => "webgpu",
             Backend::WebGl => "webgl2",
+            Backend::Processor => "processor",
         };
         let line = serde_json::json!({
             "bench": "charts", "name": format!("{CURVES}x{}k_800x500", self.samples / 1000), "value": round(rate), "unit": "frames/s",

@@ -101,7 +101,9 @@ pub(super) fn run(stage: Stage, mut renderer: Renderer, dark: bool) {
         let (width, height, ratio) = stage.size();
         renderer.resize(width, height, ratio);
         let (rotors, strings) = (rotors(), strings());
-        let outcome = renderer.frame(&theme, &panels(&flight, &theme, &rotors, &strings, width as f32));
+        let panels = panels(&flight, &theme, &rotors, &strings, width as f32);
+        renderer.lay_out(&theme, &panels.iter().map(|panel| panel.rect).collect::<Vec<_>>());
+        let outcome = renderer.frame(&theme, &panels);
         if outcome == FrameOutcome::Drawn && now_ms > 500.0 {
             stage.say("gallery-drawn", "drawn");
         }

@@ -1,8 +1,8 @@
-//! One frame: panels to triangles, triangles to the canvas.
+//! One frame by a graphics card: panels to triangles, triangles to the canvas.
 //!
 //! The canvas is fixed over the window, behind the page. Each frame clears it and draws every panel
 //! inside its own scissor. A lost context is reported as [`FrameOutcome::Rebuild`] once drawing is possible
-//! again: the page then makes a new [`Renderer`] on the same canvas.
+//! again: the page then makes a new [`Renderer`](super::Renderer) on the same canvas.
 
 use web_sys::HtmlCanvasElement;
 
@@ -86,8 +86,8 @@ struct SpacePicture {
     group: wgpu::BindGroup,
 }
 
-/// Draws panels on one canvas.
-pub struct Renderer {
+/// Draws panels on one canvas, by WebGPU or WebGL2.
+pub(super) struct Card {
     screen: Screen,
     pipelines: Pipelines,
     shapes: Shapes,
@@ -98,18 +98,9 @@ pub struct Renderer {
     stats: FrameStats,
 }
 
-impl Renderer {
-    /// A renderer on this canvas, by WebGPU where the browser has it, else by WebGL2.
-    pub async fn new(canvas: HtmlCanvasElement) -> Result<Self, GpuError> {
-        Self::with_backends(canvas, wgpu::Backends::BROWSER_WEBGPU | wgpu::Backends::GL).await
-    }
-
-    /// The same by WebGL2 even where there is WebGPU: for comparison, and for faulty drivers.
-    pub async fn new_webgl(canvas: HtmlCanvasElement) -> Result<Self, GpuError> {
-        Self::with_backends(canvas, wgpu::Backends::GL).await
-    }
-
-    async fn with_backends(canvas: HtmlCanvasElement, backends: wgpu::Backends) -> Result<Self, GpuError> {
+impl Card {
+    /// On this canvas, by one of these interfaces.
+    pub async fn new(canvas: HtmlCanvasElement, backends: wgpu::Backends) -> Result<Self, GpuError> {
         let screen = Screen::open(canvas, backends, PICTURE_FORMAT).await?;
         let pipelines = Pipelines::new(&screen);
         pipelines.set_canvas_size(&screen.queue, screen.size(), screen.upside_down());
@@ -125,30 +116,24 @@ impl Renderer {
         })
     }
 
-    /// Interface in use.
     pub fn backend(&self) -> Backend {
         self.screen.backend
     }
 
-    /// What the browser calls its graphics adapter.
     pub fn adapter_name(&self) -> &str {
         &self.screen.adapter_name
     }
 
-    /// What the last frame cost.
     pub fn stats(&self) -> FrameStats {
         self.stats
     }
 
-    /// Fit the canvas to its size on the page (CSS pixels) and the device pixel ratio. Cheap when
-    /// nothing changed, so it may be called before each frame.
     pub fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) {
         if self.screen.resize(css_width, css_height, device_pixel_ratio) {
             self.pipelines.set_canvas_size(&self.screen.queue, self.screen.size(), self.screen.upside_down());
         }
     }
 
-    /// Draw these panels, and nothing else, on a canvas of the theme's page colour.
     pub fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
         let target = match self.screen.target() {
             Ok(target) => target,

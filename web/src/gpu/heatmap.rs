@@ -87,9 +87,21 @@ fn draw_row(
     let hold = (hold_s / view.time.span_s() * columns as f64) as f32;
     let points = &scratch.decimated.points;
     let mut open: Option<Bar> = None;
+    // Bars that touch are one strip.
+    let mut end = f32::NEG_INFINITY;
     let mut draw = |bar: Bar| {
         let (from, to) = (bar.from.max(plot.left), bar.to.min(plot.right));
-        shapes.rect([from, bottom - bar.height, to, bottom], bar.color);
+        if to <= from {
+            return;
+        }
+        if from != end {
+            shapes.lift();
+        }
+        for x in [from, to] {
+            shapes.inside([x, bottom - bar.height], bar.color);
+            shapes.inside([x, bottom], bar.color);
+        }
+        end = to;
     };
     for (i, point) in points.iter().enumerate() {
         let next = points.get(i + 1).map_or(f32::INFINITY, |next| next.x);
@@ -116,6 +128,7 @@ fn draw_row(
     if let Some(done) = open {
         draw(done);
     }
+    shapes.lift();
 }
 
 #[cfg(test)]

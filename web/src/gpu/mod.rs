@@ -1,7 +1,9 @@
-//! Everything that is drawn: one wgpu canvas behind the page, WebGPU where present, else WebGL2.
+//! Everything that is drawn: one canvas behind the page, by wgpu (WebGPU where present, else WebGL2), or by the processor where there is
+//! no graphics card.
 //!
 //! - [`scene`] says what can be drawn; plain data, tested natively.
-//! - [`Renderer`] draws a list of panels per frame: canvas and device are `screen`'s, what they draw with `pipelines`'.
+//! - [`Renderer`] draws a list of panels per frame, on a card by `context` (canvas and device are `screen`'s, what they draw with
+//!   `pipelines`') or on `paper`, whose pixels `raster` makes of the same triangles.
 //! - Two kinds of triangles do all the work: [`shape`] (flat, anti-aliased by coverage) for charts,
 //!   heat maps and the horizon; [`mesh`] (lit, depth-tested, multisampled) for the vehicle in space.
 //! - `chart`, `heatmap`, `horizon` and `attitude3d` turn one content each into those triangles.
@@ -17,17 +19,19 @@ pub mod horizon;
 mod image;
 mod line;
 mod mesh;
+mod paper;
 mod pipelines;
-#[cfg(test)]
 mod raster;
+mod renderer;
 pub mod scene;
 mod screen;
 mod shape;
 
 pub use color::{Color, Theme};
-pub use context::{FrameOutcome, FrameStats, Renderer};
+pub use context::{FrameOutcome, FrameStats};
 pub use error::GpuError;
 pub use grid::{TIME_TICK_SPACING_PX, VALUE_TICK_SPACING_PX};
+pub use renderer::Renderer;
 pub use scene::*;
 pub use screen::Backend;
 

@@ -1,265 +1,532 @@
-//! A plain software rasteriser with the shaders' arithmetic, for tests: what a frame would look like,
-//! pixel by pixel, without a graphics device.
-//!
-//! With `PLUMBLINE_PICTURES=FOLDER` the gallery is written there as PPM files, to be looked at.
+//! What the shaders do, by the processor: for machines without a graphics card, where a browser's emulation of one takes ten times as
+//! long and has to be waited for.
 
 use super::attitude3d::Space;
-use super::chart::{Scratch, draw_chart};
-use super::color::{Color, Theme};
-use super::grid::Plot;
-use super::heatmap::draw_heatmap;
-use super::horizon::draw_horizon;
-use super::mesh;
-use super::scene::{Attitude3dView, ChartView, Content, Curve, Panel, Rect, Style};
-use super::shape::{Shapes, Vertex};
-use crate::model::axis::{TimeAxis, ValueAxis};
-use crate::model::series::Series;
+use super::color::Color;
+use super::{mesh, shape};
 
-struct Image {
+/// Pictures of space with more pixels than this have one sample a pixel instead of four.
+const FINE_PX: usize = 250_000;
+/// What is nearer to the eye than this, in m, is cut off.
+const NEAR_M: f32 = 0.02;
+
+/// A picture.
+#[derive(Debug, Default)]
+pub(super) struct Tile {
     width: usize,
     height: usize,
-    pixels: Vec<[f32; 3]>,
+    /// Row by row from the top: red, green, blue and alpha, red in the lowest byte.
+    pixels: Vec<u32>,
+}
+
+/// Kept between frames so that nothing is allocated.
+#[derive(Debug, Default)]
+pub(super) struct Depths {
+    fine: Tile,
+    depths: Vec<f32>,
+}
+
+/// Something that changes evenly over a triangle.
+#[derive(Debug, Clone, Copy)]
+struct Plane {
+    /// At the picture's corner.
+    origin: f32,
+    per_x: f32,
+    per_y: f32,
+}
+
+/// Three corners, px, and twice their area.
+#[derive(Debug, Clone, Copy)]
+struct Triangle {
+    corners: [[f32; 2]; 3],
+    area: f32,
+}
+
+impl Triangle {
+    /// `None` for what covers nothing.
+    fn new(corners: [[f32; 2]; 3]) -> Option<Self> {
+        let [a, b, c] = corners;
+        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        (area != 0.0 && area.is_finite()).then_some(Self { corners, area })
+    }
+
+    /// The plane through a value at each corner.
+    fn plane(&self, [v0, v1, v2]: [f32; 3]) -> Plane {
+        let [a, b, c] = self.corners;
+        let per_area = 1.0 / self.area;
+        let (d1, d2) = ((v1 - v0) * per_area, (v2 - v0) * per_area);
+        let per_x = d1 * (c[1] - a[1]) - d2 * (b[1] - a[1]);
+        let per_y = d2 * (b[0] - a[0]) - d1 * (c[0] - a[0]);
+        Plane { origin: v0 - per_x * a[0] - per_y * a[1], per_x, per_y }
+    }
+
+    /// Calls `visit` with each line of pixels whose centres are inside; a centre on an edge that two triangles share belongs to one of
+    /// them. What is slender is scanned from above to below, in few lines; else from left to right.
+    fn lines(&self, size: [usize; 2], mut visit: impl FnMut(Line)) {
+        let [mut a, mut b, mut c] = self.corners;
+        let extent = |n: usize| a[n].max(b[n]).max(c[n]) - a[n].min(b[n]).min(c[n]);
+        let down = extent(1) > 2.0 * extent(0);
+        // The axis along a line, and the one across.
+        let (along, across) = if down { (1, 0) } else { (0, 1) };
+        if b[across] < a[across] {
+            std::mem::swap(&mut a, &mut b);
+        }
+        if c[across] < b[across] {
+            std::mem::swap(&mut b, &mut c);
+        }
+        if b[across] < a[across] {
+            std::mem::swap(&mut a, &mut b);
+        }
+        // The first pixel whose centre is not before this.
+        let pixel = |at: f32, most: usize| ((at - 0.5).ceil().max(0.0) as usize).min(most);
+        let edge = |from: [f32; 2], to: [f32; 2]| (from, (to[along] - from[along]) / (to[across] - from[across]));
+        let (long, first, second) = (edge(a, c), edge(a, b), edge(b, c));
+        // From the lesser end to the greater, whichever triangle asks: both of an edge find the same.
+        let meets = |(from, slope): ([f32; 2], f32), centre: f32| from[along] + (centre - from[across]) * slope;
+        for number in pixel(a[across], size[across])..pixel(c[across], size[across]) {
+            let centre = number as f32 + 0.5;
+            let (one, other) = (meets(long, centre), meets(if centre < b[across] { first } else { second }, centre));
+            let (from, to) = (pixel(one.min(other), size[along]), pixel(one.max(other), size[along]));
+            if from < to {
+                visit(Line { number, from, to, down });
+            }
+        }
+    }
+}
+
+/// Pixels of a row (or of a column, where it leads `down`): the number of it, and the first and the last but one of them.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    number: usize,
+    from: usize,
+    to: usize,
+    down: bool,
+}
+
+impl Line {
+    /// Column and row of the first pixel.
+    fn first(&self) -> [usize; 2] {
+        if self.down { [self.number, self.from] } else { [self.from, self.number] }
+    }
+
+    /// Its pixels among those of a picture so wide.
+    fn of<'a, T>(&self, pixels: &'a mut [T], width: usize) -> Strided<'a, T> {
+        let [x, y] = self.first();
+        let step = if self.down { width } else { 1 };
+        let first = y * width + x;
+        let end = first + (self.to - self.from - 1) * step + 1;
+        Strided { rest: pixels.get_mut(first..end).unwrap_or_default(), between: step - 1 }
+    }
+
+    /// The value of a plane at the centre of its first pixel, and how much it changes to the next.
+    fn along(&self, plane: &Plane) -> (f32, f32) {
+        let [x, y] = self.first();
+        let first = plane.origin + (x as f32 + 0.5) * plane.per_x + (y as f32 + 0.5) * plane.per_y;
+        (first, if self.down { plane.per_y } else { plane.per_x })
+    }
+}
+
+/// Every so manieth of a slice. What the standard library has for it takes twice as long where code is to be small.
+struct Strided<'a, T> {
+    rest: &'a mut [T],
+    between: usize,
+}
+
+impl<'a, T> Iterator for Strided<'a, T> {
+    type Item = &'a mut T;
+
+    fn next(&mut self) -> Option<&'a mut T> {
+        let (first, rest) = std::mem::take(&mut self.rest).split_first_mut()?;
+        self.rest = rest.get_mut(self.between..).unwrap_or_default();
+        Some(first)
+    }
+}
+
+/// `color` over a pixel, `share` of 256 parts of it.
+fn blend(pixel: &mut u32, color: u32, share: u32) {
+    // Two channels at once: each has a byte of room above it.
+    let mix = |old: u32, new: u32| ((old * (256 - share) + new * share + 0x80_0080) >> 8) & 0xff_00ff;
+    let (even, odd) = (mix(*pixel & 0xff_00ff, color & 0xff_00ff), mix((*pixel >> 8) & 0xff, (color >> 8) & 0xff));
+    *pixel = even | (odd & 0xff) << 8 | 0xff00_0000;
+}
+
+/// Opacity 0..=1 in parts of 256.
+fn share(opacity: f32) -> u32 {
+    (opacity * 256.0 + 0.5) as u32
 }
 
 fn channels(color: u32) -> [f32; 4] {
-    color.to_le_bytes().map(|byte| f32::from(byte) / 255.0)
+    color.to_le_bytes().map(f32::from)
 }
 
-/// Calls `hit` with each covered pixel's index and its corner weights; clockwise or not, shared edges
-/// belong to one triangle only.
-fn cover(corners: [[f32; 2]; 3], clip: [usize; 4], mut hit: impl FnMut(usize, usize, [f32; 3])) {
-    let [a, mut b, mut c] = corners.map(|p| [f64::from(p[0]), f64::from(p[1])]);
-    let cross = |o: [f64; 2], p: [f64; 2], q: [f64; 2]| (p[0] - o[0]) * (q[1] - o[1]) - (p[1] - o[1]) * (q[0] - o[0]);
-    let mut area = cross(a, b, c);
-    if area == 0.0 || !area.is_finite() {
-        return;
-    }
-    let swapped = area < 0.0;
-    if swapped {
-        std::mem::swap(&mut b, &mut c);
-        area = -area;
-    }
-    let bound = |axis: usize, low: usize, high: usize| {
-        let values = [a[axis], b[axis], c[axis]];
-        let least = values.iter().copied().fold(f64::MAX, f64::min).floor().max(low as f64) as usize;
-        let most = values.iter().copied().fold(f64::MIN, f64::max).ceil().min(high as f64).max(0.0) as usize;
-        least..most
-    };
-    let inside = |p: [f64; 2], q: [f64; 2], at: [f64; 2]| {
-        let e = cross(p, q, at);
-        let top_left = q[1] < p[1] || (q[1] == p[1] && q[0] > p[0]);
-        (e > 0.0 || (e == 0.0 && top_left)).then_some(e / area)
-    };
-    for y in bound(1, clip[1], clip[3]) {
-        for x in bound(0, clip[0], clip[2]) {
-            let at = [x as f64 + 0.5, y as f64 + 0.5];
-            if let (Some(wa), Some(wb), Some(wc)) = (inside(b, c, at), inside(c, a, at), inside(a, b, at)) {
-                let (wb, wc) = if swapped { (wc, wb) } else { (wb, wc) };
-                hit(x, y, [wa as f32, wb as f32, wc as f32]);
-            }
-        }
-    }
+/// A colour of channels 0..=255 without its opacity.
+fn packed([r, g, b, _]: [f32; 4]) -> u32 {
+    u32::from_le_bytes([r, g, b, 255.0].map(|channel| (channel + 0.5) as u8))
 }
 
-impl Image {
-    fn new(width: usize, height: usize, color: Color) -> Self {
-        let [r, g, b, _] = channels(color.packed());
-        Self { width, height, pixels: vec![[r, g, b]; width * height] }
+impl Tile {
+    /// Makes it this large, in px, and of one colour.
+    pub fn clear(&mut self, [width, height]: [usize; 2], color: Color) {
+        (self.width, self.height) = (width, height);
+        self.pixels.clear();
+        self.pixels.resize(width * height, color.packed());
     }
 
-    fn blend(&mut self, x: usize, y: usize, color: [f32; 3], alpha: f32) {
-        let pixel = &mut self.pixels[y * self.width + x];
-        for (old, new) in pixel.iter_mut().zip(color) {
-            *old += (new - *old) * alpha;
-        }
+    /// Width and height, px.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
     }
 
-    /// What `shape.wgsl` does.
-    fn shapes(&mut self, vertices: &[Vertex], plot: Plot) {
-        let clip = plot.edges().map(|edge| edge.max(0.0) as usize);
-        let clip = [clip[0], clip[1], clip[2].min(self.width), clip[3].min(self.height)];
-        for corners in vertices.windows(3) {
-            let colors = [0, 1, 2].map(|i| channels(corners[i].color));
-            cover([0, 1, 2].map(|i| corners[i].position), clip, |x, y, weights| {
-                let mix = |of: [f32; 3]| of[0] * weights[0] + of[1] * weights[1] + of[2] * weights[2];
-                let edge = [0, 1].map(|n| mix([0, 1, 2].map(|i| corners[i].edge[n])));
-                let coverage = (edge[1] + 0.5 - edge[0].abs()).clamp(0.0, 1.0);
-                let color = [0, 1, 2, 3].map(|n| mix(colors.map(|c| c[n])));
-                self.blend(x, y, [color[0], color[1], color[2]], color[3] * coverage);
-            });
-        }
+    /// Red, green, blue and alpha of each pixel.
+    pub fn bytes(&self) -> &[u8] {
+        bytemuck::cast_slice(&self.pixels)
     }
 
-    /// What `mesh.wgsl` does, with four samples per pixel.
-    fn space(&mut self, plot: Plot, view: &Attitude3dView<'_>) {
-        let (width, height) = (plot.width() as usize * 2, plot.height() as usize * 2);
-        let mut space = Space::default();
-        let seen = space.build(view, [plot.width(), plot.height()], plot.scale);
-        let mut fine = Image::new(width, height, view.theme.plot);
-        let mut depths = vec![1.0_f32; width * height];
-        for (mesh, solid) in [(&space.solid, true), (&space.clear, false)] {
-            for corners in mesh.vertices().chunks_exact(3) {
-                fine.lit(corners, &seen, &mut depths, solid);
-            }
-        }
-        for y in 0..height / 2 {
-            for x in 0..width / 2 {
-                let four = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(i, j)| fine.pixels[(2 * y + i) * width + 2 * x + j]);
-                let mean = [0, 1, 2].map(|n| four.iter().map(|p| p[n]).sum::<f32>() / 4.0);
-                self.blend(plot.left as usize + x, plot.top as usize + y, mean, 1.0);
+    /// What `shape.wgsl` does to a strip, whose coordinates begin at `corner`.
+    pub fn shapes(&mut self, vertices: &[shape::Vertex], corner: [f32; 2]) {
+        let mut rest = vertices;
+        while let [a, b, c, ..] = rest {
+            rest = rest.get(1..).unwrap_or_default();
+            let corners = [a, b, c].map(|v| [v.position[0] - corner[0], v.position[1] - corner[1]]);
+            let Some(triangle) = Triangle::new(corners) else { continue };
+            let one_color = a.color == b.color && b.color == c.color;
+            let edges = [a.edge, b.edge, c.edge];
+            if one_color && edges == [shape::INSIDE; 3] {
+                self.fill(&triangle, a.color);
+            } else if one_color {
+                self.stroke(&triangle, a.color, edges);
+            } else {
+                self.shade(&triangle, [a.color, b.color, c.color], edges);
             }
         }
     }
 
-    fn lit(&mut self, corners: &[mesh::Vertex], view: &mesh::View, depths: &mut [f32], solid: bool) {
-        let m = view.clip_from_world;
-        let clip = [0, 1, 2].map(|i| {
-            let p = corners[i].position;
-            [0, 1, 2, 3].map(|r| m[0][r] * p[0] + m[1][r] * p[1] + m[2][r] * p[2] + m[3][r])
+    fn fill(&mut self, triangle: &Triangle, color: u32) {
+        let opaque = color >> 24 == 255;
+        let part = share((color >> 24) as f32 / 255.0);
+        triangle.lines(self.size(), |line| {
+            let pixels = line.of(&mut self.pixels, self.width);
+            if opaque {
+                pixels.for_each(|pixel| *pixel = color);
+            } else {
+                pixels.for_each(|pixel| blend(pixel, color, part));
+            }
         });
-        if clip.iter().any(|c| c[3] < 0.02) {
+    }
+
+    fn stroke(&mut self, triangle: &Triangle, color: u32, edges: [[f32; 2]; 3]) {
+        let opacity = (color >> 24) as f32 / 255.0;
+        let [distance, half] = [0, 1].map(|n| triangle.plane(edges.map(|edge| edge[n])));
+        triangle.lines(self.size(), |line| {
+            let ((mut d, to_d), (mut h, to_h)) = (line.along(&distance), line.along(&half));
+            for pixel in line.of(&mut self.pixels, self.width) {
+                blend(pixel, color, share(opacity * (h + 0.5 - d.abs()).clamp(0.0, 1.0)));
+                (d, h) = (d + to_d, h + to_h);
+            }
+        });
+    }
+
+    fn shade(&mut self, triangle: &Triangle, colors: [u32; 3], edges: [[f32; 2]; 3]) {
+        let corners = colors.map(channels);
+        let [r, g, b, a] = [0, 1, 2, 3].map(|n| triangle.plane(corners.map(|channels| channels[n])));
+        let [distance, half] = [0, 1].map(|n| triangle.plane(edges.map(|edge| edge[n])));
+        let plain = edges == [shape::INSIDE; 3] && colors.iter().all(|color| color >> 24 == 255);
+        triangle.lines(self.size(), |line| {
+            let ((mut r, to_r), (mut g, to_g), (mut b, to_b)) = (line.along(&r), line.along(&g), line.along(&b));
+            let ((mut a, to_a), (mut d, to_d), (mut h, to_h)) =
+                (line.along(&a), line.along(&distance), line.along(&half));
+            for pixel in line.of(&mut self.pixels, self.width) {
+                if plain {
+                    *pixel = packed([r, g, b, a]);
+                } else {
+                    let coverage = (h + 0.5 - d.abs()).clamp(0.0, 1.0);
+                    blend(pixel, packed([r, g, b, a]), share((a / 255.0).clamp(0.0, 1.0) * coverage));
+                    (a, d, h) = (a + to_a, d + to_d, h + to_h);
+                }
+                (r, g, b) = (r + to_r, g + to_g, b + to_b);
+            }
+        });
+    }
+
+    /// What `mesh.wgsl` does, over all of this picture.
+    pub fn space(&mut self, space: &Space, view: &mesh::View, ground: Color, kept: &mut Depths) {
+        let samples = if self.pixels.len() > FINE_PX { 1 } else { 2 };
+        let Depths { fine, depths } = kept;
+        fine.clear(self.size().map(|px| px * samples), ground);
+        depths.clear();
+        depths.resize(fine.pixels.len(), 1.0);
+        for (mesh, solid) in [(&space.solid, true), (&space.clear, false)] {
+            for corners in mesh.vertices().as_chunks::<3>().0 {
+                fine.lit(corners, view, depths, solid);
+            }
+        }
+        if samples == 1 {
+            self.pixels.copy_from_slice(&fine.pixels);
             return;
         }
-        let (width, height) = (self.width as f32, self.height as f32);
-        let screen = clip.map(|c| [(c[0] / c[3] * 0.5 + 0.5) * width, (0.5 - c[1] / c[3] * 0.5) * height]);
-        let colors = [0, 1, 2].map(|i| {
-            let [r, g, b, a] = channels(corners[i].color);
-            let normal = corners[i].normal;
+        let wide = 2 * self.width;
+        let rows = fine.pixels.chunks_exact((2 * wide).max(1));
+        for (row, two) in self.pixels.chunks_exact_mut(self.width.max(1)).zip(rows) {
+            let (upper, lower) = two.split_at(wide);
+            let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+            for (pixel, (&[a, b], &[c, d])) in row.iter_mut().zip(pairs) {
+                let even = |p: u32| p & 0xff_00ff;
+                let odd = |p: u32| (p >> 8) & 0xff_00ff;
+                let mean = |part: fn(u32) -> u32| ((part(a) + part(b) + part(c) + part(d) + 0x2_0002) >> 2) & 0xff_00ff;
+                *pixel = mean(even) | mean(odd) << 8;
+            }
+        }
+    }
+
+    fn lit(&mut self, corners: &[mesh::Vertex; 3], view: &mesh::View, depths: &mut [f32], solid: bool) {
+        let m = view.clip_from_world;
+        let seen = corners.each_ref().map(|vertex| {
+            let p = vertex.position;
+            let clip = [0, 1, 2, 3].map(|r| m[0][r] * p[0] + m[1][r] * p[1] + m[2][r] * p[2] + m[3][r]);
             let light = [view.light[0], view.light[1], view.light[2]];
-            let shade = view.light[3] + (1.0 - view.light[3]) * mesh::dot(normal, light).max(0.0);
-            let shade = if mesh::dot(normal, normal) > 0.25 { shade } else { 1.0 };
-            [r * shade, g * shade, b * shade, a]
+            let shade = view.light[3] + (1.0 - view.light[3]) * mesh::dot(vertex.normal, light).max(0.0);
+            let shade = if mesh::dot(vertex.normal, vertex.normal) > 0.25 { shade } else { 1.0 };
+            let [r, g, b, a] = channels(vertex.color);
+            Seen { clip, color: [r * shade, g * shade, b * shade, a] }
         });
-        cover(screen, [0, 0, self.width, self.height], |x, y, weights| {
-            let per_w = [0, 1, 2].map(|i| weights[i] / clip[i][3]);
-            let whole: f32 = per_w.iter().sum();
-            let depth: f32 = (0..3).map(|i| weights[i] * clip[i][2] / clip[i][3]).sum();
-            let color = [0, 1, 2, 3].map(|n| (0..3).map(|i| per_w[i] * colors[i][n]).sum::<f32>() / whole);
-            let kept = &mut depths[y * width as usize + x];
-            if depth <= *kept {
-                if solid {
-                    *kept = depth;
+        let (whole, count) = before_the_eye(seen);
+        let fan = whole.get(..count).unwrap_or_default();
+        if let [first, others @ ..] = fan {
+            for pair in others.windows(2) {
+                if let [second, third] = pair {
+                    self.face([*first, *second, *third], depths, solid);
                 }
-                self.blend(x, y, [color[0], color[1], color[2]], color[3]);
+            }
+        }
+    }
+
+    fn face(&mut self, corners: [Seen; 3], depths: &mut [f32], solid: bool) {
+        let (width, height) = (self.width as f32, self.height as f32);
+        let screen =
+            corners.map(|Seen { clip: [x, y, _, w], .. }| [(x / w * 0.5 + 0.5) * width, (0.5 - y / w * 0.5) * height]);
+        let Some(triangle) = Triangle::new(screen) else { return };
+        let depth = triangle.plane(corners.map(|corner| corner.clip[2] / corner.clip[3]));
+        // Even over the picture are what is divided by the distance, and its inverse.
+        let inverse = triangle.plane(corners.map(|corner| 1.0 / corner.clip[3]));
+        let one_color = corners[0].color == corners[1].color && corners[1].color == corners[2].color;
+        let [r, g, b, a] = [0, 1, 2, 3].map(|n| triangle.plane(corners.map(|corner| corner.color[n] / corner.clip[3])));
+        let (flat, opaque) = (packed(corners[0].color), share(corners[0].color[3] / 255.0));
+        triangle.lines(self.size(), |line| {
+            let ((mut r, to_r), (mut g, to_g), (mut b, to_b)) = (line.along(&r), line.along(&g), line.along(&b));
+            let ((mut a, to_a), (mut z, to_z), (mut i, to_i)) =
+                (line.along(&a), line.along(&depth), line.along(&inverse));
+            for (pixel, kept) in line.of(&mut self.pixels, self.width).zip(line.of(depths, self.width)) {
+                if z <= *kept {
+                    if solid {
+                        *kept = z;
+                    }
+                    if one_color {
+                        blend(pixel, flat, opaque);
+                    } else {
+                        let color = [r / i, g / i, b / i, a / i];
+                        blend(pixel, packed(color), share((color[3] / 255.0).clamp(0.0, 1.0)));
+                    }
+                }
+                (r, g, b, a) = (r + to_r, g + to_g, b + to_b, a + to_a);
+                (z, i) = (z + to_z, i + to_i);
             }
         });
     }
+}
 
-    fn panels(&mut self, panels: &[Panel<'_>], scale: f32) {
-        let mut scratch = Scratch::default();
-        for panel in panels {
-            let plot = Plot::new(panel.rect, scale);
-            let mut shapes = Shapes::default();
-            match &panel.content {
-                Content::Chart(view) => draw_chart(&mut shapes, &mut scratch, plot, view),
-                Content::Heatmap(view) => draw_heatmap(&mut shapes, &mut scratch, plot, view),
-                Content::Horizon(view) => draw_horizon(&mut shapes, plot, view),
-                Content::Attitude3d(view) => self.space(plot, view),
-            }
-            self.shapes(shapes.vertices(), plot);
+/// A corner as the eye has it.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    clip: [f32; 4],
+    color: [f32; 4],
+}
+
+/// What of a triangle is before the eye: a polygon of so many corners.
+fn before_the_eye(corners: [Seen; 3]) -> ([Seen; 4], usize) {
+    let [a, b, c] = corners;
+    let mut whole = [a, b, c, a];
+    if corners.iter().all(|corner| corner.clip[3] >= NEAR_M) {
+        return (whole, 3);
+    }
+    let mut count = 0;
+    let mut keep = |corner: Seen| {
+        if let Some(place) = whole.get_mut(count) {
+            *place = corner;
+            count += 1;
         }
-    }
-
-    fn ppm(&self) -> Vec<u8> {
-        let mut bytes = format!("P6\n{} {}\n255\n", self.width, self.height).into_bytes();
-        bytes.extend(self.pixels.iter().flatten().map(|channel| (channel * 255.0).round() as u8));
-        bytes
-    }
-}
-
-/// Black ink on a white plot, 200 × 100, values 0..1, time 0..10 s.
-fn drawn(series: &Series, style: Style) -> Image {
-    let theme =
-        Theme { plot: Color::hex(0xffffff), grid: Color::hex(0xffffff), axis: Color::hex(0xffffff), ..Theme::LIGHT };
-    let mut view = ChartView::new(TimeAxis::new(0.0, 10.0), ValueAxis::new(0.0, 1.0), theme);
-    view.curves.push(Curve { series, color: Color::hex(0), style, scale: 1.0 });
-    let mut image = Image::new(200, 100, Color::hex(0xffffff));
-    image.panels(&[Panel { rect: Rect::new(0.0, 0.0, 200.0, 100.0), content: Content::Chart(view) }], 1.0);
-    image
-}
-
-/// Ink in each column, in pixels.
-fn ink(image: &Image) -> Vec<f32> {
-    (0..image.width).map(|x| (0..image.height).map(|y| 1.0 - image.pixels[y * image.width + x][0]).sum()).collect()
-}
-
-#[test]
-fn sparse_or_dense_a_calm_curve_has_the_same_weight() {
-    for samples in [20, 200, 5000, 100_000] {
-        let series = Series::from_samples((0..=samples).map(|i| (10.0 * f64::from(i) / f64::from(samples), 0.503)));
-        let ink = ink(&drawn(&series, Style::Solid));
-        for (x, ink) in ink.iter().enumerate().take(198).skip(2) {
-            assert!((ink - 1.5).abs() < 0.05, "{samples} samples, column {x}: {ink}");
-        }
-    }
-}
-
-#[test]
-fn a_slope_keeps_its_width_sparse_or_dense() {
-    // 45° on screen: 100 px up over 100 px.
-    let weight = |samples: i32| {
-        let value = |t: f64| ((t - 2.5) / 5.0).clamp(0.0, 1.0) as f32;
-        let series = Series::from_samples((0..=samples).map(|i| {
-            let t = 10.0 * f64::from(i) / f64::from(samples);
-            (t, value(t))
-        }));
-        ink(&drawn(&series, Style::Solid))[80..120].iter().sum::<f32>() / 40.0
     };
-    let expected = 1.5 * std::f32::consts::SQRT_2;
-    for samples in [16, 200, 5000, 100_000] {
-        let weight = weight(samples);
-        assert!((weight / expected - 1.0).abs() < 0.12, "{samples} samples: {weight} instead of {expected}");
+    for (from, to) in [(a, b), (b, c), (c, a)] {
+        let (w0, w1) = (from.clip[3] - NEAR_M, to.clip[3] - NEAR_M);
+        if w0 >= 0.0 {
+            keep(from);
+        }
+        if (w0 >= 0.0) != (w1 >= 0.0) {
+            let part = w0 / (w0 - w1);
+            let cut = |from: [f32; 4], to: [f32; 4]| [0, 1, 2, 3].map(|n| from[n] + (to[n] - from[n]) * part);
+            keep(Seen { clip: cut(from.clip, to.clip), color: cut(from.color, to.color) });
+        }
     }
+    (whole, count)
 }
 
-#[test]
-fn one_sample_among_a_hundred_thousand_is_seen() {
-    let series =
-        Series::from_samples((0..100_000).map(|i| (f64::from(i) * 1e-4, if i == 50_321 { 0.95 } else { 0.1 })));
-    let image = drawn(&series, Style::Solid);
-    let darkest_above = (0..50)
-        .flat_map(|y| (0..200).map(move |x| (x, y)))
-        .fold(1.0_f32, |least, (x, y)| least.min(image.pixels[y * 200 + x][0]));
-    assert!(darkest_above < 0.35, "{darkest_above}");
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::Theme;
+    use crate::gpu::grid::Plot;
+    use crate::gpu::paper::{Easel, paint};
+    use crate::gpu::scene::{ChartView, Content, Curve, Panel, Rect, Style};
+    use crate::model::axis::{TimeAxis, ValueAxis};
+    use crate::model::series::Series;
 
-#[test]
-fn a_gap_stays_white() {
-    let series = Series::from_samples(
-        (0..1000).map(|i| (f64::from(i) * 0.01, if (400..600).contains(&i) { f32::NAN } else { 0.5 })),
-    );
-    let ink = ink(&drawn(&series, Style::Solid));
-    assert!(ink[85..115].iter().all(|ink| ink.abs() < 1e-3), "{:?}", &ink[85..115]);
-    assert!(ink[20] > 1.0 && ink[180] > 1.0);
-}
+    /// Black ink on a white plot, 200 × 100, values 0..1, time 0..10 s.
+    fn drawn(series: &Series, style: Style) -> Tile {
+        let theme = Theme {
+            plot: Color::hex(0xffffff),
+            grid: Color::hex(0xffffff),
+            axis: Color::hex(0xffffff),
+            ..Theme::LIGHT
+        };
+        let mut view = ChartView::new(TimeAxis::new(0.0, 10.0), ValueAxis::new(0.0, 1.0), theme);
+        view.curves.push(Curve { series, color: Color::hex(0), style, scale: 1.0 });
+        let mut tile = Tile::default();
+        let panel = Panel { rect: Rect::new(0.0, 0.0, 200.0, 100.0), content: Content::Chart(view) };
+        paint(&mut tile, &mut Easel::default(), Plot::new(panel.rect, 1.0), &panel.content, theme.page);
+        tile
+    }
 
-#[test]
-fn every_part_of_the_gallery_shows_several_colours() {
-    // Small pictures for the test, full ones for people.
-    let folder = std::env::var_os("PLUMBLINE_PICTURES");
-    let scales: &[f32] = if folder.is_some() { &[1.0, 2.0] } else { &[0.5] };
-    for dark in [false, true] {
-        for &scale in scales {
-            let theme = Theme::of(dark);
-            let size = [1280.0 * scale, 680.0 * scale].map(|px| px as usize);
-            let mut image = Image::new(size[0], size[1], theme.page);
-            crate::bench::gallery::with_panels(&theme, 1280.0, |panels| {
-                image.panels(panels, scale);
-                for (i, panel) in panels.iter().enumerate() {
-                    let plot = Plot::new(panel.rect, scale);
-                    let mut colors = std::collections::HashSet::new();
-                    for y in plot.top as usize..plot.bottom as usize {
-                        for x in plot.left as usize..plot.right as usize {
-                            colors.insert(image.pixels[y * image.width + x].map(|c| (c * 255.0) as u8));
+    /// Ink in each column, in pixels.
+    fn ink(image: &Tile) -> Vec<f32> {
+        (0..image.width)
+            .map(|x| (0..image.height).map(|y| 1.0 - channels(image.pixels[y * image.width + x])[0] / 255.0).sum())
+            .collect()
+    }
+
+    #[test]
+    fn sparse_or_dense_a_calm_curve_has_the_same_weight() {
+        for samples in [20, 200, 5000, 100_000] {
+            let series = Series::from_samples((0..=samples).map(|i| (10.0 * f64::from(i) / f64::from(samples), 0.503)));
+            let ink = ink(&drawn(&series, Style::Solid));
+            for (x, ink) in ink.iter().enumerate().take(198).skip(2) {
+                assert!((ink - 1.5).abs() < 0.05, "{samples} samples, column {x}: {ink}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_slope_keeps_its_width_sparse_or_dense() {
+        // 45° on screen: 100 px up over 100 px.
+        let weight = |samples: i32| {
+            let value = |t: f64| ((t - 2.5) / 5.0).clamp(0.0, 1.0) as f32;
+            let series = Series::from_samples((0..=samples).map(|i| {
+                let t = 10.0 * f64::from(i) / f64::from(samples);
+                (t, value(t))
+            }));
+            ink(&drawn(&series, Style::Solid))[80..120].iter().sum::<f32>() / 40.0
+        };
+        let expected = 1.5 * std::f32::consts::SQRT_2;
+        for samples in [16, 200, 5000, 100_000] {
+            let weight = weight(samples);
+            assert!((weight / expected - 1.0).abs() < 0.12, "{samples} samples: {weight} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn one_sample_among_a_hundred_thousand_is_seen() {
+        let series =
+            Series::from_samples((0..100_000).map(|i| (f64::from(i) * 1e-4, if i == 50_321 { 0.95 } else { 0.1 })));
+        let image = drawn(&series, Style::Solid);
+        let darkest_above = (0..50)
+            .flat_map(|y| (0..200).map(move |x| (x, y)))
+            .fold(1.0_f32, |least, (x, y)| least.min(channels(image.pixels[y * 200 + x])[0] / 255.0));
+        assert!(darkest_above < 0.35, "{darkest_above}");
+    }
+
+    #[test]
+    fn a_gap_stays_white() {
+        let series = Series::from_samples(
+            (0..1000).map(|i| (f64::from(i) * 0.01, if (400..600).contains(&i) { f32::NAN } else { 0.5 })),
+        );
+        let ink = ink(&drawn(&series, Style::Solid));
+        assert!(ink[85..115].iter().all(|ink| ink.abs() < 1e-3), "{:?}", &ink[85..115]);
+        assert!(ink[20] > 1.0 && ink[180] > 1.0);
+    }
+
+    #[test]
+    fn every_part_of_the_gallery_shows_several_colours() {
+        // Small pictures for the test, full ones for people.
+        let folder = std::env::var_os("PLUMBLINE_PICTURES");
+        let scales: &[f32] = if folder.is_some() { &[1.0, 2.0] } else { &[0.5] };
+        for dark in [false, true] {
+            for &scale in scales {
+                let theme = Theme::of(dark);
+                let mut picture = Tile::default();
+                picture.clear([1280.0 * scale, 680.0 * scale].map(|px| px as usize), theme.page);
+                crate::bench::gallery::with_panels(&theme, 1280.0, |panels| {
+                    let (mut tile, mut easel) = (Tile::default(), Easel::default());
+                    for (i, panel) in panels.iter().enumerate() {
+                        let plot = Plot::new(panel.rect, scale);
+                        paint(&mut tile, &mut easel, plot, &panel.content, theme.page);
+                        let colors: std::collections::HashSet<u32> = tile.pixels.iter().copied().collect();
+                        assert!(colors.len() > 8, "panel {i} shows {} colours", colors.len());
+                        for (y, row) in tile.pixels.chunks(tile.width).enumerate() {
+                            let from = plot.left as usize;
+                            let at = (plot.top as usize + y) * picture.width + from;
+                            picture.pixels[at..at + row.len()].copy_from_slice(row);
                         }
                     }
-                    assert!(colors.len() > 8, "panel {i} shows {} colours", colors.len());
+                });
+                if let Some(folder) = &folder {
+                    let name = format!("gallery-{}-{scale}x.ppm", if dark { "dark" } else { "light" });
+                    std::fs::write(std::path::Path::new(folder).join(name), ppm(&picture)).unwrap();
                 }
-            });
-            if let Some(folder) = &folder {
-                let name = format!("gallery-{}-{scale}x.ppm", if dark { "dark" } else { "light" });
-                std::fs::write(std::path::Path::new(folder).join(name), image.ppm()).unwrap();
             }
         }
+    }
+
+    fn ppm(picture: &Tile) -> Vec<u8> {
+        let mut bytes = format!("P6\n{} {}\n255\n", picture.width, picture.height).into_bytes();
+        bytes.extend(picture.bytes().chunks_exact(4).flat_map(|pixel| &pixel[..3]));
+        bytes
+    }
+
+    /// GIVEN a fan of triangles that share edges, at odd places WHEN each is filled half opaque THEN no pixel inside has been met twice,
+    /// and none has been left out.
+    #[test]
+    fn what_triangles_share_is_filled_once() {
+        let centre = [50.3, 49.6];
+        let rim = |i: usize| {
+            let (sin, cos) = (i as f32 / 17.0 * std::f32::consts::TAU).sin_cos();
+            [50.3 + 45.0 * cos, 49.6 + 45.0 * sin]
+        };
+        let mut tile = Tile::default();
+        tile.clear([100, 100], Color::hex(0));
+        for i in 0..17 {
+            let triangle = Triangle::new([centre, rim(i), rim(i + 1)]).unwrap();
+            tile.fill(&triangle, Color::hex(0xffffff).alpha(0.5).packed());
+        }
+        for (i, pixel) in tile.pixels.iter().enumerate() {
+            let far = ((i % 100) as f32 + 0.5 - 50.3).hypot((i / 100) as f32 + 0.5 - 49.6);
+            let level = pixel & 0xff;
+            assert!(level == 0 || level == 128, "{level} at {i}");
+            assert!(
+                if far < 43.0 { level == 128 } else { far < 45.5 || level == 0 },
+                "{level} {far} px from the centre"
+            );
+        }
+    }
+
+    #[test]
+    fn what_reaches_behind_the_eye_is_cut() {
+        let corner = |w: f32| Seen { clip: [0.0, 0.0, 0.0, w], color: [w; 4] };
+        let count = |w: [f32; 3]| before_the_eye(w.map(corner)).1;
+        assert_eq!(count([1.0, 2.0, 3.0]), 3);
+        assert_eq!(count([-1.0, -2.0, 0.0]), 0);
+        assert_eq!(count([-1.0, 2.0, 3.0]), 4);
+        assert_eq!(count([1.0, -2.0, -3.0]), 3);
+        let (whole, count) = before_the_eye([-1.0, 2.0, 3.0].map(corner));
+        assert!(
+            whole[..count].iter().all(|corner| corner.clip[3] > 0.99 * NEAR_M && corner.color[0] == corner.clip[3])
+        );
     }
 }

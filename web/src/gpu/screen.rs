@@ -18,6 +18,14 @@ pub enum Backend {
     WebGpu,
     /// WebGL2.
     WebGl,
+    /// The processor, without a graphics card.
+    Processor,
+}
+
+/// How many pixels a size on the page (CSS pixels) takes, at most `most` each way, and how many one CSS pixel takes.
+pub(super) fn pixels(css: [f64; 2], device_pixel_ratio: f64, most: u32) -> ([u32; 2], f32) {
+    let ratio = if device_pixel_ratio.is_finite() { device_pixel_ratio.clamp(0.25, 8.0) } else { 1.0 };
+    (css.map(|css| ((css * ratio).round().max(1.0) as u32).min(most)), ratio as f32)
 }
 
 /// Why there is nothing to draw on.
@@ -69,7 +77,7 @@ impl Screen {
     ) -> Result<Self, GpuError> {
         let descriptor =
             wgpu::InstanceDescriptor { backends, ..wgpu::InstanceDescriptor::new_without_display_handle() };
-        let instance = wgpu::util::new_instance_with_webgpu_detection(descriptor).await;
+        let instance = wgpu::Instance::new(descriptor);
         let surface = surface_of(&instance, &canvas)?;
         let adapter = instance
             .request_adapter(&wgpu::RequestAdapterOptions {
@@ -119,10 +127,8 @@ impl Screen {
 
     /// Fits the canvas to its size on the page (CSS pixels) and the device pixel ratio; did its size change?
     pub(super) fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) -> bool {
-        let ratio = if device_pixel_ratio.is_finite() { device_pixel_ratio.clamp(0.25, 8.0) } else { 1.0 };
-        let pixels = |css: f64| ((css * ratio).round().max(1.0) as u32).min(self.most_pixels);
-        let (width, height) = (pixels(css_width), pixels(css_height));
-        self.scale = ratio as f32;
+        let ([width, height], scale) = pixels([css_width, css_height], device_pixel_ratio, self.most_pixels);
+        self.scale = scale;
         if [width, height] == self.size() {
             return false;
         }
@@ -141,7 +147,7 @@ impl Screen {
     fn configure(&mut self) {
         match self.backend {
             Backend::WebGpu => self.surface.configure(&self.device, &self.config),
-            Backend::WebGl => self.framebuffer = framebuffer_of(&self.device, &self.config),
+            Backend::WebGl | Backend::Processor => self.framebuffer = framebuffer_of(&self.device, &self.config),
         }
     }
 

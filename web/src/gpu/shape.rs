@@ -33,7 +33,7 @@ impl Vertex {
 }
 
 /// Edge of a vertex well inside a fill: fully covered.
-const INSIDE: [f32; 2] = [0.0, 1.0];
+pub(super) const INSIDE: [f32; 2] = [0.0, 1.0];
 
 /// A growing strip of triangles. Positions and widths are device pixels.
 #[derive(Debug, Default)]
@@ -79,6 +79,11 @@ impl Shapes {
         self.vertices.push(vertex);
     }
 
+    /// Append a vertex of a fill with hard edges.
+    pub fn inside(&mut self, position: [f32; 2], color: Color) {
+        self.vertex(position, color, INSIDE);
+    }
+
     /// A filled rectangle with hard edges; the caller rounds to pixels where that matters.
     pub fn rect(&mut self, [left, top, right, bottom]: [f32; 4], color: Color) {
         self.rect_shaded([left, top, right, bottom], color, color);
@@ -90,10 +95,10 @@ impl Shapes {
             return;
         }
         self.lift();
-        self.vertex([left, top], upper, INSIDE);
-        self.vertex([left, bottom], lower, INSIDE);
-        self.vertex([right, top], upper, INSIDE);
-        self.vertex([right, bottom], lower, INSIDE);
+        self.inside([left, top], upper);
+        self.inside([left, bottom], lower);
+        self.inside([right, top], upper);
+        self.inside([right, bottom], lower);
         self.lift();
     }
 
@@ -103,11 +108,11 @@ impl Shapes {
         let (mut low, mut high) = (0, corners.len());
         // Zigzag between both ends of the outline.
         while low < high {
-            self.vertex(corners[low], color, INSIDE);
+            self.inside(corners[low], color);
             low += 1;
             if low < high {
                 high -= 1;
-                self.vertex(corners[high], color, INSIDE);
+                self.inside(corners[high], color);
             }
         }
         self.lift();

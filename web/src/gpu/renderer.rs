@@ -1,0 +1,89 @@
+//! Whoever draws: a graphics card by WebGPU or WebGL2, or the processor where there is none.
+
+use web_sys::HtmlCanvasElement;
+
+use super::Theme;
+use super::context::{Card, FrameOutcome, FrameStats};
+use super::error::GpuError;
+use super::paper::{Paper, without_card};
+use super::scene::{Panel, Rect};
+use super::screen::Backend;
+
+/// Draws panels on one canvas.
+pub struct Renderer(Means);
+
+enum Means {
+    Card(Box<Card>),
+    Paper(Box<Paper>),
+}
+
+impl Renderer {
+    /// A renderer on this canvas: by WebGPU where the browser has it, else by WebGL2 where a graphics card draws that, else by the
+    /// processor.
+    pub async fn new(canvas: HtmlCanvasElement) -> Result<Self, GpuError> {
+        let by_webgpu = wgpu::util::is_browser_webgpu_supported().await;
+        let backends = if by_webgpu { wgpu::Backends::BROWSER_WEBGPU } else { wgpu::Backends::GL };
+        let paper = (!by_webgpu).then(without_card).flatten().and_then(|why| Paper::new(canvas.clone(), why));
+        Ok(Self(match paper {
+            Some(paper) => Means::Paper(Box::new(paper)),
+            None => Means::Card(Box::new(Card::new(canvas, backends).await?)),
+        }))
+    }
+
+    /// The same by WebGL2 whatever there is: for comparison, and for faulty drivers.
+    pub async fn new_webgl(canvas: HtmlCanvasElement) -> Result<Self, GpuError> {
+        Ok(Self(Means::Card(Box::new(Card::new(canvas, wgpu::Backends::GL).await?))))
+    }
+
+    /// Interface in use.
+    pub fn backend(&self) -> Backend {
+        match &self.0 {
+            Means::Card(card) => card.backend(),
+            Means::Paper(_) => Backend::Processor,
+        }
+    }
+
+    /// What the browser calls its graphics adapter, or why there is none.
+    pub fn adapter_name(&self) -> &str {
+        match &self.0 {
+            Means::Card(card) => card.adapter_name(),
+            Means::Paper(paper) => &paper.why,
+        }
+    }
+
+    /// What the last frame cost.
+    pub fn stats(&self) -> FrameStats {
+        match &self.0 {
+            Means::Card(card) => card.stats(),
+            Means::Paper(paper) => paper.stats,
+        }
+    }
+
+    /// Fit the canvas to its size on the page (CSS pixels) and the device pixel ratio. Cheap when
+    /// nothing changed, so it may be called before each frame.
+    pub fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) {
+        match &mut self.0 {
+            Means::Card(card) => card.resize(css_width, css_height, device_pixel_ratio),
+            Means::Paper(paper) => paper.resize(css_width, css_height, device_pixel_ratio),
+        }
+    }
+
+    /// Says where panels are, before [`Self::frame`] draws them; must all of them be drawn? By the processor what is not drawn anew stays.
+    pub fn lay_out(&mut self, theme: &Theme, places: &[Rect]) -> bool {
+        match &mut self.0 {
+            Means::Card(_) => true,
+            Means::Paper(paper) => paper.lay_out(theme, places),
+        }
+    }
+
+    /// Draw these panels on a canvas of the theme's page colour.
+    pub fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
+        match &mut self.0 {
+            Means::Card(card) => card.frame(theme, panels),
+            Means::Paper(paper) => {
+                paper.frame(theme, panels);
+                FrameOutcome::Drawn
+            }
+        }
+    }
+}
