@@ -71,7 +71,7 @@ fn acquire(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Opt
                 let backend = match renderer.backend() {
                     Backend::WebGpu => "WebGPU",
                     Backend::WebGl => "WebGL2",
-                    Backend::Processor => "the processor, as there is no graphics card",
+                    Backend::Processor => "processor",
                 };
                 ctx.graphics.set(Graphics::On(format!("{backend}, {}", renderer.adapter_name())));
                 let first = painter.borrow().is_none();
@@ -225,7 +225,8 @@ fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: 
     }
     let seen: Vec<Rect> = rects.iter().copied().flatten().collect();
     let width = seen.iter().map(|rect| f64::from(rect.width)).fold(1.0, f64::max) * size.2;
-    let charts = deck.filter(|_| moves).and_then(|deck| Charted::live(deck, width));
+    let may_stay = moves && renderer.backend() == Backend::Processor;
+    let charts = deck.filter(|_| may_stay).and_then(|deck| Charted::live(deck, width));
     let stay = !renderer.lay_out(&theme, &seen) && charts.is_some() && charts == *charted;
     *charted = charts;
     let mut draw = |live: &Live, deck: Deck| {

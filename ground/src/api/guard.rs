@@ -63,14 +63,11 @@ fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> 
     if !known_host(host, &app.config.allowed_hosts) {
         return Err(ApiError::Foreign(format!("host {host:?} is not served here")));
     }
-    if !own_origin(headers, host, app.secure()) {
-        let origin = headers.get(header::ORIGIN);
-        if !uri.path().ends_with(FOXGLOVE) {
-            return Err(ApiError::Foreign(format!("origin {origin:?} is not this ground's page")));
-        }
-        if !configured_origin(headers, &app.config.allowed_origins) {
-            return Err(ApiError::Foreign(format!("origin {origin:?} is none of allow_origins (--allow-origin)")));
-        }
+    let foxglove = uri.path().ends_with(FOXGLOVE);
+    let others = if foxglove { app.config.allowed_origins.as_slice() } else { &[] };
+    if !known_origin(headers, host, app.secure(), others) {
+        let (origin, nor) = (headers.get(header::ORIGIN), if foxglove { ", nor one of allow_origins" } else { "" });
+        return Err(ApiError::Foreign(format!("origin {origin:?} is not this ground's page{nor}")));
     }
     Ok(host.to_owned())
 }
@@ -85,24 +82,16 @@ fn known_host(host: &str, allowed: &[String]) -> bool {
         || allowed.iter().any(|known| known.eq_ignore_ascii_case(name))
 }
 
-/// Is there no Origin, or exactly one that names this host?
-fn own_origin(headers: &HeaderMap, host: &str, secure: bool) -> bool {
+/// Is there no Origin, or exactly one, which names this host or is among `others`?
+fn known_origin(headers: &HeaderMap, host: &str, secure: bool, others: &[String]) -> bool {
     let mut origins = headers.get_all(header::ORIGIN).iter();
     match (origins.next(), origins.next()) {
         (None, _) => true,
         (Some(origin), None) => origin.to_str().is_ok_and(|origin| {
             let rest = origin.strip_prefix(if secure { "https://" } else { "http://" });
             rest.is_some_and(|rest| rest.eq_ignore_ascii_case(host))
+                || others.iter().any(|other| other.eq_ignore_ascii_case(origin))
         }),
-        _ => false,
-    }
-}
-
-/// Is there exactly one Origin, and is it among `allowed`?
-fn configured_origin(headers: &HeaderMap, allowed: &[String]) -> bool {
-    let mut origins = headers.get_all(header::ORIGIN).iter();
-    match (origins.next(), origins.next()) {
-        (Some(origin), None) => allowed.iter().any(|known| origin.as_bytes().eq_ignore_ascii_case(known.as_bytes())),
         _ => false,
     }
 }
@@ -134,6 +123,14 @@ fn secure(headers: &mut HeaderMap, host: &str, tls: bool) {
 mod tests {
     use super::*;
 
+    fn among(values: &[&'static str], others: &[String]) -> bool {
+        let mut headers = HeaderMap::new();
+        for value in values {
+            headers.append(header::ORIGIN, HeaderValue::from_static(value));
+        }
+        known_origin(&headers, "127.0.0.1:4747", false, others)
+    }
+
     #[test]
     fn only_addresses_localhost_and_configured_names_are_hosts() {
         let allowed = ["bench.lab".to_owned()];
@@ -159,13 +156,7 @@ mod tests {
 
     #[test]
     fn the_origin_must_be_the_host() {
-        let origin = |values: &[&'static str]| {
-            let mut headers = HeaderMap::new();
-            for value in values {
-                headers.append(header::ORIGIN, HeaderValue::from_static(value));
-            }
-            own_origin(&headers, "127.0.0.1:4747", false)
-        };
+        let origin = |values: &[&'static str]| among(values, &[]);
         assert!(origin(&[]));
         assert!(origin(&["http://127.0.0.1:4747"]));
         for bad in ["http://127.0.0.1:3000", "http://localhost:4747", "null", "file://", "http://127.0.0.1:4747.evil"] {
@@ -177,17 +168,11 @@ mod tests {
     #[test]
     fn a_configured_origin_is_one_and_the_same() {
         let allowed = ["https://app.foxglove.dev".to_owned(), "file://".to_owned()];
-        let among = |values: &[&'static str]| {
-            let mut headers = HeaderMap::new();
-            for value in values {
-                headers.append(header::ORIGIN, HeaderValue::from_static(value));
-            }
-            configured_origin(&headers, &allowed)
-        };
+        let among = |values: &[&'static str]| among(values, &allowed);
         assert!(among(&["https://app.foxglove.dev"]) && among(&["file://"]));
         assert!(
             !among(&["https://app.foxglove.dev.evil"]) && !among(&["http://app.foxglove.dev"]) && !among(&["null"])
         );
-        assert!(!among(&["file://", "file://"]) && !among(&[]));
+        assert!(!among(&["file://", "file://"]));
     }
 }

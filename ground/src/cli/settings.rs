@@ -307,6 +307,11 @@ mod tests {
             let settings = Settings { command_timeout_s: seconds, ..Settings::default() };
             assert!(settings.config().unwrap_err().contains("command_timeout_s"));
         }
+        for origin in ["app.foxglove.dev", "https://app.foxglove.dev/", "https://a@b", "null", "https://"] {
+            let settings = Settings { allow_origins: vec![origin.to_owned()], ..Settings::default() };
+            let error = settings.config().unwrap_err();
+            assert!(error.contains("allow_origins") && error.contains(origin), "{origin}: {error}");
+        }
         let [e, none] = [Some("e".to_owned()), None];
         for (name, archive, index, named) in [
             (&none, &e, &e, "fleet_name is needed"),

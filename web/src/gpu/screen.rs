@@ -145,9 +145,10 @@ impl Screen {
     }
 
     fn configure(&mut self) {
-        match self.backend {
-            Backend::WebGpu => self.surface.configure(&self.device, &self.config),
-            Backend::WebGl | Backend::Processor => self.framebuffer = framebuffer_of(&self.device, &self.config),
+        if self.backend == Backend::WebGpu {
+            self.surface.configure(&self.device, &self.config);
+        } else {
+            self.framebuffer = framebuffer_of(&self.device, &self.config);
         }
     }
 

@@ -59,7 +59,7 @@ pub(super) fn advertise() -> Message {
     let services = SERVICES.map(|service| {
         let kind = format!("plumbline.{}", service.name);
         let (request, response) = (typed(&kind, (service.request)()), typed("plumbline.answer", schema::<Answer>()));
-        // Clients of before 2024 read the schemas alone.
+        // Older clients, such as Foxglove Studio 1.48, read the schemas alone.
         json!({ "id": service.id, "name": service.name, "type": kind, "requestSchema": request["schema"],
             "responseSchema": response["schema"], "request": request, "response": response })
     });
