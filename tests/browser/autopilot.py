@@ -105,6 +105,8 @@ offset_ns = None
 ROTORS = [(0.13, -0.22, 1), (-0.13, 0.20, 1), (0.13, 0.22, -1), (-0.13, -0.20, -1)]
 BATTERY_V, NOMINAL_V, CURVE = 11.9, 11.1, (100.0, 1000.0)
 VISION_S = 0.5
+# MAX_RTT_SAMPLE of PX4's Timesync.
+ROUND_TRIP_NS = 10_000_000
 seen = {"refused": 0, "wrong_setpoints": 0, "heartbeats": 0, "timesync_ms": None, "left_offboard": 0, "gap_max_s": 0.0,
         "disarmed_by_force": 0, "setpoints_in_offboard": 0, "altitudes": [], "modes": [], "first_offboard_s": None, "round_trips": 0, "odometry": {
             "count": 0, "refused": {}, "rate_hz": 0.0, "place_error_max_m": 0.0, "velocity_error_max_mps": 0.0,
@@ -359,9 +361,12 @@ def hear(message, now):
     if kind == "HEARTBEAT":
         seen["heartbeats"] += 1
     elif kind == "TIMESYNC" and message.tc1 > 0:
-        seen["timesync_ms"] = round((boot_ns() - message.ts1) * 1e-6, 3)
-        # The offset of PX4's EKF2 inputs: our clock of this program less theirs, ns.
-        offset_ns = int(now * 1e9) - (boot_ns() - message.ts1) // 2 - message.tc1
+        round_trip_ns = boot_ns() - message.ts1
+        seen["timesync_ms"] = round(round_trip_ns * 1e-6, 3)
+        # The offset of PX4's EKF2 inputs: our clock of this program less theirs, ns. As PX4 does, one of a slow round trip
+        # is left out.
+        if round_trip_ns < ROUND_TRIP_NS or offset_ns is None:
+            offset_ns = int(now * 1e9) - round_trip_ns // 2 - message.tc1
     elif kind == "TIMESYNC":
         seen["round_trips"] += 1
         link.mav.timesync_send(boot_ns(), message.ts1)
@@ -402,9 +407,10 @@ begun = time.monotonic()
 due = {"step": 0.0, "beat": 0.0, "imu": 0.0, "range": 0.0, "status": 0.0, "sync": 0.0, "look": 0.0, "aim": 0.0,
        "outputs": 0.0, "vicon": 0.0}
 while not select.select([sys.stdin], [], [], 0)[0]:
-    now = time.monotonic() - begun
     while (message := link.recv_match(blocking=False)) is not None:
-        hear(message, now)
+        # When it is heard: what comes while this program waits for its processor is later than its step.
+        hear(message, time.monotonic() - begun)
+    now = time.monotonic() - begun
     if mode == OFFBOARD and setpoints and now - setpoints[-1] > 0.5:
         seen["left_offboard"] += 1
         enter(LAND, now)

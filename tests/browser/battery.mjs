@@ -49,7 +49,9 @@ await step(page, 'battery: nearly empty lands by itself, with what is left', asy
 await step(page, 'battery: it does not arm before it has a new one, and then flies', async () => {
   await until('the check to fail', async () => !/all \d+ checks pass/.test(await checks()));
   const failing = region('Mode and arming').locator('li.bad').filter({ hasText: /battery .*\d+ %/ });
-  await failing.waitFor({ state: 'attached' });
+  await region('Mode and arming').locator('summary').click();
+  await failing.waitFor();
+  await region('Mode and arming').locator('summary').click();
   // In its card, as beside the bar.
   await region('Simulator').getByRole('button', { name: 'New battery' }).click();
   await until('a full battery', async () => (await charge()) >= 95);

@@ -15,13 +15,13 @@ const browser = await launch();
 const system = await browser.newBrowserCDPSession();
 const open = async () => {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, colorScheme: 'light' });
-  // Frames in which something is drawn: every call that draws marks the frame that it is made in.
+  // Frames in which something is drawn: every call that draws, or has the page's worker draw, marks the frame that it is made in.
   await context.addInitScript(() => {
     window.drawn = 0;
     let drew = false;
     for (const [{ prototype: context }, calls] of [
       [WebGL2RenderingContext, ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']],
-      [CanvasRenderingContext2D, ['putImageData']],
+      [Worker, ['postMessage']],
     ]) {
       for (const call of calls) {
         const draw = context[call];

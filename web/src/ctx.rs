@@ -20,8 +20,10 @@ use crate::{
     net, store,
 };
 
-/// Text is written this often.
-const TICK: Duration = Duration::from_millis(100);
+/// Text is written this often, ms.
+const TICK_MS: f64 = 100.0;
+/// And at least this often, ms, however late the page is.
+const MOST_TICK_MS: f64 = 250.0;
 /// Least history asked for, s.
 const LEAST_HISTORY_S: f64 = 30.0;
 /// History is asked for once the page shows what is, ms; it is read for so long at a time, and then not for a while.
@@ -139,11 +141,7 @@ impl Ctx {
         if let Some(vehicle) = net::Early::vehicle() {
             ctx.dispatch(Event::Choose(vehicle));
         }
-        let beat = move || {
-            ctx.forget_reached();
-            ctx.tick.update(|n| *n += 1);
-        };
-        set_interval(beat, TICK);
+        ctx.beat(net::now_ms());
         leptos::prelude::Effect::new(move |_| ctx.drafts.with(|drafts| store::keep_drafts(drafts)));
         leptos::prelude::Effect::new(move |_| {
             let shown = ctx.route.with(|route| matches!(route, Route::Fly | Route::Tune));
@@ -164,6 +162,16 @@ impl Ctx {
             ctx.dispatch(Event::Poll);
         });
         ctx
+    }
+
+    /// Has everything that reads what flies run again, which was due at `due_ms`; then ten times a second, and less often by as much as the
+    /// page is late: keys and commands come before text.
+    fn beat(self, due_ms: f64) {
+        let now_ms = net::now_ms();
+        let pause_ms = (TICK_MS + (now_ms - due_ms).max(0.0)).min(MOST_TICK_MS);
+        set_timeout(move || self.beat(now_ms + pause_ms), Duration::from_millis(pause_ms as u64));
+        self.forget_reached();
+        self.tick.update(|n| *n += 1);
     }
 
     /// Takes an event into the state and does what follows from it.

@@ -205,6 +205,9 @@ impl Charted {
 /// One frame; nothing is drawn while it would be `shown` again, and no chart while it would be as it was `charted`, where what is not
 /// drawn stays.
 fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: &mut Option<Charted>) -> FrameOutcome {
+    if renderer.is_busy() {
+        return FrameOutcome::Skipped;
+    }
     let number = |value: Result<wasm_bindgen::JsValue, _>| value.ok().and_then(|v| v.as_f64()).unwrap_or(1.0);
     let (width, height) = (number(window().inner_width()), number(window().inner_height()));
     let size = (width, height, window().device_pixel_ratio());

@@ -80,6 +80,9 @@ pub(super) fn run(stage: Stage, renderer: Renderer, samples: usize) {
 impl Bench {
     fn step(&mut self, stage: &Stage, now_ms: f64) -> bool {
         let (width, height, ratio) = stage.size();
+        if self.renderer.is_busy() {
+            return true;
+        }
         self.renderer.resize(width, height, ratio);
         if self.frames == WARM_UP {
             self.started_ms = now_ms;

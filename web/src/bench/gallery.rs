@@ -97,6 +97,7 @@ impl Flight {
 pub(super) fn run(stage: Stage, mut renderer: Renderer, dark: bool) {
     let flight = Flight::new();
     let theme = Theme::of(dark);
+    let mut drawn = 0;
     stage.each_frame(move |stage, now_ms| {
         let (width, height, ratio) = stage.size();
         renderer.resize(width, height, ratio);
@@ -104,7 +105,9 @@ pub(super) fn run(stage: Stage, mut renderer: Renderer, dark: bool) {
         let panels = panels(&flight, &theme, &rotors, &strings, width as f32);
         renderer.lay_out(&theme, &panels.iter().map(|panel| panel.rect).collect::<Vec<_>>());
         let outcome = renderer.frame(&theme, &panels);
-        if outcome == FrameOutcome::Drawn && now_ms > 500.0 {
+        drawn += u32::from(outcome == FrameOutcome::Drawn);
+        // By a worker the first is on the canvas when the second begins.
+        if drawn > 2 && now_ms > 500.0 {
             stage.say("gallery-drawn", "drawn");
         }
         outcome != FrameOutcome::Rebuild

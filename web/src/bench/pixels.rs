@@ -26,8 +26,8 @@ pub(super) struct Pixels {
 }
 
 impl Pixels {
-    /// Copies the upper left corner. Only in the task that drew the frame: afterwards the browser
-    /// may have emptied the buffer.
+    /// Copies the upper left corner. By a card only in the task that drew the frame: afterwards the browser may have emptied the
+    /// buffer. By the processor it is the last frame that the browser has been given.
     pub fn read(stage: &Stage, width: u32, height: u32) -> Option<Self> {
         let copy: HtmlCanvasElement = stage.document.create_element("canvas").ok()?.dyn_into().ok()?;
         copy.set_width(width);

@@ -2,11 +2,11 @@
 //!
 //! Screen angles: a right roll turns the horizon anticlockwise; a raised nose pushes it down. The
 //! scale of the pitch ladder is the same over the whole instrument. Numbers are page elements:
-//! [`ladder_labels`] says where.
+//! [`ladder_numbers`] says which.
 
 use super::color::{Color, Theme};
 use super::grid::Plot;
-use super::scene::{HorizonView, Rect};
+use super::scene::HorizonView;
 use super::shape::Shapes;
 
 /// Pitch shown from the middle to the nearer edge, rad.
@@ -57,7 +57,7 @@ impl Geometry {
             along: [cos, -sin],
             up: [-sin, -cos],
             nose_up_rad: -view.pitch_flu_rad,
-            px_per_rad: size / (2.0 * HALF_VIEW_RAD),
+            px_per_rad: size * LADDER_PER_RAD,
             size,
         }
     }
@@ -78,47 +78,26 @@ impl Geometry {
         let (sin, cos) = angle_rad.sin_cos();
         self.fixed(sin * radius, -cos * radius)
     }
-
-    /// Lines of the ladder: degrees above the horizon, and half their length in px. They fade out
-    /// of use before the roll scale.
-    fn ladder(&self) -> impl Iterator<Item = (i32, f32)> + '_ {
-        (-18..=18).map(|i| i * 5).filter(|degrees| *degrees != 0).filter_map(|degrees| {
-            let off_px = (degrees as f32).to_radians() - self.nose_up_rad;
-            let inside = (off_px * self.px_per_rad).abs() < 0.31 * self.size;
-            inside.then_some((degrees, self.size * if degrees % 10 == 0 { 0.13 } else { 0.06 }))
-        })
-    }
 }
 
-/// A number beside the pitch ladder, CSS pixels relative to the instrument's top left corner.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LadderLabel {
-    /// Degrees without sign, as on instruments: above and below tell themselves apart by colour.
-    pub degrees: i32,
-    /// Middle of the text.
-    pub x: f32,
-    /// Middle of the text.
-    pub y: f32,
-    /// Clockwise turn of the text, rad.
-    pub turn_rad: f32,
+/// One radian on the ladder, in shares of the instrument's shorter side.
+pub const LADDER_PER_RAD: f32 = 0.5 / HALF_VIEW_RAD;
+/// Half the length of a ten-degree line, in shares of the same.
+pub const LADDER_HALF: f32 = 0.13;
+/// Farthest line from the middle, in shares of the same.
+const LADDER_REACH: f32 = 0.31;
+
+/// Ten-degree lines of the pitch ladder that are seen, degrees above the horizon; each end of them has a number.
+pub fn ladder_numbers(pitch_flu_rad: f32) -> Vec<i32> {
+    ladder(-pitch_flu_rad).filter(|degrees| degrees % 10 == 0).collect()
 }
 
-/// Where the numbers of the pitch ladder belong, both ends of each ten-degree line.
-pub fn ladder_labels(rect: Rect, view: &HorizonView) -> Vec<LadderLabel> {
-    if view.stale {
-        return Vec::new();
-    }
-    let geometry = Geometry::new([0.0, 0.0, rect.width, rect.height], view);
-    geometry
-        .ladder()
-        .filter(|(degrees, _)| degrees % 10 == 0)
-        .flat_map(|(degrees, half)| {
-            [-1.0, 1.0].map(|side| {
-                let [x, y] = geometry.at((degrees as f32).to_radians(), side * (half + 11.0));
-                LadderLabel { degrees: degrees.abs(), x, y, turn_rad: -view.roll_rad }
-            })
-        })
-        .collect()
+/// Lines of the ladder, degrees above the horizon. They fade out of use before the roll scale.
+fn ladder(nose_up_rad: f32) -> impl Iterator<Item = i32> {
+    let seen = move |degrees: &i32| {
+        ((*degrees as f32).to_radians() - nose_up_rad).abs() * LADDER_PER_RAD < LADDER_REACH && *degrees != 0
+    };
+    (-18..=18).map(|i| i * 5).filter(seen)
 }
 
 /// Draw the instrument into its panel.
@@ -165,7 +144,8 @@ fn draw_world(shapes: &mut Shapes, plot: Plot, geometry: &Geometry, theme: &Them
 fn draw_ladder(shapes: &mut Shapes, plot: Plot, geometry: &Geometry) {
     let width = 1.25 * plot.scale;
     let color = WHITE.alpha(0.92);
-    for (degrees, half) in geometry.ladder() {
+    for degrees in ladder(geometry.nose_up_rad) {
+        let half = geometry.size * if degrees % 10 == 0 { LADDER_HALF } else { 0.06 };
         let pitch_rad = (degrees as f32).to_radians();
         let [a, b] = [geometry.at(pitch_rad, -half), geometry.at(pitch_rad, half)];
         if degrees > 0 {
@@ -253,12 +233,10 @@ mod tests {
     }
 
     #[test]
-    fn labels_sit_beside_their_lines_inside_the_instrument() {
-        let rect = Rect::new(500.0, 300.0, 200.0, 200.0);
-        let labels = ladder_labels(rect, &view(0.2, 0.0));
-        assert_eq!(labels.iter().map(|l| l.degrees).collect::<Vec<_>>(), [10, 10, 10, 10]);
-        assert!(labels.iter().all(|l| (0.0..=200.0).contains(&l.x) && (0.0..=200.0).contains(&l.y)));
-        assert!(ladder_labels(rect, &HorizonView { stale: true, ..view(0.0, 0.0) }).is_empty());
+    fn the_ladder_has_the_numbers_that_are_near_the_nose() {
+        assert_eq!(ladder_numbers(0.0), [-10, 10]);
+        assert_eq!(ladder_numbers(-30_f32.to_radians()), [20, 30, 40]);
+        assert_eq!(ladder_numbers(f32::NAN), [0; 0]);
     }
 
     #[test]

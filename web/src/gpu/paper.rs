@@ -1,21 +1,20 @@
-//! One frame where no graphics card draws: panels to triangles as everywhere, triangles to pixels by the processor, pixels to the canvas.
+//! One frame where no graphics card draws: panels to triangles as everywhere, which the page's worker makes pixels of.
 
-use wasm_bindgen::{Clamped, JsCast};
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+use js_sys::{Array, ArrayBuffer, Uint32Array};
+use wasm_bindgen::{JsCast, closure::Closure};
 use web_sys::{
-    CanvasRenderingContext2d, HtmlCanvasElement, ImageData, WebGl2RenderingContext, WebglDebugRendererInfo,
-    WebglLoseContext,
+    HtmlCanvasElement, MessageEvent, WebGl2RenderingContext, WebglDebugRendererInfo, WebglLoseContext, Worker,
+    WorkerOptions, WorkerType,
 };
 
-use super::attitude3d::Space;
-use super::chart::{Scratch, draw_chart};
-use super::context::FrameStats;
+use super::context::{FrameOutcome, FrameStats};
 use super::grid::Plot;
-use super::heatmap::draw_heatmap;
-use super::horizon::draw_horizon;
-use super::raster::{Depths, Tile};
-use super::scene::{Content, Panel, Rect};
+use super::scene::{Panel, Rect};
 use super::screen::pixels;
-use super::shape::Shapes;
+use super::sheet::{Ground, Sheet};
 use super::{Color, Theme};
 
 /// What names a renderer that draws with the processor: Chromium's and Mesa's, and what Windows falls back to.
@@ -42,32 +41,6 @@ pub(super) fn without_card() -> Option<String> {
     Some(format!("WebGL2 only by {found}"))
 }
 
-/// What panels are drawn with; kept between frames so that nothing is allocated.
-#[derive(Default)]
-pub(super) struct Easel {
-    shapes: Shapes,
-    scratch: Scratch,
-    space: Space,
-    depths: Depths,
-}
-
-/// Makes `tile` the picture of a panel.
-pub(super) fn paint(tile: &mut Tile, easel: &mut Easel, plot: Plot, content: &Content<'_>, page: Color) {
-    let Easel { shapes, scratch, space, depths } = easel;
-    tile.clear([plot.width(), plot.height()].map(|px| px as usize), page);
-    shapes.clear();
-    match content {
-        Content::Chart(view) => draw_chart(shapes, scratch, plot, view),
-        Content::Heatmap(view) => draw_heatmap(shapes, scratch, plot, view),
-        Content::Horizon(view) => draw_horizon(shapes, plot, view),
-        Content::Attitude3d(view) => {
-            let seen = space.build(view, [plot.width(), plot.height()], plot.scale);
-            tile.space(space, &seen, view.theme.plot, depths);
-        }
-    }
-    tile.shapes(shapes.vertices(), [plot.left, plot.top]);
-}
-
 /// What the canvas shows beside the panels.
 #[derive(Debug, Clone, PartialEq)]
 struct Layout {
@@ -76,73 +49,116 @@ struct Layout {
     places: Vec<Rect>,
 }
 
-/// Draws panels on one canvas.
+/// Draws panels on one canvas, by a worker of the page.
 pub(super) struct Paper {
-    canvas: HtmlCanvasElement,
-    context: CanvasRenderingContext2d,
+    worker: Worker,
+    /// Since the worker has had its last frame and has not said that it is drawn.
+    busy: Rc<Cell<bool>>,
+    /// The memory of the last frame, which the worker hands back.
+    memory: Rc<RefCell<Option<ArrayBuffer>>>,
+    _drawn: Closure<dyn Fn(MessageEvent)>,
     pub(super) why: String,
     size: [u32; 2],
     scale: f32,
-    tile: Tile,
-    easel: Easel,
+    sheet: Sheet,
     shown: Option<Layout>,
+    /// Must the canvas be cleared before the next panels?
+    clear: bool,
     pub(super) stats: FrameStats,
 }
 
 impl Paper {
-    /// On this canvas, for the reason `why`; `None` where another kind of context has been asked of it.
-    pub(super) fn new(canvas: HtmlCanvasElement, why: String) -> Option<Self> {
-        let options = js_sys::Object::new();
-        // Fails only for objects that are frozen. What is opaque is put on the screen without a look at what is behind.
-        let _ = js_sys::Reflect::set(&options, &"alpha".into(), &false.into());
-        let context = canvas.get_context_with_context_options("2d", &options).ok()??.dyn_into().ok()?;
+    /// On this canvas, for the reason `why`; `None` where a page has no workers that draw, or another kind of context has been asked of
+    /// the canvas.
+    pub(super) async fn new(canvas: HtmlCanvasElement, why: String) -> Option<Self> {
+        // The page's own script, which knows where it runs.
+        let script = canvas.owner_document()?.query_selector("script[type=module]").ok()??.get_attribute("src")?;
+        let options = WorkerOptions::new();
+        options.set_type(WorkerType::Module);
+        let worker = Worker::new_with_options(&script, &options).ok()?;
+        let begun = js_sys::Promise::new(&mut |done, failed| {
+            worker.set_onmessage(Some(&done));
+            worker.set_onerror(Some(&failed));
+        });
+        wasm_bindgen_futures::JsFuture::from(begun).await.ok()?;
+        let canvas = canvas.transfer_control_to_offscreen().ok()?;
+        worker.post_message_with_transfer(&canvas, &Array::of1(&canvas)).ok()?;
+        let (busy, memory) = (Rc::new(Cell::new(true)), Rc::new(RefCell::new(None)));
+        let (is_busy, back) = (busy.clone(), memory.clone());
+        let drawn = Closure::<dyn Fn(MessageEvent)>::new(move |message: MessageEvent| {
+            is_busy.set(false);
+            back.replace(message.data().dyn_into().ok());
+        });
+        worker.set_onmessage(Some(drawn.as_ref().unchecked_ref()));
         Some(Self {
-            canvas,
-            context,
+            worker,
+            busy,
+            memory,
+            _drawn: drawn,
             why,
             size: [1, 1],
             scale: 1.0,
-            tile: Tile::default(),
-            easel: Easel::default(),
+            sheet: Sheet::default(),
             shown: None,
+            clear: true,
             stats: FrameStats::default(),
         })
+    }
+
+    /// Is the last frame not drawn yet?
+    pub(super) fn is_busy(&self) -> bool {
+        self.busy.get()
     }
 
     pub(super) fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) {
         (self.size, self.scale) = pixels([css_width, css_height], device_pixel_ratio, MOST_PIXELS);
     }
 
-    /// Clears the canvas where panels have another place, or the page another colour; was it cleared?
+    /// Has the canvas cleared where panels have another place, or the page another colour; is it?
     pub(super) fn lay_out(&mut self, theme: &Theme, places: &[Rect]) -> bool {
         let layout = Layout { size: self.size, page: theme.page, places: places.to_vec() };
-        if self.shown.as_ref() == Some(&layout) {
-            return false;
-        }
-        let [width, height] = self.size;
-        if [self.canvas.width(), self.canvas.height()] != self.size {
-            self.canvas.set_width(width);
-            self.canvas.set_height(height);
-        }
-        self.context.set_fill_style_str(&theme.page.css());
-        self.context.fill_rect(0.0, 0.0, f64::from(width), f64::from(height));
+        let other = self.shown.as_ref() != Some(&layout);
         self.shown = Some(layout);
-        true
+        self.clear |= other;
+        other
     }
 
-    pub(super) fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) {
-        self.stats = FrameStats::default();
-        for panel in panels {
-            let plot = Plot::new(panel.rect, self.scale);
-            paint(&mut self.tile, &mut self.easel, plot, &panel.content, theme.page);
-            let [width, height] = self.tile.size().map(|px| px as u32);
-            self.stats.shape_vertices += self.easel.shapes.vertices().len() as u32;
-            self.stats.draws += 1;
-            // Fails only for panels without a pixel.
-            let bytes = Clamped(self.tile.bytes());
-            if let Ok(image) = ImageData::new_with_u8_clamped_array_and_sh(bytes, width, height) {
-                let _ = self.context.put_image_data(&image, f64::from(plot.left), f64::from(plot.top));
-            }
+    pub(super) fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
+        if self.is_busy() {
+            return FrameOutcome::Skipped;
         }
+        self.stats = FrameStats::default();
+        self.sheet.begin(Ground { size: self.size, page: theme.page.packed(), clear: u32::from(self.clear) });
+        for panel in panels {
+            let [flat, solid] = self.sheet.panel(Plot::new(panel.rect, self.scale), &panel.content, theme.page);
+            self.stats.shape_vertices += flat as u32;
+            self.stats.mesh_vertices += solid as u32;
+            self.stats.draws += 1;
+        }
+        let words = self.copied();
+        // Fails only for what cannot be sent.
+        let sent = self.worker.post_message_with_transfer(&words, &Array::of1(&words.buffer()));
+        self.busy.set(sent.is_ok());
+        self.clear = false;
+        FrameOutcome::Drawn
+    }
+}
+
+impl Paper {
+    /// The sheet as the worker gets it, in the memory of the last one where it fits.
+    fn copied(&self) -> Uint32Array {
+        let words = self.sheet.words();
+        let length = words.len() as u32;
+        let used = self.memory.take().filter(|memory| (length..=8 * length).contains(&(memory.byte_length() / 4)));
+        let memory = used.unwrap_or_else(|| ArrayBuffer::new(4 * (length + length / 4)));
+        let copy = Uint32Array::new_with_byte_offset_and_length(&memory, 0, length);
+        copy.copy_from(words);
+        copy
+    }
+}
+
+impl Drop for Paper {
+    fn drop(&mut self) {
+        self.worker.terminate();
     }
 }

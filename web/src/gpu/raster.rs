@@ -1,8 +1,6 @@
 //! What the shaders do, by the processor: for machines without a graphics card, where a browser's emulation of one takes longer and has
 //! to be waited for.
 
-use super::attitude3d::Space;
-use super::color::Color;
 use super::{mesh, shape};
 
 /// Pictures of space with more pixels than this have one sample a pixel instead of four.
@@ -166,10 +164,10 @@ fn packed([r, g, b, _]: [f32; 4]) -> u32 {
 
 impl Tile {
     /// Makes it this large, in px, and of one colour.
-    pub fn clear(&mut self, [width, height]: [usize; 2], color: Color) {
+    pub fn clear(&mut self, [width, height]: [usize; 2], color: u32) {
         (self.width, self.height) = (width, height);
         self.pixels.clear();
-        self.pixels.resize(width * height, color.packed());
+        self.pixels.resize(width * height, color);
     }
 
     /// Width and height, px.
@@ -248,15 +246,15 @@ impl Tile {
         });
     }
 
-    /// What `mesh.wgsl` does, over all of this picture.
-    pub fn space(&mut self, space: &Space, view: &mesh::View, ground: Color, kept: &mut Depths) {
+    /// What `mesh.wgsl` does, over all of this picture: what is opaque, then what is translucent.
+    pub fn space(&mut self, solids: [&[mesh::Vertex]; 2], view: &mesh::View, sky: u32, kept: &mut Depths) {
         let samples = if self.pixels.len() > FINE_PX { 1 } else { 2 };
         let Depths { fine, depths } = kept;
-        fine.clear(self.size().map(|px| px * samples), ground);
+        fine.clear(self.size().map(|px| px * samples), sky);
         depths.clear();
         depths.resize(fine.pixels.len(), 1.0);
-        for (mesh, solid) in [(&space.solid, true), (&space.clear, false)] {
-            for corners in mesh.vertices().as_chunks::<3>().0 {
+        for (vertices, solid) in solids.into_iter().zip([true, false]) {
+            for corners in vertices.as_chunks::<3>().0 {
                 fine.lit(corners, view, depths, solid);
             }
         }
@@ -372,10 +370,10 @@ fn before_the_eye(corners: [Seen; 3]) -> ([Seen; 4], usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::Theme;
     use crate::gpu::grid::Plot;
-    use crate::gpu::paper::{Easel, paint};
     use crate::gpu::scene::{ChartView, Content, Curve, Panel, Rect, Style};
+    use crate::gpu::sheet::{Ground, Sheet, draw};
+    use crate::gpu::{Color, Theme};
     use crate::model::axis::{TimeAxis, ValueAxis};
     use crate::model::series::Series;
 
@@ -391,7 +389,10 @@ mod tests {
         view.curves.push(Curve { series, color: Color::hex(0), style, scale: 1.0 });
         let mut tile = Tile::default();
         let panel = Panel { rect: Rect::new(0.0, 0.0, 200.0, 100.0), content: Content::Chart(view) };
-        paint(&mut tile, &mut Easel::default(), Plot::new(panel.rect, 1.0), &panel.content, theme.page);
+        let mut sheet = Sheet::default();
+        sheet.begin(Ground { size: [200, 100], page: theme.page.packed(), clear: 1 });
+        sheet.panel(Plot::new(panel.rect, 1.0), &panel.content, theme.page);
+        draw(sheet.words(), &mut tile, &mut Depths::default(), |_| (), |_, _| ());
         tile
     }
 
@@ -460,27 +461,55 @@ mod tests {
         for dark in [false, true] {
             for &scale in scales {
                 let theme = Theme::of(dark);
-                let mut picture = Tile::default();
-                picture.clear([1280.0 * scale, 680.0 * scale].map(|px| px as usize), theme.page);
+                let size = [1280.0 * scale, 680.0 * scale].map(|px| px as u32);
+                let mut sheet = Sheet::default();
+                sheet.begin(Ground { size, page: theme.page.packed(), clear: 1 });
+                let mut written = 0;
                 crate::bench::gallery::with_panels(&theme, 1280.0, |panels| {
-                    let (mut tile, mut easel) = (Tile::default(), Easel::default());
-                    for (i, panel) in panels.iter().enumerate() {
-                        let plot = Plot::new(panel.rect, scale);
-                        paint(&mut tile, &mut easel, plot, &panel.content, theme.page);
-                        let colors: std::collections::HashSet<u32> = tile.pixels.iter().copied().collect();
-                        assert!(colors.len() > 8, "panel {i} shows {} colours", colors.len());
-                        for (y, row) in tile.pixels.chunks(tile.width).enumerate() {
-                            let from = plot.left as usize;
-                            let at = (plot.top as usize + y) * picture.width + from;
-                            picture.pixels[at..at + row.len()].copy_from_slice(row);
-                        }
+                    for panel in panels {
+                        sheet.panel(Plot::new(panel.rect, scale), &panel.content, theme.page);
+                        written += 1;
                     }
                 });
+                let (mut picture, mut tile, mut drawn) = (Tile::default(), Tile::default(), 0);
+                let begin = |ground: &Ground| assert_eq!(*ground, Ground { size, page: theme.page.packed(), clear: 1 });
+                picture.clear(size.map(|px| px as usize), theme.page.packed());
+                draw(sheet.words(), &mut tile, &mut Depths::default(), begin, |tile, [left, top]| {
+                    let colors: std::collections::HashSet<u32> = tile.pixels.iter().copied().collect();
+                    assert!(colors.len() > 8, "panel {drawn} shows {} colours", colors.len());
+                    for (y, row) in tile.pixels.chunks(tile.width).enumerate() {
+                        let at = (top as usize + y) * picture.width + left as usize;
+                        picture.pixels[at..at + row.len()].copy_from_slice(row);
+                    }
+                    drawn += 1;
+                });
+                assert_eq!(drawn, written);
                 if let Some(folder) = &folder {
                     let name = format!("gallery-{}-{scale}x.ppm", if dark { "dark" } else { "light" });
                     std::fs::write(std::path::Path::new(folder).join(name), ppm(&picture)).unwrap();
                 }
             }
+        }
+    }
+
+    /// GIVEN a sheet that ends too soon WHEN it is drawn THEN what is whole is drawn, and nothing else.
+    #[test]
+    fn of_a_sheet_cut_short_the_whole_panels_are_drawn() {
+        let theme = Theme::LIGHT;
+        let mut sheet = Sheet::default();
+        sheet.begin(Ground { size: [1280, 680], page: theme.page.packed(), clear: 1 });
+        let mut ends = Vec::new();
+        crate::bench::gallery::with_panels(&theme, 640.0, |panels| {
+            for panel in panels {
+                sheet.panel(Plot::new(panel.rect, 0.25), &panel.content, theme.page);
+                ends.push(sheet.words().len());
+            }
+        });
+        for cut in [0, 1, 4, 7, ends[0] - 1, ends[0], ends[1] - 1, ends[2] + 3] {
+            let mut drawn = 0;
+            let words = &sheet.words()[..cut];
+            draw(words, &mut Tile::default(), &mut Depths::default(), |_| (), |_, _| drawn += 1);
+            assert_eq!(drawn, ends.iter().filter(|end| **end <= cut).count(), "{cut} words");
         }
     }
 
@@ -500,7 +529,7 @@ mod tests {
             [50.3 + 45.0 * cos, 49.6 + 45.0 * sin]
         };
         let mut tile = Tile::default();
-        tile.clear([100, 100], Color::hex(0));
+        tile.clear([100, 100], Color::hex(0).packed());
         for i in 0..17 {
             let triangle = Triangle::new([centre, rim(i), rim(i + 1)]).unwrap();
             tile.fill(&triangle, Color::hex(0xffffff).alpha(0.5).packed());

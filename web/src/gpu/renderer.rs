@@ -23,7 +23,11 @@ impl Renderer {
     pub async fn new(canvas: HtmlCanvasElement) -> Result<Self, GpuError> {
         let by_webgpu = wgpu::util::is_browser_webgpu_supported().await;
         let backends = if by_webgpu { wgpu::Backends::BROWSER_WEBGPU } else { wgpu::Backends::GL };
-        let paper = (!by_webgpu).then(without_card).flatten().and_then(|why| Paper::new(canvas.clone(), why));
+        let without_card = (!by_webgpu).then(without_card).flatten();
+        let paper = match without_card {
+            Some(why) => Paper::new(canvas.clone(), why).await,
+            None => None,
+        };
         Ok(Self(match paper {
             Some(paper) => Means::Paper(Box::new(paper)),
             None => Means::Card(Box::new(Card::new(canvas, backends).await?)),
@@ -76,14 +80,19 @@ impl Renderer {
         }
     }
 
+    /// Is a frame still being drawn? The next one is skipped until it is.
+    pub fn is_busy(&self) -> bool {
+        match &self.0 {
+            Means::Card(_) => false,
+            Means::Paper(paper) => paper.is_busy(),
+        }
+    }
+
     /// Draw these panels on a canvas of the theme's page colour.
     pub fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
         match &mut self.0 {
             Means::Card(card) => card.frame(theme, panels),
-            Means::Paper(paper) => {
-                paper.frame(theme, panels);
-                FrameOutcome::Drawn
-            }
+            Means::Paper(paper) => paper.frame(theme, panels),
         }
     }
 }

@@ -118,9 +118,10 @@ pub fn ArmingCard() -> impl IntoView {
                         <span class="one-line quiet">{move || outlook.get().2}</span>
                     </summary>
                     <ul>
-                        {move || all.get().into_iter().map(|c| view! {
+                        // Their reasons change with every beat: nobody reads them while they are folded.
+                        {move || open.get().then(|| all.get().into_iter().map(|c| view! {
                             <li class:bad=!c.passed><i aria-hidden="true">{if c.passed { "✓" } else { "✗" }}</i> <b>{c.name}</b> " " <span>{c.reason}</span></li>
-                        }).collect::<Vec<_>>()}
+                        }).collect::<Vec<_>>())}
                     </ul>
                     <EnvelopeLine open />
                 </details>

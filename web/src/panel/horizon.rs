@@ -6,7 +6,7 @@ use leptos::{ev, html, prelude::*};
 
 use crate::{
     deck::{Picture, deck},
-    gpu::{HorizonView, Rect, Theme, horizon::ladder_labels},
+    gpu::horizon::{LADDER_HALF, LADDER_PER_RAD, ladder_numbers},
     model::format,
 };
 
@@ -16,6 +16,9 @@ const TAPE_PX_PER_M: f64 = 100.0;
 const TAPE_MARKS: i64 = 40;
 /// Width of one degree on the compass, px.
 const COMPASS_PX_PER_DEG: f64 = 1.7;
+
+/// From the end of a rung to the middle of its number, px.
+const BESIDE_PX: f64 = 11.0;
 
 /// The camera above the vehicle: azimuth, elevation, distance.
 const FROM_ABOVE: (f32, f32, f32) = (-std::f32::consts::FRAC_PI_2, 1.5, 3.0);
@@ -67,37 +70,44 @@ fn Horizon() -> impl IntoView {
     };
     view! {
         <div class="horizon plot" role="img" aria-label=label node_ref=node>
-            <Ladder node />
+            <Ladder />
         </div>
     }
 }
 
-/// The numbers beside the pitch ladder, where the canvas draws its rungs.
+/// The numbers beside the pitch ladder, where the canvas draws its rungs: they move together.
 #[component]
-fn Ladder(node: NodeRef<html::Div>) -> impl IntoView {
+fn Ladder() -> impl IntoView {
     let deck = deck();
-    let labels = Memo::new(move |_| {
+    let attitude = Memo::new(move |_| {
         let instrument = deck.instrument();
-        let (Some([roll, pitch, _]), Some(node)) = (instrument.roll_pitch_yaw_deg, node.get()) else {
-            return Vec::new();
-        };
-        let view = HorizonView {
-            roll_rad: roll.to_radians() as f32,
-            pitch_flu_rad: pitch.to_radians() as f32,
-            setpoint_rad: None,
-            stale: instrument.stale,
-            theme: Theme::LIGHT,
-        };
-        let rect = Rect::new(0.0, 0.0, node.client_width() as f32, node.client_height() as f32);
-        ladder_labels(rect, &view)
+        let [roll, pitch, _] = instrument.roll_pitch_yaw_deg.filter(|_| !instrument.stale)?;
+        // To what can be seen.
+        Some([roll, pitch].map(|degrees| (degrees * 20.0).round() / 20.0))
     });
+    let numbers = Memo::new(move |_| {
+        attitude.get().map_or_else(Vec::new, |[_, pitch]| ladder_numbers(pitch.to_radians() as f32))
+    });
+    let percent = |share: f32| f64::from(share) * 100.0;
+    // FLU: nose up is negative pitch, and lets the horizon fall.
+    let turned = move || {
+        let [roll, pitch] = attitude.get().unwrap_or_default();
+        let fall = -pitch.to_radians() * percent(LADDER_PER_RAD);
+        format!("transform:rotate({:.2}deg) translateY({fall:.2}cqmin)", -roll)
+    };
     view! {
         <div class="ladder" aria-hidden="true">
-            {move || labels.get().into_iter().map(|l| view! {
-                <span style=format!(
-                    "left:{:.1}px;top:{:.1}px;transform:translate(-50%,0) rotate({:.2}rad)", l.x, l.y, l.turn_rad
-                )>{l.degrees}</span>
-            }).collect::<Vec<_>>()}
+            <div style=turned>
+                {move || numbers.get().into_iter().flat_map(|degrees| [-1.0, 1.0].map(|side| {
+                    let rise = f64::from(degrees).to_radians() * percent(LADDER_PER_RAD);
+                    let (half, beside) = (side * percent(LADDER_HALF), side * BESIDE_PX);
+                    view! {
+                        <span style=format!("transform:translate(calc({half:.2}cqmin + {beside}px - 50%),{:.2}cqmin)", -rise)>
+                            {degrees.abs()}
+                        </span>
+                    }
+                })).collect::<Vec<_>>()}
+            </div>
         </div>
     }
 }

@@ -45,7 +45,9 @@ pub fn Readouts() -> impl IntoView {
         }
     });
     let bad = Memo::new(move |_| deck.instrument().health == Health::Degraded);
-    let motors = Memo::new(move |_| deck.instrument().motors);
+    // Of their range, %.
+    let motors = Memo::new(move |_| deck.instrument().motors.iter().map(|m| (m * 100.0).round()).collect::<Vec<_>>());
+    let count = Memo::new(move |_| motors.with(Vec::len).max(4));
     let saturated = Memo::new(move |_| deck.instrument().saturated);
     view! {
         <section class="card readouts" class:stale=stale aria-label="Readouts" data-time-us=shown_us>
@@ -63,22 +65,19 @@ pub fn Readouts() -> impl IntoView {
                 {row("north", "m", |i| i.east_north_m.map(|p| format::signed(p[1], 2)))}
             </dl>
             <div class="motors-now" role="img" aria-label=move || {
-                let all: Vec<String> = motors.get().iter().map(|m| format!("{:.0} %", m * 100.0)).collect();
+                let all: Vec<String> = motors.get().iter().map(|m| format!("{m:.0} %")).collect();
                 if all.is_empty() { "Motors: unknown".to_owned() } else { format!("Motors: {}", all.join(", ")) }
             }>
                 <span class="motors-name">"motors"</span>
-                {move || {
-                    let all = motors.get();
-                    (0..all.len().max(4)).map(|i| {
-                        let level = all.get(i).copied();
-                        view! {
-                            <span class="motor" class:saturated=saturated>
-                                <i style=format!("height:{:.0}%", level.unwrap_or(0.0).clamp(0.0, 1.0) * 100.0)></i>
-                                <b class="num">{level.map_or_else(|| format::NONE.to_owned(), |l| format!("{:.0}", l * 100.0))}</b>
-                            </span>
-                        }
-                    }).collect::<Vec<_>>()
-                }}
+                {move || (0..count.get()).map(|i| {
+                    let level = Memo::new(move |_| motors.with(|all| all.get(i).copied()));
+                    view! {
+                        <span class="motor" class:saturated=saturated>
+                            <i style=move || format!("height:{:.0}%", level.get().unwrap_or(0.0).clamp(0.0, 100.0))></i>
+                            <b class="num">{move || level.get().map_or_else(|| format::NONE.to_owned(), |l| format!("{l:.0}"))}</b>
+                        </span>
+                    }
+                }).collect::<Vec<_>>()}
             </div>
         </section>
     }

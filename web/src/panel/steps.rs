@@ -88,11 +88,14 @@ pub fn StepMarks() -> impl IntoView {
                     let style = move || step.get().map_or_else(|| "display:none".to_owned(), |s| {
                         format!("left:{:.2}%;width:{:.2}%", s.left * 100.0, s.width * 100.0)
                     });
+                    // Its place moves with every beat, what is written there does not.
+                    let from_to = Memo::new(move |_| step.get().map(|s| s.from_to));
+                    let text = Memo::new(move |_| step.get().map(|s| s.text));
                     view! {
                         <div class="step" role="listitem" style=style class:running=move || step.get().is_some_and(|s| s.running)>
-                            <b class="num">{move || step.get().map(|s| s.from_to)}</b>
+                            <b class="num">{from_to}</b>
                             " "
-                            <span class="figures">{move || step.get().map(|s| pieces(&s.text))}</span>
+                            <span class="figures">{move || text.get().map(|text| pieces(&text))}</span>
                         </div>
                     }
                 }
