@@ -3,10 +3,11 @@
 //! `cargo xtask bless` rewrites the snapshots; the commit says why, and whether `SCHEMA` had to rise.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
+use plumbline_proto::descriptor::{FILE_DESCRIPTOR_SET, describing};
 use plumbline_proto::{Kind, SCHEMA};
 use prost_reflect::prost::Message as _;
 use prost_reflect::{Cardinality, DescriptorPool, DynamicMessage, FieldDescriptor, MapKey, MessageDescriptor, Value};
@@ -163,4 +164,28 @@ fn generated_types_keep_every_field() {
         CommandFrame,
         Hello,
     );
+}
+
+/// GIVEN what describes one kind's message alone WHEN a message with every field is read by it THEN it reads as by the whole schema, and
+/// no type of it is described that its fields do not lead to.
+#[test]
+fn every_kind_is_described_by_itself() {
+    let whole = DescriptorPool::decode(FILE_DESCRIPTOR_SET).unwrap();
+    for kind in Kind::ALL {
+        let bytes = describing(kind.message_name());
+        let pool = DescriptorPool::decode(bytes).unwrap();
+        let [alone, among] = [&pool, &whole].map(|pool| pool.get_message_by_name(kind.message_name()).unwrap());
+        let encoded = filled(&among, 0).encode_to_vec();
+        let read = DynamicMessage::decode(alone.clone(), encoded.as_slice()).unwrap();
+        assert_eq!(read.unknown_fields().count(), 0, "{kind:?}");
+        assert_eq!(read.to_string(), filled(&among, 0).to_string(), "{kind:?}");
+        let mut led_to = BTreeSet::from([alone.full_name().to_owned()]);
+        let mut next = vec![alone];
+        while let Some(message) = next.pop() {
+            let types = message.fields().filter_map(|field| field.kind().as_message().cloned());
+            next.extend(types.filter(|message| led_to.insert(message.full_name().to_owned())));
+        }
+        assert_eq!(pool.all_messages().map(|m| m.full_name().to_owned()).collect::<BTreeSet<_>>(), led_to, "{kind:?}");
+    }
+    assert_eq!(describing("plumbline.v1.Nonsense"), FILE_DESCRIPTOR_SET);
 }

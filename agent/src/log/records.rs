@@ -9,6 +9,7 @@ use std::io::{self, BufReader, BufWriter, Read, Write};
 
 use mcap::MAGIC;
 use mcap::records::op;
+use plumbline_proto::descriptor::describing;
 
 /// Of every record: its kind and its length.
 const HEADER_BYTES: u64 = 9;
@@ -62,12 +63,12 @@ pub(super) struct Channel {
 }
 
 /// Adds the schema of this number.
-pub(super) fn schema(out: &mut Vec<u8>, number: u16, name: &str, descriptors: &[u8]) {
+pub(super) fn schema(out: &mut Vec<u8>, number: u16, name: &str) {
     record(out, op::SCHEMA, |out| {
         out.extend_from_slice(&number.to_le_bytes());
         text(out, name);
         text(out, "protobuf");
-        sized(out, |out| out.extend_from_slice(descriptors));
+        sized(out, |out| out.extend_from_slice(describing(name)));
     });
 }
 
@@ -161,7 +162,6 @@ impl Chunk {
 pub(super) struct Contents<'a> {
     /// Name of each schema, the first being number one.
     pub(super) schemas: &'a [String],
-    pub(super) descriptors: &'a [u8],
     pub(super) channels: &'a [Channel],
     /// Of the metadata record.
     pub(super) metadata: &'a str,
@@ -206,7 +206,7 @@ pub(super) fn finish(file: &File, written: File, position: u64, contents: &Conte
 
     scratch.clear();
     for (number, name) in (1..).zip(contents.schemas) {
-        schema(&mut scratch, number, name, contents.descriptors);
+        schema(&mut scratch, number, name);
     }
     group(op::SCHEMA, &mut out, &scratch)?;
     scratch.clear();

@@ -8,7 +8,6 @@ use std::sync::Arc;
 
 use plumbline_file::{METADATA, SyncedFile, Syncer};
 use plumbline_proto::codec::Frame;
-use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
 use plumbline_proto::ids::FlightId;
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::v1;
@@ -152,7 +151,6 @@ impl LogFile {
     fn summarize(&self) -> io::Result<()> {
         let contents = Contents {
             schemas: &self.schemas,
-            descriptors: FILE_DESCRIPTOR_SET,
             channels: &self.channels,
             metadata: METADATA,
             chunks: self.chunks,
@@ -177,7 +175,7 @@ impl LogFile {
             None => {
                 self.schemas.push(name.to_owned());
                 let number = self.schemas.len() as u16;
-                records::schema(self.chunk.records(), number, name, FILE_DESCRIPTOR_SET);
+                records::schema(self.chunk.records(), number, name);
                 number
             }
         };

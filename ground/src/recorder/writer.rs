@@ -16,7 +16,7 @@ use mcap::{Compression, McapError, McapResult, WriteOptions};
 use plumbline_file::{SyncedFile, Syncer};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::Frame;
-use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
+use plumbline_proto::descriptor::describing;
 use plumbline_proto::time::{FlightTime, WallTime};
 
 use super::identity::Identity;
@@ -107,7 +107,8 @@ impl FlightWriter {
     }
 
     fn channel(&mut self, frame: &Frame<'_>, topic: &str) -> McapResult<u16> {
-        let schema = frame.known_kind().map(|kind| (kind.message_name(), "protobuf", FILE_DESCRIPTOR_SET));
+        let name = frame.known_kind().map(|kind| kind.message_name());
+        let schema = name.map(|name| (name, "protobuf", describing(name)));
         channel(&mut self.mcap, schema, topic, "protobuf", &BTreeMap::new())
     }
 

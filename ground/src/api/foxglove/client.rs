@@ -1,7 +1,7 @@
 //! What a client asks and is told, as the protocol writes it.
 
 use axum::extract::ws::Message;
-use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
+use plumbline_proto::descriptor::describing;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -127,7 +127,7 @@ fn channel(id: u32, topic: &str, encoding: &str, name: &str, schema: (&str, Stri
 
 /// A topic of our own schema.
 pub(super) fn advertise(id: u32, topic: &str, name: &str) -> Message {
-    channel(id, topic, "protobuf", name, ("protobuf", base64(FILE_DESCRIPTOR_SET)))
+    channel(id, topic, "protobuf", name, ("protobuf", base64(describing(name))))
 }
 
 /// A topic of a schema that is Foxglove's own.
