@@ -107,7 +107,7 @@ BATTERY_V, NOMINAL_V, CURVE = 11.9, 11.1, (100.0, 1000.0)
 VISION_S = 0.5
 # MAX_RTT_SAMPLE of PX4's Timesync.
 ROUND_TRIP_NS = 10_000_000
-seen = {"refused": 0, "wrong_setpoints": 0, "heartbeats": 0, "timesync_ms": None, "left_offboard": 0, "gap_max_s": 0.0,
+seen = {"late_s": 0.0, "refused": 0, "wrong_setpoints": 0, "heartbeats": 0, "timesync_ms": None, "left_offboard": 0, "gap_max_s": 0.0,
         "disarmed_by_force": 0, "setpoints_in_offboard": 0, "altitudes": [], "modes": [], "first_offboard_s": None, "round_trips": 0, "odometry": {
             "count": 0, "refused": {}, "rate_hz": 0.0, "place_error_max_m": 0.0, "velocity_error_max_mps": 0.0,
             "attitude_error_max_rad": 0.0, "age_max_s": 0.0, "resets": 0, "above": None}, "vision_lost": 0}
@@ -403,7 +403,13 @@ def boot_ns():
     return int(BOOTED_US * 1e3 + (now * (1 + 50e-6) - back_s) * 1e9)
 
 
+try:
+    # An autopilot does not wait for its processor.
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
+except OSError:
+    pass
 begun = time.monotonic()
+turned_at = None
 due = {"step": 0.0, "beat": 0.0, "imu": 0.0, "range": 0.0, "status": 0.0, "sync": 0.0, "look": 0.0, "aim": 0.0,
        "outputs": 0.0, "vicon": 0.0}
 while not select.select([sys.stdin], [], [], 0)[0]:
@@ -411,6 +417,8 @@ while not select.select([sys.stdin], [], [], 0)[0]:
         # When it is heard: what comes while this program waits for its processor is later than its step.
         hear(message, time.monotonic() - begun)
     now = time.monotonic() - begun
+    seen["late_s"] = max(seen["late_s"], now - (turned_at or now))
+    turned_at = now
     if mode == OFFBOARD and setpoints and now - setpoints[-1] > 0.5:
         seen["left_offboard"] += 1
         enter(LAND, now)
