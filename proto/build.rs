@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         fs::read_dir("schema/plumbline/v1")?.map(|entry| entry.map(|e| e.path())).collect::<Result<_, _>>()?;
     files.sort();
     let descriptors = protox::compile(&files, ["schema"])?;
-    // Embedded in every flight file: without comments a third of its size.
+    // Embedded in every flight file: without its comments.
     let mut embedded = descriptors.clone();
     embedded.file.iter_mut().for_each(|file| file.source_code_info = None);
     let out = PathBuf::from(env::var("OUT_DIR")?);

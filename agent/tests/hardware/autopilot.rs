@@ -15,7 +15,7 @@ use plumbline_proto::v1;
 use serde_json::Value;
 
 use crate::Agent;
-use crate::ports::{PORTS_LATE, WIRE_FLIGHTS};
+use crate::wires::unless_late;
 
 const SCENARIO: &str = r#"
 name = "autopilot"
@@ -100,29 +100,23 @@ fn seen(mut double: Double) -> Value {
     double.process.stdout.take().unwrap().read_to_string(&mut text).unwrap();
     assert!(double.process.wait().unwrap().success());
     let seen: Value = serde_json::from_str(&text).unwrap();
-    LATE_S.set(seen["late_s"].as_f64().unwrap());
+    LATE.set(Duration::from_secs_f64(seen["late_s"].as_f64().unwrap()));
     seen
 }
 
 thread_local! {
-    /// How long the last double waited for its processor at most, s.
-    static LATE_S: Cell<f64> = const { Cell::new(0.0) };
+    /// How long the last double waited for its processor at most.
+    static LATE: Cell<Duration> = const { Cell::new(Duration::ZERO) };
 }
 
 /// Flies `test`. An IMU that is silent for 80 ms cuts the motors, as it should: a flight that fails while its double waited nearly as
-/// long for its processor is none, and is flown again.
+/// long for its processor is none.
 fn in_time(test: impl Fn()) {
-    for flight in 1.. {
-        LATE_S.set(0.0);
-        let failed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&test)).err();
-        match failed {
-            None => return,
-            Some(failure) if LATE_S.get() < PORTS_LATE.as_secs_f64() || flight == WIRE_FLIGHTS => {
-                std::panic::resume_unwind(failure)
-            }
-            Some(_) => eprintln!("the double was {:.0} ms late: flown again", LATE_S.get() * 1e3),
-        }
-    }
+    let watch = || {
+        LATE.set(Duration::ZERO);
+        || LATE.get()
+    };
+    unless_late("the double", watch, test);
 }
 
 fn free_port() -> u16 {

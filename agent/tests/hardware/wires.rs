@@ -136,14 +136,24 @@ impl Flown {
 /// Flies `test`. Its ports are pseudo terminals, which the kernel's workers serve after everything else on a busy machine: one that
 /// fails while another such port was late is none, and is flown again.
 pub fn in_time(test: impl Fn()) {
-    for flight in 1.. {
+    let watch = || {
         let ports = Ports::watch().unwrap();
+        move || ports.worst()
+    };
+    unless_late("a port beside the wire rig's", watch, test);
+}
+
+/// Flies `test`. One that fails while `what` was late is none, and is flown again; `watch` begins to look at it, and what it gives says
+/// how late it was at most.
+pub fn unless_late<Late: FnOnce() -> Duration>(what: &str, watch: impl Fn() -> Late, test: impl Fn()) {
+    for flight in 1.. {
+        let late = watch();
         let failed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(&test)).err();
-        let late = ports.worst();
+        let late = late();
         match failed {
             None => return,
             Some(failure) if late < PORTS_LATE || flight == WIRE_FLIGHTS => std::panic::resume_unwind(failure),
-            Some(_) => eprintln!("a port beside the wire rig's was {} ms late: flown again", late.as_millis()),
+            Some(_) => eprintln!("{what} was {} ms late: flown again", late.as_millis()),
         }
     }
 }

@@ -92,6 +92,12 @@ pub fn ladder_numbers(pitch_flu_rad: f32) -> Vec<i32> {
     ladder(-pitch_flu_rad).filter(|degrees| degrees % 10 == 0).collect()
 }
 
+/// How the ladder lies, as a style has it: turned clockwise about the middle, °, then moved down along itself, shares of the shorter
+/// side.
+pub fn ladder_lies(roll_deg: f64, pitch_flu_deg: f64) -> (f64, f64) {
+    (-roll_deg, -pitch_flu_deg.to_radians() * f64::from(LADDER_PER_RAD))
+}
+
 /// Lines of the ladder, degrees above the horizon. They fade out of use before the roll scale.
 fn ladder(nose_up_rad: f32) -> impl Iterator<Item = i32> {
     let seen = move |degrees: &i32| {
@@ -237,6 +243,24 @@ mod tests {
         assert_eq!(ladder_numbers(0.0), [-10, 10]);
         assert_eq!(ladder_numbers(-30_f32.to_radians()), [20, 30, 40]);
         assert_eq!(ladder_numbers(f32::NAN), [0; 0]);
+    }
+
+    /// GIVEN a ladder that is turned and moved as a style does it WHEN a number is put on it THEN it is where the rung is drawn.
+    #[test]
+    fn the_numbers_lie_where_the_rungs_are_drawn() {
+        for (roll_deg, pitch_flu_deg) in [(0.0, 0.0), (20.0, 0.0), (0.0, -15.0), (-35.0, 12.0)] {
+            let geometry = Geometry::new(EDGES, &view(f32::to_radians(roll_deg), f32::to_radians(pitch_flu_deg)));
+            let (turn_deg, fall) = ladder_lies(roll_deg.into(), pitch_flu_deg.into());
+            let (sin, cos) = turn_deg.to_radians().sin_cos();
+            for degrees in ladder_numbers(f32::to_radians(pitch_flu_deg)) {
+                let rise = f64::from(degrees).to_radians() * f64::from(LADDER_PER_RAD);
+                let (x, y) = (f64::from(LADDER_HALF) * 200.0, (fall - rise) * 200.0);
+                let put = [100.0 + cos * x - sin * y, 100.0 + sin * x + cos * y];
+                let drawn = geometry.at((degrees as f32).to_radians(), LADDER_HALF * 200.0);
+                let off = (put[0] - f64::from(drawn[0])).hypot(put[1] - f64::from(drawn[1]));
+                assert!(off < 0.01, "{degrees}° at {put:?}, its rung at {drawn:?}");
+            }
+        }
     }
 
     #[test]

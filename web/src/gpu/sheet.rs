@@ -57,12 +57,12 @@ impl Sheet {
     /// An empty one.
     pub fn begin(&mut self, ground: Ground) {
         self.words.clear();
-        self.write(&[ground]);
+        write(&mut self.words, &[ground]);
     }
 
     /// Adds a panel, on a page of this colour; how many vertices of flat shapes and of solids it has.
     pub fn panel(&mut self, plot: Plot, content: &Content<'_>, page: Color) -> [usize; 2] {
-        let Self { shapes, scratch, space, .. } = self;
+        let Self { words, shapes, scratch, space } = self;
         shapes.clear();
         let mut seen = None;
         match content {
@@ -73,12 +73,11 @@ impl Sheet {
                 seen = Some((space.build(view, [plot.width(), plot.height()], plot.scale), view.theme.plot));
             }
         }
-        let (shapes, space) = (std::mem::take(&mut self.shapes), std::mem::take(&mut self.space));
         let solids: [&[mesh::Vertex]; 2] =
             if seen.is_some() { [space.solid.vertices(), space.clear.vertices()] } else { [&[], &[]] };
         let [solid, clear] = solids.map(|vertices| vertices.len() as u32);
         let (view, sky) = seen.unwrap_or((Zeroable::zeroed(), page));
-        self.write(&[Head {
+        let head = Head {
             corner: [plot.left, plot.top],
             size: [plot.width(), plot.height()].map(|px| px as u32),
             page: page.packed(),
@@ -87,22 +86,21 @@ impl Sheet {
             solid,
             clear,
             view,
-        }]);
-        self.write(shapes.vertices());
-        solids.into_iter().for_each(|vertices| self.write(vertices));
-        let counts = [shapes.vertices().len(), (solid + clear) as usize];
-        (self.shapes, self.space) = (shapes, space);
-        counts
-    }
-
-    fn write<T: Pod>(&mut self, values: &[T]) {
-        self.words.extend_from_slice(bytemuck::cast_slice(values));
+        };
+        write(words, &[head]);
+        write(words, shapes.vertices());
+        solids.into_iter().for_each(|vertices| write(words, vertices));
+        [shapes.vertices().len(), (solid + clear) as usize]
     }
 
     /// All of it.
     pub fn words(&self) -> &[u32] {
         &self.words
     }
+}
+
+fn write<T: Pod>(words: &mut Vec<u32>, values: &[T]) {
+    words.extend_from_slice(bytemuck::cast_slice(values));
 }
 
 /// The first so many values of `words`, and the rest; `None` where there are fewer.

@@ -6,7 +6,7 @@ use leptos::{ev, html, prelude::*};
 
 use crate::{
     deck::{Picture, deck},
-    gpu::horizon::{LADDER_HALF, LADDER_PER_RAD, ladder_numbers},
+    gpu::horizon::{LADDER_HALF, LADDER_PER_RAD, ladder_lies, ladder_numbers},
     model::format,
 };
 
@@ -89,11 +89,10 @@ fn Ladder() -> impl IntoView {
         attitude.get().map_or_else(Vec::new, |[_, pitch]| ladder_numbers(pitch.to_radians() as f32))
     });
     let percent = |share: f32| f64::from(share) * 100.0;
-    // FLU: nose up is negative pitch, and lets the horizon fall.
     let turned = move || {
         let [roll, pitch] = attitude.get().unwrap_or_default();
-        let fall = -pitch.to_radians() * percent(LADDER_PER_RAD);
-        format!("transform:rotate({:.2}deg) translateY({fall:.2}cqmin)", -roll)
+        let (turn_deg, fall) = ladder_lies(roll, pitch);
+        format!("transform:rotate({turn_deg:.2}deg) translateY({:.2}cqmin)", fall * 100.0)
     };
     view! {
         <div class="ladder" aria-hidden="true">
