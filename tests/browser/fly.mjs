@@ -244,6 +244,23 @@ await step(webgl, 'a lost graphics context is said, and everything is drawn agai
 await webgl.close();
 await page.bringToFront();
 
+await step(page, 'a worker that ends by itself is followed by another, and everything is drawn again', async () => {
+  const altitude = page.getByRole('region', { name: 'Altitude' }).getByRole('img').first();
+  const [worker] = page.workers();
+  const fail = (text) => worker.evaluate((text) => { setTimeout(() => { throw new Error(text); }); }, text);
+  const errors_before = errors.length;
+  await fail('ended by the test');
+  const again = await until('another worker', async () => page.workers().find((other) => other !== worker) ?? false);
+  await until('the first to be gone', async () => page.workers().length === 1);
+  // The page's own and the worker's.
+  await until('one canvas over the page\'s', async () => (await page.locator('canvas.behind').count()) === 2);
+  await drawn(page, altitude, 'the altitude');
+  // What the browser says of it, on purpose.
+  const said = errors.splice(errors_before);
+  assert(said.every((text) => text.includes('ended by the test')), said.join('\n'));
+  return { again: again.url().split('/').pop(), said: said.length };
+});
+
 await step(page, 'the processor draws what WebGL2 draws', async () => {
   const pictures = await context.newPage();
   const seen = {};

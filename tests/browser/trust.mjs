@@ -247,6 +247,12 @@ await step(page, 'another operator takes over: said by name, refused beside the 
   assert((await region('Setpoint').locator('xpath=ancestor::*[@aria-disabled="true"]').count()) === 1, 'the controls do not say so');
   await page.waitForTimeout(300);
   assert(Math.abs((await setpoint()) - before) < 1e-6, 'it was done all the same');
+  // Reading commands nothing: checks are listed all the same, by pointer and by keyboard.
+  const checks = page.locator('details.arm-checks');
+  await checks.locator('summary').click();
+  await until('the checks', async () => (await checks.getByRole('listitem').count()) >= 5);
+  await checks.locator('summary').press('Enter');
+  await until('the checks to be folded', async () => (await checks.getAttribute('open')) === null && (await checks.getByRole('listitem').count()) === 0);
   await page.getByLabel('Alarms').getByRole('button', { name: 'Take over' }).click();
   await until('control again', async () => /you control/.test(await bar.textContent()));
   // Taken once more, and then the tab is closed: nobody controls a few seconds later.

@@ -33,7 +33,7 @@ impl Pixels {
         copy.set_width(width);
         copy.set_height(height);
         let context: Context2d = copy.get_context("2d").ok()??.dyn_into().ok()?;
-        context.draw_image(&stage.canvas, 0.0, 0.0).ok()?;
+        context.draw_image(&stage.drawn_on(), 0.0, 0.0).ok()?;
         let data = context.image_data(0.0, 0.0, f64::from(width), f64::from(height)).ok()?;
         Some(Self { width: width as usize, bytes: data.data().0 })
     }

@@ -35,6 +35,12 @@ impl Stage {
         if webgl { Renderer::new_webgl(canvas).await } else { Renderer::new(canvas).await }
     }
 
+    /// The canvas that is seen: a renderer may lay another over its own.
+    pub fn drawn_on(&self) -> HtmlCanvasElement {
+        let over = self.canvas.next_element_sibling().and_then(|over| over.dyn_into().ok());
+        over.unwrap_or_else(|| self.canvas.clone())
+    }
+
     /// Width and height of the window in CSS pixels, and the device pixel ratio.
     pub fn size(&self) -> (f64, f64, f64) {
         let number = |value: Result<wasm_bindgen::JsValue, _>| value.ok().and_then(|v| v.as_f64()).unwrap_or(1.0);

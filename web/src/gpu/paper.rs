@@ -21,6 +21,13 @@ use super::{Color, Theme};
 const RENDERERS_IN_SOFTWARE: [&str; 4] = ["SwiftShader", "llvmpipe", "softpipe", "Microsoft Basic Render"];
 /// Most pixels a canvas may be wide or high.
 const MOST_PIXELS: u32 = 8192;
+/// After so many workers that ended by themselves it is drawn by other means.
+const MOST_ENDS: u32 = 3;
+
+thread_local! {
+    /// Workers of this page that ended by themselves.
+    static ENDS: Cell<u32> = const { Cell::new(0) };
+}
 
 /// Why WebGL2 is not what draws fastest here: there is none, or its renderer, which is named, draws with the processor. Asked of a canvas
 /// that nobody sees: the first context of a canvas stays.
@@ -52,11 +59,16 @@ struct Layout {
 /// Draws panels on one canvas, by a worker of the page.
 pub(super) struct Paper {
     worker: Worker,
+    /// Over the page's own, which can be given away once only; goes with the worker.
+    canvas: HtmlCanvasElement,
+    /// Has the worker ended by itself?
+    ended: Rc<Cell<bool>>,
     /// Since the worker has had its last frame and has not said that it is drawn.
     busy: Rc<Cell<bool>>,
     /// The memory of the last frame, which the worker hands back.
     memory: Rc<RefCell<Option<ArrayBuffer>>>,
     _drawn: Closure<dyn Fn(MessageEvent)>,
+    _failed: Closure<dyn Fn()>,
     pub(super) why: String,
     size: [u32; 2],
     scale: f32,
@@ -68,9 +80,11 @@ pub(super) struct Paper {
 }
 
 impl Paper {
-    /// On this canvas, for the reason `why`; `None` where a page has no workers that draw, or another kind of context has been asked of
-    /// the canvas.
+    /// Over this canvas, for the reason `why`; `None` where a page has no workers that draw, or where they end by themselves.
     pub(super) async fn new(canvas: HtmlCanvasElement, why: String) -> Option<Self> {
+        if ENDS.get() >= MOST_ENDS {
+            return None;
+        }
         // The page's own script, which knows where it runs.
         let script = canvas.owner_document()?.query_selector("script[type=module]").ok()??.get_attribute("src")?;
         let options = WorkerOptions::new();
@@ -81,8 +95,10 @@ impl Paper {
             worker.set_onerror(Some(&failed));
         });
         wasm_bindgen_futures::JsFuture::from(begun).await.ok()?;
-        let canvas = canvas.transfer_control_to_offscreen().ok()?;
-        worker.post_message_with_transfer(&canvas, &Array::of1(&canvas)).ok()?;
+        let over: HtmlCanvasElement = canvas.clone_node().ok()?.dyn_into().ok()?;
+        canvas.after_with_node_1(&over).ok()?;
+        let given = over.transfer_control_to_offscreen().ok()?;
+        worker.post_message_with_transfer(&given, &Array::of1(&given)).ok()?;
         let (busy, memory) = (Rc::new(Cell::new(true)), Rc::new(RefCell::new(None)));
         let (is_busy, back) = (busy.clone(), memory.clone());
         let drawn = Closure::<dyn Fn(MessageEvent)>::new(move |message: MessageEvent| {
@@ -90,11 +106,22 @@ impl Paper {
             back.replace(message.data().dyn_into().ok());
         });
         worker.set_onmessage(Some(drawn.as_ref().unchecked_ref()));
+        let ended = Rc::new(Cell::new(false));
+        let has_ended = ended.clone();
+        let failed = Closure::<dyn Fn()>::new(move || {
+            if !has_ended.replace(true) {
+                ENDS.set(ENDS.get() + 1);
+            }
+        });
+        worker.set_onerror(Some(failed.as_ref().unchecked_ref()));
         Some(Self {
             worker,
+            canvas: over,
+            ended,
             busy,
             memory,
             _drawn: drawn,
+            _failed: failed,
             why,
             size: [1, 1],
             scale: 1.0,
@@ -107,7 +134,7 @@ impl Paper {
 
     /// Is the last frame not drawn yet?
     pub(super) fn is_busy(&self) -> bool {
-        self.busy.get()
+        self.busy.get() && !self.ended.get()
     }
 
     pub(super) fn resize(&mut self, css_width: f64, css_height: f64, device_pixel_ratio: f64) {
@@ -124,7 +151,10 @@ impl Paper {
     }
 
     pub(super) fn frame(&mut self, theme: &Theme, panels: &[Panel<'_>]) -> FrameOutcome {
-        if self.is_busy() {
+        if self.ended.get() {
+            return FrameOutcome::Rebuild;
+        }
+        if self.busy.get() {
             return FrameOutcome::Skipped;
         }
         self.stats = FrameStats::default();
@@ -160,5 +190,6 @@ impl Paper {
 impl Drop for Paper {
     fn drop(&mut self) {
         self.worker.terminate();
+        self.canvas.remove();
     }
 }

@@ -5,6 +5,7 @@ use leptos::prelude::*;
 use plumbline_proto::v1::Failsafe;
 use plumbline_rest::command as rest;
 use serde_json::json;
+use wasm_bindgen::JsCast;
 
 use super::events::Events;
 use crate::{
@@ -202,13 +203,20 @@ pub fn Dock() -> impl IntoView {
     }
 }
 
-/// Controls that are refused while another operator is in control: they look so, and say why where they are pressed.
+/// Does this event only fold or unfold a list, which commands nothing?
+fn unfolds(e: &leptos::ev::Event) -> bool {
+    let at = e.target().and_then(|target| target.dyn_into::<web_sys::Element>().ok());
+    at.is_some_and(|at| at.closest("summary").ok().flatten().is_some())
+}
+
+/// Controls that are refused while another operator is in control: they look so, and say why where they are pressed. Lists can be
+/// unfolded all the same.
 #[component]
 pub fn Guarded(children: Children) -> impl IntoView {
     let ctx = ctx();
     let refusal = Memo::new(move |_| ctx.refusal());
     let stop = move |e: &leptos::ev::Event| {
-        if let Some(why) = refusal.get_untracked() {
+        if let Some(why) = refusal.get_untracked().filter(|_| !unfolds(e)) {
             e.prevent_default();
             e.stop_propagation();
             ctx.refuse(why);
@@ -225,7 +233,7 @@ pub fn Guarded(children: Children) -> impl IntoView {
             on:click:capture=move |e| stop(&e)
             on:submit:capture=move |e| stop(&e)
             on:pointerdown:capture=move |e| {
-                if refusal.with_untracked(Option::is_some) {
+                if refusal.with_untracked(Option::is_some) && !unfolds(&e) {
                     keys::pointed(f64::from(e.client_x()), f64::from(e.client_y()));
                     stop(&e);
                 }
