@@ -9,28 +9,30 @@ import { assert, complaints, drawn, end, launch, listen, liveAfter, median, pilo
 const TIMES = 5;
 /** Whoever is measured is watched for this long, ms. */
 const SPAN_MS = 6000;
+/** Of `/proc/*/stat`, on every Linux. */
+const TICKS_PER_S = 100;
 
 const vehicle = listen('iris-1');
 const browser = await launch();
 const system = await browser.newBrowserCDPSession();
 const open = async () => {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, colorScheme: 'light' });
-  // Frames in which something is drawn: every call that draws, or has the page's worker draw, marks the frame that it is made in.
+  // Frames: sheets that the page's worker gets, or animation frames in which a card draws.
   await context.addInitScript(() => {
     window.drawn = 0;
     let drew = false;
-    for (const [{ prototype: context }, calls] of [
-      [WebGL2RenderingContext, ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']],
-      [Worker, ['postMessage']],
-    ]) {
-      for (const call of calls) {
-        const draw = context[call];
-        context[call] = function (...all) {
-          drew = true;
-          return draw.apply(this, all);
-        };
-      }
+    for (const name of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']) {
+      const draw = WebGL2RenderingContext.prototype[name];
+      WebGL2RenderingContext.prototype[name] = function (...all) {
+        drew = true;
+        return draw.apply(this, all);
+      };
     }
+    const give = Worker.prototype.postMessage;
+    Worker.prototype.postMessage = function (...all) {
+      window.drawn += 1;
+      return give.apply(this, all);
+    };
     const ask = window.requestAnimationFrame.bind(window);
     window.requestAnimationFrame = (then) => ask((now) => {
       drew = false;
@@ -53,15 +55,26 @@ const tell = (name, unit, all, limit, more = {}) => {
 const metrics = async (cdp) => Object.fromEntries((await cdp.send('Performance.getMetrics')).metrics.map(({ name, value }) => [name, value]));
 const processes = async () => (await system.send('SystemInfo.getProcessInfo')).processInfo;
 const gpuS = async () => (await processes()).filter(({ type }) => type === 'GPU').reduce((sum, { cpuTime }) => sum + cpuTime, 0);
+/** Processor time of the busiest page's main thread, which bears the number of its process. */
+const mainS = async () => {
+  const spent = (id) => {
+    const [user, system] = readFileSync(`/proc/${id}/task/${id}/stat`, 'utf8').split(') ')[1].split(' ').slice(11, 13);
+    return (Number(user) + Number(system)) / TICKS_PER_S;
+  };
+  return Math.max(...(await processes()).filter(({ type }) => type === 'renderer').map(({ id }) => spent(id)));
+};
 
-/** What a page takes while nobody touches it: percent of a core of its main thread and of the process that draws, frames a second. */
+/**
+ * What a page takes while nobody touches it: percent of a core of its main thread (time of its tasks, which waiting for a core
+ * is part of, and processor time) and of the process that draws, frames a second.
+ */
 const taken = async ({ page, cdp }) => {
-  const look = async () => ({ ...(await metrics(cdp)), gpu_s: await gpuS(), drawn: await page.evaluate(() => window.drawn), at_s: performance.now() / 1e3 });
+  const look = async () => ({ ...(await metrics(cdp)), gpu_s: await gpuS(), main_s: await mainS(), drawn: await page.evaluate(() => window.drawn), at_s: performance.now() / 1e3 });
   const before = await look();
   await page.waitForTimeout(SPAN_MS);
   const after = await look();
   const since = (name) => (after[name] - before[name]) / (after.at_s - before.at_s);
-  return { main: 100 * since('TaskDuration'), gpu: 100 * since('gpu_s'), frames: since('drawn') };
+  return { main: 100 * since('TaskDuration'), spent: 100 * since('main_s'), gpu: 100 * since('gpu_s'), frames: since('drawn') };
 };
 const several = async (measure) => {
   const all = [];
@@ -96,6 +109,7 @@ await step(page, 'while it flies', async () => {
     const all = await several(() => taken({ page, cdp }));
     const span = { window };
     tell('fly_main_thread', '% of a core', all.map(({ main }) => main), 35, span);
+    tell('fly_main_thread_processor', '% of a core', all.map(({ spent }) => spent), 35, span);
     tell('fly_gpu_process', '% of a core', all.map(({ gpu }) => gpu), 40, span);
     tell('fly_frames', 'frames/s', all.map(({ frames }) => frames), 30, span);
     tell('sent', 'kB/s', [(sentB - began) / (performance.now() - begun)], 100, span);
@@ -108,6 +122,7 @@ await step(page, 'pages without charts', async () => {
     await page.waitForTimeout(3000);
     const all = await several(() => taken({ page, cdp }));
     tell('still_main_thread', '% of a core', all.map(({ main }) => main), 5, { page: name });
+    tell('still_main_thread_processor', '% of a core', all.map(({ spent }) => spent), 5, { page: name });
     tell('still_gpu_process', '% of a core', all.map(({ gpu }) => gpu), 5, { page: name });
   }
 });

@@ -1,8 +1,8 @@
 //! Animation frames: measure the places of the charts, describe what each shows (`paint/frame.rs`,
 //! `paint/space.rs`), draw.
 //!
-//! Runs on `requestAnimationFrame`, so a hidden tab costs nothing. Labels are written only when they
-//! change. Without graphics the page goes on as numbers.
+//! Runs on `requestAnimationFrame`, or by a timer where the page's worker draws; a hidden tab costs nothing. Labels are written
+//! only when they change. Without graphics the page goes on as numbers.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -39,9 +39,10 @@ const PAUSE_SHARE: f64 = 1.5;
 const MOST_PAUSE_MS: f64 = 250.0;
 /// What a live chart shows besides where its newest sample is, new spans and marks, is looked at this often, ms.
 const NEWS_MS: f64 = 200.0;
-/// Without a graphics card every second frame of a usual screen is drawn, which begins at most this long after the last, ms:
-/// shorter than two of its periods, so that the browser's own beat decides.
-const SOFTWARE_MS: f64 = 24.0;
+/// Without a graphics card a frame begins this long after the last, ms: every second one of a usual screen.
+const SOFTWARE_MS: f64 = 32.0;
+/// Whether a worker that is late has drawn is looked at this often, ms.
+const LATE_MS: f64 = 8.0;
 /// While no chart can be seen, whether one can is looked at this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -85,9 +86,22 @@ fn acquire(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Opt
     });
 }
 
+/// What draws a frame, which asks for itself again.
+type Loop = Rc<RefCell<Option<Closure<dyn FnMut()>>>>;
+
+/// Has the next frame drawn with the browser's next, or after so many ms.
+fn ask(next: &Loop, after_ms: Option<f64>) {
+    let Some(body) = &*next.borrow() else { return };
+    let body = body.as_ref().unchecked_ref();
+    // Fails only without a window.
+    let _ = match after_ms {
+        Some(ms) => window().set_timeout_with_callback_and_timeout_and_arguments_0(body, ms as i32),
+        None => window().request_animation_frame(body),
+    };
+}
+
 /// The animation loop; ends when the device is gone, and [`acquire`] begins another.
 fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<Renderer>>>) {
-    type Loop = Rc<RefCell<Option<Closure<dyn FnMut()>>>>;
     let next: Loop = Rc::new(RefCell::new(None));
     let again = next.clone();
     let (mut shown, mut charted) = (None, None);
@@ -104,30 +118,35 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
         }
         let nothing = shown.as_ref().is_some_and(Still::shows_nothing);
         let again = again.clone();
-        let in_software = painter.borrow().as_ref().is_some_and(|renderer| renderer.backend() == Backend::Processor);
-        let ask = move || {
-            if let Some(closure) = again.borrow().as_ref() {
-                // Fails only without a window.
-                let _ = window().request_animation_frame(closure.as_ref().unchecked_ref());
-            }
-        };
+        let painter = painter.borrow();
+        let worker = painter.as_ref().filter(|renderer| renderer.backend() == Backend::Processor);
+        if let Some(worker) = worker.filter(|_| !nothing && !document().hidden()) {
+            // Not by the browser's frames: it would go over the whole page for each, although only the worker's canvas changes.
+            let spent_ms = net::now_ms() - begun;
+            let rest_ms = if outcome == Some(FrameOutcome::Skipped) && worker.is_busy() {
+                LATE_MS
+            } else {
+                SOFTWARE_MS - spent_ms
+            };
+            ask(&again, Some((PAUSE_SHARE * spent_ms).max(rest_ms).min(MOST_PAUSE_MS)));
+            return;
+        }
+        let ask = move || ask(&again, None);
         // A timer of no time ends when the browser has put the frame on the screen.
         let on_screen = move || {
             let spent_ms = net::now_ms() - begun;
             if nothing {
                 set_timeout(ask, LOOK);
-            } else if spent_ms < LIGHT_MS && !in_software {
+            } else if spent_ms < LIGHT_MS {
                 ask();
             } else {
-                let least_ms = if in_software { SOFTWARE_MS - spent_ms } else { 0.0 };
-                let pause_ms = (PAUSE_SHARE * spent_ms).max(least_ms).min(MOST_PAUSE_MS);
-                set_timeout(ask, Duration::from_millis(pause_ms as u64));
+                set_timeout(ask, Duration::from_millis((PAUSE_SHARE * spent_ms).min(MOST_PAUSE_MS) as u64));
             }
         };
         set_timeout(on_screen, Duration::ZERO);
     });
-    let _ = window().request_animation_frame(body.as_ref().unchecked_ref());
     *next.borrow_mut() = Some(body);
+    ask(&next, None);
 }
 
 /// What a frame shows where nothing moves by itself: the same again need not be drawn.
