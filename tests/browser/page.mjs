@@ -9,7 +9,7 @@ import { assert, complaints, drawn, end, launch, listen, liveAfter, median, pilo
 const TIMES = 5;
 /** Whoever is measured is watched for this long, ms. */
 const SPAN_MS = 6000;
-/** Of `/proc/*/stat`, on every Linux. */
+/** In which the kernel counts processor time, on every Linux. */
 const TICKS_PER_S = 100;
 
 const vehicle = listen('iris-1');
@@ -58,8 +58,8 @@ const gpuS = async () => (await processes()).filter(({ type }) => type === 'GPU'
 /** Processor time of the busiest page's main thread, which bears the number of its process. */
 const mainS = async () => {
   const spent = (id) => {
-    const [user, system] = readFileSync(`/proc/${id}/task/${id}/stat`, 'utf8').split(') ')[1].split(' ').slice(11, 13);
-    return (Number(user) + Number(system)) / TICKS_PER_S;
+    const [user, kernel] = readFileSync(`/proc/${id}/task/${id}/stat`, 'utf8').split(') ')[1].split(' ').slice(11, 13);
+    return (Number(user) + Number(kernel)) / TICKS_PER_S;
   };
   return Math.max(...(await processes()).filter(({ type }) => type === 'renderer').map(({ id }) => spent(id)));
 };
