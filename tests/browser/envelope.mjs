@@ -93,6 +93,23 @@ await step(page, 'envelope: the optimal attack comes into the draft, and what is
   return { one, text };
 });
 
+await step(page, 'envelope: along a horizontal axis two sequences of an IMU are prepared; what nothing measures is refused', async () => {
+  await clear();
+  await choose('imu 1');
+  const pushes = form.getByLabel('pushes');
+  await pushes.selectOption({ label: 'position along x' });
+  await prepare('optimal, unseen', '3');
+  await form.getByRole('alert').getByText(/deviation is "position", which neither motion capture nor GNSS/).waitFor();
+  assert((await drafted()).length === 0, 'refused, and drafted');
+  await pushes.selectOption({ label: 'roll' });
+  await prepare('optimal, unseen', '3');
+  const texts = await until('two in the draft', async () => (await drafted()).length === 2 && drafted());
+  assert(/accel y/.test(texts[0]) && /gyro x/.test(texts[1]), texts.join());
+  const said = await form.getByText(/^Moves it up to [\d.]+°: \d+ % of the bound/).textContent();
+  await pushes.selectOption({ label: 'altitude' });
+  return { texts, said };
+});
+
 await step(page, 'envelope: where there is no zero no attack is made up, and the page says why', async () => {
   await clear();
   await choose('height 2');

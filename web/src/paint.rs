@@ -4,7 +4,7 @@
 //! Runs on `requestAnimationFrame`, or by a timer where the page's worker draws; a hidden tab costs nothing. Labels are written
 //! only when they change. Without graphics the page goes on as numbers.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -40,9 +40,15 @@ const MOST_PAUSE_MS: f64 = 250.0;
 /// What a live chart shows besides where its newest sample is, new spans and marks, is looked at this often, ms.
 const NEWS_MS: f64 = 200.0;
 /// Without a graphics card a frame begins this long after the last, ms: every second one of a usual screen.
-const SOFTWARE_MS: f64 = 32.0;
+const SOFTWARE_MS: f64 = 31.0;
 /// Whether a worker that is late has drawn is looked at this often, ms.
 const LATE_MS: f64 = 8.0;
+/// After this long charts are looked for anew, ms …
+const PLACES_MS: f64 = 100.0;
+/// … and in each frame for so long after somebody did what may move them, ms: that has the browser lay out the page.
+const MOVING_MS: f64 = 1000.0;
+/// What may move them.
+const MOVES: [&str; 6] = ["scroll", "resize", "click", "pointerdown", "keydown", "wheel"];
 /// While no chart can be seen, whether one can is looked at this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -104,10 +110,11 @@ fn ask(next: &Loop, after_ms: Option<f64>) {
 fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<Renderer>>>) {
     let next: Loop = Rc::new(RefCell::new(None));
     let again = next.clone();
-    let (mut shown, mut charted) = (None, None);
+    let (mut shown, mut charted, mut places) = (None, None, Places::new());
     let body = Closure::<dyn FnMut()>::new(move || {
         let begun = net::now_ms();
-        let outcome = painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer, &mut shown, &mut charted));
+        let outcome =
+            painter.borrow_mut().as_mut().map(|renderer| frame(ctx, renderer, &mut shown, &mut charted, &mut places));
         if outcome == Some(FrameOutcome::Lost) && ctx.graphics.with_untracked(|g| *g != Graphics::Lost) {
             ctx.graphics.set(Graphics::Lost);
         }
@@ -223,7 +230,13 @@ impl Charted {
 
 /// One frame; nothing is drawn while it would be `shown` again, and no chart while it would be as it was `charted`, where what is not
 /// drawn stays.
-fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: &mut Option<Charted>) -> FrameOutcome {
+fn frame(
+    ctx: Ctx,
+    renderer: &mut Renderer,
+    shown: &mut Option<Still>,
+    charted: &mut Option<Charted>,
+    places: &mut Places,
+) -> FrameOutcome {
     if renderer.is_busy() {
         return FrameOutcome::Skipped;
     }
@@ -235,13 +248,13 @@ fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: 
     let theme = Theme::of(dark);
     let deck = ctx.deck.get_untracked();
     let slots = deck.map(Deck::slots).unwrap_or_default();
-    let rects: Vec<Option<Rect>> = slots.iter().map(|slot| visible(slot, height)).collect();
+    let rects = places.of(&slots, height).to_vec();
     let instrument = deck.map(Deck::instrument_now).unwrap_or_default();
     let recorded = deck.filter(|deck| deck.source == Source::Recorded);
     let recorded = recorded.and_then(|deck| Charted::of(deck, &instrument));
-    let places: Vec<_> = slots.iter().map(|slot| slot.picture).zip(rects.iter().copied()).collect();
+    let seen_at: Vec<_> = slots.iter().map(|slot| slot.picture).zip(rects.iter().copied()).collect();
     let moves = recorded.is_none() && rects.iter().any(Option::is_some);
-    let now = (!moves).then_some(Still { dark, size, places, recorded });
+    let now = (!moves).then_some(Still { dark, size, places: seen_at, recorded });
     if now.is_some() && now == *shown {
         return FrameOutcome::Skipped;
     }
@@ -275,6 +288,39 @@ fn frame(ctx: Ctx, renderer: &mut Renderer, shown: &mut Option<Still>, charted: 
     };
     *shown = now.filter(|_| outcome == FrameOutcome::Drawn);
     outcome
+}
+
+/// Where charts are.
+struct Places {
+    /// When somebody last did what may move them, ms.
+    moved_ms: Rc<Cell<f64>>,
+    looked_ms: f64,
+    rects: Vec<Option<Rect>>,
+}
+
+impl Places {
+    fn new() -> Self {
+        let moved_ms = Rc::new(Cell::new(net::now_ms()));
+        let moves = moved_ms.clone();
+        let moves = Closure::<dyn Fn()>::new(move || moves.set(net::now_ms()));
+        for name in MOVES {
+            // Captured: what scrolls inside the page tells nobody else. Fails for no name of an event.
+            let _ = window().add_event_listener_with_callback_and_bool(name, moves.as_ref().unchecked_ref(), true);
+        }
+        // For as long as the page lives.
+        moves.forget();
+        Self { moved_ms, looked_ms: f64::NEG_INFINITY, rects: Vec::new() }
+    }
+
+    fn of(&mut self, slots: &[Slot], height: f64) -> &[Option<Rect>] {
+        let now_ms = net::now_ms();
+        let same = slots.len() == self.rects.len() && now_ms - self.looked_ms < PLACES_MS;
+        if !same || now_ms - self.moved_ms.get() < MOVING_MS {
+            self.looked_ms = now_ms;
+            self.rects = slots.iter().map(|slot| visible(slot, height)).collect();
+        }
+        &self.rects
+    }
 }
 
 /// Where a chart is, if any of it can be seen.

@@ -177,6 +177,9 @@ pub struct AttackQuestion {
     /// or `covert` (a motion that is not in what is received); left out, `attacks` are judged as they are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub generator: Option<String>,
+    /// Of an optimal one along `axis` x or y: what it pushes, `tilt` (as left out), `velocity` or `position`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deviation: Option<String>,
     /// Of a covert one, and the largest that rotors add along zero dynamics, m/s².
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accel_mps2: Option<f64>,
@@ -205,6 +208,15 @@ pub struct PreparedAttack {
     /// Furthest that they move the altitude of the linear loop, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub altitude_m: Option<f64>,
+    /// Along a horizontal axis, where that is pushed: furthest that they tilt the linear loop, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt_rad: Option<f64>,
+    /// The same of its velocity, m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity_mps: Option<f64>,
+    /// The same of its position, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<f64>,
     /// Why nothing is expected of some; by what else than draws, and of what, something is; what a sequence is not.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub note: String,

@@ -36,8 +36,8 @@ const LAST: usize = ((HORIZON_S - 0.04) * TICK_RATE_HZ) as usize;
 pub struct Flown {
     /// True altitude at each tick, m.
     pub altitude_m: Vec<f64>,
-    /// Along x there: pitch, rad, velocity, m/s, and position, m.
-    pub along_x: Vec<[f64; 3]>,
+    /// Along x and along y there: pitch or roll, rad, velocity, m/s, and position, m.
+    pub aside: Vec<[[f64; 3]; 2]>,
     /// Ticks from the onset to the first exclusion, to heights that contradict each other, or to a failsafe.
     pub seen: Option<usize>,
     /// Who was excluded.
@@ -67,13 +67,13 @@ impl Flown {
 }
 
 impl Flown {
-    /// The same along x, of a bound over `horizon_s`: pitch, rad, velocity, m/s, position, m.
-    pub fn unseen_along_x(&self, clean: &Self, horizon_s: f64) -> [f64; 3] {
+    /// The same along a horizontal `axis`, of a bound over `horizon_s`: tilt, rad, velocity, m/s, position, m.
+    pub fn unseen_aside(&self, clean: &Self, axis: usize, horizon_s: f64) -> [f64; 3] {
         // Until the bound's, which is that at the beginning of the last slot.
         let last = ((horizon_s - 0.04) * TICK_RATE_HZ).round() as usize + 1;
         let until = self.seen.unwrap_or(usize::MAX).min(last);
         std::array::from_fn(|i| {
-            let apart = self.along_x.iter().zip(&clean.along_x).take(until).map(|(a, b)| (a[i] - b[i]).abs());
+            let apart = self.aside.iter().zip(&clean.aside).take(until).map(|(a, b)| (a[axis][i] - b[axis][i]).abs());
             apart.fold(0.0, f64::max)
         })
     }
@@ -141,7 +141,15 @@ impl Worn {
             worn.attacks.push(Attack {
                 id,
                 sensor: format!("{} {}", one.sensor, one.instance).parse().unwrap(),
-                channel: if one.channel == "accel_z" { Channel::AccelAxis(2) } else { Channel::All },
+                channel: match one.channel.as_str() {
+                    "all" => Channel::All,
+                    "accel_x" => Channel::AccelAxis(0),
+                    "accel_y" => Channel::AccelAxis(1),
+                    "accel_z" => Channel::AccelAxis(2),
+                    "gyro_x" => Channel::GyroAxis(0),
+                    "gyro_y" => Channel::GyroAxis(1),
+                    other => panic!("no generator attacks {other}"),
+                },
                 kind: Kind::Bias,
                 start_s: ONSET_S + late_s + one.start_s,
                 duration_s: one.duration_s,
@@ -150,37 +158,6 @@ impl Worn {
             });
             let period_s = one.sequence_period_s.unwrap();
             worn.sequences.push(Sequence { attack: id, period_s, values: one.sequence.clone() });
-        }
-        worn
-    }
-}
-
-impl Worn {
-    /// `attack` of a program along x, its accelerometers' and gyroscopes' values by turns, times `part`.
-    pub fn along_x(imus: &[SensorId], attack: &Signal, part: f64) -> Self {
-        let (mut worn, allowed) = (Self::default(), plumbline_agent::attack::Bounds::default());
-        let slots = attack.len() / 2 / imus.len().max(1);
-        for (place, imu) in imus.iter().enumerate() {
-            for (turn, channel, most) in
-                [(0, Channel::AccelAxis(0), allowed.accel_max_mps2), (1, Channel::GyroAxis(1), allowed.rate_max_radps)]
-            {
-                let of = attack.rows(2 * place * slots, 2 * slots);
-                let values: Vec<f64> = of.iter().skip(turn).step_by(2).map(|value| part * value * most).collect();
-                let magnitude = values.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
-                let id = worn.attacks.len() as u32 + 1;
-                worn.attacks.push(Attack {
-                    id,
-                    sensor: *imu,
-                    channel,
-                    kind: Kind::Bias,
-                    start_s: ONSET_S,
-                    duration_s: slots as f64 * 0.04,
-                    magnitude,
-                    seed: 1,
-                });
-                let values = values.into_iter().map(|value| value / magnitude).collect();
-                worn.sequences.push(Sequence { attack: id, period_s: 0.04, values });
-            }
         }
         worn
     }
@@ -283,8 +260,9 @@ fn fly_scripted(
             }
         }
         flown.altitude_m.push(truth.position_enu_m.z);
-        let pitch_rad = roll_pitch_yaw(&truth.world_from_body).y;
-        flown.along_x.push([pitch_rad, truth.velocity_enu_mps.x, truth.position_enu_m.x]);
+        let (tilt_rad, speed_mps, place_m) =
+            (roll_pitch_yaw(&truth.world_from_body), truth.velocity_enu_mps, truth.position_enu_m);
+        flown.aside.push([[tilt_rad.y, speed_mps.x, place_m.x], [tilt_rad.x, speed_mps.y, place_m.y]]);
     });
     if outcome.unwrap().lost.is_some() {
         flown.seen.get_or_insert(flown.altitude_m.len());

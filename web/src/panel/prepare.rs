@@ -10,18 +10,29 @@ use serde_json::json;
 
 use crate::{
     ctx::{Ctx, ctx},
-    model::{draft::Draft, format},
+    model::{curves::DEGREES, draft::Draft, format},
     net,
 };
 
 /// What is expected is asked for when the draft has stood still this long.
 const SETTLE: Duration = Duration::from_millis(300);
+const OPTIMAL: &str = "optimal";
 /// Generators: name on the wire, name for people.
 const GENERATORS: [(&str, &str); 4] = [
-    ("optimal", "optimal, unseen"),
+    (OPTIMAL, "optimal, unseen"),
     ("stealthy_bias", "stealthy bias"),
     ("zero_dynamics", "zero dynamics"),
     ("covert", "covert motion"),
+];
+/// What an optimal one pushes: axis and deviation on the wire, name for people.
+const PUSHED: [(Option<(&str, &str)>, &str); 7] = [
+    (None, "altitude"),
+    (Some(("x", "tilt")), "pitch"),
+    (Some(("y", "tilt")), "roll"),
+    (Some(("x", "velocity")), "velocity along x"),
+    (Some(("y", "velocity")), "velocity along y"),
+    (Some(("x", "position")), "position along x"),
+    (Some(("y", "position")), "position along y"),
 ];
 /// Those that are told how large they may be, and may attack the rotors.
 const COMMANDED: [&str; 2] = ["zero_dynamics", "covert"];
@@ -64,7 +75,13 @@ fn remark(found: &PreparedAttack) -> String {
         }
         _ => String::new(),
     };
-    format!("{}{expected}", found.note)
+    let aside = [
+        found.tilt_rad.map(|rad| format!("{}°", format::fixed(rad * DEGREES, 2))),
+        found.velocity_mps.map(|mps| format!("{} cm/s", format::fixed(100.0 * mps, 1))),
+        found.position_m.map(|m| format!("{} cm", format::fixed(100.0 * m, 1))),
+    ];
+    let pushed: String = aside.into_iter().flatten().map(|far| format!("Moves it up to {far}: ")).collect();
+    format!("{pushed}{}{expected}", found.note)
 }
 
 /// What is expected of the draft.
@@ -109,7 +126,8 @@ pub fn Prepare(
     drafts: RwSignal<Vec<Draft>>,
 ) -> impl IntoView {
     let ctx = ctx();
-    let generator = RwSignal::new(0_usize);
+    let (generator, pushed) = (RwSignal::new(0_usize), RwSignal::new(0_usize));
+    let named = move || GENERATORS.get(generator.get()).map_or("", |(name, _)| *name);
     let chosen = RwSignal::new(vec!["height 2".to_owned()]);
     let (duration, accel) = (RwSignal::new("10".to_owned()), RwSignal::new("0.02".to_owned()));
     let (refusal, busy) = (RwSignal::new(String::new()), RwSignal::new(false));
@@ -136,15 +154,18 @@ pub fn Prepare(
             text.with_untracked(|text| format::parse_number(text)).map_err(|why| format!("{name}: {why}"))
         };
         let question = number("duration", duration).and_then(|horizon_s| {
+            let (name, _) = GENERATORS.get(generator.get_untracked()).copied().unwrap_or_default();
+            let aside = PUSHED.get(pushed.get_untracked()).and_then(|(aside, _)| *aside).filter(|_| name == OPTIMAL);
             let of = EnvelopeQuestion {
                 sensors: Some(chosen.get_untracked()),
                 horizon_s: Some(horizon_s),
+                axis: aside.map(|(axis, _)| axis.to_owned()),
                 ..EnvelopeQuestion::default()
             };
-            let (name, _) = GENERATORS.get(generator.get_untracked()).copied().unwrap_or_default();
+            let deviation = aside.map(|(_, deviation)| deviation.to_owned());
             let accel_mps2 = if COMMANDED.contains(&name) { Some(number("acceleration", accel)?) } else { None };
             let generator = Some(name.to_owned());
-            Ok(AttackQuestion { of, generator, accel_mps2, start_s: START_S, ..AttackQuestion::default() })
+            Ok(AttackQuestion { of, generator, deviation, accel_mps2, start_s: START_S, ..AttackQuestion::default() })
         });
         let question = match question {
             Ok(question) => question,
@@ -177,6 +198,14 @@ pub fn Prepare(
                         {GENERATORS.iter().enumerate().map(|(i, (_, name))| view! { <option value=i.to_string()>{*name}</option> }).collect::<Vec<_>>()}
                     </select>
                 </label>
+                <label class="field wide"><span>"pushes"</span>
+                    <select
+                        disabled=move || named() != OPTIMAL
+                        on:change:target=move |e| pushed.set(e.target().value().parse().unwrap_or_default())
+                    >
+                        {PUSHED.iter().enumerate().map(|(i, (_, name))| view! { <option value=i.to_string()>{*name}</option> }).collect::<Vec<_>>()}
+                    </select>
+                </label>
                 <fieldset class="field wide">
                     <legend>"attacked"</legend>
                     {move || sensors.get().into_iter().map(|name| {
@@ -196,7 +225,7 @@ pub fn Prepare(
                 </label>
                 <label class="field"><span>"acceleration " <small>"m/s²"</small></span>
                     <input type="text" inputmode="decimal" autocomplete="off"
-                        disabled=move || GENERATORS.get(generator.get()).is_none_or(|(name, _)| !COMMANDED.contains(name))
+                        disabled=move || !COMMANDED.contains(&named())
                         prop:value=move || accel.get() on:input:target=move |e| accel.set(e.target().value()) />
                 </label>
                 <button type="submit" disabled=busy>{move || if busy.get() { "Preparing…" } else { "Prepare" }}</button>
@@ -226,10 +255,18 @@ mod tests {
             PreparedAttack { probability: Some(0.996), note: "rotor 2 isolated".into(), ..PreparedAttack::default() };
         assert_eq!(told(&rotor), "Expected in 100 % of flights: rotor 2 isolated.");
         let attacks = vec![PlannedAttack { sensor: "rotor".into(), ..PlannedAttack::default() }];
-        let prepared =
-            PreparedAttack { attacks, probability: Some(0.02), altitude_m: Some(0.35), note: "Held.".into() };
+        let note = "Held.".to_owned();
+        let prepared = PreparedAttack {
+            attacks,
+            probability: Some(0.02),
+            altitude_m: Some(0.35),
+            note,
+            ..PreparedAttack::default()
+        };
         let said = "Held. A sensor is expected to be excluded in 2 % of flights; the altitude moves 35.0 cm.";
         assert_eq!(remark(&prepared), said);
+        let aside = PreparedAttack { tilt_rad: Some(0.0161), note: "95 %.".into(), ..PreparedAttack::default() };
+        assert_eq!(remark(&aside), "Moves it up to 0.92°: 95 %.");
         // What sensors have added is expected of the draft.
         assert_eq!(remark(&PreparedAttack { attacks: Vec::new(), ..prepared }), "Held.");
     }

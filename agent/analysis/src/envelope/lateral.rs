@@ -38,6 +38,7 @@ pub struct Lateral {
     pub sensors: Vec<SensorId>,
     /// What that is.
     pub aid: Aid,
+    axis: usize,
     imus: usize,
     controlled: Controlled,
     maps: Vec<Map>,
@@ -107,7 +108,7 @@ impl Lateral {
         let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &kept, input, aid != Aid::None)?;
         let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
         let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
-        Ok(Self { sensors: used, aid, imus, controlled, maps, ages_s, drives, usual, most })
+        Ok(Self { sensors: used, aid, axis, imus, controlled, maps, ages_s, drives, usual, most })
     }
 
     /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.
@@ -120,19 +121,39 @@ impl Lateral {
         horizon_s: f64,
         deviation: Deviation,
     ) -> Result<Option<Program>, EnvelopeError> {
-        let mut imus: Vec<SensorId> = Vec::new();
-        for sensor in attacked.iter().filter(|sensor| self.sensors.contains(sensor)) {
-            if !imus.contains(sensor) {
-                imus.push(*sensor);
-            }
-        }
-        if imus.is_empty() {
+        let model = Attacked { of: self, imus: self.those_of(attacked) };
+        if model.imus.is_empty() {
             return Err(EnvelopeError::Value { what: "sensors attacked", value: 0.0, expected: "at least 1" });
         }
-        let model = Attacked { of: self, imus };
         let told = self.aid != Aid::None && self.imus >= model.imus.len() + 2;
         let judged = model.imus.iter().all(|sensor| sensor.kind == SensorKind::Imu) && (model.is_minority() || told);
         judged.then(|| program(&model, horizon_s, deviation)).transpose()
+    }
+
+    /// What an `attack` of [`Self::program`] adds, by channels of a schedule: one value for each [`SLOT`], m/s² and rad/s.
+    pub fn sequences(&self, attacked: &[SensorId], attack: &Signal) -> Vec<(SensorId, &'static str, Vec<f64>)> {
+        let channels = if self.axis == 0 { ["accel_x", "gyro_y"] } else { ["accel_y", "gyro_x"] };
+        let imus = self.those_of(attacked);
+        let each = attack.len() / imus.len().max(1);
+        let of = |(place, imu): (usize, SensorId)| {
+            let own = attack.rows(place * each, each);
+            let by_turns = [(0, self.most.0), (1, self.most.1)].map(|(turn, most)| {
+                own.iter().skip(turn).step_by(2).map(|part| most * part.clamp(-1.0, 1.0)).collect::<Vec<_>>()
+            });
+            channels.into_iter().zip(by_turns).map(move |(channel, values)| (imu, channel, values))
+        };
+        imus.into_iter().enumerate().flat_map(of).collect()
+    }
+
+    /// Those of `attacked` that have a say, each once.
+    fn those_of(&self, attacked: &[SensorId]) -> Vec<SensorId> {
+        let mut of: Vec<SensorId> = Vec::new();
+        for sensor in attacked.iter().filter(|sensor| self.sensors.contains(sensor)) {
+            if !of.contains(sensor) {
+                of.push(*sensor);
+            }
+        }
+        of
     }
 }
 

@@ -2,12 +2,14 @@
 //!
 //! | generator | what is added |
 //! |---|---|
-//! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample |
+//! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample; of the altitude, or of tilt, velocity or position along a horizontal axis |
 //! | stealthy bias | the same constant to every height attacked, the largest seen in one of twenty flights |
 //! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again; with the rotors attacked too that motion is commanded, and the model's response to it taken off |
 //! | zero dynamics | what no healthy sensor sees, along the zeros of the loop that do not die away; none where there is none |
 
 use plumbline_core::attack::Bounds;
+use plumbline_core::estimate::lanes::lateral::Aid;
+use plumbline_core::estimate::lanes::linear::SLOT;
 use plumbline_core::flight::{ROTOR_SIGMA, rotor_information};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::suite::Suite;
@@ -19,8 +21,9 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack}
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
+use super::lateral::Lateral;
 use super::rotors;
-use super::sets::{Asked, Verdict, sequences, verdict, wrong};
+use super::sets::{Asked, SMALL_RAD, Verdict, sequences, verdict, wrong};
 use super::{Deviation, EnvelopeError, program, theory};
 
 /// A stealthy bias is seen in so many flights …
@@ -51,10 +54,16 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         return Err(wrong("sensors", "is empty, a generator attacks at least one".into()));
     }
     let asked = Asked::new(&of, suite)?;
-    if asked.lateral.is_some() {
-        return Err(wrong("axis", "is horizontal: attacks are prepared for the altitude".into()));
-    }
     let set = asked.sets.first().cloned().unwrap_or_default();
+    if let Some(lateral) = &asked.lateral {
+        return aside(question, lateral, &set, asked.horizon_s);
+    }
+    if let Some(deviation) = &question.deviation {
+        return Err(wrong(
+            "deviation",
+            format!("is {deviation:.40?}, without an axis x or y: it is the altitude that is pushed"),
+        ));
+    }
     let planned = |sensor: SensorId, kind: &str, magnitude: f64| PlannedAttack {
         sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
         instance: u32::from(sensor.instance),
@@ -97,12 +106,7 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
                 full.attack
             };
             let one = |(sensor, period_s, values): (SensorId, f64, Vec<f64>)| {
-                let most = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
-                PlannedAttack {
-                    sequence: values.into_iter().map(|x| x / most).collect(),
-                    sequence_period_s: Some(period_s),
-                    ..planned(sensor, "bias", most)
-                }
+                scheduled(planned(sensor, "bias", 1.0), period_s, values)
             };
             sequences(&model, &attack, asked.horizon_s).into_iter().map(one).collect()
         }
@@ -131,7 +135,7 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         return Err(wrong("watermark_mps2", format!("is {rms_mps2}, it must be 0 to {WATERMARK_MPS2}")));
     }
     if let Some((probability, note)) = closed(&asked, &attacks, question.watermark_mps2.unwrap_or(0.0))? {
-        return Ok(PreparedAttack { attacks, probability: Some(probability), altitude_m: None, note });
+        return Ok(PreparedAttack { attacks, probability: Some(probability), note, ..PreparedAttack::default() });
     }
     let (found, why) = judged(&asked, &attacks)?;
     note.push_str(&why);
@@ -140,6 +144,82 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         probability: found.as_ref().map(Expected::probability),
         altitude_m: found.as_ref().map(|found| found.altitude_m),
         note,
+        ..PreparedAttack::default()
+    })
+}
+
+/// `attack` with these values, one after another.
+fn scheduled(attack: PlannedAttack, period_s: f64, values: Vec<f64>) -> PlannedAttack {
+    let magnitude = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
+    let sequence = values.into_iter().map(|x| x / magnitude).collect();
+    PlannedAttack { magnitude, sequence, sequence_period_s: Some(period_s), ..attack }
+}
+
+/// The maximising sequence along a horizontal axis. How surely it is seen is not known: the judges that draws are heard by are those of
+/// the altitude.
+fn aside(
+    question: &AttackQuestion,
+    lateral: &Lateral,
+    set: &[SensorId],
+    horizon_s: f64,
+) -> Result<PreparedAttack, EnvelopeError> {
+    match question.generator.as_deref() {
+        Some("optimal") => {}
+        Some(other) => {
+            return Err(wrong("generator", format!("is {other:.40?}: along x and y only optimal is prepared")));
+        }
+        None => return Err(wrong("axis", "is horizontal: what is expected of an attack is of the altitude".into())),
+    }
+    let deviation = match question.deviation.as_deref() {
+        None | Some("tilt") => Deviation::Tilt,
+        Some("velocity") => Deviation::Speed,
+        Some("position") if lateral.aid == Aid::None => {
+            return Err(wrong(
+                "deviation",
+                "is \"position\", which neither motion capture nor GNSS measures here".into(),
+            ));
+        }
+        Some("position") => Deviation::Place,
+        Some(other) => {
+            return Err(wrong("deviation", format!("is {other:.40?}, it must be tilt, velocity or position")));
+        }
+    };
+    let solved = |deviation| {
+        let unjudged =
+            || wrong("sensors", "are judged by nobody along this axis, so there is no largest attack".into());
+        lateral.program(set, horizon_s, deviation)?.ok_or_else(unjudged)?.solve()
+    };
+    let tilt = solved(Deviation::Tilt)?;
+    if tilt.upper > SMALL_RAD {
+        let problem = format!("may tilt it by {:.2} rad unseen: beyond small angles nothing is known", tilt.upper);
+        return Err(wrong("sensors", problem));
+    }
+    let bound = if deviation == Deviation::Tilt { tilt } else { solved(deviation)? };
+    let planned = |(imu, channel, values): (SensorId, &str, Vec<f64>)| {
+        let attack = PlannedAttack {
+            sensor: "imu".to_owned(),
+            instance: u32::from(imu.instance),
+            channel: channel.to_owned(),
+            kind: "bias".to_owned(),
+            start_s: question.start_s,
+            duration_s: horizon_s,
+            seed: 1,
+            ..PlannedAttack::default()
+        };
+        scheduled(attack, SLOT, values)
+    };
+    let of = |one: Deviation| (one == deviation).then_some(bound.reached);
+    Ok(PreparedAttack {
+        attacks: lateral.sequences(set, &bound.attack).into_iter().map(planned).collect(),
+        tilt_rad: of(Deviation::Tilt),
+        velocity_mps: of(Deviation::Speed),
+        position_m: of(Deviation::Place),
+        note: format!(
+            "{:.0} % of the bound, about a hover that holds its {}; how surely it is seen is not known along a horizontal axis.",
+            100.0 * bound.reached / bound.upper,
+            if lateral.aid == Aid::None { "attitude" } else { "position" },
+        ),
+        ..PreparedAttack::default()
     })
 }
 

@@ -197,6 +197,7 @@ impl<'a> Prepared<'a> {
             probability: Some(found.probability()),
             altitude_m,
             note: note.trim_end().to_owned(),
+            ..PreparedAttack::default()
         })
     }
 }

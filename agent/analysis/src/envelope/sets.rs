@@ -36,7 +36,7 @@ const GUESSES_M: [f64; 4] = [0.003, 0.006, 0.012, f64::INFINITY];
 /// Largest set asked for.
 const MOST: usize = 3;
 /// Beyond this tilt a linear loop says nothing, rad.
-const SMALL_RAD: f64 = 0.35;
+pub(super) const SMALL_RAD: f64 = 0.35;
 /// What holds a bound that no detector holds.
 const MOST_ADDED: &str = "most that may be added";
 

@@ -58,6 +58,48 @@ fn generators_prepare_what_a_schedule_takes_and_stealthy_ones_are_hardly_seen() 
     println!("but one height {:?}", prepared(&covert, None).unwrap().probability);
 }
 
+/// GIVEN a horizontal axis WHEN an optimal attack is asked for THEN it is two sequences of an IMU, and what cannot be prepared says why.
+#[test]
+fn along_x_and_y_an_optimal_attack_is_prepared_of_what_it_is_to_push() {
+    let aside = |axis: &str, more: Option<&str>, deviation: Option<&str>, sensors: &[&str]| {
+        let mut asked = question(Some("optimal"), sensors);
+        (asked.of.axis, asked.of.more) = (Some(axis.into()), more.map(Into::into));
+        AttackQuestion { deviation: deviation.map(Into::into), ..asked }
+    };
+    for (axis, channels) in [("x", ["accel_x", "gyro_y"]), ("y", ["accel_y", "gyro_x"])] {
+        let found = prepared(&aside(axis, None, None, &["imu 2"]), None).unwrap();
+        println!("{axis}: {:?} {}", found.tilt_rad, found.note);
+        assert_eq!(found.attacks.iter().map(|one| one.channel.as_str()).collect::<Vec<_>>(), channels);
+        for one in &found.attacks {
+            assert_eq!(
+                (one.instance, one.sequence.len(), one.sequence_period_s, one.start_s),
+                (2, 125, Some(0.04), 2.0)
+            );
+            let most = one.sequence.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+            assert!((most - 1.0).abs() < 1e-9 && one.magnitude > 0.0, "{} {most}", one.magnitude);
+        }
+        assert!(found.tilt_rad.is_some_and(|tilt| tilt > 1e-3) && found.velocity_mps.is_none());
+        assert!(found.probability.is_none() && found.altitude_m.is_none() && found.note.contains("holds its attitude"));
+        let place = prepared(&aside(axis, Some("pose"), Some("position"), &["imu 2"]), None).unwrap();
+        assert!(place.position_m.is_some_and(|m| m > 1e-3) && place.tilt_rad.is_none(), "{place:?}");
+        assert_ne!(place.attacks, found.attacks);
+    }
+    let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
+    assert!(
+        refused(&aside("x", None, Some("position"), &["imu 1"])).contains("deviation is \"position\", which neither")
+    );
+    assert!(
+        refused(&aside("x", None, Some("yaw"), &["imu 1"])).contains("\"yaw\", it must be tilt, velocity or position")
+    );
+    assert!(refused(&aside("x", None, None, &["imu 1", "imu 2"])).contains("judged by nobody"));
+    let covert = AttackQuestion { generator: Some("covert".into()), ..aside("x", None, None, &["imu 1"]) };
+    assert!(refused(&covert).contains("\"covert\": along x and y only optimal"));
+    let upward = AttackQuestion { deviation: Some("tilt".into()), ..question(Some("optimal"), &["imu 1"]) };
+    assert!(refused(&upward).contains("deviation is \"tilt\", without an axis"));
+    let judged = AttackQuestion { generator: None, ..aside("x", None, None, &["imu 1"]) };
+    assert!(refused(&judged).contains("axis is horizontal"));
+}
+
 /// Every height and IMU of the default suite but these.
 fn but(healthy: &[&'static str]) -> Vec<&'static str> {
     let all = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4"];

@@ -21,6 +21,9 @@ const CONTRADICTED_SLOTS: u32 = 25;
 /// An exclusion is announced where the vote holds so much against the lane, and as long as it holds so much.
 pub(super) const AGREED: f64 = 0.6;
 const STILL_AGREED: f64 = 0.2;
+/// Part of a climb's variance that comes of the accelerometers, the rest of what measures the altitude: of a steady Kalman filter of a
+/// double integrator, whatever the noises are (poles (q/r)^¼, damping 1/√2; 3q/(2√2 ω) of √2 q/ω). Lanes differ by their accelerometers.
+const CLIMB_OWN: f64 = 0.75;
 /// Gate of an IMU's residual, in its σ.
 const GATE: f64 = 5.0;
 
@@ -98,12 +101,16 @@ impl Lanes {
         }
         let lane = &self.lanes[self.fused.best];
         let sigma = |i: usize| Vector3::from_fn(|a, _| lane.p[(i + a, i + a)].max(0.0).sqrt());
+        let mut velocity_sigma_mps = sigma(ix::VELOCITY);
+        // Of the mean of the lanes, not of one.
+        let share: f64 = self.fused.mixture.weights.iter().map(|weight| weight * weight).sum();
+        velocity_sigma_mps.z *= (1.0 - CLIMB_OWN + CLIMB_OWN * share.min(1.0)).sqrt();
         let altitude_known = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
         e.motion = Some(Motion {
             position_enu_m: state.position_enu_m,
             velocity_enu_mps: state.velocity_enu_mps,
             position_sigma_m: Some(sigma(ix::POSITION)),
-            velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
+            velocity_sigma_mps: Some(velocity_sigma_mps),
             heights_off_sigma_m,
             horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
             altitude_known,
