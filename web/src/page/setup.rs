@@ -122,7 +122,7 @@ pub fn Setup() -> impl IntoView {
         described.track();
         ctx.live.with_value(|live| live.description.get().map(|told| Description { time_us: 0, ..told.clone() }))
     });
-    // Every two seconds: the browser lays all these columns out anew for each figure that changes.
+    // Every two seconds: nobody reads them sooner, and each figure that changes has the browser lay the page out.
     let link = Memo::new(move |shown: Option<&Option<LinkStatus>>| match shown.copied().flatten() {
         Some(shown) if !ctx.tick.get().is_multiple_of(20) => Some(shown),
         _ => ctx.live(|live| live.ground.link),
@@ -137,151 +137,157 @@ pub fn Setup() -> impl IntoView {
         <main class="sheet" id="main">
             <div class="sheet-head"><h1>"Setup"</h1></div>
             <div class="setup-grid">
-                <section class="card facts" aria-label="Ground station">
-                    <header><h2>"Ground station"</h2></header>
-                    {move || match ground.get() {
-                        GroundState::Unknown => view! { <p class="quiet">"Asking…"</p> }.into_any(),
-                        GroundState::Down(why) => view! {
-                            <p class="bad">{format!("No answer: {why}.")}</p>
-                            <p>"Start it with " <code>"plumbline-ground"</code> "."</p>
-                        }.into_any(),
-                        GroundState::Up(g) => view! {
-                            <dl class="facts-list">
-                                {fact("version", g.version)}
-                                {fact("schema", g.schema.to_string())}
-                                {fact("up for", format::clock(g.uptime_s))}
-                                {fact("flights in", g.data_folder)}
-                                {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::plural(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
-                                {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
-                                {g.fleet.map(|fleet| fleet_facts(*fleet))}
-                                {(!g.set_aside.is_empty()).then(|| fact("damaged, set aside", g.set_aside.join(", ")))}
-                            </dl>
-                        }.into_any(),
-                    }}
-                </section>
-                <section class="card facts" aria-label="Page">
-                    <header><h2>"This page"</h2></header>
-                    <dl class="facts-list">
-                        {fact("version", env!("CARGO_PKG_VERSION"))}
-                        {fact("schema", plumbline_proto::SCHEMA.to_string())}
-                        {fact("graphics", graphics)}
-                        {fact("you are", view! { <Name /> })}
-                        {fact("tones for alarms", view! { <Tunes /> })}
-                        {move || ctx.session.with(api::who).map(|who| {
-                            fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
-                        })}
-                        {fact("unreadable messages", move || ctx.live(|live| match live.unreadable() {
-                            (0, _) => "none".to_owned(),
-                            (number, reason) => format!("{}: {reason}", format::count(number)),
-                        }))}
-                    </dl>
-                </section>
-                <section class="card facts" aria-label="Link">
-                    <header><h2>"Link"</h2></header>
-                    {move || match link.get() {
-                        None => view! { <p class="quiet">"No vehicle has spoken yet."</p> }.into_any(),
-                        Some(l) => view! {
-                            <dl class="facts-list">
-                                {fact("connected", if l.connected { "yes" } else { "no" })}
-                                {fact("age of newest", format!("{} ms", format::fixed(l.age_ms, 1)))}
-                                {fact("round trip", format!("{} ms", format::fixed(l.round_trip_ms, 1)))}
-                                {fact("rate", format!("{} Hz", format::fixed(l.rate_hz, 0)))}
-                                {fact("loss", format!("{} %", format::fixed(l.loss_percent, 2)))}
-                                {fact("received", format::count(l.received))}
-                                {fact("missing, this flight", format::count(l.missing))}
-                                {fact("dropped for this page", format::count(l.viewer_dropped))}
-                            </dl>
-                        }.into_any(),
-                    }}
-                </section>
-                <section class="card facts" aria-label="Vehicle">
-                    <header><h2>"Vehicle"</h2></header>
-                    {move || match description.get() {
-                        None => view! { <p class="quiet">"No vehicle has described itself yet. Start a simulated one with " <code>"plumbline-agent --vehicle sim"</code> "."</p> }.into_any(),
-                        Some(d) => view! {
-                            <dl class="facts-list">
-                                {fact("id", d.agent_id.clone())}
-                                {fact("kind", d.vehicle.clone())}
-                                {fact("agent", d.agent_version.clone())}
-                                {fact("airframe", d.airframe.clone())}
-                                {fact("mass", format!("{} kg", format::fixed(d.mass_kg, 3)))}
-                                {fact("rig", d.rig.clone())}
-                                {fact("tick rate", format!("{} Hz", format::fixed(d.tick_rate_hz, 0)))}
-                                {fact("seed", d.seed.to_string())}
-                                {fact("estimators", d.estimators().map(names::estimator).collect::<Vec<_>>().join(", "))}
-                                {fact("rotors", move || ctx.live(|live| live.status.get().and_then(rotors)).map_or_else(|| "not told".to_owned(), |(text, _)| text))}
-                                {fact("attacks", if d.attacks_enabled { "enabled by its configuration" } else { "off" })}
-                                {(!d.source_file.is_empty()).then(|| fact("replays", d.source_file.clone()))}
-                            </dl>
-                            {(!d.scenario.is_empty()).then(|| view! {
-                                <details class="counts"><summary>"Scenario file"</summary><pre>{d.scenario.clone()}</pre></details>
+                <div class="column">
+                    <section class="card facts" aria-label="Ground station">
+                        <header><h2>"Ground station"</h2></header>
+                        {move || match ground.get() {
+                            GroundState::Unknown => view! { <p class="quiet">"Asking…"</p> }.into_any(),
+                            GroundState::Down(why) => view! {
+                                <p class="bad">{format!("No answer: {why}.")}</p>
+                                <p>"Start it with " <code>"plumbline-ground"</code> "."</p>
+                            }.into_any(),
+                            GroundState::Up(g) => view! {
+                                <dl class="facts-list">
+                                    {fact("version", g.version)}
+                                    {fact("schema", g.schema.to_string())}
+                                    {fact("up for", format::clock(g.uptime_s))}
+                                    {fact("flights in", g.data_folder)}
+                                    {fact("storage", format!("{} used by {}, {} free", format::bytes(g.storage.used_bytes), format::plural(g.storage.flights, "flight"), format::bytes(g.storage.free_bytes)))}
+                                    {fact("recording", g.recording_error.map_or_else(|| "ready".to_owned(), |e| format!("failing: {e}")))}
+                                    {g.fleet.map(|fleet| fleet_facts(*fleet))}
+                                    {(!g.set_aside.is_empty()).then(|| fact("damaged, set aside", g.set_aside.join(", ")))}
+                                </dl>
+                            }.into_any(),
+                        }}
+                    </section>
+                    <section class="card facts" aria-label="Page">
+                        <header><h2>"This page"</h2></header>
+                        <dl class="facts-list">
+                            {fact("version", env!("CARGO_PKG_VERSION"))}
+                            {fact("schema", plumbline_proto::SCHEMA.to_string())}
+                            {fact("graphics", graphics)}
+                            {fact("you are", view! { <Name /> })}
+                            {fact("tones for alarms", view! { <Tunes /> })}
+                            {move || ctx.session.with(api::who).map(|who| {
+                                fact("signed in as", view! { {who} " – " <a href="/login">"sign out"</a> })
                             })}
-                        }.into_any(),
-                    }}
-                </section>
-                <section class="card facts" aria-label="Limits">
-                    <header><h2>"Limits"</h2><span class="quiet push">"enforced on the vehicle"</span></header>
-                    {move || match description.get().and_then(|d| d.limits) {
-                        None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
-                        Some(l) => view! {
-                            <dl class="facts-list">
-                                {fact("altitude", format!("{} … {} m", format::fixed(l.altitude_min_m, 2), format::fixed(l.altitude_max_m, 2)))}
-                                {fact("lateral", format!("{} m", format::fixed(l.lateral_max_m, 2)))}
-                                {fact("climb", format!("{} m/s", format::fixed(l.climb_max_mps, 2)))}
-                                {fact("descent", format!("{} m/s", format::fixed(l.descent_max_mps, 2)))}
-                                {fact("tilt", format!("{}°", format::fixed(l.tilt_max_rad * DEGREES, 1)))}
-                                {fact("thrust", format!("{} N", format::fixed(l.thrust_max_n, 1)))}
-                                {fact("longest attack", format!("{} s", format::fixed(l.attack_max_duration_s, 0)))}
-                            </dl>
-                        }.into_any(),
-                    }}
-                </section>
-                <section class="card facts" aria-label="Observability">
-                    <header><h2>"Observability"</h2><span class="quiet push">"at hover, before flight"</span></header>
-                    {move || match description.get().and_then(|d| d.observability) {
-                        None => view! { <p class="quiet">"Told by a vehicle that knows its sensor suite."</p> }.into_any(),
-                        Some(o) if !o.error.is_empty() => view! { <p class="bad">{o.error.clone()}</p> }.into_any(),
-                        Some(o) => view! {
-                            <dl class="facts-list">
-                                {fact("rows", o.rows.to_string())}
-                                {fact("rank", format!("{} of {}", o.rank, o.states.len()))}
-                                {fact("any rows that may be lost", o.sparse_observable.to_string())}
-                                {fact("any rows that may be attacked", o.correctable.to_string())}
-                                {fact("first state lost", o.binding_state.clone())}
-                                {o.types.iter().map(|t| fact(
-                                    names::sensor(t.sensor()),
-                                    format!("{} of {} rows may be attacked", t.correctable, t.rows),
-                                )).collect::<Vec<_>>()}
-                            </dl>
-                            <table class="dense">
-                                <thead><tr><th>"state"</th><th class="num">"rows to lose it"</th></tr></thead>
-                                <tbody>{o.states.iter().map(|s| view! {
-                                    <tr><th scope="row">{s.state.clone()}</th><td class="num">{s.rows_to_lose}</td></tr>
-                                }).collect::<Vec<_>>()}</tbody>
-                            </table>
-                        }.into_any(),
-                    }}
-                </section>
-                <EnvelopeCard />
-                <section class="card facts" aria-label="Sensor suite">
-                    <header><h2>"Sensor suite"</h2></header>
-                    {move || match description.get().filter(|d| !d.sensors.is_empty()) {
-                        None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
-                        Some(d) => view! {
-                            <table class="dense">
-                                <thead><tr><th>"sensor"</th><th class="num">"rate"</th><th class="num">"sigma"</th><th></th></tr></thead>
-                                <tbody>{d.sensors.iter().map(|s| view! {
-                                    <tr>
-                                        <th scope="row">{if s.name.is_empty() { names::instance(s.kind(), s.instance) } else { s.name.clone() }}</th>
-                                        <td class="num">{format!("{} Hz", format::fixed(s.rate_hz, 0))}</td>
-                                        <td class="num">{format::fixed(s.sigma, 4)}</td>
-                                        <td>{s.unit.clone()}</td>
-                                    </tr>
-                                }).collect::<Vec<_>>()}</tbody>
-                            </table>
-                        }.into_any(),
-                    }}
-                </section>
+                            {fact("unreadable messages", move || ctx.live(|live| match live.unreadable() {
+                                (0, _) => "none".to_owned(),
+                                (number, reason) => format!("{}: {reason}", format::count(number)),
+                            }))}
+                        </dl>
+                    </section>
+                    <section class="card facts" aria-label="Link">
+                        <header><h2>"Link"</h2></header>
+                        {move || match link.get() {
+                            None => view! { <p class="quiet">"No vehicle has spoken yet."</p> }.into_any(),
+                            Some(l) => view! {
+                                <dl class="facts-list">
+                                    {fact("connected", if l.connected { "yes" } else { "no" })}
+                                    {fact("age of newest", format!("{} ms", format::fixed(l.age_ms, 1)))}
+                                    {fact("round trip", format!("{} ms", format::fixed(l.round_trip_ms, 1)))}
+                                    {fact("rate", format!("{} Hz", format::fixed(l.rate_hz, 0)))}
+                                    {fact("loss", format!("{} %", format::fixed(l.loss_percent, 2)))}
+                                    {fact("received", format::count(l.received))}
+                                    {fact("missing, this flight", format::count(l.missing))}
+                                    {fact("dropped for this page", format::count(l.viewer_dropped))}
+                                </dl>
+                            }.into_any(),
+                        }}
+                    </section>
+                    <section class="card facts" aria-label="Limits">
+                        <header><h2>"Limits"</h2><span class="quiet push">"enforced on the vehicle"</span></header>
+                        {move || match description.get().and_then(|d| d.limits) {
+                            None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
+                            Some(l) => view! {
+                                <dl class="facts-list">
+                                    {fact("altitude", format!("{} … {} m", format::fixed(l.altitude_min_m, 2), format::fixed(l.altitude_max_m, 2)))}
+                                    {fact("lateral", format!("{} m", format::fixed(l.lateral_max_m, 2)))}
+                                    {fact("climb", format!("{} m/s", format::fixed(l.climb_max_mps, 2)))}
+                                    {fact("descent", format!("{} m/s", format::fixed(l.descent_max_mps, 2)))}
+                                    {fact("tilt", format!("{}°", format::fixed(l.tilt_max_rad * DEGREES, 1)))}
+                                    {fact("thrust", format!("{} N", format::fixed(l.thrust_max_n, 1)))}
+                                    {fact("longest attack", format!("{} s", format::fixed(l.attack_max_duration_s, 0)))}
+                                </dl>
+                            }.into_any(),
+                        }}
+                    </section>
+                </div>
+                <div class="column">
+                    <section class="card facts" aria-label="Vehicle">
+                        <header><h2>"Vehicle"</h2></header>
+                        {move || match description.get() {
+                            None => view! { <p class="quiet">"No vehicle has described itself yet. Start a simulated one with " <code>"plumbline-agent --vehicle sim"</code> "."</p> }.into_any(),
+                            Some(d) => view! {
+                                <dl class="facts-list">
+                                    {fact("id", d.agent_id.clone())}
+                                    {fact("kind", d.vehicle.clone())}
+                                    {fact("agent", d.agent_version.clone())}
+                                    {fact("airframe", d.airframe.clone())}
+                                    {fact("mass", format!("{} kg", format::fixed(d.mass_kg, 3)))}
+                                    {fact("rig", d.rig.clone())}
+                                    {fact("tick rate", format!("{} Hz", format::fixed(d.tick_rate_hz, 0)))}
+                                    {fact("seed", d.seed.to_string())}
+                                    {fact("estimators", d.estimators().map(names::estimator).collect::<Vec<_>>().join(", "))}
+                                    {fact("rotors", move || ctx.live(|live| live.status.get().and_then(rotors)).map_or_else(|| "not told".to_owned(), |(text, _)| text))}
+                                    {fact("attacks", if d.attacks_enabled { "enabled by its configuration" } else { "off" })}
+                                    {(!d.source_file.is_empty()).then(|| fact("replays", d.source_file.clone()))}
+                                </dl>
+                                {(!d.scenario.is_empty()).then(|| view! {
+                                    <details class="counts"><summary>"Scenario file"</summary><pre>{d.scenario.clone()}</pre></details>
+                                })}
+                            }.into_any(),
+                        }}
+                    </section>
+                    <section class="card facts" aria-label="Sensor suite">
+                        <header><h2>"Sensor suite"</h2></header>
+                        {move || match description.get().filter(|d| !d.sensors.is_empty()) {
+                            None => view! { <p class="quiet">"Told by the vehicle once it is connected."</p> }.into_any(),
+                            Some(d) => view! {
+                                <table class="dense">
+                                    <thead><tr><th>"sensor"</th><th class="num">"rate"</th><th class="num">"sigma"</th><th></th></tr></thead>
+                                    <tbody>{d.sensors.iter().map(|s| view! {
+                                        <tr>
+                                            <th scope="row">{if s.name.is_empty() { names::instance(s.kind(), s.instance) } else { s.name.clone() }}</th>
+                                            <td class="num">{format!("{} Hz", format::fixed(s.rate_hz, 0))}</td>
+                                            <td class="num">{format::fixed(s.sigma, 4)}</td>
+                                            <td>{s.unit.clone()}</td>
+                                        </tr>
+                                    }).collect::<Vec<_>>()}</tbody>
+                                </table>
+                            }.into_any(),
+                        }}
+                    </section>
+                </div>
+                <div class="column">
+                    <section class="card facts" aria-label="Observability">
+                        <header><h2>"Observability"</h2><span class="quiet push">"at hover, before flight"</span></header>
+                        {move || match description.get().and_then(|d| d.observability) {
+                            None => view! { <p class="quiet">"Told by a vehicle that knows its sensor suite."</p> }.into_any(),
+                            Some(o) if !o.error.is_empty() => view! { <p class="bad">{o.error.clone()}</p> }.into_any(),
+                            Some(o) => view! {
+                                <dl class="facts-list">
+                                    {fact("rows", o.rows.to_string())}
+                                    {fact("rank", format!("{} of {}", o.rank, o.states.len()))}
+                                    {fact("any rows that may be lost", o.sparse_observable.to_string())}
+                                    {fact("any rows that may be attacked", o.correctable.to_string())}
+                                    {fact("first state lost", o.binding_state.clone())}
+                                    {o.types.iter().map(|t| fact(
+                                        names::sensor(t.sensor()),
+                                        format!("{} of {} rows may be attacked", t.correctable, t.rows),
+                                    )).collect::<Vec<_>>()}
+                                </dl>
+                                <table class="dense">
+                                    <thead><tr><th>"state"</th><th class="num">"rows to lose it"</th></tr></thead>
+                                    <tbody>{o.states.iter().map(|s| view! {
+                                        <tr><th scope="row">{s.state.clone()}</th><td class="num">{s.rows_to_lose}</td></tr>
+                                    }).collect::<Vec<_>>()}</tbody>
+                                </table>
+                            }.into_any(),
+                        }}
+                    </section>
+                    <EnvelopeCard />
+                </div>
                 <Devices />
                 <super::people::PeopleCard />
                 <section class="card facts wide" aria-label="Connect a vehicle">
