@@ -380,7 +380,10 @@ class PreparedAttack(TypedDict):
     altitude_m: NotRequired[float | None]
     attacks: NotRequired[list[PlannedAttack]]
     note: NotRequired[str]
+    position_m: NotRequired[float | None]
     probability: NotRequired[float | None]
+    tilt_rad: NotRequired[float | None]
+    velocity_mps: NotRequired[float | None]
 
 
 class Problem(TypedDict):
@@ -699,6 +702,7 @@ class AttackQuestion(TypedDict):
 
     accel_mps2: NotRequired[float | None]
     attacks: NotRequired[list[PlannedAttack]]
+    deviation: NotRequired[str | None]
     generator: NotRequired[str | None]
     of: NotRequired[EnvelopeQuestion]
     start_s: NotRequired[float]
