@@ -64,17 +64,8 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
             format!("is {deviation:.40?}, without an axis x or y: it is the altitude that is pushed"),
         ));
     }
-    let planned = |sensor: SensorId, kind: &str, magnitude: f64| PlannedAttack {
-        sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
-        instance: u32::from(sensor.instance),
-        channel: if sensor.kind == SensorKind::Imu { "accel_z" } else { "all" }.to_owned(),
-        kind: kind.to_owned(),
-        start_s: question.start_s,
-        duration_s: asked.horizon_s,
-        magnitude,
-        seed: 1,
-        ..PlannedAttack::default()
-    };
+    let planned =
+        |sensor: SensorId, kind: &str, magnitude: f64| planned(question, asked.horizon_s, sensor, kind, magnitude);
     match question.generator.as_deref() {
         Some("zero_dynamics") => return rotors::zero_dynamics(question, &asked, &set, rotors),
         Some("covert") if rotors => return rotors::covert(question, &asked, &set),
@@ -148,6 +139,21 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     })
 }
 
+/// An attack on `sensor`, of an IMU on its accelerometer along z, for as long as was asked.
+fn planned(question: &AttackQuestion, horizon_s: f64, sensor: SensorId, kind: &str, magnitude: f64) -> PlannedAttack {
+    PlannedAttack {
+        sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
+        instance: u32::from(sensor.instance),
+        channel: if sensor.kind == SensorKind::Imu { "accel_z" } else { "all" }.to_owned(),
+        kind: kind.to_owned(),
+        start_s: question.start_s,
+        duration_s: horizon_s,
+        magnitude,
+        seed: 1,
+        ..PlannedAttack::default()
+    }
+}
+
 /// `attack` with these values, one after another.
 fn scheduled(attack: PlannedAttack, period_s: f64, values: Vec<f64>) -> PlannedAttack {
     let magnitude = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
@@ -195,22 +201,13 @@ fn aside(
         return Err(wrong("sensors", problem));
     }
     let bound = if deviation == Deviation::Tilt { tilt } else { solved(deviation)? };
-    let planned = |(imu, channel, values): (SensorId, &str, Vec<f64>)| {
-        let attack = PlannedAttack {
-            sensor: "imu".to_owned(),
-            instance: u32::from(imu.instance),
-            channel: channel.to_owned(),
-            kind: "bias".to_owned(),
-            start_s: question.start_s,
-            duration_s: horizon_s,
-            seed: 1,
-            ..PlannedAttack::default()
-        };
+    let one = |(imu, channel, values): (SensorId, &str, Vec<f64>)| {
+        let attack = PlannedAttack { channel: channel.to_owned(), ..planned(question, horizon_s, imu, "bias", 1.0) };
         scheduled(attack, SLOT, values)
     };
     let of = |one: Deviation| (one == deviation).then_some(bound.reached);
     Ok(PreparedAttack {
-        attacks: lateral.sequences(set, &bound.attack).into_iter().map(planned).collect(),
+        attacks: lateral.sequences(set, &bound.attack).into_iter().map(one).collect(),
         tilt_rad: of(Deviation::Tilt),
         velocity_mps: of(Deviation::Speed),
         position_m: of(Deviation::Place),
