@@ -81,7 +81,7 @@ pub fn PeopleCard() -> impl IntoView {
         change(ctx, outcome, ("DELETE", format!("/api/v1/sessions/{}", session.id)), None, done, load);
     };
     view! {
-        <section class="card facts wide" aria-label="People">
+        <section class="card facts" aria-label="People">
             <header><h2>"People"</h2></header>
             {move || (!trouble.with(String::is_empty)).then(|| view! { <p class="bad" role="alert">{trouble.get()}</p> })}
             {move || admin().then(|| view! { <Accounts people load=Callback::new(move |()| load()) /> })}

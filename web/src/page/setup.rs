@@ -85,7 +85,7 @@ fn Devices() -> impl IntoView {
     move || {
         let rows = devices.get();
         (!rows.is_empty()).then(|| view! {
-            <section class="card facts wide" aria-label="Devices">
+            <section class="card facts" aria-label="Devices">
                 <header><h2>"Devices"</h2><span class="quiet push">"since the agent's start"</span></header>
                 <table class="dense">
                     <thead><tr>
@@ -290,7 +290,7 @@ pub fn Setup() -> impl IntoView {
                 </div>
                 <Devices />
                 <super::people::PeopleCard />
-                <section class="card facts wide" aria-label="Connect a vehicle">
+                <section class="card facts" aria-label="Connect a vehicle">
                     <header><h2>"Connect a vehicle"</h2></header>
                     <ol class="how">
                         <li><b>"Simulated. "</b><code>"plumbline-agent --vehicle sim"</code>" flies the default hanging-string rig; a scenario file chooses another."</li>
