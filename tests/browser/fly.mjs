@@ -201,6 +201,43 @@ await step(webgl, 'WebGL2 draws when the address asks for it', async () => {
   await drawn(webgl, webgl.getByRole('region', { name: 'Altitude' }).getByRole('img').first(), 'the altitude');
 });
 
+/** The altitude is drawn; which of the page's canvases WebGL2 draws on. */
+const altitudeBy = async (other) => {
+  await other.goto(url);
+  await drawn(other, other.getByRole('region', { name: 'Altitude' }).getByRole('img').first(), 'the altitude');
+  return other.locator('canvas.behind').evaluateAll((all) => all.map((one) => {
+    try { return one.getContext('webgl2') !== null; } catch { return 'given away'; }
+  }).join());
+};
+
+await step(page, 'a browser that tells of a WebGPU adapter and then has none draws by WebGL2', async () => {
+  const other = await context.newPage();
+  await other.addInitScript(() => {
+    let asked = 0;
+    GPU.prototype.requestAdapter = async () => ((asked += 1) === 1 ? {} : null);
+    // By its name WebGL2 is a card here, so that the processor does not draw instead.
+    const RENDERER = 0x9246;
+    const get = WebGL2RenderingContext.prototype.getParameter;
+    WebGL2RenderingContext.prototype.getParameter = function (name) {
+      return name === RENDERER ? 'a card' : get.call(this, name);
+    };
+  });
+  const by = await altitudeBy(other);
+  assert(by === 'false,true', `canvases that WebGL2 draws on: ${by}`);
+  await other.close();
+});
+
+await step(page, 'where WebGPU draws and its canvas stays empty, something else draws', async () => {
+  // Headless Chromium is such a browser.
+  const webgpu = await launch('--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader');
+  const other = await webgpu.newPage({ viewport: { width: 1280, height: 720 } });
+  const by = await altitudeBy(other);
+  const adapter = await other.evaluate(async () => (await navigator.gpu.requestAdapter())?.info.vendor);
+  assert(adapter, 'there is no WebGPU');
+  await webgpu.close();
+  return { adapter, by };
+});
+
 for (const [name, drawing] of [['by the processor', page], ['by WebGL2', webgl]]) {
   await step(drawing, `turned to portrait, the canvas is painted to its last row ${name}`, async () => {
     await drawing.bringToFront();

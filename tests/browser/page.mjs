@@ -17,7 +17,7 @@ const browser = await launch();
 const system = await browser.newBrowserCDPSession();
 const open = async () => {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, colorScheme: 'light' });
-  // Frames: sheets that the page's worker gets, or animation frames in which a card draws.
+  // Frames: sheets that the page's worker gets, or animation frames in which a card draws, by WebGL2 or WebGPU.
   await context.addInitScript(() => {
     window.drawn = 0;
     let drew = false;
@@ -26,6 +26,13 @@ const open = async () => {
       WebGL2RenderingContext.prototype[name] = function (...all) {
         drew = true;
         return draw.apply(this, all);
+      };
+    }
+    if (window.GPUQueue) {
+      const submit = GPUQueue.prototype.submit;
+      GPUQueue.prototype.submit = function (...all) {
+        drew = true;
+        return submit.apply(this, all);
       };
     }
     const give = Worker.prototype.postMessage;

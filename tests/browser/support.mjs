@@ -17,9 +17,13 @@ export const { ws: Socket } = createRequire(`${modules}/`)(join(modules, 'node_m
 export const url = need('PLUMBLINE_URL');
 export const screenshots = need('PLUMBLINE_SCREENSHOTS');
 
-// Headless Chromium draws WebGL2 in software without flags; root needs the sandbox off.
-export const launch = () =>
-  chromium.launch({ executablePath: need('PLUMBLINE_CHROMIUM'), args: ['--no-sandbox', '--disable-dev-shm-usage'] });
+// Headless Chromium draws WebGL2 in software without flags; root needs the sandbox off. A graphics card is used where
+// PLUMBLINE_CHROMIUM_FLAGS say how.
+export const launch = (...more) => {
+  const flags = (process.env.PLUMBLINE_CHROMIUM_FLAGS ?? '').split(/\s+/).filter(Boolean);
+  const args = ['--no-sandbox', '--disable-dev-shm-usage', ...flags, ...more];
+  return chromium.launch({ executablePath: need('PLUMBLINE_CHROMIUM'), args });
+};
 
 let failures = 0;
 const MOST_FAILURES = 4;

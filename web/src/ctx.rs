@@ -20,9 +20,9 @@ use crate::{
     net, store,
 };
 
-/// Text is written this often, ms.
+/// Text is written this often, ms, beside curves.
 const TICK_MS: f64 = 100.0;
-/// And at least this often, ms, however late the page is.
+/// And at least this often, ms, however late the page is; no more often on pages of text, where each change has the browser go over all of it.
 const MOST_TICK_MS: f64 = 250.0;
 /// Least history asked for, s.
 const LEAST_HISTORY_S: f64 = 30.0;
@@ -164,11 +164,13 @@ impl Ctx {
         ctx
     }
 
-    /// Has everything that reads what flies run again, which was due at `due_ms`; then ten times a second, and less often by as much as the
-    /// page is late: keys and commands come before text.
+    /// Has everything that reads what flies run again, which was due at `due_ms`; then ten times a second beside curves, four times on pages
+    /// of text, and less often by as much as the page is late: keys and commands come before text.
     fn beat(self, due_ms: f64) {
         let now_ms = net::now_ms();
-        let pause_ms = (TICK_MS + (now_ms - due_ms).max(0.0)).min(MOST_TICK_MS);
+        let curves = self.route.with_untracked(|route| matches!(route, Route::Fly | Route::Tune | Route::Calibrate));
+        let every_ms = if curves { TICK_MS } else { MOST_TICK_MS };
+        let pause_ms = (every_ms + (now_ms - due_ms).max(0.0)).min(MOST_TICK_MS);
         set_timeout(move || self.beat(now_ms + pause_ms), Duration::from_millis(pause_ms as u64));
         self.forget_reached();
         self.tick.update(|n| *n += 1);

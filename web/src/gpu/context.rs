@@ -116,6 +116,15 @@ impl Card {
         })
     }
 
+    /// The same, if what it draws comes to be seen.
+    pub async fn seen(canvas: HtmlCanvasElement, backends: wgpu::Backends) -> Result<Self, GpuError> {
+        let mut card = Self::new(canvas, backends).await?;
+        if card.frame(&Theme::of(false), &[]) == FrameOutcome::Drawn && card.screen.is_painted() {
+            return Ok(card);
+        }
+        Err(GpuError::Unseen { adapter: card.screen.adapter_name })
+    }
+
     pub fn backend(&self) -> Backend {
         self.screen.backend
     }

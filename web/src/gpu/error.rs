@@ -18,4 +18,10 @@ pub enum GpuError {
         /// Name of the adapter.
         adapter: String,
     },
+    /// Frames are drawn, and the canvas stays empty: some browsers have WebGPU and no way from there to their window.
+    #[error("what adapter {adapter:?} draws does not reach the canvas")]
+    Unseen {
+        /// Name of the adapter.
+        adapter: String,
+    },
 }

@@ -13,7 +13,7 @@ use web_sys::{
 use super::context::{FrameOutcome, FrameStats};
 use super::grid::Plot;
 use super::scene::{Panel, Rect};
-use super::screen::pixels;
+use super::screen::{Over, pixels};
 use super::sheet::{Ground, Sheet};
 use super::{Color, Theme};
 
@@ -60,7 +60,7 @@ struct Layout {
 pub(super) struct Paper {
     worker: Worker,
     /// Over the page's own, which can be given away once only; goes with the worker.
-    canvas: HtmlCanvasElement,
+    _over: Over,
     /// Has the worker ended by itself?
     ended: Rc<Cell<bool>>,
     /// Since the worker has had its last frame and has not said that it is drawn.
@@ -95,9 +95,8 @@ impl Paper {
             worker.set_onerror(Some(&failed));
         });
         wasm_bindgen_futures::JsFuture::from(begun).await.ok()?;
-        let over: HtmlCanvasElement = canvas.clone_node().ok()?.dyn_into().ok()?;
-        canvas.after_with_node_1(&over).ok()?;
-        let given = over.transfer_control_to_offscreen().ok()?;
+        let over = Over::new(&canvas)?;
+        let given = over.canvas().transfer_control_to_offscreen().ok()?;
         worker.post_message_with_transfer(&given, &Array::of1(&given)).ok()?;
         let (busy, memory) = (Rc::new(Cell::new(true)), Rc::new(RefCell::new(None)));
         let (is_busy, back) = (busy.clone(), memory.clone());
@@ -116,7 +115,7 @@ impl Paper {
         worker.set_onerror(Some(failed.as_ref().unchecked_ref()));
         Some(Self {
             worker,
-            canvas: over,
+            _over: over,
             ended,
             busy,
             memory,
@@ -190,6 +189,5 @@ impl Paper {
 impl Drop for Paper {
     fn drop(&mut self) {
         self.worker.terminate();
-        self.canvas.remove();
     }
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use wasm_bindgen::JsCast;
 use wasm_bindgen::closure::Closure;
-use web_sys::HtmlCanvasElement;
+use web_sys::{CanvasRenderingContext2d, HtmlCanvasElement};
 
 use super::error::GpuError;
 
@@ -184,6 +184,43 @@ impl Screen {
         if let Some(surface) = target.surface {
             self.queue.present(surface);
         }
+    }
+
+    /// Is the canvas painted? To be asked by whoever just showed a frame, before the browser has its turn.
+    pub(super) fn is_painted(&self) -> bool {
+        let look = || {
+            let seen = self.canvas.owner_document()?.create_element("canvas").ok()?;
+            let seen: HtmlCanvasElement = seen.dyn_into().ok()?;
+            let seen: CanvasRenderingContext2d = seen.get_context("2d").ok()??.dyn_into().ok()?;
+            seen.draw_image_with_html_canvas_element(&self.canvas, 0.0, 0.0).ok()?;
+            let pixel = seen.get_image_data(0.0, 0.0, 1.0, 1.0).ok()?.data();
+            // No page is black.
+            Some(pixel.iter().take(3).all(|channel| *channel > 0))
+        };
+        look().unwrap_or(false)
+    }
+}
+
+/// A canvas laid over the page's own, for whoever cannot draw on that: what a canvas was first asked to draw by stays. Goes when it is
+/// dropped.
+pub(super) struct Over(HtmlCanvasElement);
+
+impl Over {
+    /// Over this one, and as large.
+    pub(super) fn new(canvas: &HtmlCanvasElement) -> Option<Self> {
+        let over: HtmlCanvasElement = canvas.clone_node().ok()?.dyn_into().ok()?;
+        canvas.after_with_node_1(&over).ok()?;
+        Some(Self(over))
+    }
+
+    pub(super) fn canvas(&self) -> &HtmlCanvasElement {
+        &self.0
+    }
+}
+
+impl Drop for Over {
+    fn drop(&mut self) {
+        self.0.remove();
     }
 }
 
