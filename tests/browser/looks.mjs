@@ -18,6 +18,9 @@ const CHANGE = 14;
 const SQUARES = 3;
 // A picture that differs is looked at so often before it counts.
 const LOOKS = 5;
+const LOOK_MS = 350;
+// A picture that is kept was looked at once: a canvas that was not painted yet would be kept as it was.
+const SETTLED_MS = 2000;
 // Ticks until the recording stands still: half a minute of it, in flight.
 const TICKS = 1500;
 // What no two runs share. Its room stays, so its place is looked at all the same.
@@ -100,7 +103,7 @@ async function looks(name, hidden = '') {
       // What is being drawn is looked at again.
       let told;
       for (let look = 0; look < (BLESS ? 1 : LOOKS); look += 1) {
-        await page.waitForTimeout(350);
+        await page.waitForTimeout(BLESS ? SETTLED_MS : LOOK_MS);
         told = await difference(which, hidden);
         if (!told) break;
       }
