@@ -10,7 +10,7 @@ const context = await browser.newContext({ viewport: { width: 1280, height: 720 
 // The longest history there is: it must not come before the newest state.
 await context.addInitScript(() => localStorage.setItem('plumbline.window_s', '120'));
 const page = await context.newPage();
-page.setDefaultTimeout(10_000);
+page.setDefaultTimeout(30_000);
 const errors = complaints(page);
 let receivedB = 0;
 page.on('websocket', (socket) => socket.on('framereceived', ({ payload }) => { receivedB += payload.length; }));
@@ -280,6 +280,11 @@ await step(page, 'what is old is grey, and one bar says how old', async () => {
   assert((await old.count()) === 0, 'old at first');
   held = true;
   await old.waitFor();
+  // Beside other bars there is little room.
+  const bars = viewer.getByRole('alert', { name: 'Alarms' });
+  await bars.evaluate((bars) => { bars.style.maxWidth = '220px'; });
+  assert(await old.isVisible(), 'how old it is gave way to the rest of the bar');
+  await bars.evaluate((bars) => { bars.style.maxWidth = ''; });
   for (const name of ['Mode', 'Arming', 'Battery']) {
     const tag = viewer.getByRole('banner').getByLabel(name, { exact: true });
     assert(/stale/.test(await tag.getAttribute('class')), `${name} is not grey`);
