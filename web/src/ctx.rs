@@ -1,6 +1,6 @@
 //! The handle every panel holds: read the state, send commands, follow routes. Copyable; owns nothing.
 //!
-//! Samples never become signals. [`Ctx::tick`] beats ten times a second and text is read again then;
+//! Samples never become signals. [`Ctx::tick`] beats (`TICK_MS`) and text is read again then;
 //! curves are drawn by `paint.rs` on animation frames from the same state.
 
 use std::time::Duration;
@@ -67,7 +67,7 @@ pub struct Ctx {
     pub app: StoredValue<App, LocalStorage>,
     /// What flies.
     pub live: StoredValue<Live, LocalStorage>,
-    /// Beats ten times a second.
+    /// Beats while the page lives (`TICK_MS`, `MOST_TICK_MS`).
     pub tick: RwSignal<u64>,
     /// Beats when [`App`] changes: notices, vehicles, socket.
     pub changed: RwSignal<u64>,
@@ -246,7 +246,7 @@ impl Ctx {
         self.app.with_value(read)
     }
 
-    /// Reads what flies; runs again ten times a second.
+    /// Reads what flies; runs again with each beat.
     pub fn live<T>(self, read: impl FnOnce(&Live) -> T) -> T {
         self.tick.track();
         self.live.with_value(read)
@@ -257,12 +257,12 @@ impl Ctx {
         self.live.with_value(|live| live.clock.now_us(net::now_ms()))
     }
 
-    /// How old what is shown is, s; runs again ten times a second.
+    /// How old what is shown is, s; runs again with each beat.
     pub fn age_s(self) -> Option<f64> {
         self.live(|live| live.age_s(net::now_ms()))
     }
 
-    /// Is the newest message of a topic too old to be shown as what is? Runs again ten times a second.
+    /// Is the newest message of a topic too old to be shown as what is? Runs again with each beat.
     pub fn is_old<T>(self, topic: fn(&Live) -> &Topic<T>) -> bool {
         self.live(|live| live.is_old(topic(live), net::now_ms()))
     }

@@ -1,7 +1,7 @@
 //! The page: Rust to wasm, Leptos for everything a person can read or press, one wgpu canvas behind it.
 //!
 //! ```text
-//! net ─► event ─► app (pure: state + effects) ─► panel, page   text ten times a second, commands up
+//! net ─► event ─► app (pure: state + effects) ─► panel, page   text with each beat, commands up
 //!          └────► model::live (topics, curves) ─► paint ─► gpu   curves on animation frames
 //! ```
 //! Start reading at [`app`]; [`ctx`] is what every panel holds. The browser owns no truth: after a
