@@ -120,9 +120,9 @@ impl PortName {
             Self::I2c(path) => kernel::open(path).map_err(|error| self.error(error)),
             Self::Spi(path) => kernel_spi::open(path).map_err(|error| self.error(error)),
             Self::Socket(path) => {
-                let socket = UnixStream::connect(path).map_err(|error| self.error(error))?;
-                socket.set_read_timeout(Some(WAIT)).map_err(|error| self.error(error))?;
-                Ok(Box::new(Socket(socket)))
+                let mut socket = Socket { path: path.clone(), open: None };
+                socket.open().map_err(|error| self.error(error))?;
+                Ok(Box::new(socket))
             }
             _ => Err(self.error(io::Error::new(ErrorKind::InvalidInput, "neither I²C nor SPI"))),
         }
@@ -315,7 +315,25 @@ mod kernel_spi {
 }
 
 /// Address, bytes to write, bytes to read, what is written; the answer is 0 and what was read, or another number.
-struct Socket(UnixStream);
+struct Socket {
+    path: String,
+    /// None once a transfer has failed: its answer may still come, and is none to the next one.
+    open: Option<UnixStream>,
+}
+
+impl Socket {
+    fn open(&mut self) -> io::Result<&mut UnixStream> {
+        let open = match self.open.take() {
+            Some(open) => open,
+            None => {
+                let new = UnixStream::connect(&self.path)?;
+                new.set_read_timeout(Some(WAIT))?;
+                new
+            }
+        };
+        Ok(self.open.insert(open))
+    }
+}
 
 impl Bus for Socket {
     fn transfer(&mut self, address: u8, write: &[u8], read: &mut [u8]) -> io::Result<()> {
@@ -323,13 +341,21 @@ impl Bus for Socket {
         let long = || io::Error::new(ErrorKind::InvalidInput, "a transfer longer than 64 bytes");
         request.try_extend_from_slice(&[address, write.len() as u8, read.len() as u8]).map_err(|_| long())?;
         request.try_extend_from_slice(write).map_err(|_| long())?;
-        self.0.write_all(&request)?;
+        let socket = self.open()?;
         let mut status = [0];
-        self.0.read_exact(&mut status)?;
+        let mut answer = || {
+            socket.write_all(&request)?;
+            socket.read_exact(&mut status)?;
+            if status == [0] { socket.read_exact(read) } else { Ok(()) }
+        };
+        if let Err(error) = answer() {
+            self.open = None;
+            return Err(error);
+        }
         if status != [0] {
             return Err(io::Error::new(ErrorKind::NotFound, format!("nobody answers at address {address:#x}")));
         }
-        self.0.read_exact(read)
+        Ok(())
     }
 }
 

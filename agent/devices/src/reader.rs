@@ -29,6 +29,9 @@ const NOTICES: usize = 16;
 const COUNTED_S: f64 = 0.5;
 /// First and longest pause before a device is opened again.
 const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1)];
+/// Transfers in a row that may fail before a device that is asked is opened again: one disturbed edge on a bus costs one reading, while a
+/// chip that is set up anew is away for a quarter of a second, in which motors without any other IMU are cut.
+const FAILED_TRANSFERS: u32 = 2;
 
 /// When flight time is zero, once that is known, and how often it ticks. Shared by readers and vehicle.
 #[derive(Debug, Clone, Default)]
@@ -332,7 +335,7 @@ impl Work {
         self.clock = DeviceClock::default();
         let Self { driver, options, zero, clock, arrivals, scanned, notify, state, stop } = self;
         let mut last = Instant::now();
-        let (mut stamped, mut fault) = (None, None);
+        let (mut stamped, mut fault, mut failed) = (None, None, 0);
         let mut asking = driver.period().map(|period| Asking::new(period, last));
         while !stop.load(Ordering::Acquire) {
             let (mut heard_one, mut time, mut answer) = (false, None, None);
@@ -359,8 +362,13 @@ impl Work {
                     given_up(given, state);
                 }
             });
-            if let Err(error) = polled {
-                return Some(error);
+            match polled {
+                Err(error @ DeviceError::Port { .. }) if asking.is_some() && failed < FAILED_TRANSFERS => {
+                    failed += 1;
+                    given_up(&error, state);
+                }
+                Err(error) => return Some(error),
+                Ok(()) => failed = 0,
             }
             if let Some(asking) = &mut asking {
                 let now = Instant::now();
@@ -393,7 +401,7 @@ impl Work {
     }
 }
 
-fn given_up(fault: Fault, state: &State) {
+fn given_up(fault: impl std::fmt::Display, state: &State) {
     state.faults.fetch_add(1, Ordering::Relaxed);
     state.say(plumbline_core::event::text(format_args!("{fault}")));
 }

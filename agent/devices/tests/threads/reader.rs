@@ -92,6 +92,58 @@ fn a_full_queue_keeps_the_oldest_and_counts_the_rest() {
     assert!(kept.windows(2).all(|pair| pair[0].time <= pair[1].time));
 }
 
+/// A chip on a bus, asked two hundred times a second, of which so many transfers fail.
+struct Chip(Arc<AtomicU32>);
+
+impl Driver for Chip {
+    fn open(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn period(&self) -> Option<Duration> {
+        Some(Duration::from_millis(5))
+    }
+
+    fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
+        if self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, |left| left.checked_sub(1)).is_ok() {
+            let source = std::io::Error::from_raw_os_error(121);
+            return Err(DeviceError::Port { port: "/dev/i2c-1".into(), source });
+        }
+        out(Ok(Heard { at: Instant::now(), stamp: None, after_us: 0.0, reading: Reading::Battery(14.8) }));
+        Ok(())
+    }
+}
+
+#[test]
+fn two_failed_transfers_cost_two_readings_and_the_third_the_device() {
+    let zero = Zero::default();
+    zero.set(Instant::now());
+    let options = Options {
+        name: "chip".into(),
+        delay_s: 0.0,
+        silence: Duration::from_millis(500),
+        real_time: false,
+        record_scans: false,
+    };
+    let fail = Arc::<AtomicU32>::default();
+    let mut reader = Reader::start(Box::new(Chip(fail.clone())), options, zero).unwrap();
+    until("up", || reader.notice() == Some(Notice::Up));
+    for times in 1..=5 {
+        while reader.pop().is_some() {}
+        fail.store(2, Ordering::Release);
+        until("failed and read again", || fail.load(Ordering::Acquire) == 0 && reader.pop().is_some());
+        until("read again", || reader.pop().is_some());
+        let health = reader.state().health();
+        assert!(health.up && health.opened == 1 && health.faults == 2 * times, "{health:?}");
+        assert!(health.reason.starts_with("/dev/i2c-1: "), "{health:?}");
+    }
+    assert_eq!(reader.notice(), None);
+    fail.store(3, Ordering::Release);
+    until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.starts_with("/dev/i2c-1: ")));
+    until("back", || reader.notice() == Some(Notice::Up));
+    assert_eq!(reader.state().health().opened, 2);
+}
+
 /// A device with a clock of its own, a hundred times a second; after a second of frames it goes a minute back.
 struct Clocked(u64);
 
