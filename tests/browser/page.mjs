@@ -138,7 +138,8 @@ await step(page, 'a flight of twelve minutes opens', async () => {
   const { flights: [flight] } = await steppedWith(page, 'twelve-minutes', 720, ['lanes']);
   const ms = [];
   const kB = [];
-  for (let n = 0; n < TIMES; n += 1) {
+  // The first time what its charts show is made; a flight that was recorded, not computed, has it from its landing on.
+  for (let n = 0; n <= TIMES; n += 1) {
     const fresh = await open();
     let loaded = 0;
     fresh.cdp.on('Network.dataReceived', ({ encodedDataLength }) => { loaded += encodedDataLength; });
@@ -158,6 +159,7 @@ await step(page, 'a flight of twelve minutes opens', async () => {
     kB.push(loaded / 1e3);
     await fresh.context.close();
   }
+  tell('flight_opens_first', 'ms', ms.splice(0, 1), 1500);
   tell('flight_opens', 'ms', ms, 1500);
   tell('flight_loads', 'kB', kB, 4000);
 });

@@ -8,9 +8,11 @@ use mcap::{McapResult, WriteOptions};
 use plumbline_proto::Kind;
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::thinning::{COLUMNS, Thinner};
+use plumbline_rest::flight::{OVERVIEW_COLUMNS, OVERVIEW_KINDS};
 
 use super::RecordingError;
 use super::flatten::Table;
+use super::overview::Overview;
 use super::reader::FlightReader;
 use super::sheet::{Format, Selection, Wide};
 use super::snapshot::Snapshot;
@@ -24,6 +26,9 @@ pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 2");
 
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;
+
+/// What charts show of a flight of this length is kept, s: shorter ones are read in a tenth of a second.
+const OVERVIEW_FROM_S: f64 = 120.0;
 
 /// Writes the messages that lie between two flight times, µs.
 pub(super) type Whole = fn(&FlightReader, (u64, u64), &mut Sink<'_>) -> McapResult<()>;
@@ -41,6 +46,8 @@ struct Frames {
     range_us: (u64, u64),
     /// Stretches of time, where not every message is wanted.
     columns: Option<u64>,
+    /// Where that is kept.
+    overview: Option<Overview>,
 }
 
 /// An export that is known to be possible.
@@ -88,7 +95,7 @@ impl Export {
     /// # Errors
     /// [`RecordingError`] when the flight cannot be read, or a kind, the range or the number of columns is none.
     pub fn frames(
-        flight: Snapshot,
+        mut flight: Snapshot,
         kinds: Option<&str>,
         (from_s, to_s): (f64, f64),
         columns: Option<u64>,
@@ -97,7 +104,12 @@ impl Export {
             let (least, most) = COLUMNS.into_inner();
             return Err(RecordingError::Invalid(format!("columns {columns} is outside {least} to {most}")));
         }
+        let whole = Selection { from_s, to_s, ..Selection::default() } == Selection::default();
+        let asked = whole && kinds == Some(OVERVIEW_KINDS) && columns == Some(OVERVIEW_COLUMNS);
+        let overview = flight.overview.take().filter(|_| asked);
         let reader = open(flight)?;
+        let length_s = reader.end_us().saturating_sub(reader.start_us()) as f64 * 1e-6;
+        let overview = overview.filter(|_| length_s >= OVERVIEW_FROM_S);
         let range_us = Selection { from_s, to_s, ..Selection::default() }.range_us(&reader)?;
         let topics = match kinds {
             None => None,
@@ -107,7 +119,20 @@ impl Export {
                 Some(reader.channels().into_keys().filter(wanted).collect())
             }
         };
-        Ok(Self { reader, form: Form::Frames(Frames { topics, range_us, columns }) })
+        Ok(Self { reader, form: Form::Frames(Frames { topics, range_us, columns, overview }) })
+    }
+
+    /// What charts show of a flight as a whole.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when the flight cannot be read.
+    pub(super) fn overview(flight: Snapshot) -> Result<Self, RecordingError> {
+        Self::frames(flight, Some(OVERVIEW_KINDS), (0.0, f64::INFINITY), Some(OVERVIEW_COLUMNS))
+    }
+
+    /// Is an overview kept of what it writes, that is not there yet?
+    pub(super) fn makes_overview(&self) -> bool {
+        matches!(&self.form, Form::Frames(Frames { overview: Some(overview), .. }) if overview.kept().is_none())
     }
 
     /// Writes the export; the same again each time.
@@ -119,7 +144,7 @@ impl Export {
             Form::Wide(wide, format) => wide.clone().write(&self.reader, *format, sink),
             Form::Whole(whole, range_us) => whole(&self.reader, *range_us, sink),
             Form::Topic(topic) => write_topic(&self.reader, topic, sink),
-            Form::Frames(frames) => write_frames(&self.reader, frames, sink),
+            Form::Frames(frames) => write_kept(&self.reader, frames, sink),
         };
         written.map_err(damaged)
     }
@@ -216,6 +241,25 @@ fn write_topic(reader: &FlightReader, topic: &str, sink: &mut Sink<'_>) -> McapR
         Ok(true)
     })?;
     out.send().map(|_| ())
+}
+
+/// Writes what is kept; what is not, and is to be, is kept once it is whole.
+fn write_kept(reader: &FlightReader, frames: &Frames, sink: &mut Sink<'_>) -> McapResult<()> {
+    let Some(overview) = &frames.overview else { return write_frames(reader, frames, sink) };
+    if let Some(batch) = overview.kept() {
+        batch.chunks(PIECE).all(|piece| sink(piece.to_vec()));
+        return Ok(());
+    }
+    let (mut batch, mut whole) = (Vec::new(), true);
+    write_frames(reader, frames, &mut |piece: Vec<u8>| {
+        batch.extend_from_slice(&piece);
+        whole = sink(piece);
+        whole
+    })?;
+    if whole {
+        overview.keep(&batch);
+    }
+    Ok(())
 }
 
 fn write_frames(reader: &FlightReader, frames: &Frames, sink: &mut Sink<'_>) -> McapResult<()> {

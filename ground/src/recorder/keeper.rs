@@ -15,6 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use super::export::Export;
 use super::flight::{Completeness, Flight};
 use super::index::{FlightIndex, Stamp};
 use super::reading::Reading;
@@ -293,10 +294,26 @@ impl Desk {
             let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
             tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
             indexed(self.index.put(&flight, stamp));
+            self.keep_overview(id);
         }
         *lock(&self.shared.set_aside) = self.store.set_aside();
         self.shared.changed.notify_one();
         completeness
+    }
+
+    /// What has just landed is what people open next.
+    fn keep_overview(&self, id: &str) {
+        let keep = || {
+            let export = Export::overview(self.store.open(id)?)?;
+            if export.makes_overview() {
+                export.write(&mut |_| !self.shared.stopping.load(Ordering::Acquire))
+            } else {
+                Ok(())
+            }
+        };
+        if let Err(error) = keep() {
+            tracing::warn!(flight = id, %error, "what charts show of it is made when it is opened");
+        }
     }
 
     fn delete(&self, id: &str) -> Result<(), RecordingError> {

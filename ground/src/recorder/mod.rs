@@ -20,6 +20,7 @@ mod intervals;
 mod keeper;
 mod numbers;
 mod outline;
+mod overview;
 mod reader;
 mod reading;
 mod repair;

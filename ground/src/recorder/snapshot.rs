@@ -18,6 +18,7 @@ use mcap::{Channel, MAGIC, McapError, McapResult, Schema, Summary};
 use plumbline_file::{MAX_RECORD, chunk_records};
 use tokio::sync::OwnedSemaphorePermit;
 
+use super::overview::Overview;
 use super::store::Files;
 
 /// Opcode and length before each record.
@@ -47,6 +48,8 @@ pub struct Snapshot {
     tag: String,
     /// What is where, when no file says so itself.
     summary: Option<Summary>,
+    /// Of one that is finished: where what charts show of it is kept.
+    pub(super) overview: Option<Overview>,
     /// Descriptors taken.
     pub(super) _descriptors: Option<OwnedSemaphorePermit>,
 }
@@ -67,7 +70,15 @@ impl Snapshot {
                 let meta = file.metadata()?;
                 let tag = format!("{:x}.{:x}.{:x}", meta.ino(), meta.mtime(), meta.mtime_nsec());
                 let segments = vec![Segment { file, from: 0, length: meta.len() }];
-                Ok(Self { segments, data: meta.len(), end: &[], tag, summary: None, _descriptors: None })
+                Ok(Self {
+                    segments,
+                    data: meta.len(),
+                    end: &[],
+                    tag,
+                    summary: None,
+                    overview: None,
+                    _descriptors: None,
+                })
             }
             _ => Self::join(files),
         }
@@ -94,8 +105,15 @@ impl Snapshot {
     }
 
     fn join(files: &Files) -> McapResult<Self> {
-        let mut joined =
-            Self { segments: Vec::new(), data: 0, end: &END, tag: String::new(), summary: None, _descriptors: None };
+        let mut joined = Self {
+            segments: Vec::new(),
+            data: 0,
+            end: &END,
+            tag: String::new(),
+            summary: None,
+            overview: None,
+            _descriptors: None,
+        };
         for path in files.finished.iter().chain(&files.parts) {
             let file = File::open(path)?;
             let Some(layout) = layout(&file)? else { continue };

@@ -5,6 +5,7 @@
 //! | `ID.mcap` | a finished flight |
 //! | `ID.001.part` … | being written, or left by a crash; merged into `ID.mcap` |
 //! | `ID.json` | name and notes, by people |
+//! | `ID.overview` | what charts show of it as a whole, to be made anew at any time |
 //! | `*.tmp` | being made, or sent by a client; never the only copy; removed at start |
 //! | `*.corrupt` | damaged; what could be read of it is in `ID.mcap` |
 //!
@@ -31,6 +32,7 @@ use tokio::sync::Semaphore;
 use super::RecordingError;
 use super::folder::free_bytes;
 use super::identity::Identity;
+use super::overview::Overview;
 use super::reading::{Reading, gather};
 use super::snapshot::Snapshot;
 use super::writer;
@@ -126,6 +128,10 @@ impl RecordingStore {
         self.folder.join(format!("{id}.mcap"))
     }
 
+    fn overview_path(&self, id: &str) -> PathBuf {
+        self.folder.join(format!("{id}.overview"))
+    }
+
     /// The part of a flight with this number.
     pub(super) fn part_path(&self, id: &str, number: u32) -> PathBuf {
         self.folder.join(format!("{id}.{number:03}.part"))
@@ -159,11 +165,12 @@ impl RecordingStore {
         self.finished_path(id).exists() || self.files(id) != Files::default()
     }
 
-    /// Removes what was being made when the ground ended.
+    /// Removes what was being made when the ground ended, and what charts show of flights that somebody took away.
     pub(super) fn sweep(&self) {
         let Ok(entries) = fs::read_dir(&self.folder) else { return };
         for path in entries.flatten().map(|entry| entry.path()) {
-            if path.extension().is_some_and(|e| e == "tmp") {
+            let alone = path.extension().is_some_and(|e| e == "overview") && !path.with_extension("mcap").exists();
+            if alone || path.extension().is_some_and(|e| e == "tmp") {
                 let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
             }
         }
@@ -268,6 +275,8 @@ impl RecordingStore {
         let descriptors = self.descriptors.clone().try_acquire_many_owned(count).map_err(|_| RecordingError::Busy)?;
         let mut snapshot = Snapshot::open(&files).map_err(|e| damaged_file(&self.folder.join(id), e))?;
         snapshot._descriptors = Some(descriptors);
+        snapshot.overview =
+            snapshot.finished().then(|| Overview::new(self.overview_path(id), &snapshot.tag(), self.reserve_bytes));
         Ok(snapshot)
     }
 
@@ -277,11 +286,13 @@ impl RecordingStore {
         for path in files.finished.iter().chain(&files.parts) {
             fs::remove_file(path).map_err(|e| io(path, e))?;
         }
-        let labels = self.folder.join(format!("{id}.json"));
-        match fs::remove_file(&labels) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(io(&labels, error)),
-            _ => self.sync_folder(),
+        for path in [self.folder.join(format!("{id}.json")), self.overview_path(id)] {
+            match fs::remove_file(&path) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(io(&path, error)),
+                _ => {}
+            }
         }
+        self.sync_folder()
     }
 
     /// Name and notes of a flight.

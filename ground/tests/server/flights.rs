@@ -4,6 +4,7 @@ use crate::common::agent::Agent;
 use crate::common::viewer::frames;
 use crate::common::{Ground, api_counts, mcap_counts};
 use plumbline_proto::{Kind, v1};
+use plumbline_rest::flight::{OVERVIEW_COLUMNS, OVERVIEW_KINDS};
 
 async fn flown(ground: &Ground) -> (Agent, u64) {
     let mut agent = ground.agent("iris-1", 1).await;
@@ -128,6 +129,58 @@ async fn frames_can_be_asked_for_by_kind() {
         assert_eq!((refused.status, refused.error().as_str()), (422, why));
     }
     assert_eq!(ground.get("/api/v1/flights/f1/frames?colums=9").await.status, 422, "a misspelt one is not passed over");
+    let overview = frames(&ground.get(&format!("/api/v1/flights/f1/{}", overview())).await.body);
+    assert!(
+        overview.len() > thinned.len() && !folder.path().join("flights/f1.overview").exists(),
+        "too short to be kept"
+    );
+    ground.stop().await;
+}
+
+fn overview() -> String {
+    format!("frames?kinds={OVERVIEW_KINDS}&columns={OVERVIEW_COLUMNS}")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_charts_show_of_a_long_flight_is_kept_from_its_landing_on_and_goes_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let (mut agent, first) = flown(&ground).await;
+    agent.time_us += 121_000_000;
+    let tick = agent.tick();
+    agent.send(tick, false).await;
+    land(&ground, &mut agent, first).await;
+    let kept = folder.path().join("flights/f1.overview");
+    let begun = std::time::Instant::now();
+    while !kept.exists() {
+        assert!(begun.elapsed().as_secs() < 20, "nobody makes it");
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
+    let asked = async || ground.get(&format!("/api/v1/flights/f1/{}", overview())).await.body;
+    let sent = asked().await;
+    // Asked for otherwise, the same is read from the flight.
+    let backwards: Vec<_> = OVERVIEW_KINDS.rsplit(',').collect();
+    let read = format!("/api/v1/flights/f1/frames?kinds={}&columns={OVERVIEW_COLUMNS}", backwards.join(","));
+    assert_eq!(sent, ground.get(&read).await.body);
+    let file = std::fs::read(&kept).unwrap();
+    let head = file.len() - sent.len();
+    assert_eq!((&file[head..], file.iter().position(|byte| *byte == b'\n')), (&*sent, Some(head - 1)));
+    // What is kept is what is sent; what is of another file, or half there, is made anew.
+    std::fs::write(&kept, [&file[..head], b"kept"].concat()).unwrap();
+    assert_eq!(asked().await, b"kept");
+    for other in [&b"\"1.2.3\" 0.1.0\nother"[..], &file[..head / 2], b""] {
+        std::fs::write(&kept, other).unwrap();
+        assert_eq!((asked().await, std::fs::read(&kept).unwrap()), (sent.clone(), file.clone()));
+    }
+    assert_eq!(ground.request("DELETE", "/api/v1/flights/f1", "").await.status, 204);
+    let left: Vec<_> = std::fs::read_dir(folder.path().join("flights")).unwrap().flatten().collect();
+    assert!(left.is_empty(), "{left:?}");
+    // One whose flight somebody took away goes at the next start.
+    std::fs::write(&kept, &file).unwrap();
+    ground.stop().await;
+    let ground = Ground::start(folder.path()).await;
+    ground.wait_json("/api/v1/flights", |flights| flights["ready"] == true).await;
+    assert!(!kept.exists());
     ground.stop().await;
 }
 

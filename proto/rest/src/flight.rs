@@ -12,6 +12,12 @@ use crate::ground::Storage;
 pub use listing::{Column, Listing, MAX_PAGE, PAGE, page};
 pub use signal::{Samples, Signal, Signals, Spectrum};
 
+/// What `GET /api/v1/flights/{id}/frames` is asked for by charts of a long flight as a whole; the ground keeps the answer.
+pub const OVERVIEW_KINDS: &str =
+    "estimate,control,residuals,truth,height,status,attacks,event,step,description,secure,gains";
+/// Stretches of time that it is thinned to: charts are some 700 pixels wide.
+pub const OVERVIEW_COLUMNS: u64 = 600;
+
 /// `GET /api/v1/flights`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

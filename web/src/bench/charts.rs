@@ -1,8 +1,7 @@
 //! The benchmark: eight curves at 800×500, sliding and growing.
 
-use super::pixels::Pixels;
 use super::stage::Stage;
-use crate::gpu::{Backend, ChartView, Color, Content, FrameOutcome, Panel, Rect, Renderer, Style, Theme};
+use crate::gpu::{Backend, ChartView, Color, Content, FrameOutcome, Panel, Pixels, Rect, Renderer, Style, Theme};
 use crate::model::axis::{TimeAxis, ValueAxis};
 use crate::model::series::Series;
 
@@ -105,10 +104,10 @@ impl Bench {
         self.busy_ms.push(stage.now_ms() - now_ms);
         let [wide, high] = SIZE_PX.map(|px| (f64::from(px) * ratio) as u32);
         if self.frames == WARM_UP {
-            self.first = Pixels::read(stage, wide, high);
+            self.first = Pixels::read(&stage.drawn_on(), wide, high);
         }
         if self.frames > WARM_UP && now_ms - self.started_ms >= LENGTH_MS {
-            let last = Pixels::read(stage, wide, high);
+            let last = Pixels::read(&stage.drawn_on(), wide, high);
             self.report(stage, now_ms, last);
             return false;
         }

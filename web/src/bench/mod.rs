@@ -7,7 +7,6 @@
 
 mod charts;
 pub(crate) mod gallery;
-mod pixels;
 mod stage;
 
 use stage::Stage;

@@ -13,7 +13,7 @@ use web_sys::{
 use super::context::{FrameOutcome, FrameStats};
 use super::grid::Plot;
 use super::scene::{Panel, Rect};
-use super::screen::{Over, pixels};
+use super::screen::pixels;
 use super::sheet::{Ground, Sheet};
 use super::{Color, Theme};
 
@@ -59,8 +59,6 @@ struct Layout {
 /// Draws panels on one canvas, by a worker of the page.
 pub(super) struct Paper {
     worker: Worker,
-    /// Over the page's own, which can be given away once only; goes with the worker.
-    _over: Over,
     /// Has the worker ended by itself?
     ended: Rc<Cell<bool>>,
     /// Since the worker has had its last frame and has not said that it is drawn.
@@ -80,8 +78,8 @@ pub(super) struct Paper {
 }
 
 impl Paper {
-    /// Over this canvas, for the reason `why`; `None` where a page has no workers that draw, or where they end by themselves.
-    pub(super) async fn new(canvas: HtmlCanvasElement, why: String) -> Option<Self> {
+    /// On this canvas, which can be given away once only, for the reason `why`; `None` where a page has no workers that draw, or where they end by themselves.
+    pub(super) async fn new(canvas: &HtmlCanvasElement, why: String) -> Option<Self> {
         if ENDS.get() >= MOST_ENDS {
             return None;
         }
@@ -95,8 +93,7 @@ impl Paper {
             worker.set_onerror(Some(&failed));
         });
         wasm_bindgen_futures::JsFuture::from(begun).await.ok()?;
-        let over = Over::new(&canvas)?;
-        let given = over.canvas().transfer_control_to_offscreen().ok()?;
+        let given = canvas.transfer_control_to_offscreen().ok()?;
         worker.post_message_with_transfer(&given, &Array::of1(&given)).ok()?;
         let (busy, memory) = (Rc::new(Cell::new(true)), Rc::new(RefCell::new(None)));
         let (is_busy, back) = (busy.clone(), memory.clone());
@@ -115,7 +112,6 @@ impl Paper {
         worker.set_onerror(Some(failed.as_ref().unchecked_ref()));
         Some(Self {
             worker,
-            _over: over,
             ended,
             busy,
             memory,

@@ -35,9 +35,10 @@ impl Renderer {
             }
         }
         if let Some(why) = without_card()
-            && let Some(paper) = Paper::new(canvas.clone(), why).await
+            && let Some(over) = Over::new(&canvas)
+            && let Some(paper) = Paper::new(over.canvas(), why).await
         {
-            return Ok(Self { means: Means::Paper(Box::new(paper)), _over: None });
+            return Ok(Self { means: Means::Paper(Box::new(paper)), _over: Some(over) });
         }
         let Some(error) = failed else { return Self::new_webgl(canvas).await };
         let over = Over::new(&canvas).ok_or(error)?;

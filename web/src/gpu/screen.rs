@@ -7,9 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use wasm_bindgen::JsCast;
 use wasm_bindgen::closure::Closure;
-use web_sys::{CanvasRenderingContext2d, HtmlCanvasElement};
+use web_sys::HtmlCanvasElement;
 
 use super::error::GpuError;
+use super::pixels::Pixels;
 
 /// Which interface of the browser draws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -188,16 +189,7 @@ impl Screen {
 
     /// Is the canvas painted? To be asked by whoever just showed a frame, before the browser has its turn.
     pub(super) fn is_painted(&self) -> bool {
-        let look = || {
-            let seen = self.canvas.owner_document()?.create_element("canvas").ok()?;
-            let seen: HtmlCanvasElement = seen.dyn_into().ok()?;
-            let seen: CanvasRenderingContext2d = seen.get_context("2d").ok()??.dyn_into().ok()?;
-            seen.draw_image_with_html_canvas_element(&self.canvas, 0.0, 0.0).ok()?;
-            let pixel = seen.get_image_data(0.0, 0.0, 1.0, 1.0).ok()?.data();
-            // No page is black.
-            Some(pixel.iter().take(3).all(|channel| *channel > 0))
-        };
-        look().unwrap_or(false)
+        Pixels::read(&self.canvas, 1, 1).is_some_and(|pixels| pixels.are_painted())
     }
 }
 

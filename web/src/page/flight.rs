@@ -45,9 +45,6 @@ use facts::Summary;
 pub use report::ReportPage;
 use scrub::Scrub;
 
-/// Kinds the charts need; samples of IMUs and cameras stay in the file.
-const KINDS: &str = "estimate,control,residuals,truth,height,status,attacks,event,step,description,secure,gains";
-
 /// A recording, loaded.
 #[derive(Clone)]
 enum Loaded {

@@ -2,8 +2,9 @@
 //! the width of the charts; and beside it, in its place, every sample of what is looked at.
 
 use leptos::prelude::*;
+use plumbline_rest::flight::{OVERVIEW_COLUMNS, OVERVIEW_KINDS};
 
-use super::{KINDS, load};
+use super::load;
 use crate::{
     deck::{Deck, settled},
     event::Failure,
@@ -16,8 +17,8 @@ use crate::{
 
 /// A flight of up to so many seconds comes whole at once: 25 MB.
 const WHOLE_S: f64 = 60.0;
-/// Stretches of time that a longer one is thinned to: charts are some 700 pixels wide.
-const COLUMNS: f64 = 600.0;
+/// Stretches of time that a longer one is thinned to.
+const COLUMNS: f64 = OVERVIEW_COLUMNS as f64;
 /// While nothing is zoomed into, what lies about the play head is read in pieces so long, with so much before and after, s.
 const PIECE_S: f64 = 10.0;
 const BEFORE_S: f64 = 2.0;
@@ -31,9 +32,9 @@ const FLOWN: &str = "estimate,control,truth,height,status,secure";
 /// Messages of a flight that lasts `length_s`, thinned where it is long; `told` as by [`load`].
 pub(super) async fn overview(id: &str, length_s: f64, told: impl Fn(f64)) -> Result<Live, Failure> {
     if length_s <= WHOLE_S {
-        return load(id, KINDS, "", told).await;
+        return load(id, OVERVIEW_KINDS, "", told).await;
     }
-    let mut flight = load(id, KINDS, &format!("&columns={COLUMNS}"), told).await?;
+    let mut flight = load(id, OVERVIEW_KINDS, &format!("&columns={COLUMNS}"), told).await?;
     let thinned = std::mem::replace(&mut flight.curves, Curves::unbounded());
     flight.curves.refine(&thinned, length_s / COLUMNS, None, Whole::NOWHERE);
     Ok(flight)

@@ -1,41 +1,33 @@
 //! What is really on the canvas.
 
-use wasm_bindgen::prelude::wasm_bindgen;
-use wasm_bindgen::{JsCast, JsValue};
-use web_sys::{HtmlCanvasElement, ImageData};
+use wasm_bindgen::JsCast as _;
+use web_sys::{CanvasRenderingContext2d, HtmlCanvasElement};
 
-use super::stage::Stage;
-use crate::gpu::Color;
-
-#[wasm_bindgen]
-extern "C" {
-    /// The two calls needed of it; web-sys' whole binding would be compiled by every user of web-sys.
-    #[wasm_bindgen(js_name = CanvasRenderingContext2D)]
-    type Context2d;
-    #[wasm_bindgen(method, catch, js_name = drawImage)]
-    fn draw_image(this: &Context2d, source: &HtmlCanvasElement, x: f64, y: f64) -> Result<(), JsValue>;
-    #[wasm_bindgen(method, catch, js_name = getImageData)]
-    fn image_data(this: &Context2d, x: f64, y: f64, width: f64, height: f64) -> Result<ImageData, JsValue>;
-}
+use super::Color;
 
 /// A copy of part of the canvas: rows of r, g, b, a.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Pixels {
-    pub width: usize,
-    pub bytes: Vec<u8>,
+pub(crate) struct Pixels {
+    width: usize,
+    bytes: Vec<u8>,
 }
 
 impl Pixels {
     /// Copies the upper left corner. By a card only in the task that drew the frame: afterwards the browser may have emptied the
     /// buffer. By the processor it is the last frame that the browser has been given.
-    pub fn read(stage: &Stage, width: u32, height: u32) -> Option<Self> {
-        let copy: HtmlCanvasElement = stage.document.create_element("canvas").ok()?.dyn_into().ok()?;
+    pub fn read(canvas: &HtmlCanvasElement, width: u32, height: u32) -> Option<Self> {
+        let copy: HtmlCanvasElement = canvas.owner_document()?.create_element("canvas").ok()?.dyn_into().ok()?;
         copy.set_width(width);
         copy.set_height(height);
-        let context: Context2d = copy.get_context("2d").ok()??.dyn_into().ok()?;
-        context.draw_image(&stage.drawn_on(), 0.0, 0.0).ok()?;
-        let data = context.image_data(0.0, 0.0, f64::from(width), f64::from(height)).ok()?;
+        let context: CanvasRenderingContext2d = copy.get_context("2d").ok()??.dyn_into().ok()?;
+        context.draw_image_with_html_canvas_element(canvas, 0.0, 0.0).ok()?;
+        let data = context.get_image_data(0.0, 0.0, f64::from(width), f64::from(height)).ok()?;
         Some(Self { width: width as usize, bytes: data.data().0 })
+    }
+
+    /// Has anything been painted? No page is black.
+    pub fn are_painted(&self) -> bool {
+        self.bytes.iter().take(3).all(|channel| *channel > 0)
     }
 
     /// Share of the columns with at least one pixel of about this colour.
@@ -61,8 +53,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_white_canvas_shows_no_curve() {
+    fn a_white_canvas_is_painted_and_shows_no_curve() {
+        assert!(!Pixels { width: 1, bytes: vec![0; 4] }.are_painted());
         let mut pixels = Pixels { width: 4, bytes: vec![255; 4 * 4 * 3] };
+        assert!(pixels.are_painted());
         assert_eq!(pixels.columns_with(Color::hex(0x0072b2)), 0.0);
         let before = pixels.clone();
         pixels.bytes[20..23].copy_from_slice(&[0x02, 0x70, 0xb0]);
