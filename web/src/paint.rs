@@ -294,6 +294,8 @@ fn frame(
 struct Places {
     /// When somebody last did what may move them, ms.
     moved_ms: Rc<Cell<f64>>,
+    /// Hears of it.
+    moves: Closure<dyn Fn()>,
     looked_ms: f64,
     rects: Vec<Option<Rect>>,
 }
@@ -307,9 +309,7 @@ impl Places {
             // Captured: what scrolls inside the page tells nobody else. Fails for no name of an event.
             let _ = window().add_event_listener_with_callback_and_bool(name, moves.as_ref().unchecked_ref(), true);
         }
-        // For as long as the page lives.
-        moves.forget();
-        Self { moved_ms, looked_ms: f64::NEG_INFINITY, rects: Vec::new() }
+        Self { moved_ms, moves, looked_ms: f64::NEG_INFINITY, rects: Vec::new() }
     }
 
     fn of(&mut self, slots: &[Slot], height: f64) -> &[Option<Rect>] {
@@ -320,6 +320,15 @@ impl Places {
             self.rects = slots.iter().map(|slot| visible(slot, height)).collect();
         }
         &self.rects
+    }
+}
+
+impl Drop for Places {
+    fn drop(&mut self) {
+        for name in MOVES {
+            let hears = self.moves.as_ref().unchecked_ref();
+            let _ = window().remove_event_listener_with_callback_and_bool(name, hears, true);
+        }
     }
 }
 

@@ -10,6 +10,7 @@
 use std::fs::File;
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::net::Shutdown;
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -126,6 +127,8 @@ impl Sysfs {
         let written = options
             .write(true)
             .truncate(true)
+            // Whatever is there instead of the kernel's file is an error, never waited for: pulses that stop are tried again.
+            .custom_flags(libc::O_NONBLOCK)
             .open(&path)
             .and_then(|mut f| f.write_all(format!("{value}\n").as_bytes()));
         written.map_err(|source| DeviceError::Port { port: path.display().to_string(), source })

@@ -64,6 +64,8 @@ pub fn guarded(file: &Path, config: &AgentConfig) -> Result<GuardLine, Failure> 
         .arg("--config")
         .arg(file)
         .stdin(Stdio::from(OwnedFd::from(far)))
+        // It says nothing there, and outlives the agent: whoever reads the agent's output does not wait for it.
+        .stdout(Stdio::null())
         // Ctrl-C is for the agent alone: the guard ends when the agent has.
         .process_group(0)
         .spawn()?;

@@ -2,7 +2,8 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
-use std::sync::mpsc;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
 
 use super::tally::{CargoTestOutput, Tally};
 use super::{Workspace, XtaskError, browser, python, signals, tools, web, workspace};
@@ -162,19 +163,54 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     tally.skip(output.ignored, &absent.lines().filter_map(|line| Some(line.split_once(": ")?.0.to_owned())).collect());
 }
 
-/// Runs to the end, passing on each line of its standard output. True when it says success.
+/// What a command wrote is waited for so long after its end.
+const AFTER_END: Duration = Duration::from_secs(5);
+
+/// Runs to the end, passing on each line of its standard output. True when it says success. What it has started and left behind may hold its
+/// output open for ever: that is told, and not waited for.
 pub fn run_and_read(command: &mut std::process::Command, mut read: impl FnMut(&str)) -> Result<bool, XtaskError> {
     let line = workspace::command_line(command);
     let start = |source| XtaskError::Start { command: line.clone(), source };
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().map_err(start)?;
+    let (send, lines) = mpsc::channel();
     if let Some(stdout) = child.stdout.take() {
-        let mut lines = BufReader::new(stdout);
-        let mut bytes = Vec::new();
-        // Tests may print anything: bytes that are no UTF-8 must not end the reading.
-        while lines.read_until(b'\n', &mut bytes).map_err(start)? > 0 {
-            read(String::from_utf8_lossy(&bytes).trim_end_matches('\n'));
-            bytes.clear();
+        std::thread::spawn(move || {
+            let mut stdout = BufReader::new(stdout);
+            // Tests may print anything: bytes that are no UTF-8 must not end the reading.
+            let mut bytes = Vec::new();
+            while stdout.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
+                if send.send(std::mem::take(&mut bytes)).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    loop {
+        match lines.recv_timeout(AFTER_END) {
+            Ok(bytes) => read(String::from_utf8_lossy(&bytes).trim_end_matches('\n')),
+            Err(RecvTimeoutError::Disconnected) => return Ok(child.wait().map_err(start)?.success()),
+            Err(RecvTimeoutError::Timeout) => {
+                if let Some(status) = child.try_wait().map_err(start)? {
+                    eprintln!("xtask: {line} has ended, and something that it started has not");
+                    return Ok(status.success());
+                }
+            }
         }
     }
-    Ok(child.wait().map_err(start)?.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_command_leaves_behind_is_not_waited_for_and_every_line_is_read() {
+        let begun = std::time::Instant::now();
+        let mut lines = Vec::new();
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", "printf 'one\\n\\377\\n'; sleep 60 & echo three; exit 3"]);
+        let success = run_and_read(&mut command, |line| lines.push(line.to_owned())).unwrap();
+        assert!(!success && begun.elapsed() < 4 * AFTER_END, "{:?}", begun.elapsed());
+        assert_eq!(lines, ["one", "\u{fffd}", "three"]);
+    }
 }

@@ -91,7 +91,7 @@ fn Banner() -> impl IntoView {
                 <p class="banner"><b>"Charts are gone for the moment:"</b> " the browser took the graphics away. They come back by themselves; numbers and controls work."</p>
             })}
             {move || off.get().map(|why| view! {
-                <p class="banner"><b>"Numbers only:"</b> {format!(" this browser draws no WebGPU or WebGL2 ({why}). Everything still controls and cuts.")}</p>
+                <p class="banner"><b>"Numbers only:"</b> {format!(" no charts ({why}). Everything still controls and cuts.")}</p>
             })}
         </div>
     }

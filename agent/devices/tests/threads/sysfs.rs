@@ -50,3 +50,14 @@ fn a_channel_that_is_not_there_is_told_with_its_file() {
     assert!(error.contains("pwm2/period: No such file"), "{error}");
     assert_eq!(std::fs::read_to_string(folder.path().join("export")).unwrap(), "2\n");
 }
+
+#[test]
+fn what_nobody_reads_is_an_error_and_not_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pulses = chip(folder.path(), [0, 1, 2, 3]);
+    let pipe = folder.path().join("pwm1/duty_cycle");
+    std::fs::remove_file(&pipe).unwrap();
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let error = pulses.set(&[1000.0; 4]).unwrap_err().to_string();
+    assert!(error.contains("pwm1/duty_cycle: No such device or address"), "{error}");
+}
