@@ -104,13 +104,15 @@ impl Export {
             let (least, most) = COLUMNS.into_inner();
             return Err(RecordingError::Invalid(format!("columns {columns} is outside {least} to {most}")));
         }
-        let whole = Selection { from_s, to_s, ..Selection::default() } == Selection::default();
-        let asked = whole && kinds == Some(OVERVIEW_KINDS) && columns == Some(OVERVIEW_COLUMNS);
-        let overview = flight.overview.take().filter(|_| asked);
+        let selection = Selection { from_s, to_s, ..Selection::default() };
+        let overview = flight.overview.take();
         let reader = open(flight)?;
+        let range_us = selection.range_us(&reader)?;
         let length_s = reader.end_us().saturating_sub(reader.start_us()) as f64 * 1e-6;
-        let overview = overview.filter(|_| length_s >= OVERVIEW_FROM_S);
-        let range_us = Selection { from_s, to_s, ..Selection::default() }.range_us(&reader)?;
+        let asked = selection == Selection::default()
+            && (kinds, columns) == (Some(OVERVIEW_KINDS), Some(OVERVIEW_COLUMNS))
+            && length_s >= OVERVIEW_FROM_S;
+        let overview = overview.filter(|_| asked);
         let topics = match kinds {
             None => None,
             Some(names) => {
@@ -130,9 +132,9 @@ impl Export {
         Self::frames(flight, Some(OVERVIEW_KINDS), (0.0, f64::INFINITY), Some(OVERVIEW_COLUMNS))
     }
 
-    /// Is an overview kept of what it writes, that is not there yet?
-    pub(super) fn makes_overview(&self) -> bool {
-        matches!(&self.form, Form::Frames(Frames { overview: Some(overview), .. }) if overview.kept().is_none())
+    /// Is what it writes kept?
+    pub(super) fn is_kept(&self) -> bool {
+        matches!(&self.form, Form::Frames(Frames { overview: Some(_), .. }))
     }
 
     /// Writes the export; the same again each time.

@@ -169,7 +169,8 @@ impl Desk {
             Job::Close { id, track, completeness } => {
                 let agent_id = track.identity.agent_id.clone();
                 let completeness = self.close(&id, *track, completeness);
-                answer(Done::Closed { id, agent_id, completeness });
+                answer(Done::Closed { id: id.clone(), agent_id, completeness });
+                self.keep_overview(&id);
             }
             Job::Renew(mut flight) => {
                 let labels = self.store.labels(&flight.id);
@@ -294,22 +295,21 @@ impl Desk {
             let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
             tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
             indexed(self.index.put(&flight, stamp));
-            self.keep_overview(id);
         }
         *lock(&self.shared.set_aside) = self.store.set_aside();
         self.shared.changed.notify_one();
         completeness
     }
 
-    /// What has just landed is what people open next.
+    /// What has just landed is what people open next. Takes as long as reading the flight: nothing waits for it but the next job.
     fn keep_overview(&self, id: &str) {
+        if !self.store.has(id) {
+            return;
+        }
+        let going_on = || !self.shared.stopping.load(Ordering::Acquire);
         let keep = || {
             let export = Export::overview(self.store.open(id)?)?;
-            if export.makes_overview() {
-                export.write(&mut |_| !self.shared.stopping.load(Ordering::Acquire))
-            } else {
-                Ok(())
-            }
+            if export.is_kept() { export.write(&mut |_| going_on()) } else { Ok(()) }
         };
         if let Err(error) = keep() {
             tracing::warn!(flight = id, %error, "what charts show of it is made when it is opened");

@@ -4,11 +4,16 @@
 
 use std::fs;
 use std::path::PathBuf;
+use std::sync::Mutex;
 
 use plumbline_file::write_atomically;
 
 use super::export::WRITTEN;
-use super::folder::free_bytes;
+use super::store::RecordingStore;
+use crate::sync::lock;
+
+/// Two that open a flight at once make the same file, by way of the same temporary one.
+static WRITING: Mutex<()> = Mutex::new(());
 
 /// Where it is kept, or is to be.
 #[derive(Debug)]
@@ -16,14 +21,14 @@ pub(super) struct Overview {
     path: PathBuf,
     /// Its first line.
     head: String,
-    /// What is left free on the disk for flights being recorded, bytes.
-    reserve_bytes: u64,
+    /// Whose disk has room for it, or not.
+    store: RecordingStore,
 }
 
 impl Overview {
     /// Of the flight with this tag.
-    pub(super) fn new(path: PathBuf, tag: &str, reserve_bytes: u64) -> Self {
-        Self { path, head: format!("{tag} {WRITTEN}\n"), reserve_bytes }
+    pub(super) fn new(path: PathBuf, tag: &str, store: RecordingStore) -> Self {
+        Self { path, head: format!("{tag} {WRITTEN}\n"), store }
     }
 
     /// The batch; `None` where none is kept, or another file's.
@@ -34,10 +39,10 @@ impl Overview {
 
     /// Keeps the batch. A disk without room for it has it made again each time.
     pub(super) fn keep(&self, batch: &[u8]) {
-        let free = self.path.parent().map_or(0, free_bytes);
-        if free < self.reserve_bytes.saturating_add(batch.len() as u64) {
+        if self.store.room_for(batch.len() as u64).is_err() {
             return;
         }
+        let _turn = lock(&WRITING);
         if let Err(error) = write_atomically(&self.path, &[self.head.as_bytes(), batch].concat()) {
             tracing::warn!(path = %self.path.display(), %error, "what charts show of a flight is not kept");
         }
@@ -51,8 +56,10 @@ mod tests {
     #[test]
     fn what_is_of_another_file_or_has_no_room_is_not_kept() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("f1.overview");
-        let of = |tag, reserve_bytes| Overview::new(path.clone(), tag, reserve_bytes);
+        let path = folder.path().join("flights/f1.overview");
+        fs::create_dir(folder.path().join("flights")).unwrap();
+        let of =
+            |tag, reserve_bytes| Overview::new(path.clone(), tag, RecordingStore::new(folder.path(), reserve_bytes));
         assert_eq!(of("\"1\"", 0).kept(), None);
         of("\"1\"", u64::MAX).keep(b"batch");
         assert_eq!(of("\"1\"", 0).kept(), None, "no room");

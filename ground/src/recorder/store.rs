@@ -276,7 +276,7 @@ impl RecordingStore {
         let mut snapshot = Snapshot::open(&files).map_err(|e| damaged_file(&self.folder.join(id), e))?;
         snapshot._descriptors = Some(descriptors);
         snapshot.overview =
-            snapshot.finished().then(|| Overview::new(self.overview_path(id), &snapshot.tag(), self.reserve_bytes));
+            snapshot.finished().then(|| Overview::new(self.overview_path(id), &snapshot.tag(), self.clone()));
         Ok(snapshot)
     }
 

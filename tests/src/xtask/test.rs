@@ -175,19 +175,14 @@ pub fn run_and_read(command: &mut std::process::Command, mut read: impl FnMut(&s
     let (send, lines) = mpsc::channel();
     if let Some(stdout) = child.stdout.take() {
         std::thread::spawn(move || {
-            let mut stdout = BufReader::new(stdout);
             // Tests may print anything: bytes that are no UTF-8 must not end the reading.
-            let mut bytes = Vec::new();
-            while stdout.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
-                if send.send(std::mem::take(&mut bytes)).is_err() {
-                    return;
-                }
-            }
+            let mut lines = BufReader::new(stdout).split(b'\n');
+            while lines.next().is_some_and(|line| send.send(line).is_ok()) {}
         });
     }
     loop {
         match lines.recv_timeout(AFTER_END) {
-            Ok(bytes) => read(String::from_utf8_lossy(&bytes).trim_end_matches('\n')),
+            Ok(bytes) => read(&String::from_utf8_lossy(&bytes.map_err(start)?)),
             Err(RecvTimeoutError::Disconnected) => return Ok(child.wait().map_err(start)?.success()),
             Err(RecvTimeoutError::Timeout) => {
                 if let Some(status) = child.try_wait().map_err(start)? {

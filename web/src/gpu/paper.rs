@@ -78,7 +78,8 @@ pub(super) struct Paper {
 }
 
 impl Paper {
-    /// On this canvas, which can be given away once only, for the reason `why`; `None` where a page has no workers that draw, or where they end by themselves.
+    /// On this canvas, which can be given away once only, for the reason `why`; `None` where a page has no workers that draw, or where they
+    /// end by themselves.
     pub(super) async fn new(canvas: &HtmlCanvasElement, why: String) -> Option<Self> {
         if ENDS.get() >= MOST_ENDS {
             return None;

@@ -43,15 +43,14 @@ fn until(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
+/// Of a device that is lost after so much silence.
+fn options(name: &str, silence: Duration) -> Options {
+    Options { name: name.into(), delay_s: 0.0, silence, real_time: false, record_scans: false }
+}
+
 fn start(zero: &Zero) -> (Arc<AtomicU32>, Reader) {
     let does = Arc::<AtomicU32>::default();
-    let options = Options {
-        name: "fake".into(),
-        delay_s: 0.002,
-        silence: Duration::from_millis(200),
-        real_time: false,
-        record_scans: false,
-    };
+    let options = Options { delay_s: 0.002, ..options("fake", Duration::from_millis(200)) };
     (does.clone(), Reader::start(Box::new(Fake(does)), options, zero.clone()).unwrap())
 }
 
@@ -118,13 +117,7 @@ impl Driver for Chip {
 fn two_failed_transfers_cost_two_readings_and_the_third_the_device() {
     let zero = Zero::default();
     zero.set(Instant::now());
-    let options = Options {
-        name: "chip".into(),
-        delay_s: 0.0,
-        silence: Duration::from_millis(500),
-        real_time: false,
-        record_scans: false,
-    };
+    let options = options("chip", Duration::from_millis(500));
     let fail = Arc::<AtomicU32>::default();
     let mut reader = Reader::start(Box::new(Chip(fail.clone())), options, zero).unwrap();
     until("up", || reader.notice() == Some(Notice::Up));
@@ -166,13 +159,7 @@ impl Driver for Clocked {
 fn a_clock_that_goes_backwards_is_told_and_no_sample_goes_with_it() {
     let zero = Zero::default();
     zero.set(Instant::now());
-    let options = Options {
-        name: "clocked".into(),
-        delay_s: 0.0,
-        silence: Duration::from_secs(5),
-        real_time: false,
-        record_scans: false,
-    };
+    let options = options("clocked", Duration::from_secs(5));
     let mut reader = Reader::start(Box::new(Clocked(100_000)), options, zero).unwrap();
     let (mut told, mut last) = (None, plumbline_proto::time::FlightTime(0));
     until("told", || {
@@ -206,13 +193,7 @@ impl Driver for Other {
 
 #[test]
 fn a_device_that_speaks_another_version_is_lost_for_that() {
-    let options = Options {
-        name: "other".into(),
-        delay_s: 0.0,
-        silence: Duration::from_millis(100),
-        real_time: false,
-        record_scans: false,
-    };
+    let options = options("other", Duration::from_millis(100));
     let mut reader = Reader::start(Box::new(Other), options, Zero::default()).unwrap();
     until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.as_str() == "frame version 2 is not 1"));
 }
@@ -248,13 +229,7 @@ impl Driver for Scanner {
 fn scans_are_handed_over_where_they_are_asked_for_at_the_time_of_what_was_found_in_them() {
     let zero = Zero::default();
     zero.set(Instant::now() - Duration::from_secs(1));
-    let options = |record_scans| Options {
-        name: "scanner".into(),
-        delay_s: 0.0,
-        silence: Duration::from_secs(5),
-        real_time: false,
-        record_scans,
-    };
+    let options = |record_scans| Options { record_scans, ..options("scanner", Duration::from_secs(5)) };
     let mut reader = Reader::start(Box::new(Scanner(0)), options(true), zero.clone()).unwrap();
     until("more than there is room for", || reader.state().health().given_up > 2);
     let scans: Vec<_> = std::iter::from_fn(|| reader.scan()).take(SCANS).collect();
