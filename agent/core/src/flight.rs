@@ -61,6 +61,14 @@ pub enum FlightError {
     /// The rotors cannot give every wrench.
     #[error("airframe {0}: its rotors cannot give thrust and all three torques")]
     Allocation(String),
+    /// No altitude is within the limits.
+    #[error("limits.altitude_min_m = {least_m} is not below {most_m}: limits.altitude_max_m, or the rig's reach")]
+    Altitudes {
+        /// Lowest altitude setpoint, m.
+        least_m: f64,
+        /// Highest, m.
+        most_m: f64,
+    },
 }
 
 /// How far along a flight is.
@@ -98,11 +106,13 @@ struct Guidance {
     profile: Profile,
     /// What the operator asks for, within limits.
     target: Setpoint,
+    /// An altitude was asked for since the target was taken from where the vehicle is.
+    altitude_asked: bool,
     path: Option<Path>,
     /// Thrust and climb have looked like standing since.
     quiet_since: Option<FlightTime>,
-    /// Close to where it took off, not turning, since.
-    low_since: Option<FlightTime>,
+    /// As low as where it took off, not turning, since, and how far above that it was then, m.
+    low_since: Option<(FlightTime, f64)>,
     /// Raw height where it took off, m.
     takeoff_height_m: Option<f64>,
     /// Thrust that hovers, learned in flight, N.
@@ -117,8 +127,9 @@ struct Liveness {
     heartbeat: Option<FlightTime>,
     /// Last sign of life of the operator; `None` while none was given since the motors stood.
     operator: Option<FlightTime>,
-    battery_v: Option<f64>,
-    /// Charge left, 0..1, averaged over the sag of manoeuvres.
+    /// When the battery was measured last, and its voltage then, V: thrust goes on by it, however old it is.
+    battery: Option<(FlightTime, f64)>,
+    /// Charge left, 0..1, averaged over the sag of manoeuvres; `None` as well once the voltage is too old.
     charge: Option<f64>,
     log_error: Option<Text>,
     /// How many devices there are, and what is wrong with the first that gives no readings; `None` where none is there.
@@ -129,7 +140,8 @@ struct Liveness {
 /// What was told last of what changes often.
 #[derive(Debug, Default)]
 struct Told {
-    attack_phases: ArrayVec<AttackPhase, MAX_ATTACKS>,
+    /// Of each attack when its schedule was accepted, and its phase.
+    attack_phases: ArrayVec<(FlightTime, AttackPhase), MAX_ATTACKS>,
     attack_changes: u64,
     meter_sent: FlightTime,
     setpoint_told: FlightTime,
@@ -179,6 +191,10 @@ impl Flight {
         if !TICK_RATE_HZ.contains(&config.tick_rate_hz) {
             return Err(FlightError::TickRate(config.tick_rate_hz));
         }
+        let (least_m, most_m) = (config.limits.altitude_min_m, config.altitude_max_m());
+        if least_m >= most_m {
+            return Err(FlightError::Altitudes { least_m, most_m });
+        }
         let examiner = Examiner::new(&config.airframe, 1.0 / config.tick_rate_hz, config.margins)?;
         let gains = examiner.certify(&config.design, GainsRevision(0))?;
         let weight_n = config.airframe.weight_n();
@@ -216,6 +232,7 @@ impl Flight {
             guidance: Guidance {
                 profile: Profile::default(),
                 target: Setpoint::default(),
+                altitude_asked: false,
                 path: None,
                 quiet_since: None,
                 low_since: None,
@@ -249,8 +266,8 @@ impl Flight {
         self.supervision.watchdog.step(&received, dt_s);
         self.bank.step(&received, &self.report.applied, dt_s);
         self.guard(sensed.time);
-        let voltage_ratio =
-            self.liveness.battery_v.filter(|v| *v > 0.0).map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
+        let voltage_v = self.liveness.battery.map(|(_, v)| v).filter(|v| *v > 0.0);
+        let voltage_ratio = voltage_v.map_or(1.0, |v| v / self.config.airframe.battery.nominal_v());
         let flying = self.phase == Phase::Flying;
         self.support.step(&self.config.airframe, &received, &self.report.applied, voltage_ratio, flying, dt_s);
         self.watch_rotors(voltage_ratio, dt_s);
@@ -408,10 +425,10 @@ impl Flight {
         self.liveness.ticked = Some(sensed.time);
         let dt_s = if dt_s > 0.0 && dt_s < 10.0 * nominal { dt_s } else { nominal };
         if let Some(v) = sensed.battery_v.filter(|v| v.is_finite()) {
-            self.liveness.battery_v = Some(v);
+            self.liveness.battery = Some((sensed.time, v));
         }
         self.mixer.battery(sensed.battery_v, dt_s);
-        self.follow_charge(dt_s);
+        self.follow_charge(sensed.time, dt_s);
         dt_s
     }
 
@@ -469,7 +486,7 @@ impl Flight {
         let response = if self.phase == Phase::Flying && self.loops().altitude {
             self.guidance.meter.update(now, altitude_m, setpoint.position_enu_m.z)
         } else {
-            None
+            self.guidance.meter.ended()
         };
         let due = now.seconds_since(self.told.meter_sent) >= 0.1;
         let response = response.filter(|r| due || r.finished);

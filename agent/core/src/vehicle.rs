@@ -217,7 +217,7 @@ pub trait Vehicle: Send {
     }
 
     /// `gap_s` went by since the frame last sensed was due, and nobody flew. Returns how much of it the next frame passes
-    /// over, s: all of it for what moves on its own, nothing for a recording, which waits.
+    /// over, s: the whole ticks of it for what moves on its own, nothing for a recording, which waits.
     fn pass_over(&mut self, gap_s: f64) -> f64 {
         let _ = gap_s;
         0.0

@@ -1,7 +1,7 @@
 //! What is set reaches the flight; what is wrong is named.
 
 use super::*;
-use crate::flight::RigKind;
+use crate::flight::{Flight, RigKind};
 use crate::model::airframe::Airframe;
 use crate::sensor::Accuracy;
 use plumbline_proto::ids::SensorId;
@@ -41,6 +41,24 @@ fn what_is_set_reaches_the_flight_and_the_rest_keeps_its_default() {
 }
 
 #[test]
+fn limits_that_leave_no_altitude_make_no_flight() {
+    // What is left out keeps its default, and the rig's reach counts as well.
+    for (text, rig, most) in [
+        ("[limits]\naltitude_min_m = 2.5", RigKind::Free, "2.5 is not below 2:"),
+        (
+            "[limits]\naltitude_min_m = 1.6\naltitude_max_m = 3",
+            RigKind::Tethered { reach_m: 1.5 },
+            "1.6 is not below 1.5:",
+        ),
+    ] {
+        let mut flight = FlightConfig::new(Airframe::iris(), rig, &Suite::string_rig());
+        AgentConfig::from_toml(text).unwrap().apply(&mut flight).unwrap();
+        let refused = Flight::new(flight).unwrap_err().to_string();
+        assert!(refused.contains("limits.altitude_min_m") && refused.contains(most), "{refused}");
+    }
+}
+
+#[test]
 fn errors_name_key_and_value() {
     for (text, expected) in [
         ("flavour = 3", "flavour"),
@@ -67,5 +85,35 @@ fn errors_name_key_and_value() {
     ] {
         let message = AgentConfig::from_toml(text).unwrap_err().to_string();
         assert!(message.contains(expected), "{text}\ngives: {message}");
+    }
+}
+
+#[test]
+fn every_key_stands_in_the_instructions_of_the_package() {
+    let text = include_str!("../../../docs/install.md");
+    let words: Vec<&str> = text.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+    for table in [
+        "",
+        "[limits]",
+        "[attacks]",
+        "[failsafe]",
+        "[envelope]",
+        "[watermark]",
+        "[estimators]",
+        "[weights]",
+        "[site]",
+        "[controller]",
+        "[margins]",
+        "[log]",
+        "[link]",
+        "[[device]]",
+        "[motors]",
+    ] {
+        // Who is asked for a key that there is not names all that there are.
+        let message = AgentConfig::from_toml(&format!("{table}\nnowhere = 1")).unwrap_err().to_string();
+        let (_, known) = message.split_once("unknown field `nowhere`, expected ").unwrap();
+        for key in known.split('`').skip(1).step_by(2) {
+            assert!(words.contains(&key), "{table} {key}");
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Altitude on the string rig and in free flight: the figures that must be reached.
 
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_agent::types::Mode;
 use plumbline_support::flown::{Flown, check, expect, scenario};
 
 /// 0.5 → 1.0 m settles within ±5 cm in this time, s.
@@ -40,6 +41,18 @@ fn the_whole_string_rig_scenario_flies_lands_and_disarms() {
         expect(tension > 10.0, || format!("hangs with {tension:.1} N only"))
     });
     println!("{}", flown.log());
+}
+
+#[test]
+fn another_mode_ends_the_measurement_of_a_step_as_it_stands() {
+    let mut f = Flown::new(&scenario("altitude_step"));
+    f.until(15.5);
+    assert!(f.command(Command::SetMode(Mode::Land)).accepted);
+    f.tick();
+    let step = *f.steps.last().unwrap();
+    assert!(step.to_m == 0.8 && step.finished && step.interrupted, "{step:?}");
+    f.until(17.0);
+    assert_eq!(f.steps.last(), Some(&step));
 }
 
 #[test]

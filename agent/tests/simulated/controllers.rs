@@ -177,6 +177,10 @@ fn a_circle_is_followed_and_ends_where_it_should() {
     let too_far = Trajectory::Shape { shape: Shape::Circle { radius_m: 1.9, period_s: 20.0 }, duration_s: 0.0 };
     let refused = f.command(Command::Trajectory(Some(too_far)));
     assert!(!refused.accepted && refused.reason.contains("the path reaches y"), "{}", refused.reason);
+    // Inside the limits, but it could not stop there.
+    let too_fast = Trajectory::Shape { shape: Shape::Square { side_m: 1.9, period_s: 3.9 }, duration_s: 0.0 };
+    let refused = f.command(Command::Trajectory(Some(too_fast)));
+    assert!(!refused.accepted && refused.reason.contains("the path is too fast"), "{}", refused.reason);
     let from = f.last().report.setpoint.position_enu_m;
     let ack = f.command(Command::Trajectory(Some(Trajectory::Shape { shape, duration_s: 10.0 })));
     assert!(ack.accepted, "{}", ack.reason);

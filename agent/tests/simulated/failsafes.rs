@@ -4,6 +4,7 @@ use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::event::text;
 use plumbline_agent::flight::{Failsafe, FlightConfig};
+use plumbline_agent::frames::tilt_rad;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::Mode;
 use plumbline_proto::ids::SensorId;
@@ -115,6 +116,31 @@ fn an_operator_whose_page_falls_silent_is_waited_for_then_the_vehicle_lands() {
 }
 
 #[test]
+fn a_vehicle_that_stands_does_not_take_off_on_a_lost_link() {
+    // GIVEN it armed in hold on the floor, below the lowest altitude that may be asked for
+    let mut scenario = Scenario::from_toml(&scenario("takeoff")).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 4.5);
+    let mut config = scenario.flight_config();
+    config.limits.altitude_min_m = 0.5;
+    let mut f = Flown::with_config(scenario, config);
+    f.link_lost_s = 5.0;
+    f.until(6.9);
+    assert_eq!(f.flight.status().failsafe, Failsafe::LinkFreeze, "{}", f.log());
+    assert!(f.last().report.armed && f.rows.iter().all(|r| r.report.wrench.thrust_n == 0.0), "{}", f.log());
+}
+
+#[test]
+fn each_attack_of_a_schedule_that_replaces_another_is_told() {
+    let mut f = hovering();
+    for _ in 0..2 {
+        assert!(f.command(bias_on(SensorKind::Height, 2..=2, Kind::Bias, Channel::All, 0.3)).accepted);
+        f.tick();
+    }
+    let told = f.events.iter().filter(|e| e.text.contains(": accepted (")).count();
+    assert_eq!(told, 2, "{}", f.log());
+}
+
+#[test]
 fn spinning_too_fast_cuts_at_once_and_stays_cut() {
     // GIVEN one axis free, and a kick that no control could stop in time
     let toml = scenario("single_axis_roll")
@@ -163,6 +189,21 @@ fn too_much_tilt_cuts_and_stays_cut_until_released() {
     let released = f.command(Command::ReleaseCut);
     assert!(released.accepted, "{}", released.reason);
     assert_eq!(f.flight.status().mode, Mode::Disarmed);
+}
+
+#[test]
+fn holding_against_a_gust_is_no_loss_of_control_however_little_tilt_may_be_asked_for() {
+    // GIVEN hold, and no tilt at all for the operator WHEN a gust takes 15° to hold against THEN it leans and flies on
+    let gust = "\n[[push]]\nat_s = 12\nduration_s = 2.5\nforce_enu_n = [4, 0, 0]\n";
+    let mut scenario = Scenario::from_toml(&(scenario("hover") + gust)).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 20.0);
+    let mut config = scenario.flight_config();
+    config.limits.tilt_max_rad = 0.0;
+    let mut f = Flown::with_config(scenario, config);
+    f.until(14.5);
+    let leaning = f.since(12.0).filter(|r| tilt_rad(&r.truth.world_from_body) > 0.18).count();
+    assert!(leaning > 120, "leans for {leaning} ticks only");
+    assert_eq!(f.last().report.mode, Mode::Hold, "{}", f.log());
 }
 
 #[test]
@@ -272,12 +313,12 @@ fn the_operators_cut_is_immediate_latched_and_needs_no_link() {
     f.until(12.1);
     assert!(f.command(Command::CutMotors).accepted);
     f.tick();
-    assert_eq!(f.last().report.command.throttle, [0.0; 4]);
-    assert!(f.flight.status().cut_latched);
-    // Swinging on its strings it is not released.
+    let cut_s = f.last().t_s;
+    // Nothing but a release leads out of it.
+    assert!(!f.command(Command::Arm).accepted);
     f.until(12.6);
-    let ack = f.command(Command::ReleaseCut);
-    assert!(ack.accepted || ack.reason.contains("still turning"), "{}", ack.reason);
+    assert!(f.since(cut_s).all(|r| r.report.command.throttle == [0.0; 4]), "{}", f.log());
+    assert!(f.flight.status().cut_latched);
 }
 
 #[test]
@@ -332,6 +373,11 @@ fn orientation_keeps_below_lift_off_and_refuses_altitude() {
     // The string carries what the motors may not, and what swings about on it does not rise far.
     assert!(tension > 0.1 * f.flight.config().airframe.weight_n(), "{tension} N left on the string");
     assert!(z < 1.1, "lifted to {z}");
+    // There is nothing to come down from: asked to land, it stops.
+    let ack = f.command(Command::SetMode(Mode::Land));
+    assert!(ack.accepted && ack.reason.contains("strings, orientation: disarmed"), "{}", ack.reason);
+    f.tick();
+    assert_down(&f);
 }
 
 #[test]

@@ -54,12 +54,12 @@ fn random_gains_are_refused_or_flown() {
     assert_eq!(f.flight.gains_in_use().sha256, start.sha256, "a refused push changed something");
     assert_eq!(f.flight.gains_in_use().revision, start.revision);
 
-    // Good ones: up to four times more or less of every weight, applied in flight.
+    // Good ones: up to three times more or less of every weight, applied in flight.
     let mut applied = 0;
     for n in 0..60 {
         let mut weights = start.design.weights;
-        weights.state = weights.state.map(|w| w * 4.0_f64.powf(rng.random_range(-1.0..1.0)));
-        weights.input = weights.input.map(|w| w * 4.0_f64.powf(rng.random_range(-1.0..1.0)));
+        weights.state = weights.state.map(|w| w * 3.0_f64.powf(rng.random_range(-1.0..1.0)));
+        weights.input = weights.input.map(|w| w * 3.0_f64.powf(rng.random_range(-1.0..1.0)));
         let before = f.last().report.given.thrust_n;
         let ack = push(&mut f, &examiner, n + 1, weights);
         assert!(ack.accepted, "{}", ack.reason);

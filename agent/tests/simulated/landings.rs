@@ -1,10 +1,10 @@
 //! GIVEN any scenario of the workspace WHEN it is flown to its end, and landed where its script does not
 //! THEN the vehicle stands, disarmed, and no failsafe had to help.
 
-use plumbline_agent::command::Command;
+use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::estimate::{Estimate, Estimator, Health, ekf_bias::EkfBias};
 use plumbline_agent::event::EventKind;
-use plumbline_agent::flight::{Failsafe, Flight};
+use plumbline_agent::flight::{Failsafe, Flight, FlightConfig};
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::types::{EstimatorKind, Mode, MotorCommand};
 use plumbline_support::flown::{Flown, scenario};
@@ -65,26 +65,21 @@ fn every_scenario_ends_disarmed_with_a_healthy_estimator() {
     assert!(broken.is_empty(), "{broken}");
 }
 
-/// The EKF, which says from some time on that it is degraded and estimates a metre too much.
-struct Lost {
+/// The EKF, its estimate altered at each time, s.
+struct Altered {
     filter: EkfBias,
     estimate: Estimate,
-    from_s: f64,
+    alter: fn(f64, &mut Estimate),
 }
 
-impl Estimator for Lost {
+impl Estimator for Altered {
     fn kind(&self) -> EstimatorKind {
         self.filter.kind()
     }
 
     fn step(&mut self, received: &SensorFrame, applied: &MotorCommand) -> &Estimate {
         self.estimate = self.filter.step(received, applied).clone();
-        if received.time.as_seconds() > self.from_s {
-            self.estimate.health = Health::Degraded;
-            self.estimate.motion.as_mut().unwrap().position_enu_m.z += 1.0;
-            // So that neither the estimate nor the watchdog's agreement with it can help.
-            self.estimate.world_from_body *= nalgebra::UnitQuaternion::from_euler_angles(0.3, 0.0, 0.0);
-        }
+        (self.alter)(received.time.as_seconds(), &mut self.estimate);
         &self.estimate
     }
 
@@ -97,13 +92,50 @@ impl Estimator for Lost {
     }
 }
 
+/// The hover with such an estimator, its script up to `until_s`.
+fn altered(until_s: f64, change: impl FnOnce(&mut FlightConfig), alter: fn(f64, &mut Estimate)) -> Flown {
+    let mut f = Flown::new(&scenario("hover"));
+    let mut config = f.scenario.flight_config();
+    change(&mut config);
+    let altered = Altered { filter: EkfBias::new(config.sensor_model.clone()), estimate: Estimate::default(), alter };
+    f.flight = Flight::with_estimators(config, vec![Box::new(altered)]).unwrap();
+    f.scenario.script.steps.retain(|s| s.at_s < until_s);
+    f
+}
+
+/// From 14 s on it says that it is degraded and estimates a metre too much.
+fn lost(t_s: f64, estimate: &mut Estimate) {
+    if t_s > 14.0 {
+        estimate.health = Health::Degraded;
+        estimate.motion.as_mut().unwrap().position_enu_m.z += 1.0;
+        // So that neither the estimate nor the watchdog's agreement with it can help.
+        estimate.world_from_body *= nalgebra::UnitQuaternion::from_euler_angles(0.3, 0.0, 0.0);
+    }
+}
+
+/// From 4 s on it sinks.
+fn sinking(t_s: f64, estimate: &mut Estimate) {
+    if let Some(motion) = estimate.motion.as_mut() {
+        motion.position_enu_m.z -= 0.03 * (t_s - 4.0).max(0.0);
+    }
+}
+
+/// It takes the vehicle to be beside its box.
+fn beside(_t_s: f64, estimate: &mut Estimate) {
+    if let Some(motion) = estimate.motion.as_mut() {
+        motion.position_enu_m.x -= 2.5;
+    }
+}
+
+/// True height at which it was said to have landed, m.
+fn landed_m(f: &Flown) -> f64 {
+    let landed = f.events.iter().find(|e| e.text.as_str() == "landed").unwrap_or_else(|| panic!("{}", f.log()));
+    f.since(landed.time.as_seconds()).next().unwrap().truth.position_enu_m.z
+}
+
 #[test]
 fn a_descent_on_attitude_alone_ends_disarmed_soon_after_the_floor() {
-    let mut f = Flown::new(&scenario("hover"));
-    let config = f.scenario.flight_config();
-    let lost = Lost { filter: EkfBias::new(config.sensor_model.clone()), estimate: Estimate::default(), from_s: 14.0 };
-    f.flight = Flight::with_estimators(config, vec![Box::new(lost)]).unwrap();
-    f.scenario.script.steps.retain(|s| s.at_s < 10.0);
+    let mut f = altered(10.0, |_| {}, lost);
     f.until(13.9);
     assert!(f.last().report.armed && f.last().truth.position_enu_m.z > 0.8, "{}", f.log());
     f.until(24.0);
@@ -118,4 +150,49 @@ fn a_descent_on_attitude_alone_ends_disarmed_soon_after_the_floor() {
         "floor at {floor_s:.2} s, disarmed at {off_s:.2} s\n{log}"
     );
     assert_ne!(f.flight.failsafe(), Failsafe::TiltCut);
+}
+
+#[test]
+fn a_descent_on_attitude_alone_that_still_sinks_outlasts_its_time() {
+    let mut f = altered(10.0, |c| (c.failsafe.blind_descend_s, c.failsafe.descend_mps) = (1.0, 0.5), lost);
+    f.until(24.0);
+    assert!(f.log().contains("descending on attitude alone"), "{}", f.log());
+    let landed_m = landed_m(&f);
+    assert!(landed_m < 0.2 && !f.last().report.armed, "landed at {landed_m:.2} m\n{}", f.log());
+}
+
+#[test]
+fn a_landing_beside_its_stand_ends_on_the_floor() {
+    // GIVEN a vehicle that took off from a stand of a metre and went aside WHEN it lands THEN it comes down to the floor
+    let on_stand = scenario("takeoff").replace("[rig.free]\nheight_m = 0.0", "[rig.on_stand]\nheight_m = 1.0");
+    let mut f = Flown::new(&on_stand.replace("altitude_m = 1.0", "altitude_m = 1.6"));
+    f.until(9.0);
+    let aside = SetpointChange { x_m: Some(1.2), ..SetpointChange::default() };
+    assert!(f.command(Command::Setpoint(aside)).accepted);
+    f.until(13.0);
+    let place = f.last().truth.position_enu_m;
+    assert!((place.z - 1.6).abs() < 0.1 && place.x > 1.0, "at {place}\n{}", f.log());
+    assert!(f.command(Command::SetMode(Mode::Land)).accepted);
+    f.until(26.0);
+    let landed_m = landed_m(&f);
+    assert!(landed_m < 0.2 && !f.last().report.armed, "landed at {landed_m:.2} m\n{}", f.log());
+}
+
+#[test]
+fn an_estimate_that_sinks_on_the_ground_is_no_take_off() {
+    let mut f = altered(4.0, |_| {}, sinking);
+    f.until(4.1);
+    let ack = f.command(Command::SetMode(Mode::Hold));
+    assert!(ack.accepted, "{}", ack.reason);
+    f.until(9.0);
+    assert!(f.last().report.armed && f.last().estimate.motion.unwrap().position_enu_m.z < 0.0, "{}", f.log());
+    assert!(f.rows.iter().all(|r| r.report.wrench.thrust_n == 0.0), "it took off\n{}", f.log());
+}
+
+#[test]
+fn a_vehicle_that_stands_beside_its_box_is_not_armed() {
+    let mut f = altered(3.0, |_| {}, beside);
+    f.until(3.5);
+    let ack = f.command(Command::Arm);
+    assert!(!ack.accepted && ack.reason.contains("m aside, at most 2.00 m"), "{}", ack.reason);
 }

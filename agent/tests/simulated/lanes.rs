@@ -93,15 +93,6 @@ fn with_one_sensor_attacked_it_holds_and_excludes_no_other() {
         for (attack, seed) in ATTACKS.into_iter().zip(1..) {
             let held = hold(world, RIGS[seed as usize % 2], seed, attack, EstimatorKind::Lanes);
             println!("{world}, seed {seed}, {attack:?}: {held:?}");
-            if world == "datasheet" {
-                for other in [EstimatorKind::EkfBias, EstimatorKind::Secure] {
-                    println!(
-                        "  {}: {:?}",
-                        other.as_str_name(),
-                        hold(world, RIGS[seed as usize % 2], seed, attack, other)
-                    );
-                }
-            }
             assert!(held.failsafes.is_empty() && held.rms_m < rms_m, "{world}, {attack:?}: {held:?}");
             assert!(held.tilt_deg < 0.5 && held.falsely_s == 0.0, "{world}, {attack:?}: {held:?}");
             // On the bench every one of them is found.

@@ -8,6 +8,7 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::devices::Outage;
 use plumbline_agent::types::{EstimatorKind, Mode};
 use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use plumbline_support::flown::{Flown, scenario};
 
@@ -127,6 +128,25 @@ fn a_battery_nobody_measures_ends_on_the_floor_with_an_event_and_disarmed() {
     assert!(said.is_some_and(|at| at < sinks + 2.0), "sinks from {sinks} s on, said {said:?}\n{}", f.log());
     let off = f.rows.iter().find(|r| r.t_s > sinks && !r.report.armed).unwrap().t_s;
     assert!(off < sinks + 8.0, "sinks from {sinks} s on, disarmed at {off}");
+}
+
+#[test]
+fn a_battery_that_is_not_measured_any_more_has_no_charge_and_refuses_arming() {
+    let mut f = Flown::new(&scenario("altitude_step"));
+    f.until(2.0);
+    let mut frame = f.last().report.sensed;
+    assert!(frame.battery_v.is_some() && f.flight.status().battery_v.is_some());
+    frame.battery_v = None;
+    for t_s in [5.1, 5.2] {
+        frame.time = FlightTime::from_seconds(t_s);
+        f.flight.step(&frame);
+    }
+    let status = f.flight.status();
+    assert_eq!((status.battery_v, status.battery_fraction), (None, None));
+    let check = status.checks.iter().find(|check| check.name == "battery").unwrap();
+    assert!(!check.passed && check.reason.as_str() == "not measured any more, for 3 s", "{}", check.reason);
+    f.flight.drain_events(|e| f.events.push(*e));
+    assert_eq!(f.events.iter().filter(|e| e.text.contains("battery not measured for 3 s")).count(), 1, "{}", f.log());
 }
 
 #[test]

@@ -254,11 +254,15 @@ fn worse(a: &Margins, b: &Margins) -> Margins {
 }
 
 impl Certified {
-    /// Largest ‖K − K of `other`‖ / ‖K of `other`‖ over the rows, and which row it is; `None` between laws of
-    /// different kinds, or laws without K.
+    /// Largest ‖K − K of `other`‖ / ‖K of `other`‖ over the rows, with the horizontal loop closed and without it, and which
+    /// row it is; `None` between laws of different kinds, or laws without K.
     pub fn change_from(&self, other: &Self) -> Option<(&'static str, f64)> {
-        let ([new, _], [old, _]) = (self.law.gains()?, other.law.gains()?);
-        (self.law.kind() == other.law.kind()).then(|| change(new, old))
+        let ([new, new_attitude], [old, old_attitude]) = (self.law.gains()?, other.law.gains()?);
+        if self.law.kind() != other.law.kind() {
+            return None;
+        }
+        let (closed, open) = (change(new, old), change(new_attitude, old_attitude));
+        Some(if open.1 > closed.1 { open } else { closed })
     }
 
     /// Name of the controller.
@@ -483,6 +487,11 @@ mod tests {
         let (row, change) = b.change_from(&a).unwrap();
         assert!(row == "thrust" && change > 0.1 && change < 1.0, "{row} {change}");
         assert_eq!(a.change_from(&again).unwrap().1, 0.0);
+        // Without a horizontal position the second matrix flies.
+        let ([k, k_attitude], mut other) = (a.law.gains().unwrap(), a.clone());
+        other.law = Law::StateFeedback(LqrIntegral::new(&airframe, *k, 3.0 * k_attitude));
+        let (_, change) = other.change_from(&a).unwrap();
+        assert!((change - 2.0).abs() < 1e-9, "{change}");
         // The law examined is the law flown.
         let pid = certify(&airframe, 0.005, &Design::new(ControllerKind::Pid, &airframe), GainsRevision(2)).unwrap();
         assert!(pid.change_from(&a).is_none());

@@ -17,7 +17,9 @@
 use nalgebra::{DMatrix, SVector, Vector2, Vector3};
 
 use super::gains::Gain;
-use super::{COS_TILT_MIN, Controller, ControllerKind, Loops, SHORTFALL, Setpoint, Trim, Wrench};
+use super::{
+    COS_TILT_MIN, Controller, ControllerKind, Loops, SHORTFALL, Setpoint, TILT_FROM_POSITION_RAD, Trim, Wrench,
+};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
@@ -35,8 +37,6 @@ const VELOCITY_ERROR_MAX_MPS: [f64; 3] = [2.0, 2.0, 1.5];
 const YAW_ERROR_MAX_RAD: f64 = 0.5;
 /// Larger yaw errors are not integrated, rad: somebody holds the vehicle, or it is turning.
 const YAW_INTEGRATED_RAD: f64 = 0.2;
-/// Largest tilt the horizontal loop may ask for, rad.
-const TILT_FROM_POSITION_RAD: f64 = 0.30;
 /// Limits of the integrals: m s, m s, m s, rad s.
 const INTEGRAL_LIMIT: [f64; 4] = [2.0, 2.0, 1.5, 1.0];
 

@@ -40,6 +40,8 @@ impl Default for Trim {
 
 /// A wrench counts as not given when it differs by this fraction of the weight, or N m.
 const SHORTFALL: f64 = 1e-3;
+/// Largest roll and pitch that a horizontal loop asks for, each, beside what the setpoint does, rad.
+pub const TILT_FROM_POSITION_RAD: f64 = 0.30;
 /// Thrust is raised for tilt up to this (60°), no further.
 const COS_TILT_MIN: f64 = 0.5;
 

@@ -14,7 +14,9 @@
 use nalgebra::{DMatrix, Vector2, Vector3};
 
 use super::tuning::Parameter;
-use super::{COS_TILT_MIN, Controller, ControllerKind, Loops, Setpoint, Trim, Wrench, short_of};
+use super::{
+    COS_TILT_MIN, Controller, ControllerKind, Loops, Setpoint, TILT_FROM_POSITION_RAD, Trim, Wrench, short_of,
+};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::model::airframe::Airframe;
@@ -24,8 +26,6 @@ use crate::types::GRAVITY_MPS2;
 
 /// Limit of the position error, m.
 const POSITION_ERROR_MAX_M: f64 = 1.0;
-/// Limit of the tilt asked for, rad.
-const TILT_MAX_RAD: f64 = 0.30;
 /// Limit of the rates asked for, rad/s.
 const RATE_MAX_RADPS: f64 = 4.0;
 /// Limit of the yaw error, rad.
@@ -233,7 +233,7 @@ impl Controller for Pid {
             let a = (wanted * g.velocity.0 + self.velocity_integral) / GRAVITY_MPS2;
             let (sin, cos) = angles.z.sin_cos();
             let (ahead, left) = (cos * a.x + sin * a.y, cos * a.y - sin * a.x);
-            tilt += Vector2::new(-left, ahead).map(|v| v.clamp(-TILT_MAX_RAD, TILT_MAX_RAD));
+            tilt += Vector2::new(-left, ahead).map(|v| v.clamp(-TILT_FROM_POSITION_RAD, TILT_FROM_POSITION_RAD));
         }
 
         let thrust_n = if loops.altitude {

@@ -105,6 +105,13 @@ impl Profile {
     }
 }
 
+/// Where a profile that moves with `velocity_enu_mps` at `position_enu_m` comes to rest at the earliest, ENU, m.
+pub fn rests_at(position_enu_m: &Vector3<f64>, velocity_enu_mps: &Vector3<f64>) -> Vector3<f64> {
+    let brake = Vector3::new(HORIZONTAL_ACCELERATION_MPS2, HORIZONTAL_ACCELERATION_MPS2, VERTICAL_ACCELERATION_MPS2);
+    let braking = velocity_enu_mps.zip_map(&brake, |v, brake| 0.5 * v * v.abs() / brake);
+    position_enu_m + braking
+}
+
 fn towards(from: f64, to: f64, step: f64) -> f64 {
     from + (to - from).clamp(-step, step)
 }

@@ -8,8 +8,8 @@
 //! - steady error: mean of z − to over the last second;
 //! - tracking: root mean square of z minus the profiled setpoint, since the step.
 //!
-//! A step that is replaced while z is still outside the band is *interrupted*: told once more, as it
-//! stood. The next one is measured from its own change of the setpoint. Where z is then already past
+//! A step that is replaced, or ended by another mode, while z is still outside the band is *interrupted*: told
+//! once more, as it stood. The next one is measured from its own change of the setpoint. Where z is then already past
 //! 10 % no rise time is told, and what lies beyond the target counts as overshoot only after z has been
 //! on the near side: both belong to the step before.
 //!
@@ -51,7 +51,7 @@ pub struct StepResponse {
     pub steady_error_m: Option<f64>,
     /// Is the measurement over?
     pub finished: bool,
-    /// Another step began before the altitude was inside the band.
+    /// Another step or mode began before the altitude was inside the band.
     pub interrupted: bool,
     /// Root mean square of z minus the profiled setpoint since the step, m.
     pub tracking_rms_m: f64,
@@ -61,8 +61,8 @@ pub struct StepResponse {
 #[derive(Debug, Default)]
 pub struct StepMeter {
     current: Option<Measurement>,
-    /// Ended by the step in `current`, not told yet.
-    replaced: Option<StepResponse>,
+    /// Ended from outside, not told yet.
+    ended: Option<StepResponse>,
     steps: u32,
 }
 
@@ -90,11 +90,7 @@ impl StepMeter {
             return;
         }
         self.steps += 1;
-        self.replaced = self.current.as_ref().map(|m| m.response).filter(|r| !r.finished).map(|r| StepResponse {
-            finished: true,
-            interrupted: r.settling_time_s.is_none(),
-            ..r
-        });
+        self.end();
         let progress = (altitude_m - from_m) / (to_m - from_m);
         self.current = Some(Measurement {
             response: StepResponse {
@@ -122,7 +118,19 @@ impl StepMeter {
         });
     }
 
-    /// Ends the measurement (disarmed, another mode) and starts counting again with the next flight.
+    /// Ends the measurement as it stands: another step, another mode.
+    pub fn end(&mut self) {
+        if let Some(r) = self.current.take().map(|m| m.response).filter(|r| !r.finished) {
+            self.ended = Some(StepResponse { finished: true, interrupted: r.settling_time_s.is_none(), ..r });
+        }
+    }
+
+    /// What was ended so, once.
+    pub fn ended(&mut self) -> Option<StepResponse> {
+        self.ended.take()
+    }
+
+    /// Forgets the measurement (disarmed) and starts counting again with the next flight.
     pub fn reset(&mut self) {
         *self = Self::default();
     }
@@ -133,11 +141,13 @@ impl StepMeter {
     }
 
     /// Takes the altitude and the profiled setpoint of one tick; `Some` while a step is measured,
-    /// and once more when it ends, by itself or by the next step.
+    /// and once more when it ends, by itself or from outside.
     pub fn update(&mut self, time: FlightTime, altitude_m: f64, profiled_m: f64) -> Option<StepResponse> {
-        let m = self.current.as_mut().filter(|m| !m.response.finished)?;
-        m.take(time, altitude_m, profiled_m);
-        Some(self.replaced.take().unwrap_or(m.response))
+        let measured = self.current.as_mut().filter(|m| !m.response.finished).map(|m| {
+            m.take(time, altitude_m, profiled_m);
+            m.response
+        });
+        self.ended().or(measured)
     }
 }
 
@@ -295,5 +305,11 @@ mod tests {
         meter.begin(FlightTime::from_seconds(2.0), 0.8, 1.0, 0.8);
         let first = meter.update(FlightTime::from_seconds(2.01), 0.8, 0.8).unwrap();
         assert!(first.finished && !first.interrupted && first.settling_time_s.is_some(), "{first:?}");
+        // Another mode ends the second one as it stood.
+        meter.end();
+        let second = meter.update(FlightTime::from_seconds(2.02), 0.2, 0.2).unwrap();
+        assert!(second.finished && second.interrupted && second.to_m == 1.0, "{second:?}");
+        assert!(second.overshoot_percent == 0.0 && second.tracking_rms_m == 0.0, "{second:?}");
+        assert_eq!(meter.update(FlightTime::from_seconds(2.03), 0.2, 0.2), None);
     }
 }

@@ -7,7 +7,7 @@
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 
-use super::setpoint::Limits;
+use super::setpoint::{Limits, rests_at};
 
 /// Most altitudes of a list.
 pub const MAX_ALTITUDES: usize = 16;
@@ -16,7 +16,7 @@ const SOFT_START_S: f64 = 2.0;
 /// Largest horizontal speed and acceleration of a path, m/s, m/s².
 const SPEED_MAX_MPS: f64 = 2.0;
 const ACCELERATION_MAX_MPS2: f64 = 2.5;
-/// Points of a path looked at before it is flown.
+/// Points of a soft start and one turn that are looked at before a path is flown: more than 100 of a turn.
 const CHECKED: u32 = 400;
 /// Longest path, s.
 const DURATION_MAX_S: f64 = 3600.0;
@@ -207,6 +207,26 @@ pub fn moment(shape: &Shape, from_enu_m: &Vector3<f64>, t_s: f64) -> Moment {
 }
 
 impl Trajectory {
+    /// Moments of a shape from `from_enu_m` that stand for all of it: the soft start, one turn, which every other turn is
+    /// like, and the end; what moves on is farthest there. Of a list there are none.
+    pub fn moments(&self, from_enu_m: &Vector3<f64>) -> impl Iterator<Item = Moment> {
+        let (shape, turn_s) = match self {
+            Self::Shape { shape, .. } => (Some(shape), SOFT_START_S + shape.numbers().2),
+            Self::Altitudes { .. } => (None, 0.0),
+        };
+        let span_s = self.end_s().map_or(turn_s, |end_s| turn_s.min(end_s));
+        let times = (0..=CHECKED).map(move |step| span_s * f64::from(step) / f64::from(CHECKED)).chain(self.end_s());
+        shape.into_iter().flat_map(move |shape| times.clone().map(move |t_s| moment(shape, from_enu_m, t_s)))
+    }
+
+    /// When a shape ends by itself, s.
+    fn end_s(&self) -> Option<f64> {
+        match self {
+            Self::Shape { duration_s, .. } => Some(*duration_s).filter(|duration_s| *duration_s > 0.0),
+            Self::Altitudes { .. } => None,
+        }
+    }
+
     /// Is it all finite, within the limits and not too fast, when it begins at `from_enu_m`?
     ///
     /// # Errors
@@ -243,23 +263,31 @@ impl Trajectory {
                 // A sine that moves on must end; every other path comes back.
                 let least = if speed_mps == 0.0 { 0.0 } else { f64::MIN_POSITIVE };
                 within("duration_s", *duration_s, least, DURATION_MAX_S)?;
-                let span_s = if *duration_s > 0.0 { *duration_s } else { period_s + SOFT_START_S };
-                for step in 0..=CHECKED {
-                    let m = moment(shape, from_enu_m, span_s * f64::from(step) / f64::from(CHECKED));
-                    let (p, v) = (m.position_enu_m, m.velocity_enu_mps);
+                let inside = |p: &Vector3<f64>| -> Result<(), TrajectoryError> {
                     if shape.horizontal() {
                         leaves("x", p.x.abs(), limits.lateral_max_m, "m")?;
-                        leaves("y", p.y.abs(), limits.lateral_max_m, "m")?;
+                        leaves("y", p.y.abs(), limits.lateral_max_m, "m")
+                    } else {
+                        leaves("altitude", p.z, altitude_max_m, "m")?;
+                        leaves("depth", -p.z, -limits.altitude_min_m, "m")
+                    }
+                };
+                for m in self.moments(from_enu_m) {
+                    inside(&m.position_enu_m)?;
+                    let v = m.velocity_enu_mps;
+                    if shape.horizontal() {
                         leaves("speed", v.xy().norm(), SPEED_MAX_MPS, "m/s")?;
                         leaves("acceleration", m.acceleration_enu_mps2.xy().norm(), ACCELERATION_MAX_MPS2, "m/s²")?;
                     } else {
-                        leaves("altitude", p.z, altitude_max_m, "m")?;
-                        leaves("depth", -p.z, -limits.altitude_min_m, "m")?;
                         leaves("climb", v.z, limits.climb_max_mps, "m/s")?;
                         leaves("descent", -v.z, limits.descent_max_mps, "m/s")?;
                     }
                 }
-                Ok(())
+                // Behind its end it still brakes.
+                self.end_s().map_or(Ok(()), |end_s| {
+                    let end = moment(shape, from_enu_m, end_s);
+                    inside(&rests_at(&end.position_enu_m, &end.velocity_enu_mps))
+                })
             }
         }
     }
@@ -320,6 +348,16 @@ mod tests {
         assert_eq!(circle(f64::NAN, 8.0), "radius_m is NaN: it must be 0.01 to 4");
         assert!(check(SHAPES[3], 0.0).unwrap_err().starts_with("duration_s is 0"));
         assert!(check(SHAPES[3], 60.0).unwrap_err().contains("reaches x"));
+        // Too far in every turn, however many there are.
+        for duration_s in [0.0, 9.0, 3600.0] {
+            let deep = check(Shape::Heave { amplitude_m: 1.1, period_s: 9.0 }, duration_s).unwrap_err();
+            assert!(deep.starts_with("the path reaches"), "{deep}");
+        }
+        assert!(check(Shape::Heave { amplitude_m: 0.5, period_s: 9.0 }, 3600.0).is_ok());
+        // It ends inside at 1 m/s, and comes to rest half a metre behind.
+        let fast = Shape::Sine { amplitude_m: 0.1, period_s: 9.0, speed_mps: 1.0 };
+        assert!(check(fast, 2.4).is_ok());
+        assert!(check(fast, 2.9).unwrap_err().starts_with("the path reaches x 2.4"), "{:?}", check(fast, 2.9));
         let list = |z: &[f64]| Trajectory::Altitudes { altitude_m: z.iter().copied().collect(), hold_s: 5.0 };
         let check = |z: &[f64]| list(z).check(&Vector3::zeros(), &limits, 1.5).map_err(|e| e.to_string());
         assert!(check(&[0.5, 1.0]).is_ok());

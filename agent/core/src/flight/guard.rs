@@ -6,10 +6,11 @@ use plumbline_proto::v1::SensorKind;
 use super::landing::{STANDING_SPEED_MPS, TOUCHING_RADPS};
 use super::status::gives_altitude;
 use super::{AttackPhase, Failsafe, Flight, Phase};
+use crate::control::TILT_FROM_POSITION_RAD;
 use crate::control::setpoint::Limits;
 use crate::estimate::Health;
 use crate::event::{EventKind, Severity, Text, text};
-use crate::frames::tilt_rad;
+use crate::frames::{roll_pitch_yaw, tilt_rad};
 use crate::supervisor::monitor::{DESCENDS, Outward, climb_stops_m};
 use crate::supervisor::{Inputs, descent_limits, severity};
 use crate::types::{GRAVITY_MPS2, Mode, Setpoint};
@@ -93,7 +94,7 @@ impl Flight {
             imu_age_s,
             tilt_rad: self.supervision.watchdog.tilt_rad(),
             tilt_agreed_rad: self.supervision.watchdog.tilt_rad().min(tilt_rad(&estimate.world_from_body)),
-            tilt_max_rad: self.config.limits.tilt_max_rad,
+            tilt_max_rad: self.tilt_max_rad(),
             rate_radps: self.supervision.watchdog.rates_radps().norm(),
             raw_height_m,
             altitude_m: estimate.altitude_m(),
@@ -111,6 +112,17 @@ impl Flight {
             altitude_max_m: self.config.altitude_max_m(),
             lateral_max_m: self.config.limits.lateral_max_m,
         }
+    }
+
+    /// Largest tilt that may be asked for, rad: the limit; or where that is more, what the setpoint asks for about both axes
+    /// together, and what a horizontal loop may add to it about each.
+    fn tilt_max_rad(&self) -> f64 {
+        let loops = self.loops();
+        let heading_rad = roll_pitch_yaw(&self.bank.in_loop().world_from_body).z;
+        let asked = self.guidance.profile.setpoint().tilt_rad(loops, heading_rad);
+        let added_rad = if loops.horizontal { TILT_FROM_POSITION_RAD } else { 0.0 };
+        let cos = asked.map(|angle_rad| (angle_rad.abs() + added_rad).cos());
+        (cos.x * cos.y).acos().max(self.config.limits.tilt_max_rad)
     }
 
     /// The larger of the climb rates by estimate and by raw heights, m/s, and what the present thrust accelerates it by, m/s².
@@ -251,9 +263,9 @@ impl Flight {
 
     /// Hold without a horizontal position is altitude hold at the altitude that was asked for.
     fn leave_hold(&mut self) {
-        let altitude_m = self.guidance.target.position_enu_m.z;
+        let asked = (self.guidance.target.position_enu_m.z, self.guidance.altitude_asked);
         self.enter(Mode::AltitudeHold);
-        self.guidance.target.position_enu_m.z = altitude_m;
+        (self.guidance.target.position_enu_m.z, self.guidance.altitude_asked) = asked;
         self.supervision.position_lost = true;
     }
 
@@ -293,17 +305,24 @@ impl Flight {
         self.supervision.blind_since = None;
     }
 
-    /// Stays where the profile is, inside the limits.
+    /// Stays where the profile is, in flight inside the limits.
     fn freeze(&mut self) {
         self.guidance.path = None;
-        let limits = self.config.limits;
         let mut here = *self.guidance.profile.setpoint();
-        let p = &mut here.position_enu_m;
+        (here.roll_pitch_yaw_rad.x, here.roll_pitch_yaw_rad.y) = (0.0, 0.0);
+        (self.guidance.target, self.guidance.altitude_asked) = (here, false);
+        if self.phase == Phase::Flying {
+            self.limit_target();
+        }
+    }
+
+    /// Moves the target inside the limits.
+    fn limit_target(&mut self) {
+        let limits = self.config.limits;
+        let p = &mut self.guidance.target.position_enu_m;
         p.z = p.z.clamp(limits.altitude_min_m, self.config.altitude_max_m());
         p.x = p.x.clamp(-limits.lateral_max_m, limits.lateral_max_m);
         p.y = p.y.clamp(-limits.lateral_max_m, limits.lateral_max_m);
-        (here.roll_pitch_yaw_rad.x, here.roll_pitch_yaw_rad.y) = (0.0, 0.0);
-        self.guidance.target = here;
     }
 
     /// Lands from here; a vehicle that cannot lift just stops.
@@ -348,8 +367,9 @@ impl Flight {
         let flying = self.phase == Phase::Flying;
         let here = self.here();
         self.guidance.path = None;
+        self.guidance.meter.end();
         self.mode = mode;
-        self.guidance.target = here;
+        (self.guidance.target, self.guidance.altitude_asked) = (here, false);
         (self.guidance.quiet_since, self.guidance.low_since) = (None, None);
         if flying {
             // From rest at the present place: the integrators keep what they carry.
@@ -358,12 +378,8 @@ impl Flight {
         if !flying || mode != Mode::Stabilise {
             self.guidance.target.throttle = 0.0;
         }
-        let limits = self.config.limits;
         if flying && matches!(mode, Mode::AltitudeHold | Mode::Hold) {
-            let p = &mut self.guidance.target.position_enu_m;
-            p.z = p.z.clamp(limits.altitude_min_m, self.config.altitude_max_m());
-            p.x = p.x.clamp(-limits.lateral_max_m, limits.lateral_max_m);
-            p.y = p.y.clamp(-limits.lateral_max_m, limits.lateral_max_m);
+            self.limit_target();
         }
         self.event(Severity::Info, EventKind::Mode, text(format_args!("mode {}", mode_name(mode))));
     }
@@ -414,11 +430,11 @@ impl Flight {
         self.told.attack_changes = self.attacks.changes();
         let mut changed = arrayvec::ArrayVec::<_, { super::MAX_ATTACKS }>::new();
         for (i, progress) in self.attacks.state().iter().enumerate() {
-            if self.told.attack_phases.get(i) != Some(&progress.phase) {
+            if self.told.attack_phases.get(i) != Some(&(progress.accepted, progress.phase)) {
                 changed.push(*progress);
             }
         }
-        self.told.attack_phases = self.attacks.state().iter().map(|p| p.phase).collect();
+        self.told.attack_phases = self.attacks.state().iter().map(|p| (p.accepted, p.phase)).collect();
         for p in changed {
             let a = p.attack;
             let phase = match p.phase {

@@ -18,12 +18,14 @@ const STANDING_THRUST: f64 = 0.6;
 pub(super) const STANDING_SPEED_MPS: f64 = 0.15;
 /// Standing for this long is landed, s.
 const STANDING_S: f64 = 0.5;
-/// Raw heights within this of where it took off, m …
+/// Raw heights within this of where it took off, or lower, m …
 const TOUCHING_M: f64 = 0.05;
 /// … turning slower than this, rad/s …
 pub(super) const TOUCHING_RADPS: f64 = 0.2;
-/// … for this long, s, is landed too, whatever estimator and thrust say.
+/// … for this long, s, …
 const TOUCHING_S: f64 = 1.0;
+/// … in which it moves less than this part of what a descent does, is landed too, whatever estimator and thrust say.
+const TOUCHING_PART: f64 = 0.5;
 /// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard, …
 const BLIND_THRUST: f64 = 0.96;
 /// … less so much for each m/s that it climbs by its accelerometers: 2 m/s are gone within half a metre, …
@@ -49,6 +51,10 @@ impl Flight {
         let settings = self.config.failsafe;
         match self.phase {
             Phase::Idle { since } => {
+                if !self.guidance.altitude_asked {
+                    // What the estimate drifts by on the ground is no climb that anybody asked for.
+                    self.guidance.target.position_enu_m.z = self.motion().position_enu_m.z;
+                }
                 if self.wants_to_fly() {
                     self.controller.reset();
                     self.guidance.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
@@ -63,8 +69,8 @@ impl Flight {
                 }
             }
             Phase::Flying => {
-                let blind_over =
-                    self.supervision.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
+                let blind_over = !self.sinks_above_takeoff()
+                    && self.supervision.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
                 let (standing, touching) = (self.standing(now), self.touching(now));
                 if blind_over || standing || touching {
                     if self.mode == Mode::Stabilise {
@@ -85,6 +91,8 @@ impl Flight {
 
     fn wants_to_fly(&self) -> bool {
         match self.mode {
+            // Nobody is there to take off for.
+            _ if matches!(self.supervision.failsafe, Failsafe::LinkFreeze | Failsafe::OperatorFreeze) => false,
             Mode::Stabilise => self.guidance.target.throttle > THROTTLE_ACTIVE,
             // What an estimator makes of a landing without any measurement of the altitude is nothing to climb from.
             Mode::AltitudeHold | Mode::Hold if self.lasers() > 0 && self.supervision.watchdog.heights_fresh() == 0 => {
@@ -114,33 +122,56 @@ impl Flight {
         now.seconds_since(*self.guidance.quiet_since.get_or_insert(now)) > STANDING_S
     }
 
-    /// Back where it took off by the raw heights, and quiet: down, whatever the estimator says.
+    /// As low as where it took off by the raw heights, and quiet: down, whatever the estimator says. Beside a stand it comes
+    /// lower than that in the air, where it still sinks.
     fn touching(&mut self, now: FlightTime) -> bool {
-        if self.mode != Mode::Land
-            || !self.at_takeoff_height()
-            || self.supervision.watchdog.rates_radps().norm() > TOUCHING_RADPS
-        {
+        let quiet = self.mode == Mode::Land && self.supervision.watchdog.rates_radps().norm() <= TOUCHING_RADPS;
+        let Some(above_m) = self.above_takeoff_m().filter(|above_m| quiet && *above_m < TOUCHING_M) else {
             self.guidance.low_since = None;
             return false;
+        };
+        let most_m = TOUCHING_PART * self.limits_now().descent_max_mps * TOUCHING_S;
+        let (since, from_m) = *self.guidance.low_since.get_or_insert((now, above_m));
+        if (above_m - from_m).abs() > most_m {
+            self.guidance.low_since = Some((now, above_m));
+            return false;
         }
-        now.seconds_since(*self.guidance.low_since.get_or_insert(now)) > TOUCHING_S
+        now.seconds_since(since) > TOUCHING_S
     }
 
-    pub(super) fn at_takeoff_height(&self) -> bool {
+    /// Raw height above where it took off, m.
+    fn above_takeoff_m(&self) -> Option<f64> {
         let watchdog = &self.supervision.watchdog;
         // Blind, it may be that most heights are wrong: only all of them together say that it is down.
         let height_m = if self.supervision.blind_since.is_some() { watchdog.highest_m() } else { watchdog.height_m() };
-        let heights = height_m.zip(self.guidance.takeoff_height_m);
-        heights.is_some_and(|(height_m, takeoff_m)| height_m < takeoff_m + TOUCHING_M)
+        height_m.zip(self.guidance.takeoff_height_m).map(|(height_m, takeoff_m)| height_m - takeoff_m)
+    }
+
+    pub(super) fn at_takeoff_height(&self) -> bool {
+        self.above_takeoff_m().is_some_and(|above_m| above_m.abs() < TOUCHING_M)
+    }
+
+    /// By accelerometers and raw heights.
+    fn sinks(&self) -> bool {
+        self.supervision.watchdog.coasting_mps().is_some_and(|climb_mps| climb_mps < -STANDING_SPEED_MPS)
+    }
+
+    /// A descent on attitude alone that began high is not over yet.
+    fn sinks_above_takeoff(&self) -> bool {
+        self.above_takeoff_m().is_some_and(|above_m| above_m > TOUCHING_M) && self.sinks()
     }
 
     /// Throttle of a descent on attitude alone: with the slope of the raw heights where there are any.
     pub(super) fn blind_throttle(&self) -> f64 {
+        let settings = &self.config.failsafe;
         let blind_s =
             self.supervision.blind_since.zip(self.liveness.ticked).map_or(0.0, |(t, now)| now.seconds_since(t));
-        let sinks_mps = self.config.failsafe.descend_mps + SETTLING.1 * (blind_s - SETTLING.0).max(0.0);
+        // From high up it goes on sinking as fast as then.
+        let settling_s = (blind_s.min(settings.blind_descend_s) - SETTLING.0).max(0.0);
+        let sinks_mps = settings.descend_mps + SETTLING.1 * settling_s;
+        let low = self.above_takeoff_m().is_some_and(|above_m| above_m < TOUCHING_M);
         let share = match self.supervision.watchdog.climb_mps() {
-            _ if self.at_takeoff_height() => BLIND_RANGE.0,
+            _ if low && !self.sinks() => BLIND_RANGE.0,
             Some(climb_mps) => (1.0 - BLIND_GAIN_SPM * (climb_mps + sinks_mps)).clamp(BLIND_RANGE.0, BLIND_RANGE.1),
             None => {
                 let climb_mps = self.supervision.watchdog.coasting_mps().unwrap_or(0.0);

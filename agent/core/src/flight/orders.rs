@@ -172,6 +172,12 @@ impl Flight {
         if mode == Mode::Stabilise && self.config.actuation == Actuation::Pose {
             return Err(text(format_args!("stabilise: by pose the autopilot controls attitude and thrust")));
         }
+        // What stands, or is held by a rig in which it cannot lift, has nothing to come down from.
+        if mode == Mode::Land && (self.phase != Phase::Flying || !self.config.rig.can_lift()) {
+            let place = if self.phase == Phase::Flying { self.config.rig.name() } else { "on the ground" };
+            self.disarm(text(format_args!("disarmed: asked to land, {place}")));
+            return Ok(text(format_args!("{place}: disarmed")));
+        }
         if mode != Mode::Stabilise && !self.config.rig.can_lift() {
             let rig = self.config.rig.name();
             return Err(text(format_args!("{rig}: no {}, only stabilise", mode_name(mode))));
@@ -188,10 +194,6 @@ impl Flight {
         // Landing without a height is a descent on attitude alone.
         if mode != Mode::Land {
             can_fly(kind, estimate, mode)?;
-        }
-        if mode == Mode::Land && self.phase != Phase::Flying {
-            self.disarm(text(format_args!("disarmed: asked to land while on the ground")));
-            return Ok(text(format_args!("on the ground: disarmed")));
         }
         // Handed over and taken back in turns, a vehicle would be in neither mode.
         if self.supervision.monitor.blinded() && mode != Mode::Land {

@@ -8,6 +8,7 @@ use plumbline_proto::time::FlightTime;
 use super::{Flight, Phase};
 use crate::control::trajectory::{Trajectory, moment};
 use crate::event::{EventKind, Severity, Text, text};
+use crate::supervisor::monitor::{Outward, climb_stops_m};
 use crate::types::{Mode, Setpoint};
 
 /// What is flown, since when, from where.
@@ -48,6 +49,7 @@ impl Flight {
         trajectory
             .check(&from_enu_m, &self.config.limits, self.config.altitude_max_m())
             .map_err(|e| text(format_args!("{e}")))?;
+        self.check_stops(trajectory, horizontal, &from_enu_m)?;
         let mut path = Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 };
         let done = match trajectory {
             Trajectory::Shape { shape, .. } => text(format_args!("path begins: {shape:?}")),
@@ -65,12 +67,37 @@ impl Flight {
         Ok(done)
     }
 
+    /// Would the monitor of the box let a shape be flown to its end? It judges by where the vehicle could come to rest.
+    fn check_stops(&self, trajectory: &Trajectory, horizontal: bool, from_enu_m: &Vector3<f64>) -> Result<(), Text> {
+        let margin_m = self.config.failsafe.box_margin_m;
+        for at in trajectory.moments(from_enu_m) {
+            let (p, v, a) = (at.position_enu_m, at.velocity_enu_mps, at.acceleration_enu_mps2);
+            let aside_m = |(axis, side): (usize, f64)| {
+                let (distance_m, speed_mps, pull_mps2) = (p[axis] * side, v[axis] * side, a[axis] * side);
+                Outward { distance_m, speed_mps, pull_mps2 }.stops_m(0.0)
+            };
+            let (stops_m, limit_m) = if horizontal {
+                let sides = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)];
+                (sides.map(aside_m).into_iter().fold(0.0, f64::max), self.config.limits.lateral_max_m)
+            } else {
+                (p.z + climb_stops_m(v.z, a.z), self.config.altitude_max_m())
+            };
+            let ends_m = limit_m + margin_m;
+            if stops_m > ends_m {
+                return Err(text(format_args!(
+                    "the path is too fast: on it the vehicle stops at {stops_m:.2} m, the box ends at {ends_m:.2} m"
+                )));
+            }
+        }
+        Ok(())
+    }
+
     /// Makes an altitude the target, and measures the step to it from the target before; on the ground, from there.
     pub(super) fn climb_to(&mut self, to_m: f64, now: FlightTime) {
         let altitude_m = self.motion().position_enu_m.z;
         let from_m = if self.phase == Phase::Flying { self.guidance.target.position_enu_m.z } else { altitude_m };
         self.guidance.meter.begin(now, from_m, to_m, altitude_m);
-        self.guidance.target.position_enu_m.z = to_m;
+        (self.guidance.target.position_enu_m.z, self.guidance.altitude_asked) = (to_m, true);
     }
 
     /// Stops a path where its setpoint is.

@@ -87,7 +87,7 @@ pub struct FlightStatus {
     pub checks: ArrayVec<Check, MAX_CHECKS>,
     /// Do they all pass?
     pub ready_to_arm: bool,
-    /// Battery voltage, V; `None` when not measured.
+    /// Battery voltage, V; `None` when not measured, or not any more.
     pub battery_v: Option<f64>,
     /// Charge left, 0 to 1, from the voltage; `None` when not measured.
     pub battery_fraction: Option<f64>,

@@ -9,7 +9,7 @@ use super::report::MAX_CHECKS;
 use super::{Check, EnvelopeDemand, Flight, FlightStatus, Phase, RigKind};
 use crate::control::gains::Certified;
 use crate::estimate::Health;
-use crate::event::{Text, text};
+use crate::event::{EventKind, Severity, Text, text};
 use crate::model::motor;
 use crate::types::{Actuation, EstimatorKind};
 
@@ -21,6 +21,8 @@ const RATE_MAX_RADPS: f64 = 0.524;
 const CHARGE_RESERVE: f64 = 0.05;
 /// The charge is averaged over this long, s: its voltage sags in every manoeuvre.
 const CHARGE_TIME_CONSTANT_S: f64 = 1.0;
+/// A voltage older than this says nothing of the charge, s.
+const VOLTAGE_MAX_AGE_S: f64 = 3.0;
 /// An IMU sample older than this is not fresh, s.
 pub(super) const IMU_MAX_AGE_S: f64 = 0.1;
 
@@ -81,13 +83,17 @@ impl Flight {
             check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));
         }
 
-        match (self.liveness.battery_v, self.liveness.charge) {
-            (Some(v), Some(charge)) => {
+        match (self.liveness.battery, self.liveness.charge) {
+            (Some((_, v)), Some(charge)) => {
                 let least = self.config.failsafe.battery_warn + CHARGE_RESERVE;
                 let line = text(format_args!("{v:.2} V, {:.0} %, at least {:.0} %", 100.0 * charge, 100.0 * least));
                 check("battery", charge >= least, line);
             }
-            _ => check("battery", true, text(format_args!("not measured"))),
+            (Some((measured, _)), None) => {
+                let age_s = now.seconds_since(measured);
+                check("battery", false, text(format_args!("not measured any more, for {age_s:.0} s")));
+            }
+            (None, _) => check("battery", true, text(format_args!("not measured"))),
         }
 
         let link = self.link_age_s(now);
@@ -95,8 +101,17 @@ impl Flight {
             text(format_args!("last heartbeat {link:.2} s ago, at most {} s", self.config.failsafe.link_freeze_s));
         check("link", link <= self.config.failsafe.link_freeze_s, line);
 
-        let (z, most) = (estimate.motion_or_rest().position_enu_m.z, self.config.altitude_max_m());
-        check("box", z <= most, text(format_args!("altitude {z:.2} m, at most {most:.2} m")));
+        let (motion, side) = (estimate.motion_or_rest(), self.config.limits.lateral_max_m);
+        let (z, most) = (motion.position_enu_m.z, self.config.altitude_max_m());
+        // As in flight, what is measured has a veto beside the estimate.
+        let estimated = motion.horizontal_known.then_some(motion.position_enu_m.xy().amax());
+        let measured = (0..2).filter_map(|axis| self.supervision.watchdog.place(axis)).map(|(m, _)| m.abs());
+        let outside = measured.chain(estimated).reduce(f64::max).filter(|aside| *aside > side);
+        let mut line = text(format_args!("altitude {z:.2} m, at most {most:.2} m"));
+        if let Some(aside) = outside {
+            line = text(format_args!("{line}; {aside:.2} m aside, at most {side:.2} m"));
+        }
+        check("box", z <= most && outside.is_none(), line);
 
         match &self.liveness.log_error {
             None => check("log", true, text(format_args!("writing"))),
@@ -131,7 +146,7 @@ impl Flight {
             disarms_in_s: self.disarms_in_s(now),
             ready_to_arm: !self.armed() && checks.iter().all(|c| c.passed),
             checks,
-            battery_v: self.liveness.battery_v,
+            battery_v: self.liveness.charge.and(self.liveness.battery).map(|(_, v)| v),
             battery_fraction: self.liveness.charge,
             estimator_in_loop: self.bank.in_loop_kind(),
             deadline_misses: self.liveness.deadline_misses,
@@ -188,9 +203,16 @@ impl Flight {
         &self.gains
     }
 
-    /// Follows the charge left: the voltage with the sag of what the motors draw taken out.
-    pub(super) fn follow_charge(&mut self, dt_s: f64) {
-        let Some(voltage_v) = self.liveness.battery_v else { return };
+    /// Follows the charge left: the voltage with the sag of what the motors draw taken out. Of an old one nothing is left.
+    pub(super) fn follow_charge(&mut self, now: FlightTime, dt_s: f64) {
+        let Some((measured, voltage_v)) = self.liveness.battery else { return };
+        if now.seconds_since(measured) > VOLTAGE_MAX_AGE_S {
+            if self.liveness.charge.take().is_some() {
+                let line = text(format_args!("battery not measured for {VOLTAGE_MAX_AGE_S} s: charge not known"));
+                self.event(Severity::Warning, EventKind::Warning, line);
+            }
+            return;
+        }
         let airframe = &self.config.airframe;
         let ratio = voltage_v / airframe.battery.nominal_v();
         let speeds = motor::steady_speed(airframe, &self.report.applied.throttle, ratio);

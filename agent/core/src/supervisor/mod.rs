@@ -9,7 +9,7 @@
 //! | no fresh IMU sample for 80 ms in flight | cut, latched |
 //! | flight thread silent for 100 ms | cut, latched; the motors' own time-out has stopped them |
 //! | tilt > 60° for 0.3 s, or rate > 1000 °/s | cut, latched |
-//! | in flight, tilt > 10° more than may be asked for, by watchdog and estimator, for 0.5 s | cut, latched |
+//! | in flight, tilt > 10° more than may be asked for in this mode, by watchdog and estimator, for 0.5 s | cut, latched |
 //! | about to leave the box, in any mode | take over with altitude control, hold at the edge, then descend |
 //! | no height where the mode needs one | descend on attitude alone |
 //! | no horizontal position in hold | altitude hold, then descend |
@@ -88,7 +88,7 @@ pub struct Settings {
     pub landed_s: f64,
     /// Descent of a failsafe, m/s.
     pub descend_mps: f64,
-    /// A descent on attitude alone ends with the motors off after this long, s.
+    /// A descent on attitude alone ends with the motors off after this long, s, or later, once it sinks no more.
     pub blind_descend_s: f64,
 }
 

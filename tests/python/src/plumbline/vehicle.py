@@ -129,7 +129,8 @@ class Control:
         return self._send("POST", "arm")
 
     def disarm(self) -> models.Answer:
-        """Disarms; refused in flight."""
+        """Disarms; refused in flight, unless the rig catches the vehicle: there the motors stop and it falls into its
+        strings."""
         return self._send("POST", "disarm")
 
     def cut(self) -> models.Answer:

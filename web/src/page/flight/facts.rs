@@ -114,7 +114,7 @@ fn StepTable(steps: Vec<Step>) -> impl IntoView {
                         <td class="num">{seconds(s.rise_time_s)}</td>
                         <td class="num">{format::fixed(s.overshoot_percent, 1)}</td>
                         {if s.interrupted {
-                            view! { <td class="quiet" colspan="2" title="The next step began before this one was inside the band">"interrupted"</td> }.into_any()
+                            view! { <td class="quiet" colspan="2" title="The next step, or another mode, began before this one was inside the band">"interrupted"</td> }.into_any()
                         } else {
                             view! {
                                 <td class="num">{seconds(s.settling_time_s)}</td>

@@ -27,7 +27,7 @@ use super::reduction::{residualise_fastest, split_slowest};
 use super::synthesis::{central, optimal_gamma};
 use super::weights::{Weight, mixed_sensitivity};
 use crate::control::tuning::Parameter;
-use crate::control::{COS_TILT_MIN, Controller, Trim, short_of};
+use crate::control::{COS_TILT_MIN, Controller, TILT_FROM_POSITION_RAD, Trim, short_of};
 use crate::estimate::Estimate;
 use crate::frames::{roll_pitch_yaw, wrap_pi};
 use crate::linalg::LinalgError;
@@ -67,8 +67,6 @@ const SLOW_MAX: [f64; 4] = [1.5, 3.0, 20.0, 5.0];
 const INTEGRATED_MAX: [f64; 4] = [f64::INFINITY, f64::INFINITY, 0.2, 0.1];
 /// Limits of the errors that stiffness and slow part answer: m horizontally, m vertically, rad of tilt, rad of yaw.
 const ERROR_MAX: [f64; 4] = [1.0, 0.5, 1.0, 0.5];
-/// Limit of the tilt asked for, rad.
-const TILT_MAX_RAD: f64 = 0.30;
 
 /// One channel's law, sampled: acceleration from the error. The slow part's state is what it gives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -305,8 +303,8 @@ impl Controller for Hinf {
             let ax = self.horizontal.run(x, error.x, stands) / GRAVITY_MPS2;
             let ay = self.horizontal.run(y, error.y, stands) / GRAVITY_MPS2;
             let (sin, cos) = angles.z.sin_cos();
-            tilt.x += limited(sin * ax - cos * ay, TILT_MAX_RAD);
-            tilt.y += limited(cos * ax + sin * ay, TILT_MAX_RAD);
+            tilt.x += limited(sin * ax - cos * ay, TILT_FROM_POSITION_RAD);
+            tilt.y += limited(cos * ax + sin * ay, TILT_FROM_POSITION_RAD);
         } else {
             (*x, *y) = (Memory::default(), Memory::default());
         }
