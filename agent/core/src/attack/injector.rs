@@ -9,7 +9,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::kinds::Kind;
 use super::schedule::{Attack, AttackError, Bounds, MAX_ATTACKS, Schedule, Sequence};
 use crate::model::airframe::Airframe;
-use crate::sensor::sample::Scalars;
+use crate::sensor::sample::{Scalars, same};
 use crate::sensor::{MAX_SENSORS, Registered, SensorFrame, Visitor};
 use crate::types::{MotorCommand, ROTORS};
 
@@ -73,6 +73,11 @@ impl History {
         older.iter().chain(newer)
     }
 
+    /// Newest value.
+    fn last(&self) -> Option<Scalars> {
+        self.iter().next_back().map(|(_, values)| *values)
+    }
+
     /// Newest value not later than `time`.
     fn at(&self, time: FlightTime) -> Option<Scalars> {
         self.iter().rev().find(|(t, _)| *t <= time).map(|(_, values)| *values)
@@ -90,6 +95,8 @@ struct Slot {
     held: Option<Scalars>,
     /// The window before the onset (replay); room is made at upload.
     window: Vec<(FlightTime, Scalars)>,
+    /// How long it is, µs.
+    window_us: u64,
     /// What a bias follows.
     sequence: Option<Sequence>,
 }
@@ -188,6 +195,7 @@ impl Injector {
                 rng: Xoshiro256PlusPlus::seed_from_u64(attack.seed),
                 held: None,
                 window: if attack.kind == Kind::Replay { Vec::with_capacity(HISTORY) } else { Vec::new() },
+                window_us: 0,
                 sequence: schedule.sequences.iter().find(|sequence| sequence.attack == attack.id).cloned(),
             });
             progress.push(Progress {
@@ -305,7 +313,7 @@ impl Running<'_> {
             let before = (values, stamp);
             let drops = slot.alter(&progress.attack, time, &mut values, &mut stamp, history);
             dropped |= drops;
-            if drops || before != (values, stamp) {
+            if drops || before.1 != stamp || !same(&before.0, &values) {
                 progress.active.get_or_insert(self.now);
                 progress.altered_samples += 1;
             }
@@ -327,10 +335,11 @@ impl Visitor for Pass<'_> {
         let sensed_values = sensed.scalars();
         let (values, stamp, dropped) = self.running.alter(id, sensed.time(), sensed_values, history);
         // The history holds what was sensed: a replay never replays an attack.
-        history.push(sensed.time(), sensed_values);
+        let before = history.last();
+        history.push(sensed.time(), sensed.scalars_after(before));
         if dropped {
             *place = None;
-        } else if (values, stamp) != (sensed_values, sensed.time()) {
+        } else if stamp != sensed.time() || !same(&values, &sensed_values) {
             *place = Some(sensed.with_scalars(&values).with_time(stamp));
         }
     }
@@ -342,11 +351,14 @@ fn micros(seconds: f64) -> u64 {
 
 impl Slot {
     fn begin(&mut self, attack: &Attack, history: &History, first: Scalars) {
-        self.held = Some(history.iter().next_back().map_or(first, |(_, values)| *values));
+        self.held = Some(history.last().unwrap_or(first));
         if attack.kind == Kind::Replay {
             let from = FlightTime(self.onset.0.saturating_sub(micros(attack.magnitude)));
             // Room for the whole history was made at upload.
             self.window.extend(history.iter().filter(|(t, _)| *t >= from).take(HISTORY).copied());
+            // No further back than the history reaches.
+            let oldest = history.iter().next().map_or(self.onset, |(t, _)| *t);
+            self.window_us = self.onset.0.saturating_sub(oldest.max(from).0);
         }
     }
 
@@ -368,9 +380,8 @@ impl Slot {
         let source = match attack.kind {
             Kind::Freeze => self.held,
             Kind::Replay => {
-                let window_us = micros(magnitude).max(1);
                 let start = self.window.first().map_or(self.onset, |(t, _)| *t);
-                let at = FlightTime(start.0 + time.0.saturating_sub(self.onset.0) % window_us);
+                let at = FlightTime(start.0 + time.0.saturating_sub(self.onset.0) % self.window_us.max(1));
                 self.window.iter().rev().find(|(t, _)| *t <= at).map(|(_, v)| *v).or(self.held)
             }
             Kind::Delay => {

@@ -39,7 +39,7 @@ pub enum Kind {
     Noise,
     /// v → last value before onset
     Freeze,
-    /// v → the `magnitude` seconds before onset, played again and again
+    /// v → the `magnitude` seconds before onset, or what is remembered of them, played again and again
     Replay,
     /// v → the value `magnitude` seconds ago
     Delay,
@@ -49,7 +49,7 @@ pub enum Kind {
     SignFlip,
     /// v → v + magnitude · (t − onset)²/2; with a bias of the accelerometers as large, a motion that is none
     Parabola,
-    /// The sample is stamped `magnitude` seconds later.
+    /// The sample is stamped `magnitude` seconds later; the command of a rotor has no stamp.
     TimeShift,
 }
 

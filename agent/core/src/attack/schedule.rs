@@ -124,7 +124,7 @@ pub enum AttackError {
         /// Sensor.
         sensor: SensorId,
     },
-    /// The sensor has no such channel, or the kind needs one unit.
+    /// The sensor has no such channel, or the kind needs one unit or a stamp.
     #[error("attack {id}: {kind:?} cannot cover {channel:?} of {sensor}")]
     Channel {
         /// Attack.
@@ -169,7 +169,9 @@ impl Bounds {
         };
         within("start (s)", attack.start_s, 0.0, self.start_max_s)?;
         within("duration (s)", attack.duration_s, 1e-3, self.duration_max_s)?;
-        let mask = channel.mask(sensor.kind, kind).ok_or(AttackError::Channel { id, sensor, channel, kind })?;
+        let stamped = sensor.kind != SensorKind::Rotor || kind != Kind::TimeShift;
+        let mask = channel.mask(sensor.kind, kind).filter(|_| stamped);
+        let mask = mask.ok_or(AttackError::Channel { id, sensor, channel, kind })?;
         let magnitude = attack.magnitude;
         match kind {
             Kind::Bias | Kind::Ramp | Kind::Parabola | Kind::Noise => {

@@ -169,7 +169,8 @@ impl Complementary {
             let m = &mut self.motion;
             (m.position_enu_m.x, m.position_enu_m.y) = (position.x, position.y);
             self.last_horizontal = Some(frame.time);
-            if let Some(v) = velocity.filter(|v| v.iter().all(|x| x.is_finite())) {
+            // A receiver may tell no climb.
+            if let Some(v) = velocity.map(|v| v.xy()).filter(|v| v.iter().all(|x| x.is_finite())) {
                 (m.velocity_enu_mps.x, m.velocity_enu_mps.y) = (v.x, v.y);
             }
         }
@@ -224,7 +225,8 @@ mod tests {
 
     use super::*;
     use crate::sensor::barometer;
-    use crate::sensor::{BarometerSample, HeightSample, ImuSample};
+    use crate::sensor::measure::Kinematics;
+    use crate::sensor::{BarometerSample, GnssSample, HeightSample, ImuSample};
 
     fn frame(k: u64, q: &UnitQuaternion<f64>, heights: [f64; 3]) -> SensorFrame {
         let time = FlightTime(k * 5000);
@@ -294,8 +296,21 @@ mod tests {
             if k % 2 == 0 {
                 f.imus[0] = f.imus[0].map(|s| ImuSample { accel_mps2: Vector3::repeat(f64::NAN), ..s });
             }
+            f.gnss = Some(GnssSample {
+                time: f.time,
+                position_enu_m: Vector3::new(3.0, 4.0, 5.0),
+                velocity_enu_mps: Vector3::new(1.0, -2.0, f64::NAN),
+                geodetic: [0.0; 3],
+                horizontal_sigma_m: 1.0,
+                vertical_sigma_m: 2.0,
+                satellites: 9,
+            });
             let e = primary.step(&f, &MotorCommand::default());
-            assert!(e.world_from_body.coords.iter().chain(e.kinematics().position_enu_m.iter()).all(|x| x.is_finite()));
+            let Kinematics { position_enu_m, velocity_enu_mps, world_from_body } = e.kinematics();
+            let mut numbers = position_enu_m.iter().chain(velocity_enu_mps.iter()).chain(world_from_body.coords.iter());
+            assert!(numbers.all(|x| x.is_finite()));
+            // Where and how fast it is in the plane, with a climb that is no number.
+            assert_eq!((position_enu_m.x, velocity_enu_mps.x, velocity_enu_mps.y), (3.0, 1.0, -2.0));
         }
         assert!((primary.estimate().motion.unwrap().position_enu_m.z - 1.0).abs() < 1e-9);
     }

@@ -183,14 +183,8 @@ impl ConstantAccelerationEstimator {
             let sensor = SensorId::new(SensorKind::Gnss, 1);
             for axis in 0..3 {
                 if axis < 2 || !self.heights_present {
-                    let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                    self.take(
-                        sensor,
-                        XYZ[axis],
-                        axis,
-                        sample.position_enu_m[axis],
-                        self.model.gnss.position(claimed_m),
-                    );
+                    let noise = self.model.gnss.position(&sample, axis);
+                    self.take(sensor, XYZ[axis], axis, sample.position_enu_m[axis], noise);
                 }
                 self.take(sensor, VELOCITY[axis], axis + 3, sample.velocity_enu_mps[axis], self.model.gnss.velocity);
             }

@@ -9,6 +9,7 @@
 //! | p, v | position and velocity in the world frame ENU | m, m/s |
 //! | R | world_from_body; error δφ about the world axes, R = exp(δφ×)R̂ | rad |
 //! | b_a, b_g | biases: f = f_m − b_a, ω = ω_m − b_g | m/s², rad/s |
+//! | o | offset of each of two barometers: y = z + o | m |
 //! | f, ω | specific force and angular rate in the body frame, consensus of the IMUs | m/s², rad/s |
 //!
 //! ```text
@@ -17,7 +18,7 @@
 //!
 //! One tick: consensus of the IMUs, propagate, remember, correct with what arrived (`aiding.rs`), and bound
 //! what nothing measures. Without horizontal aiding the accelerometer's horizontal bias cannot be distinguished from
-//! tilt (rank 8 of 15, errata 8): its variance then simply stays at its prior.
+//! tilt (rank 8 of the 15 error states before o, errata 8): its variance then simply stays at its prior.
 //!
 //! Assumes: a flat, still world (no Earth rate), IMUs near the centre of mass.
 
@@ -223,7 +224,7 @@ impl EkfBias {
         self.history.corrected(&by, &Vector3::zeros(), &Vector3::zeros());
     }
 
-    /// Turns yaw without touching P. Horizontal velocity turns with it.
+    /// Turns yaw without touching P. Position and velocity stay: what measures them does so in the world.
     fn turn(&mut self, yaw_rad: f64) {
         let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * yaw_rad);
         let k = &mut self.state.kinematics;
@@ -375,7 +376,8 @@ impl EkfBias {
         self.estimate.health = self.health(now);
     }
 
-    /// Starts again from `estimate`: at rest at the origin where that holds no motion, with the biases' prior.
+    /// Starts again from `estimate`: at rest at the origin where that holds no motion, with the biases' prior. A yaw that
+    /// nothing has measured stays so.
     pub fn reset_to(&mut self, estimate: &Estimate) {
         let imus = &self.model.imus;
         let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
@@ -397,7 +399,6 @@ impl EkfBias {
         self.aided.barometers.forget();
         self.history.clear();
         self.aided.idle.anchor = motion.position_enu_m;
-        self.yaw_known = true;
         self.aligned = estimate.health != Health::Initialising;
         self.alignment = Alignment::new();
         self.now = Some(estimate.time.max(self.now.unwrap_or_default()));

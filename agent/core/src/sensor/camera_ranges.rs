@@ -81,7 +81,7 @@ impl Sample for CameraRangesSample {
         into.received_time_us = wire::received_time_us(self, received);
         put(into.sensed.get_or_insert_default(), self);
         match received {
-            Some(received) if received != self => {
+            Some(received) if !received.is_same(self) => {
                 into.set_reception(v1::Reception::Altered);
                 put(into.received.get_or_insert_default(), received);
             }

@@ -38,11 +38,12 @@ impl Sample for GnssSample {
     type Model = GnssModel;
 
     fn model(sheets: &[Gnss]) -> GnssModel {
-        let velocity = sheets.first().map_or(Accuracy { sigma: 0.1, gate: 5.0 }, |s| Accuracy {
-            sigma: s.velocity.total_sigma(),
-            gate: s.horizontal.gate_sigmas,
+        let (gates, velocity) = sheets.first().map_or(([5.0; 2], Accuracy { sigma: 0.1, gate: 5.0 }), |s| {
+            let velocity = Accuracy { sigma: s.velocity.total_sigma(), gate: s.velocity.gate_sigmas };
+            ([s.horizontal.gate_sigmas, s.vertical.gate_sigmas], velocity)
         });
-        GnssModel { floor_m: 0.05, velocity }
+        let [horizontal_gate, vertical_gate] = gates;
+        GnssModel { floor_m: 0.05, horizontal_gate, vertical_gate, velocity }
     }
 
     fn scalars(&self) -> Scalars {
@@ -96,15 +97,23 @@ const UNKNOWN_SIGMA_M: f64 = 10.0;
 pub struct GnssModel {
     /// Smallest one-sigma assumed of a position, m.
     pub floor_m: f64,
-    /// Velocity, m/s; its gate is that of positions, too.
+    /// Gate of a horizontal position, per axis, in sigmas of its innovation.
+    pub horizontal_gate: f64,
+    /// Gate of a vertical one.
+    pub vertical_gate: f64,
+    /// Velocity per axis, m/s.
     pub velocity: Accuracy,
 }
 
 impl GnssModel {
-    /// Of a position with the one-sigma `claimed_m`.
-    pub fn position(&self, claimed_m: f64) -> Accuracy {
+    /// Of the position in `sample`; `axis` 0, 1, 2 is east, north, up.
+    pub fn position(&self, sample: &GnssSample, axis: usize) -> Accuracy {
+        let (claimed_m, gate) = match axis {
+            0 | 1 => (sample.horizontal_sigma_m, self.horizontal_gate),
+            _ => (sample.vertical_sigma_m, self.vertical_gate),
+        };
         let sigma = if claimed_m.is_finite() { claimed_m.max(self.floor_m) } else { UNKNOWN_SIGMA_M };
-        Accuracy { sigma, ..self.velocity }
+        Accuracy { sigma, gate }
     }
 }
 

@@ -48,6 +48,14 @@ impl Sample for ImuSample {
         values
     }
 
+    fn scalars_after(&self, before: Option<Scalars>) -> Scalars {
+        let mut values = self.scalars();
+        if let Some(before) = before.filter(|_| self.mag_ut.is_none()) {
+            put(&mut values, 6, &xyz(&before, 6));
+        }
+        values
+    }
+
     fn with_scalars(mut self, values: &Scalars) -> Self {
         self.gyro_radps = xyz(values, 0);
         self.accel_mps2 = xyz(values, 3);

@@ -38,10 +38,14 @@ impl Sample for MocapPoseSample {
     type Model = MocapPoseModel;
 
     fn model(sheets: &[MocapPose]) -> MocapPoseModel {
-        let (position, attitude, gate) = sheets.first().map_or((0.005, 0.01, 5.0), |s| {
-            (s.position.total_sigma().max(1e-4), s.attitude.total_sigma().max(1e-4), s.position.gate_sigmas)
-        });
-        MocapPoseModel { position: Accuracy { sigma: position, gate }, attitude: Accuracy { sigma: attitude, gate } }
+        let of = |q: &Quality| Accuracy { sigma: q.total_sigma().max(1e-4), gate: q.gate_sigmas };
+        sheets.first().map_or(
+            MocapPoseModel {
+                position: Accuracy { sigma: 0.005, gate: 5.0 },
+                attitude: Accuracy { sigma: 0.01, gate: 5.0 },
+            },
+            |s| MocapPoseModel { position: of(&s.position), attitude: of(&s.attitude) },
+        )
     }
 
     /// Position and the attitude as a quaternion (w, x, y, z).

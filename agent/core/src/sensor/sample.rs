@@ -68,6 +68,16 @@ pub trait Sample: Copy + PartialEq + std::fmt::Debug {
     /// Its scalars.
     fn scalars(&self) -> Scalars;
 
+    /// Its scalars; those of what it does not carry are what they were in the sample `before`.
+    fn scalars_after(&self, _before: Option<Scalars>) -> Scalars {
+        self.scalars()
+    }
+
+    /// Is it the very sample that `other` is, by its stamp and scalars, which are all that can be altered?
+    fn is_same(&self, other: &Self) -> bool {
+        self.time() == other.time() && same(&self.scalars(), &other.scalars())
+    }
+
     /// The same sample with other scalars.
     #[must_use]
     fn with_scalars(self, values: &Scalars) -> Self;
@@ -120,6 +130,11 @@ impl<S: Sample, const N: usize> Places<S> for [Option<S>; N] {
     fn places_mut(&mut self) -> &mut [Option<S>] {
         self
     }
+}
+
+/// Are they the same scalars? What is no number in both is.
+pub fn same(a: &Scalars, b: &Scalars) -> bool {
+    a.iter().zip(b).all(|(a, b)| a == b || a.is_nan() && b.is_nan())
 }
 
 /// Three of the scalars as a vector.

@@ -376,8 +376,9 @@ impl Checker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::SensorModel;
     use crate::sensor::imu::TriaxialModel;
+    use crate::sensor::{GnssSample, SensorModel};
+    use plumbline_proto::time::FlightTime;
     use plumbline_proto::v1::SensorKind;
 
     #[test]
@@ -420,14 +421,31 @@ mod tests {
             timing = { rate_hz = 5, delay_s = 0.1, dropout = 0.01 }
             horizontal = { sigma = 0.8 }
             vertical = { sigma = 1.5, gate_sigmas = 4 }
-            velocity = { sigma = 0.1 }
+            velocity = { sigma = 0.1, gate_sigmas = 6 }
+            [mocap_pose]
+            name = "mocap pose 1"
+            timing = { rate_hz = 100 }
+            position = { sigma = 0.001, gate_sigmas = 3 }
+            attitude = { sigma = 0.002, gate_sigmas = 7 }
             "#,
         )
         .unwrap();
         suite.validate(200.0).unwrap();
         assert_eq!((suite.heights.len(), suite.imus.len()), (1, 0));
         assert_eq!(suite.heights[0].height.gate_sigmas, 5.0);
-        assert_eq!(suite.gnss.unwrap().vertical.gate_sigmas, 4.0);
+        let model = SensorModel::from(&suite);
+        let fix = GnssSample {
+            time: FlightTime(0),
+            position_enu_m: Vector3::zeros(),
+            velocity_enu_mps: Vector3::zeros(),
+            geodetic: [0.0; 3],
+            horizontal_sigma_m: 0.8,
+            vertical_sigma_m: 1.5,
+            satellites: 9,
+        };
+        assert_eq!([0, 1, 2].map(|axis| model.gnss.position(&fix, axis).gate), [5.0, 5.0, 4.0]);
+        assert_eq!(model.gnss.velocity.gate, 6.0);
+        assert_eq!((model.mocap_pose.position.gate, model.mocap_pose.attitude.gate), (3.0, 7.0));
         let text = toml::from_str::<Suite>("[[heights]]\nname = \"x\"\ncolour = 3").unwrap_err().to_string();
         assert!(text.contains("colour = 3"), "{text}");
     }

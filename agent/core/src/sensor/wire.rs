@@ -16,10 +16,10 @@ pub enum Received<S> {
 }
 
 /// How what was received relates to what was sensed; the received reading only where it differs.
-pub fn reception<S: PartialEq, R>(sensed: &S, received: Option<&S>, reading: impl Fn(&S) -> R) -> (i32, Option<R>) {
+pub fn reception<S: Sample, R>(sensed: &S, received: Option<&S>, reading: impl Fn(&S) -> R) -> (i32, Option<R>) {
     match received {
         None => (Reception::Dropped as i32, None),
-        Some(received) if received == sensed => (Reception::AsSensed as i32, None),
+        Some(received) if received.is_same(sensed) => (Reception::AsSensed as i32, None),
         Some(received) => (Reception::Altered as i32, Some(reading(received))),
     }
 }
@@ -107,4 +107,26 @@ pub fn quaternion(q: &UnitQuaternion<f64>) -> Option<v1::Quaternion> {
 pub fn unit_quaternion(q: &v1::Quaternion) -> Option<UnitQuaternion<f64>> {
     let q = Quaternion::new(q.w, q.x, q.y, q.z);
     ((q.norm() - 1.0).abs() < 1e-6).then(|| UnitQuaternion::new_unchecked(q))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::{CameraRangesSample, HeightSample};
+
+    #[test]
+    fn a_sample_that_holds_what_is_no_number_is_received_as_sensed() {
+        let told = |sensed_m: f64, received_m: f64| {
+            let [sensed, received] =
+                [sensed_m, received_m].map(|height_m| HeightSample { time: FlightTime(1), height_m });
+            reception(&sensed, Some(&received), |s| s.height_m).0
+        };
+        assert_eq!([told(1.0, 1.0), told(f64::NAN, f64::NAN)], [Reception::AsSensed as i32; 2]);
+        let altered = [told(1.0, 2.0), told(f64::NAN, 1.0), told(1.0, f64::NAN)];
+        assert_eq!(altered, [Reception::Altered as i32; 3]);
+        let ranges = CameraRangesSample { time: FlightTime(1), range_m: [f64::NAN, 1.0, 2.0, 3.0] };
+        let mut message = CameraRangesSample::wire_with_room();
+        ranges.to_wire(Some(&ranges), &mut message);
+        assert_eq!(message.reception(), Reception::AsSensed);
+    }
 }

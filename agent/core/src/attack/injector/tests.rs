@@ -1,6 +1,7 @@
 use super::*;
 use crate::attack::Channel;
-use crate::sensor::{HeightSample, ImuSample};
+use crate::sensor::{HeightSample, ImuSample, MocapPoseSample};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use plumbline_proto::v1::SensorKind;
 
 const SENSORS: &[SensorId] =
@@ -75,6 +76,8 @@ fn deterministic_kinds_do_what_they_say_inside_their_span_only() {
     check(Kind::Delay, 1.0, |t| 0.1 * (t - 1.0));
     // The two seconds before onset, again and again.
     check(Kind::Replay, 2.0, |t| 0.1 * (3.0 + (((t - 5.0) * 10.0).round() as u64 % 20) as f64 / 10.0));
+    // No more than there were.
+    check(Kind::Replay, 8.0, |t| 0.1 * (((t - 5.0) * 10.0).round() as u64 % 50) as f64 / 10.0);
 }
 
 #[test]
@@ -175,16 +178,48 @@ fn an_imu_channel_leaves_the_others_alone() {
     injector.upload(&schedule, FlightTime(0)).unwrap();
     let sample = ImuSample {
         time: FlightTime(0),
-        gyro_radps: nalgebra::Vector3::new(0.1, 0.2, 0.3),
-        accel_mps2: nalgebra::Vector3::new(0.0, 0.0, 9.81),
+        gyro_radps: Vector3::new(0.1, 0.2, 0.3),
+        accel_mps2: Vector3::new(0.0, 0.0, 9.81),
         mag_ut: None,
         temperature_c: 25.0,
     };
     let mut frame = SensorFrame::default();
     frame.imus[0] = Some(sample);
     let received = injector.apply(&frame).imus[0].unwrap();
-    let expected = ImuSample { gyro_radps: nalgebra::Vector3::new(0.1, 0.45, 0.3), ..sample };
+    let expected = ImuSample { gyro_radps: Vector3::new(0.1, 0.45, 0.3), ..sample };
     assert_eq!(received, expected);
+}
+
+#[test]
+fn an_imu_keeps_the_field_that_not_every_sample_carries() {
+    // One shifted by an odd number of samples meets one without a field.
+    for (kind, magnitude) in [(Kind::Freeze, 0.0), (Kind::Replay, 0.21), (Kind::Delay, 0.11)] {
+        let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+        let mut schedule = Schedule::default();
+        let sensor = SensorId::new(SensorKind::Imu, 1);
+        schedule.attacks.push(Attack { sensor, start_s: 0.5, ..attack(kind, magnitude) });
+        injector.upload(&schedule, FlightTime(0)).unwrap();
+        for tick in 0..100_u64 {
+            let time = FlightTime(tick * 10_000);
+            let mag_ut = tick.is_multiple_of(2).then_some(Vector3::new(0.0, 22.0, -40.0));
+            let (gyro_radps, accel_mps2) = (Vector3::x() * tick as f64, Vector3::z() * 9.81);
+            let mut frame = SensorFrame { time, ..Default::default() };
+            frame.imus[0] = Some(ImuSample { time, gyro_radps, accel_mps2, mag_ut, temperature_c: 25.0 });
+            let received = injector.apply(&frame).imus[0].unwrap();
+            assert_eq!(received.mag_ut, mag_ut, "{kind:?} at tick {tick}");
+            assert_eq!(received.gyro_radps == gyro_radps, tick < 50, "{kind:?} at tick {tick}");
+        }
+    }
+}
+
+#[test]
+fn a_sample_that_holds_what_is_no_number_passes_as_it_is() {
+    let mut injector = Injector::new(Bounds::default(), true, SENSORS);
+    let nan = f64::NAN;
+    let world_from_body = UnitQuaternion::new_unchecked(Quaternion::new(nan, nan, nan, nan));
+    let sample = MocapPoseSample { time: FlightTime(0), position_enu_m: Vector3::repeat(nan), world_from_body };
+    let received = injector.apply(&SensorFrame { mocap_pose: Some(sample), ..Default::default() });
+    assert!(received.mocap_pose.unwrap().world_from_body.coords.iter().all(|x| x.is_nan()));
 }
 
 /// Commands at 100 Hz that ask rotors for `asked(t)` of their full thrust; what reaches rotor 2, as the same.
@@ -247,13 +282,15 @@ fn rotors_lose_thrust_stick_lag_and_keep_what_they_were_told_last() {
 #[test]
 fn only_rotors_that_there_are_can_be_attacked_and_by_no_more_than_their_full_thrust() {
     let mut injector = Injector::new(Bounds::default(), true, SENSORS);
-    for (instance, magnitude, complaint) in
-        [(5, 0.1, "no rotor 5"), (0, 0.1, "no rotor 0"), (1, 1.5, "outside -1 to 1")]
-    {
+    for (instance, kind, magnitude, complaint) in [
+        (5, Kind::Bias, 0.1, "no rotor 5"),
+        (0, Kind::Bias, 0.1, "no rotor 0"),
+        (1, Kind::Bias, 1.5, "outside -1 to 1"),
+        (1, Kind::TimeShift, 0.1, "TimeShift cannot cover All of rotor 1"),
+    ] {
         let mut schedule = Schedule::default();
-        schedule
-            .attacks
-            .push(Attack { sensor: SensorId::new(SensorKind::Rotor, instance), ..attack(Kind::Bias, magnitude) });
+        let sensor = SensorId::new(SensorKind::Rotor, instance);
+        schedule.attacks.push(Attack { sensor, ..attack(kind, magnitude) });
         let error = injector.upload(&schedule, FlightTime(0)).unwrap_err().to_string();
         assert!(error.contains(complaint), "{error}");
     }

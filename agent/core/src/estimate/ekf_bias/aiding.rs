@@ -111,8 +111,7 @@ impl EkfBias {
             return;
         }
         let (sensor, model) = (SensorId::new(SensorKind::Gnss, 1), self.model.gnss);
-        let horizontal = model.position(sample.horizontal_sigma_m);
-        let vertical = model.position(sample.vertical_sigma_m);
+        let [horizontal, vertical] = [0, 2].map(|axis| model.position(&sample, axis));
         // Horizontally the mixture has had it already where nothing else tells the yaw.
         let yaw_known = self.yaw_known;
         if yaw_known {

@@ -56,12 +56,10 @@ impl EkfBias {
                 arrived.push((i, heading.row.innovation));
             }
         }
-        if arrived.is_empty() {
-            return;
-        }
+        let Some(&(_, first)) = arrived.first() else { return };
         if !self.yaw_known {
-            // The first magnetometer after a start without one.
-            self.turn(median(arrived.iter().map(|(_, y)| *y)));
+            // The first magnetometers after a start without one: about one of them, for they may lie on both sides of ±π.
+            self.turn(first + median(arrived.iter().map(|(_, y)| wrap_pi(y - first))));
             forget(&mut self.p, ix::ATTITUDE + 2, super::align::YAW_SIGMA_FIELD_RAD.powi(2));
             self.yaw_known = true;
         }

@@ -7,6 +7,7 @@ use super::*;
 use crate::estimate::Channel;
 use crate::sensor::barometer;
 use crate::sensor::{BarometerSample, CameraRangesSample, GnssSample, HeightSample, ImuSample, MocapPoseSample};
+use crate::vehicle::Truth;
 
 /// Noise exactly as simulated, nothing assumed on top.
 fn exact() -> SensorModel {
@@ -17,7 +18,7 @@ fn exact() -> SensorModel {
 
 #[test]
 fn errors_are_as_large_as_p_says_and_biases_converge() {
-    // 15 error states: the mean NEES of a consistent filter is 15. Over 16 runs × 20 samples its own
+    // 15 error states without those of barometers: the mean NEES of a consistent filter is 15. Over 16 runs × 20 samples its own
     // standard deviation is about 1 (samples of one run are correlated), so 12 to 18 is ±3σ.
     const LOW: f64 = 12.0;
     const HIGH: f64 = 18.0;
@@ -437,6 +438,37 @@ fn switching_in_flight_starts_from_the_other_estimate() {
         let e = second.step(&frame, &MotorCommand::default());
         assert!((e.kinematics().position_enu_m - truth.position_enu_m).norm() < 0.05 && tilt_error(e, &truth) < 0.05);
         assert_ne!(e.health, Health::Initialising);
+    }
+}
+
+#[test]
+fn the_first_magnetometers_after_a_start_without_one_find_a_yaw_half_a_turn_off() {
+    for started_again in [false, true] {
+        let mut world = World::new(HOVER, 13);
+        world.imus = 2;
+        let mut filter = EkfBias::new(SensorModel::default());
+        let yaw_off = |filter: &EkfBias, truth: &Truth| {
+            let estimated = filter.estimate().world_from_body;
+            crate::frames::roll_pitch_yaw(&(truth.world_from_body * estimated.inverse())).z
+        };
+        for _ in 0..400 {
+            let (frame, _) = world.frame(false);
+            filter.step(&frame, &MotorCommand::default());
+        }
+        if started_again {
+            let own = filter.estimate().clone();
+            filter.reset_to(&own);
+        }
+        filter.turn(yaw_off(&filter, &world.truth()) + std::f64::consts::PI);
+        let (mut frame, truth) = world.frame(true);
+        // One on either side of ±180°.
+        for (imu, aside_rad) in frame.imus.iter_mut().flatten().zip([0.1, -0.1]) {
+            let turned = UnitQuaternion::from_scaled_axis(Vector3::z() * aside_rad) * truth.world_from_body;
+            imu.mag_ut = Some(turned.inverse() * Vector3::new(0.0, 22.0, -40.0));
+        }
+        filter.step(&frame, &MotorCommand::default());
+        let off = yaw_off(&filter, &truth).abs();
+        assert!(off < 0.2, "{off} rad, started again: {started_again}");
     }
 }
 

@@ -32,7 +32,7 @@ impl EkfBias {
             self.mixture.push(dt_s.clamp(0.0, 0.2), &inertial.gyro_radps, &inertial.accel_mps2);
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
-        let (position, velocity) = (self.model.gnss.position(sample.horizontal_sigma_m), self.model.gnss.velocity);
+        let (position, velocity) = (self.model.gnss.position(&sample, 0), self.model.gnss.velocity);
         let before = self.mixture.horizontal();
         self.mixture.take(frame.time, &sample, position.sigma, velocity.sigma);
         if let Some(found) = before {

@@ -251,22 +251,25 @@ impl Isolation {
             self.contradicted = 0;
             return;
         }
-        // The worst first. No more flags than sensors: every pass raises one or is the last.
+        // The worst first. No more passes than sensors: each flags one, or spares one for good: those of other types may
+        // be flagged all the same.
+        let mut spared = SensorSet::default();
         for _ in 0..MAX_DEVICES {
             let worst = (0..self.devices.len())
                 .filter_map(|i| Some((i, self.reason(i)?)))
+                .filter(|(i, _)| self.devices.get(*i).is_some_and(|d| !spared.contains(d.sensor)))
                 .max_by(|a, b| self.badness(a.0).total_cmp(&self.badness(b.0)));
             let Some((index, reason)) = worst else { break };
-            if !self.may_flag(index) {
-                self.contradicted = self.contradicted.saturating_add(1);
-                return;
-            }
-            if let Some(device) = self.devices.get_mut(index) {
+            let may_flag = self.may_flag(index);
+            let Some(device) = self.devices.get_mut(index) else { break };
+            if may_flag {
                 device.flagged = Some((now, reason));
                 device.calm = 0;
+            } else {
+                spared.add(device.sensor);
             }
         }
-        self.contradicted = 0;
+        self.contradicted = if spared.is_empty() { 0 } else { self.contradicted.saturating_add(1) };
     }
 
     /// Takes evidence and verdict of another judge: the flags are what `judged` says of each sensor, and whether a group is
@@ -392,6 +395,19 @@ mod tests {
         for _ in 0..20 {
             isolation.isolate(FlightTime(0), false, |s| window(if s.instance == 1 { 9.0 } else { 8.0 }));
         }
+        assert!(isolation.contradicted() && !isolation.is_flagged(height(1)) && !isolation.is_flagged(height(2)));
+        // Nor do they keep one of another type from being flagged.
+        let imu = |instance| SensorId::new(SensorKind::Imu, instance);
+        (1..=4).for_each(|i| isolation.saw(imu(i), FlightTime(0)));
+        for _ in 0..20 {
+            isolation.isolate(FlightTime(0), false, |s| match (s.kind, s.instance) {
+                (SensorKind::Height, 1) => window(9.0),
+                (SensorKind::Height, _) => window(8.0),
+                (_, 3) => window(5.0),
+                _ => window(0.3),
+            });
+        }
+        assert!((1..=4).all(|i| isolation.is_flagged(imu(i)) == (i == 3)));
         assert!(isolation.contradicted() && !isolation.is_flagged(height(1)) && !isolation.is_flagged(height(2)));
         let mut isolation = seen(3);
         for _ in 0..20 {

@@ -233,7 +233,8 @@ impl Evidence {
         let least = self.present().map(|lane| lane.against).fold(f64::INFINITY, f64::min);
         if let Some(lane) = self.lanes.get_mut(lane) {
             lane.far = HEAL_SLOTS / 2 + 1;
-            lane.against = least + HEALED;
+            // Where no lane is present there is only its own.
+            lane.against = least.min(lane.against) + HEALED;
         }
     }
 

@@ -33,7 +33,7 @@ const CARRIED_SLOTS: u32 = 8;
 const REST: (f64, f64) = (0.6, 0.06);
 /// Slots at rest before it counts.
 const REST_SLOTS: u32 = 25;
-/// A lane whose IMU is silent for so many slots is not there.
+/// A lane whose IMU is silent for so many slots is not there; when it is heard again it begins again from the others.
 const SILENT_SLOTS: u32 = 25;
 /// What is known of the altitude at start without a laser's offset, m.
 const ALTITUDE_SIGMA_M: f64 = 0.3;
@@ -73,8 +73,14 @@ impl Lanes {
     }
 
     fn count(&mut self, slot: &Slot) {
-        for (silent, mean) in self.fused.silent.iter_mut().zip(&slot.imus) {
-            *silent = if mean.is_some() { 0 } else { silent.saturating_add(1) };
+        for (i, mean) in slot.imus.iter().enumerate() {
+            let silent = &mut self.fused.silent[i];
+            if mean.is_none() {
+                *silent = silent.saturating_add(1);
+            } else if std::mem::take(silent) > SILENT_SLOTS && self.start.is_none() {
+                // Its state is that of when it fell silent.
+                self.begin_again(i);
+            }
         }
         let g = self.model.imus.gravity_mps2;
         let size = |first: usize| median(slot.imus.iter().flatten().map(|mean| part(mean, first).norm()));
@@ -339,13 +345,18 @@ impl Lanes {
         let best = self.fused.best;
         for i in (0..LANES).filter(|i| *i != best) {
             if self.judges.evidence.is_to_heal(i) {
-                let biases = self.judges.vote.bias(i).unwrap_or_else(Six::zeros);
-                let (at, from) = (self.fused.at, self.lanes[best].clone());
-                self.lanes[i].heal(&from, &at, &biases);
-                self.judges.evidence.healed(i);
+                self.begin_again(i);
             }
         }
         self.fused.mixture.biases = std::array::from_fn(|i| self.lanes[i].biases());
+    }
+
+    /// This lane begins again from the best one.
+    fn begin_again(&mut self, i: usize) {
+        let biases = self.judges.vote.bias(i).unwrap_or_else(Six::zeros);
+        let (at, from) = (self.fused.at, self.lanes[self.fused.best].clone());
+        self.lanes[i].heal(&from, &at, &biases);
+        self.judges.evidence.healed(i);
     }
 
     fn rebase(&mut self, slot: &Slot) {

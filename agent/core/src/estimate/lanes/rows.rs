@@ -168,12 +168,11 @@ impl Correction<'_> {
         let Some(sample) = slot.gnss else { return };
         let (model, age_s) = (around.model.gnss, slot.age_s(sample.time));
         let sensor = SensorId::new(SensorKind::Gnss, 1);
-        let sigmas = [sample.horizontal_sigma_m, sample.horizontal_sigma_m, sample.vertical_sigma_m];
         let [east, north] = [0, 1].map(|axis| Some(sample.position_enu_m[axis]));
         for (axis, place_m) in [east, north, around.gnss_height_m].into_iter().enumerate() {
             if let Some(place_m) = place_m {
                 let measured = measure::position(&self.lane.past(age_s), axis, place_m);
-                self.row(row((sensor, XYZ[axis]), &measured, model.position(sigmas[axis]), age_s));
+                self.row(row((sensor, XYZ[axis]), &measured, model.position(&sample, axis), age_s));
             }
         }
         for (axis, channel) in VELOCITY.into_iter().enumerate() {

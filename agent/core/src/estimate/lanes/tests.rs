@@ -4,7 +4,7 @@ use super::*;
 use crate::estimate::Health;
 use crate::estimate::ekf_bias::tests::world::{Course, HOVER, LIVELY, World};
 use crate::estimate::fdir::isolation::SensorSet;
-use crate::frames::tilt_rad;
+use crate::frames::{roll_pitch_yaw, tilt_rad, wrap_pi};
 use crate::sensor::{HeightSample, MocapPoseSample};
 use crate::vehicle::Truth;
 use plumbline_proto::ids::SensorId;
@@ -110,6 +110,28 @@ fn an_imu_that_reads_upside_down_moves_nothing_however_long() {
     });
     assert_eq!(flying.announced(), one(SensorKind::Imu, 2));
     assert!(altitude_m < 0.05 && tilt < 2f64.to_radians(), "{altitude_m} m, {}°", tilt.to_degrees());
+}
+
+#[test]
+fn an_imu_that_was_silent_does_not_bring_back_the_yaw_it_had_then() {
+    let mut flying = Flying::new(Course { yaw_radps: 0.4, ..HOVER }, 9, false);
+    let yaw_off = |flying: &Flying| {
+        let estimated = flying.lanes.estimate().world_from_body;
+        roll_pitch_yaw(&(flying.world.truth().world_from_body * estimated.inverse())).z
+    };
+    // Nothing but the gyroscopes tells the yaw.
+    let without_field = |frame: &mut SensorFrame| frame.imus.iter_mut().flatten().for_each(|s| s.mag_ut = None);
+    flying.until(8.0, without_field);
+    flying.until(12.0, |frame| {
+        without_field(frame);
+        frame.imus[1] = None;
+    });
+    let before = yaw_off(&flying);
+    flying.until(13.0, without_field);
+    // The vehicle turned by 92° meanwhile.
+    let moved = wrap_pi(yaw_off(&flying) - before).abs();
+    assert!(moved < 2f64.to_radians(), "{}°", moved.to_degrees());
+    assert!(flying.lanes.weights()[1] > 0.1, "{:?}", flying.lanes.weights());
 }
 
 #[test]

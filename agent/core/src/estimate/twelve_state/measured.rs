@@ -146,8 +146,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         if let Some(sample) = frame.gnss {
             let place = sample.position_enu_m + late(sample.time);
             for axis in if yaw_measured { 0..3 } else { 2..3 } {
-                let claimed_m = if axis < 2 { sample.horizontal_sigma_m } else { sample.vertical_sigma_m };
-                let noise = self.model.gnss.position(claimed_m);
+                let noise = self.model.gnss.position(&sample, axis);
                 // A laser has the floor as its zero: it alone tells the height where there is one.
                 if axis < 2 || !self.aided.heights_present {
                     self.recover(frame.time, axis, place[axis], noise.sigma);
@@ -191,7 +190,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         }
         let Some(sample) = frame.gnss.filter(|s| s.position_enu_m.iter().all(|x| x.is_finite())) else { return };
         let gnss = &self.model.gnss;
-        self.mixture.take(now, &sample, gnss.position(sample.horizontal_sigma_m).sigma, gnss.velocity.sigma);
+        self.mixture.take(now, &sample, gnss.position(&sample, 0).sigma, gnss.velocity.sigma);
         (0..2).for_each(|axis| self.aided.axes[axis].note(now, true));
     }
 
