@@ -333,7 +333,9 @@ impl Runner {
     fn wait_for(&mut self, time: FlightTime) -> (Option<Instant>, Instant) {
         let due = self.pacer.wait_for(time, &self.ports.clock);
         let started = Instant::now();
-        let mut silent_s = due.map_or(0.0, |due| started.saturating_duration_since(due).as_secs_f64());
+        let late_s = due.map_or(0.0, |due| started.saturating_duration_since(due).as_secs_f64());
+        // What the watch has stopped counts as silent for long enough; flight time goes on by what really went by.
+        let mut silent_s = late_s;
         if let Some(watch) = &self.beside.motor_watch {
             if watch.stopped() {
                 silent_s = silent_s.max(2.0 * MOTOR_TIMEOUT_S);
@@ -342,7 +344,7 @@ impl Runner {
         }
         if silent_s > MOTOR_TIMEOUT_S && self.pacer.is_real_time() {
             self.flight.stalled(silent_s);
-            let passed = Duration::from_secs_f64(self.vehicle.inner_mut().pass_over(silent_s));
+            let passed = Duration::from_secs_f64(self.vehicle.inner_mut().pass_over(late_s));
             self.pacer.begin_anew(started, time + passed, &self.ports.clock);
         }
         (due, started)

@@ -109,6 +109,8 @@ pub struct Autopilot {
     setpoints: AtomicU64,
     /// Shall the motors turn?
     pub(crate) wanted: AtomicBool,
+    /// Was it ordered last to arm, not to disarm?
+    pub(crate) arms: AtomicBool,
     /// When it was last known to be armed and in offboard mode because we asked, ms of our clock; 0 for never.
     obeyed_ms: AtomicU64,
     /// It left offboard mode while it flew for us.
@@ -131,6 +133,7 @@ impl Autopilot {
             sequence: AtomicU8::new(0),
             setpoints: AtomicU64::new(0),
             wanted: AtomicBool::new(false),
+            arms: AtomicBool::new(false),
             obeyed_ms: AtomicU64::new(0),
             taken: AtomicBool::new(false),
             gyro_flu_radps: Numbers::default(),
@@ -262,11 +265,13 @@ impl Autopilot {
     }
 
     pub(crate) fn arm(&self) {
+        self.arms.store(true, Ordering::Release);
         self.order(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0);
     }
 
     /// Off at once, in the air as well.
     pub(crate) fn disarm(&self) {
+        self.arms.store(false, Ordering::Release);
         self.order(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE);
     }
 

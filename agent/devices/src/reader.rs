@@ -32,6 +32,9 @@ const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(1
 /// Transfers in a row that may fail before a device that is asked is opened again: one disturbed edge on a bus costs one reading, while a
 /// chip that is set up anew is away for a quarter of a second, in which motors without any other IMU are cut.
 const FAILED_TRANSFERS: u32 = 2;
+/// A device that talks and gives no reading is opened again after so many times the silence only: opening it brings no body into the
+/// cameras' sight and no sky above an antenna, and nobody listens meanwhile. One that is asked may have lost its set-up.
+const PATIENT: u32 = 10;
 
 /// When flight time is zero, once that is known, and how often it ticks. Shared by readers and vehicle.
 #[derive(Debug, Clone, Default)]
@@ -184,7 +187,7 @@ pub struct Options {
     pub name: String,
     /// Constant latency of the device, before anything can be measured of it, s.
     pub delay_s: f64,
-    /// Without a reading for this long the device is opened again.
+    /// Without a reading for this long the device is lost, and opened again unless it says why.
     pub silence: Duration,
     /// Whether its thread asks for real-time priority.
     pub real_time: bool,
@@ -226,6 +229,7 @@ impl Reader {
             state: state.clone(),
             stop: stop.clone(),
             clock: DeviceClock::default(),
+            told: None,
             options,
         };
         let name = format!("dev {}", work.options.name);
@@ -291,6 +295,8 @@ struct Work {
     options: Options,
     zero: Zero,
     clock: DeviceClock,
+    /// Why it was lost the last time.
+    told: Option<Text>,
     arrivals: Producer<Arrived>,
     scanned: Producer<(FlightTime, Scanned)>,
     notify: Producer<Notice>,
@@ -302,20 +308,12 @@ impl Work {
     fn run(&mut self) {
         let [first, longest] = PAUSES;
         let mut pause = first;
-        let mut told: Option<Text> = None;
         while !self.stop.load(Ordering::Acquire) {
             let before = self.state.readings.load(Ordering::Relaxed);
             let error = self.use_device();
             self.driver.close();
             if let Some(error) = error {
-                let reason = error.text();
-                self.state.say(reason);
-                let was_up = self.state.up.swap(false, Ordering::AcqRel);
-                if was_up || told != Some(reason) {
-                    tracing::warn!(device = self.options.name, reason = reason.as_str(), "device lost");
-                    let _ = self.notify.push(Notice::Lost(reason));
-                }
-                told = Some(reason);
+                lost(&error, &self.options, &self.state, &mut self.told, &mut self.notify);
             }
             let came = self.state.readings.load(Ordering::Relaxed) > before;
             pause = if came { first } else { (2 * pause).min(longest) };
@@ -333,12 +331,13 @@ impl Work {
         }
         self.state.opened.fetch_add(1, Ordering::Relaxed);
         self.clock = DeviceClock::default();
-        let Self { driver, options, zero, clock, arrivals, scanned, notify, state, stop } = self;
+        let Self { driver, options, zero, clock, told, arrivals, scanned, notify, state, stop } = self;
         let mut last = Instant::now();
         let (mut stamped, mut fault, mut failed) = (None, None, 0);
+        let (mut spoke, mut silent) = (last, false);
         let mut asking = driver.period().map(|period| Asking::new(period, last));
         while !stop.load(Ordering::Acquire) {
-            let (mut heard_one, mut time, mut answer) = (false, None, None);
+            let (mut heard_one, mut speaks, mut time, mut answer) = (false, false, None, None);
             if let Some(asking) = &asking {
                 std::thread::sleep(asking.wait(Instant::now()));
             }
@@ -358,7 +357,7 @@ impl Work {
                     }
                 }
                 Err(given) => {
-                    fault = Some(given);
+                    (fault, speaks) = (Some(given), true);
                     given_up(given, state);
                 }
             });
@@ -384,8 +383,11 @@ impl Work {
                     state.given_up.fetch_add(1, Ordering::Relaxed);
                 }
             }
+            if driver.speaks() || speaks {
+                spoke = Instant::now();
+            }
             if heard_one {
-                fault = None;
+                (fault, silent) = (None, false);
                 last = Instant::now();
                 if !state.up.swap(true, Ordering::AcqRel) {
                     tracing::info!(device = options.name, "device up");
@@ -393,12 +395,31 @@ impl Work {
                 }
             } else if last.elapsed() > options.silence {
                 // What it says instead of readings tells more than that there is none.
-                let silent = DeviceError::Silent { what: "reading", seconds: options.silence.as_secs_f64() };
-                return Some(fault.map_or(silent, DeviceError::Frame));
+                let none = DeviceError::Silent { what: "reading", seconds: options.silence.as_secs_f64() };
+                let error = fault.map_or(none, DeviceError::Frame);
+                let patient = asking.is_none() && spoke.elapsed() <= options.silence;
+                if !patient || last.elapsed() > PATIENT * options.silence {
+                    return Some(error);
+                }
+                if !std::mem::replace(&mut silent, true) {
+                    lost(&error, options, state, told, notify);
+                }
             }
         }
         None
     }
+}
+
+/// It gives no readings for this reason, which is told unless that is known.
+fn lost(error: &DeviceError, options: &Options, state: &State, told: &mut Option<Text>, notify: &mut Producer<Notice>) {
+    let reason = error.text();
+    state.say(reason);
+    let was_up = state.up.swap(false, Ordering::AcqRel);
+    if was_up || *told != Some(reason) {
+        tracing::warn!(device = options.name, reason = reason.as_str(), "device lost");
+        let _ = notify.push(Notice::Lost(reason));
+    }
+    *told = Some(reason);
 }
 
 fn given_up(fault: impl std::fmt::Display, state: &State) {

@@ -57,7 +57,7 @@ pub struct RangeReading {
 pub struct FixReading {
     /// Latitude, longitude (deg), altitude above mean sea level (m).
     pub geodetic: [f64; 3],
-    /// Velocity ENU, m/s.
+    /// Velocity ENU, m/s; NaN up where the receiver does not say.
     pub velocity_enu_mps: Vector3<f64>,
     /// One-sigma, m; NaN where the receiver does not say.
     pub horizontal_sigma_m: f64,

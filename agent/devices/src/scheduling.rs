@@ -38,3 +38,15 @@ pub fn ask_for_real_time(priority: i32) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_lets_every_thread_have_its_priority() {
+        let unit = include_str!("../../package/plumbline-agent.service");
+        let limit = unit.lines().find_map(|line| line.strip_prefix("LimitRTPRIO=")).unwrap();
+        assert_eq!(limit.parse::<i32>(), Ok([MOTOR_WATCH, FLIGHT, READER].into_iter().max().unwrap()));
+    }
+}

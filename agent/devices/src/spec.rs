@@ -393,9 +393,9 @@ impl DeviceSpec {
         Some(match self.driver {
             DriverKind::Bno055 => Box::new(Bno055::new(port, self.address(), rate_hz)),
             DriverKind::Invensense => Box::new(Invensense::new(port, self.address(), rate_hz)),
-            DriverKind::Mongoose => Box::new(Talker::new(port, baud, Mongoose)),
-            DriverKind::Tfmini => Box::new(Talker::new(port, baud, TfMini)),
-            DriverKind::Gnss => Box::new(Talker::new(port, baud, GnssStream::default())),
+            DriverKind::Mongoose => Box::new(Talker::<Mongoose>::new(port, baud)),
+            DriverKind::Tfmini => Box::new(Talker::<TfMini>::new(port, baud)),
+            DriverKind::Gnss => Box::new(Talker::<GnssStream>::new(port, baud)),
             DriverKind::Hokuyo => Box::new(Hokuyo::new(port)),
             DriverKind::Natnet => {
                 let system = System::NatNet { server: self.server?, id: self.body.parse().ok()?, rate_hz };
@@ -449,7 +449,7 @@ impl DeviceSpec {
             origin: self.origin.map(|[lat, lon, alt]| TangentPlane::new(Geodetic::from_degrees(lat, lon, alt))),
             world_from_mocap: if self.up.as_deref() == Some("y") { upright } else { UnitQuaternion::identity() },
         };
-        // A receiver without sky is alive, and a device of 1 Hz is not silent after one second.
+        // A device of 1 Hz is not silent after one second.
         let silence = Duration::from_secs_f64((5.0 / self.rate_hz()).max(0.5));
         let (name, record_scans) = (self.name.clone(), self.record_scans);
         let options = Options { name, delay_s: self.delay_s, silence, real_time, record_scans };

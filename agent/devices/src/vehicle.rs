@@ -155,11 +155,13 @@ impl Vehicle for HardwareVehicle {
         Some(self.motors.clone())
     }
 
-    /// Exactly, so that flight time stays what the readers stamp.
+    /// Whole ticks, as the readers ask by them; what is left is taken off flight time, so that it stays what they stamp.
     fn pass_over(&mut self, gap_s: f64) -> f64 {
         let gap_us = if gap_s > 0.0 { (gap_s.min(86_400.0) * 1e6) as u64 } else { 0 };
-        self.next = FlightTime(self.next.0 + gap_us);
-        gap_us as f64 * 1e-6
+        let rest_us = gap_us % self.tick_us;
+        self.zero.set_back(1000 * rest_us as i64);
+        self.next = FlightTime(self.next.0 + gap_us - rest_us);
+        (gap_us - rest_us) as f64 * 1e-6
     }
 
     fn device(&mut self, index: usize) -> Option<DeviceState<'_>> {
@@ -285,7 +287,28 @@ fn height_m(mounted: &Mounted, range: &RangeReading, up_flu: &Vector3<f64>) -> O
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::net::UnixStream;
+    use std::time::Instant;
+
     use super::*;
+    use crate::motors::GuardLine;
+
+    /// GIVEN a tick that begins late by no whole number of them WHEN that is passed over THEN flight time is what the readers
+    /// stamp, and the tick is one of those that they ask by.
+    #[test]
+    fn a_silence_is_passed_over_in_whole_ticks() {
+        let (near, _far) = UnixStream::pair().unwrap();
+        let due = Instant::now();
+        let zero = Zero::ticking(200.0);
+        zero.set(due);
+        let mut vehicle = HardwareVehicle::new(Vec::new(), Arc::new(GuardLine::new(near).unwrap()), zero.clone());
+        let started = due + Duration::from_millis(118);
+        assert!((vehicle.pass_over(0.118) - 0.115).abs() < 1e-9);
+        assert_eq!(vehicle.sense().unwrap().time, FlightTime(115_000));
+        assert!((zero.micros(started).unwrap() - 115_000.0).abs() < 2.0, "{:?}", zero.micros(started));
+        let (tick, _) = zero.nearest_tick(started).unwrap();
+        assert!(tick.max(started) - tick.min(started) < Duration::from_micros(2), "{:?}", tick - due);
+    }
 
     fn mounted(position_flu_m: Vector3<f64>) -> Mounted {
         Mounted {

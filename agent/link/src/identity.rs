@@ -130,7 +130,8 @@ pub fn load_or_create(folder: &Path) -> Result<Identity, IdentityError> {
     fs::create_dir_all(folder).map_err(io_error(folder))?;
     let certificate_path = folder.join("cert.pem");
     let key_path = folder.join("key.pem");
-    if !certificate_path.exists() && !key_path.exists() {
+    // A key alone is what a power cut left of an identity that nobody was shown.
+    if !certificate_path.exists() {
         create(folder, &certificate_path, &key_path)?;
     }
     let certificate = CertificateDer::from_pem_file(&certificate_path)
@@ -163,7 +164,8 @@ pub fn load_or_create(folder: &Path) -> Result<Identity, IdentityError> {
 /// # Errors
 /// [`IdentityError`] when a file cannot be moved or made.
 pub fn rotate(folder: &Path) -> Result<Identity, IdentityError> {
-    for name in ["key.pem", "cert.pem"] {
+    // The certificate first: without it the rest is made anew, whatever comes between.
+    for name in ["cert.pem", "key.pem"] {
         let path = folder.join(name);
         match fs::rename(&path, folder.join(format!("{name}.old"))) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(io_error(&path)(error)),
@@ -386,7 +388,7 @@ fn create(folder: &Path, certificate_path: &Path, key_path: &Path) -> Result<(),
     let mut params = rcgen::CertificateParams::new(vec![super::tls::SERVER_NAME.to_owned()])?;
     params.distinguished_name.push(rcgen::DnType::CommonName, "Plumbline");
     let certificate = params.self_signed(&key)?;
-    // The key first: a certificate without a key would never be made good.
+    // The key first: where a certificate is, its key is, too.
     write_new(key_path, key.serialize_pem().as_bytes(), 0o600)?;
     write_new(certificate_path, certificate.pem().as_bytes(), 0o644)?;
     tracing::info!(folder = %folder.display(), "a new identity was made");

@@ -115,7 +115,7 @@ impl Chosen {
     }
 }
 
-/// Flies until the end, Ctrl-C or SIGTERM.
+/// Flies until the end, Ctrl-C, SIGTERM or the end of its terminal.
 pub fn fly(arguments: &FlyArguments) -> Result<(), Failure> {
     let config = configuration(arguments)?;
     let pace = pace(&arguments.speed)?;
@@ -365,14 +365,16 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
     })
 }
 
-/// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs.
+/// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs. A terminal that goes (an SSH
+/// session that breaks off) lands, too, and cuts nothing.
 fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
     use tokio::signal::unix::{SignalKind, signal};
+    let stays = ignored(libc::SIGHUP);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
-            let (Ok(mut interrupt), Ok(mut terminate)) =
-                (signal(SignalKind::interrupt()), signal(SignalKind::terminate()))
+            let (Ok(mut interrupt), Ok(mut terminate), Ok(mut hang_up)) =
+                (signal(SignalKind::interrupt()), signal(SignalKind::terminate()), signal(SignalKind::hangup()))
             else {
                 tracing::error!("signals cannot be heard; Ctrl-C will not end the flight in order");
                 return;
@@ -381,6 +383,12 @@ fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
                 tokio::select! {
                     _ = interrupt.recv() => {}
                     _ = terminate.recv() => {}
+                    _ = hang_up.recv() => {
+                        if !stays && stop.ask_first() {
+                            tracing::info!("its terminal is gone: landing");
+                        }
+                        continue;
+                    }
                 }
                 match stop.ask() {
                     1 => tracing::info!("asked to end: landing; asked again the motors are cut"),
@@ -391,4 +399,13 @@ fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
         });
     })?;
     Ok(())
+}
+
+/// Was this program told to ignore `number`, as `nohup` does?
+fn ignored(number: libc::c_int) -> bool {
+    // SAFETY: a plain structure, of which zeros are a value.
+    let mut now: libc::sigaction = unsafe { std::mem::zeroed() };
+    // SAFETY: nothing is changed, and `now` is a valid place for the answer.
+    let known = unsafe { libc::sigaction(number, std::ptr::null(), &raw mut now) } == 0;
+    known && now.sa_sigaction == libc::SIG_IGN
 }

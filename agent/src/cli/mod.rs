@@ -73,7 +73,7 @@ enum VehicleChoice {
     Replay,
     /// The quadrotor.
     Hardware,
-    /// The quadrotor behind a PX4 autopilot, by body rates and thrust.
+    /// The quadrotor behind a PX4 autopilot: by body rates and thrust, or by a pose and where to be.
     Mavlink,
     /// The simulator, flown by a stock PX4 (SITL): its MAVLink interface for simulators, lockstep over TCP.
     Px4,

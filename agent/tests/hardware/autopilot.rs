@@ -5,7 +5,6 @@
 
 use std::cell::Cell;
 use std::io::Read as _;
-use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Condvar, Mutex};
@@ -14,8 +13,8 @@ use std::time::Duration;
 use plumbline_proto::v1;
 use serde_json::Value;
 
-use crate::Agent;
 use crate::wires::unless_late;
+use crate::{Agent, pymavlink, udp_port};
 
 const SCENARIO: &str = r#"
 name = "autopilot"
@@ -50,24 +49,27 @@ mode = "land"
 /// Altitude while held, m: one range sensor of 1 cm steps.
 const HOLDING_M: f64 = 0.1;
 
-/// The double at `port`, with what its command line takes besides; `None` where there is no Python with pymavlink.
-fn double(port: u16, options: &[&str]) -> Option<Double> {
-    let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
-    let has = Command::new(&python).args(["-c", "import pymavlink"]).output();
-    if !has.is_ok_and(|ran| ran.status.success()) {
-        plumbline_agent::recordings::skipped("an autopilot's double: no Python with pymavlink");
-        return None;
-    }
+/// The double, with what its command line takes besides its ports; `None` where there is no Python with pymavlink.
+fn double(options: &[&str]) -> Option<Double> {
+    let python = pymavlink("an autopilot's double")?;
+    let turn = Turn::wait();
+    // Not before: what is free while a test waits for its turn is somebody else's by then.
+    let (port, vicon) = (udp_port(), udp_port());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/browser/autopilot.py");
     let mut double = Command::new(python);
     double.arg(script).arg(port.to_string()).args(options);
-    let turn = Turn::wait();
+    if options.contains(&"--pose") {
+        double.args(["--vicon", &vicon.to_string()]);
+    }
     let process = double.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    Some(Double { process, _turn: turn })
+    Some(Double { process, port, vicon, _turn: turn })
 }
 
 struct Double {
     process: Child,
+    /// Where the agent hears it, and where it hears of its pose, which only `--pose` has sent.
+    port: u16,
+    vicon: u16,
     _turn: Turn,
 }
 
@@ -119,12 +121,8 @@ fn in_time(test: impl Fn()) {
     unless_late("the double", watch, test);
 }
 
-fn free_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-fn fly(port: u16) -> Agent {
-    fly_on(&format!("udp:127.0.0.1:{port}"), "", "", SCENARIO)
+fn fly(double: &Double) -> Agent {
+    fly_on(&format!("udp:127.0.0.1:{}", double.port), "", "", SCENARIO)
 }
 
 /// Flies `scenario` with the autopilot on `port`, `devices` beside it and what `[motors]` says of it.
@@ -148,9 +146,8 @@ fn course(seen: &Value) -> Vec<(f64, f64, bool, bool)> {
 #[test]
 fn altitude_steps_in_offboard_mode() {
     in_time(|| {
-        let port = free_port();
-        let Some(double) = double(port, &["12"]) else { return };
-        let mut agent = fly(port);
+        let Some(double) = double(&["12"]) else { return };
+        let mut agent = fly(&double);
         let status = agent.end();
         let seen = seen(double);
         let figures =
@@ -212,10 +209,9 @@ fn by_pose(vicon: u16) -> (String, &'static str, String) {
 #[test]
 fn by_pose_the_autopilot_flies_altitude_steps_on_our_estimate() {
     in_time(|| {
-        let (port, vicon) = (free_port(), free_port());
-        let Some(double) = double(port, &["--pose", "--vicon", &vicon.to_string()]) else { return };
-        let (devices, motors, scenario) = by_pose(vicon);
-        let mut agent = fly_on(&format!("udp:127.0.0.1:{port}"), &devices, motors, &scenario);
+        let Some(double) = double(&["--pose"]) else { return };
+        let (devices, motors, scenario) = by_pose(double.vicon);
+        let mut agent = fly_on(&format!("udp:127.0.0.1:{}", double.port), &devices, motors, &scenario);
         let status = agent.end();
         let seen = seen(double);
         let odometry = &seen["odometry"];
@@ -286,10 +282,9 @@ fn covariances_are_those_of_the_estimate(agent: &Agent, odometry: &Value) {
 #[test]
 fn by_pose_an_estimate_that_is_lost_ends_offboard_mode_and_the_autopilot_lands() {
     in_time(|| {
-        let (port, vicon) = (free_port(), free_port());
-        let Some(double) = double(port, &["--pose", "--vicon", &vicon.to_string(), "--hide_s", "13"]) else { return };
-        let (devices, motors, scenario) = by_pose(vicon);
-        let mut agent = fly_on(&format!("udp:127.0.0.1:{port}"), &devices, motors, &scenario);
+        let Some(double) = double(&["--pose", "--hide_s", "13"]) else { return };
+        let (devices, motors, scenario) = by_pose(double.vicon);
+        let mut agent = fly_on(&format!("udp:127.0.0.1:{}", double.port), &devices, motors, &scenario);
         let status = agent.end();
         std::thread::sleep(Duration::from_secs(3));
         let seen = seen(double);
@@ -304,16 +299,16 @@ fn by_pose_an_estimate_that_is_lost_ends_offboard_mode_and_the_autopilot_lands()
 #[test]
 fn by_pose_over_a_serial_port_that_breaks_frames_and_signs() {
     in_time(|| {
-        let (vicon, folder) = (free_port(), tempfile::tempdir().unwrap());
+        let folder = tempfile::tempdir().unwrap();
         let (terminal, key) = (folder.path().join("tty"), folder.path().join("key"));
         let digits: String = (0..32).map(|byte| format!("{byte:02x}")).collect();
         std::fs::write(&key, &digits).unwrap();
-        let options = ["--pose", "--vicon", &vicon.to_string(), "--pty", terminal.to_str().unwrap(), "--key", &digits];
-        let Some(double) = double(0, &options) else { return };
+        let options = ["--pose", "--pty", terminal.to_str().unwrap(), "--key", &digits];
+        let Some(double) = double(&options) else { return };
         while !terminal.exists() {
             std::thread::sleep(Duration::from_millis(20));
         }
-        let (devices, motors, scenario) = by_pose(vicon);
+        let (devices, motors, scenario) = by_pose(double.vicon);
         let motors = format!("{motors}signing_key = {key:?}\n");
         let mut agent = fly_on(terminal.to_str().unwrap(), &devices, &motors, &scenario);
         let status = agent.end();
@@ -340,61 +335,59 @@ fn by_pose_over_a_serial_port_that_breaks_frames_and_signs() {
 
 #[test]
 fn intervals_that_are_refused_are_told_and_without_its_imu_it_is_not_used() {
-    let port = free_port();
-    let Some(double) = double(port, &["--deny", "132"]) else { return };
-    let agent = fly(port);
-    std::thread::sleep(Duration::from_secs(6));
-    agent.signal("-INT");
+    // What tells how it is aimed is flown without: it arms, and the state of its device, recorded each second, says so.
+    let Some(double) = double(&["--deny", "83"]) else { return };
+    let mut agent = fly(&double);
+    agent.wait_recording();
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(agent.ended(), None, "{}", agent.said());
+    agent.signal(libc::SIGINT);
+    agent.end();
     seen(double);
-    drop(agent);
-    let port = free_port();
-    let Some(double) = self::double(port, &["--deny", "105"]) else { return };
-    let agent = fly(port);
-    std::thread::sleep(Duration::from_secs(6));
-    let said = agent.said();
-    assert!(said.contains("the interval of HIGHRES_IMU is MAV_RESULT_DENIED, not MAV_RESULT_ACCEPTED"), "{said}");
-    agent.signal("-INT");
+    let states: Vec<v1::DeviceState> = agent.recorded("/device/1");
+    let told = |state: &v1::DeviceState| state.up && state.reason.contains("refuses the interval of ATTITUDE_TARGET");
+    assert!(states.iter().any(told), "{states:?}");
+
+    let Some(double) = self::double(&["--deny", "105"]) else { return };
+    let mut agent = fly(&double);
+    agent.wait_said("the interval of HIGHRES_IMU is MAV_RESULT_DENIED, not MAV_RESULT_ACCEPTED");
+    agent.signal(libc::SIGINT);
     seen(double);
 }
 
 #[test]
 fn another_system_than_configured_is_named() {
-    let port = free_port();
-    let Some(double) = double(port, &["--system", "7"]) else { return };
-    let agent = fly(port);
-    std::thread::sleep(Duration::from_secs(6));
-    assert!(agent.said().contains("system 1 is silent; system 7 is heard"), "{}", agent.said());
-    agent.signal("-INT");
+    let Some(double) = double(&["--system", "7"]) else { return };
+    let mut agent = fly(&double);
+    agent.wait_said("system 1 is silent; system 7 is heard");
+    agent.signal(libc::SIGINT);
     assert!(seen(double)["armed"] == false);
 }
 
 #[test]
 fn an_autopilot_whose_clock_jumps_back_is_told() {
     in_time(|| {
-        let port = free_port();
-        let Some(double) = double(port, &["--jump_s", "6"]) else { return };
-        let mut agent = fly(port);
-        std::thread::sleep(Duration::from_secs(9));
-        agent.signal("-INT");
+        let Some(double) = double(&["--jump_s", "6"]) else { return };
+        let mut agent = fly(&double);
+        agent.wait_said("clock jumped");
+        agent.signal(libc::SIGINT);
         agent.end();
         seen(double);
-        assert!(agent.said().contains("clock jumped"), "{}", agent.said());
     });
 }
 
 #[test]
 fn an_agent_that_stops_is_left_by_the_autopilot_which_lands_and_is_not_cut_in_the_air() {
     in_time(|| {
-        let port = free_port();
-        let Some(double) = double(port, &["12"]) else { return };
-        let mut agent = fly(port);
+        let Some(double) = double(&["12"]) else { return };
+        let mut agent = fly(&double);
         std::thread::sleep(Duration::from_secs(15));
-        agent.signal("-STOP");
+        agent.signal(libc::SIGSTOP);
         // The autopilot waits for half a second; a landing from 0.6 m takes longer than one.
         std::thread::sleep(Duration::from_millis(1200));
-        agent.signal("-CONT");
+        agent.signal(libc::SIGCONT);
         std::thread::sleep(Duration::from_secs(4));
-        agent.signal("-INT");
+        agent.signal(libc::SIGINT);
         let status = agent.end();
         let seen = seen(double);
         assert!(status.success(), "{}", agent.said());
@@ -409,9 +402,8 @@ fn an_agent_that_stops_is_left_by_the_autopilot_which_lands_and_is_not_cut_in_th
 #[test]
 fn a_pilot_who_takes_over_keeps_it() {
     in_time(|| {
-        let port = free_port();
-        let Some(double) = double(port, &["12", "8"]) else { return };
-        let mut agent = fly(port);
+        let Some(double) = double(&["12", "8"]) else { return };
+        let mut agent = fly(&double);
         let status = agent.end();
         // As long as the pilot's landing takes.
         std::thread::sleep(Duration::from_secs(3));
@@ -427,12 +419,13 @@ fn a_pilot_who_takes_over_keeps_it() {
 
 #[test]
 fn another_autopilot_than_configured_is_refused_by_name() {
-    let port = free_port();
-    let Some(double) = double(port, &["3"]) else { return };
-    let agent = fly(port);
-    std::thread::sleep(Duration::from_secs(8));
-    assert!(agent.said().contains("MAV_AUTOPILOT_ARDUPILOTMEGA, not MAV_AUTOPILOT_PX4"), "{}", agent.said());
-    agent.signal("-INT");
+    let Some(double) = double(&["3"]) else { return };
+    // Its script arms soon, and in vain.
+    let scenario = SCENARIO.replace("at_s = 6", "at_s = 1");
+    let mut agent = fly_on(&format!("udp:127.0.0.1:{}", double.port), "", "", &scenario);
+    agent.wait_said("MAV_AUTOPILOT_ARDUPILOTMEGA, not MAV_AUTOPILOT_PX4");
+    std::thread::sleep(Duration::from_secs(2));
+    agent.signal(libc::SIGINT);
     let seen = seen(double);
     assert!(seen["armed"] == false && course(&seen).iter().all(|row| !row.2), "{seen}");
 }

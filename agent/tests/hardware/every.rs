@@ -11,9 +11,9 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_proto::v1;
 use plumbline_support::flown;
-use plumbline_wires::{Plug, Wire, WireRig, Wiring};
+use plumbline_wires::{Plug, Wire, Wiring};
 
-use crate::wires::{Flown, HOLDING_M, SCENARIO, in_time};
+use crate::wires::{Flown, HOLDING_M, SCENARIO, in_time, rig};
 
 /// The issue asks for the figures of the flight without wires within 10 %.
 const ALTITUDE_LIMIT: f64 = 1.1;
@@ -189,7 +189,7 @@ fn motion_capture_that_is_silent_refuses_arming_and_is_a_failsafe_in_flight() {
         flown.wait("hold", |flown| flown.rig.truths().len() > airborne + 10 * 200);
         flown.rig.plug("mocap", Plug::Out);
         flown.stands(std::time::Instant::now());
-        flown.agent.signal("-INT");
+        flown.agent.signal(libc::SIGINT);
         flown.land();
         flown.agent.assert_told(&[
             "mocap lost",
@@ -209,7 +209,7 @@ fn driver_on(device: &toml::Value) -> (&str, &str, Option<i64>) {
 fn what_answers_on_ports_and_bus_is_found_by_asking_and_shows_its_readings() {
     let folder = tempfile::tempdir().unwrap();
     let wiring = Wiring::every();
-    let rig = WireRig::start(&Scenario::from_toml(SCENARIO).unwrap(), folder.path(), &wiring).unwrap();
+    let rig = rig(SCENARIO, folder.path(), &wiring);
     let file = folder.path().join("agent.toml");
     std::fs::write(&file, rig.configuration()).unwrap();
     let wired: toml::Table = rig.configuration().parse().unwrap();

@@ -13,6 +13,8 @@ mod ports;
 mod stock;
 mod wires;
 
+use std::ffi::OsString;
+use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
@@ -83,9 +85,37 @@ impl Agent {
         }
     }
 
-    fn signal(&self, name: &str) {
-        let sent = Command::new("kill").args([name, &self.process.id().to_string()]).status().unwrap();
-        assert!(sent.success());
+    /// At once, and by no other process: what follows is timed.
+    fn signal(&self, signal: i32) {
+        let id = i32::try_from(self.process.id()).unwrap();
+        // SAFETY: our own child, not yet waited for, so the number is still its.
+        let sent = unsafe { libc::kill(id, signal) };
+        assert_eq!(sent, 0, "{}", std::io::Error::last_os_error());
+    }
+
+    /// Until it has said `text`.
+    fn wait_said(&mut self, text: &str) {
+        self.wait(text, |agent| agent.said().contains(text));
+    }
+
+    /// Until it records a flight.
+    fn wait_recording(&mut self) {
+        let log = self.folder.path().join("log");
+        let is_flight = |file: std::fs::DirEntry| file.path().extension().is_some_and(|e| e == "mcap");
+        self.wait("flight file", |_| log.read_dir().is_ok_and(|files| files.flatten().any(is_flight)));
+    }
+
+    fn wait(&mut self, what: &str, done: impl Fn(&Self) -> bool) {
+        let begun = Instant::now();
+        loop {
+            // First: what it said last counts.
+            let ended = self.ended();
+            if done(self) {
+                return;
+            }
+            assert!(begun.elapsed() < PATIENCE && ended.is_none(), "no {what:?}, {ended:?}: {}", self.said());
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// Has its reader lost the device of that name?
@@ -116,6 +146,20 @@ impl Agent {
             assert!(events.iter().any(|event| event.text.contains(text)), "{text}: {events:#?}");
         }
     }
+}
+
+fn udp_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A Python with pymavlink; where there is none, `what` is told to be skipped.
+fn pymavlink(what: &str) -> Option<OsString> {
+    let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
+    let has = Command::new(&python).args(["-c", "import pymavlink"]).output().is_ok_and(|ran| ran.status.success());
+    if !has {
+        plumbline_agent::recordings::skipped(&format!("{what}: no Python with pymavlink"));
+    }
+    has.then_some(python)
 }
 
 fn said(folder: &Path) -> String {

@@ -14,7 +14,7 @@ use plumbline_agent::recordings;
 use plumbline_proto::{ids::SensorId, v1, v1::SensorKind};
 use serde_json::Value;
 
-use crate::Agent;
+use crate::{Agent, pymavlink, udp_port};
 
 /// Only what watches: every other estimator beside it takes time and shows nothing here.
 const CONFIGURATION: &str = "[estimators]\nrun = [\"ekf_bias\"]\nin_loop = \"ekf_bias\"\n";
@@ -28,12 +28,7 @@ struct Double(Child);
 impl Double {
     /// `None` where there is no Python with pymavlink.
     fn start(script: &str, port: u16, seconds: f64, fault: &str) -> Option<Self> {
-        let python = std::env::var_os("PLUMBLINE_PYTHON").unwrap_or_else(|| "python3".into());
-        let has = Command::new(&python).args(["-c", "import pymavlink"]).output();
-        if !has.is_ok_and(|ran| ran.status.success()) {
-            plumbline_agent::recordings::skipped("a stock autopilot's double: no Python with pymavlink");
-            return None;
-        }
+        let python = pymavlink("a stock autopilot's double")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/browser").join(script);
         let mut double = Command::new(python);
         double.arg(script).arg(port.to_string()).arg(seconds.to_string());
@@ -65,10 +60,6 @@ fn scenario(name: &str) -> String {
 
 fn tcp_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-fn udp_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 fn agent(vehicle: &str, port: u16, scenario: &str, attacks: &str, more: &[&str]) -> Agent {
@@ -334,14 +325,15 @@ fn a_px4_without_lockstep_flies_in_real_time() {
 #[test]
 fn asked_to_end_it_ends_at_once_and_finishes_the_file() {
     let Some((mut agent, _double)) = px4(60.0, "", "silent", &["--answer-s", "60"]) else { return };
-    let begun = Instant::now();
-    while !agent.folder.path().join("log").read_dir().is_ok_and(|mut files| files.next().is_some()) {
-        assert!(begun.elapsed() < crate::PATIENCE, "{}", agent.said());
-        std::thread::sleep(Duration::from_millis(50));
+    agent.wait_recording();
+    // It waits for an answer that does not come, once its file grows no longer.
+    let length = || std::fs::metadata(flight_file(&agent)).unwrap().len();
+    let mut grown = None;
+    while grown != Some(length()) {
+        grown = Some(length());
+        std::thread::sleep(Duration::from_secs(1));
     }
-    // By now it flies, or waits for an answer that does not come.
-    std::thread::sleep(Duration::from_secs(8));
-    agent.signal("-INT");
+    agent.signal(libc::SIGINT);
     let asked = Instant::now();
     let status = agent.end();
     assert!(status.success(), "{}", agent.said());

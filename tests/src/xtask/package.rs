@@ -111,7 +111,7 @@ const PACKAGES: [Package; 2] = [
         about: "Records every flight, passes commands, schedules sensor attacks and serves\n the page. Its flights are kept in /var/lib/plumbline/ground, also on purge.",
         manual: "manual.md",
         groups: &[],
-        recommends: None,
+        recommends: Some("ca-certificates"),
         upgraded: "deb-systemd-helper enable plumbline-ground.service >/dev/null || true\n\
                    [ ! -d /run/systemd/system ] || deb-systemd-invoke restart plumbline-ground.service || true",
     },
@@ -295,8 +295,12 @@ fn after(package: &Package) -> String {
     let upgraded = package.upgraded.replace('\n', "\n    ");
     let group = |group: &&str| format!("getent group {group} >/dev/null || addgroup --system --quiet {group}\n    ");
     let groups: String = package.groups.iter().map(group).collect();
-    // It may hold passwords.
-    let own = format!("chgrp plumbline /etc/plumbline/{0}.toml && chmod 640 /etc/plumbline/{0}.toml", package.member);
+    // The folder of its state is there before its first start, so that it can be paired; the configuration may hold passwords.
+    let own = format!(
+        "install -d -o plumbline -g plumbline -m 750 /var/lib/plumbline/{0}\n    \
+         chgrp plumbline /etc/plumbline/{0}.toml && chmod 640 /etc/plumbline/{0}.toml",
+        package.member
+    );
     format!(
         "#!/bin/sh\nset -e\nif [ \"$1\" = configure ]; then\n    if ! getent passwd plumbline >/dev/null; then\n        \
          adduser --system --group --quiet --home /var/lib/plumbline --no-create-home plumbline\n    fi\n    {groups}{own}\n    \
@@ -339,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn every_group_of_a_unit_is_made_by_its_package() {
+    fn every_group_and_folder_of_a_unit_is_made_by_its_package() {
         for package in &PACKAGES {
             let unit = format!("../{0}/package/{1}.service", package.member, package.name);
             let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
@@ -349,7 +353,9 @@ mod tests {
             for group in groups.split(' ').filter(|group| !matches!(*group, "" | "dialout")) {
                 assert!(script.contains(&format!("addgroup --system --quiet {group}\n")), "{}: {group}", package.name);
             }
-            // The unit's own folders are made by it; a path that may be absent keeps it from starting.
+            let state = unit.lines().find_map(|line| line.strip_prefix("StateDirectory=")).unwrap();
+            assert!(script.contains(&format!("install -d -o plumbline -g plumbline -m 750 /var/lib/{state}\n")));
+            // A path that may be absent keeps it from starting.
             assert!(!unit.contains("ReadWritePaths=/"), "{}", package.name);
         }
     }

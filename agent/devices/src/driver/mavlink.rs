@@ -131,6 +131,8 @@ struct Known {
     offboard: bool,
     /// It was armed because we asked, and obeyed.
     flew: bool,
+    /// When it was ordered to arm, until it says a while later that it is not armed: arming is ours, wanted still or not.
+    ordered: Option<Instant>,
     setpoints: (u64, Instant),
     streams_since: Option<Instant>,
     imu: Instant,
@@ -214,6 +216,7 @@ impl Known {
             armed: false,
             offboard: false,
             flew,
+            ordered: None,
             setpoints: (0, now),
             streams_since: None,
             imu: now,
@@ -231,6 +234,10 @@ impl Known {
         self.armed = beat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED);
         self.offboard = beat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
             && (beat.custom_mode >> 16) & 0xff == OFFBOARD;
+        // Sooner after the order it may have been on its way already.
+        if !self.armed && self.ordered.is_some_and(|at| now - at > AGAIN) {
+            self.ordered = None;
+        }
     }
 
     /// An answer comes sooner than the next heartbeat.
@@ -242,7 +249,7 @@ impl Known {
     ) -> Result<(), DeviceError> {
         let accepted = ack.result == MavResult::MAV_RESULT_ACCEPTED;
         match ack.command {
-            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM if accepted => self.armed = autopilot.wanted.load(Ordering::Acquire),
+            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM if accepted => self.armed = autopilot.arms.load(Ordering::Acquire),
             MavCmd::MAV_CMD_DO_SET_MODE if accepted => self.offboard = true,
             MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL if self.asking.times > 0 => {
                 let Some(wanted) = MESSAGES.get(self.asking.index) else { return Ok(()) };
@@ -326,7 +333,7 @@ impl Known {
             self.streams_since = None;
         }
         let wanted = autopilot.wanted.load(Ordering::Acquire);
-        let obeys = self.armed && self.offboard && (self.flew || wanted);
+        let obeys = self.armed && self.offboard && (self.flew || wanted || self.ordered.is_some());
         if wanted && self.flew && !self.offboard {
             autopilot.taken.store(true, Ordering::Release);
         }
@@ -344,6 +351,7 @@ impl Known {
                 // A custom mode, and which.
                 autopilot.order(MavCmd::MAV_CMD_DO_SET_MODE, 1.0, OFFBOARD as f32);
             } else if wanted {
+                self.ordered = Some(now);
                 autopilot.arm();
             }
         }
@@ -424,7 +432,8 @@ impl Driver for Mavlink {
         }
         self.autopilot.attach(self.wire.clone());
         let now = Instant::now();
-        let mut known = Known::new(now, self.known.as_ref().is_some_and(|known| known.flew));
+        let (flew, ordered) = self.known.as_ref().map_or((false, None), |known| (known.flew, known.ordered));
+        let mut known = Known { ordered, ..Known::new(now, flew) };
         known.beat(&beat, now);
         self.known = Some(known);
         Ok(())
@@ -610,5 +619,56 @@ mod tests {
         assert!((1.2..1.4).contains(&first), "{first}");
         let mut armed = Known { armed: true, ..Known::new(begun, false) };
         assert_eq!(asked(&mut armed, 3.0), None);
+    }
+
+    /// GIVEN an autopilot that was ordered to arm WHEN the motors are cut before it confirms THEN it is disarmed once it does,
+    /// by its answer or by a heartbeat, and again where that was lost.
+    #[test]
+    fn what_arms_after_a_cut_is_disarmed() {
+        for answers in [true, false] {
+            let autopilot = Autopilot::silent();
+            let begun = Instant::now();
+            let at = |ms: u64| begun + Duration::from_millis(ms);
+            let setpoints = (u64::MAX, begun);
+            let mut known = Known { offboard: true, setpoints, streams_since: Some(begun), ..Known::new(begun, false) };
+            let beat = |armed: MavModeFlag| HEARTBEAT_DATA {
+                custom_mode: OFFBOARD << 16,
+                base_mode: MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | armed,
+                ..HEARTBEAT_DATA::DEFAULT
+            };
+            let armed = beat(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED);
+            let ack = COMMAND_ACK_DATA {
+                command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+                result: MavResult::MAV_RESULT_ACCEPTED,
+                ..COMMAND_ACK_DATA::DEFAULT
+            };
+            let disarms = || !autopilot.arms.load(Ordering::Acquire);
+            autopilot.wanted.store(true, Ordering::Release);
+            known.attend(&autopilot, at(1300));
+            assert!(known.ordered.is_some() && !disarms());
+            autopilot.wanted.store(false, Ordering::Release);
+            known.beat(&beat(MavModeFlag::empty()), at(1310));
+            known.attend(&autopilot, at(1320));
+            assert!(!disarms(), "nothing is known yet");
+            if answers {
+                known.answered(&ack, &autopilot, &mut |_| {}).unwrap();
+            } else {
+                known.beat(&armed, at(1390));
+            }
+            known.attend(&autopilot, at(1400));
+            assert!(disarms() && known.asked == at(1400), "answers: {answers}");
+            // Its answer to the disarming, and a heartbeat that says that it did not.
+            known.answered(&ack, &autopilot, &mut |_| {}).unwrap();
+            known.attend(&autopilot, at(1500));
+            known.beat(&armed, at(2000));
+            known.attend(&autopilot, at(2010));
+            assert_eq!(known.asked, at(2010), "again");
+            // From then on whoever arms it is left alone.
+            known.beat(&beat(MavModeFlag::empty()), at(3000));
+            known.attend(&autopilot, at(3010));
+            known.beat(&armed, at(4000));
+            known.attend(&autopilot, at(4010));
+            assert!(known.ordered.is_none() && !known.flew && known.asked == at(2010));
+        }
     }
 }

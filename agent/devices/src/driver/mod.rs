@@ -74,6 +74,11 @@ pub trait Driver: Send {
     /// The device is to be opened again.
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError>;
 
+    /// Did it say something since this was asked last that is neither a reading nor a fault?
+    fn speaks(&mut self) -> bool {
+        false
+    }
+
     /// A question that was answered since this was asked last.
     fn exchange(&mut self) -> Option<Exchange> {
         None

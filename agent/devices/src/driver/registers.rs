@@ -64,18 +64,23 @@ impl Registers {
     }
 
     fn measure(&mut self) -> Result<Reading, DeviceError> {
+        const NOT_DONE: Fault = Fault::Malformed("conversion that was not done");
         match self.chip {
             Chip::Ms5611(prom) => {
                 let [pressure, temperature] = ms5611::CONVERT;
                 let (temperature, pressure) = (self.converted(temperature)?, self.converted(pressure)?);
                 if pressure == 0 || temperature == 0 {
-                    return Err(Fault::Malformed("conversion that was not done").into());
+                    return Err(NOT_DONE.into());
                 }
                 Ok(Reading::Barometer(ms5611::compensate(&prom, pressure, temperature)))
             }
             Chip::Bmp280(calibration) => {
                 let mut data = [0; 6];
                 self.transfer(&[bmp280::DATA], &mut data)?;
+                // Either of the two alone may be measured so.
+                if data == bmp280::EMPTY {
+                    return Err(NOT_DONE.into());
+                }
                 Ok(Reading::Barometer(bmp280::compensate(&calibration, &data)))
             }
             Chip::Ina219 => {
@@ -153,5 +158,32 @@ impl Driver for Registers {
 
     fn close(&mut self) {
         self.bus = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Answers everything with these registers.
+    struct Holds([u8; 6]);
+
+    impl Bus for Holds {
+        fn transfer(&mut self, _address: u8, _write: &[u8], read: &mut [u8]) -> std::io::Result<()> {
+            read.copy_from_slice(&self.0);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_bmp280_that_was_reset_gives_no_reading() {
+        for (data, measured) in [(bmp280::EMPTY, false), ([0x65, 0x5A, 0xC0, 0x80, 0, 0], true)] {
+            let port = PortName::parse("/dev/i2c-1").unwrap();
+            let mut chip = Registers::new(port, 0x76, Chip::Bmp280([1; 24]), 50.0, 1.0);
+            chip.bus = Some(Box::new(Holds(data)));
+            let mut heard = Vec::new();
+            chip.poll(&mut |outcome| heard.push(outcome.is_ok())).unwrap();
+            assert_eq!(heard, [measured], "{data:x?}");
+        }
     }
 }

@@ -17,7 +17,7 @@ use crate::reading::Reading;
 const STRANGE_BYTES: u64 = 384;
 
 /// A protocol whose frames are readings.
-pub trait Spoken: Protocol + Send {
+pub trait Spoken: Protocol + Default + Send {
     /// For people, with the usual baud rate.
     const NAME: &'static str;
 
@@ -58,22 +58,22 @@ pub struct Talker<P> {
     framer: Framer<P>,
     open: Option<Box<dyn Stream>>,
     frames: u64,
-    /// By the framer, when the port was opened.
-    skipped_before: u64,
+    /// A frame came since that was asked.
+    speaks: bool,
 }
 
 impl<P: Spoken> Talker<P> {
     /// On `port`, closed.
-    pub fn new(port: PortName, baud: u32, protocol: P) -> Self {
-        Self { port, baud, framer: Framer::new(protocol), open: None, frames: 0, skipped_before: 0 }
+    pub fn new(port: PortName, baud: u32) -> Self {
+        Self { port, baud, framer: Framer::new(P::default()), open: None, frames: 0, speaks: false }
     }
 }
 
 impl<P: Spoken> Driver for Talker<P> {
     fn open(&mut self) -> Result<(), DeviceError> {
-        self.framer.clear();
+        // What the protocol has learnt of the device goes, too: one that lost its power may have begun anew.
+        self.framer = Framer::new(P::default());
         self.frames = 0;
-        self.skipped_before = self.framer.skipped();
         self.open = Some(self.port.open_serial(self.baud)?);
         Ok(())
     }
@@ -83,10 +83,11 @@ impl<P: Spoken> Driver for Talker<P> {
         let mut bytes = [0; 512];
         let count = port.read(&mut bytes).map_err(|error| self.port.error(error))?;
         let (at, skipped) = (Instant::now(), self.framer.skipped());
-        let frames = &mut self.frames;
+        let (frames, speaks) = (&mut self.frames, &mut self.speaks);
         self.framer.push(bytes.get(..count).unwrap_or_default(), |frame| match frame {
             Ok(frame) => {
                 *frames += 1;
+                *speaks = true;
                 P::readings(frame, &mut |stamp, reading| out(Ok(Heard { at, stamp, after_us: 0.0, reading })));
             }
             Err(fault) => out(Err(fault)),
@@ -94,7 +95,7 @@ impl<P: Spoken> Driver for Talker<P> {
         if self.framer.skipped() > skipped && self.frames > 0 {
             out(Err(Fault::Malformed("bytes between frames")));
         }
-        let strange = self.framer.skipped() - self.skipped_before;
+        let strange = self.framer.skipped();
         if self.frames == 0 && strange > STRANGE_BYTES {
             let value = format!("{strange} bytes without a frame at {} baud", self.baud);
             return Err(DeviceError::Wrong { what: "what speaks", value, expected: P::NAME });
@@ -102,7 +103,53 @@ impl<P: Spoken> Driver for Talker<P> {
         Ok(())
     }
 
+    fn speaks(&mut self) -> bool {
+        std::mem::take(&mut self.speaks)
+    }
+
     fn close(&mut self) {
         self.open = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::fd::AsRawFd as _;
+
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::protocol::{nmea, ubx};
+    use crate::reading::FixReading;
+
+    /// GIVEN a receiver that spoke UBX WHEN its port is opened again and it speaks NMEA, as after a loss of its power THEN its fixes
+    /// count, and what it says without one is a sign of life.
+    #[test]
+    fn a_receiver_that_comes_back_with_nmea_is_read() {
+        let (own, other) = serial2::SerialPort::pair().unwrap();
+        let path = std::fs::read_link(format!("/proc/self/fd/{}", other.as_raw_fd())).unwrap();
+        let mut receiver = Talker::<GnssStream>::new(PortName::parse(path.to_str().unwrap()).unwrap(), 38_400);
+        let fix = FixReading {
+            geodetic: [47.5, 8.75, 400.0],
+            velocity_enu_mps: Vector3::zeros(),
+            horizontal_sigma_m: 1.25,
+            vertical_sigma_m: 2.5,
+            satellites: 11,
+        };
+        let nmea = nmea::encode(43_200.0, &fix);
+        let motion = nmea.split_inclusive('\n').next().unwrap();
+        for (sent, fixes) in [(&ubx::encode_nav_pvt(1000, &fix)[..], 1), (motion.as_bytes(), 0), (nmea.as_bytes(), 1)] {
+            receiver.open().unwrap();
+            own.write_all(sent).unwrap();
+            let mut found = 0;
+            for _ in 0..100 {
+                receiver.poll(&mut |heard| found += usize::from(heard.is_ok())).unwrap();
+                if receiver.speaks() && found == fixes {
+                    break;
+                }
+            }
+            assert_eq!(found, fixes, "{}", String::from_utf8_lossy(sent));
+            assert!(!receiver.speaks(), "told once");
+        }
     }
 }

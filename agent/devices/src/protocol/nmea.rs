@@ -187,8 +187,8 @@ impl Epoch {
         let [east, north] = rmc.velocity_en_mps;
         let fix = FixReading {
             geodetic: [gga.place_deg[0], gga.place_deg[1], gga.altitude_m],
-            // Not part of either sentence.
-            velocity_enu_mps: Vector3::new(east, north, 0.0),
+            // Climb is part of neither sentence.
+            velocity_enu_mps: Vector3::new(east, north, f64::NAN),
             horizontal_sigma_m: RANGE_SIGMA_M * gga.dilution,
             vertical_sigma_m: 1.5 * RANGE_SIGMA_M * gga.dilution,
             satellites: gga.satellites,

@@ -104,6 +104,9 @@ pub mod bmp280 {
     /// Pressure and temperature, 20 bit each, in six bytes.
     pub const DATA: u8 = 0xF7;
 
+    /// The data registers before anything was converted, as after a reset.
+    pub const EMPTY: [u8; 6] = [0x80, 0, 0, 0x80, 0, 0];
+
     /// The data registers of a reading: what [`compensate`] finds it in again.
     pub fn encode(calibration: &[u8; 24], reading: &BarometerReading) -> [u8; 6] {
         let data = |raw_p: u32, raw_t: u32| {

@@ -132,8 +132,9 @@ fn nmea_fixes_there_and_back_within_their_resolution() {
         assert!(late_ms.min(86_400e3 - late_ms) <= 5.0, "{time_s}: {stamp_ms}");
         let off = Vector3::from(back.geodetic) - Vector3::from(fix.geodetic);
         assert!(off.xy().amax() < 1e-7 && off.z.abs() < 1e-3, "{sent}{off}");
-        // Vertical speed is part of neither sentence.
+        // Vertical speed is part of neither sentence, and none is made up.
         assert!((back.velocity_enu_mps.xy() - fix.velocity_enu_mps.xy()).amax() < 1e-3, "{sent}");
+        assert!(back.velocity_enu_mps.z.is_nan(), "{back:?}");
         assert!((back.horizontal_sigma_m - 1.25).abs() < 0.02 && back.satellites == 11, "{back:?}");
     }
 }

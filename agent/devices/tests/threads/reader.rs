@@ -176,8 +176,8 @@ fn a_clock_that_goes_backwards_is_told_and_no_sample_goes_with_it() {
     until("goes on", || reader.pop().is_some_and(|arrived| arrived.time.as_seconds() > 0.9));
 }
 
-/// Frames that are whole, and of another version.
-struct Other;
+/// What it says: 0 frames that are whole, and of another version, 1 such as hold no reading, 2 readings.
+struct Other(Arc<AtomicU32>);
 
 impl Driver for Other {
     fn open(&mut self) -> Result<(), DeviceError> {
@@ -186,16 +186,31 @@ impl Driver for Other {
 
     fn poll(&mut self, out: &mut Outlet<'_>) -> Result<(), DeviceError> {
         std::thread::sleep(Duration::from_millis(10));
-        out(Err(Fault::Value { what: "frame version", value: 2.0, expected: "1" }));
+        match self.0.load(Ordering::Relaxed) {
+            0 => out(Err(Fault::Value { what: "frame version", value: 2.0, expected: "1" })),
+            2 => out(Ok(Heard { at: Instant::now(), stamp: None, after_us: 0.0, reading: Reading::Battery(14.8) })),
+            _ => {}
+        }
         Ok(())
+    }
+
+    fn speaks(&mut self) -> bool {
+        self.0.load(Ordering::Relaxed) == 1
     }
 }
 
 #[test]
-fn a_device_that_speaks_another_version_is_lost_for_that() {
-    let options = options("other", Duration::from_millis(100));
-    let mut reader = Reader::start(Box::new(Other), options, Zero::default()).unwrap();
+fn a_device_that_speaks_another_version_is_lost_for_that_and_heard_all_the_while() {
+    let (says, silence) = (Arc::<AtomicU32>::default(), Duration::from_millis(500));
+    let mut reader = Reader::start(Box::new(Other(says.clone())), options("other", silence), Zero::default()).unwrap();
     until("lost", || matches!(reader.notice(), Some(Notice::Lost(why)) if why.as_str() == "frame version 2 is not 1"));
+    says.store(1, Ordering::Relaxed);
+    std::thread::sleep(2 * silence);
+    let health = reader.state().health();
+    assert!(!health.up && reader.notice().is_none(), "told once: {health:?}");
+    says.store(2, Ordering::Relaxed);
+    until("up", || reader.notice() == Some(Notice::Up));
+    assert_eq!(reader.state().health().opened, 1);
 }
 
 /// A scanner with a clock of its own that finds a floor in every second scan.

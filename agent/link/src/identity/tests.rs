@@ -45,6 +45,22 @@ fn peers_come_and_go_with_the_file() {
 }
 
 #[test]
+fn what_a_power_cut_left_of_a_new_identity_is_made_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = load_or_create(folder.path()).unwrap().fingerprint();
+    let there = |name: &str| folder.path().join(name).exists();
+    // While it was made, or rotated: the certificate is the last to come, and the first to go.
+    fs::remove_file(folder.path().join("cert.pem")).unwrap();
+    let again = load_or_create(folder.path()).unwrap().fingerprint();
+    assert!(again != made && load_or_create(folder.path()).unwrap().fingerprint() == again);
+    // A key that cannot be moved stands for a power cut before its turn.
+    fs::create_dir(folder.path().join("key.pem.old")).unwrap();
+    rotate(folder.path()).unwrap_err();
+    assert!(there("key.pem") && there("cert.pem.old") && !there("cert.pem"));
+    assert_ne!(load_or_create(folder.path()).unwrap().fingerprint(), again);
+}
+
+#[test]
 fn a_name_belongs_to_one_peer() {
     let folder = tempfile::tempdir().unwrap();
     let me = load_or_create(folder.path()).unwrap();
