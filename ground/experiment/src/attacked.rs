@@ -5,12 +5,15 @@ use plumbline_agent::types::ROTORS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use crate::draw::Dice;
+use crate::draw::{Dice, derived};
 
 /// Earliest and latest onset, s.
 const ONSET_S: (f64, f64) = (14.0, 22.0);
 /// Shortest and longest attack, s.
 const DURATION_S: (f64, f64) = (4.0, 14.0);
+/// What the dice of a flight's seed are told apart by from those that others throw with it: of what is attacked, and of when.
+const WHAT: u64 = 0xa77a_c4ed;
+const WHEN: u64 = 0x0045_e700;
 /// The smallest that is added, as a part of the most that the vehicle allows: an attack in the noise is among them.
 const SMALLEST: f64 = 0.004;
 /// The kinds that are drawn.
@@ -59,8 +62,10 @@ pub struct Given {
     pub kind: Kind,
     /// As [`Kind`] says; the sign of what is added is drawn unless it is negative.
     pub magnitude: f64,
-    /// Onset, s.
+    /// Onset, s; otherwise the first of `count` that are drawn.
     pub start_s: Option<f64>,
+    /// One; where only the onset counts, as many sensors as are attacked in the flights that are compared with it.
+    pub count: usize,
     /// Duration, s; the longest of those drawn otherwise.
     pub duration_s: Option<f64>,
 }
@@ -68,7 +73,8 @@ pub struct Given {
 impl Given {
     /// A bias of this size on one sensor.
     pub fn bias(sensor: SensorKind, channel: Channel, magnitude: f64) -> Self {
-        Self { sensor, instance: None, channel, kind: Kind::Bias, magnitude, start_s: None, duration_s: None }
+        let kind = Kind::Bias;
+        Self { sensor, instance: None, channel, kind, magnitude, start_s: None, count: 1, duration_s: None }
     }
 }
 
@@ -95,11 +101,12 @@ impl Attacked {
         }
     }
 
-    /// The attacks of the flight of this `seed` on a vehicle with these sensors.
+    /// The attacks of the flight of this `seed` on a vehicle with these sensors. The first onset follows from the seed and from how
+    /// many sensors are attacked, not from what is done to them.
     pub fn attacks(&self, sensors: &[SensorId], seed: u64) -> Vec<Attack> {
         let [imus, heights, barometers] =
             [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer].map(|kind| count(sensors, kind));
-        let mut dice = Dice::new(seed ^ 0xa77a_c4ed);
+        let mut dice = Dice::new(seed ^ WHAT);
         let mut any = |kind, of| SensorId::new(kind, 1 + (dice.uniform() * of as f64) as u8);
         match *self {
             Attacked::None => Vec::new(),
@@ -110,23 +117,23 @@ impl Attacked {
                 } else if index < imus + heights {
                     SensorId::new(SensorKind::Height, 1 + (index - imus) as u8)
                 } else {
-                    SensorId::new(SensorKind::Barometer, 1)
+                    SensorId::new(SensorKind::Barometer, 1 + (index - imus - heights) as u8)
                 };
-                vec![drawn(&mut dice, 1, sensor)]
+                vec![drawn(&mut dice, seed, 1, sensor)]
             }
             Attacked::ImuAndHeight => {
                 let sensors = [any(SensorKind::Imu, imus), any(SensorKind::Height, heights)];
-                sensors.into_iter().zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
+                sensors.into_iter().zip(1..).map(|(sensor, id)| drawn(&mut dice, seed, id, sensor)).collect()
             }
             Attacked::Several(kind, several) => {
                 let chosen = dice.choose(several, count(sensors, kind));
                 let sensors = chosen.into_iter().map(|index| SensorId::new(kind, 1 + index as u8));
-                sensors.zip(1..).map(|(sensor, id)| drawn(&mut dice, id, sensor)).collect()
+                sensors.zip(1..).map(|(sensor, id)| drawn(&mut dice, seed, id, sensor)).collect()
             }
             Attacked::Colluding(several) => {
                 let chosen = dice.choose(several, heights);
                 let size = sign(&mut dice) * (0.3 + 1.7 * dice.uniform());
-                let (start_s, duration_s) = when(&mut dice);
+                let (start_s, duration_s) = first(seed, chosen.len());
                 let attack = |(index, id): (usize, u32)| Attack {
                     id,
                     sensor: SensorId::new(SensorKind::Height, 1 + index as u8),
@@ -141,15 +148,16 @@ impl Attacked {
             }
             Attacked::Kind(of, kind) => {
                 let sensor = any(of, count(sensors, of));
-                vec![drawn_of(&mut dice, 1, sensor, kind)]
+                vec![drawn_of(&mut dice, seed, 1, sensor, kind)]
             }
             Attacked::Given(given) => {
-                let drawn = any(given.sensor, count(sensors, given.sensor));
+                let there = count(sensors, given.sensor);
+                let drawn = any(given.sensor, there);
                 let sensor = given.instance.map_or(drawn, |instance| SensorId::new(given.sensor, instance));
                 let sign = sign(&mut dice);
                 let signed = matches!(given.kind, Kind::Bias | Kind::Ramp) && given.magnitude >= 0.0;
                 let magnitude = if signed { sign * given.magnitude } else { given.magnitude };
-                let (start_s, _) = when(&mut dice);
+                let (start_s, _) = first(seed, given.count.min(there).max(1));
                 let (start_s, duration_s) =
                     (given.start_s.unwrap_or(start_s), given.duration_s.unwrap_or(DURATION_S.1));
                 let Given { channel, kind, .. } = given;
@@ -167,15 +175,22 @@ fn between(dice: &mut Dice, (low, high): (f64, f64)) -> f64 {
     low + (high - low) * dice.uniform()
 }
 
-/// Onset and duration, s.
-fn when(dice: &mut Dice) -> (f64, f64) {
-    (between(dice, ONSET_S), between(dice, DURATION_S))
+/// Onset and duration of an attack, s.
+fn when(seed: u64, id: u32) -> (f64, f64) {
+    let mut dice = Dice::new(derived(seed ^ WHEN, id.into()));
+    (between(&mut dice, ONSET_S), between(&mut dice, DURATION_S))
+}
+
+/// The same of the first of so many attacks.
+fn first(seed: u64, count: usize) -> (f64, f64) {
+    let all = (1..).take(count).map(|id| when(seed, id));
+    all.min_by(|(one, _), (other, _)| one.total_cmp(other)).unwrap_or((ONSET_S.1, DURATION_S.1))
 }
 
 /// Any attack on `sensor` that the vehicle takes: kind, channel, size, sign, onset and duration.
-fn drawn(dice: &mut Dice, id: u32, sensor: SensorId) -> Attack {
+fn drawn(dice: &mut Dice, seed: u64, id: u32, sensor: SensorId) -> Attack {
     let kind = KINDS[pick(dice, KINDS.len())];
-    drawn_of(dice, id, sensor, kind)
+    drawn_of(dice, seed, id, sensor, kind)
 }
 
 fn pick(dice: &mut Dice, count: usize) -> usize {
@@ -183,7 +198,7 @@ fn pick(dice: &mut Dice, count: usize) -> usize {
 }
 
 /// The same, of this kind.
-fn drawn_of(dice: &mut Dice, id: u32, sensor: SensorId, kind: Kind) -> Attack {
+fn drawn_of(dice: &mut Dice, seed: u64, id: u32, sensor: SensorId, kind: Kind) -> Attack {
     let bounds = Bounds::default();
     let channels: Vec<_> =
         offered(sensor.kind, &bounds).filter(|(_, _, most)| !kind.is_additive() || *most > 0.0).collect();
@@ -198,7 +213,22 @@ fn drawn_of(dice: &mut Dice, id: u32, sensor: SensorId, kind: Kind) -> Attack {
         Kind::Dropout => between(dice, (0.2, 1.0)),
         Kind::Zero | Kind::Freeze | Kind::SignFlip => 0.0,
     };
-    let (start_s, duration_s) = when(dice);
+    let (start_s, duration_s) = when(seed, id);
     let seed = (dice.uniform() * 1e9) as u64;
     Attack { id, sensor, channel, kind, start_s, duration_s, magnitude, seed }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_one_sensor_is_every_one_of_them_now_and_then() {
+        let kinds = [(SensorKind::Imu, 2), (SensorKind::Height, 2), (SensorKind::Barometer, 2)];
+        let each = |(kind, of): (SensorKind, u8)| (1..=of).map(move |instance| SensorId::new(kind, instance));
+        let sensors: Vec<_> = kinds.into_iter().flat_map(each).collect();
+        let attacked: Vec<_> = (0..200).flat_map(|seed| Attacked::One.attacks(&sensors, seed)).collect();
+        assert!(attacked.iter().all(|attack| sensors.contains(&attack.sensor)));
+        assert!(sensors.iter().all(|sensor| attacked.iter().any(|attack| attack.sensor == *sensor)), "{attacked:?}");
+    }
 }

@@ -129,18 +129,12 @@ pub fn keep(experiment: &Experiment, told: &FlownByHand, library: &Library) -> R
     if !told.accepted && told.reason.trim().is_empty() {
         return Err(ByHandError::NoReason);
     }
-    if told.accepted {
-        let accepted = accepted(experiment)?;
-        if let Some(flight) = accepted.get(index) {
-            return Err(ByHandError::Taken { index: *index, flight: flight.clone() });
-        }
-        if let Some((index, flight)) = accepted.into_iter().find(|(_, known)| known == flight) {
-            return Err(ByHandError::Used { index, flight });
-        }
-    }
+    free(experiment, told)?;
     let row = if told.accepted { Some(judged(plan, *index, flight, library)?) } else { None };
-    // Whoever holds it is alone with its files. A row without the word for it does not count; a word without its row would.
+    // Whoever holds it is alone with its files: now nobody else takes the place. A row without the word for it does not count; a word
+    // without its row would.
     let mut held = experiment.hold()?;
+    free(experiment, told)?;
     if let Some(row) = row {
         held.append(&row)?;
         held.sync();
@@ -154,6 +148,21 @@ pub fn keep(experiment: &Experiment, told: &FlownByHand, library: &Library) -> R
         file.sync_data()
     });
     kept.map_err(|source| ByHandError::Store(StoreError::Io { path, source }))
+}
+
+/// May it be accepted: is its place of the plan free, and has the recording no other?
+fn free(experiment: &Experiment, told: &FlownByHand) -> Result<(), ByHandError> {
+    if !told.accepted {
+        return Ok(());
+    }
+    let accepted = accepted(experiment)?;
+    if let Some(flight) = accepted.get(&told.index) {
+        return Err(ByHandError::Taken { index: told.index, flight: flight.clone() });
+    }
+    match accepted.into_iter().find(|(_, known)| *known == told.flight) {
+        Some((index, flight)) => Err(ByHandError::Used { index, flight }),
+        None => Ok(()),
+    }
 }
 
 fn judged(plan: &Plan, index: u64, flight: &str, library: &Library) -> Result<Row, ByHandError> {

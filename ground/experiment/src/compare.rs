@@ -134,7 +134,7 @@ fn pair(plan: &Plan, number: u64, ours: &Flights, theirs: &Flights, measured: &[
         let less: Vec<f64> = both.iter().map(|[a, b]| b - a).collect();
         Some(Compared { medians, difference: difference(number, &less)? })
     };
-    let attacked = pairs.iter().any(|(_, a, b)| attacked(a) || attacked(b));
+    let attacked = pairs.iter().any(|(_, a, b)| a.attacked() || b.attacked());
     let turned = pairs.iter().filter(|(_, a, b)| went(a) != went(b));
     let turned = turned.map(|(seed, a, b)| Turned {
         seed: *seed,
@@ -146,14 +146,10 @@ fn pair(plan: &Plan, number: u64, ours: &Flights, theirs: &Flights, measured: &[
         pairs: pairs.len() as u64,
         same: pairs.iter().filter(|(_, a, b)| same(a, b)).count() as u64,
         lost: count(&|row| !row.lost().is_empty()),
-        detected: attacked.then(|| count(&|row| row.value("missed") == 0.0)),
+        detected: attacked.then(|| count(&Row::detected)),
         measures: measured.iter().enumerate().map(|(at, measured)| measured.then(|| compared(at)).flatten()).collect(),
         turned: turned.collect(),
     }
-}
-
-fn attacked(row: &Row) -> bool {
-    row.value("missed") > 0.0 || row.value("delay_s").is_finite()
 }
 
 /// In a word, without numbers that differ from flight to flight.
@@ -164,7 +160,7 @@ fn went(row: &Row) -> String {
         why => why,
     };
     match (lost, row.value("missed") > 0.0) {
-        ("", false) if attacked(row) => "all excluded".into(),
+        ("", false) if row.attacked() => "all excluded".into(),
         ("", false) => "held".into(),
         ("", true) => "missed".into(),
         (lost, _) => format!("lost: {lost}"),

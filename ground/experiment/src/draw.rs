@@ -54,13 +54,17 @@ impl Dice {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x1234_5678_9abc_def0)
     }
 
-    /// 0 to 1.
-    pub fn uniform(&mut self) -> f64 {
+    fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+        z ^ (z >> 31)
+    }
+
+    /// 0 to 1.
+    pub fn uniform(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     /// Zero mean, unit variance.
@@ -80,6 +84,12 @@ impl Dice {
     }
 }
 
+/// The seed of the `number`th thing that is drawn from `seed`: one is hashed after the other, for the numbers of neighbouring seeds,
+/// put together by a sum or bit by bit, are the same ones in another order.
+pub fn derived(seed: u64, number: u64) -> u64 {
+    Dice::new(Dice::new(seed).bits() ^ number).bits()
+}
+
 /// The smallest value that `fraction` of all do not exceed; NaN of nothing.
 pub fn percentile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
@@ -88,12 +98,39 @@ pub fn percentile(values: &[f64], fraction: f64) -> f64 {
     sorted.get(index.max(1) - 1).copied().unwrap_or(f64::NAN)
 }
 
-/// 95 % interval of the median, by the ranks of the binomial distribution (normal approximation).
-pub fn median_interval(values: &[f64]) -> (f64, f64) {
+/// 95 % interval of the median: the k-th value from either end, k the largest for which fewer than k of n lie on one side of the
+/// median with 2.5 % at most. `None` of fewer than six values: their ends do not hold it as often.
+pub fn median_interval(values: &[f64]) -> Option<[f64; 2]> {
+    const BEYOND: f64 = 0.025;
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let n = sorted.len() as f64;
-    let half = 0.98 * n.sqrt();
-    let at = |rank: f64| sorted.get((rank.max(0.0) as usize).min(sorted.len().max(1) - 1)).copied().unwrap_or(f64::NAN);
-    (at((0.5 * n - half).floor()), at((0.5 * n + half).ceil()))
+    let n = sorted.len();
+    // ln of the binomial probability of k: from n = 1075 on, that of 0 itself is 0 in double precision.
+    let (mut k, mut ln_p, mut below) = (0, -(n as f64) * std::f64::consts::LN_2, 0.0);
+    loop {
+        below += ln_p.exp();
+        if below > BEYOND {
+            break;
+        }
+        ln_p += ((n - k) as f64 / (k + 1) as f64).ln();
+        k += 1;
+    }
+    let first = k.checked_sub(1)?;
+    Some([*sorted.get(first)?, *sorted.get(n - k)?])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ranks_of_the_interval_are_those_of_the_binomial_distribution() {
+        let ranks = |n: u32| median_interval(&(1..=n).rev().map(f64::from).collect::<Vec<_>>());
+        // They hold it with 96.9, 97.9, 95.7 and 96.5 %; the ends of five with 93.75 %.
+        assert!((0..6).all(|n| ranks(n).is_none()));
+        assert_eq!([6, 10, 25, 100].map(ranks), [[1.0, 6.0], [2.0, 9.0], [8.0, 18.0], [40.0, 61.0]].map(Some));
+        // By the normal approximation n/2 − 1.96 √n/2 = 4902.
+        let [low, high] = ranks(10_000).unwrap();
+        assert!((low - 4902.0).abs() <= 1.0 && low + high == 10_001.0, "{low} {high}");
+    }
 }

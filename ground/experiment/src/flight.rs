@@ -19,7 +19,7 @@ use plumbline_agent::vehicle::{RecordedControl, Truth, Vehicle, VehicleError};
 use plumbline_proto::time::FlightTime;
 
 use crate::judge::{Judge, Outcome};
-use crate::reception::{Flights, Receiver, Reception, schedule};
+use crate::reception::{Flights, Receiver, Reception, injected};
 use crate::recordings::{Against, Recorded, UnusableError, by_motion_capture};
 use crate::ticks::Ticks;
 
@@ -178,7 +178,7 @@ pub fn fly_seen(setup: &Setup, watch: impl FnMut(&mut Flight, &Seen)) -> Result<
 
 /// Until the judge has seen enough, or `to_the_end`.
 fn fly_on(setup: &Setup, to_the_end: bool, mut watch: impl FnMut(&mut Flight, &Seen)) -> Result<Outcome, FlyError> {
-    let Setup { scenario, attacks, reception, recording, .. } = setup;
+    let Setup { scenario, recording, .. } = setup;
     let (mut vehicle, begin): (Box<dyn Vehicle>, _) = match recording {
         None => (Box::new(SimVehicle::new(scenario)?), FlightTime(0)),
         Some(recorded) => {
@@ -206,11 +206,8 @@ fn fly_on(setup: &Setup, to_the_end: bool, mut watch: impl FnMut(&mut Flight, &S
             break;
         }
         flights.each(|flight| flight.heartbeat(now));
-        if tick == 0 && !attacks.is_empty() && *reception == Reception::All {
-            let ack = flights.chosen().apply(&Command::Attack(schedule(setup)), now);
-            if !ack.accepted {
-                return Err(FlyError::Attacks(ack.reason.to_string()));
-            }
+        if tick == 0 {
+            flights.attack(injected(setup), now)?;
         }
         if recording.is_none() {
             scenario.script.commands(before, now, |command| flights.apply(command, now));

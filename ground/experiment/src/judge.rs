@@ -54,7 +54,7 @@ pub struct Outcome {
     pub lost: Option<String>,
     /// From the onset to the exclusion of each attacked sensor that was, s.
     pub delays_s: Vec<f64>,
-    /// Attacked sensors that were never excluded.
+    /// Attacked sensors that were never excluded, and rotors that were attacked or broke.
     pub missed: usize,
     /// Longest exclusion of a healthy sensor, s.
     pub false_longest_s: f64,
@@ -166,7 +166,7 @@ impl Steps {
 
 /// Watches one flight; a field for each thing it remembers, hence so many.
 pub(crate) struct Judge {
-    /// Sensors that are attacked, and from when on, s.
+    /// Sensors that are attacked, rotors that are or break, and from when on, s.
     attacked: Vec<(SensorId, f64)>,
     /// Is it a recording? When its place was known last, s.
     recorded: bool,
@@ -212,9 +212,12 @@ impl Judge {
         let ends = |command: &Command| matches!(command, Command::Disarm | Command::SetMode(_));
         let given = setup.attacks.iter().map(|attack| (attack.sensor, attack.start_s));
         let attacked = given.chain(setup.recording.iter().flat_map(|recorded| recorded.attacked.iter().copied()));
+        // Of a recording nothing breaks again.
+        let broken = setup.scenario.broken.iter().filter(|_| setup.recording.is_none());
+        let broken = broken.map(|broken| (SensorId::new(SensorKind::Rotor, broken.rotor as u8), broken.at_s));
         let until = steps.iter().find(|step| step.at_s > from_s && ends(&step.command));
         Self {
-            attacked: attacked.collect(),
+            attacked: attacked.chain(broken).collect(),
             recorded: setup.recording.is_some(),
             placed_s: None,
             from_s,
@@ -414,7 +417,7 @@ impl Judge {
 
     pub(crate) fn verdict(mut self) -> Outcome {
         let (outcome, means) = (&mut self.outcome, &self.means);
-        outcome.missed = self.attacked.len() - self.found.len();
+        outcome.missed = self.attacked.iter().filter(|(sensor, _)| !self.found.contains(sensor)).count();
         if self.recorded && means.altitude.count == 0.0 {
             outcome.altitude_most_m = f64::NAN;
         }

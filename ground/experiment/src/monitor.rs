@@ -13,11 +13,12 @@ use std::collections::VecDeque;
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::imu::ImuSample;
 use plumbline_proto::ids::SensorId;
+use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use crate::draw::median;
 
-/// Mean and σ are learned between these times, s: on the way to the first altitude and there.
+/// Mean and σ are learned between these times from the beginning on, s: on the way to the first altitude and there.
 const LEARNS_S: (f64, f64) = (7.0, 12.0);
 /// Length of the window of χ², s.
 pub const WINDOW_S: f64 = 0.5;
@@ -135,6 +136,7 @@ impl Watched {
 /// Both tests of every IMU and height.
 #[derive(Debug, Clone, Default)]
 pub struct Monitor {
+    begin: FlightTime,
     watched: Vec<Watched>,
     imus: Vec<Option<ImuSample>>,
 }
@@ -149,9 +151,14 @@ fn scalars(sample: &ImuSample) -> [Option<f64>; AXES] {
 }
 
 impl Monitor {
+    /// Of a recording that begins at this time.
+    pub(crate) fn since(begin: FlightTime) -> Self {
+        Self { begin, ..Self::default() }
+    }
+
     /// What was received in a tick, and the altitude (ENU, m) of the estimator in the loop, where it knows one.
     pub fn take(&mut self, received: &SensorFrame, altitude_m: Option<f64>) {
-        let t = received.time.as_seconds();
+        let t = received.time.seconds_since(self.begin);
         self.imus.resize(received.imus.len(), None);
         for (kept, new) in self.imus.iter_mut().zip(&received.imus) {
             *kept = new.or(*kept).filter(|sample| received.time.seconds_since(sample.time) < FRESH_S);
@@ -192,7 +199,7 @@ impl Monitor {
     pub(crate) fn without(&self, test: Test, mut frame: SensorFrame) -> SensorFrame {
         let of = |watched: &&Watched| watched.excluded.get(test as usize).copied().flatten().is_some();
         for watched in self.watched.iter().filter(of) {
-            crate::reception::withhold(&mut frame, watched.sensor);
+            frame.withhold(|sensor| sensor == watched.sensor);
         }
         frame
     }
@@ -204,13 +211,12 @@ mod tests {
     use crate::draw::Dice;
     use nalgebra::Vector3;
     use plumbline_agent::sensor::height::HeightSample;
-    use plumbline_proto::time::FlightTime;
 
     /// 30 s of four IMUs and two heights at 100 Hz; `attack` changes the second of each in the last two seconds.
-    fn run(attack: fn(&mut ImuSample, &mut HeightSample)) -> Monitor {
-        let (mut monitor, mut dice) = (Monitor::default(), Dice::new(3));
+    fn run(begin: FlightTime, attack: fn(&mut ImuSample, &mut HeightSample)) -> Monitor {
+        let (mut monitor, mut dice) = (Monitor::since(begin), Dice::new(3));
         for k in 0..3000_u64 {
-            let time = FlightTime(k * 10_000);
+            let time = FlightTime(begin.0 + k * 10_000);
             let mut frame = SensorFrame { time, ..SensorFrame::default() };
             let mut imu = || ImuSample {
                 time,
@@ -221,7 +227,7 @@ mod tests {
             };
             let mut imus = [imu(), imu(), imu(), imu()];
             let mut heights = [0.01, 0.01].map(|sigma| HeightSample { time, height_m: 1.0 + sigma * dice.normal() });
-            if time.as_seconds() > 28.0 {
+            if time.seconds_since(begin) > 28.0 {
                 attack(&mut imus[1], &mut heights[1]);
             }
             frame.imus.iter_mut().zip(imus).for_each(|(place, sample)| *place = Some(sample));
@@ -238,19 +244,22 @@ mod tests {
 
     #[test]
     fn who_is_attacked_is_excluded_by_both_and_nobody_else() {
-        let quiet = run(|_, _| {});
-        for (sensor, [chi_square, cusum]) in quiet.statistics() {
-            let limit = Test::ChiSquare.limit(sensor.kind);
-            assert!((0.5..2.0).contains(&(chi_square * limit)) && cusum < 0.3, "{sensor}: {chi_square} {cusum}");
-        }
-        let attacked = run(|imu, height| {
-            imu.gyro_radps.x += 0.1;
-            height.height_m += 0.4;
-        });
-        let both = [SensorId::new(SensorKind::Imu, 2), SensorId::new(SensorKind::Height, 2)];
-        for test in Test::ALL {
-            assert_eq!(excluded(&quiet, test), []);
-            assert_eq!(excluded(&attacked, test), both, "{test:?}");
+        // From boot on, and in a recording that begins ten minutes later.
+        for begin in [FlightTime(0), FlightTime(600_000_000)] {
+            let quiet = run(begin, |_, _| {});
+            for (sensor, [chi_square, cusum]) in quiet.statistics() {
+                let limit = Test::ChiSquare.limit(sensor.kind);
+                assert!((0.5..2.0).contains(&(chi_square * limit)) && cusum < 0.3, "{sensor}: {chi_square} {cusum}");
+            }
+            let attacked = run(begin, |imu, height| {
+                imu.gyro_radps.x += 0.1;
+                height.height_m += 0.4;
+            });
+            let both = [SensorId::new(SensorKind::Imu, 2), SensorId::new(SensorKind::Height, 2)];
+            for test in Test::ALL {
+                assert_eq!(excluded(&quiet, test), []);
+                assert_eq!(excluded(&attacked, test), both, "{test:?}");
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! A row becomes a flight again: flown from its seed, with the agent's own telemetry and log, into a flight file.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use plumbline_agent::estimate::secure::suite::Observed;
@@ -16,6 +17,10 @@ use crate::store::{Experiment, StoreError};
 
 /// The flight waits for the log while its ring takes less than this: no message is lost.
 const ROOM_BYTES: usize = 256 << 10;
+/// Begins the name of an opening's folder, in that of the experiment.
+const FOLDER: &str = "opened-";
+/// Whoever left such a folder this long ago was killed.
+const KILLED_AFTER: Duration = Duration::from_secs(24 * 3600);
 
 /// Why a flight could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -80,13 +85,35 @@ pub fn open(experiment: &Experiment, index: u64) -> Result<PathBuf, OpenError> {
     let agent_id = format!("{}-{index}", experiment.identity.hash.get(..8).unwrap_or_default());
     let made = WallTime(experiment.identity.made_unix_us);
     let identification = identified(agent_id, made, seed, &setup, condition.scenario_text(seed));
-    let (recorded, outcome) = record(&setup, identification, experiment.folder.join(format!("opened-{index}")))?;
-    let row = Row::new(row_index, &outcome);
-    let before = experiment.rows()?.into_iter().find(|before| before.index == row_index);
-    if before.is_some_and(|before| before != row) {
-        return Err(OpenError::Otherwise(index));
+    let folder = own_folder(experiment, index);
+    let recorded = record(&setup, identification, folder.clone());
+    let opened = recorded.map_err(OpenError::from).and_then(|(file, outcome)| {
+        let row = Row::new(row_index, &outcome);
+        let before = experiment.rows()?.into_iter().find(|before| before.index == row_index);
+        if before.is_some_and(|before| before != row) {
+            return Err(OpenError::Otherwise(index));
+        }
+        file.ok_or(OpenError::Nothing(index))
+    });
+    if opened.is_err() {
+        let _ = std::fs::remove_dir_all(&folder);
     }
-    recorded.ok_or(OpenError::Nothing(index))
+    opened
+}
+
+/// A folder that no other opening uses, here or in another process; those that killed ones left go.
+fn own_folder(experiment: &Experiment, index: u64) -> PathBuf {
+    static OPENINGS: AtomicU64 = AtomicU64::new(0);
+    let entries = std::fs::read_dir(&experiment.folder).into_iter().flatten().flatten();
+    for left in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(FOLDER)) {
+        let changed = left.metadata().and_then(|metadata| metadata.modified()).ok();
+        let age = changed.and_then(|changed| changed.elapsed().ok());
+        if age.is_some_and(|age| age > KILLED_AFTER) {
+            let _ = std::fs::remove_dir_all(left.path());
+        }
+    }
+    let opening = OPENINGS.fetch_add(1, Ordering::Relaxed);
+    experiment.folder.join(format!("{FOLDER}{index}-{}-{opening}", std::process::id()))
 }
 
 /// Flies it into a flight file in `folder`, which is made anew: the file, unless nothing was ever armed, and how it went.

@@ -96,8 +96,8 @@ struct RawStop {
 /// When a plan ends early.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stop {
-    /// A condition has enough repeats when the 95 % interval of the median of this measure is narrower than this part of
-    /// the median. Looked at after each ten repeats.
+    /// A condition has enough repeats when the 95 % interval of the median of this measure, over the flights that were not lost, is
+    /// narrower than this part of the median. Looked at after each ten repeats.
     pub interval: Option<(String, f64)>,
     /// Budget, s.
     pub budget_s: Option<f64>,

@@ -6,7 +6,6 @@ use plumbline_agent::flight::{Flight, FlightError};
 use plumbline_agent::sensor::SensorFrame;
 use plumbline_agent::sensor::imu::ImuSample;
 use plumbline_agent::types::MotorCommand;
-use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
@@ -21,7 +20,8 @@ pub enum Reception {
     /// What the attacks leave.
     #[default]
     All,
-    /// The same, by somebody who knows: sensors are withheld while they are attacked.
+    /// The same, by somebody who knows: sensors are withheld while they are attacked; those of a recording, whose attack is received
+    /// again, from its onset on.
     Oracle,
     /// One IMU and one height in the place of all, each the median of what is received.
     Median,
@@ -43,26 +43,23 @@ impl Reception {
     ];
 }
 
-pub(crate) fn schedule(setup: &Setup) -> Schedule {
-    Schedule { id: 1, attacks: setup.attacks.iter().copied().collect(), sequences: setup.sequences.clone() }
+/// The attacks of a flight that are `of` a kind, and what they follow.
+fn schedule(setup: &Setup, of: impl Fn(&Attack) -> bool) -> Schedule {
+    let attacks = setup.attacks.iter().copied().filter(of).collect();
+    let mut schedule = Schedule { id: 1, attacks, sequences: setup.sequences.clone() };
+    let Schedule { attacks, sequences, .. } = &mut schedule;
+    sequences.retain(|sequence| attacks.iter().any(|attack| attack.id == sequence.attack));
+    schedule
 }
 
-/// `frame` without this sensor.
-pub(crate) fn withhold(frame: &mut SensorFrame, sensor: SensorId) {
-    let index = usize::from(sensor.instance).saturating_sub(1);
-    match sensor.kind {
-        SensorKind::Imu => take(&mut frame.imus, index),
-        SensorKind::Height => take(&mut frame.heights, index),
-        SensorKind::Barometer => take(&mut frame.barometers, index),
-        // Attacks are drawn for those; any other stays.
-        _ => {}
-    }
+fn on_rotor(attack: &Attack) -> bool {
+    attack.sensor.kind == SensorKind::Rotor
 }
 
-fn take<T>(samples: &mut [Option<T>], index: usize) {
-    if let Some(sample) = samples.get_mut(index) {
-        *sample = None;
-    }
+/// What the agent's own injector does: all of it where nothing stands before the estimator; else what the motors are told, for nobody
+/// stands before those.
+pub(crate) fn injected(setup: &Setup) -> Schedule {
+    schedule(setup, |attack| setup.reception == Reception::All || on_rotor(attack))
 }
 
 /// Makes of what is sensed what is received.
@@ -79,11 +76,11 @@ pub(crate) struct Receiver<'a> {
 impl<'a> Receiver<'a> {
     pub(crate) fn new(setup: &'a Setup, begin: FlightTime) -> Result<Self, FlyError> {
         let mut injector = Injector::new(setup.config.attacks.bounds, true, &setup.config.sensors);
-        if !matches!(setup.reception, Reception::All | Reception::Oracle) && !setup.attacks.is_empty() {
-            let uploaded = injector.upload(&schedule(setup), begin);
+        if !matches!(setup.reception, Reception::All | Reception::Oracle) {
+            let uploaded = injector.upload(&schedule(setup, |attack| !on_rotor(attack)), begin);
             uploaded.map_err(|error| FlyError::Attacks(error.to_string()))?;
         }
-        Ok(Self { setup, begin, injector, monitor: Monitor::default(), medians: Medians::default() })
+        Ok(Self { setup, begin, injector, monitor: Monitor::since(begin), medians: Medians::default() })
     }
 
     pub(crate) fn receives(&mut self, sensed: &SensorFrame, flight: &Flight) -> SensorFrame {
@@ -92,9 +89,14 @@ impl<'a> Receiver<'a> {
             Reception::All | Reception::EkfPerImu => frame,
             Reception::Oracle => {
                 let t = frame.time.seconds_since(self.begin);
+                let given = self.setup.attacks.iter().map(|a| (a.sensor, a.start_s..a.start_s + a.duration_s));
+                // Of a sensor that was attacked then a recording has the onset, and no end.
+                let then = self.setup.recording.iter().flat_map(|recorded| &recorded.attacked);
+                let then = then.map(|(sensor, onset_s)| (*sensor, *onset_s..f64::INFINITY));
                 let mut frame = frame;
-                let active = |a: &&Attack| (a.start_s..a.start_s + a.duration_s).contains(&t);
-                self.setup.attacks.iter().filter(active).for_each(|attack| withhold(&mut frame, attack.sensor));
+                for (attacked, _) in given.chain(then).filter(|(_, during_s)| during_s.contains(&t)) {
+                    frame.withhold(|sensor| sensor == attacked);
+                }
                 frame
             }
             Reception::Median => self.medians.of(&frame),
@@ -135,6 +137,21 @@ impl Flights {
 
     pub(crate) fn each(&mut self, of: impl FnMut(&mut Flight)) {
         self.all.iter_mut().for_each(of);
+    }
+
+    /// Has each attacked so.
+    ///
+    /// # Errors
+    /// Why it is refused.
+    pub(crate) fn attack(&mut self, schedule: Schedule, now: FlightTime) -> Result<(), FlyError> {
+        if schedule.attacks.is_empty() {
+            return Ok(());
+        }
+        let command = Command::Attack(schedule);
+        self.all.iter_mut().try_for_each(|flight| {
+            let ack = flight.apply(&command, now);
+            if ack.accepted { Ok(()) } else { Err(FlyError::Attacks(ack.reason.to_string())) }
+        })
     }
 
     pub(crate) fn apply(&mut self, command: &Command, now: FlightTime) {

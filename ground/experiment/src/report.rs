@@ -8,7 +8,7 @@ pub use versus::compare;
 
 use std::fmt::Write as _;
 
-use plumbline_rest::experiment::{Condition, Flight, Results, Spread};
+use plumbline_rest::experiment::{Condition, Flight, Results};
 
 use crate::row::{MEASURES, Row};
 use crate::store::{Experiment, StoreError, write_whole};
@@ -114,11 +114,11 @@ pub(crate) fn number(value: f64) -> String {
     format!("{value:.digits$}")
 }
 
-fn interval(spread: Option<&Spread>) -> String {
-    spread.map_or("–".into(), |s| {
-        let [low, high] = s.interval;
-        format!("{} <small>{} … {}</small>", number(s.median), number(low), number(high))
-    })
+/// A median and what stands small beside it: its interval, and the effect where there is one.
+fn median(median: f64, interval: Option<[f64; 2]>, effect: Option<f64>) -> String {
+    let interval = interval.map_or("no interval".into(), |[low, high]| format!("{} … {}", number(low), number(high)));
+    let effect = effect.map_or(String::new(), |effect| format!(", d {}", number(effect)));
+    format!("{} <small>{interval}{effect}</small>", number(median))
 }
 
 fn label(condition: &Condition) -> String {
@@ -142,7 +142,7 @@ fn levels(out: &mut String, condition: &Condition) {
 }
 
 fn table(out: &mut String, results: &Results) {
-    out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval. tick: the agent's, median … 99 of 100, on the machine that flew it.</p>\n");
+    out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval, which takes six flights. tick: the agent's, median … 99 of 100, on the machine that flew it.</p>\n");
     let mut columns: Vec<String> = ["flights", "lost", "detected", "expected", "tick, µs"].map(str::to_owned).into();
     let measured: Vec<usize> = (0..MEASURES.len())
         .filter(|at| {
@@ -173,7 +173,8 @@ fn table(out: &mut String, results: &Results) {
         );
         for at in &measured {
             let spread = condition.measures.get(*at).and_then(Option::as_ref);
-            let _ = write!(out, "<td class=n>{}</td>", interval(spread));
+            let cell = spread.map_or("–".into(), |spread| median(spread.median, spread.interval, None));
+            let _ = write!(out, "<td class=n>{cell}</td>");
         }
         out.push_str("</tr>\n");
     }
@@ -210,7 +211,7 @@ fn differences(out: &mut String, results: &Results) {
     }
     out.push_str(
         "<h2>Paired differences</h2>\n<p>Each flight less the flight of the same seed in the condition compared with: median, its \
-         95 % interval, and the mean by the standard deviation (d).</p>\n",
+         95 % interval, which takes six pairs, and the mean by the standard deviation (d).</p>\n",
     );
     let mut columns: Vec<String> = ["against", "pairs"].map(str::to_owned).into();
     columns.extend(SHOWN.map(str::to_owned));
@@ -222,11 +223,8 @@ fn differences(out: &mut String, results: &Results) {
         let against = baseline.map(label).unwrap_or_default();
         let _ = write!(out, "<td>{}</td><td class=n>{}</td>", escape(&against), any.map_or(0, |any| any.pairs));
         for name in SHOWN {
-            let cell = condition.differences.get(place(name)).and_then(Option::as_ref).map_or("–".into(), |d| {
-                let [low, high] = d.interval;
-                let effect = d.effect.map_or(String::new(), |effect| format!(", d {}", number(effect)));
-                format!("{} <small>{} … {}{effect}</small>", number(d.median), number(low), number(high))
-            });
+            let difference = condition.differences.get(place(name)).and_then(Option::as_ref);
+            let cell = difference.map_or("–".into(), |d| median(d.median, d.interval, d.effect));
             let _ = write!(out, "<td class=n>{cell}</td>");
         }
         out.push_str("</tr>\n");

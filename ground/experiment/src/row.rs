@@ -131,6 +131,16 @@ impl Row {
         at.and_then(|at| self.values.get(at)).copied().unwrap_or(f64::NAN)
     }
 
+    /// Was anything attacked in it?
+    pub(crate) fn attacked(&self) -> bool {
+        self.value("missed") > 0.0 || self.value("delay_s").is_finite()
+    }
+
+    /// Was all that was attacked excluded?
+    pub(crate) fn detected(&self) -> bool {
+        self.attacked() && self.value("missed") == 0.0
+    }
+
     /// As it is kept.
     pub fn encode(&self) -> [u8; ROW_BYTES] {
         let mut bytes = [0; ROW_BYTES];

@@ -144,7 +144,8 @@ fn fly_missing(
                 if synced.elapsed() >= SYNC {
                     synced = Instant::now();
                     held.sync();
-                    failure = ticks.keep(experiment).err();
+                    // No part of any row: what cannot be kept now is told when these flights are flown.
+                    let _ = ticks.keep(experiment);
                 }
                 ticks.take(plan.place(row.index.into()).0, &took);
                 rows.insert(row.index, row);
@@ -229,9 +230,9 @@ fn missing(
         while before + BLOCK <= repeats.start {
             before += BLOCK;
             let of = (0..before).filter_map(|repeat| rows.get(&((repeat * conditions + condition) as u32)));
-            let values: Vec<f64> = of.map(|row| row.value(measure)).filter(|value| value.is_finite()).collect();
-            let (low, high) = median_interval(&values);
-            if high - low <= part * median(&values).abs() {
+            let kept = of.filter(|row| row.lost().is_empty());
+            let values: Vec<f64> = kept.map(|row| row.value(measure)).filter(|value| value.is_finite()).collect();
+            if median_interval(&values).is_some_and(|[low, high]| high - low <= part * median(&values).abs()) {
                 return true;
             }
         }
@@ -273,4 +274,26 @@ pub fn expected_s(plan: &Plan, missing: u64, threads: usize) -> Result<f64, Stri
         per_flight_s += begun.elapsed().as_secs_f64() * whole_s / setup.scenario.duration_s / looks as f64;
     }
     Ok(per_flight_s * missing as f64 / threads.max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::judge::Outcome;
+
+    #[test]
+    fn a_condition_has_enough_when_six_flights_that_were_not_lost_agree() {
+        let plan = Plan::from_toml("name = \"a\"\nrepeats = 20\n[scenario]\nduration_s = 30\n").unwrap();
+        let rule = ("delay_s".to_owned(), 0.1);
+        // Of the first ten flights `found` have the same delay; the others have none, or had it before they were lost.
+        let wanted = |found: u32, then_lost: bool| {
+            let row = |index: u32| {
+                let delays_s = if index < found || then_lost { vec![0.3] } else { Vec::new() };
+                let lost = (index >= found && then_lost).then(|| "astray".to_owned());
+                (index, Row::new(index, &Outcome { delays_s, lost, ..Outcome::default() }))
+            };
+            missing(&plan, &(0..10).map(row).collect(), 10..20, Some(&rule)).len()
+        };
+        assert_eq!([wanted(1, false), wanted(5, true), wanted(6, true), wanted(10, false)], [10, 10, 0, 0]);
+    }
 }

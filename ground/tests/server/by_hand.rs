@@ -16,6 +16,11 @@ script = [
 ]
 [agent]
 estimators = { in_loop = "lanes" }
+[attack]
+sensor = "height"
+kind = "bias"
+magnitude = 0.2
+start_s = 10.0
 "#;
 
 fn plan(vehicles: &[String]) -> String {

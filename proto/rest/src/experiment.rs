@@ -136,7 +136,7 @@ pub struct Condition {
     pub lost: BTreeMap<String, u64>,
     /// In the order of [`Results::measures`]; `None` where nothing was measured.
     pub measures: Vec<Option<Spread>>,
-    /// Flights whose attacked sensors were all excluded; `None` where nothing was attacked.
+    /// Of the flights in which something was attacked, those in which all of it was excluded; `None` where nothing was.
     pub detected: Option<Part>,
     /// What the model expects of that; `None` where nothing was attacked, or it was never asked.
     pub expected: Option<Expectation>,
@@ -207,8 +207,8 @@ pub struct Spread {
     pub of_95: f64,
     /// Largest.
     pub most: f64,
-    /// 95 % interval of the median.
-    pub interval: [f64; 2],
+    /// 95 % interval of the median; `None` of fewer than six values.
+    pub interval: Option<[f64; 2]>,
 }
 
 /// So many of so many.
@@ -235,8 +235,8 @@ pub struct Difference {
     pub pairs: u64,
     /// Median of this less that.
     pub median: f64,
-    /// Its 95 % interval.
-    pub interval: [f64; 2],
+    /// Its 95 % interval; `None` of fewer than six pairs.
+    pub interval: Option<[f64; 2]>,
     /// Mean difference by its standard deviation (Cohen's d of pairs).
     pub effect: Option<f64>,
 }

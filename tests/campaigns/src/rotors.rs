@@ -6,6 +6,7 @@
 
 use plumbline_agent::envelope::theory::rotor_isolated;
 use plumbline_experiment::draw::{median, parallel, percentile, worst};
+use plumbline_experiment::summary::part;
 use plumbline_support::rotors::{AFTER_S, Flown, How, RIGS, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
@@ -55,13 +56,9 @@ fn of(values: &[f64]) -> [f64; 3] {
     [median(values), percentile(values, 0.95), worst(values)]
 }
 
-/// 95 % interval of a part of `flights` (Wilson 1927).
+/// 95 % interval of a part of `flights`.
 fn interval(found: usize, flights: usize) -> [f64; 2] {
-    let (n, z) = (flights as f64, 1.96);
-    let p = found as f64 / n;
-    let middle = p + z * z / (2.0 * n);
-    let half = z * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
-    [(middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n)]
+    part(found as u64, flights as u64).interval
 }
 
 /// Flights in which no rotor loses anything.

@@ -5,7 +5,7 @@ use super::{Workspace, XtaskError, bench, campaign};
 /// Which source.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct Options {
-    /// `paternain`, `umasankar`, `strategies`, `clinic`, or `attacks`, our own; all of them without a name.
+    /// `paternain`, `umasankar`, `strategies`, `clinic`, or one of our own: `envelope`, `rotors`, `attacks`; all without a name.
     pub source: Option<String>,
     /// Fewer seeds and trials, where a program knows it.
     #[arg(long)]
@@ -19,7 +19,7 @@ pub struct Options {
     /// World of the flights of `clinic`: `ideal`, `bench`, `datasheet`, `harsh`.
     #[arg(long)]
     pub world: Option<String>,
-    /// One part of `clinic`, or one row of `attacks`.
+    /// One part of `clinic`, `envelope` or `rotors`, or one row of `attacks`.
     #[arg(long)]
     pub only: Option<String>,
 }

@@ -70,6 +70,8 @@ pub struct Flown {
     pub sinks_mps: f64,
     /// Why it was lost.
     pub lost: Option<String>,
+    /// From the onset to the isolation, as the judge of an experiment measures it, s.
+    pub delays_s: Vec<f64>,
     /// Was it watched, before the onset?
     pub watched: bool,
     /// Commands that its attack is on record to have altered or withheld.
@@ -183,6 +185,7 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
             flown.cut.get_or_insert((after_s, flown.failsafe));
         }
     });
-    flown.lost = outcome.unwrap().lost;
+    let outcome = outcome.unwrap();
+    (flown.lost, flown.delays_s) = (outcome.lost, outcome.delays_s);
     flown
 }

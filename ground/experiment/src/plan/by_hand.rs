@@ -14,7 +14,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::condition::{Condition, Wrong, attack_of, in_section};
-use crate::attacked::Attacked;
+use crate::attacked::{Attacked, Given};
 use crate::flight::Setup;
 use crate::judge::STEADY_S;
 use crate::recordings::Recordings;
@@ -91,6 +91,10 @@ impl ByHand {
         let mut config = Scenario::bare().flight_config();
         read.and_then(|agent| agent.apply(&mut config)).map_err(|error| in_section("agent")(error.to_string()))?;
         let (attacked, off) = attack_of(table).map_err(in_section("attack"))?;
+        if matches!(attacked, Attacked::Given(Given { sensor: v1::SensorKind::Rotor, .. })) {
+            let complaint = "sensor = \"rotor\": no recording tells when one was attacked, so nothing could be judged";
+            return Err(in_section("attack")(complaint.into()));
+        }
         let by_hand = Self {
             vehicle: raw.vehicle,
             altitude_m: raw.altitude_m,
@@ -122,19 +126,20 @@ impl ByHand {
         self.altitude_m.len() as f64 * self.hold_s
     }
 
+    fn attacks_something(&self) -> bool {
+        !self.off && self.attacked != Attacked::None
+    }
+
     /// The attacks of the flight of this `seed` on a vehicle with these sensors, from the first altitude on.
     ///
     /// # Errors
     /// A sentence: the vehicle has none of what is to be attacked.
     pub fn attacks(&self, sensors: &[SensorId], seed: u64) -> Result<Vec<v1::Attack>, String> {
-        if self.off || self.attacked == Attacked::None {
+        if !self.attacks_something() {
             return Ok(Vec::new());
         }
         let drawn = self.attacked.attacks(sensors, seed);
-        let lacking = drawn
-            .iter()
-            .find(|attack| attack.sensor.kind != v1::SensorKind::Rotor && !sensors.contains(&attack.sensor));
-        match lacking {
+        match drawn.iter().find(|attack| !sensors.contains(&attack.sensor)) {
             Some(attack) => Err(format!("{} has no {} to be attacked", self.vehicle, attack.sensor)),
             None if drawn.is_empty() => Err(format!("{} has no sensor of the kind to be attacked", self.vehicle)),
             None => Ok(drawn.iter().take(MAX_ATTACKS).map(wire_attack).collect()),
@@ -144,7 +149,7 @@ impl ByHand {
     /// What its recording is flown through to be judged: the estimator that was in the loop, given what it was given then.
     ///
     /// # Errors
-    /// A sentence: no estimator could start on it, or it is too short.
+    /// A sentence: no estimator could start on it, it is too short, or nothing is attacked in it that was to be.
     pub(crate) fn judged(&self, flight: &str, recordings: &Recordings, seed: u64) -> Result<Setup, String> {
         let table = Table::from_iter([
             ("agent".to_owned(), Value::Table(self.agent.clone())),
@@ -152,7 +157,15 @@ impl ByHand {
             (super::RECORDING.to_owned(), Value::String(flight.into())),
         ]);
         let condition = Condition::read(&table, recordings).map_err(|wrong| wrong.complaint)?;
-        Ok(Setup { comes_down: self.attacked.colludes(), ..condition.setup(seed) })
+        let setup = Setup { comes_down: self.attacked.colludes(), ..condition.setup(seed) };
+        // One that adds nothing leaves no trace.
+        let adds_nothing = |given: &Given| given.kind.is_additive() && given.magnitude == 0.0;
+        let traceless = matches!(&self.attacked, Attacked::Given(given) if adds_nothing(given));
+        let clean = setup.recording.iter().all(|recorded| recorded.attacked.is_empty());
+        if clean && self.attacks_something() && !traceless {
+            return Err("nothing is attacked in it: it ended before the onset, or the attack was never sent".into());
+        }
+        Ok(setup)
     }
 }
 

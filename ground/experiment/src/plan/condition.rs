@@ -1,10 +1,13 @@
 //! One condition: its tables, read as what they are elsewhere (a scenario, an agent's configuration, an attack).
 
 use plumbline_agent::attack::{Attack, AttackError, Injector, Schedule};
+use plumbline_agent::command::Command;
 use plumbline_agent::config::AgentConfig;
 use plumbline_agent::flight::{Flight, FlightConfig};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::scenario::attacks_from_toml;
+use plumbline_agent::sim::script::Step;
+use plumbline_agent::types::Mode;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use serde::Deserialize;
@@ -63,7 +66,7 @@ struct RawAttack {
     magnitude: f64,
     start_s: Option<f64>,
     duration_s: Option<f64>,
-    /// How many sensors, where attacks are drawn.
+    /// How many sensors, where attacks are drawn, or collude.
     count: Option<usize>,
 }
 
@@ -184,11 +187,12 @@ impl Condition {
         table.to_string()
     }
 
-    /// A recording is as long as it is: something of it must be judged, whatever is drawn.
+    /// Something of every flight must be judged, whatever is drawn.
     fn check_length(&self) -> Result<(), Wrong> {
-        let Some(recorded) = &self.recording else { return Ok(()) };
-        let (lasts_s, name) = (self.scenario.duration_s, &recorded.name);
-        let onset_s = self.attacked.latest_onset_s();
+        let (lasts_s, onset_s) = (self.scenario.duration_s, self.attacked.latest_onset_s());
+        let Some(Recorded { name, .. }) = &self.recording else {
+            return self.check_script(onset_s).map_err(in_section("scenario"));
+        };
         let complaint = if lasts_s <= STEADY_S {
             format!("recording {name:?} lasts {lasts_s:.1} s, and flights are judged from {STEADY_S} s on")
         } else if lasts_s <= onset_s {
@@ -199,15 +203,29 @@ impl Condition {
         Err(Wrong { section: "recording", complaint })
     }
 
+    /// A simulated flight is in the air at every onset that may be drawn.
+    fn check_script(&self, onset_s: f64) -> Result<(), String> {
+        if self.attacked == Attacked::None {
+            return Ok(());
+        }
+        let Scenario { duration_s, script, .. } = &self.scenario;
+        if *duration_s <= onset_s {
+            return Err(format!("duration_s = {duration_s} ends before an onset, which may be at {onset_s} s"));
+        }
+        let orders = |command: &Command| matches!(command, Command::Arm | Command::Disarm | Command::SetMode(_));
+        let mut before = script.steps.iter().rev().filter(|step| step.at_s <= onset_s);
+        match before.find(|step| orders(&step.command)) {
+            Some(Step { at_s, command: Command::Disarm | Command::SetMode(Mode::Land) }) => {
+                Err(format!("the script ends the flight at {at_s} s, before an onset, which may be at {onset_s} s"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn check_attacks(&self) -> Result<(), Wrong> {
-        let Setup { attacks, config, scenario, .. } = self.setup(1);
+        let Setup { attacks, config, .. } = self.setup(1);
         if self.attacked != Attacked::None && self.attacked.attacks(&config.sensors, 1).is_empty() {
             return Err(Wrong { section: "attack", complaint: "sensor: the vehicle has none of this kind".into() });
-        }
-        let Some(last) = attacks.iter().map(|attack| attack.start_s).reduce(f64::max) else { return Ok(()) };
-        if last >= scenario.duration_s {
-            let complaint = format!("duration_s = {} ends before an onset at {last:.1} s", scenario.duration_s);
-            return Err(Wrong { section: "scenario", complaint });
         }
         let schedule = Schedule { id: 1, attacks: attacks.into_iter().collect(), ..Schedule::default() };
         let mut injector = Injector::new(config.attacks.bounds, true, &config.sensors).sparing(&config.independent);
@@ -287,6 +305,7 @@ fn given(raw: &RawAttack) -> Result<Given, String> {
     let Some(Attack { sensor, channel, kind, magnitude, .. }) = schedule.attacks.first().copied() else {
         return Err("no attack".into());
     };
-    let (start_s, duration_s) = (raw.start_s, raw.duration_s);
-    Ok(Given { sensor: sensor.kind, instance: raw.instance, channel, kind, magnitude, start_s, duration_s })
+    let RawAttack { instance, start_s, duration_s, .. } = *raw;
+    let count = raw.count.unwrap_or(1);
+    Ok(Given { sensor: sensor.kind, instance, channel, kind, magnitude, start_s, count, duration_s })
 }

@@ -7,7 +7,7 @@ use toml::{Spanned, Table, Value};
 
 use super::source::Source;
 use super::{PlanError, RECORDING, SECTIONS};
-use crate::draw::Dice;
+use crate::draw::{Dice, derived};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -239,12 +239,12 @@ impl Design {
                 factors.iter().map(|factor| listed.and_then(|table| table.get(&factor.key)).cloned()).collect()
             }
             Self::Draws(_) => {
-                let mut dice = Dice::new(seed ^ 0xd4a5_0000_0000 ^ condition);
+                let mut dice = Dice::new(derived(seed ^ 0xd4a5_0000_0000, condition));
                 factors.iter().map(|factor| factor.at(dice.uniform())).collect()
             }
             Self::LatinHypercube(count) => {
-                let mut dice = Dice::new(seed ^ 0x1a71_0000_0000 ^ condition);
-                let stratum = |at: usize| shuffled(condition, *count, seed.wrapping_add(at as u64));
+                let mut dice = Dice::new(derived(seed ^ 0x1a71_0000_0000, condition));
+                let stratum = |at: usize| shuffled(condition, *count, derived(seed ^ 0x57a7_0000_0000, at as u64));
                 let each = factors.iter().enumerate();
                 each.map(|(at, factor)| factor.at((stratum(at) as f64 + dice.uniform()) / *count as f64)).collect()
             }
@@ -288,5 +288,29 @@ mod tests {
         let one: Vec<_> = (0..64).map(|index| shuffled(index, 64, 1)).collect();
         let other: Vec<_> = (0..64).map(|index| shuffled(index, 64, 2)).collect();
         assert_ne!(one, other);
+    }
+
+    #[test]
+    fn another_seed_is_another_sample() {
+        let factor = |key: &str| Factor {
+            key: key.into(),
+            levels: Levels::Range { low: 0.0, high: 64.0, log: false },
+            span: 0..0,
+        };
+        let factors = [factor("scenario.a"), factor("scenario.b")];
+        let sample = |design: &Design, seed: u64, at: usize| -> Vec<u64> {
+            let levels = (0..64).filter_map(|n| design.levels(&factors, seed, n).get(at)?.as_ref()?.as_float());
+            levels.map(f64::to_bits).collect()
+        };
+        for design in [Design::Draws(64), Design::LatinHypercube(64)] {
+            let points: std::collections::BTreeSet<u64> = (0..4).flat_map(|seed| sample(&design, seed, 0)).collect();
+            assert_eq!(points.len(), 4 * 64, "{design:?}: a point of one seed is one of another");
+        }
+        // The strata of a factor are not those of its neighbour under the next seed.
+        let strata = |seed: u64, at: usize| -> Vec<u64> {
+            let points = sample(&Design::LatinHypercube(64), seed, at);
+            points.into_iter().map(|point| f64::from_bits(point) as u64).collect()
+        };
+        assert!((0..4).all(|seed| strata(seed, 1) != strata(seed + 1, 0)));
     }
 }

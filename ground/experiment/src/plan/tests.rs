@@ -13,6 +13,9 @@ kind = "bias"
 magnitude = 0.2
 "#;
 
+/// Of a flight that is down before the last of the onsets that may be drawn.
+const LANDS: &str = "duration_s = 30\nscript = [{ at_s = 18, do = \"mode\", mode = \"land\" }]";
+
 fn refused(text: &str) -> PlanError {
     Plan::from_toml(text).map(|plan| plan.flights()).expect_err(text)
 }
@@ -46,6 +49,8 @@ fn what_cannot_be_flown_is_refused_with_its_line_and_value() {
         (BASE.replace("duration_s = 30", "duration_s = nan"), 4, "nan"),
         (BASE.replace("duration_s = 30", "durations = 30"), 4, "durations"),
         (BASE.replace("duration_s = 30", "duration_s = 10"), 4, "duration_s = 10"),
+        (BASE.replace("duration_s = 30", "duration_s = 21"), 4, "which may be at 22 s"),
+        (BASE.replace("duration_s = 30", LANDS), 5, "the script ends the flight at 18 s, before an onset"),
         (BASE.replace("duration_s = 30", "tick_rate_hz = 20"), 4, "tick_rate_hz = 20"),
         (BASE.replace("magnitude = 0.2", "magnitude = 50"), 8, "50"),
         (BASE.replace("kind = \"bias\"", "kind = \"tickle\""), 7, "tickle"),
@@ -101,6 +106,32 @@ fn designs_make_the_conditions_they_say() {
 }
 
 #[test]
+fn the_same_part_of_a_flight_is_judged_whatever_is_done_to_its_sensors() {
+    let sensors: Vec<_> = (1..=4)
+        .flat_map(|instance| [SensorKind::Imu, SensorKind::Height].map(|kind| SensorId::new(kind, instance)))
+        .collect();
+    let onset_s = |attack: &str, seed: u64| {
+        let table = toml::from_str(&format!("[attack]\n{attack}\n")).unwrap();
+        let (attacked, _) = condition::attack_of(&table).unwrap();
+        attacked.attacks(&sensors, seed).iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min)
+    };
+    for seed in 0..20 {
+        for (sensor, kinds) in [
+            ("height", &["drawn", "colluding", "bias"][..]),
+            ("imu", &["drawn", "zero"][..]),
+            ("any", &["drawn"][..]),
+            ("imu_and_height", &["drawn"][..]),
+        ] {
+            let of = |kind: &str| onset_s(&format!("sensor = \"{sensor}\"\nkind = \"{kind}\""), seed);
+            assert!((14.0..22.0).contains(&of("none")), "{sensor}: {}", of("none"));
+            assert!(kinds.iter().all(|kind| of(kind) == of("none")), "{sensor}, seed {seed}");
+        }
+        let two = |kind: &str| onset_s(&format!("sensor = \"height\"\ncount = 2\nkind = \"{kind}\""), seed);
+        assert_eq!((two("drawn"), two("colluding")), (two("none"), two("none")), "seed {seed}");
+    }
+}
+
+#[test]
 fn the_hash_is_that_of_the_content() {
     let of = |text: &str| Plan::from_toml(text).unwrap().hash();
     assert_eq!(of(BASE), of(&BASE.replace("repeats = 2", "# so many\nrepeats  =  2")));
@@ -149,6 +180,7 @@ fn what_cannot_be_flown_by_hand_is_refused_with_its_line_and_value() {
         (BY_HAND.replace("in_loop = \"lanes\"", "run = [\"ukf\"]"), 8, "of a vehicle only estimators.in_loop"),
         (BY_HAND.replace("{ in_loop = \"lanes\" }", "{ in_loop = \"nose\" }"), 7, "nose"),
         (BY_HAND.replace("hold_s = 10", "hold_s = 4"), 5, "3 of 4 s are 12 s, and flights are judged from 12 s on"),
+        (BY_HAND.replace("\"height\"", "\"rotor\""), 10, "no recording tells when one was attacked"),
         (BY_HAND.replace("start_s = 5", "start_s = 31"), 5, "an onset may be at 31 s"),
         (BY_HAND.replace("repeats = 3", "repeats = 1001"), 2, "1001 flights, more than 1000"),
         (with("[scenario]\nduration_s = 20\n"), 14, "flown by hand instead"),

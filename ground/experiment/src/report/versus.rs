@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Links, SHOWN, STYLE, escape, number, place};
+use super::{Links, SHOWN, STYLE, escape, median, number, place};
 use crate::compare::{self, Comparison, Pair};
 use crate::store::{Experiment, StoreError};
 
@@ -76,8 +76,8 @@ fn plans(out: &mut String, comparison: &Comparison) {
 fn conditions(out: &mut String, first: &Experiment, comparison: &Comparison) {
     out.push_str(
         "<h2>Conditions</h2>\n<p>Of flights of the same seed: how many are the same, lost and detected in the first → in the second; \
-         of each measure the medians, and the second less the first, flight by flight: median, its 95 % interval, and the mean by \
-         the standard deviation (d). A difference whose interval does not hold zero is in bold.</p>\n<div class=wide><table><thead><tr>",
+         of each measure the medians, and the second less the first, flight by flight: median, its 95 % interval, which takes six pairs, \
+         and the mean by the standard deviation (d). A difference whose interval does not hold zero is in bold.</p>\n<div class=wide><table><thead><tr>",
     );
     let keys = first.plan.factors.iter().map(|factor| factor.key.as_str());
     for name in keys.chain(["pairs", "same", "lost", "detected"]).chain(SHOWN) {
@@ -107,17 +107,10 @@ fn conditions(out: &mut String, first: &Experiment, comparison: &Comparison) {
 fn measure(pair: &Pair, name: &str) -> String {
     let Some(compared) = pair.measures.get(place(name)).and_then(Option::as_ref) else { return "–".into() };
     let ([before, then], difference) = (compared.medians, &compared.difference);
-    let [low, high] = difference.interval;
-    let (open, close) = if low > 0.0 || high < 0.0 { ("<b>", "</b>") } else { ("", "") };
-    let effect = difference.effect.map_or(String::new(), |effect| format!(", d {}", number(effect)));
-    let median = number(difference.median);
-    format!(
-        "{} → {}<br>{open}{median}{close} <small>{} … {}{effect}</small>",
-        number(before),
-        number(then),
-        number(low),
-        number(high)
-    )
+    let differs = difference.interval.is_some_and(|[low, high]| low > 0.0 || high < 0.0);
+    let (open, close) = if differs { ("<b>", "</b>") } else { ("", "") };
+    let less = median(difference.median, difference.interval, difference.effect);
+    format!("{} → {}<br>{open}{less}{close}", number(before), number(then))
 }
 
 fn turned(out: &mut String, comparison: &Comparison, links: &[Links<'_>; 2]) {

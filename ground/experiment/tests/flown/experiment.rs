@@ -5,6 +5,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use plumbline_agent::flight::Flight;
+use plumbline_experiment::flight::fly_watched;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::row::{ROW_BYTES, Row};
 use plumbline_experiment::run::{Ended, Options, run};
@@ -229,10 +231,13 @@ fn what_changed_between_two_experiments_is_what_was_changed() {
     assert_eq!(altitude(0).difference.median, 0.0);
     // An EKF alone rejects 1 m and follows 0.1 m.
     assert!(altitude(1).medians[1] > 3.0 * altitude(1).medians[0], "{:?}", altitude(1));
-    assert!(altitude(1).difference.interval[0] > 0.0, "{:?}", altitude(1));
+    assert!(altitude(1).difference.median > 0.0, "{:?}", altitude(1));
+    // Four pairs have no interval, and nothing of them is in bold.
+    assert_eq!(altitude(1).difference.interval, None);
     let page = report::compare(&first, &second, "").unwrap();
     assert!(page.contains("the same program, another plan: 8 of 16 flights"), "{page}");
     assert!(!page.contains("went another way") && !page.contains("<script"));
+    assert!(page.contains("<small>no interval, d ") && !page.contains("<br><b>"), "{page}");
 
     // GIVEN what a version flew that had one measure fewer THEN the others are compared
     let older =
@@ -301,6 +306,52 @@ fn enough_is_enough_and_a_budget_is_kept() {
     let experiment = Experiment::create(folder.path(), plan("[stop]\nminutes = 0.0001\n")).unwrap();
     assert_eq!(flown(&experiment), Ended::Spent);
     assert!(experiment.done() < 30, "{}", experiment.done());
+}
+
+/// GIVEN an attack on a sensor of any kind WHEN somebody who knows stands before the estimator THEN it receives nothing of it meanwhile;
+/// GIVEN one on a rotor THEN the motor is told it, whoever stands there.
+#[test]
+fn attacks_are_flown_whatever_stands_before_the_estimator() {
+    let flown = |reception: &str, sensor: &str, magnitude: &str, watch: &mut dyn FnMut(f64, &Flight)| {
+        let text = PLAN
+            .replace("repeats = 4", &format!("reception = \"{reception}\""))
+            .replace("\"ekf_bias\", \"secure\"", "\"ekf_bias\"")
+            .replace("[scenario]", "[scenario]\nsuite = { preset = \"string_rig\", add = [\"mocap_pose\"] }")
+            .replace("sensor = \"height\"", &format!("sensor = \"{sensor}\""))
+            .replace("magnitude = 1.0", &format!("magnitude = {magnitude}"));
+        let setup = Plan::from_toml(&text).unwrap().condition(1).unwrap().setup(40);
+        fly_watched(&setup, |flight, truth| watch(truth.time.as_seconds(), flight)).unwrap();
+    };
+    let (mut before, mut meanwhile) = (0, 0);
+    flown("oracle", "mocap_pose", "0.5", &mut |t_s, flight| {
+        let received = u32::from(flight.report().received.mocap_pose.is_some());
+        // A tick beside the onset is neither.
+        before += if t_s < 12.9 { received } else { 0 };
+        meanwhile += if t_s > 13.1 { received } else { 0 };
+    });
+    assert!(before > 10 && meanwhile == 0, "{before} before, {meanwhile} meanwhile");
+    for reception in ["all", "oracle", "median", "chi_square", "ekf_per_imu"] {
+        let mut told = false;
+        flown(reception, "rotor", "-0.1", &mut |t_s, flight| {
+            let report = flight.report();
+            told |= t_s > 13.0 && report.command.throttle != report.commanded.throttle;
+        });
+        assert!(told, "{reception}");
+    }
+}
+
+#[test]
+fn flights_are_kept_where_their_ticks_cannot_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = PLAN.replace("\"ekf_bias\", \"secure\"", "\"ekf_bias\"").replace("repeats = 4", "repeats = 2");
+    let experiment = Experiment::create(folder.path(), Plan::from_toml(&text).unwrap()).unwrap();
+    std::fs::create_dir(experiment.folder.join("ticks.json")).unwrap();
+    let ended = run(&experiment, &Options::default(), &AtomicBool::new(false), |progress, _| {
+        // Until the disk is asked again.
+        std::thread::sleep(Duration::from_millis(if progress.done == 1 { 2100 } else { 0 }));
+    });
+    assert!(matches!(&ended, Err(StoreError::Io { path, .. }) if path.ends_with("ticks.json")), "{ended:?}");
+    assert_eq!(experiment.done(), 4);
 }
 
 #[test]

@@ -8,6 +8,7 @@ use plumbline_agent::log::{self, LogConfig, RING_BYTES};
 use plumbline_agent::recordings;
 use plumbline_agent::sensor::suite::Suite;
 use plumbline_agent::telemetry::{Around, Identification, Outlet, Telemetry};
+use plumbline_experiment::by_hand::{self, ByHandError};
 use plumbline_experiment::flight::fly_watched;
 use plumbline_experiment::plan::Plan;
 use plumbline_experiment::recordings::{Against, Library};
@@ -16,6 +17,7 @@ use plumbline_experiment::run::{Ended, Options, run};
 use plumbline_experiment::store::{Experiment, StoreError};
 use plumbline_experiment::{open, parquet, report, summary, trace};
 use plumbline_proto::time::WallTime;
+use plumbline_rest::experiment::FlownByHand;
 
 /// 27 s in the air; from 15 s after its beginning on a height is attacked.
 const FLOWN: &str = r#"
@@ -162,8 +164,10 @@ fn recordings_are_flown_under_other_estimators_and_attacks_and_each_row_opens() 
     let plan = "name = \"then\"\nrecording = \"first\"\n[agent]\nestimators = { in_loop = \"lanes\" }\n";
     let [then] = flown(&made(data, plan))[..] else { panic!("one flight") };
     assert!(then.value("missed") == 0.0 && (0.0..3.0).contains(&then.value("delay_s")), "{then:?}");
-    // THEN it is another flight than the one without
+    // THEN it is another flight than the one without, and than that of somebody who knows
     assert!(then.value("estimate_m") != at(0, 1, 0).value("estimate_m"));
+    let [known] = flown(&made(data, &format!("reception = \"oracle\"\n{plan}")))[..] else { panic!("one flight") };
+    assert!(known.value("estimate_m") != then.value("estimate_m"), "{known:?}");
 
     // WHEN a recording is another one than before THEN nothing of the two is mixed
     let before = Plan::over(PLAN, &Library::archive(data)).unwrap().hash();
@@ -174,6 +178,36 @@ fn recordings_are_flown_under_other_estimators_and_attacks_and_each_row_opens() 
     let refused = run(&kept, &Options::default(), &AtomicBool::new(false), |_, _| {}).unwrap_err();
     assert!(matches!(refused, StoreError::Recording(_)) && refused.to_string().contains("second.mcap"), "{refused}");
     assert!(kept.rows().unwrap() == rows);
+}
+
+/// GIVEN a plan that an operator flies WHEN a recording is accepted THEN its attack is in it, and its place is free to the last.
+#[test]
+fn a_recording_is_accepted_with_its_attack_and_in_one_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path();
+    record(data, "attacked", FLOWN, 1, true);
+    record(data, "clean", &FLOWN.replace("kind = \"bias\"", "kind = \"none\""), 1, true);
+    let plan = "name = \"by_hand\"\n[by_hand]\nvehicle = \"sim\"\naltitude_m = [0.9, 0.9]\n[agent]\n\
+                estimators = { in_loop = \"lanes\" }\n[attack]\nsensor = \"height\"\nkind = \"bias\"\nmagnitude = 0.5\nstart_s = 6.0\n";
+    let experiment = made(data, plan);
+    let told = |flight: &str| FlownByHand { flight: flight.into(), accepted: true, ..FlownByHand::default() };
+    let library = Library::archive(data);
+    let refused = by_hand::keep(&experiment, &told("clean"), &library).unwrap_err();
+    assert!(refused.to_string().contains("clean: nothing is attacked in it"), "{refused}");
+    // Somebody else takes the place while the recording is fetched.
+    let (from, to) = (data.join("flights/attacked.mcap"), data.join("flights/late.mcap"));
+    let journal = experiment.folder.join("by_hand.jsonl");
+    let other = serde_json::to_string(&told("first")).unwrap() + "\n";
+    let meanwhile = Library::archive(data).fetching(move |_| {
+        std::fs::copy(&from, &to).unwrap();
+        std::fs::write(&journal, &other).unwrap();
+    });
+    let refused = by_hand::keep(&experiment, &told("late"), &meanwhile).unwrap_err();
+    assert!(matches!(&refused, ByHandError::Taken { index: 0, flight } if flight == "first"), "{refused}");
+    std::fs::remove_file(experiment.folder.join("by_hand.jsonl")).unwrap();
+    by_hand::keep(&experiment, &told("attacked"), &library).unwrap();
+    let detected = summary::results(&experiment).unwrap().conditions[0].detected;
+    assert_eq!(detected.map(|part| (part.count, part.of)), Some((1, 1)));
 }
 
 #[test]

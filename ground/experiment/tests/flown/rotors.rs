@@ -18,6 +18,8 @@ fn a_fifth_of_a_rotor_is_isolated_and_made_up_for() {
                     flown.isolated.unwrap_or_else(|| panic!("{rig}, {how:?}, seed {seed}: not found"));
                 assert_eq!((rotor, flown.falsely), (flown.rotor, 0), "{rig}, {how:?}, seed {seed}: {flown:?}");
                 assert!(after_s <= 0.3, "{rig}, {how:?}, seed {seed}: after {after_s} s");
+                // A rotor that breaks is as little healthy as one that is attacked.
+                assert_eq!(flown.delays_s.len(), 1, "{rig}, {how:?}, seed {seed}: {flown:?}");
                 assert!(flown.moved_m <= 0.1, "{rig}, {how:?}, seed {seed}: {} m", flown.moved_m);
                 assert!((flown.found - 0.8).abs() < 0.06, "{rig}, {how:?}, seed {seed}: found {}", flown.found);
                 assert!(flown.lost.is_none(), "{rig}, {how:?}, seed {seed}: {:?}", flown.lost);

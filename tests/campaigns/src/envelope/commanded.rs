@@ -2,12 +2,12 @@
 
 use plumbline_agent::envelope::prepare::prepared;
 use plumbline_experiment::draw::{parallel, worst};
+use plumbline_experiment::summary::part;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
 use plumbline_support::envelope::{Flown, HORIZON_S, Worn, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
-use super::detection::interval;
 use crate::effort::Effort;
 
 /// Everything that can be attacked.
@@ -75,7 +75,7 @@ pub fn of_rotors(report: &mut Report, effort: &Effort) -> Result<(), ReportError
             let (seen, without) = (count(|one| one.seen), count(|one| one.seen_without));
             let last_m = flown.iter().map(|one| one.last_m).sum::<f64>() / flights as f64;
             let most_m = worst(&flown.iter().map(|one| one.most_m).collect::<Vec<_>>());
-            let (low, high) = interval(seen, flights);
+            let [low, high] = part(seen, flights).interval;
             let name = format!("{generator} {accel_mps2} m/s², healthy: {}", healthy.join(", "));
             let more = json!({
                 "world": world, "flights": flights, "asked_m": attack.altitude_m, "last_m": last_m, "most_m": most_m,

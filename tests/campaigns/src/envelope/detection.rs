@@ -6,6 +6,7 @@ use plumbline_agent::envelope::prepare::{power, prepared};
 use plumbline_agent::envelope::theory::block_told;
 use plumbline_agent::flight::watermark::{LIMIT, Settings};
 use plumbline_experiment::draw::parallel;
+use plumbline_experiment::summary;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
@@ -29,14 +30,6 @@ const REPLAYED_S: f64 = 8.0;
 const REPLAY_S: f64 = 30.0;
 /// What t was designed to be at: 0.5 A √(25 h)/0.15 with h = 10 s.
 const DEFLECTION: f64 = 0.5 * RMS_MPS2 * 15.811_388 / 0.15;
-
-/// Interval of a part \[Wilson 1927\].
-pub(super) fn interval(of: u64, all: u64) -> (f64, f64) {
-    let (n, p) = (all.max(1) as f64, of as f64 / all.max(1) as f64);
-    let (centre, spread) = (p + Z * Z / (2.0 * n), Z * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt());
-    let scale = 1.0 + Z * Z / n;
-    (((centre - spread) / scale).max(0.0), (centre + spread) / scale)
-}
 
 fn height(instance: u8) -> SensorId {
     SensorId::new(SensorKind::Height, instance)
@@ -121,10 +114,10 @@ fn tell(
     model: Option<&Expected>,
     areas: [f64; 2],
 ) -> Vec<String> {
-    let (low, high) = interval(seen.those, seen.flights);
+    let [low, high] = summary::part(seen.those, seen.flights).interval;
     // The model's part has an interval too.
     let part = model.map_or(f64::NAN, Expected::probability);
-    let (least, most) = interval(model.map_or(0, Expected::seen), DRAWN);
+    let [least, most] = summary::part(model.map_or(0, Expected::seen), DRAWN).interval;
     let holds = model.is_some() && least <= high && most >= low;
     let flown = seen.those as f64 / seen.flights as f64;
     let more = json!({
@@ -256,7 +249,7 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
         }
     }
     let blocks = seen + missed;
-    let (low, high) = interval(seen, blocks);
+    let [low, high] = summary::part(seen, blocks).interval;
     let part = seen as f64 / blocks.max(1) as f64;
     let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
     let (told, deflection) = (-mean(&replayed), -mean(&missing));
@@ -267,7 +260,7 @@ pub fn of_replays(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
     report.value("watermark/detected", part, "of blocks of 10 s", more);
     let more = json!({ "spread": spread_t, "by_the_flights_own_sigma": deflection, "expected": DEFLECTION });
     report.value("watermark/deflection", told, "σ", more);
-    let (least, most) = interval(alarms, healthy);
+    let [least, most] = summary::part(alarms, healthy).interval;
     let more = json!({ "blocks": healthy, "alarms": alarms, "low": least, "high": most, "expected": 0.001, "holds": least <= 0.001 && most >= 0.001 });
     report.value("watermark/false", alarms as f64 / healthy.max(1) as f64, "of healthy blocks", more);
     let ripple: Vec<f64> = flown.iter().map(|(_, ripple_m)| 1e3 * ripple_m).collect();

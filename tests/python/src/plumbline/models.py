@@ -106,7 +106,7 @@ class Difference(TypedDict):
 
     baseline: NotRequired[int]
     effect: NotRequired[float | None]
-    interval: NotRequired[list[float]]
+    interval: NotRequired[list[float] | None]
     median: NotRequired[float]
     pairs: NotRequired[int]
 
@@ -552,7 +552,7 @@ class Spread(TypedDict):
     """Values of many flights."""
 
     count: NotRequired[int]
-    interval: NotRequired[list[float]]
+    interval: NotRequired[list[float] | None]
     least: NotRequired[float]
     median: NotRequired[float]
     most: NotRequired[float]

@@ -188,8 +188,8 @@ fn Row(condition: Condition, flights: RwSignal<Vec<Flight>>, measure: Memo<usize
     let [median, of_95, most] = [figure.clone(), figure.clone(), figure];
     let spreads = condition.measures.clone();
     let interval = move || {
-        let spread = spreads.get(measure.get()).copied().flatten();
-        spread.map_or_else(none, |s| format!("{} to {}", short(s.interval[0]), short(s.interval[1])))
+        let interval = spreads.get(measure.get()).copied().flatten().and_then(|spread| spread.interval);
+        interval.map_or_else(none, |[low, high]| format!("{} to {}", short(low), short(high)))
     };
     let differences = condition.differences.clone();
     let less = move || {
