@@ -8,8 +8,10 @@
 #[path = "server/common/mod.rs"]
 mod common;
 
+use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use common::agent::Agent;
 use common::viewer::{Viewer, frames};
@@ -41,6 +43,40 @@ async fn cut(ground: &Ground, cookie: &str) -> Response {
 fn stall(path: &Path) {
     let made = std::process::Command::new("mkfifo").arg(path).status().unwrap();
     assert!(made.success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_disk_that_does_not_tell_the_accounts_holds_up_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    Accounts::of(folder.path()).add("ann", Role::Operator, PASSWORD).unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    let cookie = sign_in(&ground, "ann").await;
+    // GIVEN accounts that are being read from a disk that does not answer
+    let file = folder.path().join("people/accounts.json");
+    let kept = std::fs::read(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    stall(&file);
+    let begun = Instant::now();
+    let mut pipe = loop {
+        // Refused for as long as nobody reads.
+        match std::fs::File::options().write(true).custom_flags(libc::O_NONBLOCK).open(&file) {
+            Ok(pipe) => break pipe,
+            Err(error) => assert!(begun.elapsed() < PATIENCE, "nobody looks: {error}"),
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    };
+    // WHEN whoever is signed in cuts THEN it is done
+    let cuts = async { tokio::join!(cut(&ground, &cookie), agent.accept()) };
+    let (answer, command) = tokio::time::timeout(PATIENCE, cuts).await.expect("a cut");
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    assert!(matches!(command.body, Some(command::Body::CutMotors(_))));
+    // The next look finds a file.
+    std::fs::remove_file(&file).unwrap();
+    std::fs::write(&file, &kept).unwrap();
+    pipe.write_all(&kept).unwrap();
+    drop(pipe);
+    ground.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

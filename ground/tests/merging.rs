@@ -27,9 +27,9 @@ const MESSAGE_BYTES: usize = 1_000;
 
 /// Most memory this process ever held, MiB.
 fn peak_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
-    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap() / 1024.0
+    let peak_mib = plumbline_support::memory_mib(std::process::id(), "VmHWM");
+    assert!(peak_mib > 0.0);
+    peak_mib
 }
 
 /// A part of flight `long` as a killed ground leaves it: no summary.
@@ -49,9 +49,12 @@ fn leave_part(flights: &Path, number: u32) {
     let mut noise = u64::from(number);
     let mut data = vec![0; MESSAGE_BYTES];
     for n in 0..PART_MESSAGES {
-        for byte in &mut data {
-            noise = noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            *byte = (noise >> 56) as u8;
+        // Xorshift: all eight bytes are noise, which does not compress.
+        for eight in data.chunks_exact_mut(8) {
+            noise ^= noise << 13;
+            noise ^= noise >> 7;
+            noise ^= noise << 17;
+            eight.copy_from_slice(&noise.to_le_bytes());
         }
         let sequence = (number - 1) * PART_MESSAGES + n + 1;
         let log_time = (BOOT_WALL_US + u64::from(sequence) * 1000) * 1000;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use axum::Json;
-use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::extract::{Request, State};
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse as _, Redirect, Response};
 use plumbline_experiment::by_hand;
 use plumbline_experiment::flight::FlyError;
@@ -18,10 +18,13 @@ use plumbline_rest::experiment::{self as rest, Asked, Opened, Results, Size};
 use serde::Deserialize;
 
 use super::App;
+use super::access;
 use super::body::Body;
 use super::error::ApiError;
 use super::extract::{Page, Path, Query};
+use super::operator::{Operator, Signed};
 use super::tag::{self, Known};
+use crate::audit::Deed;
 use crate::experiments::Experiments;
 use crate::recorder::WRITTEN;
 
@@ -169,18 +172,25 @@ pub(crate) async fn fly_again(
 }
 
 /// What a dot of a report leads to. It adds a flight to the list, so a person must have asked for it: a click, or an address
-/// that was typed.
+/// that was typed. Reading is not written down, this is.
 pub(crate) async fn go(
     State(app): State<App>,
     Path((id, index)): Path<(String, u64)>,
-    headers: HeaderMap,
+    Signed(person): Signed,
+    operator: Operator,
+    request: Request,
 ) -> Result<Redirect, ApiError> {
-    let told = |name: &str| headers.get(name).and_then(|value| value.to_str().ok());
-    let own = matches!(told("sec-fetch-site"), None | Some("none" | "same-origin"));
-    if !own && told("sec-fetch-user") != Some("?1") {
+    let asked = {
+        let told = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
+        let own = matches!(told("sec-fetch-site"), None | Some("none" | "same-origin"));
+        own || told("sec-fetch-user") == Some("?1")
+    };
+    if !asked {
         return Err(ApiError::Foreign("a flight is opened by a click, not by another page".into()));
     }
-    let Opened { flight } = opened(app, id, index).await?;
+    let deed = Deed { who: operator.name, role: person.role.name(), status: 303, ..access::deed(&request) };
+    let Opened { flight } = opened(app.clone(), id, index).await?;
+    app.audit.record(deed);
     Ok(Redirect::to(&format!("/flights/{flight}")))
 }
 
@@ -193,11 +203,11 @@ async fn opened(app: App, id: String, index: u64) -> Result<Opened, ApiError> {
                 return Ok(Opened { flight });
             }
             let file = open(&experiment, index)?;
-            let flight = within.recorder.take_in(&file)?.id;
+            let taken = within.recorder.take_in(&file);
             if let Some(emptied) = file.parent() {
                 let _ = std::fs::remove_dir_all(emptied);
             }
-            Ok(Opened { flight })
+            Ok(Opened { flight: taken?.id })
         })
         .await
 }

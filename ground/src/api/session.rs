@@ -17,7 +17,7 @@ use super::error::ApiError;
 use super::operator::Signed;
 use crate::audit::Deed;
 use crate::front::Peer;
-use crate::people::{Account, AccountError, Authenticator, COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
+use crate::people::{AccountError, Authenticator, COOKIE, Person, SESSION_LONGEST_S, SignInError, Token};
 use crate::sync::wall_time_us;
 
 /// Address of the client, where it is known.
@@ -44,7 +44,8 @@ pub(crate) async fn show(State(app): State<App>, headers: HeaderMap) -> Json<Ses
 }
 
 fn two_steps(app: &App, name: &str) -> bool {
-    app.people.accounts().all().is_ok_and(|all| all.iter().any(|account| account.name == name && account.two_steps()))
+    let accounts = app.people.accounts().known();
+    accounts.is_some_and(|all| all.iter().any(|account| account.name == name && account.two_steps()))
 }
 
 pub(crate) async fn begin(
@@ -75,7 +76,7 @@ pub(crate) async fn offer(Signed(person): Signed) -> Result<Json<NewAuthenticato
     Ok(Json(NewAuthenticator { secret: new.secret(), url: new.url(), svg: new.picture() }))
 }
 
-/// From now on this account signs in by two steps.
+/// From now on this account signs in by two steps. One that does already gives its authenticator up first ([`one_step`]).
 pub(crate) async fn confirm(
     State(app): State<App>,
     Signed(person): Signed,
@@ -92,13 +93,12 @@ pub(crate) async fn confirm(
 pub(crate) async fn one_step(
     State(app): State<App>,
     Signed(person): Signed,
+    from: From,
     Body(asked): Body<Code>,
 ) -> Result<StatusCode, ApiError> {
     let name = account(person)?;
-    let accounts = app.people.accounts().all()?;
-    let known = accounts.iter().find(|known| known.name == name);
-    if let Some(authenticator) = known.map(Account::authenticator).transpose()?.flatten() {
-        authenticator.step(&asked.code, wall_time_us() / 1_000_000).ok_or(AccountError::Code)?;
+    if !app.people.confirmed(from.0, &name, &asked.code)? {
+        return Err(AccountError::Code.into());
     }
     app.people.change(move |accounts| accounts.set_totp(&name, None)).await?;
     Ok(StatusCode::NO_CONTENT)
@@ -154,12 +154,18 @@ async fn sign_in(app: &App, from: &From, credentials: Credentials) -> Result<(To
             app.audit.refuse(deed(from, "POST", &name, "nobody", status));
         }
     }
-    outcome.map_err(|error| match error {
-        SignInError::Wrong | SignInError::CodeNeeded => ApiError::SignIn(error.to_string()),
-        SignInError::Throttled(seconds) => ApiError::Throttled(seconds, error.to_string()),
-        SignInError::Busy => ApiError::Throttled(1, error.to_string()),
-        SignInError::Broken(_) => ApiError::Broken(error.to_string()),
-    })
+    Ok(outcome?)
+}
+
+impl std::convert::From<SignInError> for ApiError {
+    fn from(error: SignInError) -> Self {
+        match error {
+            SignInError::Wrong | SignInError::CodeNeeded => Self::SignIn(error.to_string()),
+            SignInError::Throttled(seconds) => Self::Throttled(seconds, error.to_string()),
+            SignInError::Busy => Self::Throttled(1, error.to_string()),
+            SignInError::Broken(_) => Self::Broken(error.to_string()),
+        }
+    }
 }
 
 fn deed(from: &From, method: &str, who: &str, role: &'static str, status: u16) -> Deed {

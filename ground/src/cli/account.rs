@@ -8,7 +8,7 @@ use plumbline_ground::people::{Accounts, Role};
 
 use super::DataFolder;
 
-/// What to do with which accounts. Changes count at once, also for a ground that runs.
+/// What to do with which accounts. Changes count within a quarter of a second, also for a ground that runs.
 #[derive(Debug, clap::Args)]
 pub struct AccountArguments {
     #[command(subcommand)]

@@ -38,10 +38,14 @@ pub struct PairArguments {
 /// A sentence for people.
 pub fn pair(arguments: &PairArguments) -> Result<(), String> {
     let folder = arguments.folder.path();
-    let identity = load_or_create(&folder).map_err(|error| error.to_string())?;
+    // A ground makes it when it starts: made here, the code would wait where no ground looks.
+    if !folder.join("cert.pem").exists() {
+        return Err(format!("no ground has run in {}: name its folder by --data", folder.display()));
+    }
     let code = Code::parse(&arguments.code).map_err(|error| error.to_string())?;
-    pairing::expect(identity.folder(), &code).map_err(|error| error.to_string())?;
-    println!("the running ground accepts the agent with this code for {} minutes", pairing::VALID.as_secs() / 60);
+    pairing::expect(&folder, &code).map_err(|error| error.to_string())?;
+    let minutes = pairing::VALID.as_secs() / 60;
+    println!("the running ground of {} accepts the agent with this code for {minutes} minutes", folder.display());
     Ok(())
 }
 
@@ -83,4 +87,24 @@ pub fn identity(arguments: &IdentityArguments) -> Result<(), String> {
     }
     println!("{}", identity.fingerprint());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_code_is_left_only_where_a_ground_has_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        let code = Code::random().unwrap().to_string();
+        let identity = IdentityFolder { data: DataFolder { data: data.clone() }, identity: None };
+        let arguments = PairArguments { code, folder: identity };
+        let refused = pair(&arguments).unwrap_err();
+        assert!(refused.contains("no ground has run in") && refused.contains("--data"), "{refused}");
+        assert!(!data.exists(), "nothing is made");
+        load_or_create(&arguments.folder.path()).unwrap();
+        pair(&arguments).unwrap();
+        assert!(arguments.folder.path().join("pairing").exists());
+    }
 }

@@ -56,7 +56,7 @@ pub fn run(arguments: &ExportArguments) -> Result<(), String> {
         }
         let read = std::fs::read_dir(path).map_err(|error| format!("{}: {error}", path.display()))?;
         let inside = read.flatten().map(|entry| entry.path());
-        files.extend(inside.filter(|path| path.extension().is_some_and(|ending| ending == "mcap")));
+        files.extend(inside.filter(|path| path.extension().is_some_and(|ending| ending == "mcap") && !exported(path)));
     }
     files.sort();
     if files.is_empty() {
@@ -73,6 +73,12 @@ pub fn run(arguments: &ExportArguments) -> Result<(), String> {
         }
     }
     if failed == 0 { Ok(()) } else { Err(format!("{failed} of {} flights were not exported", files.len())) }
+}
+
+/// Is it what an export has written beside its flight?
+fn exported(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Format::ALL.iter().any(|format| name.ends_with(&format!(".{}", format.ending())))
 }
 
 fn export(path: &Path, arguments: &ExportArguments) -> Result<PathBuf, String> {

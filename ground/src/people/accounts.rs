@@ -1,10 +1,15 @@
 //! Accounts: `people/accounts.json`, passwords as Argon2id hashes, read again whenever it changes.
+//!
+//! Every request asks who there is, the motor cut as well, and waits for no disk: a thread of its own looks at the file
+//! ([`Accounts::watch`]), and what it found last is in memory ([`Accounts::known`]).
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use argon2::Argon2;
 use argon2::password_hash::{PasswordHash, PasswordHasher, PasswordVerifier, SaltString};
@@ -24,6 +29,8 @@ pub const MIN_PASSWORD: usize = 10;
 const MAX_PASSWORD: usize = 1024;
 /// Most accounts.
 const MAX_ACCOUNTS: usize = 1000;
+/// How often the file is looked at: what another process changes counts after this long at most.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
 
 /// One account.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,6 +108,9 @@ pub enum AccountError {
     /// Not the code of now.
     #[error("this is not the code that the authenticator shows now; is its clock right?")]
     Code,
+    /// Its authenticator is given up by a code of it, before there is another.
+    #[error("this account signs in by two steps already: its authenticator is given up first")]
+    TwoSteps,
     /// Too many.
     #[error("there are {MAX_ACCOUNTS} accounts already")]
     Full,
@@ -121,7 +131,10 @@ type Stamp = Option<(SystemTime, u64)>;
 #[derive(Debug)]
 pub struct Accounts {
     path: PathBuf,
+    /// Held for memory only.
     read: Mutex<Option<(Stamp, Arc<Vec<Account>>)>>,
+    /// The last look at the file did not tell who there is.
+    unreadable: AtomicBool,
     /// Held while the file is changed.
     changing: Mutex<()>,
     admin_stays: bool,
@@ -137,6 +150,7 @@ impl Accounts {
         Self {
             path: folder.join("accounts.json"),
             read: Mutex::new(None),
+            unreadable: AtomicBool::new(false),
             changing: Mutex::new(()),
             admin_stays: false,
         }
@@ -155,12 +169,43 @@ impl Accounts {
         }
     }
 
+    /// Looks at the file, and from then on every quarter of a second on a thread of its own, until what is answered is
+    /// dropped.
+    pub(super) fn watch(self: &Arc<Self>) -> Sender<()> {
+        // What is wrong with the file is told by whoever reads it for more than who may enter.
+        let _ = self.all();
+        let (watched, ended) = channel();
+        let accounts = self.clone();
+        let look = move || {
+            while ended.recv_timeout(LOOK_EVERY) == Err(RecvTimeoutError::Timeout) {
+                let _ = accounts.all();
+            }
+        };
+        if let Err(error) = std::thread::Builder::new().name("accounts".into()).spawn(look) {
+            tracing::error!(%error, "what another process makes of the accounts is not seen: no thread");
+        }
+        watched
+    }
+
+    /// All accounts, as the last look or change found them; `None` where the file could not be read or makes no sense.
+    /// Waits for nothing.
+    pub fn known(&self) -> Option<Arc<Vec<Account>>> {
+        let read = lock(&self.read).as_ref().map(|(_, accounts)| accounts.clone());
+        read.filter(|_| !self.unreadable.load(Ordering::Relaxed))
+    }
+
     /// All accounts; none where there is no file. A file that has vanished (its disk was unmounted, its folder moved)
-    /// is not one without accounts: those read last still count.
+    /// is not one without accounts: those read last still count. Asks the disk.
     ///
     /// # Errors
     /// [`AccountError`] when the file cannot be read or makes no sense.
     pub fn all(&self) -> Result<Arc<Vec<Account>>, AccountError> {
+        let read = self.look();
+        self.unreadable.store(read.is_err(), Ordering::Relaxed);
+        read
+    }
+
+    fn look(&self) -> Result<Arc<Vec<Account>>, AccountError> {
         let stamp = self.stamp()?;
         if let Some((known, accounts)) = &mut *lock(&self.read) {
             let vanished = stamp.is_none() && !accounts.is_empty();
@@ -171,7 +216,7 @@ impl Accounts {
                 return Ok(accounts.clone());
             }
         }
-        // Not under the lock: every request comes here, the motor cut as well, and the disk may take its time.
+        // Not under the lock: the disk may take its time.
         let file = match stamp {
             None => File::default(),
             Some(_) => {
@@ -231,23 +276,34 @@ impl Accounts {
         self.edit(name, |account| {
             account.role = role.unwrap_or(account.role);
             account.password = password.unwrap_or_else(|| account.password.clone());
+            Ok(())
         })
     }
 
     /// Makes an account sign in by two steps, or by its password alone.
     ///
     /// # Errors
-    /// [`AccountError`].
+    /// [`AccountError`]; [`AccountError::TwoSteps`] where another authenticator would take the place of one.
     pub fn set_totp(&self, name: &str, with: Option<&Authenticator>) -> Result<(), AccountError> {
-        self.edit(name, |account| account.totp = with.map(Authenticator::secret))
+        self.edit(name, |account| {
+            if with.is_some() && account.two_steps() {
+                return Err(AccountError::TwoSteps);
+            }
+            account.totp = with.map(Authenticator::secret);
+            Ok(())
+        })
     }
 
-    fn edit(&self, name: &str, change: impl FnOnce(&mut Account)) -> Result<(), AccountError> {
+    fn edit(
+        &self,
+        name: &str,
+        change: impl FnOnce(&mut Account) -> Result<(), AccountError>,
+    ) -> Result<(), AccountError> {
         let _changing = lock(&self.changing);
         let mut accounts = self.all()?.to_vec();
         let account = accounts.iter_mut().find(|account| account.name == name);
         let account = account.ok_or_else(|| AccountError::Unknown(crate::names::clip(name)))?;
-        change(account);
+        change(account)?;
         self.write(accounts)
     }
 

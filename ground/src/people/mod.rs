@@ -2,7 +2,7 @@
 //!
 //! On the loopback without accounts there is one operator, who may do everything: whoever sits at this
 //! machine. As soon as there is an account, everybody signs in; without one the ground does not serve
-//! another address. Accounts are made by `plumbline-ground account`, and count at once.
+//! another address. Accounts are made by `plumbline-ground account`, and count within a quarter of a second.
 
 mod accounts;
 mod attempts;
@@ -14,6 +14,7 @@ mod totp;
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
+use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -65,7 +66,9 @@ pub enum SignInError {
 /// The people of this ground.
 #[derive(Debug)]
 pub struct People {
-    accounts: Accounts,
+    accounts: Arc<Accounts>,
+    /// With it ends the thread that looks at the accounts.
+    _watched: Sender<()>,
     sessions: Sessions,
     attempts: Mutex<Attempts>,
     /// The last step of an authenticator that each account signed in by: a code counts once.
@@ -80,8 +83,10 @@ impl People {
     /// The people of the ground in `data_folder` that serves `address`.
     pub fn open(data_folder: &Path, address: SocketAddr) -> Self {
         let folder = data_folder.join("people");
+        let accounts = Arc::new(Accounts::in_folder(&folder).keeping_an_admin());
         Self {
-            accounts: Accounts::in_folder(&folder).keeping_an_admin(),
+            _watched: accounts.watch(),
+            accounts,
             sessions: Sessions::open(&folder),
             attempts: Mutex::new(Attempts::new()),
             steps: Mutex::default(),
@@ -101,14 +106,14 @@ impl People {
         if !self.sign_in_needed() {
             return self.person(None);
         }
-        let (name, accounts) = (self.standing.as_deref()?, self.accounts.all().ok()?);
+        let (name, accounts) = (self.standing.as_deref()?, self.accounts.known()?);
         let account = accounts.iter().find(|account| account.name == name)?;
         Some(Person { account: Some(name.to_owned()), role: account.role })
     }
 
     /// Must people sign in? Accounts that cannot be read are no reason to let everyone in.
     pub fn sign_in_needed(&self) -> bool {
-        !self.loopback || !matches!(self.accounts.all(), Ok(accounts) if accounts.is_empty())
+        !self.loopback || !matches!(self.accounts.known(), Some(accounts) if accounts.is_empty())
     }
 
     /// The accounts.
@@ -121,7 +126,7 @@ impl People {
         if !self.sign_in_needed() {
             return Some(Person { account: None, role: Role::Admin });
         }
-        let accounts = self.accounts.all().ok()?;
+        let accounts = self.accounts.known()?;
         let session = self.sessions.seen(token?)?;
         // An account that was removed, or has a new password, ends its sessions.
         let account = accounts.iter().find(|account| account.name == session.account)?;
@@ -139,7 +144,7 @@ impl People {
         password: String,
         code: &str,
     ) -> Result<(Token, Person), SignInError> {
-        let key = (origin(from), name.chars().take(accounts::MAX_NAME).collect::<String>());
+        let key = key(from, name);
         self.heard(&key)?;
         let check = {
             let _place = Place::take(&self.attempts, key.0)?;
@@ -147,14 +152,16 @@ impl People {
         };
         // Others may have failed meanwhile.
         self.heard(&key)?;
-        let accounts = self.accounts.all().map_err(|error| SignInError::Broken(error.to_string()))?;
-        let account = accounts.iter().find(|account| account.name == name).cloned();
+        let (accounts, named) = (self.accounts.clone(), name.to_owned());
         let checked = tokio::task::spawn_blocking(move || {
             // Held until the check is over, also when nobody waits for it any more.
             let _check = check;
-            accounts::verify(account, &password)
+            // From the disk, so that an account counts as soon as it is made.
+            let account = accounts.all()?.iter().find(|account| account.name == named).cloned();
+            Ok::<_, AccountError>(accounts::verify(account, &password))
         });
-        let account = checked.await.ok().flatten();
+        let checked = checked.await.unwrap_or(Ok(None));
+        let account = checked.map_err(|error| SignInError::Broken(error.to_string()))?;
         let second = account.as_ref().map_or(Err(SignInError::Wrong), |account| self.second_step(account, code));
         let Some(account) = account.filter(|_| second.is_ok()) else {
             if second == Err(SignInError::Wrong) {
@@ -183,6 +190,25 @@ impl People {
         Ok(())
     }
 
+    /// Is `code` what the authenticator of `account` shows, where it has one? Failures count with those of signing in.
+    ///
+    /// # Errors
+    /// [`SignInError::Throttled`]; [`SignInError::Broken`] where there is nothing to check it by.
+    pub fn confirmed(&self, from: Option<IpAddr>, account: &str, code: &str) -> Result<bool, SignInError> {
+        let key = key(from, account);
+        self.heard(&key)?;
+        let unreadable = || SignInError::Broken("the accounts cannot be read".into());
+        let accounts = self.accounts.known().ok_or_else(unreadable)?;
+        let known = accounts.iter().find(|known| known.name == account);
+        let authenticator = known.map(Account::authenticator).transpose();
+        let authenticator = authenticator.map_err(|error| SignInError::Broken(error.to_string()))?.flatten();
+        let right = authenticator.is_none_or(|it| it.step(code, wall_time_us() / 1_000_000).is_some());
+        if !right {
+            lock(&self.attempts).failed(&key, Instant::now());
+        }
+        Ok(right)
+    }
+
     fn heard(&self, key: &(IpAddr, String)) -> Result<(), SignInError> {
         let wait = lock(&self.attempts).wait(key, Instant::now());
         wait.map_or(Ok(()), |wait| Err(SignInError::Throttled(wait.as_secs() + 1)))
@@ -200,14 +226,14 @@ impl People {
         let check = self.checks.clone().acquire_owned().await.map_err(|_| AccountError::Random)?;
         let changed = tokio::task::spawn_blocking(move || {
             let _check = check;
-            act(&people.accounts)
+            act(people.accounts())
         });
         changed.await.unwrap_or(Err(AccountError::Random))
     }
 
     /// The sessions of an account, or of everybody.
     pub fn sessions(&self, account: Option<&str>) -> Vec<SignedIn> {
-        let Ok(accounts) = self.accounts.all() else { return Vec::new() };
+        let Some(accounts) = self.accounts.known() else { return Vec::new() };
         self.sessions.list(|session| {
             account.is_none_or(|account| session.account == account)
                 && accounts.iter().any(|a| a.name == session.account && a.stamp() == session.stamp)
@@ -224,7 +250,7 @@ impl People {
         if !self.sign_in_needed() {
             return true;
         }
-        let Ok(accounts) = self.accounts.all() else { return true };
+        let Some(accounts) = self.accounts.known() else { return true };
         let may = accounts.iter().any(|account| account.name == name && Access::Operate.open_to(account.role));
         may && (self.standing.as_deref() == Some(name) || !self.sessions(Some(name)).is_empty())
     }
@@ -233,6 +259,11 @@ impl People {
     pub async fn sign_out(&self, token: &Token) {
         self.sessions.end(token).await;
     }
+}
+
+/// What attempts are counted by.
+fn key(from: Option<IpAddr>, account: &str) -> (IpAddr, String) {
+    (origin(from), account.chars().take(accounts::MAX_NAME).collect())
 }
 
 /// A place among those that wait to sign in.
@@ -278,8 +309,18 @@ mod tests {
         assert_eq!(sign_in(ANN, &code).await, Ok(()));
         assert_eq!(sign_in(ANN, &code).await, Err(SignInError::Wrong), "overlooked and used again");
         assert!(std::fs::read_to_string(folder.path().join("people/accounts.json")).unwrap().contains(&ann.secret()));
+        // Another takes its place only after it was given up, by a code of it; guesses count with those of signing in.
+        let other = Authenticator::new("ann").unwrap();
+        assert!(matches!(here.accounts().set_totp("ann", Some(&other)), Err(AccountError::TwoSteps)));
+        let now = || known.code(wall_time_us() / 1_000_000);
+        assert_eq!(here.confirmed(None, "ann", &now()), Ok(true));
+        let until_heard_no_more = (0..=FAILURES).map_while(|_| here.confirmed(None, "ann", "12345").ok());
+        assert!(until_heard_no_more.eq([false; FAILURES as usize - 1]), "one failed above");
+        assert!(matches!(here.confirmed(None, "ann", &now()), Err(SignInError::Throttled(_))));
+        assert!(matches!(sign_in(ANN, &now()).await, Err(SignInError::Throttled(_))));
         here.accounts().set_totp("ann", None).unwrap();
-        assert_eq!(sign_in(ANN, "").await, Ok(()));
+        let elsewhere = here.sign_in("192.0.2.7".parse().ok(), "ann", ANN.into(), "").await;
+        assert_eq!(elsewhere.map(drop), Ok(()));
     }
 
     #[tokio::test]
@@ -289,7 +330,9 @@ mod tests {
         assert_eq!(here.person(None), Some(Person { account: None, role: Role::Admin }));
         assert_eq!(people(folder.path(), "0.0.0.0:1").person(None), None, "nobody enters from a network without one");
         Accounts::of(folder.path()).add("ann", Role::Operator, ANN).unwrap();
-        assert_eq!(here.person(None), None, "counts at once");
+        while here.person(None).is_some() {
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+        }
 
         let address = "192.0.2.7".parse().ok();
         assert_eq!(here.sign_in(address, "ann", "wrong".into(), "").await.unwrap_err(), SignInError::Wrong);
@@ -302,12 +345,14 @@ mod tests {
         assert_eq!(again.person(Some(&token)), Some(person));
         // A new password, a removal, or signing out ends them.
         Accounts::of(folder.path()).change("ann", None, Some("another password")).unwrap();
+        here.accounts().all().unwrap();
         assert_eq!(here.person(Some(&token)), None);
         let (token, _) = here.sign_in(address, "ann", "another password".into(), "").await.unwrap();
         here.sign_out(&token).await;
         assert_eq!(here.person(Some(&token)), None);
         // A file that cannot be read lets nobody in.
         std::fs::write(folder.path().join("people/accounts.json"), "{").unwrap();
+        assert!(here.accounts().all().is_err());
         assert_eq!(here.person(None), None);
     }
 

@@ -14,6 +14,9 @@ use prost_reflect::{DescriptorPool, DynamicMessage, FieldDescriptor, Kind, Messa
 
 /// Messages nested deeper than this are left out: a schema may be recursive.
 const MAX_DEPTH: usize = 6;
+/// Most fields of one table, with those of the messages inside: beyond, a small schema whose types are fields of one another would
+/// take all memory.
+const MAX_FIELDS: usize = 20_000;
 /// Most columns of one repeated field: a scan has 682 ranges.
 const MAX_WIDTH: usize = 1024;
 
@@ -95,23 +98,24 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// The table for a channel; `None` when the file does not describe its messages.
+    /// The table for a channel; `None` when the file does not describe its messages, or they have too many fields.
     pub(super) fn of(channel: &Channel<'_>) -> Option<Self> {
         let schema = channel.schema.as_ref().filter(|s| s.encoding == "protobuf")?;
         let pool = DescriptorPool::decode(schema.data.as_ref()).ok()?;
-        Some(Self::of_message(pool.get_message_by_name(&schema.name)?))
+        Self::of_message(pool.get_message_by_name(&schema.name)?)
     }
 
     /// The table for messages of a kind as this build knows them; `None` where it does not describe them.
     pub(super) fn of_kind(kind: plumbline_proto::Kind) -> Option<Self> {
         static POOL: LazyLock<DescriptorPool> =
             LazyLock::new(|| DescriptorPool::decode(FILE_DESCRIPTOR_SET).unwrap_or_default());
-        POOL.get_message_by_name(kind.message_name()).map(Self::of_message)
+        POOL.get_message_by_name(kind.message_name()).and_then(Self::of_message)
     }
 
-    fn of_message(message: MessageDescriptor) -> Self {
-        let columns = columns(&message, 0);
-        Self { message, columns }
+    fn of_message(message: MessageDescriptor) -> Option<Self> {
+        let mut left = MAX_FIELDS;
+        let columns = columns(&message, 0, &mut left)?;
+        Some(Self { message, columns })
     }
 
     /// Is there a row per element of a repeated message?
@@ -190,10 +194,12 @@ fn length(value: &Value) -> usize {
     value.as_list().map_or(0, <[Value]>::len)
 }
 
-fn columns(message: &MessageDescriptor, depth: usize) -> Vec<(FieldDescriptor, Column)> {
+/// `None` where there are more than are `left`.
+fn columns(message: &MessageDescriptor, depth: usize, left: &mut usize) -> Option<Vec<(FieldDescriptor, Column)>> {
     let mut rows_taken = depth > 0;
     let mut found = Vec::new();
     for field in message.fields() {
+        *left = left.checked_sub(1)?;
         let column = match (field.kind(), field.is_list()) {
             _ if field.is_map() => continue,
             (Kind::Message(_), _) if depth >= MAX_DEPTH => continue,
@@ -201,15 +207,15 @@ fn columns(message: &MessageDescriptor, depth: usize) -> Vec<(FieldDescriptor, C
             (Kind::Message(_), true) if rows_taken => continue,
             (Kind::Message(inner), true) => {
                 rows_taken = true;
-                Column::Rows(columns(&inner, depth + 1))
+                Column::Rows(columns(&inner, depth + 1, left)?)
             }
-            (Kind::Message(inner), false) => Column::Nested(columns(&inner, depth + 1)),
+            (Kind::Message(inner), false) => Column::Nested(columns(&inner, depth + 1, left)?),
             (_, true) => Column::List { width: 0 },
             (_, false) => Column::Scalar,
         };
         found.push((field, column));
     }
-    found
+    Some(found)
 }
 
 fn measure(columns: &mut [(FieldDescriptor, Column)], message: &DynamicMessage) {
@@ -347,12 +353,11 @@ mod tests {
     use std::{borrow::Cow, sync::Arc};
 
     fn table(message: &str) -> Table {
-        let schema = mcap::Schema {
-            id: 1,
-            name: format!("plumbline.v1.{message}"),
-            encoding: "protobuf".into(),
-            data: Cow::Borrowed(FILE_DESCRIPTOR_SET),
-        };
+        described(format!("plumbline.v1.{message}"), FILE_DESCRIPTOR_SET).unwrap()
+    }
+
+    fn described(name: String, descriptors: &[u8]) -> Option<Table> {
+        let schema = mcap::Schema { id: 1, name, encoding: "protobuf".into(), data: Cow::Borrowed(descriptors) };
         let channel = Channel {
             id: 1,
             topic: "/x".into(),
@@ -360,7 +365,7 @@ mod tests {
             message_encoding: "protobuf".into(),
             metadata: Default::default(),
         };
-        Table::of(&channel).unwrap()
+        Table::of(&channel)
     }
 
     #[test]
@@ -398,5 +403,38 @@ mod tests {
         assert!(table.has_rows());
         assert_eq!(rows.iter().map(|r| r[instance].to_string()).collect::<Vec<_>>(), ["1", "2"]);
         assert_eq!(rows[1][0].to_string(), "3", "the message's own fields repeat");
+    }
+
+    #[test]
+    fn types_that_are_fields_of_themselves_many_times_have_no_table() {
+        use prost_reflect::prost_types::field_descriptor_proto::{Label, Type};
+        use prost_reflect::prost_types::{
+            DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet,
+        };
+        let field = |number: i32| FieldDescriptorProto {
+            name: Some(format!("f{number}")),
+            number: Some(number),
+            label: Some(Label::Optional as i32),
+            r#type: Some(Type::Message as i32),
+            type_name: Some(".x.Deep".into()),
+            ..Default::default()
+        };
+        let of = |fields| {
+            let deep = DescriptorProto {
+                name: Some("Deep".into()),
+                field: (1..=fields).map(field).collect(),
+                ..Default::default()
+            };
+            let file = FileDescriptorProto {
+                name: Some("x.proto".into()),
+                package: Some("x".into()),
+                message_type: vec![deep],
+                syntax: Some("proto3".into()),
+                ..Default::default()
+            };
+            described("x.Deep".into(), &FileDescriptorSet { file: vec![file] }.encode_to_vec())
+        };
+        assert!(of(2).is_some());
+        assert!(of(12).is_none(), "three million columns");
     }
 }

@@ -1,6 +1,7 @@
 //! The index of flights (the seam called `FlightIndex`): SQLite, rebuilt from the files whenever it
 //! is missing, damaged, or does not match them.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -128,6 +129,17 @@ impl FlightIndex {
         let connection = lock(&self.connection);
         let stamp = |row: &rusqlite::Row<'_>| Ok(Stamp { size: row.get(0)?, modified_ns: row.get(1)? });
         connection.query_row("SELECT size, modified_ns FROM flights WHERE id = ?1", [id], stamp).optional()
+    }
+
+    /// When the finished file of each flight was written, µs since the Unix epoch; 0 where there is none.
+    pub(super) fn written_us(&self) -> rusqlite::Result<BTreeMap<String, u64>> {
+        let connection = lock(&self.connection);
+        let mut query = connection.prepare_cached("SELECT id, modified_ns FROM flights")?;
+        let written = |row: &rusqlite::Row<'_>| {
+            let (id, modified_ns): (String, i64) = (row.get(0)?, row.get(1)?);
+            Ok((id, modified_ns as u64 / 1000))
+        };
+        query.query_map([], written)?.collect()
     }
 
     /// All flights, newest first.

@@ -163,7 +163,7 @@ impl Desk {
             }
             Job::Finish(writer) => {
                 if let Err(error) = writer.finish(None) {
-                    self.shared.complain(&explain(&error));
+                    tracing::error!(error = %explain(&error), "a part of a flight cannot be finished");
                 }
             }
             Job::Close { id, track, completeness } => {
@@ -269,9 +269,18 @@ impl Desk {
             (Ok(_), []) if !track.overshot() => Ok(()),
             (outcome, _) => {
                 if let Err(error) = outcome {
-                    self.shared.complain(&explain(&error));
+                    tracing::error!(flight = id, error = %explain(&error), "its file cannot be finished");
                 }
-                self.store.merge(id, &files, track.ends.last, &self.shared.stopping).map(|reading| {
+                let merged = self.store.merge(id, &files, track.ends.last, &self.shared.stopping);
+                let reading = merged.or_else(|error| match error {
+                    RecordingError::Stopped => Err(error),
+                    error => {
+                        // No room, say: it is listed and read as it is, and the next start tries again.
+                        tracing::error!(flight = id, %error, "not merged");
+                        self.store.read(&self.store.files(id))
+                    }
+                });
+                reading.map(|reading| {
                     let whole = reading.whole();
                     completeness = match completeness {
                         _ if whole => Completeness::Complete,
@@ -286,13 +295,19 @@ impl Desk {
         match result {
             Ok(()) => {}
             Err(RecordingError::Stopped) => tracing::info!(flight = id, "its parts are merged at the next start"),
-            Err(error) => self.shared.complain(&error.to_string()),
+            Err(error) => {
+                tracing::error!(flight = id, %error, "its files are not as they should be");
+                if completeness == Completeness::Complete {
+                    completeness = Completeness::Filling;
+                }
+            }
         }
-        if self.store.files(id) == Files::default() {
+        let files = self.store.files(id);
+        if files == Files::default() {
             indexed(self.index.remove(id));
         } else {
             let stamp = Stamp::of(&self.store.finished_path(id)).unwrap_or_default();
-            let flight = track.flight(self.store.labels(id), completeness, stamp.size as u64);
+            let flight = track.flight(self.store.labels(id), completeness, self.store.size(&files));
             tracing::info!(flight = id, ?completeness, messages = flight.messages, missing = flight.missing, "closed");
             indexed(self.index.put(&flight, stamp));
         }
@@ -330,5 +345,34 @@ impl Desk {
 fn indexed(result: rusqlite::Result<()>) {
     if let Err(error) = result {
         tracing::error!(%error, "index of flights cannot be written; it is rebuilt from the files at the next start");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recorder::identity::Identity;
+
+    #[test]
+    fn what_cannot_be_merged_is_as_complete_as_its_files_and_others_are_recorded() {
+        // GIVEN a flight that came whole, of whose file nothing can be read, and which cannot be merged
+        let folder = tempfile::tempdir().unwrap();
+        let flights = folder.path().join("flights");
+        std::fs::create_dir_all(flights.join("f1.merge.tmp")).unwrap();
+        std::fs::write(flights.join("f1.001.part"), "this is not a flight").unwrap();
+        let desk = Desk {
+            store: RecordingStore::new(folder.path(), 0),
+            index: Arc::new(FlightIndex::open(folder.path()).unwrap()),
+            shared: Arc::default(),
+            archive: None,
+            fetching: Arc::default(),
+        };
+        let identity = Identity { flight_id: "f1".into(), first_sequence: Some(1), ..Identity::default() };
+        // WHEN it is closed THEN it is not told to be complete, and has the size of what there is
+        let closed = desk.close("f1", Track::new(identity, 2, Instant::now()), Completeness::Complete);
+        let flight = desk.index.get("f1").unwrap().unwrap();
+        assert_eq!((closed, flight.completeness), (Completeness::Filling, Completeness::Filling));
+        assert_eq!(flight.size_bytes, 20);
+        assert_eq!(*lock(&desk.shared.error), None);
     }
 }

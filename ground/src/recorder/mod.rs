@@ -2,8 +2,9 @@
 //!
 //! The recorder's thread writes what comes, behind a queue bounded by [`MAX_QUEUED_BYTES`]. Policy when the queue is
 //! full (a stuck disk): the batch is not recorded, and because the recorder counts sequence numbers, it is a gap like
-//! any other and is asked back from the agent's own log. The hub never waits. Reading back, merging, finishing,
-//! indexing and deleting are done by a second thread (`keeper`): nothing live waits for them.
+//! any other and is asked back from the agent's own log. What is said only once, as that an agent has connected, finds
+//! [`KEPT_FREE`] places that no batch takes. The hub never waits. Reading back, merging, finishing, indexing and deleting
+//! are done by a second thread (`keeper`): nothing live waits for them.
 
 pub mod archive;
 mod asking;
@@ -68,6 +69,8 @@ pub use store::{Labels, MAX_NAME, MAX_NOTES};
 
 /// Most messages waiting for the recorder.
 const MAX_QUEUED: usize = 16_384;
+/// Places of them that batches leave free.
+const KEPT_FREE: usize = 512;
 /// Most bytes waiting for the recorder.
 pub const MAX_QUEUED_BYTES: usize = 64 << 20;
 
@@ -137,6 +140,8 @@ struct Shared {
     error: Mutex<Option<String>>,
     set_aside: Mutex<Vec<String>>,
     queued_bytes: AtomicUsize,
+    /// Batches waiting.
+    queued: AtomicUsize,
     /// Batches that found the queue full, since start.
     refused: AtomicUsize,
     /// What a crash left is repaired and the index is in line with the files.
@@ -232,14 +237,18 @@ impl RecorderHandle {
     }
 
     pub(crate) fn batch(&self, agent_id: String, batch: Batch, backfill: bool) {
-        let length = batch.held_bytes();
-        if self.desk.shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES {
-            self.desk.shared.refused.fetch_add(1, Ordering::Relaxed);
+        let (shared, length) = (&self.desk.shared, batch.held_bytes());
+        if shared.queued_bytes.load(Ordering::Relaxed) + length > MAX_QUEUED_BYTES
+            || shared.queued.load(Ordering::Relaxed) >= MAX_QUEUED - KEPT_FREE
+        {
+            shared.refused.fetch_add(1, Ordering::Relaxed);
             return;
         }
-        self.desk.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
+        shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
+        shared.queued.fetch_add(1, Ordering::Relaxed);
         if !self.put(Input::Batch { agent_id, batch, backfill }) {
-            self.desk.shared.queued_bytes.fetch_sub(length, Ordering::Relaxed);
+            shared.queued_bytes.fetch_sub(length, Ordering::Relaxed);
+            shared.queued.fetch_sub(1, Ordering::Relaxed);
         }
     }
 
@@ -319,7 +328,7 @@ impl RecorderHandle {
     pub fn storage(&self) -> Storage {
         let flights = self.desk.store.list();
         Storage {
-            used_bytes: flights.values().map(|files| self.desk.store.size(files)).sum(),
+            used_bytes: flights.iter().map(|(id, files)| self.desk.store.taken(id, files)).sum(),
             free_bytes: free_bytes(self.desk.store.folder()),
             flights: flights.len() as u64,
         }
@@ -481,5 +490,31 @@ fn explain(error: &mcap::McapError) -> String {
     match error {
         mcap::McapError::Io(source) => source.to_string(),
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn batches_leave_room_for_what_is_said_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let recorder = start(&GroundConfig::new(folder.path()), None).unwrap();
+        // GIVEN a recorder that takes nothing, and more batches than there are places
+        let (queue, inputs) = sync_channel(MAX_QUEUED);
+        let handle = RecorderHandle { queue, ..recorder.handle() };
+        let mut empty = Vec::new();
+        plumbline_proto::codec::begin_batch(&mut empty);
+        let batch = Batch::parse(empty.into()).unwrap();
+        for _ in 0..=MAX_QUEUED {
+            handle.batch("iris-1".into(), batch.clone(), false);
+        }
+        assert_eq!(handle.refused(), KEPT_FREE + 1);
+        // WHEN an agent goes THEN that is known
+        handle.disconnected("iris-1".into());
+        drop(handle);
+        assert!(matches!(inputs.into_iter().last(), Some(Input::Disconnected { .. })));
+        recorder.finish();
     }
 }

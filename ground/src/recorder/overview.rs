@@ -4,16 +4,11 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::sync::Mutex;
 
 use plumbline_file::write_atomically;
 
 use super::export::WRITTEN;
 use super::store::RecordingStore;
-use crate::sync::lock;
-
-/// Two that open a flight at once make the same file, by way of the same temporary one.
-static WRITING: Mutex<()> = Mutex::new(());
 
 /// Where it is kept, or is to be.
 #[derive(Debug)]
@@ -42,7 +37,6 @@ impl Overview {
         if self.store.room_for(batch.len() as u64).is_err() {
             return;
         }
-        let _turn = lock(&WRITING);
         if let Err(error) = write_atomically(&self.path, &[self.head.as_bytes(), batch].concat()) {
             tracing::warn!(path = %self.path.display(), %error, "what charts show of a flight is not kept");
         }

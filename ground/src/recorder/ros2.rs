@@ -278,6 +278,9 @@ pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Si
     let mut channels: BTreeMap<String, (u16, u32)> = BTreeMap::new();
     let boot = WallTime(reader.boot_us());
     reader.for_each(None, |message| {
+        if message.time_us > to {
+            return Ok(false);
+        }
         if message.time_us < from {
             return Ok(true);
         }
@@ -305,7 +308,7 @@ pub(super) fn write(reader: &FlightReader, (from, to): (u64, u64), sink: &mut Si
             };
             bag.write_to_known_channel(&header, &data)?;
         }
-        Ok(message.time_us <= to)
+        Ok(true)
     })?;
     bag.finish()?;
     Ok(())

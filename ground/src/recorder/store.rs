@@ -314,6 +314,11 @@ impl RecordingStore {
         files.finished.iter().chain(&files.parts).map(size).sum()
     }
 
+    /// Bytes that a flight takes on the disk: its files, and what charts show of it.
+    pub(super) fn taken(&self, id: &str, files: &Files) -> u64 {
+        self.size(files) + fs::metadata(self.overview_path(id)).map_or(0, |m| m.len())
+    }
+
     fn write_merged(
         &self,
         files: &Files,

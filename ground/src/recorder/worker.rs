@@ -111,6 +111,7 @@ impl Worker {
             }
             Input::Batch { agent_id, batch, backfill } => {
                 self.shared.queued_bytes.fetch_sub(batch.held_bytes(), Ordering::Relaxed);
+                self.shared.queued.fetch_sub(1, Ordering::Relaxed);
                 self.batch(&agent_id, &batch, backfill, now);
             }
             Input::Unavailable { agent_id, request } => {

@@ -67,9 +67,13 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     assert_eq!((flights["total"].as_u64(), flights["flights"].as_array().unwrap().len()), (Some(3), 2));
     assert_eq!((flights["flights"][0]["index"].as_u64(), flights["flights"][0]["seed"].as_u64()), (Some(3), Some(2)));
 
-    // WHEN one is opened THEN it is among the flights, as often as one likes
-    let opened = ground.request("POST", &format!("{at}/flights/3"), "").await;
-    assert_eq!(opened.status, 200, "{}", opened.text());
+    // WHEN one is opened, by two at once, THEN it is among the flights, as often as one likes
+    let path = format!("{at}/flights/3");
+    let (opened, beside) = tokio::join!(ground.request("POST", &path, ""), ground.request("POST", &path, ""));
+    for opened in [&opened, &beside] {
+        assert_eq!(opened.status, 200, "{}", opened.text());
+    }
+    assert_eq!(opened.json(), beside.json());
     let flight = opened.json()["flight"].as_str().unwrap().to_owned();
     assert_eq!(ground.json(&format!("/api/v1/flights/{flight}")).await["completeness"], "complete");
     let go = ground.get(&format!("{at}/flights/3/open")).await;
@@ -78,6 +82,8 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     assert_eq!(ground.request_as("GET", &format!("{at}/flights/3/open"), "", &foreign).await.status, 403);
     assert_eq!(ground.json("/api/v1/flights").await["flights"].as_array().unwrap().len(), 1);
     assert_eq!(ground.request("POST", &format!("{at}/flights/6"), "").await.status, 404);
+    let mut kept = std::fs::read_dir(folder.path().join(format!("experiments/{id}"))).unwrap().flatten();
+    assert!(kept.all(|entry| !entry.path().is_dir()), "an opening leaves nothing behind");
 
     // THEN its files can be had
     assert_eq!(ground.get(&format!("{at}/plan.toml")).await.text(), PLAN);
@@ -98,6 +104,9 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     assert_eq!(ground.get(&format!("{at}/against/none")).await.status, 404);
     assert_eq!(ground.get("/api/v1/experiments/none").await.status, 404);
     ground.stop().await;
+    let audit = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
+    let went = |line: &&str| line.contains("/flights/3/open") && line.contains("303");
+    assert_eq!(audit.lines().filter(went).count(), 1, "{audit}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -184,10 +193,11 @@ async fn recorded_flights_are_flown_again_under_other_estimators() {
 
 #[test]
 fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown() {
-    // GIVEN a folder where no file may be longer than 8 KiB: 60 flights need 11
-    const ROOM: u64 = 8192;
+    // GIVEN a folder where no file may be longer than 2 KiB: 16 flights need 3
+    const ROOM: u64 = 2048;
+    const { assert!(ROOM < 16 * ROW_BYTES as u64) };
     let folder = tempfile::tempdir().unwrap();
-    let text = PLAN.replace("repeats = 3", "repeats = 30");
+    let text = PLAN.replace("repeats = 3", "repeats = 8");
     let (file, data) = (folder.path().join("plan.toml"), folder.path().join("data"));
     std::fs::write(&file, &text).unwrap();
     let flown = |limit: &str| {
@@ -197,7 +207,7 @@ fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown
         command.output().unwrap()
     };
     // WHEN it is flown THEN it ends and names the file; every whole row is kept
-    let full = flown("trap '' XFSZ; ulimit -f 16;");
+    let full = flown("trap '' XFSZ; ulimit -f 4;");
     let said = String::from_utf8_lossy(&full.stderr).into_owned();
     assert!(!full.status.success() && said.contains("flights.rows"), "{said}");
     let plan = || Plan::from_toml(&text).unwrap();
@@ -206,7 +216,7 @@ fn a_disk_that_is_full_ends_a_run_with_the_file_and_costs_nothing_that_was_flown
     // WHEN there is room again THEN the rest is flown, and all is as it would have been
     let rest = flown("");
     assert!(rest.status.success(), "{}", String::from_utf8_lossy(&rest.stderr));
-    assert!(experiment.rows().unwrap() == undisturbed(folder.path(), plan()) && experiment.done() == 60);
+    assert!(experiment.rows().unwrap() == undisturbed(folder.path(), plan()) && experiment.done() == 16);
 }
 
 /// Rows of a run that nobody disturbs.

@@ -280,6 +280,18 @@ async fn others_read_the_bag() {
     std::fs::write(&path, &answer.body).unwrap();
     let refused = ground.get("/api/v1/flights/f1/ros2?rate_hz=5").await;
     assert!(refused.status == 422 && refused.error().contains("rate"), "{}", refused.text());
+    // Of a range it has what lies between both ends.
+    let mut agent = ground.agent("iris-2", 2).await;
+    let first = agent.begin("f2").await;
+    for _ in 0..4 {
+        agent.time_us += 100_000;
+        agent.say(Kind::Estimate, 1, &v1::Estimate { time_us: agent.time_us, ..Default::default() }).await;
+    }
+    let last = agent.end("f2", first);
+    agent.send([last], false).await;
+    ground.wait_json("/api/v1/flights/f2", |f| f["completeness"] == "complete").await;
+    let part = ground.get("/api/v1/flights/f2/ros2?from_s=0.15&to_s=0.35").await;
+    assert_eq!(crate::common::mcap_counts(&part.body).into_values().sum::<u64>(), 2);
     ground.stop().await;
     let counts = crate::common::mcap_counts(&answer.body);
     let each = |topic: &str| counts.get(topic).copied().unwrap_or_default();
@@ -348,6 +360,11 @@ async fn the_command_line_exports_without_a_ground_and_says_what_it_could_not_re
     let bag = bag.join("f1.ros2.mcap");
     let (done, text) = export(&[file_of(flights).as_str(), "--format", "foxglove", "--output", target]);
     assert!(done && std::fs::read(out.join("f1.foxglove.mcap")).unwrap() == drawn, "{text}");
+    // A folder with what an export left there has no more flights than before.
+    for _ in 0..2 {
+        let (done, text) = export(&[flights, "--format", "ros2"]);
+        assert!(done && text.lines().count() == 1 && text.contains("f1.ros2.mcap"), "{text}");
+    }
     for (arguments, named) in [
         (vec![noise.to_str().unwrap()], "noise.mcap"),
         (vec![newer.to_str().unwrap()], "MCAP9"),

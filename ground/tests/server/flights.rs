@@ -2,7 +2,7 @@
 
 use crate::common::agent::Agent;
 use crate::common::viewer::frames;
-use crate::common::{Ground, api_counts, mcap_counts};
+use crate::common::{Ground, PATIENCE, api_counts, mcap_counts};
 use plumbline_proto::{Kind, v1};
 use plumbline_rest::flight::{OVERVIEW_COLUMNS, OVERVIEW_KINDS};
 
@@ -189,12 +189,15 @@ async fn a_flight_in_progress_can_be_downloaded() {
     let folder = tempfile::tempdir().unwrap();
     let ground = Ground::start(folder.path()).await;
     let (mut agent, first) = flown(&ground).await;
-    ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() >= Some(agent.sequence - first)).await;
-    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
-    let soon = ground.get("/api/v1/flights/f1/mcap").await;
-    let flight = ground.json("/api/v1/flights/f1").await;
-    assert_eq!(flight["completeness"], "recording");
-    assert_eq!(mcap_counts(&soon.body), api_counts(&flight));
+    let sent = agent.sequence - first + 1;
+    let flight = ground.wait_json("/api/v1/flights/f1", |f| f["messages"].as_u64() == Some(sent)).await;
+    // What is counted is in its file within a flush.
+    let begun = std::time::Instant::now();
+    while mcap_counts(&ground.get("/api/v1/flights/f1/mcap").await.body) != api_counts(&flight) {
+        assert!(begun.elapsed() < PATIENCE, "{flight:#}");
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
+    assert_eq!(ground.json("/api/v1/flights/f1").await["completeness"], "recording");
     land(&ground, &mut agent, first).await;
     let left: Vec<_> =
         std::fs::read_dir(folder.path().join("flights")).unwrap().flatten().map(|e| e.file_name()).collect();

@@ -329,6 +329,8 @@ async fn a_viewer_is_refused_the_services() {
         assert_eq!(why, "a viewer may not do this; it needs the role operator");
     }
     accounts.change("vic", Some(Role::Operator), None).unwrap();
+    // Whoever signs in has the accounts read anew, which are otherwise looked at some times a second.
+    assert_eq!(ground.request("POST", "/api/v1/session", &body).await.status, 200);
     socket.send(call(3, 3, "json", "{}")).await.unwrap();
     let asked = agent.accept().await;
     assert!(matches!(asked.body, Some(Body::CutMotors(_))), "{asked:?}");

@@ -4,8 +4,8 @@
 
 use std::path::Path;
 use std::process::Command;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::common::servers::{Bucket, Nats, PATIENCE, Process, drawn};
@@ -60,12 +60,16 @@ fn made(data: &Path) -> Experiment {
     Experiment::create(&Experiment::root(data), Plan::from_toml(PLAN).unwrap()).unwrap()
 }
 
-/// Flown by one process that nobody disturbs.
-fn undisturbed(folder: &Path) -> Vec<Row> {
-    let experiment = made(&folder.join("undisturbed"));
-    let ended = run(&experiment, &Options::default(), &AtomicBool::new(false), |_, _| {}).unwrap();
-    assert_eq!(ended, Ended::Complete);
-    experiment.rows().unwrap()
+/// Flown by one process that nobody disturbs, once for all tests.
+fn undisturbed() -> &'static [Row] {
+    static ROWS: OnceLock<Vec<Row>> = OnceLock::new();
+    ROWS.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let experiment = made(folder.path());
+        let ended = run(&experiment, &Options::default(), &AtomicBool::new(false), |_, _| {}).unwrap();
+        assert_eq!(ended, Ended::Complete);
+        experiment.rows().unwrap()
+    })
 }
 
 fn each_once(experiment: &Experiment, expected: &[Row]) {
@@ -78,7 +82,6 @@ fn workers_server_and_lead_are_killed_and_every_flight_is_there_once_and_is_the_
     let folder = tempfile::tempdir().unwrap();
     let Some(mut nats) = Nats::start(folder.path()) else { return };
     let rounds: u64 = std::env::var(ROUNDS).map_or(6, |rounds| rounds.parse().unwrap());
-    let expected = undisturbed(folder.path());
     let plan = folder.path().join("plan.toml");
     std::fs::write(&plan, PLAN).unwrap();
     let (mut kills, mut attempts, mut dice) = (0, 0, drawn());
@@ -118,7 +121,7 @@ fn workers_server_and_lead_are_killed_and_every_flight_is_there_once_and_is_the_
             kills += 1;
         }
         drop((lead, workers));
-        each_once(&experiment, &expected);
+        each_once(&experiment, undisturbed());
     }
     println!("{kills} kills over {attempts} experiments of {FLIGHTS} flights");
 }
@@ -224,7 +227,7 @@ fn an_array_without_a_queue_is_gathered() {
     std::fs::write(&spoilt, &bytes[..200]).unwrap();
     assert_eq!(gather().done(), FLIGHTS - 7);
     assert!(!spoilt.exists() && part("2/2").status.success());
-    each_once(&gather(), &undisturbed(folder.path()));
+    each_once(&gather(), undisturbed());
     let refused = part("3/2");
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && said.contains("3/2 is not K/N"), "{said}");
@@ -261,7 +264,7 @@ fn clocks_of_workers_that_are_years_apart_change_nothing() {
     lead.args(["experiment", "spread"]).arg(&plan).args(["--nats", &nats.url(), "--size", "4", "--store"]).arg(&store);
     let ran = lead.arg("--data").arg(&data).output().unwrap();
     assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
-    each_once(&experiment, &undisturbed(folder.path()));
+    each_once(&experiment, undisturbed());
 }
 
 #[test]
@@ -308,5 +311,5 @@ fn shards_lie_in_a_bucket_and_one_that_is_gone_costs_nothing_that_was_flown() {
     let _lead = Process::start(&mut leading);
     // THEN all is there once
     wait_for(FLIGHTS);
-    each_once(&experiment, &undisturbed(folder.path()));
+    each_once(&experiment, undisturbed());
 }

@@ -118,6 +118,13 @@ async fn pymavlink_reads_a_flight_and_commands_it() {
     assert!(audit.lines().any(|line| line.contains("MAVLINK") && line.contains("/arm")), "{audit}");
 }
 
+/// A sign-in reads the accounts anew, which are otherwise looked at some times a second.
+async fn accounts_are_seen(ground: &Ground) {
+    let body = serde_json::json!({ "name": "root", "password": PASSWORD }).to_string();
+    let signed = ground.request("POST", "/api/v1/session", &body).await;
+    assert_eq!(signed.status, 200, "{}", signed.text());
+}
+
 /// What another station got of the ground: see `tests/browser/stations.py`.
 type Got = Result<serde_json::Value, String>;
 
@@ -132,12 +139,11 @@ async fn attaches(station: &'static str, module: &str) -> Option<([serde_json::V
     }
     let ground = ground(folder.path(), SocketAddr::from(([127, 0, 0, 1], port)), Some("gcs")).await;
     let (stop, flying) = fly(&ground).await;
-    let both = move || -> [Got; 2] {
-        let viewer = files::station_by(&python, station, port);
-        accounts.change("gcs", Some(Role::Operator), None).unwrap();
-        [viewer, files::station_by(&python, station, port)]
-    };
-    let got = tokio::task::spawn_blocking(both).await.unwrap().map(Result::unwrap);
+    let attach = || -> Got { tokio::task::block_in_place(|| files::station_by(&python, station, port)) };
+    let viewer = attach();
+    accounts.change("gcs", Some(Role::Operator), None).unwrap();
+    accounts_are_seen(&ground).await;
+    let got = [viewer, attach()].map(Result::unwrap);
     stop.send_replace(true);
     let (asked, _) = flying.await.unwrap();
     ground.stop().await;
@@ -290,19 +296,21 @@ async fn a_station_may_what_its_account_may() {
     let mut gcs = Gcs::new();
     let ground = ground(folder.path(), gcs.address(), Some("gcs")).await;
     let (stop, flying) = fly(&ground).await;
-    let orders = tokio::task::spawn_blocking(move || {
+    let seen = || tokio::runtime::Handle::current().block_on(accounts_are_seen(&ground));
+    let results = tokio::task::block_in_place(|| {
         gcs.wait("heartbeat", |message| matches!(message, MavMessage::HEARTBEAT(_)).then_some(()));
         let mut results = vec![gcs.order(ARM, 1.0), gcs.order(CUT, 1.0)];
         accounts.change("gcs", Some(Role::Operator), None).unwrap();
+        seen();
         results.push(gcs.order(ARM, 1.0));
         // A stranger on the same machine is not heard: only the order after it is answered.
         gcs.send(&UdpSocket::bind("127.0.0.1:0").unwrap(), ARM, 0.0);
         results.push(gcs.order(CUT, 1.0));
         accounts.remove("gcs").unwrap();
+        seen();
         results.push(gcs.order(ARM, 1.0));
         results
     });
-    let results = orders.await.unwrap();
     stop.send_replace(true);
     let (asked, _) = flying.await.unwrap();
     let [viewer_arms, viewer_cuts, operator_arms, operator_cuts, nobody_arms] = results.as_slice() else {

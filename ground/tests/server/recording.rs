@@ -373,6 +373,33 @@ async fn an_unwritable_folder_is_loud_the_flight_goes_on_and_nothing_is_lost() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_vehicle_that_is_lost_while_nothing_can_be_written_leaves_no_error_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    ground.wait_json("/api/v1/flights", |f| f["ready"] == true).await;
+    // GIVEN a vehicle in flight of which nothing can be written, and which is lost
+    let flights = folder.path().join("flights");
+    std::fs::remove_dir_all(&flights).unwrap();
+    std::fs::write(&flights, b"in the way").unwrap();
+    let first = agent.begin("f1").await;
+    fly(&mut agent, 5, |_| true).await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "recording").await;
+    ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_string()).await;
+    agent.disconnect().await;
+    // WHEN the folder takes files again THEN that is seen without it
+    std::fs::remove_file(&flights).unwrap();
+    ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_null()).await;
+    // AND what it flew comes when it is back
+    agent.reconnect(ground.link.clone()).await;
+    let last = agent.end("f1", first);
+    agent.send([last], false).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
+    check_whole(&ground, &agent, "f1", first, last).await;
+    ground.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_data_folder_that_is_moved_away_is_missed_and_not_begun_anew() {
     let folder = tempfile::tempdir().unwrap();
     let (here, away) = (folder.path().join("data"), folder.path().join("away"));

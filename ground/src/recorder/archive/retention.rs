@@ -4,6 +4,8 @@
 //! Never due is a flight that is recorded or filled, is not complete, or that people have named or annotated; nor, where a backup is
 //! configured, one that is not in there the same. Of what is in the archive of a fleet only this ground's copy is deleted, and no
 //! copy that the archive lacks.
+//!
+//! A flight is as old as its end by the vehicle's clock, or as its file where that is younger: a clock may be years behind.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -46,15 +48,16 @@ impl Retention {
     }
 }
 
-/// The flights that a policy deletes, the oldest first; when it does is not said yet.
-pub fn due(flights: &[Flight], policy: &Retention, now_unix_us: u64) -> Vec<Due> {
+/// The flights that a policy deletes, the oldest first; when it does is not said yet. `written_us` says when the file of each
+/// was written, µs since the Unix epoch.
+pub fn due(flights: &[Flight], written_us: &BTreeMap<String, u64>, policy: &Retention, now_unix_us: u64) -> Vec<Due> {
     let here = || flights.iter().filter(|flight| !flight.away);
     let mut oldest: Vec<&Flight> = here().collect();
-    oldest.sort_by_key(|flight| (flight.started_unix_us, &flight.id));
+    oldest.sort_by_key(|flight| (since_us(flight, written_us), &flight.id));
     let mut total: u64 = here().map(|flight| flight.size_bytes).sum();
     let mut found = Vec::new();
     for flight in oldest {
-        let age = Duration::from_micros(now_unix_us.saturating_sub(ended_us(flight)));
+        let age = Duration::from_micros(now_unix_us.saturating_sub(since_us(flight, written_us)));
         let why = if policy.age.is_some_and(|most| age > most) {
             format!("ended {:.1} days ago", age.as_secs_f64() / 86_400.0)
         } else if let Some(most) = policy.bytes.filter(|most| total > *most) {
@@ -76,8 +79,10 @@ fn kept(flight: &Flight) -> bool {
     flight.completeness != Completeness::Complete || !flight.name.is_empty() || !flight.notes.is_empty()
 }
 
-fn ended_us(flight: &Flight) -> u64 {
-    flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64)
+/// From when on its age counts, µs since the Unix epoch.
+fn since_us(flight: &Flight, written_us: &BTreeMap<String, u64>) -> u64 {
+    let ended = flight.started_unix_us.saturating_add((flight.duration_s * 1e6) as u64);
+    ended.max(written_us.get(&flight.id).copied().unwrap_or(0))
 }
 
 fn micros(duration: Duration) -> u64 {
@@ -112,7 +117,8 @@ impl Pruner {
             let told = told.get(&due.id).copied();
             Due { deleted_unix_us: told.map(|told| told.saturating_add(micros(self.policy.notice))), ..due }
         };
-        Ok(due(&self.recorder.flights()?, &self.policy, now_unix_us).into_iter().map(timed).collect())
+        let (flights, written_us) = (self.recorder.flights()?, self.recorder.desk.index.written_us()?);
+        Ok(due(&flights, &written_us, &self.policy, now_unix_us).into_iter().map(timed).collect())
     }
 
     /// Writes into `flights` when each of them is deleted as things are, at the earliest. One that only their sum makes due has no
@@ -122,11 +128,12 @@ impl Pruner {
             return Ok(());
         }
         let due: BTreeMap<String, Due> = self.due(now_unix_us)?.into_iter().map(|due| (due.id.clone(), due)).collect();
+        let written_us = self.recorder.desk.index.written_us()?;
+        let kept_us = self.policy.age.map(|age| micros(age.saturating_add(self.policy.notice)));
         for flight in flights.iter_mut().filter(|flight| !flight.away && !kept(flight)) {
-            let after =
-                |age: Duration| ended_us(flight).saturating_add(micros(age)).saturating_add(micros(self.policy.notice));
+            let since = since_us(flight, &written_us);
             let told = due.get(&flight.id).and_then(|due| due.deleted_unix_us);
-            flight.deleted_unix_us = told.or_else(|| self.policy.age.map(after));
+            flight.deleted_unix_us = told.or_else(|| kept_us.map(|kept| since.saturating_add(kept)));
         }
         Ok(())
     }
@@ -171,6 +178,8 @@ impl Pruner {
     /// Deletes a flight here, where it is in the backup and the archive if there has to be one. Answers whether it did.
     fn delete(&self, id: &str) -> Result<bool, RecordingError> {
         let may = self.recorder.is_shared(&self.recorder.flight(id)?)? && self.backed_up(id)?;
+        // Asked last: somebody may have named it since it was due, or while the backup was read.
+        let may = may && !kept(&self.recorder.flight(id)?);
         if may {
             self.recorder.delete_here(id)?;
         }
@@ -185,5 +194,32 @@ impl Pruner {
         let Some(expected) = sums.0.get(&name) else { return Ok(false) };
         let here = hash(&self.recorder.desk.store.finished_path(id))?;
         Ok(here == *expected && hash(&backup.join(&name)).is_ok_and(|there| there == here))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::GroundConfig;
+    use crate::recorder::index::Stamp;
+    use crate::recorder::{Labels, start};
+
+    #[test]
+    fn a_flight_that_is_named_before_it_is_deleted_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let recorder = start(&GroundConfig::new(folder.path()), None).unwrap();
+        let handle = recorder.handle();
+        while !handle.ready() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let index = handle.desk.index.clone();
+        let flight = Flight { id: "f1".into(), completeness: Completeness::Complete, ..Flight::default() };
+        index.put(&flight, Stamp { size: 1, modified_ns: 1 }).unwrap();
+        let pruner = Pruner::open(folder.path(), Retention::default(), handle);
+        index.label("f1", &Labels { name: "figure 3".into(), notes: String::new() }).unwrap();
+        assert!(!pruner.delete("f1").unwrap() && index.get("f1").unwrap().is_some());
+        index.label("f1", &Labels::default()).unwrap();
+        assert!(pruner.delete("f1").unwrap() && index.get("f1").unwrap().is_none());
+        recorder.finish();
     }
 }

@@ -2,13 +2,15 @@ use super::*;
 use crate::recorder::{Completeness, Flight};
 use std::time::Duration;
 
+const DAY_US: u64 = 86_400_000_000;
+
 fn flight(id: &str, day: u64, size_bytes: u64) -> Flight {
-    let started_unix_us = day * 86_400_000_000;
+    let started_unix_us = day * DAY_US;
     Flight { id: id.into(), started_unix_us, size_bytes, completeness: Completeness::Complete, ..Flight::default() }
 }
 
 fn ids(flights: &[Flight], policy: &Retention) -> Vec<String> {
-    due(flights, policy, 100 * 86_400_000_000).into_iter().map(|due| due.id).collect()
+    due(flights, &BTreeMap::new(), policy, 100 * DAY_US).into_iter().map(|due| due.id).collect()
 }
 
 #[test]
@@ -27,6 +29,17 @@ fn what_is_recorded_incomplete_or_named_is_never_due() {
     assert_eq!(ids(&flights, &Retention { bytes: Some(50), ..none.clone() }), ["f4", "f5"]);
     assert_eq!(ids(&flights, &Retention { bytes: Some(500), ..none.clone() }), ["f4"]);
     assert!(ids(&flights, &Retention { bytes: Some(600), ..none }).is_empty());
+}
+
+#[test]
+fn a_flight_is_no_older_than_its_file() {
+    let flights = [flight("clock-behind", 10, 100), flight("old", 20, 100)];
+    let written_us = BTreeMap::from([("clock-behind".to_owned(), 99 * DAY_US), ("old".to_owned(), 20 * DAY_US)]);
+    let month = Retention { age: Some(Duration::from_secs(30 * 86_400)), ..Retention::default() };
+    for policy in [month, Retention { bytes: Some(100), ..Retention::default() }] {
+        let due: Vec<_> = due(&flights, &written_us, &policy, 100 * DAY_US).into_iter().map(|due| due.id).collect();
+        assert_eq!(due, ["old"]);
+    }
 }
 
 fn folders() -> (tempfile::TempDir, PathBuf, PathBuf) {

@@ -73,7 +73,8 @@ impl Worker {
         track.fall_back();
     }
 
-    /// Looks at the disk while nothing is written to it, so that a problem shows before a flight.
+    /// Looks at the disk while nothing is written to it, so that a problem shows before a flight, and after a file failed: a vehicle
+    /// that is lost sends nothing by which the end of the problem would show.
     pub(super) fn check_disk(&mut self, now: Instant) {
         self.free_bytes = free_bytes(self.store.folder());
         let reserve = self.config.reserve_bytes;
@@ -87,9 +88,20 @@ impl Worker {
                 }
             }
             self.shared.complain(&text);
-        } else if self.tracks.values().all(|t| t.output.writer.is_none() && t.output.retry.is_none()) {
+        } else if self.tracks.values().all(|t| t.output.writer.is_none())
+            || self.tracks.values().any(|t| t.output.retry.is_some())
+        {
             match self.store.probe() {
-                Ok(()) => self.shared.recover(),
+                Ok(()) => {
+                    for track in self.tracks.values_mut().filter(|t| t.output.retry.is_some_and(|at| now >= at)) {
+                        track.output.retry = None;
+                        // What is missing is waited for from now on.
+                        track.progressed = now;
+                    }
+                    if self.tracks.values().all(|t| t.output.retry.is_none()) {
+                        self.shared.recover();
+                    }
+                }
                 Err(error) => self.shared.complain(&error.to_string()),
             }
         }
