@@ -76,6 +76,8 @@ pub struct App {
     pub notices: VecDeque<Notice>,
     /// History to ask for first, s: as long as the charts' window.
     pub history_s: f64,
+    /// The ground is being asked for its state.
+    asking: bool,
     schema_told: bool,
     wait_ms: u32,
     notice_number: u64,
@@ -93,6 +95,14 @@ impl App {
         self.vehicles.as_ref()?.iter().find(|v| v.id == *id)
     }
 
+    /// The vehicles to choose from and whether each is connected: those of the ground, and the one shown where the ground
+    /// does not know it. None before the first answer.
+    pub fn offered(&self) -> Vec<(String, bool)> {
+        let Some(vehicles) = &self.vehicles else { return Vec::new() };
+        let unknown = self.vehicle.iter().filter(|_| self.listed().is_none()).map(|id| (id.clone(), false));
+        vehicles.iter().map(|v| (v.id.clone(), v.connected)).chain(unknown).collect()
+    }
+
     /// The ground that the vehicle shown is flown from; `None` where that is this one.
     pub fn elsewhere(&self) -> Option<&AtGround> {
         self.listed()?.ground.as_ref()
@@ -101,7 +111,7 @@ impl App {
     /// Takes one event into the state.
     pub fn update(&mut self, live: &mut Live, event: Event) -> Vec<Effect> {
         match event {
-            Event::Poll => vec![Effect::FetchState],
+            Event::Poll => self.ask().into_iter().collect(),
             Event::Ground(Ok(ground)) => {
                 self.ground = GroundState::Up(ground);
                 Vec::new()
@@ -111,10 +121,12 @@ impl App {
                 Vec::new()
             }
             Event::Vehicles(Ok(vehicles)) => {
+                self.asking = false;
                 self.vehicles = Some(vehicles);
                 self.choose_first(live)
             }
             Event::Vehicles(Err(failure)) => {
+                self.asking = false;
                 if failure.status == 0 {
                     self.ground = GroundState::Down(failure.text);
                 }
@@ -144,7 +156,7 @@ impl App {
             Event::Reconnect => match (self.socket, self.vehicle.clone()) {
                 (Socket::Waiting, Some(id)) => {
                     self.socket = Socket::Opening;
-                    vec![Effect::OpenSocket(id), Effect::FetchState]
+                    std::iter::once(Effect::OpenSocket(id)).chain(self.ask()).collect()
                 }
                 _ => Vec::new(),
             },
@@ -158,9 +170,16 @@ impl App {
         }
     }
 
+    /// One question at a time: on a network that swallows them, more would take all of the browser's connections.
+    fn ask(&mut self) -> Option<Effect> {
+        (!std::mem::replace(&mut self.asking, true)).then_some(Effect::FetchState)
+    }
+
     fn choose_first(&mut self, live: &mut Live) -> Vec<Effect> {
-        // A vehicle remembered from another day may be unknown to this ground.
-        let shown = self.vehicle.is_some() && (self.socket == Socket::Open || self.listed().is_some());
+        // A vehicle remembered from another day may be unknown to this ground. One that was heard of here is left by choice
+        // alone, though a ground that was started again does not know it before it connects.
+        let heard = live.boot() != 0 || live.clock.newest_us() > 0;
+        let shown = self.vehicle.is_some() && (heard || self.socket == Socket::Open || self.listed().is_some());
         let Some(vehicles) = self.vehicles.as_ref().filter(|_| !shown) else { return Vec::new() };
         let remembered = vehicles.iter().find(|v| Some(&v.id) == self.remembered.as_ref());
         let choice = remembered.or_else(|| vehicles.iter().find(|v| v.connected)).or_else(|| vehicles.first());
@@ -265,6 +284,37 @@ mod tests {
         app.update(&mut live, Event::SocketClosed);
         app.update(&mut live, Event::Vehicles(Ok(vec![vehicle("b", true)])));
         assert_eq!(app.vehicle.as_deref(), Some("b"));
+    }
+
+    #[test]
+    fn a_vehicle_that_was_heard_of_is_not_left_for_one_that_a_restarted_ground_hears_first() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        // GIVEN a vehicle whose messages are shown
+        app.update(&mut live, Event::Choose("a".into()));
+        app.update(&mut live, Event::SocketOpened);
+        live.clock.seen(1_000_000);
+        // WHEN the ground is started again, and another vehicle connects first
+        app.update(&mut live, Event::SocketClosed);
+        let effects = app.update(&mut live, Event::Vehicles(Ok(vec![vehicle("b", true)])));
+        // THEN commands still go to the one shown, and the list says so
+        assert!(effects.is_empty());
+        assert_eq!(app.vehicle.as_deref(), Some("a"));
+        assert_eq!(app.offered(), [("b".to_owned(), true), ("a".to_owned(), false)]);
+    }
+
+    #[test]
+    fn the_ground_is_asked_again_once_it_has_answered_or_has_not_in_time() {
+        let mut live = Live::default();
+        let mut app = App::new(None);
+        assert_eq!(app.update(&mut live, Event::Poll), [Effect::FetchState]);
+        assert!(app.update(&mut live, Event::Poll).is_empty());
+        app.update(&mut live, Event::Ground(Ok(Ground::default())));
+        assert!(app.update(&mut live, Event::Poll).is_empty(), "its vehicles are still asked for");
+        app.update(&mut live, Event::Vehicles(Err(Failure { status: 0, text: String::new() })));
+        assert_eq!(app.update(&mut live, Event::Poll), [Effect::FetchState]);
+        app.update(&mut live, Event::Vehicles(Ok(Vec::new())));
+        assert_eq!(app.update(&mut live, Event::Poll), [Effect::FetchState]);
     }
 
     #[test]

@@ -17,7 +17,9 @@ use crate::{
     deck::Deck,
     event::{Effect, Event, Tone},
     model::{by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
-    net, store,
+    net,
+    panel::setpoint::{self, Target},
+    store,
 };
 
 /// Text is written this often, ms, beside curves.
@@ -32,7 +34,7 @@ const PIECE_MS: f64 = 6.0;
 const PAUSE_MS: f64 = 18.0;
 /// A hint beside the pointer stays this long.
 const HINT: Duration = Duration::from_secs(4);
-/// The ground is asked for its state this often.
+/// The ground is asked for its state this often, unless it still is.
 const POLL: Duration = Duration::from_millis(2000);
 
 /// Whether curves can be drawn.
@@ -95,8 +97,8 @@ pub struct Ctx {
     pub hint: RwSignal<Option<Hint>>,
     /// Who is signed in.
     pub session: RwSignal<Session>,
-    /// Altitude asked for and not yet reached, m: steps count from there.
-    asked_m: StoredValue<Option<f64>>,
+    /// Altitude asked for and not yet reached: steps count from there.
+    target: StoredValue<Option<Target>>,
     /// Of which vehicle so much past is wanted, s, once a page is open that shows it.
     past_wanted: RwSignal<Option<(String, f64)>>,
     operator: RwSignal<String>,
@@ -123,7 +125,7 @@ impl Ctx {
             attacks_focus: RwSignal::new(0),
             drafts: RwSignal::new(store::drafts()),
             hint: RwSignal::new(None),
-            asked_m: StoredValue::new(None),
+            target: StoredValue::new(None),
             session: RwSignal::new(Session::default()),
             past_wanted: RwSignal::new(None),
             operator: RwSignal::new(store::operator()),
@@ -192,9 +194,9 @@ impl Ctx {
         match effect {
             Effect::FetchState => {
                 leptos::task::spawn_local(async move {
-                    let ground = net::json("GET", "/api/v1/ground", None, "").await;
+                    let ground = net::state("/api/v1/ground").await;
                     self.dispatch(Event::Ground(ground));
-                    let vehicles = net::json("GET", "/api/v1/vehicles", None, "").await;
+                    let vehicles = net::state("/api/v1/vehicles").await;
                     self.dispatch(Event::Vehicles(vehicles));
                 });
             }
@@ -381,43 +383,45 @@ impl Ctx {
         // Steps of 0.1 must not become 0.7999999.
         let rounded = (altitude_m * 1e4).round() / 1e4;
         let what = format!("Setpoint {} m", crate::model::format::fixed(rounded, 2));
-        self.asked_m.set_value(Some(rounded));
+        let vehicle = self.app.with_value(|app| app.vehicle.clone());
+        self.target.set_value(Some(self.live.with_value(|live| Target::new(rounded, vehicle, live))));
         self.command_then(
             what,
             "POST",
             "setpoint",
             json!(rest::Setpoint { altitude_m: Some(rounded), ..rest::Setpoint::default() }),
             move |answer| {
-                if answer.is_err() && self.asked_m.get_value() == Some(rounded) {
-                    self.asked_m.set_value(None);
-                }
+                let now_us = self.flight_now_us() as u64;
+                self.target.update_value(|target| match target {
+                    // Something else has been asked for since.
+                    Some(asked) if asked.altitude_m != rounded => {}
+                    Some(asked) if answer.is_ok() => asked.accepted(now_us),
+                    _ => *target = None,
+                });
             },
         );
     }
 
-    /// What was asked for counts until the vehicle's profile is there, or another mode begins.
+    /// What was asked for counts no longer than [`Target::counts`] says.
     fn forget_reached(self) {
-        let Some(asked) = self.asked_m.get_value() else { return };
-        let pending = self.live.with_value(|live| {
-            let moving = live.setpoint_m().is_some_and(|now| (now - asked).abs() > 1e-6);
-            moving && live.status.get().is_some_and(|s| matches!(s.mode(), Mode::AltitudeHold | Mode::Hold))
+        let vehicle = self.app.with_value(|app| app.vehicle.clone());
+        self.live.with_value(|live| {
+            self.target.update_value(|target| drop(target.take_if(|asked| !asked.counts(vehicle.as_ref(), live))));
         });
-        let fresh = self.app.with_value(|app| app.socket == Socket::Open);
-        if !pending && fresh {
-            self.asked_m.set_value(None);
-        }
     }
 
     /// Moves the altitude setpoint by one step up or down, from what was asked for last and not from where the
     /// vehicle's profile happens to be, onto the grid of the steps and within the vehicle's limits.
     pub fn step_altitude(self, up: bool) {
+        self.forget_reached();
         let (now, limits) =
             self.live.with_value(|live| (live.setpoint_m(), live.description.get().and_then(|d| d.limits)));
-        let Some(from) = self.asked_m.get_value().or(now) else {
+        let asked = self.target.with_value(|target| target.as_ref().map(|asked| asked.altitude_m));
+        let Some(from) = asked.or(now) else {
             self.dispatch(Event::Tell(Tone::Error, "Setpoint: the vehicle has not reported its setpoint yet".into()));
             return;
         };
-        let target = crate::panel::setpoint::stepped(from, up);
+        let target = setpoint::stepped(from, up);
         self.set_altitude(match limits {
             Some(l) if l.altitude_max_m > l.altitude_min_m => target.clamp(l.altitude_min_m, l.altitude_max_m),
             _ => target,
@@ -436,12 +440,14 @@ impl Ctx {
         self.command("Abort attacks", "DELETE", "attacks", json!({}));
     }
 
-    /// Shows another page.
+    /// Shows another page; the one shown keeps what its address says.
     pub fn go(self, route: Route) {
+        if self.route.with_untracked(|shown| *shown == route) {
+            return;
+        }
         if let Ok(history) = window().history() {
             let _ = history.push_state_with_url(&wasm_bindgen::JsValue::NULL, "", Some(&route.path()));
         }
-        document().set_title(route.title());
         self.route.set(route);
     }
 

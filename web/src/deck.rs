@@ -18,6 +18,7 @@ use crate::{
         instrument::Instrument,
         layout::{Evidence, Layout},
         live::Live,
+        topic::Topic,
     },
     net,
     panel::legend::Entry,
@@ -244,6 +245,11 @@ impl Deck {
     pub fn read<T>(self, read: impl FnOnce(&Live) -> T) -> T {
         self.tick.track();
         self.data.with_value(read)
+    }
+
+    /// Is the newest message of a topic too old to be shown as what is? Never of a recording; runs again with each beat.
+    pub fn is_old<T>(self, topic: fn(&Live) -> &Topic<T>) -> bool {
+        self.source == Source::Live && self.read(|live| live.is_old(topic(live), net::now_ms()))
     }
 
     /// Beats of the page so far; runs again with each.

@@ -26,15 +26,41 @@ pub const KEYS: [(&str, &str); 14] = [
     ("?", "this list"),
 ];
 
-/// Does the focus take the keys itself: a field, a list, a button for Space?
-fn typing(e: &ev::KeyboardEvent) -> bool {
-    let Some(element) = e.target().and_then(|t| t.dyn_into::<web_sys::Element>().ok()) else { return false };
-    matches!(element.tag_name().as_str(), "INPUT" | "TEXTAREA" | "SELECT")
+/// Which keys an element takes itself, before the page does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Takes {
+    /// None.
+    Nothing,
+    /// Those that press it: Space and Enter.
+    Press,
+    /// All: it is written or chosen in.
+    All,
 }
 
-fn on_control(e: &ev::KeyboardEvent) -> bool {
-    let Some(element) = e.target().and_then(|t| t.dyn_into::<web_sys::Element>().ok()) else { return false };
-    matches!(element.tag_name().as_str(), "BUTTON" | "A" | "SUMMARY")
+impl Takes {
+    /// Those that the element with the focus takes.
+    pub fn by(e: &ev::KeyboardEvent) -> Self {
+        let Some(element) = e.target().and_then(|t| t.dyn_into::<web_sys::Element>().ok()) else {
+            return Self::Nothing;
+        };
+        let kind = element.dyn_ref::<web_sys::HtmlInputElement>().map(web_sys::HtmlInputElement::type_);
+        Self::of(&element.tag_name(), &kind.unwrap_or_default())
+    }
+
+    /// Those that an element of this name takes and, where it is an input, of this type.
+    fn of(name: &str, kind: &str) -> Self {
+        match (name, kind) {
+            ("INPUT", "checkbox" | "button" | "submit" | "reset" | "file" | "color") => Self::Press,
+            ("INPUT" | "TEXTAREA" | "SELECT", _) => Self::All,
+            ("BUTTON" | "A" | "SUMMARY", _) => Self::Press,
+            _ => Self::Nothing,
+        }
+    }
+}
+
+/// What a key says: what it writes, and under a layout of other letters than Latin ones, the Latin one at its place.
+fn said<'a>(key: &'a str, code: &'a str) -> &'a str {
+    code.strip_prefix("Key").filter(|_| !key.is_ascii()).unwrap_or(key)
 }
 
 thread_local! {
@@ -78,7 +104,7 @@ fn listen_to_lists() {
     });
     window_event_listener(ev::change, move |e| {
         let list = e.target().and_then(|t| t.dyn_into::<web_sys::HtmlSelectElement>().ok());
-        if list.is_some_and(|list| by_pointer.get() && list.form().is_none()) {
+        if list.is_some() && by_pointer.get() {
             let_go();
         }
     });
@@ -89,7 +115,10 @@ pub fn listen(ctx: Ctx) {
     listen_to_lists();
     let tones: Tones = expect_context();
     window_event_listener(ev::keydown, move |e| {
-        if e.ctrl_key() && e.shift_key() && e.key().eq_ignore_ascii_case("x") {
+        let (key, code) = (e.key(), e.code());
+        let key = said(&key, &code);
+        let takes = Takes::by(&e);
+        if e.ctrl_key() && e.shift_key() && key.eq_ignore_ascii_case("x") {
             e.prevent_default();
             // A key held down is one cut.
             if !e.repeat() {
@@ -97,41 +126,41 @@ pub fn listen(ctx: Ctx) {
             }
             return;
         }
-        if e.repeat() && (on_control(&e) && matches!(e.key().as_str(), "Enter" | " ")) {
+        if e.repeat() && takes == Takes::Press && matches!(key, "Enter" | " ") {
             // The browser would press the button again and again.
             e.prevent_default();
             return;
         }
-        if e.ctrl_key() || e.alt_key() || e.meta_key() || typing(&e) || ctx.help.get_untracked() {
+        if e.ctrl_key() || e.alt_key() || e.meta_key() || takes == Takes::All || ctx.help.get_untracked() {
             return;
         }
         if e.repeat() {
             // One press is one command; a held arrow does not scroll the page either.
-            if ctx.route.with_untracked(|r| *r == Route::Fly) && e.key().starts_with("Arrow") {
+            if ctx.route.with_untracked(|r| *r == Route::Fly) && key.starts_with("Arrow") {
                 e.prevent_default();
             }
             return;
         }
-        if e.key().eq_ignore_ascii_case("t") {
+        if key.eq_ignore_ascii_case("t") {
             let on = !tones.on.get_untracked();
             tones.switch(on);
             ctx.tell(Tone::Done, if on { "Tones for alarms are on" } else { "Tones for alarms are off" });
             return;
         }
-        if handle(ctx, &e) {
+        if handle(ctx, key, takes) {
             e.prevent_default();
         }
     });
 }
 
 /// Does what the key says; false when it says nothing here.
-fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
+fn handle(ctx: Ctx, key: &str, takes: Takes) -> bool {
     let deck = ctx.deck.get_untracked();
     let flying = ctx.route.with_untracked(|r| *r == Route::Fly);
-    match e.key().as_str() {
+    match key {
         "ArrowUp" if flying => ctx.step_altitude(true),
         "ArrowDown" if flying => ctx.step_altitude(false),
-        " " if !on_control(e) && flying => {
+        " " if takes == Takes::Nothing && flying => {
             if let Some(deck) = deck {
                 deck.toggle_pause();
             }
@@ -159,4 +188,32 @@ fn handle(ctx: Ctx, e: &ev::KeyboardEvent) -> bool {
         _ => return false,
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_is_written_or_chosen_in_keeps_the_keys() {
+        for kind in ["text", "number", "password", "search", "range", "radio"] {
+            assert_eq!(Takes::of("INPUT", kind), Takes::All, "{kind}");
+        }
+        assert_eq!(Takes::of("SELECT", ""), Takes::All);
+        assert_eq!(Takes::of("INPUT", "checkbox"), Takes::Press);
+        assert_eq!(Takes::of("BUTTON", ""), Takes::Press);
+        assert_eq!(Takes::of("BODY", ""), Takes::Nothing);
+    }
+
+    #[test]
+    fn letters_are_found_under_every_layout() {
+        // Latin layouts go by what is written: on Dvorak's the key at the place of X writes Q.
+        assert_eq!(said("X", "KeyB"), "X");
+        assert_eq!(said("Q", "KeyX"), "Q");
+        // Cyrillic, Greek.
+        assert_eq!(said("Ч", "KeyX"), "X");
+        assert_eq!(said("λ", "KeyL"), "L");
+        assert_eq!(said("ArrowUp", "ArrowUp"), "ArrowUp");
+        assert_eq!(said("é", "Digit2"), "é");
+    }
 }

@@ -69,6 +69,7 @@ fn Root() -> impl IntoView {
     let canvas = NodeRef::<html::Canvas>::new();
     paint::start(ctx, canvas);
     let route = Memo::new(move |_| ctx.route.get());
+    Effect::new(move |_| document().set_title(route.with(Route::title)));
     view! {
         <canvas class="behind" node_ref=canvas aria-hidden="true"></canvas>
         <a class="skip" href="#main">"Skip to the page"</a>

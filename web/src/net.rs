@@ -3,7 +3,9 @@
 use serde::de::DeserializeOwned;
 use wasm_bindgen::{JsCast, JsValue, closure::Closure};
 use wasm_bindgen_futures::JsFuture;
-use web_sys::{BinaryType, MessageEvent, ReadableStreamDefaultReader, Request, RequestInit, Response, WebSocket};
+use web_sys::{
+    AbortSignal, BinaryType, MessageEvent, ReadableStreamDefaultReader, Request, RequestInit, Response, WebSocket,
+};
 
 use crate::{
     event::{Event, Failure},
@@ -14,6 +16,10 @@ use crate::{
 const OPERATOR: &str = "X-Plumbline-Operator";
 /// Header that tells the vehicle what its operator saw: flight time of the newest message shown, µs.
 const SEEN: &str = "X-Plumbline-Seen";
+/// The ground's state is waited for so long, ms: where nothing comes back, a question holds its connection no longer.
+const STATE_MS: u32 = 3000;
+/// And the answer to a command, ms: longer than the ground waits for the vehicle's.
+const COMMAND_MS: u32 = 10_000;
 
 /// The browser's monotonic clock, ms.
 pub fn now_ms() -> f64 {
@@ -30,15 +36,20 @@ pub fn unreachable_ground() -> Failure {
     Failure { status: 0, text: failure_text(0, "") }
 }
 
+/// One request; its whole answer counts only if it has come within `within_ms`.
 async fn send(
     method: &str,
     url: &str,
     body: Option<String>,
     operator: &str,
     seen_us: u64,
+    within_ms: Option<u32>,
 ) -> Result<Response, Failure> {
     let init = RequestInit::new();
     init.set_method(method);
+    if let Some(ms) = within_ms {
+        init.set_signal(Some(&AbortSignal::timeout_with_u32(ms)));
+    }
     if let Some(body) = &body {
         init.set_body(&JsValue::from_str(body));
     }
@@ -88,7 +99,15 @@ pub async fn json<T: DeserializeOwned>(
     body: Option<String>,
     operator: &str,
 ) -> Result<T, Failure> {
-    read(send(method, url, body, operator, 0).await?, url).await
+    read(send(method, url, body, operator, 0, None).await?, url).await
+}
+
+/// What is asked for again and again: as [`json`], but not waited for without an end.
+///
+/// # Errors
+/// [`Failure`] with the ground's own words.
+pub async fn state<T: DeserializeOwned>(url: &str) -> Result<T, Failure> {
+    read(send("GET", url, None, "", 0, Some(STATE_MS)).await?, url).await
 }
 
 /// A command to a vehicle, asked while the newest message shown was of flight time `seen_us` (0: none was).
@@ -102,7 +121,7 @@ pub async fn command(
     operator: &str,
     seen_us: u64,
 ) -> Result<plumbline_rest::command::Answer, Failure> {
-    read(send(method, url, Some(body), operator, seen_us).await?, url).await
+    read(send(method, url, Some(body), operator, seen_us, Some(COMMAND_MS)).await?, url).await
 }
 
 async fn read<T: DeserializeOwned>(response: Response, url: &str) -> Result<T, Failure> {
@@ -120,29 +139,33 @@ fn parsed<T: DeserializeOwned>(text: &str, url: &str) -> Result<T, Failure> {
 /// # Errors
 /// [`Failure`] with the ground's own words.
 pub async fn bytes(url: &str) -> Result<Vec<u8>, Failure> {
-    bytes_told(url, |_| {}).await
+    let mut all = Vec::new();
+    pieces(url, |piece| {
+        all.extend_from_slice(piece);
+        Ok(())
+    })
+    .await?;
+    Ok(all)
 }
 
-/// The same; `told` is given all that has come, again and again.
+/// The same, which nobody holds whole: `take` is given each piece as it comes, until it refuses one.
 ///
 /// # Errors
-/// [`Failure`] with the ground's own words.
-pub async fn bytes_told(url: &str, mut told: impl FnMut(&[u8])) -> Result<Vec<u8>, Failure> {
-    let response = send("GET", url, None, "", 0).await?;
+/// [`Failure`] with the ground's own words, or with those of `take`.
+pub async fn pieces(url: &str, mut take: impl FnMut(&[u8]) -> Result<(), Failure>) -> Result<(), Failure> {
+    let response = send("GET", url, None, "", 0, None).await?;
     let body = response.body().ok_or_else(unreachable_ground)?;
     let reader: ReadableStreamDefaultReader = body.get_reader().unchecked_into();
-    let mut all = Vec::new();
     loop {
         let piece = JsFuture::from(reader.read()).await.map_err(|_| unreachable_ground())?;
         let value = js_sys::Reflect::get(&piece, &"value".into()).unwrap_or(JsValue::UNDEFINED);
         // Without a value it is over.
-        let Ok(piece) = value.dyn_into::<js_sys::Uint8Array>() else { return Ok(all) };
-        let begin = all.len();
-        all.resize(begin + piece.length() as usize, 0);
-        if let Some(room) = all.get_mut(begin..) {
-            piece.copy_to(room);
+        let Ok(piece) = value.dyn_into::<js_sys::Uint8Array>() else { return Ok(()) };
+        if let Err(failure) = take(&piece.to_vec()) {
+            // Nobody wants the rest, whatever becomes of it.
+            let _ = reader.cancel();
+            return Err(failure);
         }
-        told(&all);
     }
 }
 

@@ -121,6 +121,9 @@ fn run(ctx: Ctx, canvas: web_sys::HtmlCanvasElement, painter: Rc<RefCell<Option<
         if outcome == Some(FrameOutcome::Rebuild) {
             *painter.borrow_mut() = None;
             acquire(ctx, canvas.clone(), painter.clone());
+            // It holds itself, and cannot let itself go while it runs.
+            let over = again.clone();
+            set_timeout(move || drop(over.take()), Duration::ZERO);
             return;
         }
         let nothing = shown.as_ref().is_some_and(Still::shows_nothing);
@@ -190,15 +193,27 @@ struct Charted {
     lit: Option<Curve>,
     tolerance: Option<f64>,
     unfolded: Vec<Group>,
-    /// Of all curves: another estimator's may be laid over them.
+    /// Of all curves: another estimator's may be laid over them. Of live ones, how far time has come.
     curves: (usize, u64),
 }
 
 impl Charted {
-    fn of(deck: Deck, instrument: &Instrument) -> Option<Self> {
+    fn recorded(deck: Deck, instrument: &Instrument) -> Option<Self> {
         let (axis, curves) = deck.data.try_with_value(|live| (deck.axis(live), live.curves.state()))?;
-        Some(Self {
-            instrument: instrument.clone(),
+        Some(Self::with(deck, instrument.clone(), axis, curves))
+    }
+
+    /// Of a live vehicle, to the pixel: a chart `width_px` wide, which moves on with time, looks the same until it has moved by one.
+    fn live(deck: Deck, width_px: f64) -> Option<Self> {
+        let axis = deck.data.try_with_value(|live| deck.axis(live))?;
+        let span_s = axis.span_s();
+        let moved = ((net::now_ms() / NEWS_MS) as usize, (axis.end_s / span_s * width_px) as u64);
+        Some(Self::with(deck, Instrument::default(), TimeAxis::new(0.0, span_s), moved))
+    }
+
+    fn with(deck: Deck, instrument: Instrument, axis: TimeAxis, curves: (usize, u64)) -> Self {
+        Self {
+            instrument,
             axis,
             cursor: deck.cursor.get_untracked(),
             value_zoom: deck.value_zoom.get_untracked(),
@@ -214,17 +229,7 @@ impl Charted {
             tolerance: deck.tolerance.get_untracked(),
             unfolded: deck.unfolded.get_untracked(),
             curves,
-        })
-    }
-
-    /// Of a live vehicle, to the pixel: a chart `width_px` wide, which moves on with time, looks the same until it has moved by one.
-    fn live(deck: Deck, width_px: f64) -> Option<Self> {
-        let mut charted = Self::of(deck, &Instrument::default())?;
-        let TimeAxis { end_s, .. } = charted.axis;
-        let span_s = charted.axis.span_s();
-        charted.axis = TimeAxis::new(0.0, span_s);
-        charted.curves = ((net::now_ms() / NEWS_MS) as usize, (end_s / span_s * width_px) as u64);
-        Some(charted)
+        }
     }
 }
 
@@ -251,7 +256,7 @@ fn frame(
     let rects = places.of(&slots, height).to_vec();
     let instrument = deck.map(Deck::instrument_now).unwrap_or_default();
     let recorded = deck.filter(|deck| deck.source == Source::Recorded);
-    let recorded = recorded.and_then(|deck| Charted::of(deck, &instrument));
+    let recorded = recorded.and_then(|deck| Charted::recorded(deck, &instrument));
     let seen_at: Vec<_> = slots.iter().map(|slot| slot.picture).zip(rects.iter().copied()).collect();
     let moves = recorded.is_none() && rects.iter().any(Option::is_some);
     let now = (!moves).then_some(Still { dark, size, places: seen_at, recorded });

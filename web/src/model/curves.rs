@@ -11,14 +11,18 @@ use super::series::Series;
 
 mod errors;
 
-/// Samples kept of a live curve: ten minutes at 200 Hz.
-pub const LIVE_SAMPLES: usize = 120_000;
+/// Samples kept of a live curve: the longest window, ten minutes, at the 40 Hz that the ground thins what a page shows to …
+const LIVE_SAMPLES: usize = 1 << 15;
+/// … of residuals, of which it sends 8 in each second and which are most of the curves …
+const RESIDUAL_SAMPLES: usize = 1 << 13;
+/// … and of what it does not thin, heights and signals: at 100 Hz.
+const SENSOR_SAMPLES: usize = 1 << 16;
 /// Samples of a curve that the ground thinned for this page, at most: two for each of its stretches of time.
 const PAST_SAMPLES: usize = 1 << 12;
 /// Samples kept of one curve of a recorded flight: over an hour at 200 Hz.
 const RECORDED_SAMPLES: usize = 1 << 20;
 /// A live curve breaks where samples are further apart than this, s.
-const GAP_S: f64 = 1.0;
+pub const GAP_S: f64 = 1.0;
 /// A live signal does where they are further apart than this, s: some are sent once a second.
 const SIGNAL_GAP_S: f64 = 2.5;
 
@@ -184,13 +188,28 @@ impl Curve {
             _ => None,
         }
     }
+
+    /// Is it made of residuals?
+    fn is_residual(self) -> bool {
+        matches!(self, Self::Innovation(_) | Self::Gate(_) | Self::Worst(..))
+    }
+
+    /// Samples kept of it while it is live.
+    fn live_samples(self) -> usize {
+        match self {
+            Self::Height(_) | Self::Signal(_) => SENSOR_SAMPLES,
+            _ if self.is_residual() => RESIDUAL_SAMPLES,
+            _ => LIVE_SAMPLES,
+        }
+    }
 }
 
 /// The curves.
 #[derive(Debug)]
 pub struct Curves {
     map: BTreeMap<Curve, Series>,
-    samples: usize,
+    /// Samples kept of each.
+    samples: fn(Curve) -> usize,
     followed: errors::Followed,
     /// How often a whole curve was put in the place of another.
     replaced: u64,
@@ -218,19 +237,18 @@ impl Whole {
 
     /// Is a curve whole between two times?
     pub fn covers(&self, curve: Curve, from_s: f64, to_s: f64) -> bool {
-        let residual = matches!(curve, Curve::Innovation(_) | Curve::Gate(_) | Curve::Worst(..));
-        self.between_s[0] <= from_s && to_s <= self.between_s[1] && (self.residuals || !residual)
+        self.between_s[0] <= from_s && to_s <= self.between_s[1] && (self.residuals || !curve.is_residual())
     }
 }
 
 impl Default for Curves {
     fn default() -> Self {
-        Self::of(LIVE_SAMPLES)
+        Self::of(Curve::live_samples)
     }
 }
 
 impl Curves {
-    fn of(samples: usize) -> Self {
+    fn of(samples: fn(Curve) -> usize) -> Self {
         Self {
             map: BTreeMap::new(),
             samples,
@@ -242,12 +260,12 @@ impl Curves {
 
     /// For a recorded flight: everything is kept.
     pub fn unbounded() -> Self {
-        Self::of(RECORDED_SAMPLES)
+        Self::of(|_| RECORDED_SAMPLES)
     }
 
     /// For a past that is to be laid under live curves.
     pub fn short() -> Self {
-        Self::of(PAST_SAMPLES)
+        Self::of(|_| PAST_SAMPLES)
     }
 
     /// Lays `past` under each curve, between `from_s` and the curve's first sample after that.
@@ -256,15 +274,15 @@ impl Curves {
         self.forget_errors();
         let samples = self.samples;
         for (curve, past) in &past.map {
-            let series = self.map.entry(*curve).or_insert_with(|| Series::new(samples).with_max_gap(GAP_S));
+            let series = self.map.entry(*curve).or_insert_with(|| Series::new(samples(*curve)).with_max_gap(GAP_S));
             let cut = series.upper_bound(from_s);
-            let after: Vec<_> = series.samples(cut..series.end()).collect();
-            let until_s = after.first().map_or(f64::INFINITY, |(time_s, _)| *time_s);
-            let between =
-                past.samples(past.first()..past.end()).filter(|(time_s, _)| *time_s > from_s && *time_s < until_s);
-            let before: Vec<_> = series.samples(series.first()..cut).chain(between).collect();
-            series.clear();
-            for (time_s, value) in before.into_iter().chain(after) {
+            let until_s = series.get(cut).map_or(f64::INFINITY, |(time_s, _)| time_s);
+            let mut between = past.samples(past.upper_bound(from_s)..past.lower_bound(until_s)).peekable();
+            if between.peek().is_none() {
+                continue;
+            }
+            let after = series.split_off(cut);
+            for (time_s, value) in between.chain(after) {
                 series.push(time_s, value);
             }
         }
@@ -318,7 +336,7 @@ impl Curves {
         let samples = self.samples;
         self.map
             .entry(curve)
-            .or_insert_with(|| Series::new(samples).with_max_gap(GAP_S))
+            .or_insert_with(|| Series::new(samples(curve)).with_max_gap(GAP_S))
             .push(time_us as f64 * 1e-6, value as f32);
     }
 
@@ -346,9 +364,10 @@ impl Curves {
 
     /// Appends what came of a signal since: time, s, and value.
     pub fn extend_signal(&mut self, place: u8, samples: impl IntoIterator<Item = (f64, f64)>) {
-        let capacity = self.samples;
-        let new = || Series::new(capacity).with_max_gap(SIGNAL_GAP_S);
-        let series = self.map.entry(Curve::Signal(place)).or_insert_with(new);
+        let curve = Curve::Signal(place);
+        let samples_kept = self.samples;
+        let new = || Series::new(samples_kept(curve)).with_max_gap(SIGNAL_GAP_S);
+        let series = self.map.entry(curve).or_insert_with(new);
         for (time_s, value) in samples {
             series.push(time_s, value as f32);
         }
@@ -367,6 +386,11 @@ impl Curves {
     /// All curves there are, in the order of their names.
     pub fn names(&self) -> impl Iterator<Item = Curve> + '_ {
         self.map.keys().copied()
+    }
+
+    /// Those from one name to another, both included.
+    pub fn names_between(&self, first: Curve, last: Curve) -> impl Iterator<Item = Curve> + '_ {
+        self.map.range(first..=last).map(|(curve, _)| *curve)
     }
 
     /// Value of the newest sample at or before `time_s`.
@@ -577,6 +601,22 @@ mod tests {
         }
         assert_eq!(curves.value_at(Curve::Altitude(7), 1.5), None);
         assert_eq!(curves.value_at(Curve::Altitude(7), 2.0), Some(0.5));
+    }
+
+    #[test]
+    fn what_the_longest_window_shows_is_kept_and_little_more() {
+        let window_s = crate::deck::WINDOWS_S.into_iter().fold(0.0, f64::max);
+        let key = (1, 1, 1, 1);
+        // As often as the ground sends them to a page.
+        for (curve, rate_hz) in
+            [(Curve::Altitude(1), 40), (Curve::Height(1), 100), (Curve::Innovation(key), 8), (Curve::Worst(1, 1, 1), 8)]
+        {
+            let mut curves = Curves::default();
+            (0..2000 * rate_hz).for_each(|i| curves.push(curve, i * 1_000_000 / rate_hz, 0.5));
+            let span = curves.time_span_s().unwrap();
+            let kept_s = span.end - span.start;
+            assert!(kept_s >= window_s && kept_s < 2.0 * window_s, "{curve:?}: {kept_s} s");
+        }
     }
 
     #[test]

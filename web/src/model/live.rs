@@ -17,7 +17,7 @@ pub use self::log::{Log, State};
 use self::reading::Reading;
 use super::{
     clock::Clock,
-    curves::{Curve, Curves},
+    curves::{Curve, Curves, GAP_S},
     topic::Topic,
 };
 
@@ -144,7 +144,8 @@ impl Live {
 
     /// The sensor instances that the secure estimator judges, in the suite's order.
     pub fn suspicion_rows(&self) -> Vec<(i32, u32)> {
-        let judged = self.curves.names().filter_map(|c| match c {
+        let all = self.curves.names_between(Curve::Suspicion(i32::MIN, 0), Curve::Suspicion(i32::MAX, u32::MAX));
+        let judged = all.filter_map(|c| match c {
             Curve::Suspicion(sensor, instance) => Some((sensor, instance)),
             _ => None,
         });
@@ -165,15 +166,36 @@ impl Live {
         rows
     }
 
-    /// The residual with the largest ratio of one sensor instance, fresh ones before stale ones.
-    pub fn worst_residual(&self, estimator: u16, sensor: i32, instance: u32) -> Option<(&v1::Residual, u64)> {
+    /// The residual with the largest ratio of one sensor instance, fresh ones before stale ones; and whether the sensor has
+    /// fallen silent since.
+    pub fn worst_residual(
+        &self,
+        estimator: u16,
+        sensor: i32,
+        instance: u32,
+        local_ms: f64,
+    ) -> Option<(&v1::Residual, bool)> {
         let range = (estimator, sensor, instance, i32::MIN)..=(estimator, sensor, instance, i32::MAX);
         let newest = self.residuals.range(range.clone()).filter_map(|(_, t)| t.time_us()).max()?;
-        self.residuals
+        let (topic, worst) = self
+            .residuals
             .range(range)
-            .filter_map(|(_, topic)| Some((topic.get()?, topic.time_us()?)))
-            .filter(|(_, time)| newest - time < 1_000_000)
-            .max_by(|(a, _), (b, _)| a.ratio.total_cmp(&b.ratio))
+            .filter_map(|(_, topic)| Some((topic, topic.get()?)))
+            .filter(|(topic, _)| topic.time_us().is_some_and(|time_us| newest - time_us < 1_000_000))
+            .max_by(|(_, a), (_, b)| a.ratio.total_cmp(&b.ratio))?;
+        Some((worst, self.is_past(newest as f64 * 1e-6, GAP_S, local_ms) && self.is_old(topic, local_ms)))
+    }
+
+    /// Has nothing come of this curve for longer than its line bridges?
+    pub fn has_ended(&self, curve: Curve, local_ms: f64) -> bool {
+        self.curves.get(curve).is_some_and(|series| {
+            series.last().is_some_and(|(last_s, _)| self.is_past(last_s, series.max_gap_s(), local_ms))
+        })
+    }
+
+    /// Is `time_s` longer ago than `gap_s`? Nothing is of a recording that is flown again.
+    fn is_past(&self, time_s: f64, gap_s: f64, local_ms: f64) -> bool {
+        !self.is_replay() && self.clock.now_us(local_ms) * 1e-6 - time_s > gap_s
     }
 
     /// Estimators that this vehicle offers.

@@ -48,12 +48,14 @@ impl Extent {
 #[derive(Debug, Clone)]
 struct Level {
     samples_per_block: u64,
+    /// Most blocks it ever holds.
+    room: u64,
     blocks: Vec<Extent>,
 }
 
 impl Level {
     fn slot(&self, block: u64) -> usize {
-        (block % self.blocks.len() as u64) as usize
+        (block % self.room) as usize
     }
 }
 
@@ -78,8 +80,8 @@ impl Series {
         let mut samples_per_block = FAN;
         while samples_per_block < capacity as u64 {
             // Two more than fit: the blocks at both ends may be held in part.
-            let blocks = capacity as u64 / samples_per_block + 2;
-            levels.push(Level { samples_per_block, blocks: vec![Extent::EMPTY; blocks as usize] });
+            let room = capacity as u64 / samples_per_block + 2;
+            levels.push(Level { samples_per_block, room, blocks: Vec::new() });
             samples_per_block *= FAN;
         }
         Self {
@@ -130,22 +132,32 @@ impl Series {
             self.held.start += 1;
         }
         for level in &mut self.levels {
-            let block = number / level.samples_per_block;
-            let slot = level.slot(block);
-            let so_far =
-                if number.is_multiple_of(level.samples_per_block) { Extent::EMPTY } else { level.blocks[slot] };
-            level.blocks[slot] = so_far.with(value);
+            let slot = level.slot(number / level.samples_per_block);
+            if slot == level.blocks.len() {
+                level.blocks.push(Extent::EMPTY);
+            } else if number.is_multiple_of(level.samples_per_block) {
+                level.blocks[slot] = Extent::EMPTY;
+            }
+            level.blocks[slot] = level.blocks[slot].with(value);
         }
         true
     }
 
-    /// Forget every sample; the numbering goes on from zero.
-    pub fn clear(&mut self) {
-        self.times_s.clear();
-        self.values.clear();
-        self.held = 0..0;
-        self.levels.iter_mut().for_each(|level| level.blocks.fill(Extent::EMPTY));
-        self.out_of_order = 0;
+    /// Takes away the samples from this number on, oldest first; their numbers are given anew.
+    pub fn split_off(&mut self, number: u64) -> Vec<(f64, f32)> {
+        let number = number.clamp(self.held.start, self.held.end);
+        let taken = self.samples(number..self.held.end).collect();
+        self.held.end = number;
+        for i in 0..self.levels.len() {
+            let level = &self.levels[i];
+            let block = number / level.samples_per_block;
+            let (slot, begin) = (level.slot(block), block * level.samples_per_block);
+            // Of the block that is cut, what stays.
+            if begin < number {
+                self.levels[i].blocks[slot] = self.extent(begin..number);
+            }
+        }
+        taken
     }
 
     /// Samples held.
@@ -335,6 +347,43 @@ mod tests {
     }
 
     #[test]
+    fn what_was_taken_off_the_end_is_in_no_extent() {
+        let mut next = noise(3);
+        for capacity in [5, 16, 300, 5000] {
+            let mut series = Series::new(capacity);
+            for round in 0..40_u64 {
+                for _ in 0..next() % 400 {
+                    let value = (next() % 10_000) as f32 - 5000.0;
+                    assert!(series.push(series.end() as f64, value));
+                }
+                let (first, end) = (series.first(), series.end());
+                let cut = first + next() % (series.len() as u64 + 1);
+                let expected: Vec<_> = series.samples(cut..end).collect();
+                assert_eq!(series.split_off(cut), expected);
+                assert_eq!((series.first(), series.end()), (first, cut));
+                for (time_s, value) in expected.into_iter().take(3) {
+                    assert!(series.push(time_s, -value));
+                }
+                for range in [first..series.end(), cut.saturating_sub(20)..cut + 2, first..cut] {
+                    let brute = brute_extent(&series, range.clone());
+                    assert_eq!(series.extent(range.clone()), brute, "capacity {capacity}, round {round}, {range:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn memory_is_taken_as_samples_arrive() {
+        let mut series = Series::new(1 << 20);
+        let blocks = |series: &Series| series.levels.iter().map(|level| level.blocks.len()).collect::<Vec<_>>();
+        assert_eq!(blocks(&series), [0; 4]);
+        for i in 0..100 {
+            series.push(f64::from(i), 1.0);
+        }
+        assert_eq!(blocks(&series), [7, 1, 1, 1]);
+    }
+
+    #[test]
     fn bounds_find_times_also_with_repeats_and_after_turning_over() {
         let mut series = Series::new(64);
         for i in 0..200_u64 {
@@ -375,8 +424,5 @@ mod tests {
         assert_eq!((series.len(), series.out_of_order(), series.last()), (2, 2, Some((1.0, 2.0))));
         assert_eq!(series.at(0.9), None);
         assert_eq!(series.at(7.0), Some((1.0, 2.0)));
-        series.clear();
-        assert!(series.push(0.0, 1.0));
-        assert_eq!(series.extent(0..9), Extent { min: 1.0, max: 1.0 });
     }
 }

@@ -28,6 +28,8 @@ impl<T> Topic<T> {
             }
             let gap = (time_us - self.time_us) as f64 * 1e-6;
             if gap > 0.0 {
+                // An outage is no period.
+                let gap = if self.period_s == 0.0 { gap } else { gap.min(self.fresh_s()) };
                 self.period_s = if self.period_s == 0.0 { gap } else { self.period_s + 0.1 * (gap - self.period_s) };
             }
         }
@@ -52,7 +54,12 @@ impl<T> Topic<T> {
 
     /// Is it older than three periods?
     pub fn is_stale(&self, now_us: f64) -> bool {
-        self.age_s(now_us).is_none_or(|age| age > (3.0 * self.period_s).max(STALE_FLOOR_S))
+        self.age_s(now_us).is_none_or(|age| age > self.fresh_s())
+    }
+
+    /// Age up to which it is not stale, s.
+    fn fresh_s(&self) -> f64 {
+        (3.0 * self.period_s).max(STALE_FLOOR_S)
     }
 }
 
@@ -72,6 +79,21 @@ mod tests {
         assert!(!topic.is_stale(51.9e6));
         assert!(topic.is_stale(52.1e6));
         assert!((topic.age_s(50e6).unwrap() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_outage_does_not_make_the_next_one_look_fresh() {
+        let mut topic = Topic::default();
+        for i in 0..50 {
+            topic.set(i, i * 100_000);
+        }
+        topic.set(50, 65_000_000);
+        assert!(!topic.is_stale(65.35e6) && topic.is_stale(65.5e6));
+        // What has become slower is not stale for ever.
+        for i in 66..90 {
+            topic.set(i, i * 1_000_000);
+        }
+        assert!(!topic.is_stale(90.5e6));
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod report;
 mod scrub;
 
 use leptos::prelude::*;
+use plumbline_proto::DecodeError;
 use plumbline_rest::flight::{Flight, Labels};
 use serde_json::json;
 
@@ -56,12 +57,11 @@ enum Loaded {
 /// Messages of some kinds of a flight: all, or those that the rest of the query leaves; `told` is told which part of the
 /// flight has come, s.
 pub async fn load(id: &str, kinds: &str, rest: &str, told: impl Fn(f64)) -> Result<Live, Failure> {
+    let unreadable = |error: DecodeError| Failure { status: 0, text: error.to_string() };
     let mut arriving = Arriving::default();
     let url = format!("/api/v1/flights/{id}/frames?kinds={kinds}{rest}");
-    let bytes = net::bytes_told(&url, |bytes| told(arriving.covered_s(bytes))).await?;
-    let mut flight = Live::recorded();
-    flight.ingest(&bytes, 0.0).map_err(|e| Failure { status: 0, text: e.to_string() })?;
-    Ok(flight)
+    net::pieces(&url, |piece| arriving.take(piece).map(&told).map_err(unreadable)).await?;
+    arriving.flight().map_err(unreadable)
 }
 
 /// The page of one flight.

@@ -6,6 +6,7 @@ use plumbline_proto::v1::{Channel, SensorKind};
 use crate::{
     ctx::ctx,
     model::{curves::Curve, format, names},
+    net,
     panel::steps::summary,
 };
 
@@ -26,7 +27,7 @@ pub fn Numbers() -> impl IntoView {
                         Curve::TruthAltitude => "truth".to_owned(),
                         _ => return None,
                     };
-                    Some((name, format::maybe(last(curve), 3)))
+                    Some((name, format::maybe(last(curve), 3), live.has_ended(curve, net::now_ms())))
                 })
                 .collect::<Vec<_>>()
         })
@@ -37,7 +38,7 @@ pub fn Numbers() -> impl IntoView {
             live.residual_rows(estimator)
                 .into_iter()
                 .filter_map(|(sensor, instance)| {
-                    let (worst, _) = live.worst_residual(estimator, sensor, instance)?;
+                    let (worst, old) = live.worst_residual(estimator, sensor, instance, net::now_ms())?;
                     let kind = SensorKind::try_from(sensor).unwrap_or_default();
                     let (unit, factor) = names::channel_unit(worst.channel());
                     let channel = names::channel(Channel::try_from(worst.channel).unwrap_or_default());
@@ -50,6 +51,7 @@ pub fn Numbers() -> impl IntoView {
                         gate,
                         format::fixed(worst.ratio, 2),
                         worst.accepted,
+                        old,
                     ))
                 })
                 .collect::<Vec<_>>()
@@ -62,13 +64,13 @@ pub fn Numbers() -> impl IntoView {
         <section class="card numbers" aria-label="Altitudes">
             <h2>"Altitude" <small>"m"</small></h2>
             <table>
-                <tbody>{move || altitudes().into_iter().map(|(n, v)| view! { <tr><th scope="row">{n}</th><td class="num">{v}</td></tr> }).collect::<Vec<_>>()}</tbody>
+                <tbody>{move || altitudes().into_iter().map(|(n, v, old)| view! { <tr class:stale=old><th scope="row">{n}</th><td class="num">{v}</td></tr> }).collect::<Vec<_>>()}</tbody>
             </table>
             <h2>"Residuals" <small>"worst channel of each sensor"</small></h2>
             <table>
                 <thead><tr><th>"sensor"</th><th>"channel"</th><th class="num">"innovation"</th><th class="num">"gate"</th><th class="num">"ratio"</th><th></th></tr></thead>
-                <tbody>{move || residuals().into_iter().map(|(s, c, v, g, r, ok)| view! {
-                    <tr class:bad=!ok><th scope="row">{s}</th><td>{c}</td><td class="num">{v}</td><td class="num">{g}</td><td class="num">{r}</td><td>{if ok { "" } else { "rejected" }}</td></tr>
+                <tbody>{move || residuals().into_iter().map(|(s, c, v, g, r, ok, old)| view! {
+                    <tr class:bad=!ok class:stale=old><th scope="row">{s}</th><td>{c}</td><td class="num">{v}</td><td class="num">{g}</td><td class="num">{r}</td><td>{if ok { "" } else { "rejected" }}</td></tr>
                 }).collect::<Vec<_>>()}</tbody>
             </table>
             <h2>"Steps"</h2>

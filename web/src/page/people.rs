@@ -201,7 +201,11 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
             let url = format!("{PEOPLE}/{}", account.name);
             let url = StoredValue::new(url);
             let who = StoredValue::new(account.name.clone());
-            let set_role = move |name: String| {
+            let current = account.role;
+            let set_role = move |list: web_sys::HtmlSelectElement| {
+                let name = list.value();
+                // It shows the role that counts: the other one once the ground says so.
+                list.set_value(current.name());
                 let Some(role) = Role::named(&name) else { return };
                 let done = format!("{} is {name} now", who.get_value());
                 change(ctx, outcome, ("PATCH", url.get_value()), Some(json!(AccountChange { role: Some(role), ..AccountChange::default() })), done, move || load.run(()));
@@ -210,11 +214,10 @@ fn Accounts(people: RwSignal<People>, load: Callback<()>) -> impl IntoView {
                 let done = format!("Account {} removed", who.get_value());
                 change(ctx, outcome, ("DELETE", url.get_value()), None, done, move || load.run(()));
             });
-            let current = account.role;
             view! {
                 <tr>
                     <th scope="row">{account.name.clone()}</th>
-                    <td><select aria-label=format!("Role of {}", account.name) on:change:target=move |e| set_role(e.target().value())>
+                    <td><select aria-label=format!("Role of {}", account.name) prop:value=current.name() on:change:target=move |e| set_role(e.target())>
                         {Role::ALL.map(|r| view! { <option value={r.name()} selected={r == current}>{r.name()}</option> }).collect_view()}
                     </select></td>
                     <td><HoldButton label="Remove" class="warn delete" action=remove /></td>

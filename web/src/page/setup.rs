@@ -13,6 +13,9 @@ use crate::{
     tones::{Tones, Tune},
 };
 
+/// Beats of a page of text in two seconds.
+const LINK_BEATS: u64 = 8;
+
 fn fact(name: impl IntoView + 'static, value: impl IntoView + 'static) -> impl IntoView {
     view! { <div><dt>{name}</dt><dd class="num">{value}</dd></div> }
 }
@@ -78,8 +81,12 @@ fn Tunes() -> impl IntoView {
 #[component]
 fn Devices() -> impl IntoView {
     let ctx = ctx();
-    let devices =
-        Memo::new(move |_| ctx.live(|live| live.devices.values().filter_map(|d| d.get().cloned()).collect::<Vec<_>>()));
+    // Told once a second each: only then there is something to copy.
+    let told = Memo::new(move |_| ctx.live(|live| live.devices.values().map(|d| d.time_us()).collect::<Vec<_>>()));
+    let devices = Memo::new(move |_| {
+        told.track();
+        ctx.live.with_value(|live| live.devices.values().filter_map(|d| d.get().cloned()).collect::<Vec<_>>())
+    });
     let milliseconds =
         |seconds: Option<f64>| seconds.map_or_else(String::new, |s| format!("{} ms", format::fixed(1e3 * s, 1)));
     move || {
@@ -124,7 +131,7 @@ pub fn Setup() -> impl IntoView {
     });
     // Every two seconds: nobody reads them sooner, and each figure that changes has the browser lay the page out.
     let link = Memo::new(move |shown: Option<&Option<LinkStatus>>| match shown.copied().flatten() {
-        Some(shown) if !ctx.tick.get().is_multiple_of(20) => Some(shown),
+        Some(shown) if !ctx.tick.get().is_multiple_of(LINK_BEATS) => Some(shown),
         _ => ctx.live(|live| live.ground.link),
     });
     let graphics = move || match ctx.graphics.get() {

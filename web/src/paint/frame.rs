@@ -161,7 +161,7 @@ impl Frame {
         let in_loop = live.in_loop();
         let mut out = Vec::new();
         // Raw sensors lie below, the estimate in the loop on top.
-        for curve in live.curves.names() {
+        for curve in live.curves.names_between(Curve::Height(0), Curve::Height(u16::MAX)) {
             if let Curve::Height(instance) = curve {
                 out.extend(self.drawn(live, curve, palette::sensor(instance), Style::Thin));
             }
@@ -172,7 +172,7 @@ impl Frame {
                 .filter_map(|side| self.drawn(live, Curve::Reach(side), palette::ATTACK, Style::Thin)),
         );
         out.extend(self.drawn(live, Curve::TruthAltitude, palette::IN_LOOP, Style::Dashed));
-        for curve in live.curves.names() {
+        for curve in live.curves.names_between(Curve::Altitude(0), Curve::Altitude(u16::MAX)) {
             if let Curve::Altitude(number) = curve
                 && number != in_loop
             {
@@ -181,7 +181,7 @@ impl Frame {
                 out.extend(other.map(|drawn| Drawn { room: Room::None, ..drawn }));
             }
         }
-        for curve in live.curves.names() {
+        for curve in live.curves.names_between(Curve::AgainAltitude(0), Curve::AgainAltitude(u16::MAX)) {
             if let Curve::AgainAltitude(number) = curve {
                 let again = self.drawn(live, curve, palette::again(number), Style::Dashed);
                 out.extend(again.map(|drawn| Drawn { room: Room::None, ..drawn }));
@@ -200,7 +200,8 @@ impl Frame {
         let own = Axis::ALL
             .into_iter()
             .filter_map(|a| self.drawn(live, Curve::Attitude(in_loop, a), palette::axis(a), Style::Solid));
-        let again = live.curves.names().filter_map(|curve| match curve {
+        let [first, last] = [(0, Axis::Roll), (u16::MAX, Axis::Yaw)].map(|(n, axis)| Curve::AgainAttitude(n, axis));
+        let again = live.curves.names_between(first, last).filter_map(|curve| match curve {
             Curve::AgainAttitude(_, axis) => self.drawn(live, curve, palette::axis(axis), Style::Dashed),
             _ => None,
         });
@@ -210,8 +211,10 @@ impl Frame {
     fn residual<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
         let Some((sensor, instance)) = self.deck.residual.get_untracked() else { return Vec::new() };
         let estimator = self.deck.residual_estimator(live);
-        let keys = live.curves.names().filter_map(|c| match c {
-            Curve::Innovation(key) if (key.0, key.1, key.2) == (estimator, sensor, instance) => Some(key),
+        let named = |channel| Curve::Innovation((estimator, sensor, instance, channel));
+        let [first, last] = [i32::MIN, i32::MAX].map(named);
+        let keys = live.curves.names_between(first, last).filter_map(|c| match c {
+            Curve::Innovation(key) => Some(key),
             _ => None,
         });
         let mut out = Vec::new();

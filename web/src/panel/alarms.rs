@@ -22,19 +22,19 @@ const OLD_S: f64 = 1.0;
 pub(super) const LOW: f64 = 0.30;
 pub(super) const EMPTY: f64 = 0.15;
 
-/// The failsafe that acts, or ended the flight, with its reason, and whether it still acts.
-fn failsafe(ctx: Ctx) -> Option<(String, bool)> {
+/// The failsafe that acts, or ended the flight: its name, the same with its reason, and whether it still acts.
+fn failsafe(ctx: Ctx) -> Option<(&'static str, String, bool)> {
     ctx.live(|live| {
         let status = live.status.get().filter(|s| s.failsafe() != Failsafe::None)?;
         let title = names::failsafe(status.failsafe());
         let reason = &status.failsafe_reason;
         let text = if reason.is_empty() { title.to_owned() } else { format!("{title} – {reason}") };
-        Some((text, status.armed || status.cut_latched))
+        Some((title, text, status.armed || status.cut_latched))
     })
 }
 
-/// Battery, where it is low: (text, nearly empty?).
-fn battery(ctx: Ctx) -> Option<(String, bool)> {
+/// Battery, where it is low: (what it is, the same with its figures, nearly empty?).
+fn battery(ctx: Ctx) -> Option<(&'static str, String, bool)> {
     ctx.live(|live| {
         let battery_v = live.battery_v()?;
         let status = live.status.get().filter(|status| status.battery_fraction < LOW)?;
@@ -47,7 +47,7 @@ fn battery(ctx: Ctx) -> Option<(String, bool)> {
             Failsafe::BatteryLow | Failsafe::BatteryDescend => format!("{volts} V"),
             _ => format!("{what}, {volts} V · {percent} %{todo}."),
         };
-        Some((text, empty))
+        Some((what, text, empty))
     })
 }
 
@@ -85,8 +85,8 @@ const REPEAT_S: u64 = 4;
 /// the battery is nearly empty.
 pub fn sound(ctx: Ctx) {
     let tones: Tones = expect_context();
-    let acts = Memo::new(move |_| failsafe(ctx).is_some_and(|(_, acts)| acts));
-    let battery = Memo::new(move |_| battery(ctx).map(|(_, empty)| empty));
+    let acts = Memo::new(move |_| failsafe(ctx).is_some_and(|(.., acts)| acts));
+    let battery = Memo::new(move |_| battery(ctx).map(|(.., empty)| empty));
     let round = Memo::new(move |_| {
         let repeats = acts.get() || battery.get() == Some(true);
         repeats.then(|| (ctx.live(|_| net::now_ms()) * 1e-3) as u64 / REPEAT_S)
@@ -113,7 +113,8 @@ pub fn sound(ctx: Ctx) {
     once(Tune::Lost, Memo::new(move |_| lost_to(ctx).is_some()));
 }
 
-/// The bars, beside each other.
+/// The bars, beside each other. What an alarm is is told once, when it begins: what counts on, its age or its figures, is to be seen
+/// only, or a screen reader would begin anew with each change.
 #[component]
 pub fn Alarms() -> impl IntoView {
     let ctx = ctx();
@@ -125,13 +126,14 @@ pub fn Alarms() -> impl IntoView {
     let lost = Memo::new(move |_| lost_to(ctx));
     let simulated = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "sim")));
     view! {
-        <div class="alarms" role="alert" aria-label="Alarms">
+        <div class="alarms" role="alert" aria-atomic="false" aria-label="Alarms">
             {move || age.get().map(|s| view! {
-                <p class="alarm bad data-age"><b>{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
+                <p class="alarm bad data-age"><span class="visually-hidden">"Data is old."</span><b aria-hidden="true">{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
             })}
-            {move || failsafe.get().filter(|(text, acts)| *acts || *text != ended.get()).map(|(text, acts)| view! {
+            {move || failsafe.get().filter(|(_, text, acts)| *acts || *text != ended.get()).map(|(title, text, acts)| view! {
                 <p class="alarm loud" class:bad=acts>
-                    <b title=text.clone()>{text.clone()}</b>
+                    <span class="visually-hidden">{title}</span>
+                    <b aria-hidden="true" title=text.clone()>{text.clone()}</b>
                     {acts.then(|| view! {
                         <button type="button" class="small" title="Tones for alarms on or off (T)" on:click=move |_| tones.switch(!tones.on.get_untracked())>
                             {move || if tones.on.get() { "Mute" } else { "Unmute" }}
@@ -142,9 +144,10 @@ pub fn Alarms() -> impl IntoView {
                     })}
                 </p>
             })}
-            {move || battery.get().map(|(text, empty)| view! {
+            {move || battery.get().map(|(what, text, empty)| view! {
                 <p class="alarm" class:bad=empty>
-                    <b>{text}</b>
+                    <span class="visually-hidden">{what}</span>
+                    <b aria-hidden="true">{text}</b>
                     {simulated.get().then(|| view! {
                         <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!(rest::Simulator { battery: true, reset: false }))>"New battery"</button>
                     })}

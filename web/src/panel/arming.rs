@@ -112,7 +112,7 @@ pub fn ArmingCard() -> impl IntoView {
                         view! { <HoldButton label="Arm" class="go" disabled=Signal::derive(move || !known.get()) action=arm /> }.into_any()
                     }}
                 </div>
-                <details class="arm-checks" on:toggle=move |e| open.set(event_target::<web_sys::Element>(&e).has_attribute("open"))>
+                <details class="arm-checks" class:stale=old on:toggle=move |e| open.set(event_target::<web_sys::Element>(&e).has_attribute("open"))>
                     <summary aria-live="polite">
                         <span class=move || format!("one-line {}", outlook.get().0)>{move || outlook.get().1}</span>
                         <span class="one-line quiet">{move || outlook.get().2}</span>

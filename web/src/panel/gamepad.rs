@@ -3,16 +3,16 @@
 
 use std::time::Duration;
 
-use leptos::prelude::*;
+use leptos::{ev, prelude::*};
 use plumbline_proto::v1::Mode;
-use plumbline_rest::command as rest;
-use serde_json::json;
+use plumbline_rest::command::{self as rest, Answer};
+use serde_json::{Value, json};
 use wasm_bindgen::JsCast;
 use web_sys::GamepadButton;
 
 use crate::{
     ctx::{Ctx, ctx},
-    event::Tone,
+    event::{Event, Failure, Tone},
     model::{
         curves::DEGREES,
         format,
@@ -28,13 +28,15 @@ const DEAD_MAN: u32 = 5;
 /// How often the sticks are read, and sent unless the answer before is still awaited.
 const PERIOD: Duration = Duration::from_millis(50);
 
-/// The first gamepad there is: its name, its sticks, and whether the dead-man button is held.
+/// The first gamepad there is: its name, its sticks, and whether the dead-man button is held. A browser keeps the last that it
+/// read of it for a hidden page, which therefore holds nothing.
 fn gamepad() -> Option<(String, Sticks, bool)> {
     let pads = window().navigator().get_gamepads().ok()?;
     let pad = pads.iter().find_map(|pad| pad.dyn_into::<web_sys::Gamepad>().ok().filter(|pad| pad.connected()))?;
     let axes = pad.axes();
     let axis = |i| axes.get(i).as_f64().filter(|v| v.is_finite()).unwrap_or(0.0);
     let held = pad.buttons().get(DEAD_MAN).dyn_into::<GamepadButton>().is_ok_and(|button| button.pressed());
+    let held = held && !document().hidden();
     Some((pad.id(), Sticks { turn: axis(0), down: axis(1), right: axis(2), back: axis(3) }, held))
 }
 
@@ -52,12 +54,19 @@ fn idle(ctx: Ctx) -> Option<&'static str> {
     })
 }
 
+/// What a vehicle is asked for while the dead-man button is held.
+#[derive(Debug, Clone)]
+struct Held {
+    vehicle: String,
+    asked: Asked,
+}
+
 /// What a gamepad does, between two readings.
 #[derive(Clone, Copy)]
 struct Pad {
     ctx: Ctx,
     name: RwSignal<Option<String>>,
-    asked: RwSignal<Option<Asked>>,
+    held: RwSignal<Option<Held>>,
     /// An answer is awaited.
     waits: StoredValue<bool>,
     read_ms: StoredValue<f64>,
@@ -74,9 +83,10 @@ impl Pad {
         let dt_s = ((now - self.read_ms.get_value()) * 1e-3).clamp(0.0, 0.2);
         self.read_ms.set_value(now);
         let flies = found.filter(|(.., held)| *held && idle(self.ctx).is_none());
-        let before = self.asked.get_untracked();
+        let flies = flies.zip(self.ctx.app.with_value(|app| app.vehicle.clone()));
+        let before = self.held.get_untracked();
         match (flies, before) {
-            (Some((_, sticks, _)), before) => {
+            (Some(((_, sticks, _), vehicle)), before) if before.as_ref().is_none_or(|held| held.vehicle == vehicle) => {
                 if let Some(why) = untrack(|| self.ctx.refusal()) {
                     return self.ctx.refuse(why);
                 }
@@ -85,40 +95,48 @@ impl Pad {
                     let limits = live.description.get().and_then(|d| d.limits);
                     (yaw, limits.map_or([0.0, 1.0], |l| [l.tilt_max_rad, f64::INFINITY]))
                 });
-                let asked = before.unwrap_or(Asked::level(yaw_rad)).after(sticks, dt_s, tilt, throttle);
-                self.asked.set(Some(asked));
-                self.send(asked);
+                let before = before.map_or(Asked::level(yaw_rad), |held| held.asked);
+                let asked = before.after(sticks, dt_s, tilt, throttle);
+                self.held.set(Some(Held { vehicle: vehicle.clone(), asked }));
+                self.send(vehicle, asked);
             }
-            // Let go, lost or landed: once level, then the altitude is held.
-            (None, Some(asked)) => {
-                self.asked.set(None);
-                self.let_go(asked);
+            // Let go, lost, landed, or another vehicle is shown.
+            (_, Some(held)) => {
+                self.held.set(None);
+                self.let_go(held);
             }
-            (None, None) => {}
+            (_, None) => {}
         }
     }
 
-    fn let_go(self, asked: Asked) {
-        if idle(self.ctx).is_some() {
+    /// Has the vehicle that was flown, whichever is shown by now, level once, and then hold its altitude.
+    fn let_go(self, held: Held) {
+        let shown = self.ctx.app.with_value(|app| app.vehicle.as_ref() == Some(&held.vehicle));
+        if shown && idle(self.ctx).is_some() {
             return;
         }
-        let level = Asked::level(asked.roll_pitch_yaw_rad[2]).setpoint();
-        self.ctx.command("Sticks let go: level", "POST", "setpoint", json!(level));
+        let level = Asked::level(held.asked.roll_pitch_yaw_rad[2]).setpoint();
         let mode = names::mode_json(Mode::AltitudeHold);
-        self.ctx.command("Sticks let go: altitude hold", "POST", "mode", json!(rest::Mode { mode }));
+        for (what, action, body) in [
+            ("Sticks let go: level", "setpoint", json!(level)),
+            ("Sticks let go: altitude hold", "mode", json!(rest::Mode { mode })),
+        ] {
+            let vehicle = held.vehicle.clone();
+            leptos::task::spawn_local(async move {
+                let answer = command(self.ctx, &vehicle, action, body).await;
+                self.ctx.dispatch(Event::Answered(what.to_owned(), answer));
+            });
+        }
     }
 
     /// Without a notice for each: only what is refused is said.
-    fn send(self, asked: Asked) {
-        let Some(vehicle) = self.ctx.app.with_value(|app| app.vehicle.clone()).filter(|_| !self.waits.get_value())
-        else {
+    fn send(self, vehicle: String, asked: Asked) {
+        if self.waits.get_value() {
             return;
-        };
+        }
         self.waits.set_value(true);
-        let url = format!("/api/v1/vehicles/{}/setpoint", js_sys::encode_uri_component(&vehicle));
-        let (body, who, seen_us) = (json!(asked.setpoint()).to_string(), self.ctx.operator(), self.ctx.seen_us());
         leptos::task::spawn_local(async move {
-            let answer = net::command("POST", &url, body, &who, seen_us).await;
+            let answer = command(self.ctx, &vehicle, "setpoint", json!(asked.setpoint())).await;
             if self.waits.try_set_value(false).is_some() {
                 return;
             }
@@ -129,6 +147,15 @@ impl Pad {
     }
 }
 
+/// Sends a command to a vehicle, shown or not.
+async fn command(ctx: Ctx, vehicle: &str, action: &str, body: Value) -> Result<Answer, Failure> {
+    let url = format!("/api/v1/vehicles/{}/{action}", js_sys::encode_uri_component(vehicle));
+    // Nothing is seen of one that is not shown.
+    let shown = ctx.app.with_value(|app| app.vehicle.as_deref() == Some(vehicle));
+    let (who, seen_us) = (untrack(|| ctx.operator()), if shown { ctx.seen_us() } else { 0 });
+    net::command("POST", &url, body.to_string(), &who, seen_us).await
+}
+
 /// The card; nothing where no gamepad is connected. A browser shows one once a button of it was pressed.
 #[component]
 pub fn GamepadCard() -> impl IntoView {
@@ -136,18 +163,21 @@ pub fn GamepadCard() -> impl IntoView {
     let pad = Pad {
         ctx,
         name: RwSignal::new(None),
-        asked: RwSignal::new(None),
+        held: RwSignal::new(None),
         waits: StoredValue::new(false),
         read_ms: StoredValue::new(net::now_ms()),
     };
     let timer = set_interval_with_handle(move || pad.read(), PERIOD).ok();
+    // At once: a hidden page's timers are slow.
+    let hiding = window_event_listener(ev::visibilitychange, move |_| pad.read());
     on_cleanup(move || {
+        hiding.remove();
         if let Some(timer) = timer {
             timer.clear();
         }
         // Whoever leaves this page has let go.
-        if let Some(Some(asked)) = pad.asked.try_get_untracked() {
-            pad.let_go(asked);
+        if let Some(Some(held)) = pad.held.try_get_untracked() {
+            pad.let_go(held);
         }
     });
     let vehicle = move || ctx.app(|app| app.vehicle.clone()).unwrap_or_else(|| format::NONE.to_owned());
@@ -156,8 +186,8 @@ pub fn GamepadCard() -> impl IntoView {
         idle(ctx)
     });
     let degrees = |rad: f64| format!("{}°", format::signed(rad * DEGREES, 0));
-    let told = move || match (pad.asked.get(), why.get()) {
-        (Some(asked), _) => {
+    let told = move || match (pad.held.get(), why.get()) {
+        (Some(Held { asked, .. }), _) => {
             let [roll, pitch, yaw] = asked.roll_pitch_yaw_rad.map(degrees);
             format!("roll {roll}, pitch {pitch}, yaw {yaw}, thrust {} %", format::fixed(100.0 * asked.throttle, 0))
         }
@@ -166,9 +196,9 @@ pub fn GamepadCard() -> impl IntoView {
     };
     view! {
         <Show when=move || pad.name.with(Option::is_some)>
-            <section class="card gamepad" class:flies=move || pad.asked.with(Option::is_some) aria-label="Gamepad">
+            <section class="card gamepad" class:flies=move || pad.held.with(Option::is_some) aria-label="Gamepad">
                 <header><h2>"Gamepad"</h2><small class="quiet one-line push" title=move || pad.name.get()>{move || pad.name.get()}</small></header>
-                <p><b>{move || if pad.asked.with(Option::is_some) { format!("Flies {}", vehicle()) } else { format!("For {}", vehicle()) }}</b></p>
+                <p><b>{move || if pad.held.with(Option::is_some) { format!("Flies {}", vehicle()) } else { format!("For {}", vehicle()) }}</b></p>
                 <p class="num">{told}</p>
             </section>
         </Show>

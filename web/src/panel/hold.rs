@@ -64,7 +64,10 @@ pub fn HoldButton(
                 if is_key(&e) {
                     e.prevent_default();
                     e.stop_propagation();
-                    press();
+                    // A key held on is one hold.
+                    if !e.repeat() {
+                        press();
+                    }
                 }
             }
             on:keyup=move |e| {

@@ -1,7 +1,7 @@
 //! What the charts below were flown with, on their time axis: mode, estimator and gains, attacks, steps, notes.
 //!
 //! A piece is placed by its own times and by two properties of the whole, where the axis begins and how wide a second is:
-//! while the charts move, nothing but those two is written.
+//! while the charts move, little but those two is written.
 
 use leptos::prelude::*;
 use plumbline_proto::v1::{Mode, Severity};
@@ -11,8 +11,8 @@ use crate::{
     model::{axis::TimeAxis, format, live::Live, names},
 };
 
-/// A piece without an end goes on for so long, s.
-const ON_S: f64 = 7200.0;
+/// Of a piece so many lengths of the view before and after it are drawn, at least: a browser draws nothing that is too long.
+const BEYOND: f64 = 8.0;
 
 /// A stretch of one lane.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,19 +26,27 @@ struct Piece {
 /// Name, explanation and pieces of every lane.
 type Lanes = [(&'static str, &'static str, Vec<Piece>); 5];
 
-/// Pieces that each begin somewhere and end where the next one begins.
-fn chained(begins: impl IntoIterator<Item = (f64, String, &'static str)>, end_s: f64) -> Vec<Piece> {
-    let mut pieces: Vec<Piece> = Vec::new();
-    for (start_s, text, class) in begins {
-        if let Some(last) = pieces.last_mut() {
-            if last.text == text {
-                continue;
-            }
-            last.end_s = start_s;
-        }
-        pieces.push(Piece { start_s, end_s, text, class });
-    }
-    pieces
+/// Those pieces in view that each begin somewhere and end where something else begins; `told` gives text and class of each.
+fn chained<T: PartialEq>(
+    begins: impl IntoIterator<Item = (f64, T)>,
+    axis: TimeAxis,
+    end_s: f64,
+    told: impl Fn(T) -> (String, &'static str),
+) -> Vec<Piece> {
+    let mut begins: Vec<_> = begins.into_iter().collect();
+    begins.dedup_by(|next, before| next.1 == before.1);
+    let mut ends: Vec<_> = begins.iter().skip(1).map(|(start_s, _)| *start_s).collect();
+    ends.push(end_s);
+    let seen = begins.into_iter().zip(ends).filter(|((start_s, _), end_s)| in_view(axis, *start_s, *end_s));
+    seen.map(|((start_s, of), end_s)| {
+        let (text, class) = told(of);
+        Piece { start_s, end_s, text, class }
+    })
+    .collect()
+}
+
+fn in_view(axis: TimeAxis, start_s: f64, end_s: f64) -> bool {
+    end_s > axis.start_s && start_s < axis.end_s
 }
 
 fn mode_class(mode: Mode) -> &'static str {
@@ -54,37 +62,46 @@ fn mode_class(mode: Mode) -> &'static str {
 fn lanes(live: &Live, notes: &[(f64, String)], axis: TimeAxis, end_s: f64) -> Lanes {
     let seconds = |us: u64| us as f64 * 1e-6;
     let states = &live.log.states;
-    let modes = states.iter().map(|s| (s.from_s, names::mode(s.mode).to_owned(), mode_class(s.mode)));
-    let loops = states.iter().map(|s| {
-        let gains = if s.gains > 0 { format!(" · gains {}", s.gains) } else { String::new() };
-        (s.from_s, format!("{}{gains}", names::estimator_numbered(s.estimator)), "loop")
-    });
-    let steps = live.log.steps.iter().map(|s| {
-        let to = format!("{} m", format::fixed(s.to_m, 2));
-        (seconds(s.start_time_us), to, if s.finished { "" } else { "idle" })
-    });
-    let attacks = live.log.attacks.between(axis.start_s, axis.end_s).map(|span| {
+    let modes = states.iter().map(|s| (s.from_s, s.mode));
+    let mode = |mode: Mode| (names::mode(mode).to_owned(), mode_class(mode));
+    let loops = states.iter().map(|s| (s.from_s, (s.estimator, s.gains)));
+    let in_loop = |(estimator, gains): (u16, u32)| {
+        let gains = if gains > 0 { format!(" · gains {gains}") } else { String::new() };
+        (format!("{}{gains}", names::estimator_numbered(estimator)), "loop")
+    };
+    let steps = live.log.steps.iter().map(|s| (seconds(s.start_time_us), (s.to_m, s.finished)));
+    let step =
+        |(to_m, finished): (f64, bool)| (format!("{} m", format::fixed(to_m, 2)), if finished { "" } else { "idle" });
+    let attacks = live.log.attacks.between(axis.start_s, axis.end_s).filter(|s| in_view(axis, s.start_s, s.end_s));
+    let attacks = attacks.map(|span| {
         let of = &span.attack;
         let text = format!("{} {}", names::instance(of.sensor(), of.instance), names::attack_kind(of.kind()));
         let class = if span.seen { "attack" } else { "attack planned" };
         Piece { start_s: span.start_s, end_s: span.end_s, text, class }
     });
     let events = live.log.events.iter().filter_map(|e| match e.severity() {
-        Severity::Critical => Some((seconds(e.time_us), e.text.clone(), "alarm")),
-        Severity::Warning => Some((seconds(e.time_us), e.text.clone(), "caution")),
+        Severity::Critical => Some((seconds(e.time_us), (e.text.as_str(), "alarm"))),
+        Severity::Warning => Some((seconds(e.time_us), (e.text.as_str(), "caution"))),
         _ => None,
     });
-    let mut told: Vec<_> = notes.iter().map(|(at, text)| (*at, text.clone(), "note")).chain(events).collect();
+    let mut told: Vec<_> = notes.iter().map(|(at, text)| (*at, (text.as_str(), "note"))).chain(events).collect();
     told.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let note = |(text, class): (&str, &'static str)| (text.to_owned(), class);
+    // Moved on seldom, so that a piece stays what it is while time passes.
+    let drawn_s = (BEYOND * axis.span_s()).log2().ceil().exp2();
+    let from_s = ((axis.start_s / drawn_s).floor() - 1.0) * drawn_s;
+    let to_s = ((axis.end_s / drawn_s).floor() + 2.0) * drawn_s;
     [
-        ("Mode", "Mode of flight", chained(modes, end_s)),
-        ("Loop", "What estimated in the loop, and revision of the gains", chained(loops, end_s)),
+        ("Mode", "Mode of flight", chained(modes, axis, end_s, mode)),
+        ("Loop", "What estimated in the loop, and revision of the gains", chained(loops, axis, end_s, in_loop)),
         ("Attack", "Attacks, from the first sample altered to the last", attacks.collect()),
-        ("Step", "Altitude asked for", chained(steps, end_s)),
-        ("Note", "Warnings, and lines of the notes that begin with a time", chained(told, end_s)),
+        ("Step", "Altitude asked for", chained(steps, axis, end_s, step)),
+        ("Note", "Warnings, and lines of the notes that begin with a time", chained(told, axis, end_s, note)),
     ]
     .map(|(name, about, mut pieces)| {
-        pieces.retain(|piece| piece.end_s > axis.start_s && piece.start_s < axis.end_s);
+        for piece in &mut pieces {
+            (piece.start_s, piece.end_s) = (piece.start_s.max(from_s), piece.end_s.min(to_s));
+        }
         (name, about, pieces)
     })
 }
@@ -95,8 +112,7 @@ fn left(time_s: f64) -> String {
 }
 
 fn style(piece: &Piece) -> String {
-    let end_s = piece.end_s.min(piece.start_s + ON_S);
-    format!("left:{};width:calc({:.3} * var(--second))", left(piece.start_s), end_s - piece.start_s)
+    format!("left:{};width:calc({:.3} * var(--second))", left(piece.start_s), piece.end_s - piece.start_s)
 }
 
 /// The lanes. They stay on top while the charts scroll below them.
@@ -186,6 +202,25 @@ mod tests {
         assert_eq!(of(1).len(), 2);
         assert!(of(1)[1].2.ends_with("gains 2") && of(1)[0].1 == 6.0, "{:?}", of(1));
         assert_eq!(of(4), [(5.0, 20.0, "gust")]);
+    }
+
+    #[test]
+    fn a_mode_that_lasts_for_hours_is_drawn_all_along_and_stays_what_it_is_for_a_while() {
+        let mut live = Live::default();
+        let status = v1::Status { time_us: 1_000_000, mode: Mode::Hold.into(), ..Default::default() };
+        live.log.status(&status);
+        let mode = |start_s: f64| {
+            let [(.., pieces), ..] = lanes(&live, &[], TimeAxis::new(start_s, start_s + 10.0), f64::INFINITY);
+            pieces
+        };
+        for start_s in [0.0, 100.0, 7200.0, 36_000.0, 1e6] {
+            let pieces = mode(start_s);
+            assert_eq!(pieces.len(), 1, "{start_s}");
+            let piece = &pieces[0];
+            assert!(piece.start_s <= start_s.max(1.0) && piece.end_s >= start_s + 10.0, "{start_s}: {piece:?}");
+            assert!(piece.end_s - piece.start_s <= 400.0, "{start_s}: {piece:?}");
+        }
+        assert_eq!(mode(36_000.0), mode(36_060.0));
     }
 
     #[test]

@@ -106,6 +106,9 @@ pub fn Legend(
         });
         format::maybe(value, decimals)
     };
+    let old = move |curve: Curve| {
+        !errors && deck.reading_s().is_none() && deck.read(|live| live.has_ended(curve, net::now_ms()))
+    };
     let curves = move || entries.with_untracked(|all| all.iter().map(|e| e.curve).collect::<Vec<_>>());
     let of_curve = move |entry: Entry| {
         let hidden = move || deck.hidden.with(|hidden| hidden.contains(&entry.curve));
@@ -136,7 +139,7 @@ pub fn Legend(
                     ></span>
                     <span class="legend-name" title=entry.name.clone()>{entry.name.clone()}</span>
                 </button>
-                <span class="value num">{move || value(entry.curve)}</span>
+                <span class="value num" class:stale=move || old(entry.curve)>{move || value(entry.curve)}</span>
             </li>
         }
     };

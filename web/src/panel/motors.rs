@@ -19,8 +19,8 @@ pub fn MotorsAndTicks() -> impl IntoView {
     let open = deck.motors;
     let motors = Memo::new(move |_| {
         deck.read(|live| {
-            let names = live.curves.names().filter_map(|c| if let Curve::Motor(i) = c { Some(i) } else { None });
-            names
+            let known = (0..8_u8).filter(|i| live.curves.get(Curve::Motor(*i)).is_some());
+            known
                 .map(|i| Entry {
                     curve: Curve::Motor(i),
                     name: format!("motor {}", i + 1),
@@ -60,11 +60,12 @@ pub fn MotorsAndTicks() -> impl IntoView {
             })
         })
     };
+    let old = Memo::new(move |_| deck.is_old(|live| &live.status));
     view! {
         <details class="card chart motors" prop:open=move || open.get() on:toggle:target=move |e| open.set(e.target().open())>
             <summary>
                 <h2>"Motors and tick time"</h2>
-                <span class="num quiet">{summary}</span>
+                <span class="num quiet" class:stale=old>{summary}</span>
             </summary>
             <Show when=move || open.get()>
                 <div class="chart-body folded">

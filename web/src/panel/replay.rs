@@ -22,21 +22,26 @@ pub fn ReplayCard() -> impl IntoView {
         Memo::new(move |_| ctx.live(|live| live.status.get().map_or(0.0, |s| s.replay_progress.clamp(0.0, 1.0))));
     let running = Memo::new(move |_| speed.get() > 0.0);
     let ended = Memo::new(move |_| !running.get() && progress.get() >= 1.0);
-    let resume = RwSignal::new(1.0);
+    // The speed in use; while it stands, the one before.
+    let resume = Memo::new(move |before: Option<&f64>| {
+        let now = speed.get();
+        if now > 0.0 { now } else { before.copied().unwrap_or(1.0) }
+    });
     let send = move |what: String, speed: f64, step: u32| {
         ctx.command(what, "POST", "replay", json!(rest::Replay { speed, step }))
     };
     let toggle = move |_| {
-        if speed.get_untracked() > 0.0 {
-            resume.set(speed.get_untracked());
+        if running.get_untracked() {
             send("Pause recording".into(), 0.0, 0);
         } else {
             send("Run recording".into(), resume.get_untracked(), 0);
         }
     };
-    let set_speed = move |text: String| {
-        if let Ok(wanted) = text.parse::<f64>() {
-            resume.set(wanted);
+    let set_speed = move |list: web_sys::HtmlSelectElement| {
+        let wanted = list.value().parse::<f64>();
+        // It shows what is in use: another one once the vehicle flies at it.
+        list.set_value(&resume.get_untracked().to_string());
+        if let Ok(wanted) = wanted {
             send(format!("Speed {wanted}×"), wanted, 0);
         }
     };
@@ -53,9 +58,13 @@ pub fn ReplayCard() -> impl IntoView {
                     <button type="button" aria-label=move || { if running.get() { "Pause recording" } else { "Run recording" } } on:click=toggle>
                         {move || if running.get() { "❚❚" } else { "▶" }}
                     </button>
-                    <select aria-label="Speed of the recording" on:change:target=move |e| set_speed(e.target().value())>
+                    <select
+                        aria-label="Speed of the recording"
+                        prop:value=move || resume.get().to_string()
+                        on:change:target=move |e| set_speed(e.target())
+                    >
                         {SPEEDS.into_iter().map(|s| view! {
-                            <option value=s.to_string() selected=move || (speed.get() - s).abs() < 1e-9>{format!("{s}×")}</option>
+                            <option value=s.to_string() selected=move || resume.get() == s>{format!("{s}×")}</option>
                         }).collect::<Vec<_>>()}
                     </select>
                     <button type="button" disabled=running on:click=move |_| send("Step 1 tick".into(), 0.0, 1)>"+1 tick"</button>

@@ -13,7 +13,7 @@ use super::{
 use crate::{
     deck::{Picture, Source, deck},
     model::{curves::Curve, format, layout::Evidence as Shown, names},
-    palette,
+    net, palette,
 };
 
 /// Ratio at which a residual is worth a look.
@@ -149,23 +149,26 @@ fn Rows(estimator: Memo<u16>) -> impl IntoView {
             let (number, at) = (estimator.get(), at());
             deck.read(|live| match at {
                 Some(time) => {
-                    live.curves.value_at(Curve::Worst(number, sensor, instance), time).map(|r| (r, String::new()))
+                    let ratio = live.curves.value_at(Curve::Worst(number, sensor, instance), time);
+                    ratio.map(|r| (r, String::new(), false))
                 }
-                None => live.worst_residual(number, sensor, instance).map(|(r, _)| {
+                None => live.worst_residual(number, sensor, instance, net::now_ms()).map(|(r, old)| {
                     let channel = if kind == SensorKind::Height { "" } else { names::channel(r.channel()) };
-                    (r.ratio, channel.to_owned())
+                    (r.ratio, channel.to_owned(), old)
                 }),
             })
         });
-        let ratio = move || reading.get().map(|(r, _)| r);
+        let ratio = move || reading.get().map(|(r, ..)| r);
+        // What was has no colour.
+        let fresh = move || reading.get().filter(|(.., old)| !old).map(|(r, ..)| r);
         let open = move |_| deck.residual.set(Some((sensor, instance)));
         view! {
             <li class="res-row">
                 <button type="button" class="res-name" title="Show every channel with its gate" on:click=open>
                     <span><span class="visually-hidden">"Residuals of "</span>{name}</span>
-                    <span class="res-channel" aria-hidden="true">{move || reading.get().map(|(_, c)| c)}</span>
+                    <span class="res-channel" aria-hidden="true">{move || reading.get().map(|(_, c, _)| c)}</span>
                 </button>
-                <span class=move || format!("res-value num {}", level(ratio()))>
+                <span class=move || format!("res-value num {}", level(fresh()))>
                     {move || format::maybe(ratio().map(|r| r.min(99.99)), 2)}
                 </span>
             </li>

@@ -36,7 +36,10 @@ fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl Int
             .into_any();
     }
     let ctx = ctx();
-    let choose = move |value: String| {
+    let choose = move |list: web_sys::HtmlSelectElement| {
+        let value = list.value();
+        // It shows what is in use: the other one once the vehicle solves it.
+        list.set_value(&(now.get_untracked() as i32).to_string());
         let Some(decoder) = value.parse().ok().and_then(|n: i32| Decoder::try_from(n).ok()) else { return };
         let what = format!("Decoder {}", names::decoder(decoder));
         ctx.command(what, "POST", "decoder", json!(rest::Decoder { decoder: names::decoder_json(decoder) }));
@@ -47,7 +50,7 @@ fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl Int
             aria-label="Decoder"
             title="Norm over time; split: position and orientation apart, as in [Clinic] 3.4.1"
             prop:value=move || (now.get() as i32).to_string()
-            on:change:target=move |e| choose(e.target().value())
+            on:change:target=move |e| choose(e.target())
         >
             {DECODERS.map(|d| view! {
                 <option value=(d as i32).to_string() selected=move || now.get() == d>{names::decoder(d)}</option>
@@ -243,6 +246,7 @@ pub fn rotors(s: &v1::Status) -> Option<(String, &'static str)> {
 pub fn SecureCard() -> impl IntoView {
     let deck = deck();
     let newest = Memo::new(move |_| deck.read(|live| live.secure.get().cloned()));
+    let old = Memo::new(move |_| deck.is_old(|live| &live.secure));
     let margins = move || {
         newest
             .get()
@@ -256,7 +260,7 @@ pub fn SecureCard() -> impl IntoView {
             .collect::<Vec<_>>()
     };
     view! {
-        <section class="card chart residuals secure" aria-label="Secure estimation">
+        <section class="card chart residuals secure" class:stale=old aria-label="Secure estimation">
             <header>
                 <h2>"Attacked set"</h2>
                 <ul class="legend heat-key" aria-label="Colours">

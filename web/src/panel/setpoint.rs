@@ -9,13 +9,18 @@ use super::top_view::TopView;
 use crate::{
     ctx::ctx,
     event::Tone,
-    model::{curves::DEGREES, format},
+    keys,
+    model::{curves::DEGREES, format, live::Live},
 };
 
 /// Altitudes one press away, m.
 const PRESETS_M: [f64; 3] = [0.5, 0.8, 1.0];
 /// One press of a step button or an arrow key, m.
 pub const STEP_M: f64 = 0.1;
+/// Altitudes that differ by no more are the same, m.
+const SAME_M: f64 = 1e-6;
+/// A profile that comes no nearer to an altitude for this long does not go there, flight time, µs.
+const STANDS_US: u64 = 1_000_000;
 
 /// The next altitude on the grid of [`STEP_M`] above or below `from_m`.
 pub fn stepped(from_m: f64, up: bool) -> f64 {
@@ -23,6 +28,50 @@ pub fn stepped(from_m: f64, up: bool) -> f64 {
     const SLACK: f64 = 1e-6;
     let steps = from_m / STEP_M;
     (if up { (steps + SLACK).floor() + 1.0 } else { (steps - SLACK).ceil() - 1.0 }) * STEP_M
+}
+
+/// An altitude asked for, while the vehicle's profile goes there: steps count from it. Failsafes, paths and other operators
+/// may have the vehicle go elsewhere at any time, and nothing but its profile tells of that.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Target {
+    /// Altitude, m.
+    pub altitude_m: f64,
+    vehicle: Option<String>,
+    mode: Mode,
+    /// Once the vehicle has accepted it: how far off the profile is, m, and when it last came nearer, flight time, µs.
+    nearing: Option<(f64, u64)>,
+}
+
+impl Target {
+    /// Asked for just now, of `vehicle`, which reports as `live`.
+    pub fn new(altitude_m: f64, vehicle: Option<String>, live: &Live) -> Self {
+        Self { altitude_m, vehicle, mode: mode(live), nearing: None }
+    }
+
+    /// The vehicle has accepted it, at flight time `now_us`: its profile starts.
+    pub fn accepted(&mut self, now_us: u64) {
+        self.nearing = Some((f64::INFINITY, now_us));
+    }
+
+    /// Does it still count, `vehicle` being shown, which reports as `live`? Not once the profile is there, stands or goes
+    /// elsewhere, nor in another mode, nor for another vehicle.
+    pub fn counts(&mut self, vehicle: Option<&String>, live: &Live) -> bool {
+        let same = self.vehicle.as_ref() == vehicle && self.mode == mode(live);
+        if !same || !matches!(self.mode, Mode::AltitudeHold | Mode::Hold) {
+            return false;
+        }
+        let Some((off_m, since_us)) = &mut self.nearing else { return true };
+        let Some((now_m, time_us)) = live.setpoint_m().zip(live.control.time_us()) else { return false };
+        let before_m = std::mem::replace(off_m, (self.altitude_m - now_m).abs());
+        if *off_m < before_m - SAME_M {
+            *since_us = time_us.max(*since_us);
+        }
+        *off_m > SAME_M && time_us.saturating_sub(*since_us) < STANDS_US
+    }
+}
+
+fn mode(live: &Live) -> Mode {
+    live.status.get().map_or(Mode::Unspecified, |status| status.mode())
 }
 
 /// The setpoint card.
@@ -43,6 +92,7 @@ pub fn SetpointCard() -> impl IntoView {
             Ok(value) => {
                 ctx.set_altitude(value);
                 typed.set(String::new());
+                keys::let_go();
             }
             Err(error) => ctx.tell(Tone::Error, format!("Setpoint: {error}")),
         }
@@ -63,7 +113,7 @@ pub fn SetpointCard() -> impl IntoView {
                             type="button"
                             class="num"
                             aria-label=format!("Altitude {p:.1} m")
-                            aria-pressed=move || in_use.get().is_some_and(|s| (s - p).abs() < 1e-6).to_string()
+                            aria-pressed=move || in_use.get().is_some_and(|s| (s - p).abs() < SAME_M).to_string()
                             on:click=move |_| ctx.set_altitude(p)
                         >{format!("{p:.1}")}</button>
                     }).collect::<Vec<_>>()}
@@ -92,12 +142,7 @@ pub fn SetpointCard() -> impl IntoView {
 #[component]
 pub fn ModeFields() -> impl IntoView {
     let ctx = ctx();
-    let mode = Memo::new(move |_| {
-        ctx.live(|live| {
-            let mode = live.status.get().map_or(Mode::Unspecified, |s| s.mode());
-            if live.is_replay() { Mode::Unspecified } else { mode }
-        })
-    });
+    let mode = Memo::new(move |_| ctx.live(|live| if live.is_replay() { Mode::Unspecified } else { mode(live) }));
     let card = |name, about: &'static str, picture: Option<AnyView>, entries| {
         view! {
             <section class="card setpoint" aria-label=name><header><h2>{name}</h2><span class="quiet">{about}</span></header>{picture}<Fields name entries /></section>
@@ -146,7 +191,10 @@ fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
         e.prevent_default();
         let texts: Vec<String> = typed.iter().map(|text| text.get_untracked()).collect();
         match body(entries, &texts) {
-            Ok(body) => ctx.command(name, "POST", "setpoint", body),
+            Ok(body) => {
+                ctx.command(name, "POST", "setpoint", body);
+                keys::let_go();
+            }
             Err(error) => ctx.tell(Tone::Error, format!("{name}: {error}")),
         }
     };
@@ -166,6 +214,51 @@ fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use plumbline_proto::v1;
+
+    /// What a vehicle reports at flight time `ms`: its mode, and where its profile is.
+    fn reports(live: &mut Live, ms: u64, mode: Mode, altitude_m: f64) {
+        let setpoint = v1::Setpoint { altitude_m: Some(altitude_m), ..Default::default() };
+        live.status.set(v1::Status { mode: mode as i32, ..Default::default() }, ms * 1000);
+        live.control.set(v1::Control { setpoint: Some(setpoint), ..Default::default() }, ms * 1000);
+    }
+
+    #[test]
+    fn steps_count_from_what_was_asked_for_only_while_the_profile_goes_there() {
+        let (a, b) = (Some("a".to_owned()), Some("b".to_owned()));
+        let hold = Mode::AltitudeHold;
+        let flying = || {
+            // GIVEN a profile on its way from 0.5 m, after 1.5 m was asked for and accepted
+            let mut live = Live::default();
+            reports(&mut live, 0, hold, 0.5);
+            let mut target = Target::new(1.5, a.clone(), &live);
+            reports(&mut live, 1500, hold, 0.5);
+            assert!(target.counts(a.as_ref(), &live), "its answer may be long on its way");
+            target.accepted(1_500_000);
+            for (ms, altitude_m) in [(1600, 0.5), (2400, 0.6), (3000, 0.9)] {
+                reports(&mut live, ms, hold, altitude_m);
+                assert!(target.counts(a.as_ref(), &live), "{altitude_m}");
+            }
+            (target, live)
+        };
+        // WHEN it arrives, stands or turns back, or another mode begins, THEN it counts no more
+        for (ms, mode, altitude_m, why) in [
+            (3100, hold, 1.5, "it is there"),
+            (3100, Mode::Hold, 0.9, "another mode"),
+            (3100, Mode::Land, 0.9, "no altitude is held"),
+            (4000, hold, 0.9, "it stands"),
+            (4000, hold, 0.7, "it goes elsewhere"),
+        ] {
+            let (mut target, mut live) = flying();
+            reports(&mut live, ms, mode, altitude_m);
+            assert!(!target.counts(a.as_ref(), &live), "{why}");
+        }
+        // WHEN another vehicle is shown
+        let (mut target, live) = flying();
+        assert!(!target.counts(b.as_ref(), &live));
+        // WHEN nothing is heard for a while, THEN nothing is known against it
+        assert!(target.counts(a.as_ref(), &live));
+    }
 
     #[test]
     fn steps_end_on_the_grid() {

@@ -5,7 +5,7 @@ use plumbline_proto::v1::Mode;
 use serde_json::json;
 
 use crate::{
-    app::Socket,
+    app::{App, Socket},
     ctx::{Ctx, ctx},
     event::Event,
     model::{api, format, names, route::Route},
@@ -123,14 +123,7 @@ pub fn Toolbar() -> impl IntoView {
     let in_flights = Signal::derive(move || {
         matches!(ctx.route.get(), Route::Flights | Route::Flight(_) | Route::Report(_) | Route::Compare(_))
     });
-    let vehicles = Memo::new(move |_| {
-        ctx.app(|app| {
-            app.vehicles
-                .as_ref()
-                .map(|all| all.iter().map(|v| (v.id.clone(), v.connected)).collect::<Vec<_>>())
-                .unwrap_or_default()
-        })
-    });
+    let vehicles = Memo::new(move |_| ctx.app(App::offered));
     let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
     let armed = Memo::new(move |_| ctx.live(|live| live.status.get().map(|s| s.armed)));
     let link = Memo::new(move |_| link_state(ctx));
@@ -183,7 +176,7 @@ pub fn Toolbar() -> impl IntoView {
                         all.into_iter().map(|(id, connected)| {
                             let shown = id.clone();
                             let text = if connected { id.clone() } else { format!("{id} (offline)") };
-                            view! { <option value=id selected=move || ctx.app(|a| a.vehicle.as_deref() == Some(shown.as_str()))>{text}</option> }
+                            view! { <option value=id prop:selected=move || ctx.app(|a| a.vehicle.as_deref() == Some(shown.as_str()))>{text}</option> }
                         }).collect::<Vec<_>>().into_any()
                     }
                 }}

@@ -116,7 +116,7 @@ impl Curves {
             found.push((time_s, if angle { wrapped(off) * MRAD } else { off * MM }));
         }
         let samples = self.samples;
-        let errors = self.map.entry(error).or_insert_with(|| Series::new(samples).with_max_gap(GAP_S));
+        let errors = self.map.entry(error).or_insert_with(|| Series::new(samples(error)).with_max_gap(GAP_S));
         for (time_s, off) in &found {
             errors.push(*time_s, *off as f32);
         }

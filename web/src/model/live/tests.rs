@@ -163,9 +163,35 @@ fn worst_channel_of_an_instance_and_rows_in_order() {
     append(&mut out, Kind::Residuals, 1, 1, 5, &message);
     live.ingest(&out, 0.0).unwrap();
     assert_eq!(live.residual_rows(1), vec![(SensorKind::Height as i32, 2), (SensorKind::Imu as i32, 1)]);
-    let (worst, _) = live.worst_residual(1, SensorKind::Imu as i32, 1).unwrap();
+    let (worst, _) = live.worst_residual(1, SensorKind::Imu as i32, 1, 0.0).unwrap();
     assert_eq!((worst.channel, worst.ratio), (8, 0.9));
-    assert!(live.worst_residual(2, 1, 1).is_none());
+    assert!(live.worst_residual(2, 1, 1, 0.0).is_none());
+}
+
+#[test]
+fn what_a_silent_sensor_said_last_is_old_and_what_others_say_is_not() {
+    let mut live = Live::default();
+    let mut feed = |instances: &[u32], range: std::ops::Range<u64>| {
+        let mut out = Vec::new();
+        let end_ms = (range.end - 1) as f64 * 100.0;
+        for i in range {
+            let of = |instance| v1::Residual { sensor: 2, instance, ratio: 0.4, ..Default::default() };
+            let residuals = instances.iter().copied().map(of).collect();
+            let message = v1::Residuals { time_us: i * 100_000, estimator: 1, residuals };
+            append(&mut out, Kind::Residuals, 1, i, i * 100_000, &message);
+        }
+        live.ingest(&out, end_ms).unwrap();
+        [1, 2].map(|instance| {
+            let residual = live.worst_residual(1, 2, instance, end_ms).unwrap();
+            (residual.0.ratio, residual.1, live.has_ended(Curve::Worst(1, 2, instance), end_ms))
+        })
+    };
+    // GIVEN two sensors; WHEN one falls silent, THEN what it said last is old after a second
+    assert_eq!(feed(&[1, 2], 1..20), [(0.4, false, false); 2]);
+    assert_eq!(feed(&[1], 20..28), [(0.4, false, false); 2]);
+    assert_eq!(feed(&[1], 28..31), [(0.4, false, false), (0.4, true, true)]);
+    // WHEN it is back, THEN it counts again
+    assert_eq!(feed(&[1, 2], 31..32), [(0.4, false, false); 2]);
 }
 
 #[test]

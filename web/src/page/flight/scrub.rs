@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use leptos::{ev, html, prelude::*};
 
-use crate::{deck::Deck, net};
+use crate::{deck::Deck, keys::Takes, net};
 
 /// Playback speeds.
 const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
@@ -53,15 +53,13 @@ pub(super) fn Scrub(
     };
     let seek = move |delta: f64| deck.playhead.update(|t| *t = (*t + delta).clamp(begin, end));
     let keys = window_event_listener(ev::keydown, move |e| {
-        use wasm_bindgen::JsCast;
-        let tag =
-            e.target().and_then(|t| t.dyn_into::<web_sys::Element>().ok()).map(|t| t.tag_name()).unwrap_or_default();
-        if matches!(tag.as_str(), "INPUT" | "TEXTAREA" | "SELECT") || e.ctrl_key() || e.alt_key() || e.meta_key() {
+        let takes = Takes::by(&e);
+        if takes == Takes::All || e.ctrl_key() || e.alt_key() || e.meta_key() {
             return;
         }
         let far = if e.shift_key() { 10.0 } else { 1.0 };
         match e.key().as_str() {
-            " " if !matches!(tag.as_str(), "BUTTON" | "A" | "SUMMARY") => toggle(),
+            " " if takes == Takes::Nothing => toggle(),
             "ArrowLeft" => seek(-far),
             "ArrowRight" => seek(far),
             "Home" => deck.playhead.set(begin),
