@@ -33,7 +33,7 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil
 
 parser = argparse.ArgumentParser()
-parser.add_argument("port", type=int, help="0 with --pty")
+parser.add_argument("port", type=int, help="unused with --pty")
 parser.add_argument("autopilot", type=int, nargs="?", default=12)
 parser.add_argument("pilot_s", type=float, nargs="?", default=math.inf, help="after arming, somebody takes over")
 parser.add_argument("--pty", help="a link to the terminal is made here")

@@ -3,7 +3,7 @@
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 
-import { assert, complaints, end, launch, need, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, end, launch, need, shot, step, until, url } from './support.mjs';
 
 const axe = readFileSync(createRequire(`${need('PLUMBLINE_MODULES')}/`).resolve('axe-core/axe.min.js'), 'utf8');
 const browser = await launch();
@@ -45,30 +45,32 @@ const small = () => page.evaluate(() => {
   return found;
 });
 
-for (const [width, height] of [[1280, 720], [390, 844]]) {
-  for (const [name, path] of Object.entries(PAGES)) {
-    await step(page, `axe: ${name} at ${width}×${height}, light and dark`, async () => {
+for (const [name, path] of Object.entries(PAGES)) {
+  await step(page, `axe: ${name}, light and dark, wide and narrow`, async () => {
+    await page.setViewportSize({ width: 1280, height: 720 });
+    await page.goto(url + path);
+    await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
+    // Recordings take a moment.
+    if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
+    const told = {};
+    for (const [width, height] of [[1280, 720], [390, 844]]) {
+      const size = `${width}×${height}`;
       await page.setViewportSize({ width, height });
-      await page.goto(url + path);
-      await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
-      // Recordings take a moment.
-      if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
       await page.waitForTimeout(1200);
-      const told = {};
       const tiny = await small();
-      assert(tiny.length === 0, `${tiny.length} texts below 12 px\n${tiny.slice(0, 8).join('\n')}`);
+      assert(tiny.length === 0, `${size}: ${tiny.length} texts below 12 px\n${tiny.slice(0, 8).join('\n')}`);
       for (const theme of ['light', 'dark']) {
         const { grave, lesser } = await findings();
-        await page.screenshot({ path: `${screenshots}/axe-${name}-${theme}-${width}x${height}.png` });
+        await shot(page, `axe-${name}-${theme}-${width}x${height}`);
         await page.getByRole('button', { name: 'Dark theme' }).click();
-        assert(grave.length === 0, `${theme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);
-        told[theme] = lesser;
+        assert(grave.length === 0, `${size}, ${theme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);
+        told[`${size} ${theme}`] = lesser;
       }
       const wide = await page.evaluate(() => document.scrollingElement.scrollWidth - innerWidth);
-      assert(wide <= 0, `${wide} px wider than the screen`);
-      return told;
-    });
-  }
+      assert(wide <= 0, `${size}: ${wide} px wider than the screen`);
+    }
+    return told;
+  });
 }
 
 await step(page, 'on a phone, landing and the cut stay within reach, wherever the page is', async () => {

@@ -1,6 +1,6 @@
 // A battery that empties in flight, on a slowed-down processor: the page says so, the vehicle lands, and a new one flies on.
 
-import { assert, complaints, end, launch, number, pilot, screenshots, slowed, step, until, url } from './support.mjs';
+import { assert, complaints, end, launch, number, pilot, shot, slowed, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -9,7 +9,6 @@ const errors = complaints(page);
 const { region, button, banner, arm } = pilot(page);
 const alarm = (what) => page.getByLabel('Alarms').getByText(what);
 const charge = async () => number(/([\d.]+) %/.exec(await banner.getByLabel('Battery').textContent())?.[1]);
-const shot = (name) => page.screenshot({ path: `${screenshots}/${name}-light-1280x720.png` });
 const checks = () => region('Mode and arming').textContent();
 
 let slow;
@@ -30,7 +29,7 @@ await step(page, 'battery: low is a bar over the page before anything acts, and 
   assert(said <= 30 && said > 20, `${said} %`);
   assert(/warn|bad/.test(await banner.getByLabel('Battery', { exact: true }).getAttribute('class')), 'the toolbar does not say so');
   await alarm(/battery at \d+ % \(limit 25 %\): land soon/).waitFor({ timeout: 30_000 });
-  await shot('battery-low');
+  await shot(page, 'battery-low-light-1280x720');
   return { said };
 });
 
@@ -39,7 +38,7 @@ await step(page, 'battery: nearly empty lands by itself, with what is left', asy
   await alarm(/^[\d.]+ V$/).waitFor();
   const cut = await page.getByLabel('Alarms').locator('b').evaluateAll((all) => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.textContent));
   assert(cut.length === 0, `cut: ${cut.join(', ')}`);
-  await shot('battery-descends');
+  await shot(page, 'battery-descends-light-1280x720');
   await until('it to stand, disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 60_000);
   const left = await charge();
   assert(left > 1, `${left} % left`);
@@ -56,7 +55,7 @@ await step(page, 'battery: it does not arm before it has a new one, and then fli
   await region('Simulator').getByRole('button', { name: 'New battery' }).click();
   await until('a full battery', async () => (await charge()) >= 95);
   await arm();
-  await shot('battery-new');
+  await shot(page, 'battery-new-light-1280x720');
   await slow?.end();
 });
 

@@ -1,6 +1,6 @@
 // The attack envelope on the page: its table on Setup, its line on the arming card, and attacks that know the model, prepared into the draft.
 
-import { assert, complaints, end, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, end, launch, number, pilot, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -34,7 +34,7 @@ await step(page, 'envelope: Setup has a row for each set of sensors, and the pri
   assert(after < before, `a fourth height: ${before} → ${after} cm`);
   await price('IMU');
   await card.scrollIntoViewIfNeeded();
-  await page.screenshot({ path: `${screenshots}/envelope-light-1280x720.png` });
+  await shot(page, 'envelope-light-1280x720');
   return { rows: Object.keys(bounds).length, height_1: bounds['height 1'].bound, before, after };
 });
 
@@ -89,7 +89,7 @@ await step(page, 'envelope: the optimal attack comes into the draft, and what is
   }, 60_000);
   assert(number(/up to ([\d.]+) cm/.exec(text)[1]) > 1, text);
   await attacks.scrollIntoViewIfNeeded();
-  await page.screenshot({ path: `${screenshots}/envelope-draft-light-1280x720.png` });
+  await shot(page, 'envelope-draft-light-1280x720');
   return { one, text };
 });
 

@@ -1,7 +1,7 @@
 // Calibrate with the vehicle in one's hands, from the first pose to a fit: a recording of an IMU that is turned (`turned.mjs`) is flown
 // again, as the simulated vehicle hangs on strings and has no hands about it.
 
-import { asks, assert, complaints, end, launch, screenshots, step, until, url } from './support.mjs';
+import { asks, assert, complaints, end, launch, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -12,7 +12,6 @@ const fit = page.getByRole('region', { name: 'Fit', exact: true });
 const button = (name) => card.getByRole('button', { name, exact: true });
 const said = () => card.getByRole('status').textContent();
 const held = () => card.getByRole('listitem').filter({ hasText: ': held' }).allTextContents();
-const shot = (name) => page.screenshot({ path: `${screenshots}/guided-${name}.png`, fullPage: true });
 const run = (speed) => asks(page, 'POST', 'vehicles/iris-1/replay', { speed, step: 0 });
 const kept = async (kind) => (await asks(page, 'GET', 'calibrations')).calibrations.find((c) => c.kind === kind);
 const value = (calibration, name) => calibration.parameters.find((p) => p.name === name)?.value;
@@ -42,7 +41,7 @@ await step(page, 'guided: poses fill one after the other, and a reload loses non
   const before = await held();
   assert(before.some((text) => /nose up/.test(text)), JSON.stringify(before));
   assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after three poses');
-  await shot('poses-light-1280x720');
+  await shot(page, 'guided-poses-light-1280x720', { fullPage: true });
   await page.reload();
   await until('the same poses', async () => JSON.stringify(await held()) === JSON.stringify(before));
   assert((await page.getByLabel('What', { exact: true }).inputValue()) === 'accelerometer', 'another kind is shown after a reload');
@@ -53,7 +52,7 @@ await step(page, 'guided: all poses are held, and the fit finds the scale and th
   await run(2);
   await until('Complete', async () => /Complete/.test(await said()), 40_000);
   await run(0);
-  await shot('complete-light-1280x720');
+  await shot(page, 'guided-complete-light-1280x720', { fullPage: true });
   await button('Fit what was taken').click();
   await fit.getByText(/Left after the fit/).waitFor();
   await button('Begin').waitFor();
@@ -74,7 +73,7 @@ await step(page, 'guided: turns are counted, and the fit finds the scale of the 
   assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after a turn');
   await until('Complete', async () => /Complete/.test(await said()), 40_000);
   await run(0);
-  await shot('gyroscope-light-1280x720');
+  await shot(page, 'guided-gyroscope-light-1280x720', { fullPage: true });
   await button('Fit what was taken').click();
   await until('the fit', async () => (await kept('gyroscope')) !== undefined);
   const made = await kept('gyroscope');
@@ -92,18 +91,18 @@ await step(page, 'guided: the sphere fills while the vehicle is turned, and the 
   const seen = async () => Number(part.exec(await card.getByRole('img', { name: /^above it/ }).getAttribute('aria-label'))?.[1] ?? 0);
   await until('the first sectors', async () => (await seen()) >= 2, 30_000);
   assert(await button('Fit what was taken').isDisabled(), 'it can be fitted after a few directions');
-  await shot('sphere-light-1280x720');
+  await shot(page, 'guided-sphere-light-1280x720', { fullPage: true });
   await until('enough of them', () => button('Fit what was taken').isEnabled(), 30_000);
   await page.emulateMedia({ colorScheme: 'dark' });
   await page.getByRole('button', { name: 'Dark theme' }).click();
-  await shot('sphere-dark-1280x720');
+  await shot(page, 'guided-sphere-dark-1280x720', { fullPage: true });
   await page.setViewportSize({ width: 390, height: 844 });
-  await shot('sphere-dark-390x844');
+  await shot(page, 'guided-sphere-dark-390x844', { fullPage: true });
   await page.setViewportSize({ width: 1280, height: 720 });
   await button('Fit what was taken').click();
   // The fit before it is on the page until then.
   await until('the fit', async () => (await kept('magnetometer')) !== undefined);
-  await shot('fitted-dark-1280x720');
+  await shot(page, 'guided-fitted-dark-1280x720', { fullPage: true });
   // What was recorded stays as it was: the vehicle says so, and goes on without.
   await fit.getByText('A recording is flown: its samples are those of then.').waitFor();
   assert(await fit.getByRole('button', { name: 'Use on iris-1' }).isDisabled(), 'a recording can be calibrated otherwise');

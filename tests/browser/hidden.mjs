@@ -98,7 +98,7 @@ await step(nothing, 'a hidden tab keeps the vehicle attended, though its timers 
   await fetch(`${devtools}/json/new?about:blank`, { method: 'PUT' });
   await until('a hidden page', async () => (await page.evaluate('document.visibilityState')) === 'hidden');
   // Longer than the ten seconds after which an absent operator's vehicle lands.
-  const hidden = await rates(20);
+  const hidden = await rates(12);
   assert(hidden.timer_hz < 3, `the browser does not slow timers down: ${JSON.stringify(hidden)}`);
   assert(hidden.answers_hz > 5, JSON.stringify(hidden));
   const { armed, mode } = await vehicle();

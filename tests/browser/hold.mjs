@@ -1,6 +1,6 @@
 // Position hold under motion capture: the plane from above, and a position set by a click and by keyboard.
 
-import { assert, complaints, end, launch, number, pilot, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, end, launch, number, pilot, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -37,11 +37,11 @@ await step(page, 'hold: a click sets the position, and the vehicle flies there',
   const trail = await view.locator('polyline').getAttribute('points');
   assert(trail.trim().split(' ').length > 30, `the trail: ${trail}`);
   await position.scrollIntoViewIfNeeded();
-  await page.screenshot({ path: `${screenshots}/hold-light-1280x720.png` });
+  await shot(page, 'hold-light-1280x720');
   await button('Dark theme').click();
   await page.setViewportSize({ width: 820, height: 1180 });
   await position.scrollIntoViewIfNeeded();
-  await page.screenshot({ path: `${screenshots}/hold-dark-820x1180.png` });
+  await shot(page, 'hold-dark-820x1180');
   await page.setViewportSize({ width: 1280, height: 720 });
   await button('Dark theme').click();
   return { goal };

@@ -2,7 +2,7 @@
 // screenshots; `picture.py` makes one file of them. Run by hand against a running ground when the page has changed:
 //   PLUMBLINE_URL=… PLUMBLINE_CHROMIUM=… PLUMBLINE_MODULES=… PLUMBLINE_SCREENSHOTS=DIR node tests/browser/picture.mjs
 
-import { end, hold, launch, number, screenshots, step, until, url } from './support.mjs';
+import { armed, end, launch, number, screenshots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -16,8 +16,7 @@ await step(page, 'picture: a step under attack', async () => {
     await page.getByLabel('Exact altitude in metres').fill(String(altitude));
     await region('Setpoint').getByRole('button', { name: 'Set', exact: true }).click();
   };
-  await hold(page.getByRole('button', { name: 'Arm (hold)', exact: true }));
-  await until('armed', async () => /ARMED/.test(await banner.getByLabel('Arming').textContent()));
+  await armed(page);
   await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
   await set(0.5);
   const altitude = async () => number(await region('Readouts').getByRole('definition').nth(6).textContent());

@@ -1,6 +1,6 @@
 // A recording flown again, by role and label: what it knows is shown, what it does not know is not, and its time obeys.
 
-import { assert, complaints, drawn, end, launch, number, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, launch, number, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -22,7 +22,7 @@ await step(page, 'replay: attitude, altitude and residuals are drawn', async () 
   for (const name of ['Altitude', 'Attitude', 'Residuals']) {
     seen.push(await drawn(page, region(name).getByRole('img').first(), name));
   }
-  await page.screenshot({ path: `${screenshots}/replay-light-1280x720.png` });
+  await shot(page, 'replay-light-1280x720');
   return seen;
 });
 

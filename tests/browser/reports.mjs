@@ -2,7 +2,7 @@
 
 import { readFileSync } from 'node:fs';
 
-import { assert, complaints, drawn, end, launch, number, pilot, pixels, screenshots, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, launch, number, pilot, pixels, shot, shots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, acceptDownloads: true, colorScheme: 'light' });
@@ -10,13 +10,6 @@ const page = await context.newPage();
 page.setDefaultTimeout(10_000);
 const errors = complaints(page);
 const { region, button, banner, setpoint, arm, to, disarm } = pilot(page);
-const shots = async (name) => {
-  for (const theme of ['light', 'dark']) {
-    await page.waitForTimeout(400);
-    await page.screenshot({ path: `${screenshots}/${name}-${theme}-1280x720.png` });
-    await button('Dark theme').click();
-  }
-};
 
 await step(page, 'reports: arm and climb to 0.8 m', async () => {
   await page.goto(url);
@@ -48,7 +41,7 @@ await step(page, 'paths: what the vehicle refuses is said there in plain words',
   await form.getByLabel('shape').selectOption({ label: 'Circle' });
   assert(await form.getByRole('button', { name: 'Fly path' }).isDisabled(), 'a circle is offered in altitude hold');
   await form.getByText('It needs mode Hold.').waitFor();
-  await shots('fly-paths');
+  await shots(page, 'fly-paths');
   return { why };
 });
 
@@ -100,7 +93,7 @@ await step(page, 'errors: every estimator minus truth in mm and mrad, with its R
   await card.getByLabel('Axis of the attitude errors').selectOption('yaw');
   await until('yaw', async () => (await card.getByLabel('Axis of the attitude errors').inputValue()) === 'yaw');
   await card.getByLabel('Axis of the attitude errors').selectOption('roll');
-  await shots('fly-errors');
+  await shots(page, 'fly-errors');
   await card.getByRole('button', { name: /estimators/ }).first().click();
   return { told };
 });
@@ -156,7 +149,7 @@ await step(page, 'cursors: two that stay, and what lies between them, beside the
   }
   await cursors.getByLabel('Chart whose curves are measured').selectOption('Altitude error');
   await until('errors between', async () => Object.keys(await rows()).some((name) => name.includes('mm')));
-  await shots('fly-cursors');
+  await shots(page, 'fly-cursors');
   const field = cursors.getByLabel('Time of cursor B, in seconds of the flight');
   await field.fill(String(number(await cursors.getByLabel('Time of cursor A, in seconds of the flight').inputValue()) + 2));
   await field.press('Tab');
@@ -226,7 +219,7 @@ await step(page, 'a chart goes along as CSV: what is visible, a column per curve
   const picture = await context.newPage();
   await picture.setContent(svg);
   assert((await picture.locator('svg path.line').count()) >= 3, 'no curves in it');
-  await picture.screenshot({ path: `${screenshots}/chart-alone.png` });
+  await shot(picture, 'chart-alone');
   await picture.close();
   // What the legend points at stays, the rest of its chart steps back.
   const altitude = region('Altitude chart');
@@ -275,7 +268,7 @@ await step(page, 'reports: the flight shows its errors', async () => {
   for (const plot of await card.getByRole('img').all()) seen.push(await drawn(page, plot, await plot.getAttribute('aria-label')));
   await button('Cursors').click();
   await cursors.getByLabel('Time between the cursors').waitFor();
-  await shots('flight-errors');
+  await shots(page, 'flight-errors');
   return seen;
 });
 
@@ -300,21 +293,21 @@ await step(page, 'the report says what happened, with figures', async () => {
   assert(/seed\d/.test(await section('Configuration').textContent()), 'no seed');
   assert(/deviation of altitude/.test(await section('Controller').textContent()), 'no gains');
   assert((await report.locator('svg path.line').count()) >= 4, 'no figures');
-  await shots('report');
+  await shots(page, 'report');
   return { lead, ranked };
 });
 
 await step(page, 'the report prints without the page around it, and keeps as one file', async () => {
   await page.emulateMedia({ media: 'print', colorScheme: 'dark' });
   assert(!(await banner.isVisible()) && !(await button('Print').isVisible()), 'the page is printed, too');
-  await page.screenshot({ path: `${screenshots}/report-print.png`, fullPage: true });
+  await shot(page, 'report-print', { fullPage: true });
   await page.emulateMedia({ media: 'screen', colorScheme: 'light' });
   const html = readFileSync(await save(() => button('Save as HTML').click()), 'utf8');
   assert(!/<script|https?:|src=|href=|url\(/.test(html), 'it needs something else');
   const alone = await context.newPage();
   await alone.setContent(html);
   assert((await alone.locator('.lead').textContent()) === (await report.locator('.lead').textContent()), 'another sentence');
-  await alone.screenshot({ path: `${screenshots}/report-alone.png`, fullPage: true });
+  await shot(alone, 'report-alone', { fullPage: true });
   await alone.close();
   const latex = readFileSync(await save(() => button('LaTeX tables').click()), 'utf8');
   assert((latex.match(/\\toprule/g) ?? []).length === 6 && /mean \$\\pm\$ \$\\sigma\$/.test(latex), latex.slice(0, 600));
@@ -383,7 +376,7 @@ await step(page, 'compare: laid together, their difference, and what was not the
   assert(counted === flights[0].steps.length + flights[1].steps.length, `${counted} steps`);
   const differs = await region('Configuration and gains').getByRole('rowheader').allTextContents();
   assert(differs.includes('deviation of altitude'), JSON.stringify(differs));
-  await shots('compare');
+  await shots(page, 'compare');
   const after = await rms();
   // Any signal instead of the altitude, in its own unit; a misspelt one is said, and an empty field is the altitude again.
   const what = page.getByLabel('What is compared: the altitude, or a signal by its name');
@@ -398,7 +391,7 @@ await step(page, 'compare: laid together, their difference, and what was not the
   await drawn(page, thrust.getByRole('img').first(), 'the difference of thrust');
   await until('its RMS', async () => number(/(\d+\.\d+)$/.exec(await thrust.getByRole('listitem').first().textContent())?.[1]) > 0);
   assert(/minus .*/.test(await thrust.textContent()) && (await thrust.textContent()).includes('RMS N'), await thrust.textContent());
-  await shots('compare-signal');
+  await shots(page, 'compare-signal');
   await ask('');
   await until('the altitude again', async () => (await rms()) > 0);
   return { before, after, differs };
@@ -411,7 +404,7 @@ await step(page, 'a flight that there is not is a page that says so', async () =
     assert((await page.getByRole('link', { name: 'MCAP' }).count()) === 0, 'it offers downloads');
     await page.getByRole('link', { name: '← All flights' }).waitFor();
   }
-  await shots('flight-nonsense');
+  await shots(page, 'flight-nonsense');
 });
 
 await step(page, 'experiments: a plan is written from what the vehicle has, and counted as it is', async () => {
@@ -439,7 +432,7 @@ await step(page, 'experiments: a plan is written from what the vehicle has, and 
   await form.getByLabel('attacked').selectOption({ label: 'nothing' });
   await counts('4 conditions × 5 = 20 flights');
   assert(await form.getByLabel(/^sizes/).isDisabled(), 'sizes are asked for of no attack');
-  await shots('experiments-form');
+  await shots(page, 'experiments-form');
 });
 
 await step(page, 'experiments: a plan is counted, refused with its line, flown; its dots fill in, and one opens as a flight', async () => {
@@ -460,7 +453,7 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   assert(/line \d+/.test(refused) && refused.includes('much'), refused);
   await plan.fill(text);
   await until('the plan counted', async () => (await counted.textContent()).includes('60 flights'));
-  await shots('experiments-plan');
+  await shots(page, 'experiments-plan');
   const begun = Date.now();
   await page.getByRole('button', { name: 'Start' }).click();
   const results = region('Results');
@@ -476,7 +469,7 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   const took_s = (Date.now() - begun) / 1000;
   assert((await measure.inputValue()) === '1', `chosen after ${chosen_at} flights: ${options[1]}, shown: ${await measure.inputValue()}`);
   await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 60);
-  await shots('experiments-results');
+  await shots(page, 'experiments-results');
   await results.getByRole('link', { name: /Open the flight/ }).last().click();
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
@@ -522,7 +515,7 @@ await step(page, 'experiments: conditions are chosen by their levels and sorted;
     assert(wide <= 0, `${wide} px wider than ${width} px`);
   }
   await page.setViewportSize({ width: 1280, height: 720 });
-  await shots('experiments-browsed');
+  await shots(page, 'experiments-browsed');
   await flights.first().click();
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   return { before };
@@ -562,11 +555,11 @@ await step(page, 'experiments by hand: led through a drawn order on the vehicle;
   };
   await flown();
   await until('the attack', async () => /active/.test(await region('Attacks').textContent()));
-  await shots('by-hand');
+  await shots(page, 'by-hand');
   await at('Land');
   await land();
   await until('it can be accepted', () => led.getByRole('button', { name: 'Accept' }).isEnabled());
-  await shots('by-hand-judged');
+  await shots(page, 'by-hand-judged');
   await led.getByRole('button', { name: 'Accept' }).click();
   await until('the second', async () => /2 of 2/.test(await led.textContent()) && /last flight: accepted/.test(await led.textContent()));
   // Landed in the middle: void, with the reason that is there already. A reload loses nothing of it.

@@ -1,7 +1,7 @@
 // What lies in a recording: small pictures in the list, any signal on a chart of its own, spectra; curves shown alone,
 // tones, and a gamepad.
 
-import { assert, complaints, drawn, end, hold, launch, number, pilot, screenshots, step, steppedWith, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, holdUntil, launch, number, pilot, shot, shots, step, steppedWith, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -9,13 +9,6 @@ const page = await context.newPage();
 page.setDefaultTimeout(20_000);
 const errors = complaints(page);
 const { region, button, banner, arm, to, disarm } = pilot(page);
-const shots = async (name, size = '1280x720') => {
-  for (const theme of ['light', 'dark']) {
-    await page.waitForTimeout(500);
-    await page.screenshot({ path: `${screenshots}/${name}-${theme}-${size}.png` });
-    await button('Dark theme').click();
-  }
-};
 const listed = async () => (await (await page.request.get(`${url}/api/v1/flights`)).json()).flights;
 // A gamepad that the scripts press: two sticks, and the right shoulder button.
 await page.addInitScript(() => {
@@ -100,7 +93,7 @@ await step(page, 'signals, live: what no page is sent otherwise comes onto a plo
   const value = signals.locator('.signal-value b').first();
   const values = new Set();
   await until('values that change', async () => values.add(await value.textContent()).size >= 4);
-  await shots('fly-signals');
+  await shots(page, 'fly-signals');
   const [name] = await charted();
   await signals.getByRole('group', { name, exact: true }).getByRole('button', { name: 'Spectrum' }).click();
   const told = signals.locator('.density > p').first();
@@ -120,7 +113,7 @@ await step(page, 'layouts: kept under a name, taken back, and the same after a r
   await until('its name', async () => (await rows.allTextContents()).some((text) => text.startsWith('rates')));
   const link = await bar.getByLabel('Address, to share').inputValue();
   assert(link === page.url(), `${link} is not ${page.url()}`);
-  await page.screenshot({ path: `${screenshots}/fly-layouts-light-1280x720.png` });
+  await shot(page, 'fly-layouts-light-1280x720');
   await rows.getByRole('button', { name: 'default' }).click();
   await region('Residuals').waitFor();
   await until('an address without it', async () => !page.url().includes('signals='));
@@ -142,7 +135,7 @@ await step(page, 'layouts: kept under a name, taken back, and the same after a r
 await step(page, 'gamepad: flies while its button is held, and holds the altitude when it is let go', async () => {
   await page.goto(url);
   // Whatever flew before may still swing.
-  await hold(button('Reset (hold)'));
+  await holdUntil('the reset', button('Reset (hold)'), async () => (await page.getByText(/^Reset the simulation: /).count()) > 0);
   await arm();
   await to(0.8);
   const card = region('Gamepad');
@@ -156,7 +149,7 @@ await step(page, 'gamepad: flies while its button is held, and holds the altitud
     const text = await card.textContent();
     return /Flies iris-1/.test(text) && number(/roll ([^,]*)/.exec(text)?.[1]) >= 5 && text;
   });
-  await page.screenshot({ path: `${screenshots}/fly-gamepad-light-1280x720.png` });
+  await shot(page, 'fly-gamepad-light-1280x720');
   await page.evaluate(() => { globalThis.pad.pressed = false; });
   await until('altitude hold', async () => /altitude hold/i.test(await banner.getByLabel('Mode').textContent()));
   await page.evaluate(() => { globalThis.pad.connected = false; });
@@ -195,9 +188,9 @@ await step(page, 'flights: each has a small picture of its altitude, with its at
   const planned = flight.attacks[0];
   const share = planned.duration_s / flight.duration_s;
   assert(Math.abs(band.width / box.width - share) < 0.02, `the attack takes ${band.width} of ${box.width} px, not ${share}`);
-  await shots('flights');
+  await shots(page, 'flights');
   await page.setViewportSize({ width: 390, height: 844 });
-  await shots('flights', '390x844');
+  await shots(page, 'flights', '390x844');
   await page.setViewportSize({ width: 1280, height: 720 });
   return { stretches: known.length };
 });
@@ -212,7 +205,7 @@ await step(page, 'flights: recordings of others are chosen or dropped, and each 
   const row = (name) => region('Imports').getByRole('listitem').filter({ hasText: name });
   await row('at rest.csv').getByRole('link', { name: 'open the flight' }).waitFor();
   await until('what is no recording is refused', async () => /^notes.txt ?a file that begins with "hello"; supported are/.test(await row('notes.txt').textContent()));
-  await shots('imports');
+  await shots(page, 'imports');
   // Held over the list and let go; it is here already.
   const held = await page.evaluateHandle((text) => {
     const held = new DataTransfer();
@@ -227,7 +220,7 @@ await step(page, 'flights: recordings of others are chosen or dropped, and each 
   const title = page.getByLabel('Name of the flight');
   await until('its page', async () => (await title.inputValue()) === 'at rest.csv');
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'its altitude');
-  await shots('imported');
+  await shots(page, 'imported');
   const imported = await page.evaluate(() => location.pathname.split('/').pop());
   assert((await page.request.delete(`${url}/api/v1/flights/${imported}`, { headers: { Origin: url } })).status() === 204, imported);
   await page.goto(`${url}/flights`);
@@ -243,7 +236,7 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
   const offered = await signals.getByRole('listitem').allTextContents();
   assert(offered.join() === 'estimate_1.body_rates_radps.x rad/s', offered.join());
   await search.fill('gyro x');
-  await shots('flight-signals-choice');
+  await shots(page, 'flight-signals-choice');
   await search.fill('estimate_1 body_rates x');
   await search.press('Enter');
   const plot = signals.getByRole('img').first();
@@ -262,7 +255,7 @@ await step(page, 'signals: any number that was recorded, found by a part of its 
     return texts.length === 2 && texts.every((text) => Number.isFinite(number(text))) && texts;
   });
   for (const one of await signals.getByRole('img').all()) await drawn(page, one, await one.getAttribute('aria-label'));
-  await shots('flight-signals');
+  await shots(page, 'flight-signals');
   return { names, values };
 });
 
@@ -292,7 +285,7 @@ await step(page, 'signals: a spectrum with the rotors marked, between the cursor
   await signals.getByText(/peak [\d.]+ Hz; in view, mean of \d+ windows; dashed: rotors, [\d.]+ Hz, 1 to 4 times/).waitFor();
   const whole = await signals.locator('.density > p').textContent();
   assert((await signals.locator('.density svg path').count()) >= 5, 'no rotors');
-  await shots('flight-spectrum');
+  await shots(page, 'flight-spectrum');
   await page.keyboard.press('m');
   await signals.getByText(/between the cursors/).waitFor();
   await page.keyboard.press('m');
@@ -321,7 +314,7 @@ await step(page, 'signals: two stretches lie over one another, with the rotors a
   await until('both', async () => (await lines()) > before && rms(await told.textContent()) !== rms(await kept.textContent()));
   const [a, b, times] = [rms(await kept.textContent()), rms(await told.textContent()), number(/B has ([\d.]+) times/.exec(await kept.textContent())?.[1])];
   assert(Math.abs(times - b / a) < 0.02 * times, `${b} / ${a} is not ${times}`);
-  await shots('flight-spectra');
+  await shots(page, 'flight-spectra');
   await button('Keep').click();
   await kept.waitFor({ state: 'detached' });
   await page.keyboard.press('m');
@@ -338,7 +331,7 @@ await step(page, 'signals: the address shows the same to others, and says what t
   assert(!page.url().includes('body_rates'), page.url());
   await page.setViewportSize({ width: 390, height: 844 });
   await signals.evaluate((card) => card.scrollIntoView());
-  await shots('flight-signals', '390x844');
+  await shots(page, 'flight-signals', '390x844');
   await page.setViewportSize({ width: 1280, height: 720 });
   await page.goto(`${url}/flights/${flight.id}?signals=no.such.signal`);
   await signals.getByRole('alert').getByText(/no signal "no.such.signal"/).waitFor();
@@ -376,7 +369,7 @@ await step(page, 'a long flight opens thinned; what is looked at comes whole, an
     const text = await region('Errors').getByRole('listitem').first().textContent();
     return number(/(\d+\.\d)$/.exec(text)?.[1]) || false;
   }, 60_000);
-  await shots('flight-long-errors');
+  await shots(page, 'flight-long-errors');
   await page.goto(`${url}/flights/${long}/report`);
   const row = page.getByRole('row').filter({ hasText: /^\d*Secure \(lanes\)/ }).first();
   const reported = number(await row.getByRole('cell').nth(2).textContent());

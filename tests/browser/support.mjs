@@ -17,6 +17,25 @@ export const { ws: Socket } = createRequire(`${modules}/`)(join(modules, 'node_m
 export const url = need('PLUMBLINE_URL');
 export const screenshots = need('PLUMBLINE_SCREENSHOTS');
 
+/**
+ * A picture for people, of a page or a part of it, and only where they ask for them (PLUMBLINE_SHOTS=1): none is compared with anything,
+ * and each waits until what was pressed last is drawn. `looks.mjs` compares its own.
+ */
+export async function shot(of, name, options) {
+  if (process.env.PLUMBLINE_SHOTS !== '1') return;
+  await new Promise((resolve) => setTimeout(resolve, 400));
+  await of.screenshot({ path: `${screenshots}/${name}.png`, ...options });
+}
+
+/** The same in both themes, from light to light. */
+export async function shots(page, name, size = '1280x720') {
+  if (process.env.PLUMBLINE_SHOTS !== '1') return;
+  for (const theme of ['light', 'dark']) {
+    await shot(page, `${name}-${theme}-${size}`);
+    await page.getByRole('button', { name: 'Dark theme', exact: true }).click();
+  }
+}
+
 // Headless Chromium draws WebGL2 in software without flags; root needs the sandbox off. A graphics card is used where
 // PLUMBLINE_CHROMIUM_FLAGS say how.
 export const launch = (...more) => {
@@ -77,10 +96,29 @@ export const number = (text) => {
   return found ? Number(found[0].replace('−', '-')) : NaN;
 };
 
-/** Holds a button as a finger would. */
-export async function hold(button) {
-  await button.scrollIntoViewIfNeeded();
-  await button.click({ delay: 1100 });
+/**
+ * Holds a button as a finger would, until `done`. A vehicle that swings may refuse, and a page that is drawing when the pointer comes down
+ * counts less of a hold: a person holds the button again.
+ */
+export async function holdUntil(what, button, done, limitMs) {
+  await until(what, async () => {
+    if (await button.count()) {
+      await button.scrollIntoViewIfNeeded();
+      await button.click({ delay: 1100 });
+    }
+    // A slowed-down page shows later what came of it; another hold would ask for what is done, which is refused.
+    for (let n = 0; n < 10 && !(await done()); n += 1) await new Promise((resolve) => setTimeout(resolve, 300));
+    return done();
+  }, limitMs);
+}
+
+/** Arms by its button, once all checks pass. */
+export async function armed(page, limitMs) {
+  const card = page.getByRole('region', { name: 'Mode and arming', exact: true });
+  const arming = page.getByRole('banner').getByLabel('Arming');
+  await until('checks to pass', async () => /all \d+ checks pass/.test(await card.textContent()), limitMs);
+  const arm = page.getByRole('button', { name: 'Arm (hold)', exact: true });
+  await holdUntil('ARMED', arm, async () => /ARMED/.test(await arming.textContent()), limitMs);
 }
 
 /** Whoever flies from this page: its places by name, and a flight by its buttons. */
@@ -91,13 +129,7 @@ export function pilot(page) {
   const setpoint = async () => number(await region('Setpoint').getByLabel('Altitude setpoint in use').textContent());
 
   const arm = async () => {
-    await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()));
-    await until('ARMED', async () => {
-      const arm = button('Arm (hold)');
-      if (await arm.count()) await hold(arm);
-      await page.waitForTimeout(500);
-      return /ARMED/.test(await banner.getByLabel('Arming').textContent());
-    });
+    await armed(page);
     await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
   };
   const to = async (metres) => {
@@ -107,8 +139,7 @@ export function pilot(page) {
   };
   const disarm = async () => {
     await to(0.5);
-    await hold(button('Disarm (hold)'));
-    await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()));
+    await holdUntil('disarmed', button('Disarm (hold)'), async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()));
   };
   return { region, button, banner, setpoint, arm, to, disarm };
 }
@@ -116,18 +147,27 @@ export function pilot(page) {
 // What a fixed sum takes where the suite was written with nothing else to do, ms.
 const SUM_MS = 150;
 
+/** What the same sum takes on this page now, ms. */
+async function summed(page) {
+  const sums = [];
+  for (let n = 0; n < 9; n += 1) {
+    sums.push(await page.evaluate(() => {
+      const begun = performance.now();
+      let x = 0;
+      for (let n = 0; n < 2e7; n += 1) x = (x * 31 + n) | 0;
+      globalThis.sum = x;
+      return performance.now() - begun;
+    }));
+  }
+  return median(sums);
+}
+
+/** What is promised within `ms` on that machine or a faster one; on one that is slower or busy, within as much longer as its sum takes. */
+export const within = async (page, ms) => Math.round(ms * Math.max(1, (await summed(page)) / SUM_MS));
+
 /** Has a page run on a processor `times` slower than that; a machine that is slow or busy already is slowed down by that much less. */
 export async function slowed(page, times = 4) {
-  const sum = () => page.evaluate(() => {
-    const begun = performance.now();
-    let x = 0;
-    for (let n = 0; n < 2e7; n += 1) x = (x * 31 + n) | 0;
-    globalThis.sum = x;
-    return performance.now() - begun;
-  });
-  const sums = [];
-  for (let n = 0; n < 9; n += 1) sums.push(await sum());
-  const sum_ms = sums.toSorted((a, b) => a - b)[4];
+  const sum_ms = await summed(page);
   const rate = Math.min(times, Math.max(1, (times * SUM_MS) / sum_ms));
   const cpu = await page.context().newCDPSession(page);
   const throttle = (rate) => cpu.send('Emulation.setCPUThrottlingRate', { rate });

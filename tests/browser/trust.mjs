@@ -1,6 +1,6 @@
 // Can what the page shows be trusted, and does it do what was meant? On a slowed-down processor where that matters.
 
-import { assert, complaints, end, hold, launch, listen, liveAfter, median, number, screenshots, slowed, step, until, url } from './support.mjs';
+import { armed, assert, complaints, end, holdUntil, launch, listen, liveAfter, median, number, shot, slowed, step, until, url, within } from './support.mjs';
 
 const vehicle = listen('iris-1');
 const ALTITUDE_HOLD = 3;
@@ -24,22 +24,9 @@ const on = (page) => {
 };
 const { region, button, bar, setpoint, go } = on(page);
 const operator = () => page.evaluate(() => ({ 'X-Plumbline-Operator': sessionStorage.getItem('plumbline.operator') }));
-const shot = (name) => page.screenshot({ path: `${screenshots}/${name}.png` });
 const reads = (metres) => until(`setpoint ${metres}`, async () => Math.abs((await setpoint()) - metres) < 1e-6);
 
 const age = (of = page) => vehicle.age(of);
-
-const arm = async () => {
-  await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()), 90_000);
-  await until('ARMED', async () => {
-    const arm = button('Arm (hold)');
-    if (await arm.count()) await hold(arm);
-    // A slowed-down page says so later; holding again would arm what is armed, which is refused.
-    const armed = async () => /ARMED/.test(await bar.getByLabel('Arming').textContent());
-    for (let n = 0; n < 10 && !(await armed()); n += 1) await page.waitForTimeout(300);
-    return armed();
-  }, 60_000);
-};
 
 await step(page, 'live within a second of navigation, by the age of what is shown', async () => {
   await page.goto(url);
@@ -47,8 +34,9 @@ await step(page, 'live within a second of navigation, by the age of what is show
   const ms = [];
   for (let n = 0; n < 5; n += 1) ms.push(await liveAfter(page, vehicle));
   // The best of them: a machine that tests has other things to do as well.
-  assert(Math.min(...ms) <= 1000, `live after ${ms} ms`);
-  return { ms, median: median(ms) };
+  const bound_ms = await within(page, 1000);
+  assert(Math.min(...ms) <= bound_ms, `live after ${ms} ms, not within ${bound_ms} ms`);
+  return { ms, median: median(ms), bound_ms };
 });
 
 let slow;
@@ -63,7 +51,7 @@ await step(page, 'nothing moves under the pointer that arms, on a processor four
   const places = () => Promise.all(cards.map((name) => region(name).evaluate(place)));
   const before = await places();
   slow = await slowed(page);
-  await arm();
+  await armed(page, 90_000);
   await page.waitForTimeout(500);
   const after = await places();
   // Armed and not yet flying it disarms itself soon; a script asks a slowed-down page many things for one press.
@@ -85,14 +73,12 @@ await step(page, 'altitude hold at 0.5 m', async () => {
 });
 
 await step(page, 'in flight a page is sent at most 100 kB a second', async () => {
-  const kB = [];
-  for (let n = 0; n < 3; n += 1) {
-    const [beganB, begun] = [receivedB, performance.now()];
-    await page.waitForTimeout(2000);
-    kB.push(Math.round((receivedB - beganB) / (performance.now() - begun)));
-  }
-  assert(Math.min(...kB) > 10, `${kB} kB/s: nothing is sent`);
-  assert(Math.max(...kB) <= 100, `${kB} kB/s`);
+  // Over seconds: a machine that stops for a moment sends afterwards what it did not send then.
+  const [beganB, begun] = [receivedB, performance.now()];
+  await page.waitForTimeout(6000);
+  const kB = Math.round((receivedB - beganB) / (performance.now() - begun));
+  assert(kB > 10, `${kB} kB/s: nothing is sent`);
+  assert(kB <= 100, `${kB} kB/s`);
   return { kB_per_s: kB };
 });
 
@@ -103,8 +89,8 @@ const reloads = async (count) => {
   const ms = [];
   for (let n = 0; n < count; n += 1) {
     ms.push(await liveAfter(page, vehicle));
-    // As long as the sign of life may stay away.
-    await page.waitForTimeout(4000);
+    // Longer than the 3 s that the sign of life may stay away.
+    await page.waitForTimeout(3500);
     await until('live numbers still', async () => (await age()) < 1, 10_000);
   }
   assert(vehicle.mode === ALTITUDE_HOLD && vehicle.armed, JSON.stringify({ ...vehicle, failsafes: [...vehicle.failsafes] }));
@@ -116,8 +102,9 @@ const reloads = async (count) => {
 await step(page, 'reloads in flight: live within a second, and the operator stays', async () => {
   const seen = await reloads(3);
   assert(!seen.frozen, "the operator's sign of life was missed");
-  assert(Math.min(...seen.ms) <= 1000, `live after ${seen.ms} ms`);
-  return seen;
+  const bound_ms = await within(page, 1000);
+  assert(Math.min(...seen.ms) <= bound_ms, `live after ${seen.ms} ms, not within ${bound_ms} ms`);
+  return { ...seen, bound_ms };
 });
 
 await step(page, 'reloads in flight on a processor four times slower: nothing lands, control stays', async () => {
@@ -207,7 +194,7 @@ await step(page, 'a draft of attacks is neither impossible nor lost', async () =
   assert((await items.count()) === 1 && /draft/.test(await items.first().textContent()), 'the draft is gone');
   const cut = await items.first().locator('.attack-title').evaluate((e) => e.scrollWidth > e.clientWidth);
   assert(!cut, 'its name is cut');
-  await shot('trust-draft-light-1280x720');
+  await shot(page, 'trust-draft-light-1280x720');
   await go('Setup');
   await go('Fly');
   await until('the draft after a visit elsewhere', async () => (await items.count()) === 1);
@@ -225,7 +212,7 @@ await step(page, 'another operator takes over: said by name, refused beside the 
   await other.bar.getByRole('button', { name: /Take over/ }).click();
   const alarm = page.getByText('Berta 0b0b took control.');
   await alarm.waitFor();
-  await shot('trust-taken-light-1280x720');
+  await shot(page, 'trust-taken-light-1280x720');
   for (const [width, height] of [[820, 1180], [390, 844], [1280, 720]]) {
     await page.setViewportSize({ width, height });
     await page.waitForTimeout(300);
@@ -233,7 +220,7 @@ await step(page, 'another operator takes over: said by name, refused beside the 
     const head = await page.getByRole('region', { name: 'Altitude chart' }).locator('header').first().boundingBox();
     const apart = bars.y + bars.height <= head.y || head.y + head.height <= bars.y;
     assert(apart && bars.height >= 26, `at ${width}×${height} the bar lies at ${JSON.stringify(bars)}, the chart's head at ${JSON.stringify(head)}`);
-    await shot(`trust-taken-light-${width}x${height}`);
+    await shot(page, `trust-taken-light-${width}x${height}`);
   }
   const up = button('Altitude up 0.1 m');
   const before = await setpoint();
@@ -294,7 +281,7 @@ await step(page, 'what is old is grey, and one bar says how old', async () => {
   const real = await age(viewer);
   const said = number(await old.textContent());
   assert(Math.abs(real - said) < 1.5, `${said} s said, ${real} s old`);
-  await viewer.screenshot({ path: `${screenshots}/trust-old-light-1280x720.png` });
+  await shot(viewer, 'trust-old-light-1280x720');
   held = false;
   await old.waitFor({ state: 'detached' });
   await viewer.close();
@@ -332,11 +319,9 @@ await step(page, 'the simulator gives a new battery, and makes a cut vehicle rea
   await until('a full battery', async () => (await charge()) >= 98);
   await page.getByRole('button', { name: /CUT MOTORS/ }).click();
   await until('cut', async () => /cut/i.test(await bar.getByLabel('Mode').textContent()));
-  await hold(button('Reset (hold)'));
-  await until('disarmed', async () => /disarmed/i.test(await bar.getByLabel('Mode').textContent()));
-  await arm();
-  await hold(button('Disarm (hold)'));
-  await until('disarmed', () => !vehicle.armed);
+  await holdUntil('disarmed', button('Reset (hold)'), async () => /disarmed/i.test(await bar.getByLabel('Mode').textContent()));
+  await armed(page, 90_000);
+  await holdUntil('disarmed', button('Disarm (hold)'), () => !vehicle.armed);
 });
 
 await step(page, 'the operator has a name: kept, seen by others, and control does not go along', async () => {
@@ -389,7 +374,7 @@ await step(page, 'the banner says what is missing, and goes by itself', async ()
   await gone();
   ground = false;
   await says('No ground station.');
-  await viewer.screenshot({ path: `${screenshots}/trust-banner-light-1280x720.png` });
+  await shot(viewer, 'trust-banner-light-1280x720');
   ground = true;
   await gone();
   await alone.close();

@@ -1,6 +1,6 @@
 // The everyday use through the drivers of real devices: the simulator speaks their protocols on ports of its own.
 
-import { assert, end, hold, launch, number, screenshots, step, until, url } from './support.mjs';
+import { armed, assert, end, launch, number, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -22,13 +22,7 @@ const reach = async (metres) => {
 
 await step(page, 'wires: every device gives readings, and the vehicle arms', async () => {
   await page.goto(url, { waitUntil: 'commit' });
-  await until('checks to pass', async () => /all \d+ checks pass/.test(await region('Mode and arming').textContent()), 60_000);
-  await until('ARMED', async () => {
-    const arm = page.getByRole('button', { name: 'Arm (hold)', exact: true });
-    if (await arm.count()) await hold(arm);
-    await page.waitForTimeout(500);
-    return /ARMED/.test(await arming());
-  }, 60_000);
+  await armed(page, 60_000);
   await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: /altitude hold/i }).click();
 });
 
@@ -58,7 +52,7 @@ await step(page, 'wires: an attack on height 2 is seen, and the altitude holds',
     worst = Math.max(worst, Math.abs((await readout('altitude')) - 0.6));
     await page.waitForTimeout(100);
   }
-  await page.screenshot({ path: `${screenshots}/wires-light-1280x720.png` });
+  await shot(page, 'wires-light-1280x720');
   // Half a metre of one height in three would be 17 cm of their mean.
   assert(worst < 0.1, `${worst} m off under attack`);
   return { ratio, worst_m: worst };
@@ -71,7 +65,7 @@ await step(page, 'wires: Setup shows each device with its rate', async () => {
   await until('eight devices', async () => (await rows.count()) === 9);
   const cells = await rows.filter({ hasText: 'imu4' }).getByRole('cell').allTextContents();
   assert(Math.abs(number(cells[1]) - 100) < 20, JSON.stringify(cells));
-  await page.screenshot({ path: `${screenshots}/wires-setup-light-1280x720.png` });
+  await shot(page, 'wires-setup-light-1280x720');
   await page.getByRole('navigation', { name: 'Pages' }).getByRole('link', { name: 'Fly' }).click();
   return cells;
 });

@@ -288,5 +288,8 @@ mod tests {
         let came = through(faults, 5, 1000);
         // A fifth of the time in bursts, a tenth of the rest.
         assert!((500..900).contains(&came.len()), "{} of 1000", came.len());
+        // So few that a socket holds them all.
+        let [once, again, other] = [5, 5, 6].map(|seed| through(faults, seed, 200));
+        assert!(once == again && once != other, "{once:?}, {again:?}, {other:?}");
     }
 }

@@ -8,7 +8,8 @@ pub struct Tally {
     passed: u64,
     failed: u64,
     skipped: u64,
-    failures: Vec<String>,
+    /// What failed, and why.
+    failures: Vec<(String, String)>,
     silent: bool,
 }
 
@@ -23,7 +24,7 @@ impl Tally {
         self.passed += passed;
         self.failed += failed;
         if failed > 0 {
-            self.failures.push(format!("{name}: {failed} failed"));
+            self.failures.push((name.to_owned(), format!("{failed} failed")));
         }
     }
 
@@ -54,10 +55,15 @@ impl Tally {
             Err(error) => {
                 self.failed += 1;
                 eprintln!("xtask: {name}: FAILED: {error}");
-                self.failures.push(format!("{name}: {error}"));
+                self.failures.push((name.to_owned(), error.to_string()));
                 None
             }
         }
+    }
+
+    /// What failed first.
+    pub fn first_failed(&self) -> Option<&str> {
+        self.failures.first().map(|(name, _)| name.as_str())
     }
 
     /// Did nothing fail, and something pass?
@@ -76,12 +82,12 @@ impl Drop for Tally {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.failed += 1;
-            self.failures.push("xtask itself panicked".into());
+            self.failures.push(("xtask".into(), "it panicked itself".into()));
         }
         if !self.failures.is_empty() {
             eprintln!("\nfailed:");
-            for failure in &self.failures {
-                eprintln!("  {}", failure.replace('\n', "\n    "));
+            for (name, error) in &self.failures {
+                eprintln!("  {name}: {}", error.replace('\n', "\n    "));
             }
         }
         if self.silent {
@@ -180,6 +186,7 @@ mod tests {
         tally.add("unit", 3, 0);
         assert_eq!((tally.closing_line().as_str(), tally.good()), ("3 passed, 0 failed", true));
         assert!(tally.check("format", Err::<(), _>("differs")).is_none());
+        assert_eq!(tally.first_failed(), Some("format"));
         assert_eq!((tally.closing_line().as_str(), tally.good()), ("3 passed, 1 failed", false));
         tally.skip(0, &["a".to_owned(), "b".to_owned()].into());
         assert_eq!(tally.closing_line(), "1 passed, 1 failed, 2 skipped");

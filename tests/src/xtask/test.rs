@@ -116,7 +116,7 @@ fn build(workspace: &Workspace) -> Result<(), XtaskError> {
     workspace::run(workspace.cargo().arg("build").args(EVERYTHING).args(["--bins", "--tests"]))
 }
 
-/// Unit, integration, system and documentation tests of all members.
+/// Unit, integration and system tests of all members.
 fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     if tally.check("build", build(workspace)).is_none() {
         return;
@@ -168,7 +168,15 @@ const AFTER_END: Duration = Duration::from_secs(5);
 
 /// Runs to the end, passing on each line of its standard output. True when it says success. What it has started and left behind may hold its
 /// output open for ever: that is told, and not waited for.
-pub fn run_and_read(command: &mut std::process::Command, mut read: impl FnMut(&str)) -> Result<bool, XtaskError> {
+pub fn run_and_read(command: &mut std::process::Command, read: impl FnMut(&str)) -> Result<bool, XtaskError> {
+    run_and_read_for(AFTER_END, command, read)
+}
+
+fn run_and_read_for(
+    after_end: Duration,
+    command: &mut std::process::Command,
+    mut read: impl FnMut(&str),
+) -> Result<bool, XtaskError> {
     let line = workspace::command_line(command);
     let start = |source| XtaskError::Start { command: line.clone(), source };
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().map_err(start)?;
@@ -181,7 +189,7 @@ pub fn run_and_read(command: &mut std::process::Command, mut read: impl FnMut(&s
         });
     }
     loop {
-        match lines.recv_timeout(AFTER_END) {
+        match lines.recv_timeout(after_end) {
             Ok(bytes) => read(&String::from_utf8_lossy(&bytes.map_err(start)?)),
             Err(RecvTimeoutError::Disconnected) => return Ok(child.wait().map_err(start)?.success()),
             Err(RecvTimeoutError::Timeout) => {
@@ -204,7 +212,8 @@ mod tests {
         let mut lines = Vec::new();
         let mut command = std::process::Command::new("sh");
         command.args(["-c", "printf 'one\\n\\377\\n'; sleep 60 & echo three; exit 3"]);
-        let success = run_and_read(&mut command, |line| lines.push(line.to_owned())).unwrap();
+        let after_end = Duration::from_secs(1);
+        let success = run_and_read_for(after_end, &mut command, |line| lines.push(line.to_owned())).unwrap();
         assert!(!success && begun.elapsed() < 4 * AFTER_END, "{:?}", begun.elapsed());
         assert_eq!(lines, ["one", "\u{fffd}", "three"]);
     }

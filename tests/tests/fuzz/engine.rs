@@ -24,9 +24,7 @@ const LOOK_EVERY: u64 = 256;
 /// Most memory that this process ever held, MiB. What is reserved and never touched does not count: the MCAP reader
 /// reserves what a length field claims before it finds the record shorter.
 fn peak_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0");
-    line.trim().trim_end_matches("kB").trim().parse::<f64>().unwrap_or(0.0) / 1024.0
+    plumbline_support::memory_mib(std::process::id(), "VmHWM")
 }
 
 /// Inputs that a decoder once failed on.

@@ -4,7 +4,7 @@ use std::io::{BufRead as _, BufReader, PipeReader, Write as _};
 use std::os::fd::AsRawFd as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use plumbline_support::system::{PATIENCE, Rig, options, scenario};
 use plumbline_tests::harness::{Agent, Api, Process, Vehicle, wait_until};
@@ -159,20 +159,27 @@ fn a_terminal_that_takes_no_more_lines_holds_up_neither_ground_nor_agent() {
 fn nobody_gets_in_unpaired() {
     // GIVEN a ground with a paired vehicle
     let rig = Rig::start(&scenario("altitude_step"));
-    // WHEN an agent it does not know knocks for two seconds
+    // WHEN an agent knocks that knows it, and that it does not know
     let folder = tempfile::tempdir().unwrap();
-    let mut stranger = Command::new(options(folder.path()).binaries.agent);
+    let program = options(folder.path()).binaries.agent;
+    let fingerprint = std::fs::read_to_string(rig.system().ground.identity.join("fingerprint")).unwrap();
+    let mut knowing = Command::new(&program);
+    knowing.arg("identity").arg("--identity").arg(folder.path().join("identity")).args(["--trust", fingerprint.trim()]);
+    assert!(knowing.output().unwrap().status.success());
+    let mut stranger = Command::new(program);
     let Vehicle::Simulated { scenario } = scenario("hover") else { unreachable!() };
     stranger.args(["--vehicle", "sim", "--scenario"]).arg(scenario).args(["--id", "stranger", "--ground"]);
     stranger.arg(rig.system().ground.link.to_string());
     keep_in(&mut stranger, folder.path());
     let mut stranger = Process::start("stranger", stranger, false).unwrap();
-    let listed = wait_until(Duration::from_secs(2), || {
-        let vehicles = rig.api().get_json("/api/v1/vehicles").unwrap();
-        vehicles.as_array().unwrap().iter().any(|vehicle| vehicle["id"] == "stranger").then_some(())
+    let refused = wait_until(PATIENCE, || {
+        let ground = rig.api().get_json("/api/v1/ground").unwrap();
+        (ground["refused_peers"].as_u64() > Some(0)).then_some(())
     });
-    // THEN it never shows
-    assert!(listed.is_none());
+    assert!(refused.is_some(), "it was not heard: {}", stranger.last_lines(10));
+    // THEN it is refused, and never shows
+    let vehicles = rig.api().get_json("/api/v1/vehicles").unwrap();
+    assert!(vehicles.as_array().unwrap().iter().all(|vehicle| vehicle["id"] != "stranger"), "{vehicles}");
     assert!(stranger.ended().is_none(), "an agent keeps trying: {}", stranger.last_lines(10));
     rig.stop();
 }
