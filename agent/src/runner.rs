@@ -345,7 +345,10 @@ impl Runner {
         if silent_s > MOTOR_TIMEOUT_S && self.pacer.is_real_time() {
             self.flight.stalled(silent_s);
             let passed = Duration::from_secs_f64(self.vehicle.inner_mut().pass_over(late_s));
-            self.pacer.begin_anew(started, time + passed, &self.ports.clock);
+            // Ticks stay on their grid, as samples are asked for by it; what passes over less begins here.
+            let tick = Duration::from_secs_f64(1.0 / self.flight.config().tick_rate_hz);
+            let on_grid = due.map(|due| due + passed).filter(|at| started.saturating_duration_since(*at) < tick);
+            self.pacer.begin_anew(on_grid.unwrap_or(started), time + passed, &self.ports.clock);
         }
         (due, started)
     }

@@ -47,15 +47,14 @@ const small = () => page.evaluate(() => {
 
 for (const [name, path] of Object.entries(PAGES)) {
   await step(page, `axe: ${name}, light and dark, wide and narrow`, async () => {
-    await page.setViewportSize({ width: 1280, height: 720 });
-    await page.goto(url + path);
-    await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
-    // Recordings take a moment.
-    if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
     const told = {};
     for (const [width, height] of [[1280, 720], [390, 844]]) {
       const size = `${width}×${height}`;
       await page.setViewportSize({ width, height });
+      await page.goto(url + path);
+      await page.getByRole('heading', { level: 1 }).first().waitFor({ state: 'attached' });
+      // Recordings take a moment.
+      if (name === 'flight') await page.getByRole('slider', { name: /Position in the flight/ }).waitFor();
       await page.waitForTimeout(1200);
       const tiny = await small();
       assert(tiny.length === 0, `${size}: ${tiny.length} texts below 12 px\n${tiny.slice(0, 8).join('\n')}`);

@@ -96,11 +96,12 @@ await step(page, 'an admin makes accounts, changes their roles and removes them'
 });
 
 await step(page, 'ending a session ends it', async () => {
-  // Two of ann's are there, the newest first: this page's.
+  // Two of ann's are there, one of them this page's.
   const sessions = people.getByRole('button', { name: /End the session of ann/ });
-  await until('both sessions', async () => (await sessions.count()) === 2);
-  await sessions.first().click();
-  await until('this session to be ended', () => page.evaluate(async () => (await (await fetch('/api/v1/session')).json()).signed_in === false));
+  await until('this session to be ended', async () => {
+    await sessions.first().click({ timeout: 1000 }).catch(() => {});
+    return page.evaluate(async () => (await (await fetch('/api/v1/session')).json()).signed_in === false);
+  });
   // The page may be on its way to the form by itself.
   await page.goto(`${url}/setup`).catch(() => {});
   await page.getByRole('button', { name: 'Sign in' }).waitFor();

@@ -162,8 +162,11 @@ async function summed(page) {
   return median(sums);
 }
 
-/** What is promised within `ms` on that machine or a faster one; on one that is slower or busy, within as much longer as its sum takes. */
-export const within = async (page, ms) => Math.round(ms * Math.max(1, (await summed(page)) / SUM_MS));
+/**
+ * What is promised within `ms` on that machine or a faster one; on one that is slower or busy, within as much longer as its sum takes on
+ * this page, three times at most.
+ */
+export const within = async (page, ms) => Math.round(ms * Math.min(3, Math.max(1, (await summed(page)) / SUM_MS)));
 
 /** Has a page run on a processor `times` slower than that; a machine that is slow or busy already is slowed down by that much less. */
 export async function slowed(page, times = 4) {

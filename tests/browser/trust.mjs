@@ -11,6 +11,8 @@ const context = await browser.newContext({ viewport: { width: 1280, height: 720 
 await context.addInitScript(() => localStorage.setItem('plumbline.window_s', '120'));
 const page = await context.newPage();
 page.setDefaultTimeout(30_000);
+// While nothing is open: what the page takes for itself gives it no more time.
+const bound_ms = await within(page, 1000);
 const errors = complaints(page);
 let receivedB = 0;
 page.on('websocket', (socket) => socket.on('framereceived', ({ payload }) => { receivedB += payload.length; }));
@@ -34,7 +36,6 @@ await step(page, 'live within a second of navigation, by the age of what is show
   const ms = [];
   for (let n = 0; n < 5; n += 1) ms.push(await liveAfter(page, vehicle));
   // The best of them: a machine that tests has other things to do as well.
-  const bound_ms = await within(page, 1000);
   assert(Math.min(...ms) <= bound_ms, `live after ${ms} ms, not within ${bound_ms} ms`);
   return { ms, median: median(ms), bound_ms };
 });
@@ -74,10 +75,15 @@ await step(page, 'altitude hold at 0.5 m', async () => {
 
 await step(page, 'in flight a page is sent at most 100 kB a second', async () => {
   // Over seconds: a machine that stops for a moment sends afterwards what it did not send then.
-  const [beganB, begun] = [receivedB, performance.now()];
-  await page.waitForTimeout(6000);
-  const kB = Math.round((receivedB - beganB) / (performance.now() - begun));
-  assert(kB > 10, `${kB} kB/s: nothing is sent`);
+  const marks = [[receivedB, performance.now()]];
+  for (let n = 0; n < 3; n += 1) {
+    await page.waitForTimeout(2000);
+    marks.push([receivedB, performance.now()]);
+  }
+  const rate = ([beganB, begun], [endedB, ended]) => Math.round((endedB - beganB) / (ended - begun));
+  const parts = marks.slice(1).map((mark, n) => rate(marks[n], mark));
+  const kB = rate(marks[0], marks[3]);
+  assert(Math.min(...parts) > 10, `${parts} kB/s: nothing is sent for a while`);
   assert(kB <= 100, `${kB} kB/s`);
   return { kB_per_s: kB };
 });
@@ -102,7 +108,6 @@ const reloads = async (count) => {
 await step(page, 'reloads in flight: live within a second, and the operator stays', async () => {
   const seen = await reloads(3);
   assert(!seen.frozen, "the operator's sign of life was missed");
-  const bound_ms = await within(page, 1000);
   assert(Math.min(...seen.ms) <= bound_ms, `live after ${seen.ms} ms, not within ${bound_ms} ms`);
   return { ...seen, bound_ms };
 });

@@ -215,6 +215,8 @@ impl App {
         match result {
             Ok(answer) if answer.reason.is_empty() => self.tell(Tone::Done, format!("{what}: accepted")),
             Ok(answer) => self.tell(Tone::Done, format!("{what}: {}", answer.reason)),
+            // Nobody refused it.
+            Err(Failure { status: 0, text }) => self.tell(Tone::Error, format!("{what}: {text}")),
             Err(failure) => self.tell(Tone::Error, format!("{what} refused: {}", failure.text)),
         }
     }
@@ -331,6 +333,9 @@ mod tests {
         assert_eq!(done, [Effect::DismissIn(4, 4000)]);
         app.update(&mut live, Event::Dismiss(4));
         assert_eq!(app.notices.len(), 1);
+        let failure = Failure { status: 0, text: "no answer within 10 s".into() };
+        app.update(&mut live, Event::Answered("Arm".into(), Err(failure)));
+        assert_eq!(app.notices[1].text, "Arm: no answer within 10 s");
     }
 
     #[test]

@@ -16,7 +16,7 @@ use crate::{
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
     event::{Effect, Event, Tone},
-    model::{by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
+    model::{api, by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
     net,
     panel::setpoint::{self, Target},
     store,
@@ -348,8 +348,9 @@ impl Ctx {
         let id = String::from(js_sys::encode_uri_component(&vehicle));
         let url = format!("/api/v1/vehicles/{id}/{action}");
         let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
+        let within_ms = (!api::counts_late(method, action, &body)).then_some(net::COMMAND_MS);
         leptos::task::spawn_local(async move {
-            let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
+            let answer = net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await;
             then(answer.as_ref().map(|_| ()).map_err(|failure| failure.text.as_str()));
             self.dispatch(Event::Answered(what, answer));
         });

@@ -58,9 +58,10 @@ impl Takes {
     }
 }
 
-/// What a key says: what it writes, and under a layout of other letters than Latin ones, the Latin one at its place.
+/// What a key says: what it writes, and under a layout of other letters than Latin ones, the Latin one at its place. Latin letters with
+/// marks are Latin, too.
 fn said<'a>(key: &'a str, code: &'a str) -> &'a str {
-    code.strip_prefix("Key").filter(|_| !key.is_ascii()).unwrap_or(key)
+    code.strip_prefix("Key").filter(|_| key.chars().all(|c| c > '\u{24f}')).unwrap_or(key)
 }
 
 thread_local! {
@@ -104,8 +105,9 @@ fn listen_to_lists() {
     });
     window_event_listener(ev::change, move |e| {
         let list = e.target().and_then(|t| t.dyn_into::<web_sys::HtmlSelectElement>().ok());
-        if list.is_some() && by_pointer.get() {
-            let_go();
+        if let Some(list) = list.filter(|_| by_pointer.get()) {
+            // And nothing else, whatever has the focus: a field with text that is not taken yet would change in the midst of this.
+            let _ = list.blur();
         }
     });
 }
@@ -210,6 +212,7 @@ mod tests {
         // Latin layouts go by what is written: on Dvorak's the key at the place of X writes Q.
         assert_eq!(said("X", "KeyB"), "X");
         assert_eq!(said("Q", "KeyX"), "Q");
+        assert_eq!(said("ł", "KeyL"), "ł");
         // Cyrillic, Greek.
         assert_eq!(said("Ч", "KeyX"), "X");
         assert_eq!(said("λ", "KeyL"), "L");

@@ -18,8 +18,9 @@ const OPERATOR: &str = "X-Plumbline-Operator";
 const SEEN: &str = "X-Plumbline-Seen";
 /// The ground's state is waited for so long, ms: where nothing comes back, a question holds its connection no longer.
 const STATE_MS: u32 = 3000;
-/// And the answer to a command, ms: longer than the ground waits for the vehicle's.
-const COMMAND_MS: u32 = 10_000;
+/// And the answer to a command, ms: longer than the ground waits for the vehicle's, unless its `command_timeout_s` is set to
+/// more than that. What became of the command after that nobody knows.
+pub const COMMAND_MS: u32 = 10_000;
 
 /// The browser's monotonic clock, ms.
 pub fn now_ms() -> f64 {
@@ -36,19 +37,19 @@ pub fn unreachable_ground() -> Failure {
     Failure { status: 0, text: failure_text(0, "") }
 }
 
-/// One request; its whole answer counts only if it has come within `within_ms`.
+/// One request; its whole answer counts only if it has come before `overdue`.
 async fn send(
     method: &str,
     url: &str,
     body: Option<String>,
     operator: &str,
     seen_us: u64,
-    within_ms: Option<u32>,
+    overdue: Option<&AbortSignal>,
 ) -> Result<Response, Failure> {
     let init = RequestInit::new();
     init.set_method(method);
-    if let Some(ms) = within_ms {
-        init.set_signal(Some(&AbortSignal::timeout_with_u32(ms)));
+    if overdue.is_some() {
+        init.set_signal(overdue);
     }
     if let Some(body) = &body {
         init.set_body(&JsValue::from_str(body));
@@ -107,10 +108,12 @@ pub async fn json<T: DeserializeOwned>(
 /// # Errors
 /// [`Failure`] with the ground's own words.
 pub async fn state<T: DeserializeOwned>(url: &str) -> Result<T, Failure> {
-    read(send("GET", url, None, "", 0, Some(STATE_MS)).await?, url).await
+    let overdue = AbortSignal::timeout_with_u32(STATE_MS);
+    read(send("GET", url, None, "", 0, Some(&overdue)).await?, url).await
 }
 
-/// A command to a vehicle, asked while the newest message shown was of flight time `seen_us` (0: none was).
+/// A command to a vehicle, asked while the newest message shown was of flight time `seen_us` (0: none was). Its answer is waited
+/// for no longer than `within_ms`; `None`: however late it comes.
 ///
 /// # Errors
 /// [`Failure`] with the ground's own words, or the vehicle's.
@@ -120,8 +123,20 @@ pub async fn command(
     body: String,
     operator: &str,
     seen_us: u64,
+    within_ms: Option<u32>,
 ) -> Result<plumbline_rest::command::Answer, Failure> {
-    read(send(method, url, Some(body), operator, seen_us, Some(COMMAND_MS)).await?, url).await
+    let overdue = within_ms.map(AbortSignal::timeout_with_u32);
+    let answer = match send(method, url, Some(body), operator, seen_us, overdue.as_ref()).await {
+        Ok(response) => read(response, url).await,
+        Err(failure) => Err(failure),
+    };
+    match (answer, within_ms) {
+        (Err(Failure { status: 0, .. }), Some(ms)) if overdue.as_ref().is_some_and(AbortSignal::aborted) => {
+            let text = format!("no answer within {} s, the vehicle may have carried it out", ms / 1000);
+            Err(Failure { status: 0, text })
+        }
+        (answer, _) => answer,
+    }
 }
 
 async fn read<T: DeserializeOwned>(response: Response, url: &str) -> Result<T, Failure> {

@@ -111,8 +111,10 @@ struct Guidance {
     path: Option<Path>,
     /// Thrust and climb have looked like standing since.
     quiet_since: Option<FlightTime>,
-    /// As low as where it took off, not turning, since, and how far above that it was then, m.
-    low_since: Option<(FlightTime, f64)>,
+    /// As low as where it took off, not turning, rising or sinking, since.
+    low_since: Option<FlightTime>,
+    /// When it sank last, by accelerometers and raw heights.
+    sank: Option<FlightTime>,
     /// Raw height where it took off, m.
     takeoff_height_m: Option<f64>,
     /// Thrust that hovers, learned in flight, N.
@@ -129,7 +131,7 @@ struct Liveness {
     operator: Option<FlightTime>,
     /// When the battery was measured last, and its voltage then, V: thrust goes on by it, however old it is.
     battery: Option<(FlightTime, f64)>,
-    /// Charge left, 0..1, averaged over the sag of manoeuvres; `None` as well once the voltage is too old.
+    /// Charge left, 0..1, averaged over the sag of manoeuvres: the last that was known.
     charge: Option<f64>,
     log_error: Option<Text>,
     /// How many devices there are, and what is wrong with the first that gives no readings; `None` where none is there.
@@ -145,6 +147,7 @@ struct Told {
     attack_changes: u64,
     meter_sent: FlightTime,
     setpoint_told: FlightTime,
+    battery_silent: bool,
     watermark: Option<(FlightTime, Block)>,
 }
 
@@ -236,6 +239,7 @@ impl Flight {
                 path: None,
                 quiet_since: None,
                 low_since: None,
+                sank: None,
                 takeoff_height_m: None,
                 hover_thrust_n: weight_n,
                 meter: StepMeter::default(),

@@ -366,7 +366,7 @@ fn recorded(arguments: &FlyArguments, config: &AgentConfig) -> Result<Chosen, Fa
 }
 
 /// The first signal lands, the second one cuts the motors, the third ends the program wherever it hangs. A terminal that goes (an SSH
-/// session that breaks off) lands, too, and cuts nothing.
+/// session that breaks off) lands, too, and is none of these.
 fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
     use tokio::signal::unix::{SignalKind, signal};
     let stays = ignored(libc::SIGHUP);
@@ -384,7 +384,7 @@ fn stop_on_signal(stop: Arc<Stop>) -> Result<(), Failure> {
                     _ = interrupt.recv() => {}
                     _ = terminate.recv() => {}
                     _ = hang_up.recv() => {
-                        if !stays && stop.ask_first() {
+                        if !stays && stop.hang_up() {
                             tracing::info!("its terminal is gone: landing");
                         }
                         continue;

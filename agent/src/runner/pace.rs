@@ -111,11 +111,11 @@ impl Pacer {
         Some(due)
     }
 
-    /// Counts from here: the tick of `time` is due `now`. Catching up with what is lost would fly in fast motion.
-    pub fn begin_anew(&mut self, now: Instant, time: FlightTime, clock: &FlightClock) {
+    /// Counts from here: the tick of `time` is due `at`. Catching up with what is lost would fly in fast motion.
+    pub fn begin_anew(&mut self, at: Instant, time: FlightTime, clock: &FlightClock) {
         if let Pace::Times(speed) = self.pace {
-            self.anchor = Some((now, time));
-            clock.run(now, time, speed);
+            self.anchor = Some((at, time));
+            clock.run(at, time, speed);
         }
     }
 }

@@ -2,6 +2,7 @@
 //! THEN the vehicle stands, disarmed, and no failsafe had to help.
 
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_agent::control::trajectory::Trajectory;
 use plumbline_agent::estimate::{Estimate, Estimator, Health, ekf_bias::EkfBias};
 use plumbline_agent::event::EventKind;
 use plumbline_agent::flight::{Failsafe, Flight, FlightConfig};
@@ -186,7 +187,18 @@ fn an_estimate_that_sinks_on_the_ground_is_no_take_off() {
     assert!(ack.accepted, "{}", ack.reason);
     f.until(9.0);
     assert!(f.last().report.armed && f.last().estimate.motion.unwrap().position_enu_m.z < 0.0, "{}", f.log());
-    assert!(f.rows.iter().all(|r| r.report.wrench.thrust_n == 0.0), "it took off\n{}", f.log());
+    // Nor is a path that is stopped before it begins.
+    let list = Trajectory::Altitudes { altitude_m: [0.5].into_iter().collect(), hold_s: 5.0 };
+    for order in [Command::Trajectory(Some(list)), Command::Trajectory(None)] {
+        let ack = f.command(order);
+        assert!(ack.accepted, "{}", ack.reason);
+    }
+    f.until(10.0);
+    assert!(
+        f.last().report.armed && f.rows.iter().all(|r| r.report.wrench.thrust_n == 0.0),
+        "it took off\n{}",
+        f.log()
+    );
 }
 
 #[test]

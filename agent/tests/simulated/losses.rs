@@ -8,7 +8,6 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::devices::Outage;
 use plumbline_agent::types::{EstimatorKind, Mode};
 use plumbline_proto::ids::SensorId;
-use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 use plumbline_support::flown::{Flown, scenario};
 
@@ -132,21 +131,35 @@ fn a_battery_nobody_measures_ends_on_the_floor_with_an_event_and_disarmed() {
 
 #[test]
 fn a_battery_that_is_not_measured_any_more_has_no_charge_and_refuses_arming() {
-    let mut f = Flown::new(&scenario("altitude_step"));
+    let mut f = Flown::new(&scenario("hover"));
+    f.scenario.script.steps.clear();
     f.until(2.0);
-    let mut frame = f.last().report.sensed;
-    assert!(frame.battery_v.is_some() && f.flight.status().battery_v.is_some());
-    frame.battery_v = None;
-    for t_s in [5.1, 5.2] {
-        frame.time = FlightTime::from_seconds(t_s);
-        f.flight.step(&frame);
-    }
+    assert!(f.flight.status().battery_v.is_some());
+    f.voltmeter_lost_s = 2.0;
+    f.until(5.2);
     let status = f.flight.status();
     assert_eq!((status.battery_v, status.battery_fraction), (None, None));
     let check = status.checks.iter().find(|check| check.name == "battery").unwrap();
     assert!(!check.passed && check.reason.as_str() == "not measured any more, for 3 s", "{}", check.reason);
-    f.flight.drain_events(|e| f.events.push(*e));
     assert_eq!(f.events.iter().filter(|e| e.text.contains("battery not measured for 3 s")).count(), 1, "{}", f.log());
+}
+
+#[test]
+fn a_warning_of_a_low_battery_stays_when_nobody_measures_it_any_more() {
+    let mut f = flying("hover", 14.0, |s, _| {
+        s.battery_charge = Some(0.45);
+        s.airframe.battery.capacity_ah = 0.6;
+    });
+    while f.flight.status().failsafe != Failsafe::BatteryLow {
+        let next = f.last().t_s + 0.1;
+        assert!(next < 90.0, "{}", f.log());
+        f.until(next);
+    }
+    f.voltmeter_lost_s = f.last().t_s;
+    let end = f.voltmeter_lost_s + 6.0;
+    f.until(end);
+    let status = f.flight.status();
+    assert_eq!((status.failsafe, status.battery_v), (Failsafe::BatteryLow, None), "{}", f.log());
 }
 
 #[test]

@@ -76,6 +76,16 @@ impl Given {
         let kind = Kind::Bias;
         Self { sensor, instance: None, channel, kind, magnitude, start_s: None, count: 1, duration_s: None }
     }
+
+    /// Is any sample another one after it?
+    fn alters(&self) -> bool {
+        let unaltered = match self.kind {
+            Kind::Scale => 1.0,
+            Kind::Zero | Kind::Freeze | Kind::Replay | Kind::SignFlip => return true,
+            _ => 0.0,
+        };
+        self.magnitude != unaltered
+    }
 }
 
 /// How many of a kind the vehicle has.
@@ -90,6 +100,15 @@ impl Attacked {
     /// Is it more than any estimator can tell from the healthy ones?
     pub fn colludes(&self) -> bool {
         matches!(self, Self::Colluding(_))
+    }
+
+    /// Is any sample another one after it?
+    pub(crate) fn alters(&self) -> bool {
+        match self {
+            Self::None => false,
+            Self::Given(given) => given.alters(),
+            _ => true,
+        }
     }
 
     /// No onset is later, s.
@@ -230,5 +249,18 @@ mod tests {
         let attacked: Vec<_> = (0..200).flat_map(|seed| Attacked::One.attacks(&sensors, seed)).collect();
         assert!(attacked.iter().all(|attack| sensors.contains(&attack.sensor)));
         assert!(sensors.iter().all(|sensor| attacked.iter().any(|attack| attack.sensor == *sensor)), "{attacked:?}");
+    }
+
+    #[test]
+    fn some_sizes_alter_nothing() {
+        let alters = |kind: Kind, magnitude: f64| {
+            let given = Given { kind, ..Given::bias(SensorKind::Height, Channel::All, magnitude) };
+            Attacked::Given(given).alters()
+        };
+        for kind in [Kind::Bias, Kind::Ramp, Kind::Noise, Kind::Delay, Kind::Dropout, Kind::TimeShift] {
+            assert_eq!([0.0, 0.1].map(|size| alters(kind, size)), [false, true], "{kind:?}");
+        }
+        assert_eq!([0.0, 1.0].map(|size| alters(Kind::Scale, size)), [true, false]);
+        assert!(alters(Kind::Freeze, 0.0) && Attacked::One.alters() && !Attacked::None.alters());
     }
 }

@@ -52,9 +52,9 @@ pub struct Outcome {
     pub outside_s: f64,
     /// Why it was lost: a failsafe that ends the flight, or astray.
     pub lost: Option<String>,
-    /// From the onset to the exclusion of each attacked sensor that was, s.
+    /// From the onset to the exclusion of each sensor or rotor that was attacked or broke and excluded, s.
     pub delays_s: Vec<f64>,
-    /// Attacked sensors that were never excluded, and rotors that were attacked or broke.
+    /// Sensors that were attacked, and rotors that were or broke, never excluded.
     pub missed: usize,
     /// Longest exclusion of a healthy sensor, s.
     pub false_longest_s: f64,
@@ -171,6 +171,8 @@ pub(crate) struct Judge {
     /// Is it a recording? When its place was known last, s.
     recorded: bool,
     placed_s: Option<f64>,
+    /// The tick that was watched last, s.
+    last_s: f64,
     from_s: f64,
     /// The script lands or disarms here, s.
     until_s: f64,
@@ -212,14 +214,15 @@ impl Judge {
         let ends = |command: &Command| matches!(command, Command::Disarm | Command::SetMode(_));
         let given = setup.attacks.iter().map(|attack| (attack.sensor, attack.start_s));
         let attacked = given.chain(setup.recording.iter().flat_map(|recorded| recorded.attacked.iter().copied()));
-        // Of a recording nothing breaks again.
-        let broken = setup.scenario.broken.iter().filter(|_| setup.recording.is_none());
+        // Of a recording nothing breaks again, and a rotor that loses nothing is whole.
+        let broken = setup.scenario.broken.iter().filter(|broken| setup.recording.is_none() && broken.left < 1.0);
         let broken = broken.map(|broken| (SensorId::new(SensorKind::Rotor, broken.rotor as u8), broken.at_s));
         let until = steps.iter().find(|step| step.at_s > from_s && ends(&step.command));
         Self {
             attacked: attacked.chain(broken).collect(),
             recorded: setup.recording.is_some(),
             placed_s: None,
+            last_s: 0.0,
             from_s,
             until_s: until.map_or(f64::INFINITY, |step| step.at_s),
             mode: modes.next(),
@@ -239,6 +242,7 @@ impl Judge {
 
     /// One tick; true when the flight is over.
     pub(crate) fn tick(&mut self, t: f64, flight: &Flight, seen: &Seen) -> bool {
+        self.last_s = t;
         self.exclusions(t, flight);
         let begun = self.attacked.iter().map(|(_, onset_s)| *onset_s).fold(f64::INFINITY, f64::min);
         let contradicted = flight.judge().is_some_and(|judge| judge.isolation().contradicted());
@@ -417,7 +421,9 @@ impl Judge {
 
     pub(crate) fn verdict(mut self) -> Outcome {
         let (outcome, means) = (&mut self.outcome, &self.means);
-        outcome.missed = self.attacked.iter().filter(|(sensor, _)| !self.found.contains(sensor)).count();
+        // What was to be attacked after the flight was over never was.
+        let begun = self.attacked.iter().filter(|(_, onset_s)| *onset_s <= self.last_s);
+        outcome.missed = begun.filter(|(sensor, _)| !self.found.contains(sensor)).count();
         if self.recorded && means.altitude.count == 0.0 {
             outcome.altitude_most_m = f64::NAN;
         }
@@ -440,6 +446,18 @@ impl Judge {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::Plan;
+
+    #[test]
+    fn what_broke_before_the_end_is_missed() {
+        let missed = |(left, last_s): (f64, f64)| {
+            let broken = format!("broken = [{{ rotor = 1, at_s = 20, left = {left:?} }}]");
+            let plan = Plan::from_toml(&format!("name = \"a\"\n[scenario]\nduration_s = 30\n{broken}\n")).unwrap();
+            Judge { last_s, ..Judge::new(&plan.condition(0).unwrap().setup(1)) }.verdict().missed
+        };
+        // It loses a fifth, or nothing; the flight was over before.
+        assert_eq!([(0.8, 29.0), (1.0, 29.0), (0.8, 19.0)].map(missed), [1, 0, 0]);
+    }
 
     #[test]
     fn steps_are_measured_by_where_the_vehicle_is_and_the_worst_one_is_told() {

@@ -39,7 +39,7 @@ use toml::{Spanned, Table, Value};
 
 pub use by_hand::ByHand;
 pub use condition::Condition;
-pub use factor::{Factor, Levels};
+pub use factor::{Draw, Factor, Levels};
 pub use source::PlanError;
 
 use crate::recordings::{Library, Named, Recordings};
@@ -118,6 +118,8 @@ pub struct Plan {
     pub repeats: u64,
     /// Seed of the first repeat.
     pub seed: u64,
+    /// How levels of samples follow from it.
+    pub draw: Draw,
     /// When it ends early.
     pub stop: Option<Stop>,
     /// Recordings that it names; none before they are looked for.
@@ -194,6 +196,7 @@ impl Plan {
             text: text.to_owned(),
             repeats,
             seed: whole(raw.seed.as_ref(), "seed", 1)?,
+            draw: Draw::Derived,
             stop: raw.stop.as_ref().map(|stop| stop_rule(source, stop)).transpose()?,
             baseline: baseline(source, raw.baseline.as_ref(), &factors)?,
             recordings: Recordings::default(),
@@ -228,7 +231,7 @@ impl Plan {
 
     /// The level of each factor in a condition; `None` where a list leaves it as it is.
     pub fn levels(&self, condition: u64) -> Vec<Option<Value>> {
-        self.design.levels(&self.factors, self.seed, condition)
+        self.design.levels(&self.factors, self.seed, self.draw, condition)
     }
 
     /// The condition that `condition` is compared with, flight by flight of the same seed; `None` for that one itself.
@@ -257,6 +260,12 @@ impl Plan {
         }
         Condition::read(&self.table(condition)?, &self.recordings)
             .map_err(|wrong| format!("{}: {}", wrong.section, wrong.complaint))
+    }
+
+    /// Does a condition alter samples? What breaks, and what was attacked in a recording, is not altered by it.
+    pub(crate) fn attacks(&self, condition: u64) -> bool {
+        let attack = self.table(condition).and_then(|table| condition::attack_of(&table));
+        attack.is_ok_and(|(attacked, off)| !off && attacked.alters())
     }
 
     /// Is it flown by an operator on a vehicle, and not by this program?

@@ -35,8 +35,8 @@ pub const MEASURES: [Measure; 20] = [
     measure("nis", "innovations squared by their variance, mean"),
     measure("effort_per_s", "change of the four throttles"),
     measure("outside_s", "time beyond the limits of the vehicle"),
-    measure("delay_s", "onset to the first exclusion of an attacked sensor"),
-    measure("missed", "attacked sensors never excluded"),
+    measure("delay_s", "onset to the first exclusion of a sensor attacked, or of a rotor attacked or broken"),
+    measure("missed", "sensors attacked, and rotors attacked or broken, never excluded"),
     measure("false_exclusions", "exclusions of healthy sensors"),
     measure("false_longest_s", "the longest of them"),
     measure("declared_s", "onset to the first doubt or failsafe"),
@@ -131,12 +131,12 @@ impl Row {
         at.and_then(|at| self.values.get(at)).copied().unwrap_or(f64::NAN)
     }
 
-    /// Was anything attacked in it?
+    /// Was anything attacked in it, or did anything break?
     pub(crate) fn attacked(&self) -> bool {
         self.value("missed") > 0.0 || self.value("delay_s").is_finite()
     }
 
-    /// Was all that was attacked excluded?
+    /// Was all of that excluded?
     pub(crate) fn detected(&self) -> bool {
         self.attacked() && self.value("missed") == 0.0
     }

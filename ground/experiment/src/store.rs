@@ -3,7 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `plan.toml` | as it was written |
-//! | `identity.json` | its hash, the program, when it was made, which recordings it flies |
+//! | `identity.json` | its hash, the program, when it was made, which recordings it flies, how it draws levels |
 //! | `flights.rows` | a [`Row`] for each finished flight, appended in the order they ended |
 //! | `ticks.json` | how long the agent's ticks took here, by condition |
 //! | `by_hand.jsonl` | what was said of each flight of an operator |
@@ -23,7 +23,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::by_hand;
-use crate::plan::{PROGRAM, Plan, PlanError};
+use crate::plan::{Draw, PROGRAM, Plan, PlanError};
 use crate::recordings::{Named, UnusableError};
 use crate::row::{FIRST, MEASURES, ROW_BYTES, Row, names, places, row_bytes};
 
@@ -93,6 +93,9 @@ pub struct Identity {
     /// The recordings that it flies again.
     #[serde(default)]
     pub recordings: Vec<Named>,
+    /// How its levels follow from its seed, where they are drawn.
+    #[serde(default)]
+    pub draw: Draw,
 }
 
 fn first() -> Vec<String> {
@@ -158,7 +161,7 @@ impl Experiment {
         fs::create_dir_all(&folder).map_err(io(&folder))?;
         let (program, made_unix_us, flights) = (PROGRAM.into(), now_unix_us(), plan.flights());
         let (measures, recordings) = (names(&MEASURES), plan.recordings.named().cloned().collect());
-        let identity = Identity { hash, program, made_unix_us, flights, measures, recordings };
+        let identity = Identity { hash, program, made_unix_us, flights, measures, recordings, draw: plan.draw };
         write_whole(&folder.join("plan.toml"), plan.text.as_bytes())?;
         // Last: an experiment is there with it.
         write_whole(&folder.join("identity.json"), &serde_json::to_vec(&identity).unwrap_or_default())?;
@@ -179,7 +182,8 @@ impl Experiment {
         let bytes = fs::read(&path).map_err(io(&path))?;
         let identity: Identity = serde_json::from_slice(&bytes).map_err(|error| io(&path)(error.into()))?;
         let path = folder.join("plan.toml");
-        let plan = Plan::parse(&fs::read_to_string(&path).map_err(io(&path))?)?.knowing(&identity.recordings);
+        let mut plan = Plan::parse(&fs::read_to_string(&path).map_err(io(&path))?)?.knowing(&identity.recordings);
+        plan.draw = identity.draw;
         Ok(Self { id: id.to_owned(), folder, plan, identity })
     }
 

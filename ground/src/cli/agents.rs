@@ -39,7 +39,8 @@ pub struct PairArguments {
 pub fn pair(arguments: &PairArguments) -> Result<(), String> {
     let folder = arguments.folder.path();
     // A ground makes it when it starts: made here, the code would wait where no ground looks.
-    if !folder.join("cert.pem").exists() {
+    let certificate = folder.join("cert.pem");
+    if !certificate.try_exists().map_err(|error| format!("{}: {error}", certificate.display()))? {
         return Err(format!("no ground has run in {}: name its folder by --data", folder.display()));
     }
     let code = Code::parse(&arguments.code).map_err(|error| error.to_string())?;
@@ -103,6 +104,11 @@ mod tests {
         let refused = pair(&arguments).unwrap_err();
         assert!(refused.contains("no ground has run in") && refused.contains("--data"), "{refused}");
         assert!(!data.exists(), "nothing is made");
+        // What cannot be looked into is not taken for empty.
+        std::fs::write(&data, "no folder").unwrap();
+        let refused = pair(&arguments).unwrap_err();
+        assert!(refused.contains("cert.pem: Not a directory"), "{refused}");
+        std::fs::remove_file(&data).unwrap();
         load_or_create(&arguments.folder.path()).unwrap();
         pair(&arguments).unwrap();
         assert!(arguments.folder.path().join("pairing").exists());

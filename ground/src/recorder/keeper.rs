@@ -272,20 +272,21 @@ impl Desk {
                     tracing::error!(flight = id, error = %explain(&error), "its file cannot be finished");
                 }
                 let merged = self.store.merge(id, &files, track.ends.last, &self.shared.stopping);
+                let one_file = merged.is_ok();
                 let reading = merged.or_else(|error| match error {
                     RecordingError::Stopped => Err(error),
                     error => {
-                        // No room, say: it is listed and read as it is, and the next start tries again.
+                        // No room, say: it is listed and read as it is, and closed again a little later; a truncated one is merged
+                        // at the next start.
                         tracing::error!(flight = id, %error, "not merged");
                         self.store.read(&self.store.files(id))
                     }
                 });
                 reading.map(|reading| {
-                    let whole = reading.whole();
-                    completeness = match completeness {
-                        _ if whole => Completeness::Complete,
-                        Completeness::Complete => Completeness::Filling,
-                        other => other,
+                    completeness = match (completeness, reading.whole()) {
+                        (_, true) if one_file => Completeness::Complete,
+                        (_, true) | (Completeness::Complete, _) => Completeness::Filling,
+                        (other, _) => other,
                     };
                     let identity = track.identity.clone();
                     track = Track::resume(Reading { identity, ..reading }, 0, now);
@@ -351,15 +352,14 @@ fn indexed(result: rusqlite::Result<()>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recorder::identity::Identity;
+    use crate::recorder::identity::{Ending, Identity};
+    use plumbline_proto::Kind;
+    use plumbline_proto::codec::Frame;
 
-    #[test]
-    fn what_cannot_be_merged_is_as_complete_as_its_files_and_others_are_recorded() {
-        // GIVEN a flight that came whole, of whose file nothing can be read, and which cannot be merged
+    /// Of a folder where flight `f1` cannot be merged.
+    fn desk() -> (tempfile::TempDir, Desk, Identity) {
         let folder = tempfile::tempdir().unwrap();
-        let flights = folder.path().join("flights");
-        std::fs::create_dir_all(flights.join("f1.merge.tmp")).unwrap();
-        std::fs::write(flights.join("f1.001.part"), "this is not a flight").unwrap();
+        std::fs::create_dir_all(folder.path().join("flights/f1.merge.tmp")).unwrap();
         let desk = Desk {
             store: RecordingStore::new(folder.path(), 0),
             index: Arc::new(FlightIndex::open(folder.path()).unwrap()),
@@ -367,7 +367,39 @@ mod tests {
             archive: None,
             fetching: Arc::default(),
         };
-        let identity = Identity { flight_id: "f1".into(), first_sequence: Some(1), ..Identity::default() };
+        (folder, desk, Identity { flight_id: "f1".into(), first_sequence: Some(1), ..Identity::default() })
+    }
+
+    #[test]
+    fn what_is_whole_and_cannot_be_merged_is_complete_once_it_is() {
+        // GIVEN a flight that came whole in a part
+        let (_folder, desk, identity) = desk();
+        let part = desk.store.part_path("f1", 1);
+        let mut writer = FlightWriter::create(&part, &identity, &plumbline_file::Syncer::start().unwrap()).unwrap();
+        let frame = Frame { kind: Kind::Event.to_wire(), instance: 0, sequence: 1, time_us: 1, payload: b"" };
+        writer.write(&frame, "/event").unwrap();
+        let ending = Ending { last_sequence: Some(1), completeness: Completeness::Complete, live: 1, filled: 0 };
+        writer.finish(Some(&ending.to_metadata())).unwrap();
+        let close = || {
+            let reading = desk.store.read(&desk.store.files("f1")).unwrap();
+            assert!(reading.whole());
+            let closed = desk.close("f1", Track::resume(reading, 2, Instant::now()), Completeness::Complete);
+            assert_eq!(desk.index.get("f1").unwrap().unwrap().completeness, closed);
+            closed
+        };
+        // WHEN it cannot be merged THEN it is not complete; WHEN it can THEN it is, in one file
+        assert_eq!(close(), Completeness::Filling);
+        std::fs::remove_dir(desk.store.folder().join("f1.merge.tmp")).unwrap();
+        assert_eq!(close(), Completeness::Complete);
+        let files = desk.store.files("f1");
+        assert!(files.finished.is_some() && files.parts.is_empty(), "{files:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_merged_is_as_complete_as_its_files_and_others_are_recorded() {
+        // GIVEN a flight that came whole, of whose file nothing can be read, and which cannot be merged
+        let (_folder, desk, identity) = desk();
+        std::fs::write(desk.store.part_path("f1", 1), "this is not a flight").unwrap();
         // WHEN it is closed THEN it is not told to be complete, and has the size of what there is
         let closed = desk.close("f1", Track::new(identity, 2, Instant::now()), Completeness::Complete);
         let flight = desk.index.get("f1").unwrap().unwrap();

@@ -32,6 +32,8 @@ pub struct Flown {
     pub steps: Vec<StepResponse>,
     /// Heartbeats stop at this flight time, s; never where it is infinite.
     pub link_lost_s: f64,
+    /// Nobody measures the battery from this flight time on, s.
+    pub voltmeter_lost_s: f64,
     /// The operator's page answers from this flight time on, s …
     pub operator_from_s: f64,
     /// … to this one, s.
@@ -72,6 +74,7 @@ impl Flown {
             acks: Vec::new(),
             steps: Vec::new(),
             link_lost_s: f64::INFINITY,
+            voltmeter_lost_s: f64::INFINITY,
             operator_from_s: f64::INFINITY,
             operator_lost_s: f64::INFINITY,
             motor_factor: [1.0; 4],
@@ -92,7 +95,10 @@ impl Flown {
 
     /// One tick: sense, commands of the script, step, actuate.
     pub fn tick(&mut self) {
-        let frame = self.vehicle.sense().unwrap();
+        let mut frame = self.vehicle.sense().unwrap();
+        if frame.time.as_seconds() >= self.voltmeter_lost_s {
+            frame.battery_v = None;
+        }
         let before = self.rows.last().map(|r| r.report.sensed.time);
         if frame.time.as_seconds() < self.link_lost_s {
             self.flight.heartbeat(frame.time);

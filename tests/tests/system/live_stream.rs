@@ -26,19 +26,19 @@ fn a_viewer_learns_everything_in_its_first_two_seconds() {
         Kind::Link,
         Kind::Recording,
     ]);
-    let mut missing = BTreeSet::new();
-    // The best of three: a machine that compiles beside us has other things to do as well.
-    let learnt = (0..3).any(|_| {
+    // Two of three: a machine that compiles beside us has other things to do as well.
+    let learns = |_| {
         let opened = Instant::now();
         let mut live = rig.live();
-        missing = kinds.clone();
+        let mut missing = kinds.clone();
         while !missing.is_empty() && opened.elapsed() < Duration::from_secs(2) {
             let frame = live.frame();
             missing.retain(|kind| !frame.is(*kind));
         }
-        missing.is_empty()
-    });
-    assert!(learnt, "still nothing of {missing:?}");
+        missing
+    };
+    let missing: Vec<_> = (0..3).map(learns).collect();
+    assert!(missing.iter().filter(|missing| missing.is_empty()).count() >= 2, "still nothing of {missing:?}");
     rig.stop();
 }
 
@@ -72,10 +72,11 @@ fn a_stalled_viewer_costs_the_others_and_the_recording_nothing() {
     seen.dedup();
     assert_eq!(seen.len() as u64, span, "{} of {span} messages", seen.len());
     assert!(span > 500, "only {span} messages in three seconds");
-    // Of some, as what is sent may wait for the processor now and then.
+    // The median, as what is sent may wait for the processor now and then.
     let age_ms = |_| live.until(PATIENCE, "link status", |frame| frame.message::<v1::LinkStatus>(Kind::Link)).age_ms;
-    let ages_ms: Vec<f64> = (0..5).map(age_ms).collect();
-    assert!(ages_ms.iter().any(|age_ms| *age_ms < 200.0), "{ages_ms:?}");
+    let mut ages_ms: Vec<f64> = (0..5).map(age_ms).collect();
+    ages_ms.sort_by(f64::total_cmp);
+    assert!(ages_ms[2] < 200.0, "{ages_ms:?}");
     // AND the recording is complete
     rig.disarm();
     assert_eq!(rig.finished_flight()["missing"], 0);

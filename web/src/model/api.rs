@@ -4,6 +4,7 @@ use plumbline_rest::Problem;
 use plumbline_rest::flight::Curves;
 use plumbline_rest::people::Session;
 use serde::Deserialize;
+use serde_json::Value;
 
 /// Who is signed in, as what; `None` where nobody needs to be.
 pub fn who(session: &Session) -> Option<String> {
@@ -50,9 +51,39 @@ pub fn failure_text(status: u16, body: &str) -> String {
     }
 }
 
+/// Does the vehicle carry out a command however late it comes? So it does with the cut, disarm, land and the abort of attacks.
+pub fn counts_late(method: &str, action: &str, body: &Value) -> bool {
+    match (method, action) {
+        ("POST", "cut" | "disarm") | ("DELETE", "attacks") => true,
+        ("POST", "mode") => body.get("mode").is_some_and(|mode| mode == "land"),
+        _ => false,
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use plumbline_proto::v1::Mode;
+    use serde_json::json;
+
     use super::*;
+    use crate::model::names;
+
+    #[test]
+    fn what_ends_a_flight_or_an_attack_counts_however_late() {
+        let mode = |mode| json!(plumbline_rest::command::Mode { mode: names::mode_json(mode) });
+        for (method, action, body, late) in [
+            ("POST", "cut", json!({}), true),
+            ("POST", "disarm", json!({}), true),
+            ("POST", "mode", mode(Mode::Land), true),
+            ("DELETE", "attacks", json!({}), true),
+            ("POST", "mode", mode(Mode::AltitudeHold), false),
+            ("POST", "attacks", json!({}), false),
+            ("POST", "arm", json!({}), false),
+            ("POST", "setpoint", json!({}), false),
+        ] {
+            assert_eq!(counts_late(method, action, &body), late, "{method} {action} {body}");
+        }
+    }
 
     #[test]
     fn failures_say_what_the_ground_said() {

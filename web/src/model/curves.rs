@@ -15,8 +15,10 @@ mod errors;
 const LIVE_SAMPLES: usize = 1 << 15;
 /// … of residuals, of which it sends 8 in each second and which are most of the curves …
 const RESIDUAL_SAMPLES: usize = 1 << 13;
-/// … and of what it does not thin, heights and signals: at 100 Hz.
-const SENSOR_SAMPLES: usize = 1 << 16;
+/// … and of what it does not thin: heights, at 100 Hz …
+const HEIGHT_SAMPLES: usize = 1 << 16;
+/// … and the few signals on charts, at up to 200 Hz.
+const SIGNAL_SAMPLES: usize = 1 << 17;
 /// Samples of a curve that the ground thinned for this page, at most: two for each of its stretches of time.
 const PAST_SAMPLES: usize = 1 << 12;
 /// Samples kept of one curve of a recorded flight: over an hour at 200 Hz.
@@ -197,7 +199,8 @@ impl Curve {
     /// Samples kept of it while it is live.
     fn live_samples(self) -> usize {
         match self {
-            Self::Height(_) | Self::Signal(_) => SENSOR_SAMPLES,
+            Self::Height(_) => HEIGHT_SAMPLES,
+            Self::Signal(_) => SIGNAL_SAMPLES,
             _ if self.is_residual() => RESIDUAL_SAMPLES,
             _ => LIVE_SAMPLES,
         }
@@ -608,9 +611,13 @@ mod tests {
         let window_s = crate::deck::WINDOWS_S.into_iter().fold(0.0, f64::max);
         let key = (1, 1, 1, 1);
         // As often as the ground sends them to a page.
-        for (curve, rate_hz) in
-            [(Curve::Altitude(1), 40), (Curve::Height(1), 100), (Curve::Innovation(key), 8), (Curve::Worst(1, 1, 1), 8)]
-        {
+        for (curve, rate_hz) in [
+            (Curve::Altitude(1), 40),
+            (Curve::Height(1), 100),
+            (Curve::Signal(1), 200),
+            (Curve::Innovation(key), 8),
+            (Curve::Worst(1, 1, 1), 8),
+        ] {
             let mut curves = Curves::default();
             (0..2000 * rate_hz).for_each(|i| curves.push(curve, i * 1_000_000 / rate_hz, 0.5));
             let span = curves.time_span_s().unwrap();

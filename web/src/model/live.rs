@@ -21,6 +21,9 @@ use super::{
     topic::Topic,
 };
 
+/// A curve has ended after this long at the latest, s, however far apart its last samples are: an outage is no period.
+const SLOWEST_S: f64 = 5.0;
+
 /// What the ground itself says of a vehicle; it does not end with a boot.
 #[derive(Debug, Default)]
 pub struct GroundView {
@@ -186,11 +189,13 @@ impl Live {
         Some((worst, self.is_past(newest as f64 * 1e-6, GAP_S, local_ms) && self.is_old(topic, local_ms)))
     }
 
-    /// Has nothing come of this curve for longer than its line bridges?
+    /// Has nothing come of this curve for longer than its line bridges, and three times as long as between its last two samples?
     pub fn has_ended(&self, curve: Curve, local_ms: f64) -> bool {
-        self.curves.get(curve).is_some_and(|series| {
-            series.last().is_some_and(|(last_s, _)| self.is_past(last_s, series.max_gap_s(), local_ms))
-        })
+        let Some(series) = self.curves.get(curve) else { return false };
+        let Some((last_s, _)) = series.last() else { return false };
+        let before = series.end().checked_sub(2).and_then(|number| series.get(number));
+        let slow_s = before.map_or(0.0, |(before_s, _)| 3.0 * (last_s - before_s)).min(SLOWEST_S);
+        self.is_past(last_s, series.max_gap_s().max(slow_s), local_ms)
     }
 
     /// Is `time_s` longer ago than `gap_s`? Nothing is of a recording that is flown again.

@@ -12,6 +12,10 @@ const ADDED: [SensorKind; 5] =
     [SensorKind::Height, SensorKind::Barometer, SensorKind::Gnss, SensorKind::MocapPose, SensorKind::CameraRanges];
 /// The first altitude is commanded then, s.
 const FIRST_S: f64 = 5.0;
+/// Where no onset is given, the ground draws one up to then, s …
+const LATEST_ONSET_S: f64 = 22.0;
+/// … and so much of an attack is to be seen, s.
+const ATTACKED_S: f64 = 4.0;
 /// On strings, and free.
 const RIGS: [&str; 2] =
     ["{ hanging_strings = { mode = \"flight\", height_m = 0.3 } }", "{ free = { height_m = 0.0 } }"];
@@ -148,6 +152,10 @@ impl Study {
             if let Some(instance) = instance {
                 text += &format!("instance = {instance}\n");
             }
+            if duration_s < LATEST_ONSET_S + ATTACKED_S {
+                // In the middle of what is flown.
+                text += &format!("start_s = {:?}\n", 0.5 * (FIRST_S + duration_s));
+            }
             if self.unit(vehicle).is_some() {
                 factors += &listed("attack.magnitude", &numbers("sizes", &self.sizes)?);
             }
@@ -206,6 +214,9 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}: {text}");
         }
+        assert!(!text.contains("start_s"), "{text}");
+        let short = Study { altitudes: "0.9".into(), ..study.clone() }.plan(Some(&vehicle)).unwrap();
+        assert!(short.contains("duration_s = 20.0") && short.contains("\nstart_s = 12.5\n"), "{short}");
         let refused = |change: fn(&mut Study)| {
             let mut study = study.clone();
             change(&mut study);

@@ -161,7 +161,8 @@ impl Bench {
         let (operator, seen_us) = (self.ctx.operator(), self.ctx.seen_us());
         leptos::task::spawn_local(async move {
             let url = format!("/api/v1/vehicles/{id}/{action}");
-            let answer = net::command(method, &url, body.to_string(), &operator, seen_us).await;
+            let within_ms = Some(net::COMMAND_MS);
+            let answer = net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await;
             let done = answer.is_ok();
             self.ctx.dispatch(crate::event::Event::Answered(what, answer));
             self.reload_book().await;

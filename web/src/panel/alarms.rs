@@ -113,8 +113,8 @@ pub fn sound(ctx: Ctx) {
     once(Tune::Lost, Memo::new(move |_| lost_to(ctx).is_some()));
 }
 
-/// The bars, beside each other. What an alarm is is told once, when it begins: what counts on, its age or its figures, is to be seen
-/// only, or a screen reader would begin anew with each change.
+/// The bars, beside each other. What an alarm is is told once, when it begins: what counts on, its age or its figures, is there to be
+/// read and not announced, or a screen reader would begin anew with each change.
 #[component]
 pub fn Alarms() -> impl IntoView {
     let ctx = ctx();
@@ -128,12 +128,12 @@ pub fn Alarms() -> impl IntoView {
     view! {
         <div class="alarms" role="alert" aria-atomic="false" aria-label="Alarms">
             {move || age.get().map(|s| view! {
-                <p class="alarm bad data-age"><span class="visually-hidden">"Data is old."</span><b aria-hidden="true">{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
+                <p class="alarm bad data-age"><span class="visually-hidden">"Data is old."</span><b aria-live="off">{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
             })}
             {move || failsafe.get().filter(|(_, text, acts)| *acts || *text != ended.get()).map(|(title, text, acts)| view! {
                 <p class="alarm loud" class:bad=acts>
                     <span class="visually-hidden">{title}</span>
-                    <b aria-hidden="true" title=text.clone()>{text.clone()}</b>
+                    <b aria-live="off" title=text.clone()>{text.clone()}</b>
                     {acts.then(|| view! {
                         <button type="button" class="small" title="Tones for alarms on or off (T)" on:click=move |_| tones.switch(!tones.on.get_untracked())>
                             {move || if tones.on.get() { "Mute" } else { "Unmute" }}
@@ -147,7 +147,7 @@ pub fn Alarms() -> impl IntoView {
             {move || battery.get().map(|(what, text, empty)| view! {
                 <p class="alarm" class:bad=empty>
                     <span class="visually-hidden">{what}</span>
-                    <b aria-hidden="true">{text}</b>
+                    <b aria-live="off">{text}</b>
                     {simulated.get().then(|| view! {
                         <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!(rest::Simulator { battery: true, reset: false }))>"New battery"</button>
                     })}

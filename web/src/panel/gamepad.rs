@@ -12,7 +12,7 @@ use web_sys::GamepadButton;
 
 use crate::{
     ctx::{Ctx, ctx},
-    event::{Event, Failure, Tone},
+    event::{Event, Failure},
     model::{
         curves::DEGREES,
         format,
@@ -59,6 +59,8 @@ fn idle(ctx: Ctx) -> Option<&'static str> {
 struct Held {
     vehicle: String,
     asked: Asked,
+    /// Flight time of the newest message of it that was shown, µs.
+    seen_us: u64,
 }
 
 /// What a gamepad does, between two readings.
@@ -97,8 +99,9 @@ impl Pad {
                 });
                 let before = before.map_or(Asked::level(yaw_rad), |held| held.asked);
                 let asked = before.after(sticks, dt_s, tilt, throttle);
-                self.held.set(Some(Held { vehicle: vehicle.clone(), asked }));
-                self.send(vehicle, asked);
+                let held = Held { vehicle, asked, seen_us: self.ctx.seen_us() };
+                self.held.set(Some(held.clone()));
+                self.send(held);
             }
             // Let go, lost, landed, or another vehicle is shown.
             (_, Some(held)) => {
@@ -115,6 +118,7 @@ impl Pad {
         if shown && idle(self.ctx).is_some() {
             return;
         }
+        let seen_us = if shown { self.ctx.seen_us() } else { held.seen_us };
         let level = Asked::level(held.asked.roll_pitch_yaw_rad[2]).setpoint();
         let mode = names::mode_json(Mode::AltitudeHold);
         for (what, action, body) in [
@@ -123,37 +127,35 @@ impl Pad {
         ] {
             let vehicle = held.vehicle.clone();
             leptos::task::spawn_local(async move {
-                let answer = command(self.ctx, &vehicle, action, body).await;
+                let answer = command(self.ctx, &vehicle, action, body, seen_us).await;
                 self.ctx.dispatch(Event::Answered(what.to_owned(), answer));
             });
         }
     }
 
     /// Without a notice for each: only what is refused is said.
-    fn send(self, vehicle: String, asked: Asked) {
+    fn send(self, Held { vehicle, asked, seen_us }: Held) {
         if self.waits.get_value() {
             return;
         }
         self.waits.set_value(true);
         leptos::task::spawn_local(async move {
-            let answer = command(self.ctx, &vehicle, "setpoint", json!(asked.setpoint())).await;
+            let answer = command(self.ctx, &vehicle, "setpoint", json!(asked.setpoint()), seen_us).await;
             if self.waits.try_set_value(false).is_some() {
                 return;
             }
-            if let Err(failure) = answer {
-                self.ctx.tell(Tone::Error, format!("Sticks refused: {}", failure.text));
+            if answer.is_err() {
+                self.ctx.dispatch(Event::Answered("Sticks".to_owned(), answer));
             }
         });
     }
 }
 
-/// Sends a command to a vehicle, shown or not.
-async fn command(ctx: Ctx, vehicle: &str, action: &str, body: Value) -> Result<Answer, Failure> {
+/// Sends a command to a vehicle, shown or not, of which `seen_us` was shown last.
+async fn command(ctx: Ctx, vehicle: &str, action: &str, body: Value, seen_us: u64) -> Result<Answer, Failure> {
     let url = format!("/api/v1/vehicles/{}/{action}", js_sys::encode_uri_component(vehicle));
-    // Nothing is seen of one that is not shown.
-    let shown = ctx.app.with_value(|app| app.vehicle.as_deref() == Some(vehicle));
-    let (who, seen_us) = (untrack(|| ctx.operator()), if shown { ctx.seen_us() } else { 0 });
-    net::command("POST", &url, body.to_string(), &who, seen_us).await
+    let who = untrack(|| ctx.operator());
+    net::command("POST", &url, body.to_string(), &who, seen_us, Some(net::COMMAND_MS)).await
 }
 
 /// The card; nothing where no gamepad is connected. A browser shows one once a button of it was pressed.

@@ -19,8 +19,9 @@ const PRESETS_M: [f64; 3] = [0.5, 0.8, 1.0];
 pub const STEP_M: f64 = 0.1;
 /// Altitudes that differ by no more are the same, m.
 const SAME_M: f64 = 1e-6;
-/// A profile that comes no nearer to an altitude for this long does not go there, flight time, µs.
-const STANDS_US: u64 = 1_000_000;
+/// A profile that comes no nearer to an altitude than it was for this long does not go there, flight time, µs: at the default
+/// limits one that turns round is as near again after 1 s.
+const STANDS_US: u64 = 2_000_000;
 
 /// The next altitude on the grid of [`STEP_M`] above or below `from_m`.
 pub fn stepped(from_m: f64, up: bool) -> f64 {
@@ -38,7 +39,7 @@ pub struct Target {
     pub altitude_m: f64,
     vehicle: Option<String>,
     mode: Mode,
-    /// Once the vehicle has accepted it: how far off the profile is, m, and when it last came nearer, flight time, µs.
+    /// Once the vehicle has accepted it: how far off the profile was at its nearest, m, and when, flight time, µs.
     nearing: Option<(f64, u64)>,
 }
 
@@ -60,13 +61,13 @@ impl Target {
         if !same || !matches!(self.mode, Mode::AltitudeHold | Mode::Hold) {
             return false;
         }
-        let Some((off_m, since_us)) = &mut self.nearing else { return true };
+        let Some((least_m, since_us)) = &mut self.nearing else { return true };
         let Some((now_m, time_us)) = live.setpoint_m().zip(live.control.time_us()) else { return false };
-        let before_m = std::mem::replace(off_m, (self.altitude_m - now_m).abs());
-        if *off_m < before_m - SAME_M {
-            *since_us = time_us.max(*since_us);
+        let off_m = (self.altitude_m - now_m).abs();
+        if off_m < *least_m - SAME_M {
+            (*least_m, *since_us) = (off_m, time_us.max(*since_us));
         }
-        *off_m > SAME_M && time_us.saturating_sub(*since_us) < STANDS_US
+        off_m > SAME_M && time_us.saturating_sub(*since_us) < STANDS_US
     }
 }
 
@@ -246,12 +247,18 @@ mod tests {
             (3100, hold, 1.5, "it is there"),
             (3100, Mode::Hold, 0.9, "another mode"),
             (3100, Mode::Land, 0.9, "no altitude is held"),
-            (4000, hold, 0.9, "it stands"),
-            (4000, hold, 0.7, "it goes elsewhere"),
+            (5000, hold, 0.9, "it stands"),
+            (5000, hold, 0.7, "it goes elsewhere"),
         ] {
             let (mut target, mut live) = flying();
             reports(&mut live, ms, mode, altitude_m);
             assert!(!target.counts(a.as_ref(), &live), "{why}");
+        }
+        // WHEN it swings, and so comes nearer again and again, but no nearer than it was
+        let (mut target, mut live) = flying();
+        for ms in (3200_u64..=5000).step_by(200) {
+            reports(&mut live, ms, hold, if ms.is_multiple_of(400) { 0.7 } else { 0.9 });
+            assert_eq!(target.counts(a.as_ref(), &live), ms < 5000, "{ms} ms");
         }
         // WHEN another vehicle is shown
         let (mut target, live) = flying();

@@ -313,6 +313,8 @@ impl Flight {
         (self.guidance.target, self.guidance.altitude_asked) = (here, false);
         if self.phase == Phase::Flying {
             self.limit_target();
+        } else {
+            self.guidance.meter.reset();
         }
     }
 

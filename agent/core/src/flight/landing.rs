@@ -22,10 +22,8 @@ const STANDING_S: f64 = 0.5;
 const TOUCHING_M: f64 = 0.05;
 /// … turning slower than this, rad/s …
 pub(super) const TOUCHING_RADPS: f64 = 0.2;
-/// … for this long, s, …
+/// … for this long, s, and neither rising nor sinking, is landed too, whatever estimator and thrust say.
 const TOUCHING_S: f64 = 1.0;
-/// … in which it moves less than this part of what a descent does, is landed too, whatever estimator and thrust say.
-const TOUCHING_PART: f64 = 0.5;
 /// Thrust of a descent on attitude alone, of the hover thrust, where no height is heard, …
 const BLIND_THRUST: f64 = 0.96;
 /// … less so much for each m/s that it climbs by its accelerometers: 2 m/s are gone within half a metre, …
@@ -36,6 +34,8 @@ const BLIND_GAIN_SPM: f64 = 0.2;
 const BLIND_RANGE: (f64, f64) = (0.5, 1.05);
 /// From here on in such a descent, s, it sinks faster by so much each second, m/s²: over the floor its own wash carries it.
 const SETTLING: (f64, f64) = (5.0, 0.2);
+/// Such a descent ends after so many times its shortest time, whatever seems to sink: heights may be attacked.
+const BLIND_MOST: f64 = 4.0;
 /// The hover thrust is learned with this time constant, s …
 const HOVER_TIME_CONSTANT_S: f64 = 1.0;
 /// … from an altitude measured within this time, s: what coasts looks steady, whatever the thrust …
@@ -60,7 +60,7 @@ impl Flight {
                     self.guidance.profile.restart(Setpoint { throttle: 0.0, ..self.here() });
                     self.phase = Phase::Flying;
                     self.guidance.takeoff_height_m = self.supervision.watchdog.height_m();
-                    (self.guidance.quiet_since, self.guidance.low_since) = (None, None);
+                    (self.guidance.quiet_since, self.guidance.low_since, self.guidance.sank) = (None, None, None);
                 } else if now.seconds_since(since) > settings.takeoff_timeout_s {
                     let why = text(format_args!("armed for {} s without take-off", settings.takeoff_timeout_s));
                     (self.supervision.failsafe, self.supervision.failsafe_reason) = (Failsafe::TakeoffTimeout, why);
@@ -69,9 +69,7 @@ impl Flight {
                 }
             }
             Phase::Flying => {
-                let blind_over = !self.sinks_above_takeoff()
-                    && self.supervision.blind_since.is_some_and(|t| now.seconds_since(t) > settings.blind_descend_s);
-                let (standing, touching) = (self.standing(now), self.touching(now));
+                let (blind_over, standing, touching) = (self.blind_over(now), self.standing(now), self.touching(now));
                 if blind_over || standing || touching {
                     if self.mode == Mode::Stabilise {
                         self.phase = Phase::Idle { since: now };
@@ -122,21 +120,26 @@ impl Flight {
         now.seconds_since(*self.guidance.quiet_since.get_or_insert(now)) > STANDING_S
     }
 
+    /// A descent on attitude alone has had its time and sinks no more; or it takes far longer, whatever seems to sink.
+    fn blind_over(&mut self, now: FlightTime) -> bool {
+        if self.supervision.watchdog.coasting_mps().is_some_and(|climb_mps| climb_mps < -STANDING_SPEED_MPS) {
+            self.guidance.sank = Some(now);
+        }
+        let least_s = self.config.failsafe.blind_descend_s;
+        let blind_s = self.supervision.blind_since.map_or(0.0, |t| now.seconds_since(t));
+        let stopped = self.guidance.sank.is_none_or(|t| now.seconds_since(t) > STANDING_S);
+        blind_s > if stopped { least_s } else { BLIND_MOST * least_s }
+    }
+
     /// As low as where it took off by the raw heights, and quiet: down, whatever the estimator says. Beside a stand it comes
-    /// lower than that in the air, where it still sinks.
+    /// lower than that in the air, where it still moves.
     fn touching(&mut self, now: FlightTime) -> bool {
-        let quiet = self.mode == Mode::Land && self.supervision.watchdog.rates_radps().norm() <= TOUCHING_RADPS;
-        let Some(above_m) = self.above_takeoff_m().filter(|above_m| quiet && *above_m < TOUCHING_M) else {
+        let quiet = self.supervision.watchdog.rates_radps().norm() <= TOUCHING_RADPS && !self.rises_or_sinks();
+        if self.mode != Mode::Land || !self.is_low() || !quiet {
             self.guidance.low_since = None;
             return false;
-        };
-        let most_m = TOUCHING_PART * self.limits_now().descent_max_mps * TOUCHING_S;
-        let (since, from_m) = *self.guidance.low_since.get_or_insert((now, above_m));
-        if (above_m - from_m).abs() > most_m {
-            self.guidance.low_since = Some((now, above_m));
-            return false;
         }
-        now.seconds_since(since) > TOUCHING_S
+        now.seconds_since(*self.guidance.low_since.get_or_insert(now)) > TOUCHING_S
     }
 
     /// Raw height above where it took off, m.
@@ -151,14 +154,14 @@ impl Flight {
         self.above_takeoff_m().is_some_and(|above_m| above_m.abs() < TOUCHING_M)
     }
 
-    /// By accelerometers and raw heights.
-    fn sinks(&self) -> bool {
-        self.supervision.watchdog.coasting_mps().is_some_and(|climb_mps| climb_mps < -STANDING_SPEED_MPS)
+    /// As low as where it took off, or lower.
+    fn is_low(&self) -> bool {
+        self.above_takeoff_m().is_some_and(|above_m| above_m < TOUCHING_M)
     }
 
-    /// A descent on attitude alone that began high is not over yet.
-    fn sinks_above_takeoff(&self) -> bool {
-        self.above_takeoff_m().is_some_and(|above_m| above_m > TOUCHING_M) && self.sinks()
+    /// By accelerometers and raw heights.
+    fn rises_or_sinks(&self) -> bool {
+        self.supervision.watchdog.coasting_mps().is_some_and(|climb_mps| climb_mps.abs() > STANDING_SPEED_MPS)
     }
 
     /// Throttle of a descent on attitude alone: with the slope of the raw heights where there are any.
@@ -169,9 +172,8 @@ impl Flight {
         // From high up it goes on sinking as fast as then.
         let settling_s = (blind_s.min(settings.blind_descend_s) - SETTLING.0).max(0.0);
         let sinks_mps = settings.descend_mps + SETTLING.1 * settling_s;
-        let low = self.above_takeoff_m().is_some_and(|above_m| above_m < TOUCHING_M);
         let share = match self.supervision.watchdog.climb_mps() {
-            _ if low && !self.sinks() => BLIND_RANGE.0,
+            _ if self.is_low() && !self.rises_or_sinks() => BLIND_RANGE.0,
             Some(climb_mps) => (1.0 - BLIND_GAIN_SPM * (climb_mps + sinks_mps)).clamp(BLIND_RANGE.0, BLIND_RANGE.1),
             None => {
                 let climb_mps = self.supervision.watchdog.coasting_mps().unwrap_or(0.0);

@@ -104,7 +104,7 @@ impl Flight {
     pub(super) fn end_path(&mut self) {
         if self.guidance.path.take().is_some() {
             let here = *self.guidance.profile.setpoint();
-            self.guidance.target.position_enu_m = here.position_enu_m;
+            (self.guidance.target.position_enu_m, self.guidance.altitude_asked) = (here.position_enu_m, false);
             (self.guidance.target.roll_pitch_yaw_rad.x, self.guidance.target.roll_pitch_yaw_rad.y) = (0.0, 0.0);
             self.event(Severity::Info, EventKind::Setpoint, text(format_args!("path ended")));
         }

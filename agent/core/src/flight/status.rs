@@ -83,7 +83,7 @@ impl Flight {
             check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));
         }
 
-        match (self.liveness.battery, self.liveness.charge) {
+        match (self.liveness.battery, self.charge(now)) {
             (Some((_, v)), Some(charge)) => {
                 let least = self.config.failsafe.battery_warn + CHARGE_RESERVE;
                 let line = text(format_args!("{v:.2} V, {:.0} %, at least {:.0} %", 100.0 * charge, 100.0 * least));
@@ -135,7 +135,7 @@ impl Flight {
     /// The flight as a whole.
     pub fn status(&self) -> FlightStatus {
         let now = self.report.sensed.time;
-        let checks = self.checks(now);
+        let (checks, charge) = (self.checks(now), self.charge(now));
         FlightStatus {
             time: now,
             mode: self.mode,
@@ -146,8 +146,8 @@ impl Flight {
             disarms_in_s: self.disarms_in_s(now),
             ready_to_arm: !self.armed() && checks.iter().all(|c| c.passed),
             checks,
-            battery_v: self.liveness.charge.and(self.liveness.battery).map(|(_, v)| v),
-            battery_fraction: self.liveness.charge,
+            battery_v: charge.and(self.liveness.battery).map(|(_, v)| v),
+            battery_fraction: charge,
             estimator_in_loop: self.bank.in_loop_kind(),
             deadline_misses: self.liveness.deadline_misses,
             gains_revision: self.gains.revision,
@@ -203,14 +203,21 @@ impl Flight {
         &self.gains
     }
 
-    /// Follows the charge left: the voltage with the sag of what the motors draw taken out. Of an old one nothing is left.
+    /// Charge left, 0..1; `None` while it is not measured, or not any more.
+    fn charge(&self, now: FlightTime) -> Option<f64> {
+        let (measured, _) = self.liveness.battery?;
+        self.liveness.charge.filter(|_| now.seconds_since(measured) <= VOLTAGE_MAX_AGE_S)
+    }
+
+    /// Follows the charge left: the voltage with the sag of what the motors draw taken out. Failsafes go on by the last that was known.
     pub(super) fn follow_charge(&mut self, now: FlightTime, dt_s: f64) {
         let Some((measured, voltage_v)) = self.liveness.battery else { return };
-        if now.seconds_since(measured) > VOLTAGE_MAX_AGE_S {
-            if self.liveness.charge.take().is_some() {
-                let line = text(format_args!("battery not measured for {VOLTAGE_MAX_AGE_S} s: charge not known"));
-                self.event(Severity::Warning, EventKind::Warning, line);
-            }
+        let silent = now.seconds_since(measured) > VOLTAGE_MAX_AGE_S;
+        if silent != std::mem::replace(&mut self.told.battery_silent, silent) && silent {
+            let line = text(format_args!("battery not measured for {VOLTAGE_MAX_AGE_S} s: charge not known"));
+            self.event(Severity::Warning, EventKind::Warning, line);
+        }
+        if silent {
             return;
         }
         let airframe = &self.config.airframe;

@@ -39,7 +39,7 @@ use crate::reading::{BarometerReading, ImuReading, RangeReading, Reading};
 pub const STREAMED: Duration = Duration::from_millis(1200);
 /// Without a setpoint for this long the stream has ended.
 const STREAM_ENDS: Duration = Duration::from_millis(200);
-/// Longest wait for its first heartbeat, and longest without one.
+/// Longest wait for its first heartbeat, longest without one, and longest from our order to arm until it does.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How often what is not done yet is asked for again, and how often our heartbeat is sent.
 const AGAIN: Duration = Duration::from_millis(500);
@@ -131,7 +131,7 @@ struct Known {
     offboard: bool,
     /// It was armed because we asked, and obeyed.
     flew: bool,
-    /// When it was ordered to arm, until it says a while later that it is not armed: arming is ours, wanted still or not.
+    /// When it was ordered to arm: if it arms within [`PATIENCE`] that is ours, wanted still or not.
     ordered: Option<Instant>,
     setpoints: (u64, Instant),
     streams_since: Option<Instant>,
@@ -234,8 +234,8 @@ impl Known {
         self.armed = beat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED);
         self.offboard = beat.base_mode.contains(MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
             && (beat.custom_mode >> 16) & 0xff == OFFBOARD;
-        // Sooner after the order it may have been on its way already.
-        if !self.armed && self.ordered.is_some_and(|at| now - at > AGAIN) {
+        // We arm it in offboard mode: armed in another one, or only so long after the order, it is somebody else's.
+        if self.armed && !self.offboard || self.ordered.is_some_and(|at| now - at > PATIENCE) {
             self.ordered = None;
         }
     }
@@ -664,11 +664,32 @@ mod tests {
             known.attend(&autopilot, at(2010));
             assert_eq!(known.asked, at(2010), "again");
             // From then on whoever arms it is left alone.
-            known.beat(&beat(MavModeFlag::empty()), at(3000));
-            known.attend(&autopilot, at(3010));
-            known.beat(&armed, at(4000));
-            known.attend(&autopilot, at(4010));
+            known.beat(&beat(MavModeFlag::empty()), at(4400));
+            known.attend(&autopilot, at(4410));
+            known.beat(&armed, at(5000));
+            known.attend(&autopilot, at(5010));
             assert!(known.ordered.is_none() && !known.flew && known.asked == at(2010));
         }
+    }
+
+    /// GIVEN an autopilot that was ordered to arm WHEN a pilot arms it in another mode, and goes over to offboard in the air THEN it
+    /// is not disarmed.
+    #[test]
+    fn what_a_pilot_armed_is_never_disarmed() {
+        let autopilot = Autopilot::silent();
+        let begun = Instant::now();
+        let at = |ms: u64| begun + Duration::from_millis(ms);
+        let mut known = Known { offboard: true, ordered: Some(begun), ..Known::new(begun, false) };
+        let armed = |mode: MavModeFlag| HEARTBEAT_DATA {
+            custom_mode: OFFBOARD << 16,
+            base_mode: MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED | mode,
+            ..HEARTBEAT_DATA::DEFAULT
+        };
+        for (mode, ms) in [(MavModeFlag::empty(), 400), (MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 900)] {
+            known.beat(&armed(mode), at(ms));
+            known.attend(&autopilot, at(ms + 10));
+        }
+        assert!(known.armed && known.offboard && known.ordered.is_none());
+        assert!(!known.flew && known.asked == begun, "nothing is asked of it");
     }
 }

@@ -24,12 +24,16 @@ pub enum GnssReading {
 
 const WEEK_MS: u32 = 604_800_000;
 const DAY_MS: u32 = 86_400_000;
+/// Fixes of NMEA alone after which the receiver speaks UBX no more: its power failed, say, and it has lost its set-up.
+const NMEA_ALONE: u8 = 2;
 
 /// Decoder.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GnssStream {
-    /// UBX fixes have come: NMEA of the same receiver would give each fix twice.
+    /// UBX fixes come: NMEA of the same receiver would give each fix twice.
     ubx: bool,
+    /// Fixes of NMEA since UBX spoke of one, or of none.
+    nmea: u8,
     epoch: Epoch,
 }
 
@@ -74,7 +78,11 @@ fn holds_frame(bytes: &[u8]) -> bool {
 
 impl GnssStream {
     fn ubx(&mut self, reading: Result<UbxReading, Fault>) -> Result<GnssReading, Fault> {
-        Ok(match reading? {
+        let reading = reading?;
+        if !matches!(reading, UbxReading::Other(_)) {
+            self.nmea = 0;
+        }
+        Ok(match reading {
             UbxReading::Fix(stamp_ms, fix) => {
                 self.ubx = true;
                 GnssReading::Fix { stamp_ms, roll_over_ms: WEEK_MS, fix }
@@ -84,8 +92,12 @@ impl GnssStream {
     }
 
     fn nmea(&mut self, reading: Result<NmeaReading, Fault>) -> Result<GnssReading, Fault> {
-        let fix = self.epoch.take(reading?).filter(|_| !self.ubx);
-        Ok(fix.map_or(GnssReading::Alive, |(time_s, fix)| GnssReading::Fix {
+        let fix = self.epoch.take(reading?);
+        if fix.is_some() {
+            self.ubx &= self.nmea < NMEA_ALONE;
+            self.nmea = self.nmea.saturating_add(1);
+        }
+        Ok(fix.filter(|_| !self.ubx).map_or(GnssReading::Alive, |(time_s, fix)| GnssReading::Fix {
             stamp_ms: (time_s * 1e3).round() as u32,
             roll_over_ms: DAY_MS,
             fix,

@@ -92,7 +92,8 @@ impl ByHand {
         read.and_then(|agent| agent.apply(&mut config)).map_err(|error| in_section("agent")(error.to_string()))?;
         let (attacked, off) = attack_of(table).map_err(in_section("attack"))?;
         if matches!(attacked, Attacked::Given(Given { sensor: v1::SensorKind::Rotor, .. })) {
-            let complaint = "sensor = \"rotor\": no recording tells when one was attacked, so nothing could be judged";
+            let complaint =
+                "sensor = \"rotor\": the reader of recordings finds no rotor's onset, so nothing could be judged";
             return Err(in_section("attack")(complaint.into()));
         }
         let by_hand = Self {
@@ -158,11 +159,9 @@ impl ByHand {
         ]);
         let condition = Condition::read(&table, recordings).map_err(|wrong| wrong.complaint)?;
         let setup = Setup { comes_down: self.attacked.colludes(), ..condition.setup(seed) };
-        // One that adds nothing leaves no trace.
-        let adds_nothing = |given: &Given| given.kind.is_additive() && given.magnitude == 0.0;
-        let traceless = matches!(&self.attacked, Attacked::Given(given) if adds_nothing(given));
         let clean = setup.recording.iter().all(|recorded| recorded.attacked.is_empty());
-        if clean && self.attacks_something() && !traceless {
+        // One that alters nothing leaves no trace.
+        if clean && self.attacks_something() && self.attacked.alters() {
             return Err("nothing is attacked in it: it ended before the onset, or the attack was never sent".into());
         }
         Ok(setup)

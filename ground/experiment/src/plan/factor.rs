@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use toml::{Spanned, Table, Value};
 
 use super::source::Source;
@@ -146,6 +146,17 @@ fn checked(source: Source<'_>, key: &str, span: &Range<usize>, known: &[Factor])
     Ok(())
 }
 
+/// How a sample follows from its seed. It is drawn anew at every look, so that an experiment keeps the way it was made by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Draw {
+    /// Of experiments that name none: samples of neighbouring seeds have points in common.
+    #[default]
+    Joined,
+    /// Another seed is another sample.
+    Derived,
+}
+
 /// Which levels come together.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Design {
@@ -216,7 +227,9 @@ impl Design {
     }
 
     /// The level of each factor in a condition.
-    pub(super) fn levels(&self, factors: &[Factor], seed: u64, condition: u64) -> Vec<Option<Value>> {
+    pub(super) fn levels(&self, factors: &[Factor], seed: u64, draw: Draw, condition: u64) -> Vec<Option<Value>> {
+        let joined = draw == Draw::Joined;
+        let dice = |seed: u64| Dice::new(if joined { seed ^ condition } else { derived(seed, condition) });
         match self {
             Self::Grid => {
                 let mut left = condition;
@@ -239,12 +252,13 @@ impl Design {
                 factors.iter().map(|factor| listed.and_then(|table| table.get(&factor.key)).cloned()).collect()
             }
             Self::Draws(_) => {
-                let mut dice = Dice::new(derived(seed ^ 0xd4a5_0000_0000, condition));
+                let mut dice = dice(seed ^ 0xd4a5_0000_0000);
                 factors.iter().map(|factor| factor.at(dice.uniform())).collect()
             }
             Self::LatinHypercube(count) => {
-                let mut dice = Dice::new(derived(seed ^ 0x1a71_0000_0000, condition));
-                let stratum = |at: usize| shuffled(condition, *count, derived(seed ^ 0x57a7_0000_0000, at as u64));
+                let mut dice = dice(seed ^ 0x1a71_0000_0000);
+                let key = |at: u64| if joined { seed.wrapping_add(at) } else { derived(seed ^ 0x57a7_0000_0000, at) };
+                let stratum = |at: usize| shuffled(condition, *count, key(at as u64));
                 let each = factors.iter().enumerate();
                 each.map(|(at, factor)| factor.at((stratum(at) as f64 + dice.uniform()) / *count as f64)).collect()
             }
@@ -299,7 +313,8 @@ mod tests {
         };
         let factors = [factor("scenario.a"), factor("scenario.b")];
         let sample = |design: &Design, seed: u64, at: usize| -> Vec<u64> {
-            let levels = (0..64).filter_map(|n| design.levels(&factors, seed, n).get(at)?.as_ref()?.as_float());
+            let levels =
+                (0..64).filter_map(|n| design.levels(&factors, seed, Draw::Derived, n).get(at)?.as_ref()?.as_float());
             levels.map(f64::to_bits).collect()
         };
         for design in [Design::Draws(64), Design::LatinHypercube(64)] {
@@ -312,5 +327,13 @@ mod tests {
             points.into_iter().map(|point| f64::from_bits(point) as u64).collect()
         };
         assert!((0..4).all(|seed| strata(seed, 1) != strata(seed + 1, 0)));
+        // What was flown with points in common keeps them.
+        let flown = |seed, n| Design::Draws(64).levels(&factors, seed, Draw::Joined, n);
+        assert_eq!(flown(0, 1), flown(1, 0));
+        let strata = |seed, at: usize| -> Vec<Option<u64>> {
+            let flown = |n| Design::LatinHypercube(64).levels(&factors, seed, Draw::Joined, n);
+            (0..64).map(|n| Some(flown(n).get(at)?.as_ref()?.as_float()? as u64)).collect()
+        };
+        assert_eq!(strata(0, 1), strata(1, 0));
     }
 }

@@ -180,7 +180,7 @@ fn what_cannot_be_flown_by_hand_is_refused_with_its_line_and_value() {
         (BY_HAND.replace("in_loop = \"lanes\"", "run = [\"ukf\"]"), 8, "of a vehicle only estimators.in_loop"),
         (BY_HAND.replace("{ in_loop = \"lanes\" }", "{ in_loop = \"nose\" }"), 7, "nose"),
         (BY_HAND.replace("hold_s = 10", "hold_s = 4"), 5, "3 of 4 s are 12 s, and flights are judged from 12 s on"),
-        (BY_HAND.replace("\"height\"", "\"rotor\""), 10, "no recording tells when one was attacked"),
+        (BY_HAND.replace("\"height\"", "\"rotor\""), 10, "the reader of recordings finds no rotor's onset"),
         (BY_HAND.replace("start_s = 5", "start_s = 31"), 5, "an onset may be at 31 s"),
         (BY_HAND.replace("repeats = 3", "repeats = 1001"), 2, "1001 flights, more than 1000"),
         (with("[scenario]\nduration_s = 20\n"), 14, "flown by hand instead"),

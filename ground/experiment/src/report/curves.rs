@@ -66,10 +66,11 @@ pub(super) fn roc(out: &mut String, experiment: &Experiment, results: &Results, 
         rows.iter().filter(move |row| plan.place(row.index.into()).0 == number)
     };
     let scores = |condition: &Condition| of(condition).map(|row| row.value(SCORE)).collect::<Vec<_>>();
-    let clean: Vec<_> = results.conditions.iter().filter(|condition| condition.detected.is_none()).collect();
     let mut series = Vec::new();
-    for condition in results.conditions.iter().filter(|condition| condition.detected.is_some()).take(DRAWN) {
-        let beside = clean.iter().find(|other| apart(other) == apart(condition));
+    let attacked = |condition: &&Condition| condition.detected.is_some() && plan.attacks(condition.number);
+    for condition in results.conditions.iter().filter(attacked).take(DRAWN) {
+        let clean = |other: &&Condition| apart(other) == apart(condition) && !plan.attacks(other.number);
+        let beside = results.conditions.iter().find(clean);
         let Some(curve) = beside.and_then(|beside| roc::roc(&scores(condition), &scores(beside))) else { continue };
         let name = format!("{}: area {:.3}", label(condition), curve.area);
         let points = curve.points.iter().map(|[x, y]| Point { x: *x, y: *y, interval: [*y; 2] });
@@ -129,4 +130,27 @@ pub(super) fn over_time(out: &mut String, experiment: &Experiment, results: &Res
         svg::curves("s", "altitude less setpoint, m", Look::Band, &series),
         bands.repeats,
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::judge::Outcome;
+    use crate::plan::Plan;
+
+    #[test]
+    fn flights_without_an_attack_are_the_others_where_propellers_break_as_well() {
+        let folder = tempfile::tempdir().unwrap();
+        let plan = "name = \"a\"\n[scenario]\nduration_s = 30\nbroken = [{ rotor = 1, at_s = 20, left = 0.8 }]\n\
+                    [attack]\nsensor = \"height\"\nkind = \"bias\"\nmagnitude = 0.2\n\
+                    [[factor]]\nkey = \"attack.kind\"\nvalues = [\"none\", \"bias\"]\n";
+        let experiment = Experiment::create(folder.path(), Plan::from_toml(plan).unwrap()).unwrap();
+        let row = |index, nis_most| Row::new(index, &Outcome { missed: 1, nis_most, ..Outcome::default() });
+        let rows = [row(0, 1.0), row(1, 9.0)];
+        let mut held = experiment.hold().unwrap();
+        rows.iter().for_each(|row| held.append(row).unwrap());
+        let mut out = String::new();
+        roc(&mut out, &experiment, &summary::results(&experiment).unwrap(), &rows);
+        assert!(out.contains("bias: area 1.000") && !out.contains("none: area"), "{out}");
+    }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use plumbline_agent::flight::Flight;
 use plumbline_experiment::flight::fly_watched;
-use plumbline_experiment::plan::Plan;
+use plumbline_experiment::plan::{Draw, Plan};
 use plumbline_experiment::row::{ROW_BYTES, Row};
 use plumbline_experiment::run::{Ended, Options, run};
 use plumbline_experiment::store::{Experiment, StoreError};
@@ -253,11 +253,16 @@ fn what_changed_between_two_experiments_is_what_was_changed() {
         .unwrap();
     let path = older.folder.join("identity.json");
     let mut identity: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    identity.as_object_mut().unwrap().remove("measures");
+    for key in ["measures", "draw"] {
+        assert!(identity.as_object_mut().unwrap().remove(key).is_some(), "{key}");
+    }
     identity["program"] = "0.0.9".into();
     std::fs::write(&path, identity.to_string()).unwrap();
     let older = Experiment::open(folder.path(), &older.id).unwrap();
     assert_eq!(older.done(), FLIGHTS);
+    // What was drawn then is not drawn as it is now.
+    let kept = Experiment::open(folder.path(), &first.id).unwrap();
+    assert_eq!((older.plan.draw, kept.plan.draw), (Draw::Joined, Draw::Derived));
     let compared = compare::compare(&older, &first).unwrap();
     assert!(
         compared.programs && compared.conditions.iter().all(|pair| (pair.pairs, pair.same) == (4, 4)),

@@ -204,7 +204,8 @@ fn hash(path: &Path) -> Result<String, RecordingError> {
     File::open(path).and_then(hash_of).map(|(hash, _)| hash).map_err(|e| io(path, e))
 }
 
-/// Copies a file beside its place, syncs it, reads it back, and only then gives it its name. Answers its hash.
+/// Copies a file beside its place, syncs it, reads it back, and only then gives it its name. It stays as old as it was. Answers
+/// its hash.
 fn copy(from: &Path, to: &Path, expected: Option<&str>) -> Result<String, RecordingError> {
     let mut temporary = to.as_os_str().to_owned();
     temporary.push(".tmp");
@@ -231,14 +232,16 @@ fn copy_to(from: &Path, temporary: &Path, expected: Option<&str>) -> Result<Stri
     let mut read = Sha256::new();
     let original = File::open(from).map_err(|e| io(from, e))?;
     pieces(
-        original,
+        &original,
         |e| io(from, e),
         |piece| {
             read.update(piece);
             file.write_all(piece).map_err(|e| io(temporary, e))
         },
     )?;
-    file.sync_all().map_err(|e| io(temporary, e))?;
+    // The age of a flight is that of its file where the vehicle's clock was behind.
+    let modified = original.metadata().and_then(|meta| meta.modified()).map_err(|e| io(from, e))?;
+    file.set_modified(modified).and_then(|()| file.sync_all()).map_err(|e| io(temporary, e))?;
     let read = hex(read);
     let differs = |path: &Path, found: &str, expected: &str| {
         Err(RecordingError::Damaged { path: path.to_owned(), reason: format!("has {found}, was {expected}") })

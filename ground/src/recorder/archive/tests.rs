@@ -55,6 +55,8 @@ fn folders() -> (tempfile::TempDir, PathBuf, PathBuf) {
 #[test]
 fn a_backup_is_whole_checked_and_put_back_and_nothing_is_replaced() {
     let (_folder, data, backup) = folders();
+    let old = std::time::UNIX_EPOCH + Duration::from_secs(86_400);
+    File::options().write(true).open(data.join("flights/a.mcap")).unwrap().set_modified(old).unwrap();
     let first = back_up(&data, &backup, &[]).unwrap();
     assert_eq!(first.copied, ["a.mcap", "a.json", "b.mcap"]);
     assert_eq!(first.left[0].0, "c");
@@ -69,6 +71,8 @@ fn a_backup_is_whole_checked_and_put_back_and_nothing_is_replaced() {
     assert_eq!(back.copied, ["a.json", "a.mcap"]);
     assert_eq!(back.left, [("b.mcap".to_owned(), "it is there already".to_owned())]);
     assert_eq!(fs::read(data.join("flights/a.mcap")).unwrap(), b"flight a");
+    let modified = fs::metadata(data.join("flights/a.mcap")).unwrap().modified().unwrap();
+    assert_eq!(modified, old, "none becomes younger by that");
     assert!(matches!(restore(&backup, &data, &["z".into()]), Err(RecordingError::Unknown(id)) if id == "z"));
 }
 

@@ -196,7 +196,7 @@ fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         let (mut found, mut damage, mut gated) = (Vec::new(), Vec::new(), Vec::new());
         for size in sizes {
             let flown = fly_all(&Case::sized(kind, channel, size), &effort, &[Pilot::LANES, Pilot::EKF]);
-            let rate = flown.iter().filter(|f| f.by[0].missed == 0).count() as f64 / flown.len() as f64;
+            let rate = flown.iter().filter(|f| !f.by[0].delays_s.is_empty()).count() as f64 / flown.len() as f64;
             let delays: Vec<f64> = flown.iter().flat_map(|f| f.by[0].delays_s.iter().copied()).collect();
             let error = |pilot: usize| {
                 let kept = flown.iter().filter(|f| f.by[pilot].lost.is_none());

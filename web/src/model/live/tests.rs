@@ -195,6 +195,27 @@ fn what_a_silent_sensor_said_last_is_old_and_what_others_say_is_not() {
 }
 
 #[test]
+fn a_slow_sensor_is_not_silent_between_two_samples_and_no_outage_makes_it_slower() {
+    let mut live = Live::default();
+    let mut ended_after = |times_s: &[u64], later_s: f64| {
+        let mut out = Vec::new();
+        let mut end_ms = 0.0;
+        for time_s in times_s {
+            let residuals = vec![v1::Residual { sensor: 2, instance: 1, ratio: 0.4, ..Default::default() }];
+            let message = v1::Residuals { time_us: time_s * 1_000_000, estimator: 1, residuals };
+            append(&mut out, Kind::Residuals, 1, *time_s, time_s * 1_000_000, &message);
+            end_ms = *time_s as f64 * 1e3;
+        }
+        live.ingest(&out, end_ms).unwrap();
+        [0.0, later_s].map(|later_s| live.has_ended(Curve::Worst(1, 2, 1), end_ms + 1e3 * (1.2 + later_s)))
+    };
+    // GIVEN a sample a second; WHEN the next is overdue by two, THEN it has ended
+    assert_eq!(ended_after(&[1, 2, 3], 2.0), [false, true]);
+    // WHEN one comes after a minute, and no other
+    assert_eq!(ended_after(&[63], 4.0), [false, true]);
+}
+
+#[test]
 fn steps_update_in_place_and_events_do_not_repeat() {
     let mut live = Live::default();
     let mut out = Vec::new();

@@ -5,6 +5,7 @@ use plumbline_proto::v1::EstimatorKind;
 use plumbline_rest::experiment::{Asked, Opened, State};
 use plumbline_rest::flight::Flight;
 
+use super::reestimate;
 use crate::{
     ctx::ctx,
     event::Failure,
@@ -14,14 +15,9 @@ use crate::{
 };
 
 /// Estimators that a recording can be flown under.
-const ESTIMATORS: [EstimatorKind; 6] = [
-    EstimatorKind::EkfBias,
-    EstimatorKind::Secure,
-    EstimatorKind::Lanes,
-    EstimatorKind::EkfHybrid,
-    EstimatorKind::Ukf,
-    EstimatorKind::ConstantAcceleration,
-];
+fn estimators() -> impl Iterator<Item = EstimatorKind> {
+    reestimate::estimators().filter(|kind| names::estimates_altitude(*kind))
+}
 
 /// Flies a plan of `count` flights and keeps each as a flight file; their ids.
 async fn flown(plan: String, count: usize, operator: &str, told: impl Fn(usize)) -> Result<Vec<String>, Failure> {
@@ -79,7 +75,7 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
             <header><h2>"Fly again"</h2></header>
             <fieldset class="checks">
                 <legend class="quiet">"under"</legend>
-                {ESTIMATORS.map(|kind| view! {
+                {estimators().map(|kind| view! {
                     <label class="check">
                         <input type="checkbox" prop:checked=move || chosen.get().contains(&kind) on:change:target=move |e| toggle(kind, e.target().checked()) />
                         {names::estimator(kind)}

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Estimators that run over a recording: the complementary filter is there to be compared with in flight.
-fn estimators() -> impl Iterator<Item = EstimatorKind> {
+pub(super) fn estimators() -> impl Iterator<Item = EstimatorKind> {
     EstimatorKind::all().filter(|kind| *kind != EstimatorKind::Complementary)
 }
 

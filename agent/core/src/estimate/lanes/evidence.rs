@@ -234,7 +234,7 @@ impl Evidence {
         if let Some(lane) = self.lanes.get_mut(lane) {
             lane.far = HEAL_SLOTS / 2 + 1;
             // Where no lane is present there is only its own.
-            lane.against = least.min(lane.against) + HEALED;
+            lane.against = if least.is_finite() { least } else { lane.against } + HEALED;
         }
     }
 
