@@ -2,6 +2,7 @@
 
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
+use plumbline_agent::control::setpoint::Limits;
 use plumbline_agent::event::text;
 use plumbline_agent::flight::{Failsafe, FlightConfig};
 use plumbline_agent::frames::tilt_rad;
@@ -191,15 +192,20 @@ fn too_much_tilt_cuts_and_stays_cut_until_released() {
     assert_eq!(f.flight.status().mode, Mode::Disarmed);
 }
 
+/// Hovers in free flight within these limits; from 12 s on a gust pushes it aside for so long.
+fn in_a_gust(duration_s: f64, force_n: f64, limit: impl FnOnce(&mut Limits)) -> Flown {
+    let gust = format!("\n[[push]]\nat_s = 12\nduration_s = {duration_s}\nforce_enu_n = [{force_n}, 0, 0]\n");
+    let mut scenario = Scenario::from_toml(&(scenario("hover") + &gust)).unwrap();
+    scenario.script.steps.retain(|s| s.at_s < 20.0);
+    let mut config = scenario.flight_config();
+    limit(&mut config.limits);
+    Flown::with_config(scenario, config)
+}
+
 #[test]
 fn holding_against_a_gust_is_no_loss_of_control_however_little_tilt_may_be_asked_for() {
     // GIVEN hold, and no tilt at all for the operator WHEN a gust takes 15° to hold against THEN it leans and flies on
-    let gust = "\n[[push]]\nat_s = 12\nduration_s = 2.5\nforce_enu_n = [4, 0, 0]\n";
-    let mut scenario = Scenario::from_toml(&(scenario("hover") + gust)).unwrap();
-    scenario.script.steps.retain(|s| s.at_s < 20.0);
-    let mut config = scenario.flight_config();
-    config.limits.tilt_max_rad = 0.0;
-    let mut f = Flown::with_config(scenario, config);
+    let mut f = in_a_gust(2.5, 4.0, |limits| limits.tilt_max_rad = 0.0);
     f.until(14.5);
     let leaning = f.since(12.0).filter(|r| tilt_rad(&r.truth.world_from_body) > 0.18).count();
     assert!(leaning > 120, "leans for {leaning} ticks only");
@@ -229,12 +235,7 @@ fn an_independent_height_vetoes_an_estimate_that_is_led_astray() {
 #[test]
 fn a_vehicle_blown_out_of_its_box_descends() {
     // GIVEN free flight in a box of half a metre WHEN a gust stronger than the tilt it is allowed holds against carries it away
-    let gust = "\n[[push]]\nat_s = 12\nduration_s = 8\nforce_enu_n = [9, 0, 0]\n";
-    let mut scenario = Scenario::from_toml(&(scenario("hover") + gust)).unwrap();
-    scenario.script.steps.retain(|s| s.at_s < 20.0);
-    let mut config = scenario.flight_config();
-    config.limits.lateral_max_m = 0.5;
-    let mut f = Flown::with_config(scenario, config);
+    let mut f = in_a_gust(8.0, 9.0, |limits| limits.lateral_max_m = 0.5);
     f.until(12.0);
     assert_eq!(f.flight.status().failsafe, Failsafe::None, "{}", f.log());
     // THEN it holds at the edge, descends after two seconds outside, and ends on the ground

@@ -22,6 +22,14 @@ async fn fly(agent: &mut Agent, ticks: u32, arrives: impl Fn(u64) -> bool) {
     }
 }
 
+/// Flight `f1` ends, and is complete with every message since `first` once the agent has answered what it is asked.
+async fn ends_whole(ground: &Ground, agent: &mut Agent, first: u64) {
+    let last = agent.end("f1", first);
+    agent.send([last], false).await;
+    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
+    check_whole(ground, agent, "f1", first, last).await;
+}
+
 /// The file, the API and the agent's log agree on every message.
 async fn check_whole(ground: &Ground, agent: &Agent, id: &str, first: u64, last: u64) {
     let flight = ground.json(&format!("/api/v1/flights/{id}")).await;
@@ -231,10 +239,7 @@ async fn a_ground_restarted_in_flight_completes_the_recording() {
     agent.reconnect(ground.link.clone()).await;
     agent.status("f1", 0).await;
     fly(&mut agent, 100, |_| true).await;
-    let last = agent.end("f1", first);
-    agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
-    check_whole(&ground, &agent, "f1", first, last).await;
+    ends_whole(&ground, &mut agent, first).await;
     ground.stop().await;
 }
 
@@ -263,10 +268,7 @@ async fn a_ground_killed_in_flight_loses_no_more_than_its_last_flush() {
     let file = ground.get("/api/v1/flights/f1/mcap").await.body;
     assert_eq!(mcap_counts(&file), api_counts(flight));
     agent.reconnect(ground.link.clone()).await;
-    let last = agent.end("f1", first);
-    agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
-    check_whole(&ground, &agent, "f1", first, last).await;
+    ends_whole(&ground, &mut agent, first).await;
     ground.stop().await;
 }
 
@@ -364,10 +366,7 @@ async fn an_unwritable_folder_is_loud_the_flight_goes_on_and_nothing_is_lost() {
 
     std::fs::remove_file(&flights).unwrap();
     fly(&mut agent, 50, |_| true).await;
-    let last = agent.end("f1", first);
-    agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
-    check_whole(&ground, &agent, "f1", first, last).await;
+    ends_whole(&ground, &mut agent, first).await;
     assert!(ground.json("/api/v1/ground").await["recording_error"].is_null());
     ground.stop().await;
 }
@@ -392,10 +391,7 @@ async fn a_vehicle_that_is_lost_while_nothing_can_be_written_leaves_no_error_beh
     ground.wait_json("/api/v1/ground", |g| g["recording_error"].is_null()).await;
     // AND what it flew comes when it is back
     agent.reconnect(ground.link.clone()).await;
-    let last = agent.end("f1", first);
-    agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
-    check_whole(&ground, &agent, "f1", first, last).await;
+    ends_whole(&ground, &mut agent, first).await;
     ground.stop().await;
 }
 
@@ -415,10 +411,7 @@ async fn a_data_folder_that_is_moved_away_is_missed_and_not_begun_anew() {
     assert!(!here.exists(), "a second data folder was begun");
     std::fs::rename(&away, &here).unwrap();
     fly(&mut agent, 50, |_| true).await;
-    let last = agent.end("f1", first);
-    agent.send([last], false).await;
-    agent.answering(ground.wait_json("/api/v1/flights/f1", complete)).await;
-    check_whole(&ground, &agent, "f1", first, last).await;
+    ends_whole(&ground, &mut agent, first).await;
     ground.stop().await;
 }
 
