@@ -42,9 +42,9 @@ fn a_viewer_learns_everything_in_its_first_two_seconds() {
     rig.stop();
 }
 
-/// Sequence numbers seen in `span`, of frames the agent made.
+/// Sequence numbers of frames the agent made, seen in `span` and from its middle until shortly before its end: the
+/// snapshot comes first, in any order, and what travels on a stream may come before or after its neighbours.
 fn sequences(live: &mut Live, span: Duration) -> Vec<u64> {
-    // The snapshot comes first, in any order: begin with what is live.
     let begin = Instant::now();
     let mut seen = Vec::new();
     while begin.elapsed() < span {
@@ -53,8 +53,9 @@ fn sequences(live: &mut Live, span: Duration) -> Vec<u64> {
             seen.push(frame.sequence);
         }
     }
-    let newest = seen.len() - seen.len() / 2;
-    seen.split_off(newest)
+    let (first, last) = (seen[seen.len() / 2], seen[seen.len() * 9 / 10]);
+    seen.retain(|sequence| (first..=last).contains(sequence));
+    seen
 }
 
 #[test]
@@ -66,20 +67,28 @@ fn a_stalled_viewer_costs_the_others_and_the_recording_nothing() {
     rig.fly_to(0.5);
     // WHEN a third viewer watches for a few seconds
     let mut seen = sequences(&mut live, Duration::from_secs(6));
-    // THEN nothing is missing, doubled or late for it
+    // THEN nothing that came over the link is missing, doubled or late for it
     seen.sort_unstable();
     let span = seen.last().unwrap() - seen.first().unwrap() + 1;
+    assert!(span > 500, "only {span} messages in two seconds");
+    let doubled = seen.len();
     seen.dedup();
-    assert_eq!(seen.len() as u64, span, "{} of {span} messages", seen.len());
-    assert!(span > 500, "only {span} messages in three seconds");
+    assert_eq!(seen.len(), doubled, "messages came twice");
+    let missing = span - seen.len() as u64;
     // The median, as what is sent may wait for the processor now and then.
-    let age_ms = |_| live.until(PATIENCE, "link status", |frame| frame.message::<v1::LinkStatus>(Kind::Link)).age_ms;
-    let mut ages_ms: Vec<f64> = (0..5).map(age_ms).collect();
+    let link = |_| live.until(PATIENCE, "link status", |frame| frame.message::<v1::LinkStatus>(Kind::Link));
+    let links: Vec<_> = (0..5).map(link).collect();
+    let mut ages_ms: Vec<f64> = links.iter().map(|link| link.age_ms).collect();
     ages_ms.sort_by(f64::total_cmp);
     assert!(ages_ms[2] < 200.0, "{ages_ms:?}");
+    assert!(links.iter().all(|link| link.viewer_dropped == 0), "{links:?}");
     // AND the recording is complete
     rig.disarm();
-    assert_eq!(rig.finished_flight()["missing"], 0);
+    let flight = rig.finished_flight();
+    assert_eq!(flight["missing"], 0);
+    // Live messages travel in datagrams, of which one may be lost: the recording has it from the agent's log, viewers do not.
+    let lost = flight["filled"].as_u64().unwrap();
+    assert!(missing <= lost, "{missing} of {span} messages are missing, and the link lost {lost}");
     rig.stop();
 }
 
