@@ -150,6 +150,7 @@ await step(page, 'envelope: the rotors can move along, and their part is in the 
   await until('eleven in the draft', async () => (await drafted()).length === 11);
   const rotors = (await drafted()).filter((text) => /^rotor \d: bias/.test(text));
   assert(rotors.length === 4, JSON.stringify(await drafted()));
+  await attacks.getByText(/^With lanes in the loop an exclusion is expected in \d+ % of flights; the altitude moves up to [\d.]+ cm\.$/).waitFor();
   await attacks.getByRole('button', { name: 'Schedule 11 attacks' }).click();
   await until('accepted', async () => /accepted|active/i.test(await attacks.getByRole('listitem').first().textContent()));
   await attacks.getByRole('button', { name: 'Abort all' }).click();

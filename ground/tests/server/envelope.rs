@@ -79,7 +79,17 @@ async fn an_attack_is_prepared_and_judged_and_what_is_wrong_is_named() {
     let again = serde_json::json!({ "attacks": prepared["attacks"], "of": { "horizon_s": 5 } }).to_string();
     let again = ground.request("POST", path, &again).await.json();
     assert_eq!((&again["probability"], &again["altitude_m"]), (&prepared["probability"], &prepared["altitude_m"]));
+    // Along x: of the axis that the attacks are along.
+    let aside = r#"{"of":{"more":"pose"},"attacks":[{"sensor":"imu","instance":1,"channel":"accel_x","kind":"bias","start_s":3,"duration_s":4,"magnitude":2}]}"#;
+    let aside = ground.request("POST", path, aside).await.json();
+    assert!(aside["probability"].as_f64() == Some(1.0) && aside["altitude_m"].is_null(), "{aside}");
+    assert!((0.01..0.05).contains(&aside["tilt_rad"].as_f64().unwrap()), "{aside}");
     for (body, named) in [
+        (
+            r#"{"generator":"stealthy_bias","of":{"axis":"x","more":"pose","sensors":["height 2"]}}"#,
+            "sensor height 2 is not one that this loop uses: imu 1, ",
+        ),
+        (r#"{"generator":"covert","of":{"axis":"y","more":"pose","sensors":["imu 1"]}}"#, "leave out imu 2, imu 3"),
         (r#"{"generator":"magic","of":{"sensors":["height 2"]}}"#, "magic"),
         (r#"{"generator":"optimal"}"#, "sensors"),
         (r#"{"generator":"covert","accel_mps2":99,"of":{"sensors":["height 2"]}}"#, "accel_mps2 is 99"),

@@ -174,13 +174,15 @@ pub struct AttackQuestion {
     pub of: EnvelopeQuestion,
     /// `optimal` (what the bound is nearly reached with), `stealthy_bias` (the largest constant one seen in one of twenty flights),
     /// `zero_dynamics` (what no healthy sensor sees; no `attacks` where the loop has none, and `note` tells its zeros)
-    /// or `covert` (a motion that is not in what is received); left out, `attacks` are judged as they are.
+    /// or `covert` (a motion that is not in what is received); left out, `attacks` are judged as they are, along the `axis` that
+    /// all of them are along where none is named. Along x and y `zero_dynamics` and `rotors` are not prepared, a stealthy bias
+    /// is one of IMUs under motion capture, and a covert motion needs all that measure it attacked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub generator: Option<String>,
-    /// Of an optimal one along `axis` x or y: what it pushes, `tilt` (as left out), `velocity` or `position`.
+    /// Of an optimal one and of a stealthy bias along `axis` x or y: what it pushes, `tilt` (as left out), `velocity` or `position`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deviation: Option<String>,
-    /// Of a covert one, and the largest that rotors add along zero dynamics, m/s².
+    /// Of a covert one, along x and y the largest of the motion itself; and the largest that rotors add along zero dynamics, m/s².
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accel_mps2: Option<f64>,
     /// rms of the vehicle's watermark, m/s², where it flies one: what tells a replayed accelerometer.
@@ -202,19 +204,21 @@ pub struct PreparedAttack {
     /// As a schedule has them.
     pub attacks: Vec<PlannedAttack>,
     /// Part of flights in which an attacked sensor is excluded: drawn noise of the data sheets, about hover. Of a rotor in which
-    /// it is isolated, of a replay in which the watermark tells it: by closed forms, which `note` says.
+    /// it is isolated, of a replay in which the watermark tells it: by closed forms, which `note` says. Along x and y only where
+    /// motion capture measures the motion, or every IMU has the same added.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
     /// Furthest that they move the altitude of the linear loop, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub altitude_m: Option<f64>,
-    /// Along a horizontal axis, where that is pushed: furthest that they tilt the linear loop, rad.
+    /// Along a horizontal axis, where that is pushed or `attacks` were judged: furthest that they tilt the linear loop, rad;
+    /// absent beyond small angles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt_rad: Option<f64>,
     /// The same of its velocity, m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_mps: Option<f64>,
-    /// The same of its position, m.
+    /// The same of its position, m; of judged ones where motion capture measures it, and of a covert motion its length.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<f64>,
     /// Why nothing is expected of some; by what else than draws, and of what, something is; what a sequence is not.

@@ -2,10 +2,11 @@
 //!
 //! The maximising sequence of every set of one or two sensors of the default suite, and drawn attacks on them. The deviation is that
 //! of the true altitude from the same flight without the attack, until somebody is excluded. `--flights N` draws so many attacks in
-//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `commanded`, `heave`, `watermark` or one world, `--quick` a twentieth.
+//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `lateral`, `commanded`, `heave`, `watermark` or one world, `--quick` a twentieth.
 
 mod commanded;
 mod detection;
+mod lateral;
 
 use std::collections::HashMap;
 
@@ -40,6 +41,9 @@ pub fn run() -> Result<(), ReportError> {
     }
     if effort.wants("detect") {
         detection::of_generators(&mut report, &effort)?;
+    }
+    if effort.wants("lateral") {
+        lateral::of_lateral(&mut report, &effort)?;
     }
     if effort.wants("commanded") {
         commanded::of_rotors(&mut report, &effort)?;

@@ -22,7 +22,7 @@ use super::{EnvelopeError, Model, Signal};
 /// Flights drawn.
 pub const DRAWN: u64 = 200;
 /// Judges have heard so long of nothing but noise before the onset, s.
-const BEFORE_S: f64 = 8.0;
+pub(super) const BEFORE_S: f64 = 8.0;
 
 /// What is added to one sensor over time: seconds since the onset to m or m/s².
 #[allow(missing_debug_implementations, reason = "a function")]
@@ -41,6 +41,8 @@ pub struct Expected {
     pub scores: Vec<f64>,
     /// Furthest that it moves the altitude in the linear loop, m.
     pub altitude_m: f64,
+    /// Furthest that it moves the linear loop along a horizontal axis: tilt (rad), velocity (m/s) and position (m); 0 along z.
+    pub aside: [f64; 3],
 }
 
 impl Expected {
@@ -85,8 +87,13 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     }
     let heard =
         Heard { attacked: &attacked, residuals_m: &residuals_m, differs: &differs, schedule: &schedule, horizon_s };
-    let score = |number: u64| heard.score(&mut Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20)));
-    Ok(Expected { scores: (0..DRAWN).map(score).collect(), altitude_m })
+    let score = |number: u64| heard.score(&mut dice(seed, number));
+    Ok(Expected { scores: (0..DRAWN).map(score).collect(), altitude_m, aside: [0.0; 3] })
+}
+
+/// The noise of flight `number` of those drawn.
+pub(super) fn dice(seed: u64, number: u64) -> Xoshiro256PlusPlus {
+    Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20))
 }
 
 struct Heard<'a> {

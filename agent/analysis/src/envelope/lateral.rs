@@ -38,17 +38,55 @@ pub struct Lateral {
     pub sensors: Vec<SensorId>,
     /// What that is.
     pub aid: Aid,
-    axis: usize,
+    pub(super) axis: usize,
     imus: usize,
     controlled: Controlled,
-    maps: Vec<Map>,
+    pub(super) maps: Vec<Map>,
     /// How long before the end of each slot of a cycle the aid measured, s.
     ages_s: Vec<Option<f64>>,
+    pub(super) white: White,
     /// Acceleration of a tilt, m/s², and angular acceleration of a torque, 1/(kg m²).
     drives: (f64, f64),
     /// What the vote takes for usual, m/s² and rad/s.
     usual: (f64, f64),
-    most: (f64, f64),
+    pub(super) most: (f64, f64),
+}
+
+/// White noise by the data sheets, one sigma.
+#[derive(Debug, Clone, Default)]
+pub(super) struct White {
+    /// Means over a slot of accelerometer and gyroscope of each IMU used, in the order of the sensors: m/s² and rad/s.
+    pub(super) imus: Vec<[f64; 2]>,
+    /// Position (m), velocity (m/s) and tilt (rad) as the aid measures them; 0 for what it does not.
+    pub(super) aid: [f64; 3],
+}
+
+impl White {
+    fn new(suite: &Suite, used: &[SensorId], aid: Aid) -> Self {
+        let one = |sensor: &SensorId| {
+            let imu = suite.imus.get(usize::from(sensor.instance).checked_sub(1)?)?;
+            let mean = (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
+            Some([&imu.accel, &imu.gyro].map(|quality| quality.total_sigma() / mean))
+        };
+        let imus = used.iter().filter(|sensor| sensor.kind == SensorKind::Imu).filter_map(one).collect();
+        let measures = match (aid, &suite.mocap_pose, &suite.gnss) {
+            (Aid::Pose, Some(pose), _) => [pose.position.total_sigma(), 0.0, pose.attitude.total_sigma()],
+            (Aid::Gnss, _, Some(gnss)) => [gnss.horizontal.total_sigma(), gnss.velocity.total_sigma(), 0.0],
+            _ => [0.0; 3],
+        };
+        Self { imus, aid: measures }
+    }
+}
+
+/// What the vehicle does of what is added, and what its sensors read of that: slot after slot, without noise.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Course {
+    /// Tilt (rad), velocity (m/s) and position (m) at the beginning of each slot.
+    pub(super) aside: Vec<[f64; 3]>,
+    /// Means over each slot that healthy accelerometers and gyroscopes read, m/s² and rad/s.
+    pub(super) felt: Vec<[f64; 2]>,
+    /// Position (m), velocity (m/s) and tilt (rad) as received from the aid in each slot that has a sample.
+    pub(super) received: Vec<Option<[f64; 3]>>,
 }
 
 /// A loop under attack.
@@ -56,6 +94,8 @@ struct Attacked<'a> {
     of: &'a Lateral,
     /// Attacked IMUs.
     imus: Vec<SensorId>,
+    /// What is added to the position that the aid measures, m, of seconds since the onset.
+    aid: Option<&'a dyn Fn(f64) -> f64>,
 }
 
 impl Lateral {
@@ -106,9 +146,10 @@ impl Lateral {
         let kept = [ix::X + axis, ix::VX + axis, ix::ROLL + other, ix::P + other];
         let input = ix::TORQUE_X + other;
         let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &kept, input, aid != Aid::None)?;
+        let white = White::new(suite, &used, aid);
         let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
         let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
-        Ok(Self { sensors: used, aid, axis, imus, controlled, maps, ages_s, drives, usual, most })
+        Ok(Self { sensors: used, aid, axis, imus, controlled, maps, ages_s, white, drives, usual, most })
     }
 
     /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.
@@ -121,7 +162,7 @@ impl Lateral {
         horizon_s: f64,
         deviation: Deviation,
     ) -> Result<Option<Program>, EnvelopeError> {
-        let model = Attacked { of: self, imus: self.those_of(attacked) };
+        let model = Attacked { of: self, imus: self.those_of(attacked), aid: None };
         if model.imus.is_empty() {
             return Err(EnvelopeError::Value { what: "sensors attacked", value: 0.0, expected: "at least 1" });
         }
@@ -132,7 +173,7 @@ impl Lateral {
 
     /// What an `attack` of [`Self::program`] adds, by channels of a schedule: one value for each [`SLOT`], m/s² and rad/s.
     pub fn sequences(&self, attacked: &[SensorId], attack: &Signal) -> Vec<(SensorId, &'static str, Vec<f64>)> {
-        let channels = if self.axis == 0 { ["accel_x", "gyro_y"] } else { ["accel_y", "gyro_x"] };
+        let channels = self.channels();
         let imus = self.those_of(attacked);
         let each = attack.len() / imus.len().max(1);
         let of = |(place, imu): (usize, SensorId)| {
@@ -145,6 +186,48 @@ impl Lateral {
         imus.into_iter().enumerate().flat_map(of).collect()
     }
 
+    /// Channels of an IMU that have a say here: its accelerometer's along the axis, its gyroscope's about the other.
+    pub(super) fn channels(&self) -> [&'static str; 2] {
+        channels(self.axis)
+    }
+
+    /// Those used that are IMUs.
+    pub(super) fn imus(&self) -> impl Iterator<Item = SensorId> + '_ {
+        self.sensors.iter().copied().filter(|sensor| sensor.kind == SensorKind::Imu)
+    }
+
+    /// What measures the motion, where anything does.
+    pub(super) fn measuring(&self) -> Option<SensorId> {
+        self.sensors.iter().copied().find(|sensor| sensor.kind != SensorKind::Imu)
+    }
+
+    /// Does what measures the motion measure in slot `number`?
+    pub(super) fn measured(&self, number: usize) -> bool {
+        self.ages_s.get(number % self.ages_s.len().max(1)).copied().flatten().is_some()
+    }
+
+    /// What comes of adding `imus` (an IMU, slot: m/s² and rad/s) and, to the position as measured, `place` (seconds since the onset: m).
+    pub(super) fn course(
+        &self,
+        horizon_s: f64,
+        imus: &dyn Fn(SensorId, usize) -> [f64; 2],
+        place: &dyn Fn(f64) -> f64,
+    ) -> Course {
+        let model = Attacked { of: self, imus: self.imus().collect(), aid: Some(place) };
+        let attack = |imu: SensorId, k: usize| {
+            let [force, rate] = imus(imu, k / 2);
+            Signal::from_element(1, if k.is_multiple_of(2) { force / self.most.0 } else { rate / self.most.1 })
+        };
+        // The last slots are closed behind the horizon of the lanes.
+        let run = model.run(horizon_s + HORIZON_S + SLOT, 1, &attack);
+        let own = |signals: [&Signal; 3]| signals.map(|signal| signal[0]);
+        let Response { place_m, speed_mps, tilt_rad, .. } = &run.response;
+        let aside = tilt_rad.iter().zip(speed_mps).zip(place_m).map(|((tilt, speed), place)| own([tilt, speed, place]));
+        let felt = run.means.iter().map(|means| std::array::from_fn(|i| means.get(i).map_or(0.0, |mean| mean[0])));
+        let received = run.received.iter().map(|one| one.as_ref().map(|[x, v, tilt]| own([x, v, tilt])));
+        Course { aside: aside.collect(), felt: felt.collect(), received: received.collect() }
+    }
+
     /// Those of `attacked` that have a say, each once.
     fn those_of(&self, attacked: &[SensorId]) -> Vec<SensorId> {
         let mut of: Vec<SensorId> = Vec::new();
@@ -155,6 +238,11 @@ impl Lateral {
         }
         of
     }
+}
+
+/// Channels of an IMU along `axis`, 0: x, 1: y.
+pub(super) fn channels(axis: usize) -> [&'static str; 2] {
+    if axis == 0 { ["accel_x", "gyro_y"] } else { ["accel_y", "gyro_x"] }
 }
 
 /// Those of `suite` that have a say in the horizontal motion.
@@ -184,6 +272,36 @@ impl Attacked<'_> {
     fn is_minority(&self) -> bool {
         2 * self.imus.len() < self.of.imus
     }
+
+    /// The loop over `horizon_s`, from rest; see [`Model::respond`].
+    fn run<'s>(&'s self, horizon_s: f64, width: usize, attack: &'s dyn Fn(SensorId, usize) -> Signal) -> Running<'s> {
+        let zeros = |count: usize| vec![Signal::zeros(width); count];
+        let of = self.of;
+        let judge = |_: &SensorId| Judge {
+            votes: [Voted::new(ALONG, of.usual.0, width), Voted::new(TURNING, of.usual.1, width)],
+            evidence: std::array::from_fn(|_| (Signal::zeros(width), 0.0)),
+        };
+        let mut running = Running {
+            of: self,
+            attack,
+            width,
+            motion: Motion::new(&of.controlled, width),
+            places: Vec::new(),
+            felt: zeros(2),
+            means: Vec::new(),
+            received: Vec::new(),
+            healthy: zeros(STATES),
+            differ: self.imus.iter().map(|_| zeros(STATES)).collect(),
+            judges: self.imus.iter().map(judge).collect(),
+            now: zeros(3),
+            biases: zeros(2),
+            grown: VecDeque::new(),
+            turned: VecDeque::from(zeros(1)),
+            response: Response::default(),
+        };
+        (0..(horizon_s / of.controlled.tick_s).round() as usize).for_each(|tick| running.tick(tick));
+        running
+    }
 }
 
 impl Model for Attacked<'_> {
@@ -207,31 +325,7 @@ impl Model for Attacked<'_> {
         width: usize,
         attack: &dyn Fn(SensorId, usize) -> Signal,
     ) -> Result<Response, EnvelopeError> {
-        let zeros = |count: usize| vec![Signal::zeros(width); count];
-        let of = self.of;
-        let judge = |_: &SensorId| Judge {
-            votes: [Voted::new(ALONG, of.usual.0, width), Voted::new(TURNING, of.usual.1, width)],
-            evidence: std::array::from_fn(|_| (Signal::zeros(width), 0.0)),
-        };
-        let mut running = Running {
-            of: self,
-            attack,
-            width,
-            motion: Motion::new(&of.controlled, width),
-            places: Vec::new(),
-            felt: zeros(2),
-            means: Vec::new(),
-            healthy: zeros(STATES),
-            differ: self.imus.iter().map(|_| zeros(STATES)).collect(),
-            judges: self.imus.iter().map(judge).collect(),
-            now: zeros(3),
-            biases: zeros(2),
-            grown: VecDeque::new(),
-            turned: VecDeque::from(zeros(1)),
-            response: Response::default(),
-        };
-        (0..(horizon_s / of.controlled.tick_s).round() as usize).for_each(|tick| running.tick(tick));
-        Ok(running.response)
+        Ok(self.run(horizon_s, width, attack).response)
     }
 }
 
@@ -254,6 +348,8 @@ struct Running<'a> {
     felt: Vec<Signal>,
     /// Their means over each slot.
     means: Vec<Vec<Signal>>,
+    /// What came of the aid in each slot closed: position, velocity, tilt.
+    received: Vec<Option<[Signal; 3]>>,
     healthy: Vec<Signal>,
     /// What the lanes of the attacked IMUs differ by.
     differ: Vec<Vec<Signal>>,
@@ -368,7 +464,11 @@ impl Running<'_> {
         let none = || vec![Signal::zeros(width); 2];
         let age_s = lateral.ages_s.get(number % lateral.ages_s.len().max(1)).copied().flatten();
         let tick = |age_s: f64| ((time_s - age_s) / lateral.controlled.tick_s).round().max(0.0) as usize;
-        let measured = age_s.and_then(|age_s| self.places.get(tick(age_s)).cloned());
+        let mut measured = age_s.and_then(|age_s| self.places.get(tick(age_s)).cloned());
+        if let (Some([place, ..]), Some(added), Some(age_s)) = (&mut measured, self.of.aid, age_s) {
+            place.add_scalar_mut(added(time_s - age_s));
+        }
+        self.received.push(measured.clone());
         let measured = measured.unwrap_or_else(|| std::array::from_fn(|_| Signal::zeros(width)));
         let means = self.means.get(number).cloned().unwrap_or_else(none);
         let mut states = taken(&self.healthy, &means, &measured);

@@ -14,11 +14,13 @@
 //! Three models give c and m: `prototype` (its table is a fixture), `flying`, the altitude as it flies, and `lateral`, a horizontal
 //! axis. `program` solves, and proves the bound by its multipliers alone. Without noise; deviations are those from a flight without the attack.
 
+mod aside;
 mod bank;
 mod commanded;
 mod controlled;
 pub mod expected;
 pub mod flying;
+mod heard_aside;
 mod interior;
 mod judges;
 pub mod lateral;

@@ -2,14 +2,14 @@
 //!
 //! | generator | what is added |
 //! |---|---|
-//! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample; of the altitude, or of tilt, velocity or position along a horizontal axis |
+//! | optimal | the maximising sequence of the envelope, everything weighing fully, sample by sample |
 //! | stealthy bias | the same constant to every height attacked, the largest seen in one of twenty flights |
 //! | covert | −½ a t² to heights and −a to accelerometers: what a motion of a upward would have them add is taken off again; with the rotors attacked too that motion is commanded, and the model's response to it taken off |
 //! | zero dynamics | what no healthy sensor sees, along the zeros of the loop that do not die away; none where there is none |
+//!
+//! Those along a horizontal axis are in `aside`.
 
 use plumbline_core::attack::Bounds;
-use plumbline_core::estimate::lanes::lateral::Aid;
-use plumbline_core::estimate::lanes::linear::SLOT;
 use plumbline_core::flight::{ROTOR_SIGMA, rotor_information};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::suite::Suite;
@@ -21,10 +21,8 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack}
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
-use super::lateral::Lateral;
-use super::rotors;
-use super::sets::{Asked, SMALL_RAD, Verdict, sequences, verdict, wrong};
-use super::{Deviation, EnvelopeError, program, theory};
+use super::sets::{Asked, Verdict, sequences, verdict, wrong};
+use super::{Deviation, EnvelopeError, aside, program, rotors, theory};
 
 /// A stealthy bias is seen in so many flights …
 pub(super) const STEALTHY: f64 = 0.05;
@@ -35,9 +33,9 @@ const LARGEST_M: f64 = 0.5;
 /// Seed of the noise drawn: the same question, the same answer.
 pub(super) const SEED: u64 = 21;
 /// Longest attack that is judged, s.
-const LONGEST_S: f64 = 60.0;
-/// The closed form of a rotor's loss holds in flight from this loss on, or up to this one.
-const LOSSES: (f64, f64) = (0.1, 0.02);
+pub(super) const LONGEST_S: f64 = 60.0;
+/// The closed form of a rotor's loss holds where at most, or at least, so much of its thrust is left.
+const LEFT: (f64, f64) = (0.9, 0.98);
 /// Largest watermark that can be configured, m/s².
 const WATERMARK_MPS2: f64 = 0.5;
 
@@ -50,13 +48,14 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     let rotors = rotors::taken(&mut of.sensors, question.generator.as_deref())?;
     if question.generator.is_none() {
         of.sensors = Some(Vec::new());
+        of.axis = of.axis.or_else(|| aside::axis_of(&question.attacks).map(str::to_owned));
     } else if !rotors && of.sensors.as_ref().is_none_or(Vec::is_empty) {
         return Err(wrong("sensors", "is empty, a generator attacks at least one".into()));
     }
     let asked = Asked::new(&of, suite)?;
     let set = asked.sets.first().cloned().unwrap_or_default();
     if let Some(lateral) = &asked.lateral {
-        return aside(question, lateral, &set, asked.horizon_s);
+        return aside::prepared(question, lateral, &set, rotors, asked.horizon_s);
     }
     if let Some(deviation) = &question.deviation {
         return Err(wrong(
@@ -140,7 +139,13 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
 }
 
 /// An attack on `sensor`, of an IMU on its accelerometer along z, for as long as was asked.
-fn planned(question: &AttackQuestion, horizon_s: f64, sensor: SensorId, kind: &str, magnitude: f64) -> PlannedAttack {
+pub(super) fn planned(
+    question: &AttackQuestion,
+    horizon_s: f64,
+    sensor: SensorId,
+    kind: &str,
+    magnitude: f64,
+) -> PlannedAttack {
     PlannedAttack {
         sensor: sensor.kind.as_str_name().trim_start_matches("SENSOR_KIND_").to_ascii_lowercase(),
         instance: u32::from(sensor.instance),
@@ -155,69 +160,10 @@ fn planned(question: &AttackQuestion, horizon_s: f64, sensor: SensorId, kind: &s
 }
 
 /// `attack` with these values, one after another.
-fn scheduled(attack: PlannedAttack, period_s: f64, values: Vec<f64>) -> PlannedAttack {
+pub(super) fn scheduled(attack: PlannedAttack, period_s: f64, values: Vec<f64>) -> PlannedAttack {
     let magnitude = values.iter().fold(1e-9, |most: f64, x| most.max(x.abs()));
     let sequence = values.into_iter().map(|x| x / magnitude).collect();
     PlannedAttack { magnitude, sequence, sequence_period_s: Some(period_s), ..attack }
-}
-
-/// The maximising sequence along a horizontal axis. How surely it is seen is not known: the judges that draws are heard by are those of
-/// the altitude.
-fn aside(
-    question: &AttackQuestion,
-    lateral: &Lateral,
-    set: &[SensorId],
-    horizon_s: f64,
-) -> Result<PreparedAttack, EnvelopeError> {
-    match question.generator.as_deref() {
-        Some("optimal") => {}
-        Some(other) => {
-            return Err(wrong("generator", format!("is {other:.40?}: along x and y only optimal is prepared")));
-        }
-        None => return Err(wrong("axis", "is horizontal: what is expected of an attack is of the altitude".into())),
-    }
-    let deviation = match question.deviation.as_deref() {
-        None | Some("tilt") => Deviation::Tilt,
-        Some("velocity") => Deviation::Speed,
-        Some("position") if lateral.aid == Aid::None => {
-            return Err(wrong(
-                "deviation",
-                "is \"position\", which neither motion capture nor GNSS measures here".into(),
-            ));
-        }
-        Some("position") => Deviation::Place,
-        Some(other) => {
-            return Err(wrong("deviation", format!("is {other:.40?}, it must be tilt, velocity or position")));
-        }
-    };
-    let solved = |deviation| {
-        let unjudged =
-            || wrong("sensors", "are judged by nobody along this axis, so there is no largest attack".into());
-        lateral.program(set, horizon_s, deviation)?.ok_or_else(unjudged)?.solve()
-    };
-    let tilt = solved(Deviation::Tilt)?;
-    if tilt.upper > SMALL_RAD {
-        let problem = format!("may tilt it by {:.2} rad unseen: beyond small angles nothing is known", tilt.upper);
-        return Err(wrong("sensors", problem));
-    }
-    let bound = if deviation == Deviation::Tilt { tilt } else { solved(deviation)? };
-    let one = |(imu, channel, values): (SensorId, &str, Vec<f64>)| {
-        let attack = PlannedAttack { channel: channel.to_owned(), ..planned(question, horizon_s, imu, "bias", 1.0) };
-        scheduled(attack, SLOT, values)
-    };
-    let of = |one: Deviation| (one == deviation).then_some(bound.reached);
-    Ok(PreparedAttack {
-        attacks: lateral.sequences(set, &bound.attack).into_iter().map(one).collect(),
-        tilt_rad: of(Deviation::Tilt),
-        velocity_mps: of(Deviation::Speed),
-        position_m: of(Deviation::Place),
-        note: format!(
-            "{:.0} % of the bound, about a hover that holds its {}; how surely it is seen is not known along a horizontal axis.",
-            100.0 * bound.reached / bound.upper,
-            if lateral.aid == Aid::None { "attitude" } else { "position" },
-        ),
-        ..PreparedAttack::default()
-    })
 }
 
 /// What is expected of a schedule of one attack by a closed form, and by which.
@@ -238,12 +184,12 @@ fn closed(
             );
             Some((theory::replay_told(watermark_mps2, lasts_s), note))
         }
-        ("rotor", "scale") if (1..=ROTORS as u32).contains(&attack.instance) => {
-            let loss = 1.0 - attack.magnitude;
-            let (from, to) = LOSSES;
-            if !(0.0..=to).contains(&loss) && !(from..=1.0).contains(&loss) {
+        ("rotor", kind @ ("scale" | "zero")) if (1..=ROTORS as u32).contains(&attack.instance) => {
+            let left = if kind == "zero" { 0.0 } else { attack.magnitude };
+            if !(0.0..=LEFT.0).contains(&left) && !(LEFT.1..=1.0).contains(&left) {
                 return Ok(None);
             }
+            let loss = 1.0 - left;
             let airframe = Airframe::by_name(&asked.airframe).map_err(|e| wrong("airframe", e.to_string()))?;
             let information = rotor_information(&airframe, attack.instance as usize - 1, &ROTOR_SIGMA.into());
             let note = format!(
@@ -256,17 +202,19 @@ fn closed(
     })
 }
 
-/// Why nothing is expected of an attack.
-fn unknown(attack: &PlannedAttack) -> String {
+/// Why nothing is expected of an attack, which is `alone` or one of several.
+pub(super) fn unknown(attack: &PlannedAttack, alone: bool) -> String {
     let PlannedAttack { kind, channel, sensor, instance, magnitude, .. } = attack;
     let why = match (sensor.as_str(), kind.as_str()) {
         ("imu", "replay") => ": at hover it is noise of another time, which only a watermark (`watermark_mps2`) tells",
         (_, "replay") => ": at hover it is noise of another time, which no judge tells from that of now",
         (_, "time_shift") => ": what stamps do to the slots of the lanes is not in the model",
         ("height" | "imu", "noise") => ": it moves the estimate that it is judged by another way in each flight",
-        ("rotor", "scale") if (LOSSES.1..LOSSES.0).contains(&(1.0 - magnitude)) => {
+        ("rotor", "scale") if *magnitude > LEFT.0 && *magnitude < LEFT.1 => {
             ": between a loss of 2 and of 10 % the theory says more than what is flown"
         }
+        ("rotor", "scale" | "zero") if !alone => ": its closed form is of one attack alone",
+        ("rotor", "bias") => ": thrust that is added is judged only as it is prepared",
         _ => "",
     };
     format!("nothing is expected of {kind} on {channel} of {sensor} {instance}{why}")
@@ -282,10 +230,15 @@ pub fn power(
     suite: Option<Suite>,
     parts: &[f64],
 ) -> Result<Vec<Option<Expected>>, EnvelopeError> {
-    let asked = Asked::new(&EnvelopeQuestion { sensors: Some(Vec::new()), ..question.of.clone() }, suite)?;
+    let axis = question.of.axis.clone().or_else(|| aside::axis_of(&question.attacks).map(str::to_owned));
+    let asked = Asked::new(&EnvelopeQuestion { sensors: Some(Vec::new()), axis, ..question.of.clone() }, suite)?;
     let scaled = |part: &f64| {
         let one = |attack: &PlannedAttack| PlannedAttack { magnitude: part * attack.magnitude, ..attack.clone() };
-        Ok(judged(&asked, &question.attacks.iter().map(one).collect::<Vec<_>>())?.0)
+        let attacks: Vec<_> = question.attacks.iter().map(one).collect();
+        match &asked.lateral {
+            Some(lateral) => Ok(aside::judged(lateral, &attacks).0),
+            None => Ok(judged(&asked, &attacks)?.0),
+        }
     };
     parts.iter().map(scaled).collect()
 }
@@ -321,23 +274,34 @@ pub(super) fn largest_unseen(
 }
 
 /// What is added at so many seconds since the first onset.
-type Adds<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
+pub(super) type Adds<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
+
+/// First onset and last end of a schedule, s after it is accepted.
+pub(super) fn span(attacks: &[PlannedAttack]) -> (f64, f64) {
+    let first_s = attacks.iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min);
+    (first_s, attacks.iter().map(|attack| attack.start_s + attack.duration_s).fold(0.0, f64::max))
+}
+
+/// The sensor of an attack.
+pub(super) fn named(attack: &PlannedAttack) -> Option<SensorId> {
+    format!("{} {}", attack.sensor.replace('_', " "), attack.instance).parse().ok()
+}
+
+/// Is the attack on what moves the altitude?
+fn is_upward(attack: &PlannedAttack) -> bool {
+    matches!((attack.sensor.as_str(), attack.channel.as_str()), ("height", "all") | ("imu", "accel_z"))
+}
 
 /// What an attack of a schedule adds at so many seconds since the first onset; `None` where it does not just add.
-fn added(attack: &PlannedAttack, first_s: f64) -> Option<Adds<'_>> {
+pub(super) fn adds(attack: &PlannedAttack, first_s: f64) -> Option<Adds<'_>> {
     let sound = [attack.start_s, attack.duration_s, attack.magnitude].iter().all(|x| x.is_finite());
-    let known = match attack.sensor.as_str() {
-        "height" => attack.channel == "all",
-        "imu" => attack.channel == "accel_z",
-        _ => false,
-    };
     let shape: fn(f64) -> f64 = match attack.kind.as_str() {
         "bias" => |_| 1.0,
         "ramp" => |t| t,
         "parabola" => |t| 0.5 * t * t,
         _ => return None,
     };
-    (known && sound).then(|| -> Adds<'_> {
+    sound.then(|| -> Adds<'_> {
         Box::new(move |since_s| {
             let t = since_s + first_s - attack.start_s;
             if !(-1e-9..attack.duration_s).contains(&t) {
@@ -353,14 +317,12 @@ fn added(attack: &PlannedAttack, first_s: f64) -> Option<Adds<'_>> {
 
 /// What is expected of `attacks`, and what keeps anything from being expected.
 fn judged(asked: &Asked, attacks: &[PlannedAttack]) -> Result<(Option<Expected>, String), EnvelopeError> {
-    let first_s = attacks.iter().map(|attack| attack.start_s).fold(f64::INFINITY, f64::min);
-    let end_s = attacks.iter().map(|attack| attack.start_s + attack.duration_s).fold(0.0, f64::max);
-    let name = |attack: &PlannedAttack| format!("{} {}", attack.sensor, attack.instance);
+    let (first_s, end_s) = span(attacks);
     let mut of: Vec<(SensorId, Vec<Adds<'_>>)> = Vec::new();
     for attack in attacks {
-        let sensor = name(attack).parse::<SensorId>().ok().filter(|sensor| asked.flying.sensors.contains(sensor));
-        let (Some(sensor), Some(adds)) = (sensor, added(attack, first_s)) else {
-            return Ok((None, unknown(attack)));
+        let sensor = named(attack).filter(|sensor| is_upward(attack) && asked.flying.sensors.contains(sensor));
+        let (Some(sensor), Some(adds)) = (sensor, adds(attack, first_s)) else {
+            return Ok((None, unknown(attack, attacks.len() == 1)));
         };
         match of.iter_mut().find(|(known, _)| *known == sensor) {
             Some((_, all)) => all.push(adds),

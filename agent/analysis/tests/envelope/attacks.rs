@@ -80,8 +80,11 @@ fn along_x_and_y_an_optimal_attack_is_prepared_of_what_it_is_to_push() {
         }
         assert!(found.tilt_rad.is_some_and(|tilt| tilt > 1e-3) && found.velocity_mps.is_none());
         assert!(found.probability.is_none() && found.altitude_m.is_none() && found.note.contains("holds its attitude"));
+        assert!(found.note.contains(&format!("nothing measures the motion along {axis}")), "{}", found.note);
         let place = prepared(&aside(axis, Some("pose"), Some("position"), &["imu 2"]), None).unwrap();
+        println!("{axis}: {:?} seen {:?}", place.position_m, place.probability);
         assert!(place.position_m.is_some_and(|m| m > 1e-3) && place.tilt_rad.is_none(), "{place:?}");
+        assert!(place.probability.is_some_and(|part| part < 0.5), "{:?}", place.probability);
         assert_ne!(place.attacks, found.attacks);
     }
     let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
@@ -92,12 +95,114 @@ fn along_x_and_y_an_optimal_attack_is_prepared_of_what_it_is_to_push() {
         refused(&aside("x", None, Some("yaw"), &["imu 1"])).contains("\"yaw\", it must be tilt, velocity or position")
     );
     assert!(refused(&aside("x", None, None, &["imu 1", "imu 2"])).contains("judged by nobody"));
-    let covert = AttackQuestion { generator: Some("covert".into()), ..aside("x", None, None, &["imu 1"]) };
-    assert!(refused(&covert).contains("\"covert\": along x and y only optimal"));
+    let magic = AttackQuestion { generator: Some("zero_dynamics".into()), ..aside("x", None, None, &["imu 1"]) };
+    assert!(refused(&magic).contains("it must be optimal, stealthy_bias or covert"));
     let upward = AttackQuestion { deviation: Some("tilt".into()), ..question(Some("optimal"), &["imu 1"]) };
     assert!(refused(&upward).contains("deviation is \"tilt\", without an axis"));
-    let judged = AttackQuestion { generator: None, ..aside("x", None, None, &["imu 1"]) };
-    assert!(refused(&judged).contains("axis is horizontal"));
+}
+
+const IMUS: [&str; 4] = ["imu 1", "imu 2", "imu 3", "imu 4"];
+
+/// A question along `axis` of the default suite with `more`, for 5 s.
+fn along(generator: Option<&str>, axis: &str, more: Option<&str>, sensors: &[&str]) -> AttackQuestion {
+    let mut asked = question(generator, sensors);
+    (asked.of.axis, asked.of.more) = (Some(axis.into()), more.map(Into::into));
+    asked
+}
+
+/// A bias on `channel` of IMU 1.
+fn bias(channel: &str, magnitude: f64) -> PlannedAttack {
+    PlannedAttack {
+        sensor: "imu".into(),
+        instance: 1,
+        channel: channel.into(),
+        kind: "bias".into(),
+        duration_s: 5.0,
+        magnitude,
+        ..PlannedAttack::default()
+    }
+}
+
+/// GIVEN motion capture WHEN a bias along x or y grows THEN it is seen the surer, and without one hardly ever.
+#[test]
+fn along_x_and_y_the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
+    let judged = |axis: Option<&str>, more: Option<&str>, attacks: Vec<PlannedAttack>| {
+        let of =
+            EnvelopeQuestion { axis: axis.map(Into::into), more: more.map(Into::into), ..EnvelopeQuestion::default() };
+        AttackQuestion { of, attacks, ..AttackQuestion::default() }
+    };
+    for (channel, sizes) in [
+        ("accel_x", [0.0, 0.1, 1.0, 4.0]),
+        ("gyro_y", [0.0, 0.003, 0.1, 0.5]),
+        ("accel_y", [0.0, 0.1, 1.0, 4.0]),
+        ("gyro_x", [0.0, 0.003, 0.1, 0.5]),
+    ] {
+        let axis = if ["accel_x", "gyro_y"].contains(&channel) { "x" } else { "y" };
+        let found = power(&judged(Some(axis), Some("pose"), vec![bias(channel, 1.0)]), None, &sizes).unwrap();
+        let found: Vec<&Expected> = found.iter().flatten().collect();
+        println!("{channel}: {:?}", found.iter().map(|of| (of.seen(), of.aside)).collect::<Vec<_>>());
+        assert!(found.len() == 4 && found[0].seen() <= 2 && found[1].seen() <= 4 && found[3].seen() == DRAWN);
+        assert!(found.windows(2).all(|two| two[1].seen() >= two[0].seen() && two[1].aside[0] > two[0].aside[0]));
+    }
+    // The axis is that of the attacks, where none is named; one of motion capture is heard by nobody.
+    let pose = PlannedAttack { sensor: "mocap_pose".into(), ..bias("x", 0.1) };
+    let found = prepared(&judged(None, Some("pose"), vec![pose]), None).unwrap();
+    println!("{found:?}");
+    assert!(found.probability == Some(0.0) && (0.08..0.2).contains(&found.position_m.unwrap()), "{found:?}");
+    let unaided = prepared(&judged(None, None, vec![bias("accel_y", 1.0)]), None).unwrap();
+    assert!(unaided.probability.is_none() && unaided.note.contains("nothing measures the motion along y"));
+    let seldom = prepared(&judged(None, Some("gnss"), vec![bias("accel_x", 1.0)]), None).unwrap();
+    assert!(seldom.probability.is_none() && seldom.note.contains("gnss 1 alone measures"), "{}", seldom.note);
+    let both = prepared(&judged(Some("x"), Some("pose"), vec![bias("accel_x", 0.1), bias("accel_y", 0.1)]), None);
+    assert_eq!(both.unwrap().note, "nothing is expected of bias on accel_y of imu 1");
+}
+
+#[test]
+fn a_stealthy_bias_along_x_and_y_is_hardly_seen_and_a_larger_one_is() {
+    for (axis, channels) in [("x", ["accel_x", "gyro_y"]), ("y", ["accel_y", "gyro_x"])] {
+        let found = prepared(&along(Some("stealthy_bias"), axis, Some("pose"), &["imu 2"]), None).unwrap();
+        let [attack] = &found.attacks[..] else { panic!("{found:?}") };
+        println!(
+            "{axis}: {} {} {:?} {:?} {}",
+            attack.channel, attack.magnitude, found.probability, found.tilt_rad, found.note
+        );
+        assert!(channels.contains(&attack.channel.as_str()) && attack.instance == 2 && attack.kind == "bias");
+        assert!(found.probability.unwrap() <= STEALTHY && found.tilt_rad.unwrap() > 1e-3, "{found:?}");
+        let larger = AttackQuestion { generator: None, ..along(None, axis, Some("pose"), &[]) };
+        let larger = AttackQuestion { attacks: found.attacks.clone(), ..larger };
+        let seen = power(&larger, None, &[1.0, 1.5]).unwrap();
+        let part = |i: usize| seen[i].as_ref().map_or(f64::NAN, Expected::probability);
+        assert!(part(0) == found.probability.unwrap() && part(1) > 0.3, "{} {}", part(0), part(1));
+    }
+    let refused = |question: &AttackQuestion| prepared(question, None).unwrap_err().to_string();
+    let stealthy = |more, sensors: &[&str]| along(Some("stealthy_bias"), "x", more, sensors);
+    assert!(refused(&stealthy(Some("pose"), &["height 2"])).contains("sensor height 2 is not one that this loop uses"));
+    assert!(refused(&stealthy(Some("pose"), &["mocap pose 1"])).contains("have mocap pose 1"));
+    assert!(refused(&stealthy(None, &["imu 1"])).contains("nothing measures the motion along x"));
+}
+
+#[test]
+fn a_covert_motion_along_x_and_y_is_in_nothing_that_is_received() {
+    for axis in ["x", "y"] {
+        for (more, sensors) in [(None, &IMUS[..]), (Some("pose"), &[&IMUS[..], &["mocap pose 1"]].concat())] {
+            let asked = AttackQuestion { accel_mps2: Some(0.1), ..along(Some("covert"), axis, more, sensors) };
+            let found = prepared(&asked, None).unwrap();
+            println!("{axis} {more:?}: {:?} {:?} {}", found.position_m, found.probability, found.note);
+            assert!(found.attacks.len() == sensors.len() && found.probability.unwrap() <= 0.02, "{found:?}");
+            // ½ a t² of at most 0.1 m/s² over 5 s is 1.25 m.
+            assert!((0.1..1.26).contains(&found.position_m.unwrap()), "{found:?}");
+        }
+    }
+    let refused = |more, sensors: &[&str], accel_mps2| {
+        let asked = AttackQuestion { accel_mps2: Some(accel_mps2), ..along(Some("covert"), "x", more, sensors) };
+        prepared(&asked, None).unwrap_err().to_string()
+    };
+    let all = [&IMUS[..], &["gnss 1"]].concat();
+    assert!(refused(None, &IMUS[..3], 0.1).contains("leave out imu 4"));
+    assert!(refused(Some("pose"), &IMUS, 0.1).contains("leave out mocap pose 1"));
+    assert!(refused(Some("gnss"), &all, 0.1).contains("have gnss 1, whose velocity"));
+    assert!(refused(None, &IMUS, 99.0).contains("accel_mps2 is 99"));
+    assert!(refused(None, &IMUS, 10.0).contains("accel_mps2 is 10, which tilts it by"));
 }
 
 /// Every height and IMU of the default suite but these.
@@ -221,6 +326,8 @@ fn rotors_and_replays_under_a_watermark_are_judged_by_their_theory() {
     let rotor = |left| judge(one("rotor", "all", "scale", left, 5.0), None).unwrap();
     println!("{:?}", [0.99, 0.95, 0.8, 0.0].map(|left| rotor(left).probability));
     assert!(rotor(0.8).probability.unwrap() > 0.99 && rotor(0.99).probability.unwrap() < 0.01);
+    assert!(rotor(0.9).probability.is_some() && rotor(0.98).probability.is_some());
+    assert_eq!(judge(one("rotor", "all", "zero", 0.0, 5.0), None).unwrap().probability, rotor(0.0).probability);
     let unsure = rotor(0.95);
     assert!(unsure.probability.is_none() && unsure.note.contains("says more than what is flown"), "{unsure:?}");
     // More thrust than asked for has no theory.
