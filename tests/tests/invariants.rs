@@ -108,7 +108,9 @@ fn crates_know_only_those_below_them() {
         names(&["analysis", "core", "devices", "file", "hil", "link", "proto", "rest", "sim"])
     );
     assert_eq!(knows("plumbline-rest"), names(&[]), "the contract of the HTTP API knows nobody");
-    assert_eq!(knows("plumbline-web"), names(&["proto", "rest"]), "the page speaks the contracts only");
+    assert_eq!(knows("plumbline-web"), names(&["proto", "raster", "rest"]), "the page speaks the contracts, and draws");
+    assert_eq!(knows("plumbline-raster"), names(&[]), "triangles to pixels know no page");
+    assert_eq!(knows("plumbline-worker"), names(&["raster"]), "the page's worker draws, and knows nothing else");
     assert_eq!(
         knows("plumbline-experiment"),
         names(&["agent", "file", "proto", "rest"]),

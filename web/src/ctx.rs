@@ -18,7 +18,10 @@ use crate::{
     event::{Effect, Event, Tone},
     model::{api, by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
     net,
-    panel::setpoint::{self, Target},
+    panel::{
+        prepare::Prepared,
+        setpoint::{self, Target},
+    },
     store,
 };
 
@@ -93,6 +96,8 @@ pub struct Ctx {
     pub attacks_focus: RwSignal<u64>,
     /// Attacks written and not yet on the vehicle; they outlive a visit to another page, and a refusal.
     pub drafts: RwSignal<Vec<Draft>>,
+    /// What the ground expects of those that it prepared.
+    pub prepared: RwSignal<Option<Prepared>>,
     /// Why the last thing pressed was not done, beside the pointer.
     pub hint: RwSignal<Option<Hint>>,
     /// Who is signed in.
@@ -124,6 +129,7 @@ impl Ctx {
             led: RwSignal::new(store::led()),
             attacks_focus: RwSignal::new(0),
             drafts: RwSignal::new(store::drafts()),
+            prepared: RwSignal::new(None),
             hint: RwSignal::new(None),
             target: StoredValue::new(None),
             session: RwSignal::new(Session::default()),
@@ -455,6 +461,14 @@ impl Ctx {
     /// Tells the operator something.
     pub fn tell(self, tone: Tone, text: impl Into<String>) {
         self.dispatch(Event::Tell(tone, text.into()));
+    }
+}
+
+/// Runs `act` again and again while the calling component lives.
+pub fn every(period: Duration, act: impl Fn() + 'static) {
+    // Fails only without a window.
+    if let Ok(timer) = set_interval_with_handle(act, period) {
+        on_cleanup(move || timer.clear());
     }
 }
 

@@ -14,6 +14,7 @@ use crate::{
     ctx::Ctx,
     model::{
         axis::{Tick, TimeAxis, ValueAxis},
+        choice,
         curves::{Axis, Curve, Group},
         instrument::Instrument,
         layout::{Evidence, Layout},
@@ -257,6 +258,15 @@ impl Deck {
         self.tick.get()
     }
 
+    /// Value of a curve where the charts are read, see [`Deck::reading_s`]; runs again with each beat.
+    pub fn value(self, curve: Curve) -> Option<f64> {
+        let at = self.reading_s();
+        self.read(|live| match at {
+            Some(time_s) => live.curves.value_at(curve, time_s),
+            None => live.curves.newest(curve),
+        })
+    }
+
     /// Adds a chart for as long as the calling component lives.
     pub fn slot(self, picture: Picture, node: NodeRef<html::Div>) -> Slot {
         let labels = RwSignal::new(Labels::default());
@@ -299,12 +309,7 @@ impl Deck {
 
     /// Folds a group of curves, or unfolds it.
     pub fn toggle_group(self, group: Group) {
-        self.unfolded.update(|unfolded| match unfolded.iter().position(|u| *u == group) {
-            Some(at) => {
-                unfolded.remove(at);
-            }
-            None => unfolded.push(group),
-        });
+        self.unfolded.update(|unfolded| choice::toggle(unfolded, group));
         self.unfolded.with_untracked(|unfolded| store::keep_unfolded(unfolded));
     }
 
@@ -344,12 +349,7 @@ impl Deck {
 
     /// Hides a curve, or shows it again.
     pub fn toggle_curve(self, curve: Curve) {
-        self.hidden.update(|hidden| match hidden.iter().position(|h| *h == curve) {
-            Some(at) => {
-                hidden.remove(at);
-            }
-            None => hidden.push(curve),
-        });
+        self.hidden.update(|hidden| choice::toggle(hidden, curve));
     }
 
     /// Shows this curve alone of `all`; all of them again where it is alone.

@@ -31,13 +31,10 @@ use wasm_bindgen::prelude::wasm_bindgen;
 
 use model::route::Route;
 
-/// Called by the page's script, in the page and in its worker.
+/// Called by the page's script.
 #[wasm_bindgen(start)]
 pub fn start() {
     console_error_panic_hook::set_once();
-    if gpu::worker::start() {
-        return;
-    }
     if let Some(waiting) = document().get_element_by_id("waiting") {
         waiting.remove();
     }

@@ -3,7 +3,7 @@
 //! Bindings (wasm-bindgen as a library, no downloaded tools) → content-hashed names → `index.html` with those names →
 //! brotli beside each file where asked. Every file beside `web/index.html` that a browser could
 //! want (css, svg, png, ico, woff2, webmanifest) is an asset. A text asset names another by its placeholder:
-//! `{{style.css}}`, `{{app.js}}` and `{{app.wasm}}` become `/style-1f2e….css` and so on. `app.js` starts the wasm
+//! `{{style.css}}`, `{{app.js}}` and `{{worker.js}}` become `/style-1f2e….css` and so on. Each script starts its wasm
 //! itself: `<script type="module" src="{{app.js}}"></script>` is all that a page needs.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
@@ -17,15 +17,18 @@ use serde_json::json;
 
 const ASSETS: [&str; 7] = ["css", "ico", "js", "png", "svg", "webmanifest", "woff2"];
 const COMPRESSED: [&str; 7] = ["css", "html", "js", "svg", "wasm", "webmanifest", "ico"];
-const JS: &str = "app.js";
-const WASM: &str = "app.wasm";
+/// What is made of a module: a script, and the module that it starts.
+const PROGRAMS: [&str; 2] = ["app", "worker"];
 
 /// Bundles the page; nothing is done when nothing changed. Its answer, on standard output: what each file takes on the wire, B.
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// The module that the compiler made.
+    /// The module of the page, as the compiler made it.
     #[arg(long, value_name = "FILE")]
-    wasm: PathBuf,
+    app: PathBuf,
+    /// That of its worker.
+    #[arg(long, value_name = "FILE")]
+    worker: PathBuf,
     /// The page's `index.html` and what lies beside it.
     #[arg(long, value_name = "DIR")]
     page: PathBuf,
@@ -86,20 +89,19 @@ fn main() -> ExitCode {
 }
 
 fn bundle(arguments: &Arguments) -> Result<BTreeMap<String, usize>, BundleError> {
-    let Arguments { wasm, page, dist, work, compress } = arguments;
-    let module = read(wasm)?;
+    let Arguments { app, worker, page, dist, work, compress } = arguments;
+    let modules = [read(app)?, read(worker)?];
     let sources = page_sources(page)?;
     let stamp_file = work.join("bundle.json");
     let tool = (env!("CARGO_PKG_VERSION"), include_str!("main.rs"));
-    let digest = hash_name(&(compress, tool, &module, &sources));
+    let digest = hash_name(&(compress, tool, &modules, &sources));
     if let Some(sizes) = unchanged(&stamp_file, &digest, dist) {
         return Ok(sizes);
     }
     let bindings = work.join("bindings");
-    let built = bind(wasm, &bindings)?;
-    let snippets = bindings.join("snippets");
-    if snippets.exists() {
-        return Err(BundleError::InlineScripts(snippets));
+    let mut built = BTreeMap::new();
+    for (program, wasm) in PROGRAMS.into_iter().zip([app, worker]) {
+        built.extend(bind(program, wasm, &bindings.join(program))?);
     }
     let sizes = publish(name_and_link(built, sources)?, dist, *compress)?;
     write(&stamp_file, json!({ "digest": digest, "files": sizes }).to_string().as_bytes())?;
@@ -138,17 +140,26 @@ fn unchanged(stamp_file: &Path, digest: &str, dist: &Path) -> Option<BTreeMap<St
 }
 
 /// wasm-bindgen: the module without its descriptors, and the JavaScript that starts it.
-fn bind(wasm: &Path, folder: &Path) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
+fn bind(program: &str, wasm: &Path, folder: &Path) -> Result<BTreeMap<String, Vec<u8>>, BundleError> {
     let refused = |reason| BundleError::Bindings { wasm: wasm.to_owned(), reason: format!("{reason:#}") };
     if folder.exists() {
         std::fs::remove_dir_all(folder).map_err(BundleError::file(folder))?;
     }
     let mut bindgen = wasm_bindgen_cli_support::Bindgen::new();
-    bindgen.input_path(wasm).out_name("app").typescript(false).remove_name_section(true).remove_producers_section(true);
+    bindgen
+        .input_path(wasm)
+        .out_name(program)
+        .typescript(false)
+        .remove_name_section(true)
+        .remove_producers_section(true);
     bindgen.omit_default_module_path(true).web(true).map_err(refused)?.generate(folder).map_err(refused)?;
-    let js = read(&folder.join("app.js"))?;
-    let module = read(&folder.join("app_bg.wasm"))?;
-    Ok(BTreeMap::from([(JS.to_owned(), js), (WASM.to_owned(), module)]))
+    let snippets = folder.join("snippets");
+    if snippets.exists() {
+        return Err(BundleError::InlineScripts(snippets));
+    }
+    let script = read(&folder.join(format!("{program}.js")))?;
+    let module = read(&folder.join(format!("{program}_bg.wasm")))?;
+    Ok(BTreeMap::from([(format!("{program}.js"), script), (format!("{program}.wasm"), module)]))
 }
 
 /// Gives every file its hashed name and writes those names into the placeholders of the others.
@@ -173,14 +184,15 @@ fn name_and_link(
         let linked = link(&name, &content, &names)?;
         add(&name, linked, &mut names);
     }
-    if let Some(module) = built.remove(WASM) {
-        add(WASM, module, &mut names);
-    }
-    if let Some(mut script) = built.remove(JS) {
-        let module = names.get(WASM).cloned().unwrap_or_default();
-        let start = format!("\n__wbg_init({{ module_or_path: new URL('{module}', import.meta.url) }});\n");
-        script.extend_from_slice(start.as_bytes());
-        add(JS, script, &mut names);
+    for program in PROGRAMS {
+        let [script, module] = ["js", "wasm"].map(|extension| format!("{program}.{extension}"));
+        if let (Some(mut text), Some(wasm)) = (built.remove(&script), built.remove(&module)) {
+            let hashed = hashed_name(&module, &wasm);
+            let start = format!("\n__wbg_init({{ module_or_path: new URL('{hashed}', import.meta.url) }});\n");
+            text.extend_from_slice(start.as_bytes());
+            add(&module, wasm, &mut names);
+            add(&script, text, &mut names);
+        }
     }
     files.insert("index.html".to_owned(), link("index.html", &index, &names)?);
     Ok(files)
@@ -283,19 +295,24 @@ mod tests {
 
     #[test]
     fn the_page_names_every_file_by_its_content() {
-        let built = BTreeMap::from([(WASM.to_owned(), b"\0asm".to_vec()), (JS.to_owned(), b"//".to_vec())]);
+        let built = ["app", "worker"].into_iter().flat_map(|program| {
+            [(format!("{program}.js"), b"//".to_vec()), (format!("{program}.wasm"), program.as_bytes().to_vec())]
+        });
         let sources = BTreeMap::from([
-            ("index.html".to_owned(), b"{{style.css}} {{app.js}}".to_vec()),
+            ("index.html".to_owned(), b"{{style.css}} {{app.js}} {{worker.js}}".to_vec()),
             ("style.css".to_owned(), b"url({{logo.svg}})".to_vec()),
             ("logo.svg".to_owned(), b"<svg/>".to_vec()),
         ]);
-        let files = name_and_link(built, sources).unwrap();
+        let files = name_and_link(built.collect(), sources).unwrap();
         let name = |start: &str| files.keys().find(|name| name.starts_with(start)).unwrap().clone();
+        let script =
+            |start: &str| files.keys().find(|name| name.starts_with(start) && name.ends_with(".js")).unwrap().clone();
         let text = |name: &str| String::from_utf8(files[name].clone()).unwrap();
-        assert_eq!(text("index.html"), format!("/{} /{}", name("style-"), name("app-")));
+        assert_eq!(text("index.html"), format!("/{} /{} /{}", name("style-"), script("app-"), script("worker-")));
         assert_eq!(text(&name("style-")), format!("url(/{})", name("logo-")));
-        let script = files.iter().find(|(name, _)| name.ends_with(".js")).unwrap().1;
-        let module = files.keys().find(|name| name.ends_with(".wasm")).unwrap();
-        assert!(String::from_utf8_lossy(script).contains(&format!("new URL('{module}', import.meta.url)")));
+        for program in ["app-", "worker-"] {
+            let module = files.keys().find(|name| name.starts_with(program) && name.ends_with(".wasm")).unwrap();
+            assert!(text(&script(program)).contains(&format!("new URL('{module}', import.meta.url)")));
+        }
     }
 }

@@ -74,10 +74,18 @@ pub fn build(
     progress: &Progress,
     bundler: impl FnOnce() -> Result<PathBuf, XtaskError>,
 ) -> Result<BTreeMap<String, usize>, XtaskError> {
-    let wasm = compile(workspace, options, progress)?;
+    let [app, worker] = compile(workspace, options, progress)?;
     let web = workspace.root.join("web");
     let mut bundle = Command::new(bundler()?);
-    bundle.arg("--wasm").arg(wasm).arg("--page").arg(&web).arg("--dist").arg(web.join("dist"));
+    bundle
+        .arg("--app")
+        .arg(app)
+        .arg("--worker")
+        .arg(worker)
+        .arg("--page")
+        .arg(&web)
+        .arg("--dist")
+        .arg(web.join("dist"));
     bundle.arg("--work").arg(workspace.target.join("web")).args((!options.dev).then_some("--compress"));
     let answer = output(&mut bundle)?;
     serde_json::from_str(&answer).map_err(|error| XtaskError::Other(format!("{BUNDLER} answered {answer:?}: {error}")))
@@ -91,34 +99,41 @@ pub fn build(
 pub fn bundler(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     let mut cargo = workspace.cargo();
     cargo.arg("build").args(test::EVERYTHING).args(["--bin", BUNDLER]);
-    built("bundler", &mut cargo, &Progress::new(), BUNDLER, std::env::consts::EXE_EXTENSION)
+    let [bundler] = built("bundler", &mut cargo, &Progress::new(), [BUNDLER], std::env::consts::EXE_EXTENSION)?;
+    Ok(bundler)
 }
 
-/// The page's wasm, built by the nested cargo in its own folder so that neither waits for the other's lock.
-fn compile(workspace: &Workspace, options: &Options, progress: &Progress) -> Result<PathBuf, XtaskError> {
+/// The page's wasm and its worker's, built by the nested cargo in its own folder so that neither waits for the other's lock.
+fn compile(workspace: &Workspace, options: &Options, progress: &Progress) -> Result<[PathBuf; 2], XtaskError> {
     let toolchain = WasmToolchain::choose(options.wasm)?;
     eprintln!("xtask: building the page ({}, wasm toolchain: {:?})", profile(options), toolchain.source);
     // One folder per toolchain kind: their artifacts cannot be shared.
     let folder = if toolchain.source == Source::Debian { "web/debian" } else { "web" };
     let mut cargo = toolchain.cargo_build();
-    cargo.current_dir(&workspace.root).args(["--package", "plumbline-web", "--lib", "--profile", profile(options)]);
+    cargo.current_dir(&workspace.root).args(["--package", "plumbline-web", "--package", "plumbline-worker"]);
+    cargo.args(["--lib", "--profile", profile(options)]);
     cargo.arg("--target-dir").arg(workspace.target.join(folder));
-    built("page", &mut cargo, progress, "plumbline_web", "wasm")
+    built("page", &mut cargo, progress, ["plumbline_web", "plumbline_worker"], "wasm")
 }
 
-/// Builds, and finds the file of `target` that ends so.
-fn built(
+/// Builds, and finds the file of each of `targets` that ends so.
+fn built<const N: usize>(
     name: &'static str,
     cargo: &mut Command,
     progress: &Progress,
-    target: &str,
+    targets: [&str; N],
     extension: &str,
-) -> Result<PathBuf, XtaskError> {
-    let mut found = None;
+) -> Result<[PathBuf; N], XtaskError> {
+    let mut found = [const { PathBuf::new() }; N];
     progress.build(name, cargo, |made, file| {
-        if made == target && file.extension().unwrap_or_default() == extension {
-            found = Some(file.to_owned());
+        if let Some(n) = targets.iter().position(|target| *target == made)
+            && file.extension().unwrap_or_default() == extension
+        {
+            found[n] = file.to_owned();
         }
     })?;
-    found.ok_or_else(|| XtaskError::Other(format!("cargo built no {target}")))
+    match targets.iter().zip(&found).find(|(_, file)| file.as_os_str().is_empty()) {
+        Some((target, _)) => Err(XtaskError::Other(format!("cargo built no {target}"))),
+        None => Ok(found),
+    }
 }

@@ -1,7 +1,6 @@
-//! What the shaders do, by the processor: for machines without a graphics card, where a browser's emulation of one takes longer and has
-//! to be waited for.
+//! A picture, and what fills it.
 
-use super::{mesh, shape};
+use crate::{Flat, INSIDE, Solid, View};
 
 /// Pictures of space with more pixels than this have one sample a pixel instead of four.
 const FINE_PX: usize = 250_000;
@@ -10,7 +9,7 @@ const NEAR_M: f32 = 0.02;
 
 /// A picture.
 #[derive(Debug, Default)]
-pub(super) struct Tile {
+pub struct Tile {
     width: usize,
     height: usize,
     /// Row by row from the top: red, green, blue and alpha, red in the lowest byte.
@@ -19,7 +18,7 @@ pub(super) struct Tile {
 
 /// Kept between frames so that nothing is allocated.
 #[derive(Debug, Default)]
-pub(super) struct Depths {
+pub struct Depths {
     fine: Tile,
     depths: Vec<f32>,
 }
@@ -148,6 +147,10 @@ fn blend(pixel: &mut u32, color: u32, share: u32) {
     *pixel = even | (odd & 0xff) << 8 | 0xff00_0000;
 }
 
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 /// Opacity 0..=1 in parts of 256.
 fn share(opacity: f32) -> u32 {
     (opacity * 256.0 + 0.5) as u32
@@ -175,13 +178,18 @@ impl Tile {
         [self.width, self.height]
     }
 
+    /// Row by row from the top: red, green, blue and alpha, red in the lowest byte.
+    pub fn pixels(&self) -> &[u32] {
+        &self.pixels
+    }
+
     /// Red, green, blue and alpha of each pixel.
     pub fn bytes(&self) -> &[u8] {
         bytemuck::cast_slice(&self.pixels)
     }
 
     /// What `shape.wgsl` does to a strip, whose coordinates begin at `corner`.
-    pub fn shapes(&mut self, vertices: &[shape::Vertex], corner: [f32; 2]) {
+    pub fn shapes(&mut self, vertices: &[Flat], corner: [f32; 2]) {
         let mut rest = vertices;
         while let [a, b, c, ..] = rest {
             rest = rest.get(1..).unwrap_or_default();
@@ -189,7 +197,7 @@ impl Tile {
             let Some(triangle) = Triangle::new(corners) else { continue };
             let one_color = a.color == b.color && b.color == c.color;
             let edges = [a.edge, b.edge, c.edge];
-            if one_color && edges == [shape::INSIDE; 3] {
+            if one_color && edges == [INSIDE; 3] {
                 self.fill(&triangle, a.color);
             } else if one_color {
                 self.stroke(&triangle, a.color, edges);
@@ -228,7 +236,7 @@ impl Tile {
         let corners = colors.map(channels);
         let [r, g, b, a] = [0, 1, 2, 3].map(|n| triangle.plane(corners.map(|channels| channels[n])));
         let [distance, half] = [0, 1].map(|n| triangle.plane(edges.map(|edge| edge[n])));
-        let plain = edges == [shape::INSIDE; 3] && colors.iter().all(|color| color >> 24 == 255);
+        let plain = edges == [INSIDE; 3] && colors.iter().all(|color| color >> 24 == 255);
         triangle.lines(self.size(), |line| {
             let ((mut r, to_r), (mut g, to_g), (mut b, to_b)) = (line.along(&r), line.along(&g), line.along(&b));
             let ((mut a, to_a), (mut d, to_d), (mut h, to_h)) =
@@ -247,7 +255,7 @@ impl Tile {
     }
 
     /// What `mesh.wgsl` does, over all of this picture: what is opaque, then what is translucent.
-    pub fn space(&mut self, solids: [&[mesh::Vertex]; 2], view: &mesh::View, sky: u32, kept: &mut Depths) {
+    pub fn space(&mut self, solids: [&[Solid]; 2], view: &View, sky: u32, kept: &mut Depths) {
         let samples = if self.pixels.len() > FINE_PX { 1 } else { 2 };
         let Depths { fine, depths } = kept;
         fine.clear(self.size().map(|px| px * samples), sky);
@@ -276,14 +284,14 @@ impl Tile {
         }
     }
 
-    fn lit(&mut self, corners: &[mesh::Vertex; 3], view: &mesh::View, depths: &mut [f32], solid: bool) {
+    fn lit(&mut self, corners: &[Solid; 3], view: &View, depths: &mut [f32], solid: bool) {
         let m = view.clip_from_world;
         let seen = corners.each_ref().map(|vertex| {
             let p = vertex.position;
             let clip = [0, 1, 2, 3].map(|r| m[0][r] * p[0] + m[1][r] * p[1] + m[2][r] * p[2] + m[3][r]);
             let light = [view.light[0], view.light[1], view.light[2]];
-            let shade = view.light[3] + (1.0 - view.light[3]) * mesh::dot(vertex.normal, light).max(0.0);
-            let shade = if mesh::dot(vertex.normal, vertex.normal) > 0.25 { shade } else { 1.0 };
+            let shade = view.light[3] + (1.0 - view.light[3]) * dot(vertex.normal, light).max(0.0);
+            let shade = if dot(vertex.normal, vertex.normal) > 0.25 { shade } else { 1.0 };
             let [r, g, b, a] = channels(vertex.color);
             Seen { clip, color: [r * shade, g * shade, b * shade, a] }
         });
@@ -368,156 +376,9 @@ fn before_the_eye(corners: [Seen; 3]) -> ([Seen; 4], usize) {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::gpu::grid::Plot;
-    use crate::gpu::scene::{ChartView, Content, Curve, Panel, Rect, Style};
-    use crate::gpu::sheet::{Ground, Sheet, draw};
-    use crate::gpu::{Color, Theme};
-    use crate::model::axis::{TimeAxis, ValueAxis};
-    use crate::model::series::Series;
-
-    /// Black ink on a white plot, 200 × 100, values 0..1, time 0..10 s.
-    fn drawn(series: &Series, style: Style) -> Tile {
-        let theme = Theme {
-            plot: Color::hex(0xffffff),
-            grid: Color::hex(0xffffff),
-            axis: Color::hex(0xffffff),
-            ..Theme::LIGHT
-        };
-        let mut view = ChartView::new(TimeAxis::new(0.0, 10.0), ValueAxis::new(0.0, 1.0), theme);
-        view.curves.push(Curve { series, color: Color::hex(0), style, scale: 1.0 });
-        let mut tile = Tile::default();
-        let panel = Panel { rect: Rect::new(0.0, 0.0, 200.0, 100.0), content: Content::Chart(view) };
-        let mut sheet = Sheet::default();
-        sheet.begin(Ground { size: [200, 100], page: theme.page.packed(), clear: 1 });
-        sheet.panel(Plot::new(panel.rect, 1.0), &panel.content, theme.page);
-        draw(sheet.words(), &mut tile, &mut Depths::default(), |_| (), |_, _| ());
-        tile
-    }
-
-    /// Ink in each column, in pixels.
-    fn ink(image: &Tile) -> Vec<f32> {
-        (0..image.width)
-            .map(|x| (0..image.height).map(|y| 1.0 - channels(image.pixels[y * image.width + x])[0] / 255.0).sum())
-            .collect()
-    }
-
-    #[test]
-    fn sparse_or_dense_a_calm_curve_has_the_same_weight() {
-        for samples in [20, 200, 5000, 100_000] {
-            let series = Series::from_samples((0..=samples).map(|i| (10.0 * f64::from(i) / f64::from(samples), 0.503)));
-            let ink = ink(&drawn(&series, Style::Solid));
-            for (x, ink) in ink.iter().enumerate().take(198).skip(2) {
-                assert!((ink - 1.5).abs() < 0.05, "{samples} samples, column {x}: {ink}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_slope_keeps_its_width_sparse_or_dense() {
-        // 45° on screen: 100 px up over 100 px.
-        let weight = |samples: i32| {
-            let value = |t: f64| ((t - 2.5) / 5.0).clamp(0.0, 1.0) as f32;
-            let series = Series::from_samples((0..=samples).map(|i| {
-                let t = 10.0 * f64::from(i) / f64::from(samples);
-                (t, value(t))
-            }));
-            ink(&drawn(&series, Style::Solid))[80..120].iter().sum::<f32>() / 40.0
-        };
-        let expected = 1.5 * std::f32::consts::SQRT_2;
-        for samples in [16, 200, 5000, 100_000] {
-            let weight = weight(samples);
-            assert!((weight / expected - 1.0).abs() < 0.12, "{samples} samples: {weight} instead of {expected}");
-        }
-    }
-
-    #[test]
-    fn one_sample_among_a_hundred_thousand_is_seen() {
-        let series =
-            Series::from_samples((0..100_000).map(|i| (f64::from(i) * 1e-4, if i == 50_321 { 0.95 } else { 0.1 })));
-        let image = drawn(&series, Style::Solid);
-        let darkest_above = (0..50)
-            .flat_map(|y| (0..200).map(move |x| (x, y)))
-            .fold(1.0_f32, |least, (x, y)| least.min(channels(image.pixels[y * 200 + x])[0] / 255.0));
-        assert!(darkest_above < 0.35, "{darkest_above}");
-    }
-
-    #[test]
-    fn a_gap_stays_white() {
-        let series = Series::from_samples(
-            (0..1000).map(|i| (f64::from(i) * 0.01, if (400..600).contains(&i) { f32::NAN } else { 0.5 })),
-        );
-        let ink = ink(&drawn(&series, Style::Solid));
-        assert!(ink[85..115].iter().all(|ink| ink.abs() < 1e-3), "{:?}", &ink[85..115]);
-        assert!(ink[20] > 1.0 && ink[180] > 1.0);
-    }
-
-    #[test]
-    fn every_part_of_the_gallery_shows_several_colours() {
-        // Small pictures for the test, full ones for people.
-        let folder = std::env::var_os("PLUMBLINE_PICTURES");
-        let scales: &[f32] = if folder.is_some() { &[1.0, 2.0] } else { &[0.5] };
-        for dark in [false, true] {
-            for &scale in scales {
-                let theme = Theme::of(dark);
-                let size = [1280.0 * scale, 680.0 * scale].map(|px| px as u32);
-                let mut sheet = Sheet::default();
-                sheet.begin(Ground { size, page: theme.page.packed(), clear: 1 });
-                let mut written = 0;
-                crate::bench::gallery::with_panels(&theme, 1280.0, |panels| {
-                    for panel in panels {
-                        sheet.panel(Plot::new(panel.rect, scale), &panel.content, theme.page);
-                        written += 1;
-                    }
-                });
-                let (mut picture, mut tile, mut drawn) = (Tile::default(), Tile::default(), 0);
-                let begin = |ground: &Ground| assert_eq!(*ground, Ground { size, page: theme.page.packed(), clear: 1 });
-                picture.clear(size.map(|px| px as usize), theme.page.packed());
-                draw(sheet.words(), &mut tile, &mut Depths::default(), begin, |tile, [left, top]| {
-                    let colors: std::collections::HashSet<u32> = tile.pixels.iter().copied().collect();
-                    assert!(colors.len() > 8, "panel {drawn} shows {} colours", colors.len());
-                    for (y, row) in tile.pixels.chunks(tile.width).enumerate() {
-                        let at = (top as usize + y) * picture.width + left as usize;
-                        picture.pixels[at..at + row.len()].copy_from_slice(row);
-                    }
-                    drawn += 1;
-                });
-                assert_eq!(drawn, written);
-                if let Some(folder) = &folder {
-                    let name = format!("gallery-{}-{scale}x.ppm", if dark { "dark" } else { "light" });
-                    std::fs::write(std::path::Path::new(folder).join(name), ppm(&picture)).unwrap();
-                }
-            }
-        }
-    }
-
-    /// GIVEN a sheet that ends too soon WHEN it is drawn THEN what is whole is drawn, and nothing else.
-    #[test]
-    fn of_a_sheet_cut_short_the_whole_panels_are_drawn() {
-        let theme = Theme::LIGHT;
-        let mut sheet = Sheet::default();
-        sheet.begin(Ground { size: [1280, 680], page: theme.page.packed(), clear: 1 });
-        let mut ends = Vec::new();
-        crate::bench::gallery::with_panels(&theme, 640.0, |panels| {
-            for panel in panels {
-                sheet.panel(Plot::new(panel.rect, 0.25), &panel.content, theme.page);
-                ends.push(sheet.words().len());
-            }
-        });
-        for cut in [0, 1, 4, 7, ends[0] - 1, ends[0], ends[1] - 1, ends[2] + 3] {
-            let mut drawn = 0;
-            let words = &sheet.words()[..cut];
-            draw(words, &mut Tile::default(), &mut Depths::default(), |_| (), |_, _| drawn += 1);
-            assert_eq!(drawn, ends.iter().filter(|end| **end <= cut).count(), "{cut} words");
-        }
-    }
-
-    fn ppm(picture: &Tile) -> Vec<u8> {
-        let mut bytes = format!("P6\n{} {}\n255\n", picture.width, picture.height).into_bytes();
-        bytes.extend(picture.bytes().chunks_exact(4).flat_map(|pixel| &pixel[..3]));
-        bytes
-    }
 
     /// GIVEN a fan of triangles that share edges, at odd places WHEN each is filled half opaque THEN no pixel inside has been met twice,
     /// and none has been left out.
@@ -529,10 +390,10 @@ mod tests {
             [50.3 + 45.0 * cos, 49.6 + 45.0 * sin]
         };
         let mut tile = Tile::default();
-        tile.clear([100, 100], Color::hex(0).packed());
+        tile.clear([100, 100], 0xff00_0000);
         for i in 0..17 {
             let triangle = Triangle::new([centre, rim(i), rim(i + 1)]).unwrap();
-            tile.fill(&triangle, Color::hex(0xffffff).alpha(0.5).packed());
+            tile.fill(&triangle, 0x80ff_ffff);
         }
         for (i, pixel) in tile.pixels.iter().enumerate() {
             let far = ((i % 100) as f32 + 0.5 - 50.3).hypot((i / 100) as f32 + 0.5 - 49.6);

@@ -198,7 +198,6 @@ fn heat<'a>(flight: &'a Flight, theme: &Theme) -> HeatmapView<'a> {
         rows: rows.collect(),
         spans: spans(),
         cursor_s: Some(24.0),
-        highlighted: Some(1),
         time_origin_s: 0.0,
         theme: *theme,
     }
@@ -240,13 +239,7 @@ fn panels<'a>(
     width: f32,
 ) -> Vec<Panel<'a>> {
     let [flying, standing] = spaces(theme, rotors, strings);
-    let horizon = HorizonView {
-        roll_rad: 0.21,
-        pitch_flu_rad: -0.09,
-        setpoint_rad: Some((0.05, 0.0)),
-        stale: false,
-        theme: *theme,
-    };
+    let horizon = HorizonView { roll_rad: 0.21, pitch_flu_rad: -0.09, stale: false, theme: *theme };
     let wide = (width - 330.0).max(200.0);
     let panel = |x, y, width, height, content| Panel { rect: Rect::new(x, y, width, height), content };
     vec![

@@ -3,8 +3,10 @@
 //!
 //! Drawn around the vehicle's own position, so that single precision is enough anywhere.
 
+use plumbline_raster::View;
+
 use super::color::{Color, Theme};
-use super::mesh::{Frame, Mesh, Vec3, View, add, cross, dot, length, scaled, sub, unit};
+use super::mesh::{Frame, Mesh, Vec3, add, cross, dot, length, scaled, sub, unit};
 use super::scene::{Attitude3dView, Bounds, Ghost, Rotor, StringLine};
 
 /// Vertical field of view, rad.

@@ -4,8 +4,10 @@
 //! inside its own scissor. A lost context is reported as [`FrameOutcome::Rebuild`] once drawing is possible
 //! again: the page then makes a new [`Renderer`](super::Renderer) on the same canvas.
 
+use plumbline_raster::View;
 use web_sys::HtmlCanvasElement;
 
+use super::Theme;
 use super::attitude3d::Space;
 use super::chart::{Scratch, draw_chart};
 use super::error::GpuError;
@@ -17,7 +19,6 @@ use super::pipelines::Pipelines;
 use super::scene::{Attitude3dView, Content, Panel};
 use super::screen::{Backend, Missing, Screen};
 use super::shape::Shapes;
-use super::{Theme, mesh};
 
 /// What became of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -235,7 +236,7 @@ impl Card {
     fn new_picture(&self, size: [u32; 2]) -> SpacePicture {
         let view = self.screen.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("space"),
-            size: size_of::<mesh::View>() as u64,
+            size: size_of::<View>() as u64,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });

@@ -60,13 +60,6 @@ pub(crate) fn draw_heatmap(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plo
         }
         let air = if bottom - top > 6.0 * plot.scale { plot.hair() } else { 0.0 };
         draw_row(shapes, scratch, plot, view, row.ratio, [top + air, bottom - air]);
-        if view.highlighted == Some(i) {
-            let ink = theme.ink.alpha(0.6);
-            let [left, right] = [plot.left + plot.hair(), plot.right - plot.hair()];
-            let corners =
-                [[left, top + 1.0], [right, top + 1.0], [right, bottom - 1.0], [left, bottom - 1.0], [left, top + 1.0]];
-            shapes.polyline(&corners, plot.hair(), ink);
-        }
     }
     draw_cursor(shapes, plot, view.time, view.cursor_s, theme);
 }
@@ -150,7 +143,6 @@ mod tests {
             rows,
             spans: Vec::new(),
             cursor_s: None,
-            highlighted: None,
             time_origin_s: 0.0,
             theme: Theme::LIGHT,
         };

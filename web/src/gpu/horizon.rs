@@ -31,7 +31,6 @@ const ROLL_MARKS: [(f32, bool); 11] = [
 const WHITE: Color = Color::hex(0xffffff);
 const SYMBOL: Color = Color::hex(0xffc81e);
 const OUTLINE: Color = Color { r: 0, g: 0, b: 0, a: 150 };
-const DIRECTOR: Color = Color::hex(0xf09ad0);
 
 /// Attitude turned into the directions of the screen.
 #[derive(Debug, Clone, Copy)]
@@ -118,15 +117,6 @@ pub(crate) fn draw_horizon(shapes: &mut Shapes, plot: Plot, view: &HorizonView) 
     draw_world(shapes, plot, &geometry, &view.theme);
     draw_ladder(shapes, plot, &geometry);
     draw_scale(shapes, plot, &geometry, Some(view.roll_rad), WHITE);
-    if let Some((roll_rad, pitch_flu_rad)) = view.setpoint_rad {
-        // The bar shows where the symbol should go.
-        let (sin, cos) = (roll_rad - view.roll_rad).sin_cos();
-        let rise = (-pitch_flu_rad - geometry.nose_up_rad) * geometry.px_per_rad;
-        let [x, y] = [geometry.centre[0], geometry.centre[1] - rise];
-        let reach = 0.17 * geometry.size;
-        let ends = [[x - cos * reach, y - sin * reach], [x + cos * reach, y + sin * reach]];
-        shapes.line(ends[0], ends[1], 2.0 * plot.scale, DIRECTOR);
-    }
     draw_symbol(shapes, plot, &geometry, SYMBOL, OUTLINE);
 }
 
@@ -214,7 +204,7 @@ mod tests {
     const EDGES: [f32; 4] = [0.0, 0.0, 200.0, 200.0];
 
     fn view(roll_rad: f32, pitch_flu_rad: f32) -> HorizonView {
-        HorizonView { roll_rad, pitch_flu_rad, setpoint_rad: None, stale: false, theme: Theme::DARK }
+        HorizonView { roll_rad, pitch_flu_rad, stale: false, theme: Theme::DARK }
     }
 
     #[test]
@@ -269,12 +259,7 @@ mod tests {
         for roll in -8..=8 {
             for pitch in -8..=8 {
                 let mut shapes = Shapes::default();
-                let setpoint_rad = Some((0.1, -0.1));
-                draw_horizon(
-                    &mut shapes,
-                    plot,
-                    &HorizonView { setpoint_rad, ..view(roll as f32 * 0.4, pitch as f32 * 0.2) },
-                );
+                draw_horizon(&mut shapes, plot, &view(roll as f32 * 0.4, pitch as f32 * 0.2));
                 assert!(shapes.vertices().iter().all(|v| v.position.iter().all(|p| p.is_finite())));
             }
         }

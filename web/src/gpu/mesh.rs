@@ -1,44 +1,19 @@
 //! Solid bodies in space: a triangle list built anew each frame, lit per vertex, depth-tested.
 
-use bytemuck::{Pod, Zeroable};
+use plumbline_raster::Solid;
 
 use super::color::Color;
 
 /// A point or direction in space.
 pub(crate) type Vec3 = [f32; 3];
 
-/// One corner. Keep in sync with `mesh.wgsl`.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub(crate) struct Vertex {
-    /// World ENU, m.
-    pub position: Vec3,
-    /// Unit normal, or zero for what is not lit.
-    pub normal: Vec3,
-    /// r, g, b, a.
-    pub color: u32,
-}
-
-impl Vertex {
-    const ATTRIBUTES: [wgpu::VertexAttribute; 3] =
-        wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Unorm8x4];
-    /// Layout of a buffer of them.
-    pub const LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
-        array_stride: size_of::<Self>() as u64,
-        step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &Self::ATTRIBUTES,
-    };
-}
-
-/// How space is seen. Keep in sync with `mesh.wgsl`.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub(crate) struct View {
-    /// Columns of the matrix.
-    pub clip_from_world: [[f32; 4]; 4],
-    /// Direction towards the light and the ambient share.
-    pub light: [f32; 4],
-}
+const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3, 2 => Unorm8x4];
+/// Layout of a buffer of vertices.
+pub(super) const LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
+    array_stride: size_of::<Solid>() as u64,
+    step_mode: wgpu::VertexStepMode::Vertex,
+    attributes: &ATTRIBUTES,
+};
 
 pub(crate) fn add(a: Vec3, b: Vec3) -> Vec3 {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
@@ -97,7 +72,7 @@ impl Frame {
 /// A growing list of triangles.
 #[derive(Debug, Default)]
 pub(crate) struct Mesh {
-    vertices: Vec<Vertex>,
+    vertices: Vec<Solid>,
 }
 
 impl Mesh {
@@ -105,14 +80,14 @@ impl Mesh {
         self.vertices.clear();
     }
 
-    pub fn vertices(&self) -> &[Vertex] {
+    pub fn vertices(&self) -> &[Solid] {
         &self.vertices
     }
 
     /// A triangle of corners with their normals.
     fn triangle(&mut self, corners: [(Vec3, Vec3); 3], color: Color) {
         let color = color.packed();
-        self.vertices.extend(corners.map(|(position, normal)| Vertex { position, normal, color }));
+        self.vertices.extend(corners.map(|(position, normal)| Solid { position, normal, color }));
     }
 
     /// A flat four-sided face with one normal, corners in order round it.
@@ -124,7 +99,7 @@ impl Mesh {
     /// The same with a colour for each corner and no light: lines that fade out.
     pub fn face_shaded(&mut self, corners: [Vec3; 4], colors: [Color; 4]) {
         for [i, j, k] in [[0, 1, 2], [0, 2, 3]] {
-            self.vertices.extend([i, j, k].map(|n: usize| Vertex {
+            self.vertices.extend([i, j, k].map(|n: usize| Solid {
                 position: corners[n],
                 normal: [0.0; 3],
                 color: colors[n].packed(),

@@ -3,7 +3,7 @@
 //!
 //! - [`scene`] says what can be drawn; plain data, tested natively.
 //! - [`Renderer`] draws a list of panels per frame, on a card by `context` (canvas and device are `screen`'s, what they draw with
-//!   `pipelines`') or on `paper`: the same triangles, written on a `sheet`, become pixels in the page's [`worker`] by `raster`.
+//!   `pipelines`') or on `paper`: the same triangles, written on a `sheet`, become pixels in the page's worker (`web/worker`).
 //! - Two kinds of triangles do all the work: [`shape`] (flat, anti-aliased by coverage) for charts,
 //!   heat maps and the horizon; [`mesh`] (lit, depth-tested, multisampled) for the vehicle in space.
 //! - `chart`, `heatmap`, `horizon` and `attitude3d` turn one content each into those triangles.
@@ -22,13 +22,11 @@ mod mesh;
 mod paper;
 mod pipelines;
 mod pixels;
-mod raster;
 mod renderer;
 pub mod scene;
 mod screen;
 mod shape;
 mod sheet;
-pub mod worker;
 
 pub use color::{Color, Theme};
 pub use context::{FrameOutcome, FrameStats};

@@ -4,6 +4,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use js_sys::{Array, ArrayBuffer, Uint32Array};
+use plumbline_raster::Ground;
 use wasm_bindgen::{JsCast, closure::Closure};
 use web_sys::{
     HtmlCanvasElement, MessageEvent, WebGl2RenderingContext, WebglDebugRendererInfo, WebglLoseContext, Worker,
@@ -14,7 +15,7 @@ use super::context::{FrameOutcome, FrameStats};
 use super::grid::Plot;
 use super::scene::{Panel, Rect};
 use super::screen::pixels;
-use super::sheet::{Ground, Sheet};
+use super::sheet::Sheet;
 use super::{Color, Theme};
 
 /// What names a renderer that draws with the processor: Chromium's and Mesa's, and what Windows falls back to.
@@ -84,8 +85,7 @@ impl Paper {
         if ENDS.get() >= MOST_ENDS {
             return None;
         }
-        // The page's own script, which knows where it runs.
-        let script = canvas.owner_document()?.query_selector("script[type=module]").ok()??.get_attribute("src")?;
+        let script = canvas.owner_document()?.query_selector("meta[name=worker]").ok()??.get_attribute("content")?;
         let options = WorkerOptions::new();
         options.set_type(WorkerType::Module);
         let worker = Worker::new_with_options(&script, &options).ok()?;

@@ -105,7 +105,7 @@ fn shape_pipeline(
             module: &module,
             entry_point: Some("vertex"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[Some(shape::Vertex::LAYOUT)],
+            buffers: &[Some(shape::LAYOUT)],
         },
         primitive: wgpu::PrimitiveState {
             topology: wgpu::PrimitiveTopology::TriangleStrip,
@@ -143,7 +143,7 @@ fn mesh_pipeline(
             module: &module,
             entry_point: Some("vertex"),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[Some(mesh::Vertex::LAYOUT)],
+            buffers: &[Some(mesh::LAYOUT)],
         },
         primitive: wgpu::PrimitiveState::default(),
         depth_stencil: Some(wgpu::DepthStencilState {

@@ -175,8 +175,6 @@ pub struct HeatmapView<'a> {
     pub spans: Vec<Span>,
     /// The shared cursor.
     pub cursor_s: Option<f64>,
-    /// Row under the pointer or chosen, framed.
-    pub highlighted: Option<usize>,
     /// Time the ticks count from; the same as given to [`TimeAxis::ticks`].
     pub time_origin_s: f64,
     /// Colours of the page.
@@ -199,8 +197,6 @@ pub struct HorizonView {
     pub roll_rad: f32,
     /// Pitch about the FLU y axis, rad, **positive nose down**, as on the wire.
     pub pitch_flu_rad: f32,
-    /// Attitude held by the controller, drawn as a thin second bar: roll, pitch (FLU).
-    pub setpoint_rad: Option<(f32, f32)>,
     /// No attitude, or too old: drawn grey, without horizon.
     pub stale: bool,
     /// Colours of the page.

@@ -5,40 +5,22 @@
 //! derivatives. Strips are joined by repeated vertices (triangles without area). In software WebGL2
 //! this was the fastest of the ways tried: line strips managed 5 000 points, instanced segments less.
 
-use bytemuck::{Pod, Zeroable};
+use plumbline_raster::{Flat, INSIDE};
 
 use super::color::Color;
 
-/// One corner. Keep in sync with `shape.wgsl`.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-pub struct Vertex {
-    /// Device pixels from the canvas's top left corner.
-    pub position: [f32; 2],
-    /// r, g, b, a.
-    pub color: u32,
-    /// Distance from the stroke's middle and half its width, device pixels.
-    pub edge: [f32; 2],
-}
-
-impl Vertex {
-    const ATTRIBUTES: [wgpu::VertexAttribute; 3] =
-        wgpu::vertex_attr_array![0 => Float32x2, 1 => Unorm8x4, 2 => Float32x2];
-    /// Layout of a buffer of them.
-    pub const LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
-        array_stride: size_of::<Self>() as u64,
-        step_mode: wgpu::VertexStepMode::Vertex,
-        attributes: &Self::ATTRIBUTES,
-    };
-}
-
-/// Edge of a vertex well inside a fill: fully covered.
-pub(super) const INSIDE: [f32; 2] = [0.0, 1.0];
+const ATTRIBUTES: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x2, 1 => Unorm8x4, 2 => Float32x2];
+/// Layout of a buffer of vertices.
+pub(super) const LAYOUT: wgpu::VertexBufferLayout<'static> = wgpu::VertexBufferLayout {
+    array_stride: size_of::<Flat>() as u64,
+    step_mode: wgpu::VertexStepMode::Vertex,
+    attributes: &ATTRIBUTES,
+};
 
 /// A growing strip of triangles. Positions and widths are device pixels.
 #[derive(Debug, Default)]
 pub struct Shapes {
-    vertices: Vec<Vertex>,
+    vertices: Vec<Flat>,
     /// The next vertex begins a new strip.
     lifted: bool,
 }
@@ -51,7 +33,7 @@ impl Shapes {
     }
 
     /// All vertices so far.
-    pub fn vertices(&self) -> &[Vertex] {
+    pub fn vertices(&self) -> &[Flat] {
         &self.vertices
     }
 
@@ -69,7 +51,7 @@ impl Shapes {
 
     /// Append a vertex to the strip.
     pub fn vertex(&mut self, position: [f32; 2], color: Color, edge: [f32; 2]) {
-        let vertex = Vertex { position, color: color.packed(), edge };
+        let vertex = Flat { position, color: color.packed(), edge };
         if self.lifted
             && let Some(last) = self.vertices.last().copied()
         {
@@ -138,7 +120,7 @@ mod tests {
     use super::*;
 
     /// Area covered by a strip's triangles, degenerate ones included.
-    fn area(vertices: &[Vertex]) -> f32 {
+    fn area(vertices: &[Flat]) -> f32 {
         vertices
             .windows(3)
             .map(|t| {

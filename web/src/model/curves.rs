@@ -402,6 +402,12 @@ impl Curves {
         value.is_finite().then_some(f64::from(value))
     }
 
+    /// Newest value of a curve.
+    pub fn newest(&self, curve: Curve) -> Option<f64> {
+        let (_, value) = self.map.get(&curve)?.last()?;
+        value.is_finite().then_some(f64::from(value))
+    }
+
     /// A place in the plane at or before `time_s`, east and north, m: of the estimate ([`Curve::Plane`]), or the true one.
     pub fn place_at(&self, of: fn(Horizontal) -> Curve, time_s: f64) -> Option<[f64; 2]> {
         let axis = |axis| self.value_at(of(axis), time_s);
@@ -603,6 +609,7 @@ mod tests {
             curves.push_estimate(7, &estimate);
         }
         assert_eq!(curves.value_at(Curve::Altitude(7), 1.5), None);
+        assert_eq!((curves.newest(Curve::Altitude(7)), curves.newest(Curve::Altitude(8))), (Some(0.5), None));
         assert_eq!(curves.value_at(Curve::Altitude(7), 2.0), Some(0.5));
     }
 

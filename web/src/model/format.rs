@@ -46,6 +46,11 @@ pub fn maybe(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| NONE.to_owned(), |v| fixed(v, decimals))
 }
 
+/// A length that may be absent, m, in mm.
+pub fn millimetres(m: Option<f64>, decimals: usize) -> String {
+    m.map_or_else(|| NONE.to_owned(), |m| format!("{} mm", fixed(m * 1e3, decimals)))
+}
+
 /// A duration as `m:ss`, or `h:mm:ss` from one hour.
 pub fn clock(seconds: f64) -> String {
     if !seconds.is_finite() {
@@ -130,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_keep_their_width_and_never_lie() {
+    fn numbers_keep_their_width_and_no_value_is_no_number() {
         assert_eq!(fixed(0.8, 2), "0.80");
         assert_eq!(fixed(-0.04, 1), "0.0");
         assert_eq!(fixed(-1.26, 1), "\u{2212}1.3");
@@ -139,6 +144,7 @@ mod tests {
         assert_eq!(signed(0.0, 1), "0.0");
         assert_eq!(signed(-0.5, 1), "\u{2212}0.5");
         assert_eq!(maybe(None, 2), NONE);
+        assert_eq!((millimetres(Some(0.0214), 1).as_str(), millimetres(None, 1).as_str()), ("21.4 mm", NONE));
     }
 
     #[test]

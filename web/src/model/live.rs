@@ -8,10 +8,9 @@ mod reading;
 
 use std::collections::BTreeMap;
 
-use plumbline_proto::{
-    Kind, Message, codec,
-    v1::{self, EstimatorKind},
-};
+use plumbline_proto::v1::{self, EstimatorKind};
+#[cfg(test)]
+use plumbline_proto::{Kind, Message, codec};
 
 pub use self::log::{Log, State};
 use self::reading::Reading;
@@ -107,6 +106,11 @@ impl Live {
         let newest_us = self.clock.newest_us();
         let now_us = self.clock.flight_now_us(local_ms).filter(|_| newest_us > 0 && !self.is_replay())?;
         Some(((now_us - newest_us as f64) * 1e-6).max(0.0))
+    }
+
+    /// Mode of flight; unspecified before the first status.
+    pub fn mode(&self) -> v1::Mode {
+        self.status.get().map_or(v1::Mode::Unspecified, |status| status.mode())
     }
 
     /// Who holds control; empty: nobody.
@@ -224,7 +228,8 @@ impl Live {
     }
 }
 
-/// Encodes one message as a frame; for tests and for the flight page's fixtures.
+/// Encodes one message as a frame.
+#[cfg(test)]
 pub fn append<M: Message>(batch: &mut Vec<u8>, kind: Kind, instance: u16, sequence: u64, time_us: u64, message: &M) {
     if batch.is_empty() {
         codec::begin_batch(batch);

@@ -5,6 +5,7 @@ pub mod arriving;
 pub mod axis;
 pub mod by_hand;
 pub mod calibration;
+pub mod choice;
 pub mod clock;
 pub mod configuration;
 pub mod csv;

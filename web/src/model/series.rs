@@ -69,7 +69,6 @@ pub struct Series {
     held: Range<u64>,
     levels: Vec<Level>,
     max_gap_s: f64,
-    out_of_order: u64,
 }
 
 impl Series {
@@ -84,15 +83,7 @@ impl Series {
             levels.push(Level { samples_per_block, room, blocks: Vec::new() });
             samples_per_block *= FAN;
         }
-        Self {
-            times_s: Vec::new(),
-            values: Vec::new(),
-            capacity,
-            held: 0..0,
-            levels,
-            max_gap_s: f64::INFINITY,
-            out_of_order: 0,
-        }
+        Self { times_s: Vec::new(), values: Vec::new(), capacity, held: 0..0, levels, max_gap_s: f64::INFINITY }
     }
 
     /// The same, drawn with a gap wherever two neighbours are further apart than `max_gap_s`.
@@ -112,10 +103,9 @@ impl Series {
     }
 
     /// Append a sample. NaN is kept and shows as a gap. A time that is not finite, or before the
-    /// newest held, is refused (`false`) and counted in [`Series::out_of_order`].
+    /// newest held, is refused (`false`).
     pub fn push(&mut self, time_s: f64, value: f32) -> bool {
         if !time_s.is_finite() || self.last().is_some_and(|(last_s, _)| time_s < last_s) {
-            self.out_of_order += 1;
             return false;
         }
         let number = self.held.end;
@@ -168,16 +158,6 @@ impl Series {
     /// Holds no sample?
     pub fn is_empty(&self) -> bool {
         self.held.is_empty()
-    }
-
-    /// Most samples it ever holds.
-    pub fn capacity(&self) -> usize {
-        self.capacity
-    }
-
-    /// Samples refused because their time ran backwards or was not finite.
-    pub fn out_of_order(&self) -> u64 {
-        self.out_of_order
     }
 
     /// Neighbours further apart than this (s) are not joined by a line.
@@ -421,7 +401,7 @@ mod tests {
         assert!(series.push(1.0, 2.0));
         assert!(!series.push(0.5, 3.0));
         assert!(!series.push(f64::NAN, 3.0));
-        assert_eq!((series.len(), series.out_of_order(), series.last()), (2, 2, Some((1.0, 2.0))));
+        assert_eq!((series.len(), series.last()), (2, Some((1.0, 2.0))));
         assert_eq!(series.at(0.9), None);
         assert_eq!(series.at(7.0), Some((1.0, 2.0)));
     }

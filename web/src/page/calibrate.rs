@@ -298,16 +298,20 @@ fn Kept() -> impl IntoView {
     }
 }
 
+/// Of what is drawn, in the order of the picture.
+fn colors() -> impl Iterator<Item = &'static str> {
+    [palette::SENSOR_1, palette::IN_LOOP, palette::OTHER_1, palette::OTHER_2].map(palette::Ink::css).into_iter().cycle()
+}
+
 fn drawing(picture: &Picture) -> Drawing {
-    const COLORS: [palette::Ink; 4] = [palette::SENSOR_1, palette::IN_LOOP, palette::OTHER_1, palette::OTHER_2];
     let mut out = Drawing { least: [1e-9, 1e-9], ..Drawing::default() };
-    for (series, ink) in picture.series.iter().zip(COLORS.into_iter().cycle()) {
+    for (series, color) in picture.series.iter().zip(colors()) {
         let points = drawn(series, picture.log);
         if series.line {
-            out.traces.push(Trace { points, color: ink.css(), dashed: false });
+            out.traces.push(Trace { points, color, dashed: false });
         } else {
             let finite = points.into_iter().filter(|p| p.iter().all(|v| v.is_finite()));
-            out.dots.extend(finite.map(|at| Dot { at, color: ink.css(), cross: false }));
+            out.dots.extend(finite.map(|at| Dot { at, color, cross: false }));
         }
     }
     let name = |text: &str| if picture.log { format!("log₁₀ {text}") } else { text.to_owned() };
@@ -343,7 +347,7 @@ fn Result(calibration: Calibration) -> impl IntoView {
         <div class="pictures">
             {c.picture.iter().map(|p| {
                 let drawing = drawing(p);
-                let names = p.series.iter().zip(["var(--sensor-1)", "var(--in-loop)", "var(--other-1)", "var(--other-2)"].into_iter().cycle());
+                let names = p.series.iter().zip(colors());
                 view! {
                     <figure>
                         <figcaption><b>{p.title.clone()}</b>

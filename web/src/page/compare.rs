@@ -445,7 +445,7 @@ fn Figures(flights: Vec<Flight>) -> impl IntoView {
                                 <th scope="row">{named(i, &f)}</th>
                                 <td>{f.rig.clone()}</td>
                                 <td class="num">{format::clock(f.duration_s)}</td>
-                                <td class="num">{f.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)))}</td>
+                                <td class="num">{format::millimetres(f.tracking_rms_m, 1)}</td>
                                 <td class="num">{f.steps.len()}</td>
                                 <td class="num">{f.attacks.len()}</td>
                             </tr>

@@ -13,7 +13,7 @@ use plumbline_rest::experiment::{Experiments, State};
 
 use crate::{
     address,
-    ctx::ctx,
+    ctx::{ctx, every},
     event::{Failure, Tone},
     model::format,
     net,
@@ -55,9 +55,7 @@ pub fn ExperimentsPage() -> impl IntoView {
         });
     };
     load();
-    if let Ok(timer) = set_interval_with_handle(load, PERIOD) {
-        on_cleanup(move || timer.clear());
-    }
+    every(PERIOD, load);
     let states = Memo::new(move |_| match answer.get() {
         Some(Ok(found)) => found.experiments,
         _ => Vec::new(),

@@ -2,13 +2,15 @@
 
 mod import;
 
+use std::time::Duration;
+
 use leptos::prelude::*;
 use plumbline_rest::flight::{Column, Completeness, Flight, Flights, Listing};
 
 use crate::{
-    ctx::ctx,
+    ctx::{ctx, every},
     event::Failure,
-    model::{format, listing, route::Route},
+    model::{choice, format, listing, route::Route},
     net,
     panel::{
         guide,
@@ -19,6 +21,8 @@ use crate::{
 };
 use import::{ImportButton, Importer, Imports};
 
+/// The list is asked for again after this.
+const PERIOD: Duration = Duration::from_secs(3);
 /// Columns on the left of the small picture.
 const PICTURE_AFTER: usize = 1;
 /// Its size, px.
@@ -67,12 +71,7 @@ pub fn FlightsPage() -> impl IntoView {
     });
     let importer = Importer::new(load);
     // A flight that is being recorded, or filled, changes while one looks.
-    let timer = set_interval_with_handle(load, std::time::Duration::from_secs(3)).ok();
-    on_cleanup(move || {
-        if let Some(timer) = timer {
-            timer.clear();
-        }
-    });
+    every(PERIOD, load);
     let whole = move |of: fn(&Flights) -> u64| answer.with(|a| a.as_ref().and_then(|a| a.as_ref().ok()).map_or(0, of));
     let rows = Memo::new(move |_| match answer.get() {
         Some(Ok(flights)) => flights.flights,
@@ -105,19 +104,13 @@ pub fn FlightsPage() -> impl IntoView {
             <SortHead
                 name=listing::head(column)
                 num=listing::is_number(column)
+                column=column.query()
                 descending=move || asked.with(|asked| (asked.sort == column).then_some(asked.descending))
                 press
             />
         }
     };
-    let toggle = move |id: String| {
-        chosen.update(|all| match all.iter().position(|c| *c == id) {
-            Some(at) => {
-                all.remove(at);
-            }
-            None => all.push(id),
-        })
-    };
+    let toggle = move |id: String| chosen.update(|all| choice::toggle(all, id));
     let form = RwSignal::new(listing::FORMS[0].0.to_owned());
     let download = move |_| {
         if let Some(address) = chosen.with_untracked(|ids| listing::download_all(ids, &form.get_untracked())) {
@@ -247,7 +240,7 @@ fn Row(flight: Flight, asked: RwSignal<Listing>) -> impl IntoView {
         "every message is there".to_owned()
     };
     view! {
-        <td class="num when">{listing::when(flight.started_unix_us, local_offset_min())}</td>
+        <td class="num when" data-column=Column::Started.query()>{listing::when(flight.started_unix_us, local_offset_min())}</td>
         <td class="picture"><Picture flight=flight.clone() /></td>
         <td class="flight-name">
             <Link to=Route::Flight(id)>{title}</Link>
@@ -271,14 +264,14 @@ fn Row(flight: Flight, asked: RwSignal<Listing>) -> impl IntoView {
                 </span>
             })}
         </td>
-        <td>{flight.vehicle_id.clone()}</td>
-        <td>{flight.rig.clone()}</td>
-        <td class="num">{format::clock(flight.duration_s)}</td>
-        <td class="num">{steps}</td>
-        <td class="num">{attacks}</td>
-        <td class="num">{flight.tracking_rms_m.map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 0)))}</td>
+        <td data-column=Column::Vehicle.query()>{flight.vehicle_id.clone()}</td>
+        <td data-column=Column::Rig.query()>{flight.rig.clone()}</td>
+        <td class="num" data-column=Column::Duration.query()>{format::clock(flight.duration_s)}</td>
+        <td class="num" data-column=Column::Steps.query()>{steps}</td>
+        <td class="num" data-column=Column::Attacks.query()>{attacks}</td>
+        <td class="num">{format::millimetres(flight.tracking_rms_m, 0)}</td>
         <td class=state title=missing>{flight.completeness.name()}</td>
-        <td class="num">{format::bytes(flight.size_bytes)}</td>
+        <td class="num" data-column=Column::Size.query()>{format::bytes(flight.size_bytes)}</td>
     }
 }
 

@@ -16,7 +16,6 @@ pub fn Numbers() -> impl IntoView {
     let ctx = ctx();
     let altitudes = move || {
         ctx.live(|live| {
-            let last = |curve| live.curves.get(curve).and_then(|s| s.last()).map(|(_, v)| f64::from(v));
             live.curves
                 .names()
                 .filter_map(|curve| {
@@ -27,7 +26,7 @@ pub fn Numbers() -> impl IntoView {
                         Curve::TruthAltitude => "truth".to_owned(),
                         _ => return None,
                     };
-                    Some((name, format::maybe(last(curve), 3), live.has_ended(curve, net::now_ms())))
+                    Some((name, format::maybe(live.curves.newest(curve), 3), live.has_ended(curve, net::now_ms())))
                 })
                 .collect::<Vec<_>>()
         })

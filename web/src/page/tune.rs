@@ -49,18 +49,20 @@ struct Bench {
 }
 
 impl Bench {
-    fn vehicle(self) -> Option<String> {
-        self.ctx.app.with_value(|app| app.vehicle.clone())
+    /// Part of an address that names the vehicle.
+    fn vehicle_path(self) -> Option<String> {
+        let vehicle = self.ctx.app.with_value(|app| app.vehicle.clone());
+        vehicle.map(|id| String::from(js_sys::encode_uri_component(&id)))
     }
 
-    /// Path and query part that names the vehicle.
-    fn vehicle_path(self) -> Option<String> {
-        self.vehicle().map(|id| String::from(js_sys::encode_uri_component(&id)))
+    /// The query that names it; empty without one.
+    fn query(self) -> String {
+        self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"))
     }
 
     /// Controllers with the defaults of this vehicle, then what is in use; the draft begins as that.
     fn load(self) {
-        let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
+        let query = self.query();
         leptos::task::spawn_local(async move {
             let mut kinds =
                 net::json::<Controllers>("GET", &format!("/api/v1/design/controllers{query}"), None, "").await;
@@ -134,7 +136,7 @@ impl Bench {
             step: Steps { z_m, yaw_rad: Some(YAW_STEP_RAD), ..Steps::default() },
             duration_s: Some(DURATION_S),
         };
-        let query = self.vehicle_path().map_or_else(String::new, |id| format!("?vehicle={id}"));
+        let query = self.query();
         leptos::task::spawn_local(async move {
             let url = format!("/api/v1/design/preview{query}");
             let answer = net::json::<Preview>("POST", &url, Some(json!(question).to_string()), "").await;

@@ -107,7 +107,6 @@ impl Frame {
         HorizonView {
             roll_rad: (roll / DEGREES) as f32,
             pitch_flu_rad: (pitch / DEGREES) as f32,
-            setpoint_rad: None,
             stale: instrument.stale,
             theme: self.theme,
         }
@@ -132,7 +131,6 @@ impl Frame {
             rows,
             spans: self.spans(live, axis),
             cursor_s: self.cursor(),
-            highlighted: None,
             time_origin_s: self.deck.label_origin_s(live, axis),
             theme: self.theme,
         }

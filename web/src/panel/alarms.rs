@@ -11,7 +11,7 @@ use super::events::Events;
 use crate::{
     ctx::{Ctx, ctx},
     keys,
-    model::{format, names},
+    model::{format, live::Live, names},
     net,
     tones::{Tones, Tune},
 };
@@ -19,36 +19,86 @@ use crate::{
 /// From this age on the bar says how old the data are, s.
 const OLD_S: f64 = 1.0;
 /// Charge below which the battery is low, and nearly empty.
-pub(super) const LOW: f64 = 0.30;
-pub(super) const EMPTY: f64 = 0.15;
+const LOW: f64 = 0.30;
+const EMPTY: f64 = 0.15;
 
-/// The failsafe that acts, or ended the flight: its name, the same with its reason, and whether it still acts.
-fn failsafe(ctx: Ctx) -> Option<(&'static str, String, bool)> {
-    ctx.live(|live| {
-        let status = live.status.get().filter(|s| s.failsafe() != Failsafe::None)?;
-        let title = names::failsafe(status.failsafe());
-        let reason = &status.failsafe_reason;
-        let text = if reason.is_empty() { title.to_owned() } else { format!("{title} – {reason}") };
-        Some((title, text, status.armed || status.cut_latched))
-    })
+/// The failsafe that acts, or ended the flight.
+#[derive(Debug, Clone, PartialEq)]
+struct Acting {
+    failsafe: Failsafe,
+    reason: String,
+    /// Does it still act?
+    acts: bool,
 }
 
-/// Battery, where it is low: (what it is, the same with its figures, nearly empty?).
-fn battery(ctx: Ctx) -> Option<(&'static str, String, bool)> {
-    ctx.live(|live| {
-        let battery_v = live.battery_v()?;
-        let status = live.status.get().filter(|status| status.battery_fraction < LOW)?;
-        let empty = status.battery_fraction < EMPTY;
-        let what = if empty { "Battery nearly empty" } else { "Battery low" };
-        let (volts, percent) = (format::fixed(battery_v, 1), format::fixed(100.0 * status.battery_fraction, 0));
-        let todo = if status.armed { ": land now" } else { "" };
-        // A failsafe beside it says the rest.
-        let text = match status.failsafe() {
-            Failsafe::BatteryLow | Failsafe::BatteryDescend => format!("{volts} V"),
-            _ => format!("{what}, {volts} V · {percent} %{todo}."),
-        };
-        Some((what, text, empty))
-    })
+impl Acting {
+    fn of(live: &Live) -> Option<Self> {
+        let status = live.status.get().filter(|s| s.failsafe() != Failsafe::None)?;
+        let (failsafe, reason) = (status.failsafe(), status.failsafe_reason.clone());
+        Some(Self { failsafe, reason, acts: status.armed || status.cut_latched })
+    }
+
+    /// Its name, with its reason.
+    fn text(&self) -> String {
+        let (title, reason) = (names::failsafe(self.failsafe), &self.reason);
+        if reason.is_empty() { title.to_owned() } else { format!("{title} – {reason}") }
+    }
+}
+
+/// The battery as it is shown: text is written of it only once it changes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Battery {
+    volts: f64,
+    /// Of its charge; whole ones.
+    percent: f64,
+    /// By the charge itself: what is shown is rounded.
+    pub low: bool,
+    /// Nearly empty?
+    pub empty: bool,
+}
+
+impl Battery {
+    pub(super) fn of(live: &Live) -> Option<Self> {
+        let (status, volts) = live.status.get().zip(live.battery_v())?;
+        let charge = status.battery_fraction;
+        Some(Self { volts, percent: (100.0 * charge).round_ties_even(), low: charge < LOW, empty: charge < EMPTY })
+    }
+
+    /// Voltage and charge.
+    pub(super) fn text(self) -> String {
+        format!("{} V · {} %", format::fixed(self.volts, 1), format::fixed(self.percent, 0))
+    }
+}
+
+/// A battery that is low.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct LowBattery {
+    battery: Battery,
+    armed: bool,
+    /// A failsafe beside it says what is to be done.
+    told: bool,
+}
+
+impl LowBattery {
+    fn of(live: &Live) -> Option<Self> {
+        let battery = Battery::of(live).filter(|battery| battery.low)?;
+        let status = live.status.get()?;
+        let told = matches!(status.failsafe(), Failsafe::BatteryLow | Failsafe::BatteryDescend);
+        Some(Self { battery, armed: status.armed, told })
+    }
+
+    fn title(self) -> &'static str {
+        if self.battery.empty { "Battery nearly empty" } else { "Battery low" }
+    }
+
+    /// The same with its figures.
+    fn text(self) -> String {
+        if self.told {
+            return format!("{} V", format::fixed(self.battery.volts, 1));
+        }
+        let todo = if self.armed { ": land now" } else { "" };
+        format!("{}, {}{todo}.", self.title(), self.battery.text())
+    }
 }
 
 /// Who took control from this page, and when (wall time of the ground, µs).
@@ -85,8 +135,8 @@ const REPEAT_S: u64 = 4;
 /// the battery is nearly empty.
 pub fn sound(ctx: Ctx) {
     let tones: Tones = expect_context();
-    let acts = Memo::new(move |_| failsafe(ctx).is_some_and(|(.., acts)| acts));
-    let battery = Memo::new(move |_| battery(ctx).map(|(.., empty)| empty));
+    let acts = Memo::new(move |_| ctx.live(Acting::of).is_some_and(|failsafe| failsafe.acts));
+    let battery = Memo::new(move |_| ctx.live(LowBattery::of).map(|low| low.battery.empty));
     let round = Memo::new(move |_| {
         let repeats = acts.get() || battery.get() == Some(true);
         repeats.then(|| (ctx.live(|_| net::now_ms()) * 1e-3) as u64 / REPEAT_S)
@@ -121,8 +171,8 @@ pub fn Alarms() -> impl IntoView {
     let AlarmState { lost: read, failsafe: ended, .. } = expect_context();
     let tones: Tones = expect_context();
     let age = Memo::new(move |_| ctx.age_s().filter(|age| *age >= OLD_S).map(|age| age.floor()));
-    let failsafe = Memo::new(move |_| failsafe(ctx));
-    let battery = Memo::new(move |_| battery(ctx));
+    let failsafe = Memo::new(move |_| ctx.live(Acting::of));
+    let battery = Memo::new(move |_| ctx.live(LowBattery::of));
     let lost = Memo::new(move |_| lost_to(ctx));
     let simulated = Memo::new(move |_| ctx.live(|live| live.description.get().is_some_and(|d| d.vehicle == "sim")));
     view! {
@@ -130,9 +180,9 @@ pub fn Alarms() -> impl IntoView {
             {move || age.get().map(|s| view! {
                 <p class="alarm bad data-age"><span class="visually-hidden">"Data is old."</span><b aria-live="off">{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
             })}
-            {move || failsafe.get().filter(|(_, text, acts)| *acts || *text != ended.get()).map(|(title, text, acts)| view! {
+            {move || failsafe.get().map(|f| (f.text(), f)).filter(|(text, f)| f.acts || *text != ended.get()).map(|(text, Acting { failsafe, acts, .. })| view! {
                 <p class="alarm loud" class:bad=acts>
-                    <span class="visually-hidden">{title}</span>
+                    <span class="visually-hidden">{names::failsafe(failsafe)}</span>
                     <b aria-live="off" title=text.clone()>{text.clone()}</b>
                     {acts.then(|| view! {
                         <button type="button" class="small" title="Tones for alarms on or off (T)" on:click=move |_| tones.switch(!tones.on.get_untracked())>
@@ -144,10 +194,10 @@ pub fn Alarms() -> impl IntoView {
                     })}
                 </p>
             })}
-            {move || battery.get().map(|(what, text, empty)| view! {
-                <p class="alarm" class:bad=empty>
-                    <span class="visually-hidden">{what}</span>
-                    <b aria-live="off">{text}</b>
+            {move || battery.get().map(|low| view! {
+                <p class="alarm" class:bad=low.battery.empty>
+                    <span class="visually-hidden">{low.title()}</span>
+                    <b aria-live="off">{low.text()}</b>
                     {simulated.get().then(|| view! {
                         <button type="button" class="small" on:click=move |_| ctx.command("New battery", "POST", "simulator", json!(rest::Simulator { battery: true, reset: false }))>"New battery"</button>
                     })}
@@ -247,5 +297,63 @@ pub fn Guarded(children: Children) -> impl IntoView {
                 }
             }
         >{children()}</div>
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_proto::{Kind, v1::Status};
+
+    use crate::model::live::append;
+
+    /// Of a vehicle with this status.
+    fn live(status: &Status) -> Live {
+        let (mut live, mut batch) = (Live::recorded(), Vec::new());
+        append(&mut batch, Kind::Status, 0, 1, 1_000_000, status);
+        live.ingest(&batch, 0.0).unwrap();
+        live
+    }
+
+    #[test]
+    fn the_battery_is_the_same_until_a_figure_that_is_shown_is_another() {
+        let of = |battery_v, battery_fraction| {
+            Battery::of(&live(&Status { battery_v, battery_fraction, ..Status::default() })).unwrap()
+        };
+        let (full, less) = (of(12.2, 0.952), of(12.2, 0.944));
+        assert_eq!((full.text().as_str(), full == of(12.2, 0.9546), full == less), ("12.2 V · 95 %", true, false));
+        // What rounds to the limit is below it all the same.
+        let low = of(11.0, 0.2996);
+        assert_eq!((low.text().as_str(), low.low, low.empty), ("11.0 V · 30 %", true, false));
+        assert!(of(10.4, 0.149).empty && !of(11.0, 0.3).low);
+        // As it was written without rounding first: a tie goes to the even figure.
+        assert_eq!((of(11.0, 0.125).text(), format::fixed(12.5, 0)), ("11.0 V · 12 %".to_owned(), "12".to_owned()));
+        assert_eq!(Battery::of(&live(&Status::default())), None);
+    }
+
+    #[test]
+    fn a_low_battery_says_what_is_to_be_done_unless_a_failsafe_does() {
+        let status = Status { battery_v: 10.4, battery_fraction: 0.12, armed: true, ..Status::default() };
+        let text = |status: &Status| LowBattery::of(&live(status)).map(LowBattery::text);
+        assert_eq!(text(&status).as_deref(), Some("Battery nearly empty, 10.4 V · 12 %: land now."));
+        let landed = Status { armed: false, battery_fraction: 0.2, ..status.clone() };
+        assert_eq!(text(&landed).as_deref(), Some("Battery low, 10.4 V · 20 %."));
+        let descends = Status { failsafe: Failsafe::BatteryDescend.into(), ..status.clone() };
+        assert_eq!(text(&descends).as_deref(), Some("10.4 V"));
+        assert_eq!(text(&Status { battery_fraction: 0.5, ..status }), None);
+    }
+
+    #[test]
+    fn a_failsafe_has_its_reason_and_acts_while_armed_or_cut() {
+        let status = Status {
+            failsafe: Failsafe::TiltCut.into(),
+            failsafe_reason: "41° above 30°".to_owned(),
+            cut_latched: true,
+            ..Status::default()
+        };
+        let cut = Acting::of(&live(&status)).unwrap();
+        assert_eq!((cut.text(), cut.acts), (format!("{} – 41° above 30°", names::failsafe(Failsafe::TiltCut)), true));
+        assert!(!Acting::of(&live(&Status { cut_latched: false, ..status })).unwrap().acts);
+        assert_eq!(Acting::of(&live(&Status::default())), None);
     }
 }

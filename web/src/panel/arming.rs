@@ -68,7 +68,7 @@ pub fn ArmingCard() -> impl IntoView {
     let known = Memo::new(move |_| ctx.live(|live| live.status.get().is_some()));
     let armed = Memo::new(move |_| status(|s| s.armed));
     let cut = Memo::new(move |_| status(|s| s.cut_latched));
-    let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
+    let mode = Memo::new(move |_| ctx.live(Live::mode));
     let old = Memo::new(move |_| ctx.is_old(|live| &live.status));
     let all = Memo::new(move |_| {
         ctx.live(|live| live.status.get().map(|s| checks(s, live.ground.recording.as_ref())).unwrap_or_default())

@@ -9,7 +9,7 @@ use plumbline_rest::flight::{Completeness, Flight};
 use serde_json::json;
 
 use crate::{
-    ctx::{Ctx, ctx},
+    ctx::{Ctx, ctx, every},
     event::Event,
     model::{
         by_hand::{At, Led, STEPS, Seen},
@@ -69,9 +69,7 @@ fn Leading(id: String) -> impl IntoView {
         });
     };
     ask();
-    if let Ok(timer) = set_interval_with_handle(ask, PERIOD) {
-        on_cleanup(move || timer.clear());
-    }
+    every(PERIOD, ask);
     // What rests is told by the clock: another answer about the same flight changes nothing here.
     let next = Memo::new(move |_| match told.get() {
         Some(Ok(told)) => told.next.map(|next| NextByHand { rest_left_s: 0.0, ..next }),
@@ -264,9 +262,7 @@ fn Say(say: impl Fn(bool, String) + Copy + 'static) -> impl IntoView {
         });
     };
     look();
-    if let Ok(timer) = set_interval_with_handle(look, PERIOD) {
-        on_cleanup(move || timer.clear());
-    }
+    every(PERIOD, look);
     let whole = move || {
         flight.with(|flight| {
             flight
@@ -276,9 +272,7 @@ fn Say(say: impl Fn(bool, String) + Copy + 'static) -> impl IntoView {
     };
     let measured = move || {
         flight.get().map(|flight| {
-            let rms = flight
-                .tracking_rms_m
-                .map_or_else(|| format::NONE.to_owned(), |m| format!("{} mm", format::fixed(m * 1e3, 1)));
+            let rms = format::millimetres(flight.tracking_rms_m, 1);
             let state = flight.completeness.name();
             view! {
                 <p class="num">

@@ -11,7 +11,7 @@ use wasm_bindgen::JsCast;
 use web_sys::GamepadButton;
 
 use crate::{
-    ctx::{Ctx, ctx},
+    ctx::{Ctx, ctx, every},
     event::{Event, Failure},
     model::{
         curves::DEGREES,
@@ -169,14 +169,11 @@ pub fn GamepadCard() -> impl IntoView {
         waits: StoredValue::new(false),
         read_ms: StoredValue::new(net::now_ms()),
     };
-    let timer = set_interval_with_handle(move || pad.read(), PERIOD).ok();
+    every(PERIOD, move || pad.read());
     // At once: a hidden page's timers are slow.
     let hiding = window_event_listener(ev::visibilitychange, move |_| pad.read());
     on_cleanup(move || {
         hiding.remove();
-        if let Some(timer) = timer {
-            timer.clear();
-        }
         // Whoever leaves this page has let go.
         if let Some(Some(held)) = pad.held.try_get_untracked() {
             pad.let_go(held);

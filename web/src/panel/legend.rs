@@ -99,12 +99,7 @@ pub fn Legend(
             beat.get();
             return error_text(deck, curve, decimals);
         }
-        let at = deck.reading_s();
-        let value = deck.read(|live| match at {
-            Some(time) => live.curves.value_at(curve, time),
-            None => live.curves.get(curve).and_then(|s| s.last()).map(|(_, v)| f64::from(v)),
-        });
-        format::maybe(value, decimals)
+        format::maybe(deck.value(curve), decimals)
     };
     let old = move |curve: Curve| {
         !errors && deck.reading_s().is_none() && deck.read(|live| live.has_ended(curve, net::now_ms()))

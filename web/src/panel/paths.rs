@@ -1,7 +1,6 @@
 //! Paths: shapes and lists of altitudes, from where the setpoint is. What is refused is said beside the form.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::Mode;
 use serde_json::json;
 
 use crate::{
@@ -62,7 +61,7 @@ pub fn PathForm(
     let flying = Memo::new(move |_| ctx.live(flown));
     let form = RwSignal::new(Form::default());
     let refusal = RwSignal::new(None::<String>);
-    let mode = Memo::new(move |_| ctx.live(|live| live.status.get().map_or(Mode::Unspecified, |s| s.mode())));
+    let mode = Memo::new(move |_| ctx.live(Live::mode));
     let shape = Memo::new(move |_| form.with(|f| f.shape));
     let unfit = Memo::new(move |_| shape.get().unfit(mode.get()));
     // What is being mended is not refused yet.

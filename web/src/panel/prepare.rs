@@ -10,21 +10,20 @@ use serde_json::json;
 
 use crate::{
     ctx::{Ctx, ctx},
-    model::{curves::DEGREES, draft::Draft, format},
+    model::{choice, curves::DEGREES, draft::Draft, format},
     net,
 };
 
 /// What is expected is asked for when the draft has stood still this long.
 const SETTLE: Duration = Duration::from_millis(300);
-const OPTIMAL: &str = "optimal";
 /// Generators: name on the wire, name for people.
 const GENERATORS: [(&str, &str); 4] = [
-    (OPTIMAL, "optimal, unseen"),
+    ("optimal", "optimal, unseen"),
     ("stealthy_bias", "stealthy bias"),
-    ("zero_dynamics", "zero dynamics"),
+    (UPWARDS, "zero dynamics"),
     ("covert", "covert motion"),
 ];
-/// What an optimal one pushes: axis and deviation on the wire, name for people.
+/// What one pushes: axis and deviation on the wire, name for people.
 const PUSHED: [(Option<(&str, &str)>, &str); 7] = [
     (None, "altitude"),
     (Some(("x", "tilt")), "pitch"),
@@ -34,8 +33,10 @@ const PUSHED: [(Option<(&str, &str)>, &str); 7] = [
     (Some(("x", "position")), "position along x"),
     (Some(("y", "position")), "position along y"),
 ];
+/// There is none of these along x and y.
+const UPWARDS: &str = "zero_dynamics";
 /// Those that are told how large they may be, and may attack the rotors.
-const COMMANDED: [&str; 2] = ["zero_dynamics", "covert"];
+const COMMANDED: [&str; 2] = [UPWARDS, "covert"];
 /// Prepared ones begin so long after acceptance, s.
 const START_S: f64 = 5.0;
 
@@ -46,42 +47,53 @@ async fn ask(ctx: Ctx, question: AttackQuestion) -> Result<PreparedAttack, Strin
     answer.map_err(|failure| failure.text)
 }
 
-/// One line on what is expected.
-fn told(expected: &PreparedAttack) -> String {
-    match (expected.probability, expected.altitude_m) {
-        (Some(part), Some(most_m)) => format!(
-            "With lanes in the loop an exclusion is expected in {} % of flights; the altitude moves up to {} cm.",
-            format::fixed(100.0 * part, 0),
-            format::fixed(100.0 * most_m, 1)
-        ),
-        (Some(part), None) => {
-            format!("Expected in {} % of flights: {}.", format::fixed(100.0 * part, 0), expected.note)
-        }
-        _ => expected.note.clone(),
-    }
-}
-
-/// What is said of a prepared attack besides what is expected of the draft: of one on rotors that is here.
-fn remark(found: &PreparedAttack) -> String {
-    let rotors = found.attacks.iter().any(|attack| attack.sensor == "rotor");
-    let expected = match (found.probability.filter(|_| rotors), found.altitude_m) {
-        (Some(part), Some(most_m)) => format!(
-            " A sensor is expected to be excluded in {} % of flights; the altitude moves {} cm.",
-            format::fixed(100.0 * part, 0),
-            format::fixed(100.0 * most_m, 1)
-        ),
-        (Some(part), None) => {
-            format!(" A sensor is expected to be excluded in {} % of flights.", format::fixed(100.0 * part, 0))
-        }
-        _ => String::new(),
-    };
-    let aside = [
+/// How far it moves along a horizontal axis.
+fn aside(found: &PreparedAttack) -> impl Iterator<Item = String> {
+    let all = [
         found.tilt_rad.map(|rad| format!("{}°", format::fixed(rad * DEGREES, 2))),
         found.velocity_mps.map(|mps| format!("{} cm/s", format::fixed(100.0 * mps, 1))),
         found.position_m.map(|m| format!("{} cm", format::fixed(100.0 * m, 1))),
     ];
-    let pushed: String = aside.into_iter().flatten().map(|far| format!("Moves it up to {far}: ")).collect();
-    format!("{pushed}{}{expected}", found.note)
+    all.into_iter().flatten()
+}
+
+/// How surely the judges of the lanes exclude somebody, and how far the vehicle moves; `None` where that is not known.
+fn judged(found: &PreparedAttack) -> Option<String> {
+    let percent = format::fixed(100.0 * found.probability?, 0);
+    let aside: Vec<String> = aside(found).collect();
+    let moves = match found.altitude_m {
+        Some(most_m) => format!("; the altitude moves up to {} cm", format::fixed(100.0 * most_m, 1)),
+        None if aside.is_empty() => String::new(),
+        None => format!("; it moves up to {}", aside.join(", ")),
+    };
+    Some(format!("With lanes in the loop an exclusion is expected in {percent} % of flights{moves}."))
+}
+
+/// One line on what is expected of a draft.
+fn told(expected: &PreparedAttack) -> String {
+    let note = &expected.note;
+    match (expected.attacks.as_slice(), expected.probability) {
+        // By a closed form, which the note names.
+        ([one], Some(part)) if one.sensor == "rotor" || one.kind == "replay" => {
+            format!("Expected in {} % of flights: {note}.", format::fixed(100.0 * part, 0))
+        }
+        _ => judged(expected).map_or_else(|| note.clone(), |text| format!("{text} {note}").trim_end().to_owned()),
+    }
+}
+
+/// What is said of a prepared attack besides that.
+fn remark(found: &PreparedAttack) -> String {
+    let pushed: String = aside(found).map(|far| format!("Moves it up to {far}: ")).collect();
+    format!("{pushed}{}", found.note)
+}
+
+/// Attacks as the ground prepared them, and what it expects of all of them: it judges no thrust that rotors add unless it has
+/// prepared it.
+pub type Prepared = (Vec<Draft>, String);
+
+/// What is known of `drafts` without asking: they are those that were prepared, all and alone.
+fn known(prepared: Option<&Prepared>, drafts: &[Draft]) -> Option<String> {
+    prepared.filter(|(of, _)| of == drafts).map(|(_, text)| text.clone())
 }
 
 /// What is expected of the draft.
@@ -100,8 +112,10 @@ pub fn ExpectedLine(
         if let Some(handle) = waiting.get_value() {
             handle.clear();
         }
-        line.set(String::new());
-        if attacks.is_empty() {
+        let known = ctx.prepared.with_untracked(|prepared| drafts.with(|all| known(prepared.as_ref(), all)));
+        let asks = known.is_none() && !attacks.is_empty();
+        line.set(known.unwrap_or_default());
+        if !asks {
             return;
         }
         let send = move || {
@@ -135,19 +149,13 @@ pub fn Prepare(
     let sensors = Memo::new(move |_| {
         ctx.live(|live| {
             let all = live.description.get().map(|told| told.sensors.clone()).unwrap_or_default();
-            let bounded = all.iter().filter(|s| matches!(s.kind(), SensorKind::Height | SensorKind::Imu));
+            let bounded =
+                all.iter().filter(|s| matches!(s.kind(), SensorKind::Height | SensorKind::Imu | SensorKind::MocapPose));
             let rotors = live.description.get().filter(|told| !told.actuators.is_empty()).map(|_| "rotors".to_owned());
             bounded.map(|s| SensorId::new(s.kind(), s.instance as u8).to_string()).chain(rotors).collect::<Vec<_>>()
         })
     });
-    let choose = move |name: String, on: bool| {
-        chosen.update(|all| {
-            all.retain(|one| *one != name);
-            if on {
-                all.push(name);
-            }
-        });
-    };
+    let choose = move |name: String, on: bool| chosen.update(|all| choice::choose(all, name, on));
     let prepare = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
         let number = |name: &str, text: RwSignal<String>| {
@@ -155,9 +163,12 @@ pub fn Prepare(
         };
         let question = number("duration", duration).and_then(|horizon_s| {
             let (name, _) = GENERATORS.get(generator.get_untracked()).copied().unwrap_or_default();
-            let aside = PUSHED.get(pushed.get_untracked()).and_then(|(aside, _)| *aside).filter(|_| name == OPTIMAL);
+            let aside = PUSHED.get(pushed.get_untracked()).and_then(|(aside, _)| *aside).filter(|_| name != UPWARDS);
+            // The vehicle may have no sensor of a name that was chosen.
+            let offered = sensors.get_untracked();
+            let attacked = chosen.get_untracked().into_iter().filter(|name| offered.contains(name)).collect();
             let of = EnvelopeQuestion {
-                sensors: Some(chosen.get_untracked()),
+                sensors: Some(attacked),
                 horizon_s: Some(horizon_s),
                 axis: aside.map(|(axis, _)| axis.to_owned()),
                 ..EnvelopeQuestion::default()
@@ -179,8 +190,10 @@ pub fn Prepare(
             let _ = busy.try_set(false);
             match answer {
                 Ok(found) => {
-                    let prepared = found.attacks.iter().filter_map(Draft::prepared);
-                    let _ = drafts.try_update(|all| all.extend(prepared));
+                    let attacks: Vec<Draft> = found.attacks.iter().filter_map(Draft::prepared).collect();
+                    let whole = !attacks.is_empty() && attacks.len() == found.attacks.len();
+                    ctx.prepared.set(judged(&found).filter(|_| whole).map(|text| (attacks.clone(), text)));
+                    let _ = drafts.try_update(|all| all.extend(attacks));
                     let _ = note.try_set(remark(&found));
                 }
                 Err(why) => {
@@ -200,7 +213,7 @@ pub fn Prepare(
                 </label>
                 <label class="field wide"><span>"pushes"</span>
                     <select
-                        disabled=move || named() != OPTIMAL
+                        disabled=move || named() == UPWARDS
                         on:change:target=move |e| pushed.set(e.target().value().parse().unwrap_or_default())
                     >
                         {PUSHED.iter().enumerate().map(|(i, (_, name))| view! { <option value=i.to_string()>{*name}</option> }).collect::<Vec<_>>()}
@@ -241,6 +254,11 @@ mod tests {
     use super::*;
     use plumbline_rest::command::PlannedAttack;
 
+    fn attack(sensor: &str, kind: &str) -> PlannedAttack {
+        let (sensor, kind, channel) = (sensor.to_owned(), kind.to_owned(), "all".to_owned());
+        PlannedAttack { sensor, instance: 2, kind, channel, duration_s: 5.0, ..PlannedAttack::default() }
+    }
+
     #[test]
     fn what_is_expected_is_one_line_and_what_is_not_says_why() {
         let expected =
@@ -249,25 +267,60 @@ mod tests {
             told(&expected),
             "With lanes in the loop an exclusion is expected in 89 % of flights; the altitude moves up to 2.4 cm."
         );
-        let note = PreparedAttack { note: "nothing is expected of replay".into(), ..PreparedAttack::default() };
-        assert_eq!(told(&note), "nothing is expected of replay");
-        let rotor =
-            PreparedAttack { probability: Some(0.996), note: "rotor 2 isolated".into(), ..PreparedAttack::default() };
-        assert_eq!(told(&rotor), "Expected in 100 % of flights: rotor 2 isolated.");
-        let attacks = vec![PlannedAttack { sensor: "rotor".into(), ..PlannedAttack::default() }];
-        let note = "Held.".to_owned();
-        let prepared = PreparedAttack {
-            attacks,
-            probability: Some(0.02),
-            altitude_m: Some(0.35),
-            note,
+        let aside = PreparedAttack {
+            probability: Some(0.03),
+            tilt_rad: Some(0.0161),
+            velocity_mps: Some(0.021),
+            note: "More.".into(),
             ..PreparedAttack::default()
         };
-        let said = "Held. A sensor is expected to be excluded in 2 % of flights; the altitude moves 35.0 cm.";
-        assert_eq!(remark(&prepared), said);
+        assert_eq!(
+            told(&aside),
+            "With lanes in the loop an exclusion is expected in 3 % of flights; it moves up to 0.92°, 2.1 cm/s. More."
+        );
+        let note = PreparedAttack { note: "nothing is expected of replay".into(), ..PreparedAttack::default() };
+        assert_eq!(told(&note), "nothing is expected of replay");
+        let rotor = PreparedAttack {
+            attacks: vec![attack("rotor", "scale")],
+            probability: Some(0.996),
+            note: "rotor 2 isolated".into(),
+            ..PreparedAttack::default()
+        };
+        assert_eq!(told(&rotor), "Expected in 100 % of flights: rotor 2 isolated.");
+    }
+
+    #[test]
+    fn what_was_prepared_with_rotors_is_expected_of_the_draft_as_it_came() {
+        let found = PreparedAttack {
+            attacks: vec![attack("height", "bias"), attack("rotor", "bias")],
+            probability: Some(0.02),
+            altitude_m: Some(0.35),
+            note: "Held.".to_owned(),
+            ..PreparedAttack::default()
+        };
+        assert_eq!(remark(&found), "Held.");
+        let text = judged(&found).unwrap();
+        assert_eq!(
+            text,
+            "With lanes in the loop an exclusion is expected in 2 % of flights; the altitude moves up to 35.0 cm."
+        );
+        let drafts: Vec<Draft> = found.attacks.iter().filter_map(Draft::prepared).collect();
+        assert_eq!(drafts.len(), 2);
+        let prepared = (drafts.clone(), text.clone());
+        assert_eq!(known(Some(&prepared), &drafts), Some(text));
+        // Of part of them, or of more, the ground is asked.
+        assert_eq!(known(Some(&prepared), &drafts[..1]), None);
+        assert_eq!(known(Some(&prepared), &[&drafts[..], &drafts[..1]].concat()), None);
+        assert_eq!(known(None, &drafts), None);
+        // A healthy sensor hears of the motion: how far it goes then is not known.
+        let heard = PreparedAttack { altitude_m: None, probability: Some(0.95), ..found };
+        let text = "With lanes in the loop an exclusion is expected in 95 % of flights.";
+        assert_eq!(judged(&heard).as_deref(), Some(text));
+    }
+
+    #[test]
+    fn what_is_pushed_aside_is_said_before_the_note() {
         let aside = PreparedAttack { tilt_rad: Some(0.0161), note: "95 %.".into(), ..PreparedAttack::default() };
-        assert_eq!(remark(&aside), "Moves it up to 0.92°: 95 %.");
-        // What sensors have added is expected of the draft.
-        assert_eq!(remark(&PreparedAttack { attacks: Vec::new(), ..prepared }), "Held.");
+        assert_eq!((remark(&aside).as_str(), judged(&aside)), ("Moves it up to 0.92°: 95 %.", None));
     }
 }

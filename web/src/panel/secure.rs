@@ -161,12 +161,15 @@ fn margin(m: &v1::SecureMargin) -> (String, &'static str) {
 }
 
 fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
-    let millimetres =
-        |v: Option<f64>| v.map_or_else(|| NONE.to_owned(), |v| format!("{} mm", format::fixed(v * 1e3, 1)));
     let ratio = ratio(s);
     let mut figures = vec![
-        ("error e".into(), millimetres(s.tracking_error_m), "", "RMS of altitude minus setpoint over the last 10 s"),
-        ("e* unattacked".into(), millimetres(s.reference_error_m), "", "The same while nothing was flagged"),
+        (
+            "error e".into(),
+            format::millimetres(s.tracking_error_m, 1),
+            "",
+            "RMS of altitude minus setpoint over the last 10 s",
+        ),
+        ("e* unattacked".into(), format::millimetres(s.reference_error_m, 1), "", "The same while nothing was flagged"),
         (
             "e / e*".into(),
             format!("{} of {RATIO_LIMIT}", format::maybe(ratio, 2)),

@@ -46,7 +46,7 @@ pub struct Target {
 impl Target {
     /// Asked for just now, of `vehicle`, which reports as `live`.
     pub fn new(altitude_m: f64, vehicle: Option<String>, live: &Live) -> Self {
-        Self { altitude_m, vehicle, mode: mode(live), nearing: None }
+        Self { altitude_m, vehicle, mode: live.mode(), nearing: None }
     }
 
     /// The vehicle has accepted it, at flight time `now_us`: its profile starts.
@@ -57,7 +57,7 @@ impl Target {
     /// Does it still count, `vehicle` being shown, which reports as `live`? Not once the profile is there, stands or goes
     /// elsewhere, nor in another mode, nor for another vehicle.
     pub fn counts(&mut self, vehicle: Option<&String>, live: &Live) -> bool {
-        let same = self.vehicle.as_ref() == vehicle && self.mode == mode(live);
+        let same = self.vehicle.as_ref() == vehicle && self.mode == live.mode();
         if !same || !matches!(self.mode, Mode::AltitudeHold | Mode::Hold) {
             return false;
         }
@@ -69,10 +69,6 @@ impl Target {
         }
         off_m > SAME_M && time_us.saturating_sub(*since_us) < STANDS_US
     }
-}
-
-fn mode(live: &Live) -> Mode {
-    live.status.get().map_or(Mode::Unspecified, |status| status.mode())
 }
 
 /// The setpoint card.
@@ -143,7 +139,7 @@ pub fn SetpointCard() -> impl IntoView {
 #[component]
 pub fn ModeFields() -> impl IntoView {
     let ctx = ctx();
-    let mode = Memo::new(move |_| ctx.live(|live| if live.is_replay() { Mode::Unspecified } else { mode(live) }));
+    let mode = Memo::new(move |_| ctx.live(|live| if live.is_replay() { Mode::Unspecified } else { live.mode() }));
     let card = |name, about: &'static str, picture: Option<AnyView>, entries| {
         view! {
             <section class="card setpoint" aria-label=name><header><h2>{name}</h2><span class="quiet">{about}</span></header>{picture}<Fields name entries /></section>

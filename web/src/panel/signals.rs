@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     app::App,
+    ctx::every,
     deck::{Charted, Deck, MOST_SIGNALS, Picture, Source, deck, settled},
     event::Failure,
     model::{
@@ -292,14 +293,7 @@ fn One(charted: Charted, start_s: f64) -> impl IntoView {
             }
         })
     };
-    let value = move || {
-        let at = deck.reading_s();
-        let value = deck.read(|live| match at {
-            Some(time_s) => live.curves.value_at(Curve::Signal(place), time_s),
-            None => live.curves.get(Curve::Signal(place)).and_then(|s| s.last()).map(|(_, v)| f64::from(v)),
-        });
-        value.map_or_else(|| NONE.to_owned(), format::figures)
-    };
+    let value = move || deck.value(Curve::Signal(place)).map_or_else(|| NONE.to_owned(), format::figures);
     let color = palette::series(usize::from(place)).css();
     let body = if spectrum {
         view! { <Density name=name.clone() unit=unit.clone() color start_s progress /> }.into_any()
@@ -394,10 +388,7 @@ fn listen(deck: Deck, place: u8, name: String, Progress { problem, waits }: Prog
         });
     };
     ask();
-    // Fails only without a window.
-    if let Ok(every) = set_interval_with_handle(ask, EVERY) {
-        on_cleanup(move || every.clear());
-    }
+    every(EVERY, ask);
 }
 
 /// Keeps the curve of a signal: the whole flight coarsely, and what is zoomed into finer.

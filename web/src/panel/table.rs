@@ -14,6 +14,9 @@ pub fn SortHead(
     /// Of numbers?
     #[prop(optional)]
     num: bool,
+    /// What style sheets know the column by.
+    #[prop(optional)]
+    column: Option<&'static str>,
     /// Is the table sorted by it, and with the greatest first?
     #[prop(into)]
     descending: Signal<Option<bool>>,
@@ -25,6 +28,7 @@ pub fn SortHead(
         <th
             scope="col"
             class:num=num
+            data-column=column
             title=title
             aria-sort=move || match descending.get() {
                 Some(true) => "descending",

@@ -1,16 +1,17 @@
-//! The page's worker where no graphics card draws: triangles to pixels, pixels to the canvas, while the page does everything else. It is
-//! the same program in a thread of its own, which shares nothing: the page hands it the canvas, then a sheet per frame.
+//! The page's worker where no graphics card draws: triangles to pixels, pixels to the canvas, while the page does everything else. A
+//! program of its own in a thread of its own, which shares nothing: the page hands it the canvas, then a sheet per frame.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 use std::cell::RefCell;
 
 use js_sys::{Array, Uint32Array};
+use plumbline_raster::{Depths, Ground, Tile, draw};
+use wasm_bindgen::prelude::wasm_bindgen;
 use wasm_bindgen::{Clamped, JsCast, JsValue, closure::Closure};
 use web_sys::{
     DedicatedWorkerGlobalScope, ImageData, MessageEvent, OffscreenCanvas, OffscreenCanvasRenderingContext2d,
 };
-
-use super::raster::{Depths, Tile};
-use super::sheet::{Ground, draw};
 
 /// What there is to draw with.
 #[derive(Default)]
@@ -21,9 +22,11 @@ struct Easel {
     depths: Depths,
 }
 
-/// Waits for what the page has to draw, if this is its worker; is it?
-pub fn start() -> bool {
-    let Ok(scope) = js_sys::global().dyn_into::<DedicatedWorkerGlobalScope>() else { return false };
+/// Waits for what the page has to draw. Called by the worker's script; anywhere else nothing happens.
+#[wasm_bindgen(start)]
+pub fn start() {
+    console_error_panic_hook::set_once();
+    let Ok(scope) = js_sys::global().dyn_into::<DedicatedWorkerGlobalScope>() else { return };
     let (easel, page) = (RefCell::new(Easel::default()), scope.clone());
     let take = Closure::<dyn Fn(MessageEvent)>::new(move |message: MessageEvent| {
         let Ok(mut easel) = easel.try_borrow_mut() else { return };
@@ -43,7 +46,6 @@ pub fn start() -> bool {
     // For as long as the worker lives.
     take.forget();
     tell(&scope);
-    true
 }
 
 /// That this is ready for what comes next; fails only for what cannot be sent.

@@ -8,7 +8,7 @@ use crate::model::{
     configuration::Row,
     curves::{Axis, Curve, Demand},
     figure::{Figure, Line, plain},
-    format::{NONE, clock, count, fixed, signed},
+    format::{NONE, clock, count, fixed, maybe, signed},
     listing,
     live::Live,
     names,
@@ -108,10 +108,6 @@ fn tex(text: &str) -> String {
         }
     }
     out
-}
-
-fn maybe(value: Option<f64>, decimals: usize) -> String {
-    value.map_or_else(|| NONE.to_owned(), |v| fixed(v, decimals))
 }
 
 /// "0.42 ± 0.03"

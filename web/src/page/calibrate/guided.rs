@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use super::Bench;
 use crate::{
+    ctx::every,
     model::{
         calibration::KINDS,
         guided::{Half, Tile, cells, now, place, tiles, told, turn_deg},
@@ -116,9 +117,7 @@ pub(super) fn Guided() -> impl IntoView {
             hands.ask();
         }
     };
-    if let Ok(timer) = set_interval_with_handle(beat, EVERY) {
-        on_cleanup(move || timer.clear());
-    }
+    every(EVERY, beat);
     let running = Memo::new(move |_| hands.taken.with(|taken| taken.as_ref().map(|taken| taken.kind.clone())));
     // What is being taken is what the page is about, after a reload too.
     Effect::new(move |_| {

@@ -6,7 +6,7 @@ use plumbline_proto::v1::SensorKind;
 use crate::{
     ctx::ctx,
     model::{
-        draft, names,
+        choice, draft, names,
         study::{Study, Target},
     },
     panel::attacks::EnumSelect,
@@ -98,15 +98,7 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
         move |word: String, label: String, of: fn(&mut Study) -> &mut Vec<String>, has: fn(&Study) -> &Vec<String>| {
             let own = word.clone();
             let on = Signal::derive(move || study.with(|study| has(study).contains(&own)));
-            let set = move |checked: bool| {
-                answer(&|study| {
-                    let list = of(study);
-                    list.retain(|other| *other != word);
-                    if checked {
-                        list.push(word.clone());
-                    }
-                });
-            };
+            let set = move |checked: bool| answer(&|study| choice::choose(of(study), word.clone(), checked));
             tick(label, on, Box::new(set))
         };
     view! {

@@ -9,7 +9,7 @@ use super::reestimate;
 use crate::{
     ctx::ctx,
     event::Failure,
-    model::{experiment::Again, names, route::Route},
+    model::{choice, experiment::Again, names, route::Route},
     net,
     panel::waiting::Waiting,
 };
@@ -62,14 +62,7 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
             }
         });
     };
-    let toggle = move |kind: EstimatorKind, on: bool| {
-        chosen.update(|chosen| {
-            chosen.retain(|known| *known != kind);
-            if on {
-                chosen.push(kind);
-            }
-        });
-    };
+    let toggle = move |kind: EstimatorKind, on: bool| chosen.update(|chosen| choice::choose(chosen, kind, on));
     view! {
         <section class="card facts again" aria-label="Fly again">
             <header><h2>"Fly again"</h2></header>

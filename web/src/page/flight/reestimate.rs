@@ -7,7 +7,7 @@ use crate::{
     deck::deck,
     model::{
         api::{Again, Score},
-        format, names,
+        choice, format, names,
     },
     net,
     panel::waiting::Waiting,
@@ -114,12 +114,7 @@ pub(super) fn Reestimate(
             <fieldset class="checks">
                 <legend class="quiet">"from the IMUs and"</legend>
                 {offered.into_iter().map(|(name, label)| {
-                    let toggle = move |on: bool| chosen.update(|c| {
-                        c.retain(|n| *n != name);
-                        if on {
-                            c.push(name);
-                        }
-                    });
+                    let toggle = move |on: bool| chosen.update(|chosen| choice::choose(chosen, name, on));
                     view! { <label class="check"><input type="checkbox" checked=true on:change:target=move |e| toggle(e.target().checked()) /> {label}</label> }
                 }).collect_view()}
             </fieldset>

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use leptos::{ev, html, prelude::*};
 
-use crate::{deck::Deck, keys::Takes, net};
+use crate::{ctx::every, deck::Deck, keys::Takes, net};
 
 /// Playback speeds.
 const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
@@ -42,9 +42,7 @@ pub(super) fn Scrub(
             playing.set(false);
         }
     };
-    if let Ok(timer) = set_interval_with_handle(step, Duration::from_millis(33)) {
-        on_cleanup(move || timer.clear());
-    }
+    every(Duration::from_millis(33), step);
     let toggle = move || {
         if !playing.get_untracked() && deck.playhead.get_untracked() >= end - 1e-6 {
             deck.playhead.set(begin);

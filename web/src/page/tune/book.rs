@@ -12,6 +12,7 @@ use crate::{
         format, listing,
         tuning::{Draft, Start, start, title},
     },
+    net,
     page::flights::local_offset_min,
 };
 
@@ -93,15 +94,7 @@ fn export(bench: Bench) {
     let design = bench.draft.with_untracked(|d| d.as_ref().map(|draft| json!(draft.design())));
     let Some(design) = certified.filter(|_| bench.fresh.get_untracked()).or(design) else { return };
     let text = serde_json::to_string_pretty(&design).unwrap_or_default();
-    let url = format!("data:application/json;charset=utf-8,{}", String::from(js_sys::encode_uri_component(&text)));
-    use wasm_bindgen::JsCast;
-    let Some(link) = document().create_element("a").ok().and_then(|a| a.dyn_into::<web_sys::HtmlAnchorElement>().ok())
-    else {
-        return;
-    };
-    link.set_href(&url);
-    link.set_download("gains.json");
-    link.click();
+    net::save("gains.json", "application/json", &text);
 }
 
 /// Pushes made before, newest first.
