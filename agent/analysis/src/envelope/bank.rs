@@ -1,6 +1,6 @@
 //! The bank of lanes about hover, linear: the lane of all healthy IMUs, and what each attacked one differs from it by.
 
-use plumbline_core::estimate::lanes::linear::{SLOT, STATES, SlotMap, cycle};
+use plumbline_core::estimate::lanes::linear::{Differing, Measured, SLOT, STATES, SlotMap, cycle, differing};
 use plumbline_core::sensor::MAX_HEIGHTS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -58,47 +58,38 @@ impl Bank<'_> {
 /// What the lanes of the attacked IMUs differ from the others by in a slot.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Differs {
-    /// One-sigma of the innovation of each height that was sampled, m.
+    /// One-sigma of the innovation of each height that was sampled, of a healthy lane, m.
     pub(super) sigma_m: [Option<f64>; MAX_HEIGHTS],
-    /// Of each attacked IMU: what is added, its lane's innovations, m, and bias, m/s².
-    pub(super) lanes: Vec<(f64, [f64; MAX_HEIGHTS], f64)>,
+    /// Of each attacked IMU: what is added, m/s², and its lane.
+    pub(super) lanes: Vec<(f64, Differing)>,
 }
 
 impl Attacked<'_> {
-    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot. No other part of the loop has a say in it.
+    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot, of an IMU whose noise was
+    /// measured as `part` of that of the others, `begin` slots after the begin of a mean. No other part of the loop has a say in it.
     pub(super) fn differs(
         &self,
         horizon_s: f64,
         attack: &dyn Fn(SensorId, usize) -> Signal,
+        (part, begin): (f64, u32),
     ) -> Result<Vec<Differs>, EnvelopeError> {
         let of = self.flying;
-        let maps = cycle(&of.model, &of.schedule()?, &[1.0; MAX_HEIGHTS], of.noise_mps2, ALTITUDE_M);
-        let none = || Signal::zeros(1);
-        let mut bank = Bank {
-            maps: &maps,
-            healthy: std::array::from_fn(|_| none()),
-            differ: self.imus.iter().map(|_| std::array::from_fn(|_| none())).collect(),
-            share: 0.0,
+        let (schedule, weights) = (of.schedule()?, [1.0; MAX_HEIGHTS]);
+        let measured = Measured { noise_mps2: (of.measured_mps2, part * of.measured_mps2), begin };
+        let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
+        let slots = (horizon_s / SLOT).ceil() as usize;
+        let lane = |i: &usize| {
+            let id = SensorId::new(SensorKind::Imu, *i as u8 + 1);
+            let added: Vec<f64> = (0..slots).map(|number| attack(id, number)[0]).collect();
+            let differing = differing(&of.model, &schedule, &weights, &measured, ALTITUDE_M, &added);
+            (added, differing)
         };
-        let slot = |number: usize| {
-            let id = |i: &usize| SensorId::new(SensorKind::Imu, *i as u8 + 1);
-            let added: Vec<Signal> = self.imus.iter().map(|i| attack(id(i), number)).collect();
-            let mut out = Differs::default();
-            out.lanes.resize(added.len(), Default::default());
-            for (i, sigma_m, _, lanes) in bank.take(number, &none(), &added, &[], 1) {
-                if let Some(place) = out.sigma_m.get_mut(i) {
-                    *place = Some(sigma_m);
-                }
-                for (lane, innovation) in out.lanes.iter_mut().zip(&lanes) {
-                    lane.1[i] = innovation[0];
-                }
-            }
-            for ((lane, added), [_, _, bias]) in out.lanes.iter_mut().zip(&added).zip(&bank.differ) {
-                (lane.0, lane.2) = (added[0], bias[0]);
-            }
-            out
+        let lanes: Vec<_> = self.imus.iter().map(lane).collect();
+        let slot = |number: usize| Differs {
+            sigma_m: maps.get(number % maps.len().max(1)).map(|slot| slot.sigma_m).unwrap_or_default(),
+            lanes: lanes.iter().filter_map(|(added, of)| Some((*added.get(number)?, *of.get(number)?))).collect(),
         };
-        Ok((0..(horizon_s / SLOT).ceil() as usize).map(slot).collect())
+        Ok((0..slots).map(slot).collect())
     }
 }
 

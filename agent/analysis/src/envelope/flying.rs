@@ -51,7 +51,9 @@ pub struct Loop {
     pub(super) timing: Vec<Option<(f64, f64)>>,
     pub(super) imus: usize,
     controlled: Controlled,
+    /// Noise that the lanes take their accelerometers for, and what they measure of it, m/s².
     pub(super) noise_mps2: f64,
+    pub(super) measured_mps2: f64,
     pub(super) most: (f64, f64),
     /// Up and down about the hover, m and s; the attack begins where a swing does.
     heave: Option<(f64, f64)>,
@@ -110,8 +112,8 @@ pub struct Attacked<'a> {
 }
 
 impl Loop {
-    /// Of `suite` on `airframe` with `law` at `tick_rate_hz`; `noise_mps2` is what the lanes measure of their accelerometers, at
-    /// least what they assume; an attack adds at most `most`, m and m/s².
+    /// Of `suite` on `airframe` with `law` at `tick_rate_hz`; `noise_mps2` is what the lanes measure of their accelerometers, which they
+    /// take for no less than they assume; an attack adds at most `most`, m and m/s².
     ///
     /// # Errors
     /// [`EnvelopeError`] with the offending value.
@@ -143,6 +145,7 @@ impl Loop {
             imus: suite.imus.len(),
             controlled,
             noise_mps2: noise_mps2.max(of_imus::NOISE_MPS2),
+            measured_mps2: noise_mps2,
             most,
             heave: None,
         })

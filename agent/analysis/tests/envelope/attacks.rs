@@ -334,6 +334,29 @@ fn rotors_and_replays_under_a_watermark_are_judged_by_their_theory() {
     assert!(rotor(1.2).probability.is_none());
 }
 
+/// GIVEN accelerometers as quiet as their data sheet, and as vibration has them in flight WHEN one is biased THEN the step is taken for
+/// noise in the latter only, and seen later: so it is flown (`reproduce envelope --only detect`).
+#[test]
+fn the_step_of_a_bias_is_taken_for_noise_where_there_is_vibration() {
+    let seen = |noise_mps2, magnitude| {
+        let attack = PlannedAttack {
+            sensor: "imu".into(),
+            instance: 1,
+            channel: "accel_z".into(),
+            kind: "bias".into(),
+            duration_s: 10.0,
+            magnitude,
+            ..PlannedAttack::default()
+        };
+        let of = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
+        let question = AttackQuestion { of, attacks: vec![attack], ..AttackQuestion::default() };
+        prepared(&question, None).unwrap().probability.unwrap()
+    };
+    let all = [(0.011, 0.5), (0.04, 0.5), (0.04, 0.7)].map(|(noise_mps2, bias)| seen(noise_mps2, bias));
+    println!("{all:?}");
+    assert!(all[0] > 0.9 && all[1] < 0.4 && all[2] > 0.9, "{all:?}");
+}
+
 #[test]
 fn two_of_three_heights_have_the_sequence_that_is_judged() {
     let found = prepared(&question(Some("optimal"), &["height 1", "height 2"]), None).unwrap();

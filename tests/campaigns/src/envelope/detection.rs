@@ -149,6 +149,12 @@ pub fn of_generators(report: &mut Report, effort: &Effort) -> Result<(), ReportE
         effort.seed_base
     ));
     let clean = fly(WORLD, effort.seed_base, &Worn::default());
+    report.value(
+        "detect/noise",
+        clean.noise_mps2,
+        "m/s²",
+        json!({ "of": "accelerometers, as the lanes measure it in one flight" }),
+    );
     let of = EnvelopeQuestion { noise_mps2: Some(clean.noise_mps2), ..EnvelopeQuestion::default() };
     let mut rows = Vec::new();
     for Generator { name, unit, what, sizes } in generators() {

@@ -101,6 +101,8 @@ pub mod of_rates {
     pub const FORGOTTEN_S: f64 = rates::FORGOTTEN_S;
 }
 
+/// The errors of what is vertical.
+const VERTICAL: [usize; STATES] = [ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2];
 /// Slots after which gains are steady.
 const STEADY: u64 = 750;
 
@@ -194,6 +196,14 @@ impl<'a> Hovering<'a> {
         (lane, out, residuals)
     }
 
+    /// Takes every error for known but those `kept`.
+    fn forget_all_but(&mut self, kept: &[usize]) {
+        for i in (0..self.lane.p.nrows()).filter(|i| !kept.contains(i)) {
+            self.lane.p.row_mut(i).fill(0.0);
+            self.lane.p.column_mut(i).fill(0.0);
+        }
+    }
+
     /// Maps of `period` slots, covariance steady, and their residuals: finite differences of `outputs`, which tells the lane after a slot
     /// for these inputs. Of the errors only those `kept` matter, and nothing aids the rest.
     pub(super) fn maps<const O: usize, const I: usize>(
@@ -207,10 +217,7 @@ impl<'a> Hovering<'a> {
         let steady = STEADY.next_multiple_of(period);
         let mut maps = Vec::new();
         for number in 0..steady + period {
-            for i in (0..self.lane.p.nrows()).filter(|i| !kept.contains(i)) {
-                self.lane.p.row_mut(i).fill(0.0);
-                self.lane.p.column_mut(i).fill(0.0);
-            }
+            self.forget_all_but(kept);
             let (after, _, residuals) = outputs(self, number, &[0.0; I]);
             if number >= steady {
                 let mut map = SMatrix::<f64, O, I>::zeros();
@@ -246,15 +253,73 @@ pub fn cycle(
         let none = [None; MAX_HEIGHTS];
         hovering.outputs(number, ages_s.get(number as usize % period).unwrap_or(&none), x)
     };
-    let maps = hovering.maps(period, &[ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2], outputs);
-    let told = |(map, residuals): (_, Residuals)| {
-        let sigma = |i: usize| {
-            let id = SensorId::new(SensorKind::Height, i as u8 + 1);
-            residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
-        };
-        SlotMap { map, sigma_m: std::array::from_fn(sigma) }
+    let maps = hovering.maps(period, &VERTICAL, outputs);
+    maps.into_iter().map(|(map, residuals)| SlotMap { map, sigma_m: sigmas(&residuals) }).collect()
+}
+
+/// What the lane of an attacked IMU differs from those of healthy ones by in a slot.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Differing {
+    /// Of each height that was sampled: what its innovation differs by, and the one-sigma that the lane gives it, m.
+    pub innovations: [Option<(f64, f64)>; MAX_HEIGHTS],
+    /// What its bias of the accelerometer's z differs by, m/s².
+    pub bias_mps2: f64,
+}
+
+/// What the lanes have measured of their accelerometers along z when an attack begins; see `noise.rs`.
+#[derive(Debug, Clone, Copy)]
+pub struct Measured {
+    /// Noise of the others and of the one attacked, m/s².
+    pub noise_mps2: (f64, f64),
+    /// Slots since the begin of the mean that the onset falls into.
+    pub begin: u32,
+}
+
+/// The lane that flies, under `added_mps2` to the mean specific force along z of each slot; everything else as for [`cycle`], steady when
+/// it begins. Its noise is `measured` on as in flight: the step of a bias is taken for noise for a while, which gives heights more weight.
+pub fn differing(
+    model: &SensorModel,
+    ages_s: &[[Option<f64>; MAX_HEIGHTS]],
+    weights: &[f64; MAX_HEIGHTS],
+    measured: &Measured,
+    z_m: f64,
+    added_mps2: &[f64],
+) -> Vec<Differing> {
+    let (typical, mut sigma) = measured.noise_mps2;
+    let mut hovering = Hovering::new(model, weights, noise::taken(sigma, typical), z_m, None);
+    let period = ages_s.len().max(1);
+    let none = [None; MAX_HEIGHTS];
+    let ages = |number: u64| ages_s.get(number as usize % period).unwrap_or(&none);
+    let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| hovering.outputs(number, ages(number), x);
+    hovering.maps(period, &VERTICAL, outputs);
+    let (mut sum, mut before, mut slots) = (0.0, 0.0, measured.begin);
+    let after = |(number, added): (usize, &f64)| {
+        hovering.forget_all_but(&VERTICAL);
+        let mut x = [0.0; INPUTS];
+        x[STATES] = *added;
+        // The cycle begins with the attack.
+        let (lane, out, residuals) = hovering.outputs(number as u64, ages(number as u64), &x);
+        hovering.lane = lane;
+        (sum, slots) = (sum + added, slots + 1);
+        if slots >= noise::SLOTS {
+            let mean = sum / f64::from(slots);
+            sigma = noise::followed(sigma, typical, mean - before);
+            hovering.sigma[2] = noise::taken(sigma, typical);
+            (sum, slots, before) = (0.0, 0, mean);
+        }
+        let sigmas = sigmas(&residuals);
+        let innovation = |i: usize| Some((*out.get(STATES + i)?, *sigmas.get(i)?.as_ref()?));
+        Differing { innovations: std::array::from_fn(innovation), bias_mps2: out[2] }
     };
-    maps.into_iter().map(told).collect()
+    added_mps2.iter().enumerate().map(after).collect()
+}
+
+/// One-sigma of the innovation of each height, m.
+fn sigmas(residuals: &Residuals) -> [Option<f64>; MAX_HEIGHTS] {
+    std::array::from_fn(|i| {
+        let id = SensorId::new(SensorKind::Height, i as u8 + 1);
+        residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
+    })
 }
 
 /// Number of the slot that a sample at `time_s` belongs to, and how long before its end it was, s.

@@ -206,10 +206,11 @@ impl Lanes {
         self.fused.mixture.weights
     }
 
-    /// Noise of an accelerometer along z as it is measured, the largest of the lanes in use, m/s².
+    /// Noise of an accelerometer along z as it is measured, the largest of the lanes in use, m/s²; none is taken for less than
+    /// `of_imus::NOISE_MPS2`.
     pub fn noise_mps2(&self) -> f64 {
         let used = self.weights().into_iter().enumerate().filter(|(_, weight)| *weight > 0.0).map(|(lane, _)| lane);
-        used.map(|lane| self.judges.noise.of(lane)[2]).fold(0.0, f64::max)
+        used.map(|lane| self.judges.noise.measured(lane)[2]).fold(0.0, f64::max)
     }
 
     /// Nothing of what was before belongs to this flight, but for what has been learned of the sensors.

@@ -8,7 +8,7 @@ use super::integral::Six;
 use super::{LANES, PerLane, median_six};
 
 /// Slots of one mean: 0.8 s.
-const SLOTS: u32 = 20;
+pub(super) const SLOTS: u32 = 20;
 /// E|x − y| of two normal numbers is 1.128 σ; larger by a quarter as caution.
 const SIGMA_OF_CHANGE: f64 = 1.25 / std::f64::consts::SQRT_2;
 /// Part of a new change in the mean, at first and later.
@@ -19,6 +19,16 @@ pub(super) const FLOOR: (f64, f64) = (0.05, 0.003);
 const FIRST: (f64, f64) = (0.15, 0.01);
 /// A sensor's own noise counts up to so many times the median one.
 const MOST: f64 = 2.0;
+
+/// σ of an accelerometer after a mean that an attack changed by `change_mps2`, beside its noise of `typical`, which is that of the others.
+pub(super) fn followed(sigma: f64, typical: f64, change_mps2: f64) -> f64 {
+    sigma + ((change_mps2.abs() * SIGMA_OF_CHANGE).hypot(typical) - sigma) * GAINS.1
+}
+
+/// What of σ a lane takes for its noise beside others of `typical`.
+pub(super) fn taken(sigma: f64, typical: f64) -> f64 {
+    sigma.min(typical * MOST).max(FLOOR.0)
+}
 
 fn six(of: (f64, f64)) -> Six {
     Six::new(of.0, of.0, of.0, of.1, of.1, of.1)
@@ -50,6 +60,11 @@ impl Noise {
 
     /// One-sigma of each lane's means, per axis: m/s² and rad/s.
     pub fn of(&self, lane: usize) -> Six {
+        self.measured(lane).sup(&six(FLOOR))
+    }
+
+    /// The same as it is measured, which may be less than what any IMU is taken for.
+    pub fn measured(&self, lane: usize) -> Six {
         self.own.get(lane).copied().unwrap_or_else(|| six(FIRST))
     }
 
@@ -81,8 +96,7 @@ impl Noise {
         let present = self.sigmas.iter().zip(&self.deviations).filter(|(_, d)| d.is_some()).map(|(sigma, _)| sigma);
         let typical = median_six(present);
         for (own, sigma) in self.own.iter_mut().zip(&self.sigmas) {
-            let capped = if typical.iter().all(|t| t.is_finite()) { sigma.inf(&(typical * MOST)) } else { *sigma };
-            *own = capped.sup(&six(FLOOR));
+            *own = if typical.iter().all(|t| t.is_finite()) { sigma.inf(&(typical * MOST)) } else { *sigma };
         }
     }
 }
