@@ -296,7 +296,8 @@ export function countMcap(file) {
 
 /** What the ground answers to a request of its API, made beside the page; refused is failed. */
 export async function asks(page, method, path, data) {
-  const answer = await page.request.fetch(`${url}/api/v1/${path}`, { method, data, headers: { 'X-Plumbline-Operator': 'browser' } });
+  // Flights of minutes are flown meanwhile, on a machine that may have other things to do.
+  const answer = await page.request.fetch(`${url}/api/v1/${path}`, { method, data, headers: { 'X-Plumbline-Operator': 'browser' }, timeout: 120_000 });
   assert(answer.ok(), `${method} ${path}: ${await answer.text()}`);
   return answer.json();
 }

@@ -35,7 +35,8 @@ pub struct EnvelopeQuestion {
     /// How long the attack lasts, s; 10 where it is left out, 5 along a horizontal axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
-    /// Noise that the lanes measure of their accelerometers, m/s²; what they assume where it is left out.
+    /// Noise that the lanes measure of their accelerometers, m/s²: the more there is, the later one that is attacked is seen. Where it is
+    /// left out there is none beyond the data sheets', which makes what is called unseen so in flight as well.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_mps2: Option<f64>,
     /// Along a heave in the place of a hover: the altitude only, from where a swing begins. Not asked over HTTP.

@@ -40,7 +40,9 @@ const COMMANDED: [&str; 2] = [UPWARDS, "covert"];
 /// Prepared ones begin so long after acceptance, s.
 const START_S: f64 = 5.0;
 
-async fn ask(ctx: Ctx, question: AttackQuestion) -> Result<PreparedAttack, String> {
+/// Asked with the noise that the lanes measure of the vehicle's accelerometers now: under vibration those attacked are seen later.
+async fn ask(ctx: Ctx, mut question: AttackQuestion) -> Result<PreparedAttack, String> {
+    question.of.noise_mps2 = untrack(|| ctx.live(|live| live.secure.get().and_then(|status| status.accel_noise_mps2)));
     let vehicle = ctx.app.with_value(|app| app.vehicle.clone()).unwrap_or_default();
     let url = format!("/api/v1/envelope/attack?vehicle={}", String::from(js_sys::encode_uri_component(&vehicle)));
     let answer = net::json::<PreparedAttack>("POST", &url, Some(json!(question).to_string()), "").await;

@@ -26,7 +26,7 @@ pub(super) const BEFORE_S: f64 = 8.0;
 /// What the noise of an attacked IMU is measured as at the onset, of that of the others, and how many slots since the begin of a mean:
 /// flights take them by turns. Means of |Δ|, whose deviation is 0.76 of its mean, forgotten by 0.08, scatter by 0.15: quarters of a
 /// normal distribution.
-const BEGUN: [(f64, u32); 4] = [(0.95, 0), (1.2, 5), (0.8, 10), (1.05, 15)];
+pub(super) const BEGUN: [(f64, u32); 4] = [(0.95, 0), (1.2, 5), (0.8, 10), (1.05, 15)];
 
 /// What is added to one sensor over time: seconds since the onset to m or m/s².
 #[allow(missing_debug_implementations, reason = "a function")]

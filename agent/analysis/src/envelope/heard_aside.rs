@@ -3,7 +3,7 @@
 //!
 //! Every lane is followed as one: its linear map takes what its IMU reads, the vehicle's motion by the linear loop and the white noise
 //! of the data sheets included, and what motion capture or GNSS reads, whose noise all lanes share. What the lanes are surprised by, and
-//! what their IMUs differ by, goes to the judges that fly. Their vote knows no axis: an accelerometer's x is heard as its z would be, a
+//! what their IMUs differ by, goes to the judges that fly. The step of an accelerometer's bias is taken for noise for a while, as along z. Their vote knows no axis: an accelerometer's x is heard as its z would be, a
 //! gyroscope in units of the deviation that is taken for usual. Each is heard by itself, in flight the worse of both counts, slot by slot.
 //!
 //! Rotor drag and the field are not heard, so that less is seen here than in flight: little beside motion capture, which tells lanes apart
@@ -13,16 +13,16 @@
 use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
 use plumbline_core::estimate::lanes::lateral::{INPUTS, ROWS, STATES};
-use plumbline_core::estimate::lanes::linear::{SLOT, of_imus};
+use plumbline_core::estimate::lanes::linear::{Measured, SLOT, noise_course, of_imus};
 use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::expected::{BEFORE_S, DRAWN, Expected, dice};
+use super::expected::{BEFORE_S, BEGUN, DRAWN, Expected, dice};
 use super::flying::ALTITUDE_M;
-use super::lateral::{Course, Lateral};
+use super::lateral::{Course, Lateral, RAISED};
 
 /// What is added to: its unit is that of what is added.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,6 +52,8 @@ pub(super) struct Heard<'a> {
     course: Course,
     /// Added to the accelerometer and the gyroscope of each IMU in each slot, m/s² and rad/s.
     added: Vec<Vec<[f64; 2]>>,
+    /// Place among [`RAISED`] of what each IMU's lane takes it for, in each slot: for each of [`BEGUN`].
+    raised: Vec<Vec<Vec<usize>>>,
     /// Places of those attacked among the IMUs.
     attacked: Vec<usize>,
     slots: usize,
@@ -72,10 +74,12 @@ impl<'a> Heard<'a> {
         let measuring = lateral.measuring();
         let course = lateral.course(horizon_s, &of, &|time_s| sum(measuring, Quantity::Place, time_s));
         let slots = (horizon_s / SLOT).ceil() as usize;
-        let added = lateral.imus().map(|imu| (0..slots).map(|number| of(imu, number)).collect()).collect();
+        let added: Vec<Vec<_>> = lateral.imus().map(|imu| (0..slots).map(|number| of(imu, number)).collect()).collect();
+        let raised =
+            BEGUN.iter().map(|begun| added.iter().map(|added| raised(lateral, *begun, added)).collect()).collect();
         let is_attacked = |imu: &SensorId| pushed.iter().any(|one| one.sensor == *imu);
         let attacked = lateral.imus().enumerate().filter(|(_, imu)| is_attacked(imu)).map(|(place, _)| place);
-        Self { lateral, course, added, attacked: attacked.collect(), slots }
+        Self { lateral, course, added, raised, attacked: attacked.collect(), slots }
     }
 
     /// Furthest that the linear loop is moved: tilt (rad), velocity (m/s), position (m).
@@ -91,7 +95,7 @@ impl<'a> Heard<'a> {
 
     /// What is expected of it; `seed` of the noise.
     pub(super) fn expected(&self, seed: u64) -> Expected {
-        let scores = (0..DRAWN).map(|number| self.score(&mut dice(seed, number))).collect();
+        let scores = (0..DRAWN).map(|number| self.score(number, &mut dice(seed, number))).collect();
         Expected { scores, altitude_m: 0.0, aside: self.furthest() }
     }
 
@@ -99,7 +103,7 @@ impl<'a> Heard<'a> {
     pub(super) fn is_seen_in_more(&self, part: f64, seed: u64) -> bool {
         let (most, mut seen) = ((part * DRAWN as f64).floor() as u64, 0);
         for number in 0..DRAWN {
-            seen += u64::from(self.score(&mut dice(seed, number)).is_infinite());
+            seen += u64::from(self.score(number, &mut dice(seed, number)).is_infinite());
             if seen > most || seen + (DRAWN - number - 1) <= most {
                 break;
             }
@@ -108,8 +112,8 @@ impl<'a> Heard<'a> {
     }
 
     /// See [`Expected::scores`], with noise of these `dice`.
-    fn score(&self, dice: &mut Xoshiro256PlusPlus) -> f64 {
-        let maps = &self.lateral.maps;
+    fn score(&self, flight: u64, dice: &mut Xoshiro256PlusPlus) -> f64 {
+        let (maps, raised) = (&self.lateral.maps, self.raised.get(flight as usize % BEGUN.len()));
         let mut lanes = vec![[0.0; STATES]; self.added.len()];
         // One for the accelerometers, one for the gyroscopes.
         let (mut judges, mut most) = ([Judged::default(), Judged::default()], 0.0);
@@ -127,7 +131,12 @@ impl<'a> Heard<'a> {
                 let read: [f64; 2] = std::array::from_fn(|of| felt[of] + added[of] + sigma[of] * normal(dice));
                 let place = measured.unwrap_or_default();
                 let inputs = lane.iter().chain(&read).chain(&place).copied();
-                let out = map * SVector::<f64, INPUTS>::from_iterator(inputs);
+                let level = under.and_then(|under| raised?.get(i)?.get(under)).filter(|level| **level > 0);
+                let own = level.and_then(|level| {
+                    let maps = self.lateral.raised().get(*level)?;
+                    maps.get(number % maps.len().max(1))
+                });
+                let out = own.unwrap_or(map) * SVector::<f64, INPUTS>::from_iterator(inputs);
                 lane.iter_mut().zip(out.iter()).for_each(|(state, out)| *state = *out);
                 let innovations = std::array::from_fn::<_, MAX_HEIGHTS, _>(|row| {
                     measured.filter(|_| row < ROWS).and_then(|_| out.get(STATES + row).copied())
@@ -167,6 +176,18 @@ impl<'a> Heard<'a> {
 
 /// The judges take an accelerometer's deviation: a gyroscope's counts as the one that is as many times what is usual.
 const UNITS: [f64; 2] = [1.0, of_imus::USUAL_MPS2 / of_imus::USUAL_RADPS];
+
+/// Place among [`RAISED`] of what a lane takes its accelerometer for under what is `added`, slot by slot.
+fn raised(lateral: &Lateral, (part, begin): (f64, u32), added: &[[f64; 2]]) -> Vec<usize> {
+    let force: Vec<f64> = added.iter().map(|[force, _]| *force).collect();
+    if force.iter().all(|force| *force == 0.0) {
+        return Vec::new();
+    }
+    let (taken, measured) = lateral.noise;
+    let step = RAISED[1] - RAISED[0];
+    let level = |noise: f64| ((noise / taken - 1.0) / step).round().clamp(0.0, (RAISED.len() - 1) as f64) as usize;
+    noise_course(&Measured { noise_mps2: (measured, part * measured), begin }, &force).into_iter().map(level).collect()
+}
 
 fn normal(dice: &mut Xoshiro256PlusPlus) -> f64 {
     StandardNormal.sample(dice)

@@ -13,6 +13,7 @@
 //! GNSS are judged by nobody: all lanes use them alike. Nor are IMUs where neither a majority votes nor pose or GNSS tells the lanes apart.
 
 use std::collections::VecDeque;
+use std::sync::OnceLock;
 
 use plumbline_core::control::law::Law;
 use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, ROWS, STATES, UNAIDED_SLOTS};
@@ -50,7 +51,15 @@ pub struct Lateral {
     /// What the vote takes for usual, m/s² and rad/s.
     usual: (f64, f64),
     pub(super) most: (f64, f64),
+    /// What a lane is made of: models, and what a GNSS receiver tells as its one-sigma, m.
+    lane: (SensorModel, Airframe, f64),
+    /// Noise that the lanes take their accelerometers for, and what they measure of it, m/s².
+    pub(super) noise: (f64, f64),
+    raised: OnceLock<Vec<Vec<Map>>>,
 }
+
+/// Noise that an attacked lane takes its accelerometer for, over that of the others: in flight it changes by little at a time.
+pub(super) const RAISED: [f64; 5] = [1.0, 1.25, 1.5, 1.75, 2.0];
 
 /// White noise by the data sheets, one sigma.
 #[derive(Debug, Clone, Default)]
@@ -139,7 +148,7 @@ impl Lateral {
         let ages_s = timing.map_or_else(|| Ok(vec![None; UNAIDED_SLOTS]), |timing| ages_s(&timing))?;
         let model = SensorModel::from(suite);
         let gnss_sigma_m = suite.gnss.as_ref().map_or(1.0, |gnss| gnss.horizontal.total_sigma());
-        let noise_mps2 = noise_mps2.max(of_imus::NOISE_MPS2);
+        let (measured_mps2, noise_mps2) = (noise_mps2, noise_mps2.max(of_imus::NOISE_MPS2));
         let along = Along { axis, aid, ages_s: &ages_s, gnss_sigma_m };
         let maps = along.cycle(&model, airframe, noise_mps2, ALTITUDE_M);
         let (about, other) = (hover(airframe), 1 - axis);
@@ -149,7 +158,33 @@ impl Lateral {
         let white = White::new(suite, &used, aid);
         let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
         let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
-        Ok(Self { sensors: used, aid, axis, imus, controlled, maps, ages_s, white, drives, usual, most })
+        let lane = (model, airframe.clone(), gnss_sigma_m);
+        let raised = OnceLock::new();
+        let noise = (noise_mps2, measured_mps2);
+        Ok(Self {
+            sensors: used,
+            aid,
+            axis,
+            imus,
+            controlled,
+            maps,
+            ages_s,
+            white,
+            drives,
+            usual,
+            most,
+            lane,
+            noise,
+            raised,
+        })
+    }
+
+    /// The maps of a lane that takes its accelerometer for [`RAISED`] times as noisy.
+    pub(super) fn raised(&self) -> &[Vec<Map>] {
+        let (model, airframe, gnss_sigma_m) = &self.lane;
+        let along = Along { axis: self.axis, aid: self.aid, ages_s: &self.ages_s, gnss_sigma_m: *gnss_sigma_m };
+        let maps = |part: &f64| along.cycle(model, airframe, part * self.noise.0, ALTITUDE_M);
+        self.raised.get_or_init(|| RAISED.iter().map(maps).collect())
     }
 
     /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.

@@ -7,7 +7,7 @@ use plumbline_core::control::gains::Examiner;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::policy::MarginPolicy;
 use plumbline_core::estimate::lanes::lateral::Aid;
-use plumbline_core::estimate::lanes::linear::{SLOT, of_imus};
+use plumbline_core::estimate::lanes::linear::SLOT;
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::MAX_HEIGHTS;
 use plumbline_core::sensor::suite::{PRESETS, Suite};
@@ -268,8 +268,7 @@ impl Asked {
         let law = solved()?;
         let bounds = Bounds::default();
         let most = (bounds.length_max_m, bounds.accel_max_mps2);
-        let flying =
-            Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(of_imus::NOISE_MPS2), most)?;
+        let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(0.0), most)?;
         let without = match axis {
             None => named(&question.without, &flying.sensors)?,
             Some(_) => Vec::new(),

@@ -285,33 +285,43 @@ pub fn differing(
     z_m: f64,
     added_mps2: &[f64],
 ) -> Vec<Differing> {
-    let (typical, mut sigma) = measured.noise_mps2;
-    let mut hovering = Hovering::new(model, weights, noise::taken(sigma, typical), z_m, None);
+    let noise = noise_course(measured, added_mps2);
+    let mut hovering = Hovering::new(model, weights, noise.first().copied().unwrap_or(noise::FLOOR.0), z_m, None);
     let period = ages_s.len().max(1);
     let none = [None; MAX_HEIGHTS];
     let ages = |number: u64| ages_s.get(number as usize % period).unwrap_or(&none);
     let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| hovering.outputs(number, ages(number), x);
     hovering.maps(period, &VERTICAL, outputs);
-    let (mut sum, mut before, mut slots) = (0.0, 0.0, measured.begin);
-    let after = |(number, added): (usize, &f64)| {
+    let after = |(number, (added, sigma)): (usize, (&f64, &f64))| {
         hovering.forget_all_but(&VERTICAL);
+        hovering.sigma[2] = *sigma;
         let mut x = [0.0; INPUTS];
         x[STATES] = *added;
         // The cycle begins with the attack.
         let (lane, out, residuals) = hovering.outputs(number as u64, ages(number as u64), &x);
         hovering.lane = lane;
-        (sum, slots) = (sum + added, slots + 1);
-        if slots >= noise::SLOTS {
-            let mean = sum / f64::from(slots);
-            sigma = noise::followed(sigma, typical, mean - before);
-            hovering.sigma[2] = noise::taken(sigma, typical);
-            (sum, slots, before) = (0.0, 0, mean);
-        }
         let sigmas = sigmas(&residuals);
         let innovation = |i: usize| Some((*out.get(STATES + i)?, *sigmas.get(i)?.as_ref()?));
         Differing { innovations: std::array::from_fn(innovation), bias_mps2: out[2] }
     };
-    added_mps2.iter().enumerate().map(after).collect()
+    added_mps2.iter().zip(&noise).enumerate().map(after).collect()
+}
+
+/// Noise that a lane takes its accelerometer for in each slot, `measured` before `added_mps2` to the mean of each, m/s².
+pub fn noise_course(measured: &Measured, added_mps2: &[f64]) -> Vec<f64> {
+    let (typical, mut sigma) = measured.noise_mps2;
+    let (mut sum, mut before, mut slots) = (0.0, 0.0, measured.begin);
+    let after = |added: &f64| {
+        let taken = noise::taken(sigma, typical);
+        (sum, slots) = (sum + added, slots + 1);
+        if slots >= noise::SLOTS {
+            let mean = sum / f64::from(slots);
+            sigma = noise::followed(sigma, typical, mean - before);
+            (sum, slots, before) = (0.0, 0, mean);
+        }
+        taken
+    };
+    added_mps2.iter().map(after).collect()
 }
 
 /// One-sigma of the innovation of each height, m.
