@@ -40,7 +40,7 @@ const COMMANDED: [&str; 2] = [UPWARDS, "covert"];
 /// Prepared ones begin so long after acceptance, s.
 const START_S: f64 = 5.0;
 
-/// Asked with the noise that the lanes measure of the vehicle's accelerometers now: under vibration those attacked are seen later.
+/// Asked with the noise that the lanes measure of the vehicle's accelerometers now: the more there is, the later those attacked are seen.
 async fn ask(ctx: Ctx, mut question: AttackQuestion) -> Result<PreparedAttack, String> {
     question.of.noise_mps2 = untrack(|| ctx.live(|live| live.secure.get().and_then(|status| status.accel_noise_mps2)));
     let vehicle = ctx.app.with_value(|app| app.vehicle.clone()).unwrap_or_default();

@@ -334,10 +334,10 @@ fn rotors_and_replays_under_a_watermark_are_judged_by_their_theory() {
     assert!(rotor(1.2).probability.is_none());
 }
 
-/// GIVEN accelerometers as quiet as their data sheet, and as vibration has them in flight WHEN one is biased THEN the step is taken for
+/// GIVEN accelerometers as quiet as their data sheet, and as noisy as lanes measure them in flight WHEN one is biased THEN the step is taken for
 /// noise in the latter only, and seen later: so it is flown (`reproduce envelope --only detect`).
 #[test]
-fn the_step_of_a_bias_is_taken_for_noise_where_there_is_vibration() {
+fn the_step_of_a_bias_is_taken_for_noise_beside_other_noise() {
     let seen = |noise_mps2, magnitude| {
         let attack = PlannedAttack {
             sensor: "imu".into(),
