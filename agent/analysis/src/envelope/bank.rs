@@ -65,31 +65,38 @@ pub(super) struct Differs {
 }
 
 impl Attacked<'_> {
-    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot, of an IMU whose noise was
-    /// measured as `part` of that of the others, `begin` slots after the begin of a mean. No other part of the loop has a say in it.
+    /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot, for each of `begun`: of IMUs whose
+    /// noise was measured as that part of that of the others, so many slots after the begin of a mean. No other part of the loop has a say in it.
     pub(super) fn differs(
         &self,
         horizon_s: f64,
         attack: &dyn Fn(SensorId, usize) -> Signal,
-        (part, begin): (f64, u32),
-    ) -> Result<Vec<Differs>, EnvelopeError> {
+        begun: &[(f64, u32)],
+    ) -> Result<Vec<Vec<Differs>>, EnvelopeError> {
         let of = self.flying;
         let (schedule, weights) = (of.schedule()?, [1.0; MAX_HEIGHTS]);
-        let measured = Measured { noise_mps2: (of.measured_mps2, part * of.measured_mps2), begin };
         let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
         let slots = (horizon_s / SLOT).ceil() as usize;
-        let lane = |i: &usize| {
+        let added = |i: &usize| -> Vec<f64> {
             let id = SensorId::new(SensorKind::Imu, *i as u8 + 1);
-            let added: Vec<f64> = (0..slots).map(|number| attack(id, number)[0]).collect();
-            let differing = differing(&of.model, &schedule, &weights, &measured, ALTITUDE_M, &added);
-            (added, differing)
+            (0..slots).map(|number| attack(id, number)[0]).collect()
         };
-        let lanes: Vec<_> = self.imus.iter().map(lane).collect();
-        let slot = |number: usize| Differs {
-            sigma_m: maps.get(number % maps.len().max(1)).map(|slot| slot.sigma_m).unwrap_or_default(),
-            lanes: lanes.iter().filter_map(|(added, of)| Some((*added.get(number)?, *of.get(number)?))).collect(),
+        let added: Vec<_> = self.imus.iter().map(added).collect();
+        let differs = |&(part, begin): &(f64, u32)| -> Vec<Differs> {
+            let measured = Measured { noise_mps2: (of.measured_mps2, part * of.measured_mps2), begin };
+            let lane = |added: &Vec<f64>| differing(&of.model, &schedule, &weights, &measured, ALTITUDE_M, added);
+            let lanes: Vec<_> = added.iter().map(lane).collect();
+            let slot = |number: usize| Differs {
+                sigma_m: maps.get(number % maps.len().max(1)).map(|slot| slot.sigma_m).unwrap_or_default(),
+                lanes: added
+                    .iter()
+                    .zip(&lanes)
+                    .filter_map(|(added, of)| Some((*added.get(number)?, *of.get(number)?)))
+                    .collect(),
+            };
+            (0..slots).map(slot).collect()
         };
-        Ok((0..slots).map(slot).collect())
+        Ok(begun.iter().map(differs).collect())
     }
 }
 

@@ -81,8 +81,7 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     let response = attacked.respond(horizon_s + HORIZON_S + SLOT, 1, &value)?;
     let within = (horizon_s / SLOT).round() as usize;
     let altitude_m = response.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
-    let differs = BEGUN.map(|begun| attacked.differs(horizon_s, &value, begun));
-    let differs = differs.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
     let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];
     for (number, i, residual) in &response.residuals_m {
