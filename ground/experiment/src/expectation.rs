@@ -182,20 +182,21 @@ fn hovers_s(setup: &Setup, onset_s: f64) -> Result<f64, String> {
     Ok(end_s - onset_s)
 }
 
-/// What the lanes measure of their accelerometers' noise from the onset on, m/s²: the most, in a flight of this seed without the attack.
+/// What the lanes measure of their accelerometers' noise from the onset on, m/s²: the mean, in a flight of this seed without the attack.
 ///
 /// # Errors
 /// Why it cannot be flown.
 fn noise_mps2(setup: &Setup) -> Result<f64, String> {
     let clean = Setup { attacks: Vec::new(), ..setup.clone() };
-    let mut most: f64 = 0.0;
+    let (mut usual, mut count) = (0.0, 0.0);
     let flown = fly_watched(&clean, |flight, _| {
         let judged = flight.report().sensed.time.as_seconds() >= setup.judged_from_s;
         if let Some(lanes) = flight.lanes().filter(|_| judged) {
-            most = most.max(lanes.noise_mps2());
+            count += 1.0;
+            usual += (lanes.noise_mps2() - usual) / count;
         }
     });
-    flown.map_or_else(|error| Err(error.to_string()), |_| Ok(most))
+    flown.map_or_else(|error| Err(error.to_string()), |_| Ok(usual))
 }
 
 /// The gains as flown, of this airframe at this rate.

@@ -60,6 +60,12 @@ pub fn run() -> Result<(), ReportError> {
     report.finish().map(|_| ())
 }
 
+/// Noise of the accelerometers that lanes measure in these flights, m/s²: of the flights the middle one, as a few measure more and the
+/// limits move with it.
+fn usual_noise_mps2(clean: &[Flown]) -> f64 {
+    percentile(&clean.iter().map(|flight| flight.usual_noise_mps2).collect::<Vec<_>>(), 0.5)
+}
+
 /// Each maximising sequence in the ideal world.
 fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Maximising sequences in the ideal world");

@@ -46,6 +46,8 @@ pub struct Flown {
     pub ratios: Vec<(SensorId, f64)>,
     /// Noise of the accelerometers that the lanes measured, the largest, m/s².
     pub noise_mps2: f64,
+    /// Mean over time of the largest of the lanes, m/s².
+    pub usual_noise_mps2: f64,
     /// What the blocks of the watermark told: seconds since the onset at their end.
     pub carried: Vec<(f64, Block)>,
 }
@@ -253,6 +255,7 @@ fn fly_scripted(
             flown.seen.get_or_insert(flown.altitude_m.len());
         }
         flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());
+        flown.usual_noise_mps2 += (lanes.noise_mps2() - flown.usual_noise_mps2) / (tick - before) as f64;
         if let Some((time, block)) = flight.watermark() {
             let since_s = time.as_seconds() - ONSET_S;
             if flown.carried.last().is_none_or(|(last_s, _)| since_s > *last_s) {

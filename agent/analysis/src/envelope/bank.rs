@@ -1,6 +1,6 @@
 //! The bank of lanes about hover, linear: the lane of all healthy IMUs, and what each attacked one differs from it by.
 
-use plumbline_core::estimate::lanes::linear::{Differing, Measured, SLOT, STATES, SlotMap, cycle, differing};
+use plumbline_core::estimate::lanes::linear::{Differing, Measured, SLOT, STATES, SlotMap, differing};
 use plumbline_core::sensor::MAX_HEIGHTS;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -55,14 +55,8 @@ impl Bank<'_> {
     }
 }
 
-/// What the lanes of the attacked IMUs differ from the others by in a slot.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Differs {
-    /// One-sigma of the innovation of each height that was sampled, of a healthy lane, m.
-    pub(super) sigma_m: [Option<f64>; MAX_HEIGHTS],
-    /// Of each attacked IMU: what is added, m/s², and its lane.
-    pub(super) lanes: Vec<(f64, Differing)>,
-}
+/// What is added to each attacked IMU in a slot, m/s², and what its lane differs from the others by.
+pub(super) type Differs = Vec<(f64, Differing)>;
 
 impl Attacked<'_> {
     /// What `attack` (of one column) makes the attacked lanes differ by, slot by slot, for each of `begun`: of IMUs whose
@@ -75,7 +69,6 @@ impl Attacked<'_> {
     ) -> Result<Vec<Vec<Differs>>, EnvelopeError> {
         let of = self.flying;
         let (schedule, weights) = (of.schedule()?, [1.0; MAX_HEIGHTS]);
-        let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
         let slots = (horizon_s / SLOT).ceil() as usize;
         let added = |i: &usize| -> Vec<f64> {
             let id = SensorId::new(SensorKind::Imu, *i as u8 + 1);
@@ -86,13 +79,9 @@ impl Attacked<'_> {
             let measured = Measured { noise_mps2: (of.measured_mps2, part * of.measured_mps2), begin };
             let lane = |added: &Vec<f64>| differing(&of.model, &schedule, &weights, &measured, ALTITUDE_M, added);
             let lanes: Vec<_> = added.iter().map(lane).collect();
-            let slot = |number: usize| Differs {
-                sigma_m: maps.get(number % maps.len().max(1)).map(|slot| slot.sigma_m).unwrap_or_default(),
-                lanes: added
-                    .iter()
-                    .zip(&lanes)
-                    .filter_map(|(added, of)| Some((*added.get(number)?, *of.get(number)?)))
-                    .collect(),
+            let slot = |number: usize| {
+                let of = added.iter().zip(&lanes);
+                of.filter_map(|(added, of)| Some((*added.get(number)?, *of.get(number)?))).collect()
             };
             (0..slots).map(slot).collect()
         };

@@ -1,12 +1,14 @@
 //! What an attack that adds to heights and accelerometers is expected to be seen with: the lanes' own judges, fed with what it
 //! adds and with drawn noise, many times.
 //!
-//! Heights are heard as the residuals that the linear loop has of them. A lane with an attacked IMU is heard by what it differs from the others, the very lane that flies, behind the
-//! noise of the heights that all lanes share. Noise is white, as the data sheets have it; vibration, offsets that are not learned and what
-//! the vehicle does are left out.
+//! Heights are heard as the residuals that the linear loop has of them. A lane is heard as its linear map has it, with noise of its own IMU
+//! and that of the heights, which all lanes share; one with an attacked IMU also by what it differs from the others, the very lane that
+//! flies. Noise is white: of heights as the data sheets have it, of accelerometers at least as it was measured. Offsets that are not learned
+//! and what the vehicle does are left out.
 
+use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
-use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT};
+use plumbline_core::estimate::lanes::linear::{Differing, HORIZON_S, INPUTS, SLOT, STATES, SlotMap, cycle};
 use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
@@ -83,14 +85,15 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     let altitude_m = response.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
+    let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], flying.noise_mps2, ALTITUDE_M);
     let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];
     for (number, i, residual) in &response.residuals_m {
         if let Some(place) = residuals_m.get_mut(*number).and_then(|slot| slot.get_mut(*i)) {
             *place = residual[0];
         }
     }
-    let heard =
-        Heard { attacked: &attacked, residuals_m: &residuals_m, differs: &differs, schedule: &schedule, horizon_s };
+    let (attacked, residuals_m, differs) = (&attacked, &residuals_m[..], &differs[..]);
+    let heard = Heard { attacked, residuals_m, differs, schedule: &schedule, maps: &maps, horizon_s };
     let score = |number: u64| heard.score(number, &mut dice(seed, number));
     Ok(Expected { scores: (0..DRAWN).map(score).collect(), altitude_m, aside: [0.0; 3] })
 }
@@ -104,9 +107,11 @@ struct Heard<'a> {
     attacked: &'a Attacked<'a>,
     /// Of the heights, slot by slot, without noise.
     residuals_m: &'a [[f64; MAX_HEIGHTS]],
-    /// For each of [`BEGUN`].
+    /// For each of [`BEGUN`], slot by slot.
     differs: &'a [Vec<Differs>],
     schedule: &'a [[Option<f64>; MAX_HEIGHTS]],
+    /// Of a healthy lane.
+    maps: &'a [SlotMap],
     horizon_s: f64,
 }
 
@@ -118,9 +123,11 @@ impl Heard<'_> {
         // The attack begins with the cycle of the heights.
         let before = ((BEFORE_S / SLOT) as usize).next_multiple_of(self.schedule.len().max(1));
         let slots = before + (self.horizon_s / SLOT).ceil() as usize;
+        let mut states = vec![[0.0; STATES]; self.attacked.flying.white.1.len()];
         for number in 0..slots {
             let (heights, noises) = self.heights(number, before, dice);
-            let lanes = self.lanes(differs, number, before, &noises, dice);
+            let attacked = number.checked_sub(before).and_then(|number| differs.get(number));
+            let lanes = self.lanes(attacked.map_or(&[], Vec::as_slice), number, &mut states, &noises, dice);
             judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &lanes);
             if number >= before {
                 most = f64::max(most, self.ratio(&judges));
@@ -160,32 +167,37 @@ impl Heard<'_> {
         (heights, noises)
     }
 
+    /// What the lanes make of slot `number`, whose heights have this noise, from what noise made of their `states` before; of those attacked
+    /// `differs` tells what they differ by.
     fn lanes(
         &self,
-        differs: &[Differs],
+        differs: &[(f64, Differing)],
         number: usize,
-        before: usize,
+        states: &mut [[f64; STATES]],
         noises: &[f64; MAX_HEIGHTS],
         dice: &mut Xoshiro256PlusPlus,
     ) -> [Option<LaneHeard>; MAX_IMUS] {
         let mut lanes = [None; MAX_IMUS];
-        // Before the attack the innovations are the heights' noise, of the same sigmas.
-        let place = number.checked_sub(before).unwrap_or(number % before.max(1));
-        let Some(slot) = differs.get(place % differs.len().max(1)) else { return lanes };
-        for ((i, lane), sigma_mps2) in lanes.iter_mut().enumerate().zip(&self.attacked.flying.white.1) {
-            let own = self.attacked.imus.iter().position(|imu| *imu == i).filter(|_| number >= before);
-            let attacked = own.and_then(|own| slot.lanes.get(own));
+        let Some(slot) = self.maps.get(number % self.maps.len().max(1)) else { return lanes };
+        let each = lanes.iter_mut().zip(states).zip(&self.attacked.flying.white.1).enumerate();
+        for (i, ((lane, state), sigma_mps2)) in each {
+            let own = self.attacked.imus.iter().position(|imu| *imu == i);
+            let attacked = own.and_then(|own| differs.get(own));
             let draw: f64 = StandardNormal.sample(dice);
+            let read_mps2 = sigma_mps2 * draw;
+            let inputs = state.iter().chain(std::iter::once(&read_mps2)).chain(noises).copied();
+            let out = slot.map * SVector::<f64, INPUTS>::from_iterator(inputs);
+            state.iter_mut().zip(out.iter()).for_each(|(state, out)| *state = *out);
             let of = |j: usize| {
                 let healthy = slot.sigma_m.get(j).copied().flatten().map(|sigma_m| (0.0, sigma_m));
                 let (off_m, sigma_m) =
                     attacked.map_or(healthy, |(_, lane)| lane.innovations.get(j).copied().flatten())?;
-                Some((noises.get(j)? + off_m) / sigma_m)
+                Some((out.get(STATES + j)? + off_m) / sigma_m)
             };
             let innovations = std::array::from_fn(of);
-            let added = attacked.map_or(0.0, |(added, _)| *added);
-            let bias_mps2 = attacked.map_or(0.0, |(_, lane)| lane.bias_mps2);
-            *lane = Some(LaneHeard { innovations, force_mps2: added + sigma_mps2 * draw, bias_mps2 });
+            let (added, learned) = attacked.map_or((0.0, 0.0), |(added, lane)| (*added, lane.bias_mps2));
+            let bias_mps2 = learned + state[STATES - 1];
+            *lane = Some(LaneHeard { innovations, force_mps2: added + read_mps2, bias_mps2 });
         }
         lanes
     }

@@ -21,6 +21,7 @@ use plumbline_core::control::law::Law;
 use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, cycle, of_heights, of_imus, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::ix;
+use plumbline_core::sensor::imu::Imu;
 use plumbline_core::sensor::suite::Suite;
 use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
 use plumbline_proto::ids::SensorId;
@@ -71,6 +72,13 @@ pub(super) fn repeating(rates_hz: impl Iterator<Item = f64> + Clone) -> Result<u
     let expected = "such that all samples repeat within 1 s";
     let found = (1..=LONGEST_CYCLE).find(repeats);
     found.ok_or(EnvelopeError::Value { what: "rate_hz of the sensors", value, expected })
+}
+
+/// White noise of an accelerometer's mean over a slot, one sigma, m/s²: as the data sheet has it, or as its lane measures it,
+/// `noise_mps2` over 0.8 s, where that is more.
+pub(super) fn white_mps2(imu: &Imu, noise_mps2: f64) -> f64 {
+    let sheet_mps2 = imu.accel.total_sigma() / (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
+    sheet_mps2.max(noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt())
 }
 
 /// May a loop have these?
@@ -139,7 +147,7 @@ impl Loop {
             model: SensorModel::from(suite),
             white: (
                 suite.heights.iter().map(|h| h.height.total_sigma()).collect(),
-                suite.imus.iter().map(|i| i.accel.total_sigma() / (SLOT * i.timing.rate_hz).max(1.0).sqrt()).collect(),
+                suite.imus.iter().map(|imu| white_mps2(imu, noise_mps2)).collect(),
             ),
             timing,
             imus: suite.imus.len(),

@@ -27,7 +27,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
-use super::flying::{ALTITUDE_M, repeating, sound};
+use super::flying::{ALTITUDE_M, repeating, sound, white_mps2};
 use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted, keep};
 use super::program::{Memory, Program, Statistic};
 use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
@@ -61,7 +61,7 @@ pub struct Lateral {
 /// Noise that an attacked lane takes its accelerometer for, over that of the others: in flight it changes by little at a time.
 pub(super) const RAISED: [f64; 5] = [1.0, 1.25, 1.5, 1.75, 2.0];
 
-/// White noise by the data sheets, one sigma.
+/// White noise, one sigma: by the data sheets, of accelerometers at least as measured.
 #[derive(Debug, Clone, Default)]
 pub(super) struct White {
     /// Means over a slot of accelerometer and gyroscope of each IMU used, in the order of the sensors: m/s² and rad/s.
@@ -71,11 +71,11 @@ pub(super) struct White {
 }
 
 impl White {
-    fn new(suite: &Suite, used: &[SensorId], aid: Aid) -> Self {
+    fn new(suite: &Suite, used: &[SensorId], aid: Aid, noise_mps2: f64) -> Self {
         let one = |sensor: &SensorId| {
             let imu = suite.imus.get(usize::from(sensor.instance).checked_sub(1)?)?;
             let mean = (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
-            Some([&imu.accel, &imu.gyro].map(|quality| quality.total_sigma() / mean))
+            Some([white_mps2(imu, noise_mps2), imu.gyro.total_sigma() / mean])
         };
         let imus = used.iter().filter(|sensor| sensor.kind == SensorKind::Imu).filter_map(one).collect();
         let measures = match (aid, &suite.mocap_pose, &suite.gnss) {
@@ -155,7 +155,7 @@ impl Lateral {
         let kept = [ix::X + axis, ix::VX + axis, ix::ROLL + other, ix::P + other];
         let input = ix::TORQUE_X + other;
         let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &kept, input, aid != Aid::None)?;
-        let white = White::new(suite, &used, aid);
+        let white = White::new(suite, &used, aid, measured_mps2);
         let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
         let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
         let lane = (model, airframe.clone(), gnss_sigma_m);

@@ -3,7 +3,7 @@
 use plumbline_agent::attack::{Channel, Kind};
 use plumbline_agent::envelope::expected::DRAWN;
 use plumbline_agent::envelope::prepare::{power, prepared};
-use plumbline_experiment::draw::{parallel, percentile};
+use plumbline_experiment::draw::parallel;
 use plumbline_experiment::summary;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -13,6 +13,7 @@ use plumbline_support::envelope::{Flown, Worn, fly_for, fly_held};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
+use super::usual_noise_mps2;
 use crate::effort::Effort;
 
 /// The world: the noise of the data sheets, no vibration.
@@ -145,8 +146,7 @@ pub fn of_lateral(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
         effort.seed_base
     ));
     let clean = parallel(flights as usize, |i| fly_held(WORLD, effort.seed_base + i as u64, &Worn::default(), LASTS_S));
-    // Of the flights the middle one: a few measure more, and the limits move with it.
-    let noise_mps2 = percentile(&clean.iter().map(|flight| flight.noise_mps2).collect::<Vec<_>>(), 0.5);
+    let noise_mps2 = usual_noise_mps2(&clean);
     let mut table = Vec::new();
     for Row { name, axis, attacks, parts, told } in rows(noise_mps2) {
         let of = question(["x", "y"][axis], noise_mps2, &[]);

@@ -86,6 +86,8 @@ pub mod of_imus {
     pub const MEMORY_S: f64 = evidence::MEMORY_S;
     /// No accelerometer is taken for better, m/s².
     pub const NOISE_MPS2: f64 = noise::FLOOR.0;
+    /// Slots of the means whose noise is measured.
+    pub const NOISE_SLOTS: u32 = noise::SLOTS;
     /// No usual deviation of a gyroscope is taken for smaller, rad/s.
     pub const USUAL_RADPS: f64 = vote::FLOOR.1;
     /// A lane tilted further from the median one weighs less, rad.

@@ -9,7 +9,7 @@ use super::{LANES, PerLane, median_six};
 
 /// Slots of one mean: 0.8 s.
 pub(super) const SLOTS: u32 = 20;
-/// E|x − y| of two normal numbers is 1.128 σ; larger by a quarter as caution.
+/// E|x − y| of two normal numbers is 1.128 σ.
 const SIGMA_OF_CHANGE: f64 = 1.25 / std::f64::consts::SQRT_2;
 /// Part of a new change in the mean, at first and later.
 const GAINS: (f64, f64) = (0.3, 0.08);
