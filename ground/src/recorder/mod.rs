@@ -36,7 +36,6 @@ mod worker;
 mod writer;
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
@@ -175,7 +174,7 @@ pub struct Recorder {
     handle: RecorderHandle,
     thread: JoinHandle<()>,
     /// Held until the recorder is gone.
-    _folder: Option<File>,
+    _folder: Option<folder::Held>,
 }
 
 /// How the rest of the ground reaches the recorder. Cheap to clone; no call waits for the disk
