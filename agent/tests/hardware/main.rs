@@ -2,12 +2,17 @@
 //!
 //! - [`wires`]: the simulator behind ports that speak each device's protocol.
 //! - [`every`]: the same with a device of each driver.
-//! - [`autopilot`]: a double of a PX4 autopilot that keeps its rules of offboard mode.
+//! - [`by_pose`], [`offboard`]: a double of a PX4 autopilot that keeps its rules of offboard mode ([`autopilot`]).
 //! - [`stock`]: doubles of a stock PX4 and a stock ArduPilot that the simulator is flown by.
+//!
+//! Tests begin in the order of their names: of the doubles' flights, which take little of a processor and wait for one another, the
+//! longest come first and the others between those through wires, which take much.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod autopilot;
+mod by_pose;
 mod every;
+mod offboard;
 #[path = "../../../tests/src/xtask/ports.rs"]
 mod ports;
 mod stock;

@@ -17,7 +17,7 @@ use crate::{Agent, KEPT, PATIENCE};
 pub const SCENARIO: &str = r#"
 name = "wires"
 seed = 1
-duration_s = 50
+duration_s = 46
 airframe = "iris"
 [rig.hanging_strings]
 [suite]

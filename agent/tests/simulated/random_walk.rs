@@ -32,7 +32,15 @@ const FLIGHTS_EACH: usize = 5;
 #[test]
 fn whatever_happens_the_invariants_hold() {
     let (mut all, mut broken) = (Seen::default(), Vec::new());
-    for walked in (1..=WALKS).chain(BROKE).map(walk) {
+    let seeds: Vec<u64> = (1..=WALKS).chain(BROKE).collect();
+    // By two threads: by one it goes on for seconds after every other test.
+    let walked: Vec<_> = std::thread::scope(|scope| {
+        let halves = seeds.chunks(seeds.len().div_ceil(2));
+        let halves = halves.map(|half| scope.spawn(move || half.iter().copied().map(walk).collect::<Vec<_>>()));
+        let halves: Vec<_> = halves.collect();
+        halves.into_iter().flat_map(|half| half.join().unwrap()).collect()
+    });
+    for walked in walked {
         match walked {
             Ok(seen) => {
                 all.failsafes.extend(seen.failsafes);

@@ -1,10 +1,10 @@
 //! Counts failures: so many within so long, then none are heard until the time is over.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::hash::Hash;
 use std::time::{Duration, Instant};
 
-/// Most keys remembered; when full, those whose time is nearly over go first.
+/// Most keys remembered; when full, the one whose time is over first goes.
 const MAX_KEYS: usize = 4096;
 
 /// Failures by key.
@@ -13,11 +13,13 @@ pub(crate) struct Throttle<K> {
     allowed: u32,
     within: Duration,
     failures: HashMap<K, (u32, Instant)>,
+    /// The same keys by when their time began: a flood of new ones costs no search.
+    begun: BTreeSet<(Instant, K)>,
 }
 
-impl<K: Eq + Hash + Clone> Throttle<K> {
+impl<K: Eq + Hash + Ord + Clone> Throttle<K> {
     pub(crate) fn new(allowed: u32, within: Duration) -> Self {
-        Self { allowed, within, failures: HashMap::new() }
+        Self { allowed, within, failures: HashMap::new(), begun: BTreeSet::new() }
     }
 
     /// How long `key` has to wait, if it has to.
@@ -28,24 +30,26 @@ impl<K: Eq + Hash + Clone> Throttle<K> {
     }
 
     pub(crate) fn failed(&mut self, key: K, now: Instant) {
-        if self.failures.len() >= MAX_KEYS && !self.failures.contains_key(&key) {
-            let within = self.within;
-            self.failures.retain(|_, (_, since)| now.saturating_duration_since(*since) < within);
-            if self.failures.len() >= MAX_KEYS
-                && let Some(oldest) = self.failures.iter().min_by_key(|(_, (_, since))| *since).map(|(k, _)| k.clone())
-            {
-                self.failures.remove(&oldest);
-            }
+        if let Some((count, since)) = self.failures.get_mut(&key)
+            && now.saturating_duration_since(*since) < self.within
+        {
+            *count += 1;
+            return;
         }
-        let entry = self.failures.entry(key).or_insert((0, now));
-        if now.saturating_duration_since(entry.1) >= self.within {
-            *entry = (0, now);
+        self.forgive(&key);
+        if self.failures.len() >= MAX_KEYS
+            && let Some((_, oldest)) = self.begun.pop_first()
+        {
+            self.failures.remove(&oldest);
         }
-        entry.0 += 1;
+        self.begun.insert((now, key.clone()));
+        self.failures.insert(key, (1, now));
     }
 
     pub(crate) fn forgive(&mut self, key: &K) {
-        self.failures.remove(key);
+        if let Some((key, (_, since))) = self.failures.remove_entry(key) {
+            self.begun.remove(&(since, key));
+        }
     }
 }
 
@@ -68,5 +72,6 @@ mod tests {
         assert_eq!(throttle.wait(&7, at(61)), None, "counted anew");
         (0..100_000).for_each(|key| throttle.failed(key, at(62)));
         assert!(throttle.failures.len() <= MAX_KEYS);
+        assert_eq!(throttle.begun.len(), throttle.failures.len());
     }
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::mpsc;
 
 use serde_json::Value;
 
@@ -14,55 +15,73 @@ use super::test::run_and_read;
 use super::{Workspace, XtaskError, tools};
 use crate::harness::{Api, Binaries, Ground, System, SystemOptions, Vehicle};
 
+/// They measure how fast a page is: no other browser runs beside them.
+const MEASURING: [&str; 3] = ["fly.mjs", "hidden.mjs", "trust.mjs"];
+/// They fly the same vehicle, and wait for it more than for anything else.
+const FLYING: [&str; 5] = ["reports.mjs", "signals.mjs", "envelope.mjs", "axe.mjs", "foxglove.mjs"];
+/// Reads what was recorded meanwhile.
+const FILES: &str = "mcap.mjs";
 /// Flies the wire rig.
 const WIRES: &str = "wires.mjs";
 
+/// What is flown, how, and the script beside it.
+type Part = (&'static str, fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>, &'static str);
+
 /// Starts ground and simulated vehicle, lets `tests/browser/fly.mjs` work the page, `hidden.mjs` hide it and `trust.mjs`
 /// try to mislead it, `reports.mjs` and `signals.mjs` look into flights with it, `envelope.mjs` has attacks prepared, `axe.mjs` look for what keeps people out and `foxglove.mjs`
-/// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; then a vehicle that holds its position
-/// with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, one of a sensor in
-/// somebody's hands with `guided.mjs`, every page beside its pictures with `looks.mjs`, accounts on a ground of their own with
-/// `people.mjs`, and the drivers of real devices with `wires.mjs`.
+/// watch as Foxglove does, counts their steps, and has `mcap.mjs` read both sides' files; beside those that measure nothing a vehicle
+/// that holds its position with `hold.mjs`, one whose battery empties with `battery.mjs`, a recording flown again with `replay.mjs`, one of
+/// a sensor in somebody's hands with `guided.mjs`, every page beside its pictures with `looks.mjs` and accounts on a ground of their own
+/// with `people.mjs`; then the drivers of real devices with `wires.mjs`.
 ///
 /// Of the scripts only those that `chosen` names, if it names any.
 /// With `PLUMBLINE_SHOTS=1` they leave pictures of what they pass by in `target/screenshots`; one of a step that fails lies there always.
 pub fn test(workspace: &Workspace, chosen: &[String], tally: &mut Tally) {
-    type Part = fn(&Workspace, &[&str], &mut Tally) -> Result<(), XtaskError>;
-    let parts: [(&str, Part, &[&str]); 8] = [
-        (
-            "system",
-            fly,
-            &[
-                "fly.mjs",
-                "hidden.mjs",
-                "trust.mjs",
-                "reports.mjs",
-                "signals.mjs",
-                "envelope.mjs",
-                "axe.mjs",
-                "foxglove.mjs",
-                "mcap.mjs",
-            ],
-        ),
-        ("a vehicle under motion capture", hold, &["hold.mjs"]),
-        ("a small battery", battery, &["battery.mjs"]),
-        ("a replay", replay, &["replay.mjs"]),
-        ("a sensor in somebody's hands", hands, &["guided.mjs"]),
-        ("a recording that stands still", looks, &["looks.mjs"]),
-        ("a ground with accounts", people, &["people.mjs"]),
-        ("the wire rig", wires, &[WIRES]),
+    let beside: [Part; 6] = [
+        ("a vehicle under motion capture", hold, "hold.mjs"),
+        ("a small battery", battery, "battery.mjs"),
+        ("a replay", replay, "replay.mjs"),
+        ("a sensor in somebody's hands", hands, "guided.mjs"),
+        ("a recording that stands still", looks, "looks.mjs"),
+        ("a ground with accounts", people, "people.mjs"),
     ];
-    for unknown in chosen.iter().filter(|name| !parts.iter().any(|(.., all)| all.contains(&name.as_str()))) {
+    let alone: [Part; 1] = [("the wire rig", wires, WIRES)];
+    let others = beside.iter().chain(&alone).map(|(.., script)| *script);
+    let all: Vec<&str> = MEASURING.into_iter().chain(FLYING).chain([FILES]).chain(others).collect();
+    for unknown in chosen.iter().filter(|name| !all.contains(&name.as_str())) {
         tally.check::<(), _>("browser", Err(format!("there is no script {unknown:?}")));
     }
-    for (what, part, scripts) in parts {
-        let wanted = |name: &&str| chosen.is_empty() || chosen.iter().any(|one| one == name);
-        let scripts: Vec<&str> = scripts.iter().copied().filter(wanted).collect();
-        if !scripts.is_empty() {
-            let outcome = part(workspace, &scripts, tally);
+    let wanted = |script: &str| chosen.is_empty() || chosen.iter().any(|one| one == script);
+    // Found before anybody looks for them at the same time as somebody else; what cannot be had is told by each who wants it.
+    let _ = (tools::browser(workspace), tools::python(workspace));
+    let each = |parts: &[Part], tally: &mut Tally| {
+        for (what, part, script) in parts.iter().filter(|(.., script)| wanted(script)) {
+            let outcome = part(workspace, &[*script], tally);
             tally.check(&format!("browser: {what} starts and stops cleanly"), outcome);
         }
+    };
+    let counted = std::thread::scope(|scope| {
+        let (measured, begin) = mpsc::channel();
+        let beside = scope.spawn(move || {
+            let mut tally = Tally::silent();
+            // Nothing is sent: it ends once nobody could.
+            let _ = begin.recv();
+            each(&beside, &mut tally);
+            tally
+        });
+        if [&MEASURING[..], &FLYING, &[FILES]].concat().into_iter().any(wanted) {
+            let outcome = fly(workspace, wanted, measured, tally);
+            tally.check("browser: system starts and stops cleanly", outcome);
+        } else {
+            drop(measured);
+        }
+        beside.join()
+    });
+    match counted {
+        Ok(mut counted) => tally.take_over(&mut counted),
+        Err(_) => drop(tally.check::<(), _>("browser", Err("ended in a panic"))),
     }
+    each(&alone, tally);
 }
 
 /// Runs `scripts` beside a system that flies `vehicle`, and stops it.
@@ -179,17 +198,25 @@ fn hands(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(
     with(workspace, &options, &Vehicle::Replayed { file, speed: "0".into() }, scripts, tally)
 }
 
-fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(), XtaskError> {
+/// `measured` goes when others may run as well.
+fn fly(
+    workspace: &Workspace,
+    wanted: impl Fn(&str) -> bool,
+    measured: mpsc::Sender<()>,
+    tally: &mut Tally,
+) -> Result<(), XtaskError> {
     let options = options(workspace, "debug", "browser-test")?;
     let vehicle = Vehicle::Simulated { scenario: workspace.root.join(DEFAULT_SCENARIO) };
     let system = System::start(&options, &vehicle)?;
-    let (live, files): (Vec<&str>, Vec<&str>) = scripts.iter().copied().partition(|name| *name != "mcap.mjs");
-    let read = run_all(workspace, &live, system.api(), tally);
+    let of = |scripts: &[&'static str]| scripts.iter().copied().filter(|script| wanted(script)).collect::<Vec<_>>();
+    let fast = run_all(workspace, &of(&MEASURING), system.api(), tally);
+    drop(measured);
+    let read = fast.and(run_all(workspace, &of(&FLYING), system.api(), tally));
     let api = system.api().clone();
     let stopped = system.stop();
-    for name in files {
+    if wanted(FILES) {
         // One file of each side, and what is exported for it, as Foxglove would open them.
-        let mut reader = script(workspace, name, &api)?;
+        let mut reader = script(workspace, FILES, &api)?;
         let (flight, drawn) = (newest_flight(&options.data.join("ground/flights"))?, options.data.join("drawn"));
         let mut export = Command::new(&options.binaries.ground);
         super::workspace::run(export.args(["export", "--format", "foxglove", "--output"]).arg(&drawn).arg(&flight))?;
@@ -200,17 +227,12 @@ fn fly(workspace: &Workspace, scripts: &[&str], tally: &mut Tally) -> Result<(),
 }
 
 /// A browser that root starts puts itself before everything else on the machine, the kernel's workers included that serve
-/// the wire rig's ports; anybody else's may not, and an `idle` one takes what everybody else leaves.
-fn as_anybody(script: &mut Command, idle: bool) {
+/// the wire rig's ports; anybody else's may not.
+fn as_anybody(script: &mut Command) {
     const CAP_SYS_NICE: libc::c_ulong = 23;
-    // SAFETY: between fork and exec there are two system calls, with plain numbers and a structure of their own; without the right to
-    // drop it there is nothing to drop, and where the kernel refuses, the browser goes before others as it did.
+    // SAFETY: between fork and exec there is one system call, with plain numbers; without the right to drop it there is nothing to drop.
     unsafe {
-        script.pre_exec(move || {
-            if idle {
-                let none = libc::sched_param { sched_priority: 0 };
-                libc::sched_setscheduler(0, libc::SCHED_IDLE, &none);
-            }
+        script.pre_exec(|| {
             libc::prctl(libc::PR_CAPBSET_DROP, CAP_SYS_NICE, 0, 0, 0);
             Ok(())
         });
@@ -280,8 +302,11 @@ fn script(workspace: &Workspace, name: &str, api: &Api) -> Result<Command, Xtask
         .env("PLUMBLINE_CHROMIUM", &tools.chromium)
         .env("PLUMBLINE_MODULES", &tools.modules)
         .env("PLUMBLINE_SCREENSHOTS", &screenshots);
-    // Beside real devices the browser runs on another computer.
-    as_anybody(&mut script, name == WIRES);
+    as_anybody(&mut script);
+    if name == WIRES {
+        // Beside real devices the browser runs on another computer.
+        super::workspace::idle(&mut script);
+    }
     Ok(script)
 }
 

@@ -6,6 +6,9 @@ use super::tally::Tally;
 use super::test::run_and_read;
 use super::{Workspace, XtaskError, tools, workspace};
 
+/// What takes long: all of the ground's API asked, which computes, and flights in real time, which wait.
+const LONG: [&str; 2] = ["tests/test_api.py", "tests/test_fly.py"];
+
 /// Checks `tests/python` with the programs of the debug build. Where its packages cannot be had, says so and counts it as skipped.
 pub fn test(workspace: &Workspace, tally: &mut Tally) {
     let python = match tools::plumbline(workspace) {
@@ -30,24 +33,38 @@ pub fn test(workspace: &Workspace, tally: &mut Tally) {
     if tally.check("the Python package is built and installed", workspace::run(&mut install)).is_none() {
         return;
     }
-    let cache = workspace.target.join("tools/mypy").display().to_string();
-    for (name, what) in [("package", &["-p", "plumbline"][..]), ("tests and examples", &["tests", "examples"])] {
-        let mut mypy = command(&["mypy", "--cache-dir", &cache]);
-        tally.check(&format!("mypy --strict: {name}"), workspace::run(mypy.args(what)));
-    }
-    let mut counts = None;
-    let ran = run_and_read(&mut command(&["pytest", "-q", "-p", "no:cacheprovider"]), |line| {
-        println!("{line}");
-        counts = summary(line).or(counts);
-    });
-    match (ran, counts) {
-        (Ok(_), Some([passed, failed, skipped])) => {
-            tally.add("python", passed, failed);
-            tally.skip(skipped, &Default::default());
+    let run = |what: &[&str]| pytest(command(&["pytest", "-q", "-p", "no:cacheprovider"]).args(what));
+    // Beside each other: each has a ground of its own.
+    std::thread::scope(|scope| {
+        let long = LONG.each_ref().map(|file| scope.spawn(|| run(&[*file])));
+        let cache = workspace.target.join("tools/mypy").display().to_string();
+        for (name, what) in [("package", &["-p", "plumbline"][..]), ("tests and examples", &["tests", "examples"])] {
+            let mut mypy = command(&["mypy", "--cache-dir", &cache]);
+            tally.check(&format!("mypy --strict: {name}"), workspace::run(mypy.args(what)));
         }
-        (Ok(_), None) => drop(tally.check::<(), _>("python", Err("pytest did not reach its end"))),
-        (Err(error), _) => drop(tally.check::<(), XtaskError>("python", Err(error))),
-    }
+        let others = run(&LONG.map(|file| ["--ignore", file]).concat());
+        let panicked = |_| Err(XtaskError::Other("ended in a panic".into()));
+        for ran in long.map(|ran| ran.join().unwrap_or_else(panicked)).into_iter().chain([others]) {
+            match ran {
+                Ok([passed, failed, skipped]) => {
+                    tally.add("python", passed, failed);
+                    tally.skip(skipped, &Default::default());
+                }
+                Err(error) => drop(tally.check::<(), _>("python", Err(error))),
+            }
+        }
+    });
+}
+
+/// What it passed, failed and skipped; what it said is printed in one piece, as another one may be running.
+fn pytest(command: &mut Command) -> Result<[u64; 3], XtaskError> {
+    let (mut counts, mut said) = (None, Vec::new());
+    run_and_read(command, |line| {
+        counts = summary(line).or(counts);
+        said.push(line.to_owned());
+    })?;
+    println!("{}", said.join("\n"));
+    counts.ok_or_else(|| XtaskError::Other("pytest did not reach its end".into()))
 }
 
 /// Passed, failed and skipped tests, of the last line of pytest: `1 failed, 16 passed, 1 skipped in 64.91s (0:01:04)`.

@@ -1,7 +1,8 @@
 //! `cargo xtask test`: every check there is, set up from nothing, with one closing line.
 
+use std::cell::Cell;
 use std::io::{BufRead, BufReader};
-use std::process::Stdio;
+use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
@@ -48,6 +49,7 @@ pub fn run(workspace: &Workspace, options: &Options) -> bool {
 
 fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
     type Step<'a> = (&'a str, &'a mut dyn FnMut(&mut Tally));
+    let linting = Cell::new(None);
     let steps: [Step; 5] = [
         ("format", &mut |tally| {
             let format = || {
@@ -56,8 +58,8 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             };
             tally.check("format", format());
         }),
-        ("page-and-clippy", &mut |tally| page_and_clippy(workspace, tally)),
-        ("cargo-test", &mut |tally| cargo_test(workspace, tally)),
+        ("page-and-clippy", &mut |tally| page_and_clippy(workspace, options, tally)),
+        ("cargo-test", &mut |tally| linting.set(cargo_test(workspace, options, tally))),
         ("python", &mut |tally| python::test(workspace, tally)),
         ("browser", &mut |tally| {
             if options.no_browser {
@@ -86,12 +88,19 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             tally.check::<(), _>("disk", Err(text));
         }
     }
+    if let Some(clippy) = linting.take() {
+        tally.check("clippy", clippy.and_then(Lints::wait));
+    }
 }
 
-/// The page, lints, programs and tests. What links the page keeps one core busy for long: the others are made meanwhile.
-fn page_and_clippy(workspace: &Workspace, tally: &mut Tally) {
+/// The page, programs and tests. What links the page keeps one core busy for long: the others are made meanwhile, and what the steps
+/// behind this one want from elsewhere is fetched. The lints as well, where this step is all there is.
+fn page_and_clippy(workspace: &Workspace, options: &Options, tally: &mut Tally) {
     let (made, bundler) = mpsc::channel();
     let page = std::thread::scope(|scope| {
+        if options.only.is_none() {
+            scope.spawn(|| tools::fetch(workspace, !options.no_browser));
+        }
         let missing = |_| XtaskError::Other("the page has no bundler".into());
         let page =
             scope.spawn(move || web::weigh(workspace, &web::Options::default(), || bundler.recv().map_err(missing)));
@@ -101,9 +110,9 @@ fn page_and_clippy(workspace: &Workspace, tally: &mut Tally) {
             let _ = made.send(built);
         }
         drop(made);
-        let mut clippy = workspace.cargo();
-        clippy.arg("clippy").args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
-        tally.check("clippy", workspace::run(&mut clippy));
+        if options.only.is_some() {
+            tally.check("clippy", workspace::run(&mut clippy(workspace, &[])));
+        }
         // What does not compile is counted by the step that runs it.
         let _ = build(workspace);
         page.join().unwrap_or_else(|_| Err(XtaskError::Other("the build of the page ended in a panic".into())))
@@ -111,15 +120,45 @@ fn page_and_clippy(workspace: &Workspace, tally: &mut Tally) {
     tally.check("page ≤ 2 MB", page);
 }
 
+fn clippy(workspace: &Workspace, options: &[&str]) -> Command {
+    let mut clippy = workspace.cargo();
+    clippy.arg("clippy").args(options).args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
+    clippy
+}
+
+/// Clippy beside tests, which wait for half their time: it has what they leave of the processors.
+struct Lints {
+    command: String,
+    clippy: Child,
+}
+
+impl Lints {
+    fn start(workspace: &Workspace) -> Result<Self, XtaskError> {
+        let mut clippy = clippy(workspace, &["--quiet"]);
+        let command = workspace::command_line(&clippy);
+        let started = workspace::idle(&mut clippy).stdin(Stdio::null()).spawn();
+        let clippy = started.map_err(|source| XtaskError::Start { command: command.clone(), source })?;
+        Ok(Self { command, clippy })
+    }
+
+    fn wait(mut self) -> Result<(), XtaskError> {
+        let status =
+            self.clippy.wait().map_err(|source| XtaskError::Start { command: self.command.clone(), source })?;
+        if status.success() { Ok(()) } else { Err(XtaskError::Failed { command: self.command, status }) }
+    }
+}
+
 /// Binaries and tests in one build, so that nothing is compiled twice for other features.
 fn build(workspace: &Workspace) -> Result<(), XtaskError> {
     workspace::run(workspace.cargo().arg("build").args(EVERYTHING).args(["--bins", "--tests"]))
 }
 
-/// Unit, integration and system tests of all members.
-fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
+/// Unit, integration and system tests of all members, and what lints beside them and goes on behind their end, unless this step is all
+/// there is.
+fn cargo_test(workspace: &Workspace, options: &Options, tally: &mut Tally) -> Option<Result<Lints, XtaskError>> {
+    let lints = || options.only.is_none().then(|| Lints::start(workspace));
     if tally.check("build", build(workspace)).is_none() {
-        return;
+        return lints();
     }
     let mut cargo = workspace.cargo();
     cargo.arg("test").args(EVERYTHING).arg("--no-fail-fast").stdout(Stdio::piped());
@@ -148,7 +187,10 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
         cargo.env("PLUMBLINE_SKIPPED", &absent);
     }
     let mut output = CargoTestOutput::default();
+    let mut linting = None;
     let ran = run_and_read(&mut cargo, |line| {
+        // Once a test says something, no cargo waits for another any more.
+        linting.get_or_insert_with(lints);
         output.line(line);
         println!("{line}");
     });
@@ -161,6 +203,7 @@ fn cargo_test(workspace: &Workspace, tally: &mut Tally) {
     tally.add("cargo test", output.passed, output.failed);
     let absent = std::fs::read_to_string(&absent).unwrap_or_default();
     tally.skip(output.ignored, &absent.lines().filter_map(|line| Some(line.split_once(": ")?.0.to_owned())).collect());
+    linting.unwrap_or_else(lints)
 }
 
 /// What a command wrote is waited for so long after its end.

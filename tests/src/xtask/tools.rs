@@ -1,7 +1,9 @@
 //! Programs that are not Rust: found, or installed where that is allowed, or named.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 use super::workspace::{apt_install, may_install, on_path, output, run};
 use super::{Workspace, XtaskError};
@@ -69,6 +71,19 @@ struct PythonTools {
     packages: &'static [&'static str],
     /// Installed without what they depend on.
     bare: &'static [&'static str],
+}
+
+/// Has all that the tests want, so that it is there when they do: mostly others are waited for, and a compiler has the time. What cannot
+/// be had is told by whoever wants it.
+pub fn fetch(workspace: &Workspace, with_browser: bool) {
+    let _ = python(workspace);
+    let _ = plumbline(workspace);
+    for tool in [nats_server, postgres, faketime, promtool] {
+        let _ = tool(workspace);
+    }
+    if with_browser {
+        let _ = browser(workspace);
+    }
 }
 
 /// Runs quietly and says whether it worked.
@@ -269,7 +284,21 @@ fn environment(system: &Path, folder: &Path) -> Result<(), XtaskError> {
     Ok(())
 }
 
+/// Pythons that were asked whether they have it all, by the folder of their packages: to ask again would take a second each time.
+static PYTHONS: Mutex<BTreeMap<&str, PathBuf>> = Mutex::new(BTreeMap::new());
+
 fn python_with(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, XtaskError> {
+    let mut known = PYTHONS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(python) = known.get(tools.folder) {
+        return Ok(python.clone());
+    }
+    let python = python_made(workspace, tools)?;
+    known.insert(tools.folder, python.clone());
+    Ok(python)
+}
+
+/// One that has it all, made where there is none.
+fn python_made(workspace: &Workspace, tools: &PythonTools) -> Result<PathBuf, XtaskError> {
     let import = format!("import {}", tools.module);
     let reads = |python: &PathBuf| works(Command::new(python).args(["-c", &import]));
     let folder = workspace.target.join("tools").join(tools.folder);

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 use super::XtaskError;
 
@@ -85,6 +86,20 @@ pub fn output(command: &mut Command) -> Result<String, XtaskError> {
     }
 }
 
+/// What it starts takes only what everybody else leaves of the processors.
+pub fn idle(command: &mut Command) -> &mut Command {
+    use std::os::unix::process::CommandExt as _;
+    // SAFETY: between fork and exec there is one system call, with plain numbers and a structure of its own; where the kernel refuses, it
+    // takes its share as everybody does.
+    unsafe {
+        command.pre_exec(|| {
+            let none = libc::sched_param { sched_priority: 0 };
+            libc::sched_setscheduler(0, libc::SCHED_IDLE, &none);
+            Ok(())
+        })
+    }
+}
+
 /// Whether a program of that name is on the path.
 pub fn on_path(program: &str) -> Option<PathBuf> {
     std::env::split_paths(&std::env::var_os("PATH")?).map(|folder| folder.join(program)).find(|file| file.is_file())
@@ -97,8 +112,12 @@ pub fn may_install() -> bool {
     root && on_path("apt-get").is_some()
 }
 
+/// dpkg lets one at a time in and turns the others away; what is built and what is fetched beside it may both want something.
+static APT: Mutex<()> = Mutex::new(());
+
 /// Installs Debian packages. Only after [`may_install`].
 pub fn apt_install(packages: &[&str]) -> Result<(), XtaskError> {
+    let _alone = APT.lock().unwrap_or_else(PoisonError::into_inner);
     eprintln!("xtask: installing {} with apt-get", packages.join(" "));
     let apt = || {
         let mut apt = Command::new("apt-get");
