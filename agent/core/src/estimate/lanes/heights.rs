@@ -264,10 +264,13 @@ impl Heights {
         if count < 2 {
             return;
         }
-        let common = used().map(|(_, mean)| mean - centre_m).sum::<f64>() / count as f64;
+        // What counts as if it were at its reach is learned as if it were there.
+        let middle = median(used().map(|(_, mean)| *mean));
+        let reached = |mean: f64| middle + (mean - middle).clamp(-REACH_M, REACH_M) - centre_m;
+        let common = used().map(|(_, mean)| reached(*mean)).sum::<f64>() / count as f64;
         for (i, mean) in means {
             let Some(laser) = self.lasers.get_mut(*i).filter(|laser| calm(laser)) else { continue };
-            let off = mean - centre_m - common;
+            let off = reached(*mean) - common;
             laser.offset_m = (laser.offset_m + gain * off).clamp(-OFFSET_MAX_M, OFFSET_MAX_M);
             laser.scale = (laser.scale + SCALE_SHARE * gain * off * (z_m - PIVOT_M)).clamp(-SCALE_MAX, SCALE_MAX);
         }
