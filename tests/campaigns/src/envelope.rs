@@ -24,9 +24,11 @@ const PARTS: [f64; 4] = [1.0, 0.95, 0.8, 0.6];
 /// Worlds that attacks are drawn in; in the first none may go further than its bound unseen.
 const WORLDS: [&str; 3] = ["ideal", "bench", "datasheet"];
 /// A heave in the place of a hover, m and s.
-const HEAVE: (f64, f64) = (0.4, 4.0);
+const HEAVE: (f64, f64) = (0.3, 4.0);
 /// Flights without an attack that attacked ones are held against, in a world with noise.
 const CLEAN: u64 = 25;
+/// Part of an attack that moves nothing by itself.
+const FAINT: f64 = 1e-3;
 
 pub fn run() -> Result<(), ReportError> {
     let effort = Effort::asked([1000, 50]);
@@ -66,20 +68,24 @@ fn usual_noise_mps2(clean: &[Flown]) -> f64 {
     percentile(&clean.iter().map(|flight| flight.usual_noise_mps2).collect::<Vec<_>>(), 0.5)
 }
 
+/// The maximising sequences of each set, flown by `fly` whole and scaled down: of those that nobody sees the one that gets furthest from
+/// `clean`, and what it is scaled by.
+fn furthest(bounds: &Bounds, clean: &Flown, fly: impl Fn(&Worn) -> Flown + Sync) -> Vec<(f64, Flown)> {
+    parallel(bounds.sets.len(), |i| {
+        let tries = bounds.all_worst(&bounds.sets[i], &PARTS);
+        let tries: Vec<_> = tries.map(|(part, worn)| (part, fly(&worn))).collect();
+        let unseen = tries.iter().filter(|(_, flight)| flight.seen.is_none());
+        let furthest = unseen.max_by(|a, b| a.1.unseen_m(clean).total_cmp(&b.1.unseen_m(clean)));
+        furthest.unwrap_or(&tries[0]).clone()
+    })
+}
+
 /// Each maximising sequence in the ideal world.
 fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Maximising sequences in the ideal world");
     let clean = fly("ideal", effort.seed_base, &Worn::default());
     let bounds = Bounds::new(clean.noise_mps2);
-    let flown = parallel(bounds.sets.len(), |i| {
-        let set = &bounds.sets[i];
-        let tries = bounds.all_worst(set, &PARTS);
-        let tries: Vec<_> = tries.map(|(part, worn)| (part, fly("ideal", effort.seed_base, &worn))).collect();
-        // The furthest of those that nobody sees.
-        let unseen = tries.iter().filter(|(_, flight)| flight.seen.is_none());
-        let furthest = unseen.max_by(|a, b| a.1.unseen_m(&clean).total_cmp(&b.1.unseen_m(&clean)));
-        furthest.unwrap_or(&tries[0]).clone()
-    });
+    let flown = furthest(&bounds, &clean, |worn| fly("ideal", effort.seed_base, worn));
     let mut rows = Vec::new();
     for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
         let reached = flight.unseen_m(&clean) / set.bound_m;
@@ -108,20 +114,26 @@ fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading(&format!("A heave of {amplitude_m} m within {period_s} s: the ideal world"));
     let clean = fly_heaving("ideal", effort.seed_base, &Worn::default(), HEAVE);
     let (bounds, hover) = (Bounds::along(clean.noise_mps2, Some(HEAVE), None), Bounds::new(clean.noise_mps2));
-    let flown = parallel(bounds.sets.len(), |i| {
-        fly_heaving("ideal", effort.seed_base, &bounds.worst(&bounds.sets[i], 1.0), HEAVE)
-    });
+    let flown = furthest(&bounds, &clean, |worn| fly_heaving("ideal", effort.seed_base, worn, HEAVE));
     let mut rows = Vec::new();
-    for (set, flight) in bounds.sets.iter().zip(flown) {
+    for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
         let about = hover.sets.iter().find(|of| of.sensors == set.sensors).map_or(f64::NAN, |of| of.bound_m);
         let reached = flight.unseen_m(&clean) / set.bound_m;
         let seen = flight.seen.is_some();
-        let more = json!({ "bound_m": set.bound_m, "hover_m": about, "linear_m": set.reached_m, "seen": seen });
+        let more =
+            json!({ "bound_m": set.bound_m, "hover_m": about, "linear_m": set.reached_m, "part": part, "seen": seen });
         report.value(&format!("heave/worst/{}", set.name()), reached, "of the bound", more);
         let cm = |m: f64| format!("{:.3}", 100.0 * m);
-        rows.push(vec![set.name(), cm(set.bound_m), cm(about), format!("{reached:.3}"), seen.to_string()]);
+        rows.push(vec![
+            set.name(),
+            cm(set.bound_m),
+            cm(about),
+            format!("{part:.2}"),
+            format!("{reached:.3}"),
+            seen.to_string(),
+        ]);
     }
-    let headers = ["attacked", "bound, cm", "about hover, cm", "flown, of the bound", "seen"];
+    let headers = ["attacked", "bound, cm", "about hover, cm", "scaled by", "flown, of the bound", "seen"];
     report.table("heave", "Maximising sequences along a heave", &headers, &rows)?;
     let parts = parallel(effort.flights as usize, |i| {
         let set = &bounds.sets[i % bounds.sets.len()];
@@ -169,8 +181,14 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
         entry.1 += u32::from(*part > LINEAR);
         entry.2.push(*part);
         if *part > LINEAR {
-            let more =
-                json!({ "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m });
+            let own = quiet[i % quiet.len()];
+            let (_, worn) = bounds.drawn(set, effort.seed_base + *i as u64);
+            let faint = fly(world, effort.seed_base + own as u64, &worn.scaled(FAINT));
+            let of = Bounds::along(flight.noise_mps2, None, Some(&set.name()));
+            let more = json!({
+                "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m, "noise_mps2": flight.noise_mps2,
+                "of_own_noise": part * set.bound_m / of.sets[0].bound_m, "faint": faint.unseen_m(&clean[own]) / set.bound_m,
+            });
             report.value("beyond", *part, "of the bound", more);
         }
     }

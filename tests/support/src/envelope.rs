@@ -3,6 +3,8 @@
 //! Free, altitude hold at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place.
 
 use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
+use plumbline_agent::command::Command;
+use plumbline_agent::control::trajectory::{Shape, Trajectory};
 use plumbline_agent::envelope::flying::Regime;
 use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
@@ -10,6 +12,7 @@ use plumbline_agent::flight::Failsafe;
 use plumbline_agent::flight::watermark::{Block, Settings};
 use plumbline_agent::frames::roll_pitch_yaw;
 use plumbline_agent::sim::Scenario;
+use plumbline_agent::sim::script::Step;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
@@ -108,6 +111,12 @@ impl Worn {
         Self { attacks: (1..).zip(attacks).map(one).collect(), sequences: Vec::new() }
     }
 
+    /// The same, times `part`.
+    pub fn scaled(mut self, part: f64) -> Self {
+        self.attacks.iter_mut().for_each(|attack| attack.magnitude *= part);
+        self
+    }
+
     /// `attack` of a program of `model`, times `part`, within what the agent allows.
     pub fn new(model: &dyn Model, attack: &Signal, part: f64) -> Self {
         let mut worn = Self::default();
@@ -180,42 +189,39 @@ pub fn fly_held(world: &str, seed: u64, worn: &Worn, horizon_s: f64) -> Flown {
     fly_with(world, seed, worn, horizon_s, None, true)
 }
 
-/// Flies `worn` in `world` along a heave, m and s, of which a swing begins with the onset: setpoints of it.
+/// Flies `worn` in `world` along a heave, m and s, of which a swing begins with the onset: the agent's own path.
 pub fn fly_heaving(world: &str, seed: u64, worn: &Worn, (amplitude_m, period_s): (f64, f64)) -> Flown {
-    const EVERY_S: f64 = 0.05;
-    let begin_s = ONSET_S - ((ONSET_S - 9.0) / period_s).floor() * period_s;
-    let steps = ((ONSET_S + HORIZON_S + AFTER_S - begin_s) / EVERY_S) as usize;
-    let step = |k: usize| {
-        let since_s = k as f64 * EVERY_S;
-        let altitude_m = 1.0 + amplitude_m * (std::f64::consts::TAU * since_s / period_s).sin();
-        let at_s = begin_s + since_s;
-        format!("[[script]]\nat_s = {at_s:.3}\ndo = \"setpoint\"\naltitude_m = {altitude_m:.5}\n")
-    };
-    let script: String = (0..steps).map(step).collect();
-    fly_scripted(world, seed, worn, HORIZON_S, None, ("altitude_hold", "", &script))
+    // A path's own time is so far behind once its soft start is over.
+    const SOFT_S: f64 = 1.0;
+    let swings = ((ONSET_S - 9.0 - SOFT_S) / period_s).floor();
+    let at_s = ONSET_S - SOFT_S - swings * period_s;
+    let shape = Shape::Heave { amplitude_m, period_s };
+    let path = Command::Trajectory(Some(Trajectory::Shape { shape, duration_s: 0.0 }));
+    fly_scripted(world, seed, worn, HORIZON_S, None, ("altitude_hold", "", Some(Step { at_s, command: path })))
 }
 
 fn fly_with(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>, held: bool) -> Flown {
     let (mode, add) = if held { ("hold", "add = [\"mocap_pose\"]\n") } else { ("altitude_hold", "") };
-    fly_scripted(world, seed, worn, horizon_s, watermark, (mode, add, ""))
+    fly_scripted(world, seed, worn, horizon_s, watermark, (mode, add, None))
 }
 
-/// In a mode, with more of the suite and more of the script.
+/// In a mode, with more of the suite and a last step of the script.
 fn fly_scripted(
     world: &str,
     seed: u64,
     worn: &Worn,
     horizon_s: f64,
     watermark: Option<Settings>,
-    (mode, add, script): (&str, &str, &str),
+    (mode, add, last): (&str, &str, Option<Step>),
 ) -> Flown {
     let duration_s = ONSET_S + horizon_s + AFTER_S;
     let text = format!(
         "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{world}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
          [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"{mode}\"\n\
-         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n{script}[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
+         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
     );
-    let scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    scenario.script.steps.extend(last);
     let mut config = scenario.flight_config();
     (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
     config.watermark = watermark;
