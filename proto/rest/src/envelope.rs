@@ -228,9 +228,12 @@ pub struct PreparedAttack {
 }
 
 /// Noises of the accelerometers that the bounds of a flight are asked at, m/s².
-pub const NOISES_MPS2: [f64; 9] = [0.05, 0.1, 0.17, 0.3, 0.5, 0.85, 1.5, 2.6, 4.5];
+pub const NOISES_MPS2: [f64; 22] = [
+    0.013, 0.02, 0.025, 0.031, 0.038, 0.044, 0.05, 0.07, 0.1, 0.13, 0.17, 0.23, 0.3, 0.4, 0.5, 0.67, 0.85, 1.2, 1.6,
+    2.2, 3.1, 4.5,
+];
 /// Bounds bend between two of them, and waver: a line between two is raised by this factor. Held by a test against bounds found there.
-const RAISED: f64 = 1.03;
+const RAISED: f64 = 1.05;
 
 /// The bound at `noise_mps2` between `rows` of noise, m/s², and bound, m, with rising noise: never less than it is; `None` above the last.
 pub fn between(rows: &[(f64, f64)], noise_mps2: f64) -> Option<f64> {

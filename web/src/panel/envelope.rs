@@ -86,7 +86,7 @@ pub fn EnvelopeCard() -> impl IntoView {
                 Some(Err(why)) => view! { <p class="bad">{format!("No envelope: {why}.")}</p> }.into_any(),
                 Some(Ok(envelope)) => view! {
                     <p>{format!(
-                        "Whoever adds what they like to the samples of these sensors for {} s, without one being excluded, moves the altitude of the linearised loop with lanes and the gains in use at most so far. Noise, wind and the error of the estimate come on top; in simulated flights without them single heights went up to 2.4 % further.",
+                        "Whoever adds what they like to the samples of these sensors for {} s, without one being excluded, moves the altitude of the linearised loop with lanes and the gains in use at most so far. Noise, wind and the error of the estimate come on top. Where IMUs vibrate, one of them goes further: the lines on Fly follow the noise that is measured.",
                         envelope.horizon_s,
                     )}</p>
                     <table class="dense">

@@ -81,6 +81,11 @@ pub(super) fn white_mps2(imu: &Imu, noise_mps2: f64) -> f64 {
     sheet_mps2.max(noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt())
 }
 
+/// What the vote takes for the usual deviation of an accelerometer whose lane measures `noise_mps2` over 0.8 s, m/s²: it compares slots.
+pub(super) fn usual_mps2(noise_mps2: f64) -> f64 {
+    of_imus::USUAL_MPS2.max(noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt())
+}
+
 /// May a loop have these?
 pub(super) fn sound(tick_rate_hz: f64, noise_mps2: f64) -> Result<(), EnvelopeError> {
     let per_slot = SLOT * tick_rate_hz;
@@ -342,7 +347,7 @@ impl Model for Attacked<'_> {
                 differ: self.imus.iter().map(|_| std::array::from_fn(|_| zero())).collect(),
                 share: 1.0 / of.imus as f64,
             },
-            judges: Judges::new(self, &rates_hz, of.imus, of.noise_mps2, width),
+            judges: Judges::new(self, &rates_hz, of.imus, of.measured_mps2, width),
             vehicle: Motion::new(&of.controlled, width),
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),

@@ -14,7 +14,7 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
 use super::Signal;
-use super::flying::{Attacked, Regime};
+use super::flying::{Attacked, Regime, usual_mps2};
 use super::program::{Memory, Statistic};
 
 /// Names of the detectors that sum squares, of a single one of them.
@@ -117,7 +117,7 @@ impl Judges {
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
             weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
-            votes: of.imus.iter().map(|_| Voted::new(ALONG, of_imus::USUAL_MPS2.max(noise_mps2), width)).collect(),
+            votes: of.imus.iter().map(|_| Voted::new(ALONG, usual_mps2(noise_mps2), width)).collect(),
         }
     }
 

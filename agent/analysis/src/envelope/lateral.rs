@@ -27,7 +27,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
-use super::flying::{ALTITUDE_M, repeating, sound, white_mps2};
+use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white_mps2};
 use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted, keep};
 use super::program::{Memory, Program, Statistic};
 use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
@@ -157,7 +157,7 @@ impl Lateral {
         let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &kept, input, aid != Aid::None)?;
         let white = White::new(suite, &used, aid, measured_mps2);
         let drives = (about.a[(ix::VX + axis, ix::ROLL + other)], about.b[(ix::P + other, input)]);
-        let usual = (of_imus::USUAL_MPS2.max(noise_mps2), of_imus::USUAL_RADPS);
+        let usual = (usual_mps2(measured_mps2), of_imus::USUAL_RADPS);
         let lane = (model, airframe.clone(), gnss_sigma_m);
         let raised = OnceLock::new();
         let noise = (noise_mps2, measured_mps2);
