@@ -67,7 +67,7 @@ pub struct Envelope {
     /// … who owns so many sensors, 1 to 3 …
     #[serde(default = "one")]
     pub sensors: usize,
-    /// … while the lanes measure this noise of their accelerometers, m/s².
+    /// … while the lanes measure this noise of their accelerometers, m/s²; none, where nothing is said, is the least bound of an IMU.
     #[serde(default)]
     pub noise_mps2: f64,
 }
