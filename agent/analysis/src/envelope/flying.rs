@@ -74,16 +74,21 @@ pub(super) fn repeating(rates_hz: impl Iterator<Item = f64> + Clone) -> Result<u
     found.ok_or(EnvelopeError::Value { what: "rate_hz of the sensors", value, expected })
 }
 
-/// White noise of an accelerometer's mean over a slot, one sigma, m/s²: as the data sheet has it, or as its lane measures it,
-/// `noise_mps2` over 0.8 s, where that is more.
-pub(super) fn white_mps2(imu: &Imu, noise_mps2: f64) -> f64 {
-    let sheet_mps2 = imu.accel.total_sigma() / (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
-    sheet_mps2.max(noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt())
+/// Scatter of an accelerometer's means over slots of which its lane measures `noise_mps2` over 0.8 s, one sigma, m/s².
+fn of_slots_mps2(noise_mps2: f64) -> f64 {
+    noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt()
 }
 
-/// What the vote takes for the usual deviation of an accelerometer whose lane measures `noise_mps2` over 0.8 s, m/s²: it compares slots.
+/// White noise of an accelerometer's mean over a slot, one sigma, m/s²: as the data sheet has it, or as its lane measures it where that
+/// is more.
+pub(super) fn white_mps2(imu: &Imu, noise_mps2: f64) -> f64 {
+    let sheet_mps2 = imu.accel.total_sigma() / (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
+    sheet_mps2.max(of_slots_mps2(noise_mps2))
+}
+
+/// What the vote, which compares slots, takes for the usual deviation of an accelerometer, m/s².
 pub(super) fn usual_mps2(noise_mps2: f64) -> f64 {
-    of_imus::USUAL_MPS2.max(noise_mps2 * f64::from(of_imus::NOISE_SLOTS).sqrt())
+    of_imus::USUAL_MPS2.max(of_slots_mps2(noise_mps2))
 }
 
 /// May a loop have these?
