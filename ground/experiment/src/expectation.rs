@@ -5,7 +5,7 @@
 //! sensor, each that is attacked counts by its flights, with the median of the times left to it; the sign changes nothing.
 //! Asked once, beside the flights of the plan, and kept in a file of its own: what the model draws takes as long as some flights.
 //!
-//! It assumes lanes in the loop, a vehicle at rest about hover, and white noise as the data sheets have it: what is flown otherwise
+//! It assumes lanes in the loop, a vehicle at rest about hover, and white noise, of accelerometers as it is measured: what is flown otherwise
 //! is not known, with the reason. The noise that the lanes measure of their accelerometers is that of one flight without the attack.
 
 use std::collections::BTreeMap;

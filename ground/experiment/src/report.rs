@@ -194,7 +194,7 @@ fn expected(out: &mut String, results: &Results) {
     }
     out.push_str(
         "<h2>Expected</h2>\n<p>Part of the flights in which the attacked sensor is excluded, by the model: lanes in the loop, at rest \
-         about hover, the noise of the data sheets, 200 flights drawn.</p>\n<ul>",
+         about hover, white noise, 200 flights drawn.</p>\n<ul>",
     );
     for (condition, says) in said.iter().take(DRAWN) {
         let differs = condition.expected.as_ref().is_some_and(|expected| expected.differs);

@@ -72,6 +72,7 @@ mod tests {
         assert_eq!(throttle.wait(&7, at(61)), None, "counted anew");
         (0..100_000).for_each(|key| throttle.failed(key, at(62)));
         assert!(throttle.failures.len() <= MAX_KEYS);
+        assert!(throttle.failures.contains_key(&99_999) && !throttle.failures.contains_key(&7), "the oldest goes");
         assert_eq!(throttle.begun.len(), throttle.failures.len());
     }
 }

@@ -36,7 +36,8 @@ pub struct EnvelopeQuestion {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
     /// Noise that the lanes measure of their accelerometers, m/s²: the more there is, the later one that is attacked is seen. Where it is
-    /// left out there is none beyond the data sheets', which makes what is called unseen so in flight as well.
+    /// left out there is none beyond the data sheets': what is called unseen is so in flight as well, and an IMU's bound is the least, beyond which
+    /// one goes that is shaken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_mps2: Option<f64>,
     /// Along a heave in the place of a hover: the altitude only, from where a swing begins. Not asked over HTTP.
@@ -204,7 +205,7 @@ pub struct AttackQuestion {
 pub struct PreparedAttack {
     /// As a schedule has them.
     pub attacks: Vec<PlannedAttack>,
-    /// Part of flights in which an attacked sensor is excluded: drawn noise of the data sheets, about hover. Of a rotor in which
+    /// Part of flights in which an attacked sensor is excluded: drawn white noise, of accelerometers as measured, about hover. Of a rotor in which
     /// it is isolated, of a replay in which the watermark tells it: by closed forms, which `note` says. Along x and y only where
     /// motion capture measures the motion, or every IMU has the same added.
     #[serde(skip_serializing_if = "Option::is_none")]

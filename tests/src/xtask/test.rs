@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
@@ -58,10 +58,12 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             };
             tally.check("format", format());
         }),
-        ("page-and-clippy", &mut |tally| page_and_clippy(workspace, options, tally)),
+        ("page-and-clippy", &mut |tally| linting.set(page_and_clippy(workspace, options, tally))),
         ("cargo-test", &mut |tally| linting.set(cargo_test(workspace, options, tally))),
         ("python", &mut |tally| python::test(workspace, tally)),
         ("browser", &mut |tally| {
+            // It measures how fast a page is.
+            lint(linting.take(), tally);
             if options.no_browser {
                 eprintln!("xtask: browser left out, as asked");
             } else {
@@ -88,19 +90,22 @@ fn steps(workspace: &Workspace, options: &Options, tally: &mut Tally) {
             tally.check::<(), _>("disk", Err(text));
         }
     }
-    if let Some(clippy) = linting.take() {
-        tally.check("clippy", clippy.and_then(Lints::wait));
+    lint(linting.take(), tally);
+}
+
+/// Waits for the lints, where they were begun.
+fn lint(linting: Option<Result<Lints, XtaskError>>, tally: &mut Tally) {
+    if let Some(lints) = linting {
+        tally.check("clippy", lints.and_then(Lints::wait));
     }
 }
 
 /// The page, programs and tests. What links the page keeps one core busy for long: the others are made meanwhile, and what the steps
-/// behind this one want from elsewhere is fetched. The lints as well, where this step is all there is.
-fn page_and_clippy(workspace: &Workspace, options: &Options, tally: &mut Tally) {
+/// behind this one want from elsewhere is fetched. The lints begin behind it where this step is all there is.
+fn page_and_clippy(workspace: &Workspace, options: &Options, tally: &mut Tally) -> Option<Result<Lints, XtaskError>> {
     let (made, bundler) = mpsc::channel();
     let page = std::thread::scope(|scope| {
-        if options.only.is_none() {
-            scope.spawn(|| tools::fetch(workspace, !options.no_browser));
-        }
+        let fetching = options.only.is_none().then(|| scope.spawn(|| tools::fetch(workspace, !options.no_browser)));
         let missing = |_| XtaskError::Other("the page has no bundler".into());
         let page =
             scope.spawn(move || web::weigh(workspace, &web::Options::default(), || bundler.recv().map_err(missing)));
@@ -110,20 +115,13 @@ fn page_and_clippy(workspace: &Workspace, options: &Options, tally: &mut Tally) 
             let _ = made.send(built);
         }
         drop(made);
-        if options.only.is_some() {
-            tally.check("clippy", workspace::run(&mut clippy(workspace, &[])));
-        }
-        // What does not compile is counted by the step that runs it.
+        // What does not compile is counted by the step that runs it, and what was not fetched by who wants it.
         let _ = build(workspace);
+        let _ = fetching.map(|fetching| fetching.join());
         page.join().unwrap_or_else(|_| Err(XtaskError::Other("the build of the page ended in a panic".into())))
     });
     tally.check("page ≤ 2 MB", page);
-}
-
-fn clippy(workspace: &Workspace, options: &[&str]) -> Command {
-    let mut clippy = workspace.cargo();
-    clippy.arg("clippy").args(options).args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
-    clippy
+    options.only.is_some().then(|| Lints::start(workspace))
 }
 
 /// Clippy beside tests, which wait for half their time: it has what they leave of the processors.
@@ -134,7 +132,8 @@ struct Lints {
 
 impl Lints {
     fn start(workspace: &Workspace) -> Result<Self, XtaskError> {
-        let mut clippy = clippy(workspace, &["--quiet"]);
+        let mut clippy = workspace.cargo();
+        clippy.args(["clippy", "--quiet"]).args(EVERYTHING).args(["--all-targets", "--", "-D", "warnings"]);
         let command = workspace::command_line(&clippy);
         let started = workspace::idle(&mut clippy).stdin(Stdio::null()).spawn();
         let clippy = started.map_err(|source| XtaskError::Start { command: command.clone(), source })?;
@@ -144,7 +143,15 @@ impl Lints {
     fn wait(mut self) -> Result<(), XtaskError> {
         let status =
             self.clippy.wait().map_err(|source| XtaskError::Start { command: self.command.clone(), source })?;
-        if status.success() { Ok(()) } else { Err(XtaskError::Failed { command: self.command, status }) }
+        if status.success() { Ok(()) } else { Err(XtaskError::Failed { command: self.command.clone(), status }) }
+    }
+}
+
+impl Drop for Lints {
+    /// Whoever was interrupted leaves no compiler behind; one that has ended is not there any more.
+    fn drop(&mut self) {
+        let _ = self.clippy.kill();
+        let _ = self.clippy.wait();
     }
 }
 

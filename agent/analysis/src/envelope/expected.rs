@@ -3,8 +3,9 @@
 //!
 //! Heights are heard as the residuals that the linear loop has of them. A lane is heard as its linear map has it, with noise of its own IMU
 //! and that of the heights, which all lanes share; one with an attacked IMU also by what it differs from the others, the very lane that
-//! flies. Noise is white: of heights as the data sheets have it, of accelerometers at least as it was measured. Offsets that are not learned
-//! and what the vehicle does are left out.
+//! flies, its own noise behind the gains of a healthy one. Noise is white: of heights as the data sheets have it, of accelerometers at least as
+//! it was measured, each by itself, though IMUs that sample together share some. Offsets that are not learned and what the vehicle does are
+//! left out.
 
 use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};

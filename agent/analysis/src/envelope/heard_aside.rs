@@ -1,8 +1,8 @@
 //! What an attack along a horizontal axis is expected to be seen with: the lanes' own judges, fed with what it adds and with drawn
 //! noise, many times.
 //!
-//! Every lane is followed as one: its linear map takes what its IMU reads, the vehicle's motion by the linear loop and the white noise
-//! of the data sheets included, and what motion capture or GNSS reads, whose noise all lanes share. What the lanes are surprised by, and
+//! Every lane is followed as one: its linear map takes what its IMU reads, the vehicle's motion by the linear loop and white noise
+//! included (of accelerometers at least as it was measured, of the rest as on the data sheets), and what motion capture or GNSS reads, whose noise all lanes share. What the lanes are surprised by, and
 //! what their IMUs differ by, goes to the judges that fly. The step of an accelerometer's bias is taken for noise for a while, as along z. Their vote knows no axis: an accelerometer's x is heard as its z would be, a
 //! gyroscope in units of the deviation that is taken for usual. Each is heard by itself, in flight the worse of both counts, slot by slot.
 //!

@@ -98,7 +98,7 @@ fn mean(of: impl Iterator<Item = Signal>, count: usize, width: usize) -> Signal 
 
 impl Judges {
     /// Nothing heard yet; `rates_hz` of the heights, `None` of one that is excluded.
-    pub(super) fn new(of: &Attacked, rates_hz: &[Option<f64>], imus: usize, noise_mps2: f64, width: usize) -> Self {
+    pub(super) fn new(of: &Attacked, rates_hz: &[Option<f64>], imus: usize, measured_mps2: f64, width: usize) -> Self {
         let zero = || Signal::zeros(width);
         let longest = of_heights::MEANS.iter().map(|(n, _)| *n).max().unwrap_or(1);
         let role = |(i, rate_hz): (usize, &Option<f64>)| match rate_hz {
@@ -117,7 +117,7 @@ impl Judges {
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
             weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
             evidence: of.imus.iter().map(|_| zero()).collect(),
-            votes: of.imus.iter().map(|_| Voted::new(ALONG, usual_mps2(noise_mps2), width)).collect(),
+            votes: of.imus.iter().map(|_| Voted::new(ALONG, usual_mps2(measured_mps2), width)).collect(),
         }
     }
 

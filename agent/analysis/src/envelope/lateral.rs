@@ -27,7 +27,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
-use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white_mps2};
+use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white};
 use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted, keep};
 use super::program::{Memory, Program, Statistic};
 use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
@@ -71,11 +71,10 @@ pub(super) struct White {
 }
 
 impl White {
-    fn new(suite: &Suite, used: &[SensorId], aid: Aid, noise_mps2: f64) -> Self {
+    fn new(suite: &Suite, used: &[SensorId], aid: Aid, measured_mps2: f64) -> Self {
         let one = |sensor: &SensorId| {
             let imu = suite.imus.get(usize::from(sensor.instance).checked_sub(1)?)?;
-            let mean = (SLOT * imu.timing.rate_hz).max(1.0).sqrt();
-            Some([white_mps2(imu, noise_mps2), imu.gyro.total_sigma() / mean])
+            Some(white(imu, measured_mps2))
         };
         let imus = used.iter().filter(|sensor| sensor.kind == SensorKind::Imu).filter_map(one).collect();
         let measures = match (aid, &suite.mocap_pose, &suite.gnss) {

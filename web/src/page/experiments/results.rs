@@ -122,7 +122,7 @@ pub fn ResultsCard(
                     {[Column::Lost, Column::Median].map(head)}
                     <th class="num" scope="col">"95 % interval"</th>
                     {[Column::Of95, Column::Worst, Column::Found].map(head)}
-                    <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, noise of the data sheets">"expected"</th>
+                    <th class="num" scope="col" title="Part of the flights that the model of the lanes finds: at rest about hover, white noise">"expected"</th>
                     <th class="num" scope="col" title="Median of this less the condition it is compared with, flight by flight of the same seed; d: the mean difference by its standard deviation">"less baseline"</th>
                     <th scope="col"><Scale flights measure /></th>
                 </tr></thead>

@@ -311,6 +311,29 @@ mod tests {
         assert!(!heights.is_excluded(0));
     }
 
+    /// GIVEN three lasers WHEN one reads further than its reach, and is not yet in doubt, THEN no more is learned than of one at its reach.
+    #[test]
+    fn beyond_its_reach_no_more_is_learned() {
+        let learned = |reads_m: f64| {
+            let mut heights = Heights::default();
+            for k in 0..KEPT as u64 {
+                let now = FlightTime(k * 40_000);
+                [reads_m, 0.0, 0.0]
+                    .into_iter()
+                    .enumerate()
+                    .for_each(|(i, residual_m)| heights.take(i, now, residual_m));
+            }
+            for _ in 0..EVERY {
+                heights.decode(FlightTime(KEPT as u64 * 40_000), 1.0, false, true);
+            }
+            assert!(heights.ratio(0) < 0.7, "{}", heights.ratio(0));
+            [0, 1, 2].map(|i| heights.off_m(i, 1.0))
+        };
+        let [within, at, beyond] = [0.02, REACH_M, 0.03].map(learned);
+        assert!(within[0] > 0.0 && at[0] > 1.2 * within[0] && at[1] < 0.0, "{within:?} {at:?}");
+        assert!(at.iter().zip(&beyond).all(|(a, b)| (a - b).abs() < 1e-12), "{at:?} {beyond:?}");
+    }
+
     #[test]
     fn a_step_reaches_no_further_than_its_reach_before_it_is_excluded() {
         let mut heights = Heights::default();
