@@ -59,7 +59,10 @@ export async function step(page, name, work) {
     failures += 1;
     const file = `${screenshots}/failed-${name.replace(/[^a-z0-9]+/gi, '-').slice(0, 60)}.png`;
     await page?.screenshot({ path: file }).catch(() => {});
-    console.log(JSON.stringify({ step: name, ok: false, error: `${error.message ?? error}\n(see ${file})` }));
+    // Where nobody can see the picture: what the page itself says of it.
+    const said = await page?.locator('.arm-checks summary, .notice').allTextContents().catch(() => []);
+    const texts = said?.length ? `\n(the page says: ${said.map((text) => text.trim()).join(' | ')})` : '';
+    console.log(JSON.stringify({ step: name, ok: false, error: `${error.message ?? error}${texts}\n(see ${file})` }));
     return undefined;
   }
 }

@@ -113,12 +113,15 @@ pub struct HangingStrings {
     pub stretch_m: f64,
     /// Damping ratio of the bounce on taut strings.
     pub damping_ratio: f64,
+    /// Friction of the knots while they carry the weight, N m s; in proportion to the pull.
+    pub knot_friction_nms: f64,
 }
 
 impl Default for HangingStrings {
     /// Hooks in the corners of a 3 m cage, knots gathered on a ring near the centre: a drifting vehicle (its
     /// horizontal position is not measured) is turned back gently and hardly tilted. With knots on the arms the
-    /// same strings tilt it by 0.2 rad and disturb its altitude by 10 cm.
+    /// same strings tilt it by 0.2 rad and disturb its altitude by 10 cm. Their friction (chosen: μ T r of strings of 2 mm
+    /// is 4 mN m, which a rocking of 0.3 rad/s feels as much of) stills in some seconds what a drop onto the strings leaves.
     fn default() -> Self {
         Self {
             mode: StringMode::Flight,
@@ -130,6 +133,7 @@ impl Default for HangingStrings {
             knot_above_m: 0.04,
             stretch_m: 0.01,
             damping_ratio: 0.2,
+            knot_friction_nms: 0.013,
         }
     }
 }
@@ -269,7 +273,8 @@ impl Rig {
                 within("hanging_strings.knot_spread_m", r.knot_spread_m, 0.0, 2.0, "0 to 2 m")?;
                 within("hanging_strings.knot_above_m", r.knot_above_m, 0.0, 1.0, "0 to 1 m")?;
                 within("hanging_strings.stretch_m", r.stretch_m, 0.002, 0.5, "0.002 to 0.5 m")?;
-                within("hanging_strings.damping_ratio", r.damping_ratio, 0.0, 2.0, "0 to 2")
+                within("hanging_strings.damping_ratio", r.damping_ratio, 0.0, 2.0, "0 to 2")?;
+                within("hanging_strings.knot_friction_nms", r.knot_friction_nms, 0.0, 1.0, "0 to 1 N m s")
             }
             Self::Tethered(r) => {
                 within("tethered.length_m", r.length_m, 0.2, 100.0, "0.2 to 100 m")?;

@@ -213,6 +213,27 @@ fn strings_go_slack_when_lifted_and_catch_without_giving_energy() {
 }
 
 #[test]
+fn what_a_drop_onto_the_strings_leaves_is_still_in_seconds() {
+    // GIVEN a vehicle dropped askew from 0.2 m above its strings, WHEN ten seconds have passed, THEN it may be armed again (30 °/s).
+    let rig = HangingStrings { height_m: 1.0, ..HangingStrings::default() };
+    let mut beginning = Beginning::calm(Airframe::iris(), Rig::HangingStrings(rig));
+    beginning.offset_enu_m = Vector3::new(0.05, 0.02, 0.2);
+    beginning.roll_pitch_yaw_rad = Vector3::new(0.05, -0.03, 0.1);
+    let mut world = World::new(beginning);
+    let (mut shaken, mut after) = (0.0f64, 0.0f64);
+    run(&mut world, 20.0, &OFF, |t, w| {
+        let rates_radps = w.body().body_rates_radps.norm();
+        if t < 10.0 {
+            shaken = shaken.max(rates_radps);
+        } else {
+            after = after.max(rates_radps);
+        }
+    });
+    let [shaken, after] = [shaken, after].map(f64::to_degrees);
+    assert!(shaken > 40.0 && after < 10.0, "{shaken} °/s, then {after}");
+}
+
+#[test]
 fn a_tether_holds_down_what_would_fly_away() {
     // GIVEN more thrust than weight, WHEN the tether is taut, THEN it stays within its reach, pulling on average
     // by what is too much.

@@ -23,23 +23,31 @@ pub fn HoldButton(
     action: Callback<()>,
 ) -> impl IntoView {
     let holding = RwSignal::new(false);
-    let timer: StoredValue<Option<TimeoutHandle>> = StoredValue::new(None);
+    // What ends the hold, and since when it lasts, ms of the page's clock.
+    let hold: StoredValue<Option<(TimeoutHandle, f64)>> = StoredValue::new(None);
     let release = move || {
-        if let Some(Some(handle)) = timer.try_update_value(Option::take) {
+        if let Some(Some((handle, _))) = hold.try_update_value(Option::take) {
             handle.clear();
         }
         holding.try_set(false);
     };
-    let press = move || {
+    let done = move || {
+        release();
+        action.run(());
+    };
+    let press = move |since_ms: f64| {
         if disabled.get_untracked() || holding.get_untracked() {
             return;
         }
-        holding.set(true);
-        let done = move || {
-            release();
-            action.run(());
-        };
-        timer.set_value(set_timeout_with_handle(done, HOLD).ok());
+        if let Ok(handle) = set_timeout_with_handle(done, HOLD) {
+            hold.set_value(Some((handle, since_ms)));
+            holding.set(true);
+        }
+    };
+    // A hold lasts as long as it was held, not as long as a page that was busy drawing had noticed.
+    let let_go = move |now_ms: f64| match hold.with_value(|hold| hold.as_ref().map(|(_, since_ms)| now_ms - since_ms)) {
+        Some(held_ms) if held_ms >= HOLD.as_secs_f64() * 1e3 => done(),
+        _ => release(),
     };
     on_cleanup(release);
     let is_key = |e: &ev::KeyboardEvent| e.key() == " " || e.key() == "Enter";
@@ -52,10 +60,10 @@ pub fn HoldButton(
             title="Hold to confirm"
             on:pointerdown=move |e| {
                 if e.button() == 0 {
-                    press();
+                    press(e.time_stamp());
                 }
             }
-            on:pointerup=move |_| release()
+            on:pointerup=move |e| let_go(e.time_stamp())
             on:pointerleave=move |_| release()
             on:pointercancel=move |_| release()
             on:blur=move |_| release()
@@ -66,14 +74,14 @@ pub fn HoldButton(
                     e.stop_propagation();
                     // A key held on is one hold.
                     if !e.repeat() {
-                        press();
+                        press(e.time_stamp());
                     }
                 }
             }
             on:keyup=move |e| {
                 if is_key(&e) {
                     e.prevent_default();
-                    release();
+                    let_go(e.time_stamp());
                 }
             }
         >

@@ -3,6 +3,7 @@
 //! A string is a one-sided spring: with stretch e > 0 and stretching speed ė its tension is
 //! k e (1 + β ė), never negative (Hunt–Crossley: continuous where it goes slack); slack it does nothing.
 //! A contact point is the same with penetration δ, plus Coulomb friction smoothed near zero speed.
+//! A knot that carries a tension T resists turning with friction·T/(m g)·ω.
 //! Assumes massless strings, knots that do not slip, a level floor.
 
 use arrayvec::ArrayVec;
@@ -44,6 +45,8 @@ pub struct Line {
     pub stiffness_npm: f64,
     /// β of the module's header, s/m.
     pub damping_spm: f64,
+    /// Friction of the knot, of its tension, m s.
+    pub friction_ms: f64,
 }
 
 /// The pivot of a single-axis rig.
@@ -110,6 +113,7 @@ impl Mounted {
                     rest_length_m: r.length_m,
                     stiffness_npm: stiffness,
                     damping_spm: beta(r.damping_ratio, stiffness, airframe.mass_kg, weight),
+                    friction_ms: 0.0,
                 });
             }
             Rig::HangingStrings(r) => {
@@ -158,6 +162,7 @@ impl Mounted {
             let speed = -direction.dot(&point_velocity(x, &line.knot_flu_m));
             *tension = one_sided(line.stiffness_npm, line.damping_spm, stretch, speed);
             add(&mut load.force_enu_n, &mut load.torque_flu_nm, x, &line.knot_flu_m, direction * *tension);
+            load.torque_flu_nm -= x.body_rates_radps * (line.friction_ms * *tension);
         }
         if self.pivot.is_none() && x.position_enu_m.z < self.platform.height_m + self.lowest_m {
             self.touch(x, &mut load);
@@ -208,6 +213,7 @@ fn hanging(r: &HangingStrings, airframe: &Airframe) -> ArrayVec<Line, MAX_STRING
             rest_length_m: length - r.stretch_m,
             stiffness_npm: stiffness,
             damping_spm: beta(r.damping_ratio, vertical, airframe.mass_kg, weight),
+            friction_ms: r.knot_friction_nms / weight,
         });
     }
     lines
