@@ -150,8 +150,22 @@ await step(page, 'gamepad: flies while its button is held, and holds the altitud
     return /Flies iris-1/.test(text) && number(/roll ([^,]*)/.exec(text)?.[1]) >= 5 && text;
   });
   await shot(page, 'fly-gamepad-light-1280x720');
+  // However slow a link is, sticks, level and mode arrive in this order: each waits for the answer to the one before.
+  const open = new Set();
+  let before;
+  page.on('request', (request) => {
+    if (/\/setpoint$/.test(request.url())) open.add(request);
+    if (/\/mode$/.test(request.url())) before = open.size;
+  });
+  page.on('response', (answer) => open.delete(answer.request()));
+  await page.route('**/vehicles/*/setpoint', async (route) => {
+    await new Promise((resolve) => setTimeout(resolve, 300));
+    await route.continue();
+  });
   await page.evaluate(() => { globalThis.pad.pressed = false; });
   await until('altitude hold', async () => /altitude hold/i.test(await banner.getByLabel('Mode').textContent()));
+  await page.unroute('**/vehicles/*/setpoint');
+  assert(before === 0, `${before} setpoints were under way when the mode was asked for`);
   await page.evaluate(() => { globalThis.pad.connected = false; });
   await until('the card to go', async () => !(await card.count()));
   await page.waitForTimeout(1500);

@@ -59,6 +59,7 @@ pub fn run() -> Result<(), ReportError> {
     for world in WORLDS.into_iter().filter(|world| effort.wants(world)) {
         drawn(&mut report, world, &effort)?;
     }
+    effort.is_done();
     report.finish().map(|_| ())
 }
 

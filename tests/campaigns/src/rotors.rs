@@ -43,6 +43,7 @@ pub fn run() -> Result<(), ReportError> {
     if effort.wants("lost") {
         lost(&mut report, &effort)?;
     }
+    effort.is_done();
     report.finish().map(|_| ())
 }
 

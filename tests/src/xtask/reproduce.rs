@@ -20,7 +20,7 @@ pub struct Options {
     #[arg(long)]
     pub world: Option<String>,
     /// One part of `clinic`, `envelope` or `rotors`, or one row of `attacks`.
-    #[arg(long)]
+    #[arg(long, requires = "source")]
     pub only: Option<String>,
 }
 

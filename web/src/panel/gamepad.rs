@@ -1,6 +1,9 @@
 //! A gamepad flies the vehicle shown, in stabilise and in the air, while its right shoulder button is held. Whoever lets go
 //! of it has the vehicle level, and holding its altitude.
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
 use std::time::Duration;
 
 use leptos::{ev, prelude::*};
@@ -69,10 +72,26 @@ struct Pad {
     ctx: Ctx,
     name: RwSignal<Option<String>>,
     held: RwSignal<Option<Held>>,
-    /// An answer is awaited.
-    waits: StoredValue<bool>,
+    line: StoredValue<Line, LocalStorage>,
     read_ms: StoredValue<f64>,
 }
+
+/// Orders that wait for the answer to the one before, the first of them under way: one that overtook another would fly on.
+type Line = Rc<RefCell<VecDeque<Order>>>;
+
+/// Something asked of a vehicle.
+#[derive(Clone)]
+struct Order {
+    vehicle: String,
+    /// For people; of the sticks themselves only what is refused is said.
+    what: &'static str,
+    action: &'static str,
+    body: Value,
+    seen_us: u64,
+}
+
+/// What the sticks ask, many times a second.
+const STICKS: &str = "Sticks";
 
 impl Pad {
     fn read(self) {
@@ -125,27 +144,34 @@ impl Pad {
             ("Sticks let go: level", "setpoint", json!(level)),
             ("Sticks let go: altitude hold", "mode", json!(rest::Mode { mode })),
         ] {
-            let vehicle = held.vehicle.clone();
-            leptos::task::spawn_local(async move {
-                let answer = command(self.ctx, &vehicle, action, body, seen_us).await;
-                self.ctx.dispatch(Event::Answered(what.to_owned(), answer));
-            });
+            self.order(Order { vehicle: held.vehicle.clone(), what, action, body, seen_us });
         }
     }
 
-    /// Without a notice for each: only what is refused is said.
+    /// Only what was answered last is followed: sticks that were not heard in time are read anew.
     fn send(self, Held { vehicle, asked, seen_us }: Held) {
-        if self.waits.get_value() {
+        if self.line.with_value(|line| line.borrow().is_empty()) {
+            let body = json!(asked.setpoint());
+            self.order(Order { vehicle, what: STICKS, action: "setpoint", body, seen_us });
+        }
+    }
+
+    /// Puts an order in the line, which is worked off even when the page is left.
+    fn order(self, order: Order) {
+        let Some(line) = self.line.try_get_value() else { return };
+        line.borrow_mut().push_back(order);
+        if line.borrow().len() > 1 {
             return;
         }
-        self.waits.set_value(true);
         leptos::task::spawn_local(async move {
-            let answer = command(self.ctx, &vehicle, "setpoint", json!(asked.setpoint()), seen_us).await;
-            if self.waits.try_set_value(false).is_some() {
-                return;
-            }
-            if answer.is_err() {
-                self.ctx.dispatch(Event::Answered("Sticks".to_owned(), answer));
+            loop {
+                let first = line.borrow().front().cloned();
+                let Some(Order { vehicle, what, action, body, seen_us }) = first else { return };
+                let answer = command(self.ctx, &vehicle, action, body, seen_us).await;
+                line.borrow_mut().pop_front();
+                if what != STICKS || answer.is_err() {
+                    self.ctx.dispatch(Event::Answered(what.to_owned(), answer));
+                }
             }
         });
     }
@@ -166,7 +192,7 @@ pub fn GamepadCard() -> impl IntoView {
         ctx,
         name: RwSignal::new(None),
         held: RwSignal::new(None),
-        waits: StoredValue::new(false),
+        line: StoredValue::new_local(Line::default()),
         read_ms: StoredValue::new(net::now_ms()),
     };
     every(PERIOD, move || pad.read());

@@ -54,6 +54,7 @@ pub fn run() -> Result<(), ReportError> {
     if effort.wants("roc") {
         roc::roc(&mut report, &effort)?;
     }
+    effort.is_done();
     report.finish().map(|_| ())
 }
 
