@@ -15,6 +15,7 @@ use plumbline_proto::ids::FlightId;
 use serde::Deserialize;
 
 use crate::control::tuning::{Design, kind_by_name};
+use crate::estimate::lanes::linear::Shaken;
 use crate::estimate::secure::{Decoder, SLOTS_MAX, SLOTS_MIN};
 use crate::flight::{EnvelopeDemand, FlightConfig, watermark};
 use crate::model::declination::DeclinationError;
@@ -220,6 +221,7 @@ impl AgentConfig {
             ("envelope.altitude_max_m", self.envelope.map(|e| e.altitude_max_m), 0.0, 10.0, "0 to 10 m"),
             ("envelope.sensors", self.envelope.map(|e| e.sensors as f64), 1.0, 3.0, "1 to 3"),
             ("envelope.noise_mps2", self.envelope.map(|e| e.noise_mps2), 0.0, 5.0, "0 to 5 m/s²"),
+            ("envelope.rectified_mps2", self.envelope.map(|e| e.rectified_mps2), 0.0, 5.0, "0 to 5 m/s²"),
             ("watermark.rms_mps2", self.watermark.map(|w| w.rms_mps2), 0.001, 0.5, "0.001 to 0.5 m/s²"),
             ("log.max_mib", Some(self.log.max_mib as f64), 16.0, 16e6, "16 to 16000000 MiB"),
             ("link.telemetry_kb_per_s", Some(self.link.telemetry_kb_per_s), 10.0, 1e5, "10 to 100000 kB/s"),
@@ -280,10 +282,9 @@ impl AgentConfig {
         put(&mut flight.limits.throttle_max, self.limits.throttle_max);
         put(&mut flight.attacks.enabled, self.attacks.enabled);
         flight.independent = self.failsafe.independent(&flight.sensors)?;
-        flight.envelope = self.envelope.map(|Envelope { altitude_max_m, sensors, noise_mps2 }| EnvelopeDemand {
-            altitude_max_m,
-            sensors,
-            noise_mps2,
+        flight.envelope = self.envelope.map(|of| {
+            let Envelope { altitude_max_m, sensors, noise_mps2, rectified_mps2 } = of;
+            EnvelopeDemand { altitude_max_m, sensors, shaken: Shaken { noise_mps2, rectified_mps2 } }
         });
         put(&mut flight.attacks.bounds.duration_max_s, self.attacks.duration_max_s);
         put(&mut flight.attacks.bounds.length_max_m, self.attacks.length_max_m);

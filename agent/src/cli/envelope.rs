@@ -47,6 +47,9 @@ pub struct EnvelopeArguments {
     /// Noise that the lanes measure of their accelerometers, m/s².
     #[arg(long)]
     noise_mps2: Option<f64>,
+    /// What they take all of them to be off by alike as they are shaken, m/s²; along z.
+    #[arg(long)]
+    rectified_mps2: Option<f64>,
     /// Along a heave in the place of a hover: amplitude, m, and period, s: "0.4,4".
     #[arg(long, value_delimiter = ',', num_args = 2)]
     heave: Option<Vec<f64>>,
@@ -80,6 +83,7 @@ impl EnvelopeArguments {
             more: self.more.clone(),
             horizon_s: self.horizon_s,
             noise_mps2: self.noise_mps2,
+            rectified_mps2: self.rectified_mps2,
             heave: self.heave.as_deref().and_then(|heave| match heave {
                 [amplitude_m, period_s] => Some(Heave { amplitude_m: *amplitude_m, period_s: *period_s }),
                 _ => None,

@@ -70,6 +70,9 @@ pub struct Envelope {
     /// … while the lanes measure this noise of their accelerometers, m/s²; none, where nothing is said, is the least bound of an IMU.
     #[serde(default)]
     pub noise_mps2: f64,
+    /// … and take all of them to be off by this alike as they are shaken, m/s²; none is the least bound of a height.
+    #[serde(default)]
+    pub rectified_mps2: f64,
 }
 
 fn one() -> usize {

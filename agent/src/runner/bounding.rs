@@ -40,8 +40,8 @@ impl Bounding {
     /// says no.
     pub(super) fn bound_m(&self, law: &Law, go_on: impl Fn() -> bool) -> Result<Option<f64>, Text> {
         let bounded = || -> Result<Option<f64>, EnvelopeError> {
-            let noise_mps2 = self.demand.noise_mps2;
-            let flying = Loop::new(&self.suite, &self.airframe, law, self.tick_rate_hz, noise_mps2, self.most)?;
+            let EnvelopeDemand { shaken, .. } = self.demand;
+            let flying = Loop::new(&self.suite, &self.airframe, law, self.tick_rate_hz, shaken, self.most)?;
             largest_m(&flying, self.demand.sensors, USUAL_HORIZON_S, go_on)
         };
         bounded().map_err(|error| text(format_args!("no bound: {error}")))

@@ -110,7 +110,9 @@ pub(super) fn fill(
     into.tracking_error_m = tracking.error_m();
     into.reference_error_m = tracking.reference_m();
     into.height_bound_m = judge.height_bound_m();
-    into.accel_noise_mps2 = judge.noise_mps2();
+    let shaken = judge.shaken();
+    into.accel_noise_mps2 = shaken.map(|shaken| shaken.noise_mps2);
+    into.accel_rectified_mps2 = shaken.map(|shaken| shaken.rectified_mps2);
     // What only the decoder of a window has.
     let secure = judge.secure();
     into.disturbance_enu_n = secure.map(|secure| {

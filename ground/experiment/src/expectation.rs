@@ -14,6 +14,7 @@ use plumbline_agent::attack::Attack;
 use plumbline_agent::command::Command;
 use plumbline_agent::control::tuning::{kind_name, parameters, weighted};
 use plumbline_agent::envelope::prepare::prepared;
+use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::sensor::SensorModel;
@@ -98,7 +99,8 @@ fn expected(words: Option<&[String; 3]>, first: &Setup, setups: &[Setup]) -> Res
             }
         }
     }
-    let of = EnvelopeQuestion { noise_mps2: Some(noise_mps2(first)?), ..question(&first.config) };
+    let [noise_mps2, rectified_mps2] = shaken(first)?.map(Some);
+    let of = EnvelopeQuestion { noise_mps2, rectified_mps2, ..question(&first.config) };
     let (mut sum, mut note) = (0.0, String::new());
     for (attack, judged_s) in &sensors {
         let attacks = planned(words, attack, median(judged_s));
@@ -182,18 +184,22 @@ fn hovers_s(setup: &Setup, onset_s: f64) -> Result<f64, String> {
     Ok(end_s - onset_s)
 }
 
-/// What the lanes measure of their accelerometers' noise from the onset on, m/s²: the mean, in a flight of this seed without the attack.
+/// What the lanes measure of their accelerometers from the onset on, noise and what they rectify, m/s²: the mean, in a flight of this seed
+/// without the attack.
 ///
 /// # Errors
 /// Why it cannot be flown.
-fn noise_mps2(setup: &Setup) -> Result<f64, String> {
+fn shaken(setup: &Setup) -> Result<[f64; 2], String> {
     let clean = Setup { attacks: Vec::new(), ..setup.clone() };
-    let (mut usual, mut count) = (0.0, 0.0);
+    let (mut usual, mut count) = ([0.0; 2], 0.0);
     let flown = fly_watched(&clean, |flight, _| {
         let judged = flight.report().sensed.time.as_seconds() >= setup.judged_from_s;
         if let Some(lanes) = flight.lanes().filter(|_| judged) {
             count += 1.0;
-            usual += (lanes.noise_mps2() - usual) / count;
+            let Shaken { noise_mps2, rectified_mps2 } = lanes.shaken();
+            for (usual, now) in usual.iter_mut().zip([noise_mps2, rectified_mps2]) {
+                *usual += (now - *usual) / count;
+            }
         }
     });
     flown.map_or_else(|error| Err(error.to_string()), |_| Ok(usual))

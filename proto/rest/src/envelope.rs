@@ -40,6 +40,10 @@ pub struct EnvelopeQuestion {
     /// one goes that is shaken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_mps2: Option<f64>,
+    /// What the lanes take all accelerometers to be off by alike as they are shaken, m/s²: heights weigh more, and one that is attacked moves
+    /// the altitude further. Along z only; none where it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rectified_mps2: Option<f64>,
     /// Along a heave in the place of a hover: the altitude only, from where a swing begins. Not asked over HTTP.
     #[serde(skip)]
     pub heave: Option<Heave>,
@@ -233,15 +237,33 @@ pub const NOISES_MPS2: [f64; 22] = [
     0.013, 0.02, 0.025, 0.031, 0.038, 0.044, 0.05, 0.07, 0.1, 0.13, 0.17, 0.23, 0.3, 0.4, 0.5, 0.67, 0.85, 1.2, 1.6,
     2.2, 3.1, 4.5,
 ];
+/// What they rectify that the bounds of a flight are asked at, m/s².
+const RECTIFIED_MPS2: [f64; 10] = [0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1, 1.6, 2.5];
+
+/// The two that `rectified_mps2` lies between, m/s²; `None` above the last. Nearest zero it is two as well.
+pub fn around(rectified_mps2: f64) -> Option<[f64; 2]> {
+    let after = RECTIFIED_MPS2.iter().position(|one| *one >= rectified_mps2)?.max(1);
+    let [low, high] = [after - 1, after].map(|i| RECTIFIED_MPS2.get(i).copied());
+    Some([low?, high?])
+}
+
 /// Bounds bend between two of them, and waver: a line between two is raised by this factor. Held by a test against bounds found there.
 const RAISED: f64 = 1.05;
 
-/// The bound at `noise_mps2` between `rows` of noise, m/s², and bound, m, with rising noise: never less than it is; `None` above the last.
-pub fn between(rows: &[(f64, f64)], noise_mps2: f64) -> Option<f64> {
+/// The bound at `noise_mps2` and `rectified_mps2` between `rows` of noise, m/s², and bound, m, with rising noise, those at either of what is
+/// [`around`] it: never less than it is; `None` above the last.
+pub fn between(rows: &[Vec<(f64, f64)>; 2], noise_mps2: f64, rectified_mps2: f64) -> Option<f64> {
+    let [low, high] = around(rectified_mps2)?;
+    let [low_m, high_m] = rows.each_ref().map(|rows| along(rows, noise_mps2));
+    let (low_m, high_m) = low_m.zip(high_m)?;
+    Some(RAISED * (low_m + (high_m - low_m) * (rectified_mps2 - low) / (high - low)))
+}
+
+fn along(rows: &[(f64, f64)], noise_mps2: f64) -> Option<f64> {
     let after = rows.iter().position(|(noise, _)| *noise >= noise_mps2)?;
     let (high, high_m) = *rows.get(after)?;
     let Some((low, low_m)) = after.checked_sub(1).and_then(|before| rows.get(before)) else {
-        return Some(RAISED * high_m);
+        return Some(high_m);
     };
-    Some(RAISED * (low_m + (high_m - low_m) * (noise_mps2 - low) / (high - low)))
+    Some(low_m + (high_m - low_m) * (noise_mps2 - low) / (high - low))
 }

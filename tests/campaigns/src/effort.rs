@@ -1,8 +1,8 @@
 //! What is asked of a campaign of drawn flights: `--flights N`, `--seed-base N`, `--world NAME`, `--only NAME`,
 //! `--quick`.
 
-use std::cell::RefCell;
 use std::collections::BTreeSet;
+use std::sync::Mutex;
 
 /// Options with a value, and one without.
 const OPTIONS: [&str; 4] = ["--flights", "--seed-base", "--world", "--only"];
@@ -15,7 +15,7 @@ pub struct Effort {
     pub world: String,
     only: Option<String>,
     /// Parts that were asked about.
-    parts: RefCell<BTreeSet<String>>,
+    parts: Mutex<BTreeSet<String>>,
 }
 
 impl Effort {
@@ -42,19 +42,25 @@ impl Effort {
             seed_base: number("--seed-base", seed),
             world: value("--world").cloned().unwrap_or_else(|| "datasheet".into()),
             only: value("--only").cloned(),
-            parts: RefCell::default(),
+            parts: Mutex::default(),
         }
+    }
+
+    /// The same, so many flights of every part.
+    pub fn of(&self, flights: u64) -> Self {
+        let Self { seed_base, world, .. } = self;
+        Self { flights, seed_base: *seed_base, world: world.clone(), only: None, parts: Mutex::default() }
     }
 
     /// Is this part to be flown?
     pub fn wants(&self, name: &str) -> bool {
-        self.parts.borrow_mut().insert(name.to_owned());
+        self.parts.lock().unwrap().insert(name.to_owned());
         self.only.as_deref().is_none_or(|only| only == name)
     }
 
     /// At the end, once every part was asked about: that which is wanted was one of them.
     pub fn is_done(&self) {
-        let parts = self.parts.borrow();
+        let parts = self.parts.lock().unwrap();
         let there = self.only.as_ref().is_none_or(|only| parts.is_empty() || parts.contains(only));
         let names = parts.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
         assert!(there, "--only {}: there is {names}", self.only.as_deref().unwrap_or_default());

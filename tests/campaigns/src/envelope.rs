@@ -10,8 +10,9 @@ mod lateral;
 
 use std::collections::HashMap;
 
+use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_experiment::draw::{parallel, percentile, worst};
-use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly, fly_heaving};
+use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly, fly_heaving, largest};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
@@ -63,10 +64,12 @@ pub fn run() -> Result<(), ReportError> {
     report.finish().map(|_| ())
 }
 
-/// Noise of the accelerometers that lanes measure in these flights, m/s²: of the flights the middle one, as a few measure more and the
-/// limits move with it.
-fn usual_noise_mps2(clean: &[Flown]) -> f64 {
-    percentile(&clean.iter().map(|flight| flight.usual_noise_mps2).collect::<Vec<_>>(), 0.5)
+/// What lanes measure of the accelerometers in these flights: of the flights the middle one, as a few measure more and the limits move with
+/// it.
+fn usual(clean: &[Flown]) -> Shaken {
+    let middle =
+        |of: fn(&Shaken) -> f64| percentile(&clean.iter().map(|flight| of(&flight.usual)).collect::<Vec<_>>(), 0.5);
+    Shaken { noise_mps2: middle(|of| of.noise_mps2), rectified_mps2: middle(|of| of.rectified_mps2) }
 }
 
 /// The maximising sequences of each set, flown by `fly` whole and scaled down: of those that nobody sees the one that gets furthest from
@@ -85,7 +88,7 @@ fn furthest(bounds: &Bounds, clean: &Flown, fly: impl Fn(&Worn) -> Flown + Sync)
 fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Maximising sequences in the ideal world");
     let clean = fly("ideal", effort.seed_base, &Worn::default());
-    let bounds = Bounds::new(clean.noise_mps2);
+    let bounds = Bounds::new(clean.shaken);
     let flown = furthest(&bounds, &clean, |worn| fly("ideal", effort.seed_base, worn));
     let mut rows = Vec::new();
     for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
@@ -114,7 +117,7 @@ fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     let (amplitude_m, period_s) = HEAVE;
     report.heading(&format!("A heave of {amplitude_m} m within {period_s} s: the ideal world"));
     let clean = fly_heaving("ideal", effort.seed_base, &Worn::default(), HEAVE);
-    let (bounds, hover) = (Bounds::along(clean.noise_mps2, Some(HEAVE), None), Bounds::new(clean.noise_mps2));
+    let (bounds, hover) = (Bounds::along(clean.shaken, Some(HEAVE), None), Bounds::new(clean.shaken));
     let flown = furthest(&bounds, &clean, |worn| fly_heaving("ideal", effort.seed_base, worn, HEAVE));
     let mut rows = Vec::new();
     for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
@@ -159,8 +162,10 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
     let clean: Vec<Flown> = parallel(seeds as usize, |i| fly(world, effort.seed_base + i as u64, &Worn::default()));
     // What was seen without an attack is no attack seen.
     let quiet: Vec<usize> = (0..clean.len()).filter(|i| clean[*i].seen.is_none()).collect();
-    let noise_mps2 = worst(&clean.iter().map(|flight| flight.noise_mps2).collect::<Vec<_>>());
-    let bounds = Bounds::new(noise_mps2);
+    let shaken = largest(clean.iter().map(|flight| flight.shaken));
+    // A height's bound rises with what is rectified, an IMU's falls.
+    let least = clean.iter().map(|flight| flight.usual.rectified_mps2).fold(f64::INFINITY, f64::min);
+    let bounds = Bounds::new(shaken).or(Bounds::new(Shaken { rectified_mps2: least, ..shaken }));
     let flown = parallel(effort.flights as usize, |i| {
         let (set, own) = (&bounds.sets[i % bounds.sets.len()], quiet[i % quiet.len()]);
         let (shape, attack) = bounds.drawn(set, effort.seed_base + i as u64);
@@ -185,9 +190,10 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
             let own = quiet[i % quiet.len()];
             let (_, worn) = bounds.drawn(set, effort.seed_base + *i as u64);
             let faint = fly(world, effort.seed_base + own as u64, &worn.scaled(FAINT));
-            let of = Bounds::along(flight.noise_mps2, None, Some(&set.name()));
+            let of = Bounds::along(flight.shaken, None, Some(&set.name()));
             let more = json!({
-                "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m, "noise_mps2": flight.noise_mps2,
+                "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m, "noise_mps2": flight.shaken.noise_mps2,
+                "rectified_mps2": flight.shaken.rectified_mps2,
                 "of_own_noise": part * set.bound_m / of.sets[0].bound_m, "faint": faint.unseen_m(&clean[own]) / set.bound_m,
             });
             report.value("beyond", *part, "of the bound", more);
@@ -207,7 +213,8 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
     let parts: Vec<f64> = flown.iter().map(|(_, _, part, _)| *part).collect();
     let beyond = parts.iter().filter(|part| **part > LINEAR).count();
     let more = json!({
-        "world": world, "flights": parts.len(), "seed_base": effort.seed_base, "beyond": beyond, "noise_mps2": noise_mps2,
+        "world": world, "flights": parts.len(), "seed_base": effort.seed_base, "beyond": beyond, "noise_mps2": shaken.noise_mps2,
+        "rectified_mps2": [least, shaken.rectified_mps2],
         "seen": flown.iter().filter(|(_, _, _, flight)| flight.seen.is_some()).count(),
         "clean_flights_with_an_exclusion": clean.len() - quiet.len(),
         "worst": worst(&parts), "holds": (world == "ideal").then_some(beyond == 0),

@@ -214,7 +214,7 @@ mod tests {
         let mut tidy = shell("trap 'echo tidied; exit 0' INT; echo ready; while :; do sleep 0.02; done");
         tidy.wait_for(POLL * 100, |line| (line == "ready").then_some(())).unwrap();
         assert!(tidy.interrupt(POLL * 100).unwrap().success());
-        assert!(tidy.last_lines(1).contains("tidied"));
+        tidy.wait_for(POLL * 100, |line| (line == "tidied").then_some(())).unwrap();
         let mut deaf = shell("trap '' INT; echo ready; while :; do sleep 0.02; done");
         deaf.wait_for(POLL * 100, |line| (line == "ready").then_some(())).unwrap();
         let error = deaf.interrupt(POLL * 5).unwrap_err().to_string();

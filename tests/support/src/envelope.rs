@@ -8,6 +8,7 @@ use plumbline_agent::control::trajectory::{Shape, Trajectory};
 use plumbline_agent::envelope::flying::Regime;
 use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
+use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_agent::flight::Failsafe;
 use plumbline_agent::flight::watermark::{Block, Settings};
 use plumbline_agent::frames::roll_pitch_yaw;
@@ -47,10 +48,10 @@ pub struct Flown {
     pub excluded: Vec<SensorId>,
     /// The most that the statistic of each sensor reached, of its limit.
     pub ratios: Vec<(SensorId, f64)>,
-    /// Noise of the accelerometers that the lanes measured, the largest, m/s².
-    pub noise_mps2: f64,
-    /// Mean over time of the largest of the lanes, m/s².
-    pub usual_noise_mps2: f64,
+    /// What the lanes measured of their accelerometers: the largest of each, …
+    pub shaken: Shaken,
+    /// … and the mean over time.
+    pub usual: Shaken,
     /// What the blocks of the watermark told: seconds since the onset at their end.
     pub carried: Vec<(f64, Block)>,
 }
@@ -260,8 +261,10 @@ fn fly_scripted(
         if lanes.isolation().contradicted() || flight.failsafe() != Failsafe::None {
             flown.seen.get_or_insert(flown.altitude_m.len());
         }
-        flown.noise_mps2 = flown.noise_mps2.max(lanes.noise_mps2());
-        flown.usual_noise_mps2 += (lanes.noise_mps2() - flown.usual_noise_mps2) / (tick - before) as f64;
+        let (now, count) = (lanes.shaken(), (tick - before) as f64);
+        flown.shaken = largest([flown.shaken, now]);
+        flown.usual.noise_mps2 += (now.noise_mps2 - flown.usual.noise_mps2) / count;
+        flown.usual.rectified_mps2 += (now.rectified_mps2 - flown.usual.rectified_mps2) / count;
         if let Some((time, block)) = flight.watermark() {
             let since_s = time.as_seconds() - ONSET_S;
             if flown.carried.last().is_none_or(|(last_s, _)| since_s > *last_s) {
@@ -277,6 +280,14 @@ fn fly_scripted(
         flown.seen.get_or_insert(flown.altitude_m.len());
     }
     flown
+}
+
+/// The largest of each.
+pub fn largest(all: impl IntoIterator<Item = Shaken>) -> Shaken {
+    all.into_iter().fold(Shaken::default(), |most, one| Shaken {
+        noise_mps2: most.noise_mps2.max(one.noise_mps2),
+        rectified_mps2: most.rectified_mps2.max(one.rectified_mps2),
+    })
 }
 
 /// A set of sensors, how far it can be pushed unseen, m, and what does.
@@ -301,6 +312,12 @@ impl Set {
     }
 }
 
+/// What a question about the default suite is asked with.
+pub fn asked_with(Shaken { noise_mps2, rectified_mps2 }: Shaken) -> EnvelopeQuestion {
+    let [noise_mps2, rectified_mps2] = [noise_mps2, rectified_mps2].map(Some);
+    EnvelopeQuestion { noise_mps2, rectified_mps2, ..EnvelopeQuestion::default() }
+}
+
 /// The loop of the default suite, and every set of one or two of its sensors.
 pub struct Bounds {
     asked: Asked,
@@ -309,16 +326,16 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Where the lanes measure `noise_mps2` of their accelerometers.
-    pub fn new(noise_mps2: f64) -> Self {
-        Self::along(noise_mps2, None, None)
+    /// Where the lanes measure this of their accelerometers.
+    pub fn new(shaken: Shaken) -> Self {
+        Self::along(shaken, None, None)
     }
 
     /// The same along a heave, m and s, or of one set only.
-    pub fn along(noise_mps2: f64, heave: Option<(f64, f64)>, only: Option<&str>) -> Self {
+    pub fn along(shaken: Shaken, heave: Option<(f64, f64)>, only: Option<&str>) -> Self {
         let heave = heave.map(|(amplitude_m, period_s)| Heave { amplitude_m, period_s });
         let sensors = only.map(|names| names.split(", ").map(str::to_owned).collect());
-        let question = EnvelopeQuestion { noise_mps2: Some(noise_mps2), heave, sensors, ..EnvelopeQuestion::default() };
+        let question = EnvelopeQuestion { heave, sensors, ..asked_with(shaken) };
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
             let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
@@ -333,6 +350,16 @@ impl Bounds {
         };
         let sets = asked.sets.iter().filter_map(bounded).collect();
         Self { asked, sets }
+    }
+
+    /// Of each set the larger bound of both.
+    pub fn or(mut self, other: Self) -> Self {
+        for (own, other) in self.sets.iter_mut().zip(other.sets) {
+            if other.bound_m > own.bound_m {
+                *own = other;
+            }
+        }
+        self
     }
 
     fn worn(&self, set: &Set, attack: &Signal, part: f64) -> Worn {

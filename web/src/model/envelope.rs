@@ -2,39 +2,67 @@
 
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::{EstimatorKind, SecureSensor, SecureStatus, SensorKind};
-pub use plumbline_rest::envelope::NOISES_MPS2;
-use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet, between};
+use plumbline_rest::envelope::{Envelope, EnvelopeQuestion, EnvelopeSet, NOISES_MPS2, around, between};
 
 use super::format;
 
 /// Bounds of one attacked sensor over the noise of the accelerometers, for one vehicle with its gains and what is excluded.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
+    /// What it is made for.
+    pub of: Of,
+    /// Noise, m/s², and the largest bound of any one sensor, m; rising noise, and those of either of what is rectified.
+    pub rows: [Vec<(f64, f64)>; 2],
+}
+
+/// What a [`Table`] is made for: as long as things are so, it is asked for once.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Of {
     /// Sensors excluded, by name.
     pub without: Vec<String>,
-    /// Noise, m/s², and the largest bound of any one sensor, m; rising noise.
-    pub rows: Vec<(f64, f64)>,
+    /// What the accelerometers rectify lies between these, m/s².
+    pub rectified_mps2: [f64; 2],
+}
+
+impl Of {
+    /// As things are in `status`, lanes in the loop; `None` where the vehicle is shaken by more than any table is for.
+    pub fn now(status: &SecureStatus, in_loop: u16) -> Option<Self> {
+        let rectified_mps2 = around(status.accel_rectified_mps2.unwrap_or(0.0))?;
+        (in_loop == EstimatorKind::Lanes as u16).then(|| Self { without: excluded(status), rectified_mps2 })
+    }
+
+    /// The questions whose answers are the rows of a [`Table`]: those of one of what is rectified after those of the other.
+    pub fn questions(&self) -> Vec<EnvelopeQuestion> {
+        let of = |noise_mps2: f64, rectified_mps2: f64| EnvelopeQuestion {
+            most: Some(1),
+            noise_mps2: Some(noise_mps2),
+            rectified_mps2: Some(rectified_mps2),
+            without: self.without.clone(),
+            ..EnvelopeQuestion::default()
+        };
+        self.rectified_mps2.into_iter().flat_map(|rectified| NOISES_MPS2.map(|noise| of(noise, rectified))).collect()
+    }
 }
 
 impl Table {
-    /// The bound as things are in `status`, m, where it is of this table: lanes in the loop, the same sensors excluded.
+    /// Of the bounds that answer [`Of::questions`], m.
+    pub fn new(of: Of, bounds_m: &[f64]) -> Self {
+        let (low, high) = bounds_m.split_at(bounds_m.len() / 2);
+        Self { rows: [low, high].map(|of| NOISES_MPS2.into_iter().zip(of.iter().copied()).collect()), of }
+    }
+
+    /// The bound as things are in `status`, m, where it is of this table.
     pub fn bound_now_m(&self, status: &SecureStatus, in_loop: u16) -> Option<f64> {
-        let noise_mps2 = status.accel_noise_mps2.filter(|_| in_loop == EstimatorKind::Lanes as u16)?;
-        between(&self.rows, noise_mps2).filter(|_| excluded(status) == self.without)
+        let noise_mps2 = status.accel_noise_mps2.filter(|_| Of::now(status, in_loop).as_ref() == Some(&self.of))?;
+        between(&self.rows, noise_mps2, status.accel_rectified_mps2.unwrap_or(0.0))
     }
 }
 
 /// Sensors that `status` excludes, by name.
-pub fn excluded(status: &SecureStatus) -> Vec<String> {
+fn excluded(status: &SecureStatus) -> Vec<String> {
     let bounded = |s: &&SecureSensor| s.flagged && matches!(s.sensor(), SensorKind::Height | SensorKind::Imu);
     let name = |s: &SecureSensor| SensorId::new(s.sensor(), s.instance as u8).to_string();
     status.sensors.iter().filter(bounded).map(name).collect()
-}
-
-/// The question whose answer is one row of a [`Table`].
-pub fn row_question(noise_mps2: f64, without: &[String]) -> EnvelopeQuestion {
-    let (noise_mps2, without) = (Some(noise_mps2), without.to_vec());
-    EnvelopeQuestion { most: Some(1), noise_mps2, without, ..EnvelopeQuestion::default() }
 }
 
 /// The largest bound of one sensor, m; `None` where one has none.
@@ -134,8 +162,10 @@ mod tests {
 
     #[test]
     fn a_table_is_read_between_its_rows_and_for_what_it_was_made() {
-        let table = Table { without: vec!["height 2".into()], rows: vec![(0.1, 0.02), (0.5, 0.04)] };
-        let at = |noise| between(&table.rows, noise);
+        let of = Of { without: vec!["height 2".into()], rectified_mps2: [0.3, 0.45] };
+        assert_eq!(of.questions().len(), 2 * NOISES_MPS2.len());
+        let table = Table { of, rows: [vec![(0.1, 0.02), (0.5, 0.04)], vec![(0.1, 0.03), (0.5, 0.05)]] };
+        let at = |noise| between(&table.rows, noise, 0.3);
         assert!(at(0.05) == at(0.1) && at(0.1) < at(0.3) && at(0.3) < at(0.5) && at(0.6).is_none());
         // Half way, and raised.
         assert!(at(0.3).is_some_and(|m| (0.03..0.032).contains(&m)));
@@ -147,12 +177,23 @@ mod tests {
         };
         let status = |second| SecureStatus {
             accel_noise_mps2: Some(0.3),
+            accel_rectified_mps2: Some(0.4),
             sensors: vec![sensor(1, false), sensor(2, second)],
             ..SecureStatus::default()
         };
         let lanes = EstimatorKind::Lanes as u16;
         assert!(table.bound_now_m(&status(true), lanes).is_some());
         assert_eq!(table.bound_now_m(&status(false), lanes), None, "another set is excluded");
+        let calmer = SecureStatus { accel_rectified_mps2: Some(0.2), ..status(true) };
+        assert_eq!(table.bound_now_m(&calmer, lanes), None, "it is shaken by less");
+        let [low, half, high] = [0.3, 0.375, 0.45].map(|rectified| between(&table.rows, 0.1, rectified).unwrap());
+        assert!((half - 0.5 * (low + high)).abs() < 1e-12 && low < high, "{low} {half} {high}");
+        let questions = table.of.questions();
+        let bounds_m: Vec<f64> = (0..questions.len()).map(|n| n as f64).collect();
+        let own = Table::new(table.of.clone(), &bounds_m);
+        let asked = |n: usize| (questions[n].noise_mps2.unwrap(), questions[n].rectified_mps2.unwrap());
+        let last = NOISES_MPS2.len();
+        assert_eq!((own.rows[1][0], asked(last)), ((NOISES_MPS2[0], last as f64), (NOISES_MPS2[0], 0.45)));
         assert_eq!(table.bound_now_m(&status(true), EstimatorKind::EkfBias as u16), None, "the bound is that of lanes");
     }
 

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::{
     ctx::ctx,
-    model::envelope::{NOISES_MPS2, Table, excluded, line, of_one_m, price, row_question, rows},
+    model::envelope::{Of, Table, line, of_one_m, price, rows},
     net,
 };
 
@@ -163,24 +163,13 @@ pub fn EnvelopeBeside(
 #[component]
 pub fn EnvelopeBand() -> impl IntoView {
     let ctx = ctx();
-    let without = Memo::new(move |_| {
-        ctx.live(|live| {
-            let lanes = live.in_loop() == plumbline_proto::v1::EstimatorKind::Lanes as u16;
-            live.secure.get().filter(|_| lanes).map(excluded)
-        })
-    });
-    let questions = move || {
-        let of = |without: Vec<String>| NOISES_MPS2.map(|noise| row_question(noise, &without)).to_vec();
-        without.get().map(of).unwrap_or_default()
-    };
-    let found = answers(Signal::derive(questions));
+    let of = Memo::new(move |_| ctx.live(|live| Of::now(live.secure.get()?, live.in_loop())));
+    let found = answers(Signal::derive(move || of.get().map(|of| of.questions()).unwrap_or_default()));
     Effect::new(move |_| {
         let bounds =
             found.with(|all| all.iter().map(|of| of_one_m(of.as_ref()?.as_ref().ok()?)).collect::<Option<Vec<_>>>());
-        let table = bounds.filter(|bounds| !bounds.is_empty()).map(|bounds| Table {
-            without: without.get_untracked().unwrap_or_default(),
-            rows: NOISES_MPS2.into_iter().zip(bounds).collect(),
-        });
+        let table = bounds.zip(of.get_untracked()).filter(|(bounds, _)| !bounds.is_empty());
+        let table = table.map(|(bounds, of)| Table::new(of, &bounds));
         ctx.live.update_value(|live| live.reach = table);
     });
 }

@@ -10,7 +10,7 @@ use serde_json::json;
 
 use crate::{
     ctx::{Ctx, ctx},
-    model::{choice, curves::DEGREES, draft::Draft, format},
+    model::{choice, curves::DEGREES, draft::Draft, format, live::Live},
     net,
 };
 
@@ -40,9 +40,10 @@ const COMMANDED: [&str; 2] = [UPWARDS, "covert"];
 /// Prepared ones begin so long after acceptance, s.
 const START_S: f64 = 5.0;
 
-/// Asked with the noise that the lanes measure of the vehicle's accelerometers now: the more there is, the later those attacked are seen.
+/// Asked with what the lanes measure of the vehicle's accelerometers now: the more there is, the later those attacked are seen.
 async fn ask(ctx: Ctx, mut question: AttackQuestion) -> Result<PreparedAttack, String> {
-    question.of.noise_mps2 = untrack(|| ctx.live(|live| live.secure.get().and_then(|status| status.accel_noise_mps2)));
+    let shaken = |live: &Live| live.secure.get().map(|status| [status.accel_noise_mps2, status.accel_rectified_mps2]);
+    [question.of.noise_mps2, question.of.rectified_mps2] = untrack(|| ctx.live(shaken)).unwrap_or_default();
     let vehicle = ctx.app.with_value(|app| app.vehicle.clone()).unwrap_or_default();
     let url = format!("/api/v1/envelope/attack?vehicle={}", String::from(js_sys::encode_uri_component(&vehicle)));
     let answer = net::json::<PreparedAttack>("POST", &url, Some(json!(question).to_string()), "").await;

@@ -18,7 +18,7 @@ pub(super) struct Bank<'a> {
 }
 
 impl Bank<'_> {
-    /// Takes slot `number`: mean specific force, what is added to each attacked IMU, heights with their offsets removed. The
+    /// Takes slot `number`: mean specific force, what the lane of each attacked IMU takes of what is added to that, heights with their offsets removed. The
     /// innovations.
     pub(super) fn take(
         &mut self,
@@ -76,7 +76,7 @@ impl Attacked<'_> {
         };
         let added: Vec<_> = self.imus.iter().map(added).collect();
         let differs = |&(part, begin): &(f64, u32)| -> Vec<Differs> {
-            let measured = Measured { noise_mps2: (of.measured_mps2, part * of.measured_mps2), begin };
+            let measured = Measured { shaken: of.shaken, noise_mps2: part * of.shaken.noise_mps2, begin };
             let lane = |added: &Vec<f64>| differing(&of.model, &schedule, &weights, &measured, ALTITUDE_M, added);
             let lanes: Vec<_> = added.iter().map(lane).collect();
             let slot = |number: usize| {

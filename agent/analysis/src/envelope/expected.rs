@@ -86,7 +86,7 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     let altitude_m = response.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
-    let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], flying.noise_mps2, ALTITUDE_M);
+    let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], &flying.shaken, ALTITUDE_M);
     let mut residuals_m = vec![[0.0; MAX_HEIGHTS]; (horizon_s / SLOT).ceil() as usize + 1];
     for (number, i, residual) in &response.residuals_m {
         if let Some(place) = residuals_m.get_mut(*number).and_then(|slot| slot.get_mut(*i)) {
@@ -186,7 +186,8 @@ impl Heard<'_> {
             let attacked = own.and_then(|own| differs.get(own));
             let draw: f64 = StandardNormal.sample(dice);
             let read_mps2 = sigma_mps2 * draw;
-            let inputs = state.iter().chain(std::iter::once(&read_mps2)).chain(noises).copied();
+            let own_mps2 = self.attacked.flying.shaken.own() * read_mps2;
+            let inputs = state.iter().chain(std::iter::once(&own_mps2)).chain(noises).copied();
             let out = slot.map * SVector::<f64, INPUTS>::from_iterator(inputs);
             state.iter_mut().zip(out.iter()).for_each(|(state, out)| *state = *out);
             let of = |j: usize| {

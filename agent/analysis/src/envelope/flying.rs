@@ -18,7 +18,7 @@
 use std::collections::VecDeque;
 
 use plumbline_core::control::law::Law;
-use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, cycle, of_heights, of_imus, slot_of};
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, Shaken, cycle, of_heights, of_imus, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::ix;
 use plumbline_core::sensor::imu::Imu;
@@ -52,9 +52,8 @@ pub struct Loop {
     pub(super) timing: Vec<Option<(f64, f64)>>,
     pub(super) imus: usize,
     controlled: Controlled,
-    /// Noise that the lanes take their accelerometers for, and what they measure of it, m/s².
-    pub(super) noise_mps2: f64,
-    pub(super) measured_mps2: f64,
+    /// What the lanes measure of their accelerometers.
+    pub(super) shaken: Shaken,
     pub(super) most: (f64, f64),
     /// Up and down about the hover, m and s; the attack begins where a swing does.
     heave: Option<(f64, f64)>,
@@ -94,16 +93,17 @@ pub(super) fn usual_mps2(measured_mps2: f64) -> f64 {
 }
 
 /// May a loop have these?
-pub(super) fn sound(tick_rate_hz: f64, noise_mps2: f64) -> Result<(), EnvelopeError> {
+pub(super) fn sound(tick_rate_hz: f64, shaken: &Shaken) -> Result<(), EnvelopeError> {
     let per_slot = SLOT * tick_rate_hz;
     if (per_slot - per_slot.round()).abs() > 1e-9 || per_slot < 1.0 {
         let expected = "such that 40 ms are whole ticks";
         return Err(EnvelopeError::Value { what: "tick_rate_hz", value: tick_rate_hz, expected });
     }
-    if !(0.0..=5.0).contains(&noise_mps2) {
-        return Err(EnvelopeError::Value { what: "noise_mps2", value: noise_mps2, expected: "0 to 5" });
+    let all = [("noise_mps2", shaken.noise_mps2), ("rectified_mps2", shaken.rectified_mps2)];
+    match all.into_iter().find(|(_, value)| !(0.0..=5.0).contains(value)) {
+        Some((what, value)) => Err(EnvelopeError::Value { what, value, expected: "0 to 5" }),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// Which heights weigh how much.
@@ -132,8 +132,7 @@ pub struct Attacked<'a> {
 }
 
 impl Loop {
-    /// Of `suite` on `airframe` with `law` at `tick_rate_hz`; `noise_mps2` is what the lanes measure of their accelerometers, which they
-    /// take for no less than they assume; an attack adds at most `most`, m and m/s².
+    /// Of `suite` on `airframe` with `law` at `tick_rate_hz`; an attack adds at most `most`, m and m/s².
     ///
     /// # Errors
     /// [`EnvelopeError`] with the offending value.
@@ -142,10 +141,10 @@ impl Loop {
         airframe: &Airframe,
         law: &Law,
         tick_rate_hz: f64,
-        noise_mps2: f64,
+        shaken: Shaken,
         most: (f64, f64),
     ) -> Result<Self, EnvelopeError> {
-        sound(tick_rate_hz, noise_mps2)?;
+        sound(tick_rate_hz, &shaken)?;
         let controlled = Controlled::new(airframe, law, 1.0 / tick_rate_hz, &[ix::Z, ix::VZ], ix::THRUST, false)?;
         let timing: Vec<_> = suite.heights.iter().map(|h| Some((h.timing.rate_hz, h.timing.phase_s))).collect();
         let of = |kind: SensorKind, count: usize| (1..=count).map(move |i| SensorId::new(kind, i as u8));
@@ -159,13 +158,12 @@ impl Loop {
             model: SensorModel::from(suite),
             white: (
                 suite.heights.iter().map(|h| h.height.total_sigma()).collect(),
-                suite.imus.iter().map(|imu| white(imu, noise_mps2)[0]).collect(),
+                suite.imus.iter().map(|imu| white(imu, shaken.noise_mps2)[0]).collect(),
             ),
             timing,
             imus: suite.imus.len(),
             controlled,
-            noise_mps2: noise_mps2.max(of_imus::NOISE_MPS2),
-            measured_mps2: noise_mps2,
+            shaken,
             most,
             heave: None,
         })
@@ -342,7 +340,7 @@ impl Model for Attacked<'_> {
             let weight = Judges::outvoted(self.heights.len(), healthy);
             weights.iter_mut().enumerate().filter(|(i, _)| !self.heights.contains(i)).for_each(|(_, w)| *w = weight);
         }
-        let maps = cycle(&of.model, &schedule, &weights, of.noise_mps2, ALTITUDE_M);
+        let maps = cycle(&of.model, &schedule, &weights, &of.shaken, ALTITUDE_M);
         let mut running = Running {
             of: self,
             attack,
@@ -354,7 +352,7 @@ impl Model for Attacked<'_> {
                 differ: self.imus.iter().map(|_| std::array::from_fn(|_| zero())).collect(),
                 share: 1.0 / of.imus as f64,
             },
-            judges: Judges::new(self, &rates_hz, of.imus, of.measured_mps2, width),
+            judges: Judges::new(self, &rates_hz, of.imus, of.shaken.noise_mps2, width),
             vehicle: Motion::new(&of.controlled, width),
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),
@@ -408,7 +406,7 @@ impl Running<'_> {
         // What the accelerometers feel of this tick.
         let mut grown = &self.vehicle.x[1] - before;
         for i in &self.of.imus {
-            grown.axpy(tick_s * self.bank.share, &self.added(*i, tick / per_slot), 1.0);
+            grown.axpy(tick_s * self.bank.share * self.of.flying.shaken.own(), &self.added(*i, tick / per_slot), 1.0);
         }
         Predictor::follow(&mut self.predictor.now, &grown, &self.predictor.bias, tick_s);
         self.predictor.grown.push_back(grown);
@@ -428,7 +426,8 @@ impl Running<'_> {
             ages.iter().enumerate().map(|(i, age_s)| age_s.map(|age_s| height(i, age_s))).collect();
         let z_m = self.of.flying.altitude_m((number + 1) as f64 * SLOT);
         let corrected = self.judges.without_offsets(&measured, z_m);
-        let innovations = self.bank.take(number, &force, &added, &corrected, self.width);
+        let own: Vec<Signal> = added.iter().map(|added| added * self.of.flying.shaken.own()).collect();
+        let innovations = self.bank.take(number, &force, &own, &corrected, self.width);
         let (z, v) = (self.bank.fused(0), self.bank.fused(1));
         let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
         let raw = measured.iter().zip(&ages).enumerate();
@@ -440,7 +439,7 @@ impl Running<'_> {
         let (time_s, out) = ((number + 1) as f64 * SLOT, &mut self.response.statistics);
         self.judges.hear_heights((time_s, z_m), number, &innovations, &residuals, out);
         self.judges.hear_imus(time_s, &added, &innovations, &self.bank.differ, out);
-        self.predictor.bias = self.bank.fused(2);
+        self.predictor.bias = self.bank.fused(2) * self.of.flying.shaken.own();
         self.predictor.now = [z, v];
     }
 }

@@ -13,7 +13,7 @@
 use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
 use plumbline_core::estimate::lanes::lateral::{INPUTS, ROWS, STATES};
-use plumbline_core::estimate::lanes::linear::{Measured, SLOT, noise_course, of_imus};
+use plumbline_core::estimate::lanes::linear::{Measured, SLOT, Shaken, noise_course, of_imus};
 use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
@@ -186,7 +186,8 @@ fn raised(lateral: &Lateral, (part, begin): (f64, u32), added: &[[f64; 2]]) -> V
     let (taken, measured) = lateral.noise;
     let step = RAISED[1] - RAISED[0];
     let level = |noise: f64| ((noise / taken - 1.0) / step).round().clamp(0.0, (RAISED.len() - 1) as f64) as usize;
-    noise_course(&Measured { noise_mps2: (measured, part * measured), begin }, &force).into_iter().map(level).collect()
+    let shaken = Shaken { noise_mps2: measured, rectified_mps2: 0.0 };
+    noise_course(&Measured { shaken, noise_mps2: part * measured, begin }, &force).into_iter().map(level).collect()
 }
 
 fn normal(dice: &mut Xoshiro256PlusPlus) -> f64 {

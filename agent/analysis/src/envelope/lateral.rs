@@ -17,7 +17,7 @@ use std::sync::OnceLock;
 
 use plumbline_core::control::law::Law;
 use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, ROWS, STATES, UNAIDED_SLOTS};
-use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, of_imus, of_rates, slot_of};
+use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, Shaken, of_imus, of_rates, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::{hover, ix};
 use plumbline_core::sensor::SensorModel;
@@ -123,7 +123,7 @@ impl Lateral {
         most: (f64, f64),
         axis: usize,
     ) -> Result<Self, EnvelopeError> {
-        sound(tick_rate_hz, noise_mps2)?;
+        sound(tick_rate_hz, &Shaken { noise_mps2, rectified_mps2: 0.0 })?;
         let mut used = sensors(suite);
         used.retain(|sensor| !without.contains(sensor));
         let imus = used.iter().filter(|sensor| sensor.kind == SensorKind::Imu).count();

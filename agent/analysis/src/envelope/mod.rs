@@ -42,7 +42,7 @@ use crate::design::DesignError;
 pub type Signal = DVector<f64>;
 
 /// Ramps are followed for so long, s …
-const RAMP_S: f64 = 60.0;
+const RAMP_S: f64 = 180.0;
 /// … after which no statistic is larger than this part of its largest, and the deviation follows the ramp to this part.
 const SETTLED: f64 = 0.02;
 

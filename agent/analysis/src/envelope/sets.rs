@@ -7,7 +7,7 @@ use plumbline_core::control::gains::Examiner;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::policy::MarginPolicy;
 use plumbline_core::estimate::lanes::lateral::Aid;
-use plumbline_core::estimate::lanes::linear::SLOT;
+use plumbline_core::estimate::lanes::linear::{SLOT, Shaken};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::MAX_HEIGHTS;
 use plumbline_core::sensor::suite::{PRESETS, Suite};
@@ -32,7 +32,7 @@ pub const USUAL_HORIZON_S: f64 = 10.0;
 /// … and along a horizontal axis, where an IMU has two values for each slot and all settles within a second or grows on.
 const LATERAL_HORIZON_S: f64 = 5.0;
 /// How far healthy heights are guessed to be from their mean, m: the last is none.
-const GUESSES_M: [f64; 4] = [0.003, 0.006, 0.012, f64::INFINITY];
+const GUESSES_M: [f64; 6] = [0.003, 0.006, 0.012, 0.018, 0.025, f64::INFINITY];
 /// Largest set asked for.
 const MOST: usize = 3;
 /// Beyond this tilt a linear loop says nothing, rad.
@@ -268,7 +268,11 @@ impl Asked {
         let law = solved()?;
         let bounds = Bounds::default();
         let most = (bounds.length_max_m, bounds.accel_max_mps2);
-        let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, question.noise_mps2.unwrap_or(0.0), most)?;
+        let shaken = Shaken {
+            noise_mps2: question.noise_mps2.unwrap_or(0.0),
+            rectified_mps2: question.rectified_mps2.unwrap_or(0.0),
+        };
+        let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, shaken, most)?;
         let without = match axis {
             None => named(&question.without, &flying.sensors)?,
             Some(_) => Vec::new(),
@@ -282,9 +286,8 @@ impl Asked {
         }
         let lateral = axis.map(|axis| {
             let without = named(&question.without, &lateral::sensors(&suite))?;
-            let (noise_mps2, most) =
-                (question.noise_mps2.unwrap_or(0.0), (bounds.accel_max_mps2, bounds.rate_max_radps));
-            Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, noise_mps2, most, axis)
+            let most = (bounds.accel_max_mps2, bounds.rate_max_radps);
+            Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, shaken.noise_mps2, most, axis)
         });
         let lateral = lateral.transpose()?;
         let sets = sets_of(question, lateral.as_ref().map_or(&flying.sensors, |lateral| &lateral.sensors))?;

@@ -16,6 +16,7 @@ use super::filter::ekf_hybrid::EkfHybrid;
 use super::filter::innovations::Innovations;
 use super::filter::ukf::Ukf;
 use super::lanes::Lanes;
+use super::lanes::linear::Shaken;
 use super::secure::{Decoder, Secure, WindowReport};
 use super::twelve_state::TwelveStateEstimator;
 use super::vqf::VqfEstimator;
@@ -123,11 +124,11 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Noise that it measures of the accelerometers, m/s²; `None` where it measures none.
-    pub fn noise_mps2(self) -> Option<f64> {
+    /// What it measures of the accelerometers; `None` where it measures nothing.
+    pub fn shaken(self) -> Option<Shaken> {
         match self {
             Self::Secure(_) => None,
-            Self::Lanes(lanes) => Some(lanes.noise_mps2()),
+            Self::Lanes(lanes) => Some(lanes.shaken()),
         }
     }
 

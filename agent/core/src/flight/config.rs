@@ -8,6 +8,7 @@ use crate::control::policy::MarginPolicy;
 use crate::control::setpoint::Limits;
 use crate::control::tuning::Design;
 use crate::estimate::bank::{Assumptions, build};
+use crate::estimate::lanes::linear::Shaken;
 use crate::estimate::secure::Decoder;
 use crate::estimate::secure::SLOTS;
 use crate::model::airframe::Airframe;
@@ -96,8 +97,8 @@ pub struct EnvelopeDemand {
     pub altitude_max_m: f64,
     /// … who owns so many sensors …
     pub sensors: usize,
-    /// … while the lanes measure this noise of their accelerometers, m/s².
-    pub noise_mps2: f64,
+    /// … while the lanes measure this of their accelerometers.
+    pub shaken: Shaken,
 }
 
 /// Everything a [`super::Flight`] is built from: a field for each thing that can be configured, hence so many.

@@ -2,6 +2,7 @@
 
 use plumbline_agent::envelope::prepare::prepared;
 use plumbline_agent::envelope::sets::Asked;
+use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
 use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly, fly_heaving, fly_held};
 
@@ -9,7 +10,7 @@ use plumbline_support::envelope::{Bounds, LINEAR, Worn, fly, fly_heaving, fly_he
 fn unseen_attacks_stay_within_their_bounds_and_the_worst_come_near() {
     let clean = fly("ideal", 1, &Worn::default());
     assert!(clean.seen.is_none() && clean.altitude_m.iter().all(|z| (z - 1.0).abs() < 0.02), "{:?}", clean.excluded);
-    let bounds = Bounds::new(clean.noise_mps2);
+    let bounds = Bounds::new(clean.shaken);
     let worst = || {
         for names in ["height 2", "imu 1", "height 1, imu 1"] {
             let set = bounds.sets.iter().find(|set| set.name() == names).unwrap();
@@ -44,7 +45,7 @@ fn along_x_and_y_the_worst_come_near_their_bounds_too() {
         let question = EnvelopeQuestion {
             axis: Some(name.into()),
             more: Some("pose".into()),
-            noise_mps2: Some(clean.noise_mps2),
+            noise_mps2: Some(clean.shaken.noise_mps2),
             sensors: Some(vec!["imu 1".into()]),
             horizon_s: Some(5.0),
             ..EnvelopeQuestion::default()
@@ -76,12 +77,35 @@ fn along_a_heave_the_worst_come_near_their_bounds_too() {
     let (low, high) = clean.altitude_m.iter().fold((9.0_f64, 0.0_f64), |(low, high), z| (low.min(*z), high.max(*z)));
     assert!(clean.seen.is_none() && (low - 0.7).abs() < 0.05 && (high - 1.3).abs() < 0.05, "{low} {high}");
     for names in ["height 2", "imu 2", "height 2, imu 2"] {
-        let bounds = Bounds::along(clean.noise_mps2, Some(heave), Some(names));
+        let bounds = Bounds::along(clean.shaken, Some(heave), Some(names));
         let set = &bounds.sets[0];
         let flight = fly_heaving("ideal", 3, &bounds.worst(set, 1.0), heave);
         let part = flight.unseen_m(&clean) / set.bound_m;
         println!("{names}: {part:.3} of {:.4} m, excluded {:?}", set.bound_m, flight.excluded);
         assert!(flight.seen.is_none() && part > 0.9 && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
+    }
+}
+
+/// GIVEN IMUs that are shaken WHEN heights wear what moves the vehicle 1.1 times as far and more as the bound of IMUs that are not THEN it stays
+/// within that of what these rectify.
+#[test]
+fn where_imus_are_shaken_heights_move_it_further_and_their_bounds_say_so() {
+    // Of 2000 drawn; of shapes that no bound has a say in.
+    let two = "height 1, height 3";
+    for (base, index, name) in [(122_000, 232, two), (122_000, 820, two), (184_000, 393, "height 2")] {
+        let seed = base + index % 25;
+        let clean = fly("datasheet", seed, &Worn::default());
+        let at_rest = Shaken { rectified_mps2: 0.0, ..clean.shaken };
+        let [bounds, at_rest] = [clean.shaken, at_rest].map(|shaken| Bounds::along(shaken, None, Some(name)));
+        let [set, of_rest] = [&bounds.sets[0], &at_rest.sets[0]];
+        let (shape, attack) = bounds.drawn(set, base + index);
+        let moved_m = fly("datasheet", seed, &attack).unseen_m(&clean);
+        println!(
+            "{name}, {shape}: {moved_m:.4} of {:.4} m, {:.4} at rest, {:?}",
+            set.bound_m, of_rest.bound_m, clean.shaken
+        );
+        assert!(moved_m <= LINEAR * set.bound_m, "{name}, {shape}: {moved_m} of {} m", set.bound_m);
+        assert!(moved_m > 1.1 * of_rest.bound_m, "{name}, {shape}: {moved_m} m shows nothing");
     }
 }
 

@@ -187,12 +187,7 @@ const GROWN: [Grown; 3] = [
 /// How likely and how soon a bias is found, and what it does meanwhile, against its size.
 fn curves(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Detectability of a bias on one sensor");
-    let effort = Effort {
-        flights: (effort.flights / 5).max(2),
-        seed_base: effort.seed_base,
-        world: effort.world.clone(),
-        only: None,
-    };
+    let effort = effort.of((effort.flights / 5).max(2));
     for (kind, channel, what, unit, sizes) in GROWN {
         let (mut found, mut damage, mut gated) = (Vec::new(), Vec::new(), Vec::new());
         for size in sizes {

@@ -4,6 +4,7 @@ use plumbline_agent::attack::{Channel, Kind};
 use plumbline_agent::envelope::expected::{DRAWN, Expected};
 use plumbline_agent::envelope::prepare::{power, prepared};
 use plumbline_agent::envelope::theory::block_told;
+use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_agent::flight::watermark::{LIMIT, Settings};
 use plumbline_experiment::draw::parallel;
 use plumbline_experiment::summary;
@@ -11,11 +12,11 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
-use plumbline_support::envelope::{Bounds, HORIZON_S, Worn, fly, fly_for};
+use plumbline_support::envelope::{Bounds, HORIZON_S, Worn, asked_with, fly, fly_for};
 use plumbline_tests::report::{Plot, Report, ReportError, Series};
 use serde_json::json;
 
-use super::usual_noise_mps2;
+use super::usual;
 use crate::attacks::area;
 use crate::effort::Effort;
 
@@ -149,15 +150,14 @@ pub fn of_generators(report: &mut Report, effort: &Effort) -> Result<(), ReportE
          detection against false alarms, over all limits of the attacked sensors' statistics.",
         effort.seed_base
     ));
-    let noise_mps2 =
-        usual_noise_mps2(&parallel(flights as usize, |i| fly(WORLD, effort.seed_base + i as u64, &Worn::default())));
+    let shaken = usual(&parallel(flights as usize, |i| fly(WORLD, effort.seed_base + i as u64, &Worn::default())));
     report.value(
         "detect/noise",
-        noise_mps2,
+        shaken.noise_mps2,
         "m/s²",
-        json!({ "of": "accelerometers, as the lanes measure it without an attack, median of the flights" }),
+        json!({ "rectified_mps2": shaken.rectified_mps2, "of": "accelerometers, as the lanes measure it without an attack, median of the flights" }),
     );
-    let of = EnvelopeQuestion { noise_mps2: Some(noise_mps2), ..EnvelopeQuestion::default() };
+    let of = asked_with(shaken);
     let mut rows = Vec::new();
     for Generator { name, unit, what, sizes } in generators() {
         let attacks = what.iter().map(|(sensor, kind, one)| planned(*sensor, *kind, *one)).collect();
@@ -192,20 +192,20 @@ pub fn of_generators(report: &mut Report, effort: &Effort) -> Result<(), ReportE
         let file = name.replace([' ', ','], "_");
         report.figure(&format!("power_{file}"), "Power", &plot)?;
     }
-    optimal(report, effort, flights, noise_mps2, &mut rows);
+    optimal(report, effort, flights, shaken, &mut rows);
     let headers =
         ["generator", "size", "seen", "95 %", "expected", "", "anybody excluded", "area, flown", "area, expected"];
     report.table("detect", "Generators", &headers, &rows)
 }
 
 /// The maximising sequences of some sets.
-fn optimal(report: &mut Report, effort: &Effort, flights: u64, noise_mps2: f64, rows: &mut Vec<Vec<String>>) {
-    let bounds = Bounds::new(noise_mps2);
+fn optimal(report: &mut Report, effort: &Effort, flights: u64, shaken: Shaken, rows: &mut Vec<Vec<String>>) {
+    let bounds = Bounds::new(shaken);
     for names in ["height 2", "imu 1", "height 1, imu 1"] {
         let Some(set) = bounds.sets.iter().find(|set| set.name() == names) else { continue };
         let sensors = Some(set.sensors.iter().map(ToString::to_string).collect());
         let horizon_s = Some(HORIZON_S);
-        let of = EnvelopeQuestion { sensors, noise_mps2: Some(noise_mps2), horizon_s, ..EnvelopeQuestion::default() };
+        let of = EnvelopeQuestion { sensors, horizon_s, ..asked_with(shaken) };
         let question = AttackQuestion { of, generator: Some("optimal".into()), ..AttackQuestion::default() };
         let attacks = prepared(&question, None).map(|found| found.attacks).unwrap_or_default();
         let question = AttackQuestion { generator: None, attacks, ..question };

@@ -13,7 +13,7 @@ use plumbline_support::envelope::{Flown, Worn, fly_for, fly_held};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
-use super::usual_noise_mps2;
+use super::usual;
 use crate::effort::Effort;
 
 /// The world: the noise of the data sheets, no vibration.
@@ -146,7 +146,7 @@ pub fn of_lateral(report: &mut Report, effort: &Effort) -> Result<(), ReportErro
         effort.seed_base
     ));
     let clean = parallel(flights as usize, |i| fly_held(WORLD, effort.seed_base + i as u64, &Worn::default(), LASTS_S));
-    let noise_mps2 = usual_noise_mps2(&clean);
+    let noise_mps2 = usual(&clean).noise_mps2;
     let mut table = Vec::new();
     for Row { name, axis, attacks, parts, told } in rows(noise_mps2) {
         let of = question(["x", "y"][axis], noise_mps2, &[]);

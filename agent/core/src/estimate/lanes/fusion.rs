@@ -9,7 +9,7 @@ use super::predictor::Mixture;
 use super::rows::{Around, Correction, Unaided};
 use super::slot::Slot;
 use super::start::Found;
-use super::{LANES, Lanes, PerLane, SLOT_S, part};
+use super::{LANES, Lanes, PerLane, SLOT_S, noise, part};
 use crate::estimate::aiding::idle::{POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use crate::estimate::ekf_bias::align;
@@ -21,12 +21,6 @@ use crate::sensor::measure::Kinematics;
 /// Offsets and noise are learned fast for so long in the air, and no height is excluded for so long, s.
 const LEARNING_S: f64 = 7.0;
 const JUDGING_S: f64 = 3.0;
-/// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
-const RECTIFIED: f64 = 0.1;
-/// The same along the thrust, per m/s² shaken: there gravity and thrust bring it near its range, whose one end cuts off.
-const RECTIFIED_UP_PER_MPS2: f64 = 0.08;
-/// One-sigma of the thrust as commanded, over the mass, m/s².
-const THRUST_SIGMA_MPS2: f64 = 1.2;
 /// So many slots of too little thrust do not end a flight: 0.3 s.
 const CARRIED_SLOTS: u32 = 8;
 /// At rest the specific force differs from g by less, m/s², and the rate is less, rad/s.
@@ -44,7 +38,7 @@ const AWAY: (f64, f64) = (0.5, 1.0);
 /// Lanes that weigh at least so much and differ in tilt by more, rad, contradict each other.
 const WEIGHTY: f64 = 0.15;
 const CONTRADICTION_RAD: f64 = 0.2;
-/// Part of how far apart they are that is learned from slot to slot as usual.
+/// Part of how far apart they are, and of what they rectify, that is learned from slot to slot as usual: 8 s.
 const USUAL_GAIN: f64 = 0.005;
 
 impl Lanes {
@@ -191,14 +185,12 @@ impl Lanes {
             unaided,
         };
         let common = self.common(&slot.imus);
-        // A sensor that is shaken rectifies, all of them alike: no comparison shows it.
         let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
-        let mut rectified = shaken * RECTIFIED;
-        rectified[2] *= (RECTIFIED_UP_PER_MPS2 / RECTIFIED * shaken[2]).max(1.0);
-        // Where it does so along the thrust, the thrust as commanded says more.
-        let squares = (rectified[2].powi(2), THRUST_SIGMA_MPS2.powi(2));
+        let rectified = noise::rectified(&shaken);
+        let square = &mut self.fused.rectified_square;
+        *square += (rectified[2].powi(2) - *square) * USUAL_GAIN;
         let carried = self.clock.unladen < CARRIED_SLOTS;
-        let share = if carried { squares.0 / (squares.0 + squares.1) } else { 0.0 };
+        let share = if carried { noise::share(rectified[2]) } else { 0.0 };
         self.fused.mixture.thrust = share;
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
@@ -207,7 +199,7 @@ impl Lanes {
                 continue;
             }
             let mut sigma = self.judges.noise.of(i).zip_map(&rectified, f64::hypot);
-            sigma[2] = ((1.0 - share) * sigma[2]).hypot(share * THRUST_SIGMA_MPS2);
+            sigma[2] = noise::mixed(sigma[2], share);
             // Without a sample of its own it goes on with the others'.
             let mut mean = slot.imus[i].unwrap_or_else(|| common + lane.biases());
             mean[2] += share * (slot.thrust_mps2 - (mean[2] - lane.accel_bias.z));

@@ -7,7 +7,7 @@ use plumbline_proto::time::FlightTime;
 use super::SLOT_S;
 use super::integral::Six;
 use super::lane::Lane;
-use super::linear::Hovering;
+use super::linear::{Hovering, Shaken};
 use super::rows::Unaided;
 use super::slot::Slot;
 use crate::estimate::aiding::{ANGLES, VELOCITY, XYZ};
@@ -103,11 +103,12 @@ impl Along<'_> {
         due.then_some(Unaided { since_s: UNAIDED_SLOTS as f64 * SLOT_S, axes, resting: false, standing: false, anchor })
     }
 
-    /// The maps of the slots of one cycle, covariance steady, accelerometers of the measured noise `sigma_mps2`, at altitude `z_m`.
-    pub fn cycle(&self, model: &SensorModel, airframe: &Airframe, sigma_mps2: f64, z_m: f64) -> Vec<Map> {
+    /// The maps of the slots of one cycle, covariance steady, accelerometers of the measured noise `noise_mps2`, at altitude `z_m`.
+    pub fn cycle(&self, model: &SensorModel, airframe: &Airframe, noise_mps2: f64, z_m: f64) -> Vec<Map> {
         let (axis, about) = (self.axis, 1 - self.axis);
         let drag = airframe.linear_drag_nspm / airframe.mass_kg;
-        let mut hovering = Hovering::new(model, &[1.0; MAX_HEIGHTS], sigma_mps2, z_m, Some(drag));
+        let shaken = Shaken { noise_mps2, rectified_mps2: 0.0 };
+        let mut hovering = Hovering::new(model, &[1.0; MAX_HEIGHTS], &shaken, z_m, Some(drag));
         let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| {
             let [position, velocity, tilt, accel, gyro, force, rate, measured @ ..] = *x;
             let mut lane = hovering.lane.clone();

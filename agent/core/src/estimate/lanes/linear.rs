@@ -10,6 +10,7 @@ use super::evidence::{self, Heard};
 use super::heights::{self, Heights};
 use super::integral::Six;
 use super::lane::Lane;
+pub use super::noise::Shaken;
 use super::rows::{self, Around, Correction, Unaided};
 use super::slot::Slot;
 use super::{HORIZON_US, SLOT_S, SLOT_US, noise, rates, split, vote};
@@ -117,14 +118,16 @@ pub(super) struct Hovering<'a> {
     z_m: f64,
     /// Drag over mass, 1/s, where it is used.
     drag: Option<f64>,
+    /// Part of the specific force along the thrust that is commanded.
+    share: f64,
 }
 
 impl<'a> Hovering<'a> {
-    /// With heights that weigh `heights` and accelerometers of the measured noise `sigma_mps2`.
+    /// With heights that weigh `heights`.
     pub(super) fn new(
         model: &'a SensorModel,
         heights: &[f64; MAX_HEIGHTS],
-        sigma_mps2: f64,
+        shaken: &Shaken,
         z_m: f64,
         drag: Option<f64>,
     ) -> Self {
@@ -135,14 +138,15 @@ impl<'a> Hovering<'a> {
         };
         let mut lane = Lane::new(Vector3::zeros(), model.imus.gravity_mps2);
         lane.begin(&at, &Six::zeros(), [0.1, 0.1, 0.01, 0.1, 1e-3], model);
-        let (accel, gyro) = (sigma_mps2, noise::FLOOR.1);
-        let sigma = Six::new(accel, accel, accel, gyro, gyro, gyro);
-        Self { model, heights: Heights::weighing(heights), lane, sigma, z_m, drag }
+        let (accel, gyro) = (shaken.noise_mps2.max(noise::FLOOR.0), noise::FLOOR.1);
+        let sigma = Six::new(accel, accel, shaken.taken(shaken.noise_mps2), gyro, gyro, gyro);
+        let (heights, share) = (Heights::weighing(heights), 1.0 - shaken.own());
+        Self { model, heights, lane, sigma, z_m, drag, share }
     }
 
-    /// One slot, with these means less gravity.
+    /// One slot, with these means less gravity, which the thrust as commanded tells as well, but for what a bias is taken for.
     pub(super) fn step(&self, lane: &mut Lane, slot: &Slot, mut mean: Six, unaided: Option<Unaided>) -> Residuals {
-        mean[2] += self.model.imus.gravity_mps2;
+        mean[2] += self.model.imus.gravity_mps2 + self.share * lane.accel_bias.z;
         lane.predict(slot.end(), &mean, &self.sigma, self.model);
         let around = Around {
             model: self.model,
@@ -241,15 +245,15 @@ impl<'a> Hovering<'a> {
 }
 
 /// The maps of the slots of one cycle, covariance steady: `ages_s` tells for each slot of it how long before the slot's end each
-/// height was sampled, s; the heights weigh `weights`, accelerometers have the measured noise `sigma_mps2`, at altitude `z_m`.
+/// height was sampled, s; the heights weigh `weights`, at altitude `z_m`. Of what is added to an accelerometer alone [`Shaken::own`] counts.
 pub fn cycle(
     model: &SensorModel,
     ages_s: &[[Option<f64>; MAX_HEIGHTS]],
     weights: &[f64; MAX_HEIGHTS],
-    sigma_mps2: f64,
+    shaken: &Shaken,
     z_m: f64,
 ) -> Vec<SlotMap> {
-    let mut hovering = Hovering::new(model, weights, sigma_mps2, z_m, None);
+    let mut hovering = Hovering::new(model, weights, shaken, z_m, None);
     let period = ages_s.len().max(1);
     let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| {
         let none = [None; MAX_HEIGHTS];
@@ -271,8 +275,10 @@ pub struct Differing {
 /// What the lanes have measured of their accelerometers along z when an attack begins; see `noise.rs`.
 #[derive(Debug, Clone, Copy)]
 pub struct Measured {
-    /// Noise of the others and of the one attacked, m/s².
-    pub noise_mps2: (f64, f64),
+    /// Of the others.
+    pub shaken: Shaken,
+    /// Noise of the one attacked, m/s².
+    pub noise_mps2: f64,
     /// Slots since the begin of the mean that the onset falls into.
     pub begin: u32,
 }
@@ -288,7 +294,8 @@ pub fn differing(
     added_mps2: &[f64],
 ) -> Vec<Differing> {
     let noise = noise_course(measured, added_mps2);
-    let mut hovering = Hovering::new(model, weights, noise.first().copied().unwrap_or(noise::FLOOR.0), z_m, None);
+    let begin = Shaken { noise_mps2: noise.first().copied().unwrap_or_default(), ..measured.shaken };
+    let mut hovering = Hovering::new(model, weights, &begin, z_m, None);
     let period = ages_s.len().max(1);
     let none = [None; MAX_HEIGHTS];
     let ages = |number: u64| ages_s.get(number as usize % period).unwrap_or(&none);
@@ -296,9 +303,9 @@ pub fn differing(
     hovering.maps(period, &VERTICAL, outputs);
     let after = |(number, (added, sigma)): (usize, (&f64, &f64))| {
         hovering.forget_all_but(&VERTICAL);
-        hovering.sigma[2] = *sigma;
+        hovering.sigma[2] = measured.shaken.taken(*sigma);
         let mut x = [0.0; INPUTS];
-        x[STATES] = *added;
+        x[STATES] = *added * measured.shaken.own();
         // The cycle begins with the attack.
         let (lane, out, residuals) = hovering.outputs(number as u64, ages(number as u64), &x);
         hovering.lane = lane;
@@ -311,7 +318,7 @@ pub fn differing(
 
 /// Noise that a lane takes its accelerometer for in each slot, `measured` before `added_mps2` to the mean of each, m/s².
 pub fn noise_course(measured: &Measured, added_mps2: &[f64]) -> Vec<f64> {
-    let (typical, mut sigma) = measured.noise_mps2;
+    let (typical, mut sigma) = (measured.shaken.noise_mps2, measured.noise_mps2);
     let (mut sum, mut before, mut slots) = (0.0, 0.0, measured.begin);
     let after = |added: &f64| {
         let taken = noise::taken(sigma, typical);
@@ -349,7 +356,7 @@ mod tests {
         let model = SensorModel::default();
         let mut ages = [[None; MAX_HEIGHTS]; 5];
         (ages[0][0], ages[2][0]) = (Some(0.04), Some(0.02));
-        let maps = cycle(&model, &ages, &[1.0; MAX_HEIGHTS], 0.05, 1.0);
+        let maps = cycle(&model, &ages, &[1.0; MAX_HEIGHTS], &Shaken::default(), 1.0);
         assert_eq!(maps.len(), 5);
         // Without a sample it is the motion alone.
         let free = &maps[1].map;

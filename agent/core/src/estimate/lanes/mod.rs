@@ -50,7 +50,7 @@ use self::evidence::Evidence;
 use self::heights::Heights;
 use self::integral::Six;
 use self::lane::Lane;
-use self::noise::Noise;
+use self::noise::{Noise, Shaken};
 use self::predictor::{Mixture, Predictor};
 use self::rates::Rates;
 use self::slot::Slots;
@@ -124,6 +124,8 @@ struct Fused {
     announced: PerLane<bool>,
     /// How far apart in tilt lanes that weigh much usually are, at most, rad.
     usual_rad: f64,
+    /// What accelerometers usually rectify along the thrust, squared, m²/s⁴.
+    rectified_square: f64,
     /// Slots in a row in which lanes that weigh much contradict each other.
     contradicted: u32,
 }
@@ -178,6 +180,7 @@ impl Lanes {
                 silent: [0; LANES],
                 announced: [false; LANES],
                 usual_rad: 0.0,
+                rectified_square: 0.0,
                 contradicted: 0,
             },
             predictor,
@@ -206,11 +209,11 @@ impl Lanes {
         self.fused.mixture.weights
     }
 
-    /// Noise of an accelerometer along z as it is measured, the largest of the lanes in use, m/s²; none is taken for less than
-    /// `of_imus::NOISE_MPS2`.
-    pub fn noise_mps2(&self) -> f64 {
+    /// What is measured of the accelerometers along z: the noise is the largest of the lanes in use.
+    pub fn shaken(&self) -> Shaken {
         let used = self.weights().into_iter().enumerate().filter(|(_, weight)| *weight > 0.0).map(|(lane, _)| lane);
-        used.map(|lane| self.judges.noise.measured(lane)[2]).fold(0.0, f64::max)
+        let noise_mps2 = used.map(|lane| self.judges.noise.measured(lane)[2]).fold(0.0, f64::max);
+        Shaken { noise_mps2, rectified_mps2: self.fused.rectified_square.sqrt() }
     }
 
     /// Nothing of what was before belongs to this flight, but for what has been learned of the sensors.

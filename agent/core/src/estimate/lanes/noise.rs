@@ -20,6 +20,32 @@ const FIRST: (f64, f64) = (0.15, 0.01);
 /// A sensor's own noise counts up to so many times the median one.
 const MOST: f64 = 2.0;
 
+/// Part of what an IMU is shaken that it takes for motion: clipping, filters, aliasing.
+const RECTIFIED: f64 = 0.1;
+/// The same along the thrust, per m/s² shaken: there gravity and thrust bring it near its range, whose one end cuts off.
+const RECTIFIED_UP_PER_MPS2: f64 = 0.08;
+/// One-sigma of the thrust as commanded, over the mass, m/s².
+const THRUST_SIGMA_MPS2: f64 = 1.2;
+
+/// What sensors that are `shaken` rectify of it, all of them alike: no comparison shows it.
+pub(super) fn rectified(shaken: &Six) -> Six {
+    let mut rectified = shaken * RECTIFIED;
+    rectified[2] *= (RECTIFIED_UP_PER_MPS2 / RECTIFIED * shaken[2]).max(1.0);
+    rectified
+}
+
+/// Part of the specific force along the thrust that is taken from the thrust as commanded, where accelerometers rectify `rectified_mps2` of
+/// it: the less they say, the more.
+pub(super) fn share(rectified_mps2: f64) -> f64 {
+    let squares = (rectified_mps2.powi(2), THRUST_SIGMA_MPS2.powi(2));
+    squares.0 / (squares.0 + squares.1)
+}
+
+/// One-sigma of the specific force along the thrust, `share` of it as commanded and the rest of an accelerometer of `sigma`, m/s².
+pub(super) fn mixed(sigma: f64, share: f64) -> f64 {
+    ((1.0 - share) * sigma).hypot(share * THRUST_SIGMA_MPS2)
+}
+
 /// σ of an accelerometer after a mean that an attack changed by `change_mps2`, beside its noise of `typical`, which is that of the others.
 pub(super) fn followed(sigma: f64, typical: f64, change_mps2: f64) -> f64 {
     sigma + ((change_mps2.abs() * SIGMA_OF_CHANGE).hypot(typical) - sigma) * GAINS.1
@@ -28,6 +54,29 @@ pub(super) fn followed(sigma: f64, typical: f64, change_mps2: f64) -> f64 {
 /// What of σ a lane takes for its noise beside others of `typical`.
 pub(super) fn taken(sigma: f64, typical: f64) -> f64 {
     sigma.min(typical * MOST).max(FLOOR.0)
+}
+
+/// What the lanes measure of their accelerometers along the thrust.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Shaken {
+    /// By which they differ from each other over means of 0.8 s, m/s²: what the vote goes by, and a lane's noise unless that is less than
+    /// `of_imus::NOISE_MPS2`.
+    pub noise_mps2: f64,
+    /// What all of them may be off by alike as they are shaken, m/s²: a lane takes it for noise as well, and the less of the force from
+    /// its accelerometer the more it is.
+    pub rectified_mps2: f64,
+}
+
+impl Shaken {
+    /// Part of the specific force along the thrust that is an accelerometer's; the rest is commanded.
+    pub fn own(&self) -> f64 {
+        1.0 - share(self.rectified_mps2)
+    }
+
+    /// What a lane takes the specific force for of which it measures `noise_mps2`, m/s².
+    pub(super) fn taken(&self, noise_mps2: f64) -> f64 {
+        mixed(noise_mps2.max(FLOOR.0).hypot(self.rectified_mps2), share(self.rectified_mps2))
+    }
 }
 
 fn six(of: (f64, f64)) -> Six {
