@@ -142,6 +142,7 @@ class EnvelopeQuestion(TypedDict):
     most: NotRequired[int | None]
     noise_mps2: NotRequired[float | None]
     proof: NotRequired[bool]
+    rectified_mps2: NotRequired[float | None]
     sensors: NotRequired[list[str] | None]
     suite: NotRequired[str | None]
     without: NotRequired[list[str]]
