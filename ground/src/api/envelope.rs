@@ -29,7 +29,7 @@ use super::extract::{Path, Query};
 use crate::hub::VehicleError;
 
 /// Answers kept; the oldest goes.
-const KEPT: usize = 128;
+const KEPT: usize = 512;
 
 /// What an answer follows from.
 type Key = (EnvelopeQuestion, Option<Suite>);

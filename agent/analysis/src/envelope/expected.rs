@@ -64,12 +64,14 @@ impl Expected {
     }
 }
 
-/// What is expected of `added` for `horizon_s`; `seed` of the noise.
+/// What is expected of `added` for `horizon_s`; `seed` of the noise. The judges hear the loop of accelerometers that rectify nothing, which is
+/// as they are flown: with what is rectified heights would be followed, and seen later than they are.
 ///
 /// # Errors
 /// [`EnvelopeError`].
-pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -> Result<Expected, EnvelopeError> {
+pub fn expected(shaken: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -> Result<Expected, EnvelopeError> {
     let sensors: Vec<SensorId> = added.iter().map(|one| one.sensor).collect();
+    let flying = &shaken.at_rest();
     let attacked = flying.attacked(&sensors, Regime::Full)?;
     let every = attacked.attacked();
     let value = |sensor: SensorId, k: usize| {
@@ -82,8 +84,9 @@ pub fn expected(flying: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     };
     // The last slots are closed behind the horizon of the lanes.
     let response = attacked.respond(horizon_s + HORIZON_S + SLOT, 1, &value)?;
+    let moved = shaken.attacked(&sensors, Regime::Full)?.respond(horizon_s, 1, &value)?;
     let within = (horizon_s / SLOT).round() as usize;
-    let altitude_m = response.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
+    let altitude_m = moved.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
     let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], &flying.shaken, ALTITUDE_M);

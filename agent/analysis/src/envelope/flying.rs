@@ -187,6 +187,11 @@ impl Loop {
         Ok(Self { heave: Some((amplitude_m, period_s)), ..self })
     }
 
+    /// The same with accelerometers that rectify nothing.
+    pub(super) fn at_rest(&self) -> Self {
+        Self { shaken: Shaken { rectified_mps2: 0.0, ..self.shaken }, ..self.clone() }
+    }
+
     /// So long after the onset, m.
     pub(super) fn altitude_m(&self, time_s: f64) -> f64 {
         let swing = |(m, period_s): (f64, f64)| m * (std::f64::consts::TAU * time_s / period_s).sin();

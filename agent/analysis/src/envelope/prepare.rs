@@ -10,6 +10,7 @@
 //! Those along a horizontal axis are in `aside`.
 
 use plumbline_core::attack::Bounds;
+use plumbline_core::estimate::lanes::linear::Shaken;
 use plumbline_core::flight::{ROTOR_SIGMA, rotor_information};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::suite::Suite;
@@ -30,6 +31,8 @@ pub(super) const STEALTHY: f64 = 0.05;
 pub(super) const HALVINGS: usize = 7;
 /// Largest bias tried, m.
 const LARGEST_M: f64 = 0.5;
+/// Accelerometers that rectify more are shaken, m/s²: it is 0.03 where nothing vibrates.
+const SHAKEN_MPS2: f64 = 0.1;
 /// Seed of the noise drawn: the same question, the same answer.
 pub(super) const SEED: u64 = 21;
 /// Longest attack that is judged, s.
@@ -332,6 +335,14 @@ fn judged(asked: &Asked, attacks: &[PlannedAttack]) -> Result<(Option<Expected>,
     if of.is_empty() || end_s - first_s > LONGEST_S {
         let longest = format!("nothing is expected beyond {LONGEST_S} s");
         return Ok((None, if of.is_empty() { String::new() } else { longest }));
+    }
+    let Shaken { rectified_mps2, .. } = asked.flying.shaken;
+    if rectified_mps2 > SHAKEN_MPS2 && of.iter().any(|(sensor, _)| sensor.kind == SensorKind::Imu) {
+        let why = format!(
+            "nothing is expected of an accelerometer where all rectify {rectified_mps2:.2} m/s², above {SHAKEN_MPS2}: without that the model sees \
+             one of 1 m/s², with it none of 4, and half are seen at 3"
+        );
+        return Ok((None, why));
     }
     let sums: Vec<_> =
         of.iter().map(|(sensor, all)| (*sensor, move |t: f64| all.iter().map(|f| f(t)).sum::<f64>())).collect();
