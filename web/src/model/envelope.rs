@@ -165,10 +165,10 @@ mod tests {
         let of = Of { without: vec!["height 2".into()], rectified_mps2: [0.3, 0.45] };
         assert_eq!(of.questions().len(), 2 * NOISES_MPS2.len());
         let table = Table { of, rows: [vec![(0.1, 0.02), (0.5, 0.04)], vec![(0.1, 0.03), (0.5, 0.05)]] };
-        let at = |noise| between(&table.rows, noise, 0.3);
+        let at = |noise| between(&table.rows, noise, 0.375);
         assert!(at(0.05) == at(0.1) && at(0.1) < at(0.3) && at(0.3) < at(0.5) && at(0.6).is_none());
         // Half way, and raised.
-        assert!(at(0.3).is_some_and(|m| (0.03..0.032).contains(&m)));
+        assert!(at(0.3).is_some_and(|m| (0.035..0.037).contains(&m)));
         let sensor = |instance, flagged| SecureSensor {
             sensor: SensorKind::Height as i32,
             instance,
@@ -186,7 +186,7 @@ mod tests {
         assert_eq!(table.bound_now_m(&status(false), lanes), None, "another set is excluded");
         let calmer = SecureStatus { accel_rectified_mps2: Some(0.2), ..status(true) };
         assert_eq!(table.bound_now_m(&calmer, lanes), None, "it is shaken by less");
-        let [low, half, high] = [0.3, 0.375, 0.45].map(|rectified| between(&table.rows, 0.1, rectified).unwrap());
+        let [low, half, high] = [0.33, 0.375, 0.42].map(|rectified| between(&table.rows, 0.1, rectified).unwrap());
         assert!((half - 0.5 * (low + high)).abs() < 1e-12 && low < high, "{low} {half} {high}");
         let questions = table.of.questions();
         let bounds_m: Vec<f64> = (0..questions.len()).map(|n| n as f64).collect();
