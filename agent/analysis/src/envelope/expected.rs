@@ -84,9 +84,12 @@ pub fn expected(shaken: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     };
     // The last slots are closed behind the horizon of the lanes.
     let response = attacked.respond(horizon_s + HORIZON_S + SLOT, 1, &value)?;
-    let moved = shaken.attacked(&sensors, Regime::Full)?.respond(horizon_s, 1, &value)?;
+    let is_shaken = shaken.shaken != flying.shaken;
+    let moved =
+        is_shaken.then(|| shaken.attacked(&sensors, Regime::Full)?.respond(horizon_s, 1, &value)).transpose()?;
     let within = (horizon_s / SLOT).round() as usize;
-    let altitude_m = moved.place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
+    let altitude_m =
+        moved.as_ref().unwrap_or(&response).place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
     let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
     let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], &flying.shaken, ALTITUDE_M);
@@ -189,8 +192,7 @@ impl Heard<'_> {
             let attacked = own.and_then(|own| differs.get(own));
             let draw: f64 = StandardNormal.sample(dice);
             let read_mps2 = sigma_mps2 * draw;
-            let own_mps2 = self.attacked.flying.shaken.own() * read_mps2;
-            let inputs = state.iter().chain(std::iter::once(&own_mps2)).chain(noises).copied();
+            let inputs = state.iter().chain(std::iter::once(&read_mps2)).chain(noises).copied();
             let out = slot.map * SVector::<f64, INPUTS>::from_iterator(inputs);
             state.iter_mut().zip(out.iter()).for_each(|(state, out)| *state = *out);
             let of = |j: usize| {
