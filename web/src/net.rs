@@ -132,7 +132,7 @@ pub async fn command(
     };
     match (answer, within_ms) {
         (Err(Failure { status: 0, .. }), Some(ms)) if overdue.as_ref().is_some_and(AbortSignal::aborted) => {
-            let text = format!("no answer within {} s, the vehicle may have carried it out", ms / 1000);
+            let text = format!("no answer within {} s, the vehicle may have carried it out", f64::from(ms) / 1000.0);
             Err(Failure { status: 0, text })
         }
         (answer, _) => answer,

@@ -1,15 +1,13 @@
 //! A gamepad flies the vehicle shown, in stabilise and in the air, while its right shoulder button is held. Whoever lets go
 //! of it has the vehicle level, and holding its altitude.
 
-use std::cell::RefCell;
-use std::collections::VecDeque;
-use std::rc::Rc;
 use std::time::Duration;
 
 use leptos::{ev, prelude::*};
 use plumbline_proto::v1::Mode;
 use plumbline_rest::command::{self as rest, Answer};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::json;
 use wasm_bindgen::JsCast;
 use web_sys::GamepadButton;
 
@@ -30,6 +28,8 @@ use crate::{
 const DEAD_MAN: u32 = 5;
 /// How often the sticks are read, and sent unless the answer before is still awaited.
 const PERIOD: Duration = Duration::from_millis(50);
+/// How long an order of the sticks may wait for its answer, ms: then they are read anew.
+const STICKS_MS: u32 = 500;
 
 /// The first gamepad there is: its name, its sticks, and whether the dead-man button is held. A browser keeps the last that it
 /// read of it for a hidden page, which therefore holds nothing.
@@ -72,26 +72,10 @@ struct Pad {
     ctx: Ctx,
     name: RwSignal<Option<String>>,
     held: RwSignal<Option<Held>>,
-    line: StoredValue<Line, LocalStorage>,
+    /// An order of the sticks waits for its answer.
+    waits: StoredValue<bool>,
     read_ms: StoredValue<f64>,
 }
-
-/// Orders that wait for the answer to the one before, the first of them under way: one that overtook another would fly on.
-type Line = Rc<RefCell<VecDeque<Order>>>;
-
-/// Something asked of a vehicle.
-#[derive(Clone)]
-struct Order {
-    vehicle: String,
-    /// For people; of the sticks themselves only what is refused is said.
-    what: &'static str,
-    action: &'static str,
-    body: Value,
-    seen_us: u64,
-}
-
-/// What the sticks ask, many times a second.
-const STICKS: &str = "Sticks";
 
 impl Pad {
     fn read(self) {
@@ -131,57 +115,58 @@ impl Pad {
         }
     }
 
-    /// Has the vehicle that was flown, whichever is shown by now, level once, and then hold its altitude.
+    /// Only what was answered last is followed: sticks that were not heard in time are read anew.
+    fn send(self, Held { vehicle, asked, seen_us }: Held) {
+        if self.waits.get_value() {
+            return;
+        }
+        self.waits.set_value(true);
+        leptos::task::spawn_local(async move {
+            let answer = command(self.ctx, &vehicle, "setpoint", asked.setpoint(), seen_us, STICKS_MS).await;
+            self.waits.try_update_value(|waits| *waits = false);
+            // What overtook it is the release, after which an order of the sticks is refused, and may be.
+            if answer.is_err() && self.held.try_with_untracked(Option::is_some) == Some(true) {
+                self.ctx.dispatch(Event::Answered("Sticks".to_owned(), answer));
+            }
+        });
+    }
+
+    /// Has the vehicle that was flown, whichever is shown by now, hold its altitude: it is level then, and deaf to sticks that are
+    /// still under way. Where it cannot hold it, it is asked to be level.
     fn let_go(self, held: Held) {
         let shown = self.ctx.app.with_value(|app| app.vehicle.as_ref() == Some(&held.vehicle));
         if shown && idle(self.ctx).is_some() {
             return;
         }
-        let seen_us = if shown { self.ctx.seen_us() } else { held.seen_us };
-        let level = Asked::level(held.asked.roll_pitch_yaw_rad[2]).setpoint();
-        let mode = names::mode_json(Mode::AltitudeHold);
-        for (what, action, body) in [
-            ("Sticks let go: level", "setpoint", json!(level)),
-            ("Sticks let go: altitude hold", "mode", json!(rest::Mode { mode })),
-        ] {
-            self.order(Order { vehicle: held.vehicle.clone(), what, action, body, seen_us });
-        }
-    }
-
-    /// Only what was answered last is followed: sticks that were not heard in time are read anew.
-    fn send(self, Held { vehicle, asked, seen_us }: Held) {
-        if self.line.with_value(|line| line.borrow().is_empty()) {
-            let body = json!(asked.setpoint());
-            self.order(Order { vehicle, what: STICKS, action: "setpoint", body, seen_us });
-        }
-    }
-
-    /// Puts an order in the line, which is worked off even when the page is left.
-    fn order(self, order: Order) {
-        let Some(line) = self.line.try_get_value() else { return };
-        line.borrow_mut().push_back(order);
-        if line.borrow().len() > 1 {
-            return;
-        }
+        let Held { vehicle, asked, seen_us } = held;
+        let seen_us = if shown { self.ctx.seen_us() } else { seen_us };
+        let ctx = self.ctx;
         leptos::task::spawn_local(async move {
-            loop {
-                let first = line.borrow().front().cloned();
-                let Some(Order { vehicle, what, action, body, seen_us }) = first else { return };
-                let answer = command(self.ctx, &vehicle, action, body, seen_us).await;
-                line.borrow_mut().pop_front();
-                if what != STICKS || answer.is_err() {
-                    self.ctx.dispatch(Event::Answered(what.to_owned(), answer));
-                }
+            let mode = rest::Mode { mode: names::mode_json(Mode::AltitudeHold) };
+            let held = command(ctx, &vehicle, "mode", mode, seen_us, net::COMMAND_MS).await;
+            let refused = held.is_err();
+            ctx.dispatch(Event::Answered("Sticks let go: altitude hold".to_owned(), held));
+            if refused {
+                let level = Asked::level(asked.roll_pitch_yaw_rad[2]).setpoint();
+                let answer = command(ctx, &vehicle, "setpoint", level, seen_us, net::COMMAND_MS).await;
+                ctx.dispatch(Event::Answered("Sticks let go: level".to_owned(), answer));
             }
         });
     }
 }
 
 /// Sends a command to a vehicle, shown or not, of which `seen_us` was shown last.
-async fn command(ctx: Ctx, vehicle: &str, action: &str, body: Value, seen_us: u64) -> Result<Answer, Failure> {
+async fn command(
+    ctx: Ctx,
+    vehicle: &str,
+    action: &str,
+    body: impl Serialize,
+    seen_us: u64,
+    within_ms: u32,
+) -> Result<Answer, Failure> {
     let url = format!("/api/v1/vehicles/{}/{action}", js_sys::encode_uri_component(vehicle));
     let who = untrack(|| ctx.operator());
-    net::command("POST", &url, body.to_string(), &who, seen_us, Some(net::COMMAND_MS)).await
+    net::command("POST", &url, json!(body).to_string(), &who, seen_us, Some(within_ms)).await
 }
 
 /// The card; nothing where no gamepad is connected. A browser shows one once a button of it was pressed.
@@ -192,7 +177,7 @@ pub fn GamepadCard() -> impl IntoView {
         ctx,
         name: RwSignal::new(None),
         held: RwSignal::new(None),
-        line: StoredValue::new_local(Line::default()),
+        waits: StoredValue::new(false),
         read_ms: StoredValue::new(net::now_ms()),
     };
     every(PERIOD, move || pad.read());
