@@ -1,6 +1,6 @@
-//! Names of estimators and decoders in configuration, scenarios, the HTTP API and on the command line.
+//! Names of estimators and decoders: in configuration, scenarios, the HTTP API and on the command line, and for people.
 
-use crate::v1::{Decoder, EstimatorKind};
+use crate::v1::{Decoder, EstimatorKind, Health};
 
 /// Names that older files and scripts use.
 const FORMER: [(&str, EstimatorKind); 3] = [
@@ -22,6 +22,22 @@ impl EstimatorKind {
         former.or_else(|| if lower() { present() } else { None }).filter(|kind| *kind != Self::Unspecified)
     }
 
+    /// For people.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Unspecified => "—",
+            Self::EkfBias => "EKF with biases",
+            Self::Complementary => "Complementary filter",
+            Self::EkfHybrid => "Hybrid EKF",
+            Self::Ukf => "UKF",
+            Self::ConstantAcceleration => "Constant acceleration",
+            Self::Vqf => "VQF",
+            Self::AttitudeEkf => "Attitude EKF",
+            Self::Secure => "Window decoder",
+            Self::Lanes => "Secure (lanes)",
+        }
+    }
+
     /// Every estimator, by its number.
     pub fn all() -> impl Iterator<Item = Self> {
         (1..).map_while(|number| Self::try_from(number).ok())
@@ -38,6 +54,29 @@ impl Decoder {
     pub fn named(name: &str) -> Option<Self> {
         let present = Self::from_str_name(&format!("DECODER_{}", name.to_ascii_uppercase()));
         present.filter(|decoder| *decoder != Self::Unspecified)
+    }
+
+    /// For people.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Unspecified => "—",
+            Self::L2 => "ℓ1/ℓ2",
+            Self::L1 => "ℓ1/ℓ1",
+            Self::L2Split => "ℓ1/ℓ2, split",
+            Self::L1Split => "ℓ1/ℓ1, split",
+        }
+    }
+}
+
+impl Health {
+    /// For people, within a sentence.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Unspecified => "of unknown health",
+            Self::Initialising => "initialising",
+            Self::Healthy => "healthy",
+            Self::Degraded => "degraded",
+        }
     }
 }
 

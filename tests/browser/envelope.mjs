@@ -84,8 +84,8 @@ await step(page, 'envelope: the optimal attack comes into the draft, and what is
   const [one] = await until('it in the draft', async () => (await drafted()).length === 1 && drafted());
   assert(/^height 2: bias \+0\.\d+ m, a sequence\+5 s, 5 s/.test(one), one);
   const text = await until('what is expected', async () => {
-    const text = await attacks.getByText(/^With lanes in the loop an exclusion is expected in/).textContent();
-    return /in \d+ % of flights; the altitude moves up to [\d.]+ cm\.$/.test(text) && text;
+    const text = await attacks.getByText(/^With lanes in the loop an exclusion or a contradiction is expected in/).textContent();
+    return /in \d+ % of flights; until then the altitude moves up to [\d.]+ cm\.$/.test(text) && text;
   }, 60_000);
   assert(number(/up to ([\d.]+) cm/.exec(text)[1]) > 1, text);
   await attacks.scrollIntoViewIfNeeded();
@@ -150,7 +150,7 @@ await step(page, 'envelope: the rotors can move along, and their part is in the 
   await until('eleven in the draft', async () => (await drafted()).length === 11);
   const rotors = (await drafted()).filter((text) => /^rotor \d: bias/.test(text));
   assert(rotors.length === 4, JSON.stringify(await drafted()));
-  await attacks.getByText(/^With lanes in the loop an exclusion is expected in \d+ % of flights; the altitude moves up to [\d.]+ cm\.$/).waitFor();
+  await attacks.getByText(/^With lanes in the loop an exclusion or a contradiction is expected in \d+ % of flights; until then the altitude moves up to [\d.]+ cm\.$/).waitFor();
   await attacks.getByRole('button', { name: 'Schedule 11 attacks' }).click();
   await until('accepted', async () => /accepted|active/i.test(await attacks.getByRole('listitem').first().textContent()));
   await attacks.getByRole('button', { name: 'Abort all' }).click();

@@ -54,7 +54,7 @@ await step(page, 'paths: a heave is flown, named, and stopped', async () => {
     seen.push(await setpoint());
     return Math.max(...seen) > 0.9 && Math.min(...seen) < 0.7;
   });
-  await button('Path: Heave').waitFor();
+  await button('Path: heave').waitFor();
   await form.getByRole('button', { name: 'Stop' }).click();
   await until('the path to end', async () => form.getByRole('button', { name: 'Stop' }).isDisabled());
   return { least: Math.min(...seen), most: Math.max(...seen) };

@@ -44,7 +44,7 @@ fn bounds_are_those_of_lanes_and_a_demand_is_in_range() {
     let mut flight = flight("ekf_bias");
     flight.envelope_bounded(GainsRevision(0), Ok(Some(0.0)));
     let (passed, reason) = check(&flight);
-    assert!(!passed && reason.contains("EkfBias is in the loop"), "{reason}");
+    assert!(!passed && reason.contains("Secure (lanes), EKF with biases is in the loop"), "{reason}");
     for (text, named) in [
         ("[envelope]\naltitude_max_m = -1.0\n", "envelope.altitude_max_m = -1"),
         ("[envelope]\naltitude_max_m = 0.1\nsensors = 9\n", "envelope.sensors = 9"),

@@ -144,6 +144,8 @@ pub struct EnvelopeCertificate {
     /// `full`: every sensor weighs fully; `outvoted`: healthy heights weigh as little as just before their exclusion. The larger
     /// bound is told, and this is its certificate.
     pub regime: String,
+    /// When the altitude is furthest, s since the onset.
+    pub end_s: f64,
     /// λᵢ and lᵢ.
     pub multipliers: Vec<EnvelopeMultiplier>,
     /// The second sum, m: what the multipliers leave to the most that may be added.
@@ -209,12 +211,12 @@ pub struct AttackQuestion {
 pub struct PreparedAttack {
     /// As a schedule has them.
     pub attacks: Vec<PlannedAttack>,
-    /// Part of flights in which an attacked sensor is excluded: drawn white noise, of accelerometers as measured, about hover. Of a rotor in which
+    /// Part of flights in which a sensor is excluded, or heights are found to contradict each other: drawn white noise, of accelerometers as measured, about hover. Of a rotor in which
     /// it is isolated, of a replay in which the watermark tells it: by closed forms, which `note` says. Along x and y only where
     /// motion capture measures the motion, or every IMU has the same added.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// Furthest that they move the altitude of the linear loop, m.
+    /// Furthest that they move the altitude of the linear loop until they are seen, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub altitude_m: Option<f64>,
     /// Along a horizontal axis, where that is pushed or `attacks` were judged: furthest that they tilt the linear loop, rad;

@@ -6,7 +6,7 @@ use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::trajectory::{Shape, Trajectory};
 use plumbline_agent::envelope::flying::Regime;
-use plumbline_agent::envelope::sets::{Asked, Verdict, verdict};
+use plumbline_agent::envelope::sets::{Asked, Found, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
 use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_agent::flight::Failsafe;
@@ -338,8 +338,8 @@ impl Bounds {
         let question = EnvelopeQuestion { heave, sensors, ..asked_with(shaken) };
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
-            let (found, regime) = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
-            let Verdict::Bounded(bound) = found else { return None };
+            let Found { verdict, regime, .. } = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
+            let Verdict::Bounded(bound) = verdict else { return None };
             let mut worst = vec![bound.attack];
             if regime != Regime::Full {
                 let full = asked.flying.attacked(sensors, Regime::Full).unwrap();

@@ -89,6 +89,7 @@ impl Flown {
     /// Gives a command between two ticks; its answer is kept.
     pub fn command(&mut self, command: Command) -> Ack {
         let ack = self.flight.apply(&command, self.now());
+        for_people(&ack.reason);
         self.acks.push((self.now(), ack));
         ack
     }
@@ -109,6 +110,7 @@ impl Flown {
         let script = self.scenario.script.clone();
         script.commands(before, frame.time, |c| {
             let ack = self.flight.apply(c, frame.time);
+            for_people(&ack.reason);
             self.acks.push((frame.time, ack));
         });
         let report = self.flight.step(&frame).clone();
@@ -124,7 +126,10 @@ impl Flown {
                 None => self.steps.push(response),
             }
         }
-        self.flight.drain_events(|e| self.events.push(*e));
+        self.flight.drain_events(|e| {
+            for_people(&e.text);
+            self.events.push(*e);
+        });
         let kind = self.flight.estimator_in_loop();
         let estimate = self.flight.estimates().find(|e| e.0 == kind).unwrap().1.clone();
         let truth = self.vehicle.truth().unwrap();
@@ -135,6 +140,9 @@ impl Flown {
     pub fn until(&mut self, t_s: f64) -> &mut Self {
         while self.rows.last().is_none_or(|r| r.t_s < t_s - 1e-9) {
             self.tick();
+        }
+        for check in self.flight.checks(self.now()) {
+            for_people(&check.reason);
         }
         self
     }
@@ -170,6 +178,17 @@ impl Flown {
         }
         out
     }
+}
+
+/// What a vehicle says is read by people: no names of types, no braces.
+#[track_caller]
+fn for_people(text: &str) {
+    let chars = text.chars().zip(text.chars().skip(1));
+    let camel = chars
+        .clone()
+        .zip(chars.skip(1))
+        .any(|((a, b), (_, c))| a.is_lowercase() && b.is_uppercase() && c.is_lowercase());
+    assert!(!camel && !text.contains(['{', '}']) && !text.contains("::"), "names of the code: {text}");
 }
 
 /// GIVEN the scenario WHEN it is flown to its end THEN `expectation` holds; its message names values.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use plumbline_proto::v1::{Description, GainsInUse};
+use plumbline_proto::v1::{Description, EstimatorKind, GainsInUse};
 use plumbline_rest::flight::Flight;
 
 use super::{
@@ -61,7 +61,7 @@ fn described(description: &Description) -> Vec<Row> {
         rows.push(row("climb, descent", format!("{}, {} m/s", short(l.climb_max_mps), short(l.descent_max_mps))));
         rows.push(row("tilt limit", format!("{}°", short(l.tilt_max_rad * DEGREES))));
     }
-    let estimators: Vec<_> = description.estimators().map(names::estimator).collect();
+    let estimators: Vec<_> = description.estimators().map(EstimatorKind::title).collect();
     rows.push(row("estimators", estimators.join(", ")));
     for s in &description.sensors {
         let sigma = if s.sigma > 0.0 { format!(", σ {} {}", short(s.sigma), s.unit) } else { String::new() };

@@ -358,10 +358,10 @@ impl Curves {
         (self.map.values().map(Series::len).sum(), self.replaced)
     }
 
-    /// Puts a signal on its chart: time, s, rising, and value; with a gap where samples are further apart than `gap_s`.
-    pub fn set_signal(&mut self, place: u8, samples: impl IntoIterator<Item = (f64, f64)>, gap_s: f64) {
+    /// Has a curve hold these samples: time, s, rising, and value; with a gap where they are further apart than `gap_s`.
+    pub fn set(&mut self, curve: Curve, samples: impl IntoIterator<Item = (f64, f64)>, gap_s: f64) {
         let samples = samples.into_iter().map(|(time_s, value)| (time_s, value as f32));
-        self.map.insert(Curve::Signal(place), Series::from_samples(samples).with_max_gap(gap_s.max(GAP_S)));
+        self.map.insert(curve, Series::from_samples(samples).with_max_gap(gap_s.max(GAP_S)));
         self.replaced += 1;
     }
 

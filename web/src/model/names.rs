@@ -65,41 +65,14 @@ pub fn mode_help(mode: Mode) -> &'static str {
     }
 }
 
-/// A decoder for people.
-pub fn decoder(decoder: Decoder) -> &'static str {
-    match decoder {
-        Decoder::Unspecified => "—",
-        Decoder::L2 => "ℓ1/ℓ2",
-        Decoder::L1 => "ℓ1/ℓ1",
-        Decoder::L2Split => "ℓ1/ℓ2, split",
-        Decoder::L1Split => "ℓ1/ℓ1, split",
-    }
-}
-
-/// An estimator for people.
-pub fn estimator(kind: EstimatorKind) -> &'static str {
-    match kind {
-        EstimatorKind::Unspecified => "—",
-        EstimatorKind::EkfBias => "EKF with biases",
-        EstimatorKind::Complementary => "Complementary filter",
-        EstimatorKind::EkfHybrid => "Hybrid EKF",
-        EstimatorKind::Ukf => "UKF",
-        EstimatorKind::ConstantAcceleration => "Constant acceleration",
-        EstimatorKind::Vqf => "VQF",
-        EstimatorKind::AttitudeEkf => "Attitude EKF",
-        EstimatorKind::Secure => "Window decoder",
-        EstimatorKind::Lanes => "Secure (lanes)",
-    }
-}
-
 /// Does an estimator of this kind estimate the altitude? Where it does not, no mode that holds one can be flown.
 pub fn estimates_altitude(kind: EstimatorKind) -> bool {
     !kind.attitude_only()
 }
 
-/// As [`estimator`], by its number.
+/// An estimator for people, by its number.
 pub fn estimator_numbered(number: u16) -> &'static str {
-    estimator(EstimatorKind::try_from(i32::from(number)).unwrap_or_default())
+    EstimatorKind::try_from(i32::from(number)).unwrap_or_default().title()
 }
 
 /// A sensor kind for people: the words of its name in the schema, so that a new kind needs none here.

@@ -2,7 +2,7 @@
 //! whether that is within a tolerance, all their steps, and what they were flown with.
 
 use leptos::prelude::*;
-use plumbline_rest::flight::{Flight, Samples, Signal as Recorded, Signals};
+use plumbline_rest::flight::{Flight, OVERVIEW_COLUMNS, Samples, Signal as Recorded, Signals};
 
 use crate::{
     ctx::ctx,
@@ -18,7 +18,7 @@ use crate::{
         series::Series,
     },
     net,
-    page::flight::load,
+    page::flight::{WHOLE_S, load},
     palette,
     panel::{
         legend::{Entry, Legend, Swatch, TableButton},
@@ -122,8 +122,8 @@ fn verdict(curves: &Curves, of: u8, axis: TimeAxis, tolerance: Option<f64>) -> O
     (!extent.is_empty()).then(|| (largest, tolerance.map(|most| largest <= most)))
 }
 
-/// Flights to compare: their curves, and what is known of them.
-type Loaded = (StoredValue<Vec<Live>, LocalStorage>, Deck, Vec<Flight>, Vec<Vec<Row>>);
+/// Flights to compare: their curves, what is known of them, and how many samples were recorded for each altitude drawn.
+type Loaded = (StoredValue<Vec<Live>, LocalStorage>, Deck, Vec<Flight>, Vec<Vec<Row>>, u64);
 
 /// The page of several flights.
 #[component]
@@ -140,14 +140,16 @@ pub fn Compare(
     leptos::task::spawn_local(async move {
         let mut flights = Vec::new();
         let mut summaries = Vec::new();
+        let mut each = 1;
         for (done, id) in ids.iter().enumerate() {
             let summary = net::json::<Flight>("GET", &format!("/api/v1/flights/{id}"), None, "").await;
             let length_s = summary.as_ref().map_or(f64::INFINITY, |flight| flight.duration_s.max(1e-3));
             let told = |covered_s: f64| {
                 let _ = share.try_set(Some((done as f64 + (covered_s / length_s).min(1.0)) / ids.len() as f64));
             };
-            match (summary, load(id, KINDS, "", told).await) {
-                (Ok(summary), Ok(flight)) => {
+            match (summary, whole(id, length_s, told).await) {
+                (Ok(summary), Ok((flight, of))) => {
+                    each = each.max(of);
                     summaries.push(summary);
                     flights.push(flight);
                 }
@@ -165,7 +167,7 @@ pub fn Compare(
             let mut live = Live::recorded();
             live.curves = overlay(&flights, Align::Begin, &[], false);
             let (flights, deck) = owner.with(|| (StoredValue::new_local(flights), Deck::recorded(ctx, live)));
-            state.set(Some(Ok((flights, deck, summaries, rows))));
+            state.set(Some(Ok((flights, deck, summaries, rows, each))));
         }
     });
     on_cleanup(move || ctx.deck.set(None));
@@ -179,11 +181,11 @@ pub fn Compare(
             {move || match state.get() {
                 None => view! { <Waiting text="Loading the recordings…" share /> }.into_any(),
                 Some(Err(why)) => view! { <p class="banner bad" role="alert">{why}</p> }.into_any(),
-                Some(Ok((lives, deck, flights, rows))) => {
+                Some(Ok((lives, deck, flights, rows, each))) => {
                     ctx.deck.set(Some(deck));
                     provide_context(deck);
                     view! {
-                        <Overlay deck lives flights=flights.clone() />
+                        <Overlay deck lives flights=flights.clone() each />
                         <Figures flights=flights.clone() />
                         <Steps flights=flights.clone() />
                         <Configuration flights rows />
@@ -200,30 +202,70 @@ type What = Option<Recorded>;
 /// Stretches asked for of a signal: of two minutes every sample at 200 Hz.
 const COLUMNS: usize = 10_000;
 
-/// Reads a signal of a flight into its curves; how many samples were recorded for each that came.
-async fn read(id: &str, name: &str, lives: StoredValue<Vec<Live>, LocalStorage>, i: usize) -> Result<u64, String> {
-    let told = |failure: Failure| format!("{id}: {}", failure.text);
-    let known = net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await.map_err(told)?;
-    let asked = String::from(js_sys::encode_uri_component(name));
-    let url = format!("/api/v1/flights/{id}/signal?name={asked}&columns={COLUMNS}");
-    let samples = net::json::<Samples>("GET", &url, None, "").await.map_err(told)?;
-    let length_s = samples.time_s.last().copied().unwrap_or(0.0);
-    let pairs = samples.time_s.iter().map(|time_s| known.start_s + time_s).zip(samples.value.iter().copied());
-    lives.try_update_value(|lives| {
-        if let Some(live) = lives.get_mut(i) {
-            live.curves.set_signal(0, pairs, 4.0 * length_s / COLUMNS as f64);
-        }
-    });
-    Ok(samples.samples.div_ceil(samples.time_s.len().max(1) as u64))
+/// A signal of a flight.
+struct Read {
+    /// Flight time at which the flight begins, s; samples count from there.
+    start_s: f64,
+    samples: Samples,
 }
 
-/// The curves, and what they differ by.
+impl Read {
+    async fn of(id: &str, name: &str) -> Result<Self, Failure> {
+        let known = net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await?;
+        let asked = String::from(js_sys::encode_uri_component(name));
+        let url = format!("/api/v1/flights/{id}/signal?name={asked}&columns={COLUMNS}");
+        Ok(Self { start_s: known.start_s, samples: net::json("GET", &url, None, "").await? })
+    }
+
+    /// Becomes this curve.
+    fn put(&self, curves: &mut Curves, curve: Curve) {
+        let length_s = self.samples.time_s.last().copied().unwrap_or(0.0);
+        let times = self.samples.time_s.iter().map(|time_s| self.start_s + time_s);
+        curves.set(curve, times.zip(self.samples.value.iter().copied()), 4.0 * length_s / COLUMNS as f64);
+    }
+
+    /// How many samples were recorded for each that came.
+    fn each(&self) -> u64 {
+        self.samples.samples.div_ceil(self.samples.time_s.len().max(1) as u64)
+    }
+}
+
+/// What is compared of a flight that lasts `length_s`. Of a long one the ground thins what only tells when things happened; the
+/// altitude in the loop and its setpoint come as signals do. And how many samples were recorded for each of theirs.
+async fn whole(id: &str, length_s: f64, told: impl Fn(f64)) -> Result<(Live, u64), Failure> {
+    if length_s <= WHOLE_S {
+        return Ok((load(id, KINDS, "", told).await?, 1));
+    }
+    let mut flight = load(id, KINDS, &format!("&columns={OVERVIEW_COLUMNS}"), told).await?;
+    let (estimator, mut each) = (flight.in_loop(), 1);
+    for (curve, name) in [
+        (Curve::Altitude(estimator), format!("estimate_{estimator}.position_enu_m.z")),
+        (Curve::SetpointAltitude, "control.setpoint.altitude_m".to_owned()),
+    ] {
+        if flight.curves.get(curve).is_some() {
+            let read = Read::of(id, &name).await?;
+            each = each.max(read.each());
+            read.put(&mut flight.curves, curve);
+        }
+    }
+    Ok((flight, each))
+}
+
+/// What is said where one of so many samples is drawn.
+fn thinned(each: u64) -> Option<Result<String, String>> {
+    let text = format!(
+        "long: drawn is the least and the greatest of about {each} samples, and the difference is between those"
+    );
+    (each > 1).then_some(Ok(text))
+}
+
+/// The curves, and what they differ by; `each` altitude drawn is one of so many.
 #[component]
-fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec<Flight>) -> impl IntoView {
+fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec<Flight>, each: u64) -> impl IntoView {
     let chosen = RwSignal::new(Align::Begin);
     let shifts = RwSignal::new(vec![0.0; flights.len()]);
     let what = RwSignal::new(None::<Recorded>);
-    let said = RwSignal::new(None::<Result<String, String>>);
+    let said = RwSignal::new(thinned(each));
     let lay = move || {
         let signal = what.with_untracked(Option::is_some);
         let curves = lives.with_value(|lives| shifts.with(|shifts| overlay(lives, chosen.get(), shifts, signal)));
@@ -255,6 +297,7 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
     let compare = move |name: String| {
         said.set(None);
         if name.trim().is_empty() {
+            said.set(thinned(each));
             what.set(None);
             return;
         }
@@ -267,15 +310,19 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
         leptos::task::spawn_local(async move {
             let mut each = 1;
             for (i, id) in ids.try_get_value().unwrap_or_default().iter().enumerate() {
-                match read(id, &signal.name, lives, i).await {
-                    Ok(of) => each = each.max(of),
-                    Err(why) => return drop(said.try_set(Some(Err(why)))),
+                match Read::of(id, &signal.name).await {
+                    Ok(read) => {
+                        each = each.max(read.each());
+                        lives.try_update_value(|lives| {
+                            if let Some(live) = lives.get_mut(i) {
+                                read.put(&mut live.curves, Curve::Signal(0));
+                            }
+                        });
+                    }
+                    Err(why) => return drop(said.try_set(Some(Err(format!("{id}: {}", why.text))))),
                 }
             }
-            let thinned = format!(
-                "long: drawn is the least and the greatest of about {each} samples, and the difference is between those"
-            );
-            said.try_set((each > 1).then_some(Ok(thinned)));
+            said.try_set(thinned(each));
             what.try_set(Some(signal));
         });
     };
@@ -626,7 +673,7 @@ mod tests {
                 live.curves.push(Curve::Altitude(0), start + i * 10_000, climbs);
             }
             let samples = (0..100).map(|i| (start as f64 * 1e-6 + f64::from(i) * 0.01, f64::from(i >= 50) + offset));
-            live.curves.set_signal(0, samples, 0.1);
+            live.curves.set(Curve::Signal(0), samples, 0.1);
             live
         };
         let flights = [flown(5_000_000, 0.0), flown(1_000_000, 0.25)];

@@ -42,6 +42,7 @@ use crate::{
     },
 };
 
+pub use detail::WHOLE_S;
 use facts::Summary;
 pub use report::ReportPage;
 use scrub::Scrub;

@@ -1,7 +1,7 @@
 //! Setup: the ground, the vehicle, its suite and limits, and how a real one is connected.
 
 use leptos::prelude::*;
-use plumbline_proto::v1::{Description, LinkStatus};
+use plumbline_proto::v1::{Description, EstimatorKind, LinkStatus};
 use plumbline_rest::ground::Fleet;
 
 use crate::{
@@ -235,7 +235,7 @@ pub fn Setup() -> impl IntoView {
                                     {fact("rig", d.rig.clone())}
                                     {fact("tick rate", format!("{} Hz", format::fixed(d.tick_rate_hz, 0)))}
                                     {fact("seed", d.seed.to_string())}
-                                    {fact("estimators", d.estimators().map(names::estimator).collect::<Vec<_>>().join(", "))}
+                                    {fact("estimators", d.estimators().map(EstimatorKind::title).collect::<Vec<_>>().join(", "))}
                                     {fact("rotors", move || ctx.live(|live| live.status.get().and_then(rotors)).map_or_else(|| "not told".to_owned(), |(text, _)| text))}
                                     {fact("attacks", if d.attacks_enabled { "enabled by its configuration" } else { "off" })}
                                     {(!d.source_file.is_empty()).then(|| fact("replays", d.source_file.clone()))}

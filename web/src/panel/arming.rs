@@ -55,7 +55,7 @@ pub fn unfit(mode: Mode, live: &Live) -> Option<String> {
     let kind = EstimatorKind::try_from(i32::from(live.in_loop())).unwrap_or_default();
     let holds = matches!(mode, Mode::AltitudeHold | Mode::Hold);
     (holds && !names::estimates_altitude(kind))
-        .then(|| format!("{} estimates no altitude: choose another estimator first", names::estimator(kind)))
+        .then(|| format!("{} estimates no altitude: choose another estimator first", kind.title()))
 }
 
 /// The mode card.

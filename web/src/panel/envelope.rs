@@ -86,7 +86,7 @@ pub fn EnvelopeCard() -> impl IntoView {
                 Some(Err(why)) => view! { <p class="bad">{format!("No envelope: {why}.")}</p> }.into_any(),
                 Some(Ok(envelope)) => view! {
                     <p>{format!(
-                        "Whoever adds what they like to the samples of these sensors for {} s, without one being excluded, moves the altitude of the linearised loop with lanes and the gains in use at most so far. Noise, wind and the error of the estimate come on top. Where IMUs vibrate, one of them goes further: the lines on Fly follow the noise that is measured.",
+                        "Whoever adds what they like to the samples of these sensors for {} s, without one being excluded, moves the altitude of the linearised loop with lanes and the gains in use at most so far; for longer, further. Noise, wind and the error of the estimate come on top. Where IMUs vibrate, one of them goes further: the lines on Fly follow the noise that is measured.",
                         envelope.horizon_s,
                     )}</p>
                     <table class="dense">
@@ -118,7 +118,7 @@ pub fn EnvelopeLine(
     let text = move || match answer(found, 0) {
         None => "…".to_owned(),
         Some(Err(why)) => format!("no bound: {why}"),
-        Some(Ok(envelope)) => line(&envelope),
+        Some(Ok(envelope)) => format!("within {} s {}; longer ones further", envelope.horizon_s, line(&envelope)),
     };
     view! { <p class="quiet num">"Unseen attacks, with lanes: " {text}</p> }
 }
@@ -135,7 +135,7 @@ pub fn EnvelopeBeside(
     }));
     view! {
         <section class="card facts" aria-label="Attack envelope of the design">
-            <header><h2>"Attack envelope" <small>"lanes, 10 s, at most"</small></h2></header>
+            <header><h2>"Attack envelope" <small>"lanes, within 10 s, at most"</small></h2></header>
             {move || match (answer(found, 0), answer(found, 1)) {
                 (_, None) => view! { <p class="quiet">"…"</p> }.into_any(),
                 (_, Some(Err(why))) => view! { <p class="bad">{format!("No envelope: {why}.")}</p> }.into_any(),

@@ -40,7 +40,7 @@ pub fn EstimatorCard() -> impl IntoView {
         chosen.set(None);
         keys::let_go();
         if let Some(kind) = kind.filter(|kind| *kind as i32 != in_loop.get_untracked()) {
-            let what = format!("Estimator {}", names::estimator(kind));
+            let what = format!("Estimator {}", kind.title());
             ctx.command(what, "POST", "estimator", json!(rest::Estimator { estimator: names::estimator_json(kind) }));
         }
     };
@@ -71,7 +71,7 @@ pub fn EstimatorCard() -> impl IntoView {
                                 value=(k as i32).to_string()
                                 selected=move || shown() == k as i32
                                 disabled=move || unfit(k)
-                            >{move || if unfit(k) { format!("{} – no altitude", names::estimator(k)) } else { names::estimator(k).to_owned() }}</option>
+                            >{move || if unfit(k) { format!("{} – no altitude", k.title()) } else { k.title().to_owned() }}</option>
                         }).collect::<Vec<_>>().into_any()
                     }
                 }}

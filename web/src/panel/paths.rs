@@ -17,8 +17,8 @@ fn flown(live: &Live) -> Option<String> {
         match event.kind.as_str() {
             "setpoint" => {
                 if let Some(what) = event.text.strip_prefix("path begins: ") {
-                    // "Circle { radius_m: 1.0, … }"
-                    return Some(what.split(" {").next().unwrap_or(what).to_owned());
+                    // "circle of 1 m radius, …"
+                    return Some(what.split(" of ").next().unwrap_or(what).to_owned());
                 }
                 if event.text.starts_with("path") {
                     return None;
@@ -148,11 +148,8 @@ mod tests {
             live.log.event(Event { time_us, kind: kind.into(), text: text.into(), ..Event::default() });
             flown(&live)
         };
-        assert_eq!(
-            say(1, "setpoint", "path begins: Heave { amplitude_m: 0.2, period_s: 8.0 }").as_deref(),
-            Some("Heave")
-        );
-        assert_eq!(say(2, "warning", "a gust").as_deref(), Some("Heave"));
+        assert_eq!(say(1, "setpoint", "path begins: heave of 0.2 m, 8 s a swing").as_deref(), Some("heave"));
+        assert_eq!(say(2, "warning", "a gust").as_deref(), Some("heave"));
         assert_eq!(say(3, "setpoint", "path ended"), None);
         assert_eq!(say(4, "setpoint", "path begins: 3 altitudes, 8 s each").as_deref(), Some("3 altitudes, 8 s each"));
         assert_eq!(say(5, "mode", "mode land"), None);

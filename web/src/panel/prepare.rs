@@ -60,16 +60,18 @@ fn aside(found: &PreparedAttack) -> impl Iterator<Item = String> {
     all.into_iter().flatten()
 }
 
-/// How surely the judges of the lanes exclude somebody, and how far the vehicle moves; `None` where that is not known.
+/// How surely the judges of the lanes exclude somebody or find the heights in contradiction, and how far the vehicle moves; `None` where that is not known.
 fn judged(found: &PreparedAttack) -> Option<String> {
     let percent = format::fixed(100.0 * found.probability?, 0);
     let aside: Vec<String> = aside(found).collect();
     let moves = match found.altitude_m {
-        Some(most_m) => format!("; the altitude moves up to {} cm", format::fixed(100.0 * most_m, 1)),
+        Some(most_m) => format!("; until then the altitude moves up to {} cm", format::fixed(100.0 * most_m, 1)),
         None if aside.is_empty() => String::new(),
-        None => format!("; it moves up to {}", aside.join(", ")),
+        None => format!("; unseen it would move up to {}", aside.join(", ")),
     };
-    Some(format!("With lanes in the loop an exclusion is expected in {percent} % of flights{moves}."))
+    Some(format!(
+        "With lanes in the loop an exclusion or a contradiction is expected in {percent} % of flights{moves}."
+    ))
 }
 
 /// One line on what is expected of a draft.
@@ -268,7 +270,7 @@ mod tests {
             PreparedAttack { probability: Some(0.887), altitude_m: Some(0.0241), ..PreparedAttack::default() };
         assert_eq!(
             told(&expected),
-            "With lanes in the loop an exclusion is expected in 89 % of flights; the altitude moves up to 2.4 cm."
+            "With lanes in the loop an exclusion or a contradiction is expected in 89 % of flights; until then the altitude moves up to 2.4 cm."
         );
         let aside = PreparedAttack {
             probability: Some(0.03),
@@ -279,7 +281,7 @@ mod tests {
         };
         assert_eq!(
             told(&aside),
-            "With lanes in the loop an exclusion is expected in 3 % of flights; it moves up to 0.92°, 2.1 cm/s. More."
+            "With lanes in the loop an exclusion or a contradiction is expected in 3 % of flights; unseen it would move up to 0.92°, 2.1 cm/s. More."
         );
         let note = PreparedAttack { note: "nothing is expected of replay".into(), ..PreparedAttack::default() };
         assert_eq!(told(&note), "nothing is expected of replay");
@@ -305,7 +307,7 @@ mod tests {
         let text = judged(&found).unwrap();
         assert_eq!(
             text,
-            "With lanes in the loop an exclusion is expected in 2 % of flights; the altitude moves up to 35.0 cm."
+            "With lanes in the loop an exclusion or a contradiction is expected in 2 % of flights; until then the altitude moves up to 35.0 cm."
         );
         let drafts: Vec<Draft> = found.attacks.iter().filter_map(Draft::prepared).collect();
         assert_eq!(drafts.len(), 2);
@@ -317,7 +319,7 @@ mod tests {
         assert_eq!(known(None, &drafts), None);
         // A healthy sensor hears of the motion: how far it goes then is not known.
         let heard = PreparedAttack { altitude_m: None, probability: Some(0.95), ..found };
-        let text = "With lanes in the loop an exclusion is expected in 95 % of flights.";
+        let text = "With lanes in the loop an exclusion or a contradiction is expected in 95 % of flights.";
         assert_eq!(judged(&heard).as_deref(), Some(text));
     }
 

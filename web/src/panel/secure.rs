@@ -32,8 +32,7 @@ const DECODERS: [Decoder; 4] = [Decoder::L2, Decoder::L1, Decoder::L2Split, Deco
 fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl IntoView {
     let now = Memo::new(move |_| newest.get().map_or(Decoder::Unspecified, |s| s.decoder()));
     if deck.source == Source::Recorded {
-        return view! { <span class="quiet" aria-label="Decoder">{move || names::decoder(now.get())}</span> }
-            .into_any();
+        return view! { <span class="quiet" aria-label="Decoder">{move || now.get().title()}</span> }.into_any();
     }
     let ctx = ctx();
     let choose = move |list: web_sys::HtmlSelectElement| {
@@ -41,7 +40,7 @@ fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl Int
         // It shows what is in use: the other one once the vehicle solves it.
         list.set_value(&(now.get_untracked() as i32).to_string());
         let Some(decoder) = value.parse().ok().and_then(|n: i32| Decoder::try_from(n).ok()) else { return };
-        let what = format!("Decoder {}", names::decoder(decoder));
+        let what = format!("Decoder {}", decoder.title());
         ctx.command(what, "POST", "decoder", json!(rest::Decoder { decoder: names::decoder_json(decoder) }));
     };
     view! {
@@ -53,7 +52,7 @@ fn DecoderChoice(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl Int
             on:change:target=move |e| choose(e.target())
         >
             {DECODERS.map(|d| view! {
-                <option value=(d as i32).to_string() selected=move || now.get() == d>{names::decoder(d)}</option>
+                <option value=(d as i32).to_string() selected=move || now.get() == d>{d.title()}</option>
             }).collect_view()}
         </select>
     }

@@ -445,7 +445,7 @@ fn draw(deck: Deck, place: u8, start_s: f64, coarse: &Samples, fine: Option<&Sam
     let before = outer.iter().filter(|sample| sample.0 < from);
     let after = outer.iter().filter(|sample| sample.0 > to);
     let all = before.chain(&inner).chain(after).map(|(time_s, value)| (start_s + time_s, *value));
-    deck.data.try_update_value(|live| live.curves.set_signal(place, all, 4.0 * length_s / COLUMNS as f64));
+    deck.data.try_update_value(|live| live.curves.set(Curve::Signal(place), all, 4.0 * length_s / COLUMNS as f64));
 }
 
 /// A spectrum, found again when `span` has changed and stands still; none where that is `None`. One is asked for at a time: of

@@ -43,10 +43,10 @@ pub struct Added<'a> {
 /// What is expected of an attack.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expected {
-    /// Of each of [`DRAWN`] flights the most that the statistic of an attacked sensor reached, of its limit; infinite where one was
-    /// excluded.
+    /// Of each of [`DRAWN`] flights the most that the statistic of an attacked sensor reached, of its limit; infinite where it was seen: a
+    /// sensor was excluded, or the heights were found to contradict each other.
     pub scores: Vec<f64>,
-    /// Furthest that it moves the altitude in the linear loop, m.
+    /// Furthest that it moves the altitude in the linear loop, m: in each of those flights until it is seen, of all of them the most.
     pub altitude_m: f64,
     /// Furthest that it moves the linear loop along a horizontal axis: tilt (rad), velocity (m/s) and position (m); 0 along z.
     pub aside: [f64; 3],
@@ -58,7 +58,7 @@ impl Expected {
         self.seen() as f64 / DRAWN as f64
     }
 
-    /// Flights of [`DRAWN`] in which a sensor attacked was excluded.
+    /// Flights of [`DRAWN`] in which it is seen.
     pub fn seen(&self) -> u64 {
         self.scores.iter().filter(|score| score.is_infinite()).count() as u64
     }
@@ -88,8 +88,7 @@ pub fn expected(shaken: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     let moved =
         is_shaken.then(|| shaken.attacked(&sensors, Regime::Full)?.respond(horizon_s, 1, &value)).transpose()?;
     let within = (horizon_s / SLOT).round() as usize;
-    let altitude_m =
-        moved.as_ref().unwrap_or(&response).place_m.iter().take(within).map(|z| z[0].abs()).fold(0.0, f64::max);
+    let places = moved.as_ref().unwrap_or(&response).place_m.iter();
     let differs = attacked.differs(horizon_s, &value, &BEGUN)?;
     let schedule = flying.schedule()?;
     let maps = cycle(&flying.model, &schedule, &[1.0; MAX_HEIGHTS], &flying.shaken, ALTITUDE_M);
@@ -101,8 +100,11 @@ pub fn expected(shaken: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
     }
     let (attacked, residuals_m, differs) = (&attacked, &residuals_m[..], &differs[..]);
     let heard = Heard { attacked, residuals_m, differs, schedule: &schedule, maps: &maps, horizon_s };
-    let score = |number: u64| heard.score(number, &mut dice(seed, number));
-    Ok(Expected { scores: (0..DRAWN).map(score).collect(), altitude_m, aside: [0.0; 3] })
+    let (scores, unseen): (Vec<f64>, Vec<usize>) =
+        (0..DRAWN).map(|number| heard.score(number, &mut dice(seed, number))).unzip();
+    let longest = unseen.into_iter().max().unwrap_or_default().min(within);
+    let altitude_m = places.take(longest).map(|z| z[0].abs()).fold(0.0, f64::max);
+    Ok(Expected { scores, altitude_m, aside: [0.0; 3] })
 }
 
 /// The noise of flight `number` of those drawn.
@@ -123,8 +125,8 @@ struct Heard<'a> {
 }
 
 impl Heard<'_> {
-    /// See [`Expected::scores`], with noise of these `dice`.
-    fn score(&self, flight: u64, dice: &mut Xoshiro256PlusPlus) -> f64 {
+    /// See [`Expected::scores`], with noise of these `dice`; and how many slots of the attack have gone by when it is seen.
+    fn score(&self, flight: u64, dice: &mut Xoshiro256PlusPlus) -> (f64, usize) {
         let (mut judges, mut most) = (Judged::default(), 0.0);
         let differs = self.differs.get(flight as usize % BEGUN.len()).map_or(&[][..], Vec::as_slice);
         // The attack begins with the cycle of the heights.
@@ -140,15 +142,19 @@ impl Heard<'_> {
                 most = f64::max(most, self.ratio(&judges));
             }
             if most.is_infinite() {
-                break;
+                // The lanes judge that far back.
+                return (most, number - before + 1 + (HORIZON_S / SLOT).ceil() as usize);
             }
         }
-        most
+        (most, slots)
     }
 
     fn ratio(&self, judges: &Judged) -> f64 {
-        let height = |i: &usize| if judges.height(*i) { f64::INFINITY } else { judges.height_ratio(*i) };
-        let imu = |i: &usize| if judges.imu(*i) { f64::INFINITY } else { judges.imu_ratio(*i) };
+        if judges.contradicted() || (0..MAX_HEIGHTS).any(|i| judges.height(i)) || (0..MAX_IMUS).any(|i| judges.imu(i)) {
+            return f64::INFINITY;
+        }
+        let height = |i: &usize| judges.height_ratio(*i);
+        let imu = |i: &usize| judges.imu_ratio(*i);
         self.attacked.heights.iter().map(height).chain(self.attacked.imus.iter().map(imu)).fold(0.0, f64::max)
     }
 

@@ -22,7 +22,7 @@ use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack}
 
 use super::expected::{Added, Expected, expected};
 use super::flying::Regime;
-use super::sets::{Asked, Verdict, sequences, verdict, wrong};
+use super::sets::{Asked, Found, Verdict, sequences, verdict, wrong};
 use super::{Deviation, EnvelopeError, aside, program, rotors, theory};
 
 /// A stealthy bias is seen in so many flights …
@@ -77,8 +77,8 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     let attacks = match question.generator.as_deref() {
         None => question.attacks.clone(),
         Some("optimal") => {
-            let (found, regime) = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
-            let Verdict::Bounded(bound) = found else {
+            let Found { verdict, regime, .. } = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
+            let Verdict::Bounded(bound) = verdict else {
                 return Err(wrong(
                     "sensors",
                     "have no bound, so no largest attack: a covert one goes on for ever".into(),

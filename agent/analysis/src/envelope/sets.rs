@@ -26,7 +26,7 @@ use crate::design::DesignError;
 use crate::design::file::{field, proposal};
 
 /// Horizons that may be asked for, s: the longest mean has 24 samples.
-const HORIZON_S: (f64, f64) = (3.0, 20.0);
+const HORIZON_S: (f64, f64) = (3.0, 60.0);
 /// The usual one, s …
 pub const USUAL_HORIZON_S: f64 = 10.0;
 /// … and along a horizontal axis, where an IMU has two values for each slot and all settles within a second or grows on.
@@ -37,6 +37,8 @@ const GUESSES_M: [f64; 6] = [0.003, 0.006, 0.012, 0.018, 0.025, f64::INFINITY];
 const MOST: usize = 3;
 /// Beyond this tilt a linear loop says nothing, rad.
 pub(super) const SMALL_RAD: f64 = 0.35;
+/// Further from hover than this it says nothing either, m.
+const NEAR_HOVER_M: f64 = 1.0;
 /// What holds a bound that no detector holds.
 const MOST_ADDED: &str = "most that may be added";
 
@@ -53,6 +55,17 @@ pub enum Verdict {
     Unbounded(f64),
 }
 
+/// What is found of a set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Found {
+    /// Its bound, or none; the attack lasts for the horizon asked for.
+    pub verdict: Verdict,
+    /// In which the bound is the larger.
+    pub regime: Regime,
+    /// When the altitude is furthest, s since the onset.
+    pub end_s: f64,
+}
+
 /// The bound of `sensors` attacked: the largest of the regimes, or none.
 ///
 /// # Errors
@@ -62,24 +75,39 @@ pub fn verdict(
     sensors: &[SensorId],
     horizon_s: f64,
     deviation: Deviation,
-) -> Result<(Verdict, Regime), EnvelopeError> {
+) -> Result<Found, EnvelopeError> {
     let mut full = flying.attacked(sensors, Regime::Full)?;
     full.near_m = near_m(&full, horizon_s)?;
     let heights = flying.count(SensorKind::Height);
     if full.heights.len() == heights
         && let Some(drift_mps) = recession_mps(&full)?
     {
-        return Ok((Verdict::Unbounded(drift_mps), Regime::Full));
+        return Ok(Found { verdict: Verdict::Unbounded(drift_mps), regime: Regime::Full, end_s: horizon_s });
     }
-    let mut found = (program(&full, horizon_s, deviation)?.solve()?, Regime::Full);
+    let (mut found, mut regime, mut end_s) = (program(&full, horizon_s, deviation)?.solve()?, Regime::Full, horizon_s);
     if 2 * full.heights.len() >= heights && full.heights.len() < heights {
         let outvoted = flying.attacked(sensors, Regime::Outvoted)?;
-        let other = program(&outvoted, horizon_s, deviation)?.solve()?;
-        if other.upper > found.0.upper {
-            found = (other, Regime::Outvoted);
+        // The vehicle is where the healthy height last allowed: it goes furthest at another slot than the last, by up to 5 %.
+        for back in 0..flying.schedule()?.len() {
+            let until_s = horizon_s - back as f64 * SLOT;
+            let other = program(&outvoted, until_s, deviation)?.solve()?;
+            if other.upper > found.upper {
+                let attack = lasting(&outvoted, &other.attack, until_s, horizon_s);
+                (found, regime, end_s) = (Bound { attack, ..other }, Regime::Outvoted, until_s);
+            }
         }
     }
-    Ok((Verdict::Bounded(found.0), found.1))
+    Ok(Found { verdict: Verdict::Bounded(found), regime, end_s })
+}
+
+/// An attack of `end_s` with nothing added from there until `horizon_s`.
+fn lasting(model: &dyn Model, attack: &Signal, end_s: f64, horizon_s: f64) -> Signal {
+    let (short, long) = (columns(model, end_s), columns(model, horizon_s));
+    let mut out = Signal::zeros(long.iter().map(|(_, _, count)| count).sum());
+    for ((_, from, count), (_, to, _)) in short.into_iter().zip(long) {
+        out.rows_mut(to, count).copy_from(&attack.rows(from, count));
+    }
+    out
 }
 
 /// How far the median of all heights may be from the mean of the healthy ones, m, while a minority is attacked. Guessed, and proved by
@@ -159,9 +187,9 @@ pub fn largest_m(
         if !go_on() {
             return Err(EnvelopeError::GivenUp);
         }
-        match verdict(flying, &set, horizon_s, Deviation::Place)?.0 {
-            Verdict::Bounded(bound) => largest_m = largest_m.max(bound.upper),
-            Verdict::Unbounded(_) => return Ok(None),
+        match verdict(flying, &set, horizon_s, Deviation::Place)?.verdict {
+            Verdict::Bounded(bound) if bound.upper <= NEAR_HOVER_M => largest_m = largest_m.max(bound.upper),
+            Verdict::Bounded(_) | Verdict::Unbounded(_) => return Ok(None),
         }
         known.push(class(&set));
     }
@@ -299,12 +327,12 @@ impl Asked {
     /// What `set` can do to the altitude.
     fn above(&self, set: &[SensorId]) -> Result<EnvelopeSet, EnvelopeError> {
         let of = |deviation| verdict(&self.flying, set, self.horizon_s, deviation);
-        let (place, regime) = of(Deviation::Place)?;
-        let mut found = told(&place);
+        let place = of(Deviation::Place)?;
+        let mut found = told(&place.verdict);
         if self.proof
-            && let Verdict::Bounded(bound) = &place
+            && let Verdict::Bounded(bound) = &place.verdict
         {
-            let model = self.flying.attacked(set, regime)?;
+            let model = self.flying.attacked(set, place.regime)?;
             let sequences = sequences(&model, &bound.attack, self.horizon_s).into_iter();
             let named = |(sensor, period_s, values): (SensorId, f64, Vec<f64>)| EnvelopeSequence {
                 sensor: sensor.to_string(),
@@ -312,10 +340,10 @@ impl Asked {
                 values,
             };
             found.attack = sequences.map(named).collect();
-            found.certificate = Some(certificate(bound, regime));
+            found.certificate = Some(certificate(bound, place.regime, place.end_s));
         }
         if self.climb
-            && let (Verdict::Bounded(bound), _) = of(Deviation::Speed)?
+            && let Verdict::Bounded(bound) = of(Deviation::Speed)?.verdict
         {
             found.climb_mps = Some(bound.upper);
         }
@@ -363,7 +391,7 @@ pub(super) fn sequences(model: &dyn Model, attack: &Signal, horizon_s: f64) -> V
     every.map(one).collect()
 }
 
-fn certificate(bound: &Bound, regime: Regime) -> EnvelopeCertificate {
+fn certificate(bound: &Bound, regime: Regime, end_s: f64) -> EnvelopeCertificate {
     let told = |of: &Multiplier| EnvelopeMultiplier {
         detector: of.detector.to_owned(),
         sensor: of.sensor.map(|sensor| sensor.to_string()),
@@ -375,6 +403,7 @@ fn certificate(bound: &Bound, regime: Regime) -> EnvelopeCertificate {
     let regime = if regime == Regime::Full { "full" } else { "outvoted" };
     EnvelopeCertificate {
         regime: regime.to_owned(),
+        end_s,
         multipliers: bound.certificate.iter().map(told).collect(),
         added_m: bound.added,
     }
@@ -408,6 +437,10 @@ fn aside(lateral: &Lateral, set: &[SensorId], horizon_s: f64) -> Result<Envelope
 
 fn told(verdict: &Verdict) -> EnvelopeSet {
     match verdict {
+        Verdict::Bounded(bound) if bound.upper > NEAR_HOVER_M => {
+            let binding = Some(format!("nothing within {NEAR_HOVER_M} m of the hover"));
+            EnvelopeSet { binding, ..EnvelopeSet::default() }
+        }
         Verdict::Bounded(bound) => EnvelopeSet {
             altitude_m: Some(bound.upper),
             reached_m: Some(bound.reached),

@@ -18,6 +18,15 @@ fn of(sensors: &[(&str, f64)]) -> Expected {
 }
 
 #[test]
+fn two_heights_that_jump_together_contradict_the_third_before_they_move_anything() {
+    for bias_m in [0.3, 1.0] {
+        let found = of(&[("height 1", bias_m), ("height 2", bias_m)]);
+        println!("{bias_m} m: {} of {DRAWN}, {:.1} cm", found.seen(), 100.0 * found.altitude_m);
+        assert!(found.seen() == DRAWN && found.altitude_m < 0.1 * bias_m, "{found:?}");
+    }
+}
+
+#[test]
 fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
     let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
     println!("{parts:?}");

@@ -216,11 +216,10 @@ fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_wh
         assert!(((sum + told.added_m) / set.altitude_m.unwrap() - 1.0).abs() < 1e-9, "{names:?}: {sum}");
         assert_eq!(told.regime, if regime == Regime::Full { "full" } else { "outvoted" });
         // The rest is what they leave of c, in the program as it stands.
-        let program = program(&asked.flying.attacked(&asked.sets[0], regime).unwrap(), 5.0, Deviation::Place).unwrap();
-        let (Verdict::Bounded(bound), _) = verdict(&asked.flying, &asked.sets[0], 5.0, Deviation::Place).unwrap()
-        else {
-            panic!("{names:?} has no bound")
-        };
+        let model = asked.flying.attacked(&asked.sets[0], regime).unwrap();
+        let program = program(&model, told.end_s, Deviation::Place).unwrap();
+        let found = verdict(&asked.flying, &asked.sets[0], 5.0, Deviation::Place).unwrap();
+        let Verdict::Bounded(bound) = found.verdict else { panic!("{names:?} has no bound") };
         let mut left = program.objective.clone();
         for (one, of) in told.multipliers.iter().zip(&bound.certificate) {
             assert_eq!((one.multiplier, one.statistics), (of.value, of.of.len()));
@@ -235,7 +234,9 @@ fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_wh
         // The sequence is silent, but for the reach, whose limit is proved apart, and goes so far.
         let attack = Signal::from_iterator(
             program.objective.len(),
-            set.attack.iter().flat_map(|one| one.values.iter().copied()),
+            set.attack
+                .iter()
+                .flat_map(|one| one.values.iter().take((told.end_s / one.period_s + 1e-9) as usize).copied()),
         );
         assert!((program.objective.dot(&attack) / set.reached_m.unwrap() - 1.0).abs() < 1e-9);
         let loud = |s: &&Statistic| s.detector != "height reach" && s.row.dot(&attack).abs() > s.limit * (1.0 + 1e-6);

@@ -1,5 +1,7 @@
 //! A schedule of attacks and the bounds it must keep.
 
+use std::fmt;
+
 use arrayvec::ArrayVec;
 use plumbline_proto::{ids::SensorId, v1::SensorKind};
 
@@ -27,6 +29,27 @@ pub struct Attack {
     pub magnitude: f64,
     /// Seed of the noise and of the dropouts.
     pub seed: u64,
+}
+
+/// What is done, for people: "bias of 0.5 m".
+impl fmt::Display for Attack {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (m, unit) = (self.magnitude, self.channel.unit(self.sensor.kind));
+        match self.kind {
+            Kind::Zero => write!(f, "zero"),
+            Kind::Bias => write!(f, "bias of {m} {unit}"),
+            Kind::Ramp => write!(f, "ramp of {m} {unit} a second"),
+            Kind::Scale => write!(f, "scale by {m}"),
+            Kind::Noise => write!(f, "noise of {m} {unit}"),
+            Kind::Freeze => write!(f, "freeze"),
+            Kind::Replay => write!(f, "replay of {m} s"),
+            Kind::Delay => write!(f, "delay of {m} s"),
+            Kind::Dropout => write!(f, "dropout of {m} of the samples"),
+            Kind::SignFlip => write!(f, "sign flip"),
+            Kind::Parabola => write!(f, "parabola of {m} {unit} a second squared"),
+            Kind::TimeShift => write!(f, "time shift of {m} s"),
+        }
+    }
 }
 
 /// Attacks uploaded together; a schedule replaces the one before.

@@ -4,6 +4,8 @@
 //! A path begins softly: its own time runs from standstill to full speed within `SOFT_START_S`, so that
 //! position and velocity are continuous. Velocity and acceleration are fed forward.
 
+use std::fmt;
+
 use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 
@@ -124,6 +126,20 @@ impl Shape {
             Self::Sine { amplitude_m, period_s, speed_mps } => ("amplitude_m", amplitude_m, period_s, speed_mps),
             Self::Square { side_m, period_s } => ("side_m", side_m, period_s, 0.0),
             Self::Heave { amplitude_m, period_s } => ("amplitude_m", amplitude_m, period_s, 0.0),
+        }
+    }
+}
+
+/// For people.
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Circle { radius_m, period_s } => write!(f, "circle of {radius_m} m radius, {period_s} s a turn"),
+            Self::Sine { amplitude_m, period_s, speed_mps } => {
+                write!(f, "sine of {amplitude_m} m, {period_s} s a swing, at {speed_mps} m/s")
+            }
+            Self::Square { side_m, period_s } => write!(f, "square of {side_m} m, {period_s} s a turn"),
+            Self::Heave { amplitude_m, period_s } => write!(f, "heave of {amplitude_m} m, {period_s} s a swing"),
         }
     }
 }

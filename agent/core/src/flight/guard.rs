@@ -446,8 +446,8 @@ impl Flight {
                 AttackPhase::Aborted => "aborted",
             };
             let line = text(format_args!(
-                "attack {} on {}: {phase} ({:?} {} from {} s for {} s)",
-                a.id, a.sensor, a.kind, a.magnitude, a.start_s, a.duration_s
+                "attack {} on {}: {phase} ({a}, from {} s for {} s)",
+                a.id, a.sensor, a.start_s, a.duration_s
             ));
             self.event(Severity::Warning, EventKind::Attack, line);
         }

@@ -184,7 +184,7 @@ impl Flight {
         }
         let (kind, estimate) = (self.bank.in_loop_kind(), self.bank.in_loop());
         if matches!(mode, Mode::AltitudeHold | Mode::Hold) && estimate.health != Health::Healthy {
-            return Err(text(format_args!("estimator {kind:?} is {:?}", estimate.health)));
+            return Err(text(format_args!("estimator {} is {}", kind.title(), estimate.health.word())));
         }
         let unmeasured_s = self.supervision.watchdog.altitude_age_s(self.liveness.ticked.unwrap_or_default());
         let closes_altitude = matches!(mode, Mode::AltitudeHold | Mode::Hold);
@@ -307,26 +307,27 @@ impl Flight {
 
     fn select_estimator(&mut self, kind: EstimatorKind) -> Outcome {
         let Some(estimate) = self.bank.estimate_of(kind) else {
-            return Err(text(format_args!("estimator {kind:?} does not run on this vehicle")));
+            return Err(text(format_args!("estimator {} does not run on this vehicle", kind.title())));
         };
         if self.armed() && estimate.health != Health::Healthy {
             return Err(text(format_args!(
-                "estimator {kind:?} is {:?}: not put in the loop while armed",
-                estimate.health
+                "estimator {} is {}: not put in the loop while armed",
+                kind.title(),
+                estimate.health.word()
             )));
         }
         if self.armed() {
             can_fly(kind, estimate, self.mode)?;
         }
         self.bank.select(kind).map_err(|e| text(format_args!("{e}")))?;
-        let done = text(format_args!("estimator {kind:?} in the loop"));
+        let done = text(format_args!("estimator {} in the loop", kind.title()));
         self.event(Severity::Info, EventKind::Estimator, done);
         Ok(done)
     }
 
     fn select_decoder(&mut self, decoder: Decoder) -> Outcome {
         self.bank.use_decoder(decoder).map_err(|e| text(format_args!("{e}")))?;
-        let done = text(format_args!("decoder {decoder:?} from the next full window on"));
+        let done = text(format_args!("decoder {} from the next full window on", decoder.title()));
         self.event(Severity::Info, EventKind::Estimator, done);
         Ok(done)
     }
@@ -367,10 +368,13 @@ impl Flight {
 pub(super) fn can_fly(kind: EstimatorKind, estimate: &Estimate, mode: Mode) -> Result<(), Text> {
     let name = mode_name(mode);
     if matches!(mode, Mode::AltitudeHold | Mode::Hold | Mode::Land) && !estimate.altitude_known() {
-        return Err(text(format_args!("{name} needs the altitude, which estimator {kind:?} does not know")));
+        return Err(text(format_args!("{name} needs the altitude, which estimator {} does not know", kind.title())));
     }
     if mode == Mode::Hold && !estimate.horizontal_known() {
-        return Err(text(format_args!("{name} needs the horizontal position, which estimator {kind:?} does not know")));
+        return Err(text(format_args!(
+            "{name} needs the horizontal position, which estimator {} does not know",
+            kind.title()
+        )));
     }
     Ok(())
 }

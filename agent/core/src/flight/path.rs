@@ -52,7 +52,7 @@ impl Flight {
         self.check_stops(trajectory, horizontal, &from_enu_m)?;
         let mut path = Path { trajectory: trajectory.clone(), start: now, from_enu_m, set: 0 };
         let done = match trajectory {
-            Trajectory::Shape { shape, .. } => text(format_args!("path begins: {shape:?}")),
+            Trajectory::Shape { shape, .. } => text(format_args!("path begins: {shape}")),
             Trajectory::Altitudes { altitude_m, hold_s } => {
                 // From the ground it takes off by its first: nothing is followed before it flies.
                 if let Some(&first) = altitude_m.first() {

@@ -34,22 +34,26 @@ impl Flight {
             let _ = out.try_push(Check { name, passed, reason });
         };
         let estimate = self.bank.in_loop();
-        let kind = self.bank.in_loop_kind();
-        check("estimator", estimate.health == Health::Healthy, text(format_args!("{kind:?} is {:?}", estimate.health)));
+        let title = self.bank.in_loop_kind().title();
+        check(
+            "estimator",
+            estimate.health == Health::Healthy,
+            text(format_args!("{title} is {}", estimate.health.word())),
+        );
 
         if self.has_box() {
             let known = if estimate.altitude_known() { "known" } else { "not known" };
             check(
                 "altitude",
                 estimate.altitude_known(),
-                text(format_args!("{known} to {kind:?}, which is in the loop")),
+                text(format_args!("{known} to {title}, which is in the loop")),
             );
         }
 
         if self.config.actuation == Actuation::Pose {
             let carries = self.guide().is_some();
             let known = if carries { "known" } else { "not known" };
-            let line = text(format_args!("place {known} to {kind:?}: an autopilot flies by it"));
+            let line = text(format_args!("place {known} to {title}: an autopilot flies by it"));
             check("pose", carries, line);
         }
 
@@ -168,9 +172,14 @@ impl Flight {
         let EnvelopeDemand { altitude_max_m, sensors, .. } = demand;
         let most_cm = 100.0 * altitude_max_m;
         match &self.supervision.envelope {
-            _ if kind != EstimatorKind::Lanes => {
-                (false, text(format_args!("its bounds are those of Lanes, {kind:?} is in the loop")))
-            }
+            _ if kind != EstimatorKind::Lanes => (
+                false,
+                text(format_args!(
+                    "its bounds are those of {}, {} is in the loop",
+                    EstimatorKind::Lanes.title(),
+                    kind.title()
+                )),
+            ),
             None => (false, text(format_args!("not bounded yet for the gains in use"))),
             Some(Err(reason)) => (false, *reason),
             Some(Ok(None)) => {

@@ -140,7 +140,7 @@ pub fn StudyForm(text: RwSignal<String>) -> impl IntoView {
                 {typed("first seed", fixed(""), |s| &s.seed, |s| &mut s.seed, |_| None)}
                 <fieldset><legend>"estimators"</legend>
                     {move || estimators.get().into_iter().map(|kind| {
-                        listed(names::estimator_json(kind), names::estimator(kind).to_owned(), |s| &mut s.estimators, |s| &s.estimators)
+                        listed(names::estimator_json(kind), kind.title().to_owned(), |s| &mut s.estimators, |s| &s.estimators)
                     }).collect::<Vec<_>>()}
                 </fieldset>
                 <fieldset><legend>"worlds"</legend>

@@ -71,7 +71,7 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
                 {estimators().map(|kind| view! {
                     <label class="check">
                         <input type="checkbox" prop:checked=move || chosen.get().contains(&kind) on:change:target=move |e| toggle(kind, e.target().checked()) />
-                        {names::estimator(kind)}
+                        {kind.title()}
                     </label>
                 }).collect_view()}
             </fieldset>

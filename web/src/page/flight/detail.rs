@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// A flight of up to so many seconds comes whole at once: 25 MB.
-const WHOLE_S: f64 = 60.0;
+pub const WHOLE_S: f64 = 60.0;
 /// Stretches of time that a longer one is thinned to.
 const COLUMNS: f64 = OVERVIEW_COLUMNS as f64;
 /// While nothing is zoomed into, what lies about the play head is read in pieces so long, with so much before and after, s.

@@ -103,7 +103,7 @@ pub(super) fn Reestimate(
             <div class="row">
                 <select class="small" aria-label="Estimator to run over the recording" on:change:target=move |e| choose(e.target().value())>
                     {estimators().map(|k| view! {
-                        <option value=(k as i32).to_string() selected=k == EstimatorKind::Ukf>{names::estimator(k)}</option>
+                        <option value=(k as i32).to_string() selected=k == EstimatorKind::Ukf>{k.title()}</option>
                     }).collect_view()}
                 </select>
                 <button type="button" class="small" disabled=working on:click=run>
@@ -149,7 +149,7 @@ fn Scores(done: Done, remove: Callback<EstimatorKind>) -> impl IntoView {
             </tr></thead>
             <tbody>
                 {done.into_iter().map(|(kind, from, score)| {
-                    let name = names::estimator(kind);
+                    let name = kind.title();
                     let milli = |v: Option<f64>| format::maybe(v.map(|v| v * 1e3), 0);
                     let nees = score.nees.zip(score.nees_states).map(|(value, states)| format!("NEES {} of {states}", format::fixed(value, 1)));
                     let title = [Some(from.clone()).filter(|f| !f.is_empty()), nees].into_iter().flatten().collect::<Vec<_>>().join(", ");

@@ -74,6 +74,11 @@ impl Judged {
         self.heights.is_excluded(index)
     }
 
+    /// Do the heights contradict each other, so that none is used?
+    pub fn contradicted(&self) -> bool {
+        self.heights.split.is_contradicted()
+    }
+
     /// The worst statistic of height `index` over its limit.
     pub fn height_ratio(&self, index: usize) -> f64 {
         self.heights.ratio(index)
