@@ -129,6 +129,18 @@ const charts = async (names, on = page) => {
   return seen;
 };
 
+await step(page, 'the first look at a chart is four curves at most, and its legend is not cut', async () => {
+  const seen = {};
+  for (const name of ['Altitude chart', 'Attitude chart']) {
+    const legend = region(name).locator('.legend').first();
+    seen[name] = await legend.getByRole('listitem').filter({ has: page.locator('.swatch') }).count();
+    assert(seen[name] >= 2 && seen[name] <= 4, `${name}: ${seen[name]} curves`);
+    const [whole, room] = await legend.evaluate((list) => [list.scrollHeight, list.clientHeight]);
+    assert(whole <= room, `${name}: ${whole} px of legend in ${room}`);
+  }
+  return seen;
+});
+
 await step(page, 'charts, residuals and horizon are really drawn, and move', async () => {
   const seen = await charts(['Altitude', 'Attitude', 'Residuals']);
   const altitude = region('Altitude').getByRole('img').first();

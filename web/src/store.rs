@@ -31,7 +31,7 @@ pub fn set(name: &str, value: &str) {
     }
 }
 
-/// Groups of curves that legends unfold: as left, else only what lies close to a curve of its own.
+/// Groups of curves that legends unfold: as left, else none.
 pub fn unfolded() -> Vec<Group> {
     get("unfolded").map_or_else(|| Layout::default().unfolded, |names| layout::groups_of(&names))
 }

@@ -45,7 +45,7 @@ pub struct Layout {
     pub axis: Axis,
     /// Signals on charts of their own, and whether each shows its spectrum.
     pub signals: Vec<(String, bool)>,
-    /// Groups of curves that legends unfold.
+    /// Groups of curves that legends unfold; none at first, so that a chart begins with four curves at most.
     pub unfolded: Vec<Group>,
     /// Are the motors and the time of a tick charted?
     pub motors: bool,
@@ -71,7 +71,7 @@ impl Default for Layout {
             evidence: Evidence::Residuals,
             axis: Axis::Roll,
             signals: Vec::new(),
-            unfolded: vec![Group::Truth],
+            unfolded: Vec::new(),
             motors: false,
             space: false,
             window_s: None,
@@ -171,6 +171,7 @@ pub fn save(all: &mut Vec<Saved>, name: &str, layout: &Layout) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::curves::Curve;
 
     fn read(query: &Query) -> Option<Layout> {
         Layout::read(|name| query.iter().filter(|(of, _)| of == name).map(|(_, value)| value.clone()).collect())
@@ -198,7 +199,7 @@ mod tests {
             },
             Layout {
                 signals: vec![("status.tick_time_p99_us".into(), false)],
-                unfolded: Vec::new(),
+                unfolded: vec![Group::Truth],
                 ..Layout::default()
             },
         ];
@@ -214,7 +215,23 @@ mod tests {
     fn nonsense_in_an_address_shows_the_usual() {
         let query = [("show", "nothing"), ("axis", "up"), ("window", "NaN"), ("groups", "sensors")];
         let layout = read(&query.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec()).unwrap();
-        assert_eq!(layout, Layout { unfolded: Vec::new(), ..Layout::default() });
+        assert_eq!(layout, Layout::default());
+    }
+
+    #[test]
+    fn a_chart_begins_with_four_curves_at_most() {
+        let in_loop = 1;
+        let first = |all: Vec<Curve>| {
+            let unfolded = Layout::default().unfolded;
+            all.into_iter().filter(|curve| curve.group(in_loop).is_none_or(|group| unfolded.contains(&group))).count()
+        };
+        let estimators = (1..10).map(Curve::Altitude);
+        let heights = (1..4).map(Curve::Height).chain([false, true].map(Curve::Reach));
+        let alone = [Curve::SetpointAltitude, Curve::TruthAltitude];
+        assert_eq!(first(estimators.chain(heights).chain(alone).collect()), 3, "setpoint, estimate, truth");
+        let angles = |curve: fn(Axis) -> Curve| Axis::ALL.map(curve);
+        let attitude = [angles(|axis| Curve::Attitude(1, axis)), angles(Curve::TruthAttitude)];
+        assert_eq!(first(attitude.concat()), 3, "roll, pitch, yaw");
     }
 
     #[test]
