@@ -480,6 +480,19 @@ await step(page, 'open it: the same charts, drawn', async () => {
   return seen;
 });
 
+await step(page, 'zoomed into, the time under the pointer has decimals', async () => {
+  const plot = region('Altitude chart').getByRole('img').first();
+  const box = await plot.boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  for (let n = 0; n < 20; n += 1) await page.mouse.wheel(0, -120);
+  const told = await until('decimals', async () => {
+    const text = await page.locator('.lane-line').first().textContent();
+    return /^\d+:\d\d\.\d+$/.test(text) ? text : false;
+  });
+  await page.mouse.dblclick(box.x + box.width / 2, box.y + box.height / 2);
+  return { told };
+});
+
 const position = async () => Number(await page.getByRole('slider', { name: /Position in the flight/ }).getAttribute('aria-valuenow'));
 
 await step(page, 'scrub with pointer, arrows and Space', async () => {

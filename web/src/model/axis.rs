@@ -147,6 +147,9 @@ const TIME_STEPS_S: [f64; 20] = [
     1800.0,
 ];
 
+/// Places of a pointer that the label of a time tells apart: one every few pixels.
+const TOLD_APART: f64 = 200.0;
+
 impl TimeAxis {
     /// An axis over `start_s..end_s`.
     pub const fn new(start_s: f64, end_s: f64) -> Self {
@@ -171,6 +174,12 @@ impl TimeAxis {
     /// The time at a fraction of the width: what a pointer there means.
     pub fn time_s(self, fraction: f64) -> f64 {
         self.start_s + fraction * self.span_s()
+    }
+
+    /// A time from `origin_s` on as a label has it, with the decimals that a pointer on this axis tells apart.
+    pub fn label(self, time_s: f64, origin_s: f64) -> String {
+        let step = TIME_STEPS_S.into_iter().rev().find(|step| *step <= self.span_s() / TOLD_APART);
+        format_time(time_s - origin_s, step.unwrap_or(TIME_STEPS_S[0]))
     }
 
     /// Ticks at least `spacing_px` apart on an axis `width_px` wide (CSS pixels), labelled in
@@ -267,6 +276,13 @@ mod tests {
         let axis = TimeAxis::new(98.0, 103.0);
         assert_eq!(labels(&axis.ticks(600.0, 200.0, 100.0)), ["\u{2212}0:02", "0:00", "0:02"]);
         assert!((axis.ticks(600.0, 200.0, 100.0)[1].fraction - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_time_under_the_pointer_has_the_decimals_that_the_axis_shows() {
+        let label = |span_s: f64| TimeAxis::new(50.0, 50.0 + span_s).label(72.3456, 10.0);
+        let labels = [600.0, 30.0, 4.0, 0.5, 0.02].map(label);
+        assert_eq!(labels, ["1:02", "1:02.3", "1:02.35", "1:02.346", "1:02.346"]);
     }
 
     #[test]

@@ -137,7 +137,11 @@ pub fn Lanes() -> impl IntoView {
     let now = move || deck.cursor.get().or_else(|| (deck.source == Source::Recorded).then(|| deck.playhead.get()));
     let line =
         |time_s: f64, name: String| view! { <i class="lane-line" style=format!("left:{}", left(time_s))>{name}</i> };
-    let clock = move |time_s: f64| format::clock(time_s - deck.data.with_value(|live| deck.begin_s(live)));
+    let clock = move |time_s: f64| {
+        deck.zoom.track();
+        deck.window_s.track();
+        axis().label(time_s, deck.data.with_value(|live| deck.begin_s(live)))
+    };
     view! {
         <section class="card lanes" aria-label="Timeline" style=place>
             {move || all.get().into_iter().map(|(name, about, pieces)| view! {
