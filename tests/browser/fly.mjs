@@ -35,6 +35,32 @@ await step(page, 'the toolbar tells mode, arming, link, recording and battery', 
   await bar.getByRole('button', { name: /CUT MOTORS/ }).waitFor();
 });
 
+await step(page, 'by Tab alone, the cut is the third stop and arming comes within ten', async () => {
+  await page.getByRole('button', { name: 'Arm (hold)' }).waitFor();
+  await page.reload({ waitUntil: 'commit' });
+  await until('a live altitude', async () => Number.isFinite(await readout('altitude')));
+  const focused = () => page.evaluate(() => document.activeElement.textContent.trim());
+  const stops = [];
+  while (stops.length < 10 && !/^Arm/.test(stops.at(-1))) {
+    await page.keyboard.press('Tab');
+    stops.push(await focused());
+    if (stops.at(-1) === 'Skip to arming' ) {
+      await page.keyboard.press('Tab');
+      const cut = await focused();
+      assert(/^CUT MOTORS/.test(cut), `after the links: ${cut}`);
+      await page.keyboard.press('Shift+Tab');
+      await page.keyboard.press('Enter');
+      // There and back.
+      stops.push(cut, 'Skip to arming');
+    }
+  }
+  assert(/^Arm/.test(stops.at(-1)), stops.join(' | '));
+  assert((await page.getByRole('banner').getByLabel('Arming').textContent()) === 'disarmed', 'it armed by itself');
+  const box = await page.getByRole('button', { name: /CUT MOTORS/ }).first().boundingBox();
+  assert(box.x > 1000, `the cut is at ${box.x} px`);
+  return { stops };
+});
+
 const guide = page.getByRole('complementary', { name: 'First flight' });
 const led = async (to) => until(`the first flight: ${to}`, async () => (await guide.locator('[aria-current]').textContent()).includes(to));
 

@@ -70,6 +70,7 @@ fn Root() -> impl IntoView {
     view! {
         <canvas class="behind" node_ref=canvas aria-hidden="true"></canvas>
         <a class="skip" href="#main">"Skip to the page"</a>
+        <Show when=move || route.with(|route| *route == Route::Fly)><a class="skip" href="#arm">"Skip to arming"</a></Show>
         <panel::toolbar::Toolbar />
         {move || {
             ctx.deck.set(None);

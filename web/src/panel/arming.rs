@@ -79,7 +79,7 @@ pub fn ArmingCard() -> impl IntoView {
     let disarm = Callback::new(move |()| ctx.command("Disarm", "POST", "disarm", json!({})));
     let release = Callback::new(move |()| ctx.command("Release cut", "POST", "release-cut", json!({})));
     view! {
-        <section class="card arming" aria-label="Mode and arming">
+        <section class="card arming" id="arm" tabindex="-1" aria-label="Mode and arming">
             <header>
                 <h2>"Mode"</h2>
                 <span class="chip" class:alert=cut class:stale=old>{move || names::mode(mode.get())}</span>

@@ -185,6 +185,10 @@ pub fn Toolbar() -> impl IntoView {
     };
     view! {
         <header class="toolbar" role="banner">
+            // Shown last and reached first by Tab.
+            <button type="button" class="cut" title="Ctrl+Shift+X. Latched: needs an explicit release." on:click=move |_| ctx.cut()>
+                "CUT MOTORS" <span>" – vehicle falls"</span>
+            </button>
             <Link to=Route::Fly><span class="brand">"Plumbline"</span></Link>
             <nav aria-label="Pages">
                 <Link to=Route::Fly current=at(Route::Fly)>"Fly"</Link>
@@ -271,9 +275,6 @@ pub fn Toolbar() -> impl IntoView {
                 title="Light or dark"
                 on:click=theme
             >"◐"</button>
-            <button type="button" class="cut" title="Ctrl+Shift+X. Latched: needs an explicit release." on:click=move |_| ctx.cut()>
-                "CUT MOTORS" <span>" – vehicle falls"</span>
-            </button>
         </header>
     }
 }
