@@ -5,7 +5,10 @@
 
 use plumbline_proto::v1::EstimatorKind;
 
-use crate::{gpu::Color, model::curves::Axis};
+use crate::{
+    gpu::{Color, Dash},
+    model::curves::{Axis, Curve, Demand},
+};
 
 /// A colour in both themes, and its name in the style sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,58 +63,104 @@ pub const TRUTH: Ink = Ink::new(0x74767e, 0x95989f, "var(--truth)");
 /// Attacks, gates, rejection.
 pub const ATTACK: Ink = Ink::new(0xd55e00, 0xf07a1e, "var(--attack)");
 
-/// Every one of them.
-const ALL: [Ink; 14] = [
-    SETPOINT, IN_LOOP, OTHER_1, OTHER_2, OTHER_3, OTHER_4, OTHER_5, OTHER_6, OTHER_7, SENSOR_1, SENSOR_2, SENSOR_3,
-    TRUTH, ATTACK,
-];
-
-/// The colour that the style sheet has by this name.
-pub fn named(css: &str) -> Option<Ink> {
-    ALL.into_iter().find(|ink| ink.css == css)
+/// Colour and dash of a curve. No two curves that a chart may show together share both, but for the two sides of one bound.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stroke {
+    /// Its colour.
+    pub ink: Ink,
+    /// How it is interrupted.
+    pub dash: Dash,
 }
 
-/// The colour of an estimator.
-pub fn estimator(number: u16, in_loop: u16) -> Ink {
-    if number == in_loop {
-        return IN_LOOP;
+impl Stroke {
+    const fn new(ink: Ink, dash: Dash) -> Self {
+        Self { ink, dash }
     }
-    // Estimators keep their colour when another goes into the loop.
+
+    /// The same in dashes: what belongs to it.
+    pub const fn dashed(self) -> Self {
+        Self::new(self.ink, Dash::Dashed)
+    }
+
+    /// Class of its mark in the style sheet.
+    pub const fn class(self) -> &'static str {
+        match self.dash {
+            Dash::None => "swatch",
+            Dash::Dashed => "swatch dashed",
+            Dash::Dotted => "swatch dotted",
+            Dash::Long => "swatch long",
+            Dash::Sparse => "swatch sparse",
+        }
+    }
+
+    /// Style of its mark: the colour.
+    pub fn style(self) -> String {
+        format!("--swatch:{}", self.ink.css)
+    }
+}
+
+/// How a curve is drawn, wherever it is; channels of a residual go by their order, see [`series`].
+pub fn stroke(curve: Curve, in_loop: u16) -> Stroke {
+    let (ink, dash) = match curve {
+        Curve::Altitude(n)
+        | Curve::AltitudeError(n)
+        | Curve::AttitudeError(n, _)
+        | Curve::AltitudeSigma(n)
+        | Curve::AttitudeSigma(n, _) => return estimator(n, in_loop),
+        Curve::Height(instance) => return sensor(instance),
+        Curve::TruthAltitude => (IN_LOOP, Dash::Dashed),
+        Curve::Reach(_) => (ATTACK, Dash::None),
+        Curve::Attitude(_, axis) | Curve::Asked(Demand::Rate(axis)) => (axis_ink(axis), Dash::None),
+        Curve::TruthAttitude(axis) | Curve::AimedAt(Demand::Rate(axis)) => (axis_ink(axis), Dash::Dashed),
+        Curve::AimedAt(Demand::Thrust) => (SETPOINT, Dash::Dashed),
+        // The colour says whose it is. An axis has that of an estimator, too, and truth its dashes.
+        Curve::AgainAltitude(n) => (own(n).ink, Dash::Dashed),
+        Curve::AgainAttitude(n, Axis::Roll) => (own(n).ink, Dash::Long),
+        Curve::AgainAttitude(n, Axis::Pitch) => (own(n).ink, Dash::Dotted),
+        Curve::AgainAttitude(n, Axis::Yaw) => (own(n).ink, Dash::Sparse),
+        Curve::Motor(i) | Curve::Signal(i) | Curve::Compared(i) | Curve::Difference(i) => {
+            return series(usize::from(i));
+        }
+        Curve::ComparedSetpoint(i) => return series(usize::from(i)).dashed(),
+        Curve::TickMedian => (IN_LOOP, Dash::None),
+        Curve::TickP99 => (SENSOR_1, Dash::None),
+        Curve::TickJitter => (TRUTH, Dash::Dashed),
+        _ => (SETPOINT, Dash::None),
+    };
+    Stroke::new(ink, dash)
+}
+
+/// An estimator's.
+pub fn estimator(number: u16, in_loop: u16) -> Stroke {
+    if number == in_loop { Stroke::new(IN_LOOP, Dash::None) } else { own(number) }
+}
+
+/// That of an estimator which is not in the loop: it keeps it when another goes there.
+fn own(number: u16) -> Stroke {
     use EstimatorKind as Kind;
-    match Kind::try_from(i32::from(number)).unwrap_or_default() {
-        Kind::EkfBias => OTHER_1,
-        Kind::Complementary => OTHER_6,
-        Kind::EkfHybrid => OTHER_3,
-        Kind::Ukf => OTHER_4,
-        Kind::ConstantAcceleration => OTHER_5,
-        Kind::Lanes => OTHER_7,
-        // An attitude filter has no altitude: never in the same chart.
-        Kind::Secure | Kind::Vqf | Kind::AttitudeEkf | Kind::Unspecified => OTHER_2,
-    }
+    let (ink, dash) = match Kind::try_from(i32::from(number)).unwrap_or_default() {
+        Kind::EkfBias => (OTHER_1, Dash::None),
+        Kind::Complementary => (OTHER_6, Dash::None),
+        Kind::EkfHybrid => (OTHER_3, Dash::None),
+        Kind::Ukf => (OTHER_4, Dash::None),
+        Kind::ConstantAcceleration => (OTHER_5, Dash::None),
+        Kind::Lanes => (OTHER_7, Dash::None),
+        Kind::Secure | Kind::Unspecified => (OTHER_2, Dash::None),
+        // Filters of attitude alone, in dashes: sensors have these colours where there are altitudes.
+        Kind::Vqf => (SENSOR_2, Dash::Dashed),
+        Kind::AttitudeEkf => (SENSOR_3, Dash::Dashed),
+    };
+    Stroke::new(ink, dash)
 }
 
-/// See [`estimator`].
-pub fn estimator_css(number: u16, in_loop: u16) -> &'static str {
-    estimator(number, in_loop).css()
+/// That of a sensor's instance, numbered from 1.
+pub fn sensor(instance: u16) -> Stroke {
+    let index = usize::from(instance.saturating_sub(1));
+    let dash = [Dash::None, Dash::Dashed, Dash::Dotted, Dash::Long, Dash::Sparse][index / 3 % 5];
+    Stroke::new([SENSOR_1, SENSOR_2, SENSOR_3][index % 3], dash)
 }
 
-/// The colour of an estimator that was run over a recording again: never that of one that flew.
-pub fn again(number: u16) -> Ink {
-    [SENSOR_1, SENSOR_2, SENSOR_3][usize::from(number) % 3]
-}
-
-/// The colour of a sensor's instance.
-pub fn sensor(instance: u16) -> Ink {
-    [SENSOR_1, SENSOR_2, SENSOR_3, OTHER_2][usize::from(instance.saturating_sub(1)) % 4]
-}
-
-/// See [`sensor`].
-pub fn sensor_css(instance: u16) -> &'static str {
-    sensor(instance).css()
-}
-
-/// The colour of an axis of attitude.
-pub fn axis(axis: Axis) -> Ink {
+fn axis_ink(axis: Axis) -> Ink {
     match axis {
         Axis::Roll => IN_LOOP,
         Axis::Pitch => OTHER_1,
@@ -119,30 +168,71 @@ pub fn axis(axis: Axis) -> Ink {
     }
 }
 
-/// See [`axis`].
-pub fn axis_css(of: Axis) -> &'static str {
-    axis(of).css()
-}
-
-/// Colour number `index` of a series of like things: flights compared, channels of one sensor.
-pub fn series(index: usize) -> Ink {
-    [IN_LOOP, SENSOR_1, OTHER_1, OTHER_2, SENSOR_2, SENSOR_3, TRUTH, OTHER_7][index % 8]
+/// Number `index` of at most eight like things: flights compared, channels of one sensor.
+pub fn series(index: usize) -> Stroke {
+    let inks = [IN_LOOP, SENSOR_1, OTHER_1, OTHER_2, SENSOR_2, SENSOR_3, TRUTH, OTHER_7];
+    Stroke::new(inks[index % 8], Dash::None)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::names;
+
+    /// Every one of them.
+    const ALL: [Ink; 14] = [
+        SETPOINT, IN_LOOP, OTHER_1, OTHER_2, OTHER_3, OTHER_4, OTHER_5, OTHER_6, OTHER_7, SENSOR_1, SENSOR_2, SENSOR_3,
+        TRUTH, ATTACK,
+    ];
 
     #[test]
     fn an_attack_never_looks_like_a_curve() {
-        for ink in (0..8).map(series).chain((1..6).map(sensor)) {
-            assert_ne!(ink.css(), ATTACK.css());
+        for stroke in (0..8).map(series).chain((1..6).map(sensor)) {
+            assert_ne!(stroke.ink, ATTACK);
         }
-        assert_eq!(estimator(3, 3), IN_LOOP);
-        let with_altitude = [1, 2, 3, 4, 5, 7, 9];
-        for (i, one) in with_altitude.iter().enumerate() {
-            assert!(with_altitude[..i].iter().all(|other| estimator(*one, 1) != estimator(*other, 1)), "{one}");
+        assert_eq!(estimator(3, 3).ink, IN_LOOP);
+    }
+
+    #[test]
+    fn no_two_curves_of_a_chart_share_colour_and_dash() {
+        let kinds = || EstimatorKind::all().map(|kind| kind as u16);
+        let with_altitude =
+            || EstimatorKind::all().filter(|kind| names::estimates_altitude(*kind)).map(|kind| kind as u16);
+        let axes = |curve: fn(Axis) -> Curve| Axis::ALL.into_iter().map(curve);
+        assert_eq!((kinds().count(), with_altitude().count()), (9, 7));
+        for in_loop in kinds() {
+            let altitude = with_altitude().map(Curve::Altitude).chain(with_altitude().map(Curve::AgainAltitude));
+            let altitude = altitude.chain((1..13).map(Curve::Height)).chain([
+                Curve::SetpointAltitude,
+                Curve::TruthAltitude,
+                Curve::Reach(true),
+            ]);
+            let own = Axis::ALL.into_iter().map(|axis| Curve::Attitude(in_loop, axis));
+            let again = kinds().flat_map(|n| Axis::ALL.map(|axis| Curve::AgainAttitude(n, axis)));
+            let attitude = own.chain(axes(Curve::TruthAttitude)).chain(again);
+            let rates =
+                axes(|axis| Curve::Asked(Demand::Rate(axis))).chain(axes(|axis| Curve::AimedAt(Demand::Rate(axis))));
+            let charts: [Vec<Curve>; 8] = [
+                altitude.collect(),
+                attitude.collect(),
+                with_altitude().map(Curve::AltitudeError).collect(),
+                kinds().map(|n| Curve::AttitudeError(n, Axis::Yaw)).collect(),
+                (0..8).map(Curve::Motor).collect(),
+                (0..8).flat_map(|i| [Curve::Compared(i), Curve::ComparedSetpoint(i)]).collect(),
+                vec![Curve::TickMedian, Curve::TickP99, Curve::TickJitter],
+                rates.collect(),
+            ];
+            for chart in charts {
+                for (i, one) in chart.iter().enumerate() {
+                    let drawn = stroke(*one, in_loop);
+                    let same = chart[..i].iter().find(|other| stroke(**other, in_loop) == drawn);
+                    assert_eq!(same, None, "as {one:?}, with {in_loop} in the loop");
+                }
+            }
         }
+        // Channels of a residual, each with its gate.
+        let all: Vec<_> = (0..8).map(series).flat_map(|channel| [channel, channel.dashed()]).collect();
+        assert!(all.iter().enumerate().all(|(i, one)| !all[..i].contains(one)));
     }
 
     /// By CIEDE2000, and by how far they lie apart in L*a*b*.
@@ -179,7 +269,8 @@ mod tests {
             assert!(dark.contains(&named(&ink, ink.dark)), "{}, dark", ink.css);
         }
         // Kept as a file, or printed: what its figures are drawn in.
-        let estimators = (1..10).map(|number| estimator(number, 0));
+        let altitudes = EstimatorKind::all().filter(|kind| names::estimates_altitude(*kind));
+        let estimators = altitudes.map(|kind| estimator(kind as u16, 0).ink);
         for ink in estimators.chain([SETPOINT, IN_LOOP, TRUTH, ATTACK]) {
             assert_eq!(report.matches(&named(&ink, ink.light)).count(), 2, "{}", ink.css);
         }

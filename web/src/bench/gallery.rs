@@ -165,7 +165,8 @@ fn heights<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
     }
     ChartView { spans: spans(), cursor_s: Some(24.0), ..heights }
         .curve(&flight.other, Color::hex(0x009e73), Style::Solid)
-        .curve(&flight.truth, theme.ink.alpha(0.6), Style::Dashed)
+        .curve(&flight.truth, theme.ink.alpha(0.6), Style::Solid)
+        .dashed(Dash::Dashed)
         .curve(&flight.setpoint, theme.ink.alpha(0.85), Style::Step)
         .curve(&flight.estimate, estimate_color(theme), Style::Strong)
 }
@@ -178,14 +179,21 @@ fn zoomed<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
     }
     .curve(&flight.heights[1], second, Style::Points)
     .curve(&flight.heights[0], first, Style::Points)
-    .curve(&flight.truth, theme.ink.alpha(0.6), Style::Dashed)
+    .curve(&flight.truth, theme.ink.alpha(0.6), Style::Solid)
+    .dashed(Dash::Dashed)
     .curve(&flight.estimate, estimate_color(theme), Style::Strong)
 }
 
 fn angles<'a>(flight: &'a Flight, theme: &Theme) -> ChartView<'a> {
     let mut angles = ChartView::new(whole_flight(), ValueAxis::new(-8.0, 8.0), *theme);
     for (series, color) in flight.angles.iter().zip([0x0072b2, 0x009e73, 0xcc79a7]) {
-        angles.curves.push(Curve { series, color: Color::hex(color), style: Style::Solid, scale: 57.29578 });
+        angles.curves.push(Curve {
+            series,
+            color: Color::hex(color),
+            style: Style::Solid,
+            dash: Dash::None,
+            scale: 57.29578,
+        });
     }
     let gate = |value| LevelLine { value, color: Color::hex(ATTACK), dashed: true };
     ChartView { levels: vec![gate(6.0), gate(-6.0)], spans: spans(), ..angles }

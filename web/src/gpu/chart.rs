@@ -13,8 +13,6 @@ const DOT_SPACING_PX: f32 = 4.0;
 const STRAIGHT_PX: f32 = 0.25;
 /// From this slope on a band is widened to keep its thickness (`Shapes::band`), so that a corner keeps its neighbours.
 const STEEP: f32 = 0.35;
-/// Dash and gap of a dashed curve, CSS pixels.
-const DASH_PX: [f32; 2] = [7.0, 4.0];
 
 /// Buffers kept between frames.
 #[derive(Debug, Default)]
@@ -28,7 +26,7 @@ impl Style {
     fn width_px(self) -> f32 {
         match self {
             Style::Strong => 1.75,
-            Style::Solid | Style::Step | Style::Dashed => 1.5,
+            Style::Solid | Style::Step => 1.5,
             Style::Thin | Style::Points => 1.0,
             Style::Band => 0.0,
         }
@@ -78,10 +76,9 @@ fn draw_curve(shapes: &mut Shapes, scratch: &mut Scratch, plot: Plot, view: &Cha
         }));
         let banded = decimated.envelope || curve.style == Style::Band;
         straighten(&mut scratch.columns, if banded { STEEP } else { f32::INFINITY });
-        let pieces = if curve.style == Style::Dashed {
-            dashes(&scratch.columns, view.time, plot)
-        } else {
-            vec![scratch.columns.clone()]
+        let pieces = match curve.dash.px() {
+            Some(dash) => dashes(&scratch.columns, dash, view.time, plot),
+            None => vec![scratch.columns.clone()],
         };
         for piece in &pieces {
             if banded {
@@ -157,8 +154,8 @@ fn sparse(decimated: &Decimated, plot: Plot) -> bool {
 }
 
 /// Cut a curve into dashes. The pattern hangs on absolute time, so that it scrolls with the curve.
-fn dashes(columns: &[Column], time: TimeAxis, plot: Plot) -> Vec<Vec<Column>> {
-    let [on, period] = [DASH_PX[0] * plot.scale, (DASH_PX[0] + DASH_PX[1]) * plot.scale];
+fn dashes(columns: &[Column], [on, off]: [f32; 2], time: TimeAxis, plot: Plot) -> Vec<Vec<Column>> {
+    let [on, period] = [on * plot.scale, (on + off) * plot.scale];
     let px_per_s = f64::from(plot.width()) / time.span_s();
     let phase = (time.start_s * px_per_s).rem_euclid(f64::from(period)) as f32 - plot.left;
     let mut pieces = Vec::new();
@@ -310,7 +307,7 @@ mod tests {
             let mut decimated = Decimated::default();
             decimate(&series, time.start_s, time.end_s, 800, Joined::Straight, &mut decimated);
             let columns: Vec<_> = decimated.points.iter().map(|p| Column { x: p.x, top: 50.0, bottom: 50.0 }).collect();
-            let pieces = dashes(&columns, time, plot);
+            let pieces = dashes(&columns, [7.0, 4.0], time, plot);
             let starts: Vec<f64> = pieces.iter().map(|p| time.time_s(f64::from(p[0].x) / 800.0)).collect();
             let covered: f32 = pieces.iter().map(|p| p[p.len() - 1].x - p[0].x).sum();
             (covered, starts)

@@ -93,7 +93,15 @@ impl<'a> ChartView<'a> {
 
     /// With one more curve on top.
     pub fn curve(mut self, series: &'a Series, color: Color, style: Style) -> Self {
-        self.curves.push(Curve { series, color, style, scale: 1.0 });
+        self.curves.push(Curve { series, color, style, dash: Dash::None, scale: 1.0 });
+        self
+    }
+
+    /// The last one is interrupted.
+    pub fn dashed(mut self, dash: Dash) -> Self {
+        if let Some(last) = self.curves.last_mut() {
+            last.dash = dash;
+        }
         self
     }
 }
@@ -107,6 +115,8 @@ pub struct Curve<'a> {
     pub color: Color,
     /// How the line is drawn.
     pub style: Style,
+    /// How it is interrupted.
+    pub dash: Dash,
     /// Samples are multiplied by this before they are drawn: radians to degrees.
     pub scale: f32,
 }
@@ -122,12 +132,39 @@ pub enum Style {
     Thin,
     /// 1.5 px line holding each value until the next: setpoints.
     Step,
-    /// Dashed 1.5 px line: truth.
-    Dashed,
     /// A dot for each sample, where they are far enough apart, on a thin line.
     Points,
     /// Filled from minus the value to the value: ±3σ.
     Band,
+}
+
+/// How a line is interrupted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Dash {
+    /// Not at all.
+    #[default]
+    None,
+    /// Dashes: truth, and what was computed again.
+    Dashed,
+    /// Dots.
+    Dotted,
+    /// Long dashes.
+    Long,
+    /// Dashes far apart.
+    Sparse,
+}
+
+impl Dash {
+    /// Length of a dash and of the gap after it, CSS pixels; `None` where there is no gap.
+    pub const fn px(self) -> Option<[f32; 2]> {
+        match self {
+            Self::None => None,
+            Self::Dashed => Some([7.0, 4.0]),
+            Self::Dotted => Some([2.0, 3.0]),
+            Self::Long => Some([18.0, 5.0]),
+            Self::Sparse => Some([5.0, 10.0]),
+        }
+    }
 }
 
 /// A shaded stretch of time.

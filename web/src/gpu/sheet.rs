@@ -66,7 +66,7 @@ mod tests {
 
     use super::*;
     use crate::gpu::Theme;
-    use crate::gpu::scene::{ChartView, Curve, Panel, Rect, Style};
+    use crate::gpu::scene::{ChartView, Curve, Dash, Panel, Rect, Style};
     use crate::model::axis::{TimeAxis, ValueAxis};
     use crate::model::series::Series;
 
@@ -79,7 +79,7 @@ mod tests {
             ..Theme::LIGHT
         };
         let mut view = ChartView::new(TimeAxis::new(0.0, 10.0), ValueAxis::new(0.0, 1.0), theme);
-        view.curves.push(Curve { series, color: Color::hex(0), style, scale: 1.0 });
+        view.curves.push(Curve { series, color: Color::hex(0), style, dash: Dash::None, scale: 1.0 });
         let mut tile = Tile::default();
         let panel = Panel { rect: Rect::new(0.0, 0.0, 200.0, 100.0), content: Content::Chart(view) };
         let mut sheet = Sheet::default();

@@ -7,7 +7,10 @@ use super::{
     decimate::{Decimated, Joined, decimate},
     series::Series,
 };
-use crate::palette::{self, Ink};
+use crate::{
+    gpu::Dash,
+    palette::{self, Ink, Stroke},
+};
 
 /// Size of a figure, its margins left and below, px.
 const SIZE: [f64; 4] = [920.0, 240.0, 54.0, 20.0];
@@ -32,10 +35,8 @@ pub struct Line<'a> {
     pub name: String,
     /// Its samples.
     pub series: &'a Series,
-    /// Its colour.
-    pub ink: Ink,
-    /// Dashed?
-    pub dashed: bool,
+    /// Its colour and dash.
+    pub stroke: Stroke,
 }
 
 /// What is drawn.
@@ -97,11 +98,11 @@ impl Figure<'_> {
             self.body(Setting::Document)
         );
         for line in &self.lines {
-            let kind = if line.dashed { "dashed" } else { "" };
             let _ = write!(
                 out,
-                "<li><i class=\"{kind}\" style=\"border-color:{}\"></i>{}</li>",
-                line.ink.css(),
+                "<li><i class=\"{}\" style=\"border-color:{}\"></i>{}</li>",
+                if line.stroke.dash == Dash::None { "" } else { "dashed" },
+                line.stroke.ink.css(),
                 plain(&line.name)
             );
         }
@@ -119,11 +120,11 @@ impl Figure<'_> {
             if x + long > width && x > left {
                 (x, y) = (left, y + LINE);
             }
-            let dash = if line.dashed { " stroke-dasharray=\"6 4\"" } else { "" };
+            let dash = dashes(line.stroke);
             let _ = write!(
                 key,
                 "<path {} d=\"M{x:.1} {:.1}h18\"{dash}/><text x=\"{:.1}\" y=\"{y:.1}\">{}</text>",
-                Setting::Alone.stroke(line.ink),
+                Setting::Alone.stroke(line.stroke.ink),
                 y - 4.0,
                 x + 24.0,
                 plain(&line.name)
@@ -182,12 +183,17 @@ impl Figure<'_> {
             );
         }
         for line in &self.lines {
-            let dash = if line.dashed { " stroke-dasharray=\"6 4\"" } else { "" };
+            let dash = dashes(line.stroke);
             let d = path(line.series, self.time, w, |column, value| [left + f64::from(column), y(f64::from(value))]);
-            let _ = write!(out, "<path class=\"line\" {}{dash} d=\"{d}\"/>", setting.stroke(line.ink));
+            let _ = write!(out, "<path class=\"line\" {}{dash} d=\"{d}\"/>", setting.stroke(line.stroke.ink));
         }
         out
     }
+}
+
+/// The dashes of a path, if it has any.
+fn dashes(stroke: Stroke) -> String {
+    stroke.dash.px().map_or_else(String::new, |[on, off]| format!(" stroke-dasharray=\"{on} {off}\""))
 }
 
 /// A curve as an SVG path of one point, or one smallest and largest, per column.
@@ -215,13 +221,15 @@ fn path(series: &Series, axis: TimeAxis, columns: f64, place: impl Fn(f32, f32) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::curves::Curve;
 
     #[test]
     fn a_figure_by_itself_needs_no_style_sheet_and_keeps_its_names() {
         let series = Series::from_samples((0..100).map(|i| (f64::from(i) * 0.1, i as f32 * 0.01)));
         let lines: Vec<_> = ["setpoint <m>", "truth"]
             .into_iter()
-            .map(|name| Line { name: name.into(), series: &series, ink: palette::IN_LOOP, dashed: name == "truth" })
+            .zip([Curve::Altitude(1), Curve::TruthAltitude])
+            .map(|(name, of)| Line { name: name.into(), series: &series, stroke: palette::stroke(of, 1) })
             .collect();
         let figure = Figure {
             title: "Altitude".into(),

@@ -21,7 +21,7 @@ use crate::{
     page::flight::{WHOLE_S, load},
     palette,
     panel::{
-        legend::{Entry, Legend, Swatch, TableButton},
+        legend::{Entry, Legend, TableButton},
         plot::Plot,
         toolbar::Link,
         waiting::Waiting,
@@ -374,12 +374,7 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
 #[component]
 fn Quantity(deck: Deck, shifts: RwSignal<Vec<f64>>, what: What, flights: Vec<Flight>) -> impl IntoView {
     let entries = |curve: fn(u8) -> Curve, from: usize| {
-        let entry = |(i, f): (usize, &Flight)| Entry {
-            curve: curve(i as u8),
-            name: f.title().to_owned(),
-            color: palette::series(i).css(),
-            swatch: Swatch::Line,
-        };
+        let entry = |(i, f): (usize, &Flight)| Entry::new(curve(i as u8), f.title(), 0);
         let all: Vec<Entry> = flights.iter().enumerate().skip(from).map(entry).collect();
         Signal::derive(move || all.clone())
     };
@@ -474,8 +469,10 @@ fn Judged(deck: Deck, shifts: RwSignal<Vec<f64>>, i: usize, decimals: usize, fli
 /// The mark and the name of a flight.
 fn named(i: usize, flight: &Flight) -> impl IntoView + use<> {
     let (id, title) = (flight.id.clone(), flight.title().to_owned());
-    let style =
-        format!("--swatch:{};display:inline-block;margin-right:6px;vertical-align:middle", palette::series(i).css());
+    let style = format!(
+        "--swatch:{};display:inline-block;margin-right:6px;vertical-align:middle",
+        palette::series(i).ink.css()
+    );
     view! { <i class="swatch" style=style></i><Link to=Route::Flight(id)>{title}</Link> }
 }
 

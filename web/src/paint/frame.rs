@@ -6,7 +6,7 @@ use super::space::Body;
 use crate::{
     deck::{Deck, Labels, PIN_NAMES, Picture, Slot},
     gpu::{
-        ChartView, Content, HeatRow, HeatmapView, HorizonView, LevelLine, Mark, Rect, Span, Style,
+        ChartView, Content, Dash, HeatRow, HeatmapView, HorizonView, LevelLine, Mark, Rect, Span, Style,
         TIME_TICK_SPACING_PX, Theme, VALUE_TICK_SPACING_PX,
     },
     model::{
@@ -16,7 +16,7 @@ use crate::{
         live::Live,
         series::Series,
     },
-    palette,
+    palette::{self, Stroke},
 };
 use leptos::prelude::*;
 
@@ -89,8 +89,7 @@ impl Frame {
                 Some(self.chart(slot, rect, live, axis, self.errors(live, of), ERROR_SPAN, None))
             }
             Picture::Signal(place) => {
-                let ink = palette::series(usize::from(place));
-                let drawn = self.drawn(live, Curve::Signal(place), ink, Style::Solid);
+                let drawn = self.drawn(live, Curve::Signal(place), Style::Solid);
                 // Before it is read its axis says nothing.
                 let fixed = drawn.is_none().then_some(ValueAxis::new(0.0, 1.0));
                 Some(self.chart(slot, rect, live, axis, drawn.into_iter().collect(), SIGNAL_SPAN, fixed))
@@ -159,51 +158,35 @@ impl Frame {
         let in_loop = live.in_loop();
         let mut out = Vec::new();
         // Raw sensors lie below, the estimate in the loop on top.
-        for curve in live.curves.names_between(Curve::Height(0), Curve::Height(u16::MAX)) {
-            if let Curve::Height(instance) = curve {
-                out.extend(self.drawn(live, curve, palette::sensor(instance), Style::Thin));
-            }
-        }
-        out.extend(
-            [false, true]
-                .into_iter()
-                .filter_map(|side| self.drawn(live, Curve::Reach(side), palette::ATTACK, Style::Thin)),
-        );
-        out.extend(self.drawn(live, Curve::TruthAltitude, palette::IN_LOOP, Style::Dashed));
+        let heights = live.curves.names_between(Curve::Height(0), Curve::Height(u16::MAX));
+        let thin = heights.chain([false, true].map(Curve::Reach));
+        out.extend(thin.filter_map(|curve| self.drawn(live, curve, Style::Thin)));
+        out.extend(self.drawn(live, Curve::TruthAltitude, Style::Solid));
         for curve in live.curves.names_between(Curve::Altitude(0), Curve::Altitude(u16::MAX)) {
             if let Curve::Altitude(number) = curve
                 && number != in_loop
             {
                 // One that diverges does not squeeze the rest.
-                let other = self.drawn(live, curve, palette::estimator(number, in_loop), Style::Solid);
+                let other = self.drawn(live, curve, Style::Solid);
                 out.extend(other.map(|drawn| Drawn { room: Room::None, ..drawn }));
             }
         }
         for curve in live.curves.names_between(Curve::AgainAltitude(0), Curve::AgainAltitude(u16::MAX)) {
-            if let Curve::AgainAltitude(number) = curve {
-                let again = self.drawn(live, curve, palette::again(number), Style::Dashed);
-                out.extend(again.map(|drawn| Drawn { room: Room::None, ..drawn }));
-            }
+            let again = self.drawn(live, curve, Style::Solid);
+            out.extend(again.map(|drawn| Drawn { room: Room::None, ..drawn }));
         }
-        out.extend(self.drawn(live, Curve::SetpointAltitude, palette::SETPOINT, Style::Step));
-        out.extend(self.drawn(live, Curve::Altitude(in_loop), palette::IN_LOOP, Style::Strong));
+        out.extend(self.drawn(live, Curve::SetpointAltitude, Style::Step));
+        out.extend(self.drawn(live, Curve::Altitude(in_loop), Style::Strong));
         out
     }
 
     fn attitude<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
         let in_loop = live.in_loop();
-        let truth = Axis::ALL
-            .into_iter()
-            .filter_map(|a| self.drawn(live, Curve::TruthAttitude(a), palette::axis(a), Style::Dashed));
-        let own = Axis::ALL
-            .into_iter()
-            .filter_map(|a| self.drawn(live, Curve::Attitude(in_loop, a), palette::axis(a), Style::Solid));
+        let truth = Axis::ALL.map(Curve::TruthAttitude);
+        let own = Axis::ALL.map(|axis| Curve::Attitude(in_loop, axis));
         let [first, last] = [(0, Axis::Roll), (u16::MAX, Axis::Yaw)].map(|(n, axis)| Curve::AgainAttitude(n, axis));
-        let again = live.curves.names_between(first, last).filter_map(|curve| match curve {
-            Curve::AgainAttitude(_, axis) => self.drawn(live, curve, palette::axis(axis), Style::Dashed),
-            _ => None,
-        });
-        truth.chain(own).chain(again).collect()
+        let all = truth.into_iter().chain(own).chain(live.curves.names_between(first, last));
+        all.filter_map(|curve| self.drawn(live, curve, Style::Solid)).collect()
     }
 
     fn residual<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
@@ -217,24 +200,22 @@ impl Frame {
         });
         let mut out = Vec::new();
         for (i, key) in keys.enumerate() {
-            let gate = self.drawn(live, Curve::Gate(key), palette::ATTACK, Style::Dashed);
+            let stroke = palette::series(i);
+            let gate = self.drawn_as(live, Curve::Gate(key), stroke.dashed(), Style::Solid);
             out.extend(gate.map(|g| Drawn { scale: -1.0, ..g }));
             out.extend(gate);
-            out.extend(self.drawn(live, Curve::Innovation(key), palette::series(i), Style::Solid));
+            out.extend(self.drawn_as(live, Curve::Innovation(key), stroke, Style::Solid));
         }
         out
     }
 
     fn compared<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
-        let ink = |i: u8| palette::series(usize::from(i));
-        let setpoints = (0..16).filter_map(|i| self.drawn(live, Curve::ComparedSetpoint(i), ink(i), Style::Dashed));
-        let altitudes = (0..16).filter_map(|i| self.drawn(live, Curve::Compared(i), ink(i), Style::Solid));
-        setpoints.chain(altitudes).collect()
+        let all = (0..16).map(Curve::ComparedSetpoint).chain((0..16).map(Curve::Compared));
+        all.filter_map(|curve| self.drawn(live, curve, Style::Solid)).collect()
     }
 
     fn differences<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
-        let ink = |i: u8| palette::series(usize::from(i));
-        (0..16).filter_map(|i| self.drawn(live, Curve::Difference(i), ink(i), Style::Solid)).collect()
+        (0..16).filter_map(|i| self.drawn(live, Curve::Difference(i), Style::Solid)).collect()
     }
 
     /// Errors of altitude or of one axis, and about none three sigma of each estimator that says how sure it is. A band is
@@ -244,47 +225,43 @@ impl Frame {
         let (own, others): (Vec<_>, Vec<_>) = live.curves.error_names(axis).partition(|(_, n)| *n == in_loop);
         // The estimator in the loop lies on top; others leave it its room.
         let all = || others.iter().chain(&own).copied();
-        let ink = |number| palette::estimator(number, in_loop);
         let bands = all().filter(|(curve, _)| self.deck.shows(live, *curve)).filter_map(|(_, n)| {
             let sigma = axis.map_or(Curve::AltitudeSigma(n), |axis| Curve::AttitudeSigma(n, axis));
-            let band = self.drawn(live, sigma, ink(n), Style::Band)?;
+            let band = self.drawn(live, sigma, Style::Band)?;
             let room = if n == in_loop { Room::Some } else { Room::None };
             // Sigmas are stored in m and rad, errors in mm and mrad.
-            Some(Drawn { color: band.color.alpha(BAND_OPACITY), scale: 3e3, room, ..band })
+            Some(Drawn { color: band.color.alpha(BAND_OPACITY), dash: Dash::None, scale: 3e3, room, ..band })
         });
         let curves = all().filter_map(|(curve, n)| {
             let style = if n == in_loop { Style::Strong } else { Style::Solid };
-            let drawn = self.drawn(live, curve, ink(n), style)?;
+            let drawn = self.drawn(live, curve, style)?;
             Some(if n == in_loop { drawn } else { Drawn { room: Room::Some, ..drawn } })
         });
         bands.chain(curves).collect()
     }
 
     fn motors<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
-        (0..8)
-            .filter_map(|i| self.drawn(live, Curve::Motor(i), palette::series(usize::from(i)), Style::Solid))
-            .collect()
+        (0..8).filter_map(|i| self.drawn(live, Curve::Motor(i), Style::Solid)).collect()
     }
 
     fn ticks<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
-        [
-            (Curve::TickJitter, palette::TRUTH, Style::Dashed),
-            (Curve::TickMedian, palette::IN_LOOP, Style::Solid),
-            (Curve::TickP99, palette::SENSOR_1, Style::Solid),
-        ]
-        .into_iter()
-        .filter_map(|(curve, ink, style)| self.drawn(live, curve, ink, style))
-        .collect()
+        let all = [Curve::TickJitter, Curve::TickMedian, Curve::TickP99];
+        all.into_iter().filter_map(|curve| self.drawn(live, curve, Style::Solid)).collect()
     }
 
-    fn drawn<'a>(&self, live: &'a Live, curve: Curve, ink: palette::Ink, style: Style) -> Option<Drawn<'a>> {
+    fn drawn<'a>(&self, live: &'a Live, curve: Curve, style: Style) -> Option<Drawn<'a>> {
+        self.drawn_as(live, curve, palette::stroke(curve, live.in_loop()), style)
+    }
+
+    fn drawn_as<'a>(&self, live: &'a Live, curve: Curve, stroke: Stroke, style: Style) -> Option<Drawn<'a>> {
         if !self.deck.shows(live, curve) {
             return None;
         }
         Some(Drawn {
             curve,
             series: live.curves.get(curve)?,
-            color: ink.on(self.dark),
+            color: stroke.ink.on(self.dark),
+            dash: stroke.dash,
             style,
             scale: 1.0,
             room: Room::All,
@@ -340,6 +317,7 @@ impl Frame {
         for d in drawn {
             let back = lit.is_some_and(|lit| lit != d.curve);
             view = view.curve(d.series, if back { d.color.alpha(BACK_OPACITY) } else { d.color }, d.style);
+            view = view.dashed(d.dash);
             if let Some(last) = view.curves.last_mut() {
                 last.scale = d.scale;
             }
@@ -415,6 +393,7 @@ struct Drawn<'a> {
     curve: Curve,
     series: &'a Series,
     color: crate::gpu::Color,
+    dash: Dash,
     style: Style,
     scale: f32,
     room: Room,

@@ -139,7 +139,7 @@ impl Frame {
             // Only the estimator in the loop says where it is in the plane: the others hang beside it.
             let other = pose(live, time_s, [x, y], curve, |axis| Curve::Attitude(number, axis));
             if let Some(pose) = other.filter(|pose| number != in_loop && part(pose, own)) {
-                ghosts.push(Ghost { pose, color: palette::estimator(number, in_loop).on(self.dark) });
+                ghosts.push(Ghost { pose, color: palette::estimator(number, in_loop).ink.on(self.dark) });
             }
         }
         ghosts

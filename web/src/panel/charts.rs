@@ -3,7 +3,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, Swatch, TableButton},
+    legend::{Entry, Legend, TableButton},
     plot::Plot,
     steps::StepMarks,
     timebar::TimeBar,
@@ -15,49 +15,26 @@ use crate::{
         live::Live,
         names,
     },
-    palette,
 };
 
 /// Entries of the altitude chart, in drawing order from the most to the least important.
 fn altitude_entries(live: &Live) -> Vec<Entry> {
     let in_loop = live.in_loop();
-    let mut entries = vec![Entry {
-        curve: Curve::SetpointAltitude,
-        name: "setpoint".into(),
-        color: "var(--setpoint)",
-        swatch: Swatch::Line,
-    }];
-    for curve in live.curves.names() {
-        match curve {
-            Curve::Altitude(number) => {
-                let name = if number == in_loop { "estimate" } else { names::estimator_numbered(number) }.to_owned();
-                let color = palette::estimator_css(number, in_loop);
-                entries.push(Entry { curve, name, color, swatch: Swatch::Line });
-            }
-            Curve::Height(instance) => entries.push(Entry {
-                curve,
-                name: format!("height {instance}"),
-                color: palette::sensor_css(instance),
-                swatch: Swatch::Thin,
-            }),
-            Curve::TruthAltitude => {
-                entries.push(Entry { curve, name: "truth".into(), color: "var(--in-loop)", swatch: Swatch::Dashed });
-            }
-            Curve::Reach(side) => entries.push(Entry {
-                curve,
-                name: if side { "highest" } else { "lowest" }.into(),
-                color: "var(--attack)",
-                swatch: Swatch::Thin,
-            }),
-            Curve::AgainAltitude(number) => entries.push(Entry {
-                curve,
-                name: format!("{} again", names::estimator_numbered(number)),
-                color: palette::again(number).css(),
-                swatch: Swatch::Dashed,
-            }),
-            _ => {}
-        }
-    }
+    let estimator = names::estimator_numbered;
+    let named = live.curves.names().filter_map(|curve| {
+        let name = match curve {
+            Curve::Altitude(number) if number == in_loop => "estimate".to_owned(),
+            Curve::Altitude(number) => estimator(number).to_owned(),
+            Curve::Height(instance) => format!("height {instance}"),
+            Curve::TruthAltitude => "truth".to_owned(),
+            Curve::Reach(side) => if side { "highest" } else { "lowest" }.to_owned(),
+            Curve::AgainAltitude(number) => format!("{} again", estimator(number)),
+            _ => return None,
+        };
+        Some(Entry::new(curve, name, in_loop))
+    });
+    let setpoint = Entry::new(Curve::SetpointAltitude, "setpoint", in_loop);
+    let mut entries: Vec<Entry> = std::iter::once(setpoint).chain(named).collect();
     // The estimate in the loop right after the setpoint.
     entries.sort_by_key(|e| match e.curve {
         Curve::SetpointAltitude => 0,
@@ -99,33 +76,16 @@ pub fn AttitudeChart() -> impl IntoView {
     let entries = Memo::new(move |_| {
         deck.read(|live| {
             let in_loop = live.in_loop();
-            let mut entries: Vec<Entry> = Axis::ALL
-                .into_iter()
-                .map(|axis| Entry {
-                    curve: Curve::Attitude(in_loop, axis),
-                    name: axis.name().into(),
-                    color: palette::axis_css(axis),
-                    swatch: Swatch::Line,
-                })
-                .collect();
-            if live.curves.get(Curve::TruthAttitude(Axis::Roll)).is_some() {
-                entries.extend(Axis::ALL.into_iter().map(|axis| Entry {
-                    curve: Curve::TruthAttitude(axis),
-                    name: format!("true {}", axis.name()),
-                    color: palette::axis_css(axis),
-                    swatch: Swatch::Dashed,
-                }));
-            }
-            entries.extend(live.curves.names().filter_map(|curve| match curve {
-                Curve::AgainAttitude(number, axis) => Some(Entry {
-                    curve,
-                    name: format!("{} again, {}", names::estimator_numbered(number), axis.name()),
-                    color: palette::axis_css(axis),
-                    swatch: Swatch::Dashed,
-                }),
-                _ => None,
-            }));
-            entries
+            let own = Axis::ALL.map(|axis| Entry::new(Curve::Attitude(in_loop, axis), axis.name(), in_loop));
+            let others = live.curves.names().filter_map(|curve| {
+                let name = match curve {
+                    Curve::TruthAttitude(axis) => format!("true {}", axis.name()),
+                    Curve::AgainAttitude(n, axis) => format!("{} again, {}", names::estimator_numbered(n), axis.name()),
+                    _ => return None,
+                };
+                Some(Entry::new(curve, name, in_loop))
+            });
+            own.into_iter().chain(others).collect::<Vec<_>>()
         })
     });
     view! {

@@ -9,6 +9,7 @@ use crate::{
         format::{self, NONE},
         measure::{Measure, measure},
     },
+    palette::Stroke,
 };
 
 /// Means are taken anew every so many beats of the page.
@@ -33,7 +34,7 @@ pub fn PinButton() -> impl IntoView {
 #[derive(Debug, Clone, PartialEq)]
 struct Row {
     name: String,
-    color: &'static str,
+    stroke: Stroke,
     found: Option<Measure>,
 }
 
@@ -43,7 +44,7 @@ fn rows(deck: Deck, listed: &Listed, [a, b]: [f64; 2]) -> Vec<Row> {
         let row = |e: crate::panel::legend::Entry| {
             let series = live.curves.get(e.curve)?;
             let found = measure(series, a, b).filter(|_| live.curves.is_whole(e.curve, a, b));
-            Some(Row { name: e.name, color: e.color, found })
+            Some(Row { name: e.name, stroke: e.stroke, found })
         };
         entries.into_iter().filter(|e| deck.shows(live, e.curve)).filter_map(row).collect()
     })
@@ -123,7 +124,7 @@ fn Card(deck: Deck) -> impl IntoView {
                         };
                         view! {
                             <tbody>
-                                <tr><th colspan="4" scope="rowgroup"><i class="swatch" style=format!("--swatch:{}", row.color)></i>{row.name.clone()} " " <small>{unit}</small></th></tr>
+                                <tr><th colspan="4" scope="rowgroup"><i class=row.stroke.class() style=row.stroke.style()></i>{row.name.clone()} " " <small>{unit}</small></th></tr>
                                 <tr>
                                     <td class="num">{text(Measure::change, true)}</td>
                                     <td class="num">{text(|m| m.mean, false)}</td>

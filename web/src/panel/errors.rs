@@ -4,7 +4,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, Swatch, TableButton},
+    legend::{Entry, Legend, TableButton},
     plot::Plot,
     residuals::EvidenceSwitch,
 };
@@ -14,19 +14,13 @@ use crate::{
         curves::{Axis, Curve},
         names,
     },
-    palette,
 };
 
 /// The estimators with an error of altitude, or of an axis of attitude; the one in the loop first.
 fn entries(deck: Deck, axis: Option<Axis>) -> Vec<Entry> {
     deck.read(|live| {
         let in_loop = live.in_loop();
-        let entry = |(curve, number)| Entry {
-            curve,
-            name: names::estimator_numbered(number).to_owned(),
-            color: palette::estimator_css(number, in_loop),
-            swatch: Swatch::Line,
-        };
+        let entry = |(curve, number)| Entry::new(curve, names::estimator_numbered(number), in_loop);
         let (own, others): (Vec<_>, Vec<_>) = live.curves.error_names(axis).partition(|(_, n)| *n == in_loop);
         own.into_iter().chain(others).map(entry).collect()
     })

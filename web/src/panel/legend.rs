@@ -14,22 +14,12 @@ use crate::{
         measure::rms,
         series::Extent,
     },
-    net, palette,
+    net,
+    palette::{self, Stroke},
 };
 
 /// A mean over the window is taken anew every so many beats of the page.
 const BEATS: u64 = 5;
-
-/// How a curve looks in the legend.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Swatch {
-    /// A line.
-    Line,
-    /// A dashed line.
-    Dashed,
-    /// A thin line.
-    Thin,
-}
 
 /// One entry.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,10 +28,15 @@ pub struct Entry {
     pub curve: Curve,
     /// Its name.
     pub name: String,
-    /// Its colour, as a style-sheet value.
-    pub color: &'static str,
-    /// Its line.
-    pub swatch: Swatch,
+    /// Its colour and dash.
+    pub stroke: Stroke,
+}
+
+impl Entry {
+    /// Of a curve that is drawn as it is everywhere.
+    pub fn new(curve: Curve, name: impl Into<String>, in_loop: u16) -> Self {
+        Self { curve, name: name.into(), stroke: palette::stroke(curve, in_loop) }
+    }
 }
 
 /// A line of a legend.
@@ -126,10 +121,9 @@ pub fn Legend(
                     on:blur=move |_| deck.lit.set(None)
                 >
                     <span
-                        class="swatch"
-                        class:dashed=entry.swatch == Swatch::Dashed
-                        class:thin=entry.swatch == Swatch::Thin
-                        style=format!("--swatch:{}", entry.color)
+                        class=entry.stroke.class()
+                        class:thin=matches!(entry.curve, Curve::Height(_) | Curve::Reach(_))
+                        style=entry.stroke.style()
                         aria-hidden="true"
                     ></span>
                     <span class="legend-name" title=entry.name.clone()>{entry.name.clone()}</span>
@@ -160,7 +154,7 @@ pub fn Legend(
             <For
                 each=move || present.get()
                 key=|line| match line {
-                    Line::Curve(e) => (Some((e.curve, e.color)), None, 0),
+                    Line::Curve(e) => (Some((e.curve, e.stroke.class(), e.stroke.ink.css())), None, 0),
                     Line::Group(group, count) => (None, Some(*group), *count),
                 }
                 let:line
@@ -259,13 +253,7 @@ fn svg_of(deck: Deck, name: &str, unit: &str, entries: &[Entry], picture: Pictur
         // The legend begins with what lies on top.
         let mut lines: Vec<_> = shown
             .filter_map(|e| {
-                let dashed = e.swatch == Swatch::Dashed;
-                Some(figure::Line {
-                    name: e.name.clone(),
-                    series: live.curves.get(e.curve)?,
-                    ink: palette::named(e.color)?,
-                    dashed,
-                })
+                Some(figure::Line { name: e.name.clone(), series: live.curves.get(e.curve)?, stroke: e.stroke })
             })
             .collect();
         lines.reverse();

@@ -3,13 +3,12 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, Swatch},
+    legend::{Entry, Legend},
     plot::Plot,
 };
 use crate::{
     deck::{Picture, deck},
     model::{curves::Curve, format},
-    palette,
 };
 
 /// Motor commands over time, and how long a control tick takes.
@@ -20,31 +19,14 @@ pub fn MotorsAndTicks() -> impl IntoView {
     let motors = Memo::new(move |_| {
         deck.read(|live| {
             let known = (0..8_u8).filter(|i| live.curves.get(Curve::Motor(*i)).is_some());
-            known
-                .map(|i| Entry {
-                    curve: Curve::Motor(i),
-                    name: format!("motor {}", i + 1),
-                    color: palette::series(usize::from(i)).css(),
-                    swatch: Swatch::Line,
-                })
-                .collect::<Vec<_>>()
+            known.map(|i| Entry::new(Curve::Motor(i), format!("motor {}", i + 1), 0)).collect::<Vec<_>>()
         })
     });
     let ticks = Signal::derive(|| {
         vec![
-            Entry {
-                curve: Curve::TickMedian,
-                name: "median".into(),
-                color: palette::IN_LOOP.css(),
-                swatch: Swatch::Line,
-            },
-            Entry { curve: Curve::TickP99, name: "p99".into(), color: palette::SENSOR_1.css(), swatch: Swatch::Line },
-            Entry {
-                curve: Curve::TickJitter,
-                name: "jitter p99".into(),
-                color: palette::TRUTH.css(),
-                swatch: Swatch::Dashed,
-            },
+            Entry::new(Curve::TickMedian, "median", 0),
+            Entry::new(Curve::TickP99, "p99", 0),
+            Entry::new(Curve::TickJitter, "jitter p99", 0),
         ]
     });
     let summary = move || {

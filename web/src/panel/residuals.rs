@@ -5,7 +5,7 @@ use plumbline_proto::v1::{Channel, EstimatorKind, SensorKind};
 
 use super::{
     errors::Errors,
-    legend::{Entry, Legend, Swatch},
+    legend::{Entry, Legend},
     plot::Plot,
     secure::SecureCard,
     signals::SignalsCard,
@@ -216,19 +216,11 @@ fn Channels(sensor: i32, instance: u32, estimator: Memo<u16>) -> impl IntoView {
             for (i, key) in channels {
                 let channel = Channel::try_from(key.3).unwrap_or_default();
                 let (unit, _) = names::channel_unit(channel);
-                let color = palette::series(i).css();
-                entries.push(Entry {
-                    curve: Curve::Innovation(key),
-                    name: format!("{} {unit}", names::channel(channel)),
-                    color,
-                    swatch: Swatch::Line,
-                });
-                entries.push(Entry {
-                    curve: Curve::Gate(key),
-                    name: "gate ±".into(),
-                    color: "var(--attack)",
-                    swatch: Swatch::Dashed,
-                });
+                let (stroke, name) = (palette::series(i), format!("{} {unit}", names::channel(channel)));
+                entries.push(Entry { curve: Curve::Innovation(key), name, stroke });
+                // Each has the colour of what it judges.
+                let (name, stroke) = ("gate ±".to_owned(), stroke.dashed());
+                entries.push(Entry { curve: Curve::Gate(key), name, stroke });
             }
             entries
         })

@@ -8,7 +8,7 @@ use leptos::{ev, html, prelude::*};
 use plumbline_rest::flight::{Samples, Signal as Named, Signals, Spectrum};
 
 use super::{
-    legend::{Entry, PictureButton, Swatch, TableButton},
+    legend::{Entry, PictureButton, TableButton},
     plot::Plot,
     residuals::EvidenceSwitch,
     sketch::{Drawing, Sketch, Trace},
@@ -186,12 +186,7 @@ pub fn SignalsCard() -> impl IntoView {
 }
 
 fn entry(charted: &Charted) -> Entry {
-    Entry {
-        curve: Curve::Signal(charted.place),
-        name: format!("{} {}", charted.name, charted.unit).trim_end().to_owned(),
-        color: palette::series(usize::from(charted.place)).css(),
-        swatch: Swatch::Line,
-    }
+    Entry::new(Curve::Signal(charted.place), format!("{} {}", charted.name, charted.unit).trim_end(), 0)
 }
 
 /// The list to choose from: by a click or Enter, or dragged onto the charts.
@@ -294,7 +289,7 @@ fn One(charted: Charted, start_s: f64) -> impl IntoView {
         })
     };
     let value = move || deck.value(Curve::Signal(place)).map_or_else(|| NONE.to_owned(), format::figures);
-    let color = palette::series(usize::from(place)).css();
+    let color = palette::series(usize::from(place)).ink.css();
     let body = if spectrum {
         view! { <Density name=name.clone() unit=unit.clone() color start_s progress /> }.into_any()
     } else {

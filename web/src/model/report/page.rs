@@ -13,7 +13,7 @@ use crate::model::{
     live::Live,
     names,
 };
-use crate::palette::{self, Ink};
+use crate::palette;
 
 /// The style of the report, on the page and alone.
 const STYLE: &str = include_str!("../../../report.css");
@@ -294,30 +294,30 @@ fn figure<'a>(
 /// The figures of a report.
 pub fn figures(live: &Live) -> Vec<Figure<'_>> {
     let in_loop = live.in_loop();
-    let line = |name: &str, curve: Curve, ink: Ink, dashed: bool| {
-        live.curves.get(curve).map(|series| Line { name: name.to_owned(), series, ink, dashed })
+    let line = |name: &str, curve: Curve| {
+        let stroke = palette::stroke(curve, in_loop);
+        live.curves.get(curve).map(|series| Line { name: name.to_owned(), series, stroke })
     };
     let altitude: Vec<_> = [
-        line("setpoint", Curve::SetpointAltitude, palette::SETPOINT, false),
-        line("truth", Curve::TruthAltitude, palette::IN_LOOP, true),
-        line("estimate in the loop", Curve::Altitude(in_loop), palette::IN_LOOP, false),
+        line("setpoint", Curve::SetpointAltitude),
+        line("truth", Curve::TruthAltitude),
+        line("estimate in the loop", Curve::Altitude(in_loop)),
     ]
     .into_iter()
     .flatten()
     .collect();
-    let errors: Vec<_> = live
-        .curves
-        .error_names(None)
-        .filter_map(|(curve, n)| line(names::estimator_numbered(n), curve, palette::estimator(n, in_loop), false))
-        .collect();
+    let errors: Vec<_> =
+        live.curves.error_names(None).filter_map(|(curve, n)| line(names::estimator_numbered(n), curve)).collect();
     let against =
         if live.curves.has_truth() { "Altitude: estimate minus truth" } else { "Altitude: estimate minus setpoint" };
     let leads = Some(Curve::AltitudeError(in_loop));
     let rates = Axis::ALL.into_iter().flat_map(|axis| {
         let demand = Demand::Rate(axis);
-        let (ink, name) = (palette::axis(axis), axis.name());
-        let aimed_at = line(&format!("{name} aimed at"), Curve::AimedAt(demand), ink, true);
-        [line(&format!("{name} asked"), Curve::Asked(demand), ink, false), aimed_at]
+        let name = axis.name();
+        [
+            line(&format!("{name} asked"), Curve::Asked(demand)),
+            line(&format!("{name} aimed at"), Curve::AimedAt(demand)),
+        ]
     });
     [
         figure("Altitude", "m", altitude, live, None),
