@@ -1,5 +1,7 @@
 // A battery that empties in flight, on a slowed-down processor: the page says so, the vehicle lands, and a new one flies on.
 
+import { readFileSync } from 'node:fs';
+
 import { assert, complaints, end, launch, number, pilot, shot, slowed, step, until, url } from './support.mjs';
 
 const browser = await launch();
@@ -43,6 +45,42 @@ await step(page, 'battery: nearly empty lands by itself, with what is left', asy
   const left = await charge();
   assert(left > 1, `${left} % left`);
   return { left };
+});
+
+await step(page, 'battery: whatever a failsafe has to say is read whole, and covers no chart', async () => {
+  const source = (path) => readFileSync(new URL(`../../${path}`, import.meta.url), 'utf8');
+  const all = (text, pattern) => [...text.matchAll(pattern)].map(([, found]) => found);
+  const reasons = all(source('agent/core/src/supervisor/monitor.rs'), /text\(format_args!\(\s*"([^"]+)"/g);
+  const titles = all(source('web/src/model/names.rs'), /Failsafe::\w+ => "([^"]+)"/g);
+  assert(reasons.length > 15 && titles.length > 20, `${reasons.length} reasons, ${titles.length} titles`);
+  // With figures of their length, and after the longest title.
+  const texts = reasons.map((reason) => ` – ${reason.replace(/\{[^}]*\}/g, '12.34')}`);
+  const title = titles.toSorted((a, b) => b.length - a.length)[0];
+  for (const [width, height] of [[1280, 720], [820, 1180]]) {
+    await page.setViewportSize({ width, height });
+    await page.getByLabel('Alarms').locator('.loud').waitFor();
+    const wrong = await page.evaluate(([title, texts]) => {
+      const alarm = document.querySelector('.alarm.loud');
+      const chart = document.querySelector('section.altitude').getBoundingClientRect();
+      const [told, reason] = [alarm.querySelector('b').firstChild, alarm.querySelector('b > span')];
+      const before = [told.textContent, reason.textContent];
+      const found = texts.filter((text) => {
+        [told.textContent, reason.textContent] = [title, text];
+        const parts = [alarm, ...alarm.querySelectorAll('b, b > span, button')];
+        const box = alarm.getBoundingClientRect();
+        const inside = parts.every((part) => {
+          const { left, right, top, bottom } = part.getBoundingClientRect();
+          return left >= box.left && right <= box.right && top >= box.top && bottom <= box.bottom && part.scrollWidth <= Math.max(part.clientWidth, part.offsetWidth);
+        });
+        return !(inside && box.right <= innerWidth && box.bottom <= chart.top);
+      });
+      [told.textContent, reason.textContent] = before;
+      return found;
+    }, [title, texts]);
+    assert(wrong.length === 0, `at ${width}×${height}: ${wrong.join(' | ')}`);
+  }
+  await page.setViewportSize({ width: 1280, height: 720 });
+  return { texts: texts.length };
 });
 
 await step(page, 'battery: it does not arm before it has a new one, and then flies', async () => {

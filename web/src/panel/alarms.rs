@@ -38,10 +38,19 @@ impl Acting {
         Some(Self { failsafe, reason, acts: status.armed || status.cut_latched })
     }
 
-    /// Its name, with its reason.
+    /// Its name.
+    fn title(&self) -> &'static str {
+        names::failsafe(self.failsafe)
+    }
+
+    /// Its reason, as it follows its name.
+    fn why(&self) -> String {
+        if self.reason.is_empty() { String::new() } else { format!(" – {}", self.reason) }
+    }
+
+    /// Both.
     fn text(&self) -> String {
-        let (title, reason) = (names::failsafe(self.failsafe), &self.reason);
-        if reason.is_empty() { title.to_owned() } else { format!("{title} – {reason}") }
+        self.title().to_owned() + &self.why()
     }
 }
 
@@ -180,16 +189,16 @@ pub fn Alarms() -> impl IntoView {
             {move || age.get().map(|s| view! {
                 <p class="alarm bad data-age"><span class="visually-hidden">"Data is old."</span><b aria-live="off">{format!("Data is {s:.0} s old.")}</b> " What is shown was then; commands may still arrive."</p>
             })}
-            {move || failsafe.get().map(|f| (f.text(), f)).filter(|(text, f)| f.acts || *text != ended.get()).map(|(text, Acting { failsafe, acts, .. })| view! {
-                <p class="alarm loud" class:bad=acts>
-                    <span class="visually-hidden">{names::failsafe(failsafe)}</span>
-                    <b aria-live="off" title=text.clone()>{text.clone()}</b>
-                    {acts.then(|| view! {
+            {move || failsafe.get().map(|f| (f.text(), f)).filter(|(text, f)| f.acts || *text != ended.get()).map(|(text, f)| view! {
+                <p class="alarm loud" class:bad=f.acts>
+                    <span class="visually-hidden">{f.title()}</span>
+                    <b aria-live="off">{f.title()}<span>{f.why()}</span></b>
+                    {f.acts.then(|| view! {
                         <button type="button" class="small" title="Tones for alarms on or off (T)" on:click=move |_| tones.switch(!tones.on.get_untracked())>
                             {move || if tones.on.get() { "Mute" } else { "Unmute" }}
                         </button>
                     })}
-                    {(!acts).then(|| view! {
+                    {(!f.acts).then(|| view! {
                         <button type="button" class="plain" aria-label="Dismiss" on:click=move |_| ended.set(text.clone())>"×"</button>
                     })}
                 </p>
