@@ -22,11 +22,11 @@ function code(secret) {
   return String((hash.readUInt32BE(at) & 0x7fff_ffff) % 1_000_000).padStart(6, '0');
 }
 
-async function signIn(shown = '') {
-  await page.getByLabel('Name').fill('ann');
-  await page.getByLabel('Password').fill(PASSWORD);
-  if (shown) await page.getByLabel(/Code of your authenticator/).fill(shown);
-  await page.getByRole('button', { name: 'Sign in' }).click();
+async function signIn(shown = '', name = 'ann', on = page) {
+  await on.getByLabel('Name').fill(name);
+  await on.getByLabel('Password').fill(PASSWORD);
+  if (shown) await on.getByLabel(/Code of your authenticator/).fill(shown);
+  await on.getByRole('button', { name: 'Sign in' }).click();
 }
 
 const setup = async () => {
@@ -86,6 +86,43 @@ await step(page, 'an admin makes accounts, changes their roles and removes them'
   await people.getByText('bob is viewer now').waitFor();
   assert((await page.locator('.notice').count()) === 0, 'a notice lies over the form');
   await shot(page, 'people');
+});
+
+await step(page, 'a viewer sees what is refused to him, and why', async () => {
+  const beside = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+  const viewer = await beside.newPage();
+  viewer.setDefaultTimeout(20_000);
+  await viewer.goto(`${url}/login`);
+  await signIn('', 'bob', viewer);
+  await viewer.waitForURL(`${url}/`);
+  const asked = [];
+  viewer.on('request', (request) => asked.push(`${request.method()} ${request.url()}`));
+  for (const [path, name] of [['experiments', 'Start'], ['flights', 'Import…']]) {
+    await viewer.goto(`${url}/${path}`);
+    const button = viewer.getByRole('button', { name, exact: true });
+    await until('it to be offered', () => button.isEnabled());
+    await until('it to look refused', async () => Number(await button.evaluate((b) => getComputedStyle(b).opacity)) < 0.6);
+    await button.click();
+    await viewer.getByRole('alert').getByText('You are signed in as a viewer').waitFor();
+  }
+  await viewer.goto(`${url}/`);
+  const rec = viewer.getByRole('banner').getByRole('button', { name: /Recording/ });
+  await rec.click();
+  await viewer.getByRole('alert').getByText('You are signed in as a viewer').waitFor();
+  const changing = asked.filter((one) => /^(POST|PUT|DELETE) /.test(one) && !/experiments\/size$/.test(one));
+  assert(changing.length === 0, changing.join('\n'));
+  // None is kept here: the plan has the width, its text beside its questions.
+  await viewer.goto(`${url}/experiments`);
+  await viewer.getByText('None yet.').waitFor();
+  const box = (of) => of.boundingBox();
+  const [plan, text, form] = [await box(viewer.getByRole('region', { name: 'Plan' })), await box(viewer.getByLabel('Plan, TOML')), await box(viewer.getByLabel('Question to begin with'))];
+  assert(plan.width > 1200 && text.x > form.x + form.width && text.width > 500, JSON.stringify({ plan, text, form }));
+  assert(text.y + text.height <= plan.y + plan.height, JSON.stringify({ plan, text }));
+  await shot(viewer, 'experiments-none-1280x720');
+  await beside.close();
+});
+
+await step(page, 'an admin removes an account with a hold', async () => {
   const remove = people.getByRole('row', { name: /^bob/ }).getByRole('button', { name: 'Remove' });
   const box = await remove.boundingBox();
   assert(box.width < 180, `Remove is ${box.width} px wide`);

@@ -295,10 +295,16 @@ impl Ctx {
         }
     }
 
+    /// Why nothing at all is changed from this page; `None` where it is.
+    pub fn viewing(self) -> Option<String> {
+        let viewer = self.session.with(|session| session.role == Some(Role::Viewer));
+        viewer.then(|| "You are signed in as a viewer".to_owned())
+    }
+
     /// Why the vehicle would not be commanded from this page; `None` where it would.
     pub fn refusal(self) -> Option<String> {
-        if self.session.with(|session| session.role == Some(Role::Viewer)) {
-            return Some("You are signed in as a viewer".to_owned());
+        if let Some(why) = self.viewing() {
+            return Some(why);
         }
         if let Some(name) = self.app(|app| app.elsewhere().map(|ground| ground.name.clone())) {
             return Some(format!("It is flown from ground {name}: here its motors can be cut, and nothing else"));

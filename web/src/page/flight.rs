@@ -26,8 +26,8 @@ use crate::{
     net,
     page::flights::local_offset_min,
     panel::{
-        alarms::StatusLine,
-        charts::{AltitudeChart, AttitudeChart},
+        alarms::{Guarded, StatusLine},
+        charts::Charts,
         cursors::CursorsCard,
         hold::HoldButton,
         horizon::HorizonCard,
@@ -228,7 +228,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
                     <a class="button" href=move || flight.with_value(|id| listing::download(id, form, stretch.get())) download="">{name}</a>
                 })}
             </span>
-            <span class="delete"><HoldButton label="Delete" class="warn" action=delete /></span>
+            <span class="delete"><Guarded kept=true><HoldButton label="Delete" class="warn" action=delete /></Guarded></span>
         </div>
     }
 }

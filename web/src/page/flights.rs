@@ -10,9 +10,11 @@ use plumbline_rest::flight::{Column, Completeness, Flight, Flights, Listing};
 use crate::{
     ctx::{ctx, every},
     event::Failure,
+    keys,
     model::{choice, format, listing, route::Route},
     net,
     panel::{
+        alarms::Guarded,
         guide,
         table::{Pages, SortHead},
         toolbar::Link,
@@ -130,7 +132,13 @@ pub fn FlightsPage() -> impl IntoView {
             on:drop=move |e| {
                 e.prevent_default();
                 importer.over.set(false);
-                importer.dropped(&e);
+                match untrack(|| ctx.viewing()) {
+                    Some(why) => {
+                        keys::pointed(f64::from(e.client_x()), f64::from(e.client_y()));
+                        ctx.refuse(why);
+                    }
+                    None => importer.dropped(&e),
+                }
             }
         >
             <div class="sheet-head">
@@ -147,7 +155,7 @@ pub fn FlightsPage() -> impl IntoView {
                         asked.offset = 0;
                     })
                 />
-                <ImportButton importer />
+                <Guarded kept=true><ImportButton importer /></Guarded>
                 <button type="button" disabled=move || chosen.with(|c| c.len() < 2) on:click=move |_| ctx.go(Route::Compare(chosen.get_untracked()))>
                     {move || format!("Compare {}", chosen.with(Vec::len).max(2))}
                 </button>

@@ -259,7 +259,7 @@ pub fn Dock() -> impl IntoView {
     let flies = Memo::new(move |_| ctx.live(|live| live.status.get().is_some_and(|s| s.armed) && !live.is_replay()));
     view! {
         <section class="dock" aria-label="Land and cut">
-            <button type="button" class="land" disabled=move || !flies.get() on:click=move |_| ctx.land()>"Land"</button>
+            <Guarded><button type="button" class="land" disabled=move || !flies.get() on:click=move |_| ctx.land()>"Land"</button></Guarded>
             <button type="button" class="cut" on:click=move |_| ctx.cut()>"CUT MOTORS"</button>
         </section>
     }
@@ -274,9 +274,14 @@ fn unfolds(e: &leptos::ev::Event) -> bool {
 /// Controls that are refused while another operator is in control: they look so, and say why where they are pressed. Lists can be
 /// unfolded all the same.
 #[component]
-pub fn Guarded(children: Children) -> impl IntoView {
+pub fn Guarded(
+    /// Refused to viewers alone: whoever controls the vehicle has no part in it.
+    #[prop(optional)]
+    kept: bool,
+    children: Children,
+) -> impl IntoView {
     let ctx = ctx();
-    let refusal = Memo::new(move |_| ctx.refusal());
+    let refusal = Memo::new(move |_| if kept { ctx.viewing() } else { ctx.refusal() });
     let stop = move |e: &leptos::ev::Event| {
         if let Some(why) = refusal.get_untracked().filter(|_| !unfolds(e)) {
             e.prevent_default();

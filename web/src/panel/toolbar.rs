@@ -10,7 +10,7 @@ use crate::{
     event::Event,
     model::{api, format, live::Live, names, route::Route},
     net,
-    panel::alarms::Battery,
+    panel::alarms::{Battery, Guarded},
     store,
 };
 
@@ -227,15 +227,17 @@ pub fn Toolbar() -> impl IntoView {
             <span class=move || format!("tag link num {}", link_class.get()) title=move || link.get().explained(|| counted.get()) aria-label="Link">
                 <i class="dot" aria-hidden="true"></i>{move || link.get().text()}
             </span>
-            <button
-                type="button"
-                class=move || format!("tag rec num {}", recording.get().1)
-                title=move || format!("{} (R)", recording.get().2)
-                aria-label=move || format!("Recording: {}", recording.get().0)
-                on:click=move |_| ctx.toggle_recording()
-            >
-                <i class="dot" aria-hidden="true"></i>{move || recording.get().0}
-            </button>
+            <Guarded>
+                <button
+                    type="button"
+                    class=move || format!("tag rec num {}", recording.get().1)
+                    title=move || format!("{} (R)", recording.get().2)
+                    aria-label=move || format!("Recording: {}", recording.get().0)
+                    on:click=move |_| ctx.toggle_recording()
+                >
+                    <i class="dot" aria-hidden="true"></i>{move || recording.get().0}
+                </button>
+            </Guarded>
             <span
                 class="tag battery num"
                 class:stale=old

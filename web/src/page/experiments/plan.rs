@@ -13,6 +13,7 @@ use crate::{
     event::{Event, Failure, Tone},
     model::{experiment::templates, format},
     net,
+    panel::alarms::Guarded,
 };
 
 /// A plan is asked about once nothing was typed for so long.
@@ -32,7 +33,7 @@ async fn recorded() -> Vec<String> {
 
 /// The card; `begun` hears the id of what was started.
 #[component]
-pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
+pub fn PlanCard(begun: impl Fn(String) + Copy + Send + 'static) -> impl IntoView {
     let ctx = ctx();
     let vehicle = move || ctx.app.with_value(|app| app.vehicle.clone()).unwrap_or_default();
     let [(_, first), ..] = templates(&[], "");
@@ -114,7 +115,9 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + 'static) -> impl IntoView {
                 on:input:target=move |e| text.set(e.target().value())
             ></textarea>
             {told}
-            <button type="button" class="fit" disabled=move || !matches!(size.get(), Some(Ok(_))) on:click=start>{move || if matches!(size.get(), Some(Ok(size)) if size.by_hand) { "Keep" } else { "Start" }}</button>
+            <Guarded kept=true>
+                <button type="button" class="fit" disabled=move || !matches!(size.get(), Some(Ok(_))) on:click=start>{move || if matches!(size.get(), Some(Ok(size)) if size.by_hand) { "Keep" } else { "Start" }}</button>
+            </Guarded>
         </section>
     }
 }

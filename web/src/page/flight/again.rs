@@ -11,7 +11,7 @@ use crate::{
     event::Failure,
     model::{choice, experiment::Again, names, route::Route},
     net,
-    panel::waiting::Waiting,
+    panel::{alarms::Guarded, waiting::Waiting},
 };
 
 /// Estimators that a recording can be flown under.
@@ -82,9 +82,11 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
                 }>
                     {Again::ALL.into_iter().enumerate().map(|(at, (_, words))| view! { <option value=at.to_string()>{words}</option> }).collect_view()}
                 </select>
-                <button type="button" class="small" disabled=move || working.get().is_some() || chosen.get().is_empty() on:click=fly>
-                    "Fly again"
-                </button>
+                <Guarded kept=true>
+                    <button type="button" class="small" disabled=move || working.get().is_some() || chosen.get().is_empty() on:click=fly>
+                        "Fly again"
+                    </button>
+                </Guarded>
             </div>
             <Show when=move || working.with(Option::is_some)>
                 <Waiting

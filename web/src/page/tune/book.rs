@@ -14,6 +14,7 @@ use crate::{
     },
     net,
     page::flights::local_offset_min,
+    panel::alarms::Guarded,
 };
 
 /// Right column of the Tune page.
@@ -55,7 +56,7 @@ fn Verdict() -> impl IntoView {
         <section class="card verdict" aria-label="Push">
             <header><h2>"Verdict"</h2></header>
             <p class=move || text().0 role="status">{move || text().1}</p>
-            <button type="button" class="go" disabled=move || !(accepted.get() && connected.get()) on:click=push>"Push to the vehicle"</button>
+            <Guarded><button type="button" class="go" disabled=move || !(accepted.get() && connected.get()) on:click=push>"Push to the vehicle"</button></Guarded>
             <p class="quiet">{move || if connected.get() {
                 "Applied between two ticks, without a bump; in flight too."
             } else {
@@ -139,13 +140,15 @@ fn Revisions() -> impl IntoView {
                 }>"Open JSON…"</button>
                 <input type="file" accept=".json,application/json" hidden node_ref=file aria-label="Gains file" on:change:target=move |e| import(bench, e.target()) />
             </div>
-            <button type="button" class="to-start" disabled=move || matches!(began.get(), Start::Unknown | Start::InUse) on:click=to_start>
-                {move || match began.get() {
-                    Start::Unknown => "Start of the flight: not known here",
-                    Start::InUse => "As the flight started",
-                    Start::Revision(_) | Start::Configured(_) => "Back to the gains the flight started with",
-                }}
-            </button>
+            <Guarded>
+                <button type="button" class="to-start" disabled=move || matches!(began.get(), Start::Unknown | Start::InUse) on:click=to_start>
+                    {move || match began.get() {
+                        Start::Unknown => "Start of the flight: not known here",
+                        Start::InUse => "As the flight started",
+                        Start::Revision(_) | Start::Configured(_) => "Back to the gains the flight started with",
+                    }}
+                </button>
+            </Guarded>
             <div class="table-wrap">
                 {move || {
                     let all = rows();
@@ -181,7 +184,7 @@ fn Entry(entry: Revision, now: Option<u32>) -> impl IntoView {
             <span>{title(entry.design.get("controller").and_then(Value::as_str).unwrap_or("lqr_integral"))}</span>
             <span class="quiet num">{when}</span>
             <span class=if accepted { "chip" } else { "chip alert" } title=entry.reason.clone()>{if flying { "in use".to_owned() } else { entry.stage.clone() }}</span>
-            {(accepted && !flying).then(|| view! { <button type="button" class="small" aria-label=format!("Revert to revision {number}") on:click=revert>"Revert"</button> })}
+            {(accepted && !flying).then(|| view! { <Guarded><button type="button" class="small" aria-label=format!("Revert to revision {number}") on:click=revert>"Revert"</button></Guarded> })}
             {(!accepted).then(|| view! { <p class="bad">{entry.reason.clone()}</p> })}
         </div>
     }
