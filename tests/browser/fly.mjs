@@ -357,18 +357,40 @@ await step(page, 'the processor draws what WebGL2 draws', async () => {
   return seen;
 });
 
-await step(page, 'the vehicle in space hangs on its strings', async () => {
-  const swap = region('Attitude instrument').getByRole('button', { name: '3D view' });
+const scene = page.getByRole('region', { name: '3D view', exact: true });
+await step(page, 'the vehicle in space hangs on its strings, and is shown large', async () => {
+  const swap = region('Attitude instrument').getByRole('button', { name: '3D view', exact: true });
   await swap.click();
   const seen = await drawn(page, region('Attitude instrument').getByRole('img').first(), 'the vehicle in space');
   await shot(page, 'fly-light-3d');
-  await swap.click();
+  // Into the middle of the page, over the altitude.
+  const small = await region('Attitude instrument').getByRole('img').first().boundingBox();
+  const expand = async () => {
+    await region('Attitude instrument').getByRole('button', { name: 'Expand the 3D view' }).press('Enter');
+    await scene.waitFor();
+  };
+  await expand();
+  const large = await scene.getByRole('img').boundingBox();
+  assert(large.width > 2 * small.width && large.height > 300, `${large.width}×${large.height}`);
+  await drawn(page, scene.getByRole('img'), 'the large vehicle in space');
+  await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude below it');
+  const bottom = await region('Altitude chart').boundingBox();
+  assert(bottom.y + bottom.height <= 720 && bottom.height > 120, JSON.stringify(bottom));
+  await shot(page, 'fly-light-3d-large');
+  await scene.getByRole('button', { name: 'Charts' }).click();
+  await charts(['Attitude']);
+  await expand();
   return seen;
 });
 
 await step(page, 'a reload loses nothing', async () => {
   await page.reload({ waitUntil: 'commit' });
   await until('a live altitude', async () => Number.isFinite(await readout('altitude')));
+  await scene.waitFor();
+  await page.keyboard.press('Escape');
+  await charts(['Attitude', 'Residuals']);
+  assert((await scene.count()) === 0, 'Escape leaves it large');
+  await region('Attitude instrument').getByRole('button', { name: '3D view', exact: true }).click();
   await stepText(0.9, 1.0);
   await charts(['Altitude']);
 });

@@ -186,6 +186,8 @@ pub struct Deck {
     pub origin_s: RwSignal<f64>,
     /// The vehicle in space instead of the horizon?
     pub space: RwSignal<bool>,
+    /// In the middle of the page instead?
+    pub wide: RwSignal<bool>,
     /// View of the vehicle in space: azimuth, elevation, distance.
     pub camera: RwSignal<(f32, f32, f32)>,
     tick: RwSignal<u64>,
@@ -221,6 +223,7 @@ impl Deck {
             playhead: RwSignal::new(0.0),
             origin_s: RwSignal::new(0.0),
             space: RwSignal::new(false),
+            wide: RwSignal::new(false),
             camera: RwSignal::new((-2.55, 0.38, 1.0)),
             tick,
             slots: StoredValue::new_local(Vec::new()),
@@ -322,6 +325,7 @@ impl Deck {
             unfolded: self.unfolded.get(),
             motors: self.motors.get(),
             space: self.space.get(),
+            wide: self.wide.get(),
             window_s: (self.source == Source::Live).then(|| self.window_s.get()).filter(|s| *s != USUAL_WINDOW_S),
         }
     }
@@ -340,6 +344,7 @@ impl Deck {
         self.unfolded.set(layout.unfolded);
         self.motors.set(layout.motors);
         self.space.set(layout.space);
+        self.wide.set(layout.wide);
         if self.source == Source::Live {
             let window_s = layout.window_s.filter(|s| WINDOWS_S.contains(s));
             self.window_s.set(window_s.unwrap_or(USUAL_WINDOW_S));

@@ -22,7 +22,7 @@ pub const KEYS: [(&str, &str); 14] = [
     ("Alt + click", "legend: this curve alone, or all again"),
     ("T", "tones for alarms on or off"),
     ("1 … 6", "Fly, Flights, Tune, Calibrate, Setup, Experiments"),
-    ("Esc", "close; leave a zoom or a residual"),
+    ("Esc", "close; leave the large 3D view, a zoom or a residual"),
     ("?", "this list"),
 ];
 
@@ -182,6 +182,7 @@ fn handle(ctx: Ctx, key: &str, takes: Takes) -> bool {
         "6" => ctx.go(Route::Experiments),
         "?" => ctx.help.set(true),
         "Escape" => match deck {
+            Some(deck) if deck.wide.get_untracked() => deck.wide.set(false),
             Some(deck) if untrack(|| deck.is_zoomed()) => deck.zoom_out(),
             Some(deck) if deck.residual.get_untracked().is_some() => deck.residual.set(None),
             Some(deck) if deck.source == Source::Live && deck.paused_at.get_untracked().is_some() => deck.zoom_out(),

@@ -51,6 +51,8 @@ pub struct Layout {
     pub motors: bool,
     /// The vehicle in space instead of the horizon?
     pub space: bool,
+    /// In the middle of the page, over the altitude, instead of the other charts?
+    pub wide: bool,
     /// Length of the window of live charts, s; `None` where nothing is said, and of recorded flights.
     pub window_s: Option<f64>,
 }
@@ -62,8 +64,9 @@ const SIGNALS: &str = "signals";
 const GROUPS: &str = "groups";
 const MOTORS: &str = "motors";
 const SPACE: &str = "space";
+const WIDE: &str = "wide";
 const WINDOW: &str = "window";
-const ALL: [&str; 7] = [EVIDENCE, AXIS, SIGNALS, GROUPS, MOTORS, SPACE, WINDOW];
+const ALL: [&str; 8] = [EVIDENCE, AXIS, SIGNALS, GROUPS, MOTORS, SPACE, WIDE, WINDOW];
 
 impl Default for Layout {
     fn default() -> Self {
@@ -74,6 +77,7 @@ impl Default for Layout {
             unfolded: Vec::new(),
             motors: false,
             space: false,
+            wide: false,
             window_s: None,
         }
     }
@@ -100,6 +104,7 @@ impl Layout {
             (GROUPS, (self.unfolded != usual.unfolded).then(|| group_names(&self.unfolded))),
             (MOTORS, on(self.motors)),
             (SPACE, on(self.space)),
+            (WIDE, on(self.wide)),
             (WINDOW, self.window_s.map(|s| format!("{s}"))),
         ];
         parts.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
@@ -124,6 +129,7 @@ impl Layout {
             layout.unfolded = groups_of(&names);
         }
         (layout.motors, layout.space) = (one(MOTORS).is_some(), one(SPACE).is_some());
+        layout.wide = one(WIDE).is_some();
         layout.window_s = one(WINDOW).and_then(|text| text.parse().ok()).filter(|s: &f64| s.is_finite());
         Some(layout)
     }
@@ -194,6 +200,7 @@ mod tests {
                 unfolded: vec![Group::Estimators, Group::Heights],
                 motors: true,
                 space: true,
+                wide: true,
                 window_s: Some(120.0),
                 ..Layout::default()
             },

@@ -33,9 +33,7 @@ use crate::{
         horizon::HorizonCard,
         lanes::Lanes,
         layouts,
-        motors::MotorsAndTicks,
         readouts::Readouts,
-        residuals::Evidence,
         signals::Messages,
         toolbar::Link,
         waiting::Waiting,
@@ -267,10 +265,7 @@ fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failur
             <div class="centre">
                 <Show when=move || drawn.get()>
                     <Lanes />
-                    <AltitudeChart />
-                    <AttitudeChart />
-                    <Evidence />
-                    <MotorsAndTicks />
+                    <Charts />
                 </Show>
                 <Scrub deck reading />
             </div>

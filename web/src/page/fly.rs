@@ -11,7 +11,7 @@ use crate::{
         alarms::{Guarded, StatusLine},
         arming::ArmingCard,
         attacks::AttacksCard,
-        charts::{AltitudeChart, AttitudeChart},
+        charts::Charts,
         cursors::CursorsCard,
         envelope::EnvelopeBand,
         estimator::EstimatorCard,
@@ -19,10 +19,8 @@ use crate::{
         horizon::HorizonCard,
         lanes::Lanes,
         layouts,
-        motors::MotorsAndTicks,
         readouts::Readouts,
         replay::ReplayCard,
-        residuals::Evidence,
         setpoint::{ModeFields, SetpointCard},
         signals::Messages,
         simulator::SimulatorCard,
@@ -123,10 +121,7 @@ pub fn Fly() -> impl IntoView {
                     view! {
                         <Lanes />
                         <EnvelopeBand />
-                        <AltitudeChart />
-                        <AttitudeChart />
-                        <Evidence />
-                        <MotorsAndTicks />
+                        <Charts />
                     }.into_any()
                 } else {
                     view! { <Numbers /> }.into_any()

@@ -3,8 +3,11 @@
 use leptos::prelude::*;
 
 use super::{
+    horizon::SpaceCard,
     legend::{Entry, Legend, TableButton},
+    motors::MotorsAndTicks,
     plot::Plot,
+    residuals::Evidence,
     steps::StepMarks,
     timebar::TimeBar,
 };
@@ -49,7 +52,7 @@ fn altitude_entries(live: &Live) -> Vec<Entry> {
 
 /// Altitude: setpoint, estimates, heights, truth, and the measured response to each step.
 #[component]
-pub fn AltitudeChart() -> impl IntoView {
+fn AltitudeChart() -> impl IntoView {
     let deck = deck();
     let entries = Memo::new(move |_| deck.read(altitude_entries));
     view! {
@@ -69,9 +72,24 @@ pub fn AltitudeChart() -> impl IntoView {
     }
 }
 
+/// All charts of a vehicle or a flight; or its altitude below the vehicle in space.
+#[component]
+pub fn Charts() -> impl IntoView {
+    let deck = deck();
+    view! {
+        <Show when=move || deck.wide.get()><SpaceCard /></Show>
+        <AltitudeChart />
+        <Show when=move || !deck.wide.get()>
+            <AttitudeChart />
+            <Evidence />
+            <MotorsAndTicks />
+        </Show>
+    }
+}
+
 /// Roll, pitch and yaw of the estimate in the loop.
 #[component]
-pub fn AttitudeChart() -> impl IntoView {
+fn AttitudeChart() -> impl IntoView {
     let deck = deck();
     let entries = Memo::new(move |_| {
         deck.read(|live| {

@@ -27,31 +27,57 @@ const FROM_ABOVE: (f32, f32, f32) = (-std::f32::consts::FRAC_PI_2, 1.5, 3.0);
 #[component]
 pub fn HorizonCard() -> impl IntoView {
     let deck = deck();
+    let here = Memo::new(move |_| deck.space.get() && !deck.wide.get());
     view! {
         <section class="card horizon-card" aria-label="Attitude instrument">
             <div class="horizon-row">
-                {move || if deck.space.get() { view! { <Space /> }.into_any() } else { view! { <Horizon /> }.into_any() }}
+                {move || if here.get() { view! { <Space /> }.into_any() } else { view! { <Horizon /> }.into_any() }}
                 <Tape />
             </div>
             <Compass />
             <button
                 type="button"
                 class="small swap"
-                aria-pressed=move || deck.space.get().to_string()
+                aria-pressed=move || here.get().to_string()
                 aria-label="3D view"
                 title="Horizon or the vehicle in space"
-                on:click=move |_| deck.space.update(|s| *s = !*s)
+                on:click=move |_| {
+                    deck.space.set(!here.get_untracked());
+                    deck.wide.set(false);
+                }
             >
-                {move || if deck.space.get() { "horizon" } else { "3D" }}
+                {move || if here.get() { "horizon" } else { "3D" }}
             </button>
-            <Show when=move || deck.space.get()>
-                <button
-                    type="button"
-                    class="small swap second"
-                    title="Seen from above, north up"
-                    on:click=move |_| deck.camera.set(FROM_ABOVE)
-                >"top"</button>
+            <Show when=move || here.get()>
+                <div class="swap second buttons-row">
+                    <FromAbove />
+                    <button type="button" class="small" aria-label="Expand the 3D view" title="In the middle of the page" on:click=move |_| deck.wide.set(true)>"⤢"</button>
+                </div>
             </Show>
+        </section>
+    }
+}
+
+#[component]
+fn FromAbove() -> impl IntoView {
+    let deck = deck();
+    view! { <button type="button" class="small" title="Seen from above, north up" on:click=move |_| deck.camera.set(FROM_ABOVE)>"top"</button> }
+}
+
+/// The vehicle in space in the middle of the page.
+#[component]
+pub fn SpaceCard() -> impl IntoView {
+    let deck = deck();
+    view! {
+        <section class="card chart scene" aria-label="3D view">
+            <header>
+                <h2>"3D view"</h2>
+                <span class="push buttons-row">
+                    <FromAbove />
+                    <button type="button" class="small" title="Back to the charts (Esc)" on:click=move |_| deck.wide.set(false)>"Charts"</button>
+                </span>
+            </header>
+            <Space />
         </section>
     }
 }
