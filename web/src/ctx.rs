@@ -295,15 +295,15 @@ impl Ctx {
         }
     }
 
-    /// Why nothing at all is changed from this page; `None` where it is.
-    pub fn viewing(self) -> Option<String> {
-        let viewer = self.session.with(|session| session.role == Some(Role::Viewer));
-        viewer.then(|| "You are signed in as a viewer".to_owned())
+    /// Why the account of this page may not do what takes `needed`; `None` where it may.
+    pub fn lacks(self, needed: Role) -> Option<String> {
+        let role = self.session.with(|session| session.role).filter(|role| *role < needed)?;
+        Some(format!("You are signed in as {}: it takes {}", role.name(), needed.name()))
     }
 
     /// Why the vehicle would not be commanded from this page; `None` where it would.
     pub fn refusal(self) -> Option<String> {
-        if let Some(why) = self.viewing() {
+        if let Some(why) = self.lacks(Role::Operator) {
             return Some(why);
         }
         if let Some(name) = self.app(|app| app.elsewhere().map(|ground| ground.name.clone())) {

@@ -10,6 +10,7 @@ mod scrub;
 use leptos::prelude::*;
 use plumbline_proto::DecodeError;
 use plumbline_rest::flight::{Flight, Labels};
+use plumbline_rest::people::Role;
 use serde_json::json;
 
 use crate::{
@@ -226,7 +227,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
                     <a class="button" href=move || flight.with_value(|id| listing::download(id, form, stretch.get())) download="">{name}</a>
                 })}
             </span>
-            <span class="delete"><Guarded kept=true><HoldButton label="Delete" class="warn" action=delete /></Guarded></span>
+            <span class="delete"><Guarded takes=Role::Admin><HoldButton label="Delete" class="warn" action=delete /></Guarded></span>
         </div>
     }
 }

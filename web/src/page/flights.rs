@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use leptos::prelude::*;
 use plumbline_rest::flight::{Column, Completeness, Flight, Flights, Listing};
+use plumbline_rest::people::Role;
 
 use crate::{
     ctx::{ctx, every},
@@ -132,7 +133,7 @@ pub fn FlightsPage() -> impl IntoView {
             on:drop=move |e| {
                 e.prevent_default();
                 importer.over.set(false);
-                match untrack(|| ctx.viewing()) {
+                match untrack(|| ctx.lacks(Role::Operator)) {
                     Some(why) => {
                         keys::pointed(f64::from(e.client_x()), f64::from(e.client_y()));
                         ctx.refuse(why);
@@ -155,7 +156,7 @@ pub fn FlightsPage() -> impl IntoView {
                         asked.offset = 0;
                     })
                 />
-                <Guarded kept=true><ImportButton importer /></Guarded>
+                <Guarded takes=Role::Operator><ImportButton importer /></Guarded>
                 <button type="button" disabled=move || chosen.with(|c| c.len() < 2) on:click=move |_| ctx.go(Route::Compare(chosen.get_untracked()))>
                     {move || format!("Compare {}", chosen.with(Vec::len).max(2))}
                 </button>

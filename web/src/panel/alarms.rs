@@ -3,7 +3,7 @@
 
 use leptos::prelude::*;
 use plumbline_proto::v1::Failsafe;
-use plumbline_rest::command as rest;
+use plumbline_rest::{command as rest, people::Role};
 use serde_json::json;
 use wasm_bindgen::JsCast;
 
@@ -275,13 +275,13 @@ fn unfolds(e: &leptos::ev::Event) -> bool {
 /// unfolded all the same.
 #[component]
 pub fn Guarded(
-    /// Refused to viewers alone: whoever controls the vehicle has no part in it.
+    /// Where it is nothing of the vehicle's, and whoever controls it has no part in it: the role that it takes.
     #[prop(optional)]
-    kept: bool,
+    takes: Option<Role>,
     children: Children,
 ) -> impl IntoView {
     let ctx = ctx();
-    let refusal = Memo::new(move |_| if kept { ctx.viewing() } else { ctx.refusal() });
+    let refusal = Memo::new(move |_| takes.map_or_else(|| ctx.refusal(), |role| ctx.lacks(role)));
     let stop = move |e: &leptos::ev::Event| {
         if let Some(why) = refusal.get_untracked().filter(|_| !unfolds(e)) {
             e.prevent_default();

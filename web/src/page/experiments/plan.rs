@@ -5,6 +5,7 @@ use std::time::Duration;
 use leptos::prelude::*;
 use plumbline_rest::experiment::{Asked, Size, State};
 use plumbline_rest::flight::{Completeness, Flight, Flights};
+use plumbline_rest::people::Role;
 
 use super::ROOT;
 use super::study::StudyForm;
@@ -115,7 +116,7 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + Send + 'static) -> impl IntoView
                 on:input:target=move |e| text.set(e.target().value())
             ></textarea>
             {told}
-            <Guarded kept=true>
+            <Guarded takes=Role::Operator>
                 <button type="button" class="fit" disabled=move || !matches!(size.get(), Some(Ok(_))) on:click=start>{move || if matches!(size.get(), Some(Ok(size)) if size.by_hand) { "Keep" } else { "Start" }}</button>
             </Guarded>
         </section>

@@ -4,6 +4,7 @@ use leptos::prelude::*;
 use plumbline_proto::v1::EstimatorKind;
 use plumbline_rest::experiment::{Asked, Opened, State};
 use plumbline_rest::flight::Flight;
+use plumbline_rest::people::Role;
 
 use super::reestimate;
 use crate::{
@@ -82,7 +83,7 @@ pub fn FlyAgain(flight: Flight) -> impl IntoView {
                 }>
                     {Again::ALL.into_iter().enumerate().map(|(at, (_, words))| view! { <option value=at.to_string()>{words}</option> }).collect_view()}
                 </select>
-                <Guarded kept=true>
+                <Guarded takes=Role::Operator>
                     <button type="button" class="small" disabled=move || working.get().is_some() || chosen.get().is_empty() on:click=fly>
                         "Fly again"
                     </button>
