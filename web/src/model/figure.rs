@@ -7,10 +7,7 @@ use super::{
     decimate::{Decimated, Joined, decimate},
     series::Series,
 };
-use crate::{
-    gpu::Dash,
-    palette::{self, Ink, Stroke},
-};
+use crate::palette::{self, Ink, Stroke};
 
 /// Size of a figure, its margins left and below, px.
 const SIZE: [f64; 4] = [920.0, 240.0, 54.0, 20.0];
@@ -101,7 +98,7 @@ impl Figure<'_> {
             let _ = write!(
                 out,
                 "<li><i class=\"{}\" style=\"border-color:{}\"></i>{}</li>",
-                if line.stroke.dash == Dash::None { "" } else { "dashed" },
+                line.stroke.dash.px().map_or("", |_| "dashed"),
                 line.stroke.ink.css(),
                 plain(&line.name)
             );
